@@ -1,0 +1,87 @@
+"""Camera: a pinhole with the pixel-centre rule, and the views the paper shows.
+
+The only place that knows how a camera looks at the world. Camera axes are OpenCV's: x right,
+y down, z forward; pixel (i, j) covers [i, i+1) x [j, j+1), so its centre is (i + 0.5, j + 0.5)
+and the optical axis meets the image at (width/2, height/2).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+VIEWS = {"front": 0.0, "right": 90.0, "back": 180.0, "left": 270.0}
+"""Azimuths of the paper's four views [degrees]: front is +x, right is +y."""
+FOV_Y = 49.1
+"""Default vertical field of view [degrees], LGM's."""
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera at `eye` looking at `target`, world z up."""
+
+    eye: tuple[float, float, float]
+    """Position, m."""
+    target: tuple[float, float, float]
+    """Point in the middle of the image, m."""
+    width: int
+    """Image width, pixels."""
+    height: int
+    """Image height, pixels."""
+    fov_y: float = FOV_Y
+    """Vertical field of view, degrees."""
+
+    @classmethod
+    def orbit(
+        cls,
+        azimuth: float,
+        elevation: float,
+        radius: float,
+        size: int | tuple[int, int],
+        target: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        fov_y: float = FOV_Y,
+    ) -> Camera:
+        """On a sphere about `target` [degrees, m]; positive elevation looks down from above.
+
+        `size` is the width and height in pixels, or one number for both.
+        """
+        a, e = math.radians(azimuth), math.radians(elevation)
+        away = (math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e))
+        x, y, z = (t + radius * d for t, d in zip(target, away, strict=True))
+        width, height = (size, size) if isinstance(size, int) else size
+        return cls((x, y, z), target, width, height, fov_y)
+
+    @property
+    def focal(self) -> float:
+        """Focal length, pixels, the same along both axes."""
+        return 0.5 * self.height / math.tan(0.5 * math.radians(self.fov_y))
+
+    @cached_property
+    def view(self) -> NDArray[np.float64]:
+        """World to camera, [4,4]."""
+        eye, target = np.asarray(self.eye, float), np.asarray(self.target, float)
+        forward = (target - eye) / np.linalg.norm(target - eye)
+        # Straight up or down has no horizon: keep +x at the top of the image there.
+        up = np.array([0.0, 0.0, 1.0]) if abs(forward[2]) < 1 - 1e-9 else np.array([1.0, 0.0, 0.0])
+        right = np.cross(forward, up)
+        right /= np.linalg.norm(right)
+        matrix = np.eye(4)
+        matrix[:3, :3] = right, np.cross(forward, right), forward
+        matrix[:3, 3] = -matrix[:3, :3] @ eye
+        return matrix
+
+    @property
+    def intrinsics(self) -> NDArray[np.float64]:
+        """Camera to pixels, [3,3]."""
+        f = self.focal
+        return np.array([[f, 0, self.width / 2], [0, f, self.height / 2], [0, 0, 1]])
+
+    def project(self, points: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Pixel positions [N,2] and depths [N] m of world points [N,3]."""
+        seen = points @ self.view[:3, :3].T + self.view[:3, 3]
+        image = seen @ self.intrinsics.T
+        return image[:, :2] / image[:, 2:], seen[:, 2]

@@ -1,0 +1,191 @@
+"""Clip: the 4D representation, the Gaussians of every frame, saved as one safetensors file.
+
+Everything after simulation (videos, players, bags, measurements) works from a clip alone.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save_file
+
+from phy124.errors import InputError
+from phy124.gaussians import Array, Frame, Gaussians
+from phy124.harmonics import rotate_sh
+
+FORMAT = "phy124-clip"
+VERSION = "1"
+REQUIRED = ("means", "quats", "scales", "opacities", "sh", "times")
+OPTIONAL = ("rotations", "velocities")
+
+
+@dataclass(frozen=True, eq=False)
+class Clip:
+    """N Gaussians at T instants; colours and opacities do not change in time."""
+
+    means: Array
+    """Centres [T,N,3], m."""
+    quats: Array
+    """Orientations [T,N,4], unit wxyz, continuous in sign over time."""
+    scales: Array
+    """Standard deviations [T,N,3], m."""
+    opacities: Array
+    """Opacities [N], 0..1."""
+    sh: Array
+    """Spherical-harmonic colours at rest [N,K,3]."""
+    times: NDArray[np.float64]
+    """Instants [T], s."""
+    rotations: Array | None = None
+    """Polar rotations of the material since rest [T,N,4] wxyz; only where sh has degree > 0."""
+    velocities: Array | None = None
+    """Velocities of the centres [T,N,3], m/s, when asked for."""
+    scene: dict[str, Any] = field(default_factory=dict)
+    """The resolved Scene as plain data."""
+    report: dict[str, Any] = field(default_factory=dict)
+    """What the run did; `complete` is False if it stopped early."""
+
+    def __post_init__(self) -> None:
+        t, n = self.means.shape[:2]
+        shapes = {
+            "means": (t, n, 3),
+            "quats": (t, n, 4),
+            "scales": (t, n, 3),
+            "opacities": (n,),
+            "times": (t,),
+            "rotations": (t, n, 4),
+            "velocities": (t, n, 3),
+        }
+        for name, shape in shapes.items():
+            value = getattr(self, name)
+            if value is not None and value.shape != shape:
+                raise ValueError(f"{name} has shape {value.shape}, wanted {shape}")
+        if self.sh.ndim != 3 or self.sh.shape[::2] != (n, 3):
+            raise ValueError(f"sh has shape {self.sh.shape}, wanted ({n}, K, 3)")
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    @classmethod
+    def from_frames(cls, frames: list[Frame], rotations: Array | None = None) -> Clip:
+        """Stack frames of the same Gaussians; raises ValueError if there are none."""
+        first = frames[0].gaussians
+
+        def stack(name: str) -> Array:
+            return np.stack([getattr(f.gaussians, name) for f in frames])
+
+        velocities = [f.velocities for f in frames if f.velocities is not None]
+        return cls(
+            means=stack("means"),
+            quats=stack("quats"),
+            scales=stack("scales"),
+            opacities=first.opacities,
+            sh=first.sh,
+            times=np.array([f.time for f in frames], dtype=np.float64),
+            rotations=rotations,
+            velocities=np.stack(velocities) if len(velocities) == len(frames) else None,
+        )
+
+    def frame(self, index: int) -> Frame:
+        """The Gaussians of one frame, colours turned with the material."""
+        sh = self.sh
+        if self.rotations is not None and sh.shape[1] > 1:
+            sh = rotate_sh(sh, self.rotations[index])
+        means, quats, scales = self.means[index], self.quats[index], self.scales[index]
+        gaussians = Gaussians(means, quats, scales, self.opacities, sh)
+        velocities = None if self.velocities is None else self.velocities[index]
+        return Frame(index, float(self.times[index]), gaussians, velocities)
+
+    def frames(self) -> Iterator[Frame]:
+        """All frames in order, one in memory at a time if the clip is memory-mapped."""
+        return map(self.frame, range(len(self)))
+
+    def with_report(self, report: dict[str, Any]) -> Clip:
+        """The same clip carrying another report."""
+        return replace(self, report=report)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write one safetensors file; it appears whole or not at all."""
+        path = Path(path)
+        names = REQUIRED + tuple(n for n in OPTIONAL if getattr(self, n) is not None)
+        tensors = {name: np.ascontiguousarray(getattr(self, name)) for name in names}
+        metadata = {
+            "format": FORMAT,
+            "version": VERSION,
+            "scene": json.dumps(self.scene),
+            "report": json.dumps(self.report),
+        }
+        descriptor, temporary = tempfile.mkstemp(suffix=".part", dir=path.parent)
+        os.close(descriptor)
+        try:
+            save_file(tensors, temporary, metadata)
+            os.chmod(temporary, 0o644)
+            os.replace(temporary, path)
+        except BaseException:
+            os.unlink(temporary)
+            raise
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Clip:
+        """Open a saved clip; the arrays stay on disk until they are read.
+
+        Raises InputError if the file is missing, cut short, or not a clip of this version.
+        """
+        metadata = _read_metadata(Path(path))
+        arrays = _map_tensors(Path(path))
+        missing = [name for name in REQUIRED if name not in arrays]
+        if missing:
+            raise _refusal(path, f"the tensors {', '.join(missing)} are missing.")
+        known = {name: arrays[name] for name in REQUIRED + OPTIONAL if name in arrays}
+        scene, report = json.loads(metadata["scene"]), json.loads(metadata["report"])
+        try:
+            return cls(**known, scene=scene, report=report)
+        except (ValueError, IndexError) as error:
+            raise _refusal(path, f"its tensors do not fit together ({error}).") from error
+
+
+def _refusal(path: object, what: str) -> InputError:
+    return InputError("clip", path, what, "Give a clip.safetensors made by `phy124 generate`.")
+
+
+def _read_metadata(path: Path) -> dict[str, str]:
+    if not path.is_file():
+        raise _refusal(path, "there is no such file.")
+    try:
+        with safe_open(path, framework="np") as file:
+            metadata = file.metadata() or {}
+    except (SafetensorError, OSError) as error:
+        raise _refusal(path, f"it cannot be read; it is cut short or foreign ({error}).") from error
+    if metadata.get("format") != FORMAT or not {"scene", "report"} <= metadata.keys():
+        raise _refusal(path, "it is a safetensors file, but not a phy124 clip.")
+    if metadata.get("version") != VERSION:
+        found = metadata.get("version")
+        raise _refusal(path, f"it has clip version {found}, this program reads {VERSION}.")
+    return metadata
+
+
+def _map_tensors(path: Path) -> dict[str, NDArray]:
+    """Memory-map each tensor; the header was validated by safetensors itself."""
+    with open(path, "rb") as file:
+        length = int.from_bytes(file.read(8), "little")
+        header = json.loads(file.read(length))
+    types = {"F32": np.float32, "F64": np.float64}
+    arrays = {}
+    for name, entry in header.items():
+        if name == "__metadata__" or entry["dtype"] not in types:
+            continue
+        shape, start = tuple(entry["shape"]), 8 + length + entry["data_offsets"][0]
+        dtype = types[entry["dtype"]]
+        empty = 0 in shape
+        arrays[name] = (
+            np.zeros(shape, dtype) if empty else np.memmap(path, dtype, "r", start, shape)
+        )
+    return arrays

@@ -1,0 +1,141 @@
+"""Gaussians and frames: what every stage of the pipeline passes on.
+
+Conventions: world right-handed, metres, z up, the object faces +x (docs/conventions.md);
+quaternions are wxyz; values are post-activation (opacity 0..1, scales in metres).
+The field names are gsplat's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float32]
+SH_C0 = 0.28209479177387814
+"""Value of the degree-0 spherical harmonic: rgb = 0.5 + SH_C0 * sh[:, 0]."""
+SH_COEFFICIENTS = (1, 4, 9, 16)
+"""Allowed K in `sh [N,K,3]`: degrees 0 to 3."""
+
+
+@dataclass(frozen=True, eq=False)
+class Gaussians:
+    """N anisotropic 3D Gaussians, Sigma = R(q) diag(s)^2 R(q)^T.
+
+    Arrays are converted to C-contiguous float32. Raises ValueError if shapes disagree: that is
+    a programming error, bad files are refused by their readers.
+    """
+
+    means: Array
+    """Centres [N,3], m."""
+    quats: Array
+    """Orientations [N,4], unit quaternions wxyz."""
+    scales: Array
+    """Standard deviations along the local axes [N,3], m."""
+    opacities: Array
+    """Opacities [N], 0..1."""
+    sh: Array
+    """Spherical-harmonic colours [N,K,3], K in 1, 4, 9, 16."""
+
+    def __post_init__(self) -> None:
+        for name in ("means", "quats", "scales", "opacities", "sh"):
+            value = np.ascontiguousarray(getattr(self, name), dtype=np.float32)
+            object.__setattr__(self, name, value)
+        n = len(self.means)
+        shapes = {"means": (n, 3), "quats": (n, 4), "scales": (n, 3), "opacities": (n,)}
+        for name, shape in shapes.items():
+            if getattr(self, name).shape != shape:
+                raise ValueError(f"{name} has shape {getattr(self, name).shape}, wanted {shape}")
+        if self.sh.ndim != 3 or self.sh.shape[::2] != (n, 3):
+            raise ValueError(f"sh has shape {self.sh.shape}, wanted ({n}, K, 3)")
+        if self.sh.shape[1] not in SH_COEFFICIENTS:
+            raise ValueError(f"sh has {self.sh.shape[1]} coefficients, wanted one of 1, 4, 9, 16")
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+    @classmethod
+    def from_rgb(
+        cls, means: Array, quats: Array, scales: Array, opacities: Array, rgb: Array
+    ) -> Gaussians:
+        """Gaussians of plain colours `rgb [N,3]` in 0..1 (spherical harmonics of degree 0)."""
+        return cls(means, quats, scales, opacities, ((rgb - 0.5) / SH_C0)[:, None, :])
+
+    @property
+    def rgb(self) -> Array:
+        """Colours seen from anywhere [N,3] in 0..1: the degree-0 part."""
+        return np.clip(0.5 + SH_C0 * self.sh[:, 0], 0, 1)
+
+    @property
+    def sh_degree(self) -> int:
+        """Degree of the spherical harmonics, 0 to 3."""
+        return SH_COEFFICIENTS.index(self.sh.shape[1])
+
+    def select(self, which: NDArray) -> Gaussians:
+        """The Gaussians picked by a boolean mask or an index array."""
+        return Gaussians(
+            self.means[which],
+            self.quats[which],
+            self.scales[which],
+            self.opacities[which],
+            self.sh[which],
+        )
+
+    def moved(self, scale: float, offset: NDArray) -> Gaussians:
+        """Scaled about the origin, then shifted by `offset [3]` m."""
+        means = self.means * scale + np.asarray(offset)
+        return replace(self, means=means, scales=self.scales * scale)
+
+    def covariances(self) -> NDArray[np.float64]:
+        """Covariance matrices [N,3,3], m^2, in double precision."""
+        axes = rotation_matrices(self.quats) * self.scales[:, None, :].astype(np.float64)
+        return axes @ axes.transpose(0, 2, 1)
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """The Gaussians at one instant."""
+
+    index: int
+    """Number of the frame, from 0."""
+    time: float
+    """Time since the start, s."""
+    gaussians: Gaussians
+    velocities: Array | None = None
+    """Velocities of the centres [N,3], m/s, when asked for."""
+
+
+def rotation_matrices(quats: NDArray) -> NDArray[np.float64]:
+    """Rotation matrices [N,3,3] of quaternions wxyz [N,4]; their length does not matter."""
+    q = np.asarray(quats, dtype=np.float64)
+    w, x, y, z = (q / np.linalg.norm(q, axis=1, keepdims=True)).T
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+    return np.stack([np.stack(row, axis=1) for row in rows], axis=1)
+
+
+def quaternions(rotations: NDArray) -> NDArray[np.float64]:
+    """Unit quaternions wxyz [N,4] of rotation matrices [N,3,3] (Shepperd's method)."""
+    r = np.asarray(rotations, dtype=np.float64)
+    diagonal = np.einsum("nii->ni", r)
+    trace = diagonal.sum(axis=1, keepdims=True)
+    # Four ways to write 4 q q^T's column; the one with the largest diagonal is well conditioned.
+    squares = np.concatenate([1 + trace, 1 + 2 * diagonal - trace], axis=1)
+    best = squares.argmax(axis=1)
+    xy, xz, yz = r[:, 1, 0] + r[:, 0, 1], r[:, 0, 2] + r[:, 2, 0], r[:, 2, 1] + r[:, 1, 2]
+    wx, wy, wz = r[:, 2, 1] - r[:, 1, 2], r[:, 0, 2] - r[:, 2, 0], r[:, 1, 0] - r[:, 0, 1]
+    columns = np.stack(
+        [
+            np.stack([squares[:, 0], wx, wy, wz], axis=1),
+            np.stack([wx, squares[:, 1], xy, xz], axis=1),
+            np.stack([wy, xy, squares[:, 2], yz], axis=1),
+            np.stack([wz, xz, yz, squares[:, 3]], axis=1),
+        ],
+        axis=1,
+    )
+    q = columns[np.arange(len(r)), best]
+    return q / np.linalg.norm(q, axis=1, keepdims=True)
