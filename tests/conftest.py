@@ -1,0 +1,34 @@
+"""What all tests share: golden data, tiny objects, one quiet Warp."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from phy124.gaussians import Gaussians
+
+ROOT = Path(__file__).parents[1]
+GOLDEN = Path(os.environ.get("PHY124_GOLDEN", ROOT / "../shared/golden"))
+
+
+@pytest.fixture(scope="session")
+def golden() -> Path:
+    """Folder of outputs of the original programs; skips where it is absent."""
+    if not GOLDEN.is_dir():
+        pytest.skip(f"no golden data at {GOLDEN} (set PHY124_GOLDEN)")
+    return GOLDEN
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(0)
+
+
+@pytest.fixture
+def three_gaussians() -> Gaussians:
+    """Three Gaussians of plain red, green and blue, each turned and stretched differently."""
+    quats = np.array([[1, 0, 0, 0], [0.5, 0.5, 0.5, 0.5], [0.8, 0.6, 0, 0]])
+    scales = np.array([[0.1, 0.05, 0.02], [0.08, 0.08, 0.01], [0.03, 0.06, 0.09]])
+    means = np.array([[0, 0, 0], [0.2, 0.1, 0.3], [-0.1, 0.2, -0.2]])
+    return Gaussians.from_rgb(means, quats, scales, np.array([0.9, 0.5, 0.7]), np.eye(3))
