@@ -1,0 +1,282 @@
+"""3DGS PLY files in and out: the only place that knows log scales and logit opacities.
+
+The layout is that of Kerbl et al. 2023, "3D Gaussian Splatting": one element `vertex` whose
+properties are found by name; colours are spherical harmonics, `f_rest` all red first, then green,
+then blue. Such files have x right, y down, z into the picture; ours is z up with the object facing
++x, so axes are renamed on the way in and out (docs/conventions.md). The axes change is a signed
+permutation, hence exact: what was written is read back bit for bit, but for log and logit.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.errors import InputError
+from phy124.gaussians import SH_COEFFICIENTS, Gaussians, quaternions
+from phy124.harmonics import rotate_sh
+from phy124.plyheader import Header, read_header, refusal
+
+MAX_GAUSSIANS = 10_000_000
+"""Files with more are refused before they are read."""
+DIALECTS = {
+    "3dgs": ("-y", "-z"),
+    "phy124": ("-y", "-z"),
+    "trellis": ("-y", "-z"),
+    "sharp": ("-y", "-z"),
+    "lgm": ("y", "z"),
+    "dreamgaussian": ("y", "z"),
+    "sam3d": ("z", "-y"),
+}
+"""Axes of the file that point up and out of the object's front, by the program that wrote it.
+
+TRELLIS turns its z-up world to y down while saving; SAM 3D Objects, of the same make, saves z up.
+"""
+FRONTS = {"y": "z", "-y": "-z", "z": "x", "-z": "-x", "x": "y", "-x": "-y"}
+"""The front of a file of which only the up axis is told."""
+SCALE_FLOOR = 1e-12
+"""Smallest scale written, m: a perfectly flat Gaussian has no logarithm."""
+OPACITY_MARGIN = 1e-7
+"""Opacities are written this far from 0 and 1, whose logits are infinite."""
+COMMENT = "phy124: x right, y down, z into the picture; the world's (x, y, z) is (-z, x, -y) here"
+SPLATS = ("scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3", "opacity")
+
+
+class Ply(NamedTuple):
+    """What a file held."""
+
+    gaussians: Gaussians
+    """The Gaussians in our world, m as far as the file's unit is one."""
+    dropped: int
+    """Rows left out because a value was NaN or infinite."""
+
+
+def read_ply(
+    path: str | os.PathLike[str],
+    *,
+    up: str | None = None,
+    front: str | None = None,
+    dialect: str = "3dgs",
+) -> Ply:
+    """Read a 3DGS PLY: ascii or binary, any property order, any float type, SH degree 0 to 3.
+
+    Args:
+        path: The file.
+        up: Axis of the file that points up: "x", "-x", "y", "-y", "z" or "-z".
+        front: Axis of the file that the object's front faces; by default `FRONTS[up]`.
+        dialect: Key of `DIALECTS`, used where `up` is not given. The default reads what viewers
+            show upright and what `write_ply` wrote.
+
+    Raises:
+        InputError: The file is missing, cut short, not a PLY, or holds no Gaussians.
+    """
+    path = Path(path)
+    rotation = _axes(up, front, dialect)
+    header, table = _read_table(path)
+    raw = _columns(path, header, table)
+    gaussians, dropped = _activated(raw)
+    if not len(gaussians):
+        raise refusal(path, "none of its Gaussians has finite values.", "Export it once more.")
+    return Ply(turned(gaussians, rotation), dropped)
+
+
+def write_ply(path: str | os.PathLike[str], gaussians: Gaussians) -> None:
+    """Write the Inria layout, binary little-endian float32; it appears whole or not at all."""
+    path = Path(path)
+    table = _table(turned(gaussians, _axes("-y", "-z", "3dgs").T))
+    names = table.dtype.names or ()
+    lines = ["ply", "format binary_little_endian 1.0", f"comment {COMMENT}"]
+    lines += [f"element vertex {len(table)}", *(f"property float {name}" for name in names)]
+    descriptor, temporary = tempfile.mkstemp(suffix=".part", dir=path.parent)
+    try:
+        with os.fdopen(descriptor, "wb") as file:
+            file.write("\n".join([*lines, "end_header\n"]).encode("ascii"))
+            file.write(table.tobytes())
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    except BaseException:
+        os.unlink(temporary)
+        raise
+
+
+def turned(gaussians: Gaussians, rotation: NDArray[np.float64]) -> Gaussians:
+    """The Gaussians after a signed axis permutation `rotation [3,3]` (determinant +1), exactly.
+
+    R S S R^T becomes (M R M^T)(M S M^T)^2(M R M^T)^T: the quaternion's vector part and the scales
+    are permuted like the centres, so only harmonics above degree 0 need arithmetic.
+    """
+    order, sign = np.abs(rotation).argmax(axis=1), rotation.sum(axis=1).astype(np.float32)
+    vector = gaussians.quats[:, 1:][:, order] * sign
+    return Gaussians(
+        gaussians.means[:, order] * sign,
+        np.concatenate([gaussians.quats[:, :1], vector], axis=1),
+        gaussians.scales[:, order],
+        gaussians.opacities,
+        _turned_sh(gaussians.sh, rotation),
+    )
+
+
+def _turned_sh(sh: NDArray, rotation: NDArray[np.float64]) -> NDArray:
+    count = sh.shape[1]
+    if count == 1:
+        return sh
+    # One turn for all: its matrix is what it does to each harmonic alone.
+    unit = np.repeat(np.eye(count, dtype=np.float32)[:, :, None], 3, axis=2)
+    matrix = rotate_sh(unit, np.repeat(quaternions(rotation[None]), count, axis=0))[:, :, 0]
+    return np.einsum("kj,nkc->njc", matrix, sh, optimize=True)
+
+
+def _axes(up: str | None, front: str | None, dialect: str) -> NDArray[np.float64]:
+    """Rotation [3,3] from the file's axes to ours: rows are front, left, up in the file."""
+    if up is None:
+        if dialect not in DIALECTS:
+            known = ", ".join(DIALECTS)
+            raise InputError("dialect", dialect, "It is not known.", f"Choose one of {known}.")
+        up, front = DIALECTS[dialect][0], front or DIALECTS[dialect][1]
+    for field, value in (("up", up), ("front", front or FRONTS.get(up))):
+        if value not in FRONTS:
+            allowed = ", ".join(FRONTS)
+            raise InputError(field, value, "It is not an axis.", f"Choose one of {allowed}.")
+    z, x = _unit(up), _unit(front or FRONTS[up])
+    if np.dot(x, z):
+        limit = "The front cannot lie along the up axis."
+        raise InputError("front", front, limit, f"Choose an axis across {up}.")
+    return np.stack([x, np.cross(z, x), z])
+
+
+def _unit(axis: str) -> NDArray[np.float64]:
+    vector = np.zeros(3)
+    vector["xyz".index(axis[-1])] = -1 if axis.startswith("-") else 1
+    return vector
+
+
+def _read_table(path: Path) -> tuple[Header, NDArray[Any]]:
+    """The rows of element `vertex` as a structured array."""
+    header = read_header(path)
+    if header.count > MAX_GAUSSIANS:
+        limit = f"it announces {header.count:,} Gaussians; the limit is {MAX_GAUSSIANS:,}."
+        raise refusal(path, limit, "Reduce it in a splat editor, for example SuperSplat.")
+    _check_names(path, header)
+    if header.ascii:
+        return header, _read_ascii(path, header)
+    available = (path.stat().st_size - header.start) // header.row.itemsize
+    if available < header.count:
+        raise _cut_short(path, max(available, 0), header.count)
+    return header, np.fromfile(path, header.row, header.count, offset=header.start)
+
+
+def _read_ascii(path: Path, header: Header) -> NDArray[Any]:
+    with open(path, "rb") as file:
+        file.seek(header.start)
+        lines = file.read().split(b"\n")[header.skip_lines :][: header.count]
+    names = header.row.names or ()
+    try:
+        values = np.array(b" ".join(lines).split(), dtype=np.float64)
+    except ValueError as error:
+        raise refusal(path, f"it has an unreadable number ({error}).", "Export again.") from error
+    rows = len(values) // len(names)
+    if rows < header.count:
+        raise _cut_short(path, rows, header.count)
+    if len(values) != header.count * len(names):
+        raise refusal(path, "its rows do not have one value per property.", "Export it again.")
+    table = np.empty(header.count, [(name, np.float64) for name in names])
+    for name, column in zip(names, values.reshape(-1, len(names)).T, strict=True):
+        table[name] = column
+    return table
+
+
+def _cut_short(path: Path, found: int, wanted: int) -> InputError:
+    limit = f"it is cut short: {found:,} of {wanted:,} Gaussians are there."
+    return refusal(path, limit, "Copy or download it again.")
+
+
+def _check_names(path: Path, header: Header) -> None:
+    names = set(header.row.names or ())
+    if any(name.startswith("packed_") for name in names) or "chunk" in header.elements:
+        limit = "it is compressed by SuperSplat, whose packed layout this program does not read."
+        remedy = f"Run `npx @playcanvas/splat-transform {path.name} plain.ply` and give plain.ply."
+        raise refusal(path, limit, remedy)
+    if not header.count:
+        raise refusal(path, "it holds no Gaussians.", "Export it again with Gaussians.")
+    missing = [name for name in ("x", "y", "z", *SPLATS, "f_dc_0", "f_dc_1", "f_dc_2")
+               if name not in names]  # fmt: skip
+    if not names & set(SPLATS):
+        limit = "it is a plain point cloud or mesh: it has no scales, rotations and opacities."
+        remedy = "Give a Gaussian splatting PLY, as LGM, TRELLIS or a 3DGS training write it."
+        raise refusal(path, limit, remedy)
+    if missing:
+        limit = f"the properties {', '.join(missing)} are missing."
+        raise refusal(path, limit, "Export it in the standard 3DGS layout.")
+
+
+def _columns(path: Path, header: Header, table: NDArray[Any]) -> dict[str, NDArray[np.float32]]:
+    """Raw values by group, float32, still as logarithms and logits; `sh` is [N,K,3]."""
+    names = header.row.names or ()
+    rest = sum(name.startswith("f_rest_") for name in names)
+    if rest not in [3 * (k - 1) for k in SH_COEFFICIENTS] or any(
+        f"f_rest_{i}" not in names for i in range(rest)
+    ):
+        limit = f"it has {rest} f_rest values; harmonics of degree 0 to 3 have 0, 9, 24 or 45."
+        raise refusal(path, limit, "Export it in the standard 3DGS layout.")
+
+    def group(*wanted: str) -> NDArray[np.float32]:
+        out = np.empty((len(table), len(wanted)), np.float32)
+        # A double too large for float32 becomes infinite and its row is dropped.
+        with np.errstate(over="ignore", invalid="ignore"):
+            for i, name in enumerate(wanted):
+                out[:, i] = table[name]
+        return out
+
+    sh = np.empty((len(table), 1 + rest // 3, 3), np.float32)
+    sh[:, 0] = group("f_dc_0", "f_dc_1", "f_dc_2")
+    if rest:
+        channels = group(*(f"f_rest_{i}" for i in range(rest))).reshape(-1, 3, rest // 3)
+        sh[:, 1:] = channels.transpose(0, 2, 1)
+    return {
+        "means": group("x", "y", "z"),
+        "quats": group("rot_0", "rot_1", "rot_2", "rot_3"),
+        "scales": group("scale_0", "scale_1", "scale_2"),
+        "opacities": group("opacity")[:, 0],
+        "sh": sh,
+    }
+
+
+def _activated(raw: dict[str, NDArray[np.float32]]) -> tuple[Gaussians, int]:
+    """Gaussians of raw columns without the rows that are not finite, and how many those were."""
+    with np.errstate(over="ignore"):
+        raw["scales"] = np.exp(raw["scales"], dtype=np.float32)
+        opacities = 1 / (1 + np.exp(-raw["opacities"].astype(np.float64)))
+        raw["opacities"] = opacities.astype(np.float32)
+    good = np.ones(len(raw["means"]), bool)
+    for value in raw.values():
+        # A sum is finite if all are (or overflows, which is no less wrong), and is much quicker.
+        good &= np.isfinite(value.reshape(len(value), -1).sum(axis=1, dtype=np.float64))
+    kept = {name: value[good] for name, value in raw.items()} if not good.all() else raw
+    length = np.linalg.norm(kept["quats"].astype(np.float64), axis=1, keepdims=True)
+    zero = length[:, 0] < 1e-12
+    unit = (kept["quats"] / np.where(length > 0, length, 1)).astype(np.float32)
+    unit[zero] = 1, 0, 0, 0
+    return Gaussians(**{**kept, "quats": unit}), int(np.count_nonzero(~good))
+
+
+def _table(gaussians: Gaussians) -> NDArray[Any]:
+    """Rows of the Inria layout."""
+    opacity = np.clip(gaussians.opacities.astype(np.float64), OPACITY_MARGIN, 1 - OPACITY_MARGIN)
+    rest = gaussians.sh[:, 1:].transpose(0, 2, 1).reshape(len(gaussians), -1)
+    groups = {
+        "x y z": gaussians.means,
+        "nx ny nz": np.zeros((len(gaussians), 3), np.float32),
+        "f_dc_0 f_dc_1 f_dc_2": gaussians.sh[:, 0],
+        " ".join(f"f_rest_{i}" for i in range(rest.shape[1])): rest,
+        "opacity": np.log(opacity / (1 - opacity))[:, None],
+        "scale_0 scale_1 scale_2": np.log(np.maximum(gaussians.scales, SCALE_FLOOR)),
+        "rot_0 rot_1 rot_2 rot_3": gaussians.quats,
+    }
+    names = " ".join(groups).split()
+    values = np.concatenate(list(groups.values()), axis=1, dtype="<f4", casting="same_kind")
+    return values.view([(name, "<f4") for name in names])[:, 0]

@@ -1,0 +1,139 @@
+"""The header of a PLY file (Turk 1994): what is in it, where it starts, how a row is laid out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from phy124.errors import InputError
+
+MAX_BYTES = 65536
+"""Longest header read; a standard one has about 1500 bytes."""
+TYPES = {
+    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1",
+    "short": "i2", "int16": "i2", "ushort": "u2", "uint16": "u2",
+    "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4",
+    "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
+}  # fmt: skip
+"""Names of the number types, old and new."""
+ORDERS = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
+FOREIGN = {
+    ".splat": "it is a .splat file, which has no header and no rotations to full precision.",
+    ".ksplat": "it is a .ksplat file.",
+    ".spz": "it is a compressed .spz file.",
+    ".sog": "it is a compressed .sog file.",
+}
+CONVERT = "Convert it with `npx @playcanvas/splat-transform IN OUT.ply` and give OUT.ply."
+
+
+@dataclass(frozen=True)
+class Header:
+    """Where the rows of element `vertex` lie and what they hold."""
+
+    ascii: bool
+    count: int
+    """Rows of `vertex`."""
+    row: np.dtype[Any]
+    """One row of `vertex`, packed, in the file's byte order."""
+    start: int
+    """Bytes before the first row (binary), or before the data (ascii)."""
+    skip_lines: int
+    """Lines of other elements before `vertex` (ascii)."""
+    elements: tuple[str, ...]
+
+
+@dataclass
+class _Element:
+    name: str
+    count: int
+    properties: list[tuple[str, str]] = field(default_factory=list)
+    has_list: bool = False
+
+
+def read_header(path: Path) -> Header:
+    """Parse the header of `path`.
+
+    Raises:
+        InputError: There is no file, it is another format, or its header breaks the rules.
+    """
+    text, start = _header_text(path)
+    lines = [line.split() for line in text.splitlines()]
+    words = [line for line in lines if line and line[0] not in ("comment", "obj_info")]
+    encoding = words[1][1] if len(words) > 1 and words[1][0] == "format" else None
+    if encoding not in ORDERS:
+        raise refusal(path, "it does not say whether it is ascii or binary.", "Export it again.")
+    try:
+        elements = _elements(words[2:])
+        vertex = next((i for i, e in enumerate(elements) if e.name == "vertex"), None)
+        if vertex is None:
+            raise refusal(path, "it has no element vertex.", "Give a Gaussian splatting PLY.")
+        if any(e.has_list for e in elements[: vertex + 1]):
+            raise refusal(path, "it has lists before or in its points.", "Export Gaussians alone.")
+        before, wanted = elements[:vertex], elements[vertex]
+        rows = [_dtype(e, ORDERS[encoding]) for e in elements[: vertex + 1]]
+    except (KeyError, IndexError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise refusal(path, f"its header is malformed ({error}).", "Export it again.") from error
+    skipped = sum(e.count * row.itemsize for e, row in zip(before, rows, strict=False))
+    return Header(
+        ascii=encoding == "ascii",
+        count=wanted.count,
+        row=rows[-1],
+        start=start if encoding == "ascii" else start + skipped,
+        skip_lines=sum(e.count for e in before),
+        elements=tuple(e.name for e in elements),
+    )
+
+
+def refusal(path: Path, limit: str, remedy: str) -> InputError:
+    """The error for an unusable PLY file; `limit` starts with a small letter."""
+    return InputError("PLY file", path, limit[0].upper() + limit[1:], remedy)
+
+
+def _header_text(path: Path) -> tuple[str, int]:
+    """The header as text and the number of its bytes."""
+    if not path.is_file():
+        raise refusal(path, "there is no such file.", "Check the path.")
+    if path.suffix.lower() in FOREIGN:
+        raise refusal(path, FOREIGN[path.suffix.lower()], CONVERT)
+    with open(path, "rb") as file:
+        head = file.read(MAX_BYTES)
+    if not head:
+        raise refusal(path, "it is empty (0 bytes).", "Copy or download it again.")
+    if head[:2] == b"\x1f\x8b" or head[:2] == b"PK":
+        raise refusal(path, "it is compressed (spz, sog or zip), not a PLY.", CONVERT)
+    if head[:4] not in (b"ply\n", b"ply\r"):
+        raise refusal(path, "it is not a PLY file: it does not begin with `ply`.", CONVERT)
+    for end in (b"end_header\r\n", b"end_header\n", b"end_header\r"):
+        at = head.find(end)
+        if at >= 0:
+            return head[:at].decode("latin-1"), at + len(end)
+    if len(head) < MAX_BYTES:
+        raise refusal(path, "it is cut short within its header.", "Copy or download it again.")
+    raise refusal(path, f"its header is longer than {MAX_BYTES:,} bytes.", "Export it again.")
+
+
+def _elements(words: list[list[str]]) -> list[_Element]:
+    elements: list[_Element] = []
+    for line in words:
+        if line[0] == "element":
+            elements.append(_Element(line[1], int(line[2])))
+            if elements[-1].count < 0:
+                raise ValueError(f"element {line[1]} has a negative count")
+        elif line[0] == "property" and line[1] == "list":
+            elements[-1].has_list = True
+        elif line[0] == "property":
+            elements[-1].properties.append((line[2], TYPES[line[1]]))
+        else:
+            raise ValueError(f"unknown word {line[0][:40]}")
+    return elements
+
+
+def _dtype(element: _Element, order: str) -> np.dtype[Any]:
+    if not element.properties:
+        raise ValueError(f"element {element.name} has no properties")
+    return np.dtype([(name, order + kind) for name, kind in element.properties])
