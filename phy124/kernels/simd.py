@@ -1,0 +1,77 @@
+"""The same scatter and gather as in `transfer`, one 64-byte row of three nodes at a time.
+
+C++ snippets for the CPU in float32: three nodes of four floats (and a fourth with weight zero)
+are one AVX-512 register or two AVX2 ones. The grid array is one node longer than its window so
+that the last row may be read whole. One algorithm, two forms: the tests run both.
+"""
+
+import warp as wp
+
+ROW = """
+typedef float Row __attribute__((vector_size(64), aligned(4)));
+typedef float Node __attribute__((vector_size(16), aligned(4)));
+#define REPEAT(a) __builtin_shufflevector(a, a, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3)
+#define SUM(r) (__builtin_shufflevector(r, r, 0, 1, 2, 3) \\
+    + __builtin_shufflevector(r, r, 4, 5, 6, 7) + __builtin_shufflevector(r, r, 8, 9, 10, 11))
+const float fx = f[0], fy = f[1], fz = f[2];
+const float wx[3] = {0.5f*(1.5f-fx)*(1.5f-fx), 0.75f-(fx-1.f)*(fx-1.f), 0.5f*(fx-0.5f)*(fx-0.5f)};
+const float wy[3] = {0.5f*(1.5f-fy)*(1.5f-fy), 0.75f-(fy-1.f)*(fy-1.f), 0.5f*(fy-0.5f)*(fy-0.5f)};
+const float w0 = 0.5f*(1.5f-fz)*(1.5f-fz), w1 = 0.75f-(fz-1.f)*(fz-1.f), w2 = 0.5f*(fz-0.5f)*(fz-0.5f);
+const Row W = {w0, w0, w0, w0, w1, w1, w1, w1, w2, w2, w2, w2, 0.f, 0.f, 0.f, 0.f};
+const Row K = {0.f, 0.f, 0.f, 0.f, w1, w1, w1, w1, 2.f*w2, 2.f*w2, 2.f*w2, 2.f*w2, 0.f, 0.f, 0.f, 0.f};
+const long start = 4 * (((long)first[0] * size[1] + first[1]) * size[2] + first[2]);
+"""
+
+SCATTER = (
+    ROW
+    + """
+float* nodes = (float*)grid.data + start;
+const Node b = {base[0], base[1], base[2], base[3]};
+const Node x = {column_x[0], column_x[1], column_x[2], 0.f};
+const Node y = {column_y[0], column_y[1], column_y[2], 0.f};
+const Node z = {column_z[0], column_z[1], column_z[2], 0.f};
+const Row B = W * REPEAT(b) + K * REPEAT(z), X = W * REPEAT(x), Y = W * REPEAT(y);
+for (int i = 0; i < 3; ++i) for (int j = 0; j < 3; ++j) {
+    float* row = nodes + 4 * ((long)(i * size[1] + j) * size[2]);
+    Row sum = *(Row*)row;
+    sum += (wx[i] * wy[j]) * (B + (float)i * X + (float)j * Y);
+    *(Row*)row = sum;
+}
+"""
+)
+
+GATHER = (
+    ROW
+    + """
+const float* nodes = (const float*)grid.data + start;
+Row mean = {0.f}, by_x = {0.f}, by_y = {0.f};
+for (int i = 0; i < 3; ++i) for (int j = 0; j < 3; ++j) {
+    const Row row = (wx[i] * wy[j]) * *(const Row*)(nodes + 4 * ((long)(i * size[1] + j) * size[2]));
+    mean += row;
+    by_x += (float)i * row;
+    by_y += (float)j * row;
+}
+const Row r0 = W * mean, r1 = W * by_x, r2 = W * by_y, r3 = K * mean;
+const Node s0 = SUM(r0), s1 = SUM(r1), s2 = SUM(r2), s3 = SUM(r3);
+return wp::mat_t<4, 4, wp::float32>(
+    s0[0], s0[1], s0[2], s0[3], s1[0], s1[1], s1[2], s1[3],
+    s2[0], s2[1], s2[2], s2[3], s3[0], s3[1], s3[2], s3[3]);
+"""
+)
+
+
+@wp.func_native(SCATTER)
+def scatter(
+    grid: wp.array(dtype=wp.vec4), size: wp.vec3i, first: wp.vec3i, f: wp.vec3,
+    base: wp.vec4, column_x: wp.vec4, column_y: wp.vec4, column_z: wp.vec4,
+):  # fmt: skip
+    """Add w (base + i X + j Y + k Z) to the 27 nodes around a particle."""
+    ...
+
+
+@wp.func_native(GATHER)
+def gather(
+    grid: wp.array(dtype=wp.vec4), size: wp.vec3i, first: wp.vec3i, f: wp.vec3
+) -> wp.mat44:
+    """Rows: sum w v, sum w i v, sum w j v, sum w k v over the 27 nodes."""
+    ...

@@ -1,0 +1,306 @@
+"""Particles to grid and back: MLS-MPM with APIC velocities and quadratic B-splines.
+
+Hu et al. 2018 (eqs. 16-19, 22), Jiang et al. 2015. The grid is one flat array of four-vectors: first
+(momentum, mass), after the grid update (velocity, mass). It covers only a window of cells around
+the particles: `window[0]` is its lowest node, `window[1]` its extent in nodes. `lattice` is
+(origin x, y, z, dx); `clock` is (kick, drift, time): velocities are kicked by the mean of two
+successive substeps and positions drift by the present one, which makes free fall exact.
+
+Kernels are built per law and precision. The module is named for each variant, since Warp hashes
+the set of functions a closure uses and not which is which.
+"""
+
+from functools import cache
+from typing import Any, NamedTuple
+
+import warp as wp
+
+from phy124.kernels import simd
+
+
+class Law(NamedTuple):
+    """The device side of a constitutive law."""
+
+    name: str
+    """Unique name; it enters the names of compiled modules."""
+    stress: Any
+    """`(F, C, history, theta) -> tau`, Kirchhoff stress [Pa]."""
+    modulus: Any
+    """`(F, history, theta) -> A`, largest eigenvalue of d tau / d ln sigma [Pa]."""
+    width: int
+    """How many parameters `theta` has."""
+    project: Any = None
+    """`(F, history, theta, dt) -> (F, history)`, the return mapping; None if purely elastic."""
+    energy: Any = None
+    """`(F, history, theta) -> psi`, elastic energy per rest volume [J/m^3]."""
+
+
+class Types(NamedTuple):
+    """Vector and matrix types of one precision."""
+
+    real: Any
+    vec2: Any
+    vec3: Any
+    vec4: Any
+    mat33: Any
+    mat44: Any
+
+
+@cache
+def types(real: Any) -> Types:
+    """The types made of `real`, wp.float32 or wp.float64."""
+    vector, matrix = wp.types.vector, wp.types.matrix
+    sizes = (vector(2, real), vector(3, real), vector(4, real))
+    return Types(real, *sizes, matrix((3, 3), real), matrix((4, 4), real))
+
+
+@wp.func
+def spline(f: Any):
+    """Quadratic B-spline weights of three nodes, f in [0.5, 1.5) the distance to the first."""
+    half = type(f)(0.5)
+    a = type(f)(1.5) - f
+    b = f - type(f)(1.0)
+    c = f - half
+    return wp.vector(half * a * a, type(f)(0.75) - b * b, half * c * c)
+
+
+@wp.func
+def offsets(f: Any):
+    """0, 1, 2 in the precision of f (casting a loop index would retype the index itself)."""
+    return wp.vector(type(f)(0.0), type(f)(1.0), type(f)(2.0))
+
+
+@wp.func
+def first_node(g: Any):
+    """The lowest of the three nodes per axis that a particle at grid coordinates g touches."""
+    half = type(g[0])(0.5)
+    return wp.vec3i(
+        int(wp.floor(g[0] - half)), int(wp.floor(g[1] - half)), int(wp.floor(g[2] - half))
+    )
+
+
+@wp.func
+def in_window(first: wp.vec3i, size: wp.vec3i):
+    """Whether all 27 nodes are inside; a NaN position gives a first node that is not."""
+    return (
+        first[0] >= 0
+        and first[1] >= 0
+        and first[2] >= 0
+        and first[0] + 3 <= size[0]
+        and first[1] + 3 <= size[1]
+        and first[2] + 3 <= size[2]
+    )
+
+
+@wp.func
+def scatter(
+    grid: wp.array(dtype=Any), size: wp.vec3i, first: wp.vec3i, f: Any,
+    base: Any, column_x: Any, column_y: Any, column_z: Any,
+):  # fmt: skip
+    """Add w (base + i X + j Y + k Z) to the 27 nodes around a particle."""
+    wx = spline(f[0])
+    wy = spline(f[1])
+    wz = spline(f[2])
+    step = offsets(f[0])
+    for i in range(3):
+        for j in range(3):
+            w = wx[i] * wy[j]
+            low = w * (base + step[i] * column_x + step[j] * column_y)
+            rise = w * column_z
+            n = ((first[0] + i) * size[1] + first[1] + j) * size[2] + first[2]
+            wp.atomic_add(grid, n, wz[0] * low)
+            wp.atomic_add(grid, n + 1, wz[1] * (low + rise))
+            wp.atomic_add(grid, n + 2, wz[2] * (low + rise + rise))
+
+
+@wp.func
+def gather(grid: wp.array(dtype=Any), size: wp.vec3i, first: wp.vec3i, f: Any):
+    """Rows: sum w v, sum w i v, sum w j v, sum w k v over the 27 nodes."""
+    wx = spline(f[0])
+    wy = spline(f[1])
+    wz = spline(f[2])
+    step = offsets(f[0])
+    mean = wp.vector(length=4, dtype=type(f[0]))
+    by_x = wp.vector(length=4, dtype=type(f[0]))
+    by_y = wp.vector(length=4, dtype=type(f[0]))
+    by_z = wp.vector(length=4, dtype=type(f[0]))
+    for i in range(3):
+        for j in range(3):
+            n = ((first[0] + i) * size[1] + first[1] + j) * size[2] + first[2]
+            w = wx[i] * wy[j]
+            middle = (w * wz[1]) * grid[n + 1]
+            last = (w * wz[2]) * grid[n + 2]
+            row = (w * wz[0]) * grid[n] + middle + last
+            mean += row
+            by_x += step[i] * row
+            by_y += step[j] * row
+            by_z += middle + last + last
+    return wp.matrix_from_rows(mean, by_x, by_y, by_z)
+
+
+@wp.func
+def columns4(a: Any, s: Any):
+    """The columns of a 3x3 matrix times s, each as a four-vector without mass."""
+    z = type(s)(0.0)
+    return (
+        s * wp.vector(a[0, 0], a[1, 0], a[2, 0], z),
+        s * wp.vector(a[0, 1], a[1, 1], a[2, 1], z),
+        s * wp.vector(a[0, 2], a[1, 2], a[2, 2], z),
+    )
+
+
+@cache
+def make_p2g(law: Law, real: Any, native: bool):
+    """Kernel: stress, then momentum and mass to the grid; `native` for the SIMD rows."""
+    t = types(real)
+    theta_type = wp.types.vector(law.width, real)
+    stress = law.stress
+    spread = simd.scatter if native else scatter
+    has_history = law.project is not None
+    name = f"phy124_p2g_{law.name}_{real.__name__}_{'simd' if native else 'plain'}"
+
+    @wp.kernel(module=name, enable_backward=False)
+    def p2g(
+        # model
+        mass: wp.array(dtype=real), volume: wp.array(dtype=real), theta: wp.array(dtype=theta_type),
+        lattice: t.vec4, window: wp.array(dtype=wp.vec3i), clock: wp.array(dtype=real),
+        # state in
+        x: wp.array(dtype=t.vec3), v: wp.array(dtype=t.vec3), C: wp.array(dtype=t.mat33),
+        F: wp.array(dtype=t.mat33), history: wp.array(dtype=t.vec2),
+        # out
+        grid_out: wp.array(dtype=t.vec4),
+    ):  # fmt: skip
+        p = wp.tid()
+        dx = lattice[3]
+        g = (x[p] - wp.vector(lattice[0], lattice[1], lattice[2])) / dx
+        low = first_node(g)
+        f = wp.vector(g[0] - real(low[0]), g[1] - real(low[1]), g[2] - real(low[2]))
+        size = window[1]
+        first = low - window[0]
+        if in_window(first, size):
+            h = t.vec2()
+            if wp.static(has_history):
+                h = history[p]
+            m = mass[p]
+            tau = stress(F[p], C[p], h, theta[wp.min(p, theta.shape[0] - 1)])
+            affine = m * C[p] - (real(4.0) * clock[0] * volume[p] / (dx * dx)) * tau
+            cx, cy, cz = columns4(affine, dx)
+            mv = m * v[p]
+            base = wp.vector(mv[0], mv[1], mv[2], m) - f[0] * cx - f[1] * cy - f[2] * cz
+            spread(grid_out, size, first, f, base, cx, cy, cz)
+
+    return p2g
+
+
+@cache
+def make_g2p(law: Law, real: Any, native: bool):
+    """Kernel: velocities back to particles, then x and F.
+
+    A particle whose next place is outside the window (or not a number) stays where it is and is
+    counted. Plastic laws also carry F_total, which the Gaussians follow.
+    """
+    t = types(real)
+    theta_type = wp.types.vector(law.width, real)
+    project, collect = law.project, simd.gather if native else gather
+    plastic = project is not None
+    owner = law.name if plastic else f"elastic{law.width}"
+    name = f"phy124_g2p_{owner}_{real.__name__}_{'simd' if native else 'plain'}"
+
+    @wp.kernel(module=name, enable_backward=False)
+    def g2p(
+        # model
+        theta: wp.array(dtype=theta_type), lattice: t.vec4, window: wp.array(dtype=wp.vec3i),
+        clock: wp.array(dtype=real),
+        # grid in
+        grid: wp.array(dtype=t.vec4),
+        # state, updated in place
+        x_out: wp.array(dtype=t.vec3), residue_out: wp.array(dtype=t.vec3),
+        v_out: wp.array(dtype=t.vec3), C_out: wp.array(dtype=t.mat33),
+        F_out: wp.array(dtype=t.mat33), history_out: wp.array(dtype=t.vec2),
+        total_out: wp.array(dtype=t.mat33),
+        # out
+        stray_out: wp.array(dtype=int),
+    ):  # fmt: skip
+        p = wp.tid()
+        dx = lattice[3]
+        origin = wp.vector(lattice[0], lattice[1], lattice[2])
+        g = (x_out[p] - origin) / dx
+        low = first_node(g)
+        f = wp.vector(g[0] - real(low[0]), g[1] - real(low[1]), g[2] - real(low[2]))
+        size = window[1]
+        first = low - window[0]
+        if not in_window(first, size):
+            wp.atomic_add(stray_out, 0, 1)
+        else:
+            s = collect(grid, size, first, f)
+            v = wp.vector(s[0, 0], s[0, 1], s[0, 2])
+            k = real(4.0) / dx
+            C = k * wp.matrix_from_cols(
+                wp.vector(s[1, 0], s[1, 1], s[1, 2]) - f[0] * v,
+                wp.vector(s[2, 0], s[2, 1], s[2, 2]) - f[1] * v,
+                wp.vector(s[3, 0], s[3, 1], s[3, 2]) - f[2] * v,
+            )
+            dt = clock[1]
+            # Compensated sum (Kahan): in float32 a slow drift would otherwise round to nothing.
+            change = dt * v - residue_out[p]
+            moved = x_out[p] + change
+            if in_window(first_node((moved - origin) / dx) - window[0], size):
+                residue_out[p] = (moved - x_out[p]) - change
+                x_out[p] = moved
+            else:
+                wp.atomic_add(stray_out, 0, 1)
+            v_out[p] = v
+            C_out[p] = C
+            trial = F_out[p] + dt * (C * F_out[p])
+            if wp.static(plastic):
+                total_out[p] = total_out[p] + dt * (C * total_out[p])
+                row = wp.min(p, theta.shape[0] - 1)
+                elastic, h = project(trial, history_out[p], theta[row], dt)
+                F_out[p] = elastic
+                history_out[p] = h
+            else:
+                F_out[p] = trial
+
+    return g2p
+
+
+@cache
+def make_measure(law: Law, real: Any):
+    """Kernel: what limits the substep and where the particles are, every few substeps.
+
+    Nine maxima: |v| [m/s], |C| [1/s], A / rho0 [m^2/s^2], then -x, -y, -z, x, y, z [m]. Particles
+    with a velocity or gradient that is not finite are counted as stray.
+    """
+    t = types(real)
+    theta_type = wp.types.vector(law.width, real)
+    modulus = law.modulus
+    has_history = law.project is not None
+
+    @wp.kernel(module=f"phy124_measure_{law.name}_{real.__name__}", enable_backward=False)
+    def measure(
+        # model
+        theta: wp.array(dtype=theta_type), mass: wp.array(dtype=real),
+        volume: wp.array(dtype=real),
+        # state in
+        x: wp.array(dtype=t.vec3), v: wp.array(dtype=t.vec3), C: wp.array(dtype=t.mat33),
+        F: wp.array(dtype=t.mat33), history: wp.array(dtype=t.vec2),
+        # out
+        maxima_out: wp.array(dtype=real), stray_out: wp.array(dtype=int),
+    ):  # fmt: skip
+        p = wp.tid()
+        h = t.vec2()
+        if wp.static(has_history):
+            h = history[p]
+        speed = wp.length(v[p])
+        gradient = wp.sqrt(wp.ddot(C[p], C[p]))
+        A = modulus(F[p], h, theta[wp.min(p, theta.shape[0] - 1)])
+        if not wp.isfinite(speed + gradient + A):
+            wp.atomic_add(stray_out, 0, 1)
+        wp.atomic_max(maxima_out, 0, speed)
+        wp.atomic_max(maxima_out, 1, gradient)
+        wp.atomic_max(maxima_out, 2, A * volume[p] / mass[p])
+        for axis in range(3):
+            wp.atomic_max(maxima_out, 3 + axis, -x[p][axis])
+            wp.atomic_max(maxima_out, 6 + axis, x[p][axis])
+
+    return measure

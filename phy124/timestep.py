@@ -1,0 +1,56 @@
+"""The stable substep of explicit MLS-MPM, and which of its limits is in force.
+
+dt = min(k dx sqrt(rho0 / A), 0.5 dx / |v|, 0.4 / |C|): A the largest eigenvalue of
+d tau / d ln sigma (an isolated particle is a harmonic oscillator of omega^2 = 4 A / (rho0 dx^2)),
+|v| the greatest speed, |C| the greatest velocity gradient. See docs/physics.md.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+CFL = 0.6
+"""Share of the elastic limit that is used."""
+CELLS_PER_STEP = 0.5
+"""Greatest way of a particle in one substep, in cells."""
+STRAIN_PER_STEP = 0.4
+"""Greatest |C| dt; below 1 an element cannot turn inside out."""
+
+
+class Extremes(NamedTuple):
+    """Greatest values over all particles that limit the substep."""
+
+    speed: float
+    """|v| [m/s]."""
+    gradient: float
+    """|C|, Frobenius norm [1/s]."""
+    stiffness: float
+    """A / rho0 [m^2/s^2]."""
+
+
+class Substep(NamedTuple):
+    """A substep and what limits it."""
+
+    dt: float
+    """Length [s]."""
+    limiter: str
+    """elastic, speed, gradient or user."""
+
+
+def stable_substep(
+    extremes: Extremes, dx: float, *, cfl: float = CFL, ceiling: float = math.inf
+) -> Substep:
+    """The longest stable substep; `ceiling` [s] is the user's, never exceeded."""
+    limits = {
+        "elastic": _divide(cfl * dx, math.sqrt(extremes.stiffness)),
+        "speed": _divide(CELLS_PER_STEP * dx, extremes.speed),
+        "gradient": _divide(STRAIN_PER_STEP, extremes.gradient),
+        "user": ceiling,
+    }
+    limiter = min(limits, key=limits.__getitem__)
+    return Substep(limits[limiter], limiter)
+
+
+def _divide(a: float, b: float) -> float:
+    return a / b if b > 0 else math.inf
