@@ -1,0 +1,59 @@
+"""Hand each splat to the screen tiles it touches, front to back (a counting sort by tile)."""
+
+import warp as wp
+
+from phy124.kernels.splat.screen import Splat, tiles_of
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def bin_serial(
+    order: wp.array(dtype=int),
+    splats: wp.array(dtype=Splat),
+    count: int,
+    columns: int,
+    first: int,
+    last: int,
+    # in and out: start of each tile's list, then its end
+    ends_out: wp.array(dtype=int),
+    # out
+    pairs_out: wp.array(dtype=int),
+):
+    """One thread in all, for CPUs: going through `order` keeps every list in depth order."""
+    for k in range(count):
+        i = order[k]
+        tiles = tiles_of(splats[i])
+        for row in range(tiles[1], tiles[3]):
+            for column in range(tiles[0], tiles[2]):
+                tile = row * columns + column
+                if tile >= first and tile < last:
+                    slot = ends_out[tile]
+                    pairs_out[slot] = i
+                    ends_out[tile] = slot + 1
+
+
+@wp.kernel
+def bin_parallel(
+    order: wp.array(dtype=int),
+    splats: wp.array(dtype=Splat),
+    columns: int,
+    first: int,
+    last: int,
+    # in and out: start of each tile's list, then its end
+    ends_out: wp.array(dtype=int),
+    # out
+    ranks_out: wp.array(dtype=int),
+    pairs_out: wp.array(dtype=int),
+):
+    """One thread per splat, for GPUs: lists come out shuffled and are then sorted by rank."""
+    k = wp.tid()
+    i = order[k]
+    tiles = tiles_of(splats[i])
+    for row in range(tiles[1], tiles[3]):
+        for column in range(tiles[0], tiles[2]):
+            tile = row * columns + column
+            if tile >= first and tile < last:
+                slot = wp.atomic_add(ends_out, tile, 1)
+                ranks_out[slot] = k
+                pairs_out[slot] = i

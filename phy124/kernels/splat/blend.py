@@ -1,0 +1,91 @@
+"""Blend splats front to back, per pixel (CUDA) or per tile (the readable twin of blend_simd)."""
+
+import warp as wp
+
+from phy124.kernels.splat.screen import MIN_TRANSMITTANCE, TILE, Splat, View, alpha_at, shown
+
+wp.set_module_options({"enable_backward": False})
+
+PIXELS = wp.constant(256)
+"""Pixels of a tile."""
+
+
+@wp.kernel
+def blend_pixels(
+    starts: wp.array(dtype=int),
+    ends: wp.array(dtype=int),
+    pairs: wp.array(dtype=int),
+    splats: wp.array(dtype=Splat),
+    view: View,
+    background: wp.vec3,
+    first: int,
+    # out
+    image_out: wp.array(dtype=wp.vec3),
+    alpha_out: wp.array(dtype=float),
+):
+    """One thread per pixel, 256 in a row for each tile from `first` on."""
+    thread = wp.tid()
+    tile = first + thread / PIXELS
+    x = (tile % view.columns) * TILE + thread % TILE
+    y = (tile / view.columns) * TILE + (thread % PIXELS) / TILE
+    if x >= view.width or y >= view.height:
+        return
+    transmittance = float(1.0)
+    light = wp.vec3(0.0, 0.0, 0.0)
+    for k in range(starts[tile], ends[tile]):
+        splat = splats[pairs[k]]
+        alpha = alpha_at(splat, x, y)
+        if alpha > 0.0:
+            rest = transmittance * (1.0 - alpha)
+            if rest < MIN_TRANSMITTANCE:
+                break
+            light += alpha * transmittance * splat.colour
+            transmittance = rest
+    pixel = y * view.width + x
+    image_out[pixel] = shown(light, transmittance, background)
+    alpha_out[pixel] = 1.0 - transmittance
+
+
+@wp.kernel
+def blend_tiles(
+    starts: wp.array(dtype=int),
+    ends: wp.array(dtype=int),
+    pairs: wp.array(dtype=int),
+    splats: wp.array(dtype=Splat),
+    view: View,
+    background: wp.vec3,
+    first: int,
+    # out
+    image_out: wp.array(dtype=wp.vec3),
+    alpha_out: wp.array(dtype=float),
+):
+    """One thread per tile, splat by splat over the pixels in its box; T < 0 marks a done pixel."""
+    tile = first + wp.tid()
+    left = (tile % view.columns) * TILE
+    top = (tile / view.columns) * TILE
+    transmittance = wp.zeros(shape=256, dtype=float)
+    light = wp.zeros(shape=256, dtype=wp.vec3)
+    for j in range(PIXELS):
+        transmittance[j] = 1.0
+    for k in range(starts[tile], ends[tile]):
+        splat = splats[pairs[k]]
+        box = splat.box
+        for y in range(wp.max(box[1], top), wp.min(box[3], top + TILE)):
+            for x in range(wp.max(box[0], left), wp.min(box[2], left + TILE)):
+                j = (y - top) * TILE + x - left
+                t = transmittance[j]
+                alpha = alpha_at(splat, x, y)
+                if alpha > 0.0 and t > 0.0:
+                    rest = t * (1.0 - alpha)
+                    if rest < MIN_TRANSMITTANCE:
+                        transmittance[j] = -t
+                    else:
+                        light[j] += alpha * t * splat.colour
+                        transmittance[j] = rest
+    for j in range(PIXELS):
+        x = left + j % TILE
+        y = top + j / TILE
+        if x < view.width and y < view.height:
+            t = wp.abs(transmittance[j])
+            image_out[y * view.width + x] = shown(light[j], t, background)
+            alpha_out[y * view.width + x] = 1.0 - t

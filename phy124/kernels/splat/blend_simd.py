@@ -1,0 +1,117 @@
+"""The tile blend for CPUs: `blend.blend_tiles` in C++ whose pixel rows the compiler vectorises.
+
+A row of a tile is 16 floats: one AVX-512, two AVX2 or four NEON registers. The row loop has no
+branch; a done pixel (T < 0) and a skipped splat contribute a zero weight instead. Inside a
+snippet `float(x)` and `int(x)` are macros of Warp, so casts are written the C way.
+"""
+
+import warp as wp
+
+from phy124.kernels.splat.screen import Splat, View
+
+wp.set_module_options({"enable_backward": False})
+
+BLEND_TILE = r"""
+    alignas(64) float T[256], R[256], G[256], B[256], centres[16];
+    for (int j = 0; j < 256; ++j) { T[j] = 1.0f; R[j] = G[j] = B[j] = 0.0f; }
+    const int left = tile % view.columns * 16, top = tile / view.columns * 16;
+    for (int j = 0; j < 16; ++j) centres[j] = (float)(left + j) + 0.5f;
+    const float HALF_LOG2_E = 0.72134752f;
+    const int begin = starts.data[tile], end = ends.data[tile];
+
+    for (int k = begin; k < end; ++k) {
+        const auto& splat = splats.data[pairs.data[k]];
+        const int y0 = splat.box[1] > top ? splat.box[1] : top;
+        const int y1 = splat.box[3] < top + 16 ? splat.box[3] : top + 16;
+        const float cx = -HALF_LOG2_E * splat.precision_x, cy = -HALF_LOG2_E * splat.precision_y;
+        const float opacity = splat.opacity;
+        const float red = splat.colour[0], green = splat.colour[1], blue = splat.colour[2];
+        for (int y = y0; y < y1; ++y) {
+            const float dy = (float)y + 0.5f - splat.mean[1];
+            const float middle = splat.mean[0] + splat.shear * dy, row = cy * dy * dy;
+            const int at = (y - top) * 16;
+            float* __restrict Tr = T + at;
+            float* __restrict Rr = R + at;
+            float* __restrict Gr = G + at;
+            float* __restrict Br = B + at;
+            #pragma clang loop vectorize(enable) interleave(disable) unroll(disable)
+            for (int x = 0; x < 16; ++x) {
+                const float dx = centres[x] - middle;
+                float power = cx * dx * dx + row;            // in powers of 2, never positive
+                power = power > -30.0f ? power : -30.0f;     // also where it is NaN
+                // 2^power = 2^whole 2^rest: adding 1.5 2^23 rounds to the nearest whole number,
+                // whose bits then go into the exponent. The polynomial is Taylor's, |rest| <= 1/2.
+                const float shifted = power + 12582912.0f;
+                const float rest = power - (shifted - 12582912.0f);
+                union { float value; int bits; } whole, result;
+                whole.value = shifted;
+                result.value = 1.0f + rest * (0.693147181f + rest * (0.240226507f
+                    + rest * (0.0555041087f + rest * (0.00961812911f + rest * 0.00133335581f))));
+                result.bits += whole.bits << 23;
+                float alpha = opacity * result.value;
+                alpha = alpha < 0.99f ? alpha : 0.99f;
+                const float t = Tr[x], left_over = t * (1.0f - alpha);
+                const bool hit = alpha >= 0.00392156863f && t > 0.0f;
+                const bool counts = hit && left_over >= 1e-4f;
+                const float weight = counts ? alpha * t : 0.0f;
+                Tr[x] = counts ? left_over : (hit ? -t : t);
+                Rr[x] += weight * red;
+                Gr[x] += weight * green;
+                Br[x] += weight * blue;
+            }
+        }
+        if ((k - begin) % 16 == 15) {
+            float open = -1.0f;
+            for (int j = 0; j < 256; ++j) open = T[j] > open ? T[j] : open;
+            if (open <= 0.0f) break;
+        }
+    }
+
+    const int right = left + 16 < view.width ? left + 16 : view.width;
+    const int bottom = top + 16 < view.height ? top + 16 : view.height;
+    for (int y = top; y < bottom; ++y)
+        for (int x = left; x < right; ++x) {
+            const int j = (y - top) * 16 + x - left, pixel = y * view.width + x;
+            const float t = T[j] < 0.0f ? -T[j] : T[j];
+            const float light[3] = {R[j], G[j], B[j]};
+            for (int c = 0; c < 3; ++c) {
+                const float value = light[c] + t * background[c];
+                image_out.data[pixel][c] = value < 1.0f ? value : 1.0f;
+            }
+            alpha_out.data[pixel] = 1.0f - t;
+        }
+"""
+
+
+@wp.func_native(BLEND_TILE)
+def blend_tile(
+    tile: int,
+    starts: wp.array(dtype=int),
+    ends: wp.array(dtype=int),
+    pairs: wp.array(dtype=int),
+    splats: wp.array(dtype=Splat),
+    view: View,
+    background: wp.vec3,
+    image_out: wp.array(dtype=wp.vec3),
+    alpha_out: wp.array(dtype=float),
+):
+    """Blend one tile of 16 x 16 pixels."""
+    ...
+
+
+@wp.kernel
+def blend_tiles_simd(
+    starts: wp.array(dtype=int),
+    ends: wp.array(dtype=int),
+    pairs: wp.array(dtype=int),
+    splats: wp.array(dtype=Splat),
+    view: View,
+    background: wp.vec3,
+    first: int,
+    # out
+    image_out: wp.array(dtype=wp.vec3),
+    alpha_out: wp.array(dtype=float),
+):
+    """One thread per tile."""
+    tile = first + wp.tid()
+    blend_tile(tile, starts, ends, pairs, splats, view, background, image_out, alpha_out)

@@ -1,0 +1,138 @@
+"""Project Gaussians to the screen (Zwicker et al. 2001, EWA Splatting) and evaluate colours."""
+
+import warp as wp
+
+from phy124 import harmonics
+from phy124.gaussians import SH_C0
+from phy124.kernels.splat.screen import MIN_ALPHA, Splat, View, tiles_of
+
+wp.set_module_options({"enable_backward": False})
+
+LOW_PASS = wp.constant(0.3)
+"""Added to the screen covariance [px^2]: no splat is thinner than about half a pixel."""
+C0 = wp.constant(SH_C0)
+C1 = wp.constant(harmonics.C1)
+C2 = wp.constant(wp.types.vector(5, float)(*harmonics.C2))
+C3 = wp.constant(wp.types.vector(7, float)(*harmonics.C3))
+
+
+@wp.func
+def colour_towards(sh: wp.array2d(dtype=wp.vec3), i: int, degree: int, d: wp.vec3) -> wp.vec3:
+    """Colour of Gaussian i along the unit direction d, unclamped; signs as in phy124.harmonics."""
+    rgb = wp.vec3(0.5, 0.5, 0.5) + C0 * sh[i, 0]
+    if degree > 0:
+        x = d[0]
+        y = d[1]
+        z = d[2]
+        rgb += C1 * (z * sh[i, 2] - y * sh[i, 1] - x * sh[i, 3])
+        if degree > 1:
+            xx = x * x
+            yy = y * y
+            zz = z * z
+            rgb += C2[0] * x * y * sh[i, 4] + C2[1] * y * z * sh[i, 5]
+            rgb += C2[2] * (2.0 * zz - xx - yy) * sh[i, 6]
+            rgb += C2[3] * x * z * sh[i, 7] + C2[4] * (xx - yy) * sh[i, 8]
+            if degree > 2:
+                rgb += C3[0] * y * (3.0 * xx - yy) * sh[i, 9] + C3[1] * x * y * z * sh[i, 10]
+                rgb += C3[2] * y * (4.0 * zz - xx - yy) * sh[i, 11]
+                rgb += C3[3] * z * (2.0 * zz - 3.0 * xx - 3.0 * yy) * sh[i, 12]
+                rgb += C3[4] * x * (4.0 * zz - xx - yy) * sh[i, 13]
+                rgb += C3[5] * z * (xx - yy) * sh[i, 14] + C3[6] * x * (xx - 3.0 * yy) * sh[i, 15]
+    return rgb
+
+
+@wp.func
+def screen_axes(p: wp.vec3, quat: wp.vec4, scale: wp.vec3, view: View) -> wp.mat33:
+    """Rows 0, 1: the Gaussian's axes on the screen [px]; their dot products are its covariance."""
+    u = wp.clamp(p[0] / p[2], -view.limit[0], view.limit[0])
+    v = wp.clamp(p[1] / p[2], -view.limit[1], view.limit[1])
+    f = view.focal / p[2]
+    jacobian = wp.mat33(f, 0.0, -f * u, 0.0, f, -f * v, 0.0, 0.0, 0.0)
+    turn = wp.quat_to_matrix(wp.normalize(wp.quat(quat[1], quat[2], quat[3], quat[0])))
+    return jacobian * view.rotation * turn * wp.diag(scale)
+
+
+@wp.func
+def first_pixel(edge: float, size: int) -> int:
+    """First pixel whose centre is at or past `edge`, within the image for any finite edge."""
+    return int(wp.clamp(wp.ceil(edge - 0.5), 0.0, float(size)))
+
+
+@wp.func
+def box_around(mean: wp.vec2, reach: wp.vec2, view: View) -> wp.vec4i:
+    """Pixels with centres within `reach` of the mean; empty off screen."""
+    return wp.vec4i(
+        first_pixel(mean[0] - reach[0], view.width),
+        first_pixel(mean[1] - reach[1], view.height),
+        int(wp.clamp(wp.floor(mean[0] + reach[0] - 0.5) + 1.0, 0.0, float(view.width))),
+        int(wp.clamp(wp.floor(mean[1] + reach[1] - 0.5) + 1.0, 0.0, float(view.height))),
+    )
+
+
+@wp.func
+def splat_of(p: wp.vec3, quat: wp.vec4, scale: wp.vec3, opacity: float, view: View) -> Splat:
+    """The splat without its colour; its box is empty if it cannot be seen or is not finite."""
+    splat = Splat()
+    # Written so that NaN fails every test.
+    if not (p[2] > view.near and opacity >= MIN_ALPHA):
+        return splat
+    axes = screen_axes(p, quat, scale, view)
+    along_x = axes[0]
+    along_y = axes[1]
+    xx = wp.dot(along_x, along_x)
+    xy = wp.dot(along_x, along_y)
+    yy = wp.dot(along_y, along_y)
+    # Lagrange's identity: the determinant as a sum of positive terms, no cancellation.
+    det = wp.length_sq(wp.cross(along_x, along_y)) + LOW_PASS * (xx + yy) + LOW_PASS * LOW_PASS
+    d = yy + LOW_PASS
+    mean = view.focal * wp.vec2(p[0], p[1]) / p[2] + view.centre
+    # Normalising would turn a NaN quaternion into none at all.
+    if not (wp.isfinite(quat) and wp.isfinite(det) and wp.isfinite(mean) and wp.isfinite(opacity)):
+        return splat
+    sigmas = wp.sqrt(2.0 * wp.log(opacity / MIN_ALPHA))
+    reach = sigmas * wp.vec2(wp.sqrt(xx + LOW_PASS), wp.sqrt(d))
+    splat.mean = mean
+    splat.shear = xy / d
+    splat.precision_x = d / det
+    splat.precision_y = 1.0 / d
+    splat.opacity = opacity
+    splat.box = box_around(mean, reach, view)
+    return splat
+
+
+@wp.kernel
+def project(
+    # model
+    means: wp.array(dtype=wp.vec3),
+    quats: wp.array(dtype=wp.vec4),
+    scales: wp.array(dtype=wp.vec3),
+    opacities: wp.array(dtype=float),
+    sh: wp.array2d(dtype=wp.vec3),
+    degree: int,
+    view: View,
+    # out
+    splats_out: wp.array(dtype=Splat),
+    depths_out: wp.array(dtype=float),
+    order_out: wp.array(dtype=int),
+    corners_out: wp.array2d(dtype=int),
+):
+    """One thread per Gaussian; `corners_out` collects each tile rectangle as four +-1 steps."""
+    i = wp.tid()
+    p = view.rotation * means[i] + view.translation
+    splat = splat_of(p, quats[i], scales[i], opacities[i], view)
+    depth = float(0.0)
+    tiles = tiles_of(splat)
+    if tiles[2] > tiles[0]:
+        depth = p[2]
+        colour = colour_towards(sh, i, degree, wp.normalize(means[i] - view.eye))
+        splat.colour = wp.max(colour, wp.vec3(0.0, 0.0, 0.0))
+        if not wp.isfinite(colour):
+            splat.box = wp.vec4i(0, 0, 0, 0)
+        else:
+            wp.atomic_add(corners_out, tiles[1], tiles[0], 1)
+            wp.atomic_add(corners_out, tiles[1], tiles[2], -1)
+            wp.atomic_add(corners_out, tiles[3], tiles[0], -1)
+            wp.atomic_add(corners_out, tiles[3], tiles[2], 1)
+    splats_out[i] = splat
+    depths_out[i] = depth
+    order_out[i] = i

@@ -1,0 +1,77 @@
+"""What the stages share: the camera, a Gaussian seen on the screen, and its alpha at a pixel.
+
+Conventions of Kerbl et al. 2023 (3D Gaussian Splatting, section 4): alpha is capped at 0.99,
+contributions below 1/255 are skipped, and a pixel is done before its transmittance would fall
+below 1e-4. Pixel (x, y) is sampled at its centre (x + 0.5, y + 0.5).
+"""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+TILE = wp.constant(16)
+"""Edge of a screen tile, pixels; blend_simd.py relies on 16."""
+MAX_ALPHA = wp.constant(0.99)
+MIN_ALPHA = wp.constant(1.0 / 255.0)
+MIN_TRANSMITTANCE = wp.constant(1.0e-4)
+
+
+@wp.struct
+class View:
+    """A pinhole camera, OpenCV axes."""
+
+    rotation: wp.mat33  # world to camera
+    translation: wp.vec3  # world to camera [m]
+    eye: wp.vec3  # position in the world [m]
+    focal: float  # [px]
+    centre: wp.vec2  # principal point [px]
+    limit: wp.vec2  # largest |x/z|, |y/z| at which the projection is linearised
+    near: float  # [m]
+    width: int  # [px]
+    height: int  # [px]
+    columns: int  # tiles per row
+
+
+@wp.struct
+class Splat:
+    """A Gaussian on the screen.
+
+    With the screen covariance ((a, b), (b, d)) the exponent is a sum of two squares,
+    -1/2 ((dx - shear dy)^2 precision_x + dy^2 precision_y), shear = b/d, precision_x = d/det,
+    precision_y = 1/d: never positive, and exact for needles, unlike the expanded conic.
+    """
+
+    mean: wp.vec2  # [px]
+    shear: float
+    precision_x: float  # [1/px^2]
+    precision_y: float  # [1/px^2]
+    opacity: float
+    colour: wp.vec3  # linear blend, 0..
+    box: wp.vec4i  # x0, y0, x1, y1: pixels it can reach, half open; empty if unseen
+
+
+@wp.func
+def alpha_at(splat: Splat, x: int, y: int) -> float:
+    """Alpha of the splat at a pixel centre; 0 where 3DGS skips it."""
+    dy = float(y) + 0.5 - splat.mean[1]
+    dx = float(x) + 0.5 - splat.mean[0] - splat.shear * dy
+    power = -0.5 * (splat.precision_x * dx * dx + splat.precision_y * dy * dy)
+    alpha = wp.min(MAX_ALPHA, splat.opacity * wp.exp(power))
+    if alpha >= MIN_ALPHA:
+        return alpha
+    return 0.0
+
+
+@wp.func
+def tiles_of(splat: Splat) -> wp.vec4i:
+    """Tiles the splat's box touches: first column, first row, and one past the last of each."""
+    box = splat.box
+    if box[2] <= box[0] or box[3] <= box[1]:
+        return wp.vec4i(0, 0, 0, 0)
+    return wp.vec4i(box[0] / TILE, box[1] / TILE, (box[2] - 1) / TILE + 1, (box[3] - 1) / TILE + 1)
+
+
+@wp.func
+def shown(light: wp.vec3, transmittance: float, background: wp.vec3) -> wp.vec3:
+    """Final pixel: light plus what shines through, at most 1."""
+    return wp.min(light + transmittance * background, wp.vec3(1.0, 1.0, 1.0))

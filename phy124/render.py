@@ -1,0 +1,326 @@
+"""Renderer: Gaussians and a camera in, an image out; the same kernels on CPU and CUDA.
+
+EWA splatting (Zwicker et al. 2001) with the conventions of 3D Gaussian Splatting (Kerbl et al.
+2023): screen covariance plus 0.3 px^2, front-to-back blending in the order of the centres'
+depths, alpha at most 0.99, contributions below 1/255 skipped. Every splat is drawn exactly as
+far as it reaches 1/255, so no cut-off is visible.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import operator
+from collections import deque
+from collections.abc import Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
+from queue import SimpleQueue
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from phy124.camera import Camera
+from phy124.errors import InputError
+from phy124.gaussians import Array, Frame, Gaussians
+from phy124.kernels.splat import bin as binning
+from phy124.kernels.splat import blend, blend_simd, project, screen
+from phy124.progress import Progress, silent
+
+Colour = tuple[float, float, float]
+WHITE: Colour = (1.0, 1.0, 1.0)
+NEAR = 0.01
+"""Gaussians whose centres are nearer to the camera are not drawn, m."""
+FRUSTUM_MARGIN = 1.3
+"""The projection is linearised at most this far out, in half images (Kerbl et al. 2023)."""
+MAX_PIXELS = 1 << 26
+"""Largest image, pixels (8192 x 8192)."""
+MAX_PAIRS = 1 << 24
+"""Tile entries held at once; scenes that need more are blended in several runs of tiles."""
+BLENDS = {
+    "simd": (blend_simd, blend_simd.blend_tiles_simd),
+    "plain": (blend, blend.blend_tiles),
+    "pixel": (blend, blend.blend_pixels),
+}
+"""Forms of the last stage: a tile per thread in vectorised C++ (CPU only), the same in Warp,
+and a pixel per thread (what CUDA runs)."""
+LOOK_AHEAD = 2
+"""Frames `render_frames` may be ahead of its reader, per thread."""
+
+
+class Renderer:
+    """Draws Gaussians on one device, keeping its buffers from call to call.
+
+    One instance belongs to one thread at a time.
+    """
+
+    def __init__(self, *, device: str | None = None, blend: str = "auto") -> None:
+        """Compile or load the kernels for `device` (Warp's name; default: CUDA if there is one).
+
+        Raises:
+            InputError: If there is no such device or no such form of blending on it.
+        """
+        self.device = _device(device)
+        if blend == "auto":
+            blend = "pixel" if self.device.is_cuda else "simd"
+        if blend not in BLENDS or (blend == "simd" and self.device.is_cuda):
+            raise InputError(
+                "blend",
+                blend,
+                f"this form of blending does not exist on {self.device}.",
+                "Choose auto, plain or pixel, or on a CPU simd.",
+            )
+        module, self._blend = BLENDS[blend]
+        # The GPU's way of binning goes with its way of blending, so a CPU can test both.
+        self._per_pixel = blend == "pixel"
+        for used in (project, binning, module):
+            wp.load_module(used, self.device)
+        self._buffers: dict[str, wp.array] = {}
+        self._constants: dict[str, tuple[Any, Array, wp.array]] = {}
+
+    def __call__(
+        self,
+        gaussians: Gaussians,
+        camera: Camera,
+        background: Colour = WHITE,
+        *,
+        alpha: bool = False,
+    ) -> Array:
+        """The image [H,W,3] float32 in 0..1; with `alpha` [H,W,4], the last channel the coverage.
+
+        Colours are as stored (sRGB) and blended as such. Gaussians that are not finite, closer
+        than `NEAR` or fainter than 1/255 are not drawn.
+
+        Raises:
+            InputError: If the camera or the background cannot be used.
+        """
+        view, pixels = _view(camera), camera.width * camera.height
+        colour = wp.vec3(*_checked_background(background))
+        image = self._buffer("image", pixels, wp.vec3)
+        coverage = self._buffer("coverage", pixels, wp.float32)
+        counts = self._project(gaussians, view)
+        for first, last in _runs(counts, MAX_PAIRS):
+            lists = self._bin(len(gaussians), view, counts, first, last)
+            wp.launch(
+                self._blend,
+                dim=(last - first) * (screen.TILE**2 if self._per_pixel else 1),
+                inputs=[*lists, self._buffers["splats"], view, colour, first],
+                outputs=[image, coverage],
+                device=self.device,
+            )
+        # Copied: the buffers are written again by the next call.
+        channels = [image.numpy()[:pixels]] + [coverage.numpy()[:pixels, None]] * alpha
+        drawn = np.concatenate(channels, axis=1, dtype=np.float32)
+        return drawn.reshape(camera.height, camera.width, -1)
+
+    def _project(self, gaussians: Gaussians, view: Any) -> NDArray[np.int64]:
+        """Fill `splats`, and `order` by depth; return how many splats touch each tile [tiles]."""
+        n, rows = len(gaussians), math.ceil(view.height / screen.TILE)
+        splats = self._buffer("splats", n, screen.Splat)
+        # Sorting needs room for twice as many.
+        depths = self._buffer("depths", 2 * n, wp.float32)
+        order = self._buffer("order", 2 * n, wp.int32)
+        corners = wp.zeros((rows + 1, view.columns + 1), dtype=wp.int32, device=self.device)
+        wp.launch(
+            project.project,
+            dim=n,
+            inputs=[
+                self._given(gaussians.means, wp.vec3),
+                self._given(gaussians.quats, wp.vec4),
+                self._given(gaussians.scales, wp.vec3),
+                self._constant("opacities", gaussians.opacities, wp.float32),
+                self._constant("sh", gaussians.sh, wp.vec3),
+                gaussians.sh_degree,
+                view,
+            ],
+            outputs=[splats, depths, order, corners],
+            device=self.device,
+        )
+        wp.utils.radix_sort_pairs(depths, order, n)
+        # Each splat marked the four corners of its rectangle of tiles; running sums along both
+        # axes turn the marks into counts, however large the rectangles are.
+        return corners.numpy().cumsum(0, np.int64).cumsum(1)[:-1, :-1].ravel()
+
+    def _bin(
+        self, n: int, view: Any, counts: NDArray[np.int64], first: int, last: int
+    ) -> tuple[Any, Any, Any]:
+        """List the splats of tiles `first` to `last`: starts and ends [tiles], and the lists."""
+        bounds = np.zeros(len(counts) + 1, np.int32)
+        bounds[first + 1 : last + 1] = counts[first:last].cumsum()
+        total = int(bounds[last])
+        starts: Any = wp.array(bounds[:-1], dtype=wp.int32, device=self.device)
+        ends: Any = wp.array(bounds[:-1], dtype=wp.int32, device=self.device)
+        order, splats = self._buffers["order"], self._buffers["splats"]
+        if not self._per_pixel:
+            lists = self._buffer("lists", total, wp.int32)
+            inputs = [order, splats, n, view.columns, first, last]
+            wp.launch(
+                binning.bin_serial, 1, inputs=inputs, outputs=[ends, lists], device=self.device
+            )
+            return starts, ends, lists
+        ranks = self._buffer("ranks", 2 * total, wp.int32)
+        lists = self._buffer("lists", 2 * total, wp.int32)
+        inputs = [order, splats, view.columns, first, last]
+        wp.launch(
+            binning.bin_parallel, n, inputs=inputs, outputs=[ends, ranks, lists], device=self.device
+        )
+        wp.utils.segmented_sort_pairs(ranks, lists, total, starts[first:last], ends[first:last])
+        return starts, ends, lists
+
+    def _buffer(self, name: str, size: int, dtype: Any) -> wp.array:
+        """The named buffer with room for at least `size` items; its content may be lost."""
+        buffer = self._buffers.get(name)
+        if buffer is None or buffer.size < size:
+            # A fifth more than asked: a scene in motion asks for a little more each frame.
+            buffer = wp.empty(max(1, size + size // 5), dtype=dtype, device=self.device)
+            self._buffers[name] = buffer
+        return buffer
+
+    def _given(self, array: Array, dtype: Any) -> wp.array:
+        """A NumPy array as a Warp array: shared on a CPU, copied to a GPU."""
+        return wp.array(array, dtype=dtype, device=self.device, copy=False)
+
+    def _constant(self, name: str, array: Array, dtype: Any) -> wp.array:
+        """As `_given`, but the same memory is taken over once: it does not change in a clip."""
+        where = (array.ctypes.data, array.shape)
+        known = self._constants.get(name)
+        if known is None or known[0] != where:
+            # Keeping the array keeps its address from being used again.
+            known = self._constants[name] = (where, array, self._given(array, dtype))
+        return known[2]
+
+
+def render_frames(
+    frames: Iterable[Frame],
+    cameras: Camera | Iterable[Camera],
+    *,
+    size: int | tuple[int, int] | None = None,
+    background: Colour = WHITE,
+    device: str | None = None,
+    threads: int = 2,
+    progress: Progress = silent,
+) -> Iterator[NDArray[np.uint8]]:
+    """Images [H,W,3] uint8 of the frames, in order, until frames or cameras run out.
+
+    Args:
+        frames: What to draw; a `Clip`'s `frames()`, or `itertools.repeat` of a still one.
+        cameras: One camera for all frames, or one each.
+        size: Width and height in pixels, or one number for both, instead of the cameras' own.
+        background: Colour behind the Gaussians, 0..1.
+        device: Warp's name of the device; default: CUDA if there is one.
+        threads: Frames drawn at once on a CPU (kernels there use one core each).
+        progress: Called as ("render", frames done, frames in all or 0 if unknown).
+
+    Closing the iterator stops the threads; it never runs far ahead of its reader.
+
+    Raises:
+        InputError: If there is no such device, or a camera or the background cannot be used.
+    """
+    total = operator.length_hint(frames, 0) or operator.length_hint(cameras, 0)
+    every = itertools.repeat(cameras) if isinstance(cameras, Camera) else cameras
+    first = Renderer(device=device)
+    threads = 1 if first.device.is_cuda else max(1, threads)
+    # Kernels are loaded by now: loading them from several threads at once is not safe in Warp.
+    renderers: SimpleQueue[Renderer] = SimpleQueue()
+    for renderer in [first] + [Renderer(device=device) for _ in range(threads - 1)]:
+        renderers.put(renderer)
+
+    def draw(frame: Frame, camera: Camera) -> NDArray[np.uint8]:
+        renderer = renderers.get()
+        try:
+            return to_bytes(renderer(frame.gaussians, _resized(camera, size), background))
+        finally:
+            renderers.put(renderer)
+
+    pool = ThreadPoolExecutor(threads, thread_name_prefix="render")
+    try:
+        tasks = (pool.submit(draw, *task) for task in zip(frames, every, strict=False))
+        for done, image in enumerate(_in_order(tasks, LOOK_AHEAD * threads), 1):
+            progress("render", done, total)
+            yield image
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def to_bytes(image: Array) -> NDArray[np.uint8]:
+    """An image in 0..1 as bytes, rounded to the nearest."""
+    return (image * 255 + 0.5).astype(np.uint8)
+
+
+def _in_order(tasks: Iterator[Future], ahead: int) -> Iterator[Any]:
+    """Results of tasks in order, with at most `ahead` of them started beyond the one given out."""
+    waiting = deque(itertools.islice(tasks, ahead))
+    while waiting:
+        result = waiting.popleft().result()
+        waiting.extend(itertools.islice(tasks, 1))
+        yield result
+
+
+def _device(name: str | None) -> Any:
+    try:
+        return wp.get_device(name)
+    except (ValueError, RuntimeError) as error:
+        names = ", ".join(str(d) for d in wp.get_devices())
+        raise InputError(
+            "device", name, f"this machine has no such device ({error}).", f"Choose from {names}."
+        ) from error
+
+
+def _resized(camera: Camera, size: int | tuple[int, int] | None) -> Camera:
+    if size is None:
+        return camera
+    width, height = (size, size) if isinstance(size, int) else size
+    return replace(camera, width=width, height=height)
+
+
+def _view(camera: Camera) -> Any:
+    """The camera as the kernels want it, a `screen.View`."""
+    width, height = camera.width, camera.height
+    if min(width, height) < 1 or width * height > MAX_PIXELS:
+        raise InputError(
+            "size",
+            f"{width} x {height}",
+            f"an image has 1 to {MAX_PIXELS:,} pixels.",
+            "Choose a size such as 512 x 512.",
+        )
+    with np.errstate(all="ignore"):
+        matrix = camera.view.astype(np.float32)
+    if not (np.isfinite(matrix).all() and 0 < camera.fov_y < 180):
+        raise InputError(
+            "camera",
+            camera,
+            "it has no direction to look in, or no field of view.",
+            "Place eye and target apart, at finite positions, and take 0 < fov_y < 180 degrees.",
+        )
+    view = screen.View()
+    view.rotation = wp.mat33(matrix[:3, :3].ravel())
+    view.translation, view.eye = wp.vec3(*matrix[:3, 3]), wp.vec3(*camera.eye)
+    view.focal, view.near = camera.focal, NEAR
+    view.centre = wp.vec2(width / 2, height / 2)
+    view.limit = FRUSTUM_MARGIN * view.centre / camera.focal
+    view.width, view.height = width, height
+    view.columns = math.ceil(width / screen.TILE)
+    return view
+
+
+def _checked_background(background: Colour) -> Colour:
+    if len(background) != 3 or not all(0 <= c <= 1 for c in background):
+        raise InputError(
+            "background",
+            background,
+            "a colour is three numbers from 0 to 1.",
+            "Write white as (1, 1, 1), black as (0, 0, 0).",
+        )
+    return background
+
+
+def _runs(counts: NDArray[np.int64], limit: int) -> Iterator[tuple[int, int]]:
+    """Runs of tiles [first, last) with at most `limit` entries each, or of a single tile."""
+    sums, first = np.cumsum(counts), 0
+    while first < len(counts):
+        before = sums[first - 1] if first else 0
+        last = max(first + 1, int(np.searchsorted(sums, before + limit, "right")))
+        yield first, last
+        first = last

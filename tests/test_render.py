@@ -1,0 +1,338 @@
+"""The renderer against an independent compositor: float64, whole image, no tiles, no boxes."""
+
+import itertools
+import math
+import threading
+
+import numpy as np
+import pytest
+import warp as wp
+
+from phy124 import render
+from phy124.camera import Camera
+from phy124.errors import Cancelled, InputError
+from phy124.gaussians import Frame, Gaussians, quaternions, rotation_matrices
+from phy124.harmonics import rotate_sh, sh_basis
+from phy124.render import Renderer, render_frames
+
+FORMS = ("simd", "plain", "pixel")
+
+
+@pytest.fixture(scope="module")
+def renderers() -> dict[str, Renderer]:
+    return {form: Renderer(device="cpu", blend=form) for form in FORMS}
+
+
+def reference(gaussians: Gaussians, camera: Camera, background=(1.0, 1.0, 1.0)) -> np.ndarray:
+    """Kerbl et al. 2023 written out plainly; [H,W,4], the last channel the coverage."""
+    seen = gaussians.means.astype(float) @ camera.view[:3, :3].T + camera.view[:3, 3]
+    directions = gaussians.means - np.array(camera.eye)
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    basis = sh_basis(directions, gaussians.sh.shape[1])
+    colours = np.maximum(0, 0.5 + np.einsum("nk,nkc->nc", basis, gaussians.sh.astype(float)))
+    covariances = gaussians.covariances()
+    tangent = 1.3 * np.array([camera.width, camera.height]) / 2 / camera.focal
+    y, x = np.mgrid[: camera.height, : camera.width] + 0.5
+    light, left = np.zeros((camera.height, camera.width, 3)), np.ones((camera.height, camera.width))
+    done = np.zeros_like(left, bool)
+    for i in np.argsort(seen[:, 2], kind="stable"):
+        depth, f = seen[i, 2], camera.focal
+        if depth <= render.NEAR:
+            continue
+        u, v = np.clip(seen[i, :2] / depth, -tangent, tangent)
+        jacobian = f / depth * np.array([[1, 0, -u], [0, 1, -v]]) @ camera.view[:3, :3]
+        conic = np.linalg.inv(jacobian @ covariances[i] @ jacobian.T + 0.3 * np.eye(2))
+        dx = x - (f * seen[i, 0] / depth + camera.width / 2)
+        dy = y - (f * seen[i, 1] / depth + camera.height / 2)
+        power = conic[0, 0] * dx * dx + 2 * conic[0, 1] * dx * dy + conic[1, 1] * dy * dy
+        alpha = np.minimum(0.99, gaussians.opacities[i] * np.exp(-power / 2))
+        rest = left * (1 - alpha)
+        hit = (alpha >= 1 / 255) & ~done
+        done |= hit & (rest < 1e-4)
+        hit &= ~done
+        light += np.where(hit, alpha * left, 0)[..., None] * colours[i]
+        left = np.where(hit, rest, left)
+    image = np.minimum(1, light + left[..., None] * np.array(background))
+    return np.dstack([image, 1 - left])
+
+
+def cloud(rng, count=600, *, sizes=0.03, degree=0, spread=0.35) -> Gaussians:
+    """Gaussians of every shape in a ball, some faint, some nearly opaque."""
+    means = rng.normal(size=(count, 3)) * spread
+    quats = rng.normal(size=(count, 4))
+    scales = sizes * np.exp(0.7 * rng.normal(size=(count, 3)))
+    sh = rng.normal(size=(count, (degree + 1) ** 2, 3)) * 0.8 / (1 + degree)
+    return Gaussians(means, quats, scales, rng.beta(1.2, 1, count), sh)
+
+
+def needles(rng) -> Gaussians:
+    """Hair, 500 times as long as thick, and plates as thin."""
+    g = cloud(rng, 400, spread=0.25)
+    scales = np.where(np.arange(400)[:, None] % 2, [0.5, 0.001, 0.001], [0.2, 0.2, 0.0005])
+    return Gaussians(g.means, g.quats, scales, g.opacities, g.sh)
+
+
+def around_camera(rng) -> Gaussians:
+    """Gaussians everywhere: behind the camera, beside it, and in front by millimetres."""
+    g = cloud(rng, 500, spread=1.0)
+    means = g.means.copy()
+    means[:40] = np.array([1.5, 0, 0]) + rng.normal(size=(40, 3)) * 0.02
+    return Gaussians(means, g.quats, g.scales, g.opacities, g.sh)
+
+
+SCENES = {
+    "cloud": (cloud, Camera.orbit(0, 0, 1.5, 96), (1, 1, 1)),
+    "needles": (needles, Camera.orbit(40, 20, 1.5, 96), (0, 0, 0)),
+    "odd size": (cloud, Camera.orbit(10, 5, 1.5, (117, 61)), (0.2, 0.5, 0.9)),
+    "one row": (cloud, Camera.orbit(10, 5, 1.5, (50, 1)), (1, 0, 0)),
+    "harmonics off axis": (
+        lambda rng: cloud(rng, degree=3),
+        Camera.orbit(200, -35, 1.1, (90, 70), target=(0.3, -0.2, 0.4), fov_y=80),
+        (1, 1, 1),
+    ),
+    "degree 1": (lambda rng: cloud(rng, degree=1), Camera.orbit(90, 89, 1.3, 64), (1, 1, 1)),
+    "degree 2": (lambda rng: cloud(rng, degree=2), Camera.orbit(0, 90, 1.3, 64), (1, 1, 1)),
+    "around the camera": (around_camera, Camera.orbit(0, 0, 1.5, (80, 96)), (1, 1, 1)),
+    "opaque": (
+        lambda rng: cloud(rng, 1500, sizes=0.06),
+        Camera.orbit(0, 0, 1.2, 80),
+        (1, 1, 1),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_every_form_agrees_with_the_plain_compositor(renderers, rng, name):
+    make, camera, background = SCENES[name]
+    gaussians = make(rng)
+    wanted = reference(gaussians, camera, background)
+    assert wanted[..., 3].max() > 0.5  # there is something to see
+    for form in FORMS:
+        image = renderers[form](gaussians, camera, background, alpha=True)
+        assert image.shape == wanted.shape and image.dtype == np.float32
+        error = np.abs(image - wanted)
+        # A contribution right at 1/255 may fall on either side: at most 1/255, and rarely.
+        assert error.max() <= 1 / 255
+        assert (error.max(axis=2) > 5e-4).mean() < 0.005
+        assert -10 * math.log10((error**2).mean()) > 60
+
+
+def test_the_forms_agree_with_each_other(renderers, rng):
+    gaussians, camera = cloud(rng, 3000, degree=3), Camera.orbit(30, 20, 1.4, (150, 110))
+    images = {form: renderers[form](gaussians, camera) for form in FORMS}
+    np.testing.assert_array_equal(images["plain"], images["pixel"])
+    assert np.abs(images["simd"] - images["plain"]).max() < 1 / 255
+
+
+def test_one_gaussian_in_the_middle(renderers):
+    g = Gaussians.from_rgb(
+        np.zeros((1, 3)),
+        np.array([[1.0, 0, 0, 0]]),
+        np.full((1, 3), 0.05),
+        np.array([0.8]),
+        np.array([[0.9, 0.3, 0.1]]),
+    )
+    for size in ((33, 33), (32, 32), (47, 20)):
+        for form in FORMS:
+            image = renderers[form](g, Camera.orbit(0, 0, 1.5, size), (0, 0, 1), alpha=True)
+            np.testing.assert_allclose(image, image[::-1], atol=2e-6)
+            np.testing.assert_allclose(image, image[:, ::-1], atol=2e-6)
+            if size == (33, 33):  # the middle pixel's centre is on the axis
+                expected = 0.8 * np.array([0.9, 0.3, 0.1, 1]) + 0.2 * np.array([0, 0, 1, 0])
+                np.testing.assert_allclose(image[16, 16], expected, atol=1e-6)
+
+
+def test_turning_scene_and_camera_together_changes_nothing(renderers, rng):
+    g = cloud(rng, degree=3)
+    camera, turned_camera = Camera.orbit(20, 25, 1.4, 80), Camera.orbit(95, 25, 1.4, 80)
+    half = math.radians(75) / 2
+    turn = np.array([[math.cos(half), 0, 0, math.sin(half)]])
+    rotation = rotation_matrices(turn)[0]
+    turned = Gaussians(
+        g.means @ rotation.T,
+        quaternions(rotation @ rotation_matrices(g.quats)),
+        g.scales,
+        g.opacities,
+        rotate_sh(g.sh, turn.repeat(len(g), 0)),
+    )
+    image, again = renderers["simd"](g, camera), renderers["simd"](turned, turned_camera)
+    assert np.abs(image - again).max() < 1 / 255
+    assert np.abs(image - again).mean() < 1e-5
+    assert np.abs(image - renderers["simd"](g, turned_camera)).max() > 0.1
+
+
+def test_front_hides_back_and_right_is_plus_y(renderers):
+    means = np.array([[0.3, 0, 0], [-0.3, 0, 0], [0, 0.4, 0.2]])
+    g = Gaussians.from_rgb(
+        means, np.tile([1.0, 0, 0, 0], (3, 1)), np.full((3, 3), 0.05), np.ones(3), np.eye(3)
+    )
+    front = renderers["simd"](g, Camera.orbit(0, 0, 1.5, 64), (0, 0, 0))
+    assert front[31, 31].argmax() == 0 and front[31, 31, 0] > 0.9
+    blue = np.unravel_index(front[..., 2].argmax(), (64, 64))
+    assert blue[0] < 32 < blue[1]  # up and to the right
+    back = renderers["simd"](g, Camera.orbit(180, 0, 1.5, 64), (0, 0, 0))
+    assert back[31, 31].argmax() == 1
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_what_is_not_finite_is_not_drawn(renderers, rng, form):
+    g, camera = cloud(rng, 300), Camera.orbit(0, 0, 1.5, 64)
+    broken = {
+        name: getattr(g, name).copy() for name in ("means", "quats", "scales", "opacities", "sh")
+    }
+    broken["means"][0], broken["means"][1, 2] = np.nan, np.inf
+    broken["quats"][2] = np.nan
+    broken["scales"][3], broken["scales"][4] = np.nan, 1e30
+    broken["opacities"][5], broken["opacities"][6] = np.nan, np.inf
+    broken["sh"][7, 0, 1], broken["sh"][8] = np.nan, np.inf
+    broken["opacities"][9] = -1
+    image = renderers[form](Gaussians(**broken), camera)
+    assert np.isfinite(image).all()
+    kept = g.select(np.arange(10, 300))
+    np.testing.assert_array_equal(image, renderers[form](kept, camera))
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_gigantic_gaussians_are_drawn_and_end(renderers, rng, form):
+    g, camera = cloud(rng, 400), Camera.orbit(0, 0, 1.5, (200, 130))
+    scales = np.repeat([[100.0], [1e4], [1e-12], [1e6]], 100, axis=0) * np.ones(3)
+    big = Gaussians(g.means, g.quats, scales, np.full(400, 0.02), g.sh)
+    image = renderers[form](big, camera, alpha=True)
+    assert np.isfinite(image).all() and image.min() >= 0 and image.max() <= 1
+    assert image[..., 3].min() > 0.97  # 200 veils of 2 %
+    zero_turn = Gaussians(g.means, np.zeros((400, 4)), g.scales, g.opacities, g.sh)
+    assert np.isfinite(renderers[form](zero_turn, camera)).all()
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_bounded_lists_give_the_same_image(renderers, rng, form, monkeypatch):
+    g, camera = cloud(rng, 800), Camera.orbit(0, 0, 1.5, (130, 90))
+    whole = renderers[form](g, camera)
+    monkeypatch.setattr(render, "MAX_PAIRS", 700)  # fewer than some single tile holds
+    small = Renderer(device="cpu", blend=form)
+    np.testing.assert_array_equal(small(g, camera), whole)
+    assert small._buffers["lists"].size < 2 * 1.2 * 801
+
+
+def test_runs_cover_every_tile_once_within_the_limit():
+    counts = np.array([5, 0, 0, 7, 30, 1, 1, 1, 0])
+    runs = list(render._runs(counts, 10))
+    assert [a for a, _ in runs[1:]] == [b for _, b in runs[:-1]]
+    assert runs[0][0] == 0 and runs[-1][1] == len(counts)
+    assert all(counts[a:b].sum() <= 10 or b - a == 1 for a, b in runs)
+    assert list(render._runs(counts, 100)) == [(0, 9)]
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_one_renderer_takes_any_sequence_of_sizes(rng, form):
+    renderer = Renderer(device="cpu", blend=form)
+    for count, size in ((50, (40, 30)), (900, (100, 120)), (0, (33, 7)), (300, (16, 16))):
+        g, camera = cloud(rng, count), Camera.orbit(0, 0, 1.5, size)
+        image = renderer(g, camera, (0.1, 0.2, 0.3))
+        kept = image.copy()
+        fresh = Renderer(device="cpu", blend=form)(g, camera, (0.1, 0.2, 0.3))
+        np.testing.assert_array_equal(image, fresh)
+        renderer(cloud(rng, 100), camera)
+        np.testing.assert_array_equal(image, kept)  # not a view of the renderer's buffer
+    np.testing.assert_allclose(
+        renderer(cloud(rng, 0), camera, (0.1, 0.2, 0.3))[0, 0], [0.1, 0.2, 0.3]
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "call", "words"),
+    [
+        ({"device": "cuda:97"}, {}, "no such device"),
+        ({"blend": "fast"}, {}, "form of blending"),
+        ({}, {"background": (1, 1, 2)}, "from 0 to 1"),
+        ({}, {"background": (1, 1, math.nan)}, "from 0 to 1"),
+        ({}, {"camera": Camera.orbit(0, 0, 0.0, 64)}, "eye and target apart"),
+        ({}, {"camera": Camera.orbit(0, 0, 1.5, 64, fov_y=180)}, "fov_y"),
+        ({}, {"camera": Camera.orbit(0, 0, 1.5, (0, 64))}, "512 x 512"),
+        ({}, {"camera": Camera.orbit(0, 0, 1.5, 100_000)}, "pixels"),
+    ],
+)
+def test_refusals(three_gaussians, options, call, words):
+    with pytest.raises(InputError, match=words):
+        renderer = Renderer(**{"device": "cpu", **options})
+        renderer(three_gaussians, **{"camera": Camera.orbit(0, 0, 1.5, 64), **call})
+
+
+def moving(rng, count=12) -> list[Frame]:
+    g = cloud(rng, 500)
+    return [Frame(i, i / 24, g.moved(1, np.array([0, 0.03 * i, 0]))) for i in range(count)]
+
+
+def render_threads() -> list[threading.Thread]:
+    return [t for t in threading.enumerate() if t.name.startswith("render")]
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3])
+def test_frames_come_in_order_whatever_the_threads(renderers, rng, threads):
+    frames, camera, told = moving(rng), Camera.orbit(0, 0, 1.5, 64), []
+    images = render_frames(
+        frames,
+        camera,
+        size=(40, 30),
+        device="cpu",
+        threads=threads,
+        background=(0, 0, 0),
+        progress=lambda *step: told.append(step),
+    )
+    small = Camera.orbit(0, 0, 1.5, (40, 30))
+    for frame, image in zip(frames, images, strict=True):
+        single = renderers["simd"](frame.gaussians, small, (0, 0, 0))
+        np.testing.assert_array_equal(image, np.rint(single * 255).astype(np.uint8))
+    assert told == [("render", i, 12) for i in range(1, 13)]
+    assert not render_threads()
+
+
+def test_a_camera_for_each_frame(renderers, rng):
+    frame = moving(rng, 1)[0]
+    cameras = [Camera.orbit(a, 0, 1.5, 32) for a in (0, 90, 180)]
+    images = list(render_frames(itertools.repeat(frame), cameras, device="cpu"))
+    assert len(images) == 3
+    for camera, image in zip(cameras, images, strict=True):
+        wanted = render.to_bytes(renderers["simd"](frame.gaussians, camera))
+        np.testing.assert_array_equal(image, wanted)
+
+
+def test_it_stays_close_to_its_reader_and_stops_when_closed(rng):
+    taken = []
+
+    def endless():
+        frame = moving(rng, 1)[0]
+        for i in itertools.count():
+            taken.append(i)
+            yield frame
+
+    images = render_frames(endless(), Camera.orbit(0, 0, 1.5, 32), device="cpu", threads=2)
+    for _ in range(5):
+        next(images)
+    assert len(taken) <= 5 + 2 * render.LOOK_AHEAD
+    images.close()
+    assert not render_threads()
+    assert len(taken) <= 5 + 2 * render.LOOK_AHEAD
+
+
+def test_cancelling_and_errors_end_the_threads(rng):
+    def stop(stage, done, total):
+        if done == 3:
+            raise Cancelled
+
+    images = render_frames(moving(rng), Camera.orbit(0, 0, 1.5, 32), device="cpu", progress=stop)
+    with pytest.raises(Cancelled):
+        list(images)
+    assert not render_threads()
+    with pytest.raises(InputError, match="eye and target"):
+        list(render_frames(moving(rng), Camera.orbit(0, 0, 0.0, 32), device="cpu"))
+    assert not render_threads()
+
+
+@pytest.mark.gpu
+def test_cuda_agrees_with_the_cpu(renderers, rng):
+    if not wp.is_cuda_available():
+        pytest.skip("no CUDA device")
+    g, camera = cloud(rng, 5000, degree=3), Camera.orbit(30, 20, 1.4, (250, 190))
+    error = np.abs(Renderer(device="cuda")(g, camera) - renderers["simd"](g, camera))
+    assert error.max() <= 1 / 255 and (error > 1e-3).mean() < 0.001
