@@ -144,9 +144,15 @@ class Press(Boundary):
         ease = (1 - np.cos(np.pi * parts)) / 2
         turn = self.start + self.down
         keys = [(0.0, (0.0, 0.0, 0.0), True)]
-        keys += [(self.start + self.down * s, (0.0, 0.0, depth * e), True) for s, e in zip(parts, ease, strict=True)]
+        keys += [
+            (self.start + self.down * s, (0.0, 0.0, depth * e), True)
+            for s, e in zip(parts, ease, strict=True)
+        ]
         back = turn + self.hold
-        keys += [(back + self.up * s, (0.0, 0.0, depth * (1 - e)), True) for s, e in zip(parts, ease, strict=True)]
+        keys += [
+            (back + self.up * s, (0.0, 0.0, depth * (1 - e)), True)
+            for s, e in zip(parts, ease, strict=True)
+        ]
         return Track(tuple((float(t), (0.0, 0.0, float(v[2])), a) for t, v, a in keys))
 
 

@@ -28,20 +28,22 @@ class Force(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     start: float = Field(default=0.0, ge=0, description="Acts from here on [s].")
-    end: float = Field(default=math.inf, gt=0, description="Acts until here [s].")
+    end: float | None = Field(
+        default=None, gt=0, description="Acts until here [s]; absent: always."
+    )
     region: Region | None = Field(default=None, description="Particles it acts on; all if absent.")
 
     @model_validator(mode="after")
     def _ordered(self) -> Force:
-        if self.start >= self.end:
+        if self.end is not None and self.start >= self.end:
             raise ValueError(f"start {self.start} s must be before end {self.end} s")
         return self
 
     def track(self, value: Vector) -> Track:
         """The value inside the window of time, nothing outside."""
-        if self.start == 0 and math.isinf(self.end):
+        if self.start == 0 and self.end is None:
             return Track.constant(value)
-        return Track.window(value, self.start, self.end)
+        return Track.window(value, self.start, math.inf if self.end is None else self.end)
 
     def chosen(self, solver: Solver) -> wp.array:
         """Indices of the particles it acts on; raises ValueError if the region is empty."""
@@ -113,7 +115,14 @@ class SetVelocity(Force):
         kernel = push.make_set_velocity(solver.real)
 
         def record() -> wp.Launch:
-            inputs = [chosen, slot, t.vec3(*self.centre), t.vec3(*self.spin), state.x, tracks.values]
+            inputs = [
+                chosen,
+                slot,
+                t.vec3(*self.centre),
+                t.vec3(*self.spin),
+                state.x,
+                tracks.values,
+            ]
             return solver.record(kernel, len(chosen), inputs, [state.v, state.C])
 
         return [("set_velocity", record)]

@@ -192,7 +192,9 @@ class Solver:
         for index in np.unique(material):
             section = self.materials[index]
             start, stop = np.searchsorted(material, [index, index + 1])
-            theta = self._array([section.theta()], wp.types.vector(section.device_law.width, self.real))
+            theta = self._array(
+                [section.theta()], wp.types.vector(section.device_law.width, self.real)
+            )
             self.groups.append(Group(section, int(start), int(stop), theta))
 
     def _build_state(self, v: NDArray | None, C: NDArray | None) -> None:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 Vector = tuple[float, float, float]
-EVERYWHERE = math.inf
+EVERYWHERE = 1e9
+"""Beyond any scene [m]; finite, so that scenes can be written as JSON."""
 
 
 class Region(BaseModel):

@@ -66,7 +66,9 @@ def neo_hookean(F: Any, C: Any, h: Any, theta: Any):
 @wp.func
 def neo_hookean_modulus(F: Any, h: Any, theta: Any):
     """2 mu s^2 + 3 lam, s the largest stretch."""
-    return type(theta[0])(2.0) * theta[0] * largest_stretch_squared(F) + type(theta[0])(3.0) * theta[1]
+    return (
+        type(theta[0])(2.0) * theta[0] * largest_stretch_squared(F) + type(theta[0])(3.0) * theta[1]
+    )
 
 
 @wp.func
@@ -84,7 +86,9 @@ def fixed_corotated(F: Any, C: Any, h: Any, theta: Any):
     one = type(theta[0])(1.0)
     J = wp.determinant(F)
     d = (F - polar(F)) * wp.transpose(F)
-    return theta[0] * (d + wp.transpose(d)) + theta[1] * J * (J - one) * wp.identity(3, dtype=type(J))
+    return theta[0] * (d + wp.transpose(d)) + theta[1] * J * (J - one) * wp.identity(
+        3, dtype=type(J)
+    )
 
 
 @wp.func

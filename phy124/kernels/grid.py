@@ -167,9 +167,7 @@ def make_collider(shape: str, response: str, moving: bool, real: Any):
                 active = here[3]
             s = distance(x, geometry)
             if active > real(0.0) and q[3] > real(0.0) and s[3] < reach:
-                v = answer(
-                    wp.vector(q[0], q[1], q[2]), wall, wp.vector(s[0], s[1], s[2]), friction
-                )
+                v = answer(wp.vector(q[0], q[1], q[2]), wall, wp.vector(s[0], s[1], s[2]), friction)
                 grid_out[n] = wp.vector(v[0], v[1], v[2], q[3])
 
     return collide

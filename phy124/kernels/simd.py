@@ -70,8 +70,6 @@ def scatter(
 
 
 @wp.func_native(GATHER)
-def gather(
-    grid: wp.array(dtype=wp.vec4), size: wp.vec3i, first: wp.vec3i, f: wp.vec3
-) -> wp.mat44:
+def gather(grid: wp.array(dtype=wp.vec4), size: wp.vec3i, first: wp.vec3i, f: wp.vec3) -> wp.mat44:
     """Rows: sum w v, sum w i v, sum w j v, sum w k v over the 27 nodes."""
     ...
