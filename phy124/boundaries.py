@@ -44,32 +44,34 @@ class Boundary(BaseModel):
     )
     friction: float = Field(default=0.4, ge=0, le=10, description="Coulomb friction coefficient.")
 
-    def geometry(self) -> tuple[Vector, Vector, Vector]:
+    def geometry(self, solver: Solver) -> tuple[Vector, Vector, Vector]:
         """Three vectors that the shape's distance function reads."""
         raise NotImplementedError
 
-    def bounds(self) -> Corners:
+    def bounds(self, solver: Solver) -> Corners:
         """Corners of a box that holds every node inside the shape at rest [m]."""
         return np.full(3, -np.inf), np.full(3, np.inf)
 
-    def track(self) -> Track | None:
+    def track(self, solver: Solver) -> Track | None:
         """Displacement over time [m]; None if it never moves."""
         return None
 
     def attach(self, solver: Solver) -> list[Stage]:
         """One collider stage."""
-        t, track = types(solver.real), self.track()
+        t, track = types(solver.real), self.track(solver)
         slot = 0 if track is None else solver.tracks.add(track)
         moving = track is not None
         kernel = make_collider(self.shape, self.contact, moving, solver.real)
-        bounds = self.bounds() if track is None else _swept(self.bounds(), track)
+        bounds = self.bounds(solver)
+        if track is not None:
+            bounds = _swept(bounds, track)
         box = wp.zeros(1, dtype=wp.vec3i, device=solver.device)
 
         def record() -> wp.Launch:
             start, extent = solver.grid.nodes_within(*bounds)
             box.assign(np.array([start], np.int32))
             inputs = [
-                t.mat33(*np.ravel(self.geometry())), self.friction, self.reach(solver.dx), slot,
+                t.mat33(*np.ravel(self.geometry(solver))), self.friction, self.reach(solver.dx), slot,
                 box, solver.grid.lattice, solver.grid.window,
                 solver.tracks.values, solver.tracks.rates,
             ]  # fmt: skip
@@ -90,13 +92,13 @@ class HalfSpace(Boundary):
     point: Vector = Field(default=(0.0, 0.0, 0.0), description="A point on the plane [m].")
     normal: Vector = Field(default=(0.0, 0.0, 1.0), description="Direction out of the solid.")
 
-    def geometry(self) -> tuple[Vector, Vector, Vector]:
+    def geometry(self, solver: Solver) -> tuple[Vector, Vector, Vector]:
         """Point and unit normal."""
         length = math.hypot(*self.normal)
         x, y, z = (component / length for component in self.normal)
         return self.point, (x, y, z), (0.0, 0.0, 0.0)
 
-    def bounds(self) -> Corners:
+    def bounds(self, solver: Solver) -> Corners:
         """Half of space if the normal lies along an axis, else all of it."""
         return _half_bounds(self.point, self.normal)
 
@@ -108,52 +110,55 @@ class Ground(Boundary):
     kind: Literal["ground"] = "ground"
     height: float = Field(default=0.0, description="Height of the floor [m].")
 
-    def geometry(self) -> tuple[Vector, Vector, Vector]:
+    def geometry(self, solver: Solver) -> tuple[Vector, Vector, Vector]:
         """Point and unit normal."""
         return (0.0, 0.0, self.height), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
 
-    def bounds(self) -> Corners:
+    def bounds(self, solver: Solver) -> Corners:
         """Everything below."""
         return _half_bounds((0.0, 0.0, self.height), (0.0, 0.0, 1.0))
 
 
 class Press(Boundary):
-    """A plate that comes down from above to a height, rests and goes back."""
+    """A plate that comes down on the object, rests and goes back."""
 
     shape: ClassVar[str] = "half_space"
     kind: Literal["press"] = "press"
-    top: float = Field(default=1.05, description="Height of the plate at the start [m].")
-    bottom: float = Field(default=0.7, description="Height at which it turns back [m].")
+    top: float | None = Field(
+        default=None, description="Height of the plate at the start [m]; absent: on the object."
+    )
+    depth: float = Field(
+        default=0.35, gt=0, le=0.9, description="How far it comes down, in object heights."
+    )
     start: float = Field(default=0.0, ge=0, description="Begins to move [s].")
     down: float = Field(default=0.25, gt=0, description="Time to come down [s].")
     hold: float = Field(default=0.05, ge=0, description="Time at the bottom [s].")
     up: float = Field(default=0.2, gt=0, description="Time to go back [s].")
-    contact: Contact = Field(default="separate", description="sticky, slip, or separate.")
 
-    def geometry(self) -> tuple[Vector, Vector, Vector]:
+    def geometry(self, solver: Solver) -> tuple[Vector, Vector, Vector]:
         """Point and unit normal, before displacement."""
-        return (0.0, 0.0, self.top), (0.0, 0.0, -1.0), (0.0, 0.0, 0.0)
+        height = solver.rest[:, 2].max() if self.top is None else self.top
+        return (0.0, 0.0, float(height)), (0.0, 0.0, -1.0), (0.0, 0.0, 0.0)
 
-    def bounds(self) -> Corners:
+    def bounds(self, solver: Solver) -> Corners:
         """Everything above the plate."""
-        return _half_bounds((0.0, 0.0, self.top), (0.0, 0.0, -1.0))
+        point, normal, _ = self.geometry(solver)
+        return _half_bounds(point, normal)
 
-    def track(self) -> Track:
+    def track(self, solver: Solver) -> Track:
         """Down with smooth ends, hold, and up again."""
-        depth, parts = self.bottom - self.top, np.linspace(0, 1, 17)
+        depth = self.depth * float(np.ptp(solver.rest[:, 2]))
+        parts = np.linspace(0, 1, 17)
         ease = (1 - np.cos(np.pi * parts)) / 2
-        turn = self.start + self.down
-        keys = [(0.0, (0.0, 0.0, 0.0), True)]
-        keys += [
-            (self.start + self.down * s, (0.0, 0.0, depth * e), True)
-            for s, e in zip(parts, ease, strict=True)
-        ]
-        back = turn + self.hold
-        keys += [
-            (back + self.up * s, (0.0, 0.0, depth * (1 - e)), True)
-            for s, e in zip(parts, ease, strict=True)
-        ]
-        return Track(tuple((float(t), (0.0, 0.0, float(v[2])), a) for t, v, a in keys))
+        begin, back = self.start, self.start + self.down + self.hold
+        times = np.concatenate([[0.0], begin + self.down * parts, back + self.up * parts])
+        heights = -depth * np.concatenate([[0.0], ease, 1 - ease])
+        return Track(
+            tuple(
+                (t, (0.0, 0.0, h), True)
+                for t, h in zip(times.tolist(), heights.tolist(), strict=True)
+            )
+        )
 
 
 class Held(Boundary):
@@ -165,13 +170,13 @@ class Held(Boundary):
     upper: Vector = Field(default=(10.0, 10.0, 0.1), description="Highest corner [m].")
     contact: Contact = Field(default="sticky", description="sticky holds all directions.")
 
-    def geometry(self) -> tuple[Vector, Vector, Vector]:
+    def geometry(self, solver: Solver) -> tuple[Vector, Vector, Vector]:
         """Centre and half sizes."""
         lower, upper = np.array(self.lower), np.array(self.upper)
         centre, half = (lower + upper) / 2, (upper - lower) / 2
         return tuple(centre.tolist()), tuple(half.tolist()), (0.0, 0.0, 0.0)
 
-    def bounds(self) -> Corners:
+    def bounds(self, solver: Solver) -> Corners:
         """The box."""
         return np.array(self.lower), np.array(self.upper)
 
@@ -180,7 +185,30 @@ class Held(Boundary):
         return 0.0
 
 
-AnyBoundary = Annotated[Ground | HalfSpace | Press | Held, Field(discriminator="kind")]
+class Foot(Boundary):
+    """The lowest part of the object is held in place, as a plant is by its pot."""
+
+    shape: ClassVar[str] = "half_space"
+    kind: Literal["foot"] = "foot"
+    share: float = Field(default=0.15, gt=0, le=1, description="Held share of its height.")
+    contact: Contact = Field(default="sticky", description="sticky holds all directions.")
+
+    def geometry(self, solver: Solver) -> tuple[Vector, Vector, Vector]:
+        """Point and normal of the plane below which material is held."""
+        z = solver.rest[:, 2]
+        return (0.0, 0.0, float(z.min() + self.share * np.ptp(z))), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
+
+    def bounds(self, solver: Solver) -> Corners:
+        """Everything below."""
+        point, normal, _ = self.geometry(solver)
+        return _half_bounds(point, normal)
+
+    def reach(self, dx: float) -> float:
+        """A region, not a wall: all its nodes are held."""
+        return 0.0
+
+
+AnyBoundary = Annotated[Ground | HalfSpace | Press | Held | Foot, Field(discriminator="kind")]
 
 
 def _half_bounds(point: Vector, normal: Vector) -> Corners:

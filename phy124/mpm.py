@@ -10,7 +10,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import numpy as np
 import warp as wp
@@ -221,9 +221,10 @@ class Solver:
 
     def record(self, kernel: Any, dim: Any, inputs: list, outputs: list) -> wp.Launch:
         """A launch to be repeated, on the solver's device."""
-        return wp.launch(
+        launch = wp.launch(
             kernel, dim, inputs=inputs, outputs=outputs, device=self.device, record_cmd=True
         )
+        return cast("wp.Launch", launch)
 
     def _measure(self) -> None:
         """Read the stability limits and make the window fit; raises Unstable."""
@@ -336,4 +337,4 @@ class Solver:
 
 def _part(array: wp.array, part: slice) -> wp.array:
     """A slice of an array that may be empty because no law needs it."""
-    return array[part] if len(array) else array
+    return cast("wp.array", array[part]) if len(array) else array

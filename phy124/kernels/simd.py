@@ -14,11 +14,11 @@ typedef float Node __attribute__((vector_size(16), aligned(4)));
 #define SUM(r) (__builtin_shufflevector(r, r, 0, 1, 2, 3) \\
     + __builtin_shufflevector(r, r, 4, 5, 6, 7) + __builtin_shufflevector(r, r, 8, 9, 10, 11))
 const float fx = f[0], fy = f[1], fz = f[2];
-const float wx[3] = {0.5f*(1.5f-fx)*(1.5f-fx), 0.75f-(fx-1.f)*(fx-1.f), 0.5f*(fx-0.5f)*(fx-0.5f)};
-const float wy[3] = {0.5f*(1.5f-fy)*(1.5f-fy), 0.75f-(fy-1.f)*(fy-1.f), 0.5f*(fy-0.5f)*(fy-0.5f)};
-const float w0 = 0.5f*(1.5f-fz)*(1.5f-fz), w1 = 0.75f-(fz-1.f)*(fz-1.f), w2 = 0.5f*(fz-0.5f)*(fz-0.5f);
+#define SPLINE(f) {0.5f*(1.5f-f)*(1.5f-f), 0.75f-(f-1.f)*(f-1.f), 0.5f*(f-0.5f)*(f-0.5f)}
+const float wx[3] = SPLINE(fx), wy[3] = SPLINE(fy), wz[3] = SPLINE(fz);
+const float w0 = wz[0], w1 = wz[1], w2 = wz[2], u2 = 2.f * w2;
 const Row W = {w0, w0, w0, w0, w1, w1, w1, w1, w2, w2, w2, w2, 0.f, 0.f, 0.f, 0.f};
-const Row K = {0.f, 0.f, 0.f, 0.f, w1, w1, w1, w1, 2.f*w2, 2.f*w2, 2.f*w2, 2.f*w2, 0.f, 0.f, 0.f, 0.f};
+const Row K = {0.f, 0.f, 0.f, 0.f, w1, w1, w1, w1, u2, u2, u2, u2, 0.f, 0.f, 0.f, 0.f};
 const long start = 4 * (((long)first[0] * size[1] + first[1]) * size[2] + first[2]);
 """
 
@@ -46,7 +46,8 @@ GATHER = (
 const float* nodes = (const float*)grid.data + start;
 Row mean = {0.f}, by_x = {0.f}, by_y = {0.f};
 for (int i = 0; i < 3; ++i) for (int j = 0; j < 3; ++j) {
-    const Row row = (wx[i] * wy[j]) * *(const Row*)(nodes + 4 * ((long)(i * size[1] + j) * size[2]));
+    const float* at = nodes + 4 * ((long)(i * size[1] + j) * size[2]);
+    const Row row = (wx[i] * wy[j]) * *(const Row*)at;
     mean += row;
     by_x += (float)i * row;
     by_y += (float)j * row;

@@ -1,8 +1,8 @@
 """Particles to grid and back: MLS-MPM with APIC velocities and quadratic B-splines.
 
-Hu et al. 2018 (eqs. 16-19, 22), Jiang et al. 2015. The grid is one flat array of four-vectors: first
-(momentum, mass), after the grid update (velocity, mass). It covers only a window of cells around
-the particles: `window[0]` is its lowest node, `window[1]` its extent in nodes. `lattice` is
+Hu et al. 2018 (eqs. 16-19, 22), Jiang et al. 2015. The grid is one flat array of four-vectors:
+first (momentum, mass), after the grid update (velocity, mass). It covers only a window of cells
+around the particles: `window[0]` is its lowest node, `window[1]` its extent. `lattice` is
 (origin x, y, z, dx); `clock` is (kick, drift, time): velocities are kicked by the mean of two
 successive substeps and positions drift by the present one, which makes free fall exact.
 
