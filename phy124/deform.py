@@ -1,0 +1,220 @@
+"""The moved material carries its Gaussians: particle state + rest Gaussians -> Frame.
+
+Phy124 (arXiv 2409.07179): Sigma_t = F Sigma_0 F^T with the total F, then Sigma = Q Lambda Q^T
+gives the rotation and the scale of the 4D representation. Here the axes come from
+A = F R_0 S_0 (Sigma = A A^T), once per frame and in float64, never from an integrated Sigma:
+that keeps thin axes and positive definiteness (`phy124.kernels.field`).
+
+Orientations are continuous: of all labellings of the axes (24 proper signed permutations) the
+one nearest to the previous frame is taken, and q . q_previous >= 0. Axes of equal length stay
+with the material, within 1e-5 of the covariance.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from phy124.errors import InputError
+from phy124.gaussians import Array, Frame, Gaussians
+from phy124.harmonics import rotate_sh
+from phy124.kernels import field
+
+CARRIERS = 8
+"""How many particles carry a Gaussian of the binding `field`."""
+
+
+class Bound(Protocol):
+    """What is needed of `phy124.particles.Particles`."""
+
+    @property
+    def x(self) -> NDArray[np.float32]:
+        """Positions at rest [P,3], m."""
+        ...
+
+    @property
+    def gaussian(self) -> NDArray[np.int32]:
+        """The Gaussian that each particle is [P], or -1."""
+        ...
+
+
+class Deformer:
+    """Frames of one moving object; call it once per frame, in order of time.
+
+    With the binding `particles` each Gaussian moves with its own particle. With `field` it rides
+    on its nearest lattice particles: x_g = sum w_i (x_i + F_i (X_g - X_i)), F_g = sum w_i F_i
+    with smooth weights w that sum to one, which is exact for every affine motion.
+    """
+
+    def __init__(
+        self,
+        gaussians: Gaussians,
+        particles: Bound | None = None,
+        *,
+        max_stretch: float | None = None,
+        device: str = "cpu",
+    ) -> None:
+        """Bind clean Gaussians to the particles made from them.
+
+        Args:
+            gaussians: The object at rest, N Gaussians.
+            particles: What `make_particles` made of it; None: one particle per Gaussian, in order.
+            max_stretch: Longest axis allowed, in longest axes at rest. For liquids and plastic
+                flow, whose F grows without bound into spikes; None (elastic): no limit.
+            device: Warp device that computes.
+
+        Raises:
+            InputError: `max_stretch` is under 1.
+            ValueError: the particles belong to other Gaussians.
+        """
+        if max_stretch is not None and not max_stretch >= 1:
+            limit = "Gaussians must at least be allowed their size at rest."
+            raise InputError("max_stretch", max_stretch, limit, "Give 1 or more, or leave it out.")
+        self.gaussians = gaussians
+        self.rotations: Array | None = None
+        """Polar rotations of the material at the last frame [N,4] wxyz; only if sh degree > 0."""
+        n = len(gaussians)
+        self._device = device
+        self._max_stretch = np.inf if max_stretch is None else max_stretch
+        self._own = _own_particles(n, particles)
+        self._field = None
+        if self._own is None and particles is not None:
+            self._field = _Field(gaussians, particles.x, device)
+        self._count = n if particles is None else len(particles.x)
+        carrier = np.arange(n) if self._own is None else self._own
+        self._carrier = wp.array(carrier, dtype=wp.int32, device=device)
+        self._quats0 = wp.array(gaussians.quats, dtype=wp.vec4f, device=device)
+        self._scales0 = wp.array(gaussians.scales, dtype=wp.vec3f, device=device)
+        self._quats = wp.clone(self._quats0)
+        self._scales = wp.clone(self._scales0)
+        identity = np.tile(np.float32([1, 0, 0, 0]), (n, 1))
+        self._inner = wp.array(identity, dtype=wp.vec4f, device=device)
+        self._turned = wp.array(identity, dtype=wp.vec4f, device=device)
+
+    def __call__(self, x: Any, F: Any, *, index: int, time: float, velocities: Any = None) -> Frame:
+        """The Gaussians at one instant.
+
+        Args:
+            x: Positions of the particles [P,3], m; NumPy or Warp arrays.
+            F: Their total deformation gradients [P,3,3].
+            index: Number of the frame.
+            time: Time, s.
+            velocities: Velocities of the particles [P,3], m/s, if the frame shall have them.
+
+        Raises:
+            FloatingPointError: a position or F is not finite; says how many.
+            ValueError: the arrays do not have the particles' number.
+        """
+        x, F = self._checked(_host(x), (3,)), self._checked(_host(F), (3, 3))
+        means, deformation = self._carried(x, F)
+        rest = [self._carrier, self._quats0, self._scales0, deformation, self._max_stretch]
+        self._launch(field.deform_shapes, [*rest, self._inner, self._quats, self._scales])
+        sh = self._colours(deformation)
+        quats, scales = self._quats.numpy().copy(), self._scales.numpy().copy()
+        gaussians = Gaussians(means, quats, scales, self.gaussians.opacities, sh)
+        if velocities is not None:
+            velocities = self._interpolated(self._checked(_host(velocities), (3,)))
+        return Frame(index, time, gaussians, velocities)
+
+    def _launch(self, kernel: Any, inputs: list[Any]) -> None:
+        wp.launch(kernel, dim=len(self.gaussians), inputs=inputs, device=self._device)
+
+    def _checked(self, values: NDArray, shape: tuple[int, ...]) -> NDArray[np.float64]:
+        if values.shape != (self._count, *shape):
+            raise ValueError(f"got an array {values.shape} for {self._count} particles")
+        finite = np.isfinite(values).reshape(self._count, -1).all(axis=1)
+        if not finite.all():
+            bad = int((~finite).sum())
+            raise FloatingPointError(f"{bad} of {self._count} particles are NaN or infinite")
+        return np.ascontiguousarray(values, dtype=np.float64)
+
+    def _carried(self, x: NDArray[np.float64], F: NDArray[np.float64]) -> tuple[NDArray, wp.array]:
+        """Centres [N,3], and the deformation gradients that `_carrier` points into."""
+        deformation = wp.array(F, dtype=wp.mat33d, device=self._device)
+        if self._field is not None:
+            return self._field.carry(x, deformation)
+        return (x if self._own is None else x[self._own]), deformation
+
+    def _colours(self, deformation: wp.array) -> NDArray:
+        rest = self.gaussians
+        if rest.sh_degree == 0:
+            return rest.sh
+        self._launch(field.turn_of_material, [self._carrier, deformation, self._turned])
+        self.rotations = self._turned.numpy().copy()
+        still = (self.rotations == (1, 0, 0, 0)).all()
+        return rest.sh if still else rotate_sh(rest.sh, self.rotations)
+
+    def _interpolated(self, values: NDArray[np.float64]) -> NDArray[np.float32]:
+        if self._field is not None:
+            return self._field.interpolate(values)
+        own = values if self._own is None else values[self._own]
+        return own.astype(np.float32)
+
+
+class _Field:
+    """Gaussians riding on nearby particles: neighbours and weights, found once at rest."""
+
+    def __init__(self, gaussians: Gaussians, rest: NDArray[np.float32], device: str) -> None:
+        self.neighbours, self.weights = carriers(gaussians.means, rest)
+        n, self.device = len(gaussians), device
+        self._rest = [
+            wp.array(self.neighbours, dtype=wp.int32, device=device),
+            wp.array(self.weights, dtype=wp.float32, device=device),
+            wp.array(gaussians.means, dtype=wp.vec3f, device=device),
+            wp.array(rest, dtype=wp.vec3f, device=device),
+        ]
+        self._means = wp.empty(n, dtype=wp.vec3f, device=device)
+        self._deformation = wp.empty(n, dtype=wp.mat33d, device=device)
+
+    def carry(self, x: NDArray[np.float64], deformation: wp.array) -> tuple[NDArray, wp.array]:
+        """Centres [N,3] and deformation gradients of the Gaussians."""
+        position = wp.array(x, dtype=wp.vec3d, device=self.device)
+        inputs = [*self._rest, position, deformation, self._means, self._deformation]
+        wp.launch(field.carry, dim=len(self._means), inputs=inputs, device=self.device)
+        return self._means.numpy().copy(), self._deformation
+
+    def interpolate(self, values: NDArray[np.float64]) -> NDArray[np.float32]:
+        """Weighted means [N,3] of values on the particles [P,3]."""
+        out = np.zeros((len(self.weights), 3))
+        for k in range(self.weights.shape[1]):
+            out += self.weights[:, k, None] * values[self.neighbours[:, k]]
+        return out.astype(np.float32)
+
+
+def carriers(points: NDArray, particles: NDArray) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """The nearest particles of each point [N,K] and their weights [N,K], which sum to 1.
+
+    w = (1 - (d / R)^2)^2, R the distance of the next particle after these: the weights vary
+    smoothly over the points, since a particle enters and leaves with weight 0.
+    """
+    count = min(CARRIERS, len(particles))
+    wanted = list(range(1, min(CARRIERS + 1, len(particles)) + 1))
+    distance, index = cKDTree(particles).query(points, k=wanted, workers=-1)
+    reach = distance[:, -1:] * (2.0 if len(wanted) == count else 1.0)
+    ratio = np.divide(
+        distance[:, :count], reach, out=np.zeros_like(distance[:, :count]), where=reach > 0
+    )
+    # Particles all equally far would all weigh nothing.
+    weights = (1 - ratio**2) ** 2 + 1e-9
+    weights /= weights.sum(axis=1, keepdims=True)
+    return index[:, :count].astype(np.int32), weights.astype(np.float32)
+
+
+def _own_particles(count: int, particles: Bound | None) -> NDArray[np.int32] | None:
+    """For each Gaussian the particle that it is [N]; None: in order, or none is (`field`)."""
+    if particles is None or (particles.gaussian < 0).all():
+        return None
+    bound = np.flatnonzero(particles.gaussian >= 0)
+    if not np.array_equal(np.sort(particles.gaussian[bound]), np.arange(count)):
+        raise ValueError(f"the particles are not those of these {count} Gaussians")
+    own = np.empty(count, np.int32)
+    own[particles.gaussian[bound]] = bound
+    return own
+
+
+def _host(array: Any) -> NDArray:
+    return array.numpy() if isinstance(array, wp.array) else np.asarray(array)

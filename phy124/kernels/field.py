@@ -1,0 +1,294 @@
+"""Device code of `phy124.deform`: carrying Gaussians with the material, all in float64.
+
+One-sided Jacobi (Hestenes 1958; high relative accuracy: Demmel, Veselic 1992) of A = F R0 S0 V
+makes the columns of A orthogonal by plane rotations of at most 45 degrees: their directions are
+the axes of F Sigma0 F^T, their lengths the scales. It starts from V of the previous frame, and
+columns that are orthogonal to `TOLERANCE` already are left alone, so axes of equal length
+follow the material instead of flickering. Needles keep their thin axes, which are lost where
+Sigma itself is decomposed. Quaternions are wxyz vectors.
+"""
+
+import warp as wp
+
+MODULE = "phy124_deform"
+SWEEPS = wp.constant(24)
+TOLERANCE = wp.constant(wp.float64(4e-6))
+EXACT = wp.constant(wp.float64(1e-14))
+IDENTITY_ZONE = wp.constant(wp.float64(2.414))
+"""Trace above which a turn is under 45 degrees: no relabelling of axes is nearer."""
+LARGEST = wp.constant(wp.float64(3.0e38))
+
+
+@wp.func
+def matrix_of(q: wp.vec4d) -> wp.mat33d:
+    """Rotation matrix of a quaternion wxyz of any length but zero."""
+    two = wp.float64(2.0)
+    one = wp.float64(1.0)
+    u = q / wp.length(q)
+    w, x, y, z = u[0], u[1], u[2], u[3]
+    return wp.mat33d(
+        one - two * (y * y + z * z), two * (x * y - w * z), two * (x * z + w * y),
+        two * (x * y + w * z), one - two * (x * x + z * z), two * (y * z - w * x),
+        two * (x * z - w * y), two * (y * z + w * x), one - two * (x * x + y * y),
+    )  # fmt: skip
+
+
+@wp.func
+def quaternion_of(r: wp.mat33d) -> wp.vec4d:
+    """Unit quaternion wxyz of a rotation matrix (Shepperd's method)."""
+    one = wp.float64(1.0)
+    t = r[0, 0] + r[1, 1] + r[2, 2]
+    q = wp.vec4d(one + t, r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1])
+    best = t
+    if r[0, 0] > best:
+        best = r[0, 0]
+        q = wp.vec4d(q[1], one + r[0, 0] - r[1, 1] - r[2, 2], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0])
+    if r[1, 1] > best:
+        best = r[1, 1]
+        q = wp.vec4d(
+            r[0, 2] - r[2, 0],
+            r[0, 1] + r[1, 0],
+            one + r[1, 1] - r[0, 0] - r[2, 2],
+            r[1, 2] + r[2, 1],
+        )
+    if r[2, 2] > best:
+        q = wp.vec4d(
+            r[1, 0] - r[0, 1],
+            r[0, 2] + r[2, 0],
+            r[1, 2] + r[2, 1],
+            one + r[2, 2] - r[0, 0] - r[1, 1],
+        )
+    return q / wp.length(q)
+
+
+@wp.func
+def column(m: wp.mat33d, j: int) -> wp.vec3d:
+    """Column j of a matrix."""
+    return wp.vec3d(m[0, j], m[1, j], m[2, j])
+
+
+@wp.func
+def plane_rotation(a: wp.vec3d, b: wp.vec3d, tolerance: wp.float64) -> wp.vec2d:
+    """Cosine and sine of the turn that makes two columns orthogonal; (1, 0) if they are."""
+    one = wp.float64(1.0)
+    turn = wp.vec2d(one, wp.float64(0.0))
+    p = wp.dot(a, a)
+    q = wp.dot(b, b)
+    c = wp.dot(a, b)
+    if c * c > tolerance * tolerance * p * q:
+        zeta = (q - p) / (wp.float64(2.0) * c)
+        t = one / (wp.abs(zeta) + wp.sqrt(one + zeta * zeta))
+        if zeta < wp.float64(0.0):
+            t = -t
+        cosine = one / wp.sqrt(one + t * t)
+        turn = wp.vec2d(cosine, cosine * t)
+    return turn
+
+
+@wp.func
+def orthogonal_columns(a: wp.mat33d, v: wp.mat33d, tolerance: wp.float64):
+    """(A W, V W) for the rotation W that makes the columns of A W orthogonal."""
+    zero = wp.float64(0.0)
+    a0, a1, a2 = column(a, 0), column(a, 1), column(a, 2)
+    v0, v1, v2 = column(v, 0), column(v, 1), column(v, 2)
+    turning = int(1)
+    sweep = int(0)
+    while turning == 1 and sweep < SWEEPS:
+        turning = int(0)
+        sweep += 1
+        t = plane_rotation(a0, a1, tolerance)
+        if t[1] != zero:
+            turning = int(1)
+            e = t[0] * a0 - t[1] * a1
+            a1 = t[1] * a0 + t[0] * a1
+            a0 = e
+            e = t[0] * v0 - t[1] * v1
+            v1 = t[1] * v0 + t[0] * v1
+            v0 = e
+        t = plane_rotation(a0, a2, tolerance)
+        if t[1] != zero:
+            turning = int(1)
+            e = t[0] * a0 - t[1] * a2
+            a2 = t[1] * a0 + t[0] * a2
+            a0 = e
+            e = t[0] * v0 - t[1] * v2
+            v2 = t[1] * v0 + t[0] * v2
+            v0 = e
+        t = plane_rotation(a1, a2, tolerance)
+        if t[1] != zero:
+            turning = int(1)
+            e = t[0] * a1 - t[1] * a2
+            a2 = t[1] * a1 + t[0] * a2
+            a1 = e
+            e = t[0] * v1 - t[1] * v2
+            v2 = t[1] * v1 + t[0] * v2
+            v1 = e
+    return wp.matrix_from_cols(a0, a1, a2), wp.matrix_from_cols(v0, v1, v2)
+
+
+@wp.func
+def across(e: wp.vec3d, wanted: wp.vec3d, spare: wp.vec3d) -> wp.vec3d:
+    """Unit vector orthogonal to the unit vector e, in the plane of e and `wanted`, else `spare`."""
+    u = wanted - wp.dot(e, wanted) * e
+    if wp.length(u) <= wp.float64(1e-3) * wp.length(wanted):
+        u = spare - wp.dot(e, spare) * e
+    return u / wp.length(u)
+
+
+@wp.func
+def orientation(a: wp.mat33d, lengths: wp.vec3d, previous: wp.mat33d) -> wp.mat33d:
+    """Proper rotation along the (nearly) orthogonal columns of A.
+
+    The longest is exact, the shortest is the cross product, whose sign also undoes reflections.
+    Columns without length take the previous axes as far as they can.
+    """
+    i = int(0)
+    if lengths[1] > lengths[i]:
+        i = int(1)
+    if lengths[2] > lengths[i]:
+        i = int(2)
+    j = (i + 1) % 3
+    k = (i + 2) % 3
+    if lengths[k] > lengths[j]:
+        j = (i + 2) % 3
+        k = (i + 1) % 3
+    out = previous
+    # Lengths under 1e-150 cannot be squared and have no direction.
+    if lengths[i] > wp.float64(1e-150):
+        longest = column(a, i) / lengths[i]
+        wanted = column(a, j)
+        if lengths[j] <= wp.float64(1e-15) * lengths[i]:
+            wanted = column(previous, j)
+        middle = across(longest, wanted, across(longest, column(previous, k), column(previous, i)))
+        shortest = wp.cross(longest, middle)
+        if j == (i + 2) % 3:
+            shortest = -shortest
+        for r in range(3):
+            out[r, i] = longest[r]
+            out[r, j] = middle[r]
+            out[r, k] = shortest[r]
+    return out
+
+
+@wp.func
+def nearest_labels(u: wp.mat33d, previous: wp.mat33d) -> wp.mat33d:
+    """The signed permutation W, of the 24 proper ones, that brings U W nearest to `previous`."""
+    one = wp.float64(1.0)
+    m = wp.transpose(previous) * u
+    best = wp.identity(n=3, dtype=wp.float64)
+    if m[0, 0] + m[1, 1] + m[2, 2] < IDENTITY_ZONE:
+        top = wp.float64(-4.0)
+        for choice in range(6):
+            odd = choice / 3
+            p0 = choice % 3
+            p1 = (p0 + 1 + odd) % 3
+            p2 = (p0 + 2 - odd) % 3
+            d = wp.vec3d(m[0, p0], m[1, p1], m[2, p2])
+            s = wp.vec3d(wp.sign(d[0]), wp.sign(d[1]), wp.sign(d[2]))
+            parity = one - wp.float64(2.0) * wp.float64(odd)
+            if s[0] * s[1] * s[2] * parity < wp.float64(0.0):
+                weak = int(0)
+                if wp.abs(d[1]) < wp.abs(d[weak]):
+                    weak = int(1)
+                if wp.abs(d[2]) < wp.abs(d[weak]):
+                    weak = int(2)
+                s[weak] = -s[weak]
+            trace = wp.dot(s, d)
+            if trace > top:
+                top = trace
+                best = wp.mat33d()
+                best[p0, 0] = s[0]
+                best[p1, 1] = s[1]
+                best[p2, 2] = s[2]
+    return best
+
+
+@wp.kernel(module=MODULE, enable_backward=False)
+def deform_shapes(
+    # rest
+    carrier: wp.array(dtype=wp.int32),
+    quats0: wp.array(dtype=wp.vec4f),
+    scales0: wp.array(dtype=wp.vec3f),
+    # state in
+    deformation: wp.array(dtype=wp.mat33d),
+    # scalars
+    max_stretch: wp.float64,
+    # previous frame in, this frame out
+    inner: wp.array(dtype=wp.vec4f),
+    quats: wp.array(dtype=wp.vec4f),
+    scales: wp.array(dtype=wp.vec3f),
+):
+    """One frame: Sigma_t = F Sigma0 F^T as quaternion and scales."""
+    i = wp.tid()
+    s0 = wp.vec3d(scales0[i])
+    last = wp.vec4d(quats[i])
+    previous = matrix_of(last)
+    v = matrix_of(wp.vec4d(inner[i]))
+    a = deformation[carrier[i]] * matrix_of(wp.vec4d(quats0[i])) * wp.diag(s0) * v
+    a, v = orthogonal_columns(a, v, TOLERANCE)
+    lengths = wp.vec3d(wp.length(column(a, 0)), wp.length(column(a, 1)), wp.length(column(a, 2)))
+    u = orientation(a, lengths, previous)
+    labels = nearest_labels(u, previous)
+    q = quaternion_of(u * labels)
+    if wp.dot(q, last) < wp.float64(0.0):
+        q = -q
+    limit = wp.min(LARGEST, max_stretch * wp.max(s0))
+    lengths = wp.transpose(labels) * lengths
+    s = wp.vec3f()
+    for k in range(3):
+        s[k] = wp.float32(wp.min(wp.abs(lengths[k]), limit))
+    inner[i] = wp.vec4f(quaternion_of(v * labels))
+    quats[i] = wp.vec4f(q)
+    scales[i] = s
+
+
+@wp.kernel(module=MODULE, enable_backward=False)
+def turn_of_material(
+    # rest
+    carrier: wp.array(dtype=wp.int32),
+    # state in
+    deformation: wp.array(dtype=wp.mat33d),
+    # previous frame in, this frame out
+    rotations: wp.array(dtype=wp.vec4f),
+):
+    """Rotation nearest to F (its polar part where det F > 0)."""
+    i = wp.tid()
+    last = wp.vec4d(rotations[i])
+    a, v = orthogonal_columns(deformation[carrier[i]], wp.identity(n=3, dtype=wp.float64), EXACT)
+    lengths = wp.vec3d(wp.length(column(a, 0)), wp.length(column(a, 1)), wp.length(column(a, 2)))
+    u = orientation(a, lengths, matrix_of(last) * v)
+    q = quaternion_of(u * wp.transpose(v))
+    if wp.dot(q, last) < wp.float64(0.0):
+        q = -q
+    rotations[i] = wp.vec4f(q)
+
+
+@wp.kernel(module=MODULE, enable_backward=False)
+def carry(
+    # rest
+    neighbours: wp.array2d(dtype=wp.int32),
+    weights: wp.array2d(dtype=wp.float32),
+    means0: wp.array(dtype=wp.vec3f),
+    rest: wp.array(dtype=wp.vec3f),
+    # state in
+    position: wp.array(dtype=wp.vec3d),
+    deformation: wp.array(dtype=wp.mat33d),
+    # out
+    means_out: wp.array(dtype=wp.vec3f),
+    deformation_out: wp.array(dtype=wp.mat33d),
+):
+    """x_g = sum w_i (x_i + F_i (X_g - X_i)), F_g = sum w_i F_i over the carriers i."""
+    i = wp.tid()
+    home = wp.vec3d(means0[i])
+    x = wp.vec3d()
+    f = wp.mat33d()
+    total = wp.float64(0.0)
+    for k in range(neighbours.shape[1]):
+        j = neighbours[i, k]
+        w = wp.float64(weights[i, k])
+        g = deformation[j]
+        x += w * (position[j] + g * (home - wp.vec3d(rest[j])))
+        f += w * g
+        total += w
+    means_out[i] = wp.vec3f(x / total)
+    deformation_out[i] = f / total

@@ -1,0 +1,25 @@
+"""Gaussians to material particles: cleaning, size, interior, volume, mass.
+
+Two ways to bind them. `particles` is the paper's form (Phy124, arXiv 2409.07179): every Gaussian
+is an MPM particle, and the closed interior is filled with more (as PhysGaussian, arXiv
+2311.12198, does). `field`: a regular lattice through the solid carries the physics and the
+Gaussians ride on it (`phy124.deform`), so their number does not matter to the simulation.
+"""
+
+from phy124.particles.cleaning import Cleaning, bounds, clean, to_size
+from phy124.particles.seeding import BINDINGS, Particles, fill, in_box, make_particles
+from phy124.particles.solid import Solid, solid
+
+__all__ = [
+    "BINDINGS",
+    "Cleaning",
+    "Particles",
+    "Solid",
+    "bounds",
+    "clean",
+    "fill",
+    "in_box",
+    "make_particles",
+    "solid",
+    "to_size",
+]

@@ -1,0 +1,216 @@
+"""The guard before physics: which Gaussians stay, which are repaired, which are dropped.
+
+Every rule is relative to the object itself, so a micrometre and a kilometre are treated alike.
+Rules, in this order:
+
+1. not finite (NaN or inf in any field): dropped;
+2. repaired: a negative scale becomes positive (Sigma is the same), a zero scale becomes
+   `THINNEST` of the Gaussian's longest axis, a zero quaternion becomes the identity, an opacity
+   above 1 becomes 1, any other quaternion is brought to length 1;
+3. invisible (opacity under one step of an 8-bit picture, or no extent at all): dropped;
+4. gigantic (longest axis over `GIGANTIC` of the object's longest side *and* 20 times the median
+   longest axis): dropped;
+5. stray (in a group cut off from the rest by more than about `GAP` of the longest side, or the
+   usual distance of neighbours where that is more, that holds under `STRAY` of all): dropped.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from phy124.errors import InputError
+from phy124.gaussians import Gaussians, rotation_matrices
+
+INVISIBLE = 1 / 255
+THINNEST = 1e-6
+GIGANTIC = 0.5
+STRAY = 1e-3
+GAP = 0.05
+VISIBLE = 0.1
+"""Opacity from which a Gaussian counts as part of the surface."""
+
+
+@dataclass(frozen=True)
+class Cleaning:
+    """What `clean` did: numbers of Gaussians."""
+
+    given: int
+    not_finite: int = 0
+    invisible: int = 0
+    gigantic: int = 0
+    stray: int = 0
+    repaired_scales: int = 0
+    repaired_quats: int = 0
+    repaired_opacities: int = 0
+
+    @property
+    def dropped(self) -> int:
+        """How many were left out."""
+        return self.not_finite + self.invisible + self.gigantic + self.stray
+
+    @property
+    def kept(self) -> int:
+        """How many stayed."""
+        return self.given - self.dropped
+
+    @property
+    def sentences(self) -> list[str]:
+        """One sentence per rule that acted, for the report."""
+        texts = {
+            "not_finite": "had NaN or infinite values and were dropped",
+            "invisible": "were invisible (opacity under 1/255 or no extent) and were dropped",
+            "gigantic": "were larger than half the object and were dropped",
+            "stray": "floated apart from the object and were dropped",
+            "repaired_scales": "had negative or zero scales, which were repaired",
+            "repaired_quats": "had a quaternion of length zero, replaced by no rotation",
+            "repaired_opacities": "had an opacity above 1, replaced by 1",
+        }
+        counts = {name: getattr(self, name) for name in texts}
+        return [f"{n} of {self.given} Gaussians {texts[k]}." for k, n in counts.items() if n]
+
+
+def clean(gaussians: Gaussians) -> tuple[Gaussians, Cleaning]:
+    """Gaussians fit for physics and for rendering, and the count of what was done.
+
+    The order of those that stay is kept; coincident Gaussians are fine. Raises InputError if
+    nothing visible is left.
+    """
+    given = len(gaussians)
+    finite = _finite(gaussians)
+    usable, repairs = _repair(gaussians.select(finite))
+    visible = (usable.opacities >= INVISIBLE) & (usable.scales.max(axis=1, initial=0) > 0)
+    usable = usable.select(visible)
+    huge = _gigantic(usable)
+    usable = usable.select(~huge)
+    stray = _stray(usable)
+    usable = usable.select(~stray)
+    if len(usable) == 0:
+        raise InputError(
+            "gaussians",
+            f"{given} Gaussians",
+            "none of them is finite and visible, so there is no object to move.",
+            "Check the file, or try another picture or generator.",
+        )
+    return usable, Cleaning(
+        given=given,
+        not_finite=int((~finite).sum()),
+        invisible=int((~visible).sum()),
+        gigantic=int(huge.sum()),
+        stray=int(stray.sum()),
+        **repairs,
+    )
+
+
+def bounds(gaussians: Gaussians) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Corners [3], [3] m of the box of the object: one standard deviation around the centres.
+
+    The outermost 0.1 % of the opacity on either side is left out, so that a few faint
+    Gaussians do not decide the size. Over 200,000 Gaussians, an even subset decides.
+    """
+    some = gaussians.select(np.arange(0, len(gaussians), 1 + len(gaussians) // 200_000))
+    reach = np.sqrt(np.einsum("nii->ni", some.covariances()))
+    means = some.means.astype(np.float64)
+    low = _quantile(means - reach, some.opacities, 0.001)
+    high = -_quantile(-means - reach, some.opacities, 0.001)
+    return low, high
+
+
+def to_size(gaussians: Gaussians, size: float, *, ground: bool = True) -> Gaussians:
+    """The object brought to metres: its longest side is `size` m, centred in x and y.
+
+    With `ground` its lowest visible point (one standard deviation below a centre of opacity 0.1
+    or more) is at z = 0, otherwise it is centred in z too. Raises InputError for a size that is
+    not positive.
+    """
+    if not (np.isfinite(size) and size > 0):
+        raise InputError(
+            "size", size, "the longest side must be a positive length.", "Give metres, as 1.0."
+        )
+    low, high = bounds(gaussians)
+    scale = size / (high - low).max()
+    offset = -scale * (low + high) / 2
+    if ground:
+        offset[2] = -scale * _lowest(gaussians)
+    return gaussians.moved(scale, offset)
+
+
+def _finite(gaussians: Gaussians) -> NDArray[np.bool_]:
+    keep = np.ones(len(gaussians), bool)
+    for name in ("means", "quats", "scales", "opacities", "sh"):
+        keep &= np.isfinite(getattr(gaussians, name).reshape(len(gaussians), -1)).all(axis=1)
+    return keep
+
+
+def _repair(gaussians: Gaussians) -> tuple[Gaussians, dict[str, int]]:
+    scales = np.abs(gaussians.scales)
+    scales = np.maximum(scales, THINNEST * scales.max(axis=1, keepdims=True))
+    length = np.linalg.norm(gaussians.quats.astype(np.float64), axis=1, keepdims=True)
+    off = np.abs(length[:, 0] - 1) > 1e-6
+    zero = length[:, 0] == 0
+    quats = gaussians.quats.copy()
+    quats[off] /= np.where(length[off] == 0, 1, length[off])
+    quats[zero] = (1, 0, 0, 0)
+    opacities = np.minimum(gaussians.opacities, 1)
+    counts = {
+        "repaired_scales": int((scales != gaussians.scales).any(axis=1).sum()),
+        "repaired_quats": int(zero.sum()),
+        "repaired_opacities": int((opacities != gaussians.opacities).sum()),
+    }
+    return Gaussians(gaussians.means, quats, scales, opacities, gaussians.sh), counts
+
+
+def _gigantic(gaussians: Gaussians) -> NDArray[np.bool_]:
+    if len(gaussians) == 0:
+        return np.zeros(0, bool)
+    longest = gaussians.scales.max(axis=1).astype(np.float64)
+    low = _quantile(gaussians.means, gaussians.opacities, 0.001)
+    high = -_quantile(-gaussians.means, gaussians.opacities, 0.001)
+    return (longest > GIGANTIC * (high - low).max()) & (longest > 20 * np.median(longest))
+
+
+def _stray(gaussians: Gaussians) -> NDArray[np.bool_]:
+    """Groups of connected cells of a coarse grid that hold next to nothing."""
+    if len(gaussians) * STRAY < 1:
+        return np.zeros(len(gaussians), bool)
+    means = gaussians.means.astype(np.float64)
+    low = _quantile(means, gaussians.opacities, 0.005)
+    high = -_quantile(-means, gaussians.opacities, 0.005)
+    side = (high - low).max()
+    if side == 0:
+        return np.zeros(len(gaussians), bool)
+    # N points on a surface are about side / sqrt(N) apart; random gaps are a few times wider.
+    cell = max(GAP / 2, 4 / np.sqrt(len(means)))
+    # Whatever lies further out than half the object is gathered in the outermost cells.
+    cells = np.clip((means - low) / side, -0.5, (high - low) / side + 0.5) / cell
+    index = np.floor(cells - cells.min(axis=0)).astype(np.int64)
+    shape = tuple(index.max(axis=0) + 1)
+    flat = np.ravel_multi_index(tuple(index.T), shape)
+    occupied = (np.bincount(flat, minlength=int(np.prod(shape))) > 0).reshape(shape)
+    groups, count = ndimage.label(occupied, np.ones((3, 3, 3)))  # pyright: ignore
+    group = groups.ravel()[flat]
+    members = np.bincount(group, minlength=count + 1)
+    return members[group] < STRAY * len(gaussians)
+
+
+def _quantile(values: NDArray, weights: NDArray, share: float) -> NDArray[np.float64]:
+    """Per column of `values` [N,3]: the value below which `share` of the weight lies."""
+    values = np.asarray(values, dtype=np.float64)
+    order = np.argsort(values, axis=0)
+    total = np.cumsum(weights.astype(np.float64)[order], axis=0)
+    first = (total <= share * total[-1]).sum(axis=0)
+    return values[order[np.minimum(first, len(values) - 1), range(3)], range(3)]
+
+
+def _lowest(gaussians: Gaussians) -> float:
+    """Height of the lowest visible point."""
+    visible = gaussians.opacities >= VISIBLE
+    some = gaussians.select(visible) if visible.any() else gaussians
+    z = some.means[:, 2].astype(np.float64)
+    # Only Gaussians whose longest axis reaches below the lowest centre can be the lowest.
+    near = z - some.scales.max(axis=1) <= z.min()
+    axes = rotation_matrices(some.quats[near])[:, 2] * some.scales[near]
+    return float((z[near] - np.linalg.norm(axes, axis=1)).min())

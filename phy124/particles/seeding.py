@@ -1,0 +1,197 @@
+"""Where the particles are put, and the volume each one stands for.
+
+Volumes: the solid's volume in each lattice cell is shared evenly by the particles in it; cells
+without particles give theirs to the nearest one. The sum is the volume of the solid. A particle
+amid 500 surface Gaussians gets little, yet the MPM stays stable: its limit depends on stiffness
+and density, not on the volume.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from phy124.errors import InputError
+from phy124.gaussians import Gaussians
+from phy124.particles.solid import Solid, solid
+
+BINDINGS = ("particles", "field")
+MAX_PARTICLES = 8_000_000
+SMALLEST = 0.01
+"""Least volume of a particle, as a part of the mean."""
+
+
+@dataclass(frozen=True, eq=False)
+class Particles:
+    """P material points at rest, sorted so that neighbours in space are close in memory."""
+
+    x: NDArray[np.float32]
+    """Positions [P,3], m."""
+    volume: NDArray[np.float64]
+    """Volumes [P], m^3; their sum is the volume of the object."""
+    density: NDArray[np.float64]
+    """Densities [P], kg/m^3."""
+    material: NDArray[np.int32]
+    """Index of the material [P]."""
+    gaussian: NDArray[np.int32]
+    """The Gaussian that this particle is [P]; -1: interior filler or lattice particle."""
+
+    def __len__(self) -> int:
+        return len(self.x)
+
+    @property
+    def mass(self) -> NDArray[np.float64]:
+        """Masses [P], kg."""
+        return self.volume * self.density
+
+
+def make_particles(
+    gaussians: Gaussians,
+    *,
+    density: float,
+    spacing: float,
+    binding: str = "particles",
+    material: int = 0,
+) -> Particles:
+    """Particles for clean Gaussians in metres (`clean`, `to_size`).
+
+    Args:
+        gaussians: The object, N Gaussians.
+        density: Mass density, kg/m^3.
+        spacing: Distance of neighbouring particles, m: grid spacing / particles per cell and axis.
+        binding: `particles`: each Gaussian and the fillers; `field`: the lattice alone.
+        material: Index given to all particles.
+
+    Raises:
+        InputError: a number is not positive, the binding is unknown, or the spacing so fine that
+            the object would take more than `MAX_PARTICLES` particles.
+    """
+    _check(density, spacing, binding)
+    shape = solid(gaussians, spacing)
+    lattice = _lattice(shape, spacing)
+    if binding == "particles":
+        lattice = _apart(lattice, gaussians.means, 0.5 * spacing)
+        x = np.concatenate([gaussians.means, lattice])
+        owner = np.concatenate([np.arange(len(gaussians)), np.full(len(lattice), -1)])
+    else:
+        x = np.concatenate([lattice, _carriers(gaussians, lattice, spacing)])
+        owner = np.full(len(x), -1)
+    x = x.astype(np.float32)
+    order = _by_cell(x, 2 * spacing)
+    x, owner = x[order], owner[order]
+    return Particles(
+        x=x,
+        volume=_volumes(x, shape, spacing),
+        density=np.full(len(x), float(density)),
+        material=np.full(len(x), material, np.int32),
+        gaussian=owner.astype(np.int32),
+    )
+
+
+def fill(gaussians: Gaussians, spacing: float) -> NDArray[np.float64]:
+    """Points [M,3] m of the lattice (i + 1/2) * spacing inside the closed shape; M may be 0."""
+    _check(1.0, spacing, BINDINGS[0])
+    return _lattice(solid(gaussians, spacing), spacing)
+
+
+def in_box(x: NDArray, low: NDArray, high: NDArray) -> NDArray[np.bool_]:
+    """Which points [P,3] lie in the box from `low` [3] to `high` [3], borders included, m."""
+    return ((x >= np.asarray(low)) & (x <= np.asarray(high))).all(axis=1)
+
+
+def _check(density: float, spacing: float, binding: str) -> None:
+    for name, value, unit in (("density", density, "kg/m^3"), ("spacing", spacing, "m")):
+        if not (np.isfinite(value) and value > 0):
+            limit = f"it must be a positive number [{unit}]."
+            raise InputError(name, value, limit, f"Give a positive {name}.")
+    if binding not in BINDINGS:
+        limit = f"there is no such binding; there are {' and '.join(BINDINGS)}."
+        raise InputError("binding", binding, limit, "Choose one of these.")
+
+
+def _lattice(shape: Solid, spacing: float) -> NDArray[np.float64]:
+    inside = np.argwhere(shape.fraction > 0)
+    low = (inside.min(axis=0) + shape.first) * shape.voxel / spacing
+    high = (inside.max(axis=0) + 1 + shape.first) * shape.voxel / spacing
+    if shape.volume / spacing**3 > MAX_PARTICLES:
+        raise InputError(
+            "spacing",
+            f"{spacing:.3g} m",
+            f"the object would take {shape.volume / spacing**3:,.0f} particles, "
+            f"the limit is {MAX_PARTICLES:,}.",
+            "Choose a coarser grid (a lower accuracy) or fewer particles per cell.",
+        )
+    planes = [
+        np.arange(np.floor(a + 1e-9), np.ceil(b - 1e-9)) for a, b in zip(low, high, strict=True)
+    ]
+    found = [np.zeros((0, 3))]
+    for i in planes[0]:  # plane by plane: the box may hold far more points than the object
+        points = np.stack(np.meshgrid([i], planes[1], planes[2], indexing="ij"), axis=-1)
+        points = (points.reshape(-1, 3) + 0.5) * spacing
+        found.append(points[shape.contains(points)])
+    return np.concatenate(found)
+
+
+def _apart(points: NDArray, others: NDArray, distance: float) -> NDArray:
+    """The points that have none of the others within `distance`."""
+    if len(points) == 0:
+        return points
+    nearest, _ = cKDTree(others).query(points, distance_upper_bound=distance, workers=-1)
+    return points[np.isinf(nearest)]
+
+
+def _carriers(gaussians: Gaussians, lattice: NDArray, spacing: float) -> NDArray[np.float64]:
+    """One particle per lattice cell at the Gaussians that the lattice misses: thin parts."""
+    missed = gaussians.means.astype(np.float64)
+    if len(lattice):
+        missed = _apart(missed, lattice, spacing)
+    cells = np.floor(missed / spacing).astype(np.int64)
+    _, which, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
+    which = which.reshape(-1)
+    sums = [np.bincount(which, missed[:, k], minlength=len(count)) for k in range(3)]
+    return np.stack(sums, axis=1) / count[:, None]
+
+
+def _by_cell(x: NDArray, side: float) -> NDArray[np.int64]:
+    """Order of the particles by cells of the given side, x slowest."""
+    cells = np.floor((x - x.min(axis=0)) / side).astype(np.int64)
+    return np.lexsort(cells.T[::-1])
+
+
+def _volumes(x: NDArray[np.float32], shape: Solid, spacing: float) -> NDArray[np.float64]:
+    side = max(spacing, shape.voxel)
+    cells, room = _room_per_cell(shape, side)
+    own = np.floor(x / side + 1e-6).astype(np.int64)
+    low = np.minimum(cells.min(axis=0), own.min(axis=0))
+    size = np.maximum(cells.max(axis=0), own.max(axis=0)) - low + 1
+    cell_key = np.ravel_multi_index(tuple((cells - low).T), tuple(size))
+    keys, which, count = np.unique(
+        np.ravel_multi_index(tuple((own - low).T), tuple(size)),
+        return_inverse=True,
+        return_counts=True,
+    )
+    place = np.minimum(np.searchsorted(keys, cell_key), len(keys) - 1)
+    empty = keys[place] != cell_key
+    volume = np.bincount(place[~empty], room[~empty], minlength=len(keys))[which] / count[which]
+    if empty.any():
+        _, nearest = cKDTree(x).query((cells[empty] + 0.5) * side, workers=-1)
+        volume += np.bincount(nearest, room[empty], minlength=len(x))
+    volume = np.maximum(volume, SMALLEST * volume.mean())
+    return volume * (shape.volume / volume.sum())
+
+
+def _room_per_cell(shape: Solid, side: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Lattice cells [L,3] and the volume of the solid in each [L], m^3."""
+    inside = np.argwhere(shape.fraction > 0)
+    per_cell = round(side / shape.voxel)
+    cells = (inside + shape.first) // per_cell
+    part = shape.fraction[tuple(inside.T)].astype(np.float64) * shape.voxel**3
+    low = cells.min(axis=0)
+    size = tuple(cells.max(axis=0) - low + 1)
+    flat = np.ravel_multi_index(tuple((cells - low).T), size)
+    keys, which = np.unique(flat, return_inverse=True)
+    cells = np.stack(np.unravel_index(keys, size), axis=1) + low
+    return cells, np.bincount(which, part)

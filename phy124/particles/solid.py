@@ -1,0 +1,269 @@
+"""The solid that a set of Gaussians outlines: what is inside, and how much of each voxel.
+
+The Gaussians may be a shell of flat discs with gaps, a fuzzy cloud, thin sheets, or all of them.
+How the inside is found:
+
+1. Each Gaussian is sampled within one standard deviation, finely enough for the voxels.
+2. What a flood from outside does not reach is inside. The flood is tried against the samples
+   thickened by r = 1, 2, ... voxels, so gaps up to 2 r are sealed; wide openings are not.
+   Wider seals act only where they enclose a new cavity, so narrow slots stay open elsewhere.
+3. If no seal encloses anything, the shell is open (a missing back or bottom): a voxel is inside
+   if axis-parallel rays meet the shell in five of the six directions.
+4. A voxel at the surface counts only by the part below the local surface: the plane at the
+   samples' upper edge along the outward normal. This makes volumes accurate far below the voxel.
+
+Voxels are the particle spacing times or divided by a whole number, aligned with the particle
+lattice (i + 1/2) * spacing. Time and memory are bounded by `MAX_VOXELS` and `MAX_SAMPLES`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from phy124.gaussians import Gaussians, rotation_matrices
+from phy124.particles.cleaning import VISIBLE
+
+Mask = NDArray[np.bool_]
+
+MAX_VOXELS = 4_000_000
+MAX_SAMPLES = 6_000_000
+ACROSS = 48
+"""Voxels along the longest side, at least, unless the Gaussians are too sparse for that."""
+SEAL = 0.065
+"""Half the widest gap that is sealed, as a part of the longest side."""
+CONNECTED = 6
+"""Occupied neighbours of 26 that a voxel of a surface or of a cloud has on average, at least."""
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """The part of space that the object takes."""
+
+    first: NDArray[np.int64]
+    """Index [3] of the first voxel: its low corner is at first * voxel."""
+    voxel: float
+    """Side of a voxel, m."""
+    fraction: NDArray[np.float32]
+    """Part of each voxel that is inside [X,Y,Z], 0..1."""
+
+    @property
+    def volume(self) -> float:
+        """Volume, m^3."""
+        return float(self.fraction.sum(dtype=np.float64)) * self.voxel**3
+
+    def contains(self, points: NDArray) -> Mask:
+        """Whether points [M,3] m are inside (interpolated fraction over one half)."""
+        at = np.asarray(points, dtype=np.float64) / self.voxel - self.first - 0.5
+        return ndimage.map_coordinates(self.fraction, at.T, order=1) > 0.5
+
+
+def solid(gaussians: Gaussians, spacing: float) -> Solid:
+    """Find the solid outlined by clean Gaussians, for particles `spacing` m apart."""
+    opaque = gaussians.opacities >= VISIBLE
+    some = gaussians.select(opaque) if opaque.any() else gaussians
+    grid = _voxelise(some, spacing)
+    region, outside = _inside(grid.occupied, grid.across)
+    fraction = region.astype(np.float32)
+    _trim_surface(fraction, region, outside, grid)
+    return Solid(grid.first, grid.voxel, fraction)
+
+
+@dataclass(frozen=True, eq=False)
+class _Voxels:
+    """Samples of the Gaussians on a voxel grid."""
+
+    first: NDArray[np.int64]
+    voxel: float
+    across: float
+    points: NDArray[np.float32]
+    """Samples [S,3] in voxels from the low corner of the grid."""
+    thickness: NDArray[np.float32]
+    """Twice the thinnest axis of each sample's Gaussian [S], in voxels."""
+    occupied: Mask
+
+
+def _voxelise(gaussians: Gaussians, spacing: float) -> _Voxels:
+    """The finest admissible grid on which the samples hang together; else the finest of all."""
+    extent = _extent(gaussians)
+    finest = None
+    for voxel in _voxel_sizes(spacing, extent):
+        if not _admissible(gaussians, voxel, extent):
+            continue
+        grid = _rasterise(gaussians, voxel, extent)
+        finest = finest or grid
+        if _neighbours(grid.occupied) >= CONNECTED:
+            return grid
+        if voxel > 4 * finest.voxel:
+            break
+    if finest is None:
+        raise RuntimeError("no voxel size was admissible")
+    return finest
+
+
+def _voxel_sizes(spacing: float, extent: NDArray) -> Iterator[float]:
+    """Sizes from fine to coarse: spacing / n, then spacing * n."""
+    longest = float(extent.max())
+    n = int(np.ceil(spacing * ACROSS / longest))
+    while n > 1:
+        yield spacing / n
+        n = min(n - 1, int(n / 1.25))
+    n = 1
+    # Far finer lattices than the grid can be are skipped in one step.
+    n = max(n, int(longest / (4 * MAX_VOXELS ** (1 / 3)) / spacing))
+    while True:
+        yield spacing * n
+        n = max(n + 1, int(n * 1.25))
+
+
+def _extent(gaussians: Gaussians) -> NDArray[np.float64]:
+    reach = gaussians.scales.max(axis=1, keepdims=True).astype(np.float64)
+    means = gaussians.means.astype(np.float64)
+    return (means + reach).max(axis=0) - (means - reach).min(axis=0)
+
+
+def _margin(across: float) -> int:
+    return int(np.ceil(SEAL * across)) + 3
+
+
+def _admissible(gaussians: Gaussians, voxel: float, extent: NDArray) -> bool:
+    cells = np.ceil(extent / voxel) + 1 + 2 * _margin(extent.max() / voxel)
+    if cells.prod() > MAX_VOXELS:
+        return False
+    return float(_samples_per_axis(gaussians, voxel).prod(axis=1).sum()) <= MAX_SAMPLES
+
+
+def _samples_per_axis(gaussians: Gaussians, voxel: float) -> NDArray[np.float64]:
+    """Odd numbers [N,3]: one for an axis that cannot leave the voxel, else one per voxel."""
+    sigma = gaussians.scales.astype(np.float64) / voxel
+    return np.where(sigma > 0.25, 2 * np.ceil(sigma) + 1, 1)
+
+
+def _rasterise(gaussians: Gaussians, voxel: float, extent: NDArray) -> _Voxels:
+    across = float(extent.max() / voxel)
+    points, owner = _sample(gaussians, voxel)
+    cells = np.floor(points.min(axis=0)).astype(np.int64)
+    first = cells - _margin(across)
+    points = (points - first).astype(np.float32)
+    shape = np.floor(points.max(axis=0)).astype(np.int64) + 1 + _margin(across)
+    occupied = np.zeros(shape, bool)
+    occupied[tuple(points.astype(np.int32).T)] = True
+    thickness = 2 * gaussians.scales.min(axis=1)[owner] / np.float32(voxel)
+    return _Voxels(first, voxel, across, points, thickness, occupied)
+
+
+def _sample(gaussians: Gaussians, voxel: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Points [S,3] in voxels within one standard deviation, and the Gaussian of each [S]."""
+    counts = _samples_per_axis(gaussians, voxel).astype(np.int64)
+    key = counts @ np.array([1, 10**5, 10**10])
+    points, owners = [], []
+    for value in np.unique(key):
+        members = np.flatnonzero(key == value)
+        unit = _unit_ball(counts[members[0]])
+        centres = gaussians.means[members].astype(np.float64) / voxel
+        if len(unit) > 1:
+            axes = rotation_matrices(gaussians.quats[members])
+            axes *= gaussians.scales[members][:, None, :] / voxel
+            centres = (centres[:, None] + np.einsum("nij,uj->nui", axes, unit)).reshape(-1, 3)
+        points.append(centres)
+        owners.append(np.repeat(members, len(unit)))
+    return np.concatenate(points), np.concatenate(owners)
+
+
+def _unit_ball(counts: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Lattice [U,3] with `counts` points per axis over [-1, 1], within the unit ball."""
+    axes = [np.linspace(-1, 1, n) if n > 1 else np.zeros(1) for n in counts]
+    unit = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    return unit[(unit**2).sum(axis=1) <= 1 + 1e-9]
+
+
+def _neighbours(occupied: Mask) -> float:
+    """Mean number of occupied neighbours of an occupied voxel."""
+    around = ndimage.uniform_filter(occupied.astype(np.float32), 3, mode="constant") * 27 - 1
+    return float(around[occupied].mean())
+
+
+def _inside(occupied: Mask, across: float) -> tuple[Mask, Mask]:
+    """Voxels of the region, and voxels outside; they are each other's complement."""
+    widest = max(1, int(SEAL * across))
+    region, enclosed = occupied.copy(), False
+    for r in sorted({1, 2, 3, widest // 2, widest}):
+        if r > widest:
+            break
+        thick = _dilate(occupied, r)
+        outside = _flood(~thick)
+        sealed = ~_dilate(outside, r)
+        cavity = ~(outside | thick)
+        enclosed |= bool(cavity.any())
+        region |= sealed if r == 1 else _dilate(cavity & ~region, r) & sealed
+    if not enclosed:
+        rays = _between(occupied)
+        if (rays & ~region).sum() > 0.5 * occupied.sum():
+            region |= rays
+    return region, ~region
+
+
+def _flood(free: Mask) -> Mask:
+    """The free voxels connected by faces with the corner of the grid, which is free."""
+    labels, _ = ndimage.label(free)  # pyright: ignore
+    return labels == labels[0, 0, 0]
+
+
+def _between(occupied: Mask) -> Mask:
+    """Voxels from which five of the six axis directions meet an occupied voxel."""
+    hits = np.zeros(occupied.shape, np.uint8)
+    for axis in range(3):
+        hits += np.logical_or.accumulate(occupied, axis=axis)
+        back = np.flip(occupied, axis)
+        hits += np.flip(np.logical_or.accumulate(back, axis=axis), axis)
+    return hits >= 5
+
+
+def _dilate(mask: Mask, radius: int) -> Mask:
+    """Grow by a cube of 2 radius + 1 voxels."""
+    grown = mask.view(np.uint8)
+    for axis in range(3):
+        grown = ndimage.maximum_filter1d(grown, 2 * radius + 1, axis, mode="constant")
+    return grown.view(bool)
+
+
+def _trim_surface(
+    fraction: NDArray[np.float32], region: Mask, outside: Mask, grid: _Voxels
+) -> None:
+    """Set the fractions of the surface voxels that hold samples."""
+    surface = region & _dilate(outside, 1)
+    at = grid.points.astype(np.int32)
+    here = surface[tuple(at.T)]
+    at, points = at[here], grid.points[here]
+    voxels, which = np.unique(np.ravel_multi_index(tuple(at.T), region.shape), return_inverse=True)
+    centre = np.stack(np.unravel_index(voxels, region.shape), axis=1)
+    normal, sheet = _normals(region, centre)
+    height = ((points - at - 0.5) * normal[which]).sum(axis=1)
+    count = np.bincount(which)
+    mean = np.bincount(which, height) / count
+    spread = np.sqrt(np.maximum(np.bincount(which, height**2) / count - mean**2, 0))
+    # Samples spread evenly from a to b have mean (a + b) / 2 and deviation (b - a) / sqrt(12).
+    top = mean + np.sqrt(3) * spread
+    part = np.clip(0.5 + top / np.abs(normal).sum(axis=1).clip(1), 0.01, 1)
+    thickness = np.bincount(which, grid.thickness[here]) / count
+    part[sheet] = np.clip(thickness[sheet], 0.1, 1)
+    fraction.ravel()[voxels] = part
+
+
+def _normals(region: Mask, voxels: NDArray) -> tuple[NDArray[np.float64], Mask]:
+    """Outward normals [V,3], and where there is none: outside on both sides, a sheet."""
+    normal = np.zeros((len(voxels), 3))
+    for size in (5, 3):
+        smooth = ndimage.uniform_filter(region.astype(np.float32), size)
+        flat = np.abs(normal).max(axis=1) < 0.25
+        at = voxels[flat]
+        for axis in range(3):
+            step = np.eye(3, dtype=np.int64)[axis]
+            ahead, behind = smooth[tuple((at + step).T)], smooth[tuple((at - step).T)]
+            normal[flat, axis] = (behind - ahead) * size / 2
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    return normal / np.maximum(length, 1e-9), length[:, 0] < 0.25
