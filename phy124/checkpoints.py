@@ -1,0 +1,114 @@
+"""Reading network weights safely and filling a network with them, every tensor or none.
+
+Only safetensors and `torch.load(weights_only=True)` are ever used: neither runs code from the file.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from safetensors import SafetensorError
+
+from phy124.errors import InputError
+
+if TYPE_CHECKING:
+    from torch import Tensor, nn
+
+StateDict = Mapping[str, "Tensor"]
+SHOWN = 3
+"""How many differing tensors a refusal names."""
+
+
+def read_tensors(path: str | os.PathLike[str]) -> dict[str, Tensor]:
+    """All tensors of a .safetensors, .pth, .pt, .ckpt or .bin file, on the CPU.
+
+    Raises InputError if there is no such file, or it is cut short, or of another kind.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(
+            "weights", path, "there is no such file.", "Run `phy124 doctor` to see what is found."
+        )
+    if path.suffix == ".safetensors":
+        from safetensors.torch import load_file
+
+        try:
+            return load_file(path)
+        except SafetensorError as error:
+            raise _unreadable(path, error) from error
+    return _tensors_only(_unpickle(path), path)
+
+
+def _unpickle(path: Path) -> Any:
+    import torch
+
+    try:
+        return torch.load(path, map_location="cpu", weights_only=True)
+    except (pickle.UnpicklingError, EOFError, RuntimeError, ValueError, KeyError) as error:
+        raise _unreadable(path, error) from error
+
+
+def _tensors_only(content: Any, path: Path) -> dict[str, Tensor]:
+    import torch
+
+    if isinstance(content, Mapping) and isinstance(content.get("state_dict"), Mapping):
+        content = content["state_dict"]
+    if not isinstance(content, Mapping):
+        raise _unreadable(path, TypeError("it holds no table of tensors"))
+    return {str(k): v for k, v in content.items() if isinstance(v, torch.Tensor)}
+
+
+def _unreadable(path: Path, error: Exception) -> InputError:
+    reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+    return InputError(
+        "weights",
+        path,
+        f"the file cannot be read as tensors; it is cut short or of another kind ({reason}).",
+        "Expected is a safetensors file or a plain PyTorch state dict; fetch it again "
+        "(`phy124 doctor` names the command).",
+    )
+
+
+def without_prefix(tensors: StateDict, prefix: str) -> dict[str, Tensor]:
+    """The tensors whose name starts with `prefix`, without it; all of them if none does."""
+    found = {k[len(prefix) :]: v for k, v in tensors.items() if k.startswith(prefix)}
+    return found or dict(tensors)
+
+
+def fill(module: nn.Module, tensors: StateDict, name: str) -> None:
+    """Give `module` (which may live on the meta device) exactly these tensors.
+
+    Raises InputError naming what is missing, left over, or of another shape.
+    """
+    wanted = {k: tuple(v.shape) for k, v in module.state_dict().items()}
+    given = {k: tuple(v.shape) for k, v in tensors.items()}
+    missing = [k for k in wanted if k not in given]
+    extra = [k for k in given if k not in wanted]
+    shapes = [
+        f"{k} is {list(given[k])}, wanted {list(wanted[k])}"
+        for k in wanted
+        if k in given and given[k] != wanted[k]
+    ]
+    if missing or extra or shapes:
+        raise InputError(
+            "weights",
+            f"{len(given)} tensors",
+            f"they are not those of {name}, which has {len(wanted)}: "
+            + "; ".join(_differences(missing, extra, shapes))
+            + ".",
+            "Choose the file that belongs to this network (`phy124 doctor` lists them).",
+        )
+    module.load_state_dict(dict(tensors), strict=True, assign=True)
+
+
+def _differences(missing: list[str], extra: list[str], shapes: list[str]) -> list[str]:
+    kinds = (("missing", missing), ("unknown", extra), ("other shape", shapes))
+    return [
+        f"{len(names)} {kind} ({', '.join(names[:SHOWN])}{', ...' if len(names) > SHOWN else ''})"
+        for kind, names in kinds
+        if names
+    ]

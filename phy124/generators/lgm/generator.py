@@ -1,0 +1,152 @@
+"""LGM as a generator: a cut-out, four views of it, Gaussians in this project's world.
+
+Tang et al. 2024, "LGM". The four views come from ImageDream, or from the user.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn.functional import interpolate
+
+from phy124.errors import InputError
+from phy124.gaussians import Gaussians
+from phy124.generators.lgm.align import four_views, front
+from phy124.generators.lgm.model import LgmModel, Option, load
+from phy124.generators.lgm.rays import four_rays
+from phy124.generators.lgm.rotations import judge, unrotated
+from phy124.generators.orbit import to_world
+from phy124.progress import Progress, silent
+from phy124.weights import require
+
+MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+"""ImageNet's colour statistics, with which the input is normalised."""
+OPACITY_MIN = 0.005
+"""Fainter Gaussians are dropped, as the original does on saving."""
+VIEW_ORDER = (1, 2, 3, 0)
+"""LGM's front is ImageDream's second view."""
+Views = Callable[..., Tensor]
+"""`(image [3,H,W] over white, *, seed, progress) -> views [5,3,256,256]` in ImageDream's order."""
+
+
+class Lgm:
+    """Image to Gaussians; weights are read on the first call and kept.
+
+    `model` and `multiview` may be given ready made, for tests and for other weights; otherwise
+    they are found as `phy124.weights` says. `align` turns the result to the picture
+    (`lgm.align`), at the price of a small rendering every `align_step` degrees and a second pass.
+    """
+
+    def __init__(
+        self,
+        *,
+        weights: str | os.PathLike[str] | None = None,
+        option: str | Option = "big",
+        device: str | None = None,
+        dtype: torch.dtype | None = None,
+        align: bool = False,
+        align_step: int = 1,
+        model: LgmModel | None = None,
+        multiview: Views | None = None,
+    ) -> None:
+        self.weights, self.option = weights, option
+        self.align, self.align_step = align, align_step
+        self.device = device or ("cuda" if torch.cuda.is_available() else "cpu")
+        # Half precision halves memory on a GPU and only slows a CPU down.
+        self.dtype = dtype or (torch.float16 if self.device == "cuda" else torch.float32)
+        self.model, self.multiview = model, multiview
+
+    def __call__(
+        self, image_rgba: NDArray, *, seed: int = 0, progress: Progress = silent
+    ) -> Gaussians:
+        """Gaussians of the cut-out `image_rgba [H,W,4]` (uint8, or 0..1), already recentred.
+
+        Raises InputError if weights are missing, and lets Cancelled pass from `progress`.
+        """
+        image = over_white(image_rgba)
+        self._prepare()
+        assert self.multiview is not None
+        views = self.multiview(image, seed=seed, progress=progress)
+        return self.from_views(views[list(VIEW_ORDER)], image=image, progress=progress)
+
+    def from_views(
+        self, views: Tensor, *, image: Tensor | None = None, progress: Progress = silent
+    ) -> Gaussians:
+        """Gaussians from `views [4,3,H,W]` over white in 0..1: front, then quarter turns.
+
+        `image [3,H,W]` is what alignment compares with; without it there is none.
+        """
+        self._prepare_model()
+        rows, views = self._reconstruct(views, progress)
+        if self.align and image is not None:
+            azimuth = front(rows, image, step=self.align_step, progress=progress)
+            if azimuth:
+                rows, _ = self._reconstruct(four_views(rows, azimuth, views.shape[-1]), progress)
+        return to_gaussians(rows.float().cpu().numpy())
+
+    @torch.inference_mode()
+    def _reconstruct(self, views: Tensor, progress: Progress) -> tuple[Tensor, Tensor]:
+        model = self.model
+        assert model is not None
+        progress("lgm", 0, 1)
+        size = model.option.input_size
+        views = interpolate(
+            views.float().to(self.device), (size, size), mode="bilinear", align_corners=False
+        )
+        rows = model(network_input(views)[None])[0]
+        if model.rotations is None:
+            model.rotations = judge(rows, views)
+        progress("lgm", 1, 1)
+        return (unrotated(rows) if model.rotations == "all" else rows), views
+
+    def _prepare_model(self) -> None:
+        if self.model is None:
+            path = next(iter(require("lgm", self.weights).values()))
+            self.model = load(path, self.option, device=self.device, dtype=self.dtype)
+
+    def _prepare(self) -> None:
+        self._prepare_model()
+        if self.multiview is None:
+            from phy124.generators.imagedream import ImageDream
+
+            self.multiview = ImageDream(weights=self.weights, device=self.device, dtype=self.dtype)
+
+
+def over_white(image_rgba: NDArray) -> Tensor:
+    """Colours [3,H,W] in 0..1 of `image_rgba [H,W,4]` over white.
+
+    Raises InputError if there is no fourth channel, or nothing is opaque.
+    """
+    if image_rgba.ndim != 3 or image_rgba.shape[2] != 4:
+        raise InputError(
+            "image", list(image_rgba.shape), "a cut-out has four channels.", "Cut it out first."
+        )
+    pixels = torch.from_numpy(np.array(image_rgba, dtype=np.float32))
+    if image_rgba.dtype == np.uint8:
+        pixels = pixels / 255
+    if not bool((pixels[..., 3] > 0).any()):
+        raise InputError(
+            "image", "all transparent", "there is no foreground.", "Give a cut-out of an object."
+        )
+    rgb, alpha = pixels[..., :3], pixels[..., 3:]
+    return (rgb * alpha + (1 - alpha)).permute(2, 0, 1)
+
+
+def network_input(views: Tensor) -> Tensor:
+    """Normalised colours and rays [4,9,S,S] of `views [4,3,S,S]` in 0..1."""
+    mean, std = (views.new_tensor(v)[:, None, None] for v in (MEAN, STD))
+    rays = torch.from_numpy(four_rays(views.shape[-1])).to(views)
+    return torch.cat([(views - mean) / std, rays], dim=1)
+
+
+def to_gaussians(rows: NDArray, *, opacity_min: float = OPACITY_MIN) -> Gaussians:
+    """Our Gaussians of LGM's rows [N,14]; those fainter than `opacity_min` are dropped."""
+    rows = rows[rows[:, 3] >= opacity_min]
+    return to_world(
+        Gaussians.from_rgb(rows[:, 0:3], rows[:, 7:11], rows[:, 4:7], rows[:, 3], rows[:, 11:14])
+    )

@@ -1,0 +1,49 @@
+"""What LGM's quaternions mean, where the file does not say.
+
+Both generations of the weights have equal names and shapes. A file of unknown checksum is judged
+by what it makes: drawn into the four views it was given, the right reading fits them better.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from phy124.generators.lgm.model import Rotations
+from phy124.generators.lgm.rays import AZIMUTHS, RADIUS
+from phy124.generators.splatting import orbit_view, rasterize
+
+NOT_ROTATED = (1.0, 0.0, 0.0, 0.0)
+SIDE = 128
+"""Side of the pictures compared, pixels."""
+MARGIN = 0.98
+"""The old reading must fit better than this ratio: the present generation is the usual one."""
+
+
+def unrotated(rows: Tensor) -> Tensor:
+    """Gaussians [N,14] with all quaternions the identity: what the first generation drew."""
+    rows = rows.clone()
+    rows[:, 7:11] = rows.new_tensor(NOT_ROTATED)
+    return rows
+
+
+def judge(rows: Tensor, images: Tensor) -> Rotations:
+    """Which reading of the quaternions in `rows [N,14]` redraws `images [4,3,H,W]` better."""
+    pictures = torch.nn.functional.interpolate(images, (SIDE, SIDE), mode="area")
+    each, none = error(rows, pictures), error(unrotated(rows), pictures)
+    return "all" if none < MARGIN * each else "each"
+
+
+def error(rows: Tensor, pictures: Tensor) -> float:
+    """Mean squared error of the four redrawn views against `pictures [4,3,S,S]` over white."""
+    drawn = [draw(rows, azimuth, pictures.shape[-1]) for azimuth in AZIMUTHS]
+    return float(((torch.stack(drawn) - pictures) ** 2).mean())
+
+
+@torch.no_grad()
+def draw(rows: Tensor, azimuth: float, size: int, *, elevation: float = 0.0) -> Tensor:
+    """Picture [3,S,S] over white of Gaussians [N,14] from LGM's orbit; angles in degrees."""
+    rows = rows.float()
+    view = orbit_view(elevation, azimuth, RADIUS, size)
+    parts = rows[:, 0:3], rows[:, 7:11], rows[:, 4:7], rows[:, 3], rows[:, 11:14]
+    return rasterize(*parts, view, rows.new_ones(3)).rgb.permute(2, 0, 1).clamp(0, 1)

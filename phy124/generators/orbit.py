@@ -1,0 +1,48 @@
+"""Cameras of the generative networks: OpenGL axes, y up, the object's front at +z.
+
+LGM, ImageDream and DreamGaussian were all trained in this world. A *positive* elevation puts the
+camera *below* the object, the opposite of `phy124.camera`; an azimuth of 90 degrees looks at the
+object's left side (+x).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.gaussians import Gaussians
+from phy124.ply import turned
+
+FOV_Y = 49.1
+"""Vertical field of view of all of them, degrees."""
+TO_WORLD = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+"""Rotation from their axes to ours (z up, front +x)."""
+
+
+def orbit(elevation: float, azimuth: float, radius: float) -> NDArray[np.float64]:
+    """Camera to world [4,4]: columns right, up, back, position; angles in degrees."""
+    e, a = math.radians(elevation), math.radians(azimuth)
+    back = np.array([math.cos(e) * math.sin(a), -math.sin(e), math.cos(e) * math.cos(a)])
+    # Straight above or below there is no horizon: the limit of cameras of the same azimuth.
+    right = np.array([math.cos(a), 0.0, -math.sin(a)])
+    matrix = np.eye(4)
+    matrix[:3, :3] = np.stack([right, np.cross(back, right), back], axis=1)
+    matrix[:3, 3] = radius * back
+    return matrix
+
+
+def to_opencv(camera_to_world: NDArray) -> NDArray[np.float64]:
+    """World to camera [4,4] with x right, y down, z forward, from an OpenGL camera to world."""
+    return np.linalg.inv(camera_to_world @ np.diag([1.0, -1.0, -1.0, 1.0]))
+
+
+def focal(height: int, fov_y: float = FOV_Y) -> float:
+    """Focal length in pixels of an image of `height` pixels."""
+    return 0.5 * height / math.tan(0.5 * math.radians(fov_y))
+
+
+def to_world(gaussians: Gaussians) -> Gaussians:
+    """Gaussians of the networks' world (y up, front +z) in ours: (x, y, z) = theirs (z, x, y)."""
+    return turned(gaussians, TO_WORLD)

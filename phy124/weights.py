@@ -1,0 +1,321 @@
+"""Trained weights: which files there are, where they lie, whether they are whole, how to get them.
+
+Nothing is ever downloaded unless `fetch` is called. Files are looked for in a folder the user names
+(`--weights`), then in the folder PHY124_WEIGHTS, then in the Hugging Face cache.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from phy124.errors import InputError
+from phy124.progress import Progress, silent
+
+Verdict = Literal["match", "differs", "unpublished", "missing"]
+BLOCK = 1 << 22
+"""Bytes hashed at a time."""
+
+
+@dataclass(frozen=True)
+class WeightFile:
+    """One public file of a repository on huggingface.co."""
+
+    repo: str
+    path: str
+    """Name inside the repository."""
+    licence: str
+    size: int | None = None
+    """Bytes; None where it is not published."""
+    sha256: str | None = None
+    """None where it is not published; `fetch` then compares with what the server states."""
+
+    @property
+    def command(self) -> str:
+        """The shell command that fetches the file into the Hugging Face cache."""
+        return f"hf download {self.repo} {self.path}"
+
+    @property
+    def expected(self) -> str:
+        """Size and checksum in words."""
+        size = "size not published" if self.size is None else f"{self.size:,} bytes"
+        return f"{size}, sha256 {self.sha256 or 'not published'}"
+
+
+@dataclass(frozen=True)
+class WeightStatus:
+    """What was found of one file."""
+
+    weights: str
+    """Name of the set, as `phy124 weights fetch` takes it."""
+    file: WeightFile
+    found: Path | None
+    looked: tuple[Path, ...]
+    """Every place that was tried, in order."""
+    size: int | None
+    """Bytes on disk."""
+    verdict: Verdict
+
+
+_U2NET = "Apache-2.0 (U-2-Net; no separate statement for the weights)"
+_IPMV = "CreativeML OpenRAIL"
+_ZERO123 = "MIT, as tagged by the repository"
+_MIRROR = "tomjackson2023/rembg"
+_IMAGEDREAM = "ashawkey/imagedream-ipmv-diffusers"
+_ZERO123_REPO = "bennyguo/zero123-xl-diffusers"
+KNOWN: dict[str, tuple[WeightFile, ...]] = {
+    # A mirror of the files at github.com/danielgatis/rembg/releases/tag/v0.0.0, byte for byte.
+    "u2net": (
+        WeightFile(
+            _MIRROR,
+            "u2net.onnx",
+            _U2NET,
+            175_997_641,
+            "8d10d2f3bb75ae3b6d527c77944fc5e7dcd94b29809d47a739a7a728a912b491",
+        ),
+    ),
+    "u2netp": (
+        WeightFile(
+            _MIRROR,
+            "u2netp.onnx",
+            _U2NET,
+            4_574_861,
+            "309c8469258dda742793dce0ebea8e6dd393174f89934733ecc8b14c76f4ddd8",
+        ),
+    ),
+    "lgm": (
+        WeightFile(
+            "ashawkey/LGM",
+            "model_fp16_fixrot.safetensors",
+            "MIT",
+            830_126_160,
+            "744d6324656342c64f871308e73db97f0eb51858d94329b30090e986a6d050ab",
+        ),
+    ),
+    "lgm-fp32": (
+        WeightFile(
+            "ashawkey/LGM",
+            "model_fixrot.safetensors",
+            "MIT",
+            1_660_212_248,
+            "186631d0736c4dd933676be5a47d492d4354f796e18526d174535b1ae96f1335",
+        ),
+    ),
+    "imagedream": (
+        WeightFile(
+            _IMAGEDREAM,
+            "unet/diffusion_pytorch_model.safetensors",
+            _IPMV,
+            1_883_435_904,
+            "28d8b241a54125fa0a041c1818a5dcdb717e6f5270eea1268172acd3ab0238e0",
+        ),
+        WeightFile(
+            _IMAGEDREAM,
+            "image_encoder/model.safetensors",
+            _IPMV,
+            1_261_595_704,
+            "2a56cfd4ffcf40be097c430324ec184cc37187f6dafef128ef9225438a3c03c4",
+        ),
+        WeightFile(_IMAGEDREAM, "text_encoder/model.safetensors", _IPMV, 680_820_392),
+        WeightFile(_IMAGEDREAM, "vae/diffusion_pytorch_model.safetensors", _IPMV, 167_335_342),
+    ),
+    "zero123": tuple(
+        WeightFile(_ZERO123_REPO, path, _ZERO123)
+        for path in (
+            "unet/diffusion_pytorch_model.fp16.safetensors",
+            "vae/diffusion_pytorch_model.fp16.safetensors",
+            "image_encoder/model.fp16.safetensors",
+            "clip_camera_projection/diffusion_pytorch_model.fp16.safetensors",
+        )
+    ),
+    "clip": tuple(
+        WeightFile("laion/CLIP-ViT-B-32-laion2B-s34B-b79K", path, "MIT")
+        for path in ("config.json", "model.safetensors")
+    ),
+}
+"""Sets of files by the name of the part that needs them."""
+
+
+def hub_cache() -> Path:
+    """Folder of the Hugging Face cache, by its own environment variables."""
+    home = os.environ.get("HF_HOME", "~/.cache/huggingface")
+    return Path(os.environ.get("HF_HUB_CACHE", os.path.join(home, "hub"))).expanduser()
+
+
+def places(file: WeightFile, folder: str | os.PathLike[str] | None = None) -> Iterator[Path]:
+    """Where `file` may lie, in order of preference.
+
+    In a plain folder both `NAME` and `REPOSITORY/PATH` are tried, so that one folder can hold
+    several repositories whose files have equal names.
+    """
+    for root in (folder, os.environ.get("PHY124_WEIGHTS")):
+        if root:
+            repository = Path(root).expanduser() / file.repo.rpartition("/")[2]
+            yield repository / file.path
+            if "/" not in file.path:
+                yield Path(root).expanduser() / file.path
+    stored = hub_cache() / ("models--" + file.repo.replace("/", "--")) / "snapshots"
+    snapshots = sorted(stored.glob("*/")) or [stored / "*"]
+    yield from (snapshot / file.path for snapshot in snapshots)
+
+
+def find(file: WeightFile, folder: str | os.PathLike[str] | None = None) -> Path | None:
+    """The first place that holds `file`, or None."""
+    return next((p for p in places(file, folder) if p.is_file()), None)
+
+
+def have(name: str, folder: str | os.PathLike[str] | None = None) -> bool:
+    """Whether all files of a set are there."""
+    return all(find(file, folder) for file in files_of(name))
+
+
+def files_of(name: str) -> tuple[WeightFile, ...]:
+    """Files of a set; raises InputError if there is no set of that name."""
+    if name not in KNOWN:
+        raise InputError(
+            "weights", name, "there are no such weights.", f"Choose one of {', '.join(KNOWN)}."
+        )
+    return KNOWN[name]
+
+
+def require(name: str, folder: str | os.PathLike[str] | None = None) -> dict[str, Path]:
+    """Paths of all files of a set, by their name in the repository.
+
+    Raises InputError if one is missing or has not the published size: it says what was expected,
+    how to fetch it, and which generator needs no weights.
+    """
+    found = {}
+    for file in files_of(name):
+        path = find(file, folder)
+        if path is None:
+            looked = ", ".join(str(p) for p in places(file, folder))
+            raise InputError(
+                "weights",
+                name,
+                f"{file.path} of {file.repo} was not found (looked for {looked}).",
+                f"Run `phy124 weights fetch {name}`, or use the generator `relief`, which "
+                "needs no weights.",
+            )
+        if file.size is not None and path.stat().st_size != file.size:
+            raise _wrong(name, path, f"it has {path.stat().st_size:,} bytes", file)
+        found[file.path] = path
+    return found
+
+
+def _wrong(name: str, path: Path, what: str, file: WeightFile) -> InputError:
+    return InputError(
+        "weights",
+        path,
+        f"the file is cut short or not the public one: {what}, expected {file.expected}.",
+        f"Delete it and run `phy124 weights fetch {name}`.",
+    )
+
+
+def sha256_of(path: str | os.PathLike[str]) -> str:
+    """Checksum of a file, hexadecimal; an absent file is the caller's to refuse."""
+    digest = hashlib.sha256()
+    if Path(path).is_file():
+        with open(path, "rb") as file:
+            while block := file.read(BLOCK):
+                digest.update(block)
+    return digest.hexdigest()
+
+
+def status(
+    folder: str | os.PathLike[str] | None = None, *, check: bool = True
+) -> list[WeightStatus]:
+    """Every known file: where it was found and whether it is whole; for `phy124 doctor`.
+
+    With `check` the checksum of each file found is computed (about a second per gigabyte).
+    """
+    return [
+        _status(name, file, folder, check=check) for name, files in KNOWN.items() for file in files
+    ]
+
+
+def _status(
+    name: str, file: WeightFile, folder: str | os.PathLike[str] | None, *, check: bool
+) -> WeightStatus:
+    looked = tuple(places(file, folder))
+    found = find(file, folder)
+    size = None if found is None else found.stat().st_size
+    return WeightStatus(name, file, found, looked, size, _verdict(file, found, size, check))
+
+
+def _verdict(file: WeightFile, found: Path | None, size: int | None, check: bool) -> Verdict:
+    if found is None:
+        return "missing"
+    if file.size is not None and size != file.size:
+        return "differs"
+    if file.sha256 is None or not check:
+        return "unpublished"
+    return "match" if sha256_of(found) == file.sha256 else "differs"
+
+
+def fetch(
+    name: str,
+    folder: str | os.PathLike[str] | None = None,
+    *,
+    progress: Progress = silent,
+    endpoint: str | None = None,
+) -> list[Path]:
+    """Download a set through huggingface_hub and check it; resumes what was cut short.
+
+    Files go to `folder`, else to PHY124_WEIGHTS, else to the Hugging Face cache; a bar per file
+    is drawn by huggingface_hub. Raises InputError if the name is unknown, the library is missing,
+    the server cannot be reached, or a file differs from the published one (it is then deleted).
+    """
+    files = files_of(name)
+    target = folder or os.environ.get("PHY124_WEIGHTS")
+    paths = []
+    for i, file in enumerate(files):
+        progress(f"fetch {file.repo}/{file.path}", i, len(files))
+        paths.append(_fetch(name, file, Path(target).expanduser() if target else None, endpoint))
+    progress(f"fetch {name}", len(files), len(files))
+    return paths
+
+
+def _fetch(name: str, file: WeightFile, folder: Path | None, endpoint: str | None) -> Path:
+    path, stated = _download(file, folder, endpoint)
+    wanted, size = file.sha256 or stated, path.stat().st_size
+    found = sha256_of(path)
+    if (wanted is not None and found != wanted) or file.size not in (None, size):
+        # In the cache the name is a link to the content: both must go.
+        path.resolve().unlink()
+        path.unlink(missing_ok=True)
+        raise _wrong(name, path, f"it has {size:,} bytes and sha256 {found}", file)
+    return path
+
+
+def _download(
+    file: WeightFile, folder: Path | None, endpoint: str | None
+) -> tuple[Path, str | None]:
+    """Path of the downloaded file, and its sha256 as the server states it (large files only)."""
+    try:
+        from huggingface_hub import get_hf_file_metadata, hf_hub_download, hf_hub_url
+        from huggingface_hub.errors import HfHubHTTPError, LocalEntryNotFoundError
+    except ImportError as error:
+        raise InputError(
+            "weights",
+            file.repo,
+            "the library huggingface_hub is not installed.",
+            "Run `pip install 'phy124[lgm]'`.",
+        ) from error
+    target = None if folder is None else folder / file.repo.rpartition("/")[2]
+    try:
+        url = hf_hub_url(file.repo, file.path, endpoint=endpoint)
+        etag = get_hf_file_metadata(url, endpoint=endpoint).etag or ""
+        path = hf_hub_download(file.repo, file.path, local_dir=target, endpoint=endpoint)
+    except (OSError, HfHubHTTPError, LocalEntryNotFoundError) as error:
+        raise InputError(
+            "weights",
+            f"{file.repo}/{file.path}",
+            f"it could not be fetched ({type(error).__name__}: {str(error).splitlines()[0]}).",
+            "Check the network and run it again; what has arrived is kept. "
+            f"By hand: {file.command}",
+        ) from error
+    return Path(path), etag if len(etag) == 64 else None
