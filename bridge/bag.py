@@ -1,0 +1,131 @@
+"""What makes an MCAP file a ROS 2 bag: channels with quality of service, and metadata.yaml.
+
+A bag is a folder `<name>/` with `<name>_0.mcap` and a metadata.yaml of version 9 (ROS 2 Jazzy),
+or the .mcap file alone, which Jazzy opens as well.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import textwrap
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from . import messages
+from .topics import Topic
+
+if TYPE_CHECKING:
+    from mcap.writer import Writer
+
+SUFFIX = ".mcap"
+METADATA = "metadata.yaml"
+PROFILE = "ros2"
+ENCODING = "cdr"
+RECORD = "phy124"
+"""Name of the MCAP metadata record with the scene, the report and the stream's settings."""
+FOREVER = "\n    sec: 9223372036\n    nsec: 854775807"
+
+
+@dataclass
+class Counts:
+    """What a bag holds, gathered while it is written."""
+
+    topics: dict[str, Topic] = field(default_factory=dict)
+    messages: dict[str, int] = field(default_factory=dict)
+    """Messages by topic name."""
+    start: int | None = None
+    end: int = 0
+    """Times of the first and last message, ns since 1970."""
+
+    def announce(self, topics: list[Topic]) -> None:
+        """List topics of which there may be no message yet."""
+        for topic in topics:
+            self.topics[topic.name] = topic
+            self.messages[topic.name] = 0
+
+    def add(self, topic: Topic, stamp: int) -> None:
+        """Count one message of an announced topic."""
+        self.messages[topic.name] += 1
+        self.start = stamp if self.start is None else min(self.start, stamp)
+        self.end = max(self.end, stamp)
+
+
+def mcap_file(bag: Path) -> Path:
+    """The .mcap file of a bag: the file itself, or the one in the folder."""
+    return bag if bag.suffix == SUFFIX else bag / f"{bag.name}_0{SUFFIX}"
+
+
+def register(writer: Writer, topic: Topic) -> int:
+    """Announce a topic in an MCAP file; returns its channel id."""
+    schema = writer.register_schema(topic.type, "ros2msg", messages.definition(topic.type).encode())
+    about = {
+        "offered_qos_profiles": _qos(topic, numbers=True),
+        "topic_type_hash": messages.HASHES[topic.type],
+    }
+    return writer.register_channel(topic.name, ENCODING, schema, about)
+
+
+def write_metadata(folder: Path, file: str, counts: Counts) -> None:
+    """Write metadata.yaml; it appears whole or not at all, and makes the folder a bag."""
+    temporary = folder / f"{METADATA}.part"
+    with open(temporary, "w") as stream:
+        stream.write(metadata_yaml(file, counts))
+        stream.flush()
+        os.fsync(stream.fileno())
+    os.replace(temporary, folder / METADATA)
+
+
+def metadata_yaml(file: str, counts: Counts) -> str:
+    """The text of metadata.yaml, version 9."""
+    start = counts.start or 0
+    times = (
+        f"duration:\n  nanoseconds: {max(counts.end - start, 0)}\n"
+        f"starting_time:\n  nanoseconds_since_epoch: {start}\n"
+        f"message_count: {sum(counts.messages.values())}\n"
+    )
+    topics = "".join(_topic_entry(counts.topics[n], counts.messages[n]) for n in counts.topics)
+    body = (
+        f"version: 9\nstorage_identifier: mcap\n{times}topics_with_message_count:"
+        + (f"\n{topics}" if topics else " []\n")
+        + "compression_format: ''\ncompression_mode: ''\n"
+        + f"relative_file_paths:\n- {json.dumps(file)}\n"
+        + f"files:\n- path: {json.dumps(file)}\n{_indented(times)}"
+        + "custom_data: ~\nros_distro: jazzy\n"
+    )
+    return f"rosbag2_bagfile_information:\n{_indented(body)}"
+
+
+def _topic_entry(topic: Topic, count: int) -> str:
+    return (
+        "- topic_metadata:\n"
+        f"    name: {topic.name}\n"
+        f"    type: {topic.type}\n"
+        f"    serialization_format: {ENCODING}\n"
+        f"    offered_qos_profiles:\n{_indented(_qos(topic, numbers=False), 6)}"
+        f"    type_description_hash: {messages.HASHES[topic.type]}\n"
+        f"  message_count: {count}\n"
+    )
+
+
+def _qos(topic: Topic, *, numbers: bool) -> str:
+    """A YAML list of one profile; channels hold numbers, metadata.yaml words, as rosbag2 does."""
+    form = 0 if numbers else 1
+    reliability = (1, "reliable") if topic.reliable else (2, "best_effort")
+    durability = (1, "transient_local") if topic.transient_local else (2, "volatile")
+    return (
+        f"- history: {(1, 'keep_last')[form]}\n"
+        f"  depth: {topic.depth}\n"
+        f"  reliability: {reliability[form]}\n"
+        f"  durability: {durability[form]}\n"
+        f"  deadline:{FOREVER}\n"
+        f"  lifespan:{FOREVER}\n"
+        f"  liveliness: {(1, 'automatic')[form]}\n"
+        f"  liveliness_lease_duration:{FOREVER}\n"
+        "  avoid_ros_namespace_conventions: false\n"
+    )
+
+
+def _indented(text: str, spaces: int = 2) -> str:
+    return textwrap.indent(text, " " * spaces)

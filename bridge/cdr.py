@@ -1,0 +1,179 @@
+"""CDR: the bytes of ROS 2 messages, little-endian XCDR version 1 (OMG DDS-XTypes 1.3, 7.4.1).
+
+One encoder for every outlet, driven by the definitions in `messages`. A message is a mapping
+from member names to values; absent members are zero, empty or false, as in ROS. Messages whose
+members are all of one primitive (points, quaternions, colours) may be given as plain sequences.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Mapping
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from .messages import DEFINITIONS, Field, fields
+
+ENCAPSULATION = b"\x00\x01\x00\x00"
+"""Header of a little-endian plain CDR payload."""
+PRIMITIVES = {
+    "bool": "?",
+    "int8": "b",
+    "uint8": "B",
+    "int16": "h",
+    "uint16": "H",
+    "int32": "i",
+    "uint32": "I",
+    "int64": "q",
+    "uint64": "Q",
+    "float32": "f",
+    "float64": "d",
+}
+"""ROS primitive -> `struct` code."""
+NANO = 1_000_000_000
+
+
+def encode(name: str, message: Mapping[str, Any]) -> bytes:
+    """The CDR payload of one message of type `package/msg/Name`, encapsulation included.
+
+    Large `uint8[]` members may be bytes, a memoryview or a contiguous array; they are copied
+    once. Raises KeyError for a member the type does not have, struct.error for a number out of
+    range and ValueError for an array of the wrong length.
+    """
+    body = _Body()
+    _encoder(name)(body, message)
+    return b"".join([ENCAPSULATION, *body.parts])
+
+
+def time(nanoseconds: int) -> dict[str, int]:
+    """A `builtin_interfaces/msg/Time` or Duration of so many nanoseconds."""
+    seconds, rest = divmod(nanoseconds, NANO)
+    return {"sec": seconds, "nanosec": rest}
+
+
+class _Body:
+    """The payload so far: parts to be joined, so that bulk data is copied only once."""
+
+    def __init__(self) -> None:
+        self.parts: list[Any] = []
+        self.size = 0
+
+    def align(self, size: int) -> None:
+        gap = -self.size % size
+        if gap:
+            self.append(b"\x00" * gap)
+
+    def append(self, data: Any) -> None:
+        self.parts.append(data)
+        self.size += data.nbytes if isinstance(data, (np.ndarray, memoryview)) else len(data)
+
+    def pack(self, layout: struct.Struct, align: int, *values: Any) -> None:
+        self.align(align)
+        self.append(layout.pack(*values))
+
+
+Encoder = Callable[[_Body, Any], None]
+_LENGTH = struct.Struct("<I")
+
+
+@cache
+def _encoder(base: str) -> Encoder:
+    """The function that appends one value of a primitive, string or message type."""
+    if base == "string":
+        return _string
+    if base in PRIMITIVES:
+        layout = struct.Struct("<" + PRIMITIVES[base])
+        return lambda body, value: body.pack(layout, layout.size, value)
+    return _message(base)
+
+
+def _string(body: _Body, value: str) -> None:
+    data = value.encode()
+    body.pack(_LENGTH, 4, len(data) + 1)
+    body.append(data + b"\x00")
+
+
+def _message(name: str) -> Encoder:
+    members = [(member.name, _member(member), _zero(member)) for member in fields(name)]
+    known = {member for member, _, _ in members}
+    flat = _flat(name)
+    layout = struct.Struct("<" + "".join(PRIMITIVES[base] for base in flat))
+
+    def encode_message(body: _Body, value: Any) -> None:
+        if not isinstance(value, Mapping):
+            if len(set(flat)) != 1:
+                raise ValueError(f"a {name} is given by member names")
+            body.pack(layout, layout.size // len(flat), *value)
+            return
+        if not value.keys() <= known:
+            raise KeyError(f"{name} has no {sorted(value.keys() - known)}")
+        for member, encoder, zero in members:
+            encoder(body, value.get(member, zero))
+
+    return encode_message
+
+
+def _member(member: Field) -> Encoder:
+    if member.length is None:
+        return _encoder(member.base)
+    if member.base in PRIMITIVES:
+        return _numbers(member)
+    return _sequence(member)
+
+
+def _numbers(member: Field) -> Encoder:
+    """A sequence or array of primitives, copied in one piece."""
+    dtype = np.dtype("<" + PRIMITIVES[member.base])
+
+    def encode_numbers(body: _Body, value: Any) -> None:
+        raw = isinstance(value, (bytes, memoryview))
+        data = value if raw else np.ascontiguousarray(value, dtype)
+        size = data.nbytes if isinstance(data, (np.ndarray, memoryview)) else len(data)
+        _count(body, member, size // dtype.itemsize)
+        if size:
+            body.align(dtype.itemsize)
+            body.append(data)
+
+    return encode_numbers
+
+
+def _sequence(member: Field) -> Encoder:
+    encoder = _encoder(member.base)
+
+    def encode_sequence(body: _Body, value: Any) -> None:
+        _count(body, member, len(value))
+        for element in value:
+            encoder(body, element)
+
+    return encode_sequence
+
+
+def _count(body: _Body, member: Field, count: int) -> None:
+    """Sequences carry their length, arrays must have it."""
+    if member.length == 0:
+        body.pack(_LENGTH, 4, count)
+    elif count != member.length:
+        raise ValueError(f"{member.name} has {count} values, wanted {member.length}")
+
+
+def _zero(member: Field) -> Any:
+    if member.length is not None:
+        return (0,) * member.length
+    if member.base == "string":
+        return ""
+    return {} if member.base in DEFINITIONS else 0
+
+
+def _flat(name: str) -> list[str]:
+    """The primitives of a message in wire order, or nothing if it holds anything else."""
+    found: list[str] = []
+    for member in fields(name):
+        inner = [member.base] if member.base in PRIMITIVES else []
+        if member.base in DEFINITIONS:
+            inner = _flat(member.base)
+        if member.length is not None or not inner:
+            return []
+        found += inner
+    return found

@@ -1,0 +1,105 @@
+"""FrameEncoder: frames in, encoded messages out; the part all sinks share."""
+
+from __future__ import annotations
+
+import logging
+import time
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from phy124.gaussians import Frame
+
+from . import cdr
+from .layout import cloud, evenly
+from .options import Options
+from .topics import ELLIPSOIDS, POINTS, TF_STATIC, Message, Topic
+
+SPHERE = 2
+"""`visualization_msgs/msg/Marker.SPHERE`."""
+THINNEST = 1e-6
+"""Smallest marker diameter, m: RViz refuses zero."""
+log = logging.getLogger(__name__)
+
+
+class FrameEncoder:
+    """Turns frames into messages as `options` say; announces once what it leaves out."""
+
+    def __init__(self, options: Options) -> None:
+        self.options = options
+        seconds = options.epoch
+        self.epoch = time.time_ns() if seconds is None else round(seconds * cdr.NANO)
+        """Time of the clip's start, ns since 1970."""
+        self._announced: set[str] = set()
+
+    @property
+    def topics(self) -> list[Topic]:
+        """What will be published, the static transform first."""
+        static = [TF_STATIC] if self.options.parent_frame else []
+        return [*static, POINTS, *([ELLIPSOIDS] if self.options.ellipsoids else [])]
+
+    def stamp(self, seconds: float) -> int:
+        """Time of an instant of the clip, ns since 1970."""
+        return self.epoch + round(seconds * cdr.NANO)
+
+    def static(self) -> list[Message]:
+        """Messages that are sent once, before all frames."""
+        if not self.options.parent_frame:
+            return []
+        w, x, y, z = self.options.rotation
+        transform = {
+            "header": {"stamp": cdr.time(self.epoch), "frame_id": self.options.parent_frame},
+            "child_frame_id": self.options.frame_id,
+            "transform": {"translation": self.options.translation, "rotation": (x, y, z, w)},
+        }
+        return [_message(TF_STATIC, self.epoch, {"transforms": [transform]})]
+
+    def encode(self, frame: Frame) -> list[Message]:
+        """The messages of one frame; its time counts from the epoch."""
+        stamp = self.stamp(frame.time)
+        header = {"stamp": cdr.time(stamp), "frame_id": self.options.frame_id}
+        shown = self._thinned(frame)
+        messages = [_message(POINTS, stamp, cloud(shown, self.options.profile, header))]
+        if self.options.ellipsoids:
+            messages.append(_message(ELLIPSOIDS, stamp, self._ellipsoids(frame, header)))
+        return messages
+
+    def _thinned(self, frame: Frame) -> Frame:
+        if self.options.profile == "full" and frame.velocities is None:
+            self._announce("The frames have no velocities: vx, vy and vz are NaN.")
+        count, limit = len(frame.gaussians), self.options.max_points
+        which = evenly(count, limit)
+        if which is None:
+            return frame
+        self._announce(f"Sending {limit:,} of {count:,} Gaussians, evenly picked (max_points).")
+        velocities = None if frame.velocities is None else frame.velocities[which]
+        return replace(frame, gaussians=frame.gaussians.select(which), velocities=velocities)
+
+    def _ellipsoids(self, frame: Frame, header: dict[str, Any]) -> dict[str, Any]:
+        gaussians, limit = frame.gaussians, self.options.ellipsoids
+        which = evenly(len(gaussians), limit)
+        if which is not None:
+            self._announce(f"Sending {limit:,} of {len(gaussians):,} Gaussians as ellipsoids.")
+            gaussians = gaussians.select(which)
+        quats = gaussians.quats / np.linalg.norm(gaussians.quats, axis=1, keepdims=True)
+        poses = np.concatenate([gaussians.means, quats[:, [1, 2, 3, 0]]], axis=1).tolist()
+        diameters = 2 * self.options.ellipsoid_radius * gaussians.scales
+        sizes = np.maximum(diameters, THINNEST).tolist()
+        colours = np.concatenate([gaussians.rgb, gaussians.opacities[:, None]], axis=1).tolist()
+        rows = enumerate(zip(poses, sizes, colours, strict=True))
+        same = {"header": header, "ns": self.options.frame_id, "type": SPHERE}
+        markers = [
+            {**same, "id": i, "pose": pose, "scale": size, "color": colour}
+            for i, (pose, size, colour) in rows
+        ]
+        return {"markers": markers}
+
+    def _announce(self, what: str) -> None:
+        if what not in self._announced:
+            self._announced.add(what)
+            log.warning(what)
+
+
+def _message(topic: Topic, stamp: int, content: dict[str, Any]) -> Message:
+    return Message(topic, stamp, cdr.encode(topic.type, content))

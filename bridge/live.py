@@ -1,0 +1,158 @@
+"""Live: play a clip into a sink, or follow a running simulation, listening to commands."""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+
+from phy124.clip import Clip
+from phy124.errors import InputError
+from phy124.gaussians import Frame
+
+from .player import Player, checked_speed
+from .sinks import LiveSink, Sink
+
+Clock = Callable[[], float]
+LONGEST_WAIT = 0.2
+"""Seconds after which a waiting sink is asked again, so that Ctrl-C is heard."""
+REPORT_EVERY = 5.0
+"""Seconds between two warnings about dropped frames."""
+log = logging.getLogger(__name__)
+
+
+def command(player: Player, text: str, now: float) -> None:
+    """Do what a user asked for; raises InputError for what is no command."""
+    word, *values = text.split() or [""]
+    if word in ("play", "pause", "restart") and not values:
+        getattr(player, word)(now)
+    elif word == "seek":
+        player.seek(_number(text, values), now)
+    elif word == "speed":
+        player.set_speed(_number(text, values), now)
+    else:
+        raise _unknown(text)
+
+
+def play(
+    clip: Clip,
+    sink: LiveSink,
+    player: Player,
+    *,
+    records: Sequence[Sink] = (),
+    clock: Clock = time.monotonic,
+    stay: bool = False,
+) -> None:
+    """Play `clip` until it ends; with `stay` go on listening after that.
+
+    `records` get each frame that is shown, too.
+    """
+    announcer = _DropAnnouncer(player, clock)
+    while stay or not player.finished:
+        for text in sink.commands(min(player.wait(clock()), LONGEST_WAIT)):
+            _try(player, text, clock())
+            sink.show(player)
+        tick = player.due(clock())
+        if tick is None:
+            continue
+        frame = replace(clip.frame(tick.index), time=tick.stamp)
+        sink.write(frame if sink.monotonic else replace(frame, time=tick.time))
+        for record in records:
+            record.write(frame)
+        announcer.look()
+
+
+def follow(
+    frames: Iterable[Frame],
+    sink: LiveSink,
+    *,
+    records: Sequence[Sink] = (),
+    speed: float = 1.0,
+    clock: Clock = time.monotonic,
+) -> None:
+    """Send each frame of a running simulation as soon as it is computed, never too early.
+
+    A simulation faster than `speed` is held to it. While paused no frame is asked for, so the
+    simulation itself rests. Seeking and restarting need a finished clip and are refused.
+    """
+    pacer = _Pacer(speed)
+    for frame in frames:
+        while (wait := pacer.wait(frame.time, clock())) > 0:
+            for text in sink.commands(min(wait, LONGEST_WAIT)):
+                pacer.command(text, frame.time, clock())
+        for text in sink.commands(0.0):
+            pacer.command(text, frame.time, clock())
+        for each in (sink, *records):
+            each.write(frame)
+
+
+class _Pacer:
+    """When a frame of a running simulation may be shown."""
+
+    def __init__(self, speed: float) -> None:
+        self.speed = checked_speed(speed)
+        self.paused = False
+        self._anchor: tuple[float, float] | None = None  # clock reading, clip time
+
+    def wait(self, time: float, now: float) -> float:
+        """Seconds until the frame of `time` s may be shown; infinite while paused."""
+        if self.paused:
+            return math.inf
+        start, first = self._anchor = self._anchor or (now, time)
+        ahead = (time - first) / self.speed - (now - start)
+        if ahead < 0:
+            # The simulation is slower than playback: wait for it, do not rush afterwards.
+            self._anchor = now, time
+        return max(ahead, 0.0)
+
+    def command(self, text: str, time: float, now: float) -> None:
+        """Pause, play or change the speed; anything else is refused in the log."""
+        word, *values = text.split() or [""]
+        try:
+            if word in ("play", "pause"):
+                self.paused = word == "pause"
+            elif word == "speed":
+                self.speed = checked_speed(_number(text, values))
+            else:
+                limit = "While the simulation runs there are only play, pause and speed."
+                raise InputError("command", text, limit, "Play the saved clip to seek in it.")
+            self._anchor = now, time
+        except InputError as error:
+            log.warning(str(error))
+
+
+class _DropAnnouncer:
+    """Says that frames are dropped, but not for each of them."""
+
+    def __init__(self, player: Player, clock: Clock) -> None:
+        self._player, self._clock = player, clock
+        self._said, self._when = 0, -math.inf
+
+    def look(self) -> None:
+        dropped, now = self._player.dropped, self._clock()
+        if dropped > self._said and now - self._when >= REPORT_EVERY:
+            log.warning("%d frames dropped so far: sending is slower than playback.", dropped)
+            self._said, self._when = dropped, now
+
+
+def _try(player: Player, text: str, now: float) -> None:
+    """A wrong command must not end the show: it is refused in the log."""
+    try:
+        command(player, text, now)
+    except InputError as error:
+        log.warning(str(error))
+
+
+def _number(text: str, values: list[str]) -> float:
+    try:
+        (number,) = map(float, values)
+    except ValueError:
+        raise _unknown(text) from None
+    return number
+
+
+def _unknown(text: str) -> InputError:
+    limit = "Known are: play, pause, restart, seek SECONDS, speed FACTOR."
+    return InputError("command", repr(text), limit, "Send one of them.")

@@ -1,0 +1,213 @@
+"""Player: which frame is due when; a clock apart from all input and output.
+
+Time is handed in [s, of any monotonic clock], so the player can be tested without waiting.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.errors import InputError
+
+SPEEDS = (0.01, 100.0)
+"""Slowest and fastest playback."""
+
+
+@dataclass(frozen=True)
+class Tick:
+    """One frame to show."""
+
+    index: int
+    """Number of the frame in the clip."""
+    time: float
+    """Its time in the clip, s."""
+    stamp: float
+    """Clip seconds played so far; only grows, through loops and seeks alike."""
+
+
+class Player:
+    """Plays instants `times [T]` s in order; frames that are late are dropped and counted."""
+
+    def __init__(
+        self,
+        times: NDArray[np.float64],
+        *,
+        speed: float = 1.0,
+        loop: bool = False,
+        rate: float | None = None,
+        paused: bool = False,
+    ) -> None:
+        """Ready at the first frame, the clock starting with the first call of `due`.
+
+        Args:
+            times: Ascending instants [T], s.
+            speed: Clip seconds per second.
+            loop: Begin again after the last frame.
+            rate: At most so many frames per second are shown; None: all.
+            paused: Start held at the first frame.
+
+        Raises:
+            InputError: No frames, times that do not ascend, or a number out of range.
+        """
+        self.times = np.asarray(times, dtype=np.float64)
+        if not len(self.times) or not (np.diff(self.times) > 0).all():
+            limit = "The frames' times must ascend, and there must be at least one."
+            raise InputError("clip", f"{len(self.times)} frames", limit, "Simulate it again.")
+        self.loop, self.paused, self.rate = loop, paused, _checked_rate(rate)
+        self.speed = checked_speed(speed)
+        self.shown = self.dropped = self.skipped = self.loops = 0
+        """Frames shown, dropped because late, and left out on purpose by `rate`; loops begun."""
+        self.finished = False
+        self._next = 0
+        self._peek = True  # show the next frame although paused
+        self._start: float | None = None  # clock reading at which `_anchor` is due
+        self._anchor = float(self.times[0])
+        self._offset = -self._anchor  # stamp minus clip time
+        self._shown_at = -math.inf  # clip time of the last frame shown since a jump
+        self.position = self._anchor
+        """Clip time of the frame shown last, s."""
+        self._stamp: float | None = None  # the last stamp given out
+
+    @property
+    def interval(self) -> float:
+        """Mean time between frames, s: what passes between the last frame and the first again."""
+        if len(self.times) == 1:
+            return 1.0
+        return float(self.times[-1] - self.times[0]) / (len(self.times) - 1)
+
+    def wait(self, now: float) -> float:
+        """Seconds until the next frame is due; infinite while paused or finished."""
+        if self.finished:
+            return math.inf
+        if self.paused:
+            return 0.0 if self._peek else math.inf
+        return max(self._due_at(self._next, now) - now, 0.0)
+
+    def due(self, now: float) -> Tick | None:
+        """The newest frame that is due, or None; older ones that were due are dropped."""
+        if self.wait(now) > 0:
+            return None
+        last = len(self.times) - 1
+        while not self.paused and self._next < last and self._due_at(self._next + 1, now) <= now:
+            self._count_unshown(self._next)
+            self._next += 1
+        tick = self._show(self._next)
+        self._next += 1
+        if self._next > last:
+            self._finish_or_loop(now)
+        return tick
+
+    def play(self, now: float) -> None:
+        """Go on from where it stands; a finished clip starts over."""
+        if self.finished:
+            self.restart(now)
+        elif self.paused:
+            self.paused = False
+            self._rebase(float(self.times[self._next]), now)
+
+    def pause(self, now: float) -> None:
+        """Hold after the frame shown last."""
+        del now
+        self.paused = True
+
+    def restart(self, now: float) -> None:
+        """Go to the first frame and play."""
+        self.paused = False
+        self.seek(float(self.times[0]), now)
+
+    def seek(self, time: float, now: float) -> None:
+        """Go to the first frame at or after `time` s; raises InputError outside the clip."""
+        first, last = float(self.times[0]), float(self.times[-1])
+        if not first <= time <= last:
+            limit = f"The clip runs from {first:g} s to {last:g} s."
+            raise InputError("seek", time, limit, "Seek to a time between them.")
+        target = int(np.searchsorted(self.times, time))
+        self._next, self._peek, self.finished = target, True, False
+        self._splice(float(self.times[target]))
+        self._rebase(float(self.times[target]), now)
+
+    def set_speed(self, speed: float, now: float) -> None:
+        """Change the speed without a jump; raises InputError outside `SPEEDS`."""
+        speed = checked_speed(speed)
+        if self._start is not None:
+            here = self._anchor + (now - self._start) * self.speed
+            self._rebase(min(here, float(self.times[min(self._next, len(self.times) - 1)])), now)
+        self.speed = speed
+
+    def report(self) -> str:
+        """What was shown and what was not, in one sentence."""
+        text = f"{self.shown} frames shown, {self.dropped} dropped because late"
+        return text + (
+            f", {self.skipped} left out to keep to {self.rate:g} Hz" if self.rate else ""
+        )
+
+    def _too_soon(self, time: float) -> bool:
+        # Half a percent of slack: 30 Hz of a 30 Hz clip must not lose frames to rounding.
+        return self.rate is not None and time - self._shown_at < 0.995 * self.speed / self.rate
+
+    def _show(self, index: int) -> Tick | None:
+        self._peek = False
+        time = float(self.times[index])
+        if self._too_soon(time):
+            self.skipped += 1
+            return None
+        self.shown += 1
+        self._shown_at = self.position = time
+        self._stamp = self._offset + time
+        return Tick(index, time, self._stamp)
+
+    def _count_unshown(self, index: int) -> None:
+        if self._too_soon(float(self.times[index])):
+            self.skipped += 1
+        else:
+            self.dropped += 1
+
+    def _finish_or_loop(self, now: float) -> None:
+        if not self.loop:
+            self.finished = True
+            return
+        first, last = float(self.times[0]), float(self.times[-1])
+        period = last - first + self.interval
+        again = self._due_at(len(self.times) - 1, now) + self.interval / self.speed
+        # After a long stall whole rounds are over: they count as dropped and are not raced through.
+        missed = max(int((now - again) * self.speed // period), 0)
+        self.dropped += missed * len(self.times)
+        self.loops += 1 + missed
+        self._stamp = self._offset + last + missed * period
+        self._splice(first)
+        self._next = 0
+        self._rebase(first, again + missed * period / self.speed)
+
+    def _splice(self, time: float) -> None:
+        """Let stamps go on one interval after the last, wherever clip time jumps to."""
+        if self._stamp is not None:
+            self._offset = self._stamp + self.interval - time
+        self._shown_at = -math.inf
+
+    def _rebase(self, time: float, now: float) -> None:
+        self._anchor, self._start = time, now
+
+    def _due_at(self, index: int, now: float) -> float:
+        if self._start is None:
+            self._rebase(float(self.times[0]), now)
+        assert self._start is not None
+        return self._start + (float(self.times[index]) - self._anchor) / self.speed
+
+
+def checked_speed(speed: float) -> float:
+    """The speed itself; raises InputError outside `SPEEDS`."""
+    slowest, fastest = SPEEDS
+    if not slowest <= speed <= fastest:
+        limit = f"The speed must lie between {slowest:g} and {fastest:g}."
+        raise InputError("speed", speed, limit, "1 is real time, 0.1 ten times slower.")
+    return speed
+
+
+def _checked_rate(rate: float | None) -> float | None:
+    if rate is not None and not rate > 0:
+        raise InputError("rate", rate, "It must be positive.", "Leave it out to show every frame.")
+    return rate

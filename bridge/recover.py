@@ -1,0 +1,165 @@
+"""Recover: make a recording whole whose writer was killed or whose disk was full.
+
+Without its footer an MCAP file has no index and readers refuse it. All complete records are
+copied into a new file, which then takes the place of the old one.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from phy124.errors import InputError
+
+from . import bag
+from .sinks.mcap import CHUNK, PART
+from .topics import POINTS, RECORDED
+
+if TYPE_CHECKING:
+    from mcap.writer import Writer
+
+
+@dataclass(frozen=True)
+class Recovery:
+    """What was found and made."""
+
+    path: Path
+    """The bag folder or file that is whole now."""
+    frames: int
+    """Frames in it."""
+    repaired: bool
+    """False: it was whole already and nothing was touched."""
+
+
+def recover(path: str | os.PathLike[str], output: str | os.PathLike[str] | None = None) -> Recovery:
+    """Make the recording `path` (a bag folder or an .mcap file) whole, in place or as `output`.
+
+    Raises:
+        InputError: There is no recording, it was not made by the bridge, not even its beginning
+            is readable, or the disk is full; the damaged file stays as it was.
+    """
+    target = Path(output) if output else Path(path)
+    source = _damaged_file(Path(path))
+    whole, frames = _inspect(source)
+    if whole and _is_finished(Path(path), source) and output is None:
+        return Recovery(Path(path), frames, repaired=False)
+    file = bag.mcap_file(target)
+    temporary = file.with_name(file.name + ".recovering")
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        counts = _copy(source, temporary)
+        os.replace(temporary, file)
+        if target.suffix != bag.SUFFIX:
+            bag.write_metadata(target, file.name, counts)
+    except OSError as error:
+        limit = f"The repaired copy cannot be written ({error.strerror}); {source} is untouched."
+        raise InputError("recover", target, limit, "Make room, or give another output.") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+    if source.suffix == PART and output is None:
+        source.unlink()
+    return Recovery(target, counts.messages[POINTS.name], repaired=True)
+
+
+def records(file: Path) -> Iterator[Any]:
+    """All complete records of an MCAP file in order, those in chunks taken out of them.
+
+    Ends silently at the first record that is cut short or damaged.
+    """
+    from mcap.exceptions import McapError
+    from mcap.stream_reader import StreamReader
+    from zstandard import ZstdError
+
+    # RuntimeError is what lz4 raises, ValueError a wrong checksum.
+    broken = (McapError, struct.error, ValueError, RuntimeError, ZstdError)
+    with open(file, "rb") as stream:
+        reader = iter(StreamReader(stream, validate_crcs=True).records)
+        while True:
+            try:
+                record = next(reader)
+            except (StopIteration, *broken):
+                return
+            yield record
+
+
+def _damaged_file(path: Path) -> Path:
+    """The file that holds the records of a recording, finished or not."""
+    file = bag.mcap_file(path)
+    part = file.with_name(file.name + PART)
+    for candidate in (part, file):
+        if candidate.is_file():
+            return candidate
+    limit = f"There is no recording: neither {file} nor {part.name} exists."
+    raise InputError("recover", path, limit, "Give the bag folder or the .mcap file.")
+
+
+def _is_finished(path: Path, source: Path) -> bool:
+    return source.suffix == bag.SUFFIX and (
+        path.suffix == bag.SUFFIX or (path / bag.METADATA).is_file()
+    )
+
+
+def _inspect(file: Path) -> tuple[bool, int]:
+    """Whether the file has its footer, and how many frames."""
+    from mcap.records import Channel, Footer, Header, Message
+
+    whole, frames, points, record = False, 0, None, None
+    for record in records(file):
+        if isinstance(record, Channel) and record.topic == POINTS.name:
+            points = record.id
+        elif isinstance(record, Message):
+            frames += record.channel_id == points
+        elif isinstance(record, Footer):
+            whole = True
+        elif isinstance(record, Channel) and record.topic not in RECORDED:
+            limit = f"It holds the topic {record.topic}, so this program did not record it."
+            raise InputError("recover", file, limit, "Use `ros2 bag reindex -s mcap` for it.")
+        elif isinstance(record, Header) and record.profile != bag.PROFILE:
+            limit = "It is an MCAP file, but not a ROS 2 bag."
+            raise InputError("recover", file, limit, "Use the mcap command-line tool for it.")
+    if points is None:
+        limit = "Not even its first frame is complete, so there is nothing to bring back."
+        raise InputError("recover", file, limit, "Delete it and record again.")
+    return whole, frames
+
+
+def _copy(source: Path, destination: Path) -> bag.Counts:
+    """Copy what is complete into a new, finished file."""
+    from mcap.writer import CompressionType, Writer
+
+    with open(destination, "wb") as stream:
+        writer = Writer(stream, chunk_size=CHUNK, compression=CompressionType.NONE)
+        writer.start(bag.PROFILE)
+        counts = _copy_records(source, writer)
+        writer.finish()
+        stream.flush()
+        os.fsync(stream.fileno())
+    return counts
+
+
+def _copy_records(source: Path, writer: Writer) -> bag.Counts:
+    from mcap.records import Channel, Message, Metadata
+
+    counts, channels, topics = bag.Counts(), {}, {}
+    for record in records(source):
+        # The summary repeats the channels of a whole file.
+        if isinstance(record, Channel) and record.id not in channels:
+            topic = topics[record.id] = RECORDED[record.topic]
+            channels[record.id] = bag.register(writer, topic)
+            counts.announce([topic])
+        elif isinstance(record, Message):
+            counts.add(topics[record.channel_id], record.log_time)
+            writer.add_message(
+                channels[record.channel_id],
+                record.log_time,
+                record.data,
+                record.publish_time,
+                record.sequence,
+            )
+        elif isinstance(record, Metadata):
+            writer.add_metadata(record.name, record.metadata)
+    return counts

@@ -1,0 +1,75 @@
+"""Background: another sink's work in a thread of its own, so that recording never holds playback.
+
+Frames wait in a short queue. If the sink falls behind by more than that, frames are dropped from
+it, counted and reported; playback goes on either way.
+"""
+
+from __future__ import annotations
+
+import logging
+import queue
+import threading
+from types import TracebackType
+
+from phy124.gaussians import Frame
+
+from . import Sink
+
+log = logging.getLogger(__name__)
+
+
+class Background:
+    """Writes to `sink` from a thread; `write` returns at once."""
+
+    def __init__(self, sink: Sink, *, depth: int = 16) -> None:
+        """At most `depth` frames wait."""
+        self.sink = sink
+        self.dropped = 0
+        """Frames the sink did not get because it was too slow or had failed."""
+        self._queue: queue.Queue[Frame | None] = queue.Queue(depth)
+        self._thread = threading.Thread(target=self._work, name="recording", daemon=True)
+        self._error: Exception | None = None
+
+    def __enter__(self) -> Background:
+        self.sink.__enter__()
+        self._thread.start()
+        return self
+
+    def write(self, frame: Frame) -> None:
+        """Hand over one frame without waiting."""
+        try:
+            self._queue.put_nowait(frame)
+        except queue.Full:
+            self._drop()
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Wait until all is written; raises what the sink raised, if nothing else failed."""
+        self._queue.put(None)
+        self._thread.join()
+        self.sink.__exit__(kind, error, trace)
+        if self.dropped:
+            log.warning("The recording lacks %d frames: the disk was too slow.", self.dropped)
+        if self._error is not None and error is None:
+            raise self._error
+
+    def _work(self) -> None:
+        while (frame := self._queue.get()) is not None:
+            if self._error is not None:
+                self.dropped += 1
+                continue
+            try:
+                self.sink.write(frame)
+            except Exception as error:
+                # It is raised when the sink is left; playback must not stop for it.
+                log.error("Recording failed, playback goes on. %s", error)
+                self._error = error
+
+    def _drop(self) -> None:
+        if not self.dropped:
+            log.warning("The disk is too slow: frames are missing from the recording.")
+        self.dropped += 1

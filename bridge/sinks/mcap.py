@@ -1,0 +1,177 @@
+"""McapSink: frames to an MCAP file that ROS 2 plays as a bag.
+
+Each frame is flushed to the system when `write` returns, so a killed process loses at most the
+frame being written; `recover` makes such a file whole. metadata.yaml comes last.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import IO, Any, Literal
+
+from phy124.errors import InputError
+from phy124.gaussians import Frame
+
+from .. import bag
+from ..encoder import FrameEncoder
+from ..options import Options
+from ..topics import Message
+
+Compression = Literal["none", "lz4", "zstd"]
+CHUNK = 1 << 20
+"""Chunk size, bytes: a large frame closes its own chunk."""
+PART = ".part"
+
+
+class McapSink:
+    """Records frames to a bag folder, or to one file if the path ends in .mcap."""
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        options: Options | None = None,
+        *,
+        compression: Compression = "none",
+        scene: dict[str, Any] | None = None,
+        overwrite: bool = False,
+    ) -> None:
+        """Prepare a recording; nothing is touched before the sink is entered.
+
+        Args:
+            path: The folder or the .mcap file to make.
+            options: How frames become messages.
+            compression: Of the chunks. Moving Gaussians hardly shrink, and `none` is quickest.
+            scene: The resolved scene as plain data, kept in the file.
+            overwrite: Replace a bag that is there already.
+
+        Raises:
+            InputError: The package `mcap` is missing.
+        """
+        _require_mcap()
+        self.path = Path(path)
+        self.report: dict[str, Any] = {}
+        """What the run did; set it before the sink is left and it is kept in the file."""
+        self.frames = 0
+        """Frames that are safely in the file."""
+        self._encoder = FrameEncoder(options or Options())
+        self._compression = compression
+        self._scene = scene or {}
+        self._overwrite = overwrite
+        self._counts = bag.Counts()
+        self._single = self.path.suffix == bag.SUFFIX
+        # One file appears whole under its name; a bag is whole once it has metadata.yaml.
+        self.file = (
+            self.path.with_name(self.path.name + PART) if self._single else bag.mcap_file(self.path)
+        )
+
+    def __enter__(self) -> McapSink:
+        """Make the file. Raises InputError if it exists or cannot be made."""
+        self._refuse_existing()
+        try:
+            self.file.parent.mkdir(parents=True, exist_ok=True)
+            self._stream: IO[bytes] = open(self.file, "wb")
+        except OSError as error:
+            limit = f"It cannot be written there ({error.strerror})."
+            raise InputError("recording", self.path, limit, "Choose another folder.") from error
+        try:
+            self._start()
+        except OSError as error:
+            raise self._failure(error) from error
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """Complete the file; after an error of the disk it stays as `write` left it."""
+        if self._stream.closed:
+            return
+        try:
+            self._finish()
+        except OSError as error:
+            failure = self._failure(error)
+            if kind is None:
+                raise failure from error
+
+    def write(self, frame: Frame) -> None:
+        """Append one frame. Raises InputError if the disk is full or gone."""
+        try:
+            for message in self._encoder.encode(frame):
+                self._add(message)
+            self._writer.flush()
+        except OSError as error:
+            raise self._failure(error) from error
+        self.frames += 1
+
+    def _refuse_existing(self) -> None:
+        metadata = self.path / bag.METADATA
+        for existing in (self.path if self._single else metadata, self.file):
+            if existing.exists() and not self._overwrite:
+                limit = f"{existing.name} is there already."
+                raise InputError("recording", self.path, limit, "Choose a new name or overwrite.")
+        if not self._single and metadata.exists():
+            # An old metadata.yaml must never describe a new file.
+            metadata.unlink()
+
+    def _start(self) -> None:
+        from mcap.writer import CompressionType, Writer
+
+        kind = CompressionType[self._compression.upper()]
+        self._writer = Writer(self._stream, chunk_size=CHUNK, compression=kind)
+        self._writer.start(bag.PROFILE)
+        self._write_record()
+        topics = self._encoder.topics
+        self._channels = {topic.name: bag.register(self._writer, topic) for topic in topics}
+        self._counts.announce(topics)
+        for message in self._encoder.static():
+            self._add(message)
+        self._writer.flush()
+
+    def _add(self, message: Message) -> None:
+        self._counts.add(message.topic, message.stamp)
+        self._writer.add_message(
+            self._channels[message.topic.name],
+            log_time=message.stamp,
+            data=message.data,
+            publish_time=message.stamp,
+            sequence=self.frames,
+        )
+
+    def _write_record(self) -> None:
+        """The scene, the settings and, at the end, the report."""
+        options = self._encoder.options.model_dump_json()
+        about = {"options": options, "scene": json.dumps(self._scene)}
+        if self.report:
+            about["report"] = json.dumps(self.report)
+        self._writer.add_metadata(bag.RECORD, about)
+
+    def _finish(self) -> None:
+        self._writer.flush()
+        self._write_record()
+        self._writer.finish()
+        self._stream.flush()
+        os.fsync(self._stream.fileno())
+        self._stream.close()
+        if self._single:
+            os.replace(self.file, self.path)
+        else:
+            bag.write_metadata(self.path, self.file.name, self._counts)
+
+    def _failure(self, error: OSError) -> InputError:
+        """Close the file as it is, with what the system took, and say how to go on."""
+        try:
+            self._stream.close()
+        except OSError:
+            # Closing flushes once more and meets the same full disk; the file is closed then.
+            assert self._stream.closed
+        limit = f"Writing stopped ({error.strerror}); {self.frames} frames are safe in {self.file}."
+        remedy = f"Make room and run `python -m bridge recover {self.path}`."
+        return InputError("recording", self.path, limit, remedy)
+
+
+def _require_mcap() -> None:
+    try:
+        import mcap.writer  # noqa: F401
+    except ImportError as error:
+        limit = "Recording needs the package mcap, which is not installed."
+        remedy = "Run `pip install 'phy124[bridge]'`."
+        raise InputError("recording", "mcap", limit, remedy) from error

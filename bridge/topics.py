@@ -1,0 +1,43 @@
+"""The topics of the bridge and their quality of service.
+
+Reliable and transient local, so that every kind of subscriber matches and a late one gets the
+last messages (REP-2003 asks publishers of sensor data to be reliable where they can).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic, its message type and what its publisher offers."""
+
+    name: str
+    type: str
+    depth: int
+    """How many of the last messages are kept for late subscribers."""
+    reliable: bool = True
+    transient_local: bool = True
+
+
+class Message(NamedTuple):
+    """One encoded message."""
+
+    topic: Topic
+    stamp: int
+    """Time of the message, ns since 1970."""
+    data: bytes
+    """CDR, see `cdr`."""
+
+
+POINTS = Topic("/phy124/points", "sensor_msgs/msg/PointCloud2", depth=5)
+ELLIPSOIDS = Topic("/phy124/ellipsoids", "visualization_msgs/msg/MarkerArray", depth=1)
+TF_STATIC = Topic("/tf_static", "tf2_msgs/msg/TFMessage", depth=1)
+# ROS offers the clock best effort and volatile, so that is what subscribers expect.
+CLOCK = Topic("/clock", "rosgraph_msgs/msg/Clock", depth=1, reliable=False, transient_local=False)
+COMMAND = Topic("/phy124/command", "std_msgs/msg/String", depth=10, transient_local=False)
+"""Heard, not offered: play, pause, restart, seek SECONDS, speed FACTOR."""
+RECORDED = {topic.name: topic for topic in (TF_STATIC, POINTS, ELLIPSOIDS)}
+"""What recordings hold. No clock: it would fight `ros2 bag play --clock`."""
