@@ -23,7 +23,7 @@ from phy124.materials import Material
 from phy124.timestep import CFL, Extremes, Substep, stable_substep
 from phy124.tracks import Tracks
 
-Stage = tuple[str, Callable[[], wp.Launch]]
+Stage = tuple[str, Callable[[], wp.Launch | None]]
 """Name of a stage and how to record its launch for the grid window of the moment."""
 CHECK_EVERY = 4
 """Substeps between two measurements of the stability limits."""
@@ -219,12 +219,12 @@ class Solver:
         scalar = np.float32 if self.real is wp.float32 else np.float64
         return wp.array(np.ascontiguousarray(values, dtype=scalar), dtype=dtype, device=self.device)
 
-    def record(self, kernel: Any, dim: Any, inputs: list, outputs: list) -> wp.Launch:
-        """A launch to be repeated, on the solver's device."""
+    def record(self, kernel: Any, dim: Any, inputs: list, outputs: list) -> wp.Launch | None:
+        """A launch to be repeated, on the solver's device; None if it has nothing to do."""
         launch = wp.launch(
             kernel, dim, inputs=inputs, outputs=outputs, device=self.device, record_cmd=True
         )
-        return cast("wp.Launch", launch)
+        return cast("wp.Launch | None", launch)
 
     def _measure(self) -> None:
         """Read the stability limits and make the window fit; raises Unstable."""
@@ -253,16 +253,17 @@ class Solver:
 
     def _record_substep(self) -> None:
         """Record the launches of one substep, in order."""
-        records = [(name, record()) for name, record in self.pushes]
+        records: list[tuple[str, wp.Launch | None]] = [(n, record()) for n, record in self.pushes]
         records += [(f"p2g {g.material.device_law.name}", self._record_p2g(g)) for g in self.groups]
         update = make_update(self.real)
         inputs = [self.clock, self.tracks.values]
         records.append(("grid", self.record(update, self.grid.count, inputs, [self.grid.nodes])))
         records += [(name, record()) for name, record in self.collisions]
         records += [(f"g2p {g.material.device_law.name}", self._record_g2p(g)) for g in self.groups]
-        self._records = records
+        # A boundary out of reach of the window has no nodes and so no launch.
+        self._records = [(name, launch) for name, launch in records if launch is not None]
 
-    def _record_p2g(self, group: Group) -> wp.Launch:
+    def _record_p2g(self, group: Group) -> wp.Launch | None:
         s, grid, part = self.state, self.grid, slice(group.start, group.stop)
         kernel = transfer.make_p2g(group.material.device_law, self.real, self.native)
         model = [self.mass[part], self.volume[part], group.theta]
@@ -270,7 +271,7 @@ class Solver:
         inputs = [*model, grid.lattice, grid.window, self.clock, *state]
         return self.record(kernel, group.stop - group.start, inputs, [grid.nodes])
 
-    def _record_g2p(self, group: Group) -> wp.Launch:
+    def _record_g2p(self, group: Group) -> wp.Launch | None:
         s, grid, part = self.state, self.grid, slice(group.start, group.stop)
         kernel = transfer.make_g2p(group.material.device_law, self.real, self.native)
         inputs = [group.theta, grid.lattice, grid.window, self.clock, grid.nodes]
@@ -315,6 +316,20 @@ class Solver:
             if after is not None:
                 after()
         self._timed("measure", self._measure)
+
+    def snapshot(self) -> dict[str, Any]:
+        """All that `restore` needs to go on from here bit for bit."""
+        clock = {"time": self.time, "last_dt": self.last_dt, "substeps": self.substeps}
+        return {"state": self.state.copy(), "clock": clock, "limiters": dict(self.limiters)}
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Go back to a snapshot."""
+        self.state.restore(snapshot["state"])
+        for name, value in snapshot["clock"].items():
+            setattr(self, name, value)
+        self.limiters = dict(snapshot["limiters"])
+        self.stray.zero_()
+        self._since_check = CHECK_EVERY
 
     def substep(self) -> Substep:
         """The longest stable substep at the present state."""

@@ -1,0 +1,70 @@
+"""Effects: which physical and numerical effects a scene calls for, and which it does not.
+
+Derived from the scene alone; kernels are chosen by what the scene names, so what is left out here
+is not compiled, not allocated and not launched.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from phy124.scene import Scene
+
+
+@dataclass(frozen=True)
+class Omission:
+    """An effect that is left out, and why."""
+
+    effect: str
+    why: str
+
+
+@dataclass(frozen=True)
+class Effects:
+    """What runs and what does not."""
+
+    ran: tuple[str, ...]
+    left_out: tuple[Omission, ...]
+
+    @classmethod
+    def of(cls, scene: Scene, *, sh_degree: int = 0, device: str = "cpu") -> Effects:
+        """The effects a scene calls for."""
+        ran, left_out = [], []
+        for effect, called_for, why in _catalogue(scene, sh_degree, device):
+            if called_for:
+                ran.append(effect)
+            else:
+                left_out.append(Omission(effect, why))
+        return cls(tuple(ran), tuple(left_out))
+
+    def data(self) -> dict[str, Any]:
+        """Plain data for the report."""
+        return {"ran": list(self.ran), "left_out": [asdict(o) for o in self.left_out]}
+
+
+def _catalogue(scene: Scene, sh_degree: int, device: str) -> Iterator[tuple[str, bool, str]]:
+    """Every effect: name, whether the scene calls for it, why not if it does not."""
+    law = scene.material.device_law
+    plastic = law.project is not None
+    regional = [f for f in scene.forces if f.region is not None]
+    pushes = regional + [f for f in scene.forces if f.kind in ("particle_force", "set_velocity")]
+    timed = [f for f in scene.forces if f.start > 0 or f.end is not None]
+    moving = [b for b in scene.boundaries if b.kind == "press"]
+    yield f"stress {scene.material.law}", True, ""
+    yield "return mapping", plastic, f"{scene.material.law} is elastic"
+    yield "total F beside elastic F", plastic, f"{scene.material.law} keeps all deformation in F"
+    yield "uniform acceleration", len(scene.forces) > len(pushes), "no force acts on the whole body"
+    yield "particle forces", bool(pushes), "no force names single particles or a region"
+    yield "time tables", bool(timed or moving), "no force or boundary changes in time"
+    for wall in scene.boundaries:
+        yield f"collider {wall.kind} ({wall.contact})", True, ""
+    yield "colliders", bool(scene.boundaries), "the scene has no boundaries"
+    yield "spherical-harmonic rotation", sh_degree > 0, "colours do not depend on the direction"
+    double = scene.resolution.precision == "float64"
+    yield "double precision", double, "single precision is accurate enough: the grid limits it"
+    native = device == "cpu" and not double
+    yield "SIMD rows", native, f"only for float32 on the CPU, this is {device}"
+    yield "dense grid", False, "a window of cells follows the particles"
+    yield "singular values in substeps", False, "shapes are decomposed once per frame"

@@ -1,0 +1,199 @@
+"""Simulation: static Gaussians and a scene in, moving Gaussians out, frame by frame.
+
+    for frame in Simulation(gaussians, Scene.named("press")):
+        ...
+
+Frame 0 is the object at rest. A frame that goes wrong is tried once more with half the substep;
+if that fails too, `Stopped` says why and the frames so far remain good.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.boundaries import Ground
+from phy124.clip import Clip
+from phy124.deform import Deformer
+from phy124.effects import Effects
+from phy124.gaussians import Frame, Gaussians
+from phy124.mpm import Solver, Unstable
+from phy124.particles import Particles, clean, make_particles, to_size
+from phy124.progress import Progress, silent
+from phy124.scene import Scene
+from phy124.stopwatch import Stopwatch
+
+FLOOR_NODE = 0.75
+"""The node plane that stops the material lies this many cells below the floor."""
+
+
+class Stopped(RuntimeError):
+    """The simulation ended early because going on would be wrong; the message says why."""
+
+
+class Simulation:
+    """One run; iterate over it once to get its frames."""
+
+    def __init__(
+        self,
+        gaussians: Gaussians,
+        scene: Scene,
+        *,
+        device: str = "cpu",
+        progress: Progress = silent,
+        watch: Stopwatch | None = None,
+    ) -> None:
+        """Place the object, make its particles and build the solver.
+
+        Args:
+            gaussians: The object in any size, standing upright, facing +x.
+            scene: What happens to it.
+            device: Warp device, "cpu" or "cuda:0".
+            progress: Told ("simulate", frame, frames); may raise Cancelled.
+            watch: Where the stages' times go.
+
+        Raises:
+            InputError: the Gaussians or the scene cannot be used.
+        """
+        self.scene, self.device, self.progress = scene, device, progress
+        self.watch = watch or Stopwatch()
+        with self.watch.stage("particles"):
+            gaussians, self.cleaning = clean(gaussians)
+            self.gaussians = place(gaussians, scene)
+            self.particles = make_particles(
+                self.gaussians,
+                density=scene.material.density,
+                spacing=scene.dx / scene.resolution.ppc,
+                binding=scene.binding,
+            )
+        with self.watch.stage("compile"):
+            self.solver = _solver(self.particles, scene, device)
+            self.deformer = Deformer(self.gaussians, self.particles, device=device)
+        self.frames: list[Frame] = []
+        self.rotations: list[NDArray] = []
+        self.stopped: str | None = None
+
+    def __iter__(self) -> Iterator[Frame]:
+        """The frames in order; raises Stopped or Cancelled."""
+        timing = self.scene.time
+        for index in range(timing.frames):
+            if index:
+                self._advance(index, index / timing.fps)
+            with self.watch.stage("deform"):
+                frame = self._frame(index, index / timing.fps)
+            self.frames.append(frame)
+            self.progress("simulate", index + 1, timing.frames)
+            yield frame
+
+    def run(self) -> Clip:
+        """All frames as a clip; if it stops early the clip holds the good ones and says so."""
+        try:
+            for _ in self:
+                pass
+        except Stopped as stop:
+            self.stopped = str(stop)
+        return self.clip()
+
+    def clip(self) -> Clip:
+        """The frames so far."""
+        rotations = np.stack(self.rotations) if self.rotations else None
+        made = Clip.from_frames(self.frames, rotations)
+        return Clip(
+            made.means, made.quats, made.scales, self.gaussians.opacities, self.gaussians.sh,
+            made.times, made.rotations, made.velocities, self.scene.data(), self.report(),
+        )  # fmt: skip
+
+    def report(self) -> dict[str, Any]:
+        """What the run did; the keys are documented in docs/report.md."""
+        solver = self.solver
+        effects = Effects.of(self.scene, sh_degree=self.gaussians.sh_degree, device=self.device)
+        return {
+            "complete": self.stopped is None and len(self.frames) == self.scene.time.frames,
+            "stopped": self.stopped,
+            "gaussians": len(self.gaussians),
+            "particles": len(self.particles),
+            "mass": float(self.particles.mass.sum()),
+            "cleaning": self.cleaning.sentences,
+            "grid": {"dx": solver.dx, "window": solver.grid.size.tolist()},
+            "substeps": solver.substeps,
+            "limiters": solver.limiters,
+            "frames": len(self.frames),
+            "effects": effects.data(),
+            "substep_stages": [
+                {"name": name, "seconds": seconds, "launches": launches}
+                for name, (seconds, launches) in solver.timings.items()
+            ],
+        }
+
+    def _frame(self, index: int, time: float) -> Frame:
+        state = self.solver.state
+        frame = self.deformer(
+            state.x, state.deformation, index=index, time=time, velocities=state.v
+        )
+        if self.deformer.rotations is not None:
+            self.rotations.append(self.deformer.rotations)
+        return frame
+
+    def _advance(self, index: int, until: float) -> None:
+        """Substeps up to a frame's time, tried once more with half the substep."""
+        with self.watch.stage("simulate"):
+            before = self.solver.snapshot()
+            try:
+                self.solver.advance(until, after=self._reporter(index))
+            except Unstable:
+                self.solver.restore(before)
+                self.solver.cfl /= 2
+                try:
+                    self.solver.advance(until, after=self._reporter(index))
+                except Unstable as error:
+                    law = self.scene.material.law
+                    raise Stopped(
+                        f"frame {index} is not stable: {error}. The law is {law}; "
+                        "use neo_hookean, a softer material or a gentler push."
+                    ) from None
+
+    def _reporter(self, index: int) -> Callable[[], None]:
+        return lambda: self.progress("simulate", index, self.scene.time.frames)
+
+
+def place(gaussians: Gaussians, scene: Scene) -> Gaussians:
+    """Scaled to the scene's size, standing at its height over the origin."""
+    standing = to_size(gaussians, scene.object.size, ground=True)
+    if scene.object.lift == 0:
+        return standing
+    return standing.moved(1.0, np.array([0, 0, scene.object.lift]))
+
+
+def _solver(particles: Particles, scene: Scene, device: str) -> Solver:
+    x = particles.x.astype(np.float64)
+    v, C = _motion(x, particles.mass, scene)
+    floors = [b.height for b in scene.boundaries if isinstance(b, Ground)]
+    ceiling = math.inf if scene.time.substep is None else scene.time.substep
+    return Solver(
+        x,
+        particles.volume,
+        [scene.material],
+        dx=scene.dx,
+        v=v,
+        C=C,
+        forces=scene.forces,
+        boundaries=scene.boundaries,
+        origin=(0.0, 0.0, (floors[0] if floors else 0.0) - FLOOR_NODE * scene.dx),
+        precision=scene.resolution.precision,
+        device=device,
+        cfl=scene.resolution.cfl,
+        ceiling=ceiling,
+    )
+
+
+def _motion(x: NDArray, mass: NDArray, scene: Scene) -> tuple[NDArray, NDArray]:
+    """Velocities [P,3] and their gradient [P,3,3] of the rigid motion at the start."""
+    wx, wy, wz = scene.object.spin
+    gradient = np.array([[0, -wz, wy], [wz, 0, -wx], [-wy, wx, 0]])
+    middle = (mass[:, None] * x).sum(axis=0) / mass.sum()
+    v = np.array(scene.object.velocity) + (x - middle) @ gradient.T
+    return v, np.broadcast_to(gradient, (len(x), 3, 3))
