@@ -1,0 +1,64 @@
+"""Generators: one picture in, static Gaussians out. The table of all of them.
+
+A generator is any callable `(image_rgba, *, seed, progress) -> Gaussians`, where `image_rgba` is a
+PIL picture or an array [H,W,4] of uint8 with the object cut out, `seed` an integer and `progress`
+as in `phy124.progress`. Its Gaussians are in the world's axes (z up, the object faces +x), centred
+on the origin, the longest side 1 m. To add one, write a factory that imports it and add one line
+to `GENERATORS`; an object may also be passed wherever a name is accepted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Protocol
+
+from phy124.errors import InputError
+from phy124.progress import Progress
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+    from PIL import Image
+
+    from phy124.gaussians import Gaussians
+
+
+class Generator(Protocol):
+    """What makes Gaussians of a picture."""
+
+    def __call__(
+        self, image_rgba: Image.Image | NDArray[np.uint8], *, seed: int, progress: Progress
+    ) -> Gaussians:
+        """Gaussians of the opaque part of the picture; the same seed gives the same ones."""
+        ...
+
+
+def _relief() -> Generator:
+    from phy124.generators.relief import relief
+
+    return relief
+
+
+GENERATORS: dict[str, Callable[[], Generator]] = {
+    "relief": _relief,
+}
+"""Name to factory; each imports its generator only when called."""
+
+
+def generator(chosen: str | Generator) -> Generator:
+    """The generator of a name in `GENERATORS`, of the path of a .ply file, or of itself.
+
+    Raises:
+        InputError: No generator has that name.
+    """
+    if not isinstance(chosen, str):
+        return chosen
+    if chosen.lower().endswith(".ply"):
+        from phy124.generators.ply_file import PlyFile
+
+        return PlyFile(chosen)
+    if chosen not in GENERATORS:
+        known = ", ".join(GENERATORS)
+        limit = "There is no such generator."
+        raise InputError("generator", chosen, limit, f"Choose one of {known}, or a .ply file.")
+    return GENERATORS[chosen]()

@@ -1,0 +1,143 @@
+"""The closed surface z^2 = w(x, y) and points spread evenly over it.
+
+Coordinates are pixels: x right, y down, z towards the viewer. As an implicit surface it has no
+seam: the rim is as regular as any other place.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.ndimage as ndi
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+Field = NDArray[np.float64]
+BACK_PITCH = 1.5
+"""Spacing of points on the back, over that on the front: its colours are smooth."""
+ROUNDS = 6
+"""Relaxation rounds; the spacing is even to about 10 % after five."""
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """The zero set of F(x, y, z) = w(x, y) - z^2."""
+
+    w: Field
+    """Squared half thickness [H,W], pixels^2, negative outside."""
+    slope: Field
+    """Gradient of w along x and y [2,H,W], pixels."""
+
+    @classmethod
+    def of(cls, w: Field) -> Surface:
+        """From squared half thicknesses [H,W], pixels^2."""
+        smooth = ndi.gaussian_filter(w, 0.7)
+        dy, dx = np.gradient(smooth)
+        return cls(w, np.stack([dx, dy]))
+
+    def gradient(self, points: Field) -> tuple[Field, Field]:
+        """F [N] and its gradient [N,3] at points [N,3]."""
+        place = points[:, 1::-1].T
+        value = ndi.map_coordinates(self.w, place, order=1, mode="nearest")
+        sides = [ndi.map_coordinates(s, place, order=1, mode="nearest") for s in self.slope]
+        z = points[:, 2]
+        return value - z * z, np.stack([*sides, -2 * z], axis=1)
+
+    def normals(self, points: Field) -> Field:
+        """Outward unit normals [N,3]."""
+        _, gradient = self.gradient(points)
+        return -gradient / np.maximum(np.linalg.norm(gradient, axis=1, keepdims=True), 1e-12)
+
+    def inset(self, points: Field, depth: float) -> Field:
+        """`depth`, but no more than a third of the local radius [N,1], pixels."""
+        _, gradient = self.gradient(points)
+        # On a ball F = r^2 - |x|^2, whose gradient is twice the radius.
+        radius = 0.5 * np.linalg.norm(gradient, axis=1, keepdims=True)
+        return np.minimum(depth, radius / 3)
+
+    def project(self, points: Field, rounds: int = 2) -> Field:
+        """Points moved onto the surface by Newton steps, each of one pixel at most."""
+        for _ in range(rounds):
+            value, gradient = self.gradient(points)
+            step = -(value / np.maximum((gradient**2).sum(axis=1), 1e-9))[:, None] * gradient
+            length = np.linalg.norm(step, axis=1, keepdims=True)
+            points = points + step / np.maximum(1.0, length)
+        return points
+
+
+def pitch_factor(normals: Field) -> Field:
+    """Wanted spacing over that of the front [N]: 1 where seen from the front, then wider."""
+    return np.interp(-normals[:, 2], [0.0, 0.5], [1.0, BACK_PITCH])
+
+
+def spread(surface: Surface, count: int, rng: np.random.Generator) -> tuple[Field, Field, Field]:
+    """About `count` points spread evenly: positions [N,3], normals [N,3], spacing [N], pixels."""
+    trial = _scatter(surface, 1.0, rng)
+    pitch = float(np.sqrt(len(trial) / count))
+    points = _scatter(surface, pitch, rng)
+    for _ in range(ROUNDS):
+        points, _ = _relaxed(surface, points, pitch)
+    _, spacing = _relaxed(surface, points, pitch)
+    return points, surface.normals(points), spacing
+
+
+def _scatter(surface: Surface, pitch: float, rng: np.random.Generator) -> Field:
+    """Random points, on average one per pitch^2 of the front's area.
+
+    One candidate in every cube that the surface passes through, then thinned: a plane of normal n
+    passes through |nx| + |ny| + |nz| cubes per square.
+    """
+    corner, low, high = _columns(surface.w, pitch)
+    first, last = np.floor(low / pitch).astype(int), np.floor(high / pitch).astype(int)
+    layers = last - first + 1
+    column = np.repeat(np.arange(len(corner)), layers)
+    layer = np.arange(len(column)) - np.repeat(np.cumsum(layers) - layers, layers) + first[column]
+    flat = np.concatenate([corner[column], layer[:, None] * pitch], axis=1)
+    halves = []
+    for side in (1.0, -1.0):
+        half = flat + pitch * rng.random(flat.shape)
+        half[:, 2] *= side
+        halves.append(half)
+    points = surface.project(np.concatenate(halves), rounds=4)
+    value, gradient = surface.gradient(points)
+    landed = np.abs(value) < 0.5 * np.linalg.norm(gradient, axis=1)
+    normals = surface.normals(points)
+    chance = 1 / (np.abs(normals).sum(axis=1) * pitch_factor(normals) ** 2)
+    return points[landed & (rng.random(len(points)) < chance)]
+
+
+def _columns(w: Field, pitch: float) -> tuple[Field, Field, Field]:
+    """Square columns that meet the surface: corner [M,2], lowest and highest |z| in each [M]."""
+    height, width = w.shape
+    x, y = np.arange(0, width - 1 - pitch, pitch), np.arange(0, height - 1 - pitch, pitch)
+    fine = [
+        ndi.map_coordinates(w, np.meshgrid(y + a * pitch, x + b * pitch, indexing="ij"), order=1)
+        for a in (0.0, 0.5, 1.0)
+        for b in (0.0, 0.5, 1.0)
+    ]
+    low, high = np.min(fine, axis=0), np.max(fine, axis=0)
+    row, column = np.nonzero(high > 0)
+    depth = np.sqrt(np.maximum(low, 0)[row, column]), np.sqrt(high[row, column])
+    return np.stack([x[column], y[row]], axis=1), *depth
+
+
+def _relaxed(surface: Surface, points: Field, pitch: float) -> tuple[Field, Field]:
+    """Points pushed apart along the surface, and the mean distance to their neighbours."""
+    normals = surface.normals(points)
+    wanted = pitch * pitch_factor(normals)
+    _, near = cKDTree(points).query(points, k=min(8, len(points)))
+    near = near[:, 1:]
+    apart = points[:, None] - points[near]
+    distance = np.linalg.norm(apart, axis=2)
+    # In thin parts the nearest points may lie on the other side; those do not count.
+    same = (normals[:, None] * normals[near]).sum(axis=2) > 0.3
+    reach = 1.25 * wanted[:, None]
+    push = np.where(same, np.maximum(0, 1 - distance / reach), 0.0) * wanted[:, None]
+    move = 0.45 * (push[:, :, None] * apart / np.maximum(distance, 1e-9)[:, :, None]).sum(axis=1)
+    move -= (move * normals).sum(axis=1, keepdims=True) * normals
+    closest = np.where(same, distance, np.nan)[:, :6]
+    counted = np.maximum(same[:, :6].sum(axis=1), 1)
+    spacing = np.nansum(closest, axis=1) / counted
+    spacing = np.clip(np.where(spacing > 0, spacing, wanted), 0.6 * wanted, 1.6 * wanted)
+    return surface.project(points + move), spacing
