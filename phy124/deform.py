@@ -17,7 +17,7 @@ from typing import Any, Protocol
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from phy124.errors import InputError
 from phy124.gaussians import Array, Frame, Gaussians
@@ -85,13 +85,13 @@ class Deformer:
         if self._own is None and particles is not None:
             self._field = _Field(gaussians, particles.x, device)
         self._count = n if particles is None else len(particles.x)
-        carrier = np.arange(n) if self._own is None else self._own
+        carrier: NDArray = np.arange(n) if self._own is None else self._own
         self._carrier = wp.array(carrier, dtype=wp.int32, device=device)
         self._quats0 = wp.array(gaussians.quats, dtype=wp.vec4f, device=device)
         self._scales0 = wp.array(gaussians.scales, dtype=wp.vec3f, device=device)
         self._quats = wp.clone(self._quats0)
         self._scales = wp.clone(self._scales0)
-        identity = np.tile(np.float32([1, 0, 0, 0]), (n, 1))
+        identity = np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1))
         self._inner = wp.array(identity, dtype=wp.vec4f, device=device)
         self._turned = wp.array(identity, dtype=wp.vec4f, device=device)
 
@@ -114,7 +114,7 @@ class Deformer:
         rest = [self._carrier, self._quats0, self._scales0, deformation, self._max_stretch]
         self._launch(field.deform_shapes, [*rest, self._inner, self._quats, self._scales])
         sh = self._colours(deformation)
-        quats, scales = self._quats.numpy().copy(), self._scales.numpy().copy()
+        quats, scales = _host(self._quats).copy(), _host(self._scales).copy()
         gaussians = Gaussians(means, quats, scales, self.gaussians.opacities, sh)
         if velocities is not None:
             velocities = self._interpolated(self._checked(_host(velocities), (3,)))
@@ -144,9 +144,9 @@ class Deformer:
         if rest.sh_degree == 0:
             return rest.sh
         self._launch(field.turn_of_material, [self._carrier, deformation, self._turned])
-        self.rotations = self._turned.numpy().copy()
-        still = (self.rotations == (1, 0, 0, 0)).all()
-        return rest.sh if still else rotate_sh(rest.sh, self.rotations)
+        self.rotations = turned = _host(self._turned).copy()
+        still = (turned == (1, 0, 0, 0)).all()
+        return rest.sh if still else rotate_sh(rest.sh, turned)
 
     def _interpolated(self, values: NDArray[np.float64]) -> NDArray[np.float32]:
         if self._field is not None:
@@ -167,15 +167,15 @@ class _Field:
             wp.array(gaussians.means, dtype=wp.vec3f, device=device),
             wp.array(rest, dtype=wp.vec3f, device=device),
         ]
-        self._means = wp.empty(n, dtype=wp.vec3f, device=device)
-        self._deformation = wp.empty(n, dtype=wp.mat33d, device=device)
+        self._means = wp.empty_like(self._rest[2])
+        self._deformation = wp.array(np.zeros((n, 3, 3)), dtype=wp.mat33d, device=device)
 
     def carry(self, x: NDArray[np.float64], deformation: wp.array) -> tuple[NDArray, wp.array]:
         """Centres [N,3] and deformation gradients of the Gaussians."""
         position = wp.array(x, dtype=wp.vec3d, device=self.device)
         inputs = [*self._rest, position, deformation, self._means, self._deformation]
         wp.launch(field.carry, dim=len(self._means), inputs=inputs, device=self.device)
-        return self._means.numpy().copy(), self._deformation
+        return _host(self._means).copy(), self._deformation
 
     def interpolate(self, values: NDArray[np.float64]) -> NDArray[np.float32]:
         """Weighted means [N,3] of values on the particles [P,3]."""
@@ -192,12 +192,12 @@ def carriers(points: NDArray, particles: NDArray) -> tuple[NDArray[np.int32], ND
     smoothly over the points, since a particle enters and leaves with weight 0.
     """
     count = min(CARRIERS, len(particles))
-    wanted = list(range(1, min(CARRIERS + 1, len(particles)) + 1))
-    distance, index = cKDTree(particles).query(points, k=wanted, workers=-1)
-    reach = distance[:, -1:] * (2.0 if len(wanted) == count else 1.0)
-    ratio = np.divide(
-        distance[:, :count], reach, out=np.zeros_like(distance[:, :count]), where=reach > 0
-    )
+    distance, index = KDTree(particles).query(points, k=count + 1, workers=-1)
+    distance, index = np.asarray(distance), np.asarray(index)
+    # Where there is no next particle its distance is infinite.
+    reach = np.minimum(distance[:, -1:], 2 * distance[:, -2:-1])
+    near = distance[:, :count]
+    ratio = np.divide(near, reach, out=np.zeros_like(near), where=reach > 0).clip(0, 1)
     # Particles all equally far would all weigh nothing.
     weights = (1 - ratio**2) ** 2 + 1e-9
     weights /= weights.sum(axis=1, keepdims=True)
@@ -217,4 +217,5 @@ def _own_particles(count: int, particles: Bound | None) -> NDArray[np.int32] | N
 
 
 def _host(array: Any) -> NDArray:
-    return array.numpy() if isinstance(array, wp.array) else np.asarray(array)
+    """A NumPy view of a Warp array or whatever NumPy takes for one."""
+    return np.asarray(array.numpy() if isinstance(array, wp.array) else array)

@@ -141,7 +141,8 @@ def to_size(gaussians: Gaussians, size: float, *, ground: bool = True) -> Gaussi
 def _finite(gaussians: Gaussians) -> NDArray[np.bool_]:
     keep = np.ones(len(gaussians), bool)
     for name in ("means", "quats", "scales", "opacities", "sh"):
-        keep &= np.isfinite(getattr(gaussians, name).reshape(len(gaussians), -1)).all(axis=1)
+        finite = np.isfinite(getattr(gaussians, name))
+        keep &= finite.all(axis=tuple(range(1, finite.ndim)))
     return keep
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
@@ -99,7 +99,8 @@ def fill(gaussians: Gaussians, spacing: float) -> NDArray[np.float64]:
 
 def in_box(x: NDArray, low: NDArray, high: NDArray) -> NDArray[np.bool_]:
     """Which points [P,3] lie in the box from `low` [3] to `high` [3], borders included, m."""
-    return ((x >= np.asarray(low)) & (x <= np.asarray(high))).all(axis=1)
+    inside: NDArray[np.bool_] = (x >= np.asarray(low)) & (x <= np.asarray(high))
+    return np.logical_and.reduce(inside, axis=1)
 
 
 def _check(density: float, spacing: float, binding: str) -> None:
@@ -139,7 +140,7 @@ def _apart(points: NDArray, others: NDArray, distance: float) -> NDArray:
     """The points that have none of the others within `distance`."""
     if len(points) == 0:
         return points
-    nearest, _ = cKDTree(others).query(points, distance_upper_bound=distance, workers=-1)
+    nearest, _ = KDTree(others).query(points, distance_upper_bound=distance, workers=-1)
     return points[np.isinf(nearest)]
 
 
@@ -177,7 +178,7 @@ def _volumes(x: NDArray[np.float32], shape: Solid, spacing: float) -> NDArray[np
     empty = keys[place] != cell_key
     volume = np.bincount(place[~empty], room[~empty], minlength=len(keys))[which] / count[which]
     if empty.any():
-        _, nearest = cKDTree(x).query((cells[empty] + 0.5) * side, workers=-1)
+        _, nearest = KDTree(x).query((cells[empty] + 0.5) * side, workers=-1)
         volume += np.bincount(nearest, room[empty], minlength=len(x))
     volume = np.maximum(volume, SMALLEST * volume.mean())
     return volume * (shape.volume / volume.sum())
@@ -194,4 +195,4 @@ def _room_per_cell(shape: Solid, side: float) -> tuple[NDArray[np.int64], NDArra
     flat = np.ravel_multi_index(tuple((cells - low).T), size)
     keys, which = np.unique(flat, return_inverse=True)
     cells = np.stack(np.unravel_index(keys, size), axis=1) + low
-    return cells, np.bincount(which, part)
+    return cells, np.bincount(which, part).astype(np.float64)

@@ -1,0 +1,291 @@
+"""Cleaning, size, interior, volume and mass, against shapes whose volume is known."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial import KDTree
+
+from phy124.errors import InputError
+from phy124.gaussians import Gaussians, quaternions
+from phy124.particles import bounds, clean, fill, in_box, make_particles, solid, to_size
+from phy124.particles.seeding import MAX_PARTICLES
+
+BALL = math.pi / 6
+SIDES = np.array([1, 0.7, 0.43])
+
+
+def discs(centres, normals, radius):
+    """Flat Gaussians that face along `normals`."""
+    helper = np.where(np.abs(normals[:, :1]) < 0.9, [[1.0, 0, 0]], [[0, 1.0, 0]])
+    u = np.cross(normals, helper)
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    axes = np.stack([u, np.cross(normals, u), normals], axis=-1)
+    n = len(centres)
+    scales = np.tile([radius, radius, 0.05 * radius], (n, 1))
+    return Gaussians.from_rgb(
+        centres, quaternions(axes), scales, np.full(n, 0.9), np.full((n, 3), 0.5)
+    )
+
+
+def dots(centres, sigma):
+    n = len(centres)
+    quats = np.tile([1, 0, 0, 0], (n, 1))
+    scales = np.full((n, 3), sigma)
+    return Gaussians.from_rgb(centres, quats, scales, np.full(n, 0.5), np.full((n, 3), 0.5))
+
+
+def directions(n, rng):
+    d = rng.normal(size=(n, 3))
+    return d / np.linalg.norm(d, axis=1, keepdims=True)
+
+
+def ball(n, rng):
+    """The surface of a ball of diameter 1 off the origin."""
+    d = directions(n, rng)
+    return discs(0.5 * d + [0.31, -0.17, 0.4], d, 0.5 * math.sqrt(4 * math.pi / n))
+
+
+def box(n, rng):
+    """The surface of a box of sides SIDES off the origin."""
+    areas = SIDES[[1, 0, 0]] * SIDES[[2, 2, 1]]
+    axis, sign = rng.choice(3, n, p=areas / areas.sum()), rng.choice([-1, 1], n)
+    x, normals = (rng.random((n, 3)) - 0.5) * SIDES, np.zeros((n, 3))
+    x[range(n), axis] = sign * SIDES[axis] / 2
+    normals[range(n), axis] = sign
+    return discs(x + 0.123, normals, math.sqrt(2 * areas.sum() / n))
+
+
+def cloud(n, rng):
+    """A filled ball of diameter 1."""
+    centres = 0.5 * directions(n, rng) * rng.random((n, 1)) ** (1 / 3)
+    return dots(centres, 0.35 * (4.19 / n) ** (1 / 3))
+
+
+def nearest(points, others):
+    return KDTree(others).query(points)[0]
+
+
+SHAPES = {"ball": (ball, BALL), "box": (box, SIDES.prod()), "cloud": (cloud, BALL)}
+
+
+@pytest.mark.parametrize("cells", [6, 16, 23.7, 64])
+@pytest.mark.parametrize("name", SHAPES)
+def test_volume_is_right_to_three_percent_at_every_resolution(name, cells, rng):
+    make, volume = SHAPES[name]
+    assert solid(make(20_000, rng), 1 / cells).volume == pytest.approx(volume, rel=0.03)
+
+
+@pytest.mark.parametrize("size", [1e-6, 1e3])
+@pytest.mark.parametrize("name", ["ball", "box"])
+def test_a_micrometre_and_a_kilometre_weigh_what_they_should(name, size, rng):
+    make, volume = SHAPES[name]
+    gaussians = make(3000, rng).moved(size, np.zeros(3))
+    for binding in ("particles", "field"):
+        particles = make_particles(gaussians, density=700, spacing=size / 20, binding=binding)
+        assert particles.mass.sum() == pytest.approx(700 * volume * size**3, rel=0.03)
+        assert (particles.volume > 0).all()
+
+
+def test_gaps_are_sealed_and_half_shells_are_closed(rng):
+    whole = ball(20_000, rng)
+    up = whole.means - [0.31, -0.17, 0.4]
+    holed = whole.select(np.linalg.norm(up[:, :2], axis=1) > 0.045)
+    sparse = whole.select(rng.random(20_000) < 0.2)
+    half = whole.select(up[:, 2] > 0)
+    assert solid(holed, 1 / 32).volume == pytest.approx(BALL, rel=0.03)
+    assert solid(sparse, 1 / 32).volume == pytest.approx(BALL, rel=0.03)
+    assert solid(half, 1 / 32).volume == pytest.approx(BALL / 2, rel=0.05)
+
+
+def test_a_hollow_with_thick_walls_stays_open(rng):
+    """A cup: outer cylinder, inner cylinder 0.1 further in, floor 0.1, open above."""
+
+    def wall(radius, bottom):
+        turn, z = rng.random(8000) * 2 * np.pi, bottom + rng.random(8000) * (1 - bottom)
+        normal = np.stack([np.cos(turn), np.sin(turn), 0 * z], axis=1)
+        return normal * radius + z[:, None] * [0, 0, 1], normal
+
+    def plate(inner, outer, height):
+        turn, r = rng.random(8000) * 2 * np.pi, np.sqrt(rng.uniform(inner**2, outer**2, 8000))
+        centres = np.stack([r * np.cos(turn), r * np.sin(turn), 0 * r + height], axis=1)
+        return centres, np.tile([0, 0, 1.0], (8000, 1))
+
+    parts = [wall(0.5, 0), wall(0.4, 0.1), plate(0, 0.5, 0), plate(0, 0.4, 0.1)]
+    parts.append(plate(0.4, 0.5, 1))
+    cup = discs(np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts]), 0.02)
+    volume = math.pi * (0.25 - 0.16 * 0.9)
+    assert solid(cup, 1 / 40).volume == pytest.approx(volume, rel=0.05)
+    assert not in_box(fill(cup, 1 / 40), [-0.25, -0.25, 0.2], [0.25, 0.25, 1]).any()
+
+
+def test_fillers_are_the_regular_lattice_inside(rng):
+    spacing = 1 / 20
+    points = fill(ball(5000, rng), spacing)
+    cells = points / spacing - 0.5
+    assert np.abs(cells - cells.round()).max() < 1e-9
+    assert len(np.unique(cells.round(), axis=0)) == len(points)
+    radius = np.linalg.norm(points - [0.31, -0.17, 0.4], axis=1)
+    assert radius.max() < 0.5 + 0.3 * spacing
+    assert len(points) == pytest.approx(BALL / spacing**3, rel=0.03)
+
+
+def test_particles_are_every_gaussian_and_fillers_that_keep_their_distance(rng):
+    gaussians = ball(4000, rng)
+    particles = make_particles(gaussians, density=1000, spacing=0.05, material=2)
+    own = particles.gaussian >= 0
+    assert np.array_equal(np.sort(particles.gaussian[own]), np.arange(4000))
+    assert np.array_equal(particles.x[own], gaussians.means[particles.gaussian[own]])
+    fillers = particles.x[~own]
+    gaps = nearest(fillers, gaussians.means)
+    assert len(fillers) > 2000
+    assert gaps.min() >= 0.5 * 0.05 - 1e-6
+    deep = np.linalg.norm(particles.x - [0.31, -0.17, 0.4], axis=1) < 0.4
+    assert np.allclose(particles.volume[deep], 0.05**3, rtol=1e-5)
+    assert (particles.material == 2).all()
+
+
+def test_neighbours_in_memory_are_neighbours_in_space(rng):
+    particles = make_particles(ball(4000, rng), density=1000, spacing=0.05)
+    steps = np.linalg.norm(np.diff(particles.x, axis=0), axis=1)
+    shuffled = np.linalg.norm(np.diff(rng.permutation(particles.x), axis=0), axis=1)
+    assert np.median(steps) < 0.2 * np.median(shuffled)
+
+
+def test_the_order_of_the_gaussians_does_not_matter(rng):
+    gaussians = box(3000, rng)
+    order = rng.permutation(3000)
+    one = make_particles(gaussians, density=1000, spacing=0.04)
+    two = make_particles(gaussians.select(order), density=1000, spacing=0.04)
+    volume = np.empty(3000), np.empty(3000)
+    volume[0][one.gaussian[one.gaussian >= 0]] = one.volume[one.gaussian >= 0]
+    volume[1][order[two.gaussian[two.gaussian >= 0]]] = two.volume[two.gaussian >= 0]
+    assert np.allclose(*volume, rtol=1e-4, atol=0)
+
+
+def test_thin_parts_get_no_fillers_but_carriers(rng):
+    flat = (rng.random((3000, 3)) - 0.5) * [1, 1, 0]
+    sheet = discs(flat, np.tile([0, 0, 1.0], (3000, 1)), 0.03)
+    stem = dots(np.linspace([0, 0, -1], [0, 0, 0], 200), 0.01)
+    both = Gaussians(
+        *(np.concatenate([getattr(g, f) for g in (sheet, stem)])
+          for f in ("means", "quats", "scales", "opacities", "sh"))
+    )  # fmt: skip
+    particles = make_particles(both, density=1000, spacing=0.05, binding="field")
+    assert (particles.gaussian == -1).all()
+    assert nearest(both.means, particles.x).max() <= math.sqrt(3) * 0.05
+    assert 350 < len(particles) < 700
+    assert len(fill(sheet, 0.05)) == 0
+
+
+def test_a_field_has_one_particle_per_lattice_cell_and_leaves_nothing_out(rng):
+    gaussians = ball(5000, rng)
+    particles = make_particles(gaussians, density=1000, spacing=0.05, binding="field")
+    assert nearest(gaussians.means, particles.x).max() <= 0.05 + 1e-6
+    assert len(np.unique(np.floor(particles.x / 0.05), axis=0)) == len(particles)
+    assert np.ptp(particles.volume) < 2.5 * 0.05**3
+
+
+@settings(max_examples=12, deadline=None)
+@given(
+    n=st.integers(1, 40),
+    rank=st.integers(0, 3),
+    sigma=st.floats(-9, 1),
+    spacing=st.floats(-1.5, 1),
+    seed=st.integers(0, 99),
+)
+def test_any_points_make_finite_positive_particles(n, rank, sigma, spacing, seed):
+    rng = np.random.default_rng(seed)
+    centres = rng.random((n, 3)) * (np.arange(3) < rank)
+    gaussians = dots(centres, 10.0**sigma)
+    for binding in ("particles", "field"):
+        if 10.0 ** (sigma - spacing) > 20:
+            continue
+        p = make_particles(gaussians, density=1, spacing=10.0**spacing, binding=binding)
+        assert len(p) >= 1 and (p.volume > 0).all() and np.isfinite(p.mass).all()
+        assert p.volume.sum() == pytest.approx(solid(gaussians, 10.0**spacing).volume)
+
+
+def test_clean_counts_what_it_drops_and_repairs(rng):
+    good = ball(3000, rng)
+    means, quats, scales = good.means.copy(), good.quats.copy(), good.scales.copy()
+    opacities, sh = good.opacities.copy(), good.sh.copy()
+    means[0, 1], quats[1, 0], scales[2, 2], opacities[3], sh[4, 0, 0] = (
+        np.nan,
+        np.inf,
+        *[np.nan] * 3,
+    )
+    opacities[5:7] = 0, 0.003
+    scales[7] = 0
+    scales[8] = 5
+    means[9:11] = [[40, 0, 0], [1e30, 0, 0]]
+    quats[11] = 0
+    scales[12, 0] *= -1
+    scales[13, 2] = 0
+    opacities[14] = 3
+    quats[15] *= 7
+    kept, cleaning = clean(Gaussians(means, quats, scales, opacities, sh))
+    assert (cleaning.not_finite, cleaning.invisible, cleaning.gigantic) == (5, 3, 1)
+    assert (cleaning.stray, cleaning.dropped, cleaning.kept) == (2, 11, 2989)
+    repaired = cleaning.repaired_scales, cleaning.repaired_quats, cleaning.repaired_opacities
+    assert repaired == (2, 1, 1)
+    assert len(kept) == 2989
+    assert np.array_equal(kept.means[-2900:], good.means[-2900:])
+    assert np.abs(np.linalg.norm(kept.quats, axis=1) - 1).max() < 1e-6
+    assert (kept.scales > 0).all() and kept.opacities.max() <= 1
+    assert "5 of 3000 Gaussians had NaN or infinite values and were dropped." in cleaning.sentences
+    assert len(cleaning.sentences) == 7
+
+
+def test_clean_leaves_good_objects_alone(rng, three_gaussians):
+    for gaussians in (
+        three_gaussians,
+        ball(1500, rng),
+        box(20_000, rng),
+        dots(np.zeros((9, 3)), 1),
+    ):
+        kept, cleaning = clean(gaussians)
+        assert cleaning.sentences == [] and len(kept) == len(gaussians)
+        assert np.array_equal(kept.quats, gaussians.quats)
+
+
+def test_clean_refuses_an_object_of_nothing(three_gaussians):
+    nothing = dots(np.full((4, 3), np.nan), 1)
+    for gaussians in (nothing, three_gaussians.select(np.zeros(3, bool))):
+        with pytest.raises(InputError, match="none of them is finite and visible"):
+            clean(gaussians)
+
+
+def test_to_size_sets_the_longest_side_and_the_ground(rng):
+    given = box(40_000, rng).moved(37.0, np.array([5.0, 6, 7]))
+    sized = to_size(given, 2.0)
+    low, high = bounds(sized)
+    assert high - low == pytest.approx(2 * SIDES, rel=0.03)
+    assert (high - low).max() == pytest.approx(2)
+    assert (low + high)[:2] == pytest.approx([0, 0], abs=1e-6)
+    assert low[2] == pytest.approx(0, abs=0.02)
+    reach = np.sqrt(sized.covariances()[:, 2, 2])
+    assert (sized.means[:, 2] - reach).min() == pytest.approx(0, abs=1e-5)
+    growth = sized.scales / given.scales
+    assert np.ptp(growth) < 1e-6 * growth[0, 0]
+    low, high = bounds(to_size(given, 2.0, ground=False))
+    assert low == pytest.approx(-high, abs=1e-6)
+    one = to_size(dots(np.ones((1, 3)), 4), 1.0)
+    assert one.scales[0] == pytest.approx([0.5] * 3)
+    assert one.means[0] == pytest.approx([0, 0, 0.5], abs=1e-6)
+
+
+def test_refusals_say_what_to_do(rng):
+    gaussians = ball(500, rng)
+    with pytest.raises(InputError, match=r"density = 0: it must be a positive number"):
+        make_particles(gaussians, density=0, spacing=0.1)
+    with pytest.raises(InputError, match=r"spacing = nan: it must be"):
+        make_particles(gaussians, density=1, spacing=math.nan)
+    with pytest.raises(InputError, match=r"binding = glue: .* particles and field"):
+        make_particles(gaussians, density=1, spacing=0.1, binding="glue")
+    with pytest.raises(InputError, match=rf"limit is {MAX_PARTICLES:,}.* coarser grid"):
+        make_particles(gaussians, density=1, spacing=1e-3)
+    with pytest.raises(InputError, match=r"size = -1: the longest side"):
+        to_size(gaussians, -1)
