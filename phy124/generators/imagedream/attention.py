@@ -1,0 +1,140 @@
+"""Attention of the multi-view U-Net: over all frames, to the text, and to the picture.
+
+Shi et al. 2023, "MVDream", section 3.1; Wang & Shi 2023, "ImageDream", section 3.2. Submodules are
+named as in the public checkpoints.
+"""
+
+from __future__ import annotations
+
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+GROUPS = 32
+
+
+class CrossAttention(nn.Module):
+    """Multi-head attention from x [B,L,C] to a context [B,M,D], or to x itself.
+
+    With `picture_tokens` the last tokens of the context come from the picture and have keys and
+    values of their own; both results are added, the picture's times `picture_weight`.
+    """
+
+    def __init__(
+        self,
+        channels: int,
+        context: int,
+        heads: int,
+        *,
+        picture_tokens: int = 0,
+        picture_weight: float = 1.0,
+    ) -> None:
+        super().__init__()
+        self.heads = heads
+        self.picture_tokens, self.picture_weight = picture_tokens, picture_weight
+        if picture_tokens:
+            self.to_k_ip = nn.Linear(context, channels, bias=False)
+            self.to_v_ip = nn.Linear(context, channels, bias=False)
+        self.to_q = nn.Linear(channels, channels, bias=False)
+        self.to_k = nn.Linear(context, channels, bias=False)
+        self.to_v = nn.Linear(context, channels, bias=False)
+        self.to_out = nn.Sequential(nn.Linear(channels, channels), nn.Dropout(0.0))
+
+    def forward(self, x: Tensor, context: Tensor | None = None) -> Tensor:
+        """[B,L,C] -> [B,L,C]."""
+        context = x if context is None else context
+        q = self.to_q(x)
+        if not self.picture_tokens:
+            return self.to_out(self._attend(q, self.to_k(context), self.to_v(context)))
+        text, picture = context[:, : -self.picture_tokens], context[:, -self.picture_tokens :]
+        out = self._attend(q, self.to_k(text), self.to_v(text))
+        seen = self._attend(q, self.to_k_ip(picture), self.to_v_ip(picture))
+        return self.to_out(out + self.picture_weight * seen)
+
+    def _attend(self, q: Tensor, k: Tensor, v: Tensor) -> Tensor:
+        q, k, v = (t.unflatten(-1, (self.heads, -1)).transpose(1, 2) for t in (q, k, v))
+        return F.scaled_dot_product_attention(q, k, v).transpose(1, 2).flatten(2)
+
+
+class Geglu(nn.Module):
+    """Linear layer whose second half gates the first."""
+
+    def __init__(self, inputs: int, outputs: int) -> None:
+        super().__init__()
+        self.proj = nn.Linear(inputs, 2 * outputs)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """[..., inputs] -> [..., outputs]."""
+        value, gate = self.proj(x).chunk(2, dim=-1)
+        return value * F.gelu(gate)
+
+
+class FeedForward(nn.Module):
+    """Gated layer four times as wide, and back."""
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        wide = 4 * channels
+        self.net = nn.Sequential(Geglu(channels, wide), nn.Dropout(0.0), nn.Linear(wide, channels))
+
+    def forward(self, x: Tensor) -> Tensor:
+        """[..., C] -> [..., C]."""
+        return self.net(x)
+
+
+class TransformerBlock(nn.Module):
+    """Attention over all frames, attention to the context per frame, feed-forward."""
+
+    def __init__(
+        self, channels: int, context: int, heads: int, picture_tokens: int, picture_weight: float
+    ) -> None:
+        super().__init__()
+        self.attn1 = CrossAttention(channels, channels, heads)
+        self.ff = FeedForward(channels)
+        self.attn2 = CrossAttention(
+            channels,
+            context,
+            heads,
+            picture_tokens=picture_tokens,
+            picture_weight=picture_weight,
+        )
+        self.norm1 = nn.LayerNorm(channels)
+        self.norm2 = nn.LayerNorm(channels)
+        self.norm3 = nn.LayerNorm(channels)
+
+    def forward(self, x: Tensor, context: Tensor, num_frames: int) -> Tensor:
+        """x [B*F,L,C]; the frames of one object follow each other."""
+        bf, length, channels = x.shape
+        joined = self.norm1(x).reshape(bf // num_frames, num_frames * length, channels)
+        x = self.attn1(joined).reshape(bf, length, channels) + x
+        x = self.attn2(self.norm2(x), context) + x
+        return self.ff(self.norm3(x)) + x
+
+
+class SpatialTransformer(nn.Module):
+    """Transformer over the pixels of all frames; [B*F,C,H,W] -> the same."""
+
+    def __init__(
+        self,
+        channels: int,
+        context: int,
+        heads: int,
+        *,
+        depth: int,
+        picture_tokens: int,
+        picture_weight: float,
+    ) -> None:
+        super().__init__()
+        self.norm = nn.GroupNorm(GROUPS, channels, eps=1e-6)
+        self.proj_in = nn.Linear(channels, channels)
+        self.transformer_blocks = nn.ModuleList(
+            TransformerBlock(channels, context, heads, picture_tokens, picture_weight)
+            for _ in range(depth)
+        )
+        self.proj_out = nn.Linear(channels, channels)
+
+    def forward(self, x: Tensor, context: Tensor, num_frames: int) -> Tensor:
+        """Context is [B*F,M,D]."""
+        tokens = self.proj_in(self.norm(x).flatten(2).transpose(1, 2))
+        for block in self.transformer_blocks:
+            tokens = block(tokens, context, num_frames)
+        return self.proj_out(tokens).transpose(1, 2).reshape(x.shape) + x

@@ -1,0 +1,118 @@
+"""The frozen networks around ImageDream's U-Net: text, picture and latents.
+
+Their architectures come from transformers (CLIP) and diffusers (VAE); sizes are those of Stable
+Diffusion 2.1 and CLIP ViT-H/14, written out so that only weight files are needed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from diffusers.models.autoencoders.autoencoder_kl import AutoencoderKL
+from PIL import Image
+from torch import Tensor, nn
+from transformers import CLIPTextConfig, CLIPTextModel, CLIPVisionConfig, CLIPVisionModel
+
+from phy124.checkpoints import fill, read_tensors, without_prefix
+
+VAE: dict[str, Any] = {
+    "down_block_types": ["DownEncoderBlock2D"] * 4,
+    "up_block_types": ["UpDecoderBlock2D"] * 4,
+    "block_out_channels": [128, 256, 512, 512],
+    "layers_per_block": 2,
+    "latent_channels": 4,
+    "scaling_factor": 0.18215,
+}
+TEXT: dict[str, Any] = {
+    "hidden_size": 1024,
+    "intermediate_size": 4096,
+    "num_hidden_layers": 23,
+    "num_attention_heads": 16,
+    "hidden_act": "gelu",
+    "vocab_size": 49408,
+}
+VISION: dict[str, Any] = {
+    "hidden_size": 1280,
+    "intermediate_size": 5120,
+    "num_hidden_layers": 32,
+    "num_attention_heads": 16,
+    "hidden_act": "gelu",
+    "image_size": 224,
+    "patch_size": 14,
+}
+EMPTY_PROMPT = (49406, 49407, *([0] * 75))
+"""Tokens of the prompt '': start, end, padding. LGM uses no other, so no tokenizer is needed."""
+SPARE = ("position_ids", "visual_projection.weight", "text_projection.weight", "logit_scale")
+"""Tensors some files carry for other uses of CLIP."""
+CLIP_SIZE = 224
+CLIP_MEAN = (0.48145466, 0.4578275, 0.40821073)
+CLIP_STD = (0.26862954, 0.26130258, 0.27577711)
+
+
+def vae(path: Path | None = None, **changes: Any) -> AutoencoderKL:
+    """The autoencoder, filled from `path` if given."""
+    return _filled(lambda: AutoencoderKL(**{**VAE, **changes}), path, "", "the VAE")
+
+
+def text_encoder(path: Path | None = None, **changes: Any) -> CLIPTextModel:
+    """Stable Diffusion 2.1's text encoder, filled from `path` if given."""
+    config = CLIPTextConfig(**{**TEXT, **changes})
+    return _filled(lambda: CLIPTextModel(config), path, "text_model.", "the text encoder")
+
+
+def image_encoder(path: Path | None = None, **changes: Any) -> CLIPVisionModel:
+    """CLIP's picture encoder, ViT-H/14, filled from `path` if given."""
+    config = CLIPVisionConfig(**{**VISION, **changes})
+    return _filled(lambda: CLIPVisionModel(config), path, "vision_model.", "the picture encoder")
+
+
+def _filled(build: Callable[[], Any], path: Path | None, prefix: str, name: str) -> Any:
+    """Build a network; with a path, strictly from its tensors and in their precision.
+
+    transformers 5 has no `prefix` in memory that the files carry; older releases keep it.
+    """
+    if path is None:
+        return build().eval().requires_grad_(False)
+    with torch.device("meta"):
+        network: nn.Module = build()
+    tensors = read_tensors(path)
+    if prefix and not any(key.startswith(prefix) for key in network.state_dict()):
+        tensors = without_prefix(tensors, prefix)
+    fill(network, {k: v for k, v in tensors.items() if not k.endswith(SPARE)}, name)
+    for module in network.modules():
+        for key, buffer in module.named_buffers(recurse=False):
+            if buffer.is_meta:  # position_ids, which no file carries any more
+                positions = torch.arange(buffer.shape[-1])[None]
+                module.register_buffer(key, positions, persistent=False)
+    return network.eval().requires_grad_(False)
+
+
+@torch.inference_mode()
+def empty_prompt(encoder: CLIPTextModel) -> Tensor:
+    """Text tokens [1,77,1024] of the empty prompt."""
+    tokens = torch.tensor([EMPTY_PROMPT], device=encoder.device)
+    return encoder(tokens).last_hidden_state
+
+
+@torch.inference_mode()
+def picture_tokens(encoder: CLIPVisionModel, image: Tensor) -> Tensor:
+    """Tokens [1,257,1280] of `image [3,H,W]` in 0..1: the last layer but one, not normalised."""
+    pixels = clip_pixels(image)[None].to(encoder.device, encoder.dtype)
+    return encoder(pixels, output_hidden_states=True).hidden_states[-2]
+
+
+def clip_pixels(image: Tensor, size: int = CLIP_SIZE) -> Tensor:
+    """CLIP's input [3,S,S] of `image [3,H,W]` in 0..1: bicubic, centre crop, normalised."""
+    pixels = (image.permute(1, 2, 0).cpu().float().numpy() * 255).astype(np.uint8)
+    height, width = pixels.shape[:2]
+    scale = size / min(height, width)
+    wide, high = max(size, int(width * scale)), max(size, int(height * scale))
+    resized = Image.fromarray(pixels).resize((wide, high), Image.Resampling.BICUBIC)
+    left, top = (wide - size) // 2, (high - size) // 2
+    cropped = np.asarray(resized.crop((left, top, left + size, top + size)), np.float32) / 255
+    normal = (cropped - np.array(CLIP_MEAN, np.float32)) / np.array(CLIP_STD, np.float32)
+    return torch.from_numpy(normal).permute(2, 0, 1)

@@ -1,0 +1,183 @@
+"""ImageDream's sampling: one picture to four views of its object.
+
+Wang & Shi 2023, "ImageDream"; classifier-free guidance (Ho & Salimans 2022) over DDIM (Song et
+al. 2021). A fifth frame carries the picture itself; it is denoised along and dropped by LGM.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import torch
+from diffusers.schedulers.scheduling_ddim import DDIMScheduler
+from torch import Tensor
+from torch.nn.functional import interpolate
+
+from phy124.generators.imagedream import encoders
+from phy124.generators.imagedream.cameras import cameras
+from phy124.generators.imagedream.unet import load_unet
+from phy124.progress import Progress, silent
+from phy124.weights import require
+
+FRAMES = 5
+"""Four views and the picture."""
+SIZE = 256
+"""Side of each view, pixels; latents are an eighth."""
+SCHEDULE: dict[str, Any] = {
+    "beta_start": 0.00085,
+    "beta_end": 0.012,
+    "beta_schedule": "scaled_linear",
+    "num_train_timesteps": 1000,
+    "steps_offset": 1,
+    "clip_sample": False,
+    "set_alpha_to_one": False,
+    "prediction_type": "epsilon",
+    "timestep_spacing": "leading",
+}
+
+
+@dataclass(frozen=True)
+class Condition:
+    """What the noise prediction depends on, without and with the picture."""
+
+    text: Tensor
+    """Text tokens [2,77,D]: negative prompt, prompt."""
+    tokens: Tensor
+    """Picture tokens [1,257,1280]; without the picture they are zeros."""
+    latents: Tensor
+    """Picture latents [1,4,h,w]; without the picture they are zeros."""
+    cameras: Tensor
+    """Poses [5,16]."""
+
+
+class Parts(Protocol):
+    """The networks; `TrainedParts` reads them from weight files."""
+
+    unet: Any
+    vae: Any
+
+    def text(self) -> Tensor:
+        """Text tokens [1,77,D] of the empty prompt."""
+        ...
+
+    def picture(self, image: Tensor) -> Tensor:
+        """Picture tokens [1,257,1280] of `image [3,H,W]` in 0..1."""
+        ...
+
+
+class TrainedParts:
+    """The public networks; both encoders are let go after use, which halves peak memory."""
+
+    def __init__(
+        self, weights: str | os.PathLike[str] | None, device: str, dtype: torch.dtype
+    ) -> None:
+        self._files = require("imagedream", weights)
+        self._place = {"device": device, "dtype": dtype}
+        self.unet = load_unet(
+            self._files["unet/diffusion_pytorch_model.safetensors"], **self._place
+        )
+        vae = encoders.vae(self._files["vae/diffusion_pytorch_model.safetensors"])
+        self.vae = vae.to(**self._place)
+
+    def text(self) -> Tensor:
+        """Text tokens [1,77,1024]."""
+        encoder = encoders.text_encoder(self._files["text_encoder/model.safetensors"])
+        return encoders.empty_prompt(encoder.to(**self._place))
+
+    def picture(self, image: Tensor) -> Tensor:
+        """Picture tokens [1,257,1280]."""
+        encoder = encoders.image_encoder(self._files["image_encoder/model.safetensors"])
+        return encoders.picture_tokens(encoder.to(**self._place), image)
+
+
+class ImageDream:
+    """Picture to four views; `parts` replaces the trained networks, for tests."""
+
+    def __init__(
+        self,
+        *,
+        weights: str | os.PathLike[str] | None = None,
+        device: str = "cpu",
+        dtype: torch.dtype = torch.float32,
+        steps: int = 30,
+        guidance: float = 5.0,
+        elevation: float = 0.0,
+        parts: Parts | None = None,
+    ) -> None:
+        self.weights, self.device, self.dtype = weights, device, dtype
+        self.steps, self.guidance, self.elevation = steps, guidance, elevation
+        self.parts = parts
+
+    @torch.inference_mode()
+    def __call__(self, image: Tensor, *, seed: int = 0, progress: Progress = silent) -> Tensor:
+        """Views [5,3,256,256] in 0..1 of `image [3,H,W]` over white.
+
+        Azimuths 0, 90, 180, 270 degrees and the picture. The same seed gives the same views on
+        every device up to rounding. Progress is told before each step and may cancel.
+        """
+        progress("imagedream", 0, self.steps)
+        if self.parts is None:
+            self.parts = TrainedParts(self.weights, self.device, self.dtype)
+        parts, draw = self.parts, torch.Generator().manual_seed(seed)
+        condition = Condition(
+            text=parts.text().expand(2, -1, -1).to(self.device, self.dtype),
+            tokens=parts.picture(image).to(self.device, self.dtype),
+            latents=encode(parts.vae, image.to(self.device, self.dtype), draw),
+            cameras=torch.from_numpy(cameras(self.elevation)).to(self.device, self.dtype),
+        )
+        noise = torch.randn(FRAMES, *condition.latents.shape[1:], generator=draw)
+        latents = noise.to(self.device, self.dtype)
+        stages = denoise(parts.unet, latents, condition, self.steps, self.guidance)
+        for i, latents in enumerate(stages, 1):  # noqa: B007 (the last one is used)
+            progress("imagedream", i, self.steps)
+        return decode(parts.vae, latents)
+
+
+def encode(vae: Any, image: Tensor, draw: torch.Generator | None = None) -> Tensor:
+    """Latents [1,4,32,32] of `image [3,H,W]` in 0..1: a sample of the posterior, scaled."""
+    square = interpolate(image[None], (SIZE, SIZE), mode="bilinear", align_corners=False)
+    posterior = vae.encode(2 * square - 1).latent_dist
+    noise = torch.randn(posterior.mean.shape, generator=draw).to(posterior.mean)
+    return (posterior.mean + posterior.std * noise) * vae.config.scaling_factor
+
+
+def decode(vae: Any, latents: Tensor) -> Tensor:
+    """Pictures [F,3,H,W] in 0..1 of latents [F,4,h,w], one at a time to spare memory."""
+    pictures = [vae.decode(z[None] / vae.config.scaling_factor).sample[0] for z in latents]
+    return (torch.stack(pictures) / 2 + 0.5).clamp(0, 1)
+
+
+def denoise(
+    unet: Any, latents: Tensor, condition: Condition, steps: int, guidance: float
+) -> Iterator[Tensor]:
+    """Yield the latents [5,4,h,w] after each DDIM step, starting from noise `latents`."""
+    scheduler = DDIMScheduler(**SCHEDULE)
+    scheduler.set_timesteps(steps)
+    for t in scheduler.timesteps:
+        noise = guided(unet, latents, t, condition, guidance)
+        latents = scheduler.step(noise, int(t), latents, eta=0.0, return_dict=False)[0]
+        yield latents
+
+
+def guided(unet: Any, latents: Tensor, t: Tensor, condition: Condition, guidance: float) -> Tensor:
+    """Noise [5,4,h,w] predicted with the picture, pushed away from that without."""
+    without, with_it = predict(unet, latents, t, condition).chunk(2)
+    return without + guidance * (with_it - without)
+
+
+def predict(unet: Any, latents: Tensor, t: Tensor, condition: Condition) -> Tensor:
+    """Noise [10,4,h,w]: five frames without the picture, five with it."""
+    frames = len(latents)
+    tokens = condition.tokens.expand(frames, -1, -1)
+    return unet(
+        latents.repeat(2, 1, 1, 1),
+        t.to(latents.device).expand(2 * frames),
+        condition.text.repeat_interleave(frames, dim=0),
+        num_frames=frames,
+        camera=condition.cameras.repeat(2, 1),
+        ip=torch.cat([torch.zeros_like(tokens), tokens]),
+        ip_img=torch.cat([torch.zeros_like(condition.latents), condition.latents]),
+    )

@@ -1,0 +1,276 @@
+"""ImageDream against the original program's outputs, step by step."""
+
+import json
+from pathlib import Path
+
+import formula
+import numpy as np
+import pytest
+import torch
+from diffusers.schedulers.scheduling_ddim import DDIMScheduler
+from safetensors.torch import save_file
+from transformers import CLIPTextConfig, CLIPTextModel, CLIPVisionConfig, CLIPVisionModel
+
+from phy124.errors import Cancelled, InputError
+from phy124.generators.imagedream import Config, ImageDream, MultiViewUNet, encoders, load_unet
+from phy124.generators.imagedream.cameras import cameras
+from phy124.generators.imagedream.pipeline import (
+    SCHEDULE,
+    Condition,
+    decode,
+    denoise,
+    encode,
+    predict,
+)
+from phy124.generators.imagedream.unet import timestep_embedding, with_picture
+
+CLOSE = {"rtol": 1e-4, "atol": 2e-5}
+PIPELINE = {"rtol": 1e-3, "atol": 1e-3}
+SMALL_VAE = {"block_out_channels": [32, 32, 32, 32], "layers_per_block": 1}
+SMALL_CLIP = {
+    "hidden_size": 32,
+    "intermediate_size": 64,
+    "num_hidden_layers": 3,
+    "num_attention_heads": 2,
+}
+
+
+@pytest.fixture(scope="module")
+def folder(golden) -> Path:
+    return golden / "generators"
+
+
+@pytest.fixture(scope="module")
+def unet(folder) -> MultiViewUNet:
+    config = json.loads((folder / "imagedream_unet_tiny.json").read_text())["config"]
+    return load_unet(folder / "imagedream_unet_tiny.weights.fp16.safetensors", **config)
+
+
+@pytest.fixture(scope="module")
+def vae(folder):
+    return encoders.vae(folder / "vae_tiny.weights.fp16.safetensors", **SMALL_VAE).float()
+
+
+@pytest.fixture(scope="module")
+def expected(folder) -> dict[str, torch.Tensor]:
+    arrays = np.load(folder / "imagedream_pipeline.npz")
+    return {key: torch.from_numpy(arrays[key]) for key in arrays.files}
+
+
+@pytest.fixture(scope="module")
+def condition(expected) -> Condition:
+    return Condition(
+        torch.cat([expected["neg"], expected["pos"]]),
+        expected["image_embeds"].float(),
+        expected["image_latents_pos"],
+        torch.from_numpy(cameras()),
+    )
+
+
+class TinyParts:
+    """Networks of the golden data with made-up encoders."""
+
+    def __init__(self, unet, vae):
+        self.unet, self.vae = unet, vae
+
+    def text(self):
+        return formula.inputs("text", (1, 77, 16), -1, 1)
+
+    def picture(self, image):
+        return formula.inputs("picture", (1, 257, 1280), -1, 1) * image.mean()
+
+
+def test_unet_equals_the_original(folder, unet):
+    arrays = np.load(folder / "imagedream_unet_tiny.npz")
+    e = {key: torch.from_numpy(arrays[key]) for key in arrays.files}
+    ip = torch.cat([torch.zeros(5, 9, 1280), e["ip_pos"].expand(5, 9, 1280)])
+    camera = e["camera"].repeat(2, 1)
+    with torch.inference_mode():
+        y = unet(e["x"], e["timesteps"], e["context"], 5, camera, ip, e["ip_img"])
+        tokens = unet.image_embed(e["ip_pos"][None])
+        pose = unet.camera_embed(e["camera"])
+    np.testing.assert_allclose(y, e["y"], **CLOSE)
+    np.testing.assert_allclose(tokens, e["ip_tokens"], **CLOSE)
+    np.testing.assert_allclose(pose, e["camera_embed"], **CLOSE)
+    replaced = with_picture(e["x"], e["ip_img"], 5)
+    np.testing.assert_array_equal(replaced, e["x_after_ip_overwrite"])
+    sinusoids = timestep_embedding(torch.tensor([1, 34, 958]), 32)
+    np.testing.assert_allclose(sinusoids, e["timestep_embedding"], **CLOSE)
+
+
+def test_mvdream_is_the_same_network_without_a_picture(folder):
+    config = json.loads((folder / "imagedream_unet_tiny.json").read_text())["config"]
+    config["ip_dim"] = 0
+    with torch.device("meta"):
+        empty = MultiViewUNet(Config(**config))
+    unet = load_unet(formula.state_dict(empty), **config)
+    arrays = np.load(folder / "mvdream_unet_tiny.npz")
+    x, t, context, camera = (torch.from_numpy(arrays[k]) for k in ("x", "t", "context", "camera"))
+    with torch.inference_mode():
+        np.testing.assert_allclose(unet(x, t, context, 4, camera), arrays["y"], **CLOSE)
+
+
+@pytest.mark.parametrize("name", ["imagedream_unet", "mvdream_unet"])
+def test_keys_and_shapes_are_those_of_the_public_files(folder, name):
+    table = json.loads((folder / f"tables/{name}.json").read_text())
+    config = {"ip_dim": 0, **table["meta"]["config"]}
+    with torch.device("meta"):
+        unet = MultiViewUNet(Config(**config))
+    assert {k: list(v.shape) for k, v in unet.state_dict().items()} == table["shapes"]
+
+
+@pytest.mark.parametrize(
+    ("build", "table", "prefix"),
+    [
+        (encoders.vae, "sd_vae", ""),
+        (encoders.text_encoder, "sd21_text_encoder", "text_model."),
+        (encoders.image_encoder, "clip_vit_h14_vision", "vision_model."),
+    ],
+)
+def test_surrounding_networks_have_the_public_shapes(folder, build, table, prefix):
+    with torch.device("meta"):
+        shapes = {k: list(v.shape) for k, v in build().state_dict().items()}
+    if not any(key.startswith(prefix) for key in shapes):
+        shapes = {prefix + k: v for k, v in shapes.items()}
+    assert shapes == json.loads((folder / f"tables/{table}.json").read_text())["shapes"]
+
+
+def test_cameras_equal_the_original(folder):
+    arrays = np.load(folder / "imagedream_cameras.npz")
+    for elevation in (0, 15, -20):
+        np.testing.assert_allclose(cameras(elevation), arrays[f"lgm_elev{elevation}"], **CLOSE)
+
+
+def test_vae_equals_the_original(folder, vae):
+    arrays = np.load(folder / "vae_tiny.npz")
+    with torch.inference_mode():
+        posterior = vae.encode(torch.from_numpy(arrays["x"])).latent_dist
+        decoded = vae.decode(torch.from_numpy(arrays["z"])).sample
+    np.testing.assert_allclose(posterior.mean, arrays["mean"], **CLOSE)
+    np.testing.assert_allclose(posterior.logvar, arrays["logvar"], **CLOSE)
+    np.testing.assert_allclose(decoded, arrays["decoded"], **CLOSE)
+
+
+def test_schedule_equals_the_original(folder, expected):
+    told = json.loads((folder / "imagedream_pipeline.json").read_text())["scheduler"]
+    assert told.items() <= SCHEDULE.items()
+    scheduler = DDIMScheduler(**SCHEDULE)
+    np.testing.assert_allclose(scheduler.alphas_cumprod, expected["alphas_cumprod"], **CLOSE)
+    assert float(scheduler.final_alpha_cumprod) == pytest.approx(
+        float(expected["final_alpha_cumprod"]), rel=1e-6
+    )
+    for steps in (3, 30, 50):
+        scheduler.set_timesteps(steps)
+        np.testing.assert_array_equal(scheduler.timesteps, expected[f"timesteps_{steps}"])
+
+
+def test_every_step_equals_the_original(unet, vae, expected, condition):
+    """Three steps with guidance 5; latents reach 50, so 1e-3 is tight."""
+    start = expected["init_latents"]
+    with torch.inference_mode():
+        noise = predict(unet, start, expected["timesteps_3"][0], condition)
+        np.testing.assert_allclose(noise, expected["eps_step0"], **PIPELINE)
+        steps = list(denoise(unet, start, condition, 3, 5.0))
+        views = decode(vae, steps[-1]).permute(0, 2, 3, 1)
+    np.testing.assert_allclose(torch.stack(steps), expected["latents_steps"], **PIPELINE)
+    np.testing.assert_allclose(views[:, ::8, ::8], expected["out_stride8"], **PIPELINE)
+
+
+def test_picture_latents_are_a_sample_of_the_posterior(vae, expected):
+    """The golden latents hold the sampling noise, so they are tested for its size and mean."""
+    image = expected["image"].permute(2, 0, 1)
+    with torch.inference_mode():
+        samples = [encode(vae, image, torch.Generator().manual_seed(seed)) for seed in range(2)]
+        square = torch.nn.functional.interpolate(image[None], (256, 256), mode="bilinear")
+        posterior = vae.encode(2 * square - 1).latent_dist
+    for latents in (*samples, expected["image_latents_pos"]):
+        noise = (latents / 0.18215 - posterior.mean) / posterior.std
+        assert abs(float(noise.mean())) < 0.06 and abs(float(noise.std()) - 1) < 0.05
+    assert not torch.equal(*samples)
+
+
+def test_same_seed_same_views_and_progress_per_step(unet, vae):
+    generator = ImageDream(steps=2, parts=TinyParts(unet, vae))
+    image, steps = torch.rand(3, 40, 40, generator=torch.Generator().manual_seed(0)), []
+    first = generator(image, seed=3, progress=lambda *told: steps.append(told))
+    assert first.shape == (5, 3, 256, 256)
+    assert float(first.min()) >= 0 and float(first.max()) <= 1
+    assert steps == [("imagedream", 0, 2), ("imagedream", 1, 2), ("imagedream", 2, 2)]
+    torch.testing.assert_close(generator(image, seed=3), first, rtol=0, atol=0)
+    assert not torch.equal(generator(image, seed=4), first)
+
+
+def test_cancelling_stops_after_the_step_in_hand(unet, vae):
+    told = []
+
+    def progress(stage, done, total):
+        told.append(done)
+        if done == 1:
+            raise Cancelled
+
+    with pytest.raises(Cancelled):
+        ImageDream(steps=9, parts=TinyParts(unet, vae))(torch.rand(3, 8, 8), progress=progress)
+    assert told == [0, 1]
+
+
+def test_authors_checkpoint_and_unknown_fields(unet):
+    config = {**vars(unet.config), "image_size": 32, "use_checkpoint": False}
+    prefixed = {"model.diffusion_model." + k: v for k, v in unet.state_dict().items()}
+    again = load_unet(prefixed, **config)
+    assert again.out[2].weight.equal(unet.out[2].weight)
+    with pytest.raises(InputError, match="field is unknown"):
+        load_unet(prefixed, chanels=3)
+    with pytest.raises(InputError, match=r"not those of ImageDream's U-Net, which has 773"):
+        load_unet(unet.state_dict())
+
+
+@pytest.mark.parametrize("prefix", ["", "vision_model."])
+def test_picture_encoder_reads_files_of_old_and_new_names(tmp_path, prefix):
+    torch.manual_seed(0)
+    model = CLIPVisionModel(CLIPVisionConfig(**{**encoders.VISION, **SMALL_CLIP})).eval()
+    tensors = {k.removeprefix("vision_model."): v for k, v in model.state_dict().items()}
+    tensors = {prefix + k: v for k, v in tensors.items()}
+    tensors["visual_projection.weight"] = torch.zeros(2, 2)
+    save_file(tensors, tmp_path / "model.safetensors")
+    encoder = encoders.image_encoder(tmp_path / "model.safetensors", **SMALL_CLIP)
+    image = torch.rand(3, 240, 230)
+    tokens = encoders.picture_tokens(encoder, image)
+    with torch.inference_mode():
+        pixels = encoders.clip_pixels(image)[None]
+        layers = model(pixels, output_hidden_states=True).hidden_states
+    assert len(layers) == SMALL_CLIP["num_hidden_layers"] + 1
+    torch.testing.assert_close(tokens, layers[-2])
+
+
+def test_text_encoder_reads_files_and_needs_no_tokenizer(tmp_path):
+    torch.manual_seed(0)
+    small = {**SMALL_CLIP, "num_hidden_layers": 2}
+    model = CLIPTextModel(CLIPTextConfig(**{**encoders.TEXT, **small})).eval()
+    tensors = {
+        "text_model." + k.removeprefix("text_model."): v for k, v in model.state_dict().items()
+    }
+    tensors["text_model.embeddings.position_ids"] = torch.arange(77)[None]
+    save_file(tensors, tmp_path / "model.safetensors")
+    encoder = encoders.text_encoder(tmp_path / "model.safetensors", **small)
+    tokens = encoders.empty_prompt(encoder)
+    assert tokens.shape == (1, 77, 32)
+    with torch.inference_mode():
+        wanted = model(torch.tensor([[49406, 49407] + [0] * 75])).last_hidden_state
+    torch.testing.assert_close(tokens, wanted)
+
+
+def test_clip_pixels_are_normalised_and_cropped():
+    image = torch.zeros(3, 100, 300)
+    image[:, :, 100:200] = 1
+    pixels = encoders.clip_pixels(image)
+    assert pixels.shape == (3, 224, 224)
+    white = (1 - torch.tensor(encoders.CLIP_MEAN)) / torch.tensor(encoders.CLIP_STD)
+    torch.testing.assert_close(pixels[:, 112, 112], white)
+    torch.testing.assert_close(pixels[:, 5, 40], white)
+
+
+def test_missing_weights_name_the_command(tmp_path, monkeypatch):
+    monkeypatch.setenv("HF_HUB_CACHE", str(tmp_path))
+    monkeypatch.delenv("PHY124_WEIGHTS", raising=False)
+    with pytest.raises(InputError, match=r"phy124 weights fetch imagedream"):
+        ImageDream(weights=tmp_path)(torch.zeros(3, 8, 8))
