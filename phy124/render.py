@@ -12,7 +12,7 @@ import itertools
 import math
 import operator
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from queue import SimpleQueue
@@ -201,7 +201,7 @@ def render_frames(
     device: str | None = None,
     threads: int = 2,
     progress: Progress = silent,
-) -> Iterator[NDArray[np.uint8]]:
+) -> Generator[NDArray[np.uint8], None, None]:
     """Images [H,W,3] uint8 of the frames, in order, until frames or cameras run out.
 
     Args:

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from typing import Any, TypeVar
+
+T = TypeVar("T")
 
 
 class Stopwatch:
-    """Adds up seconds per named stage; stages may be entered again."""
+    """Adds up seconds and device launches per named stage; stages may be entered again."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
+        self.launches: dict[str, int] = {}
         self.start = time.perf_counter()
 
     @contextmanager
@@ -24,7 +28,24 @@ class Stopwatch:
             spent = time.perf_counter() - start
             self.seconds[name] = self.seconds.get(name, 0.0) + spent
 
+    def each(self, name: str, items: Iterable[T]) -> Iterator[T]:
+        """The items, the time to get each counted for the stage."""
+        iterator = iter(items)
+        while True:
+            with self.stage(name):
+                item = next(iterator, None)
+            if item is None:
+                return
+            yield item
+
     @property
     def total(self) -> float:
         """Seconds since the stopwatch was made."""
         return time.perf_counter() - self.start
+
+    def data(self) -> list[dict[str, Any]]:
+        """Plain data: name, seconds and, where they were counted, launches of each stage."""
+        return [
+            {"name": name, "seconds": seconds, "launches": self.launches.get(name)}
+            for name, seconds in self.seconds.items()
+        ]

@@ -1,0 +1,76 @@
+"""`phy124 doctor`: what this installation can do."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import shutil
+from dataclasses import dataclass
+from importlib.util import find_spec
+from typing import Any
+
+EXTRAS = {
+    "lgm": ("torch", "diffusers", "transformers", "onnxruntime"),
+    "eval": ("torch", "transformers"),
+    "demo": ("gradio",),
+    "bridge": ("mcap",),
+    "dds": ("cyclonedds",),
+}
+"""Optional parts and the modules each needs."""
+
+
+@dataclass(frozen=True)
+class Doctor:
+    """Check this installation: Python, devices, video encoder, optional parts."""
+
+    json: bool = False
+    """Print as JSON."""
+
+    def run(self) -> int:
+        """Print; status 1 if something needed is missing."""
+        found = examine()
+        if self.json:
+            print(json.dumps(found))
+        else:
+            for name, value in found.items():
+                print(f"{name:<12}{_text(value)}")
+        return 0 if found["encoder"] else 1
+
+
+def examine() -> dict[str, Any]:
+    """Facts about this machine and installation, as plain data."""
+    import warp as wp
+
+    wp.init()
+    return {
+        "python": platform.python_version(),
+        "warp": wp.__version__,
+        "cores": os.cpu_count(),
+        "devices": [f"{device} ({device.name})" for device in wp.get_devices()],
+        "encoder": _encoder(),
+        "cache": wp.config.kernel_cache_dir,
+        "extras": {
+            extra: [m for m in modules if find_spec(m) is None] or "installed"
+            for extra, modules in EXTRAS.items()
+        },
+    }
+
+
+def _encoder() -> str | None:
+    """The ffmpeg program that writes MP4s."""
+    import imageio_ffmpeg
+
+    try:
+        return imageio_ffmpeg.get_ffmpeg_exe()
+    except RuntimeError:
+        return shutil.which("ffmpeg")
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, dict):
+        missing = {k: v for k, v in value.items() if v != "installed"}
+        fine = ", ".join(k for k in value if k not in missing) or "none"
+        rest = "; ".join(f"{k} lacks {', '.join(v)}" for k, v in missing.items())
+        return f"{fine}{'; ' + rest if rest else ''}"
+    return ", ".join(value) if isinstance(value, list) else str(value)

@@ -1,0 +1,209 @@
+"""The whole chain: picture -> foreground -> Gaussians -> moving Gaussians -> files.
+
+Every function here reports progress and its stages' times; a run that is cancelled or fails
+leaves nothing behind, one that stops early keeps its good frames.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from phy124.camera import VIEWS, Camera
+from phy124.clip import Clip
+from phy124.errors import InputError
+from phy124.gaussians import Gaussians
+from phy124.generators import Generator
+from phy124.generators import generator as find_generator
+from phy124.image import foreground, open_image
+from phy124.ply import write_ply
+from phy124.progress import Progress, silent
+from phy124.render import render_frames
+from phy124.scene import Scene, View
+from phy124.simulation import Simulation
+from phy124.stopwatch import Stopwatch
+from phy124.video import write_mp4
+
+PathLike = str | os.PathLike[str]
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a run made."""
+
+    folder: Path
+    """Where the files are."""
+    files: tuple[Path, ...]
+    """Every file made."""
+    report: dict[str, Any]
+    """The content of report.json."""
+
+
+def generate(
+    image: PathLike,
+    scene: Scene,
+    out: PathLike,
+    *,
+    generator: str | Generator = "relief",
+    method: str = "auto",
+    device: str = "cpu",
+    progress: Progress = silent,
+) -> Result:
+    """A picture becomes moving Gaussians, videos and a report in a folder.
+
+    Raises InputError for what the user can mend, Cancelled if `progress` does.
+    """
+    watch = Stopwatch()
+    make = find_generator(generator)
+    with watch.stage("image"):
+        cutout, used = foreground(open_image(image), method)
+    with watch.stage("generate"):
+        gaussians = make(cutout, seed=scene.seed, progress=progress)
+    about = {"foreground": used, "generator": _name(generator)}
+    return simulate(
+        gaussians, scene, out, device=device, progress=progress, watch=watch, about=about
+    )
+
+
+def simulate(
+    gaussians: Gaussians,
+    scene: Scene,
+    out: PathLike,
+    *,
+    device: str = "cpu",
+    progress: Progress = silent,
+    watch: Stopwatch | None = None,
+    about: dict[str, Any] | None = None,
+) -> Result:
+    """Gaussians become moving Gaussians, videos and a report in a folder."""
+    watch = watch or Stopwatch()
+    with staged(out) as folder:
+        run = Simulation(gaussians, scene, device=device, progress=progress, watch=watch)
+        clip = run.run()
+        with watch.stage("save"):
+            write_ply(folder / "gaussians.ply", run.gaussians)
+            (folder / "scene.toml").write_text(scene.to_toml(), "utf-8")
+        film(clip, scene.view, folder, device=device, progress=progress, watch=watch)
+        about = {"foreground": None, "generator": None, **(about or {})}
+        report = {**about, **clip.report, **_circumstances(device, watch)}
+        with watch.stage("save"):
+            clip.with_report(report).save(folder / "clip.safetensors")
+            _write_json(folder / "report.json", report)
+        made = sorted(path.name for path in folder.iterdir())
+    return Result(Path(out), tuple(Path(out) / name for name in made), report)
+
+
+def film(
+    clip: Clip,
+    view: View,
+    folder: PathLike,
+    *,
+    device: str = "cpu",
+    progress: Progress = silent,
+    watch: Stopwatch | None = None,
+) -> list[Path]:
+    """One MP4 per view of a clip, written into a folder that exists."""
+    watch = watch or Stopwatch()
+    made = []
+    for name in view.views:
+        path = Path(folder) / f"{name}.mp4"
+        images = render_frames(
+            clip.frames(),
+            cameras(clip, view, name),
+            background=view.background,
+            device=device,
+            progress=lambda _, done, total, name=name: progress(f"render {name}", done, total),
+        )
+        before = watch.seconds.get("render", 0.0)
+        with closing(images), watch.stage("encode"):
+            write_mp4(path, watch.each("render", images), fps=view.fps or _rate(clip))
+        watch.seconds["encode"] -= watch.seconds.get("render", 0.0) - before
+        made.append(path)
+    return made
+
+
+def cameras(clip: Clip, view: View, name: str) -> list[Camera]:
+    """The camera of each frame: still, or once around the object for "orbit"."""
+    low, high = _stage_box(clip)
+    reach = float((high - low).max())
+    middle = (low + high) / 2
+    turns = np.arange(len(clip)) * 360 / max(len(clip), 1)
+    azimuths = turns if name == "orbit" else np.full(len(clip), VIEWS[name])
+    x, y, z = middle.tolist()
+    return [
+        Camera.orbit(azimuth, view.elevation, view.distance * reach, view.size, (x, y, z), view.fov)
+        for azimuth in azimuths.tolist()
+    ]
+
+
+def _stage_box(clip: Clip) -> tuple[np.ndarray, np.ndarray]:
+    """Corners of the object at rest, and of the ground under it if it will fall there."""
+    low, high = clip.means[0].min(axis=0), clip.means[0].max(axis=0)
+    floors = [b["height"] for b in clip.scene.get("boundaries", []) if b["kind"] == "ground"]
+    if floors:
+        low = np.minimum(low, [np.inf, np.inf, max(floors)])
+    return low, high
+
+
+def _rate(clip: Clip) -> float:
+    """Frames per second at which a clip plays in real time."""
+    return float((len(clip) - 1) / (clip.times[-1] - clip.times[0])) if len(clip) > 1 else 24.0
+
+
+def _circumstances(device: str, watch: Stopwatch) -> dict[str, Any]:
+    """Device, versions and stage times for the report."""
+    packages = ("phy124", "numpy", "warp-lang", "opencv-python-headless", "imageio-ffmpeg")
+    found = {}
+    for package in packages:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "not installed as a package"
+    return {
+        "device": device,
+        "processor": platform.processor() or platform.machine(),
+        "versions": {"python": platform.python_version(), **found},
+        "seconds": watch.total,
+        "stages": watch.data(),
+    }
+
+
+@contextmanager
+def staged(out: PathLike) -> Iterator[Path]:
+    """A folder to fill; its files move into `out` only if all went well.
+
+    Raises InputError if `out` cannot be a folder.
+    """
+    out = Path(out)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        folder = Path(tempfile.mkdtemp(prefix=".making-", dir=out))
+    except OSError as error:
+        raise InputError(
+            "out", out, f"it cannot be written ({error.strerror}).", "Choose another folder."
+        ) from None
+    try:
+        yield folder
+        for path in sorted(folder.iterdir()):
+            os.replace(path, out / path.name)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _name(generator: str | Generator) -> str:
+    return generator if isinstance(generator, str) else type(generator).__name__
+
+
+def _write_json(path: Path, data: dict[str, Any]) -> None:
+    path.write_text(json.dumps(data, indent=2, allow_nan=False) + "\n", "utf-8")
