@@ -88,7 +88,7 @@ def read_ply(
 def write_ply(path: str | os.PathLike[str], gaussians: Gaussians) -> None:
     """Write the Inria layout, binary little-endian float32; it appears whole or not at all."""
     path = Path(path)
-    table = _table(turned(gaussians, _axes("-y", "-z", "3dgs").T))
+    table = raw_table(turned(gaussians, _axes("-y", "-z", "3dgs").T))
     names = table.dtype.names or ()
     lines = ["ply", "format binary_little_endian 1.0", f"comment {COMMENT}"]
     lines += [f"element vertex {len(table)}", *(f"property float {name}" for name in names)]
@@ -264,8 +264,8 @@ def _activated(raw: dict[str, NDArray[np.float32]]) -> tuple[Gaussians, int]:
     return Gaussians(**{**kept, "quats": unit}), int(np.count_nonzero(~good))
 
 
-def _table(gaussians: Gaussians) -> NDArray[Any]:
-    """Rows of the Inria layout."""
+def raw_table(gaussians: Gaussians) -> NDArray[Any]:
+    """Rows of the Inria layout: raw values (logits, log scales), in the axes the Gaussians have."""
     opacity = np.clip(gaussians.opacities.astype(np.float64), OPACITY_MARGIN, 1 - OPACITY_MARGIN)
     rest = gaussians.sh[:, 1:].transpose(0, 2, 1).reshape(len(gaussians), -1)
     groups = {
