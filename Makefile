@@ -1,0 +1,53 @@
+# make demo | app | test | test-browser | bench | lint | clean
+# Everything is installed into .venv; a stamp per set of packages says that it is there.
+
+PYTHON ?= python3
+BIN := .venv/bin
+INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt
+
+.PHONY: demo app test test-slow test-browser bench lint clean
+
+demo: .venv/base
+	$(BIN)/phy124 generate demo/examples/duck.png --scene press --out out/duck-press
+
+app: .venv/demo
+	$(BIN)/python app.py
+
+test: .venv/test
+	$(BIN)/pytest
+
+test-slow: .venv/test
+	$(BIN)/pytest -m "slow and not gpu and not weights and not ros"
+
+test-browser: .venv/test
+	command -v chromium >/dev/null || (apt-get update -qq && apt-get install -y -qq chromium)
+	$(BIN)/pytest -m browser
+
+bench: .venv/test
+	for script in tests/benchmarks/*.py; do $(BIN)/python $$script || exit 1; done
+
+lint: .venv/lint
+	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/pre-commit run --all-files --show-diff-on-failure
+
+clean:
+	rm -rf .venv out build dist *.egg-info .pytest_cache .ruff_cache .import_linter_cache .hypothesis
+
+.venv/python: constraints.txt
+	$(PYTHON) -m venv .venv
+	touch $@
+
+.venv/base: .venv/python pyproject.toml
+	$(INSTALL) --editable .
+	touch $@
+
+.venv/demo: .venv/python pyproject.toml
+	$(INSTALL) --editable ".[demo]"
+	touch $@ .venv/base
+
+.venv/test: .venv/python pyproject.toml
+	$(INSTALL) --editable ".[test]"
+	touch $@ .venv/base .venv/demo
+
+.venv/lint: .venv/python pyproject.toml
+	$(INSTALL) --editable ".[test,lint]"
+	touch $@ .venv/base .venv/demo .venv/test

@@ -1,0 +1,28 @@
+import math
+
+import pytest
+
+from phy124.timestep import Extremes, stable_substep
+
+
+@pytest.mark.parametrize(
+    ("extremes", "dt", "limiter"),
+    [
+        (Extremes(0, 0, 100.0), 0.6 * 0.1 / 10, "elastic"),
+        (Extremes(20, 0, 100.0), 0.5 * 0.1 / 20, "speed"),
+        (Extremes(1, 500, 100.0), 0.4 / 500, "gradient"),
+    ],
+)
+def test_the_tightest_limit_rules(extremes, dt, limiter):
+    step = stable_substep(extremes, 0.1)
+    assert step.limiter == limiter
+    assert math.isclose(step.dt, dt)
+
+
+def test_a_users_substep_is_a_ceiling_only():
+    assert stable_substep(Extremes(0, 0, 100.0), 0.1, ceiling=1e-4) == (1e-4, "user")
+    assert stable_substep(Extremes(0, 0, 100.0), 0.1, ceiling=1.0).limiter == "elastic"
+
+
+def test_nothing_moves_and_nothing_is_stiff():
+    assert stable_substep(Extremes(0, 0, 0), 0.1).dt == math.inf
