@@ -23,19 +23,6 @@ REPORT_EVERY = 5.0
 log = logging.getLogger(__name__)
 
 
-def command(player: Player, text: str, now: float) -> None:
-    """Do what a user asked for; raises InputError for what is no command."""
-    word, *values = text.split() or [""]
-    if word in ("play", "pause", "restart") and not values:
-        getattr(player, word)(now)
-    elif word == "seek":
-        player.seek(_number(text, values), now)
-    elif word == "speed":
-        player.set_speed(_number(text, values), now)
-    else:
-        raise _unknown(text)
-
-
 def play(
     clip: Clip,
     sink: LiveSink,
@@ -49,11 +36,16 @@ def play(
 
     `records` get each frame that is shown, too.
     """
+
+    def obey(text: str) -> str | None:
+        refusal = _attempt(lambda: command(player, text, clock()))
+        sink.show(player)
+        return refusal
+
     announcer = _DropAnnouncer(player, clock)
+    sink.show(player)
     while stay or not player.finished:
-        for text in sink.commands(min(player.wait(clock()), LONGEST_WAIT)):
-            _try(player, text, clock())
-            sink.show(player)
+        sink.listen(min(player.wait(clock()), LONGEST_WAIT), obey)
         tick = player.due(clock())
         if tick is None:
             continue
@@ -61,6 +53,8 @@ def play(
         sink.write(frame if sink.monotonic else replace(frame, time=tick.time))
         for record in records:
             record.write(frame)
+        if player.finished:
+            sink.show(player)
         announcer.look()
 
 
@@ -77,28 +71,43 @@ def follow(
     A simulation faster than `speed` is held to it. While paused no frame is asked for, so the
     simulation itself rests. Seeking and restarting need a finished clip and are refused.
     """
-    pacer = _Pacer(speed)
+    pacer = _Pacer(speed, clock)
     for frame in frames:
-        while (wait := pacer.wait(frame.time, clock())) > 0:
-            for text in sink.commands(min(wait, LONGEST_WAIT)):
-                pacer.command(text, frame.time, clock())
-        for text in sink.commands(0.0):
-            pacer.command(text, frame.time, clock())
+        sink.listen(0.0, pacer.obey)
+        while (wait := pacer.wait(frame.time)) > 0:
+            sink.listen(min(wait, LONGEST_WAIT), pacer.obey)
         for each in (sink, *records):
             each.write(frame)
+
+
+def command(player: Player, text: str, now: float) -> None:
+    """Do what a user asked for; raises InputError for what is no command."""
+    word, *values = text.split() or [""]
+    if word in ("play", "pause", "restart") and not values:
+        getattr(player, word)(now)
+    elif word == "seek":
+        player.seek(_number(text, values), now)
+    elif word == "speed":
+        player.set_speed(_number(text, values), now)
+    else:
+        raise _unknown(text)
 
 
 class _Pacer:
     """When a frame of a running simulation may be shown."""
 
-    def __init__(self, speed: float) -> None:
+    def __init__(self, speed: float, clock: Clock) -> None:
         self.speed = checked_speed(speed)
         self.paused = False
+        self._clock = clock
         self._anchor: tuple[float, float] | None = None  # clock reading, clip time
 
-    def wait(self, time: float, now: float) -> float:
+    def wait(self, time: float) -> float:
         """Seconds until the frame of `time` s may be shown; infinite while paused."""
+        now = self._clock()
         if self.paused:
+            # The next frame is due at once when playing goes on.
+            self._anchor = None
             return math.inf
         start, first = self._anchor = self._anchor or (now, time)
         ahead = (time - first) / self.speed - (now - start)
@@ -107,20 +116,20 @@ class _Pacer:
             self._anchor = now, time
         return max(ahead, 0.0)
 
-    def command(self, text: str, time: float, now: float) -> None:
-        """Pause, play or change the speed; anything else is refused in the log."""
+    def obey(self, text: str) -> str | None:
+        """Pause, play or change the speed; anything else is refused."""
+        return _attempt(lambda: self._command(text))
+
+    def _command(self, text: str) -> None:
         word, *values = text.split() or [""]
-        try:
-            if word in ("play", "pause"):
-                self.paused = word == "pause"
-            elif word == "speed":
-                self.speed = checked_speed(_number(text, values))
-            else:
-                limit = "While the simulation runs there are only play, pause and speed."
-                raise InputError("command", text, limit, "Play the saved clip to seek in it.")
-            self._anchor = now, time
-        except InputError as error:
-            log.warning(str(error))
+        if word in ("play", "pause") and not values:
+            self.paused = word == "pause"
+        elif word == "speed":
+            self.speed = checked_speed(_number(text, values))
+            self._anchor = None
+        else:
+            limit = "While the simulation runs there are only play, pause and speed FACTOR."
+            raise InputError("command", text, limit, "Play the saved clip to seek in it.")
 
 
 class _DropAnnouncer:
@@ -137,12 +146,14 @@ class _DropAnnouncer:
             self._said, self._when = dropped, now
 
 
-def _try(player: Player, text: str, now: float) -> None:
-    """A wrong command must not end the show: it is refused in the log."""
+def _attempt(action: Callable[[], None]) -> str | None:
+    """A wrong command must not end the show: it is refused, and the log says why."""
     try:
-        command(player, text, now)
+        action()
     except InputError as error:
         log.warning(str(error))
+        return str(error)
+    return None
 
 
 def _number(text: str, values: list[str]) -> float:

@@ -5,6 +5,7 @@ Independent of the bridge's encoder: types come from cyclonedds, decoding from r
 
 import argparse
 import json
+import sys
 import time
 import zlib
 from dataclasses import dataclass
@@ -101,6 +102,11 @@ def describe(raw: bytes, store: object) -> dict[str, object]:
     }
 
 
+def say(line: dict[str, object]) -> None:
+    sys.stdout.write(json.dumps(line) + "\n")
+    sys.stdout.flush()
+
+
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--domain", type=int, required=True)
@@ -122,17 +128,17 @@ def main() -> None:
     mask = SampleState.NotRead | ViewState.Any | InstanceState.Any
     waitset.attach(ReadCondition(reader, mask))
     orders = [order.split(":") for order in args.say.split(",") if order]
-    print("ready", flush=True)
+    say({"ready": True})
     count, last = 0, time.monotonic() + args.first - args.quiet
     while count < args.count and time.monotonic() - last < args.quiet:
         waitset.wait(50_000_000)
         samples = [sample for sample in reader.take(10) if isinstance(sample, Raw)]
         for sample in samples:
             count, last = count + 1, time.monotonic()
-            print(json.dumps(describe(sample.data, store)), flush=True)
+            say(describe(sample.data, store))
         while orders and count >= int(orders[0][0]):
             speaker.write(String(orders.pop(0)[1]))
-            print(json.dumps({"said": True, "at": count}), flush=True)
+            say({"said": True, "at": count})
     del domain
 
 

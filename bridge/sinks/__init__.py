@@ -1,12 +1,12 @@
 """Where frames go: one file per outlet, each with the same contract.
 
-A sink is a context manager with `write(frame)`. A live sink also listens: `commands(seconds)`
-waits at most so long and returns what its users asked for (`play`, `pause`, `restart`,
-`seek SECONDS`, `speed FACTOR`).
+A sink is a context manager with `write(frame)`. A live sink also listens: its users ask for
+`play`, `pause`, `restart`, `seek SECONDS` or `speed FACTOR`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from types import TracebackType
 from typing import TYPE_CHECKING, Protocol
 
@@ -16,6 +16,10 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
     from ..player import Player
+
+
+Obey = Callable[[str], "str | None"]
+"""Does what a user asked for; returns why not, or None."""
 
 
 class Sink(Protocol):
@@ -42,8 +46,8 @@ class LiveSink(Sink, Protocol):
     monotonic: bool
     """Whether time must only grow; otherwise loops and seeks jump back in it."""
 
-    def commands(self, seconds: float) -> list[str]:
-        """Wait until somebody commands something, at most so many seconds."""
+    def listen(self, seconds: float, obey: Obey) -> None:
+        """Wait until somebody asks for something, at most so many seconds, and let it be done."""
         ...
 
     def show(self, player: Player) -> None:

@@ -19,7 +19,8 @@ from ..encoder import FrameEncoder
 from ..messages import HASHES
 from ..options import Options
 from ..player import Player
-from ..topics import COMMAND, Message, Topic
+from ..topics import COMMAND, POINTS, Message, Topic
+from . import Obey
 
 NAMESPACE, NODE = "/phy124", "player"
 LAST_DOMAIN = 232
@@ -83,12 +84,14 @@ class DdsSink:
         for message in self._encoder.encode(frame):
             self._send(message)
 
-    def commands(self, seconds: float) -> list[str]:
-        """Wait for messages on /phy124/command."""
+    def listen(self, seconds: float, obey: Obey) -> None:
+        """Obey messages on /phy124/command."""
         if seconds > 0:
             self._waitset.wait(int(seconds * 1e9))
-        # A sample without data says that a publisher has left.
-        return [s.data for s in self._reader.take(16) if hasattr(s, "data")]
+        for sample in self._reader.take(16):
+            # A sample without data says that a publisher has left.
+            if hasattr(sample, "data"):
+                obey(sample.data)
 
     def show(self, player: Player) -> None:
         """Nothing: there is no ROS topic for it."""
@@ -96,8 +99,6 @@ class DdsSink:
 
     def subscribers(self) -> int:
         """How many readers the points have now."""
-        from ..topics import POINTS
-
         return len(self._writers[POINTS.name].get_matched_subscriptions())
 
     def _open(self, domain: int) -> None:

@@ -49,7 +49,7 @@ class McapSink:
         Raises:
             InputError: The package `mcap` is missing.
         """
-        _require_mcap()
+        require_mcap()
         self.path = Path(path)
         self.report: dict[str, Any] = {}
         """What the run did; set it before the sink is left and it is kept in the file."""
@@ -168,7 +168,8 @@ class McapSink:
         return InputError("recording", self.path, limit, remedy)
 
 
-def _require_mcap() -> None:
+def require_mcap() -> None:
+    """Raise InputError if mcap cannot be imported."""
     try:
         import mcap.writer  # noqa: F401
     except ImportError as error:

@@ -1,0 +1,208 @@
+"""One class per command of `python -m bridge`: its fields are its options, `run` does the work."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+from tqdm import tqdm
+
+from phy124.clip import Clip
+from phy124.gaussians import Frame
+
+from .backends import Backend, choose, open_sink
+from .info import describe, diagnose
+from .live import follow, play
+from .options import Options
+from .player import Player
+from .recover import recover
+from .sinks import LiveSink, Sink
+from .sinks.background import Background
+from .sinks.mcap import Compression, McapSink
+from .source import LiveOptions, LiveRun
+
+STOPPED_EARLY = 3
+"""Exit status of a simulation that kept its good frames but did not reach the end."""
+log = logging.getLogger(__name__)
+Messages = Annotated[Options, tyro.conf.arg(name="")]
+Simulated = Annotated[LiveOptions, tyro.conf.arg(name="")]
+
+
+@dataclass(frozen=True)
+class Record:
+    """Write a clip, or a running simulation, to an MCAP bag that ROS 2 and Foxglove play."""
+
+    source: tyro.conf.Positional[Path]
+    """A clip.safetensors; with --live a picture or a 3DGS .ply file."""
+    output: tyro.conf.Positional[Path | None] = None
+    """Bag folder, or a file if it ends in .mcap; default: SOURCE without its suffix, and -bag."""
+    messages: Messages = field(default_factory=Options)
+    compression: Compression = "none"
+    """Of the chunks; moving Gaussians hardly shrink."""
+    overwrite: bool = False
+    """Replace an older recording."""
+    simulated: Simulated = field(default_factory=LiveOptions)
+
+    def run(self) -> int:
+        """Record; prints where."""
+        if self.simulated.live:
+            run = LiveRun(self.source, self.simulated)
+            self._record(run, len(run), run.scene.data(), run.report)
+            return _status(run)
+        clip = Clip.load(self.source)
+        self._record(clip.frames(), len(clip), clip.scene, lambda: clip.report)
+        return 0
+
+    def _record(
+        self,
+        frames: Iterable[Frame],
+        count: int,
+        scene: dict[str, Any],
+        report: Callable[[], dict[str, Any]],
+    ) -> None:
+        output = self.output or self.source.with_name(f"{self.source.stem}-bag")
+        sink = McapSink(
+            output,
+            self.messages,
+            compression=self.compression,
+            scene=scene,
+            overwrite=self.overwrite,
+        )
+        with sink:
+            for frame in tqdm(frames, "record", count, leave=False, disable=None):
+                sink.write(frame)
+            sink.report = report()
+        log.info("%d frames in %s", sink.frames, output)
+
+
+@dataclass(frozen=True)
+class Play:
+    """Publish a clip, or a running simulation, on ROS 2 topics or to Foxglove."""
+
+    source: tyro.conf.Positional[Path]
+    """A clip.safetensors; with --live a picture or a 3DGS .ply file."""
+    backend: Backend = "auto"
+    """rclpy (needs ROS 2), dds (ROS 2 topics without ROS 2), foxglove; auto: rclpy, else dds."""
+    speed: float = 1.0
+    """Clip seconds per second."""
+    rate: float | None = None
+    """At most so many frames per second; absent: every frame."""
+    loop: bool = False
+    """Begin again after the last frame; time stamps go on growing."""
+    paused: bool = False
+    """Show the first frame and wait for the command `play`."""
+    stay: bool = False
+    """Go on listening to commands after the last frame."""
+    record: Path | None = None
+    """Also record what is shown, to this bag folder or .mcap file."""
+    network: bool = False
+    """Reach other machines, too; otherwise only this one."""
+    clock: bool = False
+    """rclpy: publish /clock for nodes with use_sim_time."""
+    port: int = 8765
+    """Foxglove: port of the websocket."""
+    messages: Messages = field(default_factory=Options)
+    simulated: Simulated = field(default_factory=LiveOptions)
+
+    def run(self) -> int:
+        """Play until the end or Ctrl-C."""
+        if self.simulated.live:
+            return self._follow()
+        clip = Clip.load(self.source)
+        player = Player(
+            clip.times, speed=self.speed, loop=self.loop, rate=self.rate, paused=self.paused
+        )
+        try:
+            with self._outlets(clip.scene, float(clip.times[-1])) as (sink, records):
+                play(clip, sink, player, records=records, stay=self.stay)
+        finally:
+            log.info(player.report())
+        return 0
+
+    def _follow(self) -> int:
+        run = LiveRun(self.source, self.simulated)
+        with self._outlets(run.scene.data(), None) as (sink, records):
+            frames = tqdm(run, "simulate", len(run), leave=False, disable=None)
+            follow(frames, sink, records=records, speed=self.speed)
+        return _status(run)
+
+    @contextmanager
+    def _outlets(
+        self, scene: dict[str, Any], duration: float | None
+    ) -> Iterator[tuple[LiveSink, list[Sink]]]:
+        """The live sink and the recording beside it, both entered."""
+        backend = choose(self.backend)
+        with ExitStack() as stack:
+            records: list[Sink] = []
+            if self.record:
+                bag = McapSink(self.record, self.messages, scene=scene)
+                records = [stack.enter_context(Background(bag))]
+            sink = open_sink(
+                backend,
+                self.messages,
+                duration=duration,
+                network=self.network,
+                clock=self.clock,
+                port=self.port,
+            )
+            sink = stack.enter_context(sink)
+            log.info("Publishing through %s.", backend)
+            yield sink, records
+
+
+@dataclass(frozen=True)
+class Info:
+    """Say what a clip or a recording holds."""
+
+    path: tyro.conf.Positional[Path]
+    """A clip.safetensors, a bag folder or an .mcap file."""
+
+    def run(self) -> int:
+        """Print."""
+        for line in describe(self.path):
+            log.info(line)
+        return 0
+
+
+@dataclass(frozen=True)
+class Recover:
+    """Make a recording whole whose writer was killed or whose disk was full."""
+
+    path: tyro.conf.Positional[Path]
+    """The bag folder or the .mcap file."""
+    output: Path | None = None
+    """Write the repaired copy here and leave the damaged one as it is."""
+
+    def run(self) -> int:
+        """Repair; prints how many frames came back."""
+        found = recover(self.path, self.output)
+        state = "repaired" if found.repaired else "whole already"
+        log.info("%s: %s, %d frames", found.path, state, found.frames)
+        return 0
+
+
+@dataclass(frozen=True)
+class Doctor:
+    """Say which outlets this machine has, and what would give it more."""
+
+    def run(self) -> int:
+        """Print."""
+        for line in diagnose():
+            log.info(line)
+        return 0
+
+
+COMMANDS = {"record": Record, "play": Play, "info": Info, "recover": Recover, "doctor": Doctor}
+"""Name on the command line -> class."""
+
+
+def _status(run: LiveRun | None) -> int:
+    if run is None or run.stopped is None:
+        return 0
+    log.error("The simulation stopped early; its good frames are kept. %s", run.stopped)
+    return STOPPED_EARLY

@@ -1,0 +1,99 @@
+"""What a clip or a recording holds, and what this machine can do, in lines of plain text."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from phy124.clip import Clip
+from phy124.errors import InputError
+
+from . import bag
+from .backends import AUTOMATIC, REQUIREMENTS, missing
+from .layout import FULL, VIZ
+from .recover import records
+from .sinks.mcap import PART
+from .topics import POINTS
+
+WANTED_BUFFER = 4 << 20
+"""Receive buffer that takes a frame of 65,536 points of 60 bytes, bytes."""
+RMEM = Path("/proc/sys/net/core/rmem_max")
+
+
+def describe(path: Path) -> list[str]:
+    """Lines about a clip or a recording. Raises InputError if it is neither."""
+    file = bag.mcap_file(path)
+    if path.is_dir() or path.suffix in (bag.SUFFIX, PART):
+        part = path if path.suffix == PART else file.with_name(file.name + PART)
+        return describe_recording(path, file if file.is_file() else part)
+    return describe_clip(Clip.load(path))
+
+
+def describe_clip(clip: Clip) -> list[str]:
+    """Frames, points, and what a frame costs on the wire."""
+    count = clip.means.shape[1]
+    seconds = float(clip.times[-1] - clip.times[0])
+    rate = (len(clip) - 1) / seconds if seconds else 0.0
+    lines = [
+        f"clip: {len(clip)} frames of {count:,} Gaussians, {seconds:.3f} s at {rate:.4g} frames/s",
+        f"velocities: {'yes' if clip.velocities is not None else 'no (vx, vy, vz will be NaN)'}",
+    ]
+    for name, fields in (("viz", VIZ), ("full", FULL)):
+        size = count * 4 * len(fields) / 1e6
+        lines.append(f"profile {name}: {size:.2f} MB per frame, {size * rate:.1f} MB/s")
+    return lines
+
+
+def describe_recording(path: Path, file: Path) -> list[str]:
+    """Topics and counts of a recording, and whether it is whole."""
+    if not file.is_file():
+        limit = f"There is no recording: {file} does not exist."
+        raise InputError("path", path, limit, "Give a clip, a bag folder or an .mcap file.")
+    from mcap.records import Channel, Footer, Message
+
+    channels: dict[int, Channel] = {}
+    times: dict[int, list[int]] = {}
+    whole = False
+    for record in records(file):
+        if isinstance(record, Channel):
+            channels[record.id] = record
+        elif isinstance(record, Message):
+            times.setdefault(record.channel_id, []).append(record.log_time)
+        whole = whole or isinstance(record, Footer)
+    whole = whole and (path.suffix == bag.SUFFIX or (path / bag.METADATA).is_file())
+    lines = [f"recording: {file}, {file.stat().st_size / 1e6:.1f} MB"]
+    for number, channel in channels.items():
+        lines.append(f"{channel.topic}: {len(times.get(number, []))} messages")
+        if channel.topic == POINTS.name and number in times:
+            seconds = np.ptp(times[number]) / 1e9
+            lines.append(f"duration: {seconds:.3f} s")
+    state = "whole" if whole else f"not finished; run `python -m bridge recover {path}`"
+    return [*lines, f"state: {state}"]
+
+
+def diagnose() -> list[str]:
+    """Lines about what this machine can do and what would make it do more."""
+    lines = [f"python: {sys.version.split()[0]} on {sys.platform}"]
+    for outlet in REQUIREMENTS:
+        error = missing(outlet)
+        lines.append(f"{outlet}: {'ready' if error is None else f'{error.limit} {error.remedy}'}")
+    live = next((name for name in AUTOMATIC if missing(name) is None), None)
+    lines.append(f"play --backend auto: {live or 'not possible, only recording'}")
+    for name in ("ROS_DISTRO", "ROS_DOMAIN_ID", "RMW_IMPLEMENTATION", "CYCLONEDDS_URI"):
+        lines.append(f"{name}: {os.environ.get(name) or 'not set'}")
+    if RMEM.is_file():
+        lines.append(_buffer_advice(int(RMEM.read_text())))
+    return lines
+
+
+def _buffer_advice(size: int) -> str:
+    text = f"net.core.rmem_max: {size / 1024:.0f} KiB"
+    if size >= WANTED_BUFFER:
+        return text
+    return (
+        f"{text}, too small for 65,536 points per frame; "
+        f"`sudo sysctl -w net.core.rmem_max={WANTED_BUFFER}` on the receiving machine"
+    )

@@ -1,0 +1,155 @@
+"""FoxgloveSink: a websocket that Foxglove and Lichtblick open directly, with playback control.
+
+The same CDR messages and ros2msg schemas as everywhere else; the package is foxglove-sdk.
+"""
+
+from __future__ import annotations
+
+import queue
+from typing import Any
+
+from phy124.errors import InputError
+from phy124.gaussians import Frame
+
+from ..bag import ENCODING
+from ..encoder import FrameEncoder
+from ..messages import definition
+from ..options import Options
+from ..player import Player
+from ..topics import Message
+from . import Obey
+
+PORT = 8765
+"""Port that Foxglove tries first."""
+
+
+class FoxgloveSink:
+    """Serves frames on ws://host:port."""
+
+    def __init__(
+        self,
+        options: Options | None = None,
+        *,
+        duration: float | None = None,
+        host: str = "127.0.0.1",
+        port: int = PORT,
+    ) -> None:
+        """Ready to enter. Raises InputError if foxglove-sdk is missing.
+
+        Args:
+            options: How frames become messages.
+            duration: Length of the clip, s, which gives viewers play, pause, seek and speed;
+                None for a running simulation.
+            host: Address to listen on; the default is this machine only.
+            port: Port to listen on; 0 picks a free one.
+        """
+        require_foxglove()
+        self.monotonic = duration is None
+        self.port = port
+        self._encoder = FrameEncoder((options or Options()).live())
+        self._duration, self._host = duration, host
+        self._requests: queue.Queue[list[str]] = queue.Queue()
+        self._latest: list[Message] = []
+        self._answers: str | None = None  # the request that the next state answers
+        self._sought = False
+
+    def __enter__(self) -> FoxgloveSink:
+        """Listen. Raises InputError if the port is taken."""
+        import foxglove
+
+        self._context = foxglove.Context()
+        try:
+            self._server = foxglove.start_server(
+                name="phy124",
+                host=self._host,
+                port=self.port,
+                context=self._context,
+                server_listener=self,  # pyright: ignore[reportArgumentType]
+                playback_time_range=self._range(),
+            )
+        except RuntimeError as error:
+            limit = f"The websocket cannot be opened ({error})."
+            remedy = "Another viewer server may be running; choose another port."
+            raise InputError("port", self.port, limit, remedy) from error
+        self.port = self._server.port
+        self._channels = {topic.name: self._channel(topic) for topic in self._encoder.topics}
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Disconnect everybody."""
+        for channel in self._channels.values():
+            channel.close()
+        self._server.stop()
+
+    def write(self, frame: Frame) -> None:
+        """Send one frame to those who look."""
+        self._latest = self._encoder.encode(frame)
+        self._log(self._latest)
+
+    def listen(self, seconds: float, obey: Obey) -> None:
+        """Obey the viewers' controls; newcomers get the transform and the latest frame."""
+        try:
+            orders = self._requests.get(timeout=seconds) if seconds else self._requests.get_nowait()
+        except queue.Empty:
+            return
+        if not orders:
+            self._log([*self._encoder.static(), *self._latest])
+        for order in orders:
+            obey(order)
+
+    def show(self, player: Player) -> None:
+        """Tell the viewers where playback stands."""
+        from foxglove.websocket import PlaybackState, PlaybackStatus
+
+        if self._duration is None:
+            return
+        status = PlaybackStatus.Paused if player.paused else PlaybackStatus.Playing
+        if player.finished:
+            status = PlaybackStatus.Ended
+        now = self._encoder.stamp(player.position)
+        state = PlaybackState(status, now, player.speed, self._sought, self._answers)
+        self._answers, self._sought = None, False
+        self._server.broadcast_playback_state(state)
+
+    def on_subscribe(self, client: Any, channel: Any) -> None:
+        """Called by the server's thread when somebody begins to look."""
+        del client, channel
+        self._requests.put([])
+
+    def on_playback_control_request(self, request: Any) -> None:
+        """Called by the server's thread when somebody moves the playback controls."""
+        from foxglove.websocket import PlaybackCommand
+
+        orders = [f"speed {request.playback_speed!r}"]
+        if request.seek_time is not None:
+            orders.append(f"seek {(request.seek_time - self._encoder.epoch) / 1e9!r}")
+            self._sought = True
+        playing = request.playback_command == PlaybackCommand.Play
+        self._answers = request.request_id
+        self._requests.put([*orders, "play" if playing else "pause"])
+
+    def _range(self) -> tuple[int, int] | None:
+        if self._duration is None:
+            return None
+        return self._encoder.epoch, self._encoder.stamp(self._duration)
+
+    def _channel(self, topic: Any) -> Any:
+        from foxglove import Channel, Schema
+
+        text = definition(topic.type).encode()
+        schema = Schema(name=topic.type, encoding="ros2msg", data=text)
+        return Channel(topic.name, message_encoding=ENCODING, schema=schema, context=self._context)
+
+    def _log(self, messages: list[Message]) -> None:
+        for message in messages:
+            self._channels[message.topic.name].log(message.data, log_time=message.stamp)
+
+
+def require_foxglove() -> None:
+    """Raise InputError if foxglove-sdk cannot be imported."""
+    try:
+        import foxglove  # noqa: F401
+    except ImportError as error:
+        limit = "Serving Foxglove needs the package foxglove-sdk, which is not installed."
+        remedy = "Run `pip install 'phy124[foxglove]'`."
+        raise InputError("backend", "foxglove", limit, remedy) from error

@@ -1,0 +1,95 @@
+"""A simulation that is running right now, as a stream of frames."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from phy124.errors import InputError
+from phy124.gaussians import Frame, Gaussians
+from phy124.progress import Progress, silent
+
+if TYPE_CHECKING:
+    from phy124.scene import Scene
+
+
+@dataclass(frozen=True)
+class LiveOptions:
+    """What to simulate with `--live`."""
+
+    live: bool = False
+    """The source is a picture or a 3DGS .ply file: simulate it now, frame by frame."""
+    scene: str = "press"
+    """Preset (see `phy124 scenes`) or path of a .toml file."""
+    set: tuple[str, ...] = field(default_factory=tuple)
+    """Any other value of the scene, as KEY=VALUE: accuracy=draft, time.frames=48."""
+    generator: str = "relief"
+    """How a picture becomes Gaussians."""
+    device: str = "auto"
+    """auto, cpu or cuda:0."""
+
+    def resolve(self) -> Scene:
+        """The scene with all changes; raises InputError."""
+        from phy124.commands.options import assignments
+        from phy124.scene import Scene
+
+        return Scene.named(self.scene).replaced(assignments(self.set))
+
+
+class LiveRun:
+    """A simulation whose frames are not kept, so it may be longer than memory."""
+
+    def __init__(self, source: Path, options: LiveOptions, *, progress: Progress = silent) -> None:
+        """Make the object and its solver; raises InputError."""
+        from phy124.commands.options import pick_device
+        from phy124.simulation import Simulation
+
+        self.scene = options.resolve()
+        gaussians = make_object(source, options.generator, self.scene.seed, progress)
+        device = pick_device(options.device)
+        self._simulation = Simulation(gaussians, self.scene, device=device, progress=progress)
+        self._count = 0
+        self.stopped: str | None = None
+        """Why it ended early, once it did."""
+
+    def __len__(self) -> int:
+        return self.scene.time.frames
+
+    def __iter__(self) -> Iterator[Frame]:
+        """The frames as they are computed; `stopped` says why if going on would be wrong."""
+        from phy124.simulation import Stopped
+
+        run = self._simulation
+        try:
+            for frame in run:
+                # The sinks have it; keeping it would limit the run to what memory holds.
+                run.frames.clear()
+                run.rotations.clear()
+                self._count += 1
+                yield frame
+        except Stopped as stop:
+            self.stopped = str(stop)
+
+    def report(self) -> dict[str, Any]:
+        """What the run did."""
+        complete = self.stopped is None and self._count == len(self)
+        kept = {"frames": self._count, "complete": complete, "stopped": self.stopped}
+        return {**self._simulation.report(), **kept}
+
+
+def make_object(source: Path, generator: str, seed: int, progress: Progress) -> Gaussians:
+    """Gaussians of a picture, or of a 3DGS .ply file; raises InputError."""
+    from phy124 import generators
+    from phy124.image import foreground, open_image
+
+    if not source.is_file():
+        limit = "There is no such file."
+        raise InputError("source", source, limit, "Give a picture or a 3DGS .ply file.")
+    if source.suffix.lower() == ".ply":
+        from phy124.generators.ply_file import PlyFile
+
+        return PlyFile(str(source))(progress=progress)
+    cutout, _ = foreground(open_image(source), "auto")
+    return generators.make(generator)(cutout, seed=seed, progress=progress)
