@@ -67,7 +67,10 @@ def blend_tiles(
     light = wp.zeros(shape=256, dtype=wp.vec3)
     for j in range(PIXELS):
         transmittance[j] = 1.0
+    undone = wp.min(TILE, view.width - left) * wp.min(TILE, view.height - top)
     for k in range(starts[tile], ends[tile]):
+        if undone == 0:
+            break
         splat = splats[pairs[k]]
         box = splat.box
         for y in range(wp.max(box[1], top), wp.min(box[3], top + TILE)):
@@ -79,6 +82,7 @@ def blend_tiles(
                     rest = t * (1.0 - alpha)
                     if rest < MIN_TRANSMITTANCE:
                         transmittance[j] = -t
+                        undone -= 1
                     else:
                         light[j] += alpha * t * splat.colour
                         transmittance[j] = rest

@@ -13,8 +13,12 @@ wp.set_module_options({"enable_backward": False})
 
 BLEND_TILE = r"""
     alignas(64) float T[256], R[256], G[256], B[256], centres[16];
-    for (int j = 0; j < 256; ++j) { T[j] = 1.0f; R[j] = G[j] = B[j] = 0.0f; }
     const int left = tile % view.columns * 16, top = tile / view.columns * 16;
+    for (int j = 0; j < 256; ++j) {
+        // Beyond the image's edge a pixel counts as done from the start.
+        T[j] = left + j % 16 < view.width && top + j / 16 < view.height ? 1.0f : -1.0f;
+        R[j] = G[j] = B[j] = 0.0f;
+    }
     for (int j = 0; j < 16; ++j) centres[j] = (float)(left + j) + 0.5f;
     const float HALF_LOG2_E = 0.72134752f;
     const int begin = starts.data[tile], end = ends.data[tile];

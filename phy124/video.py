@@ -1,0 +1,198 @@
+"""Videos: H.264 in MP4 for everybody's player, GIF or animated WebP for a message.
+
+Pictures stream into the encoder while they are drawn. MP4s are yuv420p, converted with and tagged
+as ITU-R BT.709 limited range (what players assume of untagged HD video but not of small ones), and
+carry their index in front, so that a browser can start before it has everything.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import os
+import subprocess
+import tempfile
+from collections.abc import Generator, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from fractions import Fraction
+from pathlib import Path
+from typing import IO
+
+import imageio_ffmpeg
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from phy124.errors import InputError
+from phy124.files import replacing
+
+Picture = NDArray[np.uint8]
+MAX_FPS = 240
+ENCODER = ("-preset", "veryfast", "-crf", "18", "-movflags", "+faststart", "-f", "mp4")
+"""CRF 18 is visually lossless; slower presets save few bytes here."""
+BT709 = (
+    "scale=in_range=full:out_range=limited:out_color_matrix=bt709"
+    ":flags=accurate_rnd+full_chroma_int,"
+    "setparams=range=limited:color_primaries=bt709:color_trc=bt709:colorspace=bt709"
+)
+"""Filters that convert RGB to limited-range BT.709 and tag it so."""
+ANIMATIONS = {".gif": "GIF", ".webp": "WEBP"}
+
+
+def write_mp4(path: str | os.PathLike[str], frames: Iterable[Picture], *, fps: float) -> int:
+    """Write pictures [H,W,3] uint8 as one MP4 and return how many there were.
+
+    H.264 wants even sizes: where width or height is odd, the last column or row is doubled.
+    The file appears whole or not at all. If `frames` is a generator it is closed in any case.
+
+    Raises:
+        InputError: If there are no pictures, the rate is unusable, the place cannot be written,
+            or the encoder did not finish.
+        ValueError: If a picture is not uint8 [H,W,3] of the first one's size.
+    """
+    _check_rate(fps)
+    with _closing(frames), replacing(path) as temporary:
+        first, pictures = _peeked(frames)
+        padding = [(0, first.shape[0] % 2), (0, first.shape[1] % 2), (0, 0)]
+        even = (np.pad(picture, padding, "edge") for picture in pictures)
+        written = _encode(temporary, path, even, fps)
+    return written
+
+
+def write_animation(path: str | os.PathLike[str], frames: Iterable[Picture], *, fps: float) -> int:
+    """Write pictures [H,W,3] uint8 as an endless .gif or .webp and return how many there were.
+
+    WebP counts in milliseconds, GIF in hundredths of a second: each frame ends at the nearest,
+    so the total is right. GIF has 256 colours per frame; prefer WebP. All pictures are held in
+    memory until the last has come.
+
+    Raises:
+        InputError: If the ending is neither, there are no pictures, the rate is unusable, or the
+            place cannot be written.
+        ValueError: If a picture is not uint8 [H,W,3] of the first one's size.
+    """
+    kind = ANIMATIONS.get(Path(path).suffix.lower())
+    if kind is None:
+        raise InputError(
+            "output",
+            path,
+            "animations are GIF or WebP files.",
+            "End the name in .gif or .webp, or write an MP4.",
+        )
+    _check_rate(fps)
+    with _closing(frames), replacing(path) as temporary:
+        images = [Image.fromarray(picture) for picture in _peeked(frames)[1]]
+        images[0].save(
+            temporary,
+            kind,
+            save_all=True,
+            append_images=images[1:],
+            duration=_durations(len(images), fps, 10 if kind == "GIF" else 1),
+            loop=0,
+            quality=85,
+        )
+    return len(images)
+
+
+def _encode(temporary: Path, path: object, pictures: Iterator[Picture], fps: float) -> int:
+    """Stream the pictures into ffmpeg; it has ended when this returns or raises.
+
+    Not imageio's own writer: that one neither sees ffmpeg's exit code nor its messages.
+    """
+    first = next(pictures)
+    height, width = first.shape[:2]
+    rate = Fraction(fps).limit_denominator(1001)
+    source = f"-f rawvideo -pix_fmt rgb24 -s {width}x{height} -r {rate} -i -".split()
+    target = ["-vf", BT709, "-c:v", "libx264", "-pix_fmt", "yuv420p", *ENCODER]
+    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-v", "error", *source, *target]
+    with tempfile.TemporaryFile() as log:
+        encoder = subprocess.Popen(
+            [*command, os.fspath(temporary)], stdin=subprocess.PIPE, stdout=log, stderr=log
+        )
+        try:
+            sent = _feed(encoder, itertools.chain([first], pictures))
+        except BaseException:
+            encoder.kill()
+            raise
+        finally:
+            with suppress(OSError):
+                _pipe(encoder).close()
+            encoder.wait()
+        if encoder.returncode:
+            log.seek(0)
+            raise _unfinished(path, sent, log.read().decode(errors="replace"))
+    return sent
+
+
+def _feed(encoder: subprocess.Popen[bytes], pictures: Iterator[Picture]) -> int:
+    """Send all pictures, wait for the end, and return how many the encoder took."""
+    sent = 0
+    for picture in pictures:
+        try:
+            _pipe(encoder).write(np.ascontiguousarray(picture).data)
+        except OSError:  # it has stopped: its exit code and message tell why
+            break
+        sent += 1
+    with suppress(OSError):
+        _pipe(encoder).close()
+    encoder.wait()
+    return sent
+
+
+def _pipe(encoder: subprocess.Popen[bytes]) -> IO[bytes]:
+    assert encoder.stdin is not None  # it was started with a pipe
+    return encoder.stdin
+
+
+def _unfinished(path: object, sent: int, message: str) -> InputError:
+    return InputError(
+        "output",
+        path,
+        f"the video encoder stopped after {sent} pictures: {message.strip()[:300]}.",
+        "Most often the disk is full: make room or choose another folder.",
+    )
+
+
+@contextmanager
+def _closing(frames: Iterable[Picture]) -> Iterator[None]:
+    """Close a generator of frames on the way out: its threads should not outlive the file."""
+    try:
+        yield
+    finally:
+        if isinstance(frames, Generator):
+            frames.close()
+
+
+def _peeked(frames: Iterable[Picture]) -> tuple[Picture, Iterator[Picture]]:
+    """The first picture, and all of them, each checked as it passes."""
+    pictures = iter(frames)
+    first = next(pictures, None)
+    if first is None:
+        raise InputError(
+            "frames", 0, "a video needs at least one picture.", "Simulate one frame or more."
+        )
+    return first, (_checked(p, first.shape) for p in itertools.chain([first], pictures))
+
+
+def _checked(picture: Picture, shape: tuple[int, ...]) -> Picture:
+    if picture.dtype != np.uint8 or picture.shape != shape or shape[2:] != (3,):
+        raise ValueError(
+            f"a picture is {picture.dtype} {picture.shape}, wanted uint8 {shape[:2]} x 3"
+        )
+    return picture
+
+
+def _check_rate(fps: float) -> None:
+    if not (math.isfinite(fps) and 0 < fps <= MAX_FPS):
+        raise InputError(
+            "fps",
+            fps,
+            f"a video shows more than 0 and at most {MAX_FPS} pictures per second.",
+            "Choose 24.",
+        )
+
+
+def _durations(count: int, fps: float, unit: int) -> list[int]:
+    """Whole milliseconds, multiples of `unit`, that each picture is shown."""
+    ends = np.rint(np.arange(count + 1) * 1000 / fps / unit).astype(int) * unit
+    return np.diff(ends).tolist()

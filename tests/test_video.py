@@ -1,0 +1,206 @@
+"""Videos: read back frame by frame, colours and tags included; interrupted, they leave nothing."""
+
+import re
+import subprocess
+import threading
+from pathlib import Path
+
+import imageio_ffmpeg
+import numpy as np
+import pytest
+from PIL import Image
+
+from phy124 import video
+from phy124.camera import Camera
+from phy124.errors import InputError
+from phy124.gaussians import Frame
+from phy124.render import render_frames
+from phy124.video import write_animation, write_mp4
+
+
+def plain(colour, size=(64, 48)) -> np.ndarray:
+    return np.full((size[1], size[0], 3), colour, np.uint8)
+
+
+def ffmpeg(*arguments, check=True) -> subprocess.CompletedProcess:
+    command = [imageio_ffmpeg.get_ffmpeg_exe(), *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, check=check)
+
+
+def stream(path) -> str:
+    """What ffmpeg says of the video stream."""
+    told = ffmpeg("-i", path, check=False).stderr.decode()  # it complains of no output file
+    return next(line for line in told.splitlines() if "Video:" in line)
+
+
+def read(path) -> np.ndarray:
+    """All frames [T,H,W,3], decoded as the file's tags say."""
+    width, height = map(int, re.search(r", (\d+)x(\d+)", stream(path)).groups())
+    raw = ffmpeg("-v", "error", "-i", path, "-pix_fmt", "rgb24", "-f", "rawvideo", "-").stdout
+    return np.frombuffer(raw, np.uint8).reshape(-1, height, width, 3)
+
+
+@pytest.mark.parametrize("fps", [24, 29.97, 12.5])
+def test_count_rate_and_format_read_back(tmp_path, fps):
+    path = tmp_path / "a.mp4"
+    assert write_mp4(path, (plain((10 * i, 0, 0)) for i in range(11)), fps=fps) == 11
+    assert read(path).shape == (11, 48, 64, 3)
+    about = stream(path)
+    assert float(re.search(r"([\d.]+) fps", about)[1]) == fps
+    assert "h264 (High)" in about and "yuv420p(tv, bt709, progressive)" in about
+    data = path.read_bytes()
+    assert 0 < data.find(b"moov") < data.find(b"mdat")  # plays before it has all arrived
+    assert [p.name for p in tmp_path.iterdir()] == ["a.mp4"]
+
+
+def test_colours_survive(tmp_path):
+    colours = [(255, 0, 0), (0, 255, 0), (0, 0, 255), (255, 255, 255), (0, 0, 0), (200, 120, 40)]
+    write_mp4(tmp_path / "a.mp4", [plain(c) for c in colours for _ in range(3)], fps=24)
+    frames = read(tmp_path / "a.mp4")
+    for i, colour in enumerate(colours):
+        error = np.abs(frames[3 * i + 1].astype(int) - colour)
+        assert error.max() <= 3
+    # The reader above obeys the tags; decoded by hand from the stored bytes it is BT.709 too.
+    stored = ("-f", "rawvideo", "-frames:v", "1", "-")
+    raw = np.frombuffer(ffmpeg("-v", "error", "-i", tmp_path / "a.mp4", *stored).stdout, np.uint8)
+    y, u, v = raw[0], raw[64 * 48], raw[64 * 48 * 5 // 4]
+    expected = (16 + 219 * 0.2126, 128 - 224 * 0.2126 / 1.8556, 128 + 224 * 0.5)
+    np.testing.assert_allclose([float(y), float(u), float(v)], expected, atol=1.5)
+
+
+def test_odd_sizes_are_padded_with_the_edge(tmp_path, rng):
+    picture = np.zeros((33, 47, 3), np.uint8)
+    picture[:, -1], picture[-1] = (255, 255, 255), (255, 255, 255)
+    write_mp4(tmp_path / "a.mp4", [picture] * 3, fps=24)
+    frames = read(tmp_path / "a.mp4")
+    assert frames.shape == (3, 34, 48, 3)
+    assert frames[1][:, 46:].min() > 200 and frames[1][32:].min() > 200
+    assert frames[1][:30, :44].max() < 40  # not rescaled: the white stays at the edge
+    write_mp4(tmp_path / "b.mp4", [plain((255, 0, 0), (1, 1))], fps=24)
+    assert read(tmp_path / "b.mp4").shape == (1, 2, 2, 3)
+
+
+@pytest.fixture
+def processes(monkeypatch) -> list[subprocess.Popen]:
+    """Every child process started from here on."""
+    started = []
+
+    class Spy(subprocess.Popen):
+        def __init__(self, *args, **options):
+            super().__init__(*args, **options)
+            started.append(self)
+
+    monkeypatch.setattr(subprocess, "Popen", Spy)
+    return started
+
+
+@pytest.mark.parametrize("kind", [RuntimeError, KeyboardInterrupt, GeneratorExit])
+@pytest.mark.parametrize("name", ["a.mp4", "a.gif"])
+def test_an_interrupted_video_leaves_nothing_behind(tmp_path, processes, kind, name):
+    closed = []
+
+    def pictures():
+        try:
+            for i in range(5):
+                yield plain((i, 0, 0))
+            raise kind("stop")
+        finally:
+            closed.append(True)
+
+    (tmp_path / name).write_bytes(b"older")
+    write = write_mp4 if name == "a.mp4" else write_animation
+    with pytest.raises(kind):
+        write(tmp_path / name, pictures(), fps=24)
+    assert closed
+    assert [p.name for p in tmp_path.iterdir()] == [name]
+    assert (tmp_path / name).read_bytes() == b"older"
+    assert len(processes) == (name == "a.mp4")
+    assert all(p.returncode is not None for p in processes)  # ended and waited for
+
+
+def test_a_wrong_picture_stops_the_renderer_too(tmp_path, three_gaussians):
+    frames = [Frame(i, 0.0, three_gaussians) for i in range(50)]
+    cameras = [Camera.orbit(0, 0, 1.5, 32 if i < 4 else 34) for i in range(50)]
+    images = render_frames(frames, cameras, device="cpu")
+    with pytest.raises(ValueError, match=r"\(34, 34, 3\), wanted uint8 \(32, 32\)"):
+        write_mp4(tmp_path / "a.mp4", images, fps=24)
+    assert not any(t.name.startswith("render") for t in threading.enumerate())
+    assert not list(tmp_path.iterdir())
+
+
+def test_pictures_are_taken_one_by_one(tmp_path, monkeypatch):
+    taken, seen = [], []
+    monkeypatch.setattr(video, "_checked", lambda p, shape: seen.append(len(taken)) or p)
+
+    def pictures():
+        for i in range(20):
+            taken.append(i)
+            yield plain((i, i, i))
+
+    write_mp4(tmp_path / "a.mp4", pictures(), fps=24)
+    assert seen == list(range(1, 21))
+
+
+@pytest.mark.parametrize("write", [write_mp4, write_animation])
+def test_refusals(tmp_path, write):
+    name = "a.mp4" if write is write_mp4 else "a.webp"
+    with pytest.raises(InputError, match="folder that exists"):
+        write(tmp_path / "missing" / name, [plain(0)], fps=24)
+    (tmp_path / f"folder{name}").mkdir()
+    with pytest.raises(InputError, match="name of a folder"):
+        write(tmp_path / f"folder{name}", [plain(0)], fps=24)
+    for fps in (0, -1, float("nan"), float("inf"), 1000):
+        with pytest.raises(InputError, match="pictures per second"):
+            write(tmp_path / name, [plain(0)], fps=fps)
+    with pytest.raises(InputError, match="at least one picture"):
+        write(tmp_path / name, iter([]), fps=24)
+    for wrong in (plain(0).astype(np.float32), plain(0)[..., :2], plain(0)[..., 0]):
+        with pytest.raises(ValueError, match="wanted uint8"):
+            write(tmp_path / name, [wrong], fps=24)
+    assert [p.name for p in tmp_path.iterdir()] == [f"folder{name}"]
+
+
+def test_an_encoder_that_fails_is_noticed(tmp_path, monkeypatch, processes):
+    monkeypatch.setattr(video, "ENCODER", ("-preset", "no such preset", "-f", "mp4"))
+    pictures = [np.zeros((256, 256, 3), np.uint8)] * 20
+    with pytest.raises(InputError, match="no such preset"):
+        write_mp4(tmp_path / "a.mp4", pictures, fps=24)
+    assert processes[0].returncode
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+def test_a_full_disk_is_noticed(tmp_path, monkeypatch):
+    monkeypatch.setattr(video, "ENCODER", ("-f", "rawvideo", "/dev/full", *video.ENCODER))
+    with pytest.raises(InputError, match="No space left"):
+        write_mp4(tmp_path / "a.mp4", [plain((9, 9, 9))] * 5, fps=24)
+
+
+@pytest.mark.parametrize(("suffix", "unit"), [(".gif", 10), (".webp", 1)])
+def test_animations_read_back(tmp_path, suffix, unit):
+    path = tmp_path / f"a{suffix}"
+    pictures = [plain((250, 10 * i, 5)) for i in range(12)]
+    assert write_animation(path, iter(pictures), fps=24) == 12
+    with Image.open(path) as image:
+        assert image.n_frames == 12 and image.size == (64, 48)
+        assert image.info["loop"] == 0
+        total = 0
+        for i in range(12):
+            image.seek(i)
+            shown = np.asarray(image.convert("RGB")).astype(int)
+            assert np.abs(shown - pictures[i]).max() <= 8
+            total += image.info["duration"]
+    assert abs(total - 500) <= unit
+
+
+def test_animation_endings(tmp_path):
+    with pytest.raises(InputError, match=r"\.gif or \.webp"):
+        write_animation(tmp_path / "a.avi", [plain(0)], fps=24)
+
+
+def test_durations_add_up():
+    for fps in (24, 30, 29.97, 7):
+        for unit in (1, 10):
+            durations = video._durations(100, fps, unit)
+            assert abs(sum(durations) - 100_000 / fps) <= unit / 2
+            assert all(d % unit == 0 and d > 0 for d in durations)
