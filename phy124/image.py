@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageOps
 
+from phy124 import u2net
 from phy124.errors import InputError
 
 MAX_BYTES = 50_000_000
@@ -164,6 +165,7 @@ METHODS: dict[
     str, tuple[Callable[[Image.Image], bool], Callable[[Image.Image], NDArray[np.uint8]]]
 ] = {
     "alpha": (has_alpha, _own_alpha),
+    "u2net": (u2net.available, u2net.alpha),
     "grabcut": (_always, _grabcut),
 }
 """Ways to find the object, best first: whether one applies, and the alpha [H,W] it finds."""

@@ -9,6 +9,8 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -140,6 +142,19 @@ KNOWN: dict[str, tuple[WeightFile, ...]] = {
 """Sets of files by the name of the part that needs them."""
 
 
+_named: ContextVar[str | os.PathLike[str] | None] = ContextVar("_named", default=None)
+
+
+@contextmanager
+def looking_in(folder: str | os.PathLike[str] | None) -> Iterator[None]:
+    """Within it, `folder` (the user's `--weights`) is looked in first wherever none is given."""
+    token = _named.set(folder)
+    try:
+        yield
+    finally:
+        _named.reset(token)
+
+
 def hub_cache() -> Path:
     """Folder of the Hugging Face cache, by its own environment variables."""
     home = os.environ.get("HF_HOME", "~/.cache/huggingface")
@@ -152,7 +167,7 @@ def places(file: WeightFile, folder: str | os.PathLike[str] | None = None) -> It
     In a plain folder both `NAME` and `REPOSITORY/PATH` are tried, so that one folder can hold
     several repositories whose files have equal names.
     """
-    for root in (folder, os.environ.get("PHY124_WEIGHTS")):
+    for root in (folder or _named.get(), os.environ.get("PHY124_WEIGHTS")):
         if root:
             repository = Path(root).expanduser() / file.repo.rpartition("/")[2]
             yield repository / file.path
@@ -270,7 +285,7 @@ def fetch(
     the server cannot be reached, or a file differs from the published one (it is then deleted).
     """
     files = files_of(name)
-    target = folder or os.environ.get("PHY124_WEIGHTS")
+    target = folder or _named.get() or os.environ.get("PHY124_WEIGHTS")
     paths = []
     for i, file in enumerate(files):
         progress(f"fetch {file.repo}/{file.path}", i, len(files))

@@ -13,7 +13,7 @@ from phy124.gaussians import Gaussians, rotation_matrices
 from phy124.generators.lgm import OPTIONS, Lgm, LgmModel, Option, load, to_gaussians
 from phy124.generators.lgm import model as lgm_model
 from phy124.generators.lgm.align import four_views, front
-from phy124.generators.lgm.generator import network_input, over_white
+from phy124.generators.lgm.generator import framed, network_input, over_white
 from phy124.generators.lgm.model import activate
 from phy124.generators.lgm.rays import four_rays, pluecker
 from phy124.generators.lgm.rotations import NOT_ROTATED, draw, judge, unrotated
@@ -261,6 +261,7 @@ def test_generator_uses_the_views_in_lgm_order(tiny, rng):
     gaussians = generator(cut, seed=7)
     hook.remove()
     assert isinstance(gaussians, Gaussians) and len(gaussians) == 1024
+    assert np.ptp(gaussians.means, axis=0).max() == pytest.approx(1, abs=0.05)
     assert made["seed"] == 7 and made["image"].shape == (3, 40, 40)
     red = seen[0][0, :, 0, 0, 0] * 0.229 + 0.485
     torch.testing.assert_close(red, torch.tensor([0.25, 0.5, 0.75, 0.0]), rtol=1e-5, atol=1e-6)
@@ -288,24 +289,25 @@ def test_half_precision_gives_the_same_object(golden_lgm, tiny):
     torch.testing.assert_close(a[..., :7], b[..., :7], rtol=0.02, atol=0.02)
 
 
-def test_cut_out_is_laid_over_white(rng):
+def test_cut_out_is_laid_over_white():
     image = np.zeros((4, 4, 4), np.uint8)
     image[:2] = 10, 20, 30, 255
     white = over_white(image)
     torch.testing.assert_close(white[:, 0, 0] * 255, torch.tensor([10.0, 20.0, 30.0]))
     assert white[:, 3, 3].tolist() == [1, 1, 1]
     with pytest.raises(InputError, match="four channels"):
-        over_white(image[..., :3])
-    with pytest.raises(InputError, match="no foreground"):
-        over_white(np.zeros((4, 4, 4), np.uint8))
+        framed(image[..., :3])
+    with pytest.raises(InputError, match="no object"):
+        framed(np.zeros((4, 4, 4), np.uint8))
 
 
-def test_white_background_equals_the_original(golden_lgm):
+def test_preparation_of_the_picture_equals_the_original(golden_lgm):
     ops = np.load(golden_lgm / "image_ops.npz")
     ours = over_white(ops["recenter_uint8"]).permute(1, 2, 0)
     np.testing.assert_allclose(ours, ops["lgm_white_bg"], **CLOSE)
-    ours = over_white(ops["lgm_pre_recentered"]).permute(1, 2, 0)
-    np.testing.assert_allclose(ours, ops["lgm_pre_final"], **CLOSE)
+    square = framed(ops["rembg_putalpha"])
+    np.testing.assert_array_equal(square, ops["lgm_pre_recentered"])
+    np.testing.assert_allclose(over_white(square).permute(1, 2, 0), ops["lgm_pre_final"], **CLOSE)
 
 
 def test_cancelling_stops_between_stages(tiny):

@@ -11,6 +11,7 @@ from collections.abc import Callable
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from PIL import Image
 from torch import Tensor
 from torch.nn.functional import interpolate
 
@@ -21,7 +22,10 @@ from phy124.generators.lgm.model import LgmModel, Option, load
 from phy124.generators.lgm.rays import four_rays
 from phy124.generators.lgm.rotations import judge, unrotated
 from phy124.generators.orbit import to_world
+from phy124.generators.ply_file import normalised
+from phy124.image import recenter
 from phy124.progress import Progress, silent
+from phy124.u2net import cut_out
 from phy124.weights import require
 
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
@@ -62,13 +66,18 @@ class Lgm:
         self.model, self.multiview = model, multiview
 
     def __call__(
-        self, image_rgba: NDArray, *, seed: int = 0, progress: Progress = silent
+        self,
+        image_rgba: Image.Image | NDArray[np.uint8],
+        *,
+        seed: int = 0,
+        progress: Progress = silent,
     ) -> Gaussians:
-        """Gaussians of the cut-out `image_rgba [H,W,4]` (uint8, or 0..1), already recentred.
+        """Gaussians of the cut-out `image_rgba [H,W,4]`, the longest side 1 m.
 
-        Raises InputError if weights are missing, and lets Cancelled pass from `progress`.
+        Raises InputError if weights are missing or the picture is no cut-out, and lets Cancelled
+        pass from `progress`.
         """
-        image = over_white(image_rgba)
+        image = over_white(framed(np.asarray(image_rgba)))
         self._prepare()
         assert self.multiview is not None
         views = self.multiview(image, seed=seed, progress=progress)
@@ -79,6 +88,7 @@ class Lgm:
     ) -> Gaussians:
         """Gaussians from `views [4,3,H,W]` over white in 0..1: front, then quarter turns.
 
+        The longest side is 1 m.
         `image [3,H,W]` is what alignment compares with; without it there is none.
         """
         self._prepare_model()
@@ -87,7 +97,7 @@ class Lgm:
             azimuth = front(rows, image, step=self.align_step, progress=progress)
             if azimuth:
                 rows, _ = self._reconstruct(four_views(rows, azimuth, views.shape[-1]), progress)
-        return to_gaussians(rows.float().cpu().numpy())
+        return normalised(to_gaussians(rows.float().cpu().numpy()), "LGM")
 
     @torch.inference_mode()
     def _reconstruct(self, views: Tensor, progress: Progress) -> tuple[Tensor, Tensor]:
@@ -117,22 +127,24 @@ class Lgm:
             self.multiview = ImageDream(weights=self.weights, device=self.device, dtype=self.dtype)
 
 
-def over_white(image_rgba: NDArray) -> Tensor:
-    """Colours [3,H,W] in 0..1 of `image_rgba [H,W,4]` over white.
+def framed(image_rgba: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The cut-out [H,W,4] in the middle of a square [S,S,4], as LGM's program makes it.
 
-    Raises InputError if there is no fourth channel, or nothing is opaque.
+    That program gets colours already multiplied by alpha and multiplies them again later, which
+    darkens soft edges; the network was used so, and it is kept. Raises InputError if there is no
+    alpha channel or nothing opaque.
     """
     if image_rgba.ndim != 3 or image_rgba.shape[2] != 4:
         raise InputError(
             "image", list(image_rgba.shape), "a cut-out has four channels.", "Cut it out first."
         )
-    pixels = torch.from_numpy(np.array(image_rgba, dtype=np.float32))
-    if image_rgba.dtype == np.uint8:
-        pixels = pixels / 255
-    if not bool((pixels[..., 3] > 0).any()):
-        raise InputError(
-            "image", "all transparent", "there is no foreground.", "Give a cut-out of an object."
-        )
+    cut = cut_out(image_rgba[..., :3], image_rgba[..., 3])
+    return recenter(cut, cut[..., 3] > 0)
+
+
+def over_white(image_rgba: NDArray[np.uint8]) -> Tensor:
+    """Colours [3,H,W] in 0..1 of `image_rgba [H,W,4]` over white."""
+    pixels = torch.from_numpy(image_rgba.astype(np.float32) / 255)
     rgb, alpha = pixels[..., :3], pixels[..., 3:]
     return (rgb * alpha + (1 - alpha)).permute(2, 0, 1)
 

@@ -1,0 +1,171 @@
+"""U2-Net against the original network and rembg."""
+
+import json
+
+import formula
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+from safetensors.torch import load_file, save_file
+from skimage.transform import resize
+
+from phy124 import u2net
+from phy124.errors import InputError
+from phy124.u2net.network import WIDTHS, ConvBnRelu, U2Net
+from phy124.u2net.network import load as build
+
+CLOSE = {"rtol": 1e-4, "atol": 2e-5}
+SIZE = (201, 150)
+"""Width and height of the golden picture."""
+
+
+@pytest.fixture(scope="module")
+def folder(golden):
+    return golden / "generators"
+
+
+@pytest.fixture(scope="module")
+def ops(folder):
+    return np.load(folder / "image_ops.npz")
+
+
+@pytest.fixture(scope="module")
+def small() -> U2Net:
+    with torch.device("meta"):
+        network = U2Net(WIDTHS["u2netp"])
+    return build(formula.state_dict(network))
+
+
+@pytest.fixture
+def no_weights(tmp_path, monkeypatch):
+    """Nothing is found but in `tmp_path / "weights"`."""
+    monkeypatch.setenv("HF_HUB_CACHE", str(tmp_path / "hub"))
+    monkeypatch.setenv("PHY124_WEIGHTS", str(tmp_path / "weights"))
+    (tmp_path / "weights").mkdir()
+    return tmp_path / "weights"
+
+
+def test_all_seven_outputs_equal_the_original(folder, small):
+    arrays = np.load(folder / "u2netp.npz")
+    with torch.inference_mode():
+        outputs = small(torch.from_numpy(arrays["x64"]))
+        odd = small(torch.from_numpy(arrays["x70"]))[0]
+    for i, output in enumerate(outputs):
+        np.testing.assert_allclose(output, arrays[f"d{i}"], **CLOSE)
+    np.testing.assert_allclose(odd, arrays["d0_70x90"], **CLOSE)
+
+
+def test_formula_weights_are_those_of_the_golden_file(folder, small):
+    for key, value in load_file(folder / "u2netp.weights.fp16.safetensors").items():
+        np.testing.assert_array_equal(small.state_dict()[key], value.float(), err_msg=key)
+
+
+@pytest.mark.parametrize("name", WIDTHS)
+def test_keys_and_shapes_are_those_of_the_public_files(folder, name):
+    table = json.loads((folder / f"tables/{name}.json").read_text())["shapes"]
+    with torch.device("meta"):
+        network = U2Net(WIDTHS[name])
+    assert {k: list(v.shape) for k, v in network.state_dict().items()} == table
+
+
+def test_rembg_arithmetic_equals_rembg(ops):
+    x = u2net.rembg_input(ops["rgb"])
+    np.testing.assert_allclose(x[:, :, ::4, ::4], ops["rembg_input_rgb"], **CLOSE)
+    np.testing.assert_allclose(x.sum(axis=(0, 2, 3)), ops["rembg_input_rgb_sum"], rtol=1e-5)
+    mask = u2net.rembg_mask(ops["u2_pred"], SIZE)
+    np.testing.assert_array_equal(mask, ops["rembg_mask"])
+    np.testing.assert_array_equal(mask, ops["rembg_only_mask"])
+    np.testing.assert_array_equal(u2net.smoothed(mask), ops["rembg_post_process_mask"])
+    np.testing.assert_array_equal(u2net.cut_out(ops["rgb"], mask), ops["rembg_remove_rgb"])
+    np.testing.assert_array_equal(u2net.cut_out(ops["rgb"], mask), ops["lgm_pre_carved"])
+    np.testing.assert_array_equal(u2net.cut_out(ops["rgba"], mask), ops["rembg_remove_rgba"])
+    straight = np.dstack([ops["rgb"], mask])
+    np.testing.assert_array_equal(straight, ops["rembg_putalpha"])
+
+
+def test_authors_arithmetic_equals_their_program(ops):
+    x = u2net.original_input(ops["rgb"])
+    np.testing.assert_allclose(x[0, :, ::4, ::4], ops["u2net_orig_input"], **CLOSE)
+    np.testing.assert_allclose(x.sum(axis=(0, 2, 3)), ops["u2net_orig_input_sum"], rtol=1e-5)
+
+
+def test_authors_shrinking_equals_skimage(rng):
+    """The golden picture is enlarged; a large one is blurred first."""
+    image = (rng.random((700, 450, 3)) * 255).astype(np.uint8)
+    wanted = resize(image, (320, 320), mode="constant")
+    wanted = (wanted / wanted.max() - np.array(u2net.MEAN)) / np.array(u2net.STD)
+    np.testing.assert_allclose(u2net.original_input(image)[0].transpose(1, 2, 0), wanted, **CLOSE)
+
+
+def test_enlargement_is_bilinear_for_the_authors(ops):
+    d0 = ops["u2_pred"]
+    low, high = d0.min(), d0.max()
+    small = Image.fromarray(((d0[0, 0] - low) / (high - low) * 255).astype(np.uint8))
+    wanted = np.asarray(small.resize(SIZE, Image.Resampling.BILINEAR))
+    assert np.abs(u2net.original_mask(d0, SIZE).astype(int) - wanted).max() <= 1
+    assert not np.array_equal(u2net.original_mask(d0, SIZE), u2net.rembg_mask(d0, SIZE))
+
+
+def test_constant_answer_finds_nothing():
+    mask = u2net.rembg_mask(np.full((1, 1, 320, 320), 0.7, np.float32), (10, 8))
+    assert mask.shape == (8, 10) and not mask.any()
+
+
+def test_end_to_end_through_pth_equals_rembg(folder, ops, small, tmp_path):
+    torch.save(small.state_dict(), tmp_path / "u2netp.pth")
+    check_end_to_end(u2net.load(tmp_path / "u2netp.pth"), folder, ops)
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # torch's older ONNX exporter
+def test_end_to_end_through_onnx_equals_rembg(folder, ops, small, tmp_path):
+    path = tmp_path / "u2netp.onnx"
+    torch.onnx.export(small, (torch.zeros(1, 3, 320, 320),), path, dynamo=False)
+    check_end_to_end(u2net.load(path), folder, ops)
+
+
+def check_end_to_end(network, folder, ops):
+    """The mask is truncated to 8 bits, where the last float digit can turn one grey level."""
+    expected = np.load(folder / "rembg_u2netp_e2e.npz")
+    d0 = network(u2net.rembg_input(ops["rgb"]))
+    np.testing.assert_allclose(d0[:, :, ::4, ::4], expected["d0"], **CLOSE)
+    np.testing.assert_allclose(
+        [d0.min(), d0.max()], [expected["d0_min"], expected["d0_max"]], **CLOSE
+    )
+    mask = u2net.foreground(ops["rgb"], network)
+    for ours, theirs in ((mask, "mask"), (u2net.cut_out(ops["rgb"], mask), "rgba")):
+        difference = np.abs(ours.astype(int) - expected[theirs])
+        assert difference.max() <= 1 and (difference > 0).mean() < 1e-3
+
+
+def test_best_file_is_chosen_and_loads_strictly(no_weights, small):
+    assert u2net.weights_file() is None and not u2net.available()
+    torch.save(small.state_dict(), no_weights / "u2netp.pth")
+    assert u2net.weights_file() == no_weights / "u2netp.pth" and u2net.available()
+    picture = Image.fromarray((np.random.default_rng(0).random((40, 30, 3)) * 255).astype("uint8"))
+    assert u2net.alpha(picture).shape == (40, 30)
+    (no_weights / "u2net.onnx").write_bytes(b"")
+    assert u2net.weights_file() == no_weights / "u2net.onnx"
+
+
+def test_missing_corrupt_and_foreign_files_are_refused_in_words(no_weights, tmp_path):
+    with pytest.raises(InputError, match=r"u2net\.onnx .* was not found .*weights fetch u2net"):
+        u2net.alpha(Image.new("RGB", (8, 8)))
+    (tmp_path / "bad.onnx").write_bytes(b"no network")
+    with pytest.raises(InputError, match="not a readable ONNX network"):
+        u2net.load(tmp_path / "bad.onnx")
+    save_file(ConvBnRelu(3, 4).state_dict(), tmp_path / "foreign.safetensors")
+    with pytest.raises(InputError, match="not those of U2-Net, which has 798"):
+        u2net.load(tmp_path / "foreign.safetensors")
+
+
+@pytest.mark.slow
+def test_full_network_runs_at_full_size():
+    """44 million weights by formula; the small network is the one compared with the original."""
+    with torch.device("meta"):
+        network = U2Net(WIDTHS["u2net"])
+    network = build(formula.state_dict(network))
+    with torch.inference_mode():
+        outputs = network(formula.inputs("u2net/x64", (1, 3, 320, 320), -2, 2))
+    assert [tuple(d.shape) for d in outputs] == [(1, 1, 320, 320)] * 7
+    assert float(outputs[0].std()) > 0.01 and float(outputs[0].min()) > 0
