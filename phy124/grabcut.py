@@ -42,24 +42,19 @@ def grabcut(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.clip(np.rint(255 * full), 0, 255).astype(np.uint8)
 
 
-def _cut(rgb: NDArray[np.uint8], labels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _cut(rgb: NDArray, labels: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """GrabCut from these labels: 0/1 mask [H,W], empty if it had nothing to start from."""
     if not (labels & 1).any() or (labels & 1).all():
         return np.zeros_like(labels)
     models = np.zeros((1, 65)), np.zeros((1, 65))
-    labels, _, _ = cv2.grabCut(
-        rgb,
-        labels,
-        None,
-        models[0],
-        models[1],
-        ROUNDS,
-        cv2.GC_INIT_WITH_MASK,  # pyright: ignore
+    whole = (0, 0, rgb.shape[1], rgb.shape[0])  # not looked at when starting from labels
+    labels, _, _ = cv2.grabCut(  # pyright: ignore[reportAssignmentType]
+        rgb, labels, whole, models[0], models[1], ROUNDS, cv2.GC_INIT_WITH_MASK
     )
     return (labels & 1).astype(np.uint8)
 
 
-def _starts(rgb: NDArray[np.uint8]) -> list[NDArray[np.uint8]]:
+def _starts(rgb: NDArray) -> list[NDArray[np.uint8]]:
     """Labels [H,W] to try: border background, and three guesses of what else may be object."""
     height, width = rgb.shape[:2]
     ring = max(1, round(RING * min(height, width)))
@@ -82,22 +77,23 @@ def _labels(guess: NDArray[np.bool_], border: NDArray[np.bool_]) -> NDArray[np.u
     return labels
 
 
-def _plausibility(mask: NDArray[np.uint8], rgb: NDArray[np.uint8]) -> float:
+def _plausibility(mask: NDArray[np.uint8], rgb: NDArray) -> float:
     """How much a mask looks like one object: edges on its outline, solid, clear of the border."""
     share = float(mask.mean())
     if not 0.01 < share < 0.9:
         return 0.0
     outline = cv2.morphologyEx(mask, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)) > 0
     lab = cv2.cvtColor(rgb.astype(np.float32) / 255, cv2.COLOR_RGB2Lab)
-    change = sum(cv2.Sobel(lab, cv2.CV_32F, *d, scale=1 / 8) ** 2 for d in ((1, 0), (0, 1)))
-    edge = float(np.minimum(np.sqrt(change.sum(axis=2))[outline], 10).mean())
+    across, down = (cv2.Sobel(lab, cv2.CV_32F, *d, scale=1 / 8) for d in ((1, 0), (0, 1)))
+    change = np.sqrt((across**2 + down**2).sum(axis=2))
+    edge = float(np.minimum(change[outline], 10).mean())
     points = cv2.findNonZero(mask)
     solidity = float(mask.sum()) / max(cv2.contourArea(cv2.convexHull(points)), 1.0)
     rim = np.concatenate([mask[0], mask[-1], mask[:, 0], mask[:, -1]])
     return edge * solidity * (1 - float(rim.mean())) * share**0.25
 
 
-def _unlikeness(rgb: NDArray[np.uint8], border: NDArray[np.bool_]) -> Field:
+def _unlikeness(rgb: NDArray, border: NDArray[np.bool_]) -> Field:
     """Distance of each colour from the border's colours [H,W], in Lab, saturating at 1."""
     lab = cv2.cvtColor(rgb.astype(np.float32) / 255, cv2.COLOR_RGB2Lab)
     # Lightness varies with shadows on the very background.
@@ -133,7 +129,7 @@ def _tidy(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.where(small[labels], 1, kept).astype(np.uint8)
 
 
-def _guided(mask: Field, rgb: NDArray[np.uint8]) -> Field:
+def _guided(mask: Field, rgb: NDArray) -> Field:
     """The mask with an edge that follows the picture's (guided filter, He et al. 2013)."""
     window = (2 * SOFTNESS + 1,) * 2
     guide = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY).astype(np.float32) / 255

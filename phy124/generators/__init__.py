@@ -45,7 +45,7 @@ GENERATORS: dict[str, Callable[[], Generator]] = {
 """Name to factory; each imports its generator only when called."""
 
 
-def generator(chosen: str | Generator) -> Generator:
+def make(chosen: str | Generator) -> Generator:
     """The generator of a name in `GENERATORS`, of the path of a .ply file, or of itself.
 
     Raises:
@@ -62,3 +62,8 @@ def generator(chosen: str | Generator) -> Generator:
         limit = "There is no such generator."
         raise InputError("generator", chosen, limit, f"Choose one of {known}, or a .ply file.")
     return GENERATORS[chosen]()
+
+
+def needs_image(chosen: str | Generator) -> bool:
+    """Whether the generator looks at the picture; a .ply file does not."""
+    return not (isinstance(chosen, str) and chosen.lower().endswith(".ply"))

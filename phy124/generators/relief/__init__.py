@@ -6,14 +6,13 @@ al. 1999, "Teddy"), the front carries the picture, the back what the picture's r
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians, quaternions
+from phy124.generators.relief.base import View, foot, reflected
 from phy124.generators.relief.colours import back_picture, clean_picture, colour
 from phy124.generators.relief.height import Silhouette, squared_half_thickness
 from phy124.generators.relief.surface import Surface, spread
@@ -28,10 +27,12 @@ VIEW_DISTANCE = 2.0
 """Distance of the front camera that sees exactly the picture, in longest sides."""
 TANGENT = 0.58
 """Standard deviation along the surface, in spacings: neighbours overlap without holes."""
+BACK_REACH = 1.25
+"""The same on the back, over that on the front."""
 NORMAL = 0.12
 """Standard deviation across the surface, in spacings: flat, so that the outline is crisp."""
 OPACITY = 0.97
-DRAWN_IN = 1.1
+DRAWN_IN = 1.35
 """How far below the surface the centres lie, pixels: edge-on Gaussians reach out by as much."""
 STAGES = 4
 
@@ -53,34 +54,57 @@ def relief(
     """
     rng = np.random.default_rng(seed)
     progress("relief", 0, STAGES)
-    rgba = _work_picture(image_rgba)
+    rgba, base = reflected(_work_picture(image_rgba), PADDING)
     silhouette = Silhouette.of(rgba[..., 3])
-    surface = Surface.of(squared_half_thickness(silhouette))
+    surface = Surface.of(squared_half_thickness(silhouette, WORK))
+    view = _view(silhouette.inside, base)
     progress("relief", 1, STAGES)
-    points, normals, spacing = spread(surface, count, rng)
+    points, normals, spacing = _points(surface, view, base, count, rng)
     progress("relief", 2, STAGES)
     picture = clean_picture(rgba)
-    rgb = colour(points, normals, picture, back_picture(picture, silhouette))
+    rgb = colour(points, normals, picture, back_picture(picture, silhouette, WORK))
     progress("relief", 3, STAGES)
     points = points - surface.inset(points, DRAWN_IN) * normals
-    gaussians = _placed(points, normals, spacing, rgb, silhouette.inside)
+    gaussians = _placed(*view.drawn(points, normals), spacing, rgb)
     progress("relief", STAGES, STAGES)
     return gaussians
+
+
+def _view(inside: NDArray[np.bool_], base: float) -> View:
+    """The front camera for the silhouette above the base."""
+    y, x = np.nonzero(inside[: int(base) + 1])
+    middle = np.array([x.min() + x.max(), y.min() + y.max(), 0.0]) / 2
+    return View(middle, VIEW_DISTANCE * WORK)
+
+
+def _points(
+    surface: Surface, view: View, base: float, count: int, rng: np.random.Generator
+) -> tuple[Field, Field, Field]:
+    """Points, normals and spacing of the walls above the foot, and of the foot."""
+    points, normals, spacing, pitch = spread(surface, base, count, rng)
+    below, facing, floor = foot(surface, view, base, pitch)
+    above = view.drawn(points, normals)[0][:, 1] <= floor - DRAWN_IN
+    walls = points[above], normals[above], spacing[above]
+    feet = below, facing, np.full(len(below), pitch)
+    points, normals, spacing = (np.concatenate(both) for both in zip(walls, feet, strict=True))
+    return points, normals, spacing
 
 
 def _work_picture(image: Image.Image | NDArray[np.uint8]) -> Field:
     """The opaque part [H,W,4] in 0..1, its longest side `WORK` pixels, `PADDING` around it."""
     picture = Image.fromarray(np.asarray(image)) if not isinstance(image, Image.Image) else image
     picture = picture.convert("RGBA")
-    box = picture.getchannel("A").point(lambda a: 255 * (a > 127)).getbbox()
-    if box is None:
+    rows, columns = np.nonzero(np.asarray(picture.getchannel("A")) > 127)
+    if not len(rows):
         limit = "Nothing in it is opaque."
         raise InputError("image", "transparent", limit, "Give a picture with an object in it.")
+    left, top, right, bottom = (
+        int(v) for v in (columns.min(), rows.min(), columns.max(), rows.max())
+    )
     # One pixel more on each side keeps the half transparent edge.
-    left, top, right, bottom = box
-    picture = picture.crop((left - 1, top - 1, right + 1, bottom + 1))
-    scale = WORK / max(right - left, bottom - top)
-    size = tuple(max(3, round(n * scale)) for n in picture.size)
+    picture = picture.crop((left - 1, top - 1, right + 2, bottom + 2))
+    scale = WORK / (1 + max(right - left, bottom - top))
+    size = max(3, round(picture.width * scale)), max(3, round(picture.height * scale))
     picture = picture.resize(
         size, Image.Resampling.LANCZOS if scale < 1 else Image.Resampling.BICUBIC
     )
@@ -88,38 +112,19 @@ def _work_picture(image: Image.Image | NDArray[np.uint8]) -> Field:
     return np.pad(rgba, ((PADDING, PADDING), (PADDING, PADDING), (0, 0)))
 
 
-def _placed(points: Field, normals: Field, spacing: Field, rgb: Field, inside: Any) -> Gaussians:
+def _placed(points: Field, normals: Field, spacing: Field, rgb: Field) -> Gaussians:
     """From pixels (x right, y down, z to the viewer) to metres in the world."""
-    y, x = np.nonzero(inside)
-    low, high = np.array([x.min(), y.min(), 0.0]) - 0.5, np.array([x.max(), y.max(), 0.0]) + 0.5
-    metre = 1 / float((high - low).max())
-    middle = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, 0.0])
-    means, normals = _seen_from(VIEW_DISTANCE, (points - middle) * metre, normals)
     # World x is towards the viewer, y to the right, z up.
-    world, normals = means[:, [2, 0, 1]] * [1, 1, -1], normals[:, [2, 0, 1]] * [1, 1, -1]
-    scales = np.stack([TANGENT * spacing, TANGENT * spacing, NORMAL * spacing], axis=1) * metre
-    opacities = np.full(len(world), OPACITY)
+    means = points[:, [2, 0, 1]] * [1, 1, -1] / WORK
+    normals = normals[:, [2, 0, 1]] * [1, 1, -1]
+    # Wider behind, where colours are smooth: no gap shows the front from within.
+    reach = TANGENT * spacing * np.interp(-normals[:, 0], [0.0, 0.5], [1.0, BACK_REACH])
+    scales = np.stack([reach, reach, NORMAL * spacing], axis=1) / WORK
+    opacities = np.full(len(means), OPACITY)
     quats = quaternions(_frames(normals))
-    return Gaussians.from_rgb(world, quats, scales, opacities, rgb)
-
-
-def _seen_from(distance: float, points: Field, normals: Field) -> tuple[Field, Field]:
-    """Draw the front in so that a camera `distance` away sees each point over its pixel.
-
-    x' = x k(z), y' = y k(z) with k = 1 - z / distance; behind the rim k levels off at once, so
-    that the back is hardly wider and there is no edge at z = 0.
-    """
-    widest = 0.02
-    z = points[:, 2:]
-    back = np.exp(np.minimum(z, 0) / (distance * widest))
-    k = np.where(z > 0, 1 - z / distance, 1 + widest * (1 - back))
-    slope = -back / distance
-    moved = np.concatenate([points[:, :2] * k, z], axis=1)
-    flat = normals[:, :2] / k
-    turned = np.concatenate(
-        [flat, normals[:, 2:] - slope * (points[:, :2] * flat).sum(axis=1, keepdims=True)], axis=1
+    return Gaussians.from_rgb(
+        *(v.astype(np.float32) for v in (means, quats, scales, opacities, rgb))
     )
-    return moved, turned / np.linalg.norm(turned, axis=1, keepdims=True)
 
 
 def _frames(normals: Field) -> Field:
@@ -127,4 +132,5 @@ def _frames(normals: Field) -> Field:
     helper = np.where(np.abs(normals[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
     first = np.cross(helper, normals)
     first /= np.linalg.norm(first, axis=1, keepdims=True)
-    return np.stack([first, np.cross(normals, first), normals], axis=2)
+    axes = first, np.cross(normals, first), normals
+    return np.stack(axes, axis=2).astype(np.float64)

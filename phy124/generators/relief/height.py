@@ -57,10 +57,9 @@ class Silhouette:
 
     def harmonic(self, values: Field) -> Field:
         """Continue `values` [H,W,C] of the pixels around the rim smoothly over the inside."""
-        known = sum(
-            weight[..., None] * np.roll(values, (-dy, -dx), (0, 1))
-            for weight, (dy, dx) in zip(self.weights, NEIGHBOURS, strict=True)
-        )
+        known = np.zeros_like(values)
+        for weight, (dy, dx) in zip(self.weights, NEIGHBOURS, strict=True):
+            known += weight[..., None] * np.roll(values, (-dy, -dx), (0, 1))
         filled = np.array(values)
         filled[self.inside] = self.factors.solve(np.ascontiguousarray(known[self.inside]))
         return filled
@@ -74,19 +73,23 @@ class Silhouette:
             count += np.roll(weight > 0, (dy, dx), (0, 1))
         ghost = count > 0
         outside = np.where(ghost, total / np.maximum(count, 1), 0)
-        far, (iy, ix) = ndi.distance_transform_edt(~(ghost | self.inside), return_indices=True)
-        nearest = np.where(self.inside, -1.0, outside)[iy, ix]
-        # Some pixel next to the nearest ghost may be inside; -1 only needs to point outwards.
-        return np.where(self.inside, u, np.where(ghost, outside, nearest * (1 + far)))
+        # Further out only the sign and the way back matter.
+        far, nearest = nearest_of(ghost)
+        return np.where(self.inside, u, outside[nearest] * (1 + far))
 
 
-def squared_half_thickness(silhouette: Silhouette) -> Field:
-    """h^2 [H,W] in pixels^2, negative outside."""
-    size = max(silhouette.inside.shape)
+def squared_half_thickness(silhouette: Silhouette, size: int) -> Field:
+    """h^2 [H,W] in pixels^2, negative outside; the object is `size` pixels large."""
     u = silhouette.poisson(4.0)
     ratio = np.clip(_balls(silhouette.inside) / np.maximum(u, 1e-9), 0.3, 1.2)
     round_ = u * _smooth_within(ratio, silhouette.inside, max(1.0, SMOOTHING * size))
     return silhouette.extended(DEPTH**2 * round_ / (1 + round_ / (FLATTEN * size) ** 2))
+
+
+def nearest_of(wanted: NDArray[np.bool_]) -> tuple[Field, tuple[NDArray, NDArray]]:
+    """Distance from each pixel to the nearest wanted one, pixels, and where that is."""
+    distance, (y, x) = ndi.distance_transform_edt(~wanted, return_indices=True)  # pyright: ignore
+    return distance, (y, x)
 
 
 def _balls(inside: NDArray[np.bool_]) -> Field:
@@ -96,7 +99,7 @@ def _balls(inside: NDArray[np.bool_]) -> Field:
     upper envelope of parabolas.
     """
     # From the pixel's centre to the rim between it and the next pixel outside.
-    squares = np.where(inside, (ndi.distance_transform_edt(inside) - 0.5) ** 2, 0.0)
+    squares = np.where(inside, (nearest_of(~inside)[0] - 0.5) ** 2, 0.0)
     for _ in range(2):
         offsets = np.arange(squares.shape[1])
         parabolas = (offsets[:, None] - offsets).astype(np.float64) ** 2
@@ -119,7 +122,7 @@ def _rim_weight(alpha: Field, inside: NDArray[np.bool_], shift: tuple[int, int])
     return np.where(crosses, 1 / np.clip(theta, THETA_MIN, 1.0), 0.0)
 
 
-def _laplacian(inside: NDArray[np.bool_], weights: Field) -> sp.csc_matrix:
+def _laplacian(inside: NDArray[np.bool_], weights: Field) -> sp.csc_array:
     count = int(inside.sum())
     number = np.full(inside.shape, -1)
     number[inside] = np.arange(count)
@@ -132,5 +135,7 @@ def _laplacian(inside: NDArray[np.bool_], weights: Field) -> sp.csc_matrix:
         columns.append(there[linked])
         diagonal += np.where(linked, 1.0, weight)
     i, j = np.concatenate(rows), np.concatenate(columns)
-    links = sp.coo_matrix((np.full(len(i), -1.0), (i, j)), (count, count))
-    return (links + sp.diags(diagonal[inside])).tocsc()
+    numbers = np.arange(count)
+    rows = np.concatenate([i, numbers])
+    values = np.concatenate([np.full(len(i), -1.0), diagonal[inside]])
+    return sp.csc_array((values, (rows, np.concatenate([j, numbers]))), (count, count))

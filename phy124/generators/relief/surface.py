@@ -11,11 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.ndimage as ndi
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 Field = NDArray[np.float64]
 BACK_PITCH = 1.5
 """Spacing of points on the back, over that on the front: its colours are smooth."""
+OVERHANG = 5.0
+"""How far below the base points go on while they are spread, pixels."""
 ROUNDS = 6
 """Relaxation rounds; the spacing is even to about 10 % after five."""
 
@@ -49,6 +51,11 @@ class Surface:
         _, gradient = self.gradient(points)
         return -gradient / np.maximum(np.linalg.norm(gradient, axis=1, keepdims=True), 1e-12)
 
+    def section(self, y: float) -> float:
+        """Area of the horizontal cut through the object at y, pixels^2."""
+        row = self.w[min(int(y), len(self.w) - 1)]
+        return float(2 * np.sqrt(np.maximum(row, 0)).sum())
+
     def inset(self, points: Field, depth: float) -> Field:
         """`depth`, but no more than a third of the local radius [N,1], pixels."""
         _, gradient = self.gradient(points)
@@ -71,15 +78,23 @@ def pitch_factor(normals: Field) -> Field:
     return np.interp(-normals[:, 2], [0.0, 0.5], [1.0, BACK_PITCH])
 
 
-def spread(surface: Surface, count: int, rng: np.random.Generator) -> tuple[Field, Field, Field]:
-    """About `count` points spread evenly: positions [N,3], normals [N,3], spacing [N], pixels."""
+def spread(
+    surface: Surface, base: float, count: int, rng: np.random.Generator
+) -> tuple[Field, Field, Field, float]:
+    """Points spread evenly over the part above y = base, so dense that foot and walls get `count`.
+
+    Returns positions [N,3], unit normals [N,3], spacing [N] and the front's spacing, pixels; a few
+    points lie below the base, where the caller cuts.
+    """
     trial = _scatter(surface, 1.0, rng)
-    pitch = float(np.sqrt(len(trial) / count))
+    walls = np.count_nonzero(trial[:, 1] < base)
+    pitch = float(np.sqrt((walls + surface.section(base)) / count))
     points = _scatter(surface, pitch, rng)
+    points = points[points[:, 1] < base + OVERHANG]
     for _ in range(ROUNDS):
         points, _ = _relaxed(surface, points, pitch)
     _, spacing = _relaxed(surface, points, pitch)
-    return points, surface.normals(points), spacing
+    return points, surface.normals(points), spacing, pitch
 
 
 def _scatter(surface: Surface, pitch: float, rng: np.random.Generator) -> Field:
@@ -116,18 +131,17 @@ def _columns(w: Field, pitch: float) -> tuple[Field, Field, Field]:
         for a in (0.0, 0.5, 1.0)
         for b in (0.0, 0.5, 1.0)
     ]
-    low, high = np.min(fine, axis=0), np.max(fine, axis=0)
+    low, high = np.stack(fine).min(axis=0), np.stack(fine).max(axis=0)
     row, column = np.nonzero(high > 0)
-    depth = np.sqrt(np.maximum(low, 0)[row, column]), np.sqrt(high[row, column])
-    return np.stack([x[column], y[row]], axis=1), *depth
+    nearest, deepest = np.sqrt(np.maximum(low, 0)[row, column]), np.sqrt(high[row, column])
+    return np.stack([x[column], y[row]], axis=1), nearest, deepest
 
 
 def _relaxed(surface: Surface, points: Field, pitch: float) -> tuple[Field, Field]:
     """Points pushed apart along the surface, and the mean distance to their neighbours."""
     normals = surface.normals(points)
     wanted = pitch * pitch_factor(normals)
-    _, near = cKDTree(points).query(points, k=min(8, len(points)))
-    near = near[:, 1:]
+    near = np.asarray(KDTree(points).query(points, k=min(8, len(points)))[1])[:, 1:]
     apart = points[:, None] - points[near]
     distance = np.linalg.norm(apart, axis=2)
     # In thin parts the nearest points may lie on the other side; those do not count.
