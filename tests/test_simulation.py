@@ -1,0 +1,175 @@
+import numpy as np
+import pytest
+from shapes import ball
+
+from phy124.clip import Clip
+from phy124.effects import Effects
+from phy124.errors import Cancelled, InputError
+from phy124.mpm import Unstable
+from phy124.scene import Scene, preset_names
+from phy124.simulation import Simulation
+
+QUICK = {"accuracy": {"cells": 12}, "time.frames": 6}
+
+
+def run(name: str, **changes) -> Clip:
+    scene = Scene.named(name).replaced({**QUICK, **changes})
+    return Simulation(ball(), scene).run()
+
+
+def middle(clip: Clip) -> np.ndarray:
+    return clip.means.mean(axis=1)
+
+
+@pytest.mark.parametrize("name", preset_names())
+def test_every_preset_runs_and_keeps_the_object_whole(name):
+    clip = run(name)
+    assert clip.report["complete"]
+    assert len(clip) == 6
+    assert np.isfinite(clip.means).all()
+    assert np.isfinite(clip.scales).all()
+    assert np.abs(np.linalg.norm(clip.quats, axis=2) - 1).max() < 1e-5
+    assert (np.einsum("tnk,tnk->tn", clip.quats[1:], clip.quats[:-1]) >= 0).all()
+    assert np.ptp(clip.means[-1], axis=0).max() < 2.5
+
+
+def test_the_first_frame_is_the_object_at_rest():
+    scene = Scene.named("press").replaced(QUICK)
+    s = Simulation(ball(), scene)
+    first = next(iter(s)).gaussians
+    assert np.array_equal(first.means, s.gaussians.means)
+    assert np.allclose(first.scales, s.gaussians.scales, rtol=1e-6)
+    assert np.allclose(first.quats, s.gaussians.quats, atol=1e-6)
+
+
+def test_the_papers_control_experiment():
+    """f, 1.5 f and a third along another axis: ratio, direction and axis (Phy124, sec. 4)."""
+    paths = {
+        n: middle(run(n))[-1] - middle(run(n))[0]
+        for n in ("push_right", "push_right_harder", "push_away")
+    }
+    right, harder, away = paths.values()
+    ratio = np.linalg.norm(harder) / np.linalg.norm(right)
+    assert abs(ratio / 1.5 - 1) < 0.01
+    for path, axis in ((right, [0, 1, 0]), (harder, [0, 1, 0]), (away, [-1, 0, 0])):
+        angle = np.degrees(np.arccos(path @ axis / np.linalg.norm(path)))
+        assert angle < 0.5
+    assert abs(np.linalg.norm(away) / np.linalg.norm(right) - 1) < 0.01
+
+
+def test_a_push_moves_it_as_far_as_mechanics_says():
+    clip = run("push_right")
+    expected = 0.5 * 2.0 * clip.times[-1] ** 2
+    assert np.allclose(middle(clip)[-1] - middle(clip)[0], [0, expected, 0], atol=1e-4)
+
+
+def test_press_flattens_and_lets_go():
+    clip = run("press", **{"time.frames": 14})
+    height = np.ptp(clip.means[..., 2], axis=1)
+    assert height.min() < 0.75 * height[0]
+    assert height[-1] > 0.9 * height[0]
+    assert clip.means[..., 2].min() > -0.05
+
+
+def test_drop_falls_and_stays_above_the_floor():
+    clip = run("drop", **{"time.frames": 14})
+    z = middle(clip)[:, 2]
+    assert z[0] - z.min() > 0.4
+    assert clip.means[..., 2].min() > -0.05
+
+
+def test_bounce_comes_up_again():
+    z = middle(run("bounce", **{"time.frames": 14}))[:, 2]
+    lowest = z.argmin()
+    assert 0 < lowest < 13
+    assert z[lowest:].max() > z[lowest] + 0.15
+
+
+def test_spin_turns_about_the_upright_axis():
+    clip = run("spin")
+    r = clip.means[:, :, :2] - middle(clip)[:, None, :2]
+    far = np.linalg.norm(r[0], axis=1) > 0.3
+    turned = np.angle((r[1, far, 0] + 1j * r[1, far, 1]) / (r[0, far, 0] + 1j * r[0, far, 1]))
+    assert np.allclose(turned, 9.0 / 20, atol=0.05)
+
+
+def test_sway_holds_the_foot_and_moves_the_top():
+    clip = run("sway", **{"time.frames": 10})
+    moved = np.linalg.norm(clip.means - clip.means[0], axis=2).max(axis=0)
+    z = clip.means[0, :, 2]
+    assert moved[z < 0.05].max() < 0.02
+    assert moved[z > 0.9].min() > 0.05
+
+
+def test_gaussians_may_ride_on_the_field_instead_of_being_particles():
+    """The binding changes who carries the physics, not the physics."""
+    own = run("drop", **{"time.frames": 14})
+    field = run("drop", **{"time.frames": 14, "binding": "field"})
+    assert field.report["particles"] != own.report["particles"]
+    assert np.linalg.norm(middle(own) - middle(field), axis=1).max() < 0.02
+
+
+def test_progress_may_cancel_between_substeps():
+    calls = []
+
+    def stop(stage: str, done: int, total: int) -> None:
+        calls.append((stage, done, total))
+        if len(calls) == 5:
+            raise Cancelled
+
+    s = Simulation(ball(), Scene.named("press").replaced(QUICK), progress=stop)
+    with pytest.raises(Cancelled):
+        s.run()
+    assert s.solver.substeps < 10
+
+
+def test_an_unstable_frame_is_tried_again_then_given_up(monkeypatch):
+    s = Simulation(ball(), Scene.named("push_right").replaced(QUICK))
+    tried = []
+
+    def fail(until, *, after=None):
+        tried.append(s.solver.cfl)
+        raise Unstable("3 particles left the grid")
+
+    frames = iter(s)
+    next(frames)
+    next(frames)
+    monkeypatch.setattr(s.solver, "advance", fail)
+    clip = Simulation.run(s)
+    assert tried[:2] == [0.6, 0.3]
+    assert not clip.report["complete"]
+    assert "3 particles left the grid" in clip.report["stopped"]
+    assert len(clip) >= 1
+
+
+def test_a_users_substep_is_a_ceiling_and_reported():
+    fine = run("push_right", **{"time.substep": 1e-3})
+    assert fine.report["limiters"] == {"user": fine.report["substeps"]}
+    assert fine.report["substeps"] >= 5 / 24 / 1e-3
+
+
+def test_report_has_the_documented_keys():
+    report = run("press").report
+    assert set(report) >= {
+        "complete", "stopped", "gaussians", "particles", "mass", "cleaning", "grid", "substeps",
+        "limiters", "frames", "effects", "substep_stages",
+    }  # fmt: skip
+    assert abs(report["mass"] / (1000 * np.pi / 6) - 1) < 0.05
+    assert report["effects"]["ran"]
+    assert all(o["why"] for o in report["effects"]["left_out"])
+
+
+def test_effects_follow_the_scene():
+    free = Effects.of(Scene.named("push_right"))
+    pressed = Effects.of(Scene.named("press"))
+    assert "colliders" in [o.effect for o in free.left_out]
+    assert "collider press (separate)" in pressed.ran
+    assert "return mapping" in [o.effect for o in pressed.left_out]
+
+
+def test_nothing_visible_is_refused():
+    g = ball()
+    from dataclasses import replace
+
+    with pytest.raises(InputError, match="none of them is finite and visible"):
+        Simulation(replace(g, opacities=g.opacities * 0), Scene())
