@@ -188,7 +188,7 @@ class _Field:
 def carriers(points: NDArray, particles: NDArray) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """The nearest particles of each point [N,K] and their weights [N,K], which sum to 1.
 
-    w = (1 - (d / R)^2)^2, R the distance of the next particle after these: the weights vary
+    w = (1 - (d / R)^2)^2, R the distance of the next particle (or twice the last one): they vary
     smoothly over the points, since a particle enters and leaves with weight 0.
     """
     count = min(CARRIERS, len(particles))

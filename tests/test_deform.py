@@ -292,3 +292,20 @@ def test_refusals_say_what_is_wrong(gaussians, three_gaussians):
         deformer(np.array([[np.nan, 0, 0], [0, 0, 0], [0, 0, 0]]), F, index=0, time=0)
     with pytest.raises(ValueError, match=r"\(2, 3\) for 3 particles"):
         deformer(np.zeros((2, 3)), F, index=0, time=0)
+
+
+def test_axes_that_become_equal_do_not_flicker(rng):
+    """Balls pressed along no axis of theirs: two equal axes, known from the last frame only."""
+    n = 500
+    balls = Gaussians.from_rgb(
+        np.zeros((n, 3)), rng.normal(size=(n, 4)), np.ones((n, 3)), np.ones(n), np.ones((n, 3))
+    )
+    turn = rotations(n, rng)
+    pressed = turn * [1.5, 1.5, 0.7] @ np.swapaxes(turn, 1, 2)
+    deformer = Deformer(balls)
+    last = moved(balls, pressed, deformer)
+    for _ in range(20):
+        noise = 3e-7 * rng.uniform(-1, 1, size=(n, 3, 3))
+        found = moved(balls, pressed + noise, deformer)
+        assert turns(found.quats, last.quats).max() < 0.1
+        last = found

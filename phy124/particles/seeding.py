@@ -114,24 +114,23 @@ def _check(density: float, spacing: float, binding: str) -> None:
 
 
 def _lattice(shape: Solid, spacing: float) -> NDArray[np.float64]:
-    inside = np.argwhere(shape.fraction > 0)
-    low = (inside.min(axis=0) + shape.first) * shape.voxel / spacing
-    high = (inside.max(axis=0) + 1 + shape.first) * shape.voxel / spacing
-    if shape.volume / spacing**3 > MAX_PARTICLES:
+    """Points (i + 1/2) * spacing inside the solid, found cell by cell where there is any of it."""
+    side = max(spacing, shape.voxel)
+    cells, _ = _room_per_cell(shape, side)
+    n = round(side / spacing)
+    if len(cells) * n**3 > MAX_PARTICLES:
         raise InputError(
             "spacing",
             f"{spacing:.3g} m",
-            f"the object would take {shape.volume / spacing**3:,.0f} particles, "
+            f"the object would take up to {len(cells) * n**3:.3g} particles, "
             f"the limit is {MAX_PARTICLES:,}.",
             "Choose a coarser grid (a lower accuracy) or fewer particles per cell.",
         )
-    planes = [
-        np.arange(np.floor(a + 1e-9), np.ceil(b - 1e-9)) for a, b in zip(low, high, strict=True)
-    ]
-    found = [np.zeros((0, 3))]
-    for i in planes[0]:  # plane by plane: the box may hold far more points than the object
-        points = np.stack(np.meshgrid([i], planes[1], planes[2], indexing="ij"), axis=-1)
-        points = (points.reshape(-1, 3) + 0.5) * spacing
+    within = np.stack(np.meshgrid(*[np.arange(n)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    chunk, found = max(1, 500_000 // n**3), []
+    for start in range(0, len(cells), chunk):
+        index = (cells[start : start + chunk, None] * n + within).reshape(-1, 3)
+        points = (index + 0.5) * spacing
         found.append(points[shape.contains(points)])
     return np.concatenate(found)
 
