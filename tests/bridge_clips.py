@@ -1,0 +1,27 @@
+"""Small random clips for the bridge's tests."""
+
+import numpy as np
+
+from phy124.clip import Clip
+
+
+def random_clip(
+    frames: int = 4, count: int = 50, *, degree: int = 0, velocities: bool = True, fps: float = 30.0
+) -> Clip:
+    rng = np.random.default_rng(124)
+
+    def normal(*shape: int) -> np.ndarray:
+        return rng.normal(size=shape).astype(np.float32)
+
+    quats = normal(frames, count, 4)
+    return Clip(
+        means=normal(frames, count, 3),
+        quats=quats / np.linalg.norm(quats, axis=-1, keepdims=True),
+        scales=rng.uniform(0.01, 0.1, (frames, count, 3)).astype(np.float32),
+        opacities=rng.uniform(0, 1, count).astype(np.float32),
+        sh=normal(count, (degree + 1) ** 2, 3),
+        times=np.arange(frames) / fps,
+        velocities=normal(frames, count, 3) if velocities else None,
+        scene={"description": "random", "view": {"size": 512}},
+        report={"complete": True, "frames": frames},
+    )

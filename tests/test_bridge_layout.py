@@ -1,0 +1,102 @@
+"""Field profiles: every value of the clip in its place, to the last bit."""
+
+import numpy as np
+import pytest
+from bridge_clips import random_clip
+
+from bridge.layout import FULL, cloud, evenly, packed_rgb, points
+from phy124.gaussians import Gaussians
+from phy124.ply import write_ply
+
+
+def bits(values):
+    return np.ascontiguousarray(values, np.float32).view(np.uint32)
+
+
+@pytest.mark.parametrize(("profile", "size"), [("viz", 16), ("full", 60), ("ply", 68)])
+def test_point_sizes(profile, size):
+    frame = random_clip().frame(0)
+    message = cloud(frame, profile, {})
+    assert message["point_step"] == size
+    assert message["row_step"] == len(message["data"]) == size * 50
+    assert [field["offset"] for field in message["fields"]] == list(range(0, size, 4))
+    assert {field["datatype"] for field in message["fields"]} == {7}
+
+
+def test_full_profile_is_the_clip_to_the_last_bit():
+    clip = random_clip()
+    table = points(clip.frame(2), "full")
+    assert table.dtype.names == FULL
+    groups = {
+        "x y z": clip.means[2],
+        "alpha": clip.opacities[:, None],
+        "sx sy sz": clip.scales[2],
+        "qw qx qy qz": clip.quats[2],
+        "vx vy vz": clip.velocities[2],
+    }
+    for names, values in groups.items():
+        for name, column in zip(names.split(), values.T, strict=True):
+            np.testing.assert_array_equal(bits(table[name]), bits(column))
+
+
+def test_rgb_is_packed_as_rviz_reads_it():
+    colours = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1], [0.5, 0.25, 0]])
+    ones = np.ones((5, 4), np.float32)
+    gaussians = Gaussians.from_rgb(ones[:, :3], ones, ones[:, :3], ones[:, 0], colours)
+    expected = [0xFF0000, 0x00FF00, 0x0000FF, 0xFFFFFF, 0x804000]
+    assert packed_rgb(gaussians).tolist() == expected
+
+
+def test_packed_colours_survive_the_table():
+    frame = random_clip(count=5000).frame(0)
+    table = points(frame, "viz")
+    red_green_blue = np.ascontiguousarray(table["rgb"]).view(np.uint8).reshape(-1, 4)[:, 2::-1]
+    np.testing.assert_array_equal(red_green_blue, np.rint(frame.gaussians.rgb * 255))
+
+
+@pytest.mark.parametrize("degree", [0, 1, 3])
+def test_ply_profile_is_the_ply_file_with_ros_axes(degree, tmp_path):
+    frame = random_clip(degree=degree).frame(1)
+    table = points(frame, "ply")
+    write_ply(tmp_path / "one.ply", frame.gaussians)
+    header = (tmp_path / "one.ply").read_bytes().split(b"end_header")[0].decode()
+    names = [line.split()[-1] for line in header.splitlines() if line.startswith("property")]
+    assert list(table.dtype.names) == names
+    gaussians = frame.gaussians
+    for i, axis in enumerate("xyz"):
+        np.testing.assert_array_equal(table[axis], gaussians.means[:, i])
+    sigmoid = 1 / (1 + np.exp(-table["opacity"].astype(np.float64)))
+    np.testing.assert_allclose(sigmoid, gaussians.opacities, atol=1e-6)
+    np.testing.assert_allclose(np.exp(table["scale_1"]), gaussians.scales[:, 1], rtol=1e-6)
+    np.testing.assert_array_equal(table["rot_0"], gaussians.quats[:, 0])
+    count = gaussians.sh.shape[1] - 1
+    for i in range(3 * count):
+        channel, coefficient = divmod(i, count)
+        np.testing.assert_array_equal(
+            table[f"f_rest_{i}"], gaussians.sh[:, 1 + coefficient, channel]
+        )
+
+
+def test_missing_velocities_are_nan_and_told():
+    frame = random_clip(velocities=False).frame(0)
+    message = cloud(frame, "full", {})
+    assert message["is_dense"] is False
+    assert np.isnan(points(frame, "full")["vy"]).all()
+    assert cloud(frame, "viz", {})["is_dense"] is True
+
+
+def test_empty_cloud():
+    frame = random_clip(count=0).frame(0)
+    for profile in ("viz", "full"):
+        message = cloud(frame, profile, {})
+        assert message["width"] == message["row_step"] == len(message["data"]) == 0
+
+
+def test_thinning_is_even_and_the_same_each_time():
+    kept = evenly(100, 40)
+    assert kept is not None
+    np.testing.assert_array_equal(kept, evenly(100, 40))
+    assert len(np.unique(kept)) == 40
+    assert set(np.diff(kept)) <= {2, 3}
+    assert evenly(40, 40) is None
+    assert evenly(100, None) is None

@@ -1,0 +1,33 @@
+"""Definitions and hashes against rosbags, which carries those of ROS 2 Jazzy."""
+
+import re
+
+import pytest
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from bridge.messages import DEFINITIONS, HASHES, definition
+
+JAZZY = get_typestore(Stores.ROS2_JAZZY)
+DDS_ONLY = "rmw_dds_common/msg/ParticipantEntitiesInfo"
+RECORDED = [name for name in HASHES if name != DDS_ONLY]
+
+
+@pytest.mark.parametrize("name", HASHES)
+def test_definition_is_that_of_jazzy(name):
+    theirs = JAZZY.generate_msgdef(name, ros_version=2)[0]
+    plain = [line for line in theirs.splitlines() if not re.match(r"\w+ \w+=", line)]
+    # ROS calls a byte of a GID `char`, which its own IDL maps to uint8.
+    assert definition(name) == "\n".join(plain).replace("char[", "uint8[") + "\n"
+
+
+@pytest.mark.parametrize("name", HASHES)
+def test_hash_follows_from_the_definition(name):
+    store = get_typestore(Stores.EMPTY)
+    for inner, text in DEFINITIONS.items():
+        store.register(get_types_from_msg(text, inner))
+    assert store.hash_rihs01(name) == HASHES[name]
+
+
+@pytest.mark.parametrize("name", RECORDED)
+def test_hash_is_that_of_jazzy(name):
+    assert JAZZY.hash_rihs01(name) == HASHES[name]
