@@ -25,8 +25,9 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     try:
         if path.is_dir():
             raise IsADirectoryError(0, "this is the name of a folder")
+        # The ending stays: some writers go by it.
         descriptor, name = tempfile.mkstemp(
-            prefix=f".{path.stem}-", suffix=".part", dir=path.parent
+            prefix=f".{path.stem}-", suffix=f".part{path.suffix}", dir=path.parent
         )
     except OSError as error:
         raise InputError(
@@ -41,5 +42,5 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
         os.chmod(name, 0o644)
         os.replace(name, path)
     except BaseException:
-        os.unlink(name)
+        Path(name).unlink(missing_ok=True)
         raise

@@ -1,14 +1,16 @@
 """Exports: what is written reads back, and nothing half-done stays."""
 
+import builtins
 import re
 import zipfile
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from phy124.clip import Clip
 from phy124.errors import Cancelled, InputError
-from phy124.export import write_ply_sequence
+from phy124.export import write_ply_sequence, write_usd
 from phy124.gaussians import Frame
 from phy124.ply import read_ply
 
@@ -58,7 +60,7 @@ def test_an_archive(tmp_path, clip):
 def test_five_digits_for_ten_thousand_frames(tmp_path, three_gaussians, monkeypatch):
     g = three_gaussians.select(np.array([0]))
     many = Clip.from_frames([Frame(i, i / 24, g) for i in range(10_000)])
-    monkeypatch.setattr("phy124.export.write_ply", lambda file, gaussians: None)
+    monkeypatch.setattr("phy124.export.ply_sequence.write_ply", lambda file, gaussians: None)
     names = write_ply_sequence(tmp_path / "out", many)
     assert names[0] == "frame_00001.ply" and names[-1] == "frame_10000.ply"
     assert names == sorted(names)
@@ -101,3 +103,88 @@ def test_refusals(tmp_path, clip):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "full"]
     (tmp_path / "empty").mkdir()
     assert len(write_ply_sequence(tmp_path / "empty", clip)) == 3
+
+
+@pytest.fixture
+def pxr():
+    return pytest.importorskip("pxr", reason="usd-core is not installed")
+
+
+def turning(clip, rng) -> Clip:
+    """The same clip with harmonics of degree 1 that turn with the material."""
+    sh = rng.normal(size=(3, 4, 3)).astype(np.float32)
+    return replace(clip, sh=sh, rotations=rng.normal(size=(3, 3, 4)).astype(np.float32))
+
+
+@pytest.mark.parametrize("ending", ["usdc", "usda", "usd"])
+def test_usd_reads_back(pxr, tmp_path, clip, rng, ending):
+    from pxr import Usd, UsdGeom, UsdVol
+
+    told = []
+    clip = turning(clip, rng)
+    path = tmp_path / f"duck.{ending}"
+    write_usd(path, clip, progress=lambda *s: told.append(s))
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
+    assert told == [("export", i, 3) for i in (1, 2, 3)]
+    assert path.read_bytes().startswith(b"#usda" if ending == "usda" else b"PXR-USDC")
+    stage = Usd.Stage.Open(str(path))
+    assert UsdGeom.GetStageUpAxis(stage) == "Z" and UsdGeom.GetStageMetersPerUnit(stage) == 1
+    assert stage.GetTimeCodesPerSecond() == pytest.approx(24)
+    assert (stage.GetStartTimeCode(), stage.GetEndTimeCode()) == (0, pytest.approx(2))
+    splats = UsdVol.ParticleField3DGaussianSplat(stage.GetDefaultPrim())
+    assert splats.GetPositionsAttr().GetTimeSamples() == pytest.approx([0, 1, 2])
+    np.testing.assert_allclose(splats.GetOpacitiesAttr().Get(), clip.opacities)
+    assert splats.GetRadianceSphericalHarmonicsDegreeAttr().Get() == 1
+    for code, frame in enumerate(clip.frames()):
+        g = frame.gaussians
+        np.testing.assert_allclose(splats.GetPositionsAttr().Get(code), g.means, atol=1e-6)
+        np.testing.assert_allclose(splats.GetScalesAttr().Get(code), g.scales, atol=1e-6)
+        for quat, wanted in zip(splats.GetOrientationsAttr().Get(code), g.quats, strict=True):
+            np.testing.assert_allclose([quat.real, *quat.imaginary], wanted, atol=1e-6)
+        sh = splats.GetRadianceSphericalHarmonicsCoefficientsAttr().Get(code)
+        np.testing.assert_allclose(np.reshape(sh, (3, 4, 3)), g.sh, atol=1e-6)
+        low, high = splats.GetExtentAttr().Get(code)
+        assert (np.array(low) < g.means).all() and (np.array(high) > g.means).all()
+
+
+def test_usd_keeps_still_colours_once(pxr, tmp_path, clip):
+    from pxr import Usd, UsdVol
+
+    write_usd(tmp_path / "a.usdc", clip)
+    stage = Usd.Stage.Open(str(tmp_path / "a.usdc"))
+    splats = UsdVol.ParticleField3DGaussianSplat(stage.GetDefaultPrim())
+    sh = splats.GetRadianceSphericalHarmonicsCoefficientsAttr()
+    assert not sh.GetTimeSamples()
+    np.testing.assert_allclose(sh.Get(), clip.sh[:, 0])
+
+
+def test_usd_of_one_frame(pxr, tmp_path, clip):
+    write_usd(tmp_path / "a.usdc", Clip.from_frames([clip.frame(1)]))
+    assert (tmp_path / "a.usdc").stat().st_size > 100
+
+
+def test_usd_refusals(pxr, tmp_path, clip):
+    with pytest.raises(InputError, match=r"\.usdc, \.usda or \.usd"):
+        write_usd(tmp_path / "a.ply", clip)
+    with pytest.raises(InputError, match="folder that exists"):
+        write_usd(tmp_path / "missing" / "a.usdc", clip)
+
+    def stop(stage, done, total):
+        raise Cancelled
+
+    with pytest.raises(Cancelled):
+        write_usd(tmp_path / "a.usdc", clip, progress=stop)
+    assert not list(tmp_path.iterdir())
+
+
+def test_without_usd_core_it_says_what_to_install(tmp_path, clip, monkeypatch):
+    whole = builtins.__import__
+
+    def absent(name, *args, **options):
+        if name.startswith("pxr"):
+            raise ModuleNotFoundError(name)
+        return whole(name, *args, **options)
+
+    monkeypatch.setattr(builtins, "__import__", absent)
+    with pytest.raises(InputError, match=r"pip install 'phy124\[usd\]'"):
+        write_usd(tmp_path / "a.usdc", clip)

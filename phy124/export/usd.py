@@ -1,0 +1,111 @@
+"""OpenUSD: the whole clip as one animated prim, ParticleField3DGaussianSplat (OpenUSD 26.03).
+
+The only open format that keeps moving Gaussians in a single file. Units and axes are the
+project's own (metres, z up), which USD declares in its header; opacities and scales are linear.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from phy124.clip import Clip
+from phy124.errors import InputError
+from phy124.files import replacing
+from phy124.gaussians import Gaussians
+from phy124.progress import Progress, silent
+
+ENDINGS = (".usdc", ".usda", ".usd")
+SCHEMA = "ParticleField3DGaussianSplat"
+REACH = 3.0
+"""Standard deviations of a Gaussian that its prim's extent has room for."""
+
+
+def write_usd(path: str | os.PathLike[str], clip: Clip, *, progress: Progress = silent) -> None:
+    """Write a clip as .usdc (binary), .usda (text) or .usd; needs the extra `usd`.
+
+    Positions, orientations, scales and, where they turn with the material, harmonics are sampled
+    in time; a time code is a frame. The file appears whole or not at all.
+
+    Raises:
+        InputError: If usd-core is not installed or too old, the clip is empty, or the place
+            cannot be written.
+    """
+    pxr = _pxr()
+    if Path(path).suffix.lower() not in ENDINGS:
+        raise InputError(
+            "output", path, "a USD file ends in .usdc, .usda or .usd.", "Rename it; prefer .usdc."
+        )
+    if not len(clip):
+        raise InputError("clip", "empty", "it has no frames.", "Simulate one frame or more.")
+    with replacing(path) as temporary:
+        stage, splats = _stage(pxr, temporary, clip)
+        for index, frame in enumerate(clip.frames()):
+            code = pxr.Usd.TimeCode(float(frame.time - clip.times[0]) * _rate(clip))
+            _sample(pxr, splats, frame.gaussians, code)
+            if index == 0 or clip.rotations is not None:
+                _colour(pxr, splats, frame.gaussians, code if clip.rotations is not None else None)
+            progress("export", index + 1, len(clip))
+        stage.GetRootLayer().Save()
+
+
+def _pxr() -> Any:
+    """The modules of OpenUSD that are used here."""
+    try:
+        from pxr import Usd, UsdGeom, UsdVol, Vt
+
+        schema = getattr(UsdVol, SCHEMA)
+    except (ImportError, AttributeError) as error:
+        raise InputError(
+            "format",
+            "usd",
+            "this needs the package usd-core, 26.3 or later.",
+            "Install it with: pip install 'phy124[usd]'.",
+        ) from error
+    return SimpleNamespace(Usd=Usd, UsdGeom=UsdGeom, Schema=schema, Vt=Vt)
+
+
+def _stage(pxr: Any, path: Path, clip: Clip) -> tuple[Any, Any]:
+    """A new stage with all that does not change in time, and its prim of splats."""
+    stage = pxr.Usd.Stage.CreateNew(os.fspath(path))
+    pxr.UsdGeom.SetStageUpAxis(stage, pxr.UsdGeom.Tokens.z)
+    pxr.UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    stage.SetTimeCodesPerSecond(_rate(clip))
+    stage.SetFramesPerSecond(_rate(clip))
+    stage.SetStartTimeCode(0)
+    stage.SetEndTimeCode(float(clip.times[-1] - clip.times[0]) * _rate(clip))
+    splats = pxr.Schema.Define(stage, "/Splats")
+    stage.SetDefaultPrim(splats.GetPrim())
+    splats.CreateOpacitiesAttr(pxr.Vt.FloatArray.FromNumpy(np.ascontiguousarray(clip.opacities)))
+    splats.CreateRadianceSphericalHarmonicsDegreeAttr(clip.frame(0).gaussians.sh_degree)
+    return stage, splats
+
+
+def _sample(pxr: Any, splats: Any, gaussians: Gaussians, code: Any) -> None:
+    """Set what moves at one time code."""
+    vectors = pxr.Vt.Vec3fArray.FromNumpy
+    # In memory USD quaternions are (x, y, z, w).
+    quats = np.ascontiguousarray(np.roll(gaussians.quats, -1, axis=1))
+    splats.CreatePositionsAttr().Set(vectors(gaussians.means), code)
+    splats.CreateScalesAttr().Set(vectors(gaussians.scales), code)
+    splats.CreateOrientationsAttr().Set(pxr.Vt.QuatfArray.FromNumpy(quats), code)
+    reach = REACH * gaussians.scales.max(axis=1, keepdims=True, initial=0)
+    low = (gaussians.means - reach).min(axis=0, initial=np.inf)
+    high = (gaussians.means + reach).max(axis=0, initial=-np.inf)
+    splats.CreateExtentAttr().Set(vectors(np.stack([low, high])), code)
+
+
+def _colour(pxr: Any, splats: Any, gaussians: Gaussians, code: Any) -> None:
+    """Set the harmonics at a time code, or for all times."""
+    flat = pxr.Vt.Vec3fArray.FromNumpy(gaussians.sh.reshape(-1, 3))
+    attribute = splats.CreateRadianceSphericalHarmonicsCoefficientsAttr()
+    attribute.Set(flat) if code is None else attribute.Set(flat, code)
+
+
+def _rate(clip: Clip) -> float:
+    """Frames per second at which the clip plays in real time."""
+    return float((len(clip) - 1) / (clip.times[-1] - clip.times[0])) if len(clip) > 1 else 24.0
