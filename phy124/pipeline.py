@@ -19,13 +19,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 from phy124.camera import VIEWS, Camera
 from phy124.clip import Clip
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
-from phy124.generators import Generator
-from phy124.generators import generator as find_generator
+from phy124.generators import Generator, needs_image
+from phy124.generators import make as make_generator
 from phy124.image import foreground, open_image
 from phy124.ply import write_ply
 from phy124.progress import Progress, silent
@@ -65,9 +66,11 @@ def generate(
     Raises InputError for what the user can mend, Cancelled if `progress` does.
     """
     watch = Stopwatch()
-    make = find_generator(generator)
-    with watch.stage("image"):
-        cutout, used = foreground(open_image(image), method)
+    make, used = make_generator(generator), None
+    cutout = Image.new("RGBA", (1, 1))
+    if needs_image(generator):
+        with watch.stage("image"):
+            cutout, used = foreground(open_image(image), method)
     with watch.stage("generate"):
         gaussians = make(cutout, seed=scene.seed, progress=progress)
     about = {"foreground": used, "generator": _name(generator)}

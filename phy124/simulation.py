@@ -96,6 +96,8 @@ class Simulation:
                 pass
         except Stopped as stop:
             self.stopped = str(stop)
+        launches = sum(count for _, count in self.solver.timings.values())
+        self.watch.launches["simulate"] = int(launches)
         return self.clip()
 
     def clip(self) -> Clip:

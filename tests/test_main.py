@@ -1,0 +1,197 @@
+"""The command line as a user meets it."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from test_video import read as read_video
+
+from phy124.__main__ import main
+from phy124.camera import Camera
+from phy124.clip import Clip
+from phy124.ply import read_ply
+from phy124.render import Renderer
+from phy124.scene import Scene
+
+DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"
+QUICK = ["--accuracy", "draft", "--frames", "3", "--size", "64", "--device", "cpu"]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory) -> Path:
+    """One quick run of the duck, pressed."""
+    out = tmp_path_factory.mktemp("made")
+    assert main(["generate", str(DUCK), *QUICK, "--out", str(out)]) == 0
+    return out
+
+
+def test_generate_makes_every_file(made):
+    assert sorted(path.name for path in made.iterdir()) == [
+        "back.mp4", "clip.safetensors", "front.mp4", "gaussians.ply", "left.mp4", "orbit.mp4",
+        "report.json", "right.mp4", "scene.toml",
+    ]  # fmt: skip
+
+
+def test_videos_have_the_frames_asked_for(made):
+    for view in ("front", "orbit"):
+        assert read_video(made / f"{view}.mp4").shape == (3, 64, 64, 3)
+
+
+def test_the_report_has_the_documented_keys(made):
+    report = json.loads((made / "report.json").read_text())
+    assert set(report) >= {
+        "stages", "gaussians", "particles", "grid", "substeps", "frames", "device", "versions",
+        "foreground", "generator", "effects",
+    }  # fmt: skip
+    assert report["foreground"] == "alpha"
+    assert report["generator"] == "relief"
+    stages = {stage["name"]: stage for stage in report["stages"]}
+    assert {"image", "generate", "particles", "simulate", "deform", "render"} <= set(stages)
+    assert stages["simulate"]["launches"] > 4 * report["substeps"]
+    covered = sum(stage["seconds"] for stage in report["stages"])
+    assert 0.9 * report["seconds"] < covered <= 1.01 * report["seconds"]
+    assert report == Clip.load(made / "clip.safetensors").report
+
+
+def test_the_scene_file_repeats_the_run(made):
+    scene = Scene.from_toml(made / "scene.toml")
+    assert scene == Scene.named("press").replaced(
+        {"accuracy": "draft", "time.frames": 3, "view.size": 64}
+    )
+
+
+def test_the_first_frame_is_the_static_object(made):
+    """The video starts with the rendering of the Gaussians as they were before any physics."""
+    still = read_ply(made / "gaussians.ply").gaussians
+    first = Clip.load(made / "clip.safetensors").frame(0).gaussians
+    camera = Camera.orbit(0, 10, 1.9, 128, (0, 0, 0.3))
+    draw = Renderer(device="cpu")
+    assert np.abs(draw(still, camera) - draw(first, camera)).max() < 1.5 / 255
+
+
+def test_render_films_again_without_simulating(made, tmp_path, capsys):
+    arguments = ["render", str(made / "clip.safetensors"), "--views", "left", "--size", "32"]
+    assert main([*arguments, "--out", str(tmp_path), "--json", "--device", "cpu"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"files": [str(tmp_path / "left.mp4")]}
+    assert read_video(tmp_path / "left.mp4").shape == (3, 32, 32, 3)
+
+
+def test_simulate_takes_gaussians(made, tmp_path, capsys):
+    arguments = ["simulate", str(made / "gaussians.ply"), "--scene", "push_right", *QUICK]
+    assert main([*arguments, "--views", "front", "--out", str(tmp_path), "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["complete"]
+    assert report["foreground"] is None
+    assert Path(report["files"][-1]).exists()
+
+
+def test_set_changes_any_value(made, tmp_path, capsys):
+    arguments = ["simulate", str(made / "gaussians.ply"), *QUICK, "--views", "front", "--json"]
+    main([*arguments, "--out", str(tmp_path), "--set", "material.E=5e4", "boundaries.1.depth=0.2"])
+    capsys.readouterr()
+    scene = Scene.from_toml(tmp_path / "scene.toml")
+    assert scene.material.E == 5e4
+    assert scene.boundaries[1].depth == 0.2
+
+
+def test_scenes_and_effects_and_doctor_print(capsys):
+    assert main(["scenes"]) == 0
+    assert "press" in capsys.readouterr().out
+    assert main(["scenes", "drop"]) == 0
+    assert "lift = 0.5" in capsys.readouterr().out
+    assert main(["effects", "press", "--device", "cpu"]) == 0
+    assert "left out  return mapping: neo_hookean is elastic" in capsys.readouterr().out
+    assert main(["doctor", "--json"]) == 0
+    assert "cpu" in json.loads(capsys.readouterr().out)["devices"][0]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["generate", "none.png"], "none.png"),
+        (["generate", str(DUCK), "--scene", "dance"], "scene = dance: no preset has that name."),
+        (["generate", str(DUCK), "--frames", "0"], "time.frames = 0: Input should be greater"),
+        (["generate", str(DUCK), "--generator", "magic"], "generator = magic: There is no such"),
+        (["generate", str(DUCK), "--foreground", "magic"], "magic"),
+        (["generate", str(DUCK), "--device", "cuda:9"], "device = cuda:9: this machine has no"),
+        (["generate", str(DUCK), "--set", "speed"], "set = speed: it is not KEY=VALUE."),
+        (["generate", str(DUCK), "--set", "materal.E=3"], "Did you mean material?"),
+        (["simulate", "none.ply"], "none.ply"),
+        (["render", "none.safetensors"], "clip = none.safetensors: there is no such file."),
+        (["scenes", "dance"], "scene = dance"),
+    ],
+)
+def test_bad_input_is_one_sentence(arguments, sentence, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == 2
+    printed = capsys.readouterr()
+    assert sentence in printed.err
+    assert "Traceback" not in printed.err + printed.out
+    assert [p for p in tmp_path.rglob("*") if p.is_file()] == []
+
+
+def test_errors_are_json_for_scripts(capsys):
+    assert main(["generate", "none.png", "--json"]) == 2
+    assert "none.png" in json.loads(capsys.readouterr().out)["error"]
+
+
+def test_an_unwritable_folder_is_one_sentence(tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    status = main(["generate", str(DUCK), *QUICK, "--out", str(tmp_path / "file" / "sub")])
+    assert status == 2
+    assert "it cannot be written" in capsys.readouterr().err
+
+
+def test_interrupting_leaves_nothing(tmp_path):
+    command = [sys.executable, "-m", "phy124", "generate", str(DUCK), "--accuracy", "fine"]
+    run = subprocess.Popen(
+        [*command, "--out", str(tmp_path / "out"), "--device", "cpu"],
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    deadline = time.monotonic() + 60
+    while not list(tmp_path.glob("out/.making-*")):
+        assert run.poll() is None
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    time.sleep(0.5)
+    run.send_signal(signal.SIGINT)
+    _, errors = run.communicate(timeout=60)
+    assert run.returncode == 130
+    assert "stopped; nothing half-written was left behind" in errors
+    assert "Traceback" not in errors
+    assert os.listdir(tmp_path / "out") == []
+
+
+HEAVY = {"torch", "diffusers", "gradio", "mcap", "transformers", "rclpy"}
+
+
+@pytest.mark.parametrize(
+    ("imported", "absent"),
+    [("phy124", HEAVY | {"warp"}), ("phy124.pipeline, phy124.commands", HEAVY)],
+)
+def test_importing_is_light(imported, absent):
+    """Neither the package nor the default path pulls in what only some need."""
+    code = f"import sys, {imported}; print(*sys.modules)"
+    run = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert absent & set(run.stdout.split()) == set()
+
+
+def test_a_photograph_is_cut_out(tmp_path, capsys):
+    """A disc on noise, without alpha: GrabCut must find it."""
+    rng = np.random.default_rng(0)
+    y, x = np.mgrid[:160, :160]
+    disc = (x - 80) ** 2 + (y - 80) ** 2 < 45**2
+    picture = rng.integers(90, 120, (160, 160, 3), dtype=np.uint8)
+    picture[disc] = [220, 60, 30]
+    Image.fromarray(picture).save(tmp_path / "disc.png")
+    arguments = ["generate", str(tmp_path / "disc.png"), *QUICK, "--views", "front", "--json"]
+    assert main([*arguments, "--out", str(tmp_path / "o")]) == 0
+    assert json.loads(capsys.readouterr().out)["foreground"] == "grabcut"
