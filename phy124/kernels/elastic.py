@@ -9,21 +9,44 @@ from typing import Any
 
 import warp as wp
 
+from phy124.kernels.spectral import from_double, signed_stretch, to_double
+from phy124.kernels.symmetric import deviator, gram
+
 SMALLEST_J = wp.constant(1.0e-4)
 """Volume ratio below which log J is continued by its tangent, so inverted elements push back."""
 
 
+POLAR_MISS = wp.constant(2.0e-6)
+"""Greatest |R|^2 - 3 that passes: R is then a rotation to 1e-6."""
+
+
 @wp.func
 def polar(F: Any):
-    """Rotation of the polar decomposition by Newton's iteration (Higham 1986); needs det F > 0."""
-    half = type(F[0, 0])(0.5)
+    """Rotation of the polar decomposition by Newton's iteration (Higham 1986); needs det F > 0.
+
+    Four steps are exact to float32 for stretches between 0.5 and 2. Each step leaves the singular
+    values of R at 1 or above, so |R|^2 - 3 says how far it still is from a rotation.
+    """
+    s = F[0, 0]
+    half = type(s)(0.5)
     R = F
     for _ in range(4):
         a = wp.cross(R[1], R[2])
         b = wp.cross(R[2], R[0])
         c = wp.cross(R[0], R[1])
-        R = half * (R + wp.matrix_from_rows(a, b, c) / wp.dot(R[0], a))
+        k = half / wp.dot(R[0], a)
+        R = wp.matrix_from_rows(half * R[0] + k * a, half * R[1] + k * b, half * R[2] + k * c)
     return R
+
+
+@wp.func
+def stretch(F: Any):
+    """V of F = V R for every F: by Newton, and in float64 where that has not converged."""
+    s = F[0, 0]
+    R = polar(F)
+    if wp.determinant(F) > type(s)(0.0) and wp.ddot(R, R) < type(s)(3.0) + type(s)(POLAR_MISS):
+        return F * wp.transpose(R)
+    return from_double(signed_stretch(to_double(F)), s)
 
 
 @wp.func
@@ -38,10 +61,10 @@ def log_volume(J: Any):
 @wp.func
 def largest_stretch_squared(F: Any):
     """Upper bound of the largest eigenvalue of F F^T, without an SVD."""
-    b = F * wp.transpose(F)
-    third = wp.trace(b) / type(F[0, 0])(3.0)
-    dev = b - third * wp.identity(3, dtype=type(F[0, 0]))
-    return third + wp.sqrt(type(F[0, 0])(2.0) / type(F[0, 0])(3.0) * wp.ddot(dev, dev))
+    b = gram(F)
+    s = F[0, 0]
+    dev = deviator(b)
+    return wp.trace(b) / type(s)(3.0) + wp.sqrt(type(s)(2.0) / type(s)(3.0) * wp.ddot(dev, dev))
 
 
 @wp.func
@@ -60,7 +83,7 @@ def neo_hookean_energy(F: Any, h: Any, theta: Any):
 def neo_hookean(F: Any, C: Any, h: Any, theta: Any):
     """mu (F F^T - I) + lam log J I (Bonet and Wood 2008, eq. 6.29); theta = (mu, lam)."""
     p = theta[1] * log_volume(wp.determinant(F)) - theta[0]
-    return theta[0] * (F * wp.transpose(F)) + p * wp.identity(3, dtype=type(p))
+    return theta[0] * gram(F) + p * wp.identity(3, dtype=type(p))
 
 
 @wp.func
@@ -73,22 +96,19 @@ def neo_hookean_modulus(F: Any, h: Any, theta: Any):
 
 @wp.func
 def fixed_corotated_energy(F: Any, h: Any, theta: Any):
-    """mu |F - R|^2 + lam/2 (J - 1)^2 (Stomakhin et al. 2012)."""
-    one = type(theta[0])(1.0)
-    j1 = wp.determinant(F) - one
-    d = F - polar(F)
-    return theta[0] * wp.ddot(d, d) + theta[1] / type(theta[0])(2.0) * j1 * j1
+    """mu |F - R|^2 + lam/2 (J - 1)^2 = mu |V - I|^2 + ... (Stomakhin et al. 2012)."""
+    j1 = wp.determinant(F) - type(theta[0])(1.0)
+    d = stretch(F) - wp.identity(3, dtype=type(j1))
+    return theta[0] * wp.ddot(d, d) + type(j1)(0.5) * theta[1] * j1 * j1
 
 
 @wp.func
 def fixed_corotated(F: Any, C: Any, h: Any, theta: Any):
-    """2 mu (F - R) F^T + lam J (J - 1) I (Stomakhin et al. 2012); theta = (mu, lam)."""
-    one = type(theta[0])(1.0)
+    """2 mu (F - R) F^T + lam J (J - 1) I (Stomakhin et al. 2012); (F - R) F^T = V^2 - V."""
     J = wp.determinant(F)
-    d = (F - polar(F)) * wp.transpose(F)
-    return theta[0] * (d + wp.transpose(d)) + theta[1] * J * (J - one) * wp.identity(
-        3, dtype=type(J)
-    )
+    V = stretch(F)
+    shear = type(J)(2.0) * theta[0] * (gram(V) - V)
+    return shear + theta[1] * J * (J - type(J)(1.0)) * wp.identity(3, dtype=type(J))
 
 
 @wp.func

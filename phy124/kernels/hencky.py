@@ -1,0 +1,92 @@
+"""Hencky strain, the logarithm of the stretch, and the elastic law built on it, without an SVD.
+
+With b = F F^T and Z = (b - I)(b + I)^-1 the strain is log V = 1/2 log b = atanh Z, an odd power
+series. X = b - I has the invariants i and Z is a quadratic in it,
+Z = (i3 + (4 + 2 i1) X - 2 X^2) / (8 + 4 i1 + 2 i2 + i3). Stretches between 0.72 and 1.39 are exact
+to 3e-8; a particle outside takes the float64 form of `spectral`.
+"""
+
+from typing import Any
+
+import warp as wp
+
+from phy124.kernels.spectral import floored_log, from_double, to_double
+from phy124.kernels.symmetric import gram, invariants, next_power, quadratic, symmetric
+
+RANGE = wp.constant(0.1)
+"""Greatest |Z|^2 of the series: its first term left out is Z^13 / 13."""
+SMALLEST_STRETCH = wp.constant(1.0e-4)
+"""Stretches below count as this one: the strain of a flat element is finite."""
+
+
+@wp.func
+def left_strain(F: Any):
+    """X = F F^T - I."""
+    s = F[0, 0]
+    b = gram(F)
+    one = type(s)(1.0)
+    return symmetric(b[0, 0] - one, b[0, 1], b[0, 2], b[1, 1] - one, b[1, 2], b[2, 2] - one)
+
+
+@wp.func
+def inverse_tanh(z: Any):
+    """Coefficients of atanh Z as a quadratic in Z, whose invariants are given; up to Z^11 / 11.
+
+    Z (1 + W/3 + W^2/5 + ...) with W = Z^2: the sum is a quadratic in W first, then Z W = Z^3 and
+    Z W^2 = Z^5 are quadratics in Z. That is half the steps of a series in Z.
+    """
+    one = type(z[0])(1.0)
+    two = type(z[0])(2.0)
+    w = wp.vector(z[0] * z[0] - two * z[1], z[1] * z[1] - two * z[0] * z[2], z[2] * z[2])
+    power = wp.vector(w[2], -w[1], w[0])
+    total = wp.vector(one, one / type(one)(3.0), one / type(one)(5.0))
+    total += (one / type(one)(7.0)) * power
+    power = next_power(power, w)
+    total += (one / type(one)(9.0)) * power
+    total += (one / type(one)(11.0)) * next_power(power, w)
+    cube = wp.vector(z[2], -z[1], z[0])
+    fifth = next_power(next_power(cube, z), z)
+    return wp.vector(
+        total[1] * cube[0] + total[2] * fifth[0],
+        total[0] + total[1] * cube[1] + total[2] * fifth[1],
+        total[1] * cube[2] + total[2] * fifth[2],
+    )
+
+
+@wp.func
+def log_strain(F: Any):
+    """Hencky strain log V, F = V R, for every F; inverted elements count as their mirror image."""
+    s = F[0, 0]
+    two = type(s)(2.0)
+    four = type(s)(4.0)
+    x = left_strain(F)
+    squared = gram(x)
+    i = invariants(x, squared)
+    share = type(s)(1.0) / (type(s)(8.0) + four * i[0] + two * i[1] + i[2])
+    z = quadratic(share * wp.vector(i[2], four + two * i[0], -two), x, squared)
+    z_squared = gram(z)
+    if not wp.trace(z_squared) < type(s)(RANGE):
+        return from_double(floored_log(to_double(F), wp.float64(SMALLEST_STRETCH)), s)
+    return quadratic(inverse_tanh(invariants(z, z_squared)), z, z_squared)
+
+
+@wp.func
+def hencky_energy(F: Any, h: Any, theta: Any):
+    """mu |e|^2 + lam/2 (tr e)^2, e = log V; theta = (mu, lam, ...)."""
+    e = log_strain(F)
+    t = wp.trace(e)
+    return theta[0] * wp.ddot(e, e) + type(t)(0.5) * theta[1] * t * t
+
+
+@wp.func
+def hencky(F: Any, C: Any, h: Any, theta: Any):
+    """2 mu e + lam tr(e) I, e = log V (Hencky 1928; Klar et al. 2016, eq. 26)."""
+    e = log_strain(F)
+    t = wp.trace(e)
+    return type(t)(2.0) * theta[0] * e + theta[1] * t * wp.identity(3, dtype=type(t))
+
+
+@wp.func
+def hencky_modulus(F: Any, h: Any, theta: Any):
+    """2 mu + 3 lam at every strain."""
+    return type(theta[0])(2.0) * theta[0] + type(theta[0])(3.0) * theta[1]

@@ -1,0 +1,69 @@
+"""Return mappings on Hencky strain: the elastic part of F falls back to the yield surface.
+
+All act on e = log V alone: the new F is exp(e_new - e) F, which keeps the rotation and needs no
+singular vectors. Strengths are stored as norms of the deviatoric Kirchhoff stress,
+limit = sqrt(2/3) sigma_Y, with sigma_Y the uniaxial yield stress.
+"""
+
+from typing import Any
+
+import warp as wp
+
+from phy124.kernels.hencky import log_strain
+from phy124.kernels.symmetric import deviator, exponential
+
+
+@wp.func
+def von_mises(F: Any, h: Any, theta: Any, dt: Any):
+    """Radial return with linear hardening or softening (Simo and Hughes 1998, box 3.1).
+
+    theta = (mu, lam, limit, slope, least): the limit rises by `slope` per plastic strain, never
+    below `least`; h[0] is the plastic strain so far, the sum of |d e_p|.
+    """
+    zero = type(theta[0])(0.0)
+    shear = type(theta[0])(2.0) * theta[0]
+    dev = deviator(log_strain(F))
+    size = wp.sqrt(wp.ddot(dev, dev))
+    limit = wp.max(theta[2] + theta[3] * h[0], theta[4])
+    excess = shear * size - limit
+    if not excess > zero:
+        return F, h
+    flow = excess / (shear + theta[3])
+    if limit + theta[3] * flow < theta[4]:
+        flow = (shear * size - theta[4]) / shear
+    return exponential((-flow / size) * dev) * F, wp.vector(h[0] + flow, h[1])
+
+
+@wp.func
+def remaining_share(log_k: Any, m: Any):
+    """The root r in (0, 1] of r + k r^m = 1, k >= 0, m >= 1, by Newton from above."""
+    one = type(log_k)(1.0)
+    r = wp.exp(wp.min(-log_k / m, type(log_k)(0.0)))
+    if log_k > type(log_k)(40.0):
+        return r
+    k = wp.exp(log_k)
+    for _ in range(5):
+        p = k * wp.pow(r, m - one)
+        r -= (r + p * r - one) / (one + m * p)
+    return r
+
+
+@wp.func
+def herschel_bulkley(F: Any, h: Any, theta: Any, dt: Any):
+    """Viscoplastic flow (Yue et al. 2015): the excess over the limit decays at a finite rate.
+
+    Backward Euler of d|s|/dt = -2 mu (x / eta)^(1/n), x = |s| - limit;
+    theta = (mu, lam, limit, eta [Pa s^n], n). h[0] sums the plastic strain.
+    """
+    zero = type(theta[0])(0.0)
+    one = type(theta[0])(1.0)
+    shear = type(theta[0])(2.0) * theta[0]
+    dev = deviator(log_strain(F))
+    size = wp.sqrt(wp.ddot(dev, dev))
+    excess = shear * size - theta[2]
+    if not excess > zero:
+        return F, h
+    m = one / theta[4]
+    log_rate = wp.log(shear * dt / excess) + m * wp.log(excess / theta[3])
+    flow = excess * (one - remaining_share(log_rate, m)) / shear
+    return exponential((-flow / size) * dev) * F, wp.vector(h[0] + flow, h[1])

@@ -1,0 +1,101 @@
+"""Functions of a symmetric 3x3 matrix through its eigenvalues, in float64, without eigenvectors.
+
+The eigenvalues have a closed form (Smith 1961); a function of the matrix is then the quadratic
+that takes the function's values there (Newton's divided differences), which stays exact to
+rounding where eigenvalues meet, because the error of a node is multiplied by the gap. This is
+what the laws fall back on for the few particles outside the range of their fast forms.
+"""
+
+from typing import Any
+
+import warp as wp
+
+THIRD_TURN = wp.constant(wp.float64(2.0943951023931953))
+
+
+@wp.func
+def to_double(m: Any):
+    """A 3x3 matrix in float64."""
+    return wp.mat33d(
+        wp.float64(m[0, 0]), wp.float64(m[0, 1]), wp.float64(m[0, 2]),
+        wp.float64(m[1, 0]), wp.float64(m[1, 1]), wp.float64(m[1, 2]),
+        wp.float64(m[2, 0]), wp.float64(m[2, 1]), wp.float64(m[2, 2]),
+    )  # fmt: skip
+
+
+@wp.func
+def from_double(m: wp.mat33d, like: Any):
+    """A float64 matrix in the precision of the scalar `like`."""
+    return wp.matrix_from_rows(
+        wp.vector(type(like)(m[0, 0]), type(like)(m[0, 1]), type(like)(m[0, 2])),
+        wp.vector(type(like)(m[1, 0]), type(like)(m[1, 1]), type(like)(m[1, 2])),
+        wp.vector(type(like)(m[2, 0]), type(like)(m[2, 1]), type(like)(m[2, 2])),
+    )
+
+
+@wp.func
+def eigenvalues(b: wp.mat33d) -> wp.vec3d:
+    """The eigenvalues of a symmetric matrix, greatest first."""
+    one = wp.float64(1.0)
+    q = wp.trace(b) / wp.float64(3.0)
+    d = b - q * wp.identity(3, dtype=wp.float64)
+    p = wp.sqrt(wp.ddot(d, d) / wp.float64(6.0))
+    if p <= wp.float64(0.0):
+        return wp.vec3d(q, q, q)
+    angle = wp.acos(wp.clamp(wp.determinant(d / p) / wp.float64(2.0), -one, one)) / wp.float64(3.0)
+    high = q + wp.float64(2.0) * p * wp.cos(angle)
+    low = q + wp.float64(2.0) * p * wp.cos(angle + THIRD_TURN)
+    return wp.vec3d(high, wp.float64(3.0) * q - high - low, low)
+
+
+@wp.func
+def slope(rise: wp.float64, run: wp.float64) -> wp.float64:
+    """rise / run, and 0 where the two nodes are one."""
+    if run > wp.float64(0.0):
+        return rise / run
+    return wp.float64(0.0)
+
+
+@wp.func
+def with_values(b: wp.mat33d, at: wp.vec3d, f: wp.vec3d) -> wp.mat33d:
+    """The function of b that is f_i at its eigenvalues at_i (greatest first)."""
+    first = slope(f[0] - f[1], at[0] - at[1])
+    second = slope(first - slope(f[1] - f[2], at[1] - at[2]), at[0] - at[2])
+    one = wp.identity(3, dtype=wp.float64)
+    return f[0] * one + (b - at[0] * one) * (first * one + second * (b - at[1] * one))
+
+
+@wp.func
+def signed_stretch(F: wp.mat33d) -> wp.mat33d:
+    """V of the polar decomposition F = V R, R a rotation for every F, flat and inverted too.
+
+    The smallest stretch carries the sign of det F.
+    """
+    b = F * wp.transpose(F)
+    at = eigenvalues(b)
+    zero = wp.float64(0.0)
+    least = wp.sqrt(wp.max(at[2], zero))
+    if wp.determinant(F) < zero:
+        least = -least
+    return with_values(
+        b, at, wp.vec3d(wp.sqrt(wp.max(at[0], zero)), wp.sqrt(wp.max(at[1], zero)), least)
+    )
+
+
+@wp.func
+def floored_log(F: wp.mat33d, floor: wp.float64) -> wp.mat33d:
+    """log V of F = V R, stretches below `floor` counted as `floor`; blind to reflections."""
+    b = F * wp.transpose(F)
+    at = eigenvalues(b)
+    half = wp.float64(0.5)
+    least = floor * floor
+    return with_values(
+        b,
+        at,
+        half
+        * wp.vec3d(
+            wp.log(wp.max(at[0], least)),
+            wp.log(wp.max(at[1], least)),
+            wp.log(wp.max(at[2], least)),
+        ),
+    )

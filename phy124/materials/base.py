@@ -1,0 +1,78 @@
+"""What all materials have in common."""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from phy124.kernels.transfer import Law
+
+
+class Material(BaseModel):
+    """What all materials have: a density and a law on the device."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    device_law: ClassVar[Law]
+
+    density: float = Field(default=1000.0, ge=1, le=1e5, description="Mass per volume [kg/m^3].")
+
+    def theta(self) -> tuple[float, ...]:
+        """Parameters handed to the device law."""
+        raise NotImplementedError
+
+    def history(self) -> tuple[float, float]:
+        """Initial history variables of a particle."""
+        return (0.0, 0.0)
+
+    def wave_speed(self) -> float:
+        """Speed that limits the substep at rest, sqrt(A / rho) [m/s]."""
+        raise NotImplementedError
+
+    def viscous_limit(self, dx: float) -> float:
+        """Longest substep that viscosity allows on a grid of spacing `dx` [m], s."""
+        del dx
+        return math.inf
+
+    def notes(self) -> list[str]:
+        """What the user should know about how this material is simulated, in sentences."""
+        return []
+
+
+class Elastic(Material):
+    """Materials with Young's modulus and Poisson's ratio; theta begins with mu and lambda."""
+
+    E: float = Field(
+        default=1e5,
+        ge=1,
+        le=1e13,
+        description="Young's modulus [Pa]: jelly 1e4, rubber 1e6, wood 1e10.",
+    )
+    nu: float = Field(
+        default=0.3, ge=-0.9, le=0.4999, description="Poisson's ratio; 0.5 is incompressible."
+    )
+
+    @property
+    def lame(self) -> tuple[float, float]:
+        """Lame parameters mu, lambda [Pa]."""
+        mu = self.E / (2 * (1 + self.nu))
+        return mu, self.E * self.nu / ((1 + self.nu) * (1 - 2 * self.nu))
+
+    def theta(self) -> tuple[float, ...]:
+        """Parameters handed to the device law: (mu, lambda)."""
+        return self.lame
+
+    def wave_speed(self) -> float:
+        """Speed that limits the substep at rest, sqrt((3 lambda + 2 mu) / rho) [m/s]."""
+        mu, lam = self.lame
+        return math.sqrt((3 * lam + 2 * mu) / self.density)
+
+    def theta_rows(self, stiffness: NDArray) -> NDArray[np.float64]:
+        """One row of parameters per particle [P,W], its mu and lambda times `stiffness [P]`."""
+        rows = np.tile(np.array(self.theta(), dtype=np.float64), (len(stiffness), 1))
+        rows[:, :2] *= np.asarray(stiffness, dtype=np.float64)[:, None]
+        return rows

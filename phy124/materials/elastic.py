@@ -1,0 +1,90 @@
+"""Elastic solids: they spring back whatever was done to them."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal
+
+from pydantic import Field
+
+from phy124.kernels import elastic, hencky
+from phy124.kernels.transfer import Law
+from phy124.materials.base import Elastic
+
+
+class NeoHookean(Elastic):
+    """Compressible neo-Hookean solid with log J: the default, stays sound in hard impacts."""
+
+    law: Literal["neo_hookean"] = "neo_hookean"
+    device_law: ClassVar[Law] = Law(
+        name="neo_hookean",
+        stress=elastic.neo_hookean,
+        modulus=elastic.neo_hookean_modulus,
+        energy=elastic.neo_hookean_energy,
+        width=2,
+    )
+
+
+class FixedCorotated(Elastic):
+    """Fixed corotated solid (PhysGaussian's jelly); collapses silently in hard impacts."""
+
+    law: Literal["fixed_corotated"] = "fixed_corotated"
+    device_law: ClassVar[Law] = Law(
+        name="fixed_corotated",
+        stress=elastic.fixed_corotated,
+        modulus=elastic.fixed_corotated_modulus,
+        energy=elastic.fixed_corotated_energy,
+        width=2,
+    )
+
+
+class Hencky(Elastic):
+    """St. Venant-Kirchhoff solid in Hencky strain: linear in log stretch, softens when pulled."""
+
+    law: Literal["hencky"] = "hencky"
+    device_law: ClassVar[Law] = Law(
+        name="hencky",
+        stress=hencky.hencky,
+        modulus=hencky.hencky_modulus,
+        energy=hencky.hencky_energy,
+        width=2,
+    )
+
+
+class Rigid(Elastic):
+    """A hard body: as stiff as makes no visible difference, and no stiffer.
+
+    An explicit simulation pays sqrt(E). At an impact of speed v the strain is v / c with
+    c = sqrt(E / rho), so E = rho (v / strain)^2 keeps it below `strain`; more is not visible.
+    """
+
+    law: Literal["rigid"] = "rigid"
+    device_law: ClassVar[Law] = NeoHookean.device_law
+
+    E: float = Field(
+        default=1e10, ge=1, le=1e13, description="Young's modulus of the real body [Pa]."
+    )
+    speed: float = Field(
+        default=3.0, gt=0, le=1000, description="Greatest speed it hits something at [m/s]."
+    )
+    strain: float = Field(
+        default=0.005, ge=1e-4, le=0.1, description="Greatest strain at that impact."
+    )
+
+    @property
+    def simulated_E(self) -> float:
+        """Young's modulus that is simulated [Pa]."""
+        return min(self.E, self.density * (self.speed / self.strain) ** 2)
+
+    @property
+    def lame(self) -> tuple[float, float]:
+        """Lame parameters mu, lambda of the simulated stiffness [Pa]."""
+        return NeoHookean(E=self.simulated_E, nu=self.nu).lame
+
+    def notes(self) -> list[str]:
+        """Says so if the stiffness is capped."""
+        if self.simulated_E == self.E:
+            return []
+        return [
+            f"The rigid body of E = {self.E:g} Pa is simulated with {self.simulated_E:g} Pa: it "
+            f"deforms by up to {self.strain:.2%} when it hits something at {self.speed:g} m/s."
+        ]

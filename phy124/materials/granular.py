@@ -1,0 +1,71 @@
+"""Grains and snow."""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar, Literal
+
+from pydantic import Field
+
+from phy124.kernels import granular, hencky
+from phy124.kernels.transfer import Law
+from phy124.materials.base import Elastic
+
+
+class Sand(Elastic):
+    """Drucker-Prager sand without cohesion (Klar et al. 2016)."""
+
+    law: Literal["sand"] = "sand"
+    device_law: ClassVar[Law] = Law(
+        name="sand",
+        stress=hencky.hencky,
+        modulus=hencky.hencky_modulus,
+        project=granular.drucker_prager,
+        energy=hencky.hencky_energy,
+        width=3,
+    )
+
+    density: float = Field(default=1600.0, ge=1, le=1e5, description="Mass per volume [kg/m^3].")
+    E: float = Field(
+        default=1e6, ge=1, le=1e13, description="Young's modulus of the packed grains [Pa]."
+    )
+    nu: float = Field(default=0.2, ge=-0.9, le=0.4999, description="Poisson's ratio.")
+    friction_angle: float = Field(
+        default=35.0, ge=1, le=60, description="Angle of internal friction [degrees]."
+    )
+
+    def theta(self) -> tuple[float, ...]:
+        """(mu, lambda, alpha); alpha is the slope of the cone."""
+        sine = math.sin(math.radians(self.friction_angle))
+        return *self.lame, math.sqrt(2 / 3) * 2 * sine / (3 - sine)
+
+
+class Snow(Elastic):
+    """Snow that packs and breaks (Stomakhin et al. 2013)."""
+
+    law: Literal["snow"] = "snow"
+    device_law: ClassVar[Law] = Law(
+        name="snow",
+        stress=granular.snow,
+        modulus=granular.snow_modulus,
+        project=granular.snow_return,
+        energy=granular.snow_energy,
+        width=5,
+    )
+
+    density: float = Field(default=400.0, ge=1, le=1e5, description="Mass per volume [kg/m^3].")
+    E: float = Field(default=1.4e5, ge=1, le=1e13, description="Young's modulus, fresh [Pa].")
+    nu: float = Field(default=0.2, ge=-0.9, le=0.4999, description="Poisson's ratio.")
+    compression: float = Field(
+        default=0.025, ge=1e-4, le=0.5, description="Squeeze at which it starts to pack."
+    )
+    extension: float = Field(
+        default=0.0075, ge=1e-4, le=0.5, description="Stretch at which it starts to break."
+    )
+    hardening: float = Field(
+        default=10.0, ge=0, le=20, description="How fast packing stiffens it; e^4 at most."
+    )
+
+    def theta(self) -> tuple[float, ...]:
+        """(mu, lambda, least stretch, greatest stretch, hardening)."""
+        return *self.lame, 1 - self.compression, 1 + self.extension, self.hardening

@@ -1,0 +1,112 @@
+"""Solids that flow above a yield stress: metal, plasticine, foam."""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar, Literal
+
+from pydantic import Field, model_validator
+
+from phy124.kernels import elastic, hencky, plastic
+from phy124.kernels.transfer import Law
+from phy124.materials.base import Elastic
+
+NORM = math.sqrt(2 / 3)
+"""Norm of the deviatoric stress per uniaxial stress."""
+
+
+class Metal(Elastic):
+    """Von Mises metal in Hencky strain with linear isotropic hardening."""
+
+    law: Literal["metal"] = "metal"
+    device_law: ClassVar[Law] = Law(
+        name="metal",
+        stress=hencky.hencky,
+        modulus=hencky.hencky_modulus,
+        project=plastic.von_mises,
+        energy=hencky.hencky_energy,
+        width=5,
+    )
+
+    E: float = Field(default=1e6, ge=1, le=1e13, description="Young's modulus [Pa].")
+    yield_stress: float = Field(
+        default=2e4, gt=0, le=1e12, description="Uniaxial yield stress [Pa]."
+    )
+    hardening: float = Field(
+        default=0.0, ge=0, le=1e12, description="Rise of yield stress per plastic strain [Pa]."
+    )
+
+    def theta(self) -> tuple[float, ...]:
+        """(mu, lambda, limit, slope, least limit)."""
+        limit = NORM * self.yield_stress
+        return *self.lame, limit, 2 / 3 * self.hardening, limit
+
+
+class Plasticine(Elastic):
+    """Clay: fixed corotated elasticity, yields by von Mises and weakens as it is worked."""
+
+    law: Literal["plasticine"] = "plasticine"
+    device_law: ClassVar[Law] = Law(
+        name="plasticine",
+        stress=elastic.fixed_corotated,
+        modulus=elastic.fixed_corotated_modulus,
+        project=plastic.von_mises,
+        energy=elastic.fixed_corotated_energy,
+        width=5,
+    )
+
+    E: float = Field(default=2e5, ge=1, le=1e13, description="Young's modulus [Pa].")
+    nu: float = Field(default=0.4, ge=-0.9, le=0.4999, description="Poisson's ratio.")
+    yield_stress: float = Field(
+        default=4e3, gt=0, le=1e12, description="Uniaxial yield stress [Pa]."
+    )
+    softening: float = Field(
+        default=1e3, ge=0, le=1e12, description="Loss of yield stress per plastic strain [Pa]."
+    )
+    residual: float = Field(
+        default=0.3, ge=0.01, le=1, description="Share of the yield stress that is never lost."
+    )
+
+    @model_validator(mode="after")
+    def _returns(self) -> Plasticine:
+        mu = self.lame[0]
+        if self.softening >= 3 * mu:
+            raise ValueError(
+                f"softening {self.softening:g} Pa must be below 3 mu = {3 * mu:g} Pa, or yielding "
+                "has no unique result; lower it or raise E"
+            )
+        return self
+
+    def theta(self) -> tuple[float, ...]:
+        """(mu, lambda, limit, slope, least limit)."""
+        limit = NORM * self.yield_stress
+        return *self.lame, limit, -2 / 3 * self.softening, self.residual * limit
+
+
+class Foam(Elastic):
+    """Herschel-Bulkley viscoplastic: foam, cream, toothpaste; flows at a rate above yield."""
+
+    law: Literal["foam"] = "foam"
+    device_law: ClassVar[Law] = Law(
+        name="foam",
+        stress=hencky.hencky,
+        modulus=hencky.hencky_modulus,
+        project=plastic.herschel_bulkley,
+        energy=hencky.hencky_energy,
+        width=5,
+    )
+
+    E: float = Field(default=5e4, ge=1, le=1e13, description="Young's modulus [Pa].")
+    yield_stress: float = Field(
+        default=200.0, ge=0, le=1e12, description="Uniaxial yield stress [Pa]; 0 always flows."
+    )
+    viscosity: float = Field(
+        default=50.0, gt=0, le=1e9, description="Consistency of the flow [Pa s^n]."
+    )
+    flow_index: float = Field(
+        default=0.7, ge=0.2, le=1, description="Exponent n: 1 Bingham, below 1 shear thinning."
+    )
+
+    def theta(self) -> tuple[float, ...]:
+        """(mu, lambda, limit, viscosity, flow index)."""
+        return *self.lame, NORM * self.yield_stress, self.viscosity, self.flow_index

@@ -1,0 +1,112 @@
+"""What each law costs: CPU nanoseconds per particle and substep on one core, one line of JSON each.
+
+132,651 particles, eight per cell, as in a 64^3 grid; laws take turns, the least of `repeats` counts.
+`rest`: F near the identity, nothing flows; `flow`: every particle is beyond yield in every substep.
+"""
+
+import json
+import sys
+import time
+
+import numpy as np
+import warp as wp
+
+from phy124.kernels import elastic, hencky
+from phy124.kernels.transfer import Law
+from phy124.materials import (
+    Elastic,
+    FixedCorotated,
+    Fluid,
+    Foam,
+    Hencky,
+    Material,
+    Metal,
+    NeoHookean,
+    Plasticine,
+    Sand,
+    Snow,
+)
+from phy124.mpm import Solver
+
+SIDE = 51
+DX = 1 / 64
+
+
+@wp.func
+def no_stress(F: wp.mat33, C: wp.mat33, h: wp.vec2, theta: wp.vec2):
+    """Zero: the cost of the transfers alone."""
+    return wp.mat33()
+
+
+class Nothing(Elastic):
+    """Transfers only."""
+
+    device_law = Law(
+        "nothing", no_stress, hencky.hencky_modulus, 2, energy=elastic.neo_hookean_energy
+    )
+
+
+LAWS: dict[str, Material] = {
+    "transfers only": Nothing(),
+    "neo_hookean": NeoHookean(),
+    "fixed_corotated": FixedCorotated(),
+    "hencky": Hencky(),
+    "metal": Metal(yield_stress=2e3),
+    "plasticine": Plasticine(yield_stress=2e3),
+    "foam": Foam(),
+    "sand": Sand(),
+    "snow": Snow(),
+    "fluid": Fluid(viscosity=1.0),
+}
+
+
+def solver(material: Material, strain: float) -> Solver:
+    """A cube of particles with a random strain each."""
+    rng = np.random.default_rng(0)
+    line = (np.arange(SIDE) + 0.5) * DX / 2
+    x = np.stack(np.meshgrid(line, line, line, indexing="ij"), -1).reshape(-1, 3) + 0.3
+    made = Solver(x, np.full(len(x), (DX / 2) ** 3), [material], dx=DX)
+    F = np.eye(3) + strain * rng.standard_normal((len(x), 3, 3))
+    if isinstance(material, Fluid):
+        F = np.eye(3) * (1 + strain * rng.standard_normal((len(x), 1, 1)))
+    made.state.F.assign(F.astype(np.float32))
+    made.step(1e-9, 1e-9)
+    return made
+
+
+def cost(made: Solver, start: dict[str, wp.array]) -> tuple[float, float]:
+    """CPU nanoseconds per particle of scatter and gather, from the same state each time."""
+    made.state.restore(start)
+    made.grid.nodes.zero_()
+    spent = []
+    for name, launch in made._records:
+        begin = time.thread_time()
+        launch.launch()
+        if "2" in name:
+            spent.append((time.thread_time() - begin) / len(made.rest) * 1e9)
+    return spent[0], spent[1]
+
+
+def main(repeats: int) -> None:
+    """Print a line per law and state."""
+    cases = {}
+    for state, strain in (("rest", 1e-3), ("flow", 0.05)):
+        for name, material in LAWS.items():
+            made = solver(material, strain)
+            F = made.state.F.numpy().copy()
+            rng = np.random.default_rng(1)
+            if not isinstance(material, Fluid):
+                F = (np.eye(3) + strain * rng.standard_normal(F.shape)).astype(np.float32)
+            made.state.F.assign(F)
+            cases[name, state] = made, made.state.copy(), []
+    for _ in range(repeats):
+        for made, start, spent in cases.values():
+            spent.append(cost(made, start))
+    for (name, state), (_, _, spent) in cases.items():
+        p2g, g2p = np.min(spent, axis=0)
+        line = {"law": name, "state": state, "p2g": p2g, "g2p": g2p, "sum": p2g + g2p}
+        print(json.dumps({k: round(v, 1) if isinstance(v, float) else v for k, v in line.items()}))
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 8)

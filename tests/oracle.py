@@ -1,0 +1,198 @@
+"""NumPy float64 twins of every constitutive law, by singular values, as the papers write them.
+
+Each takes F [N,3,3], the velocity gradient C [N,3,3], history h [N,2] and one row theta, and knows
+nothing of the device code: no series, no closed-form eigenvalues, no Newton iteration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+Array = NDArray[np.float64]
+EYE = np.eye(3)
+SMALLEST_J = 1e-4
+SMALLEST_STRETCH = 1e-4
+LEAST_J = 0.1
+HARDEST = 4.0
+
+
+class Twin(NamedTuple):
+    """The host side of a law."""
+
+    energy: Callable[[Array, Array, Array], Array]
+    stress: Callable[[Array, Array, Array, Array], Array]
+    project: Callable[[Array, Array, Array, float], tuple[Array, Array]] | None = None
+
+
+def signed_svd(F: Array) -> tuple[Array, Array, Array]:
+    """U, s, V^T with rotations U, V; the smallest s carries the sign of det F."""
+    U, s, Vt = np.linalg.svd(F)
+    for M in (U, Vt):
+        flip = np.linalg.det(M) < 0
+        if M is U:
+            M[flip, :, 2] *= -1
+        else:
+            M[flip, 2, :] *= -1
+        s[flip, 2] *= -1
+    return U, s, Vt
+
+
+def spread(U: Array, d: Array, W: Array) -> Array:
+    """U diag(d) W."""
+    return np.einsum("nij,nj,njk->nik", U, d, W)
+
+
+def from_axes(U: Array, d: Array) -> Array:
+    """U diag(d) U^T."""
+    return spread(U, d, U.transpose(0, 2, 1))
+
+
+def log_volume(J: Array) -> Array:
+    safe = np.log(np.maximum(J, SMALLEST_J))
+    return np.where(J > SMALLEST_J, safe, np.log(SMALLEST_J) + (J - SMALLEST_J) / SMALLEST_J)
+
+
+def neo_hookean_energy(F: Array, h: Array, t: Array) -> Array:
+    logJ = log_volume(np.linalg.det(F))
+    return t[0] / 2 * ((F**2).sum((1, 2)) - 3) - t[0] * logJ + t[1] / 2 * logJ**2
+
+
+def neo_hookean(F: Array, C: Array, h: Array, t: Array) -> Array:
+    logJ = log_volume(np.linalg.det(F))[:, None, None]
+    return t[0] * (F @ F.transpose(0, 2, 1) - EYE) + t[1] * logJ * EYE
+
+
+def fixed_corotated_energy(F: Array, h: Array, t: Array) -> Array:
+    _, s, _ = signed_svd(F)
+    return t[0] * ((s - 1) ** 2).sum(1) + t[1] / 2 * (s.prod(1) - 1) ** 2
+
+
+def fixed_corotated(F: Array, C: Array, h: Array, t: Array) -> Array:
+    U, s, _ = signed_svd(F)
+    J = s.prod(1, keepdims=True)
+    return from_axes(U, 2 * t[0] * (s - 1) * s + t[1] * J * (J - 1))
+
+
+def strains(F: Array) -> tuple[Array, Array, Array]:
+    """U, log stretches, and V^T with the signs of the stretches."""
+    U, s, Vt = signed_svd(F)
+    signs = np.where(s < 0, -1, 1)
+    return U, np.log(np.maximum(np.abs(s), SMALLEST_STRETCH)), signs[:, :, None] * Vt
+
+
+def hencky_energy(F: Array, h: Array, t: Array) -> Array:
+    _, e, _ = strains(F)
+    return t[0] * (e**2).sum(1) + t[1] / 2 * e.sum(1) ** 2
+
+
+def hencky(F: Array, C: Array, h: Array, t: Array) -> Array:
+    U, e, _ = strains(F)
+    return from_axes(U, 2 * t[0] * e + t[1] * e.sum(1, keepdims=True))
+
+
+def radial(F: Array, h: Array, flow_of: Callable[[float, float], float]) -> tuple[Array, Array]:
+    """Shrink the deviatoric strain by flow_of(its norm, plastic strain so far)."""
+    U, e, Vt = strains(F)
+    dev = e - e.mean(1, keepdims=True)
+    size = np.linalg.norm(dev, axis=1)
+    flow = np.array([flow_of(n, k) for n, k in zip(size, h[:, 0], strict=True)])
+    share = np.divide(flow, size, out=np.zeros_like(size), where=size > 0)
+    new = e - share[:, None] * dev
+    return spread(U, np.exp(new), Vt), np.column_stack([h[:, 0] + flow, h[:, 1]])
+
+
+def von_mises(F: Array, h: Array, t: Array, dt: float) -> tuple[Array, Array]:
+    mu, _, limit, slope, least = t
+
+    def flow(size: float, past: float) -> float:
+        def excess(f: float) -> float:
+            return 2 * mu * (size - f) - max(limit + slope * (past + f), least)
+
+        return 0.0 if excess(0.0) <= 0 else brentq(excess, 0, size, xtol=1e-15, rtol=1e-14)
+
+    return radial(F, h, flow)
+
+
+def herschel_bulkley(F: Array, h: Array, t: Array, dt: float) -> tuple[Array, Array]:
+    mu, _, limit, eta, n = t
+
+    def flow(size: float, past: float) -> float:
+        def residual(f: float) -> float:
+            left = max(2 * mu * (size - f) - limit, 0.0)
+            return f - dt * (left / eta) ** (1 / n)
+
+        most = size - limit / (2 * mu)
+        return 0.0 if most <= 0 else brentq(residual, 0, most, xtol=1e-15, rtol=1e-14)
+
+    return radial(F, h, flow)
+
+
+def drucker_prager(F: Array, h: Array, t: Array, dt: float) -> tuple[Array, Array]:
+    mu, lam, alpha = t
+    U, e, Vt = strains(F)
+    corrected = e + h[:, :1] / 3
+    trace = corrected.sum(1)
+    dev = e - e.mean(1, keepdims=True)
+    size = np.linalg.norm(dev, axis=1)
+    flow = np.maximum(size + (3 * lam + 2 * mu) / (2 * mu) * trace * alpha, 0)
+    share = np.divide(flow, size, out=np.zeros_like(size), where=size > 0)
+    new = np.where(trace[:, None] >= 0, 0, corrected - share[:, None] * dev)
+    volume = h[:, 0] + e.sum(1) - new.sum(1)
+    return spread(U, np.exp(new), Vt), np.column_stack([volume, h[:, 1]])
+
+
+def snow_factor(h: Array, t: Array) -> Array:
+    return np.exp(np.clip(-t[4] * h[:, 0], -HARDEST, HARDEST))
+
+
+def snow_energy(F: Array, h: Array, t: Array) -> Array:
+    return snow_factor(h, t) * fixed_corotated_energy(F, h, t)
+
+
+def snow(F: Array, C: Array, h: Array, t: Array) -> Array:
+    return snow_factor(h, t)[:, None, None] * fixed_corotated(F, C, h, t)
+
+
+def snow_return(F: Array, h: Array, t: Array, dt: float) -> tuple[Array, Array]:
+    U, s, Vt = signed_svd(F)
+    new = np.clip(np.abs(s), t[2], t[3]) * np.where(s < 0, -1, 1)
+    volume = (1 + h[:, 0]) * s.prod(1) / new.prod(1) - 1
+    return spread(U, new, Vt), np.column_stack([volume, h[:, 1]])
+
+
+def tait_energy(F: Array, h: Array, t: Array) -> Array:
+    J = np.maximum(np.linalg.det(F), LEAST_J)
+    K, g, _ = t
+    return K / g * (J - 1 + (J ** (1 - g) - 1) / (g - 1))
+
+
+def tait(F: Array, C: Array, h: Array, t: Array) -> Array:
+    J = np.maximum(np.linalg.det(F), LEAST_J)[:, None, None]
+    K, g, eta = t
+    rate = C + C.transpose(0, 2, 1)
+    rate = rate - np.trace(rate, axis1=1, axis2=2)[:, None, None] / 3 * EYE
+    return J * eta * rate - J * K / g * (J**-g - 1) * EYE
+
+
+def isotropic(F: Array, h: Array, t: Array, dt: float) -> tuple[Array, Array]:
+    j = np.maximum(np.trace(F, axis1=1, axis2=2) / 3, 0)
+    return j[:, None, None] * EYE, h
+
+
+TWINS = {
+    "neo_hookean": Twin(neo_hookean_energy, neo_hookean),
+    "fixed_corotated": Twin(fixed_corotated_energy, fixed_corotated),
+    "hencky": Twin(hencky_energy, hencky),
+    "metal": Twin(hencky_energy, hencky, von_mises),
+    "plasticine": Twin(fixed_corotated_energy, fixed_corotated, von_mises),
+    "foam": Twin(hencky_energy, hencky, herschel_bulkley),
+    "sand": Twin(hencky_energy, hencky, drucker_prager),
+    "snow": Twin(snow_energy, snow, snow_return),
+    "fluid": Twin(tait_energy, tait, isotropic),
+}
+"""By the name of the device law."""
