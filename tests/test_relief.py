@@ -1,0 +1,214 @@
+"""relief: closed, bounded, deterministic, true to the picture in front, plain behind."""
+
+import numpy as np
+import pytest
+import scipy.ndimage as ndi
+from PIL import Image
+
+from phy124.camera import Camera
+from phy124.errors import Cancelled, InputError
+from phy124.gaussians import rotation_matrices
+from phy124.generators.relief import VIEW_DISTANCE, relief
+from phy124.generators.relief.height import Silhouette, squared_half_thickness
+from phy124.generators.relief.surface import Surface, spread
+from phy124.render import Renderer
+
+SIZE = 192
+Y, X = np.mgrid[:SIZE, :SIZE] + 0.5
+EVERYWHERE = [(0, 0), (60, 0), (90, 0), (180, 0), (270, 30), (30, -60), (0, 85)]
+
+
+def picture(mask, rgb=(200, 120, 60)):
+    colours = np.broadcast_to(np.asarray(rgb, np.uint8), (*mask.shape, 3))
+    return Image.fromarray(np.dstack([colours, 255 * mask.astype(np.uint8)]))
+
+
+def face():
+    """A yellow disc with two black eyes well inside."""
+    mask = np.hypot(X - 96, Y - 96) < 80
+    eyes = np.minimum(np.hypot(X - 66, Y - 76), np.hypot(X - 126, Y - 76)) < 12
+    rgb = np.where(eyes[..., None], 10, np.array([240, 200, 40])).astype(np.uint8)
+    return picture(mask, rgb)
+
+
+def mug():
+    body = (abs(X - 75) < 45) & (abs(Y - 96) < 60)
+    return picture(body | (abs(np.hypot(X - 120, Y - 96) - 36) < 9), (60, 90, 200))
+
+
+@pytest.fixture(scope="module")
+def renderer():
+    return Renderer(device="cpu")
+
+
+@pytest.fixture(scope="module")
+def a_face():
+    return relief(face())
+
+
+@pytest.fixture(scope="module")
+def a_mug():
+    return relief(mug(), count=30_000)
+
+
+def test_size_place_and_shape(a_face):
+    """A disc becomes a lens 1 m across about the origin, thinner than wide."""
+    low, high = a_face.means.min(axis=0), a_face.means.max(axis=0)
+    assert 45_000 < len(a_face) < 55_000
+    np.testing.assert_allclose([low[1], high[1]], [-0.5, 0.5], atol=0.01)
+    np.testing.assert_allclose([low[2], high[2]], [-0.5, 0.5], atol=0.01)
+    np.testing.assert_allclose(low[0], -high[0], atol=0.02)
+    assert 0.2 < high[0] < 0.35
+    normals = rotation_matrices(a_face.quats)[:, :, 2]
+    # Outwards everywhere, thin across, round along the surface.
+    assert ((normals * a_face.means).sum(axis=1) > 0).all()
+    np.testing.assert_array_equal(a_face.scales[:, 0], a_face.scales[:, 1])
+    assert (a_face.scales[:, 2] < 0.25 * a_face.scales[:, 0]).all()
+
+
+def test_same_seed_same_gaussians(a_face):
+    """Whether the picture comes as such or as an array."""
+    again, other = relief(np.asarray(face())), relief(face(), seed=1, count=1000)
+    for name in ("means", "quats", "scales", "opacities", "sh"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(a_face, name))
+    assert (relief(face(), count=1000).means[:9] != other.means[:9]).any()
+
+
+@pytest.mark.parametrize("view", EVERYWHERE)
+@pytest.mark.parametrize("name", ["a_face", "a_mug"])
+def test_shell_has_no_holes(renderer, request, name, view):
+    """The side towards the camera alone hides what is behind it, except close to its outline."""
+    gaussians = request.getfixturevalue(name)
+    camera = Camera.orbit(*view, VIEW_DISTANCE, 384)
+    towards = np.asarray(camera.eye) - gaussians.means
+    normals = rotation_matrices(gaussians.quats)[:, :, 2]
+    near = gaussians.select((normals * towards).sum(axis=1) > 0)
+    inside = ndi.binary_erosion(renderer(gaussians, camera, alpha=True)[..., 3] > 0.9, iterations=4)
+    cover = renderer(near, camera, alpha=True)[..., 3]
+    assert inside.sum() > 3000
+    assert cover[inside].min() > 0.6
+    assert np.mean(cover[inside] < 0.9) < 0.002
+
+
+def psnr_of_front(renderer, gaussians, rgba, size):
+    """Front view against the picture on white, drawn where the camera sees the plane x = 0."""
+    camera = Camera.orbit(0, 0, VIEW_DISTANCE, size)
+    rows, columns = np.nonzero(rgba[..., 3] > 127)
+    reach = max(np.ptp(rows), np.ptp(columns)) + 1
+    step = VIEW_DISTANCE / camera.focal * reach
+    fine = (np.arange(4 * size) + 0.5) / 4 - size / 2
+    y = (rows.min() + rows.max()) / 2 + fine * step
+    x = (columns.min() + columns.max()) / 2 + fine * step
+    white = rgba / 255.0
+    white = white[..., :3] * white[..., 3:] + 1 - white[..., 3:]
+    where = np.meshgrid(y, x, indexing="ij")
+    channels = [ndi.map_coordinates(white[..., c], where, order=1, cval=1.0) for c in range(3)]
+    wanted = np.stack(channels, axis=2).reshape(size, 4, size, 4, 3).mean(axis=(1, 3))
+    return -10 * np.log10(np.mean((renderer(gaussians, camera) - wanted) ** 2))
+
+
+@pytest.mark.parametrize("size", [256, 512])
+def test_front_shows_the_picture(renderer, a_face, size):
+    assert psnr_of_front(renderer, a_face, np.asarray(face()), size) > 28
+
+
+def test_front_is_not_mirrored_or_upside_down(renderer):
+    """Red to the left, a blue top: so in the picture, so from the front."""
+    rgb = np.where((X < 96)[..., None], [220, 0, 0], [0, 200, 0])
+    rgb = np.where((Y < 70)[..., None], [0, 0, 220], rgb).astype(np.uint8)
+    gaussians = relief(picture(np.hypot(X - 96, Y - 96) < 80, rgb), count=10_000)
+    seen = renderer(gaussians, Camera.orbit(0, 0, VIEW_DISTANCE, 128))
+    for (row, column), colour in (((75, 50), 0), ((75, 78), 1), ((40, 64), 2)):
+        assert seen[row, column].argmax() == colour
+
+
+def test_features_do_not_show_on_the_back(a_face):
+    normals = rotation_matrices(a_face.quats)[:, :, 2]
+    dark = a_face.rgb.mean(axis=1) < 0.3
+    assert dark[normals[:, 0] > 0.5].sum() > 500
+    assert not dark[normals[:, 0] < -0.4].any()
+
+
+def test_flat_bottoms_stand_and_handles_stay_open(a_mug):
+    low = a_mug.means[:, 2].min()
+    on_ground = a_mug.means[a_mug.means[:, 2] < low + 0.01]
+    # The foot is as deep as the mug, not an edge.
+    assert np.ptp(on_ground[:, 0]) > 0.6 * np.ptp(a_mug.means[:, 0])
+    hole = np.hypot(a_mug.means[:, 1] - 0.26, a_mug.means[:, 2]) < 0.1
+    assert not (hole & (a_mug.means[:, 1] > 0.25)).any()
+
+
+def test_thin_parts_stay_thin():
+    """A stalk under a ball is as deep as it is wide."""
+    mask = (np.hypot(X - 96, Y - 60) < 50) | ((abs(X - 96) < 5) & (Y > 60) & (Y < 180))
+    means = relief(picture(mask), count=20_000).means
+    stalk = means[(means[:, 2] < -0.25) & (means[:, 2] > -0.4)]
+    ball = means[means[:, 2] > 0]
+    assert np.ptp(stalk[:, 0]) == pytest.approx(np.ptp(stalk[:, 1]), rel=0.25)
+    assert np.ptp(ball[:, 0]) > 5 * np.ptp(stalk[:, 0])
+
+
+WEIRD = {
+    "one pixel": picture((X == 8.5) & (Y == 8.5)),
+    "tiny": picture(np.ones((16, 16))),
+    "line": picture((Y == 96.5) & (abs(X - 96) < 80)),
+    "flat": picture(np.ones((3, 1500))),
+    "tall": picture(np.ones((1500, 3))),
+    "pieces": picture((np.hypot(X - 40, Y - 40) < 25) | (np.hypot(X - 140, Y - 150) < 30)),
+    "noise": picture(np.random.default_rng(0).random((64, 64)) > 0.5),
+}
+
+
+@pytest.mark.parametrize("name", WEIRD)
+def test_weird_pictures_give_sound_gaussians(name):
+    gaussians = relief(WEIRD[name], count=3000)
+    assert len(gaussians) > 1000
+    for field in ("means", "quats", "scales", "opacities", "sh"):
+        assert np.isfinite(getattr(gaussians, field)).all()
+    size = np.ptp(gaussians.means, axis=0)
+    assert size.max() == pytest.approx(1, abs=0.1)
+    assert gaussians.scales.max() < 0.1
+
+
+def test_empty_pictures_are_refused():
+    with pytest.raises(InputError, match="Nothing in it is opaque"):
+        relief(picture(np.zeros((20, 20))))
+
+
+def test_progress_can_cancel():
+    def stop(stage, done, total):
+        assert (stage, total) == ("relief", 4)
+        if done == 1:
+            raise Cancelled
+
+    with pytest.raises(Cancelled):
+        relief(face(), progress=stop)
+
+
+def test_a_disc_inflates_like_a_ball():
+    """Poisson's equation on a disc gives h^2 = r^2 - d^2; the rim lies where alpha says."""
+    radius = np.hypot(X - 96.2, Y - 95.7)
+    silhouette = Silhouette.of(np.clip(60.3 - radius + 0.5, 0, 1))
+    u = silhouette.poisson(4.0)
+    inside = silhouette.inside
+    np.testing.assert_allclose(u[inside], (60.3**2 - radius**2)[inside], atol=0.02 * 60**2)
+
+
+def test_harmonic_continues_linear_colours():
+    mask = np.hypot(X - 96, Y - 96) < 50
+    ramp = np.stack([X / SIZE, Y / SIZE, 0 * X + 0.3], axis=2)
+    filled = Silhouette.of(mask.astype(float)).harmonic(np.where(mask[..., None], 0, ramp))
+    # The rim's colours are those of the pixels around it: half a pixel away at most.
+    np.testing.assert_allclose(filled, ramp, atol=0.55 / SIZE)
+
+
+def test_points_are_spread_evenly():
+    """On a shell, also where the surface is steep, spacing hardly varies on the front."""
+    silhouette = Silhouette.of(np.clip(80.5 - np.hypot(X - 96, Y - 96), 0, 1))
+    surface = Surface.of(squared_half_thickness(silhouette, SIZE))
+    points, normals, spacing, pitch = spread(surface, 1e9, 20_000, np.random.default_rng(0))
+    front = normals[:, 2] > 0
+    assert np.std(spacing[front]) < 0.1 * np.mean(spacing[front])
+    assert np.mean(spacing[front]) == pytest.approx(pitch, rel=0.15)
+    value, gradient = surface.gradient(points)
+    assert np.abs(value / np.linalg.norm(gradient, axis=1)).max() < 0.05
