@@ -29,6 +29,8 @@ from phy124.stopwatch import Stopwatch
 
 FLOOR_NODE = 0.75
 """The node plane that stops the material lies this many cells below the floor."""
+MAX_STRETCH = 4.0
+"""Gaussians of material that flows grow at most this much: F_total itself has no bound."""
 
 
 class Stopped(RuntimeError):
@@ -72,7 +74,13 @@ class Simulation:
             )
         with self.watch.stage("compile"):
             self.solver = _solver(self.particles, scene, device)
-            self.deformer = Deformer(self.gaussians, self.particles, device=device)
+            flows = scene.material.device_law.project is not None
+            self.deformer = Deformer(
+                self.gaussians,
+                self.particles,
+                max_stretch=MAX_STRETCH if flows else None,
+                device=device,
+            )
         self.frames: list[Frame] = []
         self.rotations: list[NDArray] = []
         self.stopped: str | None = None
