@@ -1,0 +1,188 @@
+"""Real DDS over loopback: a subscriber in a process of its own, built without the bridge."""
+
+import itertools
+import json
+import os
+import subprocess
+import sys
+import time
+import zlib
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from bridge_clips import random_clip
+
+pytest.importorskip("cyclonedds")
+
+from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
+from cyclonedds.domain import DomainParticipant
+from cyclonedds.qos import Policy
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
+
+from bridge import live
+from bridge.idl import idl_type
+from bridge.layout import points
+from bridge.messages import HASHES
+from bridge.options import Options
+from bridge.player import Player
+from bridge.sinks.dds import DISCOVERY, DdsSink, domain_id, quality
+from phy124.errors import InputError
+
+SUBSCRIBER = Path(__file__).parent / "bridge_subscriber.py"
+EPOCH = 1_700_000_000
+DOMAINS = itertools.count(os.getpid())
+PATIENCE = 20.0
+
+
+@pytest.fixture
+def domain(monkeypatch):
+    """A DDS domain nobody else uses, so that tests do not hear each other."""
+    number = 1 + next(DOMAINS) % 100
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(number))
+    monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
+    return number
+
+
+@contextmanager
+def subscriber(domain, *arguments):
+    """Another process that prints what it receives."""
+    command = [sys.executable, SUBSCRIBER, "--domain", str(domain), *arguments]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert json.loads(process.stdout.readline()) == {"ready": True}
+        yield process
+
+
+def received(process):
+    lines = [json.loads(line) for line in process.communicate(timeout=60)[0].splitlines()]
+    return [line for line in lines if "crc" in line]
+
+
+def wait_until(condition):
+    deadline = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < deadline, "nothing was discovered"
+        time.sleep(0.02)
+
+
+def check_every_frame_arrives(domain, frames, count):
+    clip = random_clip(frames=frames, count=count)
+    player = Player(clip.times)
+    counting = ("--count", str(frames))
+    with DdsSink(Options(epoch=EPOCH)) as sink, subscriber(domain, *counting) as other:
+        wait_until(sink.subscribers)
+        # The other side needs a moment after the match.
+        time.sleep(1.0)
+        live.play(clip, sink, player)
+        lines = received(other)
+    assert (player.shown, player.dropped) == (frames, 0)
+    assert [line["stamp"] for line in lines] == [
+        EPOCH * 10**9 + round(when * 1e9) for when in clip.times
+    ]
+    for frame, line in zip(clip.frames(), lines, strict=True):
+        assert line["crc"] == zlib.crc32(points(frame, "full").tobytes())
+        assert line["width"] == count
+
+
+def test_two_processes(domain):
+    check_every_frame_arrives(domain, frames=15, count=8192)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("attempt", range(3))
+def test_sixty_of_sixty_frames_of_32768_points_at_30_hz(domain, attempt):
+    check_every_frame_arrives(domain, frames=60, count=32_768)
+
+
+def test_a_late_joiner_gets_the_last_five(domain):
+    clip = random_clip(frames=12, count=4096)
+    with DdsSink(Options(epoch=EPOCH)) as sink:
+        for frame in clip.frames():
+            sink.write(frame)
+        with subscriber(domain, "--count", "5", "--quiet", "1") as other:
+            lines = received(other)
+    stamps = [EPOCH * 10**9 + round(when * 1e9) for when in clip.times]
+    assert [line["stamp"] for line in lines] == stamps[-5:]
+
+
+def test_a_string_command_pauses(domain):
+    clip = random_clip(frames=60, count=256)
+    player, deadline = Player(clip.times, loop=True), time.monotonic() + PATIENCE
+
+    def obey(text):
+        live.command(player, text, time.monotonic())
+
+    saying = ("--say", "6:pause", "--quiet", "1")
+    with DdsSink(Options()) as sink, subscriber(domain, *saying) as other:
+        wait_until(sink.subscribers)
+        time.sleep(1.0)
+        while not player.paused:
+            assert time.monotonic() < deadline, "no command came"
+            sink.listen(player.wait(time.monotonic()), obey)
+            if tick := player.due(time.monotonic()):
+                sink.write(clip.frame(tick.index))
+        lines = received(other)
+    assert 6 <= len(lines) <= player.shown
+
+
+def test_what_ros_2_looks_for(domain):
+    """Mangled names, XCDR1, type hash, durability, and the node's name."""
+    with DdsSink(Options(ellipsoids=1)):
+        observer = DomainParticipant(domain)
+        publications = BuiltinDataReader(observer, BuiltinTopicDcpsPublication)
+        topic = Topic(observer, "ros_discovery_info", idl_type(DISCOVERY.type))
+        discovery = DataReader(observer, topic, qos=quality(DISCOVERY))
+        found = {}
+
+        def complete():
+            for sample in publications.take(20):
+                found[sample.topic_name] = sample
+            return len(found) == 4
+
+        wait_until(complete)
+        (info,) = discovery.take(1) or [discovery.take_one(timeout=5 * 10**9)]
+    types = {
+        "rt/phy124/points": "sensor_msgs/msg/PointCloud2",
+        "rt/phy124/ellipsoids": "visualization_msgs/msg/MarkerArray",
+        "rt/tf_static": "tf2_msgs/msg/TFMessage",
+        "ros_discovery_info": DISCOVERY.type,
+    }
+    assert found.keys() == types.keys()
+    for name, kind in types.items():
+        package, _, base = kind.split("/")
+        sample = found[name]
+        assert sample.type_name == f"{package}::msg::dds_::{base}_"
+        assert sample.qos[Policy.Userdata].data == f"typehash={HASHES[kind]};".encode()
+        assert sample.qos[Policy.Durability] == Policy.Durability.TransientLocal
+        assert sample.qos[Policy.DataRepresentation].use_cdrv0_representation
+    (node,) = info.node_entities_info_seq
+    assert (node.node_namespace, node.node_name) == ("/phy124", "player")
+    written = {bytes(gid.data) for gid in node.writer_gid_seq}
+    named = [name for name, sample in found.items() if sample.key.bytes in written]
+    assert sorted(named) == sorted(types.keys() - {"ros_discovery_info"})
+
+
+def test_live_limit_holds(domain, caplog):
+    with DdsSink(Options()) as sink:
+        sink.write(random_clip(frames=1, count=40_000).frame(0))
+    assert "Sending 32,768 of 40,000 Gaussians" in caplog.text
+
+
+def test_own_configuration_is_honoured(domain, monkeypatch):
+    monkeypatch.setenv("CYCLONEDDS_URI", "<CycloneDDS><Nonsense/></CycloneDDS>")
+    with pytest.raises(InputError, match=r"DDS cannot start.*Check CYCLONEDDS_URI"):
+        DdsSink().__enter__()
+
+
+@pytest.mark.parametrize("text", ["-1", "233", "x", "1.5"])
+def test_bad_domain(monkeypatch, text):
+    monkeypatch.setenv("ROS_DOMAIN_ID", text)
+    with pytest.raises(InputError, match="whole number from 0 to 232"):
+        domain_id()
+
+
+def test_default_domain(monkeypatch):
+    monkeypatch.setenv("ROS_DOMAIN_ID", "")
+    assert domain_id() == 0
