@@ -1,0 +1,410 @@
+/* Plays moving Gaussians. PlayCanvas (global `pc`) draws and sorts them; this file adds time:
+ * it unpacks a pack (see phy124/player_html.py), blends between frames, and offers the controls.
+ *
+ *   const player = await Phy124Player.mount(element, bytes);
+ *   player.seek(0.5); player.dispose();
+ */
+'use strict';
+globalThis.Phy124Player = (() => {
+  const SPEEDS = [0.1, 0.25, 0.5, 1, 2];
+  const BACKGROUNDS = { light: [1, 1, 1], grey: [0.5, 0.5, 0.5], dark: [0.06, 0.07, 0.09] };
+  const RAMP = [[0.27, 0, 0.33], [0.23, 0.32, 0.55], [0.13, 0.57, 0.55], [0.37, 0.79, 0.38],
+    [0.99, 0.91, 0.14]]; // viridis
+  const ICONS = {
+    play: '<path d="M7 4.5v15l13-7.5z"/>',
+    pause: '<path d="M6 4.5h4v15H6zM14 4.5h4v15h-4z"/>',
+    home: '<path d="M12 5a7 7 0 1 1-6.3 4h2.3a5 5 0 1 0 4-2v3L7 6l5-4z"/>',
+    full: '<path d="M4 4h6v2H6v4H4zM14 4h6v6h-2V6h-4zM4 14h2v4h4v2H4zM18 14h2v6h-6v-2h4z"/>',
+  };
+  const icon = (name) =>
+    `<svg viewBox="0 0 24 24" width="18" height="18" fill="currentColor" aria-hidden="true">${ICONS[name]}</svg>`;
+
+  /* ---- the pack ---------------------------------------------------------------------------- */
+
+  async function inflate(bytes) {
+    const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream('gzip'));
+    return new Uint8Array(await new Response(stream).arrayBuffer());
+  }
+
+  /** Sum differences over frames: `planes` rows of n values in each of t frames. */
+  function integrate(values, t, row) {
+    for (let i = row; i < t * row; i++) values[i] += values[i - row];
+    return values;
+  }
+
+  async function unpack(zipped) {
+    const bytes = await inflate(zipped);
+    const length = new DataView(bytes.buffer).getUint32(0, true);
+    const head = JSON.parse(new TextDecoder().decode(bytes.subarray(4, 4 + length)));
+    const { splats: n, times } = head, t = times.length;
+    let at = 4 + length;
+    const take = (count) => bytes.subarray(at, (at += count));
+    const colours = take(n * 4);
+    const rest = new Float32Array(take(n * 12).slice().buffer);
+    const low = take(t * n * 3), high = take(t * n * 3);
+    const centres = new Uint16Array(t * n * 3);
+    for (let i = 0; i < centres.length; i++) centres[i] = low[i] | (high[i] << 8);
+    integrate(centres, t, n * 3);
+    const quats = integrate(new Int8Array(take(t * n * 4)), t, n * 4);
+    const ratios = integrate(new Uint8Array(take(t * n * 3)), t, n * 3);
+    const speeds = integrate(new Uint8Array(take(t * n)), t, n);
+    return { ...head, n, t, colours, rest, centres, quats, ratios, speeds };
+  }
+
+  /** Values at a fractional frame; planar in (component-major), interleaved with 4 floats out. */
+  class Blend {
+    constructor(pack) { this.pack = pack; }
+
+    at(frame, out) {
+      const k = Math.min(Math.floor(frame), this.pack.t - 1), f = frame - k;
+      const next = f > 1e-4 ? Math.min(k + 1, this.pack.t - 1) : k;
+      this.centres(k, next, f, out.centre);
+      this.quats(k, next, f, out.rotation);
+      this.scales(k, next, f, out.scale);
+    }
+
+    centres(k, next, f, out) {
+      const { n, low, high, centres } = this.pack;
+      for (let c = 0; c < 3; c++) {
+        const a = (k * 3 + c) * n, b = (next * 3 + c) * n, step = (high[c] - low[c]) / 65535;
+        for (let i = 0; i < n; i++) {
+          out[i * 4 + c] = low[c] + step * (centres[a + i] * (1 - f) + centres[b + i] * f);
+        }
+      }
+    }
+
+    quats(k, next, f, out) {
+      const { n, quats } = this.pack;
+      for (let c = 0; c < 4; c++) {
+        const a = (k * 4 + c) * n, b = (next * 4 + c) * n;
+        for (let i = 0; i < n; i++) out[i * 4 + c] = quats[a + i] * (1 - f) + quats[b + i] * f;
+      }
+      for (let i = 0; i < n * 4; i += 4) {
+        const s = 1 / (Math.hypot(out[i], out[i + 1], out[i + 2], out[i + 3]) || 1);
+        out[i] *= s; out[i + 1] *= s; out[i + 2] *= s; out[i + 3] *= s;
+      }
+    }
+
+    scales(k, next, f, out) {
+      const { n, rest, ratios, ratio } = this.pack, step = (ratio[1] - ratio[0]) / 255;
+      for (let c = 0; c < 3; c++) {
+        const a = (k * 3 + c) * n, b = (next * 3 + c) * n;
+        for (let i = 0; i < n; i++) {
+          const log = ratio[0] + step * (ratios[a + i] * (1 - f) + ratios[b + i] * f);
+          out[i * 4 + c] = rest[i * 3 + c] * Math.exp(log);
+        }
+      }
+    }
+
+    /** Speed of each splat as a share of the greatest one. */
+    speed(frame, i) {
+      const { n, t, speeds } = this.pack, k = Math.min(Math.round(frame), t - 1);
+      return speeds[k * n + i] / 255;
+    }
+
+    /** Longest axis now over longest axis at rest. */
+    stretch(scale, i) {
+      const { rest } = this.pack;
+      return Math.max(scale[i * 4], scale[i * 4 + 1], scale[i * 4 + 2])
+        / Math.max(rest[i * 3], rest[i * 3 + 1], rest[i * 3 + 2]);
+    }
+  }
+
+  function ramp(share) {
+    const x = Math.min(Math.max(share, 0), 1) * (RAMP.length - 1), k = Math.min(Math.floor(x), RAMP.length - 2);
+    return RAMP[k].map((v, c) => v + (RAMP[k + 1][c] - v) * (x - k));
+  }
+
+  /* ---- the picture ------------------------------------------------------------------------- */
+
+  const STREAMS = { centre: 'phyCentre', rotation: 'phyRotation', scale: 'phyScale', colour: 'phyColour' };
+  const READ = `
+    vec3 getCenter() { return loadPhyCentre().xyz; }
+    vec4 getRotation() { return loadPhyRotation(); }
+    vec3 getScale() { return loadPhyScale().xyz; }
+    vec4 getColor() { return loadPhyColour(); }`;
+
+  class Stage {
+    constructor(canvas, pack) {
+      this.canvas = canvas;
+      this.pack = pack;
+      this.blend = new Blend(pack);
+      const device = new pc.WebglGraphicsDevice(canvas, { antialias: false, alpha: false, preserveDrawingBuffer: true });
+      const app = this.app = new pc.AppBase(canvas);
+      const options = new pc.AppOptions();
+      options.graphicsDevice = device;
+      options.componentSystems = [pc.CameraComponentSystem, pc.GSplatComponentSystem];
+      app.init(options);
+      app.setCanvasFillMode(pc.FILLMODE_NONE);
+      app.setCanvasResolution(pc.RESOLUTION_FIXED, canvas.width, canvas.height);
+      app.scene.gsplat.alphaClipForward = 1 / 255;
+      app.scene.gsplat.minPixelSize = 0;
+      app.scene.gsplat.minContribution = 0;
+      app.autoRender = false;
+      this.addSplats(device);
+      this.camera = new pc.Entity();
+      this.camera.addComponent('camera', { fov: pack.view.fov, nearClip: 0.01, farClip: 1000,
+        toneMapping: pc.TONEMAP_NONE, gammaCorrection: pc.GAMMA_SRGB });
+      app.root.addChild(this.camera);
+      app.start();
+      this.until = 0;
+      app.on('update', () => { if (performance.now() < this.until) app.renderNextFrame = true; });
+    }
+
+    addSplats(device) {
+      const streams = Object.values(STREAMS).map((name) => ({ name, format: pc.PIXELFORMAT_RGBA32F }));
+      const format = new pc.GSplatFormat(device, streams, { readGLSL: READ, readWGSL: '' });
+      const box = this.container = new pc.GSplatContainer(device, this.pack.n, format);
+      const { low, high } = this.pack;
+      const half = low.map((v, c) => (high[c] - v) / 2 + 0.1);
+      box.aabb = new pc.BoundingBox(
+        new pc.Vec3(...low.map((v, c) => (v + high[c]) / 2)), new pc.Vec3(...half));
+      const entity = this.entity = new pc.Entity();
+      entity.setEulerAngles(-90, 0, 0); // our z is up, PlayCanvas's y
+      entity.addComponent('gsplat', { resource: box });
+      this.app.root.addChild(entity);
+    }
+
+    /** Keep drawing for a moment: sorting answers a little later. */
+    wake(milliseconds = 900) {
+      this.until = performance.now() + milliseconds;
+      this.app.renderNextFrame = true;
+    }
+
+    show(frame, colouring) {
+      const n = this.pack.n, box = this.container, out = {};
+      for (const key of ['centre', 'rotation', 'scale']) out[key] = box.getTexture(STREAMS[key]).lock();
+      this.blend.at(frame, out);
+      for (let i = 0; i < n; i++) for (let c = 0; c < 3; c++) box.centers[i * 3 + c] = out.centre[i * 4 + c];
+      this.paint(frame, colouring, out.scale);
+      for (const key of ['centre', 'rotation', 'scale']) box.getTexture(STREAMS[key]).unlock();
+      box.update(n, true);
+      this.entity.gsplat.workBufferUpdate = pc.WORKBUFFER_UPDATE_ONCE;
+      this.wake();
+    }
+
+    paint(frame, colouring, scale) {
+      const { n, colours, stretch } = this.pack, texture = this.container.getTexture(STREAMS.colour);
+      const out = texture.lock(), [least, most] = stretch;
+      for (let i = 0; i < n; i++) {
+        let rgb = null;
+        if (colouring === 'velocity') rgb = ramp(this.blend.speed(frame, i));
+        if (colouring === 'stretch') rgb = ramp((this.blend.stretch(scale, i) - least) / (most - least));
+        for (let c = 0; c < 3; c++) out[i * 4 + c] = rgb ? rgb[c] : colours[i * 4 + c] / 255;
+        out[i * 4 + 3] = colours[i * 4 + 3] / 255;
+      }
+      texture.unlock();
+    }
+
+    background(rgb) {
+      this.camera.camera.clearColor = new pc.Color(...rgb);
+      this.wake();
+    }
+
+    look({ azimuth, elevation, radius, target }) {
+      const a = azimuth * Math.PI / 180, e = elevation * Math.PI / 180;
+      const eye = [Math.cos(e) * Math.cos(a), Math.cos(e) * Math.sin(a), Math.sin(e)]
+        .map((v, c) => target[c] + radius * v);
+      this.camera.setPosition(eye[0], eye[2], -eye[1]);
+      this.camera.lookAt(target[0], target[2], -target[1]);
+      this.wake();
+    }
+
+    resize(width, height) {
+      if (this.canvas.width === width && this.canvas.height === height) return;
+      this.app.setCanvasResolution(pc.RESOLUTION_FIXED, width, height);
+      this.wake();
+    }
+
+    dispose() { this.app.destroy(); }
+  }
+
+  /* ---- the controls ------------------------------------------------------------------------ */
+
+  const options = (values, chosen) => Object.entries(values)
+    .map(([key, label]) => `<option value="${key}"${key === chosen ? ' selected' : ''}>${label}</option>`).join('');
+
+  const MARKUP = `
+    <canvas class="phy-canvas" tabindex="0" role="img" aria-label="Moving object in 3D.
+      Drag or use the arrow keys to turn it, plus and minus to zoom, space to play."></canvas>
+    <div class="phy-legend" hidden><span></span><i></i><span></span></div>
+    <div class="phy-bar" role="group" aria-label="Player">
+      <button type="button" class="phy-play" aria-label="Play">${icon('play')}</button>
+      <input class="phy-time" type="range" min="0" step="any" value="0" aria-label="Time">
+      <output class="phy-clock">0.00 s</output>
+      <select class="phy-speed" aria-label="Speed">${options(
+        Object.fromEntries(SPEEDS.map((s) => [String(s), `${s}×`])), '1')}</select>
+      <select class="phy-colour" aria-label="Colouring">${options(
+        { photo: 'Picture', velocity: 'Velocity', stretch: 'Stretch' }, 'photo')}</select>
+      <select class="phy-background" aria-label="Background">${options(
+        { light: 'Light', grey: 'Grey', dark: 'Dark' }, 'light')}</select>
+      <button type="button" class="phy-home" aria-label="Reset the view">${icon('home')}</button>
+      <button type="button" class="phy-full" aria-label="Full screen">${icon('full')}</button>
+    </div>`;
+
+  class Player {
+    constructor(host, pack, { play = true } = {}) {
+      this.pack = pack;
+      this.host = host;
+      host.classList.add('phy-player');
+      host.innerHTML = MARKUP;
+      this.find = (name) => host.querySelector(`.phy-${name}`);
+      this.canvas = this.find('canvas');
+      this.fit();
+      this.stage = new Stage(this.canvas, pack);
+      this.time = 0;
+      this.length = pack.times[pack.t - 1] - pack.times[0];
+      this.speed = 1;
+      this.colouring = 'photo';
+      this.home();
+      this.stage.background(pack.background);
+      this.find('time').max = this.length;
+      this.listen();
+      this.seek(0);
+      const still = matchMedia('(prefers-reduced-motion: reduce)').matches;
+      if (play && !still && this.length > 0) this.play();
+    }
+
+    listen() {
+      const on = (name, event, act) => this.find(name).addEventListener(event, act);
+      on('play', 'click', () => (this.playing ? this.pause() : this.play()));
+      on('time', 'input', (event) => { this.pause(); this.seek(Number(event.target.value)); });
+      on('speed', 'change', (event) => { this.speed = Number(event.target.value); });
+      on('colour', 'change', (event) => { this.colouring = event.target.value; this.legend(); this.seek(this.time); });
+      on('background', 'change', (event) => this.stage.background(BACKGROUNDS[event.target.value]));
+      on('home', 'click', () => this.home());
+      on('full', 'click', () => (document.fullscreenElement ? document.exitFullscreen() : this.host.requestFullscreen()));
+      on('canvas', 'keydown', (event) => this.key(event));
+      on('canvas', 'wheel', (event) => { event.preventDefault(); this.zoom(Math.exp(event.deltaY * 0.001)); });
+      this.listenPointers();
+      this.watcher = new ResizeObserver(() => {
+        if (!this.host.isConnected) return this.dispose();
+        this.fit();
+        this.stage.resize(...this.pixels);
+      });
+      this.watcher.observe(this.canvas);
+    }
+
+    listenPointers() {
+      const touches = new Map();
+      let spread = 0;
+      const gap = () => { const [a, b] = [...touches.values()]; return Math.hypot(a.x - b.x, a.y - b.y); };
+      this.canvas.addEventListener('pointerdown', (event) => {
+        this.canvas.setPointerCapture(event.pointerId);
+        touches.set(event.pointerId, { x: event.clientX, y: event.clientY });
+        if (touches.size === 2) spread = gap();
+      });
+      this.canvas.addEventListener('pointermove', (event) => {
+        const last = touches.get(event.pointerId);
+        if (!last) return;
+        const dx = event.clientX - last.x, dy = event.clientY - last.y;
+        touches.set(event.pointerId, { x: event.clientX, y: event.clientY });
+        if (touches.size === 1) this.turn(-dx * 0.4, dy * 0.4);
+        if (touches.size === 2) { this.zoom(spread / gap()); spread = gap(); }
+      });
+      for (const end of ['pointerup', 'pointercancel']) {
+        this.canvas.addEventListener(end, (event) => touches.delete(event.pointerId));
+      }
+    }
+
+    key(event) {
+      const step = this.length / Math.max(this.pack.t - 1, 1);
+      const act = {
+        ArrowLeft: () => this.turn(-6, 0), ArrowRight: () => this.turn(6, 0),
+        ArrowUp: () => this.turn(0, 6), ArrowDown: () => this.turn(0, -6),
+        '+': () => this.zoom(0.9), '=': () => this.zoom(0.9), '-': () => this.zoom(1.1),
+        ' ': () => (this.playing ? this.pause() : this.play()), Home: () => this.home(),
+        ',': () => { this.pause(); this.seek(this.time - step); },
+        '.': () => { this.pause(); this.seek(this.time + step); },
+      }[event.key];
+      if (!act || event.ctrlKey || event.metaKey || event.altKey) return;
+      event.preventDefault();
+      act();
+    }
+
+    get pixels() {
+      const ratio = Math.min(window.devicePixelRatio || 1, 2);
+      const { clientWidth, clientHeight } = this.canvas;
+      return [Math.max(2, Math.round(clientWidth * ratio)), Math.max(2, Math.round(clientHeight * ratio))];
+    }
+
+    fit() { if (!this.stage) [this.canvas.width, this.canvas.height] = this.pixels; }
+
+    home() { this.pose = { ...this.pack.view }; this.stage.look(this.pose); }
+
+    turn(azimuth, elevation) {
+      this.pose.azimuth += azimuth;
+      this.pose.elevation = Math.min(89, Math.max(-89, this.pose.elevation + elevation));
+      this.stage.look(this.pose);
+    }
+
+    zoom(factor) {
+      const { radius } = this.pack.view;
+      this.pose.radius = Math.min(6 * radius, Math.max(0.15 * radius, this.pose.radius * factor));
+      this.stage.look(this.pose);
+    }
+
+    /** Show the instant `time`, seconds from the start. */
+    seek(time) {
+      this.time = Math.min(Math.max(time, 0), this.length);
+      const { times, t } = this.pack, now = times[0] + this.time;
+      let k = 0;
+      while (k < t - 2 && times[k + 1] <= now) k++;
+      const frame = t > 1 ? k + (now - times[k]) / (times[k + 1] - times[k]) : 0;
+      this.stage.show(frame, this.colouring);
+      this.find('time').value = this.time;
+      this.find('clock').textContent = `${this.time.toFixed(2)} s`;
+    }
+
+    play() {
+      this.playing = true;
+      this.button('pause', 'Pause');
+      if (this.time >= this.length) this.time = 0;
+      let last = performance.now();
+      const tick = (now) => {
+        if (!this.playing) return;
+        if (!this.host.isConnected) return this.dispose();
+        const next = this.time + Math.min((now - last) / 1000, 0.25) * this.speed;
+        last = now;
+        this.seek(next > this.length ? 0 : next);
+        requestAnimationFrame(tick);
+      };
+      requestAnimationFrame(tick);
+    }
+
+    pause() { this.playing = false; this.button('play', 'Play'); }
+
+    button(name, label) {
+      this.find('play').innerHTML = icon(name);
+      this.find('play').setAttribute('aria-label', label);
+    }
+
+    legend() {
+      const box = this.find('legend'), [low, high] = box.querySelectorAll('span');
+      box.hidden = this.colouring === 'photo';
+      const { speed, stretch } = this.pack;
+      [low.textContent, high.textContent] = this.colouring === 'velocity'
+        ? ['0', `${speed.toPrecision(2)} m/s`]
+        : [`${stretch[0].toFixed(2)}×`, `${stretch[1].toFixed(2)}×`];
+    }
+
+    dispose() {
+      if (this.gone) return;
+      this.gone = true;
+      this.playing = false;
+      this.watcher.disconnect();
+      this.stage.dispose();
+    }
+  }
+
+  async function mount(host, bytes, settings) {
+    if (!document.createElement('canvas').getContext('webgl2')) {
+      host.textContent = 'This browser has no WebGL 2, which the 3D player needs. The videos show the same motion.';
+      return null;
+    }
+    const pack = await unpack(bytes);
+    return new Player(host, pack, settings);
+  }
+
+  return { mount, unpack };
+})();

@@ -1,0 +1,209 @@
+"""A clip as one HTML file that plays anywhere, and the packed form of a clip that browsers read.
+
+A pack is gzip of: header length (uint32, little-endian), header (JSON), then arrays, each planar
+(component after component) and, where they move, as differences from frame to frame modulo their
+range, which is what lets gzip shrink them:
+
+    colour    [N,4]     uint8    red, green, blue, opacity; harmonics of degree 0 only
+    rest      [N,3]     float32  scales at rest, m
+    centre    [T,3,N]   uint16   over the box of all frames; all low bytes, then all high bytes
+    rotation  [T,4,N]   int8     wxyz, 127 is 1
+    ratio     [T,3,N]   uint8    log of scale over scale at rest
+    speed     [T,N]     uint8    255 is the greatest speed
+
+14 bytes per Gaussian and frame before gzip; centres are exact to 1/65535 of the box.
+"""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import html
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.camera import Camera
+from phy124.clip import Clip
+from phy124.errors import InputError
+from phy124.files import replacing
+from phy124.gaussians import SH_C0
+
+VIEWER = Path(__file__).parents[2] / "demo" / "viewer"
+"""Where the player's scripts lie, beside this package."""
+SCRIPTS = ("vendor/playcanvas.min.js", "player.js")
+STYLE = "player.css"
+LICENCE = "vendor/LICENSE-playcanvas.txt"
+TALLEST = 4.0
+"""Scales may shrink and grow by exp(4) = 55 times; more is clipped."""
+PERCENTILES = (1, 99)
+"""Ends of the colour ramp of stretch: single Gaussians must not set it."""
+
+
+def pack(clip: Clip, camera: Camera, *, background: tuple[float, ...] = (1.0, 1.0, 1.0)) -> bytes:
+    """The clip as the player reads it, seen from `camera` (its size does not matter) at first.
+
+    Raises:
+        InputError: If the clip is empty.
+    """
+    if not len(clip) or not clip.opacities.size:
+        raise InputError("clip", "empty", "it has no frames.", "Simulate one frame or more.")
+    low, high = clip.means.min(axis=(0, 1)), clip.means.max(axis=(0, 1))
+    rest = np.maximum(clip.scales[0], 1e-9)
+    ratios = np.log(np.maximum(clip.scales, 1e-9) / rest)
+    reach = _reach(ratios)
+    speeds = _speeds(clip)
+    head = {
+        "splats": len(clip.opacities),
+        "times": clip.times.tolist(),
+        "low": low.tolist(),
+        "high": high.tolist(),
+        "ratio": reach,
+        "speed": float(speeds.max()),
+        "stretch": _stretches(clip.scales),
+        "background": list(background),
+        "view": _view(camera),
+    }
+    arrays = [
+        _colours(clip),
+        rest.astype("<f4"),
+        *_split(_centres(clip.means, low, high)),
+        _differences(_planar(np.rint(clip.quats * 127).clip(-127, 127).astype(np.int8))),
+        _differences(_planar(_quantized(ratios, *reach))),
+        _differences(_quantized(speeds, 0.0, head["speed"])),
+    ]
+    text = json.dumps(head, allow_nan=False).encode()
+    body = b"".join(array.tobytes() for array in arrays)
+    return gzip.compress(len(text).to_bytes(4, "little") + text + body, compresslevel=4, mtime=0)
+
+
+def write_html(
+    path: str | os.PathLike[str],
+    clip: Clip,
+    camera: Camera,
+    *,
+    title: str = "phy124",
+    background: tuple[float, ...] = (1.0, 1.0, 1.0),
+    viewer: Path = VIEWER,
+) -> None:
+    """Write one file that any browser with WebGL 2 plays without a network.
+
+    Raises:
+        InputError: If the clip is empty, the player is not installed or the place cannot be
+            written.
+    """
+    parts = {name: _asset(viewer / name) for name in (*SCRIPTS, STYLE, LICENCE)}
+    data = base64.b64encode(pack(clip, camera, background=background)).decode()
+    scripts = "".join(f"<script>{parts[name]}</script>\n" for name in SCRIPTS)
+    page = PAGE.format(
+        title=html.escape(title),
+        licence=parts[LICENCE].replace("--", "- -"),
+        style=parts[STYLE],
+        data=data,
+        scripts=scripts,
+    )
+    with replacing(path) as temporary:
+        temporary.write_text(page, "utf-8")
+
+
+PAGE = """<!doctype html>
+<html lang="en"><head><meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{title}</title>
+<!-- Drawn by the PlayCanvas engine:
+{licence}-->
+<style>html, body {{ margin: 0; height: 100%; }}
+#player {{ height: 100%; }}
+{style}</style></head>
+<body><main id="player" aria-label="{title}"></main>
+<script type="text/plain" id="pack">{data}</script>
+{scripts}<script>
+const text = atob(document.getElementById('pack').textContent);
+const bytes = Uint8Array.from(text, (letter) => letter.charCodeAt(0));
+Phy124Player.mount(document.getElementById('player'), bytes).then((player) => {{
+  globalThis.player = player;
+}});
+</script></body></html>
+"""
+
+
+def _asset(path: Path) -> str:
+    try:
+        return path.read_text("utf-8")
+    except OSError:
+        raise InputError(
+            "viewer", path, "the player's files are missing.", "Install phy124 with its demo folder."
+        ) from None
+
+
+def _view(camera: Camera) -> dict[str, Any]:
+    """A camera as an orbit about its target [degrees, m]."""
+    away = np.subtract(camera.eye, camera.target)
+    radius = float(np.linalg.norm(away))
+    return {
+        "target": list(camera.target),
+        "radius": radius,
+        "azimuth": float(np.degrees(np.arctan2(away[1], away[0]))),
+        "elevation": float(np.degrees(np.arcsin(away[2] / radius))),
+        "fov": camera.fov_y,
+    }
+
+
+def _colours(clip: Clip) -> NDArray[np.uint8]:
+    rgb = np.clip(0.5 + SH_C0 * clip.sh[:, 0], 0, 1)
+    return np.rint(np.column_stack([rgb, clip.opacities]) * 255).astype(np.uint8)
+
+
+def _centres(means: NDArray, low: NDArray, high: NDArray) -> NDArray[np.uint16]:
+    """Positions [T,3,N] in 65536 steps of the box, differences in time."""
+    width = np.maximum(high - low, 1e-12)
+    steps = np.rint((means - low) / width * 65535).astype("<u2")
+    return _differences(_planar(steps))
+
+
+def _split(values: NDArray[np.uint16]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """Low bytes and high bytes."""
+    return (values & 255).astype(np.uint8), (values >> 8).astype(np.uint8)
+
+
+def _planar(values: NDArray) -> NDArray:
+    """[T,N,C] to [T,C,N]."""
+    return np.ascontiguousarray(values.transpose(0, 2, 1))
+
+
+def _differences(values: NDArray) -> NDArray:
+    """Each frame less the one before, in the arithmetic of its type."""
+    out = values.copy()
+    out[1:] -= values[:-1]
+    return out
+
+
+def _quantized(values: NDArray, low: float, high: float) -> NDArray[np.uint8]:
+    return np.rint((values - low) / max(high - low, 1e-12) * 255).clip(0, 255).astype(np.uint8)
+
+
+def _reach(ratios: NDArray) -> list[float]:
+    """Smallest and greatest log ratio that is kept apart."""
+    least, most = float(ratios.min()), float(ratios.max())
+    return [max(least, -TALLEST), min(most, TALLEST)]
+
+
+def _speeds(clip: Clip) -> NDArray:
+    """Speeds [T,N], m/s: the clip's own, else from its positions."""
+    if clip.velocities is not None:
+        return np.linalg.norm(clip.velocities, axis=2)
+    if len(clip) < 2:
+        return np.zeros(clip.means.shape[:2])
+    return np.linalg.norm(np.gradient(clip.means, clip.times, axis=0), axis=2)
+
+
+def _stretches(scales: NDArray) -> list[float]:
+    """Ends of the ramp of longest axis over longest axis at rest, 1 in the middle."""
+    longest = scales.max(axis=2)
+    low, high = np.percentile(longest / np.maximum(longest[0], 1e-9), PERCENTILES).tolist()
+    half = max(1 - low, high - 1, 0.01)
+    return [1 - half, 1 + half]
