@@ -16,10 +16,11 @@ def cameras(elevation: float = 0.0) -> NDArray[np.float32]:
 
     A positive elevation [degrees] is below the object, as everywhere in these networks.
     """
-    poses = [_to_blender(orbit(elevation, azimuth, 1.0)).reshape(16) for azimuth in AZIMUTHS]
-    return np.stack([*poses, np.zeros(16)]).astype(np.float32)
+    rows = [pose_row(elevation, azimuth) for azimuth in AZIMUTHS]
+    return np.array([*rows, [0.0] * 16], dtype=np.float32)
 
 
-def _to_blender(pose: NDArray[np.float64]) -> NDArray[np.float64]:
-    """World y up to z up: (x, y, z) -> (x, -z, y)."""
-    return pose[[0, 2, 1, 3]] * np.array([1.0, -1.0, 1.0, 1.0])[:, None]
+def pose_row(elevation: float, azimuth: float) -> list[float]:
+    """Camera to world of one view at distance 1, 16 numbers; world y up becomes z up."""
+    pose = orbit(elevation, azimuth, 1.0)[[0, 2, 1, 3]]
+    return (pose * np.array([1.0, -1.0, 1.0, 1.0])[:, None]).reshape(16).tolist()

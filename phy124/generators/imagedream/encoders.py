@@ -55,23 +55,23 @@ CLIP_STD = (0.26862954, 0.26130258, 0.27577711)
 
 def vae(path: Path | None = None, **changes: Any) -> AutoencoderKL:
     """The autoencoder, filled from `path` if given."""
-    return _filled(lambda: AutoencoderKL(**{**VAE, **changes}), path, "", "the VAE")
+    return filled(lambda: AutoencoderKL(**{**VAE, **changes}), path, "", "the VAE")
 
 
 def text_encoder(path: Path | None = None, **changes: Any) -> CLIPTextModel:
     """Stable Diffusion 2.1's text encoder, filled from `path` if given."""
     config = CLIPTextConfig(**{**TEXT, **changes})
-    return _filled(lambda: CLIPTextModel(config), path, "text_model.", "the text encoder")
+    return filled(lambda: CLIPTextModel(config), path, "text_model.", "the text encoder")
 
 
 def image_encoder(path: Path | None = None, **changes: Any) -> CLIPVisionModel:
     """CLIP's picture encoder, ViT-H/14, filled from `path` if given."""
     config = CLIPVisionConfig(**{**VISION, **changes})
-    return _filled(lambda: CLIPVisionModel(config), path, "vision_model.", "the picture encoder")
+    return filled(lambda: CLIPVisionModel(config), path, "vision_model.", "the picture encoder")
 
 
-def _filled(build: Callable[[], Any], path: Path | None, prefix: str, name: str) -> Any:
-    """Build a network; with a path, strictly from its tensors and in their precision.
+def filled(build: Callable[[], Any], path: Path | None, prefix: str, name: str) -> Any:
+    """Build the network called `name`; with a path, strictly from its tensors, in their precision.
 
     transformers 5 has no `prefix` in memory that the files carry; older releases keep it.
     """
