@@ -15,6 +15,9 @@ from phy124.errors import InputError
 
 SPEEDS = (0.01, 100.0)
 """Slowest and fastest playback."""
+PATIENCE = 0.15
+"""Seconds a frame may be late. Frames that are less late catch up in a burst, which at 30 Hz is no
+longer than what subscribers keep (5)."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +33,7 @@ class Tick:
 
 
 class Player:
-    """Plays instants `times [T]` s in order; frames that are late are dropped and counted."""
+    """Plays instants `times [T]` s in order; frames that are too late are dropped and counted."""
 
     def __init__(
         self,
@@ -40,6 +43,7 @@ class Player:
         loop: bool = False,
         rate: float | None = None,
         paused: bool = False,
+        patience: float = PATIENCE,
     ) -> None:
         """Ready at the first frame, the clock starting with the first call of `due`.
 
@@ -49,6 +53,7 @@ class Player:
             loop: Begin again after the last frame.
             rate: At most so many frames per second are shown; None: all.
             paused: Start held at the first frame.
+            patience: Seconds a frame may be late before it is dropped.
 
         Raises:
             InputError: No frames, times that do not ascend, or a number out of range.
@@ -58,7 +63,7 @@ class Player:
             limit = "The frames' times must ascend, and there must be at least one."
             raise InputError("clip", f"{len(self.times)} frames", limit, "Simulate it again.")
         self.loop, self.paused, self.rate = loop, paused, _checked_rate(rate)
-        self.speed = checked_speed(speed)
+        self.speed, self.patience = checked_speed(speed), patience
         self.shown = self.dropped = self.skipped = self.loops = 0
         """Frames shown, dropped because late, and left out on purpose by `rate`; loops begun."""
         self.finished = False
@@ -88,11 +93,14 @@ class Player:
         return max(self._due_at(self._next, now) - now, 0.0)
 
     def due(self, now: float) -> Tick | None:
-        """The newest frame that is due, or None; older ones that were due are dropped."""
+        """The next frame if it is due, or None; frames that are too late are dropped.
+
+        The newest frame that is due is never dropped, however late it is.
+        """
         if self.wait(now) > 0:
             return None
         last = len(self.times) - 1
-        while not self.paused and self._next < last and self._due_at(self._next + 1, now) <= now:
+        while self._next < last and self._is_stale(now):
             self._count_unshown(self._next)
             self._next += 1
         tick = self._show(self._next)
@@ -144,6 +152,12 @@ class Player:
         return text + (
             f", {self.skipped} left out to keep to {self.rate:g} Hz" if self.rate else ""
         )
+
+    def _is_stale(self, now: float) -> bool:
+        """Whether the next frame is too late and a newer one is due."""
+        if self.paused or self._due_at(self._next + 1, now) > now:
+            return False
+        return now - self._due_at(self._next, now) > self.patience
 
     def _too_soon(self, time: float) -> bool:
         # Half a percent of slack: 30 Hz of a 30 Hz clip must not lose frames to rounding.
