@@ -62,7 +62,8 @@ def cloud(rng, count=600, *, sizes=0.03, degree=0, spread=0.35) -> Gaussians:
     quats = rng.normal(size=(count, 4))
     scales = sizes * np.exp(0.7 * rng.normal(size=(count, 3)))
     sh = rng.normal(size=(count, (degree + 1) ** 2, 3)) * 0.8 / (1 + degree)
-    return Gaussians(means, quats, scales, rng.beta(1.2, 1, count), sh)
+    opacities = np.minimum(1, 1.2 * rng.beta(1.2, 1, count))  # a few are at the cap of alpha
+    return Gaussians(means, quats, scales, opacities, sh)
 
 
 def needles(rng) -> Gaussians:
@@ -140,6 +141,27 @@ def test_one_gaussian_in_the_middle(renderers):
             if size == (33, 33):  # the middle pixel's centre is on the axis
                 expected = 0.8 * np.array([0.9, 0.3, 0.1, 1]) + 0.2 * np.array([0, 0, 1, 0])
                 np.testing.assert_allclose(image[16, 16], expected, atol=1e-6)
+
+
+def test_lists_shuffled_as_on_a_gpu_are_put_in_order(renderers, rng, monkeypatch):
+    g, camera = cloud(rng), Camera.orbit(0, 0, 1.5, 64)
+    whole, launch, lengths = renderers["pixel"](g, camera), wp.launch, []
+
+    def shuffling(kernel, dim, **options):
+        """Threads of a GPU come in any order: here, the last first."""
+        if kernel is not render.binning.bin_parallel:
+            return launch(kernel, dim, **options)
+        ends, ranks, lists = (array.numpy() for array in options["outputs"])
+        starts = ends.copy()
+        launch(kernel, dim, **options)
+        for start, end in zip(starts, ends, strict=True):
+            ranks[start:end] = ranks[start:end][::-1].copy()
+            lists[start:end] = lists[start:end][::-1].copy()
+            lengths.append(end - start)
+
+    monkeypatch.setattr(wp, "launch", shuffling)
+    np.testing.assert_array_equal(renderers["pixel"](g, camera), whole)
+    assert max(lengths) > 50
 
 
 def test_turning_scene_and_camera_together_changes_nothing(renderers, rng):

@@ -65,6 +65,7 @@ def main() -> None:
     parser.add_argument("--device", default=None)
     parser.add_argument("--repeats", type=int, default=15)
     options = parser.parse_args()
+    wp.config.log_level = wp.LOG_WARNING  # nothing but JSON on stdout
     renderer = Renderer(device=options.device)
     device = str(renderer.device)
     for count, size in itertools.product((10_000, 65_536), (256, 512, 800)):
