@@ -31,8 +31,18 @@ def test_table_imports_nothing_heavy():
 
 
 def test_every_entry_can_be_made():
+    pytest.importorskip("torch")
     for name in generators.GENERATORS:
         assert callable(generators.make(name))
+
+
+def test_missing_packages_are_named(monkeypatch):
+    def needs_more():
+        raise ModuleNotFoundError("No module named 'torch'", name="torch")
+
+    monkeypatch.setitem(generators.GENERATORS, "lgm", needs_more)
+    with pytest.raises(InputError, match=r"package torch.*pip install 'phy124\[lgm\]'"):
+        generators.make("lgm")
 
 
 def test_objects_pass_through_and_unknown_names_are_refused():

@@ -31,6 +31,12 @@ def disc(size=120, radius=40, noise=6.0):
     return Image.fromarray(np.clip(rgb, 0, 255).astype(np.uint8)), mask
 
 
+@pytest.fixture(autouse=True)
+def no_weights(monkeypatch):
+    """As on a machine without trained weights, whatever this one has."""
+    monkeypatch.setattr(image.u2net, "weights_file", lambda: None)
+
+
 @pytest.mark.parametrize(("name", "tolerance"), [("a.png", 0), ("a.webp", 12), ("a.jpg", 12)])
 def test_formats(tmp_path, name, tolerance):
     opened = open_image(saved(tmp_path, Image.fromarray(gradient()), name, quality=98))
@@ -175,6 +181,16 @@ def test_nothing_or_everything_is_refused():
         foreground(flat, "magic")
 
 
+def test_u2net_comes_before_grabcut_where_weights_are(monkeypatch):
+    assert list(METHODS) == ["alpha", "u2net", "grabcut"]
+    picture, mask = disc()
+    found = (lambda _: True, lambda _: 255 * mask.astype(np.uint8))
+    monkeypatch.setitem(METHODS, "u2net", found)
+    cut, method = foreground(picture)
+    assert method == "u2net"
+    np.testing.assert_array_equal(np.asarray(cut)[..., 3] > 0, mask)
+
+
 def test_a_new_method_is_one_line(monkeypatch):
     everything = (lambda _: True, lambda i: np.full(i.size[::-1], 255, np.uint8))
     monkeypatch.setattr(image, "METHODS", {"all": everything, **METHODS})
@@ -211,3 +227,24 @@ def test_recenter_centres_and_leaves_the_border():
     assert (rows.min(), rows.max(), columns.min(), columns.max()) == (10, 89, 30, 69)
     with pytest.raises(InputError, match="no object to centre"):
         recenter(values, np.zeros((100, 60)))
+
+
+def test_grabcut_on_a_photograph_whatever_was_drawn_before():
+    """Cup, saucer and spoon on a wooden table, and the very same after other random draws."""
+    import cv2
+
+    data = pytest.importorskip("skimage.data")
+    photo = Image.fromarray(data.coffee())
+    first = np.asarray(foreground(photo)[0])[..., 3]
+    cv2.setRNGSeed(12345)
+    again = np.asarray(foreground(photo)[0])[..., 3]
+    np.testing.assert_array_equal(first, again)
+    shown = {
+        (60, 300): True,
+        (200, 130): True,
+        (300, 330): True,
+        (20, 50): False,
+        (350, 550): False,
+    }
+    for place, is_object in shown.items():
+        assert (first[place] > 127) == is_object, place

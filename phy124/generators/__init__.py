@@ -39,8 +39,22 @@ def _relief() -> Generator:
     return relief
 
 
+def _lgm() -> Generator:
+    from phy124.generators.lgm import Lgm
+
+    return Lgm()
+
+
+def _dreamgaussian() -> Generator:
+    from phy124.generators.dreamgaussian import DreamGaussian
+
+    return DreamGaussian()
+
+
 GENERATORS: dict[str, Callable[[], Generator]] = {
     "relief": _relief,
+    "lgm": _lgm,
+    "dreamgaussian": _dreamgaussian,
 }
 """Name to factory; each imports its generator only when called."""
 
@@ -49,7 +63,7 @@ def make(chosen: str | Generator) -> Generator:
     """The generator of a name in `GENERATORS`, of the path of a .ply file, or of itself.
 
     Raises:
-        InputError: No generator has that name.
+        InputError: No generator has that name, or what it needs is not installed.
     """
     if not isinstance(chosen, str):
         return chosen
@@ -61,7 +75,14 @@ def make(chosen: str | Generator) -> Generator:
         known = ", ".join(GENERATORS)
         limit = "There is no such generator."
         raise InputError("generator", chosen, limit, f"Choose one of {known}, or a .ply file.")
-    return GENERATORS[chosen]()
+    try:
+        return GENERATORS[chosen]()
+    except ModuleNotFoundError as error:
+        if (error.name or "").startswith("phy124"):
+            raise
+        limit = f"It needs the package {error.name}, which is not installed."
+        remedy = f"Run `pip install 'phy124[{chosen}]'`, or choose relief."
+        raise InputError("generator", chosen, limit, remedy) from error
 
 
 def needs_image(chosen: str | Generator) -> bool:
