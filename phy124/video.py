@@ -8,7 +8,6 @@ carry their index in front, so that a browser can start before it has everything
 from __future__ import annotations
 
 import itertools
-import math
 import os
 import subprocess
 import tempfile
@@ -27,7 +26,7 @@ from phy124.errors import InputError
 from phy124.files import replacing
 
 Picture = NDArray[np.uint8]
-MAX_FPS = 240
+FPS_RANGE = (0.1, 240.0)
 ENCODER = ("-preset", "veryfast", "-crf", "18", "-movflags", "+faststart", "-f", "mp4")
 """CRF 18 is visually lossless; slower presets save few bytes here."""
 BT709 = (
@@ -50,8 +49,8 @@ def write_mp4(path: str | os.PathLike[str], frames: Iterable[Picture], *, fps: f
             or the encoder did not finish.
         ValueError: If a picture is not uint8 [H,W,3] of the first one's size.
     """
-    _check_rate(fps)
     with _closing(frames), replacing(path) as temporary:
+        _check_rate(fps)
         first, pictures = _peeked(frames)
         padding = [(0, first.shape[0] % 2), (0, first.shape[1] % 2), (0, 0)]
         even = (np.pad(picture, padding, "edge") for picture in pictures)
@@ -183,12 +182,10 @@ def _checked(picture: Picture, shape: tuple[int, ...]) -> Picture:
 
 
 def _check_rate(fps: float) -> None:
-    if not (math.isfinite(fps) and 0 < fps <= MAX_FPS):
+    low, high = FPS_RANGE
+    if not low <= fps <= high:  # also where it is NaN
         raise InputError(
-            "fps",
-            fps,
-            f"a video shows more than 0 and at most {MAX_FPS} pictures per second.",
-            "Choose 24.",
+            "fps", fps, f"a video shows {low:g} to {high:g} pictures per second.", "Choose 24."
         )
 
 

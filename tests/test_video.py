@@ -149,7 +149,7 @@ def test_refusals(tmp_path, write):
     (tmp_path / f"folder{name}").mkdir()
     with pytest.raises(InputError, match="name of a folder"):
         write(tmp_path / f"folder{name}", [plain(0)], fps=24)
-    for fps in (0, -1, float("nan"), float("inf"), 1000):
+    for fps in (0, -1, 1e-5, float("nan"), float("inf"), 1000):
         with pytest.raises(InputError, match="pictures per second"):
             write(tmp_path / name, [plain(0)], fps=fps)
     with pytest.raises(InputError, match="at least one picture"):
