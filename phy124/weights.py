@@ -18,7 +18,8 @@ from typing import Literal
 from phy124.errors import InputError
 from phy124.progress import Progress, silent
 
-Verdict = Literal["match", "differs", "unpublished", "missing"]
+Verdict = Literal["match", "differs", "unpublished", "unchecked", "missing"]
+"""Of a file's size and sha256: "unpublished" has nothing to compare with."""
 BLOCK = 1 << 22
 """Bytes hashed at a time."""
 
@@ -266,8 +267,10 @@ def _verdict(file: WeightFile, found: Path | None, size: int | None, check: bool
         return "missing"
     if file.size is not None and size != file.size:
         return "differs"
-    if file.sha256 is None or not check:
+    if file.sha256 is None:
         return "unpublished"
+    if not check:
+        return "unchecked"
     return "match" if sha256_of(found) == file.sha256 else "differs"
 
 
