@@ -99,7 +99,7 @@ def simulate(
             (folder / "scene.toml").write_text(scene.to_toml(), "utf-8")
         film(clip, scene.view, folder, device=device, progress=progress, watch=watch)
         about = {"foreground": None, "generator": None, **(about or {})}
-        report = {**about, **clip.report, **_circumstances(device, watch)}
+        report = {**about, **clip.report, **circumstances(device, watch)}
         with watch.stage("save"):
             clip.with_report(report).save(folder / "clip.safetensors")
             _write_json(folder / "report.json", report)
@@ -164,8 +164,8 @@ def _rate(clip: Clip) -> float:
     return float((len(clip) - 1) / (clip.times[-1] - clip.times[0])) if len(clip) > 1 else 24.0
 
 
-def _circumstances(device: str, watch: Stopwatch) -> dict[str, Any]:
-    """Device, versions and stage times for the report."""
+def circumstances(device: str, watch: Stopwatch) -> dict[str, Any]:
+    """Device, versions and stage times: what a report says besides the run itself."""
     packages = ("phy124", "numpy", "warp-lang", "opencv-python-headless", "imageio-ffmpeg")
     found = {}
     for package in packages:
