@@ -12,6 +12,7 @@ from phy124.errors import InputError
 from phy124.gaussians import Frame
 
 from ..bag import ENCODING
+from ..cdr import NANO
 from ..encoder import FrameEncoder
 from ..messages import definition
 from ..options import Options
@@ -64,7 +65,7 @@ class FoxgloveSink:
                 host=self._host,
                 port=self.port,
                 context=self._context,
-                server_listener=self,  # pyright: ignore[reportArgumentType]
+                server_listener=_listener(self),
                 playback_time_range=self._range(),
             )
         except RuntimeError as error:
@@ -111,21 +112,24 @@ class FoxgloveSink:
         self._answers, self._sought = None, False
         self._server.broadcast_playback_state(state)
 
-    def on_subscribe(self, client: Any, channel: Any) -> None:
+    def newcomer(self) -> None:
         """Called by the server's thread when somebody begins to look."""
-        del client, channel
         self._requests.put([])
 
-    def on_playback_control_request(self, request: Any) -> None:
-        """Called by the server's thread when somebody moves the playback controls."""
-        from foxglove.websocket import PlaybackCommand
+    def control(self, playing: bool, speed: float, seek: int | None, request: str) -> None:
+        """Called by the server's thread when somebody moves the playback controls.
 
-        orders = [f"speed {request.playback_speed!r}"]
-        if request.seek_time is not None:
-            orders.append(f"seek {(request.seek_time - self._encoder.epoch) / 1e9!r}")
+        Args:
+            playing: Play or pause.
+            speed: Clip seconds per second.
+            seek: Time to go to, ns since 1970; None to stay.
+            request: What the next state has to answer.
+        """
+        orders = [f"speed {speed!r}"]
+        if seek is not None:
+            orders.append(f"seek {(seek - self._encoder.epoch) / NANO!r}")
             self._sought = True
-        playing = request.playback_command == PlaybackCommand.Play
-        self._answers = request.request_id
+        self._answers = request
         self._requests.put([*orders, "play" if playing else "pause"])
 
     def _range(self) -> tuple[int, int] | None:
@@ -143,6 +147,23 @@ class FoxgloveSink:
     def _log(self, messages: list[Message]) -> None:
         for message in messages:
             self._channels[message.topic.name].log(message.data, log_time=message.stamp)
+
+
+def _listener(sink: FoxgloveSink) -> Any:
+    """What the server calls, from its own thread; the base class answers everything else."""
+    from foxglove.websocket import PlaybackCommand, ServerListener
+
+    class Listener(ServerListener):
+        def on_subscribe(self, client: Any, channel: Any) -> None:
+            del client, channel
+            sink.newcomer()
+
+        def on_playback_control_request(self, playback_control_request: Any) -> None:
+            asked = playback_control_request
+            playing = asked.playback_command == PlaybackCommand.Play
+            sink.control(playing, asked.playback_speed, asked.seek_time, asked.request_id)
+
+    return Listener()
 
 
 def require_foxglove() -> None:

@@ -1,0 +1,152 @@
+"""`python -m bridge` as a user types it."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from bridge_clips import random_clip
+from mcap.reader import make_reader
+from rosbags.rosbag2 import Reader
+
+from bridge.__main__ import main
+from bridge.commands import COMMANDS
+from bridge.info import describe_clip, diagnose
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture
+def clip(tmp_path):
+    path = tmp_path / "clip.safetensors"
+    random_clip(frames=6, fps=60).save(path)
+    return path
+
+
+@pytest.fixture(autouse=True)
+def sigterm():
+    """The command line takes SIGTERM over; give it back."""
+    before = signal.getsignal(signal.SIGTERM)
+    yield
+    signal.signal(signal.SIGTERM, before)
+
+
+def test_record_info_and_recover(clip, capsys):
+    assert main(["record", str(clip), "--profile", "viz", "--epoch", "1700000000"]) == 0
+    bag = clip.parent / "clip-bag"
+    with Reader(bag) as reader:
+        assert reader.message_count == 7
+        assert reader.start_time == 1_700_000_000 * 10**9
+    assert f"6 frames in {bag}" in capsys.readouterr().out
+    assert main(["info", str(bag)]) == 0
+    lines = capsys.readouterr().out
+    assert "/phy124/points: 6 messages" in lines
+    assert "state: whole" in lines
+    (bag / "metadata.yaml").unlink()
+    assert main(["info", str(bag)]) == 0
+    assert f"not finished; run `python -m bridge recover {bag}`" in capsys.readouterr().out
+    assert main(["recover", str(bag)]) == 0
+    assert "repaired, 6 frames" in capsys.readouterr().out
+    assert main(["recover", str(bag)]) == 0
+    assert "whole already, 6 frames" in capsys.readouterr().out
+
+
+def test_recording_keeps_scene_and_report(clip):
+    one = clip.parent / "one.mcap"
+    assert main(["record", str(clip), str(one), "--compression", "zstd"]) == 0
+    with open(one, "rb") as stream:
+        *_, record = make_reader(stream).iter_metadata()
+    assert json.loads(record.metadata["scene"]) == random_clip().scene
+    assert json.loads(record.metadata["report"]) == random_clip(frames=6).report
+
+
+def test_info_of_a_clip(clip, capsys):
+    assert main(["info", str(clip)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "clip: 6 frames of 50 Gaussians, 0.083 s at 60 frames/s"
+    assert lines[1] == "velocities: yes"
+    assert lines[3] == "profile full: 0.00 MB per frame, 0.2 MB/s"
+
+
+def test_info_says_that_velocities_are_missing():
+    assert "no (vx, vy, vz will be NaN)" in describe_clip(random_clip(velocities=False))[1]
+
+
+def test_play_and_record_beside(clip, monkeypatch, capsys):
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
+    bag = clip.parent / "shown"
+    arguments = ["play", str(clip), "--backend", "dds", "--record", str(bag), "--speed", "2"]
+    assert main(arguments) == 0
+    out = capsys.readouterr().out
+    assert "Publishing through dds." in out
+    assert "6 frames shown, 0 dropped because late" in out
+    with Reader(bag) as reader:
+        assert reader.message_count == 7
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["record", "none.safetensors"], "there is no such file"),
+        (["record", "CLIP", "--frame-id", "/a"], "frame_id = /a: tf2 refuses"),
+        (["record", "CLIP", "--parent-frame", "phy124"], "cannot hang on itself"),
+        (["play", "CLIP", "--speed", "0"], "speed = 0.0: The speed must lie between"),
+        (["play", "CLIP", "--clock", "--backend", "dds"], "does not publish /clock"),
+        (["info", "."], "There is no recording"),
+        (["recover", "none"], "There is no recording"),
+        (["record", "none.png", "--live"], "There is no such file"),
+    ],
+)
+def test_bad_input_is_one_sentence(clip, capsys, arguments, sentence):
+    assert main([str(clip) if a == "CLIP" else a for a in arguments]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("bridge: ")
+    assert sentence in error
+    assert len(error.strip().splitlines()) == 1
+
+
+def test_doctor_says_what_is_ready(capsys):
+    assert main(["doctor"]) == 0
+    out = capsys.readouterr().out
+    assert "mcap: ready" in out
+    assert "play --backend auto: " in out
+
+
+def test_doctor_advises_on_small_buffers(monkeypatch, tmp_path):
+    small = tmp_path / "rmem_max"
+    small.write_text("212992\n")
+    monkeypatch.setattr("bridge.info.RMEM", small)
+    assert diagnose()[-1].startswith("net.core.rmem_max: 208 KiB, too small for 65,536 points")
+    assert "sysctl -w net.core.rmem_max=4194304" in diagnose()[-1]
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_stopped_recording_is_whole(tmp_path, number):
+    """As a supervisor or Ctrl-C stops it, in the middle of a clip of twenty seconds."""
+    random_clip(frames=600).save(tmp_path / "clip.safetensors")
+    bag = tmp_path / "bag"
+    play = ["play", "--backend", "foxglove", "--port", "0", "--record", str(bag)]
+    command = [sys.executable, "-m", "bridge", *play, str(tmp_path / "clip.safetensors")]
+    with subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True) as process:
+        file = bag / "bag_0.mcap"
+        while not file.exists() or file.stat().st_size < 20_000:
+            assert process.poll() is None
+            time.sleep(0.01)
+        process.send_signal(number)
+        assert process.stderr is not None
+        assert "bridge: stopped" in process.stderr.read()
+    assert process.returncode == 130
+    with Reader(bag) as reader:
+        assert 4 <= reader.message_count < 600
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_of_every_command(command, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main([command, "--help"])
+    assert ended.value.code == 0
+    assert "usage: python -m bridge" in capsys.readouterr().out
