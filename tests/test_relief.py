@@ -168,6 +168,9 @@ def test_weird_pictures_give_sound_gaussians(name):
     size = np.ptp(gaussians.means, axis=0)
     assert size.max() == pytest.approx(1, abs=0.1)
     assert gaussians.scales.max() < 0.1
+    np.testing.assert_allclose(
+        gaussians.rgb, np.tile([200, 120, 60], (len(gaussians), 1)) / 255, atol=0.02
+    )
 
 
 def test_empty_pictures_are_refused():

@@ -105,9 +105,10 @@ def _work_picture(image: Image.Image | NDArray[np.uint8]) -> Field:
     picture = picture.crop((left - 1, top - 1, right + 2, bottom + 2))
     scale = WORK / (1 + max(right - left, bottom - top))
     size = max(3, round(picture.width * scale)), max(3, round(picture.height * scale))
-    picture = picture.resize(
-        size, Image.Resampling.LANCZOS if scale < 1 else Image.Resampling.BICUBIC
-    )
+    # Filters without negative lobes: colours must not overshoot where alpha is cut at 1. Hamming is
+    # the sharper one, but shows the pixels of tiny pictures as squares.
+    sharp, smooth = Image.Resampling.HAMMING, Image.Resampling.BILINEAR
+    picture = picture.resize(size, sharp if scale < 2 else smooth)
     rgba = np.asarray(picture, dtype=np.float64) / 255
     return np.pad(rgba, ((PADDING, PADDING), (PADDING, PADDING), (0, 0)))
 

@@ -25,7 +25,7 @@ def clean_picture(rgba: Field) -> Field:
     # Parts too thin to have clean pixels keep their middle.
     depth, _ = nearest_of(~solid)
     ridge = depth >= ndi.maximum_filter(depth, size=3)
-    lost = nearest_of(clean)[0] > 2 * FRINGE + 1
+    lost = nearest_of(clean)[0] > 2 * FRINGE + 1 if clean.any() else solid
     trusted = clean | (solid & ridge & lost)
     return rgba[..., :3][nearest_of(trusted)[1]]
 
