@@ -65,14 +65,12 @@ class Boundary(BaseModel):
         bounds = self.bounds(solver)
         if track is not None:
             bounds = _swept(bounds, track)
-        box = wp.zeros(1, dtype=wp.vec3i, device=solver.device)
 
-        def record() -> wp.Launch:
+        def record() -> wp.Launch | None:
             start, extent = solver.grid.nodes_within(*bounds)
-            box.assign(np.array([start], np.int32))
             inputs = [
                 t.mat33(*np.ravel(self.geometry(solver))), self.friction, self.reach(solver.dx), slot,
-                box, solver.grid.lattice, solver.grid.window,
+                wp.vec3i(*start.tolist()), solver.grid.lattice, solver.grid.window,
                 solver.tracks.values, solver.tracks.rates,
             ]  # fmt: skip
             return solver.record(kernel, tuple(extent), inputs, [solver.grid.nodes])

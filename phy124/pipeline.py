@@ -12,7 +12,7 @@ import platform
 import shutil
 import tempfile
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -129,7 +129,7 @@ def film(
             progress=lambda _, done, total, name=name: progress(f"render {name}", done, total),
         )
         before = watch.seconds.get("render", 0.0)
-        with closing(images), watch.stage("encode"):
+        with watch.stage("encode"):
             write_mp4(path, watch.each("render", images), fps=view.fps or _rate(clip))
         watch.seconds["encode"] -= watch.seconds.get("render", 0.0) - before
         made.append(path)

@@ -31,12 +31,17 @@ class Stopwatch:
     def each(self, name: str, items: Iterable[T]) -> Iterator[T]:
         """The items, the time to get each counted for the stage."""
         iterator = iter(items)
-        while True:
-            with self.stage(name):
-                item = next(iterator, None)
-            if item is None:
-                return
-            yield item
+        try:
+            while True:
+                with self.stage(name):
+                    item = next(iterator, None)
+                if item is None:
+                    return
+                yield item
+        finally:
+            close = getattr(iterator, "close", None)
+            if close is not None:
+                close()
 
     @property
     def total(self) -> float:

@@ -1,10 +1,13 @@
 """The solver against exact solutions and invariants, in both precisions and both forms."""
 
+import threading
+
 import numpy as np
 import pytest
 import warp as wp
 
 from phy124.boundaries import Ground, HalfSpace, Held
+from phy124.errors import Cancelled
 from phy124.forces import Acceleration, Gravity, ParticleForce, SetVelocity, TotalForce
 from phy124.kernels import simd, transfer
 from phy124.materials import FixedCorotated, NeoHookean
@@ -35,9 +38,7 @@ def angular_momentum(s: Solver) -> np.ndarray:
     """With what APIC keeps in C: sum m (x cross v + dx^2/4 axial(C))."""
     m, x = s.mass.numpy().astype(float)[:, None], s.state.x.numpy().astype(float)
     v, C = s.state.v.numpy().astype(float), s.state.C.numpy().astype(float)
-    axial = np.stack(
-        [C[:, 2, 1] - C[:, 1, 2], C[:, 0, 2] - C[:, 2, 0], C[:, 1, 0] - C[:, 0, 1]], 1
-    )
+    axial = np.stack([C[:, 2, 1] - C[:, 1, 2], C[:, 0, 2] - C[:, 2, 0], C[:, 1, 0] - C[:, 0, 1]], 1)
     return (m * (np.cross(x, v) + s.dx**2 / 4 * axial)).sum(axis=0)
 
 
@@ -137,6 +138,42 @@ def test_simd_rows_and_plain_loops_are_one_algorithm(rng):
     assert s.native is False
     assert np.abs(runs[0] - runs[1]).max() < 1e-5
     assert simd.scatter is not transfer.scatter
+
+
+def test_two_threads_do_as_one(rng):
+    """Two lanes add in another order; on threads or one after the other they agree bit for bit."""
+    x, v = block(16), rng.normal(size=(4096, 3))
+
+    def run(threads: int, alone: bool = False) -> np.ndarray:
+        walls = [Ground(height=0.7), HalfSpace(point=(0, 0.3, 1), normal=(0, -1, 0))]
+        s = solver(x[np.argsort(x[:, 0])], v=v, forces=[Gravity()], boundaries=walls, dx=DX / 2,
+                   threads=threads)  # fmt: skip
+        if alone:
+            for _ in range(40):
+                s.step(2e-3, 2e-3)
+        else:
+            s.ceiling = 2e-3
+            s.advance(0.08)
+        return s.state.x.numpy()
+
+    one, two = run(1), run(2)
+    assert np.abs(one - two).max() < 1e-5
+    assert np.array_equal(two, run(2))
+    assert np.abs(run(2, alone=True) - run(1, alone=True)).max() < 1e-5
+
+
+def test_the_second_thread_ends_with_the_frame():
+    before = threading.active_count()
+    s = solver(block(16), dx=DX / 2, threads=2)
+
+    def stop() -> None:
+        raise Cancelled
+
+    with pytest.raises(Cancelled):
+        s.advance(0.1, after=stop)
+    assert threading.active_count() == before
+    s.advance(0.1)
+    assert threading.active_count() == before
 
 
 @pytest.mark.parametrize("law", [NeoHookean, FixedCorotated])

@@ -38,6 +38,41 @@ def make_update(real: Any):
     return update
 
 
+@cache
+def make_merge(real: Any):
+    """Kernel: as `update`, first adding what two lanes scattered into nodes of their own.
+
+    Lane A covers the nodes first_a <= n < last_a of the shared window, lane B likewise.
+    """
+    t = types(real)
+
+    @wp.kernel(module=f"phy124_merge_{real.__name__}", enable_backward=False)
+    def merge(
+        # model
+        start: int, first_a: int, last_a: int, first_b: int, last_b: int,
+        # scalars
+        clock: wp.array(dtype=real), values: wp.array(dtype=t.vec4),
+        # grid in
+        nodes_a: wp.array(dtype=t.vec4), nodes_b: wp.array(dtype=t.vec4),
+        # out
+        grid_out: wp.array(dtype=t.vec4),
+    ):  # fmt: skip
+        n = start + wp.tid()
+        q = t.vec4()
+        if n >= first_a and n < last_a:
+            q = nodes_a[n - first_a]
+        if n >= first_b and n < last_b:
+            q += nodes_b[n - first_b]
+        m = q[3]
+        if m > real(0.0):
+            a = values[0]
+            kick = clock[0]
+            q = wp.vector(q[0] / m + kick * a[0], q[1] / m + kick * a[1], q[2] / m + kick * a[2], m)
+        grid_out[n] = q
+
+    return merge
+
+
 @wp.func
 def sticky(v: Any, wall: Any, n: Any, friction: Any):
     """The node moves with the wall."""
@@ -137,7 +172,7 @@ def make_collider(shape: str, response: str, moving: bool, real: Any):
     @wp.kernel(module=name, enable_backward=False)
     def collide(
         # model
-        geometry: t.mat33, friction: real, reach: real, slot: int, box: wp.array(dtype=wp.vec3i),
+        geometry: t.mat33, friction: real, reach: real, slot: int, start: wp.vec3i,
         lattice: t.vec4, window: wp.array(dtype=wp.vec3i),
         values: wp.array(dtype=t.vec4), rates: wp.array(dtype=t.vec4),
         # out
@@ -145,9 +180,9 @@ def make_collider(shape: str, response: str, moving: bool, real: Any):
     ):  # fmt: skip
         i, j, k = wp.tid()
         size = window[1]
-        i += box[0][0]
-        j += box[0][1]
-        k += box[0][2]
+        i += start[0]
+        j += start[1]
+        k += start[2]
         if i < size[0] and j < size[1] and k < size[2]:
             n = (i * size[1] + j) * size[2] + k
             q = grid_out[n]

@@ -1,0 +1,39 @@
+"""A meeting point for CPU threads that run kernels side by side.
+
+Waiting spins inside a kernel, where Warp has released Python's lock, for at most some ten
+microseconds; whoever calls it gives the core away before it tries again.
+"""
+
+import warp as wp
+
+MEET = """
+int* shared = (int*)counter.data;
+int* mine = (int*)ticket.data;
+int* generation = shared + 16;
+if (mine[0] == 0) {
+    const int now = __atomic_load_n(generation, __ATOMIC_ACQUIRE);
+    if (__atomic_add_fetch(shared, 1, __ATOMIC_ACQ_REL) == parties) {
+        __atomic_store_n(shared, 0, __ATOMIC_RELAXED);
+        __atomic_store_n(generation, now + 1, __ATOMIC_RELEASE);
+        return;
+    }
+    mine[0] = now + 1;
+}
+for (int i = 0; i < 20000; ++i)
+    if (__atomic_load_n(generation, __ATOMIC_ACQUIRE) != mine[0] - 1) {
+        mine[0] = 0;
+        return;
+    }
+"""
+
+
+@wp.func_native(MEET)
+def meet_native(counter: wp.array(dtype=int), ticket: wp.array(dtype=int), parties: int):
+    """Arrive once, then look whether the others have; ticket stays non-zero until they have."""
+    ...
+
+
+@wp.kernel(module="phy124_barrier", enable_backward=False)
+def meet(counter: wp.array(dtype=int), ticket: wp.array(dtype=int), parties: int):
+    """One thread's attempt to pass; `ticket[0]` is zero once it has."""
+    meet_native(counter, ticket, parties)

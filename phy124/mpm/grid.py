@@ -1,0 +1,74 @@
+"""Grid: nodes in a window around the particles, re-based when they outgrow it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, cast
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from phy124.kernels.transfer import types
+
+MARGIN = 4
+"""Cells of window beyond the particles: more than they can cross between two measurements."""
+
+
+class Grid:
+    """A flat array of nodes; node (i, j, k) of the window is at origin + (low + (i, j, k)) dx."""
+
+    def __init__(self, origin: Sequence[float], dx: float, *, real: Any, device: str) -> None:
+        t = types(real)
+        self.origin, self.dx, self.device, self.vec4 = np.array(origin, float), dx, device, t.vec4
+        self.lattice = t.vec4(*origin, dx)
+        self.window = wp.zeros(2, dtype=wp.vec3i, device=device)
+        self.low, self.size = np.zeros(3, int), np.zeros(3, int)
+        self.nodes = wp.zeros(0, dtype=t.vec4, device=device)
+        self.share: tuple[int, int] | None = None
+        """Layers first <= i < last that launches being recorded may touch; None: all."""
+
+    @property
+    def count(self) -> int:
+        """Nodes in the window."""
+        return int(np.prod(self.size))
+
+    def fit(self, lower: NDArray, upper: NDArray) -> bool:
+        """Cover particles between two corners [m] with room to move; True if the window changed."""
+        low, high = self.reach(lower, upper)
+        if self.count and self._roomy(low, high):
+            return False
+        self.rebase(low - MARGIN, high - low + 2 * MARGIN)
+        return True
+
+    def rebase(self, low: NDArray, size: NDArray) -> None:
+        """Cover the nodes from `low` on, `size` along each axis; all nodes are cleared."""
+        self.low, self.size = low, size
+        self.window.assign(np.stack([low, size]).astype(np.int32))
+        # One node more than the window: the SIMD rows read four nodes at a time.
+        self.nodes = wp.zeros(self.count + 1, dtype=self.vec4, device=self.device)
+
+    def reach(self, lower: NDArray, upper: NDArray) -> tuple[NDArray, NDArray]:
+        """First node, and one past the last, that particles between two corners [m] touch."""
+        low = np.floor((lower - self.origin) / self.dx - 0.5).astype(int)
+        high = np.floor((upper - self.origin) / self.dx - 0.5).astype(int) + 3
+        return low, high
+
+    def nodes_within(self, lower: NDArray, upper: NDArray) -> tuple[NDArray, NDArray]:
+        """First node (in the window) and extent of the nodes of the share between two corners."""
+        low, size = self.low, self.size
+        start = np.floor(np.clip((lower - self.origin) / self.dx - low, 0, size)).astype(int)
+        stop = np.ceil(np.clip((upper - self.origin) / self.dx - low + 1, 0, size)).astype(int)
+        if self.share is not None:
+            start[0], stop[0] = max(start[0], self.share[0]), min(stop[0], self.share[1])
+        return start, np.maximum(stop - start, 0)
+
+    def slab(self, first: int, last: int) -> wp.array:
+        """Nodes of the layers first <= i < last, which lie together in memory."""
+        layer = int(self.size[1] * self.size[2])
+        return cast("wp.array", self.nodes[first * layer : last * layer])
+
+    def _roomy(self, low: NDArray, high: NDArray) -> bool:
+        """Whether the window leaves room to move on all sides, and not far too much."""
+        spare = np.minimum(low - self.low, self.low + self.size - high)
+        return bool(np.all(spare >= MARGIN // 2) and np.all(spare <= 3 * MARGIN))

@@ -1,0 +1,128 @@
+"""Lanes: the particles' shares of two CPU threads, each with nodes of its own to scatter to.
+
+Particles are sorted along x, so each half touches a slab of layers. A lane scatters its half into
+private nodes, then brings its part of the shared grid up to date from both, then gathers. Between
+these phases the threads meet. Warp's CPU kernels release Python's lock.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from phy124.kernels.barrier import meet
+from phy124.mpm.grid import MARGIN, Grid
+
+LEAST_PARTICLES = 50_000
+"""Below this the meetings cost more than the second thread brings."""
+NAP = 5e-5
+"""Sleep [s] between two rounds of spinning at a meeting, so that others get the core."""
+Timings = dict[str, list[float]]
+Named = tuple[str, Callable[[], Any]]
+
+
+@dataclass
+class Lane:
+    """One thread's share."""
+
+    runs: list[tuple[int, int]]
+    """Its part of each group's particles, first and past the last."""
+    nodes: Grid
+    """Where it scatters to: the shared grid if it is alone, else private nodes."""
+    maxima: wp.array
+    """What `measure` finds among its particles [9]."""
+    phases: list[list[Named]] = field(default_factory=list)
+    """Work between two meetings: scatter, update, gather."""
+    timings: Timings = field(default_factory=dict)
+    """Seconds and launches by stage."""
+
+    def run(self, phase: int) -> None:
+        """One phase of a substep."""
+        for name, launch in self.phases[phase]:
+            timed(self.timings, name, launch)
+
+
+class Meeting:
+    """A barrier for a number of threads."""
+
+    def __init__(self, parties: int) -> None:
+        self.counter = wp.zeros(32, dtype=int, device="cpu")
+        self.tickets = [wp.zeros(16, dtype=int, device="cpu") for _ in range(parties)]
+        self.views = [ticket.numpy() for ticket in self.tickets]
+        self.launches = [self._record(ticket, parties) for ticket in self.tickets]
+
+    def _record(self, ticket: wp.array, parties: int) -> Any:
+        inputs = [self.counter, ticket, parties]
+        return wp.launch(meet, 1, inputs=inputs, device="cpu", record_cmd=True)
+
+    def wait(self, who: int) -> None:
+        """Come back when all have arrived."""
+        launch, view = self.launches[who], self.views[who]
+        launch.launch()
+        while view[0]:
+            time.sleep(NAP)
+            launch.launch()
+
+
+def timed(timings: Timings, name: str, work: Callable[[], Any]) -> None:
+    """Do work and add its seconds to a stage."""
+    start = time.perf_counter()
+    work()
+    entry = timings.setdefault(name, [0.0, 0])
+    entry[0] += time.perf_counter() - start
+    entry[1] += 1
+
+
+def usable_threads(particles: int) -> int:
+    """Two if there are enough particles and a second core is free, else one."""
+    if particles < LEAST_PARTICLES:
+        return 1
+    cores = (
+        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    )
+    return 2 if cores - _others_running() >= 2 else 1
+
+
+def _others_running() -> int:
+    """Threads of others that want a core right now; 0 where the system does not tell."""
+    counts = []
+    for _ in range(5):
+        try:
+            running = Path("/proc/loadavg").read_text().split()[3].partition("/")[0]
+        except OSError:
+            return 0
+        counts.append(int(running) - 1)
+        time.sleep(0.002)
+    return min(counts)
+
+
+def cut(runs: list[tuple[int, int]], lanes: int) -> list[list[tuple[int, int]]]:
+    """Each run of particles cut evenly: for each lane its part of every run."""
+    edges = [np.linspace(start, stop, lanes + 1).astype(int).tolist() for start, stop in runs]
+    return [[(edge[i], edge[i + 1]) for edge in edges] for i in range(lanes)]
+
+
+def fit_part(part: Grid, whole: Grid, lower: NDArray, upper: NDArray, *, force: bool) -> bool:
+    """Make private nodes cover a lane's particles, whole layers of the shared window.
+
+    True if they changed; `force` if the shared window did.
+    """
+    low, high = whole.reach(lower, upper)
+    least = MARGIN // 2
+    roomy = low[0] - part.low[0] >= least and part.low[0] + part.size[0] - high[0] >= least
+    if part.count and roomy and not force:
+        return False
+    first = max(int(low[0]) - MARGIN, int(whole.low[0]))
+    last = min(int(high[0]) + MARGIN, int(whole.low[0] + whole.size[0]))
+    part.rebase(
+        np.array([first, *whole.low[1:]]), np.array([max(last - first, 0), *whole.size[1:]])
+    )
+    return True

@@ -1,0 +1,379 @@
+"""Solver: explicit MLS-MPM substeps of stable length.
+
+A substep reads as push, clear, p2g, update, collide, g2p; each stage is one recorded launch per
+material and thread. Two threads work on halves of the particles (phy124/mpm/lanes.py).
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, Protocol, cast
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from phy124.kernels import transfer
+from phy124.kernels.grid import make_merge, make_update
+from phy124.kernels.transfer import types
+from phy124.materials import Material
+from phy124.mpm.grid import Grid
+from phy124.mpm.lanes import Lane, Meeting, Timings, cut, fit_part, timed, usable_threads
+from phy124.mpm.state import Group, State
+from phy124.timestep import CFL, Extremes, Substep, stable_substep
+from phy124.tracks import Tracks
+
+Recorded = tuple[str, "wp.Launch | None"]
+Stage = tuple[str, Callable[[], wp.Launch | None]]
+"""Name of a stage and how to record its launch for the grid window of the moment."""
+CHECK_EVERY = 4
+"""Substeps between two measurements of the stability limits."""
+PRECISIONS = {"float32": wp.float32, "float64": wp.float64}
+
+
+class Attachable(Protocol):
+    """A force or a boundary: adds its stages to a solver."""
+
+    def attach(self, solver: Solver) -> list[Stage]:
+        """The stages it needs in each substep."""
+        ...
+
+
+class Unstable(RuntimeError):
+    """Particles left the grid window or stopped being numbers; the state is not to be used."""
+
+
+class Solver:
+    """Steps particles of given materials under forces and boundaries.
+
+    `x [P,3]` m, `volume [P]` m^3, `material [P]` non-decreasing indices into `materials`,
+    `dx` the grid spacing [m]; `v [P,3]` m/s and `C [P,3,3]` 1/s are the motion at the start.
+    """
+
+    def __init__(
+        self,
+        x: NDArray,
+        volume: NDArray,
+        materials: Sequence[Material],
+        *,
+        dx: float,
+        material: NDArray | None = None,
+        v: NDArray | None = None,
+        C: NDArray | None = None,
+        forces: Sequence[Attachable] = (),
+        boundaries: Sequence[Attachable] = (),
+        origin: Sequence[float] = (0.0, 0.0, 0.0),
+        precision: str = "float32",
+        device: str = "cpu",
+        cfl: float = CFL,
+        ceiling: float = math.inf,
+        simd: bool | None = None,
+        threads: int | None = None,
+    ) -> None:
+        self.real, self.device, self.dx = PRECISIONS[precision], device, float(dx)
+        self.cfl, self.ceiling = cfl, ceiling
+        cpu_float = device == "cpu" and precision == "float32"
+        self.native = cpu_float if simd is None else simd and cpu_float
+        self.rest = np.asarray(x, dtype=np.float64)
+        self.materials = tuple(materials)
+        self._build_model(volume, np.zeros(len(x), int) if material is None else material)
+        self._build_state(v, C)
+        self.grid = Grid(origin, self.dx, real=self.real, device=device)
+        self.clock = wp.zeros(3, dtype=self.real, device=device)
+        self.stray = wp.zeros(1, dtype=int, device=device)
+        self.tracks = Tracks(real=self.real, device=device)
+        self.pushes = [stage for force in forces for stage in force.attach(self)]
+        self.collisions = [stage for wall in boundaries for stage in wall.attach(self)]
+        self.tracks.upload(self.clock)
+        self.time, self.substeps, self.last_dt = 0.0, 0, 0.0
+        self.limiters: dict[str, int] = {}
+        self.threads = self._thread_count(threads)
+        self.lanes = self._build_lanes()
+        self.timings: Timings = self.lanes[0].timings
+        self._tracks_launch = self.tracks.record()
+        self._tracks_launch.launch()
+        self._pushes: list[tuple[str, wp.Launch]] = []
+        self._meeting: Meeting | None = None
+        self._since_check = CHECK_EVERY
+        self.extremes = Extremes(0.0, 0.0, 0.0)
+
+    def _build_model(self, volume: NDArray, material: NDArray) -> None:
+        if np.any(np.diff(material) < 0):
+            raise ValueError("particles must be sorted by material")
+        density = np.array([m.density for m in self.materials])[material]
+        self.volume = self._array(volume, self.real)
+        self.mass = self._array(np.asarray(volume) * density, self.real)
+        self.groups = []
+        for index in np.unique(material):
+            section = self.materials[index]
+            start, stop = np.searchsorted(material, [index, index + 1])
+            theta = self._array(
+                [section.theta()], wp.types.vector(section.device_law.width, self.real)
+            )
+            self.groups.append(Group(section, int(start), int(stop), theta))
+
+    def _build_state(self, v: NDArray | None, C: NDArray | None) -> None:
+        t, count = types(self.real), len(self.rest)
+        plastic = any(group.material.device_law.project is not None for group in self.groups)
+        kept = count if plastic else 0
+        identity = np.tile(np.eye(3), (count, 1, 1))
+        history = np.zeros((kept, 2))
+        for group in self.groups if plastic else ():
+            history[group.start : group.stop] = group.material.history()
+        self.state = State(
+            x=self._array(self.rest, t.vec3),
+            residue=self._array(np.zeros((count, 3)), t.vec3),
+            v=self._array(np.zeros((count, 3)) if v is None else v, t.vec3),
+            C=self._array(np.zeros((count, 3, 3)) if C is None else C, t.mat33),
+            F=self._array(identity, t.mat33),
+            history=self._array(history, t.vec2),
+            total=self._array(identity[:kept], t.mat33),
+        )
+
+    def _array(self, values: object, dtype: Any) -> wp.array:
+        scalar = np.float32 if self.real is wp.float32 else np.float64
+        return wp.array(np.ascontiguousarray(values, dtype=scalar), dtype=dtype, device=self.device)
+
+    def record(self, kernel: Any, dim: Any, inputs: list, outputs: list) -> wp.Launch | None:
+        """A launch to be repeated, on the solver's device; None if it has nothing to do."""
+        launch = wp.launch(
+            kernel, dim, inputs=inputs, outputs=outputs, device=self.device, record_cmd=True
+        )
+        return cast("wp.Launch | None", launch)
+
+    def _thread_count(self, wanted: int | None) -> int:
+        if self.device != "cpu":
+            return 1
+        return usable_threads(len(self.rest)) if wanted is None else wanted
+
+    def _build_lanes(self) -> list[Lane]:
+        """One lane that scatters to the shared grid, or two with nodes of their own."""
+        runs = cut([(group.start, group.stop) for group in self.groups], self.threads)
+        lanes = []
+        for part in runs:
+            nodes = self.grid
+            if self.threads > 1:
+                nodes = Grid(self.grid.origin.tolist(), self.dx, real=self.real, device=self.device)
+            maxima = wp.zeros(9, dtype=self.real, device=self.device)
+            lanes.append(Lane(part, nodes, maxima))
+        return lanes
+
+    def _measure(self) -> None:
+        """Read the stability limits and make the windows fit; raises Unstable."""
+        for lane in self.lanes:
+            self._measure_lane(lane)
+        lost = int(self.stray.numpy()[0])
+        if lost:
+            raise Unstable(f"{lost} particles left the grid or are no longer numbers")
+        maxima = np.array([lane.maxima.numpy() for lane in self.lanes], dtype=np.float64)
+        greatest = maxima.max(axis=0)
+        self.extremes = Extremes(*greatest[:3].tolist())
+        changed = self.grid.fit(-greatest[3:6], greatest[6:9])
+        for lane, own in zip(self.lanes, maxima, strict=True):
+            if lane.nodes is not self.grid:
+                changed |= fit_part(lane.nodes, self.grid, -own[3:6], own[6:9], force=changed)
+        if changed:
+            self._record_substep()
+        self._since_check = 0
+
+    def _measure_lane(self, lane: Lane) -> None:
+        lane.maxima.fill_(-np.inf)
+        for group, part in self._parts(lane):
+            s, kernel = self.state, transfer.make_measure(group.material.device_law, self.real)
+            model = [group.theta, self.mass[part], self.volume[part]]
+            state = [s.x[part], s.v[part], s.C[part], s.F[part], _part(s.history, part)]
+            wp.launch(
+                kernel,
+                part.stop - part.start,
+                inputs=[*model, *state],
+                outputs=[lane.maxima, self.stray],
+                device=self.device,
+            )
+
+    def _parts(self, lane: Lane) -> Iterator[tuple[Group, slice]]:
+        """The lane's part of each group."""
+        for group, (start, stop) in zip(self.groups, lane.runs, strict=True):
+            if stop > start:
+                yield group, slice(start, stop)
+
+    def _record_substep(self) -> None:
+        """Record the launches of one substep, in order."""
+        self._pushes = _real((name, record()) for name, record in self.pushes)
+        edges = self._share_edges()
+        for lane, share in zip(self.lanes, edges, strict=True):
+            scatter = [
+                self._record_p2g(group, part, lane.nodes) for group, part in self._parts(lane)
+            ]
+            self.grid.share = share
+            update = [self._record_update(lane, share), *((n, r()) for n, r in self.collisions)]
+            self.grid.share = None
+            gather = [self._record_g2p(group, part) for group, part in self._parts(lane)]
+            clear: tuple[str, Callable[[], Any]] = ("clear", lane.nodes.nodes.zero_)
+            lane.phases = [[clear, *_work(scatter)], _work(update), _work(gather)]
+
+    def _share_edges(self) -> list[tuple[int, int] | None]:
+        """The layers of the shared grid that each lane brings up to date."""
+        if len(self.lanes) == 1:
+            return [None]
+        low, layers = self.grid.low[0], int(self.grid.size[0])
+        first, second = (lane.nodes for lane in self.lanes)
+        middle = int((first.low[0] + first.size[0] + second.low[0]) // 2 - low)
+        middle = min(max(middle, 0), layers)
+        return [(0, middle), (middle, layers)]
+
+    def _record_p2g(self, group: Group, part: slice, nodes: Grid) -> Recorded:
+        s, law = self.state, group.material.device_law
+        kernel = transfer.make_p2g(law, self.real, self.native)
+        model = [self.mass[part], self.volume[part], group.theta]
+        state = [s.x[part], s.v[part], s.C[part], s.F[part], _part(s.history, part)]
+        inputs = [*model, nodes.lattice, nodes.window, self.clock, *state]
+        return f"p2g {law.name}", self.record(kernel, part.stop - part.start, inputs, [nodes.nodes])
+
+    def _record_g2p(self, group: Group, part: slice) -> Recorded:
+        s, grid, law = self.state, self.grid, group.material.device_law
+        kernel = transfer.make_g2p(law, self.real, self.native)
+        inputs = [group.theta, grid.lattice, grid.window, self.clock, grid.nodes]
+        outputs = [s.x[part], s.residue[part], s.v[part], s.C[part], s.F[part]]
+        outputs += [_part(s.history, part), _part(s.total, part), self.stray]
+        return f"g2p {law.name}", self.record(kernel, part.stop - part.start, inputs, outputs)
+
+    def _record_update(self, lane: Lane, share: tuple[int, int] | None) -> Recorded:
+        inputs = [self.clock, self.tracks.values]
+        if share is None:
+            kernel = make_update(self.real)
+            return "grid", self.record(kernel, self.grid.count, inputs, [self.grid.nodes])
+        layer = int(self.grid.size[1] * self.grid.size[2])
+        ranges = []
+        for other in self.lanes:
+            first = int(other.nodes.low[0] - self.grid.low[0]) * layer
+            ranges += [first, first + other.nodes.count]
+        nodes = [other.nodes.nodes for other in self.lanes]
+        start, count = share[0] * layer, (share[1] - share[0]) * layer
+        kernel = make_merge(self.real)
+        return "grid", self.record(
+            kernel, count, [start, *ranges, *inputs, *nodes], [self.grid.nodes]
+        )
+
+    def step(self, kick: float, drift: float) -> None:
+        """One substep: velocities change over `kick` s, positions and F over `drift` s."""
+        if self._since_check >= CHECK_EVERY:
+            timed(self.timings, "measure", self._measure)
+        self._set_clock(kick, drift)
+        if self.tracks.vary:
+            timed(self.timings, "tracks", self._tracks_launch.launch)
+        for name, launch in self._pushes:
+            timed(self.timings, name, launch.launch)
+        self._meet()
+        for phase in range(3):
+            for lane in self.lanes[: 1 if self._meeting else None]:
+                lane.run(phase)
+            self._meet()
+        self.time += drift
+        self.substeps += 1
+        self._since_check += 1
+
+    def _meet(self) -> None:
+        if self._meeting:
+            timed(self.timings, "wait", lambda: self._meeting and self._meeting.wait(0))
+
+    @contextmanager
+    def _company(self) -> Iterator[None]:
+        """While inside, the second lane runs on a thread of its own."""
+        if len(self.lanes) == 1:
+            yield
+            return
+        # Kernels must be loaded before two threads use them: loading is not safe in Warp.
+        self._load_kernels()
+        self._meeting, self._halt = Meeting(2), False
+        helper = threading.Thread(target=self._follow, args=(self.lanes[1], self._meeting))
+        helper.start()
+        try:
+            yield
+        finally:
+            self._halt = True
+            self._meeting.wait(0)
+            helper.join()
+            self._meeting = None
+
+    def _follow(self, lane: Lane, meeting: Meeting) -> None:
+        """The second thread: three phases per substep until told to stop."""
+        while True:
+            meeting.wait(1)
+            if self._halt:
+                return
+            for phase in range(3):
+                lane.run(phase)
+                meeting.wait(1)
+
+    def _load_kernels(self) -> None:
+        """Compile and load everything a substep launches."""
+        if self._since_check >= CHECK_EVERY:
+            timed(self.timings, "measure", self._measure)
+
+    def advance(self, until: float, *, after: Callable[[], None] | None = None) -> None:
+        """Substeps of stable length up to a time [s]; `after` is called after each.
+
+        Raises Unstable if a particle leaves the grid window or stops being a number.
+        """
+        with self._company():
+            while self.time < until:
+                self._stable_step(until)
+                if after is not None:
+                    after()
+        timed(self.timings, "measure", self._measure)
+
+    def _stable_step(self, until: float) -> None:
+        """One substep, as long as is stable and divides the rest evenly."""
+        if self._since_check >= CHECK_EVERY:
+            timed(self.timings, "measure", self._measure)
+        limit = self.substep()
+        rest = until - self.time
+        count = max(1, math.ceil(rest / limit.dt - 1e-9))
+        dt = rest / count
+        self.step((self.last_dt + dt) / 2, dt)
+        if count == 1:
+            self.time = until
+        self.last_dt = dt
+        self.limiters[limit.limiter] = self.limiters.get(limit.limiter, 0) + 1
+
+    def snapshot(self) -> dict[str, Any]:
+        """All that `restore` needs to go on from here bit for bit."""
+        clock = {"time": self.time, "last_dt": self.last_dt, "substeps": self.substeps}
+        return {"state": self.state.copy(), "clock": clock, "limiters": dict(self.limiters)}
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Go back to a snapshot."""
+        self.state.restore(snapshot["state"])
+        for name, value in snapshot["clock"].items():
+            setattr(self, name, value)
+        self.limiters = dict(snapshot["limiters"])
+        self.stray.zero_()
+        self._since_check = CHECK_EVERY
+
+    def substep(self) -> Substep:
+        """The longest stable substep at the present state."""
+        return stable_substep(self.extremes, self.dx, cfl=self.cfl, ceiling=self.ceiling)
+
+    def _set_clock(self, kick: float, drift: float) -> None:
+        values = (kick, drift, self.time)
+        if self.device == "cpu":
+            self.clock.numpy()[:] = values
+        else:
+            self.clock.assign(np.array(values))
+
+
+def _part(array: wp.array, part: slice) -> wp.array:
+    """A slice of an array that may be empty because no law needs it."""
+    return cast("wp.array", array[part]) if len(array) else array
+
+
+def _real(records: Iterable[Recorded]) -> list[tuple[str, wp.Launch]]:
+    """Without the boundaries that are out of reach of the window: they have no launch."""
+    return [(name, launch) for name, launch in records if launch is not None]
+
+
+def _work(records: Iterable[Recorded]) -> list[tuple[str, Callable[[], Any]]]:
+    return [(name, launch.launch) for name, launch in _real(records)]

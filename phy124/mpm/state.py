@@ -1,0 +1,58 @@
+"""State: what changes every substep, on the device; Group: a run of particles of one material."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import warp as wp
+
+from phy124.materials import Material
+
+
+@dataclass(frozen=True)
+class Group:
+    """A run of particles of one material."""
+
+    material: Material
+    start: int
+    stop: int
+    theta: wp.array
+    """Parameters of the law, one row, or one row per particle."""
+
+
+@dataclass
+class State:
+    """What changes every substep."""
+
+    x: wp.array
+    """Positions [P,3], m."""
+    residue: wp.array
+    """What rounding took from the positions [P,3], m."""
+    v: wp.array
+    """Velocities [P,3], m/s, half a substep behind the positions."""
+    C: wp.array
+    """APIC velocity gradients [P,3,3], 1/s."""
+    F: wp.array
+    """Elastic deformation gradients [P,3,3]."""
+    history: wp.array
+    """History variables of the law [P,2]; empty unless a law has some."""
+    total: wp.array
+    """Total deformation gradients [P,3,3]; empty unless a law is plastic."""
+
+    def arrays(self) -> dict[str, wp.array]:
+        """All arrays by name."""
+        return {f.name: getattr(self, f.name) for f in fields(self)}
+
+    @property
+    def deformation(self) -> wp.array:
+        """What the Gaussians follow: F, or F_total where it differs."""
+        return self.total if len(self.total) else self.F
+
+    def copy(self) -> dict[str, wp.array]:
+        """A snapshot to restore from."""
+        return {name: wp.clone(array) for name, array in self.arrays().items()}
+
+    def restore(self, snapshot: dict[str, wp.array]) -> None:
+        """Go back to a snapshot."""
+        for name, array in self.arrays().items():
+            wp.copy(array, snapshot[name])
