@@ -1,0 +1,119 @@
+"""How good a clip is: CLIP-T of the paper, and figures that need no trained weights.
+
+`evaluate` takes a clip and its pictures; `phy124 evaluate` draws them and prints the table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from phy124.clip import Clip
+from phy124.metrics import similarity
+from phy124.metrics.physics import Physics, centre_paths_differ, physics
+from phy124.metrics.pictures import Video, flicker, motion, psnr, ssim
+
+__all__ = [
+    "Evaluation",
+    "Physics",
+    "ViewFigures",
+    "centre_paths_differ",
+    "evaluate",
+    "flicker",
+    "motion",
+    "physics",
+    "psnr",
+    "ssim",
+]
+
+
+@dataclass(frozen=True)
+class ViewFigures:
+    """Figures of the video from one side."""
+
+    view: str
+    cosine: float | None
+    """CLIP-T as the mean cosine; None without a CLIP model."""
+    distance: float | None
+    """CLIP-T as 4DGen's distance; None without a CLIP model."""
+    motion: float
+    """Mean change of a colour value from frame to frame [%]; see `pictures.motion`."""
+    flicker: float
+    """0 steady to 1 to and fro; see `pictures.flicker`."""
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """All figures of a clip."""
+
+    views: tuple[ViewFigures, ...]
+    physics: Physics
+    frames: int
+    clip_model: str | None
+    """CLIP model of the CLIP-T figures."""
+    order: str | None
+    """Order of the channels it was given."""
+    missing: str | None = None
+    """Why there are no CLIP-T figures."""
+
+    def data(self) -> dict[str, Any]:
+        """As plain data, for evaluation.json."""
+        return {**asdict(self), "formulas": similarity.FORMULAS}
+
+    def table(self) -> str:
+        """As text; model and formula stand with the numbers."""
+        lines = [f"{'view':<8}{'CLIP-T cos':>12}{'CLIP-T dist':>13}{'motion %':>10}{'flicker':>9}"]
+        for v in self.views:
+            scores = f"{_number(v.cosine, 4):>12}{_number(v.distance, 5):>13}"
+            lines.append(f"{v.view:<8}{scores}{v.motion:>10.3f}{v.flicker:>9.3f}")
+        if self.clip_model:
+            lines.append(f"CLIP model: {self.clip_model} ({self.order})")
+            lines += [f"  {name}: {formula}" for name, formula in similarity.FORMULAS.items()]
+        else:
+            lines.append(f"CLIP-T was not computed: {self.missing}")
+        if not any(v.motion for v in self.views):
+            lines.append("Nothing moves in these videos: CLIP-T of a frozen video is perfect.")
+        p = self.physics
+        lines.append(f"mass {_number(p.mass, 3)} kg, all finite: {'yes' if p.finite else 'NO'}")
+        lines.append(f"volume {p.volume_lowest:.3f} to {p.volume_highest:.3f} of the first frame")
+        lines.append(f"momentum residual {_number(p.momentum_residual, 4)} of the mean speed")
+        lines.append(f"centre travelled {p.travelled:.3f} object sizes in {self.frames} frames")
+        return "\n".join(lines)
+
+
+def evaluate(
+    clip: Clip,
+    videos: Mapping[str, Video],
+    *,
+    model: similarity.Clip | None = None,
+    missing: str | None = None,
+) -> Evaluation:
+    """Figures of `clip` and of its `videos` (side -> [T,H,W,3]).
+
+    Without `model` there is no CLIP-T, and `missing` should say why.
+    """
+    views = []
+    for name, video in videos.items():
+        rows = None if model is None or len(video) < 2 else model(video)
+        views.append(
+            ViewFigures(
+                name,
+                None if rows is None else similarity.cosine(rows),
+                None if rows is None else similarity.distance(rows),
+                motion(video),
+                flicker(video),
+            )
+        )
+    return Evaluation(
+        tuple(views),
+        physics(clip),
+        len(clip),
+        None if model is None else model.name,
+        None if model is None else model.order,
+        missing,
+    )
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"

@@ -1,0 +1,71 @@
+"""Figures of pictures and videos that need no trained weights."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+Video = NDArray
+"""[T,H,W,3], uint8 or float in 0..1."""
+SIGMA = 1.5
+"""Width of SSIM's window, pixels."""
+REACH = 5
+"""Half of SSIM's window, pixels: 11 x 11."""
+K1, K2 = 0.01, 0.03
+
+
+def unit(images: NDArray) -> NDArray[np.float64]:
+    """Colours in 0..1 of uint8 or of float pictures."""
+    images = np.asarray(images)
+    return images / 255.0 if images.dtype == np.uint8 else images.astype(np.float64)
+
+
+def psnr(a: NDArray, b: NDArray) -> float:
+    """Peak signal-to-noise ratio [dB] of two pictures of equal shape; infinite if equal."""
+    error = float(np.mean((unit(a) - unit(b)) ** 2))
+    return math.inf if error == 0 else -10 * math.log10(error)
+
+
+def ssim(a: NDArray, b: NDArray) -> float:
+    """Structural similarity of two pictures [H,W,C], -1 to 1.
+
+    Wang et al. 2004, "Image Quality Assessment": a Gaussian window of 11 x 11 pixels, the mean
+    over all windows that lie inside the picture and over the channels.
+    """
+    x, y = unit(a), unit(b)
+
+    def mean(values: NDArray) -> NDArray:
+        return gaussian_filter(values, (SIGMA, SIGMA, 0), truncate=REACH / SIGMA)
+
+    mx, my = mean(x), mean(y)
+    vx, vy, vxy = mean(x * x) - mx * mx, mean(y * y) - my * my, mean(x * y) - mx * my
+    c1, c2 = K1**2, K2**2
+    ratio = (2 * mx * my + c1) * (2 * vxy + c2) / ((mx**2 + my**2 + c1) * (vx + vy + c2))
+    inside = ratio[REACH:-REACH, REACH:-REACH]
+    return float(inside.mean()) if inside.size else float(ratio.mean())
+
+
+def motion(video: Video) -> float:
+    """Mean change of a colour value from frame to frame, in per cent of its range.
+
+    Zero for a frozen video, whose CLIP-T is perfect: never read one without the other.
+    """
+    video = unit(video)
+    return 100 * float(np.abs(np.diff(video, axis=0)).mean()) if len(video) > 1 else 0.0
+
+
+def flicker(video: Video) -> float:
+    """How much of the change from frame to frame is taken back at once, 0 to 1.
+
+    Mean |second difference| / (mean |difference before| + |difference after|): near 0 where
+    colours drift steadily, 1 where they jump to and fro. 0 for a frozen video.
+    """
+    steps = np.diff(unit(video), axis=0)
+    if len(steps) < 2:
+        return 0.0
+    change = np.abs(steps[1:]) + np.abs(steps[:-1])
+    total = float(change.sum())
+    return float(np.abs(np.diff(steps, axis=0)).sum()) / total if total > 0 else 0.0

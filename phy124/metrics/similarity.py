@@ -1,0 +1,130 @@
+"""CLIP-T: how alike neighbouring frames look to CLIP, by both formulas in use.
+
+The paper's table (about 0.99, higher is better) is read as the mean cosine of consecutive frames,
+as in Gen-1 (Esser et al. 2023); it gives neither model nor formula. 4DGen (Yin et al. 2023,
+section 4.3) takes half the squared angle instead (about 0.01, lower is better). Both measure
+steadiness only: a frozen video is perfect by either.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from phy124.errors import InputError
+from phy124.metrics.pictures import unit
+from phy124.weights import require
+
+MODEL = "laion/CLIP-ViT-B-32-laion2B-s34B-b79K"
+"""4DGen's model; the paper's is not known."""
+FORMULAS = {
+    "cosine": "mean cosine of consecutive frames, higher is better",
+    "distance": "4DGen: mean of 2 arcsin(|a - b| / 2)^2 of consecutive frames, lower is better",
+}
+MEAN = (0.48145466, 0.4578275, 0.40821073)
+STD = (0.26862954, 0.26130258, 0.27577711)
+Order = Literal["rgb", "bgr"]
+"""Order of the channels given to CLIP; 4DGen's program gives BGR, which CLIP does not expect."""
+
+
+def cosine(embeddings: NDArray) -> float:
+    """Mean cosine of consecutive rows of `embeddings [T,D]`."""
+    return float(cosine_pairs(embeddings).mean())
+
+
+def distance(embeddings: NDArray) -> float:
+    """Mean spherical distance of consecutive rows of `embeddings [T,D]`."""
+    return float(distance_pairs(embeddings).mean())
+
+
+def cosine_pairs(embeddings: NDArray) -> NDArray[np.float64]:
+    """Cosines [T-1] of consecutive rows."""
+    e = _normalised(embeddings)
+    return (e[1:] * e[:-1]).sum(axis=1)
+
+
+def distance_pairs(embeddings: NDArray) -> NDArray[np.float64]:
+    """Half the squared angles [T-1] of consecutive rows, exact for small ones too."""
+    e = _normalised(embeddings)
+    chord = np.linalg.norm(e[1:] - e[:-1], axis=1)
+    return 2 * np.arcsin(np.clip(chord / 2, 0, 1)) ** 2
+
+
+def _normalised(embeddings: NDArray) -> NDArray[np.float64]:
+    e = np.asarray(embeddings, dtype=np.float64)
+    if e.ndim != 2 or len(e) < 2:
+        raise ValueError(f"embeddings have shape {e.shape}, wanted [T,D] with T of 2 at least")
+    return e / np.linalg.norm(e, axis=1, keepdims=True)
+
+
+class Clip:
+    """CLIP's picture tower: pictures to embeddings. Not to be confused with `phy124.Clip`."""
+
+    def __init__(self, model: str = MODEL, *, device: str = "cpu", order: Order = "rgb") -> None:
+        """Load `model`, a folder or a name on huggingface.co that was fetched before.
+
+        Raises InputError if it is not there, not a CLIP model, or transformers is not installed.
+        """
+        self.name = model
+        self.order: Order = order
+        self._network = _load(model).to(device)
+        self._size = int(self._network.config.image_size)
+
+    def __call__(self, images: Iterable[NDArray]) -> NDArray[np.float64]:
+        """Embeddings [T,D] of pictures [H,W,3], uint8 or 0..1, one at a time."""
+        import torch
+
+        rows = []
+        with torch.inference_mode():
+            for image in images:
+                pixels = torch.from_numpy(_pixels(image, self._size, self.order)[None])
+                pixels = pixels.to(self._network.device)
+                rows.append(self._network(pixel_values=pixels).image_embeds[0].double().cpu())
+        return torch.stack(rows).numpy()
+
+
+def _pixels(image: NDArray, size: int, order: Order) -> NDArray[np.float32]:
+    """CLIP's input [3,S,S]: shorter side to S (bicubic), centre crop, normalised."""
+    picture = Image.fromarray((unit(image) * 255 + 0.5).astype(np.uint8))
+    scale = size / min(picture.size)
+    wide, high = (max(size, round(side * scale)) for side in picture.size)
+    left, top = (wide - size) // 2, (high - size) // 2
+    picture = picture.resize((wide, high), Image.Resampling.BICUBIC)
+    values = np.asarray(picture.crop((left, top, left + size, top + size)), np.float32) / 255
+    values = values[..., ::-1] if order == "bgr" else values
+    return np.ascontiguousarray(((values - MEAN) / STD).transpose(2, 0, 1), dtype=np.float32)
+
+
+def _load(model: str) -> Any:
+    try:
+        from transformers import CLIPVisionModelWithProjection
+    except ImportError as error:
+        raise InputError(
+            "clip-model",
+            model,
+            "transformers is needed to run CLIP and is not installed.",
+            "Run `pip install 'phy124[eval]'`.",
+        ) from error
+    source: str | os.PathLike[str] = model
+    if model == MODEL:
+        source = require("clip")["model.safetensors"].parent
+    elif Path(model).expanduser().is_dir():
+        source = Path(model).expanduser()
+    try:
+        # Never from the network here, and never a pickled file.
+        return CLIPVisionModelWithProjection.from_pretrained(
+            source, local_files_only=True, use_safetensors=True
+        ).eval()
+    except (OSError, ValueError) as error:
+        raise InputError(
+            "clip-model",
+            model,
+            f"it is not a CLIP model on this machine ({str(error).splitlines()[0]}).",
+            f"Give a folder with config.json and model.safetensors, or run `hf download {model}`.",
+        ) from error
