@@ -29,6 +29,8 @@ from .source import LiveOptions, LiveRun
 STOPPED_EARLY = 3
 """Exit status of a simulation that kept its good frames but did not reach the end."""
 log = logging.getLogger(__name__)
+Say = Callable[[str], None]
+"""Takes one line of results; problems go to the log."""
 Messages = Annotated[Options, tyro.conf.arg(name="")]
 Simulated = Annotated[LiveOptions, tyro.conf.arg(name="")]
 
@@ -48,14 +50,15 @@ class Record:
     """Replace an older recording."""
     simulated: Simulated = field(default_factory=LiveOptions)
 
-    def run(self) -> int:
+    def run(self, say: Say) -> int:
         """Record; prints where."""
         if self.simulated.live:
             run = LiveRun(self.source, self.simulated)
-            self._record(run, len(run), run.scene.data(), run.report)
+            sink = self._record(run, len(run), run.scene.data(), run.report)
+            say(_recorded(sink))
             return _status(run)
         clip = Clip.load(self.source)
-        self._record(clip.frames(), len(clip), clip.scene, lambda: clip.report)
+        say(_recorded(self._record(clip.frames(), len(clip), clip.scene, lambda: clip.report)))
         return 0
 
     def _record(
@@ -64,7 +67,7 @@ class Record:
         count: int,
         scene: dict[str, Any],
         report: Callable[[], dict[str, Any]],
-    ) -> None:
+    ) -> McapSink:
         output = self.output or self.source.with_name(f"{self.source.stem}-bag")
         sink = McapSink(
             output,
@@ -77,7 +80,7 @@ class Record:
             for frame in tqdm(frames, "record", count, leave=False, disable=None):
                 sink.write(frame)
             sink.report = report()
-        log.info("%d frames in %s", sink.frames, output)
+        return sink
 
 
 @dataclass(frozen=True)
@@ -109,31 +112,31 @@ class Play:
     messages: Messages = field(default_factory=Options)
     simulated: Simulated = field(default_factory=LiveOptions)
 
-    def run(self) -> int:
+    def run(self, say: Say) -> int:
         """Play until the end or Ctrl-C."""
         if self.simulated.live:
-            return self._follow()
+            return self._follow(say)
         clip = Clip.load(self.source)
         player = Player(
             clip.times, speed=self.speed, loop=self.loop, rate=self.rate, paused=self.paused
         )
         try:
-            with self._outlets(clip.scene, float(clip.times[-1])) as (sink, records):
+            with self._outlets(say, clip.scene, float(clip.times[-1])) as (sink, records):
                 play(clip, sink, player, records=records, stay=self.stay)
         finally:
-            log.info(player.report())
+            say(player.report())
         return 0
 
-    def _follow(self) -> int:
+    def _follow(self, say: Say) -> int:
         run = LiveRun(self.source, self.simulated)
-        with self._outlets(run.scene.data(), None) as (sink, records):
+        with self._outlets(say, run.scene.data(), None) as (sink, records):
             frames = tqdm(run, "simulate", len(run), leave=False, disable=None)
             follow(frames, sink, records=records, speed=self.speed)
         return _status(run)
 
     @contextmanager
     def _outlets(
-        self, scene: dict[str, Any], duration: float | None
+        self, say: Say, scene: dict[str, Any], duration: float | None
     ) -> Iterator[tuple[LiveSink, list[Sink]]]:
         """The live sink and the recording beside it, both entered."""
         backend = choose(self.backend)
@@ -151,7 +154,7 @@ class Play:
                 port=self.port,
             )
             sink = stack.enter_context(sink)
-            log.info("Publishing through %s.", backend)
+            say(f"Publishing through {backend}.")
             yield sink, records
 
 
@@ -162,10 +165,10 @@ class Info:
     path: tyro.conf.Positional[Path]
     """A clip.safetensors, a bag folder or an .mcap file."""
 
-    def run(self) -> int:
+    def run(self, say: Say) -> int:
         """Print."""
         for line in describe(self.path):
-            log.info(line)
+            say(line)
         return 0
 
 
@@ -178,11 +181,11 @@ class Recover:
     output: Path | None = None
     """Write the repaired copy here and leave the damaged one as it is."""
 
-    def run(self) -> int:
+    def run(self, say: Say) -> int:
         """Repair; prints how many frames came back."""
         found = recover(self.path, self.output)
         state = "repaired" if found.repaired else "whole already"
-        log.info("%s: %s, %d frames", found.path, state, found.frames)
+        say(f"{found.path}: {state}, {found.frames} frames")
         return 0
 
 
@@ -190,15 +193,19 @@ class Recover:
 class Doctor:
     """Say which outlets this machine has, and what would give it more."""
 
-    def run(self) -> int:
+    def run(self, say: Say) -> int:
         """Print."""
         for line in diagnose():
-            log.info(line)
+            say(line)
         return 0
 
 
 COMMANDS = {"record": Record, "play": Play, "info": Info, "recover": Recover, "doctor": Doctor}
 """Name on the command line -> class."""
+
+
+def _recorded(sink: McapSink) -> str:
+    return f"{sink.frames} frames in {sink.path}"
 
 
 def _status(run: LiveRun | None) -> int:
