@@ -1,0 +1,183 @@
+"""Sums that tell whether a run is sound: momentum, energy, volume ratio, work done from outside.
+
+All sums are float64. The state is weighed once per frame; what forces and walls give is summed in
+every substep, because it depends on the path. The kinetic energy counts what APIC keeps in C:
+m/2 (|v|^2 + dx^2/4 |C|^2), the inertia of a quadratic B-spline (Jiang et al. 2017, eq. 12).
+"""
+
+from functools import cache
+from typing import Any
+
+import warp as wp
+
+from phy124.kernels.transfer import Law, types
+
+SUMS = 11
+"""Momentum 3, angular momentum 3, kinetic and elastic energy, mass times position 3."""
+GIVEN = 4
+"""Impulse 3, work."""
+
+
+@wp.func
+def wide(a: Any):
+    """A three-vector in float64."""
+    return wp.vec3d(wp.float64(a[0]), wp.float64(a[1]), wp.float64(a[2]))
+
+
+@wp.func
+def add3(sums: wp.array(dtype=wp.float64), at: int, a: wp.vec3d):
+    """Add a vector to three sums."""
+    wp.atomic_add(sums, at, a[0])
+    wp.atomic_add(sums, at + 1, a[1])
+    wp.atomic_add(sums, at + 2, a[2])
+
+
+@cache
+def make_weigh(law: Law, real: Any):
+    """Kernel: `SUMS` over the particles, -least and greatest J, and the unsound particles.
+
+    `counts_out` is (not finite, inside out), `first_out` the lowest index of each.
+    """
+    t = types(real)
+    theta_type = wp.types.vector(law.width, real)
+    energy = law.energy
+    has_history = law.project is not None
+
+    @wp.kernel(module=f"phy124_weigh_{law.name}_{real.__name__}", enable_backward=False)
+    def weigh(
+        # model
+        theta: wp.array(dtype=theta_type), mass: wp.array(dtype=real),
+        volume: wp.array(dtype=real), dx: real, start: int,
+        # state in
+        x: wp.array(dtype=t.vec3), v: wp.array(dtype=t.vec3), C: wp.array(dtype=t.mat33),
+        F: wp.array(dtype=t.mat33), history: wp.array(dtype=t.vec2),
+        # out
+        sums_out: wp.array(dtype=wp.float64), range_out: wp.array(dtype=wp.float64),
+        counts_out: wp.array(dtype=int), first_out: wp.array(dtype=int),
+    ):  # fmt: skip
+        p = wp.tid()
+        h = t.vec2()
+        if wp.static(has_history):
+            h = history[p]
+        J = wp.float64(wp.determinant(F[p]))
+        psi = wp.float64(energy(F[p], h, theta[wp.min(p, theta.shape[0] - 1)]))
+        m = wp.float64(mass[p])
+        spread = wp.float64(dx * dx) / wp.float64(4.0)
+        here = wide(x[p])
+        moving = wide(v[p])
+        rate = C[p]
+        affine = wp.float64(wp.ddot(rate, rate))
+        kinetic = m / wp.float64(2.0) * (wp.dot(moving, moving) + spread * affine)
+        if wp.isfinite(kinetic + psi + J + wp.length(here)):
+            axial = wp.vec3d(
+                wp.float64(rate[2, 1] - rate[1, 2]),
+                wp.float64(rate[0, 2] - rate[2, 0]),
+                wp.float64(rate[1, 0] - rate[0, 1]),
+            )
+            add3(sums_out, 0, m * moving)
+            add3(sums_out, 3, m * (wp.cross(here, moving) + spread * axial))
+            wp.atomic_add(sums_out, 6, kinetic)
+            wp.atomic_add(sums_out, 7, psi * wp.float64(volume[p]))
+            add3(sums_out, 8, m * here)
+            wp.atomic_max(range_out, 0, -J)
+            wp.atomic_max(range_out, 1, J)
+            if J <= wp.float64(0.0):
+                wp.atomic_add(counts_out, 1, 1)
+                wp.atomic_min(first_out, 1, start + p)
+        else:
+            wp.atomic_add(counts_out, 0, 1)
+            wp.atomic_min(first_out, 0, start + p)
+
+    return weigh
+
+
+@cache
+def make_push_sums(real: Any):
+    """Kernel: adds `sign` times momentum and kinetic energy of chosen particles to `GIVEN` sums."""
+    t = types(real)
+
+    @wp.kernel(module=f"phy124_push_sums_{real.__name__}", enable_backward=False)
+    def push_sums(
+        # model
+        mass: wp.array(dtype=real), dx: real, sign: wp.float64,
+        # state in
+        v: wp.array(dtype=t.vec3), C: wp.array(dtype=t.mat33),
+        # out
+        given_out: wp.array(dtype=wp.float64),
+    ):  # fmt: skip
+        p = wp.tid()
+        m = sign * wp.float64(mass[p])
+        moving = wide(v[p])
+        spread = wp.float64(dx * dx) / wp.float64(4.0)
+        square = wp.dot(moving, moving) + spread * wp.float64(wp.ddot(C[p], C[p]))
+        add3(given_out, 0, m * moving)
+        wp.atomic_add(given_out, 3, m / wp.float64(2.0) * square)
+
+    return push_sums
+
+
+@cache
+def make_wall_sums(real: Any):
+    """Kernel over rows of nodes in a sub-box: the same sums for the grid, one row per thread."""
+    t = types(real)
+
+    @wp.kernel(module=f"phy124_wall_sums_{real.__name__}", enable_backward=False)
+    def wall_sums(
+        # model
+        box: wp.array(dtype=wp.vec3i), window: wp.array(dtype=wp.vec3i), sign: wp.float64,
+        # grid in
+        grid: wp.array(dtype=t.vec4),
+        # out
+        given_out: wp.array(dtype=wp.float64),
+    ):  # fmt: skip
+        i, j = wp.tid()
+        size = window[1]
+        low = box[0]
+        row = ((i + low[0]) * size[1] + j + low[1]) * size[2] + low[2]
+        impulse = wp.vec3d()
+        work = wp.float64(0.0)
+        for k in range(box[1][2]):
+            q = grid[row + k]
+            if q[3] > real(0.0):
+                m = sign * wp.float64(q[3])
+                moving = wp.vec3d(wp.float64(q[0]), wp.float64(q[1]), wp.float64(q[2]))
+                impulse += m * moving
+                work += m / wp.float64(2.0) * wp.dot(moving, moving)
+        add3(given_out, 0, impulse)
+        wp.atomic_add(given_out, 3, work)
+
+    return wall_sums
+
+
+@cache
+def make_grid_speed(real: Any):
+    """Kernel: the greatest squared speed of a node with mass; decides whether a step is taken."""
+    t = types(real)
+
+    @wp.kernel(module=f"phy124_grid_speed_{real.__name__}", enable_backward=False)
+    def grid_speed(grid: wp.array(dtype=t.vec4), fastest_out: wp.array(dtype=real)):
+        q = grid[wp.tid()]
+        if q[3] > real(0.0):
+            square = q[0] * q[0] + q[1] * q[1] + q[2] * q[2]
+            # A comparison with NaN is false: it must not pass for slow.
+            if not wp.isfinite(square):
+                square = real(1.0e38)
+            if square > fastest_out[0]:
+                wp.atomic_max(fastest_out, 0, square)
+
+    return grid_speed
+
+
+@cache
+def make_limit_total(real: Any):
+    """Kernel: F_total of material that flows for ever is scaled down before it overflows."""
+    t = types(real)
+
+    @wp.kernel(module=f"phy124_limit_total_{real.__name__}", enable_backward=False)
+    def limit_total(greatest: real, total_out: wp.array(dtype=t.mat33)):
+        p = wp.tid()
+        size = wp.sqrt(wp.ddot(total_out[p], total_out[p]))
+        if size > greatest:
+            total_out[p] = (greatest / size) * total_out[p]
+
+    return limit_total

@@ -1,0 +1,144 @@
+"""Bodies and measures that the hard cases share."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from phy124.kernels.transfer import types
+from phy124.materials import Material, NeoHookean
+from phy124.mpm import Solver
+from phy124.stress.case import Setting
+from phy124.watchdog import weigh
+
+Array = NDArray[np.float64]
+DX = 0.125
+"""Grid spacing of the bodies [m], a power of two."""
+JELLY = NeoHookean(E=1e4, nu=0.3)
+
+
+def block(per_axis: int = 6, size: float = 0.375, middle: Sequence[float] = (0, 0, 0)) -> Array:
+    """Centres [P,3] of a cube of particles, m; two per cell and axis by default."""
+    line = (np.arange(per_axis) + 0.5) / per_axis * size - size / 2
+    grid = np.meshgrid(line, line, line, indexing="ij")
+    return np.stack(grid, axis=-1).reshape(-1, 3) + np.asarray(middle, float)
+
+
+def body(
+    x: Array, setting: Setting, material: Material = JELLY, *, size: float = 0.375, **options: Any
+) -> Solver:
+    """A solver whose particles share the volume of a cube evenly."""
+    volume = options.pop("volume", np.full(len(x), size**3 / len(x)))
+    options.setdefault("dx", DX)
+    materials = options.pop("materials", [material])
+    return Solver(x, volume, materials, **options, **setting.options)
+
+
+def turning(x: Array, omega: Sequence[float]) -> dict[str, Array]:
+    """v [P,3] and C [P,3,3] of a rigid rotation about the middle, rad/s."""
+    wx, wy, wz = omega
+    C = np.array([[0, -wz, wy], [wz, 0, -wx], [-wy, wx, 0]], float)
+    return {"v": (x - x.mean(axis=0)) @ C.T, "C": np.broadcast_to(C, (len(x), 3, 3)).copy()}
+
+
+def vibrating(x: Array, strain_rate: float) -> dict[str, Array]:
+    """v and C of a uniform stretching along x that squeezes across, 1/s."""
+    C = strain_rate * np.diag([1.0, -0.5, -0.5])
+    return {"v": (x - x.mean(axis=0)) @ C.T, "C": np.broadcast_to(C, (len(x), 3, 3)).copy()}
+
+
+def host(array: wp.array) -> Array:
+    """A copy in float64."""
+    return array.numpy().astype(np.float64)
+
+
+def finite(solver: Solver) -> bool:
+    """Whether the whole state is finite."""
+    return all(bool(np.isfinite(a.numpy()).all()) for a in solver.state.arrays().values())
+
+
+def volume_ratios(solver: Solver) -> Array:
+    """det F [P], in double precision."""
+    return np.linalg.det(host(solver.state.F))
+
+
+def deform(solver: Solver, F: Array) -> None:
+    """Set deformation gradients [P,3,3] or [3,3]."""
+    whole = np.broadcast_to(F, (len(solver.rest), 3, 3))
+    t = types(solver.real)
+    solver.state.F.assign(wp.array(whole.astype(_scalar(solver)), dtype=t.mat33, device="cpu"))
+
+
+def assign(solver: Solver, name: str, values: Array) -> None:
+    """Overwrite one array of the state."""
+    array = getattr(solver.state, name)
+    array.assign(wp.array(values.astype(_scalar(solver)), dtype=array.dtype, device="cpu"))
+
+
+def stable_dt(solver: Solver, nu: float | None = None) -> float:
+    """dx / sqrt(A / rho0) of the first material at rest: the limit of an isolated particle [s]."""
+    del nu
+    return solver.dx / solver.materials[0].wave_speed()
+
+
+def steps(solver: Solver, count: int, dt: float, each: Callable[[], None] | None = None) -> None:
+    """A number of substeps of fixed length, the first with half a kick."""
+    for k in range(count):
+        solver.step(dt / 2 if k == 0 and solver.last_dt == 0 else dt, dt)
+        solver.last_dt = dt
+        if each is not None:
+            each()
+
+
+def relative(value: Array, reference: Array) -> float:
+    """Largest difference, as a share of the reference's largest entry."""
+    return float(np.abs(value - reference).max() / max(np.abs(reference).max(), math.ulp(0.0)))
+
+
+def _scalar(solver: Solver) -> type:
+    return np.float32 if solver.real is wp.float32 else np.float64
+
+
+class Meter:
+    """Energy and momenta of a run, read now and then.
+
+    Positions are half a substep ahead of velocities, so the kinetic energy that belongs to the
+    elastic one is the mean of those before and after it.
+    """
+
+    def __init__(self, solver: Solver) -> None:
+        self.solver = solver
+        start = weigh(solver)
+        self.first = self.last = start.energy
+        self.start, self.end = start, start
+        self.greatest, self.least_J = 1.0, start.least_J
+        mass = host(solver.mass)[:, None]
+        self.moved = float((mass * np.abs(host(solver.state.v))).sum())
+
+    def read(self, dt: float) -> float:
+        """One substep of length `dt`, and the energy before it, as a share of the first."""
+        before = weigh(self.solver)
+        steps(self.solver, 1, dt)
+        after = weigh(self.solver)
+        self.last = before.elastic + (before.kinetic + after.kinetic) / 2
+        share = self.last / self.first if math.isfinite(self.last) else math.inf
+        self.greatest = max(self.greatest, share)
+        self.least_J = min(self.least_J, after.least_J)
+        self.end = after
+        return share
+
+    @property
+    def momentum_drift(self) -> float:
+        """Momentum from nowhere, as a share of all there is."""
+        return float(np.linalg.norm(self.end.momentum - self.start.momentum) / self.moved)
+
+    @property
+    def angular_drift(self) -> float:
+        """Angular momentum from nowhere, as a share."""
+        change = np.linalg.norm(self.end.angular - self.start.angular)
+        return float(change / np.linalg.norm(self.start.angular))

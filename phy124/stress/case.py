@@ -1,0 +1,106 @@
+"""A hard case: what is done, what must hold, and what was measured."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+
+class Setting(NamedTuple):
+    """Where and how precisely a case runs."""
+
+    device: str = "cpu"
+    precision: str = "float32"
+    long: bool = False
+    """At full length: minutes instead of seconds."""
+
+    @property
+    def double(self) -> bool:
+        """Whether this is float64."""
+        return self.precision == "float64"
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """What a Solver is told."""
+        return {"device": self.device, "precision": self.precision}
+
+    def __str__(self) -> str:
+        """Such as "float32 on cpu"."""
+        return f"{self.precision} on {self.device}"
+
+
+class Check(NamedTuple):
+    """One bound and what was measured."""
+
+    what: str
+    measured: float
+    limit: float
+    least: bool = False
+    """The limit is a lower one."""
+
+    @property
+    def holds(self) -> bool:
+        """Whether the bound holds; NaN never does."""
+        return self.measured >= self.limit if self.least else self.measured <= self.limit
+
+    @property
+    def bound(self) -> str:
+        """The bound in words."""
+        return f"{self.what} {'>=' if self.least else '<='} {self.limit:.4g}"
+
+
+class Case(NamedTuple):
+    """One hard case; `measure` runs it."""
+
+    number: int
+    name: str
+    measure: Callable[[Setting], list[Check]]
+    precise: bool = True
+    """Whether precision and device matter; if not it runs once."""
+
+
+class Row(NamedTuple):
+    """A line of the table."""
+
+    case: str
+    bound: str
+    measured: str
+    verdict: str
+
+
+def examine(case: Case, setting: Setting) -> tuple[Row, list[Check]]:
+    """Run a case; whatever it raises is a failure, not the end."""
+    name = f"{case.number:>2} {case.name}"
+    if case.precise:
+        name += f" ({setting})"
+    try:
+        checks = case.measure(setting)
+    except Exception as error:
+        return Row(name, "no error", f"{type(error).__name__}: {error}", "fail"), []
+    verdict = "pass" if checks and all(check.holds for check in checks) else "fail"
+    return Row(
+        name,
+        "; ".join(check.bound for check in checks),
+        "; ".join(_number(check.measured) for check in checks),
+        verdict,
+    ), checks
+
+
+def at_most(what: str, measured: float, limit: float) -> Check:
+    """`measured` must not exceed `limit`."""
+    return Check(what, float(measured), limit)
+
+
+def at_least(what: str, measured: float, limit: float) -> Check:
+    """`measured` must reach `limit`."""
+    return Check(what, float(measured), limit, least=True)
+
+
+def equal(what: str, holds: bool) -> Check:
+    """Something that is so or not."""
+    return Check(what, float(holds), 1.0, least=True)
+
+
+def _number(value: float) -> str:
+    return "nan" if math.isnan(value) else f"{value:.3g}"
