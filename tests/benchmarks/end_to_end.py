@@ -1,0 +1,35 @@
+"""Picture to MP4s: seconds of each stage for the example pictures and presets, one JSON line each.
+
+The first run warms the kernel cache and is not printed.
+"""
+
+import json
+import sys
+import tempfile
+from pathlib import Path
+
+import warp as wp
+
+from phy124 import pipeline
+from phy124.scene import Scene
+
+wp.config.log_level = wp.LOG_WARNING
+EXAMPLES = Path(__file__).parents[2] / "demo/examples"
+RUNS = [("duck", "press"), ("sunflower", "push_right"), ("teddy", "drop"), ("potted_plant", "sway")]
+
+
+def run(picture: str, scene: str, accuracy: str) -> dict:
+    with tempfile.TemporaryDirectory() as folder:
+        chosen = Scene.named(scene).replaced({"accuracy": accuracy})
+        report = pipeline.generate(EXAMPLES / f"{picture}.png", chosen, folder).report
+    row = {"picture": picture, "scene": scene, "accuracy": accuracy}
+    row |= {key: report[key] for key in ("gaussians", "particles", "substeps", "frames", "device")}
+    row |= {stage["name"]: round(stage["seconds"], 2) for stage in report["stages"]}
+    return row | {"total": round(report["seconds"], 2)}
+
+
+if __name__ == "__main__":
+    run("duck", "press", "draft")
+    for accuracy in sys.argv[1:] or ("draft", "standard"):
+        for picture, scene in RUNS:
+            print(json.dumps(run(picture, scene, accuracy)), flush=True)
