@@ -53,7 +53,7 @@ class Record:
     def run(self, say: Say) -> int:
         """Record; prints where."""
         if self.simulated.live:
-            run = LiveRun(self.source, self.simulated)
+            run = _live_run(self.source, self.simulated)
             sink = self._record(run, len(run), run.scene.data(), run.report)
             say(_recorded(sink))
             return _status(run)
@@ -128,7 +128,7 @@ class Play:
         return 0
 
     def _follow(self, say: Say) -> int:
-        run = LiveRun(self.source, self.simulated)
+        run = _live_run(self.source, self.simulated)
         with self._outlets(say, run.scene.data(), None) as (sink, records):
             frames = tqdm(run, "simulate", len(run), leave=False, disable=None)
             follow(frames, sink, records=records, speed=self.speed)
@@ -202,6 +202,14 @@ class Doctor:
 
 COMMANDS = {"record": Record, "play": Play, "info": Info, "recover": Recover, "doctor": Doctor}
 """Name on the command line -> class."""
+
+
+def _live_run(source: Path, options: LiveOptions) -> LiveRun:
+    import warp
+
+    # What Warp says while it compiles is no news to a user.
+    warp.config.log_level = warp.LOG_ERROR
+    return LiveRun(source, options)
 
 
 def _recorded(sink: McapSink) -> str:

@@ -1,0 +1,118 @@
+"""A running simulation as a source: the same frames as the finished clip, seen while it runs."""
+
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bridge_clips import random_clip
+from mcap.reader import make_reader
+
+from bridge import live
+from bridge.layout import points
+from bridge.options import Options
+from bridge.sinks.dds import DdsSink
+from bridge.sinks.mcap import McapSink
+from bridge.source import LiveOptions, LiveRun
+from phy124.errors import InputError
+from phy124.generators.ply_file import PlyFile
+from phy124.ply import write_ply
+from phy124.scene import Scene
+from phy124.simulation import Simulation, Stopped
+
+SUBSCRIBER = Path(__file__).parent / "bridge_subscriber.py"
+CHANGES = ("accuracy=draft", "time.frames=6")
+
+
+@pytest.fixture
+def ply(tmp_path):
+    """A small ball of Gaussians."""
+    rng = np.random.default_rng(0)
+    gaussians = random_clip(count=300).frame(0).gaussians
+    inside = rng.normal(size=(300, 3))
+    gaussians.means[:] = 0.5 * inside / np.linalg.norm(inside, axis=1, keepdims=True)
+    gaussians.opacities[:] = 0.9
+    write_ply(tmp_path / "ball.ply", gaussians)
+    return tmp_path / "ball.ply"
+
+
+def test_recorded_while_simulated_is_the_finished_clip(ply, tmp_path):
+    options = LiveOptions(live=True, set=CHANGES)
+    run = LiveRun(ply, options)
+    with McapSink(tmp_path / "one.mcap", scene=run.scene.data()) as sink:
+        for frame in run:
+            sink.write(frame)
+            # Nothing piles up: a run may be longer than memory.
+            assert run._simulation.frames == []
+        sink.report = run.report()
+    clip = Simulation(PlyFile(str(ply))(), options.resolve()).run()
+    with open(tmp_path / "one.mcap", "rb") as stream:
+        reader = make_reader(stream)
+        payloads = [message.data for *_, message in reader.iter_messages("/phy124/points")]
+        *_, record = reader.iter_metadata()
+    assert len(payloads) == len(run) == 6
+    for frame, payload in zip(clip.frames(), payloads, strict=True):
+        assert frame.velocities is not None
+        assert points(frame, "full").tobytes() in payload
+    report = json.loads(record.metadata["report"])
+    assert (report["frames"], report["complete"]) == (6, True)
+    assert Scene.from_data(json.loads(record.metadata["scene"])) == options.resolve()
+
+
+def test_a_subscriber_sees_it_move_while_it_is_computed(ply, monkeypatch):
+    monkeypatch.setenv("ROS_DOMAIN_ID", "101")
+    monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
+    computed = []
+
+    def watched(run):
+        for frame in run:
+            computed.append(time.time_ns())
+            yield frame
+
+    run = LiveRun(ply, LiveOptions(live=True, set=CHANGES))
+    command = [sys.executable, SUBSCRIBER, "--domain", "101", "--count", "6"]
+    with (
+        DdsSink(Options()) as sink,
+        subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process,
+    ):
+        assert process.stdout is not None
+        process.stdout.readline()
+        deadline = time.monotonic() + 20
+        while not sink.subscribers():
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+        time.sleep(1.0)
+        live.follow(watched(run), sink)
+        lines = [json.loads(line) for line in process.communicate(timeout=30)[0].splitlines()]
+    assert len(lines) == 6
+    assert lines[0]["received"] < computed[-1]
+    assert len({line["crc"] for line in lines}) == 6
+
+
+def test_a_run_that_stops_early_keeps_its_good_frames(ply, monkeypatch):
+    def advance(self, index, until):
+        if index == 2:
+            raise Stopped("frame 2 is not stable")
+
+    monkeypatch.setattr(Simulation, "_advance", advance)
+    run = LiveRun(ply, LiveOptions(live=True, set=CHANGES))
+    assert [frame.index for frame in run] == [0, 1]
+    report = run.report()
+    assert run.stopped == "frame 2 is not stable"
+    assert (report["frames"], report["complete"], report["stopped"]) == (2, False, run.stopped)
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (LiveOptions(scene="pres"), "Did you mean press"),
+        (LiveOptions(set=("time.frame=3",)), "Did you mean frames"),
+        (LiveOptions(), "There is no such file"),
+    ],
+)
+def test_refusals(tmp_path, options, sentence):
+    with pytest.raises(InputError, match=sentence):
+        LiveRun(tmp_path / "none.png", options)
