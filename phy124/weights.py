@@ -18,8 +18,8 @@ from typing import Literal
 from phy124.errors import InputError
 from phy124.progress import Progress, silent
 
-Verdict = Literal["match", "differs", "unpublished", "unchecked", "missing"]
-"""Of a file's size and sha256: "unpublished" has nothing to compare with."""
+Verdict = Literal["match", "differs", "unknown", "unchecked", "missing"]
+"""Of a file's size and sha256; "unknown": there is nothing to compare with."""
 BLOCK = 1 << 22
 """Bytes hashed at a time."""
 
@@ -33,9 +33,9 @@ class WeightFile:
     """Name inside the repository."""
     licence: str
     size: int | None = None
-    """Bytes; None where it is not published."""
+    """Bytes; None where it is not known."""
     sha256: str | None = None
-    """None where it is not published; `fetch` then compares with what the server states."""
+    """None where it is not known; `fetch` then compares with what the server states."""
 
     @property
     def command(self) -> str:
@@ -45,8 +45,8 @@ class WeightFile:
     @property
     def expected(self) -> str:
         """Size and checksum in words."""
-        size = "size not published" if self.size is None else f"{self.size:,} bytes"
-        return f"{size}, sha256 {self.sha256 or 'not published'}"
+        size = "size not known" if self.size is None else f"{self.size:,} bytes"
+        return f"{size}, sha256 {self.sha256 or 'not known'}"
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class WeightStatus:
 
 _U2NET = "Apache-2.0 (U-2-Net; no separate statement for the weights)"
 _IPMV = "CreativeML OpenRAIL"
-_ZERO123 = "MIT, as tagged by the repository"
+_ZERO123 = "MIT, as zero123-xl-diffusers is tagged"
 _MIRROR = "tomjackson2023/rembg"
 _IMAGEDREAM = "ashawkey/imagedream-ipmv-diffusers"
 _ZERO123_REPO = "bennyguo/zero123-xl-diffusers"
@@ -268,7 +268,7 @@ def _verdict(file: WeightFile, found: Path | None, size: int | None, check: bool
     if file.size is not None and size != file.size:
         return "differs"
     if file.sha256 is None:
-        return "unpublished"
+        return "unknown"
     if not check:
         return "unchecked"
     return "match" if sha256_of(found) == file.sha256 else "differs"

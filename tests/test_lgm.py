@@ -321,8 +321,10 @@ def test_cancelling_stops_between_stages(tiny):
 def test_missing_weights_name_the_command(tmp_path, monkeypatch):
     monkeypatch.setenv("HF_HUB_CACHE", str(tmp_path))
     monkeypatch.delenv("PHY124_WEIGHTS", raising=False)
-    with pytest.raises(InputError, match=r"phy124 weights fetch lgm.*relief"):
+    with pytest.raises(InputError, match=r"phy124 weights fetch imagedream.*relief"):
         Lgm(weights=tmp_path)(np.full((8, 8, 4), 255, np.uint8))
+    with pytest.raises(InputError, match=r"phy124 weights fetch lgm.*relief"):
+        Lgm(weights=tmp_path).from_views(torch.zeros(4, 3, 8, 8))
 
 
 @pytest.mark.slow

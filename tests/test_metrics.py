@@ -1,5 +1,6 @@
 """CLIP-T against the golden numbers; pictures and physics against exact answers."""
 
+import json
 import math
 
 import numpy as np
@@ -192,3 +193,27 @@ def test_evaluation_without_clip_says_why_and_warns_of_frozen_videos():
     table = evaluate(falling(), videos, missing="no weights here").table()
     assert "CLIP-T was not computed: no weights here" in table
     assert "frozen video is perfect" in table
+
+
+def test_command_line_evaluates_a_clip(tiny_clip, tmp_path, capsys, monkeypatch):
+    from phy124.__main__ import main
+    from phy124.scene import Scene
+
+    monkeypatch.setenv("HF_HUB_CACHE", str(tmp_path / "hub"))
+    monkeypatch.delenv("PHY124_WEIGHTS", raising=False)
+    clip, path = falling(frames=3), tmp_path / "clip.safetensors"
+    Clip(**{**vars(clip), "scene": Scene.named("drop").data()}).save(path)
+    arguments = ["evaluate", str(path), "--size", "32", "--device", "cpu"]
+    assert main([*arguments, "--clip-model", tiny_clip]) == 0
+    table = capsys.readouterr().out
+    assert all(part in table for part in ("front", "right", "back", "left", tiny_clip, "4DGen"))
+    data = json.loads((tmp_path / "evaluation.json").read_text())
+    assert [view["view"] for view in data["views"]] == ["front", "right", "back", "left"]
+    assert all(0 < view["cosine"] <= 1 and view["motion"] > 0 for view in data["views"])
+    assert data["physics"]["mass"] == 2.5
+    assert main([*arguments, "--json"]) == 0
+    without = json.loads(capsys.readouterr().out)
+    assert without["clip_model"] is None and "phy124 weights fetch clip" in without["missing"]
+    assert main([*arguments, "--clip-model", str(tmp_path)]) == 2
+    assert "not a CLIP model" in capsys.readouterr().err
+    assert main([*arguments, "--clip-model", "none"]) == 0

@@ -1,6 +1,7 @@
 """Weights: order of search, verdicts, sentences, and fetching from a real HTTP server."""
 
 import hashlib
+import json
 import subprocess
 import sys
 import threading
@@ -164,7 +165,7 @@ def test_doctor_lists_every_file_with_its_verdict(tmp_path):
     assert verdict(CONTENT[::-1]) == "differs"
     assert verdict(CONTENT[1:]) == "differs"
     KNOWN["toy"] = (WeightFile("maker/toy", "part/model.bin", "MIT"),)
-    assert verdict(CONTENT) == "unpublished"
+    assert verdict(CONTENT) == "unknown"
 
 
 def test_known_files_are_stated_completely():
@@ -211,7 +212,7 @@ def test_fetched_file_that_differs_is_deleted_and_refused(hub, tmp_path):
     assert find(TOY, tmp_path) is None
 
 
-def test_unpublished_file_is_checked_against_the_server(hub, tmp_path):
+def test_file_of_unknown_checksum_is_checked_against_the_server(hub, tmp_path):
     KNOWN["toy"] = (WeightFile("maker/toy", "part/model.bin", "MIT"),)
     fetch("toy", tmp_path / "good", endpoint=hub.endpoint)
     hub.content = CONTENT[::-1]
@@ -223,6 +224,57 @@ def test_unreachable_or_absent_file_is_one_sentence(hub, tmp_path):
     KNOWN["toy"] = (WeightFile("maker/toy", "absent.bin", "MIT"),)
     with pytest.raises(InputError, match=r"could not be fetched.*hf download maker/toy absent.bin"):
         fetch("toy", tmp_path, endpoint=hub.endpoint)
+
+
+def test_command_line_lists_and_fetches(hub, tmp_path, monkeypatch, capsys):
+    from phy124.__main__ import main
+    from phy124.commands import weights as command
+
+    folder = tmp_path / "w"
+    assert main(["weights", "list", "--weights", str(folder)]) == 0
+    out = capsys.readouterr().out
+    for part in (
+        "lgm: ashawkey/LGM/model_fp16_fixrot.safetensors",
+        "missing",
+        "expected 830,126,160 bytes, sha256 744d6324",
+        f"looked for {folder}/LGM/model_fp16_fixrot.safetensors",
+        "fetch with: hf download ashawkey/LGM model_fp16_fixrot.safetensors",
+        "huggingface-cli download",
+        "licence: MIT",
+    ):
+        assert part in out
+    monkeypatch.setattr(
+        command, "fetch", lambda *args, **options: fetch(*args, **options, endpoint=hub.endpoint)
+    )
+    assert main(["weights", "fetch", "toy", "--weights", str(folder)]) == 0
+    assert capsys.readouterr().out.strip() == str(folder / "toy/part/model.bin")
+    assert main(["weights", "--weights", str(folder), "--json"]) == 0
+    listed = json.loads(capsys.readouterr().out)
+    assert [f["verdict"] for f in listed if f["weights"] == "toy"] == ["match"]
+    (folder / "toy/part/model.bin").write_bytes(b"x")
+    assert main(["doctor", "--weights", str(folder)]) == 0
+    assert "NOT the published file" in capsys.readouterr().out
+    assert main(["weights", "--weights", str(folder)]) == 1
+    assert main(["weights", "fetch"]) == 2
+    assert "it needs a name" in capsys.readouterr().err
+
+
+def test_generating_without_weights_is_one_sentence(tmp_path, capsys):
+    from PIL import Image
+
+    from phy124.__main__ import main
+
+    picture = Image.new("RGBA", (64, 64))
+    picture.paste((200, 30, 30, 255), (16, 16, 48, 48))
+    picture.save(tmp_path / "square.png")
+    out = str(tmp_path / "out")
+    for name in ("lgm", "dreamgaussian"):
+        arguments = ["generate", str(tmp_path / "square.png"), "--generator", name, "--out", out]
+        assert main(arguments) == 2
+        error = capsys.readouterr().err
+        assert "phy124 weights fetch" in error and "`relief`" in error
+        assert "Traceback" not in error
+    assert not (tmp_path / "out").exists()
 
 
 def test_nothing_heavy_is_imported():

@@ -2,9 +2,11 @@
 
 from phy124.commands.doctor import Doctor
 from phy124.commands.effects import ShowEffects
+from phy124.commands.evaluate import Evaluate
 from phy124.commands.generate import Generate, Simulate
 from phy124.commands.render import Render
 from phy124.commands.scenes import Scenes
+from phy124.commands.weights import Weights
 
 COMMANDS = {
     "generate": Generate,
@@ -12,6 +14,8 @@ COMMANDS = {
     "render": Render,
     "scenes": Scenes,
     "effects": ShowEffects,
+    "evaluate": Evaluate,
+    "weights": Weights,
     "doctor": Doctor,
 }
 """Name on the command line -> class."""

@@ -8,7 +8,11 @@ import platform
 import shutil
 from dataclasses import dataclass
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
+
+from phy124.commands.weights import data, lines
+from phy124.weights import status
 
 EXTRAS = {
     "lgm": ("torch", "diffusers", "transformers", "onnxruntime"),
@@ -22,19 +26,22 @@ EXTRAS = {
 
 @dataclass(frozen=True)
 class Doctor:
-    """Check this installation: Python, devices, video encoder, optional parts."""
+    """Check this installation: Python, devices, video encoder, optional parts, weights."""
 
+    weights: Path | None = None
+    """Folder to look for weights in first."""
     json: bool = False
     """Print as JSON."""
 
     def run(self) -> int:
         """Print; status 1 if something needed is missing."""
-        found = examine()
+        found, files = examine(), status(self.weights)
         if self.json:
-            print(json.dumps(found))
+            print(json.dumps({**found, "weights": data(files)}))
         else:
             for name, value in found.items():
                 print(f"{name:<12}{_text(value)}")
+            print("\n".join(["weights", *lines(files)]))
         return 0 if found["encoder"] else 1
 
 

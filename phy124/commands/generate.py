@@ -13,6 +13,7 @@ from phy124 import pipeline
 from phy124.commands.bars import Bars
 from phy124.commands.options import SceneOptions, default_out, pick_device
 from phy124.stopwatch import Stopwatch
+from phy124.weights import looking_in
 
 
 @dataclass(frozen=True)
@@ -23,9 +24,11 @@ class Generate:
     """PNG, JPEG or WebP picture of one object."""
     options: Annotated[SceneOptions, tyro.conf.arg(name="")] = field(default_factory=SceneOptions)
     generator: str = "relief"
-    """How the picture becomes Gaussians: relief, or the path of a 3DGS .ply file."""
+    """What makes the Gaussians: relief, lgm, lgm-aligned, dreamgaussian, or a 3DGS .ply file."""
     foreground: str = "auto"
-    """How the object is cut out: auto, alpha or grabcut."""
+    """How the object is cut out: auto, alpha, u2net or grabcut."""
+    weights: Path | None = None
+    """Folder to look for trained weights in first (see `phy124 doctor`)."""
     out: Path | None = None
     """Folder of the results; default out/PICTURE-SCENE."""
 
@@ -34,7 +37,7 @@ class Generate:
         scene = self.options.resolve()
         device = pick_device(self.options.device)
         out = self.out or default_out(str(self.image), self.options.scene)
-        with Bars(quiet=self.options.json) as bars:
+        with looking_in(self.weights), Bars(quiet=self.options.json) as bars:
             result = pipeline.generate(
                 self.image,
                 scene,

@@ -45,6 +45,12 @@ def _lgm() -> Generator:
     return Lgm()
 
 
+def _lgm_aligned() -> Generator:
+    from phy124.generators.lgm import Lgm
+
+    return Lgm(align=True)
+
+
 def _dreamgaussian() -> Generator:
     from phy124.generators.dreamgaussian import DreamGaussian
 
@@ -54,6 +60,7 @@ def _dreamgaussian() -> Generator:
 GENERATORS: dict[str, Callable[[], Generator]] = {
     "relief": _relief,
     "lgm": _lgm,
+    "lgm-aligned": _lgm_aligned,
     "dreamgaussian": _dreamgaussian,
 }
 """Name to factory; each imports its generator only when called."""
@@ -81,7 +88,8 @@ def make(chosen: str | Generator) -> Generator:
         if (error.name or "").startswith("phy124"):
             raise
         limit = f"It needs the package {error.name}, which is not installed."
-        remedy = f"Run `pip install 'phy124[{chosen}]'`, or choose relief."
+        extra = chosen.partition("-")[0]
+        remedy = f"Run `pip install 'phy124[{extra}]'`, or choose relief."
         raise InputError("generator", chosen, limit, remedy) from error
 
 

@@ -120,6 +120,8 @@ class Lgm:
             self.model = load(path, self.option, device=self.device, dtype=self.dtype)
 
     def _prepare(self) -> None:
+        if self.multiview is None:
+            require("imagedream", self.weights)  # before anything large is read
         self._prepare_model()
         if self.multiview is None:
             from phy124.generators.imagedream import ImageDream

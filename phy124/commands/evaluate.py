@@ -1,0 +1,98 @@
+"""`phy124 evaluate`: how good a clip is, in figures."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import tyro
+
+from phy124 import pipeline
+from phy124.camera import VIEWS
+from phy124.clip import Clip
+from phy124.commands.bars import Bars
+from phy124.commands.options import pick_device
+from phy124.errors import InputError
+from phy124.files import replacing
+from phy124.metrics import Evaluation, evaluate, similarity
+from phy124.progress import Progress
+from phy124.render import render_frames
+from phy124.scene import Scene, View
+from phy124.weights import looking_in
+
+
+@dataclass(frozen=True)
+class Evaluate:
+    """Measure a clip: CLIP-T from four sides by both formulas, motion, flicker, physics."""
+
+    clip: tyro.conf.Positional[Path]
+    """clip.safetensors made by `phy124 generate`."""
+    clip_model: str | None = None
+    """A CLIP model: a folder, or a name on huggingface.co fetched before; "none": no CLIP-T."""
+    bgr: bool = False
+    """Give CLIP the channels in the order blue, green, red, as 4DGen's program does."""
+    size: int = 256
+    """Width and height of the pictures measured."""
+    elevation: float = 0.0
+    """Camera height angle [deg]."""
+    weights: Path | None = None
+    """Folder to look for weights in first."""
+    out: Path | None = None
+    """File of the figures; default evaluation.json beside the clip."""
+    device: str = "auto"
+    """auto, cpu or cuda:0."""
+    json: bool = False
+    """Print the figures as JSON and nothing else."""
+
+    def run(self) -> int:
+        """Measure; prints the table and writes evaluation.json."""
+        clip = Clip.load(self.clip)
+        with looking_in(self.weights), Bars(quiet=self.json) as bars:
+            model, missing = self._model()
+            videos = self._videos(clip, bars)
+            result = evaluate(clip, videos, model=model, missing=missing)
+        out = self.out or self.clip.parent / "evaluation.json"
+        with replacing(out) as path:
+            path.write_text(json.dumps(self._data(result), indent=2) + "\n", "utf-8")
+        print(json.dumps(self._data(result)) if self.json else f"{result.table()}\n{out}")
+        return 0
+
+    def _model(self) -> tuple[similarity.Clip | None, str | None]:
+        """The CLIP model, or why there is none; a model asked for by name must be there."""
+        if self.clip_model == "none":
+            return None, "it was left out with --clip-model none."
+        try:
+            order = "bgr" if self.bgr else "rgb"
+            return similarity.Clip(self.clip_model or similarity.MODEL, order=order), None
+        except InputError as error:
+            if self.clip_model is not None:
+                raise
+            return None, str(error)
+
+    def _videos(self, clip: Clip, progress: Progress) -> dict[str, np.ndarray]:
+        """Pictures [T,S,S,3] from the paper's four sides."""
+        view = Scene.from_data(clip.scene, str(self.clip)).view
+        view = view.model_copy(update={"size": self.size, "elevation": self.elevation})
+        device = pick_device(self.device)
+        return {
+            name: np.stack([*self._video(clip, view, name, device, progress)]) for name in VIEWS
+        }
+
+    def _video(
+        self, clip: Clip, view: View, name: str, device: str, progress: Progress
+    ) -> Iterator[np.ndarray]:
+        return render_frames(
+            clip.frames(),
+            pipeline.cameras(clip, view, name),
+            background=view.background,
+            device=device,
+            progress=progress,
+        )
+
+    def _data(self, result: Evaluation) -> dict:
+        return {"clip": str(self.clip), **result.data()} | {
+            "pictures": {"size": self.size, "elevation": self.elevation}
+        }

@@ -1,0 +1,92 @@
+"""`phy124 weights`: which trained weights are here, and fetching them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import tyro
+
+from phy124.commands.bars import Bars
+from phy124.errors import InputError
+from phy124.weights import KNOWN, WeightStatus, fetch, status
+
+SENTENCES = {
+    "match": "whole: size and sha256 are the published ones",
+    "differs": "NOT the published file: delete and fetch it again",
+    "unknown": "found; its sha256 is not known here, nothing to compare with",
+    "unchecked": "found; not checked",
+    "missing": "missing",
+}
+"""What each verdict means."""
+OLDER = "(with huggingface_hub before 1.0 the command is `huggingface-cli download ...`)"
+
+
+@dataclass(frozen=True)
+class Weights:
+    """List the trained weights that are known and found, or fetch a set of them."""
+
+    action: tyro.conf.Positional[Literal["list", "fetch"]] = "list"
+    """What to do."""
+    name: tyro.conf.Positional[str | None] = None
+    """Set to fetch: u2net, u2netp, lgm, imagedream, zero123, clip, ..."""
+    weights: Path | None = None
+    """Folder to look in first, and to fetch into."""
+    json: bool = False
+    """Print as JSON."""
+
+    def run(self) -> int:
+        """List or fetch; status 1 if a listed file differs from the published one."""
+        if self.action == "list":
+            return self._list()
+        if self.name is None:
+            raise InputError(
+                "weights", "fetch", "it needs a name.", f"Choose one of {', '.join(KNOWN)}."
+            )
+        with Bars(quiet=True) as bars:  # huggingface_hub draws a bar of its own
+            paths = [str(path) for path in fetch(self.name, self.weights, progress=bars)]
+        print(json.dumps({"files": paths}) if self.json else "\n".join(paths))
+        return 0
+
+    def _list(self) -> int:
+        found = status(self.weights)
+        print(json.dumps(data(found)) if self.json else "\n".join(lines(found)))
+        return 1 if any(s.verdict == "differs" for s in found) else 0
+
+
+def data(found: list[WeightStatus]) -> list[dict[str, Any]]:
+    """Statuses as plain data."""
+    return [
+        {
+            "weights": s.weights,
+            "file": f"{s.file.repo}/{s.file.path}",
+            "found": None if s.found is None else str(s.found),
+            "looked": [str(path) for path in s.looked],
+            "bytes": s.size,
+            "expected_bytes": s.file.size,
+            "sha256": s.file.sha256,
+            "verdict": s.verdict,
+            "licence": s.file.licence,
+            "command": s.file.command,
+        }
+        for s in found
+    ]
+
+
+def lines(found: list[WeightStatus]) -> list[str]:
+    """Statuses as text, a paragraph for each file."""
+    text = []
+    for s in found:
+        text.append(f"{s.weights}: {s.file.repo}/{s.file.path}")
+        text.append(f"  {SENTENCES[s.verdict]}")
+        if s.found:
+            text.append(f"  at {s.found}, {s.size:,} bytes; expected {s.file.expected}")
+        else:
+            text.append(f"  expected {s.file.expected}")
+            text += [f"  looked for {path}" for path in s.looked]
+            text.append(f"  fetch with: {s.file.command}")
+            text.append(f"          or: phy124 weights fetch {s.weights}")
+        text.append(f"  licence: {s.file.licence}")
+    return [*text, OLDER]
