@@ -6,8 +6,7 @@ holds its strength over time and, if it acts on chosen particles, one stage of t
 
 from __future__ import annotations
 
-import math
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import warp as wp
@@ -16,14 +15,17 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from phy124.kernels import push
 from phy124.kernels.transfer import types
 from phy124.region import Region, Vector
-from phy124.tracks import Track
+from phy124.tracks import FOREVER, AnyProfile, Constant, Track
 
 if TYPE_CHECKING:
     from phy124.mpm import Solver, Stage
 
+UNIT: Vector = (1.0, 0.0, 0.0)
+"""Value of a track that holds only the profile."""
+
 
 class Force(BaseModel):
-    """What all forces have: a window in time and an optional region of particles at rest."""
+    """What all forces have: a time profile in a window of time, and a region of the body."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -31,7 +33,12 @@ class Force(BaseModel):
     end: float | None = Field(
         default=None, gt=0, description="Acts until here [s]; absent: always."
     )
-    region: Region | None = Field(default=None, description="Particles it acts on; all if absent.")
+    region: Region | None = Field(
+        default=None, description="Particles it acts on, by their place at rest; all if absent."
+    )
+    profile: AnyProfile = Field(
+        default=Constant(), description="Its strength over time: constant, ramp, sine, keyframes."
+    )
 
     @model_validator(mode="after")
     def _ordered(self) -> Force:
@@ -39,11 +46,14 @@ class Force(BaseModel):
             raise ValueError(f"start {self.start} s must be before end {self.end} s")
         return self
 
-    def track(self, value: Vector) -> Track:
-        """The value inside the window of time, nothing outside."""
-        if self.start == 0 and self.end is None:
-            return Track.constant(value)
-        return Track.window(value, self.start, math.inf if self.end is None else self.end)
+    def track(self, value: Vector, *, mean: bool = True) -> Track:
+        """The value times the profile inside the window of time, nothing outside."""
+        end = FOREVER if self.end is None else self.end
+        return Track.scaled(value, self.profile, self.start, end, mean=mean)
+
+    def attach(self, solver: Solver) -> list[Stage]:
+        """The stages it needs in each substep, none if it joins the uniform acceleration."""
+        raise NotImplementedError
 
     def chosen(self, solver: Solver) -> wp.array:
         """Indices of the particles it acts on; raises ValueError if the region is empty."""
@@ -84,9 +94,43 @@ class TotalForce(Force):
 
     def attach(self, solver: Solver) -> list[Stage]:
         """Accelerate the region by f over its mass."""
-        total = float(solver.mass.numpy()[self.chosen(solver).numpy()].sum(dtype=np.float64))
-        x, y, z = (component / total for component in self.f)
-        return _accelerate(self, (x, y, z), solver)
+        return _accelerate(self, _per_mass(self, self.f, solver), solver)
+
+
+class Impulse(Force):
+    """A blow: a total momentum given to a region, whatever the substeps and the profile are."""
+
+    kind: Literal["impulse"] = "impulse"
+    p: Vector = Field(default=(0.0, 1.0, 0.0), description="Total momentum it gives [N s].")
+    duration: float = Field(default=0.01, gt=0, le=10, description="Time it takes [s].")
+
+    @model_validator(mode="after")
+    def _whole(self) -> Impulse:
+        if self.end is not None:
+            raise ValueError("an impulse ends after its duration; leave end out")
+        if self.profile.period or self._share() <= 0:
+            raise ValueError("the profile of an impulse must not repeat and must push on the whole")
+        return self
+
+    def track(self, value: Vector, *, mean: bool = True) -> Track:
+        """The value over its duration, nothing outside."""
+        end = self.start + self.duration
+        track = Track.scaled(value, self.profile, self.start, end, mean=mean)
+        # Unlike what always acts, a blow at time 0 has not acted before.
+        return Track(track.keys, self.start, end, track.origin, track.period, mean)
+
+    def attach(self, solver: Solver) -> list[Stage]:
+        """Accelerate the region by p over its mass and the profile's duration."""
+        x, y, z = _per_mass(self, self.p, solver)
+        time = self.duration * self._share()
+        return _accelerate(self, (x / time, y / time, z / time), solver)
+
+    def _share(self) -> float:
+        """Mean of the profile over the duration."""
+        times, factors = self.profile.table()
+        inside = np.unique(np.clip(np.append(times, [0, self.duration]), 0, self.duration))
+        at = np.interp(inside, times, factors)
+        return float(((at[1:] + at[:-1]) / 2 * np.diff(inside)).sum()) / self.duration
 
 
 class ParticleForce(Force):
@@ -100,6 +144,63 @@ class ParticleForce(Force):
         return _push(self, self.f, solver, per_mass=True)
 
 
+class FieldForce(Force):
+    """A push in a place: it acts on whatever is inside its box at the moment."""
+
+    kind: Literal["field"] = "field"
+    place: Region = Field(default=Region(), description="Where in space it acts.")
+    a: Vector = Field(default=(0.0, 1.0, 0.0), description="Acceleration [m/s^2].")
+
+    @model_validator(mode="after")
+    def _everything(self) -> FieldForce:
+        if self.region is not None:
+            raise ValueError("a field acts on whatever is in its place; leave region out")
+        return self
+
+    def attach(self, solver: Solver) -> list[Stage]:
+        """Push what is inside."""
+        t, tracks, state = types(solver.real), solver.tracks, solver.state
+        slot, kernel = tracks.add(self.track(self.a)), push.make_field(solver.real)
+        corners = [t.vec3(*self.place.lower), t.vec3(*self.place.upper)]
+
+        def record() -> wp.Launch | None:
+            inputs = [*corners, slot, state.x, solver.clock, tracks.values]
+            return solver.record(kernel, len(solver.rest), inputs, [state.v])
+
+        return [("field", record)]
+
+
+class Wind(Force):
+    """Air or water that streams past and drags along: a = rate (wind - v)."""
+
+    kind: Literal["wind"] = "wind"
+    v: Vector = Field(default=(0.0, 3.0, 0.0), description="Velocity of the stream [m/s].")
+    rate: float = Field(
+        default=1.0, gt=0, le=1e6, description="Share of the difference lost per second [1/s]."
+    )
+
+    def attach(self, solver: Solver) -> list[Stage]:
+        """Draw the chosen particles along."""
+        track = self.track(self.v, mean=False)
+        return _stage(self, "wind", push.make_drag(solver.real), track, [self.rate], solver)
+
+
+class Attraction(Force):
+    """A point that attracts, or repels if negative: linear inside its radius, 1 / d^2 outside."""
+
+    kind: Literal["attraction"] = "attraction"
+    centre: Vector = Field(default=(0.0, 0.0, 1.0), description="The point [m].")
+    g: float = Field(default=10.0, description="Acceleration at the radius [m/s^2].")
+    radius: float = Field(default=0.5, gt=0, le=1e4, description="Distance of the maximum [m].")
+
+    def attach(self, solver: Solver) -> list[Stage]:
+        """Draw the chosen particles to the point."""
+        track = self.track((self.g, 0.0, 0.0))
+        t, state = types(solver.real), solver.state
+        inputs = [t.vec3(*self.centre), self.radius, state.x]
+        return _stage(self, "attraction", push.make_attract(solver.real), track, inputs, solver)
+
+
 class SetVelocity(Force):
     """The paper's first kind of force: the velocity of particles is prescribed."""
 
@@ -111,26 +212,36 @@ class SetVelocity(Force):
     def attach(self, solver: Solver) -> list[Stage]:
         """Overwrite v and C of the chosen particles while active."""
         t, tracks, state = types(solver.real), solver.tracks, solver.state
-        slot, chosen = tracks.add(self.track(self.v)), self.chosen(solver)
+        slot, chosen = tracks.add(self.track(UNIT, mean=False)), self.chosen(solver)
         kernel = push.make_set_velocity(solver.real)
+        motion = [t.vec3(*self.v), t.vec3(*self.centre), t.vec3(*self.spin)]
 
-        def record() -> wp.Launch:
-            inputs = [
-                chosen,
-                slot,
-                t.vec3(*self.centre),
-                t.vec3(*self.spin),
-                state.x,
-                tracks.values,
-            ]
+        def record() -> wp.Launch | None:
+            inputs = [chosen, slot, *motion, state.x, tracks.values]
             return solver.record(kernel, len(chosen), inputs, [state.v, state.C])
 
         return [("set_velocity", record)]
 
 
 AnyForce = Annotated[
-    Gravity | Acceleration | TotalForce | ParticleForce | SetVelocity, Field(discriminator="kind")
+    Gravity
+    | Acceleration
+    | TotalForce
+    | Impulse
+    | ParticleForce
+    | FieldForce
+    | Wind
+    | Attraction
+    | SetVelocity,
+    Field(discriminator="kind"),
 ]
+
+
+def _per_mass(force: Force, f: Vector, solver: Solver) -> Vector:
+    """A vector over the mass of the chosen particles."""
+    chosen = np.asarray(force.chosen(solver).numpy(), dtype=np.int64)
+    total = float(np.take(solver.mass.numpy(), chosen).sum(dtype=np.float64))
+    return f[0] / total, f[1] / total, f[2] / total
 
 
 def _accelerate(force: Force, a: Vector, solver: Solver) -> list[Stage]:
@@ -142,12 +253,20 @@ def _accelerate(force: Force, a: Vector, solver: Solver) -> list[Stage]:
 
 
 def _push(force: Force, value: Vector, solver: Solver, *, per_mass: bool) -> list[Stage]:
-    tracks, chosen = solver.tracks, force.chosen(solver)
-    slot = tracks.add(force.track(value))
     kernel = push.make_accelerate(solver.real, per_mass)
+    name = "particle_force" if per_mass else "region_force"
+    return _stage(force, name, kernel, force.track(value), [solver.mass], solver)
 
-    def record() -> wp.Launch:
-        inputs = [chosen, slot, solver.mass, solver.clock, tracks.values]
-        return solver.record(kernel, len(chosen), inputs, [solver.state.v])
 
-    return [("particle_force" if per_mass else "region_force", record)]
+def _stage(
+    force: Force, name: str, kernel: Any, track: Track, inputs: list, solver: Solver
+) -> list[Stage]:
+    """One launch over the chosen particles that reads a track and changes velocities."""
+    tracks, chosen = solver.tracks, force.chosen(solver)
+    slot = tracks.add(track)
+
+    def record() -> wp.Launch | None:
+        read = [chosen, slot, *inputs, solver.clock, tracks.values]
+        return solver.record(kernel, len(chosen), read, [solver.state.v])
+
+    return [(name, record)]

@@ -16,8 +16,16 @@ SMALLEST_J = wp.constant(1.0e-4)
 """Volume ratio below which log J is continued by its tangent, so inverted elements push back."""
 
 
-POLAR_MISS = wp.constant(2.0e-6)
-"""Greatest |R|^2 - 3 that passes: R is then a rotation to 1e-6."""
+@wp.func
+def polar_miss(s: wp.float32):
+    """Greatest |R|^2 - 3 that passes in float32: R is then a rotation to 1e-6."""
+    return wp.float32(2.0e-6)
+
+
+@wp.func
+def polar_miss(s: wp.float64):  # noqa: F811
+    """Greatest |R|^2 - 3 that passes in float64."""
+    return wp.float64(1.0e-12)
 
 
 @wp.func
@@ -44,7 +52,7 @@ def stretch(F: Any):
     """V of F = V R for every F: by Newton, and in float64 where that has not converged."""
     s = F[0, 0]
     R = polar(F)
-    if wp.determinant(F) > type(s)(0.0) and wp.ddot(R, R) < type(s)(3.0) + type(s)(POLAR_MISS):
+    if wp.determinant(F) > type(s)(0.0) and wp.ddot(R, R) < type(s)(3.0) + polar_miss(s):
         return F * wp.transpose(R)
     return from_double(signed_stretch(to_double(F)), s)
 
@@ -88,9 +96,10 @@ def neo_hookean(F: Any, C: Any, h: Any, theta: Any):
 
 @wp.func
 def neo_hookean_modulus(F: Any, h: Any, theta: Any):
-    """2 mu s^2 + 3 lam, s the largest stretch."""
-    return (
-        type(theta[0])(2.0) * theta[0] * largest_stretch_squared(F) + type(theta[0])(3.0) * theta[1]
+    """2 mu s^2 + 3 lam, s the largest stretch; lam counts only if positive (auxetics: nu < 0)."""
+    zero = type(theta[0])(0.0)
+    return type(zero)(2.0) * theta[0] * largest_stretch_squared(F) + type(zero)(3.0) * wp.max(
+        theta[1], zero
     )
 
 
@@ -113,10 +122,10 @@ def fixed_corotated(F: Any, C: Any, h: Any, theta: Any):
 
 @wp.func
 def fixed_corotated_modulus(F: Any, h: Any, theta: Any):
-    """2 mu (2 s^2 - s) + 3 lam max(2 J^2 - J, 0), s the largest stretch (at least 1)."""
+    """2 mu (2 s^2 - s) + 3 max(lam (2 J^2 - J), 0), s the largest stretch (at least 1)."""
     one = type(theta[0])(1.0)
     two = type(theta[0])(2.0)
     s2 = wp.max(largest_stretch_squared(F), one)
     J = wp.determinant(F)
-    volumetric = wp.max(two * J * J - J, type(J)(0.0))
-    return two * theta[0] * (two * s2 - wp.sqrt(s2)) + type(J)(3.0) * theta[1] * volumetric
+    volumetric = wp.max(theta[1] * (two * J * J - J), type(J)(0.0))
+    return two * theta[0] * (two * s2 - wp.sqrt(s2)) + type(J)(3.0) * volumetric

@@ -33,10 +33,8 @@ def drucker_prager(F: Any, h: Any, theta: Any, dt: Any):
         return exponential(-e) * F, wp.vector(volume, h[1])
     dev = deviator(e)
     size = wp.sqrt(wp.ddot(dev, dev))
-    pressing = (
-        type(zero)(3.0) * theta[1] / (type(zero)(2.0) * theta[0]) + type(zero)(1.0)
-    ) * volume
-    flow = wp.max(size + pressing * theta[2], zero)
+    bulk = type(zero)(3.0) * theta[1] / (type(zero)(2.0) * theta[0]) + type(zero)(1.0)
+    flow = wp.max(size + bulk * volume * theta[2], zero)
     if flow == zero and h[0] == zero:
         return F, h
     gap = h[0] * third * wp.identity(3, dtype=type(zero))

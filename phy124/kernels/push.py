@@ -1,7 +1,7 @@
 """Forces on chosen particles, before they scatter: one kernel per force.
 
-`chosen` lists the particles a force acts on; `slot` is the track that holds its strength, whose
-fourth component is zero while the force is off.
+`chosen` lists the particles a force acts on; `slot` is the track that holds its strength, averaged
+over the kick and zero while the force is off.
 """
 
 from functools import cache
@@ -28,7 +28,7 @@ def make_accelerate(real: Any, per_mass: bool):
     ):  # fmt: skip
         p = chosen[wp.tid()]
         a = values[slot]
-        scale = clock[0] * a[3]
+        scale = clock[0]
         if wp.static(per_mass):
             scale = scale / mass[p]
         v_out[p] = v_out[p] + scale * wp.vector(a[0], a[1], a[2])
@@ -37,22 +37,90 @@ def make_accelerate(real: Any, per_mass: bool):
 
 
 @cache
+def make_field(real: Any):
+    """Kernel: v += kick a for particles that are inside a box at the moment."""
+    t = types(real)
+
+    @wp.kernel(module=f"phy124_field_{real.__name__}", enable_backward=False)
+    def field(
+        # model
+        lower: t.vec3, upper: t.vec3, slot: int, x: wp.array(dtype=t.vec3),
+        clock: wp.array(dtype=real), values: wp.array(dtype=t.vec4),
+        # out
+        v_out: wp.array(dtype=t.vec3),
+    ):  # fmt: skip
+        p = wp.tid()
+        inside = bool(True)
+        for axis in range(3):
+            if not (x[p][axis] >= lower[axis] and x[p][axis] <= upper[axis]):
+                inside = False
+        if inside:
+            a = values[slot]
+            v_out[p] = v_out[p] + clock[0] * wp.vector(a[0], a[1], a[2])
+
+    return field
+
+
+@cache
+def make_drag(real: Any):
+    """Kernel: v approaches the wind at a rate, v += (u - v)(1 - exp(-rate kick)): never past it."""
+    t = types(real)
+
+    @wp.kernel(module=f"phy124_drag_{real.__name__}", enable_backward=False)
+    def drag(
+        # model
+        chosen: wp.array(dtype=int), slot: int, rate: real,
+        clock: wp.array(dtype=real), values: wp.array(dtype=t.vec4),
+        # out
+        v_out: wp.array(dtype=t.vec3),
+    ):  # fmt: skip
+        p = chosen[wp.tid()]
+        u = values[slot]
+        if u[3] > real(0.0):
+            share = real(1.0) - wp.exp(-rate * clock[0])
+            v_out[p] = v_out[p] + share * (wp.vector(u[0], u[1], u[2]) - v_out[p])
+
+    return drag
+
+
+@cache
+def make_attract(real: Any):
+    """Kernel: v += kick g d / r, g linear inside `radius` and falling as 1 / d^2 outside."""
+    t = types(real)
+
+    @wp.kernel(module=f"phy124_attract_{real.__name__}", enable_backward=False)
+    def attract(
+        # model
+        chosen: wp.array(dtype=int), slot: int, centre: t.vec3, radius: real,
+        x: wp.array(dtype=t.vec3), clock: wp.array(dtype=real), values: wp.array(dtype=t.vec4),
+        # out
+        v_out: wp.array(dtype=t.vec3),
+    ):  # fmt: skip
+        p = chosen[wp.tid()]
+        d = (centre - x[p]) / radius
+        r = wp.max(wp.length(d), real(1.0))
+        v_out[p] = v_out[p] + (clock[0] * values[slot][0] / (r * r * r)) * d
+
+    return attract
+
+
+@cache
 def make_set_velocity(real: Any):
-    """Kernel: v = u + omega x (x - centre) and C = [omega]x while active."""
+    """Kernel: v = s (u + omega x (x - centre)) and C = s [omega]x while active, s the profile."""
     t = types(real)
 
     @wp.kernel(module=f"phy124_set_velocity_{real.__name__}", enable_backward=False)
     def set_velocity(
         # model
-        chosen: wp.array(dtype=int), slot: int, centre: t.vec3, omega: t.vec3,
+        chosen: wp.array(dtype=int), slot: int, u: t.vec3, centre: t.vec3, omega: t.vec3,
         x: wp.array(dtype=t.vec3), values: wp.array(dtype=t.vec4),
         # out
         v_out: wp.array(dtype=t.vec3), C_out: wp.array(dtype=t.mat33),
     ):  # fmt: skip
         p = chosen[wp.tid()]
-        u = values[slot]
-        if u[3] > real(0.0):
-            v_out[p] = wp.vector(u[0], u[1], u[2]) + wp.cross(omega, x[p] - centre)
-            C_out[p] = wp.skew(omega)
+        s = values[slot]
+        if s[3] > real(0.0):
+            v_out[p] = s[0] * (u + wp.cross(omega, x[p] - centre))
+            C_out[p] = s[0] * wp.skew(omega)
 
     return set_velocity

@@ -61,13 +61,25 @@ def quadratic(c: Any, a: Any, squared: Any):
 
 
 @wp.func
+def small_enough(s: wp.float32):
+    """|A|^2 for which the series of exp A up to A^5 / 120 is exact in float32."""
+    return wp.float32(0.015625)
+
+
+@wp.func
+def small_enough(s: wp.float64):  # noqa: F811
+    """|A|^2 for which the series of exp A up to A^5 / 120 is exact in float64."""
+    return wp.float64(2.5e-5)
+
+
+@wp.func
 def exponential(a: Any):
-    """exp A: halved until |A| <= 1/8, the power series up to A^5 / 120, squared again."""
+    """exp A: halved until small, the power series up to A^5 / 120, squared again."""
     s = a[0, 0]
     small = a
     size = wp.ddot(a, a)
     doublings = int(0)
-    while size > type(s)(0.015625) and doublings < 20:
+    while size > small_enough(s) and doublings < 24:
         small = type(s)(0.5) * small
         size *= type(s)(0.25)
         doublings += 1

@@ -67,9 +67,12 @@ class Elastic(Material):
         return self.lame
 
     def wave_speed(self) -> float:
-        """Speed that limits the substep at rest, sqrt((3 lambda + 2 mu) / rho) [m/s]."""
+        """Speed that limits the substep at rest, sqrt((3 lambda + 2 mu) / rho) [m/s].
+
+        A negative lambda (nu < 0) does not count: shear is then the stiffest motion.
+        """
         mu, lam = self.lame
-        return math.sqrt((3 * lam + 2 * mu) / self.density)
+        return math.sqrt((3 * max(lam, 0) + 2 * mu) / self.density)
 
     def theta_rows(self, stiffness: NDArray) -> NDArray[np.float64]:
         """One row of parameters per particle [P,W], its mu and lambda times `stiffness [P]`."""

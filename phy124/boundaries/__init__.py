@@ -1,0 +1,39 @@
+"""Boundaries a scene can name: shapes that answer to grid velocities.
+
+A boundary is its own section of the scene file. It becomes one stage of the substep (a container
+one per wall, a gripper two), launched over the nodes its shape can reach and nothing else.
+"""
+
+from typing import Annotated
+
+from pydantic import Field
+
+from phy124.boundaries.base import REACH, Boundary, Contact
+from phy124.boundaries.held import Foot, Held
+from phy124.boundaries.motion import Path, Swing
+from phy124.boundaries.planes import Container, Ground, HalfSpace, Press
+from phy124.boundaries.solids import Box, Capsule, Gripper, Sphere
+
+AnyBoundary = Annotated[
+    Ground | HalfSpace | Press | Container | Box | Sphere | Capsule | Gripper | Held | Foot,
+    Field(discriminator="kind"),
+]
+
+__all__ = [
+    "REACH",
+    "AnyBoundary",
+    "Boundary",
+    "Box",
+    "Capsule",
+    "Contact",
+    "Container",
+    "Foot",
+    "Gripper",
+    "Ground",
+    "HalfSpace",
+    "Held",
+    "Path",
+    "Press",
+    "Sphere",
+    "Swing",
+]

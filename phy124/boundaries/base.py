@@ -1,0 +1,135 @@
+"""What all boundaries have in common: a shape, and an answer to what touches it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING, ClassVar, Literal
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from phy124.boundaries.motion import AnyMotion
+from phy124.errors import InputError
+from phy124.kernels.collide import make_collider
+from phy124.kernels.transfer import types
+from phy124.region import Vector
+from phy124.tracks import Track
+
+if TYPE_CHECKING:
+    from phy124.mpm import Solver, Stage
+
+Contact = Literal["sticky", "slip", "separate"]
+REACH = -0.25
+"""A node answers to a wall below this signed distance, in cells.
+
+Material rests 0.6 to 0.9 cells above the last free-moving node plane, so the plane that stops it
+must lie about 0.75 cells inside the wall for the body to touch the wall itself.
+"""
+THINNEST = 1.0
+"""Least half thickness of a solid, in cells: nodes must lie inside it to stop anything."""
+Corners = tuple[NDArray[np.float64], NDArray[np.float64]]
+
+
+class Boundary(BaseModel):
+    """What all boundaries have: how they answer to what touches them."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    shape: ClassVar[str]
+
+    contact: Contact = Field(
+        default="separate", description="sticky, slip, or separate (may leave, with friction)."
+    )
+    friction: float = Field(default=0.4, ge=0, le=10, description="Coulomb friction coefficient.")
+
+    def geometry(self, solver: Solver) -> tuple[Vector, Vector, Vector]:
+        """Three vectors that the shape's distance function reads."""
+        raise NotImplementedError
+
+    def bounds(self, solver: Solver) -> Corners:
+        """Corners of a box that holds every node inside the shape at rest [m]."""
+        return np.full(3, -np.inf), np.full(3, np.inf)
+
+    def track(self, solver: Solver) -> Track | None:
+        """Displacement over time [m]; None if it never moves."""
+        return None
+
+    def thickness(self) -> float:
+        """Least half thickness of the solid [m]."""
+        return np.inf
+
+    def attach(self, solver: Solver) -> list[Stage]:
+        """One collider stage; raises InputError if the solid is too thin for the grid."""
+        if self.thickness() < THINNEST * solver.dx:
+            raise InputError(
+                f"boundaries.{type(self).__name__.lower()}", f"{2 * self.thickness():g} m",
+                f"it is thinner than two grid cells of {solver.dx:g} m, so things would pass it.",
+                "Make it thicker or the grid finer.",
+            )  # fmt: skip
+        return [(type(self).__name__.lower(), self._recorder(solver))]
+
+    def reach(self, dx: float) -> float:
+        """Signed distance below which a node answers [m]."""
+        return REACH * dx
+
+    def _recorder(self, solver: Solver) -> Callable[[], wp.Launch | None]:
+        t, track = types(solver.real), self.track(solver)
+        slot = 0 if track is None else solver.tracks.add(track)
+        kernel = make_collider(self.shape, self.contact, track is not None, solver.real)
+        bounds = self.bounds(solver)
+        if track is not None:
+            bounds = swept(bounds, track)
+        shape = t.mat33(*np.ravel(self.geometry(solver)))
+
+        def record() -> wp.Launch | None:
+            start, extent = solver.grid.nodes_within(*bounds)
+            inputs = [
+                shape, self.friction, self.reach(solver.dx), slot,
+                wp.vec3i(*start.tolist()), solver.grid.lattice, solver.grid.window,
+                solver.tracks.values, solver.tracks.rates,
+            ]  # fmt: skip
+            return solver.record(kernel, tuple(extent), inputs, [solver.grid.nodes])
+
+        return record
+
+
+class Movable(Boundary):
+    """A boundary that may follow a path or swing."""
+
+    motion: AnyMotion | None = Field(
+        default=None, description="Its displacement over time: path or swing; absent: fixed."
+    )
+
+    def track(self, solver: Solver) -> Track | None:
+        """Displacement over time [m]; None if it never moves."""
+        return None if self.motion is None else self.motion.track()
+
+
+def vector(values: Iterable[float]) -> Vector:
+    """Three numbers as a section holds them."""
+    x, y, z = values
+    return float(x), float(y), float(z)
+
+
+def swept(corners: Corners, track: Track) -> Corners:
+    """A box that holds the moving box at all times."""
+    moves = np.array([key[1] for key in track.keys])
+    return corners[0] + moves.min(axis=0), corners[1] + moves.max(axis=0)
+
+
+def half_bounds(point: Vector, normal: Vector) -> Corners:
+    """The solid side of a plane, if it lies along an axis, else all of space."""
+    lower, upper = np.full(3, -np.inf), np.full(3, np.inf)
+    across = np.flatnonzero(np.abs(normal) > 1e-9)
+    if len(across) == 1:
+        axis = across[0]
+        (upper if normal[axis] > 0 else lower)[axis] = point[axis]
+    return lower, upper
+
+
+def box_of(lower: Vector, upper: Vector) -> tuple[Vector, Vector, Vector]:
+    """Centre and half sizes."""
+    low, high = np.array(lower), np.array(upper)
+    return vector((low + high) / 2), vector((high - low) / 2), (0.0, 0.0, 0.0)

@@ -1,0 +1,92 @@
+"""How a boundary moves: along a path or to and fro; it never turns."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from phy124.region import Vector
+from phy124.tracks import Key, Sine, Track, check_times
+
+EASE = 16
+"""Straight pieces per leg of a path with smooth ends."""
+
+
+class Motion(BaseModel):
+    """What all motions have: a displacement over time."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    start: float = Field(default=0.0, ge=0, description="Begins to move [s].")
+
+    def track(self) -> Track:
+        """Displacement [m]; the rate of the track is the velocity of the wall."""
+        raise NotImplementedError
+
+
+class Path(Motion):
+    """From point to point."""
+
+    kind: Literal["path"] = "path"
+    times: tuple[float, ...] = Field(default=(0.0, 1.0), description="Times since the start [s].")
+    points: tuple[Vector, ...] = Field(
+        default=((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), description="Displacements then [m]."
+    )
+    smooth: bool = Field(default=True, description="Stop gently at each point.")
+    repeat: bool = Field(default=False, description="Begin anew after the last point.")
+
+    @model_validator(mode="after")
+    def _fits(self) -> Path:
+        check_times(self.times, len(self.points), "points")
+        if self.repeat and self.points[0] != self.points[-1]:
+            raise ValueError("a path that repeats must end where it begins")
+        return self
+
+    def track(self) -> Track:
+        """The points, with a cosine between them if smooth."""
+        times, points = np.array(self.times), np.array(self.points)
+        if self.smooth:
+            times, points = eased(times, points)
+        period = self.times[-1] if self.repeat else 0.0
+        return Track(keyed(times, points), origin=self.start, period=period)
+
+
+class Swing(Motion):
+    """To and fro as a sine: a shaking base."""
+
+    kind: Literal["swing"] = "swing"
+    amplitude: Vector = Field(default=(0.0, 0.05, 0.0), description="Greatest displacement [m].")
+    frequency: float = Field(default=2.0, gt=0, le=1e4, description="Swings per second [Hz].")
+
+    def track(self) -> Track:
+        """One swing, repeated; it begins at rest in the middle with its greatest speed."""
+        sine = Sine(frequency=self.frequency)
+        times, factors = sine.table()
+        return Track(
+            keyed(times, np.outer(factors, self.amplitude)), origin=self.start, period=sine.period
+        )
+
+
+AnyMotion = Annotated[Path | Swing, Field(discriminator="kind")]
+
+
+def keyed(times: np.ndarray, points: np.ndarray) -> tuple[Key, ...]:
+    """Times [N] and points [N,3] as keys of a track."""
+    return tuple(
+        (t, (x, y, z)) for t, (x, y, z) in zip(times.tolist(), points.tolist(), strict=True)
+    )
+
+
+def eased(times: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Each leg in `EASE` pieces that begin and end with no speed."""
+    parts = np.linspace(0, 1, EASE + 1)[1:]
+    shares = (1 - np.cos(math.pi * parts)) / 2
+    new_times, new_points = [times[0]], [points[0]]
+    for a, b in itertools.pairwise(range(len(times))):
+        new_times += list(times[a] + parts * (times[b] - times[a]))
+        new_points += list(points[a] + shares[:, None] * (points[b] - points[a]))
+    return np.array(new_times), np.array(new_points)

@@ -1,0 +1,124 @@
+"""Walls without end: ground, half-space, press, container."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from phy124.boundaries.base import Boundary, Corners, Movable, half_bounds, vector
+from phy124.boundaries.motion import Path
+from phy124.region import Region, Vector
+from phy124.tracks import Track
+
+if TYPE_CHECKING:
+    from phy124.mpm import Solver, Stage
+
+
+class Plane(Boundary):
+    """A boundary whose solid side is all that lies behind a plane."""
+
+    shape: ClassVar[str] = "half_space"
+
+    def bounds(self, solver: Solver) -> Corners:
+        """Half of space if the normal lies along an axis, else all of it."""
+        point, normal, _ = self.geometry(solver)
+        return half_bounds(point, normal)
+
+
+class HalfSpace(Plane, Movable):
+    """Everything behind a plane is solid."""
+
+    kind: Literal["half_space"] = "half_space"
+    point: Vector = Field(default=(0.0, 0.0, 0.0), description="A point on the plane [m].")
+    normal: Vector = Field(default=(0.0, 0.0, 1.0), description="Direction out of the solid.")
+
+    @model_validator(mode="after")
+    def _points_somewhere(self) -> HalfSpace:
+        if math.hypot(*self.normal) == 0:
+            raise ValueError("the normal is zero; give the direction out of the solid")
+        return self
+
+    def geometry(self, solver: Solver) -> tuple[Vector, Vector, Vector]:
+        """Point and unit normal."""
+        length = math.hypot(*self.normal)
+        x, y, z = (component / length for component in self.normal)
+        return self.point, (x, y, z), (0.0, 0.0, 0.0)
+
+
+class Ground(Plane, Movable):
+    """A floor at a height, on which objects stand by default."""
+
+    kind: Literal["ground"] = "ground"
+    height: float = Field(default=0.0, description="Height of the floor [m].")
+
+    def geometry(self, solver: Solver) -> tuple[Vector, Vector, Vector]:
+        """Point and unit normal."""
+        return (0.0, 0.0, self.height), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
+
+
+class Press(Plane):
+    """A plate that comes down on the object, rests and goes back."""
+
+    kind: Literal["press"] = "press"
+    top: float | None = Field(
+        default=None, description="Height of the plate at the start [m]; absent: on the object."
+    )
+    depth: float = Field(
+        default=0.35, gt=0, le=0.9, description="How far it comes down, in object heights."
+    )
+    start: float = Field(default=0.0, ge=0, description="Begins to move [s].")
+    down: float = Field(default=0.25, gt=0, description="Time to come down [s].")
+    hold: float = Field(default=0.05, ge=0, description="Time at the bottom [s].")
+    up: float = Field(default=0.2, gt=0, description="Time to go back [s].")
+
+    def geometry(self, solver: Solver) -> tuple[Vector, Vector, Vector]:
+        """Point and unit normal, before displacement."""
+        height = solver.rest[:, 2].max() if self.top is None else self.top
+        return (0.0, 0.0, float(height)), (0.0, 0.0, -1.0), (0.0, 0.0, 0.0)
+
+    def track(self, solver: Solver) -> Track:
+        """Down with smooth ends, hold, and up again."""
+        low = (0.0, 0.0, -self.depth * float(np.ptp(solver.rest[:, 2])))
+        return there_and_back(low, self.start, self.down, self.hold, self.up)
+
+
+class Container(Movable):
+    """A box that keeps things inside: the walls of a tank, a tray, or of the whole domain.
+
+    Each closed side is one stage; name the sides that are open.
+    """
+
+    kind: Literal["container"] = "container"
+    inside: Region = Field(
+        default=Region(lower=(-1.0, -1.0, 0.0), upper=(1.0, 1.0, 2.0)),
+        description="The free space; sides left out are open.",
+    )
+
+    def sides(self) -> list[HalfSpace]:
+        """Its walls; a side far beyond any scene is none."""
+        walls = []
+        for axis in range(3):
+            for corner, sign in ((self.inside.lower, 1.0), (self.inside.upper, -1.0)):
+                if abs(corner[axis]) < 1e8:
+                    normal = np.zeros(3)
+                    normal[axis] = sign
+                    wall = HalfSpace(point=corner, normal=vector(normal), contact=self.contact)
+                    moves = {"friction": self.friction, "motion": self.motion}
+                    walls.append(wall.model_copy(update=moves))
+        return walls
+
+    def attach(self, solver: Solver) -> list[Stage]:
+        """One stage per wall."""
+        stages = [stage for wall in self.sides() for stage in wall.attach(solver)]
+        return [("container", record) for _, record in stages]
+
+
+def there_and_back(to: Vector, start: float, go: float, stay: float, back: float) -> Track:
+    """Displacement to a place [m], a rest and the way back, with smooth ends; times in s."""
+    here = (0.0, 0.0, 0.0)
+    times = [0.0, go, go + stay, go + stay + back] if stay > 0 else [0.0, go, go + back]
+    points = (here, to, to, here) if stay > 0 else (here, to, here)
+    return Path(start=start, times=tuple(times), points=points).track()

@@ -1,0 +1,141 @@
+"""Obstacles: box, sphere, capsule, and a gripper of two pads."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from phy124.boundaries.base import Boundary, Corners, Movable, box_of, vector
+from phy124.boundaries.motion import Path
+from phy124.region import Vector
+
+if TYPE_CHECKING:
+    from phy124.mpm import Solver, Stage
+
+Axis = Literal["x", "y"]
+
+
+class Box(Movable):
+    """A box along the axes."""
+
+    shape: ClassVar[str] = "box"
+    kind: Literal["box"] = "box"
+    lower: Vector = Field(default=(-0.2, -0.2, 0.0), description="Lowest corner [m].")
+    upper: Vector = Field(default=(0.2, 0.2, 0.2), description="Highest corner [m].")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Box:
+        if any(low >= high for low, high in zip(self.lower, self.upper, strict=True)):
+            raise ValueError(f"lower {self.lower} must be below upper {self.upper}; swap them")
+        return self
+
+    def geometry(self, solver: Solver) -> tuple[Vector, Vector, Vector]:
+        """Centre and half sizes."""
+        return box_of(self.lower, self.upper)
+
+    def bounds(self, solver: Solver) -> Corners:
+        """The box."""
+        return np.array(self.lower), np.array(self.upper)
+
+    def thickness(self) -> float:
+        """Half of the shortest side [m]."""
+        return float(np.subtract(self.upper, self.lower).min()) / 2
+
+
+class Sphere(Movable):
+    """A ball."""
+
+    shape: ClassVar[str] = "sphere"
+    kind: Literal["sphere"] = "sphere"
+    centre: Vector = Field(default=(0.0, 0.0, 0.2), description="Centre [m].")
+    radius: float = Field(default=0.2, gt=0, le=1e4, description="Radius [m].")
+
+    def geometry(self, solver: Solver) -> tuple[Vector, Vector, Vector]:
+        """Centre and radius."""
+        return self.centre, (self.radius, 0.0, 0.0), (0.0, 0.0, 0.0)
+
+    def bounds(self, solver: Solver) -> Corners:
+        """The box around it."""
+        return np.array(self.centre) - self.radius, np.array(self.centre) + self.radius
+
+    def thickness(self) -> float:
+        """The radius [m]."""
+        return self.radius
+
+
+class Capsule(Movable):
+    """A rod with round ends."""
+
+    shape: ClassVar[str] = "capsule"
+    kind: Literal["capsule"] = "capsule"
+    start: Vector = Field(default=(0.0, -0.5, 0.2), description="One end of its axis [m].")
+    end: Vector = Field(default=(0.0, 0.5, 0.2), description="The other end [m].")
+    radius: float = Field(default=0.1, gt=0, le=1e4, description="Radius [m].")
+
+    @model_validator(mode="after")
+    def _long(self) -> Capsule:
+        if math.dist(self.start, self.end) == 0:
+            raise ValueError("start and end are the same point; use a sphere")
+        return self
+
+    def geometry(self, solver: Solver) -> tuple[Vector, Vector, Vector]:
+        """Ends and radius."""
+        return self.start, self.end, (self.radius, 0.0, 0.0)
+
+    def bounds(self, solver: Solver) -> Corners:
+        """The box around it."""
+        ends = np.array([self.start, self.end])
+        return ends.min(axis=0) - self.radius, ends.max(axis=0) + self.radius
+
+    def thickness(self) -> float:
+        """The radius [m]."""
+        return self.radius
+
+
+class Gripper(Boundary):
+    """Two pads that close on the object from both sides and lift it."""
+
+    kind: Literal["gripper"] = "gripper"
+    friction: float = Field(default=1.0, ge=0, le=10, description="Coulomb friction coefficient.")
+    axis: Axis = Field(default="y", description="Direction in which it closes.")
+    centre: Vector = Field(default=(0.0, 0.0, 0.5), description="Point between the pads [m].")
+    opening: float = Field(default=1.2, gt=0, le=1e4, description="Gap at the start [m].")
+    closed: float = Field(default=0.6, gt=0, le=1e4, description="Gap when closed [m].")
+    width: float = Field(default=0.4, gt=0, le=1e4, description="Edge of the square pads [m].")
+    thick: float = Field(default=0.2, gt=0, le=1e4, description="Thickness of the pads [m].")
+    start: float = Field(default=0.0, ge=0, description="Begins to close [s].")
+    close: float = Field(default=0.4, gt=0, description="Time to close [s].")
+    lift: float = Field(default=0.3, ge=0, description="Height it lifts afterwards [m].")
+    rise: float = Field(default=0.5, gt=0, description="Time to lift [s].")
+
+    @model_validator(mode="after")
+    def _closes(self) -> Gripper:
+        if self.closed >= self.opening:
+            raise ValueError(f"closed {self.closed} m must be less than opening {self.opening} m")
+        return self
+
+    def pads(self) -> list[Box]:
+        """The two pads as moving boxes."""
+        along = {"x": 0, "y": 1}[self.axis]
+        half = np.full(3, self.width / 2)
+        half[along] = self.thick / 2
+        pads = []
+        for side in (-1.0, 1.0):
+            middle, inwards = np.array(self.centre), np.zeros(3)
+            middle[along] += side * (self.opening + self.thick) / 2
+            inwards[along] = -side * (self.opening - self.closed) / 2
+            points = ((0.0, 0.0, 0.0), vector(inwards), vector([*inwards[:2], self.lift]))
+            times = (0.0, self.close, self.close + self.rise)
+            pad = Box(lower=vector(middle - half), upper=vector(middle + half))
+            path = Path(start=self.start, times=times, points=points)
+            answer = {"contact": self.contact, "friction": self.friction, "motion": path}
+            pads.append(pad.model_copy(update=answer))
+        return pads
+
+    def attach(self, solver: Solver) -> list[Stage]:
+        """One stage per pad."""
+        stages = [stage for pad in self.pads() for stage in pad.attach(solver)]
+        return [("gripper", record) for _, record in stages]

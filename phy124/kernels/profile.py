@@ -1,0 +1,126 @@
+"""Tables of time on the device: piecewise linear tracks, sampled once per substep.
+
+A wall asks where it is now and how fast it moves. A force asks for its mean over the time its kick
+stands for, from half a substep ago to half a substep ahead: the kicks tile time without gaps, so
+any force delivers its exact impulse whatever the substeps are.
+"""
+
+from functools import cache
+from typing import Any
+
+import warp as wp
+
+from phy124.kernels.transfer import types
+
+MEAN = 1
+"""Flag of a track that is averaged over the kick."""
+JOINS = 2
+"""Flag of a track that adds to the uniform acceleration in slot 0."""
+
+
+@wp.func
+def value_at(times: wp.array(dtype=Any), keys: wp.array(dtype=Any), i: int, at: Any):
+    """Value on the segment from key i to the next."""
+    span = times[i + 1] - times[i]
+    return keys[i] + ((at - times[i]) / span) * (keys[i + 1] - keys[i])
+
+
+@wp.func
+def integral(
+    times: wp.array(dtype=Any), keys: wp.array(dtype=Any), first: int, last: int, a: Any, b: Any
+):
+    """Integral of a track from a to b [s]; outside its keys it is constant."""
+    zero = a - a
+    total = wp.max(wp.min(b, times[first]) - a, zero) * keys[first]
+    total += wp.max(b - wp.max(a, times[last]), zero) * keys[last]
+    i = first
+    while i < last and times[i] < b:
+        low = wp.max(a, times[i])
+        high = wp.min(b, times[i + 1])
+        if high > low:
+            total += (high - low) * value_at(times, keys, i, (low + high) / type(a)(2.0))
+        i += 1
+    return total
+
+
+@wp.func
+def folded(at: Any, period: Any):
+    """Time since the period began; unchanged if there is none or before the first."""
+    if period > type(at)(0.0) and at > type(at)(0.0):
+        return at - period * wp.floor(at / period)
+    return at
+
+
+@wp.func
+def mean(
+    times: wp.array(dtype=Any), keys: wp.array(dtype=Any), first: int, last: int, span: Any,
+    a: Any, b: Any,
+):  # fmt: skip
+    """Mean from a to b [s], nothing outside span = (start, end, origin, period)."""
+    zero = a - a
+    low = wp.max(a, span[0])
+    high = wp.min(b, span[1])
+    if high <= low:
+        return zero * keys[first]
+    at = folded(low - span[2], span[3])
+    to = at + (high - low)
+    total = integral(times, keys, first, last, at, to)
+    if span[3] > zero and to > span[3]:
+        total = integral(times, keys, first, last, at, span[3])
+        total += integral(times, keys, first, last, zero, to - span[3])
+    return total / (b - a)
+
+
+@cache
+def make_sampler(real: Any):
+    """Kernel: value and rate of every track at the present time, slot 0 the uniform acceleration.
+
+    The fourth component of a value is 1 while the track is active.
+    """
+    t = types(real)
+
+    @wp.kernel(module=f"phy124_tracks_{real.__name__}", enable_backward=False)
+    def sample(
+        # model
+        starts: wp.array(dtype=int), times: wp.array(dtype=real), keys: wp.array(dtype=t.vec3),
+        spans: wp.array(dtype=t.vec4), flags: wp.array(dtype=int), clock: wp.array(dtype=real),
+        # out
+        values_out: wp.array(dtype=t.vec4), rates_out: wp.array(dtype=t.vec4),
+    ):  # fmt: skip
+        slot = wp.tid()
+        now = clock[2]
+        b = now + real(0.5) * clock[1]
+        a = b - clock[0]
+        # Before the first substep there is no interval yet: a tiny one samples the present.
+        if b <= a:
+            b = now + real(1.0e-6)
+            a = now - real(1.0e-6)
+        value = t.vec3()
+        rate = t.vec3()
+        first = starts[slot]
+        last = starts[slot + 1] - 1
+        span = spans[slot]
+        if slot == 0:
+            for s in range(1, flags.shape[0]):
+                if (flags[s] & wp.static(JOINS)) != 0:
+                    value += mean(times, keys, starts[s], starts[s + 1] - 1, spans[s], a, b)
+        elif (flags[slot] & wp.static(MEAN)) != 0:
+            value = mean(times, keys, first, last, span, a, b)
+        else:
+            at = folded(now - span[2], span[3])
+            value = keys[last]
+            if at < times[first]:
+                value = keys[first]
+            i = first
+            while i < last and times[i] <= at:
+                if at < times[i + 1]:
+                    value = value_at(times, keys, i, at)
+                    rate = (keys[i + 1] - keys[i]) / (times[i + 1] - times[i])
+                i += 1
+        active = real(0.0)
+        if now >= span[0] and now < span[1]:
+            active = real(1.0)
+        values_out[slot] = wp.vector(value[0], value[1], value[2], active)
+        rates_out[slot] = wp.vector(rate[0], rate[1], rate[2], real(0.0))
+
+    return sample
