@@ -1,0 +1,265 @@
+"""Between Gradio and the jobs: event handlers of the page, and the named endpoints.
+
+Handlers know the session and Gradio's types; everything they do is in demo.jobs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import gradio as gr
+from gradio import FileData
+from PIL import Image
+
+from demo.jobs import EXPORTS, Progress, Studio, export, read_report, sentence
+from demo.photo import Photo
+from demo.report import as_html
+from demo.work import Done
+from phy124.clip import Clip
+from phy124.errors import InputError
+from phy124.scene import PRESETS, Scene, preset_names
+
+Handler = Callable[..., Any]
+FILES = {
+    "clip.safetensors": ("Moving Gaussians", "The clip itself, for phy124"),
+    "gaussians.ply": ("Gaussians at rest", "3DGS PLY"),
+    "orbit.webp": ("Orbit, animated WebP", "For a message"),
+    "scene.toml": ("Scene", "Every setting, to run again"),
+    "report.json": ("Report", "Times, effects, stability"),
+}
+
+
+def cutter(studio: Studio) -> Handler:
+    """Picture -> cut-out, its preview, and the picture under the brush."""
+
+    def cut(picture: str | None, request: gr.Request) -> tuple[Any, ...]:
+        if picture is None:
+            return None, gr.update(value=None, visible=False), None
+        try:
+            made = studio.cut(_session(request), picture)
+        except InputError as error:
+            raise gr.Error(sentence(error), title="This picture cannot be used") from None
+        canvas = {"background": _rgb(picture), "layers": [], "composite": None}
+        return made, gr.update(value=made.path, visible=True), canvas
+
+    return cut
+
+
+def corrector(studio: Studio) -> Handler:
+    """Brush strokes -> corrected cut-out and its preview."""
+
+    def correct(cutout: Any, canvas: Any, request: gr.Request) -> tuple[Any, ...]:
+        layers = (canvas or {}).get("layers") or []
+        if cutout is None or not layers:
+            raise gr.Error("Choose a picture and paint on it first.", title="Nothing to correct")
+        try:
+            made = studio.cut(_session(request), cutout.picture, layers[0])
+        except InputError as error:
+            raise gr.Error(sentence(error), title="This cannot be used") from None
+        return made, gr.update(value=made.path, visible=True)
+
+    return correct
+
+
+def forecaster(studio: Studio) -> Handler:
+    """Scene -> what it will take."""
+
+    def forecast(cutout: Any, scene: Any, request: gr.Request) -> str:
+        path = cutout.path if cutout else None
+        return studio.forecast(_session(request), path, scene) if scene else ""
+
+    return forecast
+
+
+def runner(studio: Studio) -> Handler:
+    """Cut-out and scene -> progress, then everything there is to see."""
+
+    def run(cutout: Any, scene: Any, request: gr.Request) -> Iterator[tuple[Any, ...]]:
+        kept = [gr.skip()] * 4
+        path = cutout.path if cutout else None
+        going = (gr.update(interactive=False), gr.update(visible=True))
+        rested = (gr.update(interactive=True), gr.update(visible=False))
+        yield (Progress(state="waiting").data(), gr.skip(), *going, *kept)
+        for progress in studio.run(_session(request), path, scene):
+            if progress.state == "running":
+                yield (progress.data(), gr.skip(), *going, *kept)
+            else:
+                shown = kept if progress.done is None else results(progress.done, progress)
+                kept_done = gr.skip() if progress.done is None else progress.done
+                yield (progress.data(), kept_done, *rested, *shown)
+
+    return run
+
+
+def stopper(studio: Studio) -> Handler:
+    """Stop this visitor's work."""
+
+    def stop(request: gr.Request) -> tuple[Any, ...]:
+        studio.visitors.get(_session(request)).stop()
+        progress = Progress(state="stopped", message="Stopped. Nothing was changed.")
+        return progress.data(), gr.update(interactive=True), gr.update(visible=False)
+
+    return stop
+
+
+def leaver(studio: Studio) -> Handler:
+    """The visitor has closed the page."""
+
+    def leave(request: gr.Request) -> None:
+        studio.visitors.leave(_session(request))
+
+    return leave
+
+
+def results(done: Done, progress: Progress) -> list[Any]:
+    """Values of the viewer, the videos, the report and the take-away panel."""
+    report = read_report(done)
+    clip = Clip.load(done.clip / "clip.safetensors")
+    names = [path for path in sorted(done.films.glob("*.mp4"))]
+    order = list(Scene.model_validate(clip.scene).view.views)
+    names.sort(key=lambda path: order.index(path.stem) if path.stem in order else 9)
+    films = [{"name": path.stem, "file": _file(path)} for path in names]
+    return [
+        {"pack": _file(done.films / "clip.pack")},
+        {"films": films},
+        as_html(report, clip.scene, progress.expected),
+        _takeaway(done),
+    ]
+
+
+def prepare(done: Done | None, shown: Any, event: gr.EventData) -> Any:
+    """Make a file on demand; the panel then offers it and opens it."""
+    kind = str(event._data.get("kind")) if event._data else ""
+    if done is None or not done.films.exists():
+        return {**(shown or {}), "message": "The result is no longer here. Generate it again."}
+    try:
+        path = export(kind, done)
+    except InputError as error:
+        return {**_takeaway(done), "message": sentence(error)}
+    return {**_takeaway(done), "made": kind, "file": path.name}
+
+
+def _takeaway(done: Done) -> dict[str, Any]:
+    files, offers = [], []
+    for path in sorted(done.films.glob("*.mp4")):
+        files.append(_link(path, f"Video, {path.stem}", "MP4"))
+    for name, (label, hint) in FILES.items():
+        for folder in (done.films, done.clip):
+            if (folder / name).exists():
+                files.append(_link(folder / name, label, hint))
+                break
+    for kind, offer in EXPORTS.items():
+        if (done.films / offer.file).exists():
+            files.append(_link(done.films / offer.file, offer.label, offer.hint))
+        elif offer.available():
+            offers.append({"kind": kind, "label": offer.label, "hint": offer.hint})
+    return {"files": files, "offers": offers}
+
+
+def _link(path: Path, label: str, hint: str) -> dict[str, Any]:
+    return {"label": label, "hint": hint, "file": _file(path)}
+
+
+def _file(path: Path) -> dict[str, Any]:
+    """A file for the page; its folder's name cannot be guessed."""
+    return FileData(path=str(path), orig_name=path.name, size=path.stat().st_size).model_dump()
+
+
+def _session(request: gr.Request) -> str:
+    return str(request.session_hash or "nobody")
+
+
+def _rgb(path: str) -> Image.Image:
+    from phy124.image import open_image
+
+    return open_image(path).convert("RGB")
+
+
+def endpoints(studio: Studio) -> None:
+    """The named endpoints /generate, /render and /evaluate, with typed arguments."""
+    with gr.Column(visible=False):
+        photo = Photo(label="image", type="filepath")
+        preset = gr.Dropdown(preset_names(), value="press", label="preset")
+        accuracy = gr.Radio(list(PRESETS), value="standard", label="accuracy")
+        frames = gr.Number(14, label="frames", precision=0, minimum=1)
+        changes = gr.JSON({}, label="changes")
+        views = gr.CheckboxGroup(["front", "right", "back", "left", "orbit"], label="views")
+        size = gr.Number(512, label="size", precision=0, minimum=16)
+        elevation = gr.Number(10, label="elevation", minimum=-89, maximum=89)
+        formats = gr.CheckboxGroup(list(EXPORTS), value=[], label="formats")
+        run, files, report = gr.State(None), gr.File(file_count="multiple"), gr.JSON()
+        shared = {"concurrency_id": "device", "concurrency_limit": 1}
+        gr.Button().click(
+            _generate(studio), [photo, preset, accuracy, frames, changes, formats],
+            [run, files, report], api_name="generate", **shared,
+        )  # fmt: skip
+        gr.Button().click(
+            _render(studio), [run, views, size, elevation], [files, report],
+            api_name="render", **shared,
+        )  # fmt: skip
+        gr.Button().click(_evaluate, run, report, api_name="evaluate")
+
+
+def _generate(studio: Studio) -> Handler:
+    def generate(
+        image: str | None, preset: str, accuracy: str, frames: int, changes: Any, formats: Any,
+        request: gr.Request,
+    ) -> Iterator[tuple[Any, ...]]:  # fmt: skip
+        """Turn a picture into a moving object: its files and its report."""
+        try:
+            scene = Scene.named(preset).replaced(
+                {"accuracy": accuracy, "time.frames": int(frames), **(changes or {})}
+            )
+            cutout = studio.cut(_session(request), image)
+        except InputError as error:
+            raise gr.Error(sentence(error)) from None
+        data = scene.model_dump(mode="json")
+        for state in studio.run(_session(request), cutout.path, data):
+            if state.done is None:
+                yield _unfinished(state)
+        if state.done is not None:
+            made = [str(export(kind, state.done)) for kind in formats]
+            yield (state.done, cutout.path, data), _paths(state.done) + made, read_report(state.done)
+
+    return generate
+
+
+def _render(studio: Studio) -> Handler:
+    def render(
+        run: Any, views: list[str], size: int, elevation: float, request: gr.Request
+    ) -> Iterator[tuple[Any, ...]]:
+        """Film this session's last run again; nothing is simulated."""
+        if run is None:
+            raise gr.Error("There is no run in this session yet. Call /generate first.")
+        _, cutout, data = run
+        view = {**data["view"], "size": int(size), "elevation": elevation}
+        view["views"] = views or data["view"]["views"]
+        for state in studio.run(_session(request), cutout, {**data, "view": view}):
+            if state.done is None:
+                yield _unfinished(state)[1:]
+        if state.done is not None:
+            yield _paths(state.done), read_report(state.done)
+
+    return render
+
+
+def _evaluate(run: Any) -> dict[str, Any]:
+    """How this session's last run moved: stability figures per frame, effects, times."""
+    if run is None:
+        raise gr.Error("There is no run in this session yet. Call /generate first.")
+    return read_report(run[0])
+
+
+def _unfinished(state: Progress) -> tuple[Any, ...]:
+    if state.state != "running":
+        raise gr.Error(state.message)
+    return gr.skip(), gr.skip(), gr.skip()
+
+
+def _paths(done: Done) -> list[str]:
+    wanted = [*done.films.iterdir(), *done.clip.iterdir()]
+    # Both folders have a report; the films' one is complete.
+    chosen = {path.name: str(path) for path in reversed(wanted) if path.name != "clip.pack"}
+    return [chosen[name] for name in sorted(chosen)]

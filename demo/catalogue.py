@@ -1,0 +1,100 @@
+"""What the page offers: presets, knobs and limits, all drawn from the scene's own declarations.
+
+The editor in the page (static/scene.js) builds its cards, sliders and forms from `catalogue`;
+laws, forces and boundaries that join their unions appear there by themselves.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+from demo.forecast import PROMISES, Forecast, count_particles
+from demo.settings import Settings
+from phy124.errors import InputError
+from phy124.materials import Elastic
+from phy124.scene import PRESETS, Scene, preset_names
+
+FOLDER = Path(__file__).parent
+FIRST = ("press", "drop", "bounce", "push_right", "sway", "spin")
+"""Presets shown first; all others follow in alphabetical order."""
+PUSHES = {"gravity": "g", "acceleration": "a"}
+"""Forces that the direction pad sets, and the field that it sets."""
+WEIGHTS = {"foam": 50, "water": 1000, "stone": 2600, "iron": 7900}
+"""Densities of things one knows [kg/m^3]."""
+
+
+def catalogue(settings: Settings) -> dict[str, Any]:
+    """Everything the scene editor needs, as plain data."""
+    names = [n for n in FIRST if n in preset_names()]
+    names += [n for n in preset_names() if n not in names]
+    return {
+        "schema": Scene.model_json_schema(),
+        "presets": [_card(name) for name in names],
+        "accuracies": [
+            {"name": name, "cells": section.cells, "promise": PROMISES.get(name)}
+            for name, section in PRESETS.items()
+        ],
+        "softness": _anchors(),
+        "weights": WEIGHTS,
+        "limits": {"frames": settings.max_frames, "size": settings.max_pixels},
+    }
+
+
+def _card(name: str) -> dict[str, Any]:
+    scene = Scene.named(name)
+    picture = FOLDER / "previews" / f"{name}.webp"
+    return {
+        "name": name,
+        "title": name.replace("_", " ").capitalize(),
+        "text": scene.description,
+        "picture": f"previews/{picture.name}" if picture.exists() else None,
+        "scene": json.loads(scene.model_dump_json()),
+    }
+
+
+def _anchors() -> dict[str, float]:
+    """Named stiffnesses, as the field's own description lists them."""
+    text = Elastic.model_fields["E"].description or ""
+    return {name: float(value) for name, value in re.findall(r"(\w+) (\d\.?\d*e\d+)", text)}
+
+
+def scene_of(data: Any, settings: Settings) -> Scene:
+    """The scene a visitor chose, within the page's limits; raises InputError."""
+    if not isinstance(data, dict):
+        raise InputError("scene", data, "no scene is chosen.", "Choose one of the cards.")
+    if len(json.dumps(data)) > 20_000:
+        raise InputError("scene", "too long", "it is too large.", "Use fewer forces.")
+    scene = Scene.from_data(data)
+    _check(scene, settings)
+    return scene
+
+
+def _check(scene: Scene, settings: Settings) -> None:
+    limits = {
+        "frames": (scene.time.frames, settings.max_frames),
+        "cells": (scene.resolution.cells, settings.max_cells),
+        "size": (scene.view.size, settings.max_pixels),
+        "views": (len(scene.view.views), settings.max_views),
+        "particles": (count_particles(scene), settings.max_particles),
+        "forces and boundaries": (len(scene.forces) + len(scene.boundaries), 16),
+    }
+    for name, (value, most) in limits.items():
+        if value > most:
+            raise InputError(
+                name, value, f"This page allows at most {most:,}.", "Choose a smaller number."
+            )
+
+
+def check_time(forecast: Forecast, settings: Settings) -> None:
+    """Refuse before it starts what would not end in time; raises InputError."""
+    if forecast.seconds > settings.max_seconds:
+        raise InputError(
+            "time",
+            f"{forecast.seconds:.0f} s",
+            f"This would take about {forecast.seconds:,.0f} s; one run may take "
+            f"{settings.max_seconds:.0f} s here.",
+            "Choose draft accuracy, a softer material, or fewer frames.",
+        )

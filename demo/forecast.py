@@ -1,0 +1,134 @@
+"""How long a run will take and what its accuracy promises, said before it starts.
+
+Substeps follow from the stability limit (phy124.timestep), particles from the Gaussians and the
+filling; what a particle-substep, a drawn pixel and so on cost is measured on this machine by
+every finished run, first by a small one at the start of the page.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from dataclasses import dataclass, replace
+from typing import Any
+
+from phy124.scene import Scene
+from phy124.timestep import CELLS_PER_STEP
+
+GAUSSIANS = 50_000
+"""What `relief` makes of a picture."""
+FILLED = 0.13
+"""Volume of a typical object, in cubes of its longest side: the filling's share of the grid."""
+PROMISES = {"draft": 0.05, "standard": 0.02, "fine": 0.011}
+"""Error that each accuracy promises, in object sizes, in scenes with contact (docs/accuracy.md)."""
+TRUST = 0.5
+"""Weight of the newest measurement."""
+
+
+@dataclass(frozen=True)
+class Rates:
+    """What the stages cost on this machine."""
+
+    generate: float = 3.0
+    """Seconds to make Gaussians of a picture."""
+    particle: float = 1.5e-7
+    """Seconds per particle and substep."""
+    frame: float = 0.06
+    """Seconds per simulated frame, besides its substeps."""
+    pixel: float = 1.2e-7
+    """Seconds per drawn and encoded pixel."""
+    rest: float = 1.5
+    """Seconds for everything else."""
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """What a run is expected to be."""
+
+    seconds: float
+    substeps: int
+    particles: int
+    promise: float | None
+    """Promised error in object sizes; None for settings of one's own."""
+
+    @property
+    def sentence(self) -> str:
+        """For the visitor."""
+        text = f"About {_duration(self.seconds)}: {self.substeps:,} substeps of "
+        text += f"{round(self.particles, -3):,} particles."
+        if self.promise is not None:
+            text += f" Shapes are promised to {self.promise:.1%} of the object's size."
+        return text
+
+
+class Forecaster:
+    """Predicts runs and learns from the reports of finished ones."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self.rates = Rates()
+
+    def __call__(
+        self, scene: Scene, *, generated: bool = False, simulated: bool = False
+    ) -> Forecast:
+        """The forecast of a run; `generated` and `simulated`: these stages are there already."""
+        rates, substeps, particles = self.rates, count_substeps(scene), count_particles(scene)
+        frames, view = scene.time.frames, scene.view
+        seconds = rates.rest + rates.pixel * frames * len(view.views) * view.size**2
+        if not simulated:
+            seconds += rates.particle * particles * substeps + rates.frame * frames
+            seconds += 0 if generated else rates.generate
+        promise = PROMISES.get(scene.accuracy) if isinstance(scene.accuracy, str) else None
+        return Forecast(seconds, substeps, particles, promise)
+
+    def learn(self, report: dict[str, Any], scene: Scene) -> None:
+        """Take the costs of a finished run into account."""
+        spent = {stage["name"]: stage["seconds"] for stage in report["stages"]}
+        work = report["particles"] * report["substeps"]
+        pixels = report["frames"] * len(scene.view.views) * scene.view.size**2
+        drawn = spent.get("render", 0.0) + spent.get("encode", 0.0)
+        measured = {
+            "generate": spent.get("generate"),
+            "particle": spent["simulate"] / work if work and "simulate" in spent else None,
+            "frame": spent["deform"] / report["frames"] if "deform" in spent else None,
+            "pixel": drawn / pixels if drawn else None,
+        }
+        with self._lock:
+            old = vars(self.rates)
+            better = {
+                name: (1 - TRUST) * old[name] + TRUST * value
+                for name, value in measured.items()
+                if value
+            }
+            self.rates = replace(self.rates, **better)
+
+
+def count_substeps(scene: Scene) -> int:
+    """Substeps until the last frame, from the elastic and the speed limit."""
+    length = (scene.time.frames - 1) / scene.time.fps
+    elastic = scene.resolution.cfl * scene.dx / max(scene.material.wave_speed(), 1e-9)
+    speed = CELLS_PER_STEP * scene.dx / max(_greatest_speed(scene, length), 1e-9)
+    step = min(elastic, speed, scene.time.substep or math.inf)
+    # Whole substeps in every frame.
+    return (scene.time.frames - 1) * max(1, math.ceil(1 / scene.time.fps / step))
+
+
+def count_particles(scene: Scene, gaussians: int = GAUSSIANS) -> int:
+    """Gaussians and the particles that fill the inside."""
+    resolution = scene.resolution
+    filling = FILLED * (resolution.cells * resolution.ppc) ** 3
+    return round(filling + (gaussians if scene.binding == "particles" else 0))
+
+
+def _greatest_speed(scene: Scene, length: float) -> float:
+    """How fast the object may become [m/s]: its own motion and what pushes it."""
+    body = scene.object
+    own = math.hypot(*body.velocity) + math.hypot(*body.spin) * body.size / 2
+    pushes = [getattr(force, "g", None) or getattr(force, "a", None) for force in scene.forces]
+    return own + sum(math.hypot(*push) for push in pushes if push is not None) * min(length, 0.5)
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 90:
+        return f"{max(1, round(seconds))} s"
+    return f"{seconds / 60:.1f} min" if seconds < 3600 else f"{seconds / 3600:.1f} h"

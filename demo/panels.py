@@ -1,0 +1,56 @@
+"""The page's own panels: gr.HTML components whose scripts lie in static/ and viewer/."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gradio as gr
+
+HEAD = '<script src="phy124/static/page.js"></script>'
+EDITOR = HEAD + '<script src="phy124/static/scene.js"></script>'
+PLAYER = (
+    HEAD
+    + '<script src="phy124/viewer/vendor/playcanvas.min.js"></script>'
+    + '<script src="phy124/viewer/player.js"></script>'
+    + '<link rel="stylesheet" href="phy124/viewer/player.css">'
+)
+
+
+def scene() -> gr.HTML:
+    """The scene editor; its value is a scene as plain data, "change" tells of a new one."""
+    return _panel("scene", EDITOR, events="'change'")
+
+
+def progress() -> gr.HTML:
+    """Stages with bars, and the run so far as a flip-book."""
+    return _panel("progress", HEAD)
+
+
+def viewer() -> gr.HTML:
+    """The 4D viewer."""
+    return _panel("viewer", PLAYER)
+
+
+def videos() -> gr.HTML:
+    """The videos side by side."""
+    return _panel("videos", HEAD)
+
+
+def takeaway() -> gr.HTML:
+    """Links to files, and buttons for those made on demand ("prepare")."""
+    return _panel("takeaway", HEAD, events="'prepare'")
+
+
+def _panel(name: str, head: str, events: str = "") -> gr.HTML:
+    """A panel drawn by the function of that name in `Phy124`."""
+    call = f"Phy124.{name}(element, props, watch, trigger);"
+    value: Any = None
+    # Gradio reads the names of events from the script's text.
+    return gr.HTML(
+        value,
+        html_template="",
+        js_on_load=f"{call} // {events}",
+        head=head,
+        apply_default_css=False,
+        elem_id=name,
+    )

@@ -1,0 +1,112 @@
+"""A run's report as HTML: where the time went, what ran and what did not, how stable it was."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+from typing import Any
+
+from demo.forecast import PROMISES
+
+WIDTH, HEIGHT, MARGIN = 280, 84, 4
+
+
+def as_html(report: dict[str, Any], scene: dict[str, Any], predicted: float) -> str:
+    """The report for the page; every word of it is escaped."""
+    parts = []
+    if report.get("stopped"):
+        parts.append(f'<p class="notice">Stopped early: {escape(str(report["stopped"]))}</p>')
+    parts += [_accuracy(report, scene, predicted), _stages(report), _motion(report)]
+    parts += [_effects(report), _left_out(report)]
+    return f'<div class="report">{"".join(parts)}</div>'
+
+
+def _accuracy(report: dict[str, Any], scene: dict[str, Any], predicted: float) -> str:
+    name = scene.get("accuracy")
+    promise = PROMISES.get(name) if isinstance(name, str) else None
+    rows = [
+        ("Setting", name if isinstance(name, str) else "own settings"),
+        ("Error promised", "not stated" if promise is None else f"≤ {promise:.1%} of the size"),
+        ("Time predicted", f"{predicted:.1f} s"),
+        ("Time spent", f"{report['seconds']:.1f} s"),
+        ("Gaussians", f"{report['gaussians']:,}"),
+        ("Particles", f"{report['particles']:,}"),
+        ("Substeps", f"{report['substeps']:,}"),
+        ("Device", report["device"]),
+    ]
+    return _section("Accuracy and cost", _table(rows))
+
+
+def _stages(report: dict[str, Any]) -> str:
+    longest = max((stage["seconds"] for stage in report["stages"]), default=0) or 1
+    rows = [
+        f"<tr><td>{escape(s['name'])}<span class='share' style='width:"
+        f"{100 * s['seconds'] / longest:.0f}%'></span></td><td>{s['seconds']:.2f} s</td></tr>"
+        for s in report["stages"]
+    ]
+    return _section("Stage times", f"<table>{''.join(rows)}</table>")
+
+
+def _motion(report: dict[str, Any]) -> str:
+    motion = report.get("motion") or {}
+    if not motion.get("time"):
+        return ""
+    rows = [
+        ("Smallest volume ratio J", f"{min(motion['smallest_J']):.3f}"),
+        ("Greatest speed", f"{max(motion['greatest_speed']):.2f} m/s"),
+        ("Greatest kinetic energy", f"{max(motion['kinetic_energy']):.3g} J"),
+    ]
+    curve = _plot(motion["time"], motion["kinetic_energy"], "kinetic energy [J]")
+    volumes = _plot(motion["time"], motion["smallest_J"], "smallest J")
+    return _section("Stability", _table(rows) + curve + volumes)
+
+
+def _effects(report: dict[str, Any]) -> str:
+    """What ran, with the time of each stage of a substep."""
+    rows = [
+        (stage["name"], f"{stage['seconds']:.2f} s in {stage['launches']:,}")
+        for stage in report.get("substep_stages", [])
+    ]
+    return _section("Effects that ran", _table(rows)) if rows else ""
+
+
+def _left_out(report: dict[str, Any]) -> str:
+    rows = [
+        f"<tr><td>{escape(o['effect'])}</td><td class='why'>{escape(_saved(o))}</td></tr>"
+        for o in report.get("effects", {}).get("left_out", [])
+    ]
+    return _section("Left out", f"<table>{''.join(rows)}</table>") if rows else ""
+
+
+def _saved(omission: dict[str, Any]) -> str:
+    """Why an effect was left out, and what that saved if it was measured."""
+    saved = omission.get("saved_seconds")
+    return str(omission["why"]) + (f", saved {saved:.2f} s" if saved else "")
+
+
+def _section(title: str, body: str) -> str:
+    return f"<section><h3>{escape(title)}</h3>{body}</section>"
+
+
+def _table(rows: Sequence[tuple[str, Any]]) -> str:
+    cells = (f"<tr><td>{escape(k)}</td><td>{escape(str(v))}</td></tr>" for k, v in rows)
+    return f"<table>{''.join(cells)}</table>"
+
+
+def _plot(x: Sequence[float], y: Sequence[float], label: str) -> str:
+    """A small curve with its extremes named."""
+    low, high, span = min(y), max(y), (x[-1] - x[0]) or 1.0
+    height = (high - low) or 1.0
+    top, bottom = 16, HEIGHT - 14
+    points = " ".join(
+        f"{MARGIN + (WIDTH - 2 * MARGIN) * (a - x[0]) / span:.1f},"
+        f"{bottom - (bottom - top) * (b - low) / height:.1f}"
+        for a, b in zip(x, y, strict=True)
+    )
+    return (
+        f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{escape(label)} over time, '
+        f'from {low:.3g} to {high:.3g}"><line class="axis" x1="0" x2="{WIDTH}" y1="{bottom}" '
+        f'y2="{bottom}"/><polyline class="curve" points="{points}"/>'
+        f'<text x="{MARGIN}" y="10">{escape(label)}, {low:.3g} to {high:.3g}</text>'
+        f'<text x="{WIDTH}" y="{HEIGHT - 2}" text-anchor="end">{x[-1]:.2f} s</text></svg>'
+    )

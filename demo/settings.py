@@ -1,0 +1,77 @@
+"""Settings of the hosted page, one typed class read from `PHY124_*` environment variables.
+
+The table in docs/web.md is written from this class by `python -m demo.settings`.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from phy124.errors import InputError
+
+PREFIX = "PHY124_"
+
+
+class Settings(BaseModel):
+    """Limits of one visitor's request, and where the page listens."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    host: str = Field(default="127.0.0.1", description="Address to listen on.")
+    port: int = Field(default=7860, ge=1, le=65535, description="Port to listen on.")
+    device: str = Field(default="auto", description="auto, cpu or cuda:0.")
+    folder: str = Field(default="", description="Where visitors' files lie; empty: a new one.")
+    max_upload_mb: float = Field(default=8, gt=0, le=1000, description="Largest upload [MB].")
+    max_megapixels: float = Field(default=25, gt=0, le=50, description="Largest picture [million].")
+    max_frames: int = Field(default=72, ge=1, le=10_000, description="Frames of one run.")
+    max_particles: int = Field(default=400_000, ge=1000, description="Particles of one run.")
+    max_cells: int = Field(default=64, ge=4, le=256, description="Grid cells across the object.")
+    max_pixels: int = Field(default=768, ge=64, le=4096, description="Side of a video [pixels].")
+    max_views: int = Field(default=5, ge=1, le=5, description="Videos of one run.")
+    max_seconds: float = Field(default=180, gt=0, description="Wall-clock time of one run [s].")
+    max_queue: int = Field(default=16, ge=1, description="Requests that may wait.")
+    max_clips: int = Field(default=3, ge=1, description="Results kept per visitor.")
+    max_visitors: int = Field(default=64, ge=1, description="Visitors whose files are kept.")
+    keep_hours: float = Field(default=24, gt=0, description="Age at which files are removed [h].")
+
+    @classmethod
+    def from_environment(cls, environment: Mapping[str, str] | None = None) -> Settings:
+        """Read `PHY124_MAX_FRAMES` and so on; raises InputError naming the variable."""
+        environment = os.environ if environment is None else environment
+        given = {
+            name: environment[PREFIX + name.upper()]
+            for name in cls.model_fields
+            if PREFIX + name.upper() in environment
+        }
+        try:
+            return cls.model_validate(given)
+        except ValidationError as error:
+            first = error.errors()[0]
+            name = str(first["loc"][0])
+            raise InputError(
+                PREFIX + name.upper(),
+                first["input"],
+                f"{first['msg']}.",
+                f"It is: {cls.model_fields[name].description}",
+            ) from None
+
+    @property
+    def max_bytes(self) -> int:
+        """Largest upload, bytes."""
+        return int(self.max_upload_mb * 1e6)
+
+
+def table() -> str:
+    """The settings as a Markdown table."""
+    rows = [
+        f"| `{PREFIX}{name.upper()}` | {info.default!r} | {info.description} |"
+        for name, info in Settings.model_fields.items()
+    ]
+    return "\n".join(["| variable | default | meaning |", "|---|---|---|", *rows])
+
+
+if __name__ == "__main__":
+    print(table())  # noqa: T201

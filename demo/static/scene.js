@@ -1,0 +1,283 @@
+/* The scene editor: preset cards, the few knobs that matter, and a form for all the rest, built
+ * from the scene's own JSON schema. Its value is the whole scene as plain data. */
+'use strict';
+(() => {
+  const { h } = globalThis.Phy124;
+  const clone = (data) => JSON.parse(JSON.stringify(data));
+  const nice = (x, digits = 3) => Number(Number(x).toPrecision(digits)).toString();
+  const words = (name) => name.replace(/_/g, ' ').replace(/^./, (c) => c.toUpperCase());
+
+  async function scene(element, props, watch, trigger) {
+    const offer = await (await fetch('phy124/catalogue.json')).json();
+    const editor = new Editor(element, offer, (value) => { props.value = value; trigger('change'); });
+    watch('value', () => { if (props.value && props.value !== editor.sent) editor.load(props.value); });
+  }
+
+  class Editor {
+    constructor(element, offer, send) {
+      Object.assign(this, { element, offer, send });
+      this.cards = h('div', { class: 'cards', role: 'radiogroup', 'aria-label': 'What happens' });
+      this.knobs = h('div', { class: 'knobs' });
+      this.form = h('div', { class: 'form' });
+      element.replaceChildren(this.cards, this.knobs,
+        h('details', { class: 'more' }, h('summary', {}, 'More: every setting of the scene'), this.form));
+      this.choose(offer.presets[0].name);
+      this.drawCards();
+    }
+
+    choose(name) {
+      this.preset = name;
+      this.load(clone(this.offer.presets.find((p) => p.name === name).scene));
+    }
+
+    load(data) { this.data = clone(data); this.drawKnobs(); this.drawForm(); this.tell(); }
+
+    tell() {
+      clearTimeout(this.timer);
+      this.timer = setTimeout(() => { this.sent = clone(this.data); this.send(this.sent); }, 120);
+    }
+
+    /** A knob changed the data: the form follows. */
+    turned() { this.drawForm(); this.tell(); }
+
+    drawCards() {
+      this.cards.replaceChildren(...this.offer.presets.map((preset) => h('label', { class: 'card' },
+        h('input', { type: 'radio', name: 'preset', value: preset.name, checked: preset.name === this.preset, onchange: () => this.choose(preset.name) }),
+        preset.picture ? h('img', { src: `phy124/${preset.picture}`, alt: '', loading: 'lazy', width: 160, height: 160 }) : h('span', { class: 'blank' }),
+        h('strong', {}, preset.title), h('span', { class: 'card-text' }, preset.text))));
+    }
+
+    /* ---- knobs ----------------------------------------------------------------------------- */
+
+    drawKnobs() {
+      const rows = [this.push(), this.log('Softness', ['material', 'E'], 1e3, 1e10, this.offer.softness, 'Pa'),
+        this.log('Weight', ['material', 'density'], 20, 10000, this.offer.weights, 'kg/m³'),
+        this.held(), this.count(), this.accuracy()];
+      this.knobs.replaceChildren(...rows.filter(Boolean));
+    }
+
+    knob(label, output, ...children) {
+      return h('div', { class: 'knob' }, h('div', { class: 'knob-head' }, h('span', { class: 'knob-name' }, label), output), ...children);
+    }
+
+    log(label, [section, field], least, most, anchors, unit) {
+      if (!(field in this.data[section])) return null;
+      const steps = 200, ratio = Math.log(most / least);
+      const at = (value) => Math.round(steps * Math.log(value / least) / ratio);
+      const output = h('output', {}), say = () => {
+        const value = this.data[section][field];
+        const near = Object.keys(anchors).reduce((a, b) => (Math.abs(Math.log(value / anchors[b])) < Math.abs(Math.log(value / anchors[a])) ? b : a));
+        output.textContent = `${Math.abs(Math.log(value / anchors[near])) < 0.8 ? `like ${near}, ` : ''}${value >= 1e5 ? value.toExponential(1) : nice(value)} ${unit}`;
+      };
+      const slider = h('input', { type: 'range', min: 0, max: steps, value: at(this.data[section][field]), 'aria-label': label,
+        oninput: (event) => { this.data[section][field] = Number(nice(least * Math.exp(ratio * event.target.value / steps))); say(); this.turned(); } });
+      const marks = h('div', { class: 'marks' }, ...Object.entries(anchors).map(([name, value]) => h('button', { type: 'button', tabindex: -1, style: `left:${100 * at(value) / steps}%`,
+        onclick: () => { slider.value = at(value); this.data[section][field] = value; say(); this.turned(); } }, name)));
+      say();
+      return this.knob(label, output, slider, marks);
+    }
+
+    /** The acceleration that the pad sets; a zero vector if the scene has none. */
+    get pushed() { return this.data.forces.find((force) => force.kind === 'acceleration'); }
+
+    push() {
+      const output = h('output', {}), a = this.pushed ? this.pushed.a : [0, 0, 0];
+      const start = Math.hypot(...a);
+      const state = { right: a[1] / (start || 1), away: -a[0] / (start || 1), up: a[2] / (start || 1), strength: start };
+      const pad = svg(`<svg viewBox="0 0 100 100" class="pad" tabindex="0" role="slider" aria-label="Direction of the push, seen from above"
+        aria-valuemin="0" aria-valuemax="360"><circle class="pad-floor" cx="50" cy="50" r="46"/><circle class="pad-ring" cx="50" cy="50" r="23"/>
+        <path class="pad-cross" d="M50 4V96M4 50H96"/><line class="pad-line" x1="50" y1="50" x2="50" y2="50"/><circle class="pad-dot" cx="50" cy="50" r="6"/></svg>`);
+      const strength = h('input', { type: 'range', min: 0, max: 30, step: 0.1, value: state.strength, 'aria-label': 'Strength of the push' });
+      const up = h('input', { type: 'range', min: -1, max: 1, step: 0.05, value: state.up, 'aria-label': 'Push up or down' });
+      const say = () => {
+        const [x, y] = [50 + 42 * state.right, 50 - 42 * state.away];
+        pad.querySelector('.pad-dot').setAttribute('cx', x); pad.querySelector('.pad-dot').setAttribute('cy', y);
+        pad.querySelector('.pad-line').setAttribute('x2', x); pad.querySelector('.pad-line').setAttribute('y2', y);
+        const side = [state.right > 0.3 && 'right', state.right < -0.3 && 'left', state.away > 0.3 && 'away', state.away < -0.3 && 'forward', state.up > 0.3 && 'up', state.up < -0.3 && 'down'].filter(Boolean).join(', ');
+        output.textContent = state.strength ? `${side || 'nowhere'}, ${nice(state.strength, 2)} m/s²` : 'none';
+        pad.setAttribute('aria-valuetext', output.textContent);
+        pad.setAttribute('aria-valuenow', Math.round((Math.atan2(state.right, state.away) * 180 / Math.PI + 360) % 360));
+      };
+      const set = () => { this.setPush(state); say(); this.turned(); };
+      const aim = (event) => {
+        const box = pad.getBoundingClientRect();
+        const x = ((event.clientX - box.left) / box.width - 0.5) / 0.42, y = ((event.clientY - box.top) / box.height - 0.5) / 0.42;
+        const reach = Math.max(1, Math.hypot(x, y));
+        Object.assign(state, { right: x / reach, away: -y / reach });
+        if (!state.strength) { state.strength = 3; strength.value = 3; }
+        set();
+      };
+      pad.addEventListener('pointerdown', (event) => { pad.setPointerCapture(event.pointerId); aim(event); });
+      pad.addEventListener('pointermove', (event) => { if (event.buttons) aim(event); });
+      pad.addEventListener('keydown', (event) => {
+        const move = { ArrowLeft: [-0.2, 0], ArrowRight: [0.2, 0], ArrowUp: [0, 0.2], ArrowDown: [0, -0.2] }[event.key];
+        if (!move) return;
+        event.preventDefault();
+        const x = state.right + move[0], y = state.away + move[1], reach = Math.max(1, Math.hypot(x, y));
+        Object.assign(state, { right: x / reach, away: y / reach });
+        if (!state.strength) { state.strength = 3; strength.value = 3; }
+        set();
+      });
+      strength.addEventListener('input', () => { state.strength = Number(strength.value); if (!state.right && !state.away && !state.up) state.right = 1; set(); });
+      up.addEventListener('input', () => { state.up = Number(up.value); set(); });
+      say();
+      return this.knob('Push', output, h('div', { class: 'push' }, pad, h('div', { class: 'push-sliders' },
+        h('label', {}, 'Strength', strength), h('label', {}, 'Down or up', up))));
+    }
+
+    setPush({ right, away, up, strength }) {
+      const length = Math.hypot(right, away, up) || 1;
+      const a = [-away, right, up].map((v) => Number(nice(strength * v / length)) + 0);
+      if (!strength) this.data.forces = this.data.forces.filter((force) => force !== this.pushed);
+      else if (this.pushed) this.pushed.a = a;
+      else this.data.forces.push({ kind: 'acceleration', a, start: 0 });
+    }
+
+    held() {
+      const foot = () => this.data.boundaries.find((b) => b.kind === 'foot'), output = h('output', {});
+      const say = () => { output.textContent = foot() ? `lowest ${Math.round(100 * foot().share)} %` : 'nothing'; };
+      const slider = h('input', { type: 'range', min: 0, max: 60, step: 1, value: foot() ? Math.round(100 * foot().share) : 0, 'aria-label': 'Held at the foot, share of its height in percent',
+        oninput: (event) => {
+          const share = Number(event.target.value) / 100;
+          if (!share) this.data.boundaries = this.data.boundaries.filter((b) => b !== foot());
+          else if (foot()) foot().share = share;
+          else this.data.boundaries.push({ kind: 'foot', share });
+          say(); this.turned();
+        } });
+      say();
+      return this.knob('Held at the foot', output, slider);
+    }
+
+    count() {
+      const output = h('output', {}), time = this.data.time;
+      const say = () => { output.textContent = `${time.frames}, ${nice(time.frames / time.fps, 2)} s of motion`; };
+      say();
+      return this.knob('Frames', output, h('input', { type: 'range', min: 2, max: this.offer.limits.frames, step: 1, value: time.frames, 'aria-label': 'Frames',
+        oninput: (event) => { time.frames = Number(event.target.value); say(); this.turned(); } }));
+    }
+
+    accuracy() {
+      const pick = (name) => { this.data.accuracy = name; this.turned(); };
+      return this.knob('Accuracy', h('output', {}), h('div', { class: 'segments', role: 'radiogroup', 'aria-label': 'Accuracy' },
+        ...this.offer.accuracies.map(({ name, promise }) => h('label', {},
+          h('input', { type: 'radio', name: 'accuracy', value: name, checked: this.data.accuracy === name, onchange: () => pick(name) }),
+          h('span', {}, words(name), h('small', {}, promise ? `error ≤ ${nice(100 * promise, 2)} %` : ''))))));
+    }
+
+    /* ---- the form of everything ------------------------------------------------------------ */
+
+    drawForm() {
+      if (!this.form.parentNode.open) {
+        this.form.parentNode.addEventListener('toggle', () => this.drawForm(), { once: true });
+        return;
+      }
+      if (this.form.contains(document.activeElement)) return;
+      this.form.replaceChildren(this.fields(this.offer.schema, this.data, ['description']));
+    }
+
+    resolve(schema) {
+      return schema.$ref ? { ...this.offer.schema.$defs[schema.$ref.split('/').pop()], ...schema, $ref: undefined } : schema;
+    }
+
+    fields(schema, data, without = []) {
+      const box = h('div', { class: 'fields' });
+      for (const [name, given] of Object.entries(schema.properties)) {
+        if (without.includes(name) || 'const' in given) continue;
+        box.append(this.field(name, this.resolve(given), data));
+      }
+      return box;
+    }
+
+    field(name, schema, data) {
+      const optional = schema.anyOf && schema.anyOf.some((s) => s.type === 'null');
+      const choices = (schema.anyOf || schema.oneOf || []).filter((s) => s.type !== 'null').map((s) => this.resolve(s));
+      if (schema.discriminator) return this.variant(name, schema, data);
+      if (schema.type === 'array' && schema.items && schema.items.discriminator) return this.list(name, schema, data);
+      if (choices.length === 1) return this.leaf(name, { ...choices[0], description: schema.description }, data, optional);
+      const names = choices.find((s) => s.enum), table = choices.find((s) => s.properties);
+      if (names && table) return this.leaf(name, names, data);
+      if (schema.properties) return this.section(name, this.fields(schema, data[name]));
+      return this.leaf(name, schema, data, optional);
+    }
+
+    section(name, ...children) { return h('fieldset', {}, h('legend', {}, words(name)), ...children); }
+
+    /** One of several kinds of section, such as a material's law. */
+    variant(name, schema, data) {
+      const tag = schema.discriminator.propertyName, kinds = Object.keys(schema.discriminator.mapping);
+      const of = (kind) => this.resolve({ $ref: schema.discriminator.mapping[kind] });
+      const pick = h('select', { 'aria-label': `${words(name)}: ${tag}`, onchange: (event) => {
+        data[name] = this.fresh(of(event.target.value), data[name]); this.redraw();
+      } }, ...kinds.map((kind) => h('option', { value: kind, selected: kind === data[name][tag] }, words(kind))));
+      const chosen = of(data[name][tag]);
+      return this.section(name, pick, h('p', { class: 'hint' }, chosen.description || ''), this.fields(chosen, data[name]));
+    }
+
+    /** Several sections, each of one of several kinds: forces, boundaries. */
+    list(name, schema, data) {
+      const { mapping, propertyName: tag } = schema.items.discriminator;
+      const items = data[name].map((item, index) => h('fieldset', { class: 'item' }, h('legend', {}, words(item[tag])),
+        h('button', { type: 'button', class: 'remove', 'aria-label': `Remove ${item[tag]}`, onclick: () => { data[name].splice(index, 1); this.redraw(); } }, '×'),
+        this.fields(this.resolve({ $ref: mapping[item[tag]] }), item)));
+      const add = h('select', { 'aria-label': `Add to ${name}`, onchange: (event) => {
+        if (event.target.value) { data[name].push(this.fresh(this.resolve({ $ref: mapping[event.target.value] }), {})); this.redraw(); }
+      } }, h('option', { value: '' }, 'Add …'), ...Object.keys(mapping).map((kind) => h('option', { value: kind }, words(kind))));
+      return this.section(name, ...items, add);
+    }
+
+    /** A new section with its defaults, keeping what the old one had under the same names. */
+    fresh(schema, old) {
+      const made = {};
+      for (const [name, info] of Object.entries(schema.properties)) {
+        if ('const' in info) made[name] = info.const;
+        else if (name in old) made[name] = old[name];
+        else if ('default' in info && info.default !== null) made[name] = clone(info.default);
+      }
+      return made;
+    }
+
+    redraw() { document.activeElement.blur(); this.drawKnobs(); this.drawForm(); this.tell(); }
+
+    leaf(name, schema, data, optional = false) {
+      const hint = schema.description || '', value = data[name];
+      const set = (now) => { if (now === null && optional) delete data[name]; else data[name] = now; this.drawKnobs(); this.tell(); };
+      return h('label', { class: 'leaf', title: hint }, h('span', {}, words(name)), this.input(name, schema, value, set, optional), hint ? h('small', {}, hint) : null);
+    }
+
+    input(name, schema, value, set, optional) {
+      if (schema.enum) {
+        return h('select', { onchange: (event) => set(event.target.value) }, ...(schema.enum.includes(value) ? [] : [h('option', { selected: true }, 'custom')]),
+          ...schema.enum.map((choice) => h('option', { value: choice, selected: choice === value }, choice)));
+      }
+      if (schema.type === 'boolean') return h('input', { type: 'checkbox', checked: value, onchange: (event) => set(event.target.checked) });
+      if (schema.type === 'array' && schema.items && schema.items.enum) return this.several(name, schema, value, set);
+      if (schema.type === 'array' && schema.prefixItems) return this.vector(name, schema, value, set);
+      if (schema.type === 'number' || schema.type === 'integer') {
+        return h('input', { type: 'number', step: schema.type === 'integer' ? 1 : 'any', min: schema.minimum ?? schema.exclusiveMinimum, max: schema.maximum ?? schema.exclusiveMaximum,
+          value: value ?? '', placeholder: optional ? 'automatic' : '', onchange: (event) => set(event.target.value === '' ? null : Number(event.target.value)) });
+      }
+      if (schema.type === 'string') return h('input', { type: 'text', value: value ?? '', onchange: (event) => set(event.target.value) });
+      return h('textarea', { rows: 2, spellcheck: 'false', onchange: (event) => {
+        try { set(event.target.value.trim() ? JSON.parse(event.target.value) : null); event.target.setCustomValidity(''); } catch { event.target.setCustomValidity('This is not JSON.'); event.target.reportValidity(); }
+      } }, value == null ? '' : JSON.stringify(value));
+    }
+
+    several(name, schema, value, set) {
+      return h('div', { class: 'several', role: 'group', 'aria-label': words(name) }, ...schema.items.enum.map((choice) => h('label', {}, h('input', { type: 'checkbox', checked: value.includes(choice),
+        onchange: (event) => set(schema.items.enum.filter((c) => (c === choice ? event.target.checked : value.includes(c)))) }), choice)));
+    }
+
+    vector(name, schema, value, set) {
+      return h('div', { class: 'vector', role: 'group', 'aria-label': words(name) }, ...schema.prefixItems.map((_, i) => h('input', { type: 'number', step: 'any', 'aria-label': `${words(name)} ${'xyz'[i] || i}`, value: value ? value[i] : 0,
+        onchange: (event) => { const next = [...(value || [0, 0, 0])]; next[i] = Number(event.target.value); set(next); value = next; } })));
+    }
+  }
+
+  function svg(text) {
+    const box = document.createElement('div');
+    box.innerHTML = text;
+    return box.firstElementChild;
+  }
+
+  Object.assign(globalThis.Phy124, { scene });
+})();

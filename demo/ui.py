@@ -1,0 +1,160 @@
+"""The page's layout: picture, scene and Generate on the left, what came of it on the right."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import gradio as gr
+
+from demo import api, panels
+from demo.jobs import Studio
+from demo.photo import Photo
+from demo.settings import Settings
+from demo.visitors import Visitors
+from demo.work import steps
+
+FOLDER = Path(__file__).parent
+KEEP, REMOVE = "#22c55e", "#ef4444"
+MASTHEAD = """<div id="masthead"><svg width="42" height="42" viewBox="0 0 42 42" aria-hidden="true">
+<g fill="none" stroke="#0f766e" stroke-width="2.4"><ellipse cx="15" cy="27" rx="11" ry="9"/>
+<ellipse cx="22" cy="20" rx="12" ry="7.5" transform="rotate(-32 22 20)" opacity=".6"/>
+<ellipse cx="29" cy="12" rx="9" ry="5" transform="rotate(-48 29 12)" opacity=".3"/></g></svg>
+<div><h1>phy124</h1><p>One photograph in, a moving and physically right 3D object out.</p></div></div>"""
+
+
+def open_studio(settings: Settings, root: Path) -> Studio:
+    """What all visitors share; on ZeroGPU the work is wrapped so that it gets a GPU."""
+    Photo.max_bytes = settings.max_bytes
+    work = steps
+    if find_spec("spaces") is not None:
+        import spaces  # pyright: ignore[reportMissingImports]
+
+        work = spaces.GPU(duration=int(settings.max_seconds))(steps)
+    return Studio(settings, Visitors(root / "visitors"), work=work)
+
+
+def build(studio: Studio) -> gr.Blocks:
+    """The whole page."""
+    css = (FOLDER / "static" / "page.css").read_text("utf-8")
+    age = int(studio.settings.keep_hours * 3600)
+    with gr.Blocks(
+        title="phy124", theme=_theme(), css=css, fill_width=True, analytics_enabled=False,
+        delete_cache=(3600, age),
+    ) as page:  # fmt: skip
+        gr.HTML(MASTHEAD, padding=False)
+        cutout, done = gr.State(None), gr.State(None)
+        with gr.Row(elem_id="columns"):
+            with gr.Column(elem_id="left"):
+                photo, preview, editor, apply = _picture()
+                scene = _scene()
+                forecast, go, cancel = _go()
+            with gr.Column(elem_id="right"):
+                progress = panels.progress()
+                viewer = panels.viewer()
+                videos, report, takeaway = _results()
+        results = [viewer, videos, report, takeaway]
+        _wire_picture(studio, photo, cutout, preview, editor, apply)
+        _wire_run(studio, cutout, done, scene, forecast, go, cancel, progress, results)
+        takeaway.prepare(
+            api.prepare, [done, takeaway], takeaway, show_progress="hidden",
+            api_visibility="private", concurrency_id="export", concurrency_limit=2,
+        )  # fmt: skip
+        page.unload(api.leaver(studio))
+        api.endpoints(studio)
+    return page
+
+
+def _theme() -> gr.themes.Base:
+    """Only fonts that are there already: nothing is fetched."""
+    return gr.themes.Base(
+        primary_hue="teal",
+        neutral_hue="slate",
+        radius_size="lg",
+        font=["Inter", "ui-sans-serif", "system-ui", "sans-serif"],
+        font_mono=["ui-monospace", "monospace"],
+    )
+
+
+def _picture() -> tuple[Photo, gr.Image, gr.ImageEditor, gr.Button]:
+    with gr.Column(elem_classes="panel"):
+        gr.HTML("<h2><b>1</b>Picture</h2>")
+        with gr.Row(elem_id="pictures"):
+            photo = Photo(
+                label="Picture", sources=["upload", "clipboard", "webcam"], type="filepath",
+                elem_id="photo", height=190, show_label=False, buttons=[],
+            )  # fmt: skip
+            preview = gr.Image(
+                label="Cut-out", interactive=False, elem_id="cutout", height=190, buttons=[],
+                visible=False, show_label=False, image_mode="RGBA", format="png",
+            )  # fmt: skip
+        pictures = sorted(str(path) for path in (FOLDER / "examples").glob("*.png"))
+        gr.Examples(
+            pictures, photo, elem_id="examples", cache_examples=False, examples_per_page=16,
+            api_visibility="private", label="Or take one of these",
+        )  # fmt: skip
+        with gr.Accordion("Correct the cut-out", open=False):
+            editor = gr.ImageEditor(
+                label="Paint green what to keep and red what to remove", type="pil",
+                layers=False, sources=[], transforms=[], elem_id="brush", height=360,
+                brush=gr.Brush(default_size=18, colors=[KEEP, REMOVE], color_mode="fixed"),
+            )  # fmt: skip
+            apply = gr.Button("Apply the strokes", size="sm")
+    return photo, preview, editor, apply
+
+
+def _scene() -> gr.HTML:
+    with gr.Column(elem_classes="panel"):
+        gr.HTML("<h2><b>2</b>What happens</h2>")
+        return panels.scene()
+
+
+def _go() -> tuple[gr.HTML, gr.Button, gr.Button]:
+    with gr.Column(elem_classes="panel", elem_id="go-panel"):
+        forecast = gr.HTML("", elem_id="forecast")
+        with gr.Row(elem_id="go-row"):
+            go = gr.Button("Generate", variant="primary", elem_id="go", scale=3)
+            cancel = gr.Button("Cancel", elem_id="cancel", visible=False, scale=1, min_width=96)
+    return forecast, go, cancel
+
+
+def _results() -> tuple[gr.HTML, gr.HTML, gr.HTML]:
+    with gr.Tabs(elem_id="results"):
+        with gr.Tab("Videos"):
+            videos = panels.videos()
+        with gr.Tab("Report"):
+            report = gr.HTML('<p class="empty">Where the time went, and how stable it was.</p>')
+        with gr.Tab("Take away"):
+            takeaway = panels.takeaway()
+    return videos, report, takeaway
+
+
+def _wire_picture(studio: Studio, photo: Any, cutout: Any, *shown: Any) -> None:
+    preview, editor, apply = shown
+    quiet = {"show_progress_on": preview, "api_visibility": "private"}
+    photo.change(
+        api.cutter(studio), photo, [cutout, preview, editor], concurrency_limit=2, **quiet
+    )
+    apply.click(
+        api.corrector(studio), [cutout, editor], [cutout, preview], concurrency_limit=2, **quiet
+    )
+
+
+def _wire_run(
+    studio: Studio, cutout: Any, done: Any, scene: Any, forecast: Any, go: Any, cancel: Any,
+    progress: Any, results: list[Any],
+) -> None:  # fmt: skip
+    gr.on(
+        [scene.change, cutout.change], api.forecaster(studio), [cutout, scene], forecast,
+        queue=False, show_progress="hidden", api_visibility="private", trigger_mode="always_last",
+    )  # fmt: skip
+    run = go.click(
+        api.runner(studio), [cutout, scene], [progress, done, go, cancel, *results],
+        concurrency_id="device", concurrency_limit=1, show_progress="minimal",
+        show_progress_on=progress, api_visibility="private",
+    )  # fmt: skip
+    cancel.click(
+        api.stopper(studio), None, [progress, go, cancel], cancels=[run], queue=False,
+        show_progress="hidden", api_visibility="private",
+    )  # fmt: skip

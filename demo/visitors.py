@@ -1,0 +1,138 @@
+"""What each visitor has on disk: one folder with an unguessable name, a cache by content inside.
+
+A stage's result lies under a key made of everything it depends on, so a stage runs again exactly
+when something it depends on has changed:
+
+    cutouts/KEY.png               picture, method, brush strokes
+    gaussians/KEY.safetensors     cut-out, generator, seed
+    clips/KEY/                    Gaussians and the scene without its view
+    films/KEY/                    clip and view
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import secrets
+import shutil
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+STAGES = ("cutouts", "gaussians", "clips", "films")
+
+
+class Visitor:
+    """One visitor's folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.seen = time.time()
+        self._work: set[Path] = set()
+        for stage in STAGES:
+            (folder / stage).mkdir(parents=True, exist_ok=True)
+
+    def begin(self) -> Path:
+        """Announce a piece of work: a file that, once it exists, asks the work to stop.
+
+        A file, because the work may run in another process (ZeroGPU forks one).
+        """
+        flag = self.folder / f"stop-{secrets.token_hex(8)}"
+        self._work.add(flag)
+        return flag
+
+    def end(self, flag: Path) -> None:
+        """The work is over, or asked to stop; whoever does it removes the file."""
+        self._work.discard(flag)
+
+    @property
+    def busy(self) -> bool:
+        """Whether work is in hand."""
+        return bool(self._work)
+
+    def stop(self) -> None:
+        """Ask all work in hand to stop; harmless if there is none."""
+        for flag in tuple(self._work):
+            with contextlib.suppress(OSError):
+                flag.touch()
+
+    def trim(self, keep: int) -> None:
+        """Forget all but the newest results of each stage."""
+        for stage in STAGES:
+            entries = sorted((self.folder / stage).iterdir(), key=_changed, reverse=True)
+            # A clip has films of several views, and the pictures behind them are small.
+            for entry in entries[keep * (1 if stage == "clips" else 3) :]:
+                _remove(entry)
+
+
+class Visitors:
+    """All visitors by session; safe to use from several threads."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        root.mkdir(parents=True, exist_ok=True)
+        self._lock = threading.Lock()
+        self._known: dict[str, Visitor] = {}
+
+    def __len__(self) -> int:
+        return len(self._known)
+
+    def get(self, session: str) -> Visitor:
+        """The visitor of a session, new if it was not known."""
+        with self._lock:
+            visitor = self._known.get(session)
+            if visitor is None or not visitor.folder.is_dir():
+                visitor = self._known[session] = Visitor(self.root / secrets.token_urlsafe(24))
+            visitor.seen = time.time()
+            return visitor
+
+    def leave(self, session: str) -> None:
+        """Stop the visitor's work and remove the folder."""
+        with self._lock:
+            visitor = self._known.pop(session, None)
+        if visitor is not None:
+            visitor.stop()
+            for stage in STAGES:
+                _remove(visitor.folder / stage)
+            # Work that has not seen its stop file yet removes the folder when it does.
+            if not any(visitor.folder.glob("stop-*")):
+                _remove(visitor.folder)
+
+    def sweep(self, age: float, most: int) -> None:
+        """Remove what is nobody's, or of visitors not seen for `age` s, or of all but `most`."""
+        now = time.time()
+        with self._lock:
+            latest = sorted(self._known, key=lambda key: self._known[key].seen, reverse=True)
+            old = [k for k in latest if now - self._known[k].seen > age]
+            old += [k for k in latest[most:] if k not in old and not self._known[k].busy]
+            for key in old:
+                self._known.pop(key).stop()
+            kept = {visitor.folder for visitor in self._known.values()}
+        for folder in self.root.iterdir():
+            if folder not in kept and now - _changed(folder) > 60:
+                _remove(folder)
+
+
+def key(*parts: Any) -> str:
+    """A name for whatever depends on these parts alone: bytes, or JSON-like data."""
+    digest = hashlib.sha256()
+    for part in parts:
+        data = part if isinstance(part, bytes) else json.dumps(part, sort_keys=True).encode()
+        digest.update(len(data).to_bytes(8, "little") + data)
+    return digest.hexdigest()[:32]
+
+
+def _changed(path: Path) -> float:
+    try:
+        return path.stat().st_mtime
+    except OSError:
+        return 0.0
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        path.unlink(missing_ok=True)

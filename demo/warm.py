@@ -1,0 +1,34 @@
+"""Warm up: load every kernel that the presets use, so that the first visitor does not wait."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from demo.work import device_named
+from phy124.camera import Camera
+from phy124.gaussians import Gaussians
+from phy124.render import Renderer
+from phy124.scene import Scene, preset_names
+from phy124.simulation import Simulation
+
+COUNT = 500
+
+
+def warm_up(device: str) -> None:
+    """Simulate two frames of each preset with a small ball and draw it."""
+    device = device_named(device)
+    ball = _ball()
+    Renderer(device=device)(ball, Camera((3, 0, 0), (0, 0, 0), 64, 64))
+    for name in preset_names():
+        few = {"accuracy": {"cells": 8, "ppc": 1.0}, "time.frames": 2, "time.fps": 240.0}
+        for _ in Simulation(ball, Scene.named(name).replaced(few), device=device):
+            pass
+
+
+def _ball() -> Gaussians:
+    rng = np.random.default_rng(0)
+    away = rng.normal(size=(COUNT, 3))
+    means = 0.5 * away / np.linalg.norm(away, axis=1, keepdims=True)
+    quats = np.tile([1.0, 0, 0, 0], (COUNT, 1))
+    shape = np.full((COUNT, 3), 0.05)
+    return Gaussians.from_rgb(means, quats, shape, np.full(COUNT, 0.9), rng.random((COUNT, 3)))

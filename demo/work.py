@@ -1,0 +1,337 @@
+"""The work behind one click: cut-out -> Gaussians -> clip -> films, each stage only if needed.
+
+`steps` runs it in a thread and yields what happens; it ends early, with `Cancelled`, within one
+substep or drawn frame of the wish to stop. Everything in an `Order` and every event can be
+pickled, because on ZeroGPU all of this runs in a forked process.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import queue
+import shutil
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from demo.visitors import STAGES, key
+from phy124 import pipeline
+from phy124.camera import Camera
+from phy124.clip import Clip
+from phy124.errors import Cancelled, InputError
+from phy124.export.html import pack
+from phy124.gaussians import Frame, Gaussians
+from phy124.generators import make as make_generator
+from phy124.ply import write_ply
+from phy124.render import Renderer, render_frames, to_bytes
+from phy124.scene import Scene
+from phy124.simulation import Simulation, Stopped
+from phy124.stopwatch import Stopwatch
+from phy124.video import write_animation
+
+DEVICE = threading.Lock()
+"""Held by whoever computes: one piece of work at a time in this process."""
+BEAT = 0.2
+"""Longest silence between two events, s: so often can a generator be closed."""
+GLIMPSE = 224
+"""Side of the pictures shown while the simulation runs, pixels."""
+MOVING = 320
+"""Side of the animated WebP, pixels."""
+
+
+@dataclass(frozen=True)
+class Order:
+    """What one click asks for."""
+
+    folder: Path
+    """The visitor's folder."""
+    cutout: Path
+    """Picture with alpha."""
+    scene: Scene
+    stop: Path
+    """Once this file exists the work stops."""
+    seconds: float
+    """Longest wall-clock time."""
+    max_particles: int
+    generator: str = "relief"
+    device: str = "auto"
+    about: tuple[tuple[str, str], ...] = ()
+    """More for the report."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """How far a stage is."""
+
+    stage: str
+    done: int
+    total: int
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Glimpse:
+    """A small JPEG of the frame just simulated."""
+
+    picture: bytes
+
+
+@dataclass(frozen=True)
+class Reused:
+    """A stage that was not run again, since nothing it depends on has changed."""
+
+    stage: str
+
+
+@dataclass(frozen=True)
+class Done:
+    """Everything is there."""
+
+    clip: Path
+    """Folder of the clip, its Gaussians and its scene."""
+    films: Path
+    """Folder of the videos, the player's pack and the report."""
+
+
+Event = Step | Glimpse | Reused | Done
+Tell = Callable[[Event], None]
+
+
+def steps(order: Order) -> Iterator[Event | None]:
+    """Run an order; yields events, and None where nothing has happened for a moment.
+
+    Raises:
+        Cancelled: The stop file appeared.
+        InputError: Something chosen cannot be used, or the time is up.
+    """
+    events: queue.SimpleQueue[Event | BaseException] = queue.SimpleQueue()
+    thread = threading.Thread(target=_run, args=(order, events), name="work", daemon=True)
+    thread.start()
+    try:
+        while True:
+            try:
+                event = events.get(timeout=BEAT)
+            except queue.Empty:
+                yield None
+                continue
+            if isinstance(event, BaseException):
+                raise event
+            yield event
+            if isinstance(event, Done):
+                return
+    except GeneratorExit:
+        order.stop.touch()
+        raise
+
+
+def _run(order: Order, events: queue.SimpleQueue[Any]) -> None:
+    """The thread: whatever ends the work is the last event."""
+    try:
+        order = replace(order, device=device_named(order.device))
+        with _device(order):
+            last = _produce(order, _teller(order, events.put))
+    except BaseException as error:
+        last = error
+    order.stop.unlink(missing_ok=True)
+    if not (order.folder / STAGES[0]).exists():
+        # The visitor has left in the meantime.
+        shutil.rmtree(order.folder, ignore_errors=True)
+    events.put(last)
+
+
+def device_named(name: str) -> str:
+    """Warp's name of a device; "auto" is CUDA where there is one."""
+    import warp as wp
+
+    if name != "auto":
+        return name
+    return "cuda:0" if wp.is_cuda_available() else "cpu"
+
+
+@contextmanager
+def _device(order: Order) -> Iterator[None]:
+    """Hold the device; gives up if the work is to stop before its turn has come."""
+    while not DEVICE.acquire(timeout=BEAT):
+        if order.stop.exists():
+            raise Cancelled
+    try:
+        yield
+    finally:
+        DEVICE.release()
+
+
+def _teller(order: Order, put: Callable[[Event], None]) -> Tell:
+    end = time.monotonic() + order.seconds
+
+    def tell(event: Event) -> None:
+        if order.stop.exists():
+            raise Cancelled
+        if time.monotonic() > end:
+            raise InputError(
+                "time",
+                f"{order.seconds:.0f} s",
+                "the work took longer than one visitor may have here.",
+                "Choose draft accuracy, a softer material, or fewer frames and views.",
+            )
+        put(event)
+
+    return tell
+
+
+def _produce(order: Order, tell: Tell) -> Done:
+    made = key(order.cutout.read_bytes(), order.generator, order.scene.seed)
+    source = order.folder / "gaussians" / f"{made}.safetensors"
+    physics = {name: value for name, value in order.scene.data().items() if name != "view"}
+    clips = order.folder / "clips" / key(made, physics)
+    films = order.folder / "films" / key(clips.name, order.scene.view.model_dump(mode="json"))
+    if (clips / "report.json").exists():
+        tell(Reused("generate"))
+        tell(Reused("simulate"))
+    else:
+        _simulate(_gaussians(order, source, tell), order, clips, tell)
+    if (films / "report.json").exists():
+        tell(Reused("render"))
+    else:
+        _film(order, clips, films, tell)
+    clips.touch()
+    films.touch()
+    return Done(clips, films)
+
+
+def _gaussians(order: Order, path: Path, tell: Tell) -> Gaussians:
+    if path.exists():
+        tell(Reused("generate"))
+        return Clip.load(path).frame(0).gaussians
+    tell(Step("generate", 0, 1))
+    gaussians = make_generator(order.generator)(
+        Image.open(order.cutout),
+        seed=order.scene.seed,
+        progress=lambda _, done, total: tell(Step("generate", done, total)),
+    )
+    Clip.from_frames([Frame(0, 0.0, gaussians)]).save(path)
+    return gaussians
+
+
+def _simulate(gaussians: Gaussians, order: Order, out: Path, tell: Tell) -> None:
+    """A folder with the clip, its Gaussians, its scene and what the run did."""
+    frames, watch = order.scene.time.frames, Stopwatch()
+    tell(Step("simulate", 0, frames, "preparing"))
+    run = Simulation(
+        gaussians, order.scene, device=order.device, watch=watch,
+        progress=lambda _, done, total: tell(Step("simulate", done, total, _count(run))),
+    )  # fmt: skip
+    if len(run.particles) > order.max_particles:
+        raise InputError(
+            "accuracy",
+            f"{len(run.particles):,} particles",
+            f"one run may have {order.max_particles:,} here.",
+            "Choose a coarser accuracy.",
+        )
+    motion = Motion()
+    glimpse = _glimpses(order, tell)
+    try:
+        for frame in run:
+            motion.add(run, frame.time)
+            glimpse(frame)
+    except Stopped as stop:
+        run.stopped = str(stop)
+    with pipeline.staged(out) as folder:
+        clip = run.clip()
+        report = {**dict(order.about), **clip.report, "motion": motion.data()}
+        report |= pipeline.circumstances(order.device, watch)
+        clip.with_report(report).save(folder / "clip.safetensors")
+        write_ply(folder / "gaussians.ply", run.gaussians)
+        (folder / "scene.toml").write_text(order.scene.to_toml(), "utf-8")
+        _write(folder / "report.json", report)
+
+
+def _count(run: Simulation) -> str:
+    return f"{run.solver.substeps} substeps"
+
+
+class Motion:
+    """How a run moved, frame by frame: what shows whether it stayed stable."""
+
+    def __init__(self) -> None:
+        self.rows: list[tuple[float, float, float, float]] = []
+
+    def add(self, run: Simulation, time: float) -> None:
+        """Measure the particles as they are now."""
+        state = run.solver.state
+        v = state.v.numpy().astype(np.float64)
+        volumes = np.linalg.det(state.deformation.numpy().astype(np.float64))
+        energy = 0.5 * (run.solver.mass.numpy() * (v**2).sum(axis=1)).sum()
+        speed = np.linalg.norm(v, axis=1).max()
+        self.rows.append((time, float(volumes.min()), float(speed), float(energy)))
+
+    def data(self) -> dict[str, list[float]]:
+        """Columns: time [s], smallest J, greatest speed [m/s], kinetic energy [J]."""
+        names = ("time", "smallest_J", "greatest_speed", "kinetic_energy")
+        columns = zip(*self.rows, strict=True) if self.rows else ((),) * 4
+        return {name: list(column) for name, column in zip(names, columns, strict=True)}
+
+
+def _glimpses(order: Order, tell: Tell) -> Callable[[Frame], None]:
+    """Shows frames as small pictures while the run goes on."""
+    renderer, camera = Renderer(device=order.device), None
+
+    def show(frame: Frame) -> None:
+        nonlocal camera
+        camera = camera or _camera(frame, order.scene)
+        image = renderer(frame.gaussians, camera, order.scene.view.background)
+        with io.BytesIO() as file:
+            Image.fromarray(to_bytes(image)).save(file, "JPEG", quality=80)
+            tell(Glimpse(file.getvalue()))
+
+    return show
+
+
+def _camera(frame: Frame, scene: Scene) -> Camera:
+    rest = Clip.from_frames([frame])
+    clip = Clip(**{**vars(rest), "scene": scene.data()})
+    view = scene.view.model_copy(update={"size": GLIMPSE})
+    return pipeline.cameras(clip, view, "front")[0]
+
+
+def _film(order: Order, clips: Path, out: Path, tell: Tell) -> None:
+    """A folder with the videos, the player's pack, an animated picture and the report."""
+    clip, view, watch = Clip.load(clips / "clip.safetensors"), order.scene.view, Stopwatch()
+    total = len(clip) * len(view.views)
+
+    def progress(stage: str, done: int, of: int) -> None:
+        before = view.views.index(stage.removeprefix("render ")) * of
+        tell(Step("render", before + done, total, stage.removeprefix("render ")))
+
+    tell(Step("render", 0, total))
+    with pipeline.staged(out) as folder:
+        pipeline.film(clip, view, folder, device=order.device, progress=progress, watch=watch)
+        tell(Step("save", 0, 2))
+        with watch.stage("save"):
+            first = pipeline.cameras(clip, view, "front")[0]
+            (folder / "clip.pack").write_bytes(pack(clip, first, background=view.background))
+            tell(Step("save", 1, 2))
+            turning = pipeline.cameras(clip, view, "orbit")
+            write_animation(
+                folder / "orbit.webp",
+                render_frames(
+                    clip.frames(), turning, size=MOVING, background=view.background,
+                    device=order.device, progress=lambda *_: tell(Step("save", 1, 2)),
+                ),
+                fps=view.fps or order.scene.time.fps,
+            )  # fmt: skip
+        report = json.loads((clips / "report.json").read_text("utf-8"))
+        report["stages"] = [*report["stages"], *watch.data()]
+        report["seconds"] += watch.total
+        _write(folder / "report.json", report)
+
+
+def _write(path: Path, data: dict[str, Any]) -> None:
+    path.write_text(json.dumps(data, indent=2, allow_nan=False) + "\n", "utf-8")
