@@ -90,7 +90,7 @@ def reliable(depth: int) -> Qos:
     )
 
 
-def describe(raw: bytes, store: object) -> dict[str, object]:
+def describe(raw: bytes, received: int, store: object) -> dict[str, object]:
     cloud = store.deserialize_cdr(raw, CLOUD)
     stamp = cloud.header.stamp
     return {
@@ -98,7 +98,7 @@ def describe(raw: bytes, store: object) -> dict[str, object]:
         "width": cloud.width,
         "fields": [field.name for field in cloud.fields],
         "crc": zlib.crc32(np.ascontiguousarray(cloud.data)),
-        "received": time.time_ns(),
+        "received": received,
     }
 
 
@@ -133,9 +133,10 @@ def main() -> None:
     while count < args.count and time.monotonic() - last < args.quiet:
         waitset.wait(50_000_000)
         samples = [sample for sample in reader.take(10) if isinstance(sample, Raw)]
+        received = time.time_ns()
         for sample in samples:
             count, last = count + 1, time.monotonic()
-            say(describe(sample.data, store))
+            say(describe(sample.data, received, store))
         while orders and count >= int(orders[0][0]):
             speaker.write(String(orders.pop(0)[1]))
             say({"said": True, "at": count})
