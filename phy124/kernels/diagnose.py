@@ -181,3 +181,29 @@ def make_limit_total(real: Any):
             total_out[p] = (greatest / size) * total_out[p]
 
     return limit_total
+
+
+@cache
+def make_probe(law: Law, real: Any):
+    """Kernel: stress, modulus and projected F of single states, to examine a law by itself."""
+    t = types(real)
+    theta_type = wp.types.vector(law.width, real)
+    stress, modulus, project = law.stress, law.modulus, law.project
+    plastic = project is not None
+
+    @wp.kernel(module=f"phy124_probe_law_{law.name}_{real.__name__}", enable_backward=False)
+    def probe(
+        theta: wp.array(dtype=theta_type), F: wp.array(dtype=t.mat33),
+        history: wp.array(dtype=t.vec2), dt: real,
+        stress_out: wp.array(dtype=t.mat33), modulus_out: wp.array(dtype=real),
+        projected_out: wp.array(dtype=t.mat33),
+    ):  # fmt: skip
+        p = wp.tid()
+        stress_out[p] = stress(F[p], t.mat33(), history[p], theta[0])
+        modulus_out[p] = modulus(F[p], history[p], theta[0])
+        projected_out[p] = F[p]
+        if wp.static(plastic):
+            elastic, after = project(F[p], history[p], theta[0], dt)
+            projected_out[p] = elastic
+
+    return probe

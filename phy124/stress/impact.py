@@ -1,0 +1,129 @@
+"""Cases 11-13, 20: impacts, impossible deformations, a monstrous push."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from phy124.boundaries import Ground
+from phy124.forces import ParticleForce
+from phy124.kernels.transfer import types
+from phy124.materials import AnyMaterial, NeoHookean
+from phy124.region import Region
+from phy124.stress.bodies import (
+    DX,
+    Array,
+    assign,
+    block,
+    body,
+    deform,
+    finite,
+    host,
+    volume_ratios,
+)
+from phy124.stress.case import Check, Setting, at_least, at_most, equal
+from phy124.watchdog import weigh
+
+
+class Impact(NamedTuple):
+    """How a cube fared that hit the floor."""
+
+    least_J: float
+    greatest_energy: float
+    rebound: float
+    """Kinetic energy at the end, as a share of the first."""
+    substeps: int
+    limiters: dict[str, int]
+
+
+def hit(mach: float, material: AnyMaterial, setting: Setting) -> Impact:
+    """A cube thrown flat on a slippery floor at `mach` times its speed of sound."""
+    mu, lam = material.lame
+    sound = math.sqrt((lam + 2 * mu) / material.density)
+    x = block(middle=(0, 0, 0.21))
+    speed = mach * sound
+    s = body(
+        x,
+        setting,
+        material,
+        v=np.tile([0.0, 0, -speed], (len(x), 1)),
+        boundaries=[Ground(contact="slip")],
+        dx=0.0625,
+    )
+    first = weigh(s).kinetic
+    least, greatest, before = 1.0, 1.0, weigh(s)
+
+    def watch() -> None:
+        nonlocal least, greatest, before
+        after = weigh(s)
+        # Energies of one instant: see `Meter`.
+        energy = before.elastic + (before.kinetic + after.kinetic) / 2
+        greatest = max(greatest, energy / first if math.isfinite(energy) else math.inf)
+        least, before = min(least, after.least_J), after
+
+    until = 0.375 * (3 / sound + 1.5 / speed)
+    s.advance(until, after=watch)
+    return Impact(least, greatest, weigh(s).kinetic / first, s.substeps, dict(s.limiters))
+
+
+def impacts(setting: Setting) -> list[Check]:
+    """A cube at up to five times the speed of sound: it rebounds and never turns inside out."""
+    checks = []
+    for mach in (0.5, 1.0, 2.0, 5.0):
+        for nu in (0.3, 0.45) if setting.long else (0.3,):
+            found = hit(mach, NeoHookean(E=1e4, nu=nu), setting)
+            name = f"Mach {mach:g}" + (f" nu {nu}" if setting.long else "")
+            checks += [
+                at_least(f"{name}: least J", found.least_J, 1e-9),
+                at_most(f"{name}: greatest / first energy", found.greatest_energy, 1.01),
+                at_least(f"{name}: rebound", found.rebound, 0.05),
+            ]
+    return checks
+
+
+def released(setting: Setting) -> list[Check]:
+    """Stretched four times or squeezed to a twentieth, then let go: it finds its shape again."""
+    checks = []
+    for name, F in (("stretch 4", np.diag([1, 1, 4.0])), ("squeeze 0.05", np.diag([1, 1, 0.05]))):
+        rest = block(8, 0.25)
+        s = body(rest, setting, NeoHookean(E=1e4, nu=0.3), size=0.25)
+        assign(s, "x", rest @ F)
+        deform(s, F)
+        least = math.inf
+        for k in range(1, 241):
+            s.advance(0.01 * k)
+            least = min(least, float(volume_ratios(s).min()))
+            # Stilled again and again it comes to rest.
+            s.state.v.zero_()
+            s.state.C.zero_()
+        size = np.ptp(host(s.state.x), axis=0) / np.ptp(rest, axis=0)
+        checks += [
+            equal(f"{name}: finite", finite(s)),
+            at_least(f"{name}: least J", least, 1e-9),
+            at_most(f"{name}: shape error", np.abs(size - 1).max(), 0.05),
+        ]
+    return checks
+
+
+def monstrous_push(setting: Setting) -> list[Check]:
+    """A million times its weight on one particle: momentum is the impulse, nothing breaks."""
+    x = block()
+    chosen = x[100]
+    weight = 1000 * 0.375**3 / len(x) * 9.81
+    region = Region(lower=tuple(chosen - 1e-3), upper=tuple(chosen + 1e-3))
+    s = body(x, setting, forces=[ParticleForce(f=(1e6 * weight, 0, 0), region=region)])
+    s.advance(0.05)
+    # Velocities are half a substep behind: they have had the impulse of that much less time.
+    impulse = 1e6 * weight * (s.time - s.last_dt / 2)
+    momentum = weigh(s).momentum
+    return [
+        equal("finite", finite(s)),
+        at_most("momentum / impulse - 1", abs(momentum[0] / impulse - 1), 1e-5),
+        at_least("substeps limited by speed, force or gradient", _limited(s.limiters), 1),
+    ]
+
+
+def _limited(limiters: dict[str, int]) -> int:
+    return sum(limiters.get(name, 0) for name in ("speed", "gradient", "force"))

@@ -1,0 +1,129 @@
+"""Cases 12, 21, 22: what the laws make of deformations no real material has seen."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import warp as wp
+
+from phy124.forces import Gravity
+from phy124.kernels.diagnose import make_probe
+from phy124.kernels.transfer import types
+from phy124.materials import (
+    FixedCorotated,
+    Fluid,
+    Foam,
+    Hencky,
+    Material,
+    Metal,
+    NeoHookean,
+    Plasticine,
+    Sand,
+    Snow,
+)
+from phy124.mpm.solver import PRECISIONS
+from phy124.stress.bodies import Array, block, body, host
+from phy124.stress.case import Check, Setting, at_least, at_most, equal
+
+LAWS: tuple[Material, ...] = (
+    NeoHookean(), FixedCorotated(), Hencky(), Metal(), Plasticine(), Foam(), Sand(), Snow(),
+    Fluid(),
+)  # fmt: skip
+IMPOSSIBLE = {
+    "turned inside out": np.diag([1, 1, -0.5]),
+    "flat": np.diag([1, 1, 0.0]),
+    "a line": np.diag([2, 0, 0.0]),
+    "a point": np.zeros((3, 3)),
+    "a mirror image": -np.eye(3),
+    "huge": 1e4 * np.eye(3),
+    "tiny": 1e-4 * np.eye(3),
+    "a needle": np.diag([1e4, 1e-2, 1e-2]),
+    "sheared": np.eye(3) + 1e3 * np.eye(3, k=1),
+}
+
+
+def probe(material: Material, F: Array, setting: Setting) -> tuple[Array, Array, Array]:
+    """Stress, modulus and the F that the law projects to, of states F [N,3,3]."""
+    real, law = PRECISIONS[setting.precision], material.device_law
+    t, n = types(real), len(F)
+
+    def array(values: object, dtype: object) -> wp.array:
+        whole = np.ascontiguousarray(values, dtype=np.dtype(setting.precision))
+        return wp.array(whole, dtype=dtype, device=setting.device)
+
+    outputs = [wp.zeros(n, dtype=d, device=setting.device) for d in (t.mat33, real, t.mat33)]
+    theta = array([material.theta()], wp.types.vector(law.width, real))
+    history = array(np.tile(material.history(), (n, 1)), t.vec2)
+    inputs = [theta, array(F, t.mat33), history, 1e-4]
+    wp.launch(make_probe(law, real), n, inputs=inputs, outputs=outputs, device=setting.device)
+    stress, modulus, projected = (host(out) for out in outputs)
+    return stress, modulus, projected
+
+
+def every_deformation(setting: Setting) -> list[Check]:
+    """Every law has a finite stress and modulus for every F."""
+    rng = np.random.default_rng(0)
+    wild = rng.normal(size=(200, 3, 3)) * 10.0 ** rng.uniform(-3, 3, (200, 1, 1))
+    F = np.concatenate([np.stack(list(IMPOSSIBLE.values())), wild])
+    checks = []
+    for material in LAWS:
+        found = probe(material, F, setting)
+        finite = all(bool(np.isfinite(part).all()) for part in found)
+        checks.append(equal(f"{material.device_law.name}: finite", finite))
+    return checks
+
+
+def thrown_sand(setting: Setting) -> list[Check]:
+    """Sand flying apart carries no stress: every grain is on its own parabola."""
+    x = block(middle=(0, 0, 1))
+    spread = 0.1 * np.diag([1.0, 0.8, 1.2])
+    v = (x - [0, 0, 1]) @ spread.T + [0.5, 0, 3.0]
+    C = np.broadcast_to(spread, (len(x), 3, 3))
+    s = body(x, setting, Sand(), v=v, C=C, forces=[Gravity()])
+    until = 0.2
+    s.advance(until)
+    wanted = x + v * until - np.array([0, 0, 9.81 * until**2 / 2])
+    F = host(s.state.F)
+    stress, _, _ = probe(Sand(), F, setting)
+    way = np.abs(wanted - x).max()
+    return [
+        at_most("off the parabola / way", np.abs(host(s.state.x) - wanted).max() / way, 1e-4),
+        at_most("stress / E", np.abs(stress).max() / Sand().E, 1e-5),
+        at_most("F^T F - I", np.abs(F.transpose(0, 2, 1) @ F - np.eye(3)).max(), 1e-5),
+    ]
+
+
+def friction_angle(setting: Setting) -> list[Check]:
+    """Sand pressed from above until it yields: the stresses must stand at the angle of friction."""
+    checks = []
+    for angle in (20.0, 35.0, 50.0):
+        sand = Sand(friction_angle=angle)
+        F = np.eye(3)[None].copy()
+        for _ in range(400):
+            # Squeezed along z at constant volume, on top of an even pressure.
+            F = np.diag([1.0002, 1.0002, 1 / 1.0002**2]) @ F
+            trial = F if _ else 0.99 * F
+            _, _, F = probe(sand, trial, setting)
+        stress, _, _ = probe(sand, F, setting)
+        across, along = -stress[0, 0, 0], -stress[0, 2, 2]
+        found = math.degrees(math.asin((along - across) / (along + across)))
+        checks.append(at_most(f"{angle:g} degrees: error [degrees]", abs(found - angle), 3.0))
+    return checks
+
+
+def series_strain(setting: Setting) -> list[Check]:
+    """Hencky stress without an SVD against NumPy's SVD, for strains up to 20 per cent."""
+    rng = np.random.default_rng(0)
+    material, n = Hencky(E=1.0, nu=0.2), 2000
+    U, V = (np.linalg.qr(rng.normal(size=(n, 3, 3)))[0] for _ in range(2))
+    U *= np.linalg.det(U)[:, None, None]
+    V *= np.linalg.det(V)[:, None, None]
+    strain = rng.uniform(-0.2, 0.2, (n, 3))
+    F = np.einsum("nij,nj,nkj->nik", U, np.exp(strain), V)
+    mu, lam = material.lame
+    principal = 2 * mu * strain + lam * strain.sum(axis=1, keepdims=True)
+    wanted = np.einsum("nij,nj,nkj->nik", U, principal, U)
+    stress, _, _ = probe(material, F, setting)
+    limit = 1e-10 if setting.double else 1e-4
+    return [at_most("largest error / E", np.abs(stress - wanted).max(), limit)]
