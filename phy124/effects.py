@@ -46,15 +46,18 @@ class Effects:
 
 def _catalogue(scene: Scene, sh_degree: int, device: str) -> Iterator[tuple[str, bool, str]]:
     """Every effect: name, whether the scene calls for it, why not if it does not."""
-    law = scene.material.device_law
-    plastic = law.project is not None
+    laws = sorted({section.law for section in scene.materials})
+    named = " and ".join(laws)
+    plastic = any(section.device_law.project is not None for section in scene.materials)
     regional = [f for f in scene.forces if f.region is not None]
     pushes = regional + [f for f in scene.forces if f.kind in ("particle_force", "set_velocity")]
     timed = [f for f in scene.forces if f.start > 0 or f.end is not None]
     moving = [b for b in scene.boundaries if b.kind == "press"]
-    yield f"stress {scene.material.law}", True, ""
-    yield "return mapping", plastic, f"{scene.material.law} is elastic"
-    yield "total F beside elastic F", plastic, f"{scene.material.law} keeps all deformation in F"
+    for law in laws:
+        yield f"stress {law}", True, ""
+    yield "return mapping", plastic, f"{named} is elastic"
+    yield "total F beside elastic F", plastic, f"{named} keeps all deformation in F"
+    yield "several materials", bool(scene.parts), "the scene names no parts"
     yield "uniform acceleration", len(scene.forces) > len(pushes), "no force acts on the whole body"
     yield "particle forces", bool(pushes), "no force names single particles or a region"
     yield "time tables", bool(timed or moving), "no force or boundary changes in time"

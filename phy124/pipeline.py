@@ -27,6 +27,7 @@ from phy124.gaussians import Gaussians
 from phy124.generators import Generator, needs_image
 from phy124.generators import make as make_generator
 from phy124.image import foreground, open_image
+from phy124.parts import WHOLE, Crop, crop_of
 from phy124.ply import write_ply
 from phy124.progress import Progress, silent
 from phy124.scene import Scene
@@ -72,7 +73,14 @@ def generate(
         gaussians = make(cutout, seed=scene.seed, progress=progress)
     about = {"foreground": used, "generator": _name(generator)}
     return simulate(
-        gaussians, scene, out, device=device, progress=progress, watch=watch, about=about
+        gaussians,
+        scene,
+        out,
+        device=device,
+        progress=progress,
+        watch=watch,
+        about=about,
+        crop=crop_of(cutout),
     )
 
 
@@ -85,11 +93,12 @@ def simulate(
     progress: Progress = silent,
     watch: Stopwatch | None = None,
     about: dict[str, Any] | None = None,
+    crop: Crop = WHOLE,
 ) -> Result:
     """Gaussians become moving Gaussians, videos and a report in a folder."""
     watch = watch or Stopwatch()
     with staged(out) as folder:
-        run = Simulation(gaussians, scene, device=device, progress=progress, watch=watch)
+        run = Simulation(gaussians, scene, device=device, progress=progress, watch=watch, crop=crop)
         clip = run.run()
         with watch.stage("save"):
             write_ply(folder / "gaussians.ply", run.gaussians)

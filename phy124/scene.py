@@ -21,7 +21,7 @@ from phy124.camera import FOV_Y
 from phy124.errors import InputError
 from phy124.forces import AnyForce, Gravity
 from phy124.materials import AnyMaterial, NeoHookean
-from phy124.region import Vector
+from phy124.region import Region, Vector
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -112,6 +112,29 @@ class View(Section):
         return self
 
 
+class Part(Section):
+    """A part of the object that is made of another material."""
+
+    material: AnyMaterial = Field(default_factory=NeoHookean, description="Its material.")
+    region: Region | None = Field(default=None, description="Box of space it lies in [m].")
+    mask: str | None = Field(
+        default=None, description="Picture file, white where it is seen from the front."
+    )
+    gaussians: tuple[int, int] | None = Field(
+        default=None, description="Its Gaussians: the first and one past the last."
+    )
+
+    @model_validator(mode="after")
+    def _picked(self) -> Part:
+        if self.region is None and self.mask is None and self.gaussians is None:
+            raise ValueError("a part needs a region, a mask or gaussians to say where it is")
+        return self
+
+    def data(self) -> dict[str, Any]:
+        """How it is picked, as plain data."""
+        return self.model_dump(mode="json", exclude_none=True, exclude={"material"})
+
+
 class Scene(Section):
     """One complete simulation: object, material, forces, boundaries, accuracy, time and view."""
 
@@ -119,6 +142,7 @@ class Scene(Section):
     seed: int = Field(default=0, ge=0, le=2**31 - 1, description="Seed of everything random.")
     object: Object = Field(default_factory=Object)
     material: AnyMaterial = Field(default_factory=NeoHookean, description="Constitutive law.")
+    parts: tuple[Part, ...] = Field(default=(), description="Parts of other materials.")
     forces: tuple[AnyForce, ...] = Field(default=(Gravity(),), description="What pushes.")
     boundaries: tuple[AnyBoundary, ...] = Field(default=(Ground(),), description="What is solid.")
     accuracy: AccuracyName | Accuracy = Field(
@@ -135,6 +159,11 @@ class Scene(Section):
     def resolution(self) -> Accuracy:
         """The accuracy settings, names looked up."""
         return PRESETS[self.accuracy] if isinstance(self.accuracy, str) else self.accuracy
+
+    @property
+    def materials(self) -> list[AnyMaterial]:
+        """The scene's material, then those of its parts."""
+        return [self.material, *(part.material for part in self.parts)]
 
     @property
     def dx(self) -> float:
@@ -288,7 +317,7 @@ def _description(where: list[int | str]) -> str:
 
 _TAGS = {
     tag
-    for name in ("material", "forces", "boundaries")
+    for name in ("material", "parts", "forces", "boundaries")
     for m in _members(Scene.model_fields[name].annotation)
     for tag in _tags(m)
 }

@@ -23,6 +23,7 @@ from phy124.effects import Effects
 from phy124.gaussians import Frame, Gaussians
 from phy124.mpm import Solver, Unstable
 from phy124.particles import Particles, clean, make_particles, to_size
+from phy124.parts import WHOLE, Crop, assign
 from phy124.progress import Progress, silent
 from phy124.scene import Scene
 from phy124.stopwatch import Stopwatch
@@ -48,6 +49,7 @@ class Simulation:
         device: str = "cpu",
         progress: Progress = silent,
         watch: Stopwatch | None = None,
+        crop: Crop = WHOLE,
     ) -> None:
         """Place the object, make its particles and build the solver.
 
@@ -57,6 +59,7 @@ class Simulation:
             device: Warp device, "cpu" or "cuda:0".
             progress: Told ("simulate", frame, frames); may raise Cancelled.
             watch: Where the stages' times go.
+            crop: Where the object is in the picture that masks of parts were painted on.
 
         Raises:
             InputError: the Gaussians or the scene cannot be used.
@@ -66,15 +69,16 @@ class Simulation:
         with self.watch.stage("particles"):
             gaussians, self.cleaning = clean(gaussians)
             self.gaussians = place(gaussians, scene)
-            self.particles = make_particles(
+            made = make_particles(
                 self.gaussians,
                 density=scene.material.density,
                 spacing=scene.dx / scene.resolution.ppc,
                 binding=scene.binding,
             )
+            self.particles = with_materials(made, scene, crop)
         with self.watch.stage("compile"):
             self.solver = _solver(self.particles, scene, device)
-            flows = scene.material.device_law.project is not None
+            flows = any(m.device_law.project is not None for m in scene.materials)
             self.deformer = Deformer(
                 self.gaussians,
                 self.particles,
@@ -128,6 +132,7 @@ class Simulation:
             "particles": len(self.particles),
             "mass": float(self.particles.mass.sum()),
             "cleaning": self.cleaning.sentences,
+            "notes": [note for section in self.scene.materials for note in section.notes()],
             "grid": {"dx": solver.dx, "window": solver.grid.size.tolist()},
             "substeps": solver.substeps,
             "limiters": solver.limiters,
@@ -178,6 +183,23 @@ def place(gaussians: Gaussians, scene: Scene) -> Gaussians:
     return standing.moved(1.0, np.array([0, 0, scene.object.lift]))
 
 
+def with_materials(particles: Particles, scene: Scene, crop: Crop = WHOLE) -> Particles:
+    """Each particle's material and density, particles of one law together."""
+    if not scene.parts:
+        return particles
+    material = assign(particles.x, particles.gaussian, scene.parts, crop)
+    laws = [section.device_law.name for section in scene.materials]
+    order = np.argsort(np.array([laws.index(name) for name in laws])[material], kind="stable")
+    density = np.array([section.density for section in scene.materials])[material]
+    return Particles(
+        x=particles.x[order],
+        volume=particles.volume[order],
+        density=density[order],
+        material=material[order],
+        gaussian=particles.gaussian[order],
+    )
+
+
 def _solver(particles: Particles, scene: Scene, device: str) -> Solver:
     x = particles.x.astype(np.float64)
     v, C = _motion(x, particles.mass, scene)
@@ -186,8 +208,9 @@ def _solver(particles: Particles, scene: Scene, device: str) -> Solver:
     return Solver(
         x,
         particles.volume,
-        [scene.material],
+        scene.materials,
         dx=scene.dx,
+        material=particles.material,
         v=v,
         C=C,
         forces=scene.forces,

@@ -343,6 +343,7 @@ def test_snapshot_and_restore_go_on_bit_for_bit(rng):
     assert np.array_equal(s.state.x.numpy(), first)
 
 
-def test_particles_must_be_sorted_by_material():
-    with pytest.raises(ValueError, match="sorted by material"):
-        Solver(block(), np.ones(512), [NeoHookean()] * 2, dx=DX, material=np.arange(512)[::-1] % 2)
+def test_particles_must_be_sorted_by_law():
+    laws, unsorted = [NeoHookean(), FixedCorotated()], np.arange(512)[::-1] % 2
+    with pytest.raises(ValueError, match="sorted by law"):
+        Solver(block(), np.ones(512), laws, dx=DX, material=unsorted)

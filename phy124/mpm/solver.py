@@ -74,7 +74,8 @@ class Solver:
         threads: int | None = None,
     ) -> None:
         self.real, self.device, self.dx = PRECISIONS[precision], device, float(dx)
-        self.cfl, self.ceiling = cfl, ceiling
+        self.cfl = cfl
+        self.ceiling = min(ceiling, *(section.viscous_limit(self.dx) for section in materials))
         cpu_float = device == "cpu" and precision == "float32"
         self.native = cpu_float if simd is None else simd and cpu_float
         self.rest = np.asarray(x, dtype=np.float64)
@@ -101,35 +102,44 @@ class Solver:
         self.extremes = Extremes(0.0, 0.0, 0.0)
 
     def _build_model(self, volume: NDArray, material: NDArray) -> None:
-        if np.any(np.diff(material) < 0):
-            raise ValueError("particles must be sorted by material")
-        density = np.array([m.density for m in self.materials])[material]
+        laws = [section.device_law.name for section in self.materials]
+        law = np.array([laws.index(name) for name in laws])[material]
+        if np.any(np.diff(law) < 0):
+            raise ValueError("particles must be sorted by law")
+        density = np.array([section.density for section in self.materials])[material]
         self.volume = self._array(volume, self.real)
         self.mass = self._array(np.asarray(volume) * density, self.real)
+        self.history = np.array([section.history() for section in self.materials])[material]
         self.groups = []
-        for index in np.unique(material):
-            section = self.materials[index]
-            start, stop = np.searchsorted(material, [index, index + 1])
-            theta = self._array(
-                [section.theta()], wp.types.vector(section.device_law.width, self.real)
-            )
-            self.groups.append(Group(section, int(start), int(stop), theta))
+        for index in np.unique(law):
+            start, stop = np.searchsorted(law, [index, index + 1]).tolist()
+            self.groups.append(self._group(start, stop, material[start:stop]))
+
+    def _group(self, start: int, stop: int, material: NDArray) -> Group:
+        """Particles of one law; one row of parameters if they are all of one material."""
+        found = np.unique(material)
+        law = self.materials[found[0]].device_law
+        rows = [section.theta() for section in self.materials if section.device_law is law]
+        numbers = [i for i, section in enumerate(self.materials) if section.device_law is law]
+        if len(found) == 1:
+            theta = [self.materials[found[0]].theta()]
+        else:
+            theta = np.array(rows)[np.searchsorted(numbers, material)]
+        width = wp.types.vector(law.width, self.real)
+        return Group(law, start, stop, self._array(theta, width))
 
     def _build_state(self, v: NDArray | None, C: NDArray | None) -> None:
         t, count = types(self.real), len(self.rest)
-        plastic = any(group.material.device_law.project is not None for group in self.groups)
+        plastic = any(group.law.project is not None for group in self.groups)
         kept = count if plastic else 0
         identity = np.tile(np.eye(3), (count, 1, 1))
-        history = np.zeros((kept, 2))
-        for group in self.groups if plastic else ():
-            history[group.start : group.stop] = group.material.history()
         self.state = State(
             x=self._array(self.rest, t.vec3),
             residue=self._array(np.zeros((count, 3)), t.vec3),
             v=self._array(np.zeros((count, 3)) if v is None else v, t.vec3),
             C=self._array(np.zeros((count, 3, 3)) if C is None else C, t.mat33),
             F=self._array(identity, t.mat33),
-            history=self._array(history, t.vec2),
+            history=self._array(self.history[:kept], t.vec2),
             total=self._array(identity[:kept], t.mat33),
         )
 
@@ -182,7 +192,7 @@ class Solver:
     def _measure_lane(self, lane: Lane) -> None:
         lane.maxima.fill_(-np.inf)
         for group, part in self._parts(lane):
-            s, kernel = self.state, transfer.make_measure(group.material.device_law, self.real)
+            s, kernel = self.state, transfer.make_measure(group.law, self.real)
             model = [group.theta, self.mass[part], self.volume[part]]
             state = [s.x[part], s.v[part], s.C[part], s.F[part], _part(s.history, part)]
             wp.launch(
@@ -225,7 +235,7 @@ class Solver:
         return [(0, middle), (middle, layers)]
 
     def _record_p2g(self, group: Group, part: slice, nodes: Grid) -> Recorded:
-        s, law = self.state, group.material.device_law
+        s, law = self.state, group.law
         kernel = transfer.make_p2g(law, self.real, self.native)
         model = [self.mass[part], self.volume[part], group.theta]
         state = [s.x[part], s.v[part], s.C[part], s.F[part], _part(s.history, part)]
@@ -233,7 +243,7 @@ class Solver:
         return f"p2g {law.name}", self.record(kernel, part.stop - part.start, inputs, [nodes.nodes])
 
     def _record_g2p(self, group: Group, part: slice) -> Recorded:
-        s, grid, law = self.state, self.grid, group.material.device_law
+        s, grid, law = self.state, self.grid, group.law
         kernel = transfer.make_g2p(law, self.real, self.native)
         inputs = [group.theta, grid.lattice, grid.window, self.clock, grid.nodes]
         outputs = [s.x[part], s.residue[part], s.v[part], s.C[part], s.F[part]]

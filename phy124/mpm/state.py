@@ -1,4 +1,4 @@
-"""State: what changes every substep, on the device; Group: a run of particles of one material."""
+"""State: what changes every substep, on the device; Group: a run of particles of one law."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from dataclasses import dataclass, fields
 
 import warp as wp
 
-from phy124.materials import Material
+from phy124.kernels.transfer import Law
 
 
 @dataclass(frozen=True)
 class Group:
-    """A run of particles of one material."""
+    """A run of particles of one law."""
 
-    material: Material
+    law: Law
     start: int
     stop: int
     theta: wp.array
