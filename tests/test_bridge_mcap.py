@@ -90,18 +90,18 @@ def test_mcap_reads_it_with_index_and_metadata(tmp_path, compression):
         assert reader.get_header().profile == "ros2"
         assert summary.statistics.message_count == len(clip) + 1
         # A chunk per frame: that is what a killed process does not lose.
-        assert len(summary.chunk_indexes) == len(clip) + 1
+        starts = [chunk.message_start_time - EPOCH * 10**9 for chunk in summary.chunk_indexes]
+        assert starts == [0, *(round(when * 1e9) for when in clip.times)]
+        assert all(chunk.message_index_length for chunk in summary.chunk_indexes)
         assert {channel.message_encoding for channel in summary.channels.values()} == {"cdr"}
         assert {schema.encoding for schema in summary.schemas.values()} == {"ros2msg"}
         for channel in summary.channels.values():
             assert "durability: 1" in channel.metadata["offered_qos_profiles"]
             assert channel.metadata["topic_type_hash"].startswith("RIHS01_")
         *_, last = reader.iter_metadata()
-        later = list(reader.iter_messages("/phy124/points", starting_at=EPOCH * 10**9 + 50_000_000))
     assert json.loads(last.metadata["scene"]) == clip.scene
     assert json.loads(last.metadata["report"]) == clip.report
     assert json.loads(last.metadata["options"])["profile"] == "full"
-    assert len(later) == 2
 
 
 def test_single_file_has_its_name_only_when_whole(tmp_path):
@@ -233,6 +233,8 @@ def node_modules(pytestconfig):
     """Foxglove's packages, installed once into pytest's cache folder."""
     if not shutil.which("node") or not shutil.which("npm"):
         pytest.skip("node and npm are not installed")
+    if not hasattr(pytestconfig, "cache"):
+        pytest.skip("there is no cache folder to install into (-p no:cacheprovider)")
     folder = Path(pytestconfig.cache.mkdir("bridge_node"))
     if not (folder / "node_modules" / "@mcap").is_dir():
         install = ["npm", "install", "--no-audit", "--no-fund", "--no-save", *NODE_PACKAGES]
