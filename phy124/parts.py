@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from phy124.errors import InputError
 from phy124.scene import Part
@@ -24,11 +24,13 @@ WHOLE: Crop = (0.0, 0.0, 1.0, 1.0)
 
 def crop_of(cutout: Image.Image) -> Crop:
     """Where the object is in its picture, an RGBA cut-out."""
-    left, top, right, bottom = cutout.getchannel("A").point(lambda a: 255 * (a > 127)).getbbox() or (
-        0, 0, *cutout.size,
-    )  # fmt: skip
-    width, height = cutout.size
-    return left / width, top / height, right / width, bottom / height
+    opaque = np.asarray(cutout.getchannel("A")) > 127
+    rows, columns = np.flatnonzero(opaque.any(axis=1)), np.flatnonzero(opaque.any(axis=0))
+    if not len(rows):
+        return WHOLE
+    height, width = opaque.shape
+    left, right = columns[0] / width, (columns[-1] + 1) / width
+    return float(left), rows[0] / height, float(right), (rows[-1] + 1) / height
 
 
 def assign(
@@ -68,7 +70,7 @@ def _held(x: NDArray, gaussian: NDArray, span: tuple[int, int]) -> NDArray[np.bo
     owner = gaussian.copy()
     own, filler = gaussian >= 0, gaussian < 0
     if filler.any() and own.any():
-        nearest = cKDTree(x[own]).query(x[filler])[1]
+        nearest = KDTree(x[own]).query(x[filler])[1]
         owner[filler] = gaussian[own][nearest]
     return (owner >= span[0]) & (owner < span[1])
 
