@@ -1,7 +1,7 @@
-"""Make docs/sheets/*.jpg: every preset on the example pictures, as `make sheets` does.
+"""Make docs/sheets/*.jpg and docs/duck-press.webp: every preset on the example pictures.
 
 Rows are presets, columns every second frame from the front; the last row of each sheet shows the
-orbit of the first preset.
+orbit of the first preset. Run it as `python docs/contact_sheets.py [PICTURE ...]`.
 """
 
 import sys
@@ -17,6 +17,7 @@ from phy124.generators import make
 from phy124.image import foreground, open_image
 from phy124.render import render_frames
 from phy124.scene import Scene, preset_names
+from phy124.video import write_animation
 
 HERE = Path(__file__).parent
 PICTURES = ("duck", "sunflower", "teddy", "potted_plant")
@@ -46,7 +47,26 @@ def sheet(picture: Path, names: list[str]) -> np.ndarray:
     return np.concatenate([*rows, orbit], axis=0)
 
 
+def banner(path: Path) -> None:
+    """The README's picture: the duck pressed, four views and the orbit side by side."""
+    cutout, _ = foreground(open_image(HERE / "../demo/examples/duck.png"))
+    gaussians = make("relief")(cutout, seed=0, progress=lambda *_: None)
+    scene = Scene.named("press").replaced({"view.views": ["front"], "view.size": 200})
+    with tempfile.TemporaryDirectory() as folder:
+        pipeline.simulate(gaussians, scene, folder)
+        clip = Clip.load(Path(folder) / "clip.safetensors")
+        views = [
+            list(render_frames(clip.frames(), pipeline.cameras(clip, scene.view, name)))
+            for name in ("front", "right", "back", "left", "orbit")
+        ]
+    write_animation(
+        path, [np.concatenate(tiles, axis=1) for tiles in zip(*views, strict=True)], fps=12
+    )
+
+
 if __name__ == "__main__":
+    if not sys.argv[1:]:
+        banner(HERE / "duck-press.webp")
     (HERE / "sheets").mkdir(exist_ok=True)
     for name in sys.argv[1:] or PICTURES:
         picture = Path(name) if Path(name).exists() else HERE / f"../demo/examples/{name}.png"
