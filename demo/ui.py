@@ -16,6 +16,7 @@ from demo.visitors import Visitors
 from demo.work import steps
 
 FOLDER = Path(__file__).parent
+STYLE = '<link rel="stylesheet" href="phy124/static/page.css">'
 KEEP, REMOVE = "#22c55e", "#ef4444"
 MASTHEAD = """<div id="masthead"><svg width="42" height="42" viewBox="0 0 42 42" aria-hidden="true">
 <g fill="none" stroke="#0f766e" stroke-width="2.4"><ellipse cx="15" cy="27" rx="11" ry="9"/>
@@ -37,13 +38,12 @@ def open_studio(settings: Settings, root: Path) -> Studio:
 
 def build(studio: Studio) -> gr.Blocks:
     """The whole page."""
-    css = (FOLDER / "static" / "page.css").read_text("utf-8")
     age = int(studio.settings.keep_hours * 3600)
     with gr.Blocks(
-        title="phy124", theme=_theme(), css=css, fill_width=True, analytics_enabled=False,
+        title="phy124", theme=_theme(), head=STYLE, fill_width=True, analytics_enabled=False,
         delete_cache=(3600, age),
     ) as page:  # fmt: skip
-        gr.HTML(MASTHEAD, padding=False)
+        gr.HTML(MASTHEAD, apply_default_css=False)
         cutout, done = gr.State(None), gr.State(None)
         with gr.Row(elem_id="columns"):
             with gr.Column(elem_id="left"):
@@ -72,14 +72,18 @@ def _theme() -> gr.themes.Base:
         primary_hue="teal",
         neutral_hue="slate",
         radius_size="lg",
-        font=["Inter", "ui-sans-serif", "system-ui", "sans-serif"],
+        font=[gr.themes.LocalFont("Source Sans 3"), "system-ui", "sans-serif"],
         font_mono=["ui-monospace", "monospace"],
     )
 
 
+def _heading(number: int, title: str) -> gr.HTML:
+    return gr.HTML(f"<h2><b>{number}</b>{title}</h2>", apply_default_css=False)
+
+
 def _picture() -> tuple[Photo, gr.Image, gr.ImageEditor, gr.Button]:
-    with gr.Column(elem_classes="panel"):
-        gr.HTML("<h2><b>1</b>Picture</h2>")
+    with gr.Column(elem_id="picture-panel"):
+        _heading(1, "Picture")
         with gr.Row(elem_id="pictures"):
             photo = Photo(
                 label="Picture", sources=["upload", "clipboard", "webcam"], type="filepath",
@@ -105,14 +109,14 @@ def _picture() -> tuple[Photo, gr.Image, gr.ImageEditor, gr.Button]:
 
 
 def _scene() -> gr.HTML:
-    with gr.Column(elem_classes="panel"):
-        gr.HTML("<h2><b>2</b>What happens</h2>")
+    with gr.Column(elem_id="scene-panel"):
+        _heading(2, "What happens")
         return panels.scene()
 
 
 def _go() -> tuple[gr.HTML, gr.Button, gr.Button]:
-    with gr.Column(elem_classes="panel", elem_id="go-panel"):
-        forecast = gr.HTML("", elem_id="forecast")
+    with gr.Column(elem_id="go-panel"):
+        forecast = gr.HTML("", elem_id="forecast", apply_default_css=False)
         with gr.Row(elem_id="go-row"):
             go = gr.Button("Generate", variant="primary", elem_id="go", scale=3)
             cancel = gr.Button("Cancel", elem_id="cancel", visible=False, scale=1, min_width=96)
@@ -124,7 +128,8 @@ def _results() -> tuple[gr.HTML, gr.HTML, gr.HTML]:
         with gr.Tab("Videos"):
             videos = panels.videos()
         with gr.Tab("Report"):
-            report = gr.HTML('<p class="empty">Where the time went, and how stable it was.</p>')
+            empty = '<p class="empty">Where the time went, and how stable it was.</p>'
+            report = gr.HTML(empty, apply_default_css=False, elem_id="report")
         with gr.Tab("Take away"):
             takeaway = panels.takeaway()
     return videos, report, takeaway

@@ -31,6 +31,7 @@
     };
     const show = () => {
       const value = props.value || { state: 'idle' };
+      const begun = value.state !== 'idle' && element.dataset.state !== value.state;
       element.dataset.state = value.state;
       if (value.state === 'idle' || value.state === 'done') {
         clearInterval(timer); timer = null; frames = []; shown = 0;
@@ -51,6 +52,7 @@
             : left > 0.5 ? `${seconds(value.elapsed)} so far, about ${seconds(left)} to go` : `${seconds(value.elapsed)} so far, nearly there`) : null,
           running ? h('ol', { class: 'stages' }, ...(value.stages || []).map(bar)) : null)));
       flip();
+      if (begun) element.scrollIntoView({ block: 'nearest', behavior: 'smooth' });
     };
     watch('value', show);
     show();
@@ -98,8 +100,11 @@
         : h('p', { class: 'empty' }, 'The videos of each view appear here.'));
     };
     const film = ({ name, file }) => {
-      const video = h('video', { src: file.url, loop: true, playsinline: true, controls: true, preload: 'auto', 'aria-label': `Video, ${name}` });
+      const video = h('video', { src: file.url, loop: true, playsinline: true, preload: 'auto', tabindex: 0, 'aria-label': `Video, ${name}` });
       video.muted = true;
+      for (const [event, on] of [['pointerenter', true], ['focus', true], ['pointerleave', false]]) {
+        video.addEventListener(event, () => { video.controls = on; });
+      }
       if (!matchMedia('(prefers-reduced-motion: reduce)').matches) video.autoplay = true;
       return h('figure', { class: 'film' }, video, h('figcaption', {}, name));
     };
