@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, cast
 
 from phy124.errors import InputError
 from phy124.progress import Progress, silent
@@ -315,7 +315,7 @@ def _download(
     """Path of the downloaded file, and its sha256 as the server states it (large files only)."""
     try:
         from huggingface_hub import get_hf_file_metadata, hf_hub_download, hf_hub_url
-        from huggingface_hub.errors import HfHubHTTPError, LocalEntryNotFoundError
+        from huggingface_hub.utils import HfHubHTTPError
     except ImportError as error:
         raise InputError(
             "weights",
@@ -324,11 +324,13 @@ def _download(
             "Run `pip install 'phy124[lgm]'`.",
         ) from error
     target = None if folder is None else folder / file.repo.rpartition("/")[2]
+    # Its HTTP library changes from release to release; the bases name that library's error.
+    failures = cast("tuple[type[Exception], ...]", (OSError, *HfHubHTTPError.__bases__))
     try:
         url = hf_hub_url(file.repo, file.path, endpoint=endpoint)
-        etag = get_hf_file_metadata(url, endpoint=endpoint).etag or ""
+        etag = get_hf_file_metadata(url).etag or ""
         path = hf_hub_download(file.repo, file.path, local_dir=target, endpoint=endpoint)
-    except (OSError, HfHubHTTPError, LocalEntryNotFoundError) as error:
+    except failures as error:
         raise InputError(
             "weights",
             f"{file.repo}/{file.path}",

@@ -220,10 +220,13 @@ def test_file_of_unknown_checksum_is_checked_against_the_server(hub, tmp_path):
         fetch("toy", tmp_path / "bad", endpoint=hub.endpoint)
 
 
-def test_unreachable_or_absent_file_is_one_sentence(hub, tmp_path):
+def test_unreachable_or_absent_file_is_one_sentence(hub, tmp_path, monkeypatch):
     KNOWN["toy"] = (WeightFile("maker/toy", "absent.bin", "MIT"),)
     with pytest.raises(InputError, match=r"could not be fetched.*hf download maker/toy absent.bin"):
         fetch("toy", tmp_path, endpoint=hub.endpoint)
+    monkeypatch.setattr("time.sleep", lambda seconds: None)  # between the library's retries
+    with pytest.raises(InputError, match=r"could not be fetched.*what has arrived is kept"):
+        fetch("toy", tmp_path, endpoint="http://127.0.0.1:9")
 
 
 def test_command_line_lists_and_fetches(hub, tmp_path, monkeypatch, capsys):

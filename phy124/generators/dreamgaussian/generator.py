@@ -35,6 +35,7 @@ from phy124.generators.ply_file import normalised
 from phy124.generators.splatting import View, orbit_view
 from phy124.progress import Progress, silent
 from phy124.u2net import cut_out
+from phy124.weights import require
 
 
 @dataclass(frozen=True)
@@ -107,6 +108,7 @@ class DreamGaussian:
         return normalised(splats.gaussians(), "DreamGaussian")
 
     def _zero123(self, image: Tensor) -> Guidance:
+        require("zero123", self.weights)  # before the libraries, which take seconds
         from phy124.generators.dreamgaussian.guidance.zero123 import Zero123, trained
 
         dtype = torch.float16 if self.device == "cuda" else torch.float32
