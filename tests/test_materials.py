@@ -129,7 +129,7 @@ def test_return_mapping_turns_with_body_and_material(material, rng):
 
 
 @pytest.mark.parametrize("material", LAWS, ids=name)
-@pytest.mark.parametrize(("precision", "close"), [("float64", 1e-8), ("float32", 1e-4)])
+@pytest.mark.parametrize(("precision", "close"), [("float64", 1e-8), ("float32", 2e-4)])
 def test_laws_agree_with_their_numpy_twins(material, precision, close, rng):
     theta, twin = np.array(material.theta()), TWINS[name(material)]
     for amount in (0.02, 0.3, 1.0):
@@ -144,8 +144,8 @@ def test_laws_agree_with_their_numpy_twins(material, precision, close, rng):
         assert relative(got.energy, energy, 0.05 * theta[0]) < close
         if twin.project is not None:
             elastic, after = twin.project(F, h, theta, 1e-3)
-            assert relative(got.F, elastic, 1.0) < 2 * close
-            assert relative(got.history, after, 1.0) < 2 * close
+            assert relative(got.F, elastic, 1.0) < close
+            assert relative(got.history, after, 1.0) < close
 
 
 def test_every_compiled_variant_runs_its_own_law(rng):

@@ -62,6 +62,8 @@ def mean(
     high = wp.min(b, span[1])
     if high <= low:
         return zero * keys[first]
+    if first == last:
+        return ((high - low) / (b - a)) * keys[first]
     at = folded(low - span[2], span[3])
     to = at + (high - low)
     total = integral(times, keys, first, last, at, to)
@@ -91,10 +93,10 @@ def make_sampler(real: Any):
         now = clock[2]
         b = now + real(0.5) * clock[1]
         a = b - clock[0]
-        # Before the first substep there is no interval yet: a tiny one samples the present.
+        # Before the first substep there is no interval yet; what never varies is sampled only then.
         if b <= a:
-            b = now + real(1.0e-6)
-            a = now - real(1.0e-6)
+            a = now
+            b = now + real(1.0)
         value = t.vec3()
         rate = t.vec3()
         first = starts[slot]

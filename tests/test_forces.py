@@ -1,0 +1,186 @@
+"""Forces: what each does to momentum and motion, in time and space, and what it launches."""
+
+import numpy as np
+import pytest
+from pydantic import TypeAdapter, ValidationError
+
+from phy124.forces import (
+    Acceleration,
+    AnyForce,
+    Attraction,
+    FieldForce,
+    Gravity,
+    Impulse,
+    ParticleForce,
+    SetVelocity,
+    TotalForce,
+    Wind,
+)
+from phy124.materials import NeoHookean
+from phy124.mpm import Solver
+from phy124.region import Region
+from phy124.tracks import Keyframes, Ramp, Sine
+
+DX = 0.125
+LEFT = Region(upper=(0.0, 1e9, 1e9))
+
+
+def block(per_axis: int = 6, size: float = 0.375) -> np.ndarray:
+    line = (np.arange(per_axis) + 0.5) / per_axis * size - size / 2
+    return np.stack(np.meshgrid(line, line, line, indexing="ij"), -1).reshape(-1, 3)
+
+
+def solver(*forces, x: np.ndarray | None = None, **options) -> Solver:
+    x = block() if x is None else x
+    options.setdefault("precision", "float64")
+    material = options.pop("material", NeoHookean(E=1e4))
+    return Solver(x, np.full(len(x), 1e-4), [material], dx=DX, forces=forces, **options)
+
+
+def momentum(s: Solver) -> np.ndarray:
+    return (s.mass.numpy().astype(float)[:, None] * s.state.v.numpy()).sum(axis=0)
+
+
+def launches(s: Solver) -> set[str]:
+    """Names of the stages of a substep."""
+    s.advance(0.002)
+    return set(s.timings) - {"measure", "clear", "p2g neo_hookean", "grid", "g2p neo_hookean"}
+
+
+@pytest.mark.parametrize("region", [None, LEFT], ids=["whole", "part"])
+@pytest.mark.parametrize(("precision", "close"), [("float32", 2e-5), ("float64", 1e-10)])
+def test_an_impulse_gives_its_momentum_whatever_the_substeps(region, precision, close):
+    p = (3.0, -1.0, 0.5)
+    for ceiling in (1e-2, 1.7e-3, 1.13e-4):
+        blow = Impulse(p=p, start=0.0037, duration=0.0051, region=region)
+        s = solver(blow, precision=precision, ceiling=ceiling)
+        s.advance(0.03)
+        np.testing.assert_allclose(momentum(s), p, atol=3.2 * close)
+
+
+def test_an_impulse_at_once_and_one_with_a_profile_are_whole_too():
+    now = solver(Impulse(p=(0.0, 2.0, 0.0), duration=0.003))
+    rising = Impulse(p=(0.0, 2.0, 0.0), duration=0.02, profile=Ramp(duration=0.01))
+    grows = solver(rising)
+    for s in (now, grows):
+        s.advance(0.05)
+        np.testing.assert_allclose(momentum(s), [0, 2, 0], atol=1e-10)
+
+
+def test_a_monstrous_impulse_is_still_exact():
+    """A million times the weight on one particle: finite, and all of it arrives."""
+    x = block()
+    one = Region(lower=tuple(x[0] - 1e-6), upper=tuple(x[0] + 1e-6))
+    weight = 0.1 * 9.81
+    blow = Impulse(p=(1e6 * weight * 1e-4, 0, 0), duration=1e-4, region=one)
+    s = solver(blow, x=x, precision="float32")
+    s.advance(2e-3)
+    assert np.all(np.isfinite(s.state.v.numpy()))
+    np.testing.assert_allclose(momentum(s)[0], blow.p[0], rtol=1e-4)
+
+
+def test_forces_follow_their_profile():
+    """Free flight under a = a0 sin(2 pi f t): v = a0 / (2 pi f) (1 - cos)."""
+    push = Acceleration(a=(0.0, 2.0, 0.0), profile=Sine(frequency=4.0))
+    s = solver(push, ceiling=1e-3)
+    s.advance(0.3)
+    middle = 0.3 - s.last_dt / 2
+    exact = 2.0 / (2 * np.pi * 4) * (1 - np.cos(2 * np.pi * 4 * middle))
+    np.testing.assert_allclose(s.state.v.numpy()[:, 1], exact, rtol=5e-3)
+
+
+def test_a_force_in_a_window_with_a_profile_stops():
+    beat = Keyframes(times=(0.0, 0.01), factors=(1.0, 3.0))
+    s = solver(TotalForce(f=(5.0, 0, 0), start=0.01, end=0.02, profile=beat))
+    s.advance(0.05)
+    np.testing.assert_allclose(momentum(s), [5.0 * 2 * 0.01, 0, 0], atol=1e-10)
+
+
+def test_wind_draws_things_along_at_its_rate():
+    wind = Wind(v=(0.0, 4.0, 0.0), rate=20.0)
+    s = solver(wind)
+    s.advance(0.05)
+    exact = 4.0 * (1 - np.exp(-20.0 * (0.05 - s.last_dt / 2)))
+    np.testing.assert_allclose(s.state.v.numpy()[:, 1], exact, rtol=1e-9)
+    storm = solver(Wind(v=(0.0, 4.0, 0.0), rate=1e6))
+    storm.advance(0.02)
+    np.testing.assert_allclose(storm.state.v.numpy()[:, 1], 4.0, rtol=1e-9)
+
+
+def test_wind_that_is_over_drags_no_more():
+    s = solver(Wind(v=(0.0, 4.0, 0.0), rate=20.0, end=0.02))
+    s.advance(0.02)
+    before = momentum(s)
+    s.advance(0.06)
+    np.testing.assert_allclose(momentum(s), before, atol=1e-10)
+    assert momentum(s)[1] > 1
+
+
+@pytest.mark.parametrize("distance", [0.25, 0.5, 1.0, 2.0])
+def test_attraction_is_linear_inside_and_inverse_square_outside(distance):
+    s = solver(Attraction(centre=(distance, 0.0, 0.0), g=8.0, radius=0.5), x=np.zeros((1, 3)))
+    s.step(1e-4, 1e-9)
+    g = 8.0 * (distance / 0.5 if distance <= 0.5 else (0.5 / distance) ** 2)
+    np.testing.assert_allclose(s.state.v.numpy()[0], [1e-4 * g, 0, 0], atol=1e-12)
+
+
+def test_a_body_attracted_swings_through_the_point():
+    """Inside the radius it is a spring of omega^2 = g / radius."""
+    s = solver(Attraction(centre=(0.1, 0.0, 0.0), g=4.0, radius=1.0), ceiling=2e-3)
+    s.advance(np.pi / 2)
+    assert s.state.x.numpy()[:, 0].mean() == pytest.approx(0.2, abs=1e-3)
+
+
+def test_a_field_acts_on_what_is_inside_at_the_moment():
+    """v^2 grows by 2 a d over a slab of thickness d; beside it nothing happens."""
+    place = Region(lower=(0.4, -1.0, -1.0), upper=(0.6, 1.0, 1.0))
+    field = FieldForce(place=place, a=(3.0, 0.0, 0.0))
+    x = np.array([[0.0, 0.0, 0.0], [0.0, 3.0, 0.0]])
+    v = np.tile([2.0, 0.0, 0.0], (2, 1))
+    s = solver(field, x=x, v=v, material=NeoHookean(E=10.0), ceiling=5e-4)
+    s.advance(0.5)
+    speeds = s.state.v.numpy()[:, 0]
+    assert speeds[0] ** 2 == pytest.approx(2.0**2 + 2 * 3.0 * 0.2, rel=2e-3)
+    assert speeds[1] == pytest.approx(2.0, rel=1e-12)
+
+
+def test_set_velocity_turns_and_scales_with_its_profile():
+    turn = SetVelocity(spin=(0.0, 0.0, 3.0), centre=(0.1, 0.0, 0.0), profile=Ramp(duration=0.1))
+    s = solver(turn)
+    s.advance(0.05)
+    s.step(1e-9, 1e-9)
+    x, v = s.state.x.numpy(), s.state.v.numpy()
+    expected = 0.5 * np.cross([0, 0, 3.0], x - [0.1, 0, 0])
+    np.testing.assert_allclose(v, expected, atol=0.03)
+    np.testing.assert_allclose(s.state.C.numpy()[0, 1, 0], 1.5, rtol=0.05)
+
+
+def test_what_acts_on_the_whole_body_costs_no_launch_and_the_rest_one_each():
+    assert launches(solver(Gravity(), Acceleration(), TotalForce())) == set()
+    assert launches(solver(Gravity(profile=Sine()))) == {"tracks"}
+    assert launches(solver(Impulse())) == {"tracks"}
+    for force, name in [
+        (Gravity(region=LEFT), "region_force"),
+        (TotalForce(region=LEFT), "region_force"),
+        (ParticleForce(), "particle_force"),
+        (FieldForce(), "field"),
+        (Wind(), "wind"),
+        (Attraction(), "attraction"),
+        (SetVelocity(), "set_velocity"),
+    ]:
+        assert launches(solver(force)) == {name}
+
+
+def test_forces_are_named_by_their_kind_and_refuse_nonsense():
+    adapter = TypeAdapter(AnyForce)
+    for force in (Impulse(), FieldForce(), Wind(), Attraction(), Gravity(profile=Sine())):
+        assert adapter.validate_python(force.model_dump()) == force
+        assert adapter.validate_json(force.model_dump_json()) == force
+    with pytest.raises(ValidationError, match="an impulse ends after its duration"):
+        Impulse(end=1.0)
+    with pytest.raises(ValidationError, match="must not repeat and must push on the whole"):
+        Impulse(profile=Sine())
+    with pytest.raises(ValidationError, match="leave region out"):
+        FieldForce(region=LEFT)
+    with pytest.raises(ValidationError, match="must be before end"):
+        Gravity(start=2.0, end=1.0)
