@@ -10,7 +10,7 @@ from phy124.errors import InputError
 from .options import Options
 from .sinks import LiveSink
 from .sinks.dds import DdsSink, require_cyclonedds
-from .sinks.foxglove import FoxgloveSink, require_foxglove
+from .sinks.foxglove import PORT, FoxgloveSink, require_foxglove
 from .sinks.mcap import require_mcap
 from .sinks.rclpy import RclpySink, require_rclpy
 
@@ -57,7 +57,7 @@ def open_sink(
     duration: float | None = None,
     network: bool = False,
     clock: bool = False,
-    port: int = 8765,
+    port: int = PORT,
 ) -> LiveSink:
     """The live sink of a chosen backend, not entered yet.
 

@@ -13,6 +13,7 @@ import tyro
 from tqdm import tqdm
 
 from phy124.clip import Clip
+from phy124.errors import InputError
 from phy124.gaussians import Frame
 
 from .backends import Backend, choose, open_sink
@@ -23,6 +24,7 @@ from .player import Player
 from .recover import recover
 from .sinks import LiveSink, Sink
 from .sinks.background import Background
+from .sinks.foxglove import PORT
 from .sinks.mcap import Compression, McapSink
 from .source import LiveOptions, LiveRun
 
@@ -52,35 +54,35 @@ class Record:
 
     def run(self, say: Say) -> int:
         """Record; prints where."""
+        self.simulated.check()
         if self.simulated.live:
             run = _live_run(self.source, self.simulated)
-            sink = self._record(run, len(run), run.scene.data(), run.report)
-            say(_recorded(sink))
+            self._record(say, run, len(run), run.scene.data(), run.report)
             return _status(run)
         clip = Clip.load(self.source)
-        say(_recorded(self._record(clip.frames(), len(clip), clip.scene, lambda: clip.report)))
+        self._record(say, clip.frames(), len(clip), clip.scene, lambda: clip.report)
         return 0
 
     def _record(
         self,
+        say: Say,
         frames: Iterable[Frame],
         count: int,
         scene: dict[str, Any],
         report: Callable[[], dict[str, Any]],
-    ) -> McapSink:
-        output = self.output or self.source.with_name(f"{self.source.stem}-bag")
+    ) -> None:
         sink = McapSink(
-            output,
+            self.output or self.source.with_name(f"{self.source.stem}-bag"),
             self.messages,
             compression=self.compression,
             scene=scene,
+            report=report,
             overwrite=self.overwrite,
         )
         with sink:
             for frame in tqdm(frames, "record", count, leave=False, disable=None):
                 sink.write(frame)
-            sink.report = report()
-        return sink
+        say(f"{sink.frames} frames in {sink.path}")
 
 
 @dataclass(frozen=True)
@@ -107,43 +109,50 @@ class Play:
     """Reach other machines, too; otherwise only this one."""
     clock: bool = False
     """rclpy: publish /clock for nodes with use_sim_time."""
-    port: int = 8765
+    port: int = PORT
     """Foxglove: port of the websocket."""
     messages: Messages = field(default_factory=Options)
     simulated: Simulated = field(default_factory=LiveOptions)
 
     def run(self, say: Say) -> int:
         """Play until the end or Ctrl-C."""
+        self.simulated.check()
         if self.simulated.live:
             return self._follow(say)
         clip = Clip.load(self.source)
         player = Player(
             clip.times, speed=self.speed, loop=self.loop, rate=self.rate, paused=self.paused
         )
+        end, report = float(clip.times[-1]), lambda: clip.report
         try:
-            with self._outlets(say, clip.scene, float(clip.times[-1])) as (sink, records):
+            with self._outlets(say, end, scene=clip.scene, report=report) as (sink, records):
                 play(clip, sink, player, records=records, stay=self.stay)
         finally:
             say(player.report())
         return 0
 
     def _follow(self, say: Say) -> int:
+        asked = [name for name in ("loop", "rate", "paused", "stay") if getattr(self, name)]
+        if asked:
+            limit = "There is no such choice while the simulation runs."
+            raise InputError(asked[0], getattr(self, asked[0]), limit, "Leave it out.")
         run = _live_run(self.source, self.simulated)
-        with self._outlets(say, run.scene.data(), None) as (sink, records):
+        about = {"scene": run.scene.data(), "report": run.report}
+        with self._outlets(say, None, **about) as (sink, records):
             frames = tqdm(run, "simulate", len(run), leave=False, disable=None)
             follow(frames, sink, records=records, speed=self.speed)
         return _status(run)
 
     @contextmanager
     def _outlets(
-        self, say: Say, scene: dict[str, Any], duration: float | None
+        self, say: Say, duration: float | None, **about: Any
     ) -> Iterator[tuple[LiveSink, list[Sink]]]:
-        """The live sink and the recording beside it, both entered."""
+        """The live sink, and the recording beside it that keeps `about`; both entered."""
         backend = choose(self.backend)
         with ExitStack() as stack:
             records: list[Sink] = []
             if self.record:
-                bag = McapSink(self.record, self.messages, scene=scene)
+                bag = McapSink(self.record, self.messages, **about)
                 records = [stack.enter_context(Background(bag))]
             sink = open_sink(
                 backend,
@@ -212,12 +221,8 @@ def _live_run(source: Path, options: LiveOptions) -> LiveRun:
     return LiveRun(source, options)
 
 
-def _recorded(sink: McapSink) -> str:
-    return f"{sink.frames} frames in {sink.path}"
-
-
-def _status(run: LiveRun | None) -> int:
-    if run is None or run.stopped is None:
+def _status(run: LiveRun) -> int:
+    if run.stopped is None:
         return 0
     log.error("The simulation stopped early; its good frames are kept. %s", run.stopped)
     return STOPPED_EARLY

@@ -21,6 +21,7 @@ PLAYBACK = {"clip": "", "rate": 0.0, "speed": 1.0, "loop": True, "clock": False}
 """Parameters beside those of Options; a rate of 0 shows every frame."""
 OPTIONAL = {"max_points": 0, "epoch": 0.0, "rate": 0.0}
 """ROS parameters have no None: these values stand for it."""
+log = logging.getLogger(__name__)
 
 
 @contextmanager
@@ -63,6 +64,9 @@ def main(args: list[str] | None = None) -> None:
     with ros_node(args) as node:
         try:
             run(node)
+        except KeyboardInterrupt:
+            # This is how a node is ended.
+            return
         except ValueError as error:
             # InputError and pydantic's errors say what to do; a traceback would bury it.
             node.get_logger().fatal(str(error))
@@ -80,5 +84,5 @@ def run(node: Any) -> None:
     with RclpySink(Options(**chosen), clock=clock, node=node) as sink:
         try:
             play(clip, sink, player, stay=True)
-        except KeyboardInterrupt:
-            node.get_logger().info(player.report())
+        finally:
+            log.info(player.report())

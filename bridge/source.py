@@ -30,6 +30,12 @@ class LiveOptions:
     device: str = "auto"
     """auto, cpu or cuda:0."""
 
+    def check(self) -> None:
+        """Raise InputError if something is asked that only `--live` does."""
+        if not self.live and self != LiveOptions():
+            limit = "What to simulate was given, but a saved clip is only played."
+            raise InputError("live", self.live, limit, "Add --live, or leave the scene out.")
+
     def resolve(self) -> Scene:
         """The scene with all changes; raises InputError."""
         from phy124.commands.options import assignments

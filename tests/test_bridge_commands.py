@@ -99,6 +99,9 @@ def test_play_and_record_beside(clip, monkeypatch, capsys):
         (["info", "."], "There is no recording"),
         (["recover", "none"], "There is no recording"),
         (["record", "none.png", "--live"], "There is no such file"),
+        (["record", "CLIP", "--scene", "drop"], "Add --live, or leave the scene out"),
+        (["play", "CLIP", "--set", "seed=1"], "Add --live"),
+        (["play", "none.png", "--live", "--loop"], "no such choice while the simulation runs"),
     ],
 )
 def test_bad_input_is_one_sentence(clip, capsys, arguments, sentence):

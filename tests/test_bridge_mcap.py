@@ -32,12 +32,11 @@ NODE_PACKAGES = (
 
 
 def record(path, clip, compression="none", **options):
-    with McapSink(
-        path, Options(epoch=EPOCH, **options), scene=clip.scene, compression=compression
-    ) as sink:
+    options = Options(epoch=EPOCH, **options)
+    about = {"scene": clip.scene, "report": lambda: clip.report}
+    with McapSink(path, options, compression=compression, **about) as sink:
         for frame in clip.frames():
             sink.write(frame)
-        sink.report = clip.report
     return path
 
 

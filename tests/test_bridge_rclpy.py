@@ -1,6 +1,7 @@
 """The rclpy sink and the node against a recording double; none of this has run on ROS here."""
 
 import enum
+import logging
 import sys
 import time
 import types
@@ -16,6 +17,7 @@ from bridge import live, node
 from bridge.options import Options
 from bridge.player import Player
 from bridge.sinks.rclpy import RclpySink, require_rclpy
+from bridge.topics import POINTS
 from phy124.errors import InputError
 
 JAZZY = get_typestore(Stores.ROS2_JAZZY)
@@ -180,6 +182,25 @@ def test_clean_shutdown_even_after_an_error(ros):
     assert ros.nodes[0].destroyed
 
 
+def test_publishing_while_ros_shuts_down_is_the_end_not_an_error(ros):
+    def refuse(self, message):
+        ros.nodes[0].over = True
+        raise RuntimeError("publisher's context is invalid")
+
+    with pytest.raises(KeyboardInterrupt), RclpySink() as sink:
+        Publisher.publish, before = refuse, Publisher.publish
+        try:
+            sink.write(random_clip().frame(0))
+        finally:
+            Publisher.publish = before
+    assert ros.log == ["init", "shutdown"]
+
+
+def test_other_errors_of_publishing_are_not_hidden(ros):
+    with pytest.raises(AssertionError), RclpySink() as sink:
+        sink._publish(POINTS, "no bytes")
+
+
 def test_node_ends_if_opening_fails(ros, monkeypatch):
     monkeypatch.setattr(Node, "create_service", lambda *_: 1 / 0)
     with pytest.raises(ZeroDivisionError):
@@ -241,13 +262,14 @@ def run_node(ros, tmp_path, stop_after, **parameters):
     return ros.nodes[0]
 
 
-def test_node_plays_the_clip_of_its_parameters_until_ros_ends(ros, tmp_path):
+def test_node_plays_the_clip_of_its_parameters_until_ros_ends(ros, tmp_path, caplog):
+    caplog.set_level(logging.INFO)
     made = run_node(ros, tmp_path, 200, profile="viz", frame_id="world", loop=False, clock=True)
     assert len(made.publishers["points"].sent) == 5
     cloud = JAZZY.deserialize_cdr(made.publishers["points"].sent[0], "sensor_msgs/msg/PointCloud2")
     assert (cloud.header.frame_id, cloud.point_step) == ("world", 16)
     assert len(made.publishers["/clock"].sent) == 5
-    assert made.log == ["5 frames shown, 0 dropped because late"]
+    assert "5 frames shown, 0 dropped because late" in caplog.text
     assert (ros.log, made.destroyed) == (["init", "shutdown"], True)
 
 

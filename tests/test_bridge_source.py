@@ -42,12 +42,11 @@ def ply(tmp_path):
 def test_recorded_while_simulated_is_the_finished_clip(ply, tmp_path):
     options = LiveOptions(live=True, set=CHANGES)
     run = LiveRun(ply, options)
-    with McapSink(tmp_path / "one.mcap", scene=run.scene.data()) as sink:
+    with McapSink(tmp_path / "one.mcap", scene=run.scene.data(), report=run.report) as sink:
         for frame in run:
             sink.write(frame)
             # Nothing piles up: a run may be longer than memory.
             assert run._simulation.frames == []
-        sink.report = run.report()
     clip = Simulation(PlyFile(str(ply))(), options.resolve()).run()
     with open(tmp_path / "one.mcap", "rb") as stream:
         reader = make_reader(stream)

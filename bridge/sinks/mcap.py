@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import IO, Any, Literal
 
@@ -35,6 +36,7 @@ class McapSink:
         *,
         compression: Compression = "none",
         scene: dict[str, Any] | None = None,
+        report: Callable[[], dict[str, Any]] = dict,
         overwrite: bool = False,
     ) -> None:
         """Prepare a recording; nothing is touched before the sink is entered.
@@ -44,6 +46,7 @@ class McapSink:
             options: How frames become messages.
             compression: Of the chunks. Moving Gaussians hardly shrink, and `none` is quickest.
             scene: The resolved scene as plain data, kept in the file.
+            report: Asked at the end what the run did, which is kept in the file, too.
             overwrite: Replace a bag that is there already.
 
         Raises:
@@ -51,13 +54,11 @@ class McapSink:
         """
         require_mcap()
         self.path = Path(path)
-        self.report: dict[str, Any] = {}
-        """What the run did; set it before the sink is left and it is kept in the file."""
         self.frames = 0
         """Frames that are safely in the file."""
         self._encoder = FrameEncoder(options or Options())
         self._compression = compression
-        self._scene = scene or {}
+        self._scene, self._report = scene or {}, report
         self._overwrite = overwrite
         self._counts = bag.Counts()
         self._single = self.path.suffix == bag.SUFFIX
@@ -118,7 +119,7 @@ class McapSink:
         kind = CompressionType[self._compression.upper()]
         self._writer = Writer(self._stream, chunk_size=CHUNK, compression=kind)
         self._writer.start(bag.PROFILE)
-        self._write_record()
+        self._write_record({})
         topics = self._encoder.topics
         self._channels = {topic.name: bag.register(self._writer, topic) for topic in topics}
         self._counts.announce(topics)
@@ -136,17 +137,16 @@ class McapSink:
             sequence=self.frames,
         )
 
-    def _write_record(self) -> None:
-        """The scene, the settings and, at the end, the report."""
+    def _write_record(self, report: dict[str, Any]) -> None:
+        """The settings, the scene and, at the end, the report."""
         options = self._encoder.options.model_dump_json()
-        about = {"options": options, "scene": json.dumps(self._scene)}
-        if self.report:
-            about["report"] = json.dumps(self.report)
-        self._writer.add_metadata(bag.RECORD, about)
+        parts = {"scene": self._scene, "report": report}
+        about = {name: json.dumps(part) for name, part in parts.items() if part}
+        self._writer.add_metadata(bag.RECORD, {"options": options, **about})
 
     def _finish(self) -> None:
         self._writer.flush()
-        self._write_record()
+        self._write_record(self._report())
         self._writer.finish()
         self._stream.flush()
         os.fsync(self._stream.fileno())

@@ -10,8 +10,8 @@ rclpy's slow Python fields. Names are relative to the namespace `phy124`, so the
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from importlib import import_module
 from typing import Any
 
@@ -58,7 +58,7 @@ class RclpySink:
             topics = [*self._encoder.topics, *([CLOCK] if self._clock else [])]
             self._publishers = {topic.name: self._publisher(topic) for topic in topics}
             for message in self._encoder.static():
-                self._publishers[message.topic.name].publish(message.data)
+                self._publish(message.topic, message.data)
             self._listen_to_commands()
             self._executor = SingleThreadedExecutor(context=self._node.context)
             stack.callback(self._executor.shutdown)
@@ -74,30 +74,44 @@ class RclpySink:
         """Publish one frame."""
         if self._clock:
             now = {"clock": time(self._encoder.stamp(frame.time))}
-            self._publishers[CLOCK.name].publish(encode(CLOCK.type, now))
+            self._publish(CLOCK, encode(CLOCK.type, now))
         for message in self._encoder.encode(frame):
-            self._publishers[message.topic.name].publish(message.data)
+            self._publish(message.topic, message.data)
 
     def listen(self, seconds: float, obey: Obey) -> None:
         """Serve ROS for at most so many seconds; raises KeyboardInterrupt when ROS shuts down."""
         self._obey = obey
-        self._executor.spin_once(timeout_sec=seconds)
-        if not self._node.context.ok():
-            raise KeyboardInterrupt
+        with self._until_shutdown():
+            self._executor.spin_once(timeout_sec=seconds)
 
     def show(self, player: Player) -> None:
         """Nothing: there is no ROS topic for it."""
         del player
 
+    def _publish(self, topic: Topic, data: bytes) -> None:
+        with self._until_shutdown():
+            self._publishers[topic.name].publish(data)
+
+    @contextmanager
+    def _until_shutdown(self) -> Iterator[None]:
+        """Ctrl-C ends ROS at any moment; what then fails is no error but the end."""
+        try:
+            yield
+        finally:
+            if not self._node.context.ok():
+                raise KeyboardInterrupt
+
     def _publisher(self, topic: Topic) -> Any:
+        from rclpy.qos import QoSPolicyKind as Kind
         from rclpy.qos_overriding_options import QoSOverridingOptions
 
-        # The defaults would leave durability out of what users may override.
+        # The default would leave durability out of what users may override.
+        kinds = [Kind.HISTORY, Kind.DEPTH, Kind.RELIABILITY, Kind.DURABILITY]
         return self._node.create_publisher(
             message_class(topic.type),
             relative(topic),
             quality(topic),
-            qos_overriding_options=QoSOverridingOptions(policy_kinds()),
+            qos_overriding_options=QoSOverridingOptions(kinds),
         )
 
     def _listen_to_commands(self) -> None:
@@ -150,14 +164,6 @@ def quality(topic: Topic) -> Any:
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST, depth=topic.depth, reliability=reliable, durability=kept
     )
-
-
-def policy_kinds() -> list[Any]:
-    """What users may override with qos_overrides parameters."""
-    from rclpy.qos import QoSPolicyKind
-
-    return [QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY,
-            QoSPolicyKind.DURABILITY]  # fmt: skip
 
 
 def require_rclpy() -> None:
