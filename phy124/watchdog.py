@@ -82,7 +82,7 @@ def weigh(solver: Solver) -> Balance:
         part = slice(group.start, group.stop)
         history = s.history[part] if len(s.history) else s.history
         wp.launch(
-            diagnose.make_weigh(group.material.device_law, solver.real),
+            diagnose.make_weigh(group.law, solver.real),
             group.stop - group.start,
             inputs=[
                 group.theta, solver.mass[part], solver.volume[part], solver.dx, group.start,

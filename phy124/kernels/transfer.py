@@ -93,6 +93,19 @@ def in_window(first: wp.vec3i, size: wp.vec3i):
 
 
 @wp.func
+def between(x: Any, low: Any, high: Any):
+    """Whether a point is in the box between two corners."""
+    return (
+        x[0] >= low[0]
+        and x[1] >= low[1]
+        and x[2] >= low[2]
+        and x[0] <= high[0]
+        and x[1] <= high[1]
+        and x[2] <= high[2]
+    )
+
+
+@wp.func
 def scatter(
     grid: wp.array(dtype=Any), size: wp.vec3i, first: wp.vec3i, f: Any,
     base: Any, column_x: Any, column_y: Any, column_z: Any,
@@ -197,7 +210,8 @@ def make_g2p(law: Law, real: Any, native: bool):
     """Kernel: velocities back to particles, then x and F.
 
     A particle whose next place is outside the window (or not a number) stays where it is and is
-    counted. Plastic laws also carry F_total, which the Gaussians follow.
+    counted; one that is outside already is ballistic (kernels/ballistic.py). Plastic laws also
+    carry F_total, which the Gaussians follow.
     """
     t = types(real)
     theta_type = wp.types.vector(law.width, real)
@@ -229,9 +243,7 @@ def make_g2p(law: Law, real: Any, native: bool):
         f = wp.vector(g[0] - real(low[0]), g[1] - real(low[1]), g[2] - real(low[2]))
         size = window[1]
         first = low - window[0]
-        if not in_window(first, size):
-            wp.atomic_add(stray_out, 0, 1)
-        else:
+        if in_window(first, size):
             s = collect(grid, size, first, f)
             v = wp.vector(s[0, 0], s[0, 1], s[0, 2])
             k = real(4.0) / dx
@@ -268,8 +280,8 @@ def make_g2p(law: Law, real: Any, native: bool):
 def make_measure(law: Law, real: Any):
     """Kernel: what limits the substep and where the particles are, every few substeps.
 
-    Nine maxima: |v| [m/s], |C| [1/s], A / rho0 [m^2/s^2], then -x, -y, -z, x, y, z [m]. Particles
-    with a velocity or gradient that is not finite are counted as stray.
+    Nine maxima: |v| [m/s], |C| [1/s], A / rho0 [m^2/s^2], then -x, -y, -z, x, y, z [m], of the
+    particles inside the domain. Those that are not finite are counted as stray.
     """
     t = types(real)
     theta_type = wp.types.vector(law.width, real)
@@ -280,7 +292,7 @@ def make_measure(law: Law, real: Any):
     def measure(
         # model
         theta: wp.array(dtype=theta_type), mass: wp.array(dtype=real),
-        volume: wp.array(dtype=real),
+        volume: wp.array(dtype=real), domain: wp.array(dtype=t.vec3),
         # state in
         x: wp.array(dtype=t.vec3), v: wp.array(dtype=t.vec3), C: wp.array(dtype=t.mat33),
         F: wp.array(dtype=t.mat33), history: wp.array(dtype=t.vec2),
@@ -294,13 +306,15 @@ def make_measure(law: Law, real: Any):
         speed = wp.length(v[p])
         gradient = wp.sqrt(wp.ddot(C[p], C[p]))
         A = modulus(F[p], h, theta[wp.min(p, theta.shape[0] - 1)])
-        if not wp.isfinite(speed + gradient + A):
+        here = x[p]
+        if not wp.isfinite(speed + gradient + A + wp.length(here)):
             wp.atomic_add(stray_out, 0, 1)
-        wp.atomic_max(maxima_out, 0, speed)
-        wp.atomic_max(maxima_out, 1, gradient)
-        wp.atomic_max(maxima_out, 2, A * volume[p] / mass[p])
-        for axis in range(3):
-            wp.atomic_max(maxima_out, 3 + axis, -x[p][axis])
-            wp.atomic_max(maxima_out, 6 + axis, x[p][axis])
+        elif between(here, domain[0], domain[1]):
+            wp.atomic_max(maxima_out, 0, speed)
+            wp.atomic_max(maxima_out, 1, gradient)
+            wp.atomic_max(maxima_out, 2, A * volume[p] / mass[p])
+            for axis in range(3):
+                wp.atomic_max(maxima_out, 3 + axis, -here[axis])
+                wp.atomic_max(maxima_out, 6 + axis, here[axis])
 
     return measure

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,7 @@ NAP = 5e-5
 """Sleep [s] between two rounds of spinning at a meeting, so that others get the core."""
 Timings = dict[str, list[float]]
 Named = tuple[str, Callable[[], Any]]
+Recorded = tuple[str, "wp.Launch | None"]
 
 
 @dataclass
@@ -126,3 +127,13 @@ def fit_part(part: Grid, whole: Grid, lower: NDArray, upper: NDArray, *, force: 
         np.array([first, *whole.low[1:]]), np.array([max(last - first, 0), *whole.size[1:]])
     )
     return True
+
+
+def taken(records: Iterable[Recorded]) -> list[tuple[str, wp.Launch]]:
+    """Without the boundaries that are out of reach of the window: they have no launch."""
+    return [(name, launch) for name, launch in records if launch is not None]
+
+
+def work(records: Iterable[Recorded]) -> list[Named]:
+    """What to call for each record."""
+    return [(name, launch.launch) for name, launch in taken(records)]

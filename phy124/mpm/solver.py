@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, Protocol, cast
 
@@ -20,13 +20,15 @@ from phy124.kernels import transfer
 from phy124.kernels.grid import make_merge, make_update
 from phy124.kernels.transfer import types
 from phy124.materials import Material
+from phy124.mpm import lanes as company
+from phy124.mpm.caution import Caution
+from phy124.mpm.domain import Domain
 from phy124.mpm.grid import Grid
-from phy124.mpm.lanes import Lane, Meeting, Timings, cut, fit_part, timed, usable_threads
-from phy124.mpm.state import Group, State
+from phy124.mpm.lanes import Lane, Meeting, Recorded, Timings, cut, taken, timed, work
+from phy124.mpm.state import Group, State, part_of
 from phy124.timestep import CFL, Extremes, Substep, stable_substep
 from phy124.tracks import Tracks
 
-Recorded = tuple[str, "wp.Launch | None"]
 Stage = tuple[str, Callable[[], wp.Launch | None]]
 """Name of a stage and how to record its launch for the grid window of the moment."""
 CHECK_EVERY = 4
@@ -100,15 +102,18 @@ class Solver:
         self._meeting: Meeting | None = None
         self._since_check = CHECK_EVERY
         self.extremes = Extremes(0.0, 0.0, 0.0)
+        self.domain, self.caution = Domain(self), Caution(self)
 
     def _build_model(self, volume: NDArray, material: NDArray) -> None:
         laws = [section.device_law.name for section in self.materials]
         law = np.array([laws.index(name) for name in laws])[material]
         if np.any(np.diff(law) < 0):
             raise ValueError("particles must be sorted by law")
+        if not np.all(np.asarray(volume) > 0):
+            raise ValueError("every particle needs a volume above zero")
         density = np.array([section.density for section in self.materials])[material]
-        self.volume = self._array(volume, self.real)
-        self.mass = self._array(np.asarray(volume) * density, self.real)
+        self.volume = self.array(volume, self.real)
+        self.mass = self.array(np.asarray(volume) * density, self.real)
         self.history = np.array([section.history() for section in self.materials])[material]
         self.groups = []
         for index in np.unique(law):
@@ -126,7 +131,7 @@ class Solver:
         else:
             theta = np.array(rows)[np.searchsorted(numbers, material)]
         width = wp.types.vector(law.width, self.real)
-        return Group(law, start, stop, self._array(theta, width))
+        return Group(law, start, stop, self.array(theta, width))
 
     def _build_state(self, v: NDArray | None, C: NDArray | None) -> None:
         t, count = types(self.real), len(self.rest)
@@ -134,16 +139,17 @@ class Solver:
         kept = count if plastic else 0
         identity = np.tile(np.eye(3), (count, 1, 1))
         self.state = State(
-            x=self._array(self.rest, t.vec3),
-            residue=self._array(np.zeros((count, 3)), t.vec3),
-            v=self._array(np.zeros((count, 3)) if v is None else v, t.vec3),
-            C=self._array(np.zeros((count, 3, 3)) if C is None else C, t.mat33),
-            F=self._array(identity, t.mat33),
-            history=self._array(self.history[:kept], t.vec2),
-            total=self._array(identity[:kept], t.mat33),
+            x=self.array(self.rest, t.vec3),
+            residue=self.array(np.zeros((count, 3)), t.vec3),
+            v=self.array(np.zeros((count, 3)) if v is None else v, t.vec3),
+            C=self.array(np.zeros((count, 3, 3)) if C is None else C, t.mat33),
+            F=self.array(identity, t.mat33),
+            history=self.array(self.history[:kept], t.vec2),
+            total=self.array(identity[:kept], t.mat33),
         )
 
-    def _array(self, values: object, dtype: Any) -> wp.array:
+    def array(self, values: object, dtype: Any) -> wp.array:
+        """Values on the device in the solver's precision."""
         scalar = np.float32 if self.real is wp.float32 else np.float64
         return wp.array(np.ascontiguousarray(values, dtype=scalar), dtype=dtype, device=self.device)
 
@@ -157,7 +163,7 @@ class Solver:
     def _thread_count(self, wanted: int | None) -> int:
         if self.device != "cpu":
             return 1
-        return usable_threads(len(self.rest)) if wanted is None else wanted
+        return company.usable_threads(len(self.rest)) if wanted is None else wanted
 
     def _build_lanes(self) -> list[Lane]:
         """One lane that scatters to the shared grid, or two with nodes of their own."""
@@ -173,28 +179,37 @@ class Solver:
 
     def _measure(self) -> None:
         """Read the stability limits and make the windows fit; raises Unstable."""
+        maxima = self._maxima()
+        greatest = maxima.max(axis=0)
+        if self.domain.confine(-greatest[3:6], greatest[6:9]):
+            maxima = self._maxima()
+            greatest = maxima.max(axis=0)
+        self.extremes = Extremes(*greatest[:3].tolist())
+        changed = self.grid.fit(-greatest[3:6], greatest[6:9])
+        for lane, own in zip(self.lanes, maxima, strict=True):
+            if lane.nodes is not self.grid:
+                changed |= company.fit_part(
+                    lane.nodes, self.grid, -own[3:6], own[6:9], force=changed
+                )
+        if changed or self.domain.changed:
+            self._record_substep()
+        self._since_check = 0
+
+    def _maxima(self) -> NDArray[np.float64]:
+        """What limits each lane [L,9]; raises Unstable."""
         for lane in self.lanes:
             self._measure_lane(lane)
         lost = int(self.stray.numpy()[0])
         if lost:
             raise Unstable(f"{lost} particles left the grid or are no longer numbers")
-        maxima = np.array([lane.maxima.numpy() for lane in self.lanes], dtype=np.float64)
-        greatest = maxima.max(axis=0)
-        self.extremes = Extremes(*greatest[:3].tolist())
-        changed = self.grid.fit(-greatest[3:6], greatest[6:9])
-        for lane, own in zip(self.lanes, maxima, strict=True):
-            if lane.nodes is not self.grid:
-                changed |= fit_part(lane.nodes, self.grid, -own[3:6], own[6:9], force=changed)
-        if changed:
-            self._record_substep()
-        self._since_check = 0
+        return np.array([lane.maxima.numpy() for lane in self.lanes], dtype=np.float64)
 
     def _measure_lane(self, lane: Lane) -> None:
         lane.maxima.fill_(-np.inf)
         for group, part in self._parts(lane):
             s, kernel = self.state, transfer.make_measure(group.law, self.real)
-            model = [group.theta, self.mass[part], self.volume[part]]
-            state = [s.x[part], s.v[part], s.C[part], s.F[part], _part(s.history, part)]
+            model = [group.theta, self.mass[part], self.volume[part], self.domain.corners]
+            state = [s.x[part], s.v[part], s.C[part], s.F[part], part_of(s.history, part)]
             wp.launch(
                 kernel,
                 part.stop - part.start,
@@ -211,7 +226,7 @@ class Solver:
 
     def _record_substep(self) -> None:
         """Record the launches of one substep, in order."""
-        self._pushes = _real((name, record()) for name, record in self.pushes)
+        self._pushes = taken((name, record()) for name, record in self.pushes)
         edges = self._share_edges()
         for lane, share in zip(self.lanes, edges, strict=True):
             scatter = [
@@ -222,7 +237,8 @@ class Solver:
             self.grid.share = None
             gather = [self._record_g2p(group, part) for group, part in self._parts(lane)]
             clear: tuple[str, Callable[[], Any]] = ("clear", lane.nodes.nodes.zero_)
-            lane.phases = [[clear, *_work(scatter)], _work(update), _work(gather)]
+            lane.phases = [[clear, *work(scatter)], work(update), work(gather)]
+        self.lanes[0].phases[2] += work(self.domain.launches())
 
     def _share_edges(self) -> list[tuple[int, int] | None]:
         """The layers of the shared grid that each lane brings up to date."""
@@ -238,7 +254,7 @@ class Solver:
         s, law = self.state, group.law
         kernel = transfer.make_p2g(law, self.real, self.native)
         model = [self.mass[part], self.volume[part], group.theta]
-        state = [s.x[part], s.v[part], s.C[part], s.F[part], _part(s.history, part)]
+        state = [s.x[part], s.v[part], s.C[part], s.F[part], part_of(s.history, part)]
         inputs = [*model, nodes.lattice, nodes.window, self.clock, *state]
         return f"p2g {law.name}", self.record(kernel, part.stop - part.start, inputs, [nodes.nodes])
 
@@ -247,7 +263,7 @@ class Solver:
         kernel = transfer.make_g2p(law, self.real, self.native)
         inputs = [group.theta, grid.lattice, grid.window, self.clock, grid.nodes]
         outputs = [s.x[part], s.residue[part], s.v[part], s.C[part], s.F[part]]
-        outputs += [_part(s.history, part), _part(s.total, part), self.stray]
+        outputs += [part_of(s.history, part), part_of(s.total, part), self.stray]
         return f"g2p {law.name}", self.record(kernel, part.stop - part.start, inputs, outputs)
 
     def _record_update(self, lane: Lane, share: tuple[int, int] | None) -> Recorded:
@@ -271,19 +287,27 @@ class Solver:
         """One substep: velocities change over `kick` s, positions and F over `drift` s."""
         if self._since_check >= CHECK_EVERY:
             timed(self.timings, "measure", self._measure)
-        self._set_clock(kick, drift)
-        if self.tracks.vary:
-            timed(self.timings, "tracks", self._tracks_launch.launch)
-        for name, launch in self._pushes:
-            timed(self.timings, name, launch.launch)
+        self.begin(kick, drift)
         self._meet()
         for phase in range(3):
             for lane in self.lanes[: 1 if self._meeting else None]:
                 lane.run(phase)
             self._meet()
+        self.finish(drift)
+
+    def begin(self, kick: float, drift: float) -> None:
+        """What comes before the scatter: the clock, the tracks, forces on particles."""
+        self._set_clock(kick, drift)
+        if self.tracks.vary:
+            timed(self.timings, "tracks", self._tracks_launch.launch)
+        for name, launch in self._pushes:
+            timed(self.timings, name, launch.launch)
+
+    def finish(self, drift: float, *, violent: bool = False) -> None:
+        """Count a substep that was taken; after a violent one the limits are measured anew."""
         self.time += drift
         self.substeps += 1
-        self._since_check += 1
+        self._since_check += CHECK_EVERY if violent else 1
 
     def _meet(self) -> None:
         if self._meeting:
@@ -296,7 +320,8 @@ class Solver:
             yield
             return
         # Kernels must be loaded before two threads use them: loading is not safe in Warp.
-        self._load_kernels()
+        if self._since_check >= CHECK_EVERY:
+            timed(self.timings, "measure", self._measure)
         self._meeting, self._halt = Meeting(2), False
         helper = threading.Thread(target=self._follow, args=(self.lanes[1], self._meeting))
         helper.start()
@@ -318,11 +343,6 @@ class Solver:
                 lane.run(phase)
                 meeting.wait(1)
 
-    def _load_kernels(self) -> None:
-        """Compile and load everything a substep launches."""
-        if self._since_check >= CHECK_EVERY:
-            timed(self.timings, "measure", self._measure)
-
     def advance(self, until: float, *, after: Callable[[], None] | None = None) -> None:
         """Substeps of stable length up to a time [s]; `after` is called after each.
 
@@ -341,10 +361,12 @@ class Solver:
             timed(self.timings, "measure", self._measure)
         limit = self.substep()
         rest = until - self.time
-        count = max(1, math.ceil(rest / limit.dt - 1e-9))
-        dt = rest / count
-        self.step((self.last_dt + dt) / 2, dt)
-        if count == 1:
+        dt = rest / max(1, math.ceil(rest / limit.dt - 1e-9))
+        if self.caution.called_for(dt):
+            dt = self.caution.step(dt)
+        else:
+            self.step((self.last_dt + dt) / 2, dt)
+        if dt == rest:
             self.time = until
         self.last_dt = dt
         self.limiters[limit.limiter] = self.limiters.get(limit.limiter, 0) + 1
@@ -373,17 +395,3 @@ class Solver:
             self.clock.numpy()[:] = values
         else:
             self.clock.assign(np.array(values))
-
-
-def _part(array: wp.array, part: slice) -> wp.array:
-    """A slice of an array that may be empty because no law needs it."""
-    return cast("wp.array", array[part]) if len(array) else array
-
-
-def _real(records: Iterable[Recorded]) -> list[tuple[str, wp.Launch]]:
-    """Without the boundaries that are out of reach of the window: they have no launch."""
-    return [(name, launch) for name, launch in records if launch is not None]
-
-
-def _work(records: Iterable[Recorded]) -> list[tuple[str, Callable[[], Any]]]:
-    return [(name, launch.launch) for name, launch in _real(records)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import cast
 
 import warp as wp
 
@@ -56,3 +57,8 @@ class State:
         """Go back to a snapshot."""
         for name, array in self.arrays().items():
             wp.copy(array, snapshot[name])
+
+
+def part_of(array: wp.array, part: slice) -> wp.array:
+    """A slice of an array that may be empty because no law needs it."""
+    return cast("wp.array", array[part]) if len(array) else array

@@ -114,7 +114,7 @@ def monstrous_push(setting: Setting) -> list[Check]:
     weight = 1000 * 0.375**3 / len(x) * 9.81
     region = Region(lower=tuple(chosen - 1e-3), upper=tuple(chosen + 1e-3))
     s = body(x, setting, forces=[ParticleForce(f=(1e6 * weight, 0, 0), region=region)])
-    s.advance(0.05)
+    s.advance(1e-3)
     # Velocities are half a substep behind: they have had the impulse of that much less time.
     impulse = 1e6 * weight * (s.time - s.last_dt / 2)
     momentum = weigh(s).momentum

@@ -1,0 +1,82 @@
+"""Caution: a substep that may turn out too long is tried first, and repeated shorter if it was.
+
+Nothing but pushed velocities changes before the gather, so a substep can be taken back after the
+grid update at the price of one scatter. Only substeps in which something violent may happen are
+tried: near the limits of speed and gradient, under forces on particles, or a huge acceleration.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+import warp as wp
+
+from phy124.kernels.diagnose import make_grid_speed
+from phy124.kernels.profile import JOINS
+from phy124.timestep import CELLS_PER_STEP, STRAIN_PER_STEP
+from phy124.tracks import Tracks
+
+if TYPE_CHECKING:
+    from phy124.mpm.solver import Solver
+
+TRIES = 100
+"""Each try is at most half as long as the one before."""
+
+
+class Caution:
+    """Decides which substeps are tried, and tries them."""
+
+    def __init__(self, solver: Solver) -> None:
+        self._solver = solver
+        self._fastest = wp.zeros(1, dtype=solver.real, device=solver.device)
+        self._acceleration = _greatest_acceleration(solver.tracks)
+        self.rejected = 0
+        """Substeps that were taken back."""
+
+    def called_for(self, dt: float) -> bool:
+        """Whether a substep of length `dt` may carry something further than a cell."""
+        s, extremes = self._solver, self._solver.extremes
+        return (
+            bool(s.pushes)
+            or 2 * extremes.speed * dt > CELLS_PER_STEP * s.dx
+            or 2 * extremes.gradient * dt > STRAIN_PER_STEP
+            or self._acceleration * dt * dt > 0.1 * s.dx
+        )
+
+    def step(self, dt: float) -> float:
+        """A substep of at most `dt`, so short that no node moves more than a cell; its length."""
+        s, cells = self._solver, 0.0
+        pushed = [s.state.v, s.state.C] if s.pushes else []
+        before = [wp.clone(array) for array in pushed]
+        for _ in range(TRIES):
+            s.begin((s.last_dt + dt) / 2, dt)
+            for phase in range(2):
+                for lane in s.lanes:
+                    lane.run(phase)
+            cells = self._speed() * dt / s.dx
+            if cells <= 1:
+                break
+            self.rejected += 1
+            for array, kept in zip(pushed, before, strict=True):
+                wp.copy(array, kept)
+            dt *= min(0.5, CELLS_PER_STEP / cells)
+        for lane in s.lanes:
+            lane.run(2)
+        s.finish(dt, violent=2 * cells > CELLS_PER_STEP)
+        return dt
+
+    def _speed(self) -> float:
+        """The greatest speed of a node [m/s]."""
+        s = self._solver
+        self._fastest.zero_()
+        kernel = make_grid_speed(s.real)
+        wp.launch(kernel, s.grid.count, [s.grid.nodes], [self._fastest], device=s.device)
+        return math.sqrt(float(np.asarray(self._fastest.numpy())[0]))
+
+
+def _greatest_acceleration(tracks: Tracks) -> float:
+    """An upper bound of the uniform acceleration at all times [m/s^2]."""
+    joined = [t for t, flag in zip(tracks.tracks, tracks.flags, strict=True) if flag & JOINS]
+    return sum(max(math.hypot(*value) for _, value in track.keys) for track in joined)

@@ -1,0 +1,93 @@
+"""Domain: where particles meet the grid. Those that fly beyond are kept on their parabolas.
+
+The window grows with the particles, but a single one that leaves at speed must not make it grow
+without bound. Once the particles spread over more than `LARGEST` nodes, or `GROWTH` times the
+first window, a box around their middle is the domain: what is outside is counted, feels the
+uniform acceleration and nothing else, and is part of the body again if it comes back.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from phy124.kernels.ballistic import make_fly
+from phy124.kernels.transfer import types
+from phy124.mpm.grid import MARGIN
+
+if TYPE_CHECKING:
+    from phy124.mpm.lanes import Recorded
+    from phy124.mpm.solver import Solver
+
+LARGEST = 2**25
+"""Nodes a window may have at most."""
+LEAST = 2**20
+"""Nodes a window may always have."""
+GROWTH = 16
+"""How many times larger than at first a window may become."""
+EVERYWHERE = 1e30
+"""Beyond any position [m], and a number in float32."""
+
+
+class Domain:
+    """A box, or all of space as long as the particles stay together."""
+
+    def __init__(self, solver: Solver) -> None:
+        self._solver, self._half = solver, np.zeros(3)
+        corners = np.array([[-EVERYWHERE] * 3, [EVERYWHERE] * 3])
+        self.corners = solver.array(corners, types(solver.real).vec3)
+        """Lowest and highest corner on the device [m]."""
+        self.bounded = False
+        self.outside = wp.zeros(0, dtype=int, device=solver.device)
+        """Indices of the particles that are ballistic at the moment."""
+        self.most, self.changed = 0, False
+        """The greatest number so far, and whether the last measurement changed the list."""
+
+    @property
+    def count(self) -> int:
+        """Particles that are ballistic at the moment."""
+        return len(self.outside)
+
+    def confine(self, lower: NDArray, upper: NDArray) -> bool:
+        """Follow the particles between two corners [m]; True if they must be measured again."""
+        if self.bounded:
+            self._centre((lower + upper) / 2)
+            return False
+        if self._nodes(lower, upper) <= self._allowed():
+            return False
+        x = self._solver.state.x.numpy().astype(np.float64)
+        middle = np.median(x, axis=0)
+        side = self._solver.dx * (self._allowed() ** (1 / 3) - 3 * MARGIN)
+        self._half, self.bounded = np.full(3, side / 2), True
+        self._centre(middle)
+        return True
+
+    def launches(self) -> list[Recorded]:
+        """The stage that moves the ballistic particles, if there are any."""
+        if not self.count:
+            return []
+        s, state = self._solver, self._solver.state
+        inputs = [self.outside, s.grid.lattice, s.grid.window, s.clock, s.tracks.values]
+        outputs = [state.x, state.residue, state.v]
+        return [("ballistic", s.record(make_fly(s.real), self.count, inputs, outputs))]
+
+    def _centre(self, middle: NDArray) -> None:
+        low, high = middle - self._half, middle + self._half
+        self.corners.assign(np.stack([low, high]).astype(self.corners.numpy().dtype))
+        x = self._solver.state.x.numpy()
+        out = np.flatnonzero(~np.all((x >= low) & (x <= high), axis=1)).astype(np.int32)
+        self.changed = not np.array_equal(out, self.outside.numpy())
+        self.outside = wp.array(out, dtype=int, device=self._solver.device)
+        self.most = max(self.most, len(out))
+
+    def _nodes(self, lower: NDArray, upper: NDArray) -> float:
+        """Nodes of a window over a box; in floating point, for boxes beyond all integers."""
+        return float(np.prod((upper - lower) / self._solver.dx + 3 + 2 * MARGIN))
+
+    def _allowed(self) -> float:
+        # The bulk at rest; single particles far away do not count.
+        first = self._nodes(*np.quantile(self._solver.rest, (0.05, 0.95), axis=0))
+        return min(LARGEST, max(LEAST, GROWTH * min(first, LARGEST)))
