@@ -16,13 +16,18 @@ import warp as wp
 from phy124.kernels.diagnose import make_grid_speed
 from phy124.kernels.profile import JOINS
 from phy124.timestep import CELLS_PER_STEP, STRAIN_PER_STEP
-from phy124.tracks import Tracks
 
 if TYPE_CHECKING:
     from phy124.mpm.solver import Solver
 
 TRIES = 100
 """Each try is at most half as long as the one before."""
+SUDDEN = ("set_velocity", "wind")
+"""Stages that may change a velocity at once, whatever their strength."""
+PER_MASS = "particle_force"
+"""The stage whose strength is in newtons on each particle."""
+FIRST = 4
+"""Substeps after which what always acts has shown its effect."""
 
 
 class Caution:
@@ -31,7 +36,8 @@ class Caution:
     def __init__(self, solver: Solver) -> None:
         self._solver = solver
         self._fastest = wp.zeros(1, dtype=solver.real, device=solver.device)
-        self._acceleration = _greatest_acceleration(solver.tracks)
+        self._acceleration = _greatest_acceleration(solver)
+        self._sudden = any(name in SUDDEN for name, _ in solver.pushes)
         self.rejected = 0
         """Substeps that were taken back."""
 
@@ -39,10 +45,10 @@ class Caution:
         """Whether a substep of length `dt` may carry something further than a cell."""
         s, extremes = self._solver, self._solver.extremes
         return (
-            bool(s.pushes)
-            or 2 * extremes.speed * dt > CELLS_PER_STEP * s.dx
+            2 * extremes.speed * dt > CELLS_PER_STEP * s.dx
             or 2 * extremes.gradient * dt > STRAIN_PER_STEP
             or self._acceleration * dt * dt > 0.1 * s.dx
+            or (self._sudden and (s.tracks.vary or s.substeps < FIRST))
         )
 
     def step(self, dt: float) -> float:
@@ -76,7 +82,14 @@ class Caution:
         return math.sqrt(float(np.asarray(self._fastest.numpy())[0]))
 
 
-def _greatest_acceleration(tracks: Tracks) -> float:
-    """An upper bound of the uniform acceleration at all times [m/s^2]."""
-    joined = [t for t, flag in zip(tracks.tracks, tracks.flags, strict=True) if flag & JOINS]
-    return sum(max(math.hypot(*value) for _, value in track.keys) for track in joined)
+def _greatest_acceleration(solver: Solver) -> float:
+    """An upper bound of what forces may do to a particle at any time [m/s^2]."""
+    joined, alone = 0.0, 0.0
+    for track, flag in zip(solver.tracks.tracks, solver.tracks.flags, strict=True):
+        value = max(math.hypot(*value) for _, value in track.keys)
+        joined, alone = (joined + value, alone) if flag & JOINS else (joined, alone + value)
+    if not solver.pushes:
+        return joined
+    if any(name == PER_MASS for name, _ in solver.pushes):
+        alone /= min(1.0, float(solver.mass.numpy().min()))
+    return joined + alone
