@@ -17,11 +17,13 @@ from demo.jobs import EXPORTS, Progress, Studio, export, read_report, sentence
 from demo.photo import Photo
 from demo.report import as_html
 from demo.work import Done
+from phy124.camera import VIEWS
 from phy124.clip import Clip
 from phy124.errors import InputError
 from phy124.scene import PRESETS, Scene, preset_names
 
 Handler = Callable[..., Any]
+EXAMPLES = Path(__file__).parent / "examples"
 FILES = {
     "clip.safetensors": ("Moving Gaussians", "The clip itself, for phy124"),
     "gaussians.ply": ("Gaussians at rest", "3DGS PLY"),
@@ -79,9 +81,8 @@ def runner(studio: Studio) -> Handler:
     def run(cutout: Any, scene: Any, request: gr.Request) -> Iterator[tuple[Any, ...]]:
         kept = [gr.skip()] * 4
         path = cutout.path if cutout else None
-        going = (gr.update(interactive=False), gr.update(visible=True))
+        going = (gr.skip(), gr.skip())
         rested = (gr.update(interactive=True), gr.update(visible=False))
-        yield (Progress(state="waiting").data(), gr.skip(), *going, *kept)
         for progress in studio.run(_session(request), path, scene):
             if progress.state == "running":
                 yield (progress.data(), gr.skip(), *going, *kept)
@@ -91,6 +92,24 @@ def runner(studio: Studio) -> Handler:
                 yield (progress.data(), kept_done, *rested, *shown)
 
     return run
+
+
+def begin() -> tuple[Any, ...]:
+    """At the click itself, before the queue: the page says that it waits."""
+    waiting = Progress(state="waiting").data()
+    return waiting, gr.update(interactive=False), gr.update(visible=True)
+
+
+def refused() -> tuple[Any, ...]:
+    """The queue would not take the click; Gradio has said why."""
+    progress = Progress(state="refused", message="Too many visitors are waiting. Try again soon.")
+    return progress.data(), gr.update(interactive=True), gr.update(visible=False)
+
+
+def pick(event: gr.EventData) -> str | None:
+    """An example picture by its name."""
+    path = EXAMPLES / f"{(event._data or {}).get('name')}.png"
+    return str(path) if path in EXAMPLES.glob("*.png") else None
 
 
 def stopper(studio: Studio) -> Handler:
@@ -116,17 +135,19 @@ def leaver(studio: Studio) -> Handler:
 def results(done: Done, progress: Progress) -> list[Any]:
     """Values of the viewer, the videos, the report and the take-away panel."""
     report = read_report(done)
-    clip = Clip.load(done.clip / "clip.safetensors")
-    names = [path for path in sorted(done.films.glob("*.mp4"))]
-    order = list(Scene.model_validate(clip.scene).view.views)
-    names.sort(key=lambda path: order.index(path.stem) if path.stem in order else 9)
-    films = [{"name": path.stem, "file": _file(path)} for path in names]
+    scene = Clip.load(done.clip / "clip.safetensors").scene
     return [
         {"pack": _file(done.films / "clip.pack")},
-        {"films": films},
-        as_html(report, clip.scene, progress.expected),
+        {"films": [{"name": path.stem, "file": _file(path)} for path in _films(done)]},
+        as_html(report, scene, progress.expected),
         _takeaway(done),
     ]
+
+
+def _films(done: Done) -> list[Path]:
+    """The videos, the views of the paper first."""
+    order = [*VIEWS, "orbit"]
+    return sorted(done.films.glob("*.mp4"), key=lambda path: order.index(path.stem))
 
 
 def prepare(done: Done | None, shown: Any, event: gr.EventData) -> Any:
@@ -143,7 +164,7 @@ def prepare(done: Done | None, shown: Any, event: gr.EventData) -> Any:
 
 def _takeaway(done: Done) -> dict[str, Any]:
     files, offers = [], []
-    for path in sorted(done.films.glob("*.mp4")):
+    for path in _films(done):
         files.append(_link(path, f"Video, {path.stem}", "MP4"))
     for name, (label, hint) in FILES.items():
         for folder in (done.films, done.clip):

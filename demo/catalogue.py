@@ -33,6 +33,7 @@ def catalogue(settings: Settings) -> dict[str, Any]:
     return {
         "schema": Scene.model_json_schema(),
         "presets": [_card(name) for name in names],
+        "examples": sorted(path.stem for path in (FOLDER / "examples").glob("*.png")),
         "accuracies": [
             {"name": name, "cells": section.cells, "promise": PROMISES.get(name)}
             for name, section in PRESETS.items()

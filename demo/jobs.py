@@ -7,6 +7,7 @@ at its next yield, and one that is closed asks its work to stop.
 from __future__ import annotations
 
 import base64
+import logging
 import subprocess
 import sys
 import threading
@@ -35,6 +36,8 @@ from phy124.pipeline import cameras
 from phy124.scene import Scene, View
 
 STAGES = {"generate": "Picture to 3D", "simulate": "Physics", "render": "Videos", "save": "Files"}
+FAILED = "Something went wrong here, not with you; it is in the log. Try again or change the scene."
+LOG = logging.getLogger("phy124.web")
 CUTTING = threading.BoundedSemaphore(2)
 """Pictures cut out at once."""
 TAIL = 60.0
@@ -118,6 +121,10 @@ class Studio:
         except GeneratorExit:
             stop.touch()
             raise
+        except Exception:
+            LOG.exception("the work failed")
+            progress.message, progress.state = FAILED, "failed"
+            yield progress
         finally:
             stop_at_close(events)
             visitor.end(stop)

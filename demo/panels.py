@@ -21,6 +21,11 @@ def scene() -> gr.HTML:
     return _panel("scene", EDITOR, events="'change'")
 
 
+def examples() -> gr.HTML:
+    """Pictures to begin with; "pick" tells which."""
+    return _panel("examples", HEAD, events="'pick'")
+
+
 def progress() -> gr.HTML:
     """Stages with bars, and the run so far as a flip-book."""
     return _panel("progress", HEAD)

@@ -101,6 +101,7 @@ def routes(studio: Studio) -> list[Route | Mount]:
     return [
         Route("/health", health),
         Route("/phy124/catalogue.json", scenes),
+        Mount("/phy124/examples", Assets(directory=FOLDER / "examples")),
         Mount("/phy124/previews", Assets(directory=FOLDER / "previews")),
         Mount("/phy124/viewer", Assets(directory=FOLDER / "viewer")),
         Mount("/phy124/static", Assets(directory=FOLDER / "static")),

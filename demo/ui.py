@@ -72,7 +72,7 @@ def _theme() -> gr.themes.Base:
         primary_hue="teal",
         neutral_hue="slate",
         radius_size="lg",
-        font=[gr.themes.LocalFont("Source Sans 3"), "system-ui", "sans-serif"],
+        font=[gr.themes.LocalFont("IBM Plex Sans", weights=(400, 700)), "system-ui", "sans-serif"],
         font_mono=["ui-monospace", "monospace"],
     )
 
@@ -93,11 +93,10 @@ def _picture() -> tuple[Photo, gr.Image, gr.ImageEditor, gr.Button]:
                 label="Cut-out", interactive=False, elem_id="cutout", height=190, buttons=[],
                 visible=False, show_label=False, image_mode="RGBA", format="png",
             )  # fmt: skip
-        pictures = sorted(str(path) for path in (FOLDER / "examples").glob("*.png"))
-        gr.Examples(
-            pictures, photo, elem_id="examples", cache_examples=False, examples_per_page=16,
-            api_visibility="private", label="Or take one of these",
-        )  # fmt: skip
+        examples = panels.examples()
+        examples.pick(
+            api.pick, None, photo, queue=False, show_progress="hidden", api_visibility="private"
+        )
         with gr.Accordion("Correct the cut-out", open=False):
             editor = gr.ImageEditor(
                 label="Paint green what to keep and red what to remove", type="pil",
@@ -154,10 +153,18 @@ def _wire_run(
         [scene.change, cutout.change], api.forecaster(studio), [cutout, scene], forecast,
         queue=False, show_progress="hidden", api_visibility="private", trigger_mode="always_last",
     )  # fmt: skip
+    go.click(
+        api.begin, None, [progress, go, cancel], queue=False, show_progress="hidden",
+        api_visibility="private",
+    )  # fmt: skip
     run = go.click(
         api.runner(studio), [cutout, scene], [progress, done, go, cancel, *results],
         concurrency_id="device", concurrency_limit=1, show_progress="minimal",
         show_progress_on=progress, api_visibility="private",
+    )  # fmt: skip
+    run.failure(
+        api.refused, None, [progress, go, cancel], queue=False, show_progress="hidden",
+        api_visibility="private",
     )  # fmt: skip
     cancel.click(
         api.stopper(studio), None, [progress, go, cancel], cancels=[run], queue=False,

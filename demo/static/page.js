@@ -16,6 +16,15 @@
   const seconds = (s) => (s < 90 ? `${s.toFixed(s < 9.95 ? 1 : 0)} s` : `${(s / 60).toFixed(1)} min`);
   const size = (bytes) => (bytes < 1e6 ? `${Math.max(1, Math.round(bytes / 1e3))} kB` : `${(bytes / 1e6).toFixed(1)} MB`);
 
+  /* ---- examples ---------------------------------------------------------------------------- */
+
+  async function examples(element, props, watch, trigger) {
+    const { examples: names } = await (await fetch('phy124/catalogue.json')).json();
+    const button = (name) => h('button', { type: 'button', 'aria-label': `Example: ${name.replace(/_/g, ' ')}`, onclick: () => trigger('pick', { name }) },
+      h('img', { src: `phy124/examples/${name}.png`, alt: '', width: 48, height: 48, loading: 'lazy' }));
+    element.replaceChildren(h('p', { class: 'examples-title' }, 'Or begin with one of these'), h('div', { class: 'examples' }, ...names.map(button)));
+  }
+
   /* ---- progress: stages with bars, and the run so far as a flip-book ----------------------- */
 
   function progress(element, props, watch) {
@@ -133,5 +142,5 @@
     show();
   }
 
-  globalThis.Phy124 = Object.assign(globalThis.Phy124 || {}, { h, progress, viewer, videos, takeaway });
+  globalThis.Phy124 = Object.assign(globalThis.Phy124 || {}, { h, examples, progress, viewer, videos, takeaway });
 })();
