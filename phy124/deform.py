@@ -120,6 +120,19 @@ class Deformer:
             velocities = self._interpolated(self._checked(_host(velocities), (3,)))
         return Frame(index, time, gaussians, velocities)
 
+    def memory(self) -> dict[str, NDArray]:
+        """What the next frame's continuity depends on."""
+        return {name: array.numpy().copy() for name, array in self._kept().items()}
+
+    def recall(self, memory: dict[str, NDArray]) -> None:
+        """Go on as after the frame that `memory` was taken at."""
+        for name, array in self._kept().items():
+            array.assign(memory[name])
+
+    def _kept(self) -> dict[str, wp.array]:
+        arrays = (self._quats, self._scales, self._inner, self._turned)
+        return dict(zip(("quats", "scales", "inner", "turned"), arrays, strict=True))
+
     def _launch(self, kernel: Any, inputs: list[Any]) -> None:
         wp.launch(kernel, dim=len(self.gaussians), inputs=inputs, device=self._device)
 

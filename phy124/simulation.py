@@ -39,7 +39,10 @@ class Stopped(RuntimeError):
 
 
 class Simulation:
-    """One run; iterate over it once to get its frames."""
+    """One run; iterate over it to get its frames. Leave the loop to pause, iterate again to go on.
+
+    A paused run is saved and taken up again, bit for bit, by `phy124.resume`.
+    """
 
     def __init__(
         self,
@@ -50,6 +53,7 @@ class Simulation:
         progress: Progress = silent,
         watch: Stopwatch | None = None,
         crop: Crop = WHOLE,
+        threads: int | None = None,
     ) -> None:
         """Place the object, make its particles and build the solver.
 
@@ -60,11 +64,13 @@ class Simulation:
             progress: Told ("simulate", frame, frames); may raise Cancelled.
             watch: Where the stages' times go.
             crop: Where the object is in the picture that masks of parts were painted on.
+            threads: CPU threads, 1 or 2; None: two if they pay and a core is free.
 
         Raises:
             InputError: the Gaussians or the scene cannot be used.
         """
         self.scene, self.device, self.progress = scene, device, progress
+        self.given, self.crop = gaussians, crop
         self.watch = watch or Stopwatch()
         with self.watch.stage("particles"):
             gaussians, self.cleaning = clean(gaussians)
@@ -77,7 +83,7 @@ class Simulation:
             )
             self.particles = with_materials(made, scene, crop)
         with self.watch.stage("compile"):
-            self.solver = _solver(self.particles, scene, device)
+            self.solver = _solver(self.particles, scene, device, threads)
             flows = any(m.device_law.project is not None for m in scene.materials)
             self.deformer = Deformer(
                 self.gaussians,
@@ -90,9 +96,12 @@ class Simulation:
         self.stopped: str | None = None
 
     def __iter__(self) -> Iterator[Frame]:
-        """The frames in order; raises Stopped or Cancelled."""
+        """The frames in order, going on where an earlier loop left off.
+
+        Raises Stopped or Cancelled.
+        """
         timing = self.scene.time
-        for index in range(timing.frames):
+        for index in range(len(self.frames), timing.frames):
             if index:
                 self._advance(index, index / timing.fps)
             with self.watch.stage("deform"):
@@ -135,6 +144,7 @@ class Simulation:
             "notes": [note for section in self.scene.materials for note in section.notes()],
             "grid": {"dx": solver.dx, "window": solver.grid.size.tolist()},
             "substeps": solver.substeps,
+            "threads": solver.threads,
             "limiters": solver.limiters,
             "frames": len(self.frames),
             "effects": effects.data(),
@@ -200,7 +210,7 @@ def with_materials(particles: Particles, scene: Scene, crop: Crop = WHOLE) -> Pa
     )
 
 
-def _solver(particles: Particles, scene: Scene, device: str) -> Solver:
+def _solver(particles: Particles, scene: Scene, device: str, threads: int | None) -> Solver:
     x = particles.x.astype(np.float64)
     v, C = _motion(x, particles.mass, scene)
     floors = [b.height for b in scene.boundaries if isinstance(b, Ground)]
@@ -220,6 +230,7 @@ def _solver(particles: Particles, scene: Scene, device: str) -> Solver:
         device=device,
         cfl=scene.resolution.cfl,
         ceiling=ceiling,
+        threads=threads,
     )
 
 

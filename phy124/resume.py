@@ -1,0 +1,116 @@
+"""Save a paused simulation as one safetensors file and take it up again, bit for bit."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save_file
+
+from phy124.errors import InputError
+from phy124.files import replacing
+from phy124.gaussians import Frame, Gaussians
+from phy124.progress import Progress, silent
+from phy124.scene import Scene
+from phy124.simulation import Simulation
+
+FORMAT = "phy124-pause"
+GAUSSIANS = ("means", "quats", "scales", "opacities", "sh")
+Tensors = dict[str, NDArray]
+
+
+def save(run: Simulation, path: str | os.PathLike[str]) -> None:
+    """Write a paused run; between two frames, so no substep is cut.
+
+    Raises InputError if the place cannot be written.
+    """
+    solver = run.solver
+    tensors: Tensors = {f"given.{name}": getattr(run.given, name) for name in GAUSSIANS}
+    tensors |= {f"state.{name}": a.numpy() for name, a in solver.state.arrays().items()}
+    tensors |= {f"deformer.{name}": a for name, a in run.deformer.memory().items()}
+    tensors |= _frames(run)
+    clock = {"time": solver.time, "last_dt": solver.last_dt, "substeps": solver.substeps}
+    metadata = {
+        "format": FORMAT,
+        "scene": json.dumps(run.scene.data()),
+        "clock": json.dumps(clock | {"cfl": solver.cfl, "threads": solver.threads}),
+        "limiters": json.dumps(solver.limiters),
+        "crop": json.dumps(run.crop),
+    }
+    with replacing(path) as temporary:
+        save_file({k: np.ascontiguousarray(v) for k, v in tensors.items()}, temporary, metadata)
+
+
+def load(
+    path: str | os.PathLike[str], *, device: str = "cpu", progress: Progress = silent
+) -> Simulation:
+    """The saved run, ready to be iterated on.
+
+    Raises InputError if the file is missing, cut short or not a paused run.
+    """
+    metadata, tensors = _read(Path(path))
+    given = Gaussians(*(tensors[f"given.{name}"] for name in GAUSSIANS))
+    left, top, right, bottom = json.loads(metadata["crop"])
+    clock = json.loads(metadata["clock"])
+    run = Simulation(
+        given,
+        Scene.from_data(json.loads(metadata["scene"]), str(path)),
+        device=device,
+        progress=progress,
+        crop=(left, top, right, bottom),
+        threads=clock.pop("threads"),
+    )
+    for name, array in run.solver.state.arrays().items():
+        array.assign(tensors[f"state.{name}"])
+    for name, value in clock.items():
+        setattr(run.solver, name, value)
+    run.solver.limiters = json.loads(metadata["limiters"])
+    memory = {k.removeprefix("deformer."): v for k, v in tensors.items() if k.startswith("def")}
+    run.deformer.recall(memory)
+    _put_frames(run, tensors)
+    return run
+
+
+def _frames(run: Simulation) -> Tensors:
+    """The frames so far."""
+    tensors: Tensors = {"frames.times": np.array([f.time for f in run.frames])}
+    if run.frames:
+        for name in ("means", "quats", "scales"):
+            stack = [getattr(frame.gaussians, name) for frame in run.frames]
+            tensors[f"frames.{name}"] = np.stack(stack)
+        velocities = [f.velocities for f in run.frames if f.velocities is not None]
+        tensors["frames.velocities"] = np.stack(velocities)
+    if run.rotations:
+        tensors["frames.rotations"] = np.stack(run.rotations)
+    return tensors
+
+
+def _put_frames(run: Simulation, tensors: Tensors) -> None:
+    rest = run.gaussians
+    for index, time in enumerate(tensors["frames.times"].tolist()):
+        means, quats, scales = (
+            tensors[f"frames.{name}"][index] for name in ("means", "quats", "scales")
+        )
+        gaussians = Gaussians(means, quats, scales, rest.opacities, rest.sh)
+        run.frames.append(Frame(index, time, gaussians, tensors["frames.velocities"][index]))
+    run.rotations = list(tensors.get("frames.rotations", []))
+
+
+def _read(path: Path) -> tuple[dict[str, Any], Tensors]:
+    remedy = "Give a file written by phy124.resume.save."
+    if not path.is_file():
+        raise InputError("paused run", path, "there is no such file.", remedy)
+    try:
+        with safe_open(path, framework="np") as file:
+            metadata = file.metadata() or {}
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except (SafetensorError, OSError) as error:
+        raise InputError("paused run", path, f"it cannot be read ({error}).", remedy) from error
+    if metadata.get("format") != FORMAT:
+        raise InputError("paused run", path, "it is not a paused run.", remedy)
+    return metadata, tensors
