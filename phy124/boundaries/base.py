@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from phy124.mpm import Solver, Stage
 
 Contact = Literal["sticky", "slip", "separate"]
-REACH = -0.25
+REACH = -0.15
 """A node answers to a wall below this signed distance, in cells.
 
 Material rests 0.6 to 0.9 cells above the last free-moving node plane, so the plane that stops it

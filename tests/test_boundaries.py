@@ -1,0 +1,353 @@
+"""Boundaries: distances, answers, contact, friction, motion, and what each launches."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+import warp as wp
+from pydantic import TypeAdapter, ValidationError
+
+from phy124.boundaries import (
+    AnyBoundary,
+    Box,
+    Capsule,
+    Container,
+    Foot,
+    Gripper,
+    Ground,
+    HalfSpace,
+    Held,
+    Path,
+    Press,
+    Sphere,
+    Swing,
+)
+from phy124.errors import InputError
+from phy124.forces import Gravity
+from phy124.kernels import collide
+from phy124.materials import Fluid, NeoHookean
+from phy124.mpm import Solver
+from phy124.region import Region
+
+DX = 0.1
+EYE = np.eye(3)
+
+
+def block(size=(0.4, 0.4, 0.4), low=(0.0, 0.0, 0.0)) -> np.ndarray:
+    """Eight particles per cell, from a corner on [m]."""
+    lines = [
+        np.arange(round(2 * s / DX)) * DX / 2 + DX / 4 + a for s, a in zip(size, low, strict=True)
+    ]
+    return np.stack(np.meshgrid(*lines, indexing="ij"), -1).reshape(-1, 3)
+
+
+def solver(x: np.ndarray, *walls, material=None, **options) -> Solver:
+    """Particles under gravity, the floor plane 0.75 cells above a layer of nodes."""
+    options.setdefault("origin", (0.0, 0.0, 0.25 * DX))
+    options.setdefault("forces", [Gravity()])
+    volume = np.full(len(x), (DX / 2) ** 3)
+    return Solver(x, volume, [material or NeoHookean(E=5e4)], dx=DX, boundaries=walls, **options)
+
+
+def settle(s: Solver, time: float, rate: float = 20.0) -> None:
+    """Run while something outside draws the motion away: velocities fade at a rate [1/s]."""
+    while s.time < time:
+        s.advance(s.time + 0.01)
+        s.state.v.assign(s.state.v.numpy() * np.exp(-rate * 0.01))
+
+
+@cache
+def make_distances(shape: str):
+    distance = collide.SHAPES[shape]
+
+    @wp.kernel(module=f"phy124_test_distance_{shape}", enable_backward=False)
+    def distances(geometry: wp.mat33d, x: wp.array(dtype=wp.vec3d), out: wp.array(dtype=wp.vec4d)):
+        out[wp.tid()] = distance(x[wp.tid()], geometry)
+
+    return distances
+
+
+def distances(shape: str, geometry, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Normals [N,3] and signed distances [N] of points [N,3]."""
+    out = wp.zeros(len(x), dtype=wp.vec4d)
+    inputs = [wp.mat33d(*np.ravel(geometry)), wp.array(x, dtype=wp.vec3d)]
+    wp.launch(make_distances(shape), len(x), inputs=inputs, outputs=[out])
+    return out.numpy()[:, :3], out.numpy()[:, 3]
+
+
+def segment_distance(x: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    share = np.clip((x - a) @ (b - a) / ((b - a) @ (b - a)), 0, 1)
+    return np.linalg.norm(x - a - share[:, None] * (b - a), axis=1)
+
+
+@pytest.mark.parametrize(
+    ("wall", "exact"),
+    [
+        (Ground(height=0.3), lambda x: x[:, 2] - 0.3),
+        (HalfSpace(point=(1, 0, 0), normal=(0, 3, 4)), lambda x: (x - [1, 0, 0]) @ [0, 0.6, 0.8]),
+        (Sphere(centre=(0.1, 0, 0), radius=0.5),
+         lambda x: np.linalg.norm(x - [0.1, 0, 0], axis=1) - 0.5),
+        (Capsule(start=(0, 0, 0), end=(0.3, 0.4, 0), radius=0.2),
+         lambda x: segment_distance(x, np.zeros(3), np.array([0.3, 0.4, 0])) - 0.2),
+        (Box(lower=(-0.5, -0.2, 0), upper=(0.5, 0.2, 0.9)),
+         lambda x: np.max(np.abs(x - [0, 0, 0.45]) - [0.5, 0.2, 0.45], axis=1)),
+    ],
+    ids=lambda value: getattr(value, "kind", ""),
+)  # fmt: skip
+def test_shapes_know_their_distance_and_normal(wall, exact, rng):
+    x = rng.uniform(-1, 1, (500, 3))
+    geometry = wall.geometry(None)
+    normals, signed = distances(wall.shape, geometry, x)
+    inside = signed < 0.5  # beyond its faces a box promises only the face's own distance
+    np.testing.assert_allclose(signed, exact(x), atol=1e-12)
+    for axis in range(3):
+        ahead, behind = (
+            distances(wall.shape, geometry, x + s * 1e-6 * EYE[axis])[1] for s in (1, -1)
+        )
+        slope = (ahead - behind) / 2e-6
+        smooth = np.abs(slope - normals[:, axis]) < 1e-4
+        assert smooth[inside].mean() > 0.99
+
+
+def test_a_sphere_and_a_capsule_have_a_normal_at_their_middle():
+    for shape, geometry in (
+        ("sphere", [[0, 0, 0], [1, 0, 0], [0, 0, 0]]),
+        ("capsule", [[0, 0, 0], [1, 0, 0], [0.5, 0, 0]]),
+    ):
+        normal, signed = distances(shape, geometry, np.array([[0.0, 0, 0]]))
+        assert np.linalg.norm(normal) == 1
+        assert signed[0] == -geometry[1 if shape == "sphere" else 2][0]
+
+
+@cache
+def make_answers(response: str):
+    answer = collide.RESPONSES[response]
+
+    @wp.kernel(module=f"phy124_test_answer_{response}", enable_backward=False)
+    def answers(
+        v: wp.array(dtype=wp.vec3d), wall: wp.vec3d, n: wp.vec3d, friction: wp.float64,
+        out: wp.array(dtype=wp.vec3d),
+    ):  # fmt: skip
+        out[wp.tid()] = answer(v[wp.tid()], wall, n, friction)
+
+    return answers
+
+
+def test_walls_answer_as_their_contact_says(rng):
+    v, wall = rng.standard_normal((300, 3)), np.array([0.3, -0.2, 0.1])
+    n, friction = np.array([0.6, 0.0, 0.8]), 0.3
+    got = {}
+    for response in collide.RESPONSES:
+        out = wp.zeros(300, dtype=wp.vec3d)
+        inputs = [wp.array(v, dtype=wp.vec3d), wp.vec3d(*wall), wp.vec3d(*n), friction]
+        wp.launch(make_answers(response), 300, inputs=inputs, outputs=[out])
+        got[response] = out.numpy()
+    relative = v - wall
+    speed = relative @ n
+    along = relative - speed[:, None] * n
+    np.testing.assert_allclose(got["sticky"], np.tile(wall, (300, 1)))
+    np.testing.assert_allclose(got["slip"], wall + along, atol=1e-14)
+    leaving = speed >= 0
+    np.testing.assert_array_equal(got["separate"][leaving], v[leaving])
+    length = np.linalg.norm(along, axis=1, keepdims=True)
+    share = np.maximum(0, 1 + friction * speed[:, None] / length)
+    np.testing.assert_allclose(
+        got["separate"][~leaving], (wall + share * along)[~leaving], atol=1e-14
+    )
+    assert np.any(share[~leaving] == 0)
+    assert np.any(share[~leaving] > 0)
+
+
+@pytest.mark.parametrize(
+    "wall",
+    [
+        Ground(height=0.0),
+        HalfSpace(),
+        Box(lower=(-1.0, -1.0, -0.5), upper=(1.0, 1.0, 0.0)),
+        Container(inside=Region(lower=(-0.2, -0.2, 0.0), upper=(0.6, 0.6, 1.0))),
+    ],
+    ids=lambda wall: wall.kind,
+)
+def test_a_settled_block_rests_on_the_wall(wall):
+    """Gap of at most 0.2 cells (a particle's half spacing taken off), none deep inside."""
+    s = solver(block(low=(0, 0, 0.05)), wall)
+    settle(s, 0.6)
+    bottom = s.state.x.numpy()[:, 2].reshape(8, 8, 8)[:, :, 0] - DX / 4
+    assert abs(bottom.mean()) < 0.2 * DX
+    assert bottom.min() > -0.5 * DX
+
+
+def test_round_obstacles_carry_what_falls_on_them():
+    for wall in (
+        Sphere(centre=(0.2, 0.2, -0.5), radius=0.5),
+        Capsule(start=(0.2, -1.0, -0.4), end=(0.2, 1.5, -0.4), radius=0.4),
+    ):
+        s = solver(block(), wall, Held(lower=(-9, -9, -9), upper=(9, 9, -2)))
+        settle(s, 0.3)
+        middle = s.state.x.numpy() - [0.2, 0.2, 0.0]
+        over = np.linalg.norm(middle[:, :2], axis=1) < 0.1
+        assert -0.5 * DX < middle[over, 2].min() - DX / 4 < 0.5 * DX
+        _, signed = distances(wall.shape, wall.geometry(s), s.state.x.numpy())
+        assert signed.min() > -0.6 * DX
+
+
+def test_slip_keeps_the_tangential_velocity_and_sticky_does_not():
+    for contact, kept in (("slip", True), ("sticky", False)):
+        s = solver(block(), Ground(contact=contact), v=np.tile([1.0, 0.5, 0], (512, 1)))
+        s.advance(0.2)
+        if kept:
+            np.testing.assert_allclose(s.state.v.numpy().mean(axis=0)[:2], [1.0, 0.5], rtol=1e-5)
+        else:
+            bottom = s.rest[:, 2] < 0.05
+            assert np.abs(s.state.x.numpy()[bottom] - s.rest[bottom]).max() < 0.1
+
+
+@pytest.mark.parametrize(("slope", "mu"), [(0.3, 0.5), (0.5, 0.3), (0.4, 0.0)])
+def test_a_block_on_an_incline_slides_only_if_it_is_steeper_than_mu(slope, mu):
+    """Gravity is tilted: a = g (sin - mu cos), or nothing where mu exceeds the slope."""
+    angle = np.arctan(slope)
+    g = 9.81 * np.array([np.sin(angle), 0, -np.cos(angle)])
+    tilted, body = Gravity(g=tuple(g)), NeoHookean(E=2e5)
+    s = solver(block(), Ground(friction=mu), forces=[tilted], material=body)
+    expected, free = (max(0.0, a) * 0.25**2 / 2 for a in (g[0] + mu * g[2], g[0]))
+    assert slide(s, EYE[0]) == pytest.approx(expected, abs=0.08 * free)
+
+
+def slide(s: Solver, along: np.ndarray) -> float:
+    """Way in 0.25 s from rest, after the weight has settled [m]."""
+    settle(s, 0.4)
+    s.state.v.zero_()
+    s.state.C.zero_()
+    before = (s.state.x.numpy() @ along).mean()
+    s.advance(s.time + 0.25)
+    return float((s.state.x.numpy() @ along).mean() - before)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("slope", "mu"), [(0.3, 0.5), (0.5, 0.3)])
+def test_an_incline_across_the_grid_does_the_same(slope, mu):
+    angle = np.arctan(slope)
+    along = np.array([np.cos(angle), 0, -np.sin(angle)])
+    up = np.array([np.sin(angle), 0, np.cos(angle)])
+    x = (block() - [0.2, 0.2, 0]) @ np.array([along, [0, 1, 0], up])
+    s = solver(x, HalfSpace(normal=tuple(up), friction=mu), material=NeoHookean(E=2e5))
+    expected = max(0.0, 9.81 * (np.sin(angle) - mu * np.cos(angle))) * 0.25**2 / 2
+    free = 9.81 * np.sin(angle) * 0.25**2 / 2
+    assert slide(s, along) == pytest.approx(expected, abs=0.25 * free)
+
+
+def test_a_press_moves_what_it_touches_and_a_wall_moves_along_its_path():
+    press = Press(depth=0.3, down=0.2, hold=0.1, up=0.2, friction=0.0)
+    s = solver(block(), Ground(), press, forces=[])
+    s.advance(0.25)
+    top = s.state.x.numpy()[:, 2].max() + DX / 4
+    assert top == pytest.approx(0.4 - 0.3 * 0.35, abs=0.3 * DX)
+    path = Path(times=(0.0, 0.2), points=((0.0, 0.0, 0.0), (0.3, 0.0, 0.0)))
+    pushed = solver(
+        block(low=(0.0, 0, 0)), HalfSpace(normal=(1, 0, 0), contact="sticky", motion=path),
+        forces=[], origin=(0.25 * DX, 0, 0),
+    )  # fmt: skip
+    settle(pushed, 0.6)
+    assert pushed.state.x.numpy()[:, 0].min() - DX / 4 == pytest.approx(0.3, abs=0.5 * DX)
+
+
+def test_a_shaking_base_carries_what_sticks_to_it():
+    swing = Swing(amplitude=(0.05, 0.0, 0.0), frequency=2.0, start=0.1)
+    s = solver(block(), Ground(contact="sticky", motion=swing), material=NeoHookean(E=1e6))
+    s.advance(0.1)
+    before = s.state.x.numpy()[:, 0].mean()
+    s.advance(0.225)
+    assert s.state.x.numpy()[:, 0].mean() - before == pytest.approx(0.05, abs=0.01)
+    s.advance(0.475)
+    assert s.state.x.numpy()[:, 0].mean() - before == pytest.approx(-0.05, abs=0.01)
+
+
+def test_a_gripper_lifts_a_block():
+    gripper = Gripper(
+        axis="x", centre=(0.2, 0.2, 0.2), opening=0.6, closed=0.3, width=0.5, thick=0.4,
+        close=0.15, lift=0.2, rise=0.3, friction=2.0,
+    )  # fmt: skip
+    s, heights = solver(block(), Ground(), gripper, material=NeoHookean(E=1e5)), []
+    for time in (0.15, 0.6, 0.75):
+        s.advance(time)
+        heights.append(s.state.x.numpy()[:, 2].mean())
+    assert heights[1] - heights[0] == pytest.approx(0.2, abs=0.03)
+    assert heights[2] == pytest.approx(heights[1], abs=0.005)
+
+
+def test_a_container_keeps_a_fluid():
+    tank = Region(lower=(0.0, 0.0, 0.0), upper=(0.8, 0.4, 1e9))
+    water = Fluid(bulk_modulus=2e4)
+    s = solver(block(), Container(inside=tank, friction=0.0), material=water)
+    s.advance(0.8)
+    x = s.state.x.numpy()
+    # The layer of nodes that stops it lies up to 1.15 cells inside a wall; a fluid nears it.
+    assert np.all(x >= np.array(tank.lower) - 1.1 * DX)
+    assert np.all(x[:, :2] <= np.array(tank.upper)[:2] + 1.1 * DX)
+    assert x[:, 0].max() > 0.7
+    assert np.median(x[:, 2]) < 0.15
+
+
+def test_foot_and_held_hold_their_part(rng):
+    for wall in (Foot(share=0.3), Held(lower=(-1, -1, -1), upper=(1, 1, 0.12))):
+        s = solver(block(), wall, forces=[Gravity(g=(9.81, 0, 0))])
+        s.advance(0.1)
+        moved = np.abs(s.state.x.numpy() - s.rest)[:, 0]
+        assert moved[s.rest[:, 2] < 0.05].max() < 0.1 * moved[s.rest[:, 2] > 0.35].min()
+
+
+def test_two_threads_see_the_same_walls():
+    tank = Container(inside=Region(lower=(-0.1, -0.1, 0.0), upper=(0.6, 0.5, 1e9)))
+    places = []
+    for threads in (1, 2):
+        s = solver(block(), tank, Sphere(centre=(0.4, 0.2, 0.0), radius=0.15), threads=threads)
+        s.advance(0.1)
+        places.append(s.state.x.numpy())
+    np.testing.assert_allclose(places[0], places[1], atol=1e-5)
+
+
+def stages(*walls) -> list[str]:
+    """Names of the collider stages that are launched in a substep."""
+    s = solver(block(), *walls)
+    s.step(1e-4, 1e-4)
+    known = {"clear", "grid", "p2g neo_hookean", "g2p neo_hookean"}
+    return [name for phase in s.lanes[0].phases for name, _ in phase if name not in known]
+
+
+def test_each_boundary_launches_its_number_and_an_absent_one_nothing():
+    assert stages() == []
+    assert stages(Ground()) == ["ground"]
+    assert stages(Ground(), Press()) == ["ground", "press"]
+    assert stages(Sphere(), Box(), Capsule()) == ["sphere", "box", "capsule"]
+    assert stages(Container(inside=Region(lower=(-0.1, -0.1, -0.1)))) == ["container"] * 3
+    assert (
+        stages(Gripper(centre=(0.2, 0.2, 0.2), opening=0.5, closed=0.3, thick=0.3))
+        == ["gripper"] * 2
+    )
+    assert stages(Sphere(centre=(50.0, 0, 0)), Ground(height=-70.0)) == []
+
+
+def test_thin_obstacles_are_refused_with_a_reason():
+    with pytest.raises(InputError, match="thinner than two grid cells") as refused:
+        solver(block(), Box(lower=(0, 0, 0), upper=(1, 1, 0.05)))
+    assert "Make it thicker or the grid finer" in str(refused.value)
+
+
+def test_boundaries_are_named_by_their_kind_and_refuse_nonsense():
+    adapter = TypeAdapter(AnyBoundary)
+    moving = Sphere(motion=Swing())
+    for wall in (Ground(), moving, Box(motion=Path()), Capsule(), Container(), Gripper(), Foot()):
+        assert adapter.validate_python(wall.model_dump()) == wall
+        assert adapter.validate_json(wall.model_dump_json()) == wall
+    with pytest.raises(ValidationError, match="swap them"):
+        Box(lower=(1, 0, 0), upper=(0, 1, 1))
+    with pytest.raises(ValidationError, match="use a sphere"):
+        Capsule(start=(0, 0, 0), end=(0, 0, 0))
+    with pytest.raises(ValidationError, match="the normal is zero"):
+        HalfSpace(normal=(0, 0, 0))
+    with pytest.raises(ValidationError, match="must end where it begins"):
+        Path(times=(0, 1), points=((0, 0, 0), (1, 0, 0)), repeat=True)
+    with pytest.raises(ValidationError, match="must be less than opening"):
+        Gripper(opening=0.3, closed=0.4)
+    with pytest.raises(ValidationError, match="Extra inputs"):
+        Press(motion=Swing())
