@@ -1,0 +1,31 @@
+"""What the README says is so: its code runs, its files exist, its presets are there."""
+
+import re
+from pathlib import Path
+
+from shapes import ball
+
+from phy124.ply import write_ply
+
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "README.md").read_text()
+
+
+def test_the_python_example_runs(tmp_path, monkeypatch, capsys):
+    code = re.search(r"```python\n(.*?)```", README, re.S)
+    assert code
+    write_ply(tmp_path / "object.ply", ball(500))
+    monkeypatch.chdir(tmp_path)
+    quick = code[1].replace('Scene.named("press")', 'Scene.named("press").replaced(QUICK)')
+    exec(quick, {"QUICK": {"accuracy": {"cells": 8}, "time.frames": 2}})
+    assert len(capsys.readouterr().out.strip().splitlines()[-2:]) == 2
+
+
+def test_every_file_it_names_exists():
+    table = README[README.index("## Where things are") :]
+    for cell in re.findall(r"^\| (.*?) \|", table, re.M)[2:]:
+        folder = ""
+        for name in re.findall(r"`([^`]+)`", cell):
+            folder = name[: name.rindex("/", 0, -1) + 1] if "/" in name.rstrip("/") else folder
+            path = name if (ROOT / name).exists() else f"phy124/{name}"
+            assert (ROOT / path).exists(), name
