@@ -110,6 +110,7 @@ def test_mvdream_is_the_same_network_without_a_picture(folder):
     config["ip_dim"] = 0
     with torch.device("meta"):
         empty = MultiViewUNet(Config(**config))
+    del config["ip_dim"]  # told by the tensors
     unet = load_unet(formula.state_dict(empty), **config)
     arrays = np.load(folder / "mvdream_unet_tiny.npz")
     x, t, context, camera = (torch.from_numpy(arrays[k]) for k in ("x", "t", "context", "camera"))

@@ -41,10 +41,19 @@ def tiny() -> LgmModel:
 
 def test_formula_weights_equal_the_golden_recipe(golden_lgm):
     recipe = np.load(golden_lgm / "hash_recipe.npz")
-    weights = load_file(golden_lgm / "lgm_full.weights.fp16.safetensors")
-    for key, value in weights.items():
+    key = "unet.conv_in.weight"
+    np.testing.assert_allclose((formula.uniform(key, 16) + 1) / 2, recipe["u01"], rtol=1e-12)
+    np.testing.assert_array_equal(formula.weight(key, (64, 9, 3, 3))[:2], recipe["conv_w"])
+    for name, key in (
+        ("norm_w", "unet.norm_out.weight"),
+        ("bias", "unet.conv_in.bias"),
+        ("running_var", "stage1.rebnconvin.bn_s1.running_var"),
+    ):
+        np.testing.assert_array_equal(formula.weight(key, recipe[name].shape), recipe[name])
+    x = formula.inputs("lgm_hash/x", (4, 9, 64, 64), -1, 1)
+    np.testing.assert_array_equal(x[0, :, ::16, ::16], recipe["x"])
+    for key, value in load_file(golden_lgm / "lgm_full.weights.fp16.safetensors").items():
         np.testing.assert_array_equal(formula.weight(key, tuple(value.shape)), value.float())
-    assert set(recipe.files) == {"u01", "conv_w", "norm_w", "bias", "running_var", "x"}
 
 
 @pytest.mark.parametrize("name", ["sym", "noattn"])

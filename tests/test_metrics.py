@@ -7,7 +7,12 @@ import numpy as np
 import pytest
 import torch
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
-from transformers import CLIPVisionConfig, CLIPVisionModelWithProjection
+from transformers import (
+    CLIPConfig,
+    CLIPModel,
+    CLIPVisionConfig,
+    CLIPVisionModelWithProjection,
+)
 
 from phy124.clip import Clip
 from phy124.errors import InputError
@@ -96,6 +101,22 @@ def test_clip_embeds_pictures_as_transformers_does(tiny_clip, rng):
     np.testing.assert_allclose(model(images / 255), rows, atol=1e-6)
     other = similarity.Clip(tiny_clip, order="bgr")(images[..., ::-1])
     np.testing.assert_allclose(other, rows, atol=1e-6)
+
+
+def test_whole_clip_models_serve_as_well(tmp_path, rng):
+    """Repositories hold both towers; the answer is that of CLIP's own picture features."""
+    torch.manual_seed(0)
+    text = {k: v for k, v in TINY.items() if k not in ("image_size", "patch_size")}
+    text |= {"vocab_size": 99, "max_position_embeddings": 8, "bos_token_id": 1, "eos_token_id": 2}
+    both = CLIPModel(CLIPConfig(vision_config=TINY, text_config=text, projection_dim=16)).eval()
+    both.save_pretrained(tmp_path)
+    images = (rng.random((2, 32, 32, 3)) * 255).astype(np.uint8)
+    pixels = np.stack([similarity._pixels(image, 32, "rgb") for image in images])
+    with torch.inference_mode():
+        vision = both.vision_model(pixel_values=torch.from_numpy(pixels)).pooler_output
+        wanted = both.visual_projection(vision)
+    rows = similarity.Clip(str(tmp_path))(images)
+    np.testing.assert_allclose(rows, wanted, rtol=1e-4, atol=1e-6)
 
 
 def test_missing_and_foreign_clip_models_are_refused_in_words(tmp_path, monkeypatch):

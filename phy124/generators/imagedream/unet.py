@@ -190,9 +190,16 @@ def load_unet(
 ) -> MultiViewUNet:
     """Build the network of `config` (fields of `Config`) and fill it strictly.
 
-    Accepts the names of the diffusers repository and of the authors' checkpoint. Raises
-    InputError if a field is unknown or the tensors are not those of this network.
+    Accepts the names of the diffusers repository and of the authors' checkpoint; without a
+    picture's tensors it is MVDream. Raises InputError if a field is unknown or the tensors are not
+    those of this network.
     """
+    tensors = state_dict_or_path
+    if isinstance(tensors, (str, os.PathLike)):
+        tensors = read_tensors(tensors)
+    tensors = without_prefix(tensors, ORIGINAL_PREFIX)
+    if not any(key.startswith("image_embed.") for key in tensors):
+        config.setdefault("ip_dim", 0)
     try:
         chosen = Config(**config)
     except TypeError as error:
@@ -202,9 +209,5 @@ def load_unet(
         ) from error
     with torch.device("meta"):
         unet = MultiViewUNet(chosen)
-    tensors = state_dict_or_path
-    if isinstance(tensors, (str, os.PathLike)):
-        tensors = read_tensors(tensors)
-    name = "ImageDream's U-Net" if chosen.ip_dim else "MVDream's U-Net"
-    fill(unet, without_prefix(tensors, ORIGINAL_PREFIX), name)
+    fill(unet, tensors, "ImageDream's U-Net" if chosen.ip_dim else "MVDream's U-Net")
     return unet.to(device=device, dtype=dtype).eval().requires_grad_(False)
