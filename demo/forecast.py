@@ -69,10 +69,16 @@ class Forecaster:
         self.rates = Rates()
 
     def __call__(
-        self, scene: Scene, *, generated: bool = False, simulated: bool = False
+        self,
+        scene: Scene,
+        *,
+        gaussians: int = GAUSSIANS,
+        generated: bool = False,
+        simulated: bool = False,
     ) -> Forecast:
         """The forecast of a run; `generated` and `simulated`: these stages are there already."""
-        rates, substeps, particles = self.rates, count_substeps(scene), count_particles(scene)
+        rates, substeps = self.rates, count_substeps(scene)
+        particles = count_particles(scene, gaussians)
         frames, view = scene.time.frames, scene.view
         seconds = rates.rest + rates.pixel * frames * len(view.views) * view.size**2
         if not simulated:

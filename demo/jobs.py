@@ -26,7 +26,7 @@ from demo.catalogue import check_time, scene_of
 from demo.forecast import Forecaster
 from demo.settings import Settings
 from demo.visitors import Visitor, Visitors, key
-from demo.work import DEVICE, Done, Glimpse, Order, Reused, Step, steps
+from demo.work import BEAT, DEVICE, Done, Glimpse, Order, Reused, Step, steps
 from phy124.clip import Clip
 from phy124.errors import Cancelled, InputError
 from phy124.export import write_ply_sequence
@@ -59,6 +59,8 @@ class Studio:
     forecaster: Forecaster = field(default_factory=Forecaster)
     work: Callable[[Order], Iterator[Any]] = steps
     """What runs an order; on ZeroGPU it is wrapped by `spaces.GPU`."""
+    warm: threading.Event = field(default_factory=threading.Event)
+    """Set once all kernels are loaded."""
 
     def cut(self, session: str, picture: str | None, strokes: Image.Image | None = None) -> Cutout:
         """Cut the object out of an uploaded picture; raises InputError."""
@@ -77,7 +79,8 @@ class Studio:
         """What a run would take; a complaint if it is not allowed."""
         del session, cutout
         try:
-            forecast = self.forecaster(scene_of(data, self.settings))
+            scene = scene_of(data, self.settings)
+            forecast = self.forecaster(scene, gaussians=self.settings.gaussians)
             check_time(forecast, self.settings)
         except InputError as error:
             return f"{error.field}: {sentence(error)}"
@@ -89,7 +92,7 @@ class Studio:
             if not cutout or not Path(cutout).exists():
                 raise InputError("picture", "none", "There is no picture yet.", "Choose one first.")
             scene = scene_of(data, self.settings)
-            forecast = self.forecaster(scene)
+            forecast = self.forecaster(scene, gaussians=self.settings.gaussians)
             check_time(forecast, self.settings)
         except InputError as error:
             yield Progress(message=sentence(error), state="refused")
@@ -105,13 +108,14 @@ class Studio:
         limits = self.settings
         order = Order(
             visitor.folder, cutout, scene, stop, limits.max_seconds, limits.max_particles,
-            device=limits.device, about=(("generator", "relief"),),
+            device=limits.device, gaussians=limits.gaussians, about=(("generator", "relief"),),
         )  # fmt: skip
         events = self.work(order)
         try:
             for event in events:
                 progress.take(event)
-                yield progress
+                if progress.due():
+                    yield progress
         except Cancelled:
             progress.message, progress.state = "Stopped.", "stopped"
             yield progress
@@ -139,6 +143,7 @@ class Studio:
 
         with DEVICE:
             warm_up(self.settings.device)
+        self.warm.set()
 
 
 @dataclass
@@ -160,23 +165,32 @@ class Progress:
     start: float = field(default_factory=time.monotonic)
     stages: dict[str, Step] = field(default_factory=dict)
     reused: list[str] = field(default_factory=list)
-    glimpse: bytes | None = None
+    glimpses: list[bytes] = field(default_factory=list)
+    """Pictures since the page was last told."""
     done: Done | None = None
+    told: float = 0.0
 
     def take(self, event: Any) -> None:
         """Take an event of the work into account; None only lets time pass."""
-        self.glimpse = None
         if isinstance(event, Step):
             self.stages[event.stage] = event
         elif isinstance(event, Reused):
             self.reused.append(event.stage)
         elif isinstance(event, Glimpse):
-            self.glimpse = event.picture
+            self.glimpses.append(event.picture)
         elif isinstance(event, Done):
             self.done, self.state = event, "done"
 
+    def due(self) -> bool:
+        """Whether the page should be told now: not for every substep, a browser cannot follow."""
+        now = time.monotonic()
+        if self.done is None and now - self.told < BEAT:
+            return False
+        self.told = now
+        return True
+
     def data(self) -> dict[str, Any]:
-        """Plain data for the page."""
+        """Plain data for the page, the new pictures handed over once."""
         rows = []
         for name, label in STAGES.items():
             step = self.stages.get(name)
@@ -189,14 +203,15 @@ class Progress:
                     "reused": name in self.reused,
                 }
             )
-        picture = self.glimpse and base64.b64encode(self.glimpse).decode()
+        pictures = [base64.b64encode(picture).decode() for picture in self.glimpses]
+        self.glimpses.clear()
         return {
             "state": self.state,
             "message": self.message,
             "elapsed": time.monotonic() - self.start,
             "expected": self.expected,
             "stages": rows,
-            "glimpse": picture,
+            "glimpses": pictures,
         }
 
 

@@ -96,7 +96,10 @@ def routes(studio: Studio) -> list[Route | Mount]:
 
     async def health(_: Request) -> Response:
         busy, visitors = DEVICE.locked(), len(studio.visitors)
-        return JSONResponse({"status": "ok", "busy": busy, "visitors": visitors})
+        ready = studio.warm.is_set()
+        return JSONResponse(
+            {"status": "ok", "ready": ready, "busy": busy, "visitors": visitors},
+        )
 
     return [
         Route("/health", health),

@@ -24,6 +24,9 @@ class Settings(BaseModel):
     port: int = Field(default=7860, ge=1, le=65535, description="Port to listen on.")
     device: str = Field(default="auto", description="auto, cpu or cuda:0.")
     folder: str = Field(default="", description="Where visitors' files lie; empty: a new one.")
+    gaussians: int = Field(
+        default=50_000, ge=1000, le=500_000, description="Gaussians made of a picture."
+    )
     max_upload_mb: float = Field(default=8, gt=0, le=1000, description="Largest upload [MB].")
     max_megapixels: float = Field(default=25, gt=0, le=50, description="Largest picture [million].")
     max_frames: int = Field(default=72, ge=1, le=10_000, description="Frames of one run.")

@@ -16,12 +16,14 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from PIL import Image
 
+from demo.forecast import GAUSSIANS
 from demo.visitors import STAGES, key
 from phy124 import pipeline
 from phy124.camera import Camera
@@ -62,6 +64,8 @@ class Order:
     """Longest wall-clock time."""
     max_particles: int
     generator: str = "relief"
+    gaussians: int = GAUSSIANS
+    """How many `relief` makes."""
     device: str = "auto"
     about: tuple[tuple[str, str], ...] = ()
     """More for the report."""
@@ -187,7 +191,7 @@ def _teller(order: Order, put: Callable[[Event], None]) -> Tell:
 
 
 def _produce(order: Order, tell: Tell) -> Done:
-    made = key(order.cutout.read_bytes(), order.generator, order.scene.seed)
+    made = key(order.cutout.read_bytes(), order.generator, order.gaussians, order.scene.seed)
     source = order.folder / "gaussians" / f"{made}.safetensors"
     physics = {name: value for name, value in order.scene.data().items() if name != "view"}
     clips = order.folder / "clips" / key(made, physics)
@@ -211,11 +215,15 @@ def _gaussians(order: Order, path: Path, tell: Tell) -> Gaussians:
         tell(Reused("generate"))
         return Clip.load(path).frame(0).gaussians
     tell(Step("generate", 0, 1))
-    gaussians = make_generator(order.generator)(
-        Image.open(order.cutout),
-        seed=order.scene.seed,
-        progress=lambda _, done, total: tell(Step("generate", done, total)),
-    )
+    make: Any = make_generator(order.generator)
+    if order.generator == "relief":
+        make = partial(make, count=order.gaussians)
+    with Image.open(order.cutout) as cutout:
+        gaussians = make(
+            cutout,
+            seed=order.scene.seed,
+            progress=lambda _, done, total: tell(Step("generate", done, total)),
+        )
     Clip.from_frames([Frame(0, 0.0, gaussians)]).save(path)
     return gaussians
 

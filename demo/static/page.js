@@ -47,7 +47,7 @@
         element.replaceChildren();
         return;
       }
-      if (value.glimpse) frames.push(`data:image/jpeg;base64,${value.glimpse}`);
+      for (const glimpse of value.glimpses || []) frames.push(`data:image/jpeg;base64,${glimpse}`);
       const running = value.state === 'running' || value.state === 'waiting';
       if (frames.length && !timer) timer = setInterval(flip, 70);
       if (!frames.length) picture.removeAttribute('src');

@@ -93,7 +93,8 @@
         const [x, y] = [50 + 42 * state.right, 50 - 42 * state.away];
         pad.querySelector('.pad-dot').setAttribute('cx', x); pad.querySelector('.pad-dot').setAttribute('cy', y);
         pad.querySelector('.pad-line').setAttribute('x2', x); pad.querySelector('.pad-line').setAttribute('y2', y);
-        const side = [state.right > 0.3 && 'right', state.right < -0.3 && 'left', state.away > 0.3 && 'away', state.away < -0.3 && 'forward', state.up > 0.3 && 'up', state.up < -0.3 && 'down'].filter(Boolean).join(', ');
+        const reach = Math.hypot(state.right, state.away, state.up) || 1, [r, w, u] = [state.right, state.away, state.up].map((v) => v / reach);
+        const side = [r > 0.3 && 'right', r < -0.3 && 'left', w > 0.3 && 'away', w < -0.3 && 'forward', u > 0.3 && 'up', u < -0.3 && 'down'].filter(Boolean).join(', ');
         output.textContent = state.strength ? `${side || 'nowhere'}, ${nice(state.strength, 2)} m/s²` : 'none';
         pad.setAttribute('aria-valuetext', output.textContent);
         pad.setAttribute('aria-valuenow', Math.round((Math.atan2(state.right, state.away) * 180 / Math.PI + 360) % 360));

@@ -1,0 +1,271 @@
+"""The page in a real headless Chromium, from the upload to the files taken away."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import re
+import shutil
+import time
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from served import ROOT, Server, serving
+
+pytestmark = pytest.mark.browser
+playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+CHROMIUM = shutil.which("chromium")
+FLAGS = [
+    "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist",
+]  # fmt: skip
+DUCK = ROOT / "demo" / "examples" / "duck.png"
+LONG = 60_000
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory):
+    # Software WebGL draws few Gaussians in good time.
+    with serving(tmp_path_factory.mktemp("web"), gaussians=4000) as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def browser():
+    if CHROMIUM is None:
+        pytest.skip("Debian's chromium is not installed (make test-browser installs it)")
+    with playwright.sync_playwright() as session:
+        chromium = session.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        yield chromium
+        chromium.close()
+
+
+class Visit:
+    """A visitor's tab that notes every complaint and every request to elsewhere."""
+
+    def __init__(self, browser, server: Server, **context) -> None:
+        size = {"width": 1280, "height": 900}
+        self.context = browser.new_context(
+            **{"viewport": size, "reduced_motion": "reduce", **context}
+        )
+        self.page = self.context.new_page()
+        self.complaints: list[str] = []
+        self.page.on("console", lambda m: m.type == "error" and self.complaints.append(m.text))
+        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
+        self.page.on("request", lambda r: self._note(r.url, server.url))
+        self.page.goto(server.url)
+        self.page.wait_for_selector("#scene .card")
+
+    def _note(self, url: str, home: str) -> None:
+        if not url.startswith((home, "data:", "blob:")):
+            self.complaints.append(f"request to {url}")
+
+    def upload(self, path: Path = DUCK) -> None:
+        self.page.locator("#photo input[type=file]").set_input_files(path)
+        self.page.wait_for_selector("#cutout img", timeout=LONG)
+
+    def choose(self, *, frames: int, accuracy: str = "draft") -> None:
+        self.page.get_by_label("Frames", exact=True).fill(str(frames))
+        self.page.locator(f".segments input[value={accuracy}]").check(force=True)
+        self.page.wait_for_function(
+            "document.querySelector('#forecast').textContent.includes('substeps')"
+        )
+        # The editor tells the server a moment after the last change.
+        self.page.wait_for_timeout(400)
+
+    def generate(self) -> None:
+        self.page.locator("#go").click()
+
+    def finished(self) -> None:
+        self.page.wait_for_selector(".film video", timeout=LONG)
+        self.page.wait_for_selector("#go:not([disabled])", timeout=LONG)
+
+
+def test_from_picture_to_files(browser, server, tmp_path):
+    visit = Visit(browser, server, accept_downloads=True)
+    page = visit.page
+    visit.upload()
+    visit.choose(frames=5)
+    visit.generate()
+    page.wait_for_selector(".glimpse[src]", timeout=LONG)
+    visit.finished()
+    _video_plays(page)
+    _viewer_moves(page)
+    _files_open(page, tmp_path)
+    page.get_by_role("tab", name="Report").click()
+    assert "Smallest volume ratio J" in page.locator(".report").inner_text()
+    assert visit.complaints == []
+    visit.context.close()
+
+
+def _video_plays(page) -> None:
+    state = page.evaluate(
+        """async () => { const v = document.querySelector('.film video'); await v.play();
+        await new Promise((done) => setTimeout(done, 300)); v.pause();
+        const c = document.createElement('canvas'); c.width = v.videoWidth; c.height = v.videoHeight;
+        const g = c.getContext('2d'); g.drawImage(v, 0, 0);
+        const d = g.getImageData(0, 0, c.width, c.height).data;
+        return [v.readyState, d.reduce((a, b) => Math.min(a, b)), d.reduce((a, b) => Math.max(a, b))]; }"""
+    )
+    assert state[0] >= 3
+    assert state[1] < 120 and state[2] > 240, "the video is blank"
+
+
+def _canvas(page) -> np.ndarray:
+    url = page.evaluate("document.querySelector('.phy-canvas').toDataURL()")
+    data = base64.b64decode(url.split(",")[1])
+    return np.asarray(Image.open(io.BytesIO(data)).convert("RGB")).astype(float)
+
+
+def _psnr(a: np.ndarray, b: np.ndarray) -> float:
+    return -10 * np.log10(((a - b) ** 2).mean() / 255**2)
+
+
+def _viewer_moves(page) -> None:
+    page.wait_for_selector("#viewer .phy-time")
+    before = _drawn(page, lambda picture: picture.min() < 120, "the viewer is blank")
+    page.locator("#viewer .phy-time").fill("0.16")
+    _drawn(page, lambda now: np.abs(now - before).max() > 60, "the slider moves nothing")
+
+
+def _drawn(page, good, complaint: str) -> np.ndarray:
+    """The viewer's picture once it is as it should be; software WebGL takes its time."""
+    for _ in range(40):
+        picture = _canvas(page)
+        if good(picture):
+            return picture
+        page.wait_for_timeout(200)
+    raise AssertionError(complaint)
+
+
+def _files_open(page, folder: Path) -> None:
+    page.get_by_role("tab", name="Take away").click()
+    offered = page.locator("#takeaway a.file")
+    names = [offered.nth(i).get_attribute("data-name") for i in range(offered.count())]
+    for name in names:
+        with page.expect_download() as download:
+            page.locator(f'#takeaway a[data-name="{name}"]').click()
+        download.value.save_as(folder / name)
+    for kind, name in (("html", "player.html"), ("ply", "phy124-ply.zip")):
+        with page.expect_download(timeout=LONG) as download:
+            page.locator(f"#takeaway button[data-kind={kind}]").click()
+        download.value.save_as(folder / name)
+    _check_files(folder)
+
+
+def _check_files(folder: Path) -> None:
+    from phy124.clip import Clip
+    from phy124.ply import read_ply
+    from phy124.scene import Scene
+
+    assert len(Clip.load(folder / "clip.safetensors")) == 5
+    assert Scene.from_toml(folder / "scene.toml").time.frames == 5
+    assert json.loads((folder / "report.json").read_text())["complete"] is True
+    with Image.open(folder / "orbit.webp") as orbit:
+        assert orbit.n_frames == 5
+    assert len(read_ply(folder / "gaussians.ply").gaussians) > 1000
+    assert (folder / "front.mp4").read_bytes()[4:8] == b"ftyp"
+    names = zipfile.ZipFile(folder / "phy124-ply.zip").namelist()
+    assert names == [f"phy124_{i:04d}.ply" for i in range(1, 6)]
+    page = (folder / "player.html").read_text("utf-8")
+    assert not re.search(r'(?:src|href)="', page), "the exported player asks for other files"
+
+
+def test_cancel_frees_the_device_and_the_next_job_runs(browser, server):
+    visit = Visit(browser, server)
+    visit.upload()
+    visit.choose(frames=60, accuracy="standard")
+    visit.generate()
+    visit.page.wait_for_selector(".glimpse[src]", timeout=LONG)
+    assert server.health()["busy"]
+    visit.page.locator("#cancel").click()
+    start = time.monotonic()
+    server.until(lambda: not server.health()["busy"], 5)
+    freed = time.monotonic() - start
+    visit.page.get_by_text("Stopped.").wait_for()
+    visit.choose(frames=3)
+    visit.generate()
+    visit.finished()
+    assert visit.complaints == []
+    visit.context.close()
+    assert freed < 1, f"the device was freed after {freed:.2f} s"
+
+
+def test_two_visitors_get_their_own_results(browser, server):
+    visits = [Visit(browser, server), Visit(browser, server)]
+    for visit, name in zip(visits, ("duck", "pear"), strict=True):
+        visit.upload(ROOT / "demo" / "examples" / f"{name}.png")
+        visit.choose(frames=2)
+    for visit in visits:
+        visit.generate()
+    pictures = []
+    for visit in visits:
+        visit.finished()
+        src = visit.page.locator(".film video").first.get_attribute("src")
+        pictures.append(visit.page.request.get(src).body())
+        assert visit.complaints == []
+        visit.context.close()
+    assert pictures[0] != pictures[1]
+
+
+def test_phone_has_no_overflow_and_a_bad_file_a_readable_message(browser, server, tmp_path):
+    visit = Visit(browser, server, viewport={"width": 375, "height": 812}, has_touch=True)
+    wide = visit.page.evaluate("document.documentElement.scrollWidth")
+    assert wide <= 375, f"the page is {wide} pixels wide"
+    (tmp_path / "text.png").write_text("this is no picture")
+    visit.page.locator("#photo input[type=file]").set_input_files(tmp_path / "text.png")
+    visit.page.get_by_text("It is not a PNG, JPEG or WebP picture.").wait_for()
+    visit.context.close()
+
+
+def test_everything_is_reachable_by_keyboard_and_named(browser, server):
+    visit = Visit(browser, server)
+    unnamed = visit.page.evaluate(
+        """() => [...document.querySelectorAll('main button, main input:not([type=file]), main select, main [tabindex="0"]')]
+        .filter((e) => e.offsetParent && !(e.getAttribute('aria-label') || e.title || e.textContent.trim()
+            || e.labels?.length || e.getAttribute('aria-labelledby'))).map((e) => e.outerHTML.slice(0, 120))"""
+    )
+    assert unnamed == []
+    pad = visit.page.locator(".pad")
+    pad.focus()
+    pad.press("ArrowRight")
+    assert "right" in pad.get_attribute("aria-valuetext")
+    visit.context.close()
+
+
+def test_the_player_draws_what_our_renderer_draws(browser, tmp_path):
+    """Exported file, offline: PSNR against our own renderer on a small object, at three times."""
+    from phy124.camera import Camera
+    from phy124.clip import Clip
+    from phy124.export.html import write_html
+    from phy124.gaussians import Frame, Gaussians
+    from phy124.render import Renderer
+
+    rng = np.random.default_rng(0)
+    away = rng.normal(size=(3000, 3))
+    means = 0.4 * away / np.linalg.norm(away, axis=1, keepdims=True)
+    quats = rng.normal(size=(3000, 4))
+    quats /= np.linalg.norm(quats, axis=1, keepdims=True)
+    scales = np.exp(rng.uniform(-4.6, -3.2, (3000, 3)))
+    rgb = 0.5 + means
+    frames = []
+    for index in range(3):
+        stretched = means * [1, 1 + 0.4 * index, 1 - 0.2 * index]
+        shape = scales * (1 + 0.2 * index)
+        gaussians = Gaussians.from_rgb(stretched, quats, shape, np.full(3000, 0.8), rgb)
+        frames.append(Frame(index, index / 10, gaussians))
+    camera = Camera.orbit(30, 20, 2.2, 256)
+    write_html(tmp_path / "player.html", Clip.from_frames(frames), camera)
+    context = browser.new_context(reduced_motion="reduce", offline=True)
+    page = context.new_page()
+    page.goto(f"file://{tmp_path}/player.html")
+    page.wait_for_function("globalThis.player")
+    for frame in frames:
+        page.evaluate(f"player.stage.resize(256, 256); player.seek({frame.time})")
+        wanted = 255 * Renderer(device="cpu")(frame.gaussians, camera)
+        _drawn(page, lambda now, wanted=wanted: _psnr(now, wanted) > 25, "below 25 dB")
+    context.close()

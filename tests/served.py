@@ -1,0 +1,84 @@
+"""A real server of the page for tests: `python app.py` with its own port and folder."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import re
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+PATIENCE = 90
+
+
+class Server:
+    """A running server."""
+
+    def __init__(self, port: int, folder: Path, process: subprocess.Popen) -> None:
+        self.port, self.folder, self.process = port, folder, process
+        self.url = f"http://127.0.0.1:{port}"
+
+    def health(self) -> dict:
+        with urllib.request.urlopen(f"{self.url}/health", timeout=10) as answer:
+            return json.load(answer)
+
+    def threads(self) -> int:
+        """Threads of ours that do work."""
+        names = [
+            path.joinpath("comm").read_text().strip()
+            for path in Path(f"/proc/{self.process.pid}/task").iterdir()
+        ]
+        return sum(name.startswith(("work", "render")) for name in names)
+
+    def peak_memory(self) -> int:
+        """Greatest resident size so far, bytes."""
+        status = Path(f"/proc/{self.process.pid}/status").read_text()
+        match = re.search(r"VmHWM:\s+(\d+) kB", status)
+        assert match is not None
+        return int(match[1]) * 1024
+
+    def until(self, condition, patience: float = PATIENCE) -> None:
+        """Wait for something to become true."""
+        end = time.monotonic() + patience
+        while not condition():
+            assert time.monotonic() < end, "it did not happen"
+            time.sleep(0.05)
+
+    def until_idle(self) -> None:
+        self.until(lambda: not self.health()["busy"])
+
+
+@contextlib.contextmanager
+def serving(folder: Path, **settings: object) -> Iterator[Server]:
+    """Serve until the block ends; settings are those of demo.settings.Settings."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    given = {f"PHY124_{name.upper()}": str(value) for name, value in settings.items()}
+    environment = {**os.environ, "PHY124_PORT": str(port), "PHY124_FOLDER": str(folder), **given}
+    with open(folder / "log.txt", "wb") as log:
+        process = subprocess.Popen(
+            [sys.executable, "app.py"], cwd=ROOT, env=environment, stdout=log, stderr=log
+        )
+    server = Server(port, folder, process)
+    try:
+        server.until(lambda: _answers(server))
+        yield server
+    finally:
+        process.terminate()
+        process.wait(20)
+
+
+def _answers(server: Server) -> bool:
+    assert server.process.poll() is None, (server.folder / "log.txt").read_text()
+    try:
+        return server.health()["ready"]
+    except OSError:
+        return False
