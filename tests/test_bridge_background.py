@@ -39,8 +39,16 @@ def test_write_returns_although_the_disk_stands_still(caplog):
     with Background(slow, depth=3) as background:
         background.write(FRAME)
         assert slow.busy.wait(WAIT)
+        put = background._queue.put
+
+        def put_at_once(item, block=True, timeout=None):
+            assert not block
+            put(item, block, timeout)
+
+        background._queue.put = put_at_once
         for _ in range(9):
             background.write(FRAME)
+        background._queue.put = put
         assert slow.frames == 0
         assert background.dropped == 6
         slow.gate.set()

@@ -158,6 +158,8 @@ def test_older_recordings_are_kept_unless_told_otherwise(tmp_path, name):
     with pytest.raises(InputError, match=r"there already. Choose a new name or overwrite"):
         record(path, random_clip())
     with McapSink(path, overwrite=True) as sink:
+        # An old description must not make an unfinished recording look whole.
+        assert not (path / "metadata.yaml").exists()
         for frame in random_clip(frames=3).frames():
             sink.write(frame)
     file = path / "bag_0.mcap" if path.is_dir() else path
