@@ -272,6 +272,9 @@ def make_g2p(law: Law, real: Any, native: bool):
                 history_out[p] = h
             else:
                 F_out[p] = trial
+                # Another material of the run is plastic: the Gaussians follow `total` of all.
+                if total_out.shape[0] > 0:
+                    total_out[p] = trial
 
     return g2p
 
