@@ -1,0 +1,41 @@
+"""Device code compiles for a GPU on a machine without one, and holds what it should."""
+
+import re
+
+import pytest
+import warp as wp
+
+from phy124.kernels import grid, push, transfer
+from phy124.materials import FixedCorotated, NeoHookean, Sand
+
+LAWS = [m.device_law for m in (NeoHookean, FixedCorotated, Sand)]
+
+
+def ptx(kernel, folder) -> str:
+    """The module of a kernel, compiled ahead for Hopper."""
+    wp.compile_aot_module(kernel.module, arch=90, module_dir=str(folder), use_ptx=True)
+    (path,) = folder.glob("*.ptx")
+    return path.read_text()
+
+
+@pytest.mark.parametrize("law", LAWS, ids=lambda law: law.name)
+def test_transfers_compile_for_cuda(law, tmp_path):
+    (tmp_path / "p2g").mkdir()
+    (tmp_path / "g2p").mkdir()
+    scatter = ptx(transfer.make_p2g(law, wp.float32, False), tmp_path / "p2g")
+    assert ".visible .entry" in ptx(transfer.make_g2p(law, wp.float32, False), tmp_path / "g2p")
+    assert ".target sm_90" in scatter
+    # 27 nodes of four numbers, added without return values.
+    adds = re.findall(r"(?:red|atom)\.\S*add\S*f32", scatter)
+    assert len(adds) == 108
+
+
+def test_grid_and_pushes_compile_for_cuda(tmp_path):
+    kernels = {
+        "update": grid.make_update(wp.float32),
+        "merge": grid.make_merge(wp.float32),
+        "accelerate": push.make_accelerate(wp.float32, True),
+    }
+    for name, kernel in kernels.items():
+        (tmp_path / name).mkdir()
+        assert ".visible .entry" in ptx(kernel, tmp_path / name)
