@@ -80,6 +80,9 @@ class Timing(Section):
     substep: float | None = Field(
         default=None, gt=0, description="Longest substep allowed [s]; absent: as stability needs."
     )
+    patience: float = Field(
+        default=7200.0, gt=0, description="A simulation forecast to take longer is refused [s]."
+    )
 
 
 class View(Section):

@@ -3,8 +3,9 @@
     for frame in Simulation(gaussians, Scene.named("press")):
         ...
 
-Frame 0 is the object at rest. A frame that goes wrong is tried once more with half the substep;
-if that fails too, `Stopped` says why and the frames so far remain good.
+Frame 0 is the object at rest. A frame that goes wrong, by the solver's word or the watchdog's, is
+tried once more with half the substep; if that fails too, `Stopped` says why and the frames so far
+remain good. Runs of hours, or beyond the machine's memory, are refused before they start.
 """
 
 from __future__ import annotations
@@ -21,12 +22,15 @@ from phy124.clip import Clip
 from phy124.deform import Deformer
 from phy124.effects import Effects
 from phy124.gaussians import Frame, Gaussians
+from phy124.ledger import Ledger
+from phy124.limits import refuse_hopeless
 from phy124.mpm import Solver, Unstable
 from phy124.particles import Particles, clean, make_particles, to_size
 from phy124.parts import WHOLE, Crop, assign
 from phy124.progress import Progress, silent
 from phy124.scene import Scene
 from phy124.stopwatch import Stopwatch
+from phy124.watchdog import Watchdog
 
 FLOOR_NODE = 0.75
 """The node plane that stops the material lies this many cells below the floor."""
@@ -82,8 +86,11 @@ class Simulation:
                 binding=scene.binding,
             )
             self.particles = with_materials(made, scene, crop)
+            self.demand = refuse_hopeless(self.gaussians, self.particles, scene, device)
         with self.watch.stage("compile"):
-            self.solver = _solver(self.particles, scene, device, threads)
+            ledger = Ledger()
+            self.solver = _solver(self.particles, scene, device, threads, ledger)
+            self.watchdog = Watchdog(self.solver, ledger)
             flows = any(m.device_law.project is not None for m in scene.materials)
             self.deformer = Deformer(
                 self.gaussians,
@@ -93,6 +100,7 @@ class Simulation:
             )
         self.frames: list[Frame] = []
         self.rotations: list[NDArray] = []
+        self.retried: list[int] = []
         self.stopped: str | None = None
 
     def __iter__(self) -> Iterator[Frame]:
@@ -141,11 +149,13 @@ class Simulation:
             "particles": len(self.particles),
             "mass": float(self.particles.mass.sum()),
             "cleaning": self.cleaning.sentences,
-            "notes": [note for section in self.scene.materials for note in section.notes()],
+            "notes": self._notes(),
             "grid": {"dx": solver.dx, "window": solver.grid.size.tolist()},
             "substeps": solver.substeps,
             "threads": solver.threads,
             "limiters": solver.limiters,
+            "substep": self._substep(),
+            "balance": self.watchdog.report(),
             "frames": len(self.frames),
             "effects": effects.data(),
             "substep_stages": [
@@ -166,20 +176,68 @@ class Simulation:
     def _advance(self, index: int, until: float) -> None:
         """Substeps up to a frame's time, tried once more with half the substep."""
         with self.watch.stage("simulate"):
-            before = self.solver.snapshot()
-            try:
-                self.solver.advance(until, after=self._reporter(index))
-            except Unstable:
-                self.solver.restore(before)
-                self.solver.cfl /= 2
-                try:
-                    self.solver.advance(until, after=self._reporter(index))
-                except Unstable as error:
-                    law = self.scene.material.law
-                    raise Stopped(
-                        f"frame {index} is not stable: {error}. The law is {law}; "
-                        "use neo_hookean, a softer material or a gentler push."
-                    ) from None
+            problem = self._try(index, until)
+            if problem is not None:
+                self.retried.append(index)
+                solver, usual = self.solver, (self.solver.cfl, self.solver.ceiling)
+                solver.cfl, solver.ceiling = usual[0] / 2, usual[1] / 2
+                problem = self._try(index, until)
+                solver.cfl, solver.ceiling = usual
+            if problem is not None:
+                raise Stopped(f"frame {index} is not sound: {problem}. {self._remedy()}")
+
+    def _try(self, index: int, until: float) -> str | None:
+        """One try at a frame; what is wrong with it, or None. The state is then as before."""
+        solver, watchdog = self.solver, self.watchdog
+        watchdog.before()
+        state, books = solver.snapshot(), watchdog.ledger.snapshot()
+        try:
+            solver.advance(until, after=self._follower(index))
+            problem = watchdog.after()
+        except Unstable as error:
+            problem = str(error)
+        if problem is not None:
+            solver.restore(state)
+            watchdog.ledger.restore(books)
+        return problem
+
+    def _remedy(self) -> str:
+        laws = " and ".join(sorted({section.law for section in self.scene.materials}))
+        return (
+            f"The law is {laws}. Use neo_hookean, a softer material, a gentler push, or a "
+            "smaller accuracy.cfl."
+        )
+
+    def _follower(self, index: int) -> Callable[[], None]:
+        """What to do after each substep: report, and keep the books of forces that vary."""
+        report, books = self._reporter(index), self.watchdog.follow()
+        if books is None:
+            return report
+
+        def after() -> None:
+            books()
+            report()
+
+        return after
+
+    def _substep(self) -> dict[str, Any]:
+        """How long substeps were and what limited them."""
+        solver, asked = self.solver, self.scene.time.substep
+        taken = max(sum(solver.limiters.values()), 1)
+        mean = solver.time / taken
+        return {
+            "mean": mean,
+            "asked": asked,
+            "split": asked is not None and mean < 0.99 * asked,
+            "shares": {name: count / taken for name, count in solver.limiters.items()},
+            "rejected": solver.caution.rejected,
+            "retried": self.retried,
+        }
+
+    def _notes(self) -> list[str]:
+        """What the user should know: of the materials, and of how the run went."""
+        notes = [note for section in self.scene.materials for note in section.notes()]
+        return notes + self.watchdog.notes()
 
     def _reporter(self, index: int) -> Callable[[], None]:
         return lambda: self.progress("simulate", index, self.scene.time.frames)
@@ -210,7 +268,9 @@ def with_materials(particles: Particles, scene: Scene, crop: Crop = WHOLE) -> Pa
     )
 
 
-def _solver(particles: Particles, scene: Scene, device: str, threads: int | None) -> Solver:
+def _solver(
+    particles: Particles, scene: Scene, device: str, threads: int | None, ledger: Ledger
+) -> Solver:
     x = particles.x.astype(np.float64)
     v, C = _motion(x, particles.mass, scene)
     floors = [b.height for b in scene.boundaries if isinstance(b, Ground)]
@@ -223,8 +283,8 @@ def _solver(particles: Particles, scene: Scene, device: str, threads: int | None
         material=particles.material,
         v=v,
         C=C,
-        forces=scene.forces,
-        boundaries=scene.boundaries,
+        forces=ledger.forces(scene.forces),
+        boundaries=ledger.boundaries(scene.boundaries),
         origin=(0.0, 0.0, (floors[0] if floors else 0.0) - FLOOR_NODE * scene.dx),
         precision=scene.resolution.precision,
         device=device,

@@ -9,8 +9,8 @@ energy, so more means that the run is exploding).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,22 +18,29 @@ import warp as wp
 from numpy.typing import NDArray
 
 from phy124.kernels import diagnose
+from phy124.ledger import Ledger, total_mass
 
 if TYPE_CHECKING:
-    from phy124.mpm import Attachable, Solver, Stage
+    from phy124.mpm import Solver
 
 INSIDE_OUT = 0.01
 """Share of particles turned inside out from which the result is wrong."""
-GREATEST_J = 1e6
-"""Volume ratio no intact material reaches."""
+SOUND_J = (1e-5, 1e6)
+"""Volume ratios that a law can work with; a particle beyond is reset and counted."""
+SOUND_F = 1e3
+"""Greatest norm of a sound deformation gradient."""
 ENERGY_GAIN = 0.25
 """Energy from nowhere that is tolerated, as a share of the greatest energy turned over.
 
 Velocities are half a substep behind positions, so the sum of both energies swings by a few per
 cent in a hard impact; an unstable run passes any limit within a few frames.
 """
-MOMENTUM_GAIN = {"float32": 2e-3, "float64": 1e-6}
+MOMENTUM_GAIN = {"float32": 1e-3, "float64": 1e-6}
 """Momentum from nowhere that is tolerated, as a share of all momentum moved."""
+QUIET = 1e-9
+"""Energies below this share of volume times stiffness are rounding."""
+FRAGILE = ("fixed_corotated", "plasticine", "snow")
+"""Laws that collapse silently in impacts faster than sound."""
 GREATEST_TOTAL = 1e6
 """Norm of F_total that flowing material is held to; what is seen of it stops growing at 4."""
 FAR = 2**31 - 1
@@ -91,11 +98,144 @@ def weigh(solver: Solver) -> Balance:
             outputs=[sums, spread, counts, first],
             device=device,
         )  # fmt: skip
-    total, (broken, inverted) = sums.numpy(), counts.numpy().tolist()
-    lowest, highest = spread.numpy().tolist()
-    a, b = first.numpy().tolist()
+    total: NDArray[Any] = sums.numpy()
+    ends: NDArray[Any] = spread.numpy()
+    found: NDArray[Any] = counts.numpy()
+    index: NDArray[Any] = first.numpy()
     return Balance(
         momentum=total[:3], angular=total[3:6], kinetic=float(total[6]), elastic=float(total[7]),
-        middle=total[8:], least_J=-lowest, greatest_J=highest, broken=broken, inverted=inverted,
-        first=(a, b),
+        middle=total[8:], least_J=-float(ends[0]), greatest_J=float(ends[1]),
+        broken=int(found[0]), inverted=int(found[1]), first=(int(index[0]), int(index[1])),
     )  # fmt: skip
+
+
+class Watchdog:
+    """Follows one run, whose solver got its forces and boundaries through the `ledger`."""
+
+    def __init__(self, solver: Solver, ledger: Ledger) -> None:
+        self.solver, self.ledger = solver, ledger
+        self.first = self.last = weigh(solver)
+        self.mass = total_mass(solver)
+        self.reset = 0
+        """Particles whose deformation was reset so far."""
+        self.mach = 0.0
+        """Greatest speed so far, in speeds of sound."""
+        self.energy_gain = self.momentum_gain = 0.0
+        self.least_J, self.greatest_J = self.first.least_J, self.first.greatest_J
+        self._begun = False
+
+    def before(self) -> None:
+        """Before a frame: reset deformations that no law can work with."""
+        s, counts = self.solver, wp.zeros(1, dtype=int, device=self.solver.device)
+        wp.launch(
+            diagnose.make_reset(s.real),
+            len(s.rest),
+            inputs=[*SOUND_J, SOUND_F],
+            outputs=[s.state.F, s.state.C, counts],
+            device=s.device,
+        )
+        self.reset += int(np.sum(counts.numpy()))
+        if len(s.state.total):
+            kernel = diagnose.make_limit_total(s.real)
+            inputs = [GREATEST_TOTAL, s.state.F]
+            wp.launch(kernel, len(s.rest), inputs, [s.state.total], device=s.device)
+        if not self._begun:
+            self._begin()
+
+    def _begin(self) -> None:
+        """The balance begins with the first frame that is followed: a run may be a resumed one."""
+        self.first = self.last = weigh(self.solver)
+        self.turnover = max(self.first.energy, self._quiet())
+        self.moved = self._momentum_scale(self.first)
+        self.ledger.open(self.solver)
+        self._begun = True
+
+    def after(self) -> str | None:
+        """After a frame: what is wrong with it, as half a sentence, or None."""
+        now, s = weigh(self.solver), self.solver
+        slowest = min(m.wave_speed() for m in s.materials)
+        self.mach = max(self.mach, s.extremes.speed / slowest)
+        problem = self._unsound(now) or self._unbalanced(now)
+        if problem is None:
+            self.last = now
+            self.least_J = min(self.least_J, now.least_J)
+            self.greatest_J = max(self.greatest_J, now.greatest_J)
+        return problem
+
+    def follow(self) -> Callable[[], None] | None:
+        """What to call after each substep of the next frame, if anything."""
+        return self.ledger.follow(self.solver, self.last.momentum)
+
+    def notes(self) -> list[str]:
+        """What the user should know about how the run went."""
+        notes, s = [], self.solver
+        if self.reset:
+            notes.append(
+                f"{self.reset} particles were deformed beyond what a law can describe and were "
+                "given their shape at rest."
+            )
+        if s.domain.most:
+            notes.append(
+                f"{s.domain.most} particles flew out of the simulated space and went on along "
+                "their parabolas, without contact."
+            )
+        fragile = sorted({g.law.name for g in s.groups if g.law.name in FRAGILE})
+        if fragile and self.mach > 1:
+            notes.append(
+                f"The law {' and '.join(fragile)} was hit at {self.mach:.1f} times its speed of "
+                "sound: it may have collapsed without a sign; neo_hookean would not."
+            )
+        return notes
+
+    def report(self) -> dict[str, Any]:
+        """What was found, for the report of the run."""
+        return {
+            "energy_gain": self.energy_gain,
+            "momentum_gain": self.momentum_gain,
+            "least_J": self.least_J,
+            "greatest_J": self.greatest_J,
+            "inside_out": self.last.inverted,
+            "reset": self.reset,
+            "ballistic": self.solver.domain.most,
+        }
+
+    def _unsound(self, now: Balance) -> str | None:
+        if now.broken:
+            return f"{now.broken} particles are no longer numbers, {self._who(now.first[0])} first"
+        if now.inverted > INSIDE_OUT * len(self.solver.rest):
+            who = self._who(now.first[1])
+            return f"{now.inverted} particles are turned inside out, {who} first"
+        return None
+
+    def _unbalanced(self, now: Balance) -> str | None:
+        """Compare what is there with what was there at first and what was given since."""
+        given = self.ledger.total(self.solver, now.middle - self.first.middle)
+        turnover = max(self.turnover, now.energy, abs(given.work))
+        energy_gain = (now.energy - self.first.energy - given.work) / turnover
+        if energy_gain > ENERGY_GAIN:
+            return f"{energy_gain:.0%} of its energy came from nowhere"
+        moved = max(self.moved, self._momentum_scale(now), given.moved)
+        missing = now.momentum - self.first.momentum - given.impulse
+        momentum_gain = float(np.linalg.norm(missing)) / moved if moved > 0 else 0.0
+        precision = "float32" if self.solver.real is wp.float32 else "float64"
+        if momentum_gain > MOMENTUM_GAIN[precision]:
+            return f"{momentum_gain:.2%} of its momentum came from nowhere"
+        self.turnover, self.moved = turnover, moved
+        self.energy_gain, self.momentum_gain = energy_gain, momentum_gain
+        return None
+
+    def _momentum_scale(self, balance: Balance) -> float:
+        """What all momenta would add up to if they pointed the same way [kg m/s]."""
+        return math.sqrt(2 * self.mass * balance.kinetic)
+
+    def _quiet(self) -> float:
+        """Energy that is no more than rounding [J]."""
+        stiffest = max(m.density * m.wave_speed() ** 2 for m in self.solver.materials)
+        return QUIET * stiffest * float(np.sum(self.solver.volume.numpy(), dtype=np.float64))
+
+    def _who(self, index: int) -> str:
+        """A particle in words."""
+        s = self.solver
+        law = next(g.law.name for g in s.groups if g.start <= index < g.stop)
+        place = ", ".join(f"{c:.3g}" for c in s.rest[index])
+        return f"number {index} of law {law}, at ({place}) m at rest,"

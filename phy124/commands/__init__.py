@@ -6,6 +6,7 @@ from phy124.commands.evaluate import Evaluate
 from phy124.commands.generate import Generate, Simulate
 from phy124.commands.render import Render
 from phy124.commands.scenes import Scenes
+from phy124.commands.stress import Stress
 from phy124.commands.weights import Weights
 
 COMMANDS = {
@@ -13,6 +14,7 @@ COMMANDS = {
     "simulate": Simulate,
     "render": Render,
     "scenes": Scenes,
+    "stress": Stress,
     "effects": ShowEffects,
     "evaluate": Evaluate,
     "weights": Weights,

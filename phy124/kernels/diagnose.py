@@ -117,34 +117,67 @@ def make_push_sums(real: Any):
 
 
 @cache
+def make_wall_copy(real: Any):
+    """Kernel over rows of nodes in a sub-box: keeps their velocities before walls act."""
+    t = types(real)
+
+    @wp.kernel(module=f"phy124_wall_copy_{real.__name__}", enable_backward=False)
+    def wall_copy(
+        # model
+        box: wp.array(dtype=wp.vec3i), window: wp.array(dtype=wp.vec3i),
+        # grid in
+        grid: wp.array(dtype=t.vec4),
+        # out
+        kept_out: wp.array(dtype=t.vec4),
+    ):  # fmt: skip
+        i, j = wp.tid()
+        size = window[1]
+        low = box[0]
+        count = box[1]
+        row = ((i + low[0]) * size[1] + j + low[1]) * size[2] + low[2]
+        for k in range(count[2]):
+            kept_out[(i * count[1] + j) * count[2] + k] = grid[row + k]
+
+    return wall_copy
+
+
+@cache
 def make_wall_sums(real: Any):
-    """Kernel over rows of nodes in a sub-box: the same sums for the grid, one row per thread."""
+    """Kernel over the same rows: adds impulse and work of the walls to `GIVEN` sums.
+
+    The work of an impulse J is J . v with the velocity after it, which moves the material: zero
+    for walls at rest, negative for friction. With the velocity before it, stress that presses on
+    a wall in vain would count as work.
+    """
     t = types(real)
 
     @wp.kernel(module=f"phy124_wall_sums_{real.__name__}", enable_backward=False)
     def wall_sums(
         # model
-        box: wp.array(dtype=wp.vec3i), window: wp.array(dtype=wp.vec3i), sign: wp.float64,
+        box: wp.array(dtype=wp.vec3i), window: wp.array(dtype=wp.vec3i),
         # grid in
-        grid: wp.array(dtype=t.vec4),
+        grid: wp.array(dtype=t.vec4), kept: wp.array(dtype=t.vec4),
         # out
         given_out: wp.array(dtype=wp.float64),
     ):  # fmt: skip
         i, j = wp.tid()
         size = window[1]
         low = box[0]
+        count = box[1]
         row = ((i + low[0]) * size[1] + j + low[1]) * size[2] + low[2]
         impulse = wp.vec3d()
         work = wp.float64(0.0)
-        for k in range(box[1][2]):
+        for k in range(count[2]):
             q = grid[row + k]
             if q[3] > real(0.0):
-                m = sign * wp.float64(q[3])
-                moving = wp.vec3d(wp.float64(q[0]), wp.float64(q[1]), wp.float64(q[2]))
-                impulse += m * moving
-                work += m / wp.float64(2.0) * wp.dot(moving, moving)
-        add3(given_out, 0, impulse)
-        wp.atomic_add(given_out, 3, work)
+                d = q - kept[(i * count[1] + j) * count[2] + k]
+                if d[0] != real(0.0) or d[1] != real(0.0) or d[2] != real(0.0):
+                    J = wp.float64(q[3]) * wide(d)
+                    impulse += J
+                    work += wp.dot(J, wide(q))
+        if work != wp.float64(0.0) or wp.dot(impulse, impulse) > wp.float64(0.0):
+            add3(given_out, 0, impulse)
+            wp.atomic_add(given_out, 3, work)
 
     return wall_sums
 
@@ -174,10 +207,12 @@ def make_limit_total(real: Any):
     t = types(real)
 
     @wp.kernel(module=f"phy124_limit_total_{real.__name__}", enable_backward=False)
-    def limit_total(greatest: real, total_out: wp.array(dtype=t.mat33)):
+    def limit_total(greatest: real, F: wp.array(dtype=t.mat33), total_out: wp.array(dtype=t.mat33)):
         p = wp.tid()
         size = wp.sqrt(wp.ddot(total_out[p], total_out[p]))
-        if size > greatest:
+        if not wp.isfinite(size):
+            total_out[p] = F[p]
+        elif size > greatest:
             total_out[p] = (greatest / size) * total_out[p]
 
     return limit_total
@@ -203,7 +238,35 @@ def make_probe(law: Law, real: Any):
         modulus_out[p] = modulus(F[p], history[p], theta[0])
         projected_out[p] = F[p]
         if wp.static(plastic):
-            elastic, after = project(F[p], history[p], theta[0], dt)
+            elastic, _ = project(F[p], history[p], theta[0], dt)
             projected_out[p] = elastic
 
     return probe
+
+
+@cache
+def make_reset(real: Any):
+    """Kernel: deformations that no law can work with become the identity, and are counted.
+
+    Sound are volume ratios between `least` and `most` and norms up to `greatest`.
+    """
+    t = types(real)
+
+    @wp.kernel(module=f"phy124_reset_{real.__name__}", enable_backward=False)
+    def reset(
+        least: real, most: real, greatest: real,
+        # state, updated in place
+        F_out: wp.array(dtype=t.mat33), C_out: wp.array(dtype=t.mat33),
+        # out
+        counts_out: wp.array(dtype=int),
+    ):  # fmt: skip
+        p = wp.tid()
+        J = wp.determinant(F_out[p])
+        size = wp.ddot(F_out[p], F_out[p])
+        # A comparison with NaN is false, so the test is for soundness.
+        if not (J >= least and J <= most and size <= greatest * greatest):
+            F_out[p] = wp.identity(3, dtype=real)
+            C_out[p] = t.mat33()
+            wp.atomic_add(counts_out, 0, 1)
+
+    return reset

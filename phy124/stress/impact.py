@@ -9,12 +9,9 @@ import numpy as np
 
 from phy124.boundaries import Ground
 from phy124.forces import ParticleForce
-from phy124.kernels.transfer import types
 from phy124.materials import AnyMaterial, NeoHookean
 from phy124.region import Region
 from phy124.stress.bodies import (
-    DX,
-    Array,
     assign,
     block,
     body,

@@ -24,7 +24,7 @@ from phy124.materials import (
 )
 from phy124.mpm.solver import PRECISIONS
 from phy124.stress.bodies import Array, block, body, host
-from phy124.stress.case import Check, Setting, at_least, at_most, equal
+from phy124.stress.case import Check, Setting, at_most, equal
 
 LAWS: tuple[Material, ...] = (
     NeoHookean(), FixedCorotated(), Hencky(), Metal(), Plasticine(), Foam(), Sand(), Snow(),
@@ -72,6 +72,11 @@ def every_deformation(setting: Setting) -> list[Check]:
         finite = all(bool(np.isfinite(part).all()) for part in found)
         checks.append(equal(f"{material.device_law.name}: finite", finite))
     return checks
+
+
+def sand(setting: Setting) -> list[Check]:
+    """Sand in the air and under pressure."""
+    return [*thrown_sand(setting), *friction_angle(setting)]
 
 
 def thrown_sand(setting: Setting) -> list[Check]:

@@ -47,11 +47,12 @@ def permuted(setting: Setting) -> list[Check]:
         return host(s.state.x)
 
     usual = run(x, v)
+    shuffled = relative(run(x[order], v[order]), usual[order])
+    turned = relative(run(x @ turn.T, v @ turn.T) @ turn, usual)
     return [
-        at_most("shuffled: difference / size", relative(run(x[order], v[order]), usual[order]), 1e-4),
-        at_most("turned by 90 degrees: difference / size",
-                relative(run(x @ turn.T, v @ turn.T) @ turn, usual), 1e-4),
-    ]  # fmt: skip
+        at_most("shuffled: difference / size", shuffled, 1e-4),
+        at_most("turned by 90 degrees: difference / size", turned, 1e-4),
+    ]
 
 
 def window(setting: Setting) -> list[Check]:

@@ -1,0 +1,37 @@
+"""`phy124 stress`: the hard-case suite on this machine."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Stress:
+    """Run the hard cases on this machine's devices: case, bound, measured, verdict."""
+
+    all: bool = False
+    """At full length: minutes instead of seconds."""
+    json: bool = False
+    """Print as JSON."""
+
+    def run(self) -> int:
+        """Print the table; status 1 if a case fails."""
+        from phy124.commands.bars import Bars
+        from phy124.stress import CASES, run, settings
+
+        total, rows = len(CASES) * len(settings()), []
+        with Bars(quiet=self.json) as bars:
+            for row in run(long=self.all):
+                rows.append(row)
+                bars("stress", len(rows), total)
+        if self.json:
+            print(json.dumps([row._asdict() for row in rows]))
+        else:
+            for row in rows:
+                print(f"{row.verdict:<5}{row.case}")
+                for bound, measured in zip(
+                    row.bound.split("; "), row.measured.split("; "), strict=False
+                ):
+                    print(f"       {measured:>10}  {bound}")
+        return 0 if all(row.verdict == "pass" for row in rows) else 1

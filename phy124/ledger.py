@@ -1,0 +1,172 @@
+"""The ledger: impulse and work that forces and walls give a run, summed in every substep.
+
+Forces on particles and walls are bracketed: momentum and energy are taken before they act and
+compared after. A uniform acceleration gives M a dt and M a . dx, which needs
+no launch; where it varies in time, its work is summed on the host.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from phy124.boundaries.base import Corners, swept
+from phy124.kernels import diagnose
+
+if TYPE_CHECKING:
+    from phy124.mpm import Attachable, Solver, Stage
+
+
+class Given(NamedTuple):
+    """What came from outside since the start."""
+
+    impulse: NDArray[np.float64]
+    """[3], N s."""
+    work: float
+    """J."""
+    moved: float
+    """Sum of the sizes of all impulses, N s."""
+
+
+class Ledger:
+    """Books of one run; hand `forces` and `boundaries` to its solver."""
+
+    def __init__(self) -> None:
+        self._pages: dict[Any, wp.array] = {}
+        self._closed = np.zeros(diagnose.GIVEN)
+        self._walls: Sequence[Any] = ()
+        self._uniform = np.zeros(diagnose.GIVEN)
+        self._moved = self._kicked = 0.0
+
+    def forces(self, forces: Sequence[Attachable]) -> list[Attachable]:
+        """The forces, bracketed."""
+        return [_Bracket(self._push, -1), *forces, _Bracket(self._push, 1)] if forces else []
+
+    def boundaries(self, boundaries: Sequence[Attachable]) -> list[Attachable]:
+        """The boundaries, bracketed."""
+        if not boundaries:
+            return []
+        self._walls = boundaries
+        return [_Bracket(self._wall, -1), *boundaries, _Bracket(self._wall, 1)]
+
+    def open(self, solver: Solver) -> None:
+        """Begin to count with the present state of the solver."""
+        self.restore((np.zeros(diagnose.GIVEN), np.zeros(diagnose.GIVEN), 0.0))
+        self._kicked = solver.time - solver.last_dt / 2
+
+    def total(self, solver: Solver, way: NDArray[np.float64]) -> Given:
+        """What was given so far; `way` is mass times position since the start [kg m]."""
+        given = self._all()
+        if solver.tracks.vary:
+            given = given + self._uniform
+            moved = self._moved
+        else:
+            a, mass = _acceleration(solver), total_mass(solver)
+            impulse = mass * a * (solver.time - solver.last_dt / 2 - self._kicked)
+            given = given + np.array([*impulse, float(a @ way)])
+            moved = float(np.linalg.norm(impulse))
+        return Given(given[:3], float(given[3]), moved + float(np.linalg.norm(given[:3])))
+
+    def follow(self, solver: Solver, momentum: NDArray[np.float64]) -> Callable[[], None] | None:
+        """What to call after each substep of a frame that begins with `momentum`; None: nothing."""
+        if not solver.tracks.vary:
+            return None
+        mass = total_mass(solver)
+        before = self._all()[:3] + self._uniform[:3]
+
+        def after() -> None:
+            impulse = mass * float(solver.clock.numpy()[0]) * _acceleration(solver)
+            speed = (momentum + self._all()[:3] + self._uniform[:3] - before) / mass
+            self._uniform[:3] += impulse
+            self._uniform[3] += float(impulse @ (speed + impulse / (2 * mass)))
+            self._moved += float(np.linalg.norm(impulse))
+
+        return after
+
+    def snapshot(self) -> tuple[NDArray, NDArray, float]:
+        """What `restore` needs."""
+        return self._all(), self._uniform.copy(), self._moved
+
+    def restore(self, snapshot: tuple[NDArray, NDArray, float]) -> None:
+        """Go back to a snapshot."""
+        self._closed, self._uniform, self._moved = (
+            snapshot[0].copy(), snapshot[1].copy(), snapshot[2],
+        )  # fmt: skip
+        for page in self._pages.values():
+            page.zero_()
+
+    def _all(self) -> NDArray[np.float64]:
+        total = self._closed.copy()
+        for page in self._pages.values():
+            total += page.numpy()
+        return total
+
+    def _page(self, key: Any, solver: Solver) -> wp.array:
+        """Sums of one launch's own, so that two threads never add to the same."""
+        if key in self._pages:
+            self._closed = self._closed + self._pages[key].numpy()
+        self._pages[key] = wp.zeros(diagnose.GIVEN, dtype=wp.float64, device=solver.device)
+        return self._pages[key]
+
+    def _push(self, solver: Solver, sign: int) -> wp.Launch | None:
+        if all(name == BOOKS for name, _ in solver.pushes):
+            return None
+        state = solver.state
+        inputs = [solver.mass, solver.dx, float(sign), state.v, state.C]
+        kernel = diagnose.make_push_sums(solver.real)
+        return solver.record(kernel, len(solver.rest), inputs, [self._page(("push", sign), solver)])
+
+    def _wall(self, solver: Solver, sign: int) -> wp.Launch | None:
+        grid, real = solver.grid, solver.real
+        if sign < 0:
+            start, extent = grid.nodes_within(*self._reach(solver))
+            corners = np.stack([start, extent]).astype(np.int32)
+            box = wp.array(corners, dtype=wp.vec3i, device=solver.device)
+            kept = wp.empty(int(np.prod(extent)), dtype=grid.vec4, device=solver.device)
+            self._copied = (box, kept, tuple(extent[:2].tolist()))
+        box, kept, rows = self._copied
+        read: list[Any] = [box, grid.window, grid.nodes]
+        if sign < 0:
+            return solver.record(diagnose.make_wall_copy(real), rows, read, [kept])
+        page = self._page(("wall", grid.share and grid.share[0] > 0), solver)
+        return solver.record(diagnose.make_wall_sums(real), rows, [*read, kept], [page])
+
+    def _reach(self, solver: Solver) -> Corners:
+        """A box that holds every node that a wall may touch [m]."""
+        lower, upper = np.full(3, np.inf), np.full(3, -np.inf)
+        for wall in self._walls:
+            corners, track = wall.bounds(solver), wall.track(solver)
+            if track is not None:
+                corners = swept(corners, track)
+            lower, upper = np.minimum(lower, corners[0]), np.maximum(upper, corners[1])
+        return lower, upper
+
+
+def total_mass(solver: Solver) -> float:
+    """Mass of all particles, kg."""
+    return float(np.sum(solver.mass.numpy(), dtype=np.float64))
+
+
+def _acceleration(solver: Solver) -> NDArray[np.float64]:
+    """The uniform acceleration of the last substep [3], m/s^2."""
+    values: NDArray[Any] = solver.tracks.values.numpy()
+    return values[0, :3].astype(np.float64)
+
+
+BOOKS = "books"
+"""Name of the ledger's stages."""
+
+
+class _Bracket:
+    """One side of a bracket, attached as if it were a force or a boundary."""
+
+    def __init__(self, record: Callable[[Solver, int], wp.Launch | None], sign: int) -> None:
+        self._record, self._sign = record, sign
+
+    def attach(self, solver: Solver) -> list[Stage]:
+        """One stage."""
+        return [(BOOKS, lambda: self._record(solver, self._sign))]

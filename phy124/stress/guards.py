@@ -1,0 +1,50 @@
+"""Case 12: deformations no material has, and what the watchdog makes of them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from phy124.ledger import Ledger
+from phy124.materials import Fluid, Hencky, Material, Metal, NeoHookean, Sand
+from phy124.stress.bodies import assign, block, body, finite, host, volume_ratios
+from phy124.stress.case import Check, Setting, at_least, at_most, equal
+from phy124.stress.laws import IMPOSSIBLE, every_deformation
+from phy124.watchdog import Watchdog
+
+FRAMES = (NeoHookean(E=1e4), Hencky(E=1e4), Metal(E=1e4), Sand(), Fluid(bulk_modulus=1e4))
+"""Laws whose bodies get an impossible particle."""
+
+
+def impossible(setting: Setting) -> list[Check]:
+    """Every law has a finite stress for every F; in a body such a particle is reset and counted."""
+    checks = every_deformation(setting)
+    for material in FRAMES:
+        least, moved, sound = np.inf, 0.0, True
+        for F in IMPOSSIBLE.values():
+            found = _one_bad_particle(material, F, setting)
+            least, moved = min(least, found[0]), max(moved, found[1])
+            sound &= found[2]
+        name = material.device_law.name
+        checks += [
+            equal(f"{name}: finite and within its balance", sound),
+            at_least(f"{name}: least J after a frame", least, 1e-5),
+            at_most(f"{name}: greatest way of a neighbour / size", moved, 0.5),
+        ]
+    return checks
+
+
+def _one_bad_particle(
+    material: Material, F: np.ndarray, setting: Setting
+) -> tuple[float, float, bool]:
+    """Least J, greatest way as a share of the size, and whether all is sound after a frame."""
+    x = block(4, 0.25)
+    s = body(x, setting, material, size=0.25)
+    deformations = host(s.state.F)
+    deformations[21] = F
+    assign(s, "F", deformations)
+    watch = Watchdog(s, Ledger())
+    watch.before()
+    s.advance(1 / 24)
+    problem = watch.after()
+    way = np.abs(host(s.state.x) - x).max() / 0.25
+    return float(volume_ratios(s).min()), float(way), finite(s) and problem is None
