@@ -120,7 +120,7 @@ def main() -> None:
     participant = DomainParticipant(args.domain)
     PointCloud2.deserialize = classmethod(lambda cls, data, **_: Raw(data))
     topic = Topic(participant, "rt/phy124/points", PointCloud2)
-    reader = DataReader(participant, topic, qos=reliable(10))
+    reader = DataReader(participant, topic, qos=reliable(100))
     speaker = DataWriter(
         participant, Topic(participant, "rt/phy124/command", String), qos=reliable(5)
     )
@@ -132,7 +132,7 @@ def main() -> None:
     count, last = 0, time.monotonic() + args.first - args.quiet
     while count < args.count and time.monotonic() - last < args.quiet:
         waitset.wait(50_000_000)
-        samples = [sample for sample in reader.take(10) if isinstance(sample, Raw)]
+        samples = [sample for sample in reader.take(100) if isinstance(sample, Raw)]
         received = time.time_ns()
         for sample in samples:
             count, last = count + 1, time.monotonic()

@@ -1,6 +1,7 @@
 """A running simulation as a source: the same frames as the finished clip, seen while it runs."""
 
 import json
+import os
 import subprocess
 import sys
 import time
@@ -62,7 +63,8 @@ def test_recorded_while_simulated_is_the_finished_clip(ply, tmp_path):
 
 
 def test_a_subscriber_sees_it_move_while_it_is_computed(ply, monkeypatch):
-    monkeypatch.setenv("ROS_DOMAIN_ID", "101")
+    domain = str(1 + os.getpid() % 100)
+    monkeypatch.setenv("ROS_DOMAIN_ID", domain)
     monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
     computed = []
 
@@ -72,7 +74,7 @@ def test_a_subscriber_sees_it_move_while_it_is_computed(ply, monkeypatch):
             yield frame
 
     run = LiveRun(ply, LiveOptions(live=True, set=CHANGES))
-    command = [sys.executable, SUBSCRIBER, "--domain", "101", "--count", "6"]
+    command = [sys.executable, SUBSCRIBER, "--domain", domain, "--count", "6"]
     with (
         DdsSink(Options()) as sink,
         subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process,
