@@ -116,7 +116,7 @@ def stopper(studio: Studio) -> Handler:
     """Stop this visitor's work."""
 
     def stop(request: gr.Request) -> tuple[Any, ...]:
-        studio.visitors.get(_session(request)).stop()
+        studio.visitors.stop(_session(request))
         progress = Progress(state="stopped", message="Stopped. Nothing was changed.")
         return progress.data(), gr.update(interactive=True), gr.update(visible=False)
 

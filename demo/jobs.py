@@ -94,11 +94,11 @@ class Studio:
             scene = scene_of(data, self.settings)
             forecast = self.forecaster(scene, gaussians=self.settings.gaussians)
             check_time(forecast, self.settings)
+            visitor = self.visitors.get(session)
         except InputError as error:
             yield Progress(message=sentence(error), state="refused")
             return
         self.visitors.sweep(self.settings.keep_hours * 3600, self.settings.max_visitors)
-        visitor = self.visitors.get(session)
         yield from self._work(visitor, Path(cutout), scene, forecast.seconds)
 
     def _work(

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from demo.settings import Settings
 
 FOLDER = Path(__file__).parent
+DRAIN = 1 << 28
+"""Bytes of a refused request that are read before the connection is closed."""
 SLACK = 64_000
 """Bytes of a request beside the upload itself."""
 
@@ -69,6 +71,11 @@ class BodyLimit:
         await self.app(scope, counted, send)
 
     async def _refuse(self, scope: Scope, receive: Receive, send: Send) -> None:
+        # Read to the end, keeping nothing: a client that is still sending hears no answer.
+        read, more = 0, True
+        while more and read < DRAIN:
+            message = await receive()
+            read, more = read + len(message.get("body", b"")), message.get("more_body", False)
         text = f"The file is larger than this page takes ({self.most / 1e6:.0f} MB)."
         answer = PlainTextResponse(text, 413, {"connection": "close"})
         await answer(scope, receive, send)

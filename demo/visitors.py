@@ -21,6 +21,10 @@ import time
 from pathlib import Path
 from typing import Any
 
+from phy124.errors import InputError
+
+AFTERLIFE = 60.0
+"""For so long after a visitor has left, what was still queued for them is refused, s."""
 STAGES = ("cutouts", "gaussians", "clips", "films")
 
 
@@ -75,22 +79,35 @@ class Visitors:
         root.mkdir(parents=True, exist_ok=True)
         self._lock = threading.Lock()
         self._known: dict[str, Visitor] = {}
+        self._left: dict[str, float] = {}
 
     def __len__(self) -> int:
         return len(self._known)
 
     def get(self, session: str) -> Visitor:
-        """The visitor of a session, new if it was not known."""
+        """The visitor of a session, new if it was not known; raises InputError if just gone."""
         with self._lock:
+            if time.time() - self._left.get(session, 0.0) < AFTERLIFE:
+                raise InputError("session", "closed", "This page was closed.", "Open it again.")
             visitor = self._known.get(session)
             if visitor is None or not visitor.folder.is_dir():
                 visitor = self._known[session] = Visitor(self.root / secrets.token_urlsafe(24))
             visitor.seen = time.time()
             return visitor
 
+    def stop(self, session: str) -> None:
+        """Ask a visitor's work to stop."""
+        with self._lock:
+            visitor = self._known.get(session)
+        if visitor is not None:
+            visitor.stop()
+
     def leave(self, session: str) -> None:
         """Stop the visitor's work and remove the folder."""
+        now = time.time()
         with self._lock:
+            self._left = {k: t for k, t in self._left.items() if now - t < AFTERLIFE}
+            self._left[session] = now
             visitor = self._known.pop(session, None)
         if visitor is not None:
             visitor.stop()

@@ -21,8 +21,8 @@ PATIENCE = 90
 class Server:
     """A running server."""
 
-    def __init__(self, port: int, folder: Path, process: subprocess.Popen) -> None:
-        self.port, self.folder, self.process = port, folder, process
+    def __init__(self, port: int, folder: Path, log: Path, process: subprocess.Popen) -> None:
+        self.port, self.folder, self.log, self.process = port, folder, log, process
         self.url = f"http://127.0.0.1:{port}"
 
     def health(self) -> dict:
@@ -62,12 +62,13 @@ def serving(folder: Path, **settings: object) -> Iterator[Server]:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     given = {f"PHY124_{name.upper()}": str(value) for name, value in settings.items()}
-    environment = {**os.environ, "PHY124_PORT": str(port), "PHY124_FOLDER": str(folder), **given}
-    with open(folder / "log.txt", "wb") as log:
+    files, written = folder / "files", folder / "log.txt"
+    environment = {**os.environ, "PHY124_PORT": str(port), "PHY124_FOLDER": str(files), **given}
+    with open(written, "wb") as log:
         process = subprocess.Popen(
             [sys.executable, "app.py"], cwd=ROOT, env=environment, stdout=log, stderr=log
         )
-    server = Server(port, folder, process)
+    server = Server(port, files, written, process)
     try:
         server.until(lambda: _answers(server))
         yield server
@@ -77,7 +78,7 @@ def serving(folder: Path, **settings: object) -> Iterator[Server]:
 
 
 def _answers(server: Server) -> bool:
-    assert server.process.poll() is None, (server.folder / "log.txt").read_text()
+    assert server.process.poll() is None, server.log.read_text()
     try:
         return server.health()["ready"]
     except OSError:

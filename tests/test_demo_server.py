@@ -1,0 +1,271 @@
+"""The served page without a browser: endpoints, refusals, limits, and what is left behind."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import struct
+import urllib.error
+import urllib.request
+import zlib
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from served import ROOT, Server, serving
+
+DUCK = ROOT / "demo" / "examples" / "duck.png"
+GIGABYTE = 1 << 30
+FEW = {"view.views": ["front"], "view.size": 64}
+# gradio_client leaves sockets of its streams to the garbage collector.
+pytestmark = [
+    pytest.mark.filterwarnings("ignore::ResourceWarning"),
+    pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
+]
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("web")
+    with serving(folder, gaussians=1000, max_queue=4, max_upload_mb=2) as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def client(server):
+    with _client(server) as client:
+        yield client
+
+
+def _client(server: Server):
+    gradio_client = pytest.importorskip("gradio_client", reason="the extra demo is not installed")
+    return _Closing(gradio_client.Client(server.url, verbose=False, analytics_enabled=False))
+
+
+class _Closing:
+    """A client that is closed at the end of a block: the server sees the visitor leave."""
+
+    def __init__(self, client) -> None:
+        self.client = client
+
+    def __enter__(self):
+        return self.client
+
+    def __exit__(self, *_) -> None:
+        self.client.close()
+
+
+def _generate(client, picture=DUCK, **options):
+    from gradio_client import handle_file
+
+    given = {"preset": "drop", "accuracy": "draft", "frames": 2, "changes": FEW, "formats": []}
+    image = picture if isinstance(picture, dict) else handle_file(str(picture))
+    return client.predict(image, *{**given, **options}.values(), api_name="/generate")
+
+
+def _get(url: str) -> tuple[int, bytes]:
+    try:
+        with urllib.request.urlopen(url, timeout=20) as answer:
+            return answer.status, answer.read()
+    except urllib.error.HTTPError as error:
+        with error:
+            return error.code, error.read()
+
+
+def _post(url: str, data: bytes) -> tuple[int, bytes]:
+    try:
+        with urllib.request.urlopen(url, data, timeout=20) as answer:
+            return answer.status, answer.read()
+    except urllib.error.HTTPError as error:
+        with error:
+            return error.code, error.read()
+
+
+def test_health_and_static_files(server):
+    assert server.health() == {"status": "ok", "ready": True, "busy": False, "visitors": server.health()["visitors"]}
+    assert json.loads(_get(f"{server.url}/phy124/catalogue.json")[1])["presets"]
+    assert _get(f"{server.url}/phy124/viewer/player.js")[0] == 200
+    assert _get(f"{server.url}/phy124/static/../../pyproject.toml")[0] == 404
+    assert _get(f"{server.url}/phy124/static/%2e%2e/settings.py")[0] == 404
+
+
+def test_the_page_names_no_other_machine(server):
+    import re
+
+    page = _get(server.url)[1].decode()
+    hosts = set(re.findall(r'(?:src|href)="https?://([^/"]+)', page))
+    assert hosts <= {server.url.removeprefix("http://")}
+
+
+def test_generate_then_render_then_evaluate(client):
+    files, report = _generate(client, formats=["ply"])
+    names = {Path(path).name for path in files}
+    assert {"front.mp4", "clip.safetensors", "scene.toml", "report.json", "phy124-ply.zip"} <= names
+    assert report["frames"] == 2 and report["generator"] == "relief"
+    films, again = client.predict(["back", "orbit"], 48, 20, api_name="/render")
+    assert {"back.mp4", "orbit.mp4"} <= {Path(path).name for path in films}
+    assert again["substeps"] == report["substeps"]
+    figures = client.predict(api_name="/evaluate")
+    assert len(figures["motion"]["smallest_J"]) == 2
+
+
+def test_endpoints_have_typed_arguments(client):
+    described = client.view_api(print_info=False, return_format="dict")["named_endpoints"]
+    assert set(described) == {"/generate", "/render", "/evaluate"}
+    kinds = {p["parameter_name"]: p["python_type"]["type"] for p in described["/generate"]["parameters"]}
+    assert kinds["frames"] == "int"
+    assert "'draft'" in kinds["accuracy"] and "'press'" in kinds["preset"]
+
+
+def _png(width: int, height: int) -> bytes:
+    """A PNG of one colour, written row by row: a few kilobytes however large it is."""
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    packer = zlib.compressobj(9)
+    rows = b"".join(packer.compress(b"\0" * (1 + width // 8)) for _ in range(height))
+    header = struct.pack(">IIBBBBB", width, height, 1, 0, 0, 0, 0)
+    body = chunk(b"IHDR", header) + chunk(b"IDAT", rows + packer.flush()) + chunk(b"IEND", b"")
+    return b"\x89PNG\r\n\x1a\n" + body
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "message"),
+    [
+        ("bomb.png", _png(16_000, 16_000), "more than 25 million pixels"),
+        ("huge.png", _png(30_000, 30_000), "more than 25 million pixels"),
+        ("empty.png", b"", "is empty"),
+        ("text.png", b"hello " * 100, "not a PNG, JPEG or WebP"),
+        ("cut.png", DUCK.read_bytes()[:9000], "broken or cut short"),
+        ("white.png", None, "No object was found"),
+    ],
+)
+def test_pictures_that_cannot_be_used_are_refused_readably(client, tmp_path, name, data, message):
+    if data is None:
+        with io.BytesIO() as file:
+            Image.fromarray(np.full((64, 64, 3), 255, np.uint8)).save(file, "PNG")
+            data = file.getvalue()
+    (tmp_path / name).write_bytes(data)
+    with pytest.raises(Exception, match=message) as refusal:
+        _generate(client, tmp_path / name)
+    assert str(tmp_path) not in str(refusal.value) and "phy124-web" not in str(refusal.value)
+
+
+def test_uploads_beyond_the_limit_are_refused_however_they_come(server, client, tmp_path):
+    (tmp_path / "large.png").write_bytes(bytes(100_000_000))
+    with pytest.raises(Exception, match=r"exceeds the maximum file size of 2000000 bytes"):
+        _generate(client, tmp_path / "large.png")
+    status, text = _post(f"{server.url}/gradio_api/upload", bytes(20_000_000))
+    assert status == 413 and b"larger than this page takes" in text
+    packed = base64.b64encode(bytes(2_500_000)).decode()
+    inside = {"path": "a.png", "url": f"data:image/png;base64,{packed}"}
+    data = json.dumps({"data": [inside, "drop", "draft", 2, {}, []]}).encode()
+    assert _post(f"{server.url}/gradio_api/call/generate", data)[0] == 413
+    assert server.peak_memory() < 1.5 * GIGABYTE
+
+
+@pytest.mark.parametrize(
+    ("url", "message"),
+    [
+        ("data:image/png;base64," + "A" * 4000, "larger than 0.002 MB"),
+        ("data:image/png;base64,???", "broken"),
+        ("data:image/png,abc", "broken"),
+    ],
+)
+def test_pictures_inside_a_request_are_measured_too(url, message, monkeypatch, tmp_path):
+    gradio = pytest.importorskip("gradio", reason="the extra demo is not installed")
+    from demo.photo import Photo
+
+    monkeypatch.setattr(Photo, "max_bytes", 2000)
+    with pytest.raises(gradio.Error, match=message):
+        Photo(render=False).preprocess(gradio.FileData(path="a.png", url=url))
+    assert Photo(render=False).preprocess(None) is None
+
+
+def test_a_chunked_upload_without_a_length_is_cut_off(server):
+    import http.client
+
+    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=20)
+    connection.putrequest("POST", "/gradio_api/queue/join")
+    connection.putheader("Transfer-Encoding", "chunked")
+    connection.endheaders()
+    block = b"%x\r\n" % 100_000 + bytes(100_000) + b"\r\n"
+    try:
+        for _ in range(200):
+            connection.send(block)
+        connection.send(b"0\r\n\r\n")
+        assert connection.getresponse().status >= 400
+    except OSError:
+        pass  # The server has hung up: that is the point.
+    finally:
+        connection.close()
+    assert server.health()["status"] == "ok"
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"frames": 1000}, "allows at most 72"),
+        ({"preset": "explode"}, "not in the list of choices"),
+        ({"changes": {"material.E": -5}}, "greater than or equal to 1"),
+        ({"changes": {"material.E": 1e12}, "frames": 72}, "would take about"),
+        ({"changes": {"colour": 3}}, "There is no such key"),
+        ({"formats": ["exe"]}, "not in the list of choices"),
+    ],
+)
+def test_values_are_checked_on_the_server(client, options, message):
+    with pytest.raises(Exception, match=message):
+        _generate(client, **options)
+
+
+def test_visitors_files_are_not_found_by_name(server, client):
+    _generate(client)
+    folders = list((server.folder / "visitors").iterdir())
+    assert folders
+    for path in (server.log, server.folder / "visitors", ROOT / "app.py"):
+        assert _get(f"{server.url}/gradio_api/file={path}")[0] in (403, 404)
+
+
+def test_crowds_leave_nothing_behind(server):
+    """50 requests at once, then 20 visitors who close their tab in the middle of it."""
+    server.until_idle()
+    before = server.health()["visitors"], _folders(server)
+    with ThreadPoolExecutor(50) as pool:
+        answers = list(pool.map(lambda _: _attempt(server), range(50)))
+    refused = [answer for answer in answers if answer is not None]
+    assert len(refused) < 50, "nobody was served"
+    assert all("full" in answer for answer in refused), set(refused)
+    with ThreadPoolExecutor(20) as pool:
+        list(pool.map(lambda _: _leave_in_the_middle(server), range(20)))
+    server.until(lambda: (server.health()["visitors"], _folders(server)) == before)
+    server.until_idle()
+    server.until(lambda: server.threads() == 0)
+    assert server.peak_memory() < 1.5 * GIGABYTE
+    with _client(server) as client:
+        assert _generate(client)[1]["complete"]
+
+
+def _folders(server: Server) -> set[Path]:
+    return set((server.folder / "visitors").iterdir())
+
+
+def _attempt(server: Server) -> str | None:
+    """One visitor's run; None if it went well, else what was said."""
+    with _client(server) as client:
+        try:
+            _generate(client)
+        except Exception as error:
+            return str(error)
+    return None
+
+
+def _leave_in_the_middle(server: Server) -> None:
+    from gradio_client import handle_file
+
+    with _client(server) as client:
+        client.submit(
+            handle_file(str(DUCK)), "press", "standard", 60, {}, [], api_name="/generate"
+        )  # fmt: skip

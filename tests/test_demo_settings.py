@@ -1,0 +1,109 @@
+"""Settings from the environment, and the catalogue that the page is built from."""
+
+from __future__ import annotations
+
+import json
+from typing import get_args
+
+import pytest
+
+from demo.catalogue import FOLDER, catalogue, check_time, scene_of
+from demo.forecast import Forecaster, count_substeps
+from demo.settings import Settings, table
+from phy124.boundaries import AnyBoundary
+from phy124.errors import InputError
+from phy124.forces import AnyForce
+from phy124.materials import AnyMaterial
+from phy124.scene import Scene, preset_names
+
+
+def test_settings_come_from_the_environment():
+    settings = Settings.from_environment({"PHY124_MAX_FRAMES": "30", "OTHER": "x"})
+    assert settings.max_frames == 30 and settings.port == 7860
+
+
+@pytest.mark.parametrize(
+    ("variable", "value"), [("MAX_FRAMES", "many"), ("PORT", "0"), ("MAX_UPLOAD_MB", "-1")]
+)
+def test_bad_settings_are_refused_by_name(variable, value):
+    with pytest.raises(InputError, match=f"PHY124_{variable} = {value}"):
+        Settings.from_environment({f"PHY124_{variable}": value})
+
+
+def test_the_documented_table_is_the_classes_own():
+    text = (FOLDER.parent / "docs" / "web.md").read_text("utf-8")
+    assert table() in text, "write the output of `python -m demo.settings` into docs/web.md"
+
+
+def test_every_law_force_and_boundary_is_offered():
+    text = json.dumps(catalogue(Settings())["schema"])
+    for union in (AnyMaterial, AnyForce, AnyBoundary):
+        for section in get_args(get_args(union)[0]):
+            assert f'"{section.__name__}"' in text
+
+
+def test_every_preset_has_a_small_preview():
+    cards = {card["name"]: card for card in catalogue(Settings())["presets"]}
+    assert set(cards) == set(preset_names())
+    for name, card in cards.items():
+        path = FOLDER / "previews" / f"{name}.webp"
+        assert path.exists(), f"python -m demo.make_previews {name}"
+        assert path.stat().st_size < 100_000
+        assert card["text"] and scene_of(card["scene"], Settings()).description == card["text"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "field"),
+    [
+        ({"time.frames": 73}, "frames"),
+        ({"accuracy": {"cells": 65}}, "cells"),
+        ({"view.size": 1024}, "size"),
+        ({"accuracy": {"cells": 64, "ppc": 3.5}}, "particles"),
+        ({"forces": [{"kind": "gravity"}] * 17}, "forces and boundaries"),
+    ],
+)
+def test_values_beyond_the_pages_limits_are_refused(changes, field):
+    data = Scene.named("press").replaced(changes).data()
+    with pytest.raises(InputError, match=f"{field} = .*allows at most"):
+        scene_of(data, Settings())
+
+
+@pytest.mark.parametrize("data", [None, "press", {"material": {"law": "gold"}}, {"x" * 30_000: 1}])
+def test_what_is_no_scene_is_refused(data):
+    with pytest.raises(InputError):
+        scene_of(data, Settings())
+
+
+def test_fractions_of_frames_are_refused_though_a_slider_would_send_them():
+    data = Scene.named("press").data()
+    data["time"]["frames"] = 3.5
+    with pytest.raises(InputError, match="frames"):
+        scene_of(data, Settings())
+
+
+def test_what_would_take_too_long_is_refused_before_it_starts():
+    stiff = Scene.named("press").replaced({"material.E": 1e10})
+    with pytest.raises(InputError, match="would take about"):
+        check_time(Forecaster()(stiff), Settings())
+
+
+def test_the_forecast_counts_the_substeps_of_a_run(three_gaussians):
+    from phy124.simulation import Simulation
+
+    scene = Scene.named("push_right").replaced({"accuracy": {"cells": 8, "ppc": 1.0}})
+    run = Simulation(three_gaussians, scene, device="cpu")
+    run.run()
+    assert count_substeps(scene) == pytest.approx(run.solver.substeps, rel=0.25)
+
+
+def test_the_forecaster_learns_what_a_particle_costs():
+    forecaster, scene = Forecaster(), Scene.named("press")
+    before = forecaster(scene).seconds
+    report = {
+        "stages": [{"name": "simulate", "seconds": 1000.0}],
+        "particles": 1000, "substeps": 1000, "frames": 14,
+    }  # fmt: skip
+    forecaster.learn(report, scene)
+    assert forecaster.rates.particle > 4e-4
+    assert forecaster(scene).seconds > 100 * before
+    assert "promised" in forecaster(scene).sentence
