@@ -1,6 +1,8 @@
 """LGM against the original program's outputs, and its way into this project's world."""
 
 import json
+from dataclasses import replace
+from functools import partial
 
 import formula
 import numpy as np
@@ -10,7 +12,7 @@ from safetensors.torch import load_file, save_file
 
 from phy124.errors import Cancelled, InputError
 from phy124.gaussians import Gaussians, rotation_matrices
-from phy124.generators.lgm import OPTIONS, Lgm, LgmModel, Option, load, to_gaussians
+from phy124.generators.lgm import OPTIONS, Lgm, LgmModel, Option, load, rotations, to_gaussians
 from phy124.generators.lgm import model as lgm_model
 from phy124.generators.lgm.align import four_views, front
 from phy124.generators.lgm.generator import framed, network_input, over_white
@@ -334,6 +336,53 @@ def test_missing_weights_name_the_command(tmp_path, monkeypatch):
         Lgm(weights=tmp_path)(np.full((8, 8, 4), 255, np.uint8))
     with pytest.raises(InputError, match=r"phy124 weights fetch lgm.*relief"):
         Lgm(weights=tmp_path).from_views(torch.zeros(4, 3, 8, 8))
+
+
+def test_from_weight_files_to_gaussians(golden_lgm, tiny, tmp_path, monkeypatch):
+    """The files a user has, in small: found, read and run from a picture to Gaussians."""
+    from phy124 import weights
+    from phy124.generators.imagedream import encoders, pipeline
+
+    monkeypatch.setattr(encoders, "VAE", encoders.VAE | SMALL["vae"])
+    monkeypatch.setattr(encoders, "TEXT", encoders.TEXT | SMALL["text"])
+    monkeypatch.setattr(encoders, "VISION", encoders.VISION | SMALL["vision"])
+    config = json.loads((golden_lgm / "imagedream_unet_tiny.json").read_text())["config"]
+    monkeypatch.setattr(pipeline, "load_unet", partial(pipeline.load_unet, **config))
+    for name in ("lgm", "imagedream"):
+        free = tuple(replace(f, size=None, sha256=None) for f in weights.KNOWN[name])
+        monkeypatch.setitem(weights.KNOWN, name, free)
+    copy = partial(put_tensors, tmp_path / "imagedream-ipmv-diffusers")
+    unet = load_file(golden_lgm / "imagedream_unet_tiny.weights.fp16.safetensors")
+    copy("unet/diffusion_pytorch_model.safetensors", unet)
+    vae = load_file(golden_lgm / "vae_tiny.weights.fp16.safetensors")
+    copy("vae/diffusion_pytorch_model.safetensors", vae)
+    copy("text_encoder/model.safetensors", encoders.text_encoder().state_dict(), "text_model.")
+    copy("image_encoder/model.safetensors", encoders.image_encoder().state_dict(), "vision_model.")
+    put_tensors(tmp_path, weights.KNOWN["lgm"][0].path, tiny.state_dict())
+    picture = np.zeros((40, 40, 4), np.uint8)
+    picture[8:32, 12:28] = 200, 90, 30, 255
+    monkeypatch.setattr(rotations, "SIDE", 16)  # nothing depends on it here
+    told = []
+    generator = Lgm(weights=tmp_path, option=TINY, device="cpu", steps=1)
+    made = generator(picture, seed=5, progress=lambda *step: told.append(step))
+    assert told == [("imagedream", 0, 1), ("imagedream", 1, 1), ("lgm", 0, 1), ("lgm", 1, 1)]
+    assert len(made) == 1024 and np.isfinite(made.means).all()
+
+
+SMALL = {
+    "vae": {"block_out_channels": [32, 32, 32, 32], "layers_per_block": 1},
+    "text": {"hidden_size": 16, "intermediate_size": 32, "num_hidden_layers": 1}
+    | {"num_attention_heads": 2},
+    "vision": {"hidden_size": 1280, "intermediate_size": 64, "num_hidden_layers": 2},
+}
+"""Sizes that make ImageDream's surroundings small but still fit the golden U-Net."""
+
+
+def put_tensors(folder, path, tensors, prefix=""):
+    """Write a safetensors file as the public repositories have it, names with their prefix."""
+    named = {prefix + k.removeprefix(prefix): v.contiguous() for k, v in tensors.items()}
+    (folder / path).parent.mkdir(parents=True, exist_ok=True)
+    save_file(named, folder / path, {"format": "pt"})
 
 
 @pytest.mark.slow

@@ -99,6 +99,8 @@ def test_clip_embeds_pictures_as_transformers_does(tiny_clip, rng):
         wanted = network(pixel_values=torch.from_numpy(pixels)).image_embeds
     np.testing.assert_allclose(rows, wanted, rtol=1e-4, atol=1e-6)
     np.testing.assert_allclose(model(images / 255), rows, atol=1e-6)
+    red = similarity._pixels(np.full((8, 8, 3), [255, 0, 0], np.uint8), 32, "rgb")
+    assert red[0].min() > 1 > -1 > red[1:].max()
     other = similarity.Clip(tiny_clip, order="bgr")(images[..., ::-1])
     np.testing.assert_allclose(other, rows, atol=1e-6)
 
@@ -129,9 +131,10 @@ def test_missing_and_foreign_clip_models_are_refused_in_words(tmp_path, monkeypa
             similarity.Clip(name)
 
 
-def test_psnr_and_ssim_equal_skimage(rng):
-    a = rng.random((40, 30, 3))
-    b = np.clip(a + 0.1 * rng.normal(size=a.shape), 0, 1)
+@pytest.mark.parametrize("brightness", [1, 0.03])
+def test_psnr_and_ssim_equal_skimage(rng, brightness):
+    a = brightness * rng.random((40, 30, 3))
+    b = np.clip(a + 0.1 * brightness * rng.normal(size=a.shape), 0, 1)
     assert psnr(a, b) == pytest.approx(peak_signal_noise_ratio(a, b, data_range=1))
     wanted = structural_similarity(
         a, b, channel_axis=2, data_range=1, gaussian_weights=True, sigma=1.5,

@@ -44,6 +44,7 @@ class Lgm:
     `model` and `multiview` may be given ready made, for tests and for other weights; otherwise
     they are found as `phy124.weights` says. `align` turns the result to the picture
     (`lgm.align`), at the price of a small rendering every `align_step` degrees and a second pass.
+    `steps` is ImageDream's.
     """
 
     def __init__(
@@ -55,11 +56,12 @@ class Lgm:
         dtype: torch.dtype | None = None,
         align: bool = False,
         align_step: int = 1,
+        steps: int = 30,
         model: LgmModel | None = None,
         multiview: Views | None = None,
     ) -> None:
         self.weights, self.option = weights, option
-        self.align, self.align_step = align, align_step
+        self.align, self.align_step, self.steps = align, align_step, steps
         self.device = device or ("cuda" if torch.cuda.is_available() else "cpu")
         # Half precision halves memory on a GPU and only slows a CPU down.
         self.dtype = dtype or (torch.float16 if self.device == "cuda" else torch.float32)
@@ -126,7 +128,9 @@ class Lgm:
         if self.multiview is None:
             from phy124.generators.imagedream import ImageDream
 
-            self.multiview = ImageDream(weights=self.weights, device=self.device, dtype=self.dtype)
+            self.multiview = ImageDream(
+                weights=self.weights, device=self.device, dtype=self.dtype, steps=self.steps
+            )
 
 
 def framed(image_rgba: NDArray[np.uint8]) -> NDArray[np.uint8]:
