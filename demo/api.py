@@ -11,9 +11,8 @@ from typing import Any
 
 import gradio as gr
 from gradio import FileData
-from PIL import Image
 
-from demo.jobs import EXPORTS, Progress, Studio, export, read_report, sentence
+from demo.jobs import EXPORTS, Progress, Studio, dimmed, export, read_report, sentence
 from demo.photo import Photo
 from demo.report import as_html
 from demo.work import Done
@@ -43,7 +42,7 @@ def cutter(studio: Studio) -> Handler:
             made = studio.cut(_session(request), picture)
         except InputError as error:
             raise gr.Error(sentence(error), title="This picture cannot be used") from None
-        canvas = {"background": _rgb(picture), "layers": [], "composite": None}
+        canvas = {"background": dimmed(picture, made.path), "layers": [], "composite": None}
         return made, gr.update(value=made.path, visible=True), canvas
 
     return cut
@@ -190,12 +189,6 @@ def _file(path: Path) -> dict[str, Any]:
 
 def _session(request: gr.Request) -> str:
     return str(request.session_hash or "nobody")
-
-
-def _rgb(path: str) -> Image.Image:
-    from phy124.image import open_image
-
-    return open_image(path).convert("RGB")
 
 
 def endpoints(studio: Studio) -> None:

@@ -264,6 +264,16 @@ def brushed(alpha: Image.Image, strokes: Image.Image) -> Image.Image:
     return Image.fromarray(values)
 
 
+def dimmed(picture: str, cutout: str) -> Image.Image:
+    """The picture for the brush: what was cut away is pale, so that one sees what to correct."""
+    image = open_image(picture)
+    white = Image.new("RGBA", image.size, "white")
+    flat = np.asarray(Image.alpha_composite(white, image).convert("RGB")).astype(np.float32)
+    with Image.open(cutout) as cut:
+        kept = np.asarray(cut.getchannel("A")).astype(np.float32)[..., None] / 255
+    return Image.fromarray((flat * kept + (0.3 * flat + 165) * (1 - kept)).astype(np.uint8))
+
+
 def stop_at_close(events: Iterator[Any]) -> None:
     """Close the work's generator now, not when it is collected."""
     close = getattr(events, "close", None)

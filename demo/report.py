@@ -16,6 +16,7 @@ def as_html(report: dict[str, Any], scene: dict[str, Any], predicted: float) -> 
     parts = []
     if report.get("stopped"):
         parts.append(f'<p class="notice">Stopped early: {escape(str(report["stopped"]))}</p>')
+    parts += [f'<p class="note">{escape(str(note))}</p>' for note in report.get("notes", [])]
     parts += [_accuracy(report, scene, predicted), _stages(report), _motion(report)]
     parts += [_effects(report), _left_out(report)]
     return f'<div class="report">{"".join(parts)}</div>'
@@ -56,6 +57,9 @@ def _motion(report: dict[str, Any]) -> str:
         ("Greatest speed", f"{max(motion['greatest_speed']):.2f} m/s"),
         ("Greatest kinetic energy", f"{max(motion['kinetic_energy']):.3g} J"),
     ]
+    balance = report.get("balance") or {}
+    names = {"energy_gain": "Energy out of nothing", "momentum_gain": "Momentum out of nothing"}
+    rows += [(label, f"{balance[name]:.2%}") for name, label in names.items() if name in balance]
     curve = _plot(motion["time"], motion["kinetic_energy"], "kinetic energy [J]")
     volumes = _plot(motion["time"], motion["smallest_J"], "smallest J")
     return _section("Stability", _table(rows) + curve + volumes)

@@ -49,6 +49,9 @@ class Settings(BaseModel):
             for name in cls.model_fields
             if PREFIX + name.upper() in environment
         }
+        if "SPACE_ID" in environment:
+            # A Hugging Face Space reaches the page from outside its container.
+            given.setdefault("host", "0.0.0.0")
         try:
             return cls.model_validate(given)
         except ValidationError as error:

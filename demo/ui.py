@@ -99,7 +99,7 @@ def _picture() -> tuple[Photo, gr.Image, gr.ImageEditor, gr.Button]:
         )
         with gr.Accordion("Correct the cut-out", open=False):
             editor = gr.ImageEditor(
-                label="Paint green what to keep and red what to remove", type="pil",
+                label="Green keeps, red removes", type="pil",
                 layers=False, sources=[], transforms=[], elem_id="brush", height=360,
                 brush=gr.Brush(default_size=18, colors=[KEEP, REMOVE], color_mode="fixed"),
             )  # fmt: skip

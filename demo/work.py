@@ -32,6 +32,7 @@ from phy124.errors import Cancelled, InputError
 from phy124.export.html import pack
 from phy124.gaussians import Frame, Gaussians
 from phy124.generators import make as make_generator
+from phy124.parts import crop_of
 from phy124.ply import write_ply
 from phy124.render import Renderer, render_frames, to_bytes
 from phy124.scene import Scene
@@ -232,8 +233,10 @@ def _simulate(gaussians: Gaussians, order: Order, out: Path, tell: Tell) -> None
     """A folder with the clip, its Gaussians, its scene and what the run did."""
     frames, watch = order.scene.time.frames, Stopwatch()
     tell(Step("simulate", 0, frames, "preparing"))
+    with Image.open(order.cutout) as cutout:
+        crop = crop_of(cutout)
     run = Simulation(
-        gaussians, order.scene, device=order.device, watch=watch,
+        gaussians, order.scene, device=order.device, watch=watch, crop=crop,
         progress=lambda _, done, total: tell(Step("simulate", done, total, _count(run))),
     )  # fmt: skip
     if len(run.particles) > order.max_particles:
@@ -251,6 +254,9 @@ def _simulate(gaussians: Gaussians, order: Order, out: Path, tell: Tell) -> None
             glimpse(frame)
     except Stopped as stop:
         run.stopped = str(stop)
+    launches = sum(count for _, count in run.solver.timings.values())
+    watch.launches["simulate"] = int(launches)
+    tell(Step("simulate", frames, frames, _count(run)))
     with pipeline.staged(out) as folder:
         clip = run.clip()
         report = {**dict(order.about), **clip.report, "motion": motion.data()}

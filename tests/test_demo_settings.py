@@ -22,6 +22,11 @@ def test_settings_come_from_the_environment():
     assert settings.max_frames == 30 and settings.port == 7860
 
 
+def test_a_space_listens_to_the_outside_and_a_desk_does_not():
+    assert Settings.from_environment({}).host == "127.0.0.1"
+    assert Settings.from_environment({"SPACE_ID": "a/b"}).host == "0.0.0.0"
+
+
 @pytest.mark.parametrize(
     ("variable", "value"), [("MAX_FRAMES", "many"), ("PORT", "0"), ("MAX_UPLOAD_MB", "-1")]
 )
