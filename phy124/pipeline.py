@@ -20,6 +20,8 @@ from typing import Any
 
 from PIL import Image
 
+from phy124.accuracy.choose import Goal, reach
+from phy124.accuracy.forecast import Forecaster
 from phy124.errors import InputError
 from phy124.film import cameras as cameras
 from phy124.film import film as film
@@ -58,30 +60,64 @@ def generate(
     method: str = "auto",
     device: str = "cpu",
     progress: Progress = silent,
+    goal: Goal | None = None,
+    forecaster: Forecaster | None = None,
 ) -> Result:
     """A picture becomes moving Gaussians, videos and a report in a folder.
+
+    With a `goal` the accuracy is chosen to meet it (`phy124.accuracy.choose`).
 
     Raises InputError for what the user can mend, Cancelled if `progress` does.
     """
     watch = Stopwatch()
+    made = static(
+        image, generator=generator, method=method, seed=scene.seed, progress=progress, watch=watch
+    )
+    return simulate(
+        made.gaussians,
+        scene,
+        out,
+        device=device,
+        progress=progress,
+        watch=watch,
+        about=made.about,
+        crop=made.crop,
+        goal=goal,
+        forecaster=forecaster,
+    )
+
+
+@dataclass(frozen=True)
+class Static:
+    """The object made from a picture, before anything happens to it."""
+
+    gaussians: Gaussians
+    crop: Crop
+    """Where the object is in the picture."""
+    about: dict[str, Any]
+    """How the object was cut out and what made the Gaussians."""
+
+
+def static(
+    image: PathLike,
+    *,
+    generator: str | Generator = "relief",
+    method: str = "auto",
+    seed: int = 0,
+    progress: Progress = silent,
+    watch: Stopwatch | None = None,
+) -> Static:
+    """A picture becomes static Gaussians; raises InputError."""
+    watch = watch or Stopwatch()
     make, used = make_generator(generator), None
     cutout = Image.new("RGBA", (1, 1))
     if needs_image(generator):
         with watch.stage("image"):
             cutout, used = foreground(open_image(image), method)
     with watch.stage("generate"):
-        gaussians = make(cutout, seed=scene.seed, progress=progress)
+        gaussians = make(cutout, seed=seed, progress=progress)
     about = {"foreground": used, "generator": _name(generator)}
-    return simulate(
-        gaussians,
-        scene,
-        out,
-        device=device,
-        progress=progress,
-        watch=watch,
-        about=about,
-        crop=crop_of(cutout),
-    )
+    return Static(gaussians, crop_of(cutout), about)
 
 
 def simulate(
@@ -94,17 +130,34 @@ def simulate(
     watch: Stopwatch | None = None,
     about: dict[str, Any] | None = None,
     crop: Crop = WHOLE,
+    goal: Goal | None = None,
+    forecaster: Forecaster | None = None,
 ) -> Result:
-    """Gaussians become moving Gaussians, videos and a report in a folder."""
-    watch = watch or Stopwatch()
+    """Gaussians become moving Gaussians, videos and a report in a folder.
+
+    With a `forecaster` the report compares the seconds it foretold with those spent.
+    """
+    watch, about = watch or Stopwatch(), dict(about or {})
     with staged(out) as folder:
-        run = Simulation(gaussians, scene, device=device, progress=progress, watch=watch, crop=crop)
-        clip = run.run()
+        options: dict[str, Any] = {"device": device, "progress": progress, "watch": watch}
+        if goal is not None:
+            reached = reach(goal, gaussians, scene, elapsed=watch.total, crop=crop, **options)
+            run, clip, about["goal"] = reached.simulation, reached.clip, reached.about
+            scene, foretold = run.scene, None
+        else:
+            run = Simulation(gaussians, scene, crop=crop, **options)
+            foretold = None
+            if forecaster is not None:
+                with watch.stage("forecast"):
+                    foretold = forecaster.of(run)
+            clip = run.run()
         with watch.stage("save"):
             write_ply(folder / "gaussians.ply", run.gaussians)
             (folder / "scene.toml").write_text(scene.to_toml(), "utf-8")
         film(clip, scene.view, folder, device=device, progress=progress, watch=watch)
-        about = {"foreground": None, "generator": None, **(about or {})}
+        about = {"foreground": None, "generator": None, **about}
+        if foretold is not None:
+            about["forecast"] = foretold.compared(watch.seconds)
         report = {**about, **clip.report, **circumstances(device, watch)}
         with watch.stage("save"):
             clip.with_report(report).save(folder / "clip.safetensors")

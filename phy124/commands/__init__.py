@@ -1,5 +1,6 @@
 """One class per command of the command line: its fields are its options, `run` does the work."""
 
+from phy124.commands.accuracy import ShowAccuracy
 from phy124.commands.doctor import Doctor
 from phy124.commands.effects import ShowEffects
 from phy124.commands.evaluate import Evaluate
@@ -16,6 +17,7 @@ COMMANDS = {
     "scenes": Scenes,
     "stress": Stress,
     "effects": ShowEffects,
+    "accuracy": ShowAccuracy,
     "evaluate": Evaluate,
     "weights": Weights,
     "doctor": Doctor,

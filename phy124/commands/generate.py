@@ -5,13 +5,16 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
 from phy124 import pipeline
+from phy124.accuracy import Forecaster
+from phy124.accuracy.choose import Goal, said
 from phy124.commands.bars import Bars
 from phy124.commands.options import SceneOptions, default_out, pick_device
+from phy124.errors import InputError
 from phy124.stopwatch import Stopwatch
 from phy124.weights import looking_in
 
@@ -31,12 +34,22 @@ class Generate:
     """Folder to look for trained weights in first (see `phy124 doctor`)."""
     out: Path | None = None
     """Folder of the results; default out/PICTURE-SCENE."""
+    dry_run: bool = False
+    """Only make the Gaussians and say how long the rest would take."""
+    max_error: str | None = None
+    """Choose the accuracy so that the error is at most this: 2px, 1% (of the size) or 3mm."""
+    max_seconds: float | None = None
+    """Choose the finest accuracy that takes at most so many seconds in all."""
 
     def run(self) -> int:
         """Generate; prints files and times."""
         scene = self.options.resolve()
         device = pick_device(self.options.device)
         out = self.out or default_out(str(self.image), self.options.scene)
+        goal = wished(self.max_error, self.max_seconds)
+        if self.dry_run:
+            with looking_in(self.weights):
+                return self._foretell(device)
         with looking_in(self.weights), Bars(quiet=self.options.json) as bars:
             result = pipeline.generate(
                 self.image,
@@ -46,8 +59,39 @@ class Generate:
                 method=self.foreground,
                 device=device,
                 progress=bars,
+                goal=goal,
+                forecaster=Forecaster(device),
             )
         return show(result, as_json=self.options.json)
+
+    def _foretell(self, device: str) -> int:
+        """Print how long a run would take."""
+        watch = Stopwatch()
+        scene = self.options.resolve()
+        with Bars(quiet=self.options.json) as bars:
+            made = pipeline.static(
+                self.image, generator=self.generator, method=self.foreground, seed=scene.seed,
+                progress=bars, watch=watch,
+            )  # fmt: skip
+        forecast = Forecaster(device).forecast(made.gaussians, scene)
+        for name, seconds in reversed(watch.seconds.items()):
+            forecast = forecast.with_measured(name, seconds)
+        if self.options.json:
+            print(json.dumps(forecast.data()))
+        else:
+            print("\n".join(forecast.lines()))
+        return 0
+
+
+def wished(max_error: str | None, max_seconds: float | None) -> Goal | None:
+    """The goal of a run, if it has one; raises InputError."""
+    if max_error is not None and max_seconds is not None:
+        raise InputError(
+            "max_seconds", max_seconds, "an error is wished as well.", "Give one of the two."
+        )
+    if max_error is not None:
+        return Goal.error(max_error)
+    return None if max_seconds is None else Goal.time(max_seconds)
 
 
 @dataclass(frozen=True)
@@ -98,8 +142,25 @@ def show(result: pipeline.Result, *, as_json: bool) -> int:
             f"{report['gaussians']} Gaussians, {report['particles']} particles, "
             f"{report['substeps']} substeps, {report['frames']} frames on {report['device']}"
         )
+        print_forecast(report)
         for path in result.files:
             print(path)
         if report["stopped"]:
             print(f"stopped early: {report['stopped']}")
     return 0 if report["complete"] else 3
+
+
+def print_forecast(report: dict[str, Any]) -> None:
+    """What was foretold or wished, and what came of it."""
+    told, goal = report.get("forecast"), report.get("goal")
+    if told:
+        print(
+            f"foretold {told['predicted']:.1f} s, took {told['spent']:.1f} s "
+            f"(ratio {told['ratio']:.2f}){'; ' + told['caveat'] if told['caveat'] else ''}"
+        )
+    if goal and goal["unit"] == "seconds":
+        print(f"wished at most {goal['wished']}: D/{goal['cells']}, {report['seconds']:.1f} s")
+    elif goal:
+        error = goal["why_not"] if goal["error"] is None else said(goal["unit"], goal["error"])
+        met = "met" if goal["met"] else "NOT met"
+        print(f"wished at most {goal['wished']}: D/{goal['cells']}, error {error}, {met}")

@@ -1,0 +1,284 @@
+"""Choosing the accuracy from what the user wants: an error, or a time.
+
+An error: two cheap levels tell how far apart they are; with the order that contact problems show,
+the coarsest grid that should meet the wish is run, its error is estimated again from all levels
+run so far, and it is refined at most once. A time: the finest grid whose forecast fits.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from phy124.accuracy.convergence import Convergence, distances, extrapolated, richardson
+from phy124.accuracy.difference import pixel_distance
+from phy124.accuracy.forecast import Forecast, Forecaster
+from phy124.clip import Clip
+from phy124.errors import InputError
+from phy124.gaussians import Gaussians
+from phy124.progress import Progress, silent
+from phy124.scene import Scene
+from phy124.simulation import Simulation
+from phy124.stopwatch import Stopwatch
+
+Kind = Literal["pixels", "share", "metres", "seconds"]
+CHEAP = (16, 24)
+"""Cells across the object of the two levels that are run first."""
+CELLS = (8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 56, 64, 80, 96)
+"""Grids that may be chosen."""
+GUESSED_ORDER = 1.0
+"""Order assumed until three levels show theirs; contact is of first order."""
+MARGIN = 0.95
+"""Share of the wished seconds that a forecast may fill: forecasts err by a few per cent."""
+
+
+@dataclass(frozen=True)
+class Goal:
+    """What a run shall achieve: an error at most, or a time at most."""
+
+    kind: Kind
+    value: float
+    """Pixels of the first view, share of the object's size, metres, or seconds."""
+    text: str
+
+    @classmethod
+    def error(cls, text: str) -> Goal:
+        """From "2px", "1%" or "3mm"; raises InputError."""
+        found = re.fullmatch(r"\s*([0-9]*\.?[0-9]+)\s*(px|%|mm|cm|m)\s*", text)
+        units: dict[str, tuple[Kind, float]] = {
+            "px": ("pixels", 1.0), "%": ("share", 0.01),
+            "mm": ("metres", 1e-3), "cm": ("metres", 1e-2), "m": ("metres", 1.0),
+        }  # fmt: skip
+        if not found or float(found[1]) <= 0:
+            raise InputError("max_error", text, "it is not an error.", "Write 2px, 1% or 3mm, say.")
+        kind, scale = units[found[2]]
+        return cls(kind, float(found[1]) * scale, text.strip())
+
+    @classmethod
+    def time(cls, seconds: float) -> Goal:
+        """At most so many seconds in all; raises InputError."""
+        if not (math.isfinite(seconds) and seconds > 0):
+            limit = "the time must be a positive number of seconds."
+            raise InputError("max_seconds", seconds, limit, "Write 20, say.")
+        return cls("seconds", float(seconds), f"{seconds:g} s")
+
+
+@dataclass
+class Reached:
+    """A finished run and how it meets the goal."""
+
+    simulation: Simulation
+    clip: Clip
+    about: dict[str, Any]
+    """What was wished, chosen and achieved, for the report."""
+
+
+def reach(
+    goal: Goal,
+    gaussians: Gaussians,
+    scene: Scene,
+    *,
+    elapsed: float = 0.0,
+    device: str = "cpu",
+    progress: Progress = silent,
+    watch: Stopwatch | None = None,
+    forecaster: Forecaster | None = None,
+    **options: Any,
+) -> Reached:
+    """Run a scene as accurately, or as fast, as the goal says; its own cells are ignored.
+
+    `elapsed` are the seconds already spent of a wished time; `options` go to `Simulation`.
+    Raises InputError if no grid meets the goal, saying what the nearest would achieve.
+    """
+    forecaster = forecaster or Forecaster(device)
+    runs = _Runs(gaussians, scene, device, progress, watch or Stopwatch(), options)
+    if goal.kind == "seconds":
+        return _in_time(goal, runs, forecaster, elapsed)
+    return _as_exact(goal, runs)
+
+
+@dataclass
+class _Runs:
+    """Runs of one scene on several grids, each made once."""
+
+    gaussians: Gaussians
+    scene: Scene
+    device: str
+    progress: Progress
+    watch: Stopwatch
+    options: dict[str, Any]
+    done: dict[int, tuple[Simulation, Clip]] = field(default_factory=dict)
+
+    def simulation(self, cells: int) -> Simulation:
+        """A run that has not begun."""
+        accuracy = self.scene.resolution.model_copy(update={"cells": cells})
+        return Simulation(
+            self.gaussians,
+            self.scene.model_copy(update={"accuracy": accuracy}),
+            device=self.device,
+            progress=self.progress,
+            watch=self.watch,
+            **self.options,
+        )
+
+    def clip(self, cells: int) -> Clip:
+        """The clip on a grid, made if it is not there."""
+        if cells not in self.done:
+            simulation = self.simulation(cells)
+            self.done[cells] = simulation, simulation.run()
+        return self.done[cells][1]
+
+    @property
+    def complete(self) -> bool:
+        """Whether no run stopped early."""
+        return all(clip.report["complete"] for _, clip in self.done.values())
+
+
+def _as_exact(goal: Goal, runs: _Runs) -> Reached:
+    coarse, fine = CHEAP
+    gap = _gap(goal, runs.clip(coarse), runs.clip(fine), runs.scene)
+    if not runs.complete:
+        raise _unreachable(goal, "the motion stops early on a coarse grid")
+    guess = extrapolated((1 / coarse, 1 / fine), gap, GUESSED_ORDER)
+    cells = _coarsest(goal, fine, guess[1], GUESSED_ORDER)
+    runs.clip(cells)
+    found = _estimate(goal, runs)
+    refined = False
+    if found.error is not None and found.error > goal.value and found.order is not None:
+        cells = _coarsest(goal, max(runs.done), found.error, found.order, finer=True)
+        runs.clip(cells)
+        found, refined = _estimate(goal, runs), True
+    simulation, clip = runs.done[cells]
+    return Reached(simulation, clip, _about(goal, cells, guess, found, runs, refined))
+
+
+def _about(
+    goal: Goal,
+    cells: int,
+    guess: tuple[float, float],
+    found: Convergence,
+    runs: _Runs,
+    refined: bool,
+) -> dict[str, Any]:
+    """For the report: what was wished and what came of it, in the goal's unit."""
+    error = _error_at(cells, guess, found, runs, goal)
+    return {
+        "wished": goal.text, "unit": goal.kind, "cells": cells, "levels": sorted(runs.done),
+        "order": found.order, "error": error, "refined": refined,
+        "met": error is not None and error <= goal.value, "why_not": found.why_not,
+    }  # fmt: skip
+
+
+def _error_at(
+    cells: int,
+    guess: tuple[float, float],
+    found: Convergence,
+    runs: _Runs,
+    goal: Goal,
+) -> float | None:
+    """Error of the chosen level: observed where three levels are there, else the first guess."""
+    finest = max(runs.done)
+    if found.error is not None:
+        if cells == finest:
+            return found.error
+        return found.error + _gap(goal, runs.clip(cells), runs.clip(finest), runs.scene)
+    if len(runs.done) > len(CHEAP):
+        return None
+    return guess[CHEAP.index(cells)]
+
+
+def _estimate(goal: Goal, runs: _Runs) -> Convergence:
+    """Order and error of the finest level run so far, in the goal's unit."""
+    cells = sorted(runs.done)
+    if len(cells) < 3:
+        return Convergence(None, None)
+    clips = [runs.done[n][1] for n in cells]
+    apart = distances([clip.means for clip in clips])
+    for i, one in enumerate(clips):
+        for j, other in enumerate(clips):
+            if i < j:
+                apart[i, j] = apart[j, i] = _gap(goal, one, other, runs.scene)
+    return richardson([1 / n for n in cells], apart)
+
+
+def _gap(goal: Goal, one: Clip, other: Clip, scene: Scene) -> float:
+    """RMS distance of two clips in the goal's unit."""
+    if goal.kind == "pixels":
+        return pixel_distance(one, other, scene.view)
+    metres = float(distances([one.means, other.means])[0, 1])
+    return metres / scene.object.size if goal.kind == "share" else metres
+
+
+def _coarsest(goal: Goal, known: int, error: float, order: float, *, finer: bool = False) -> int:
+    """The coarsest grid that should meet the goal, from the error of a known one."""
+    allowed = [n for n in CELLS if n >= min(CHEAP) and (n > known or not finer)]
+    for cells in allowed:
+        if error * (known / cells) ** order <= goal.value:
+            return cells
+    last = CELLS[-1]
+    best = error * (known / last) ** order
+    raise _unreachable(goal, f"even D/{last} would be off by about {said(goal.kind, best)}")
+
+
+def said(kind: Kind, value: float) -> str:
+    """A value in the unit of a goal."""
+    if kind == "pixels":
+        return f"{value:.1f}px"
+    return f"{value:.1%}" if kind == "share" else f"{value * 1000:.2g}mm"
+
+
+def _unreachable(goal: Goal, why: str) -> InputError:
+    name = "max_seconds" if goal.kind == "seconds" else "max_error"
+    return InputError(
+        name,
+        goal.text,
+        f"no grid meets it: {why}.",
+        "Ask for less, or see `phy124 accuracy` for what each grid achieves in this scene.",
+    )
+
+
+def _in_time(goal: Goal, runs: _Runs, forecaster: Forecaster, elapsed: float) -> Reached:
+    left = MARGIN * goal.value - elapsed
+    start = runs.watch.total
+    best: tuple[int, Simulation, Forecast] | None = None
+    cells: int | None = CHEAP[0]
+    tried: set[int] = set()
+    while cells is not None and cells not in tried:
+        tried.add(cells)
+        simulation = runs.simulation(cells)
+        forecast = forecaster.of(simulation)
+        fits = forecast.seconds <= left - (runs.watch.total - start)
+        if fits and (best is None or cells > best[0]):
+            best = cells, simulation, forecast
+        cells = _next(cells, forecast, left - (runs.watch.total - start), fits, tried)
+    if best is None:
+        raise _unreachable(goal, f"the coarsest grid, D/{min(tried)}, would take longer")
+    cells, simulation, forecast = best
+    ready = runs.watch.total - start
+    clip = simulation.run()
+    about = {
+        "wished": goal.text, "unit": "seconds", "cells": cells, "levels": sorted(tried),
+        "predicted": elapsed + forecast.seconds + ready, "caveat": forecast.caveat,
+    }  # fmt: skip
+    return Reached(simulation, clip, about)
+
+
+def _next(cells: int, forecast: Forecast, left: float, fits: bool, tried: set[int]) -> int | None:
+    """The grid to look at next: near where the forecast's growth meets the time that is left."""
+    moving = forecast.stages["simulate"]
+    still = forecast.seconds - moving
+    room = max(left - still, 0.05 * moving)
+    # Particles inside grow with the cube of the cells, substeps with the cells.
+    wanted = cells * (room / moving) ** (1 / GROWTH)
+    if fits:
+        finer = [n for n in CELLS if cells < n <= max(wanted, cells)]
+        return next((n for n in reversed(finer) if n not in tried), None)
+    coarser = [n for n in CELLS if n < cells and n not in tried]
+    near = [n for n in coarser if n <= wanted]
+    return (near or coarser[:1] or [None])[-1]
+
+
+GROWTH = 2.5
+"""Exponent with which the seconds of simulation grow with the cells, between surface and solid."""

@@ -1,0 +1,74 @@
+"""How far two clips of the same Gaussians are apart: metres, per cent, pixels, and as seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.clip import Clip
+from phy124.film import cameras
+from phy124.metrics import psnr, ssim
+from phy124.render import render_frames
+from phy124.scene import View
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Distances between the centres of the Gaussians of two clips, and between their videos."""
+
+    metres: float
+    """RMS over all Gaussians and frames."""
+    relative: float
+    """The same, as a share of the object's size at rest."""
+    pixels: float
+    """RMS in the picture of the first view."""
+    worst_frame: int
+    """The frame in which they differ most."""
+    worst: float
+    """RMS of that frame, as a share of the size."""
+    psnr: float
+    """Of the two videos of the first view [dB]; infinite if they are equal."""
+    ssim: float
+    """Mean over the frames, -1 to 1."""
+
+
+def difference(clip: Clip, reference: Clip, view: View, *, device: str = "cpu") -> Difference:
+    """Compare two clips of one object frame by frame; both must have the same frames.
+
+    Raises ValueError if they do not belong together.
+    """
+    if clip.means.shape != reference.means.shape:
+        raise ValueError(f"clips of {clip.means.shape} and {reference.means.shape} are no pair")
+    size = float(np.ptp(reference.means[0], axis=0).max())
+    squares = ((clip.means.astype(float) - reference.means) ** 2).sum(axis=2)
+    frames = np.sqrt(squares.mean(axis=1))
+    metres = float(np.sqrt(squares.mean()))
+    a, b = video(clip, reference, view, device), video(reference, reference, view, device)
+    return Difference(
+        metres=metres,
+        relative=metres / size,
+        pixels=pixel_distance(clip, reference, view),
+        worst_frame=int(frames.argmax()),
+        worst=float(frames.max()) / size,
+        psnr=psnr(a, b),
+        ssim=float(np.mean([ssim(x, y) for x, y in zip(a, b, strict=True)])),
+    )
+
+
+def pixel_distance(clip: Clip, reference: Clip, view: View) -> float:
+    """RMS distance in the picture of the first view over all frames, pixels."""
+    squares = []
+    for index, camera in enumerate(cameras(reference, view, view.views[0])):
+        here, _ = camera.project(clip.means[index].astype(float))
+        there, _ = camera.project(reference.means[index].astype(float))
+        squares.append(((here - there) ** 2).sum(axis=1).mean())
+    return float(np.sqrt(np.mean(squares)))
+
+
+def video(clip: Clip, framed: Clip, view: View, device: str = "cpu") -> NDArray[np.uint8]:
+    """The first view of a clip [T,H,W,3], framed as another one would be."""
+    seen = cameras(framed, view, view.views[0])
+    images = render_frames(clip.frames(), seen, background=view.background, device=device)
+    return np.stack(list(images))

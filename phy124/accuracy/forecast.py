@@ -1,0 +1,332 @@
+"""How long a run will take, before it runs.
+
+    seconds = substeps * (a * particles + b * nodes) + frames * (shapes + views * pictures)
+
+a and b come from a probe of 20 substeps of the very solver that will run, put back to its start
+afterwards; the substeps from a pilot (`phy124.accuracy.pilot`); shapes, pictures and video from
+doing a few. No promise is made when the speed of the particles rules the substep.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+
+from phy124.accuracy.pilot import Pilot, fly
+from phy124.clip import Clip
+from phy124.deform import Deformer
+from phy124.film import film
+from phy124.gaussians import Gaussians
+from phy124.mpm import Solver
+from phy124.scene import AccuracyName, Scene
+from phy124.simulation import Simulation
+from phy124.stopwatch import Stopwatch
+
+PROBE = 20
+"""Substeps of a probe."""
+FILMED = (1, 5)
+"""Frames filmed to tell a video's start from its frames."""
+UNSURE = 0.1
+"""Share of substeps limited by motion rather than stiffness from which nothing is promised."""
+NODE_STAGES = ("clear", "grid")
+"""Stages whose time goes with the nodes, besides the colliders."""
+
+
+@dataclass(frozen=True)
+class Rates:
+    """How fast a solver is on this machine."""
+
+    particle: float
+    """Seconds per particle and substep."""
+    node: float
+    """Seconds per grid node and substep."""
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """What a run will take."""
+
+    stages: dict[str, float]
+    """Predicted seconds by stage; names as in the report."""
+    measured: tuple[str, ...]
+    """Stages that were not predicted but done already."""
+    particles: int
+    nodes: int
+    """Mean number of grid nodes."""
+    substeps: int
+    limiters: dict[str, float]
+    """Share of the substeps by what limits them."""
+    rates: Rates
+    caveat: str | None = None
+    """Why the seconds are no promise."""
+
+    @property
+    def seconds(self) -> float:
+        """All stages together."""
+        return sum(self.stages.values())
+
+    def with_measured(self, name: str, seconds: float) -> Forecast:
+        """The same with a stage that has been done already."""
+        return replace(self, stages={name: seconds, **self.stages}, measured=(*self.measured, name))
+
+    def lines(self) -> list[str]:
+        """The forecast as text, a stage a line."""
+        made = [
+            f"  {name:<12}{seconds:8.2f} s{'  (measured)' if name in self.measured else ''}"
+            for name, seconds in self.stages.items()
+        ]
+        limited = ", ".join(f"{name} {share:.0%}" for name, share in self.limiters.items())
+        total = f"  {'total':<12}{self.seconds:8.2f} s"
+        about = (
+            f"{self.particles} particles, {self.nodes} nodes, about {self.substeps} substeps "
+            f"(limited by: {limited}), {1e9 * self.rates.particle:.0f} ns per particle and substep"
+        )
+        return [*made, total, about, *([self.caveat] if self.caveat else [])]
+
+    def data(self) -> dict[str, Any]:
+        """Plain data for scripts."""
+        return {**asdict(self), "seconds": self.seconds}
+
+    def compared(self, spent: Mapping[str, float]) -> dict[str, Any]:
+        """Predicted and spent seconds and their ratio, by stage and in all, for the report."""
+        predicted = {n: s for n, s in self.stages.items() if n not in self.measured and n in spent}
+        rows = {
+            name: {
+                "predicted": seconds,
+                "spent": spent[name],
+                "ratio": _ratio(spent[name], seconds),
+            }
+            for name, seconds in predicted.items()
+        }
+        total, used = sum(predicted.values()), sum(spent[name] for name in predicted)
+        return {
+            "predicted": total, "spent": used, "ratio": _ratio(used, total), "stages": rows,
+            "substeps": self.substeps, "limiters": self.limiters, "caveat": self.caveat,
+        }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Stop:
+    """One stop of the accuracy slider."""
+
+    name: str
+    seconds: float
+    """Predicted seconds from Gaussians to files."""
+    error: float
+    """Promised error, as a share of the object's size."""
+    pixels: float
+    """The same in pixels of the video."""
+    promise: str
+    """What is promised and why, in a sentence."""
+    caveat: str | None
+    """Why the seconds are no promise."""
+    forecast: Forecast
+
+
+@dataclass
+class Forecaster:
+    """Forecasts on one device; remembers rates and pilots, so that a second look is quick."""
+
+    device: str = "cpu"
+    _known: dict[Any, Any] = field(default_factory=dict, repr=False)
+
+    def forecast(self, gaussians: Gaussians, scene: Scene) -> Forecast:
+        """What a run of this scene will take; makes its particles and a probe.
+
+        Raises InputError as `Simulation` does.
+        """
+        watch = Stopwatch()
+        simulation = Simulation(gaussians, scene, device=self.device, watch=watch)
+        made = self.of(simulation)
+        return made.with_measured("particles", watch.seconds["particles"])
+
+    def of(self, simulation: Simulation, *, filming: bool = True) -> Forecast:
+        """What a simulation that has not begun will take; its state is left as it was."""
+        scene, solver = simulation.scene, simulation.solver
+        pilot = self._pilot(simulation.gaussians, scene)
+        rates, nodes = _probe(solver)
+        substeps, limiters = pilot.substeps(scene.resolution.cells, cfl=_cfl(scene))
+        mean_nodes = nodes * pilot.growth
+        particles = len(simulation.particles)
+        per_substep = rates.particle * particles + rates.node * mean_nodes
+        stages = {
+            "simulate": substeps * per_substep,
+            "deform": scene.time.frames * _time_shapes(simulation),
+            **(self._filming(simulation.gaussians, scene) if filming else {}),
+        }
+        return Forecast(
+            stages, (), particles, round(mean_nodes), substeps, limiters, rates,
+            _caveat(pilot, limiters),
+        )  # fmt: skip
+
+    def stops(self, gaussians: Gaussians, scene: Scene) -> dict[str, Stop]:
+        """Seconds and promised error of draft, standard and fine."""
+        return {name: self._stop(name, gaussians, scene) for name in get_args(AccuracyName)}
+
+    def _stop(self, name: AccuracyName, gaussians: Gaussians, scene: Scene) -> Stop:
+        chosen = scene.model_copy(update={"accuracy": name})
+        key = (id(gaussians), _physics(chosen), self.device)
+        made: Forecast = self._remember(key, lambda: self.forecast(gaussians, chosen), gaussians)
+        promise = PROMISES[name]
+        pixels = promise.error * pixels_per_size(chosen)
+        return Stop(name, made.seconds, promise.error, pixels, promise.sentence, made.caveat, made)
+
+    def _pilot(self, gaussians: Gaussians, scene: Scene) -> Pilot:
+        coarse = scene.model_copy(update={"accuracy": "standard"})
+        key = ("pilot", len(gaussians), gaussians.means[:: max(1, len(gaussians) // 64)].tobytes())
+        return self._remember(
+            (key, _physics(coarse)), lambda: fly(gaussians, scene, device=self.device)
+        )
+
+    def _filming(self, gaussians: Gaussians, scene: Scene) -> dict[str, float]:
+        """Seconds of pictures, videos and saving."""
+        view = scene.view
+        key = ("film", len(gaussians), view.size, view.distance, scene.time.frames, view.views)
+        return self._remember(key, lambda: _time_film(gaussians, scene, self.device))
+
+    def _remember(self, key: Any, make: Any, keep: Any = None) -> Any:
+        """A value made once; `keep` holds on to what the key's id belongs to."""
+        if key not in self._known:
+            self._known[key] = (make(), keep)
+        return self._known[key][0]
+
+
+@dataclass(frozen=True)
+class Promise:
+    """What a preset is good for."""
+
+    error: float
+    """Error after the whole clip, as a share of the object's size."""
+    sentence: str
+
+
+PROMISES: dict[str, Promise] = {
+    "draft": Promise(0.05, "p"),
+    "standard": Promise(0.02, "p"),
+    "fine": Promise(0.012, "p"),
+}
+
+
+def pixels_per_size(scene: Scene) -> float:
+    """How many pixels of the video the object's longest side takes, at its distance."""
+    half_height = np.tan(np.radians(scene.view.fov / 2)) * scene.view.distance
+    return float(scene.view.size / (2 * half_height))
+
+
+def _physics(scene: Scene) -> str:
+    """All of a scene that the seconds depend on."""
+    return scene.model_dump_json(exclude={"description", "seed"})
+
+
+def _cfl(scene: Scene) -> float:
+    """The pilot has the scene's own share of the stable substep."""
+    del scene
+    return 1.0
+
+
+def _caveat(pilot: Pilot, limiters: Mapping[str, float]) -> str | None:
+    if pilot.stopped:
+        return "The motion is not stable on a coarse grid, so its length cannot be told."
+    moving = sum(limiters.get(name, 0.0) for name in ("speed", "gradient"))
+    if moving > UNSURE:
+        return (
+            f"For {moving:.0%} of the substeps the speed of the material, not its stiffness, sets "
+            "their length, which differs from grid to grid: the seconds are a guess, no promise."
+        )
+    return None
+
+
+def _probe(solver: Solver) -> tuple[Rates, int]:
+    """Rates and grid nodes from 20 substeps; the solver is put back to its start."""
+    start = solver.snapshot()
+    try:
+        _advance(solver, 2)
+        for lane in solver.lanes:
+            lane.timings.clear()
+        before, began = solver.substeps, time.perf_counter()
+        _advance(solver, PROBE)
+        seconds = (time.perf_counter() - began) / (solver.substeps - before)
+        share, nodes = _node_share(solver), solver.grid.count
+    finally:
+        solver.restore(start)
+        for lane in solver.lanes:
+            lane.timings.clear()
+    return Rates(seconds * (1 - share) / len(solver.rest), seconds * share / max(nodes, 1)), nodes
+
+
+def _advance(solver: Solver, substeps: int) -> None:
+    """About so many substeps of stable length."""
+    solver.step(0.0, 0.0)
+    solver.advance(solver.time + substeps * solver.substep().dt)
+
+
+def _node_share(solver: Solver) -> float:
+    """Share of the stages' time that goes with the nodes."""
+    walls = {name for name, _ in solver.collisions}
+    total = nodes = 0.0
+    for lane in solver.lanes:
+        for name, (seconds, _) in lane.timings.items():
+            if name != "wait":
+                total += seconds
+                nodes += seconds if name in NODE_STAGES or name in walls else 0.0
+    return nodes / total if total else 0.0
+
+
+def _time_shapes(simulation: Simulation) -> float:
+    """Seconds to reshape the Gaussians of one frame, on strained particles."""
+    solver, particles = simulation.solver, simulation.particles
+    rng = np.random.default_rng(0)
+    F = np.eye(3) + 0.05 * rng.standard_normal((len(particles), 3, 3))
+    deform = Deformer(simulation.gaussians, particles, device=simulation.device)
+    x, v = solver.state.x, solver.state.v
+    deform(x, F, index=0, time=0.0, velocities=v)
+    start = time.perf_counter()
+    deform(x, F, index=1, time=0.0, velocities=v)
+    return time.perf_counter() - start
+
+
+def _time_film(gaussians: Gaussians, scene: Scene, device: str) -> dict[str, float]:
+    """Film a few frames from one side; the rest is multiplication."""
+    one = scene.view.model_copy(update={"views": scene.view.views[:1]})
+    seconds, frames = [], scene.time.frames
+    with tempfile.TemporaryDirectory() as folder:
+        # The first time loads the kernels.
+        for clip in [_moving(gaussians, scene, count) for count in (1, *FILMED)]:
+            watch = Stopwatch()
+            film(clip, one, folder, device=device, watch=watch)
+            seconds.append(watch.seconds)
+        clip, start = _moving(gaussians, scene, FILMED[1]), time.perf_counter()
+        clip.save(Path(folder) / "clip.safetensors")
+        saving = (time.perf_counter() - start) * frames / len(clip)
+    found = {"save": saving}
+    for stage in ("render", "encode"):
+        few, more = seconds[1][stage], seconds[2][stage]
+        each = max(more - few, 0.0) / (FILMED[1] - FILMED[0])
+        first = max(few - each * FILMED[0], 0.0)
+        found[stage] = len(scene.view.views) * (first + each * frames)
+    return found
+
+
+def _moving(gaussians: Gaussians, scene: Scene, count: int) -> Clip:
+    """A clip of the object moving a hundredth of its size per frame, as an encoder would see it."""
+    n = len(gaussians)
+    shift = np.arange(count, dtype=np.float32)[:, None, None] * np.float32(scene.object.size / 100)
+    return Clip(
+        np.asarray(gaussians.means)[None] + (shift * np.array([0, 1, 0])).astype(np.float32),
+        np.broadcast_to(gaussians.quats, (count, n, 4)),
+        np.broadcast_to(gaussians.scales, (count, n, 3)),
+        gaussians.opacities,
+        gaussians.sh,
+        np.arange(count) / scene.time.fps,
+        scene=scene.data(),
+    )
+
+
+def _ratio(spent: float, predicted: float) -> float | None:
+    return spent / predicted if predicted > 0 else None

@@ -1,0 +1,289 @@
+"""The study: one scene at several grid spacings, what each costs and how far each is off.
+
+The error of a level is its distance from the finest plus the finest one's own error, estimated
+by Richardson's extrapolation with the order that three levels show. Where finer grids do not
+come closer to each other, there is no number: "not converging".
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from phy124.accuracy.convergence import Convergence, distances, richardson
+from phy124.accuracy.difference import Difference, difference
+from phy124.accuracy.forecast import PROMISES, Forecaster
+from phy124.clip import Clip
+from phy124.gaussians import Gaussians
+from phy124.progress import Progress, silent
+from phy124.scene import PRESETS, Accuracy, Scene
+from phy124.simulation import Simulation
+from phy124.watchdog import Balance, weigh
+
+LEVELS = (16, 24, 32, 48)
+"""Cells across the object, from coarse to fine; draft, standard and fine among them."""
+LEAST_PPC = 1.5
+"""Median particles per cell and axis below which a level is skipped."""
+VARIED = 24
+"""The level whose other settings are varied one at a time."""
+SIZE = 256
+"""Width and height of the compared videos, pixels, at most."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One setting: what it was, what it cost, how far it is off."""
+
+    name: str
+    cells: int
+    precision: str
+    cfl: float
+    binding: str
+    particles: int
+    ppc: float
+    """Median particles per cell and axis where there are any."""
+    substeps: int
+    predicted: float
+    """Seconds of simulation and shapes as forecast."""
+    seconds: float
+    """Seconds of simulation and shapes as measured."""
+    limiters: dict[str, float]
+    """Share of the substeps by what limited them."""
+    energy_lost: float | None
+    """Share of the greatest energy in motion lost in all; None if work is done from outside."""
+    angular_momentum_lost: float | None
+    """Relative change; None if forces or walls change it."""
+    from_finest: Difference | None = None
+    """Distance to the finest level; None for that one."""
+    error: float | None = None
+    """Estimated error as a share of the object's size; None where levels do not converge."""
+    pixels: float | None = None
+    """The same in pixels of the video."""
+
+    @property
+    def level(self) -> bool:
+        """Whether it is one of the levels and not a variation."""
+        return self.name.startswith("D/")
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a study found."""
+
+    rows: tuple[Row, ...]
+    skipped: tuple[str, ...]
+    """Levels left out and why, in sentences."""
+    convergence: Convergence
+    object_size: float
+    """Longest side at rest, m."""
+    recommendation: str
+    promises: dict[str, str]
+    """For each preset whether its promise holds in this scene."""
+
+    def data(self) -> dict[str, Any]:
+        """Plain data for accuracy.json; infinities become None."""
+        return _plain(asdict(self))
+
+
+@dataclass
+class Study:
+    """Runs one scene at several settings; the Gaussians are the same in all of them."""
+
+    gaussians: Gaussians
+    scene: Scene
+    device: str = "cpu"
+    levels: tuple[int, ...] = LEVELS
+    progress: Progress = silent
+    told: Callable[[Row], None] = lambda row: None
+    """Called with each setting as it is done, before errors are known."""
+    clips: dict[str, Clip] = field(default_factory=dict, repr=False)
+
+    def run(self) -> Report:
+        """All settings; raises InputError, Cancelled or, where nothing ran, Stopped."""
+        rows, skipped = [], []
+        plan = list(self._plan())
+        for number, (name, scene) in enumerate(plan):
+            self.progress("study", number, len(plan))
+            row, reason = self._row(name, scene)
+            if reason:
+                skipped.append(reason)
+            if row:
+                rows.append(row)
+                self.told(row)
+        self.progress("study", len(plan), len(plan))
+        return self._judged(rows, tuple(skipped))
+
+    def _plan(self) -> Iterator[tuple[str, Scene]]:
+        """Every setting by name: the levels, then one thing varied at a time."""
+        base = self.scene.resolution
+        for cells in self.levels:
+            yield f"D/{cells}", self._with(base.model_copy(update={"cells": cells}))
+        middle = base.model_copy(update={"cells": min(VARIED, max(self.levels))})
+        here = f"at D/{middle.cells}"
+        yield (
+            f"half the substep {here}",
+            self._with(middle.model_copy(update={"cfl": middle.cfl / 2})),
+        )
+        other = "float64" if middle.precision == "float32" else "float32"
+        yield f"{other} {here}", self._with(middle.model_copy(update={"precision": other}))
+        binding = "field" if self.scene.binding == "particles" else "particles"
+        bound = self._with(middle).model_copy(update={"binding": binding})
+        yield f"binding {binding} {here}", bound
+
+    def _with(self, accuracy: Accuracy) -> Scene:
+        return self.scene.model_copy(update={"accuracy": accuracy})
+
+    def _row(self, name: str, scene: Scene) -> tuple[Row | None, str]:
+        """Run one setting; a row, or why there is none."""
+        simulation = Simulation(self.gaussians, scene, device=self.device)
+        ppc = _particles_per_axis(simulation)
+        if ppc < LEAST_PPC:
+            return None, (
+                f"{name} is skipped: {ppc:.1f} particles per cell and axis are fewer than "
+                f"{LEAST_PPC}, so a finer grid would be less accurate."
+            )
+        forecast = Forecaster(self.device).of(simulation, filming=False)
+        before = weigh(simulation.solver)
+        clip = simulation.run()
+        if not clip.report["complete"]:
+            return None, f"{name} is left out: {clip.report['stopped']}"
+        self.clips[name] = clip
+        solver, accuracy = simulation.solver, scene.resolution
+        seconds = simulation.watch.seconds
+        counts = solver.limiters
+        return Row(
+            name=name,
+            cells=accuracy.cells,
+            precision=accuracy.precision,
+            cfl=accuracy.cfl,
+            binding=scene.binding,
+            particles=len(simulation.particles),
+            ppc=ppc,
+            substeps=solver.substeps,
+            predicted=forecast.stages["simulate"] + forecast.stages["deform"],
+            seconds=seconds["simulate"] + seconds["deform"],
+            limiters={key: count / sum(counts.values()) for key, count in counts.items()},
+            energy_lost=_energy_lost(scene, before, weigh(solver)),
+            angular_momentum_lost=_momentum_lost(scene, before, weigh(solver)),
+        ), ""
+
+    def _judged(self, rows: list[Row], skipped: tuple[str, ...]) -> Report:
+        """Add errors against the finest level and say what follows."""
+        levels = [row for row in rows if row.level]
+        size = self.scene.object.size
+        if not levels:
+            none = Convergence(None, None, "no level could be run")
+            return Report(tuple(rows), skipped, none, size, none.why_not, {})
+        names = [row.name for row in levels]
+        apart = distances([self.clips[name].means for name in names]) / size
+        found = richardson([1 / row.cells for row in levels], apart)
+        finest = self.clips[names[-1]]
+        judged = tuple(self._error(row, finest, names[-1], found) for row in rows)
+        return Report(
+            judged, skipped, found, size, recommend(judged, found), kept_promises(judged, found)
+        )
+
+    def _error(self, row: Row, finest: Clip, name: str, found: Convergence) -> Row:
+        view = self.scene.view
+        small = view.model_copy(update={"size": min(view.size, SIZE)})
+        apart = None
+        if row.name != name:
+            apart = difference(self.clips[row.name], finest, small, device=self.device)
+            apart = replace(apart, pixels=apart.pixels * view.size / small.size)
+        if found.error is None:
+            return replace(row, from_finest=apart)
+        error = found.error + (apart.relative if apart else 0.0)
+        scale = apart.pixels / apart.relative if apart and apart.relative else 0.0
+        return replace(row, from_finest=apart, error=error, pixels=error * scale if scale else None)
+
+
+def recommend(rows: tuple[Row, ...], found: Convergence) -> str:
+    """One sentence: which level to take and what the next would cost."""
+    levels = [row for row in rows if row.level]
+    if found.error is None:
+        return f"No setting can be recommended by its error: {found.why_not}."
+    promise = PROMISES["standard"].error
+    good = [row for row in levels if row.error is not None and row.error <= promise]
+    best = min(good or levels[-1:], key=lambda row: row.seconds)
+    said = f"Take {best.name}: {best.error or 0:.1%} of the object's size in {best.seconds:.1f} s"
+    finer = [row for row in levels if row.cells > best.cells]
+    if not good:
+        return f"{said}; no level reached {promise:.0%}, only a finer grid will."
+    if not finer:
+        return f"{said}; it is the finest that was tried."
+    ratio = finer[0].seconds / best.seconds
+    better = f"{finer[0].error or 0:.1%}"
+    return f"{said}; {finer[0].name} would take {ratio:.1f} times as long for {better}."
+
+
+def kept_promises(rows: tuple[Row, ...], found: Convergence) -> dict[str, str]:
+    """For each preset whose level was run: does its promise hold here?"""
+    said = {}
+    for name, accuracy in PRESETS.items():
+        row = next((row for row in rows if row.level and row.cells == accuracy.cells), None)
+        if row is None:
+            said[name] = "not tried"
+        elif found.error is None or row.error is None:
+            said[name] = f"cannot be judged: {found.why_not}"
+        else:
+            verdict = "holds" if row.error <= PROMISES[name].error else "DOES NOT HOLD"
+            said[name] = f"{verdict}: {row.error:.1%} of at most {PROMISES[name].error:.0%}"
+    return said
+
+
+def _particles_per_axis(simulation: Simulation) -> float:
+    """Median number of particles in the cells that hold any, per axis."""
+    cells = np.floor(simulation.particles.x / simulation.solver.dx).astype(np.int64)
+    _, counts = np.unique(cells, axis=0, return_counts=True)
+    return float(np.median(counts) ** (1 / 3))
+
+
+def _energy_lost(scene: Scene, before: Balance, after: Balance) -> float | None:
+    """Loss of kinetic, elastic and potential energy, where nothing but these is in play."""
+    field = _steady_field(scene)
+    moving = any(getattr(wall, "kind", "") in MOVING for wall in scene.boundaries)
+    if field is None or moving:
+        return None
+    fallen = float(field @ (after.middle - before.middle))
+    turned_over = max(before.energy, after.energy, abs(fallen))
+    lost = before.energy + fallen - after.energy
+    return lost / turned_over if turned_over > 0 else None
+
+
+MOVING = ("press",)
+"""Boundaries that do work."""
+
+
+def _steady_field(scene: Scene) -> np.ndarray | None:
+    """The sum of all uniform accelerations [3]; None if another kind of force acts."""
+    total = np.zeros(3)
+    for force in scene.forces:
+        value = {"gravity": "g", "acceleration": "a"}.get(force.kind)
+        always = force.start == 0 and force.end is None and force.region is None
+        if value is None or not always:
+            return None
+        total += np.array(getattr(force, value))
+    return total
+
+
+def _momentum_lost(scene: Scene, before: Balance, after: Balance) -> float | None:
+    """Relative change of angular momentum, where neither force nor wall may change it."""
+    start = float(np.linalg.norm(before.angular))
+    if scene.forces or scene.boundaries or start == 0:
+        return None
+    return float(np.linalg.norm(after.angular - before.angular)) / start
+
+
+def _plain(value: Any) -> Any:
+    """JSON-safe copy."""
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    return value.item() if isinstance(value, np.generic) else value

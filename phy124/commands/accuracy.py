@@ -1,0 +1,154 @@
+"""`phy124 accuracy`: is the solver right, and what does accuracy cost in a scene of your own?"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tyro
+
+from phy124.commands.bars import Bars
+from phy124.commands.options import pick_device
+from phy124.errors import InputError
+from phy124.scene import Scene
+
+DUCK = "demo/examples/duck.png"
+
+
+@dataclass(frozen=True)
+class ShowAccuracy:
+    """Verify the solver against known answers, or study what accuracy costs in a scene."""
+
+    scene: tyro.conf.Positional[str | None] = None
+    """Preset or .toml file to study."""
+    image: Path | None = None
+    """Picture of the object, or a 3DGS .ply file; absent: a rubber ball."""
+    verify: bool = False
+    """Solve problems whose answer is known; no scene is needed."""
+    levels: tuple[int, ...] = (16, 24, 32, 48)
+    """Cells across the object to study, from coarse to fine."""
+    out: Path | None = None
+    """Folder of accuracy.json, .html and .png; default out/accuracy-SCENE."""
+    generator: str = "relief"
+    """How the picture becomes Gaussians."""
+    device: str = "auto"
+    """auto, cpu or cuda:0."""
+    json: bool = False
+    """Print as JSON and nothing else."""
+
+    def run(self) -> int:
+        """Verify or study; status 1 if a known answer is missed."""
+        if self.verify:
+            return self._verify()
+        if self.scene is None:
+            raise InputError(
+                "scene", "none", "there is nothing to study.", "Name a preset, or add --verify."
+            )
+        return self._study(Scene.named(self.scene))
+
+    def _verify(self) -> int:
+        from phy124.accuracy.verify import verify
+
+        rows, good = [], True
+        for verdict in verify():
+            good &= verdict.passed
+            rows.append({**verdict.__dict__, "passed": verdict.passed})
+            if not self.json:
+                print(_verdict_line(rows[-1]), flush=True)
+        if self.json:
+            print(json.dumps({"passed": good, "checks": rows}))
+        else:
+            print("all as expected" if good else "NOT as expected: see the lines marked FAIL")
+        return 0 if good else 1
+
+    def _study(self, scene: Scene) -> int:
+        from phy124.accuracy.plots import save_page, save_picture
+        from phy124.accuracy.study import Study
+        from phy124.pipeline import staged
+
+        device = pick_device(self.device)
+        name = Path(str(self.scene)).stem
+        out = self.out or Path("out") / f"accuracy-{name}"
+        with Bars(quiet=self.json) as bars, staged(out) as folder:
+            gaussians = self._gaussians(scene, bars)
+            study = Study(gaussians, scene, device, tuple(sorted(self.levels)), bars)
+            report = study.run()
+            bars.close()
+            (folder / "accuracy.json").write_text(json.dumps(report.data(), indent=1), "utf-8")
+            save_page(report, folder / "accuracy.html", title=f"{name}: accuracy and time")
+            missing = ""
+            try:
+                save_picture(report, folder / "accuracy.png", title=f"{name} on {device}")
+            except InputError as refusal:
+                missing = str(refusal)
+        if self.json:
+            print(json.dumps(report.data()))
+            return 0
+        print(table(report.data()["rows"]))
+        for sentence in (*report.skipped, report.convergence.why_not, report.recommendation):
+            if sentence:
+                print(sentence)
+        for preset, said in report.promises.items():
+            print(f"promise of {preset}: {said}")
+        print("\n".join(str(path) for path in sorted(out.glob("accuracy.*"))), missing, sep="\n")
+        return 0
+
+    def _gaussians(self, scene: Scene, progress: Any) -> Any:
+        """The object to study."""
+        if self.image is None:
+            from phy124.accuracy.ball import ball
+
+            return ball()
+        from phy124.pipeline import static
+
+        made = static(self.image, generator=self.generator, seed=scene.seed, progress=progress)
+        return made.gaussians
+
+
+def _verdict_line(row: dict[str, Any]) -> str:
+    """One check as a line."""
+    order = ""
+    if row["expected_order"]:
+        low, high = row["expected_order"]
+        seen = "none" if row["order"] is None else f"{row['order']:.2f}"
+        order = f"order {seen} (expected {low:g} to {high:g})"
+    grids = "/".join(str(n) for n in row["levels"])
+    return (
+        f"{'pass' if row['passed'] else 'FAIL'}  {row['problem']:<22}{row['quantity']:<24}"
+        f"{row['value']:9.2e} (at most {row['limit']:.0e})  {order:<36}"
+        f"{grids:<13}{row['seconds']:6.2f} s"
+    )
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """The rows of a study as aligned text."""
+    heads = (
+        "setting", "cells", "ppc", "particles", "substeps", "predicted s", "measured s", "error %",
+        "pixels", "worst frame", "PSNR", "SSIM", "energy lost", "L lost", "limited by",
+    )  # fmt: skip
+    lines = [heads, *(_cells(row) for row in rows)]
+    widths = [max(len(line[k]) for line in lines) for k in range(len(heads))]
+    return "\n".join(
+        "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()
+        for line in lines
+    )
+
+
+def _cells(row: dict[str, Any]) -> tuple[str, ...]:
+    apart = row["from_finest"] or {}
+
+    def number(value: float | None, form: str) -> str:
+        return "-" if value is None else format(value, form)
+
+    worst = f"{apart['worst_frame']} ({apart['worst']:.1%})" if apart else "-"
+    error = None if row["error"] is None else 100 * row["error"]
+    limited = ", ".join(f"{name} {share:.0%}" for name, share in row["limiters"].items())
+    return (
+        row["name"], str(row["cells"]), f"{row['ppc']:.1f}", str(row["particles"]),
+        str(row["substeps"]), f"{row['predicted']:.1f}", f"{row['seconds']:.1f}",
+        number(error, ".2f"), number(row["pixels"], ".1f"), worst,
+        number(apart.get("psnr"), ".1f"), number(apart.get("ssim"), ".4f"),
+        number(row["energy_lost"], ".1%"), number(row["angular_momentum_lost"], ".1e"), limited,
+    )  # fmt: skip
