@@ -56,21 +56,22 @@ def describe_recording(path: Path, file: Path) -> list[str]:
 
     channels: dict[int, Channel] = {}
     times: dict[int, list[int]] = {}
-    whole = False
+    whole, damaged = False, 0
     for record in records(file):
         if isinstance(record, Channel):
             channels[record.id] = record
         elif isinstance(record, Message):
             times.setdefault(record.channel_id, []).append(record.log_time)
+        damaged += record is None
         whole = whole or isinstance(record, Footer)
-    whole = whole and (path.suffix == bag.SUFFIX or (path / bag.METADATA).is_file())
+    whole = whole and not damaged and (path.suffix == bag.SUFFIX or (path / bag.METADATA).is_file())
     lines = [f"recording: {file}, {file.stat().st_size / 1e6:.1f} MB"]
     for number, channel in channels.items():
         lines.append(f"{channel.topic}: {len(times.get(number, []))} messages")
         if channel.topic == POINTS.name and number in times:
             seconds = np.ptp(times[number]) / 1e9
             lines.append(f"duration: {seconds:.3f} s")
-    state = "whole" if whole else f"not finished; run `python -m bridge recover {path}`"
+    state = "whole" if whole else f"not finished or damaged; run `python -m bridge recover {path}`"
     return [*lines, f"state: {state}"]
 
 

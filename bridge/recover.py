@@ -6,6 +6,7 @@ copied into a new file, which then takes the place of the old one.
 
 from __future__ import annotations
 
+import logging
 import os
 import struct
 from collections.abc import Iterator
@@ -21,6 +22,8 @@ from .topics import POINTS, RECORDED
 
 if TYPE_CHECKING:
     from mcap.writer import Writer
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -68,22 +71,30 @@ def recover(path: str | os.PathLike[str], output: str | os.PathLike[str] | None 
 def records(file: Path) -> Iterator[Any]:
     """All complete records of an MCAP file in order, those in chunks taken out of them.
 
-    Ends silently at the first record that is cut short or damaged.
+    A damaged chunk gives None in the place of its records; a record that is cut short ends it.
     """
     from mcap.exceptions import McapError
-    from mcap.stream_reader import StreamReader
+    from mcap.records import Chunk
+    from mcap.stream_reader import StreamReader, breakup_chunk
     from zstandard import ZstdError
 
     # RuntimeError is what lz4 raises, ValueError a wrong checksum.
     broken = (McapError, struct.error, ValueError, RuntimeError, ZstdError)
     with open(file, "rb") as stream:
-        reader = iter(StreamReader(stream, validate_crcs=True).records)
+        reader = iter(StreamReader(stream, emit_chunks=True).records)
         while True:
             try:
                 record = next(reader)
             except (StopIteration, *broken):
                 return
-            yield record
+            if not isinstance(record, Chunk):
+                yield record
+                continue
+            try:
+                inside = breakup_chunk(record, validate_crc=True)
+            except broken:
+                inside = [None]
+            yield from inside
 
 
 def _damaged_file(path: Path) -> Path:
@@ -104,17 +115,19 @@ def _is_finished(path: Path, source: Path) -> bool:
 
 
 def _inspect(file: Path) -> tuple[bool, int]:
-    """Whether the file has its footer, and how many frames."""
+    """Whether the file has its footer and no damage, and how many frames."""
     from mcap.records import Channel, Footer, Header, Message
 
-    whole, frames, points, record = False, 0, None, None
+    footer, damaged, frames, points = False, 0, 0, None
     for record in records(file):
-        if isinstance(record, Channel) and record.topic == POINTS.name:
+        if record is None:
+            damaged += 1
+        elif isinstance(record, Channel) and record.topic == POINTS.name:
             points = record.id
         elif isinstance(record, Message):
             frames += record.channel_id == points
         elif isinstance(record, Footer):
-            whole = True
+            footer = True
         elif isinstance(record, Channel) and record.topic not in RECORDED:
             limit = f"It holds the topic {record.topic}, so this program did not record it."
             raise InputError("recover", file, limit, "Use `ros2 bag reindex -s mcap` for it.")
@@ -124,7 +137,9 @@ def _inspect(file: Path) -> tuple[bool, int]:
     if points is None:
         limit = "Not even its first frame is complete, so there is nothing to bring back."
         raise InputError("recover", file, limit, "Delete it and record again.")
-    return whole, frames
+    if damaged:
+        log.warning("%d damaged chunks of %s cannot be read.", damaged, file)
+    return footer and not damaged, frames
 
 
 def _copy(source: Path, destination: Path) -> bag.Counts:
@@ -144,14 +159,14 @@ def _copy(source: Path, destination: Path) -> bag.Counts:
 def _copy_records(source: Path, writer: Writer) -> bag.Counts:
     from mcap.records import Channel, Message, Metadata
 
-    counts, channels, topics = bag.Counts(), {}, {}
+    counts = bag.Counts()
+    # The summary of a finished file repeats the channels, should their first chunk be damaged.
+    found = {record.id: record.topic for record in records(source) if isinstance(record, Channel)}
+    topics = {number: RECORDED[name] for number, name in found.items()}
+    counts.announce(list(topics.values()))
+    channels = {number: bag.register(writer, topic) for number, topic in topics.items()}
     for record in records(source):
-        # The summary repeats the channels of a whole file.
-        if isinstance(record, Channel) and record.id not in channels:
-            topic = topics[record.id] = RECORDED[record.topic]
-            channels[record.id] = bag.register(writer, topic)
-            counts.announce([topic])
-        elif isinstance(record, Message):
+        if isinstance(record, Message):
             counts.add(topics[record.channel_id], record.log_time)
             writer.add_message(
                 channels[record.channel_id],

@@ -48,7 +48,9 @@ def test_record_info_and_recover(clip, capsys):
     assert "state: whole" in lines
     (bag / "metadata.yaml").unlink()
     assert main(["info", str(bag)]) == 0
-    assert f"not finished; run `python -m bridge recover {bag}`" in capsys.readouterr().out
+    assert (
+        f"not finished or damaged; run `python -m bridge recover {bag}`" in capsys.readouterr().out
+    )
     assert main(["recover", str(bag)]) == 0
     assert "repaired, 6 frames" in capsys.readouterr().out
     assert main(["recover", str(bag)]) == 0

@@ -15,7 +15,7 @@ from rosbags.rosbag2 import Reader
 
 from bridge.layout import points
 from bridge.options import Options
-from bridge.recover import recover
+from bridge.recover import Recovery, recover
 from bridge.sinks.mcap import McapSink
 from phy124.errors import InputError
 
@@ -119,15 +119,31 @@ def test_to_another_place_leaves_the_damaged_one(tmp_path):
     assert file.read_bytes() == damaged
 
 
-def test_damage_in_the_middle_ends_there(tmp_path):
+@pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
+def test_damage_in_the_middle_costs_one_frame(tmp_path, compression, caplog):
     path = tmp_path / "bag"
-    sizes = recorded(path, random_clip())
+    sizes = recorded(path, random_clip(), compression)
+    expected = frames_in(path)
     file = path / "bag_0.mcap"
     data = bytearray(file.read_bytes())
-    data[sizes[1] + 500] ^= 0xFF
+    data[sizes[0] + 500] ^= 0xFF
     file.write_bytes(data)
-    (path / "metadata.yaml").unlink()
-    assert recover(path).frames == 2
+    assert recover(path) == Recovery(path, 3, repaired=True)
+    assert frames_in(path) == [expected[0], *expected[2:]]
+    assert "1 damaged chunks" in caplog.text
+    assert recover(path) == Recovery(path, 3, repaired=False)
+
+
+def test_a_damaged_first_chunk_takes_only_the_transform(tmp_path):
+    path = tmp_path / "bag"
+    recorded(path, random_clip())
+    expected = frames_in(path)
+    file = path / "bag_0.mcap"
+    data = bytearray(file.read_bytes())
+    data[data.index(b"offered_qos_profiles") + 40] ^= 0xFF
+    file.write_bytes(data)
+    assert recover(path).frames == 4
+    assert frames_in(path) == expected
 
 
 def test_full_disk_while_recovering_keeps_the_damaged_file(tmp_path, monkeypatch):

@@ -7,6 +7,7 @@ frame being written; `recover` makes such a file whole. metadata.yaml comes last
 from __future__ import annotations
 
 import json
+import logging
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -24,6 +25,7 @@ Compression = Literal["none", "lz4", "zstd"]
 CHUNK = 1 << 20
 """Chunk size, bytes: a large frame closes its own chunk."""
 PART = ".part"
+log = logging.getLogger(__name__)
 
 
 class McapSink:
@@ -92,6 +94,8 @@ class McapSink:
             failure = self._failure(error)
             if kind is None:
                 raise failure from error
+            # Something else went wrong before; that is what is raised.
+            log.error(str(failure))
 
     def write(self, frame: Frame) -> None:
         """Append one frame. Raises InputError if the disk is full or gone."""
