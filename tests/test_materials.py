@@ -493,3 +493,15 @@ def generated(kernel: wp.Kernel) -> str:
     folder = Path(wp.config.kernel_cache_dir)
     files = sorted(folder.glob(f"*{kernel.module.name}_*/*.cpp"), key=lambda f: f.stat().st_mtime)
     return files[-1].read_text()
+
+
+@pytest.mark.parametrize(("n", "viscosity"), [(0.2, 0.01), (0.2, 1e4), (0.5, 1e-3), (1.0, 1e-6)])
+def test_foam_solves_its_flow_rule_however_thin_it_is(n, viscosity, rng):
+    """Excess over consistency from 1e-3 to 1e9, its power up to 1e45: no overflow, right root."""
+    material = Foam(E=1e6, flow_index=n, viscosity=viscosity, yield_stress=100.0)
+    F, h = deformations(rng, 0.2), np.zeros((300, 2))
+    for precision, close in (("float64", 1e-6), ("float32", 2e-4)):
+        ours = evaluate(material, F, dt=1e-3, precision=precision)
+        elastic, after = TWINS["foam"].project(F, h, np.array(material.theta()), 1e-3)
+        assert relative(ours.F, elastic, 1.0) < close
+        assert relative(ours.history, after, 1.0) < close
