@@ -20,6 +20,9 @@ EXTRAS = {
     "demo": ("gradio",),
     "bridge": ("mcap",),
     "dds": ("cyclonedds",),
+    "foxglove": ("foxglove",),
+    "usd": ("pxr",),
+    "plots": ("matplotlib",),
 }
 """Optional parts and the modules each needs."""
 
