@@ -24,7 +24,7 @@ from phy124.deform import Deformer
 from phy124.film import film
 from phy124.gaussians import Gaussians
 from phy124.mpm import Solver
-from phy124.scene import AccuracyName, Scene
+from phy124.scene import PROMISES, AccuracyName, Scene
 from phy124.simulation import Simulation
 from phy124.stopwatch import Stopwatch
 
@@ -175,7 +175,7 @@ class Forecaster:
         made: Forecast = self._remember(key, lambda: self.forecast(gaussians, chosen), gaussians)
         promise = PROMISES[name]
         pixels = promise.error * pixels_per_size(chosen)
-        return Stop(name, made.seconds, promise.error, pixels, promise.sentence, made.caveat, made)
+        return Stop(name, made.seconds, promise.error, pixels, promise.why, made.caveat, made)
 
     def _pilot(self, gaussians: Gaussians, scene: Scene) -> Pilot:
         coarse = scene.model_copy(update={"accuracy": "standard"})
@@ -195,22 +195,6 @@ class Forecaster:
         if key not in self._known:
             self._known[key] = (make(), keep)
         return self._known[key][0]
-
-
-@dataclass(frozen=True)
-class Promise:
-    """What a preset is good for."""
-
-    error: float
-    """Error after the whole clip, as a share of the object's size."""
-    sentence: str
-
-
-PROMISES: dict[str, Promise] = {
-    "draft": Promise(0.05, "p"),
-    "standard": Promise(0.02, "p"),
-    "fine": Promise(0.012, "p"),
-}
 
 
 def pixels_per_size(scene: Scene) -> float:

@@ -16,11 +16,11 @@ import numpy as np
 
 from phy124.accuracy.convergence import Convergence, distances, richardson
 from phy124.accuracy.difference import Difference, difference
-from phy124.accuracy.forecast import PROMISES, Forecaster
+from phy124.accuracy.forecast import Forecaster
 from phy124.clip import Clip
 from phy124.gaussians import Gaussians
 from phy124.progress import Progress, silent
-from phy124.scene import PRESETS, Accuracy, Scene
+from phy124.scene import PRESETS, PROMISES, Accuracy, Scene
 from phy124.simulation import Simulation
 from phy124.watchdog import Balance, weigh
 
