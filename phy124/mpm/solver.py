@@ -208,7 +208,7 @@ class Solver:
         lane.maxima.fill_(-np.inf)
         for group, part in self._parts(lane):
             s, kernel = self.state, transfer.make_measure(group.law, self.real)
-            model = [group.theta, self.mass[part], self.volume[part], self.domain.corners]
+            model = [group.rows(part), self.mass[part], self.volume[part], self.domain.corners]
             state = [s.x[part], s.v[part], s.C[part], s.F[part], part_of(s.history, part)]
             wp.launch(
                 kernel,
@@ -253,7 +253,7 @@ class Solver:
     def _record_p2g(self, group: Group, part: slice, nodes: Grid) -> Recorded:
         s, law = self.state, group.law
         kernel = transfer.make_p2g(law, self.real, self.native)
-        model = [self.mass[part], self.volume[part], group.theta]
+        model = [self.mass[part], self.volume[part], group.rows(part)]
         state = [s.x[part], s.v[part], s.C[part], s.F[part], part_of(s.history, part)]
         inputs = [*model, nodes.lattice, nodes.window, self.clock, *state]
         return f"p2g {law.name}", self.record(kernel, part.stop - part.start, inputs, [nodes.nodes])
@@ -261,7 +261,7 @@ class Solver:
     def _record_g2p(self, group: Group, part: slice) -> Recorded:
         s, grid, law = self.state, self.grid, group.law
         kernel = transfer.make_g2p(law, self.real, self.native)
-        inputs = [group.theta, grid.lattice, grid.window, self.clock, grid.nodes]
+        inputs = [group.rows(part), grid.lattice, grid.window, self.clock, grid.nodes]
         outputs = [s.x[part], s.residue[part], s.v[part], s.C[part], s.F[part]]
         outputs += [part_of(s.history, part), part_of(s.total, part), self.stray]
         return f"g2p {law.name}", self.record(kernel, part.stop - part.start, inputs, outputs)

@@ -20,6 +20,12 @@ class Group:
     theta: wp.array
     """Parameters of the law, one row, or one row per particle."""
 
+    def rows(self, part: slice) -> wp.array:
+        """The parameters of a part of its particles, which a thread works on."""
+        if len(self.theta) == 1:
+            return self.theta
+        return cast("wp.array", self.theta[part.start - self.start : part.stop - self.start])
+
 
 @dataclass
 class State:
