@@ -457,12 +457,6 @@ def test_rigid_is_capped_and_says_so():
     assert soft.notes() == []
 
 
-def test_stiffness_may_differ_from_particle_to_particle():
-    rows = Metal().theta_rows(np.array([1.0, 2.0]))
-    assert np.array_equal(rows[0], Metal().theta())
-    np.testing.assert_allclose(rows[1], np.array(Metal().theta()) * [2, 2, 1, 1, 1])
-
-
 def test_materials_are_named_by_their_law_and_bounded():
     adapter = TypeAdapter(AnyMaterial)
     for material in [*LAWS, Rigid()]:

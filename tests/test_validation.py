@@ -147,3 +147,20 @@ def test_materials_side_by_side_each_obey_their_own_law():
     np.testing.assert_array_equal(total[below], F[below])
     assert np.linalg.det(F[below]).mean() < 0.95
     assert np.abs(total[~below] - F[~below]).max() > 0.01
+
+
+def test_stiffness_from_place_to_place_is_the_same_on_two_threads():
+    """Two materials of one law: each particle keeps its own row of parameters."""
+    dx, places = 0.1, []
+    x = grid(12, 6, 6, spacing=dx / 2)
+    stiff = (x[:, 0] > 0.3).astype(int)
+    for threads in (1, 2):
+        s = Solver(
+            x, np.full(len(x), (dx / 2) ** 3), [NeoHookean(E=5e3), NeoHookean(E=3e5)], dx=dx,
+            material=stiff, boundaries=[Ground()], forces=[Gravity()], threads=threads,
+        )  # fmt: skip
+        s.advance(0.25)
+        places.append(s.state.x.numpy())
+    np.testing.assert_allclose(places[0], places[1], atol=1e-5)
+    heights = [np.ptp(places[0][stiff == part, 2]) for part in (0, 1)]
+    assert heights[0] < heights[1] - 0.02

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from typing import ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from phy124.kernels.transfer import Law
@@ -73,9 +71,3 @@ class Elastic(Material):
         """
         mu, lam = self.lame
         return math.sqrt((3 * max(lam, 0) + 2 * mu) / self.density)
-
-    def theta_rows(self, stiffness: NDArray) -> NDArray[np.float64]:
-        """One row of parameters per particle [P,W], its mu and lambda times `stiffness [P]`."""
-        rows = np.tile(np.array(self.theta(), dtype=np.float64), (len(stiffness), 1))
-        rows[:, :2] *= np.asarray(stiffness, dtype=np.float64)[:, None]
-        return rows
