@@ -7,15 +7,12 @@ at its next yield, and one that is closed asks its work to stop.
 from __future__ import annotations
 
 import base64
+import json
 import logging
-import subprocess
-import sys
 import threading
 import time
-import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -24,24 +21,18 @@ from PIL import Image
 
 from demo.catalogue import check_time, scene_of
 from demo.forecast import Forecaster
+from demo.pictures import check_picture, cut_out
 from demo.settings import Settings
 from demo.visitors import Visitor, Visitors, key
 from demo.work import BEAT, DEVICE, Done, Glimpse, Order, Reused, Step, steps
-from phy124.clip import Clip
 from phy124.errors import Cancelled, InputError
-from phy124.export import write_ply_sequence
-from phy124.export.html import write_html
-from phy124.image import FORMATS, foreground, open_image
-from phy124.pipeline import cameras
-from phy124.scene import Scene, View
+from phy124.scene import Scene
 
 STAGES = {"generate": "Picture to 3D", "simulate": "Physics", "render": "Videos", "save": "Files"}
 FAILED = "Something went wrong here, not with you; it is in the log. Try again or change the scene."
 LOG = logging.getLogger("phy124.web")
 CUTTING = threading.BoundedSemaphore(2)
 """Pictures cut out at once."""
-TAIL = 60.0
-"""Longest time an export may take, s."""
 
 
 def sentence(error: InputError) -> str:
@@ -215,65 +206,6 @@ class Progress:
         }
 
 
-def check_picture(path: Path, settings: Settings) -> None:
-    """Size in bytes and pixels, from the header alone; raises InputError."""
-    size = path.stat().st_size
-    if size > settings.max_bytes:
-        limit = f"The picture has {size / 1e6:.0f} MB; this page takes {settings.max_upload_mb:g}."
-        raise InputError("picture", path.name, limit, "Save it as JPEG or reduce it.")
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
-            with Image.open(path, formats=FORMATS) as opened:
-                pixels = opened.width * opened.height
-    except Image.DecompressionBombError:
-        pixels = 10**9
-    except (OSError, SyntaxError, ValueError):
-        open_image(path)  # says what is wrong with it
-        raise
-    if pixels > settings.max_megapixels * 1e6:
-        limit = f"It has more than {settings.max_megapixels:g} million pixels."
-        raise InputError("picture", path.name, limit, "Reduce it to 2000 pixels, say.")
-
-
-def cut_out(picture: str, strokes: Image.Image | None, path: Path) -> None:
-    """Write the cut-out; green strokes are object and red ones are not, whatever was found."""
-    image = open_image(picture)
-    try:
-        cut, _ = foreground(image)
-    except InputError:
-        if strokes is None:
-            raise
-        cut = image.convert("RGBA")
-        cut.putalpha(0)
-    if strokes is not None:
-        cut.putalpha(brushed(cut.getchannel("A"), strokes))
-    if not np.any(np.asarray(cut.getchannel("A")) > 127):
-        raise InputError("picture", "empty", "Nothing is left of it.", "Paint green what to keep.")
-    cut.save(path, compress_level=1)
-
-
-def brushed(alpha: Image.Image, strokes: Image.Image) -> Image.Image:
-    """Alpha with strokes applied: green keeps, red removes."""
-    marks = np.asarray(strokes.convert("RGBA").resize(alpha.size)).astype(np.int16)
-    painted = marks[..., 3] > 64
-    keep = painted & (marks[..., 1] > marks[..., 0])
-    values = np.array(alpha)
-    values[painted & ~keep] = 0
-    values[keep] = 255
-    return Image.fromarray(values)
-
-
-def dimmed(picture: str, cutout: str) -> Image.Image:
-    """The picture for the brush: what was cut away is pale, so that one sees what to correct."""
-    image = open_image(picture)
-    white = Image.new("RGBA", image.size, "white")
-    flat = np.asarray(Image.alpha_composite(white, image).convert("RGB")).astype(np.float32)
-    with Image.open(cutout) as cut:
-        kept = np.asarray(cut.getchannel("A")).astype(np.float32)[..., None] / 255
-    return Image.fromarray((flat * kept + (0.3 * flat + 165) * (1 - kept)).astype(np.uint8))
-
-
 def stop_at_close(events: Iterator[Any]) -> None:
     """Close the work's generator now, not when it is collected."""
     close = getattr(events, "close", None)
@@ -283,54 +215,4 @@ def stop_at_close(events: Iterator[Any]) -> None:
 
 def read_report(done: Done) -> dict[str, Any]:
     """The report of a finished run."""
-    import json
-
     return json.loads((done.films / "report.json").read_text("utf-8"))
-
-
-def export(kind: str, done: Done) -> Path:
-    """Make one of `EXPORTS` of a finished run, once; raises InputError."""
-    if kind not in EXPORTS or not EXPORTS[kind].available():
-        raise InputError("format", kind, "This format is not offered here.", "Choose another one.")
-    path = done.films / EXPORTS[kind].file
-    if not path.exists():
-        EXPORTS[kind].write(done, path)
-    return path
-
-
-@dataclass(frozen=True)
-class Export:
-    """A format made on demand."""
-
-    label: str
-    hint: str
-    file: str
-    write: Callable[[Done, Path], None]
-    available: Callable[[], bool] = lambda: True
-
-
-def _html(done: Done, path: Path) -> None:
-    clip = Clip.load(done.clip / "clip.safetensors")
-    view = View.model_validate(clip.scene["view"])
-    write_html(path, clip, cameras(clip, view, "front")[0], background=view.background)
-
-
-def _ply(done: Done, path: Path) -> None:
-    write_ply_sequence(path, Clip.load(done.clip / "clip.safetensors"), name="phy124")
-
-
-def _mcap(done: Done, path: Path) -> None:
-    """Through the bridge's command line: page and bridge do not know each other."""
-    command = [sys.executable, "-m", "bridge", "record", str(done.clip / "clip.safetensors")]
-    subprocess.run([*command, str(path)], check=True, timeout=TAIL, capture_output=True)
-
-
-def _bridge() -> bool:
-    return all(find_spec(name) is not None for name in ("bridge", "mcap"))
-
-
-EXPORTS = {
-    "html": Export("Player, one file", "Plays offline in any browser", "player.html", _html),
-    "ply": Export("PLY sequence", "SuperSplat, brush, Unity", "phy124-ply.zip", _ply),
-    "mcap": Export("MCAP", "ROS 2, Foxglove", "phy124.mcap", _mcap, _bridge),
-}

@@ -1,6 +1,7 @@
-"""Make the looping pictures on the preset cards from the pipeline itself: `python -m demo.make_previews`.
+"""Make the looping pictures on the preset cards from the pipeline itself.
 
-Run it again when presets or their physics have changed; it takes some seconds per preset.
+Run `python -m demo.make_previews` again when presets or their physics have
+changed; it takes some seconds per preset.
 """
 
 from __future__ import annotations

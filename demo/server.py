@@ -121,9 +121,7 @@ def routes(studio: Studio) -> list[Route | Mount]:
 def launch(page: Any, studio: Studio, **options: Any) -> Any:
     """Start the page with everything a public server needs; returns Gradio's answer."""
     settings = studio.settings
-    page.queue(
-        max_size=settings.max_queue, default_concurrency_limit=1, api_open=False
-    )
+    page.queue(max_size=settings.max_queue, default_concurrency_limit=1, api_open=False)
     limit = Middleware(BodyLimit, most=int(settings.max_bytes * 4 / 3) + SLACK)
     return page.launch(
         server_name=settings.host,

@@ -7,10 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import gradio as gr
+from gradio import themes
 
-from demo import api, panels
+from demo import handlers, panels
+from demo.endpoints import endpoints
 from demo.jobs import Studio
-from demo.photo import Photo
+from demo.photo import photo
 from demo.settings import Settings
 from demo.visitors import Visitors
 from demo.work import steps
@@ -22,12 +24,12 @@ MASTHEAD = """<div id="masthead"><svg width="42" height="42" viewBox="0 0 42 42"
 <g fill="none" stroke="#0f766e" stroke-width="2.4"><ellipse cx="15" cy="27" rx="11" ry="9"/>
 <ellipse cx="22" cy="20" rx="12" ry="7.5" transform="rotate(-32 22 20)" opacity=".6"/>
 <ellipse cx="29" cy="12" rx="9" ry="5" transform="rotate(-48 29 12)" opacity=".3"/></g></svg>
-<div><h1>phy124</h1><p>One photograph in, a moving and physically right 3D object out.</p></div></div>"""
+<div><h1>phy124</h1><p>One photograph in, a moving and physically right 3D object out.</p>
+</div></div>"""
 
 
 def open_studio(settings: Settings, root: Path) -> Studio:
     """What all visitors share; on ZeroGPU the work is wrapped so that it gets a GPU."""
-    Photo.max_bytes = settings.max_bytes
     work = steps
     if find_spec("spaces") is not None:
         import spaces  # pyright: ignore[reportMissingImports]
@@ -47,7 +49,7 @@ def build(studio: Studio) -> gr.Blocks:
         cutout, done = gr.State(None), gr.State(None)
         with gr.Row(elem_id="columns"):
             with gr.Column(elem_id="left"):
-                photo, preview, editor, apply = _picture()
+                picture, preview, editor, apply = _picture(studio)
                 scene = _scene()
                 forecast, go, cancel = _go()
             with gr.Column(elem_id="right"):
@@ -55,24 +57,24 @@ def build(studio: Studio) -> gr.Blocks:
                 viewer = panels.viewer()
                 videos, report, takeaway = _results()
         results = [viewer, videos, report, takeaway]
-        _wire_picture(studio, photo, cutout, preview, editor, apply)
+        _wire_picture(studio, picture, cutout, preview, editor, apply)
         _wire_run(studio, cutout, done, scene, forecast, go, cancel, progress, results)
         takeaway.prepare(
-            api.prepare, [done, takeaway], takeaway, show_progress="hidden",
+            handlers.prepare, [done, takeaway], takeaway, show_progress="hidden",
             api_visibility="private", concurrency_id="export", concurrency_limit=2,
         )  # fmt: skip
-        page.unload(api.leaver(studio))
-        api.endpoints(studio)
+        page.unload(handlers.leaver(studio))
+        endpoints(studio)
     return page
 
 
-def _theme() -> gr.themes.Base:
+def _theme() -> themes.Base:
     """Only fonts that are there already: nothing is fetched."""
-    return gr.themes.Base(
+    return themes.Base(
         primary_hue="teal",
         neutral_hue="slate",
         radius_size="lg",
-        font=[gr.themes.LocalFont("IBM Plex Sans", weights=(400, 700)), "system-ui", "sans-serif"],
+        font=[themes.LocalFont("IBM Plex Sans", weights=(400, 700)), "system-ui", "sans-serif"],
         font_mono=["ui-monospace", "monospace"],
     )
 
@@ -81,12 +83,13 @@ def _heading(number: int, title: str) -> gr.HTML:
     return gr.HTML(f"<h2><b>{number}</b>{title}</h2>", apply_default_css=False)
 
 
-def _picture() -> tuple[Photo, gr.Image, gr.ImageEditor, gr.Button]:
+def _picture(studio: Studio) -> tuple[gr.Image, gr.Image, gr.ImageEditor, gr.Button]:
     with gr.Column(elem_id="picture-panel"):
         _heading(1, "Picture")
         with gr.Row(elem_id="pictures"):
-            photo = Photo(
-                label="Picture", sources=["upload", "clipboard", "webcam"], type="filepath",
+            picture = photo(
+                studio.settings.max_bytes,
+                label="Picture", sources=["upload", "clipboard", "webcam"],
                 elem_id="photo", height=190, show_label=False, buttons=[],
             )  # fmt: skip
             preview = gr.Image(
@@ -95,7 +98,12 @@ def _picture() -> tuple[Photo, gr.Image, gr.ImageEditor, gr.Button]:
             )  # fmt: skip
         examples = panels.examples()
         examples.pick(
-            api.pick, None, photo, queue=False, show_progress="hidden", api_visibility="private"
+            handlers.pick,
+            None,
+            picture,
+            queue=False,
+            show_progress="hidden",
+            api_visibility="private",
         )
         with gr.Accordion("Correct the cut-out", open=False):
             editor = gr.ImageEditor(
@@ -104,7 +112,7 @@ def _picture() -> tuple[Photo, gr.Image, gr.ImageEditor, gr.Button]:
                 brush=gr.Brush(default_size=18, colors=[KEEP, REMOVE], color_mode="fixed"),
             )  # fmt: skip
             apply = gr.Button("Apply the strokes", size="sm")
-    return photo, preview, editor, apply
+    return picture, preview, editor, apply
 
 
 def _scene() -> gr.HTML:
@@ -134,15 +142,11 @@ def _results() -> tuple[gr.HTML, gr.HTML, gr.HTML]:
     return videos, report, takeaway
 
 
-def _wire_picture(studio: Studio, photo: Any, cutout: Any, *shown: Any) -> None:
+def _wire_picture(studio: Studio, picture: Any, cutout: Any, *shown: Any) -> None:
     preview, editor, apply = shown
-    quiet = {"show_progress_on": preview, "api_visibility": "private"}
-    photo.change(
-        api.cutter(studio), photo, [cutout, preview, editor], concurrency_limit=2, **quiet
-    )
-    apply.click(
-        api.corrector(studio), [cutout, editor], [cutout, preview], concurrency_limit=2, **quiet
-    )
+    quiet = {"show_progress_on": preview, "api_visibility": "private", "concurrency_limit": 2}
+    picture.change(handlers.cutter(studio), picture, [cutout, preview, editor], **quiet)
+    apply.click(handlers.corrector(studio), [cutout, editor], [cutout, preview], **quiet)
 
 
 def _wire_run(
@@ -150,23 +154,23 @@ def _wire_run(
     progress: Any, results: list[Any],
 ) -> None:  # fmt: skip
     gr.on(
-        [scene.change, cutout.change], api.forecaster(studio), [cutout, scene], forecast,
+        [scene.change, cutout.change], handlers.forecaster(studio), [cutout, scene], forecast,
         queue=False, show_progress="hidden", api_visibility="private", trigger_mode="always_last",
     )  # fmt: skip
     go.click(
-        api.begin, None, [progress, go, cancel], queue=False, show_progress="hidden",
+        handlers.begin, None, [progress, go, cancel], queue=False, show_progress="hidden",
         api_visibility="private",
     )  # fmt: skip
     run = go.click(
-        api.runner(studio), [cutout, scene], [progress, done, go, cancel, *results],
+        handlers.runner(studio), [cutout, scene], [progress, done, go, cancel, *results],
         concurrency_id="device", concurrency_limit=1, show_progress="minimal",
         show_progress_on=progress, api_visibility="private",
     )  # fmt: skip
     run.failure(
-        api.refused, None, [progress, go, cancel], queue=False, show_progress="hidden",
+        handlers.refused, None, [progress, go, cancel], queue=False, show_progress="hidden",
         api_visibility="private",
     )  # fmt: skip
     cancel.click(
-        api.stopper(studio), None, [progress, go, cancel], cancels=[run], queue=False,
+        handlers.stopper(studio), None, [progress, go, cancel], cancels=[run], queue=False,
         show_progress="hidden", api_visibility="private",
     )  # fmt: skip

@@ -31,4 +31,6 @@ def _ball() -> Gaussians:
     means = 0.5 * away / np.linalg.norm(away, axis=1, keepdims=True)
     quats = np.tile([1.0, 0, 0, 0], (COUNT, 1))
     shape = np.full((COUNT, 3), 0.05)
-    return Gaussians.from_rgb(means, quats, shape, np.full(COUNT, 0.9), rng.random((COUNT, 3)))
+    return Gaussians.from_rgb(
+        means, quats, shape, np.full(COUNT, 0.9), rng.random((COUNT, 3), np.float32)
+    )

@@ -85,7 +85,12 @@ def _post(url: str, data: bytes) -> tuple[int, bytes]:
 
 
 def test_health_and_static_files(server):
-    assert server.health() == {"status": "ok", "ready": True, "busy": False, "visitors": server.health()["visitors"]}
+    assert server.health() == {
+        "status": "ok",
+        "ready": True,
+        "busy": False,
+        "visitors": server.health()["visitors"],
+    }
     assert json.loads(_get(f"{server.url}/phy124/catalogue.json")[1])["presets"]
     assert _get(f"{server.url}/phy124/viewer/player.js")[0] == 200
     assert _get(f"{server.url}/phy124/static/../../pyproject.toml")[0] == 404
@@ -115,15 +120,20 @@ def test_generate_then_render_then_evaluate(client):
 def test_endpoints_have_typed_arguments(client):
     described = client.view_api(print_info=False, return_format="dict")["named_endpoints"]
     assert set(described) == {"/generate", "/render", "/evaluate"}
-    kinds = {p["parameter_name"]: p["python_type"]["type"] for p in described["/generate"]["parameters"]}
+    kinds = {
+        p["parameter_name"]: p["python_type"]["type"] for p in described["/generate"]["parameters"]
+    }
     assert kinds["frames"] == "int"
     assert "'draft'" in kinds["accuracy"] and "'press'" in kinds["preset"]
 
 
 def _png(width: int, height: int) -> bytes:
     """A PNG of one colour, written row by row: a few kilobytes however large it is."""
+
     def chunk(kind: bytes, data: bytes) -> bytes:
-        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        return (
+            struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        )
 
     packer = zlib.compressobj(9)
     rows = b"".join(packer.compress(b"\0" * (1 + width // 8)) for _ in range(height))
@@ -175,14 +185,14 @@ def test_uploads_beyond_the_limit_are_refused_however_they_come(server, client, 
         ("data:image/png,abc", "broken"),
     ],
 )
-def test_pictures_inside_a_request_are_measured_too(url, message, monkeypatch, tmp_path):
+def test_pictures_inside_a_request_are_measured_too(url, message):
     gradio = pytest.importorskip("gradio", reason="the extra demo is not installed")
-    from demo.photo import Photo
+    from demo.photo import photo
 
-    monkeypatch.setattr(Photo, "max_bytes", 2000)
+    image = photo(2000, render=False)
     with pytest.raises(gradio.Error, match=message):
-        Photo(render=False).preprocess(gradio.FileData(path="a.png", url=url))
-    assert Photo(render=False).preprocess(None) is None
+        image.preprocess(gradio.FileData(path="a.png", url=url))
+    assert image.preprocess(None) is None
 
 
 def test_a_chunked_upload_without_a_length_is_cut_off(server):

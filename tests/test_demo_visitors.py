@@ -23,7 +23,7 @@ def test_keys_depend_on_every_part_and_on_nothing_else():
 def test_folders_cannot_be_guessed_and_are_kept_apart(visitors):
     one, two = visitors.get("a"), visitors.get("b")
     assert one is visitors.get("a")
-    assert one.folder != two.folder and "a" != one.folder.name
+    assert one.folder != two.folder and one.folder.name != "a"
     assert len(one.folder.name) >= 32
 
 
@@ -66,7 +66,7 @@ def test_sweeping_by_age_and_by_number(visitors, tmp_path):
     for folder in folders.values():
         os.utime(folder, (0, 0))
     visitors.sweep(age=250, most=2)
-    assert {path for path in tmp_path.iterdir()} == {folders["d"], folders["c"]}
+    assert set(tmp_path.iterdir()) == {folders["d"], folders["c"]}
 
 
 def test_visitors_with_work_in_hand_are_not_swept_by_number(visitors):

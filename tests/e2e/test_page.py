@@ -102,17 +102,24 @@ def test_from_picture_to_files(browser, server, tmp_path):
     visit.context.close()
 
 
+PLAYS = """async () => {
+    const video = document.querySelector('.film video'), canvas = document.createElement('canvas');
+    await video.play();
+    await new Promise((done) => setTimeout(done, 300));
+    video.pause();
+    Object.assign(canvas, { width: video.videoWidth, height: video.videoHeight });
+    const context = canvas.getContext('2d');
+    context.drawImage(video, 0, 0);
+    const pixels = context.getImageData(0, 0, canvas.width, canvas.height).data;
+    const extreme = (pick) => pixels.reduce((a, b) => pick(a, b));
+    return [video.readyState, extreme(Math.min), extreme(Math.max)];
+}"""
+
+
 def _video_plays(page) -> None:
-    state = page.evaluate(
-        """async () => { const v = document.querySelector('.film video'); await v.play();
-        await new Promise((done) => setTimeout(done, 300)); v.pause();
-        const c = document.createElement('canvas'); c.width = v.videoWidth; c.height = v.videoHeight;
-        const g = c.getContext('2d'); g.drawImage(v, 0, 0);
-        const d = g.getImageData(0, 0, c.width, c.height).data;
-        return [v.readyState, d.reduce((a, b) => Math.min(a, b)), d.reduce((a, b) => Math.max(a, b))]; }"""
-    )
-    assert state[0] >= 3
-    assert state[1] < 120 and state[2] > 240, "the video is blank"
+    ready, darkest, brightest = page.evaluate(PLAYS)
+    assert ready >= 3
+    assert darkest < 120 and brightest > 240, "the video is blank"
 
 
 def _canvas(page) -> np.ndarray:
@@ -222,13 +229,18 @@ def test_phone_has_no_overflow_and_a_bad_file_a_readable_message(browser, server
     visit.context.close()
 
 
+UNNAMED = """() => {
+    const which = 'button, input:not([type=file]), select, [tabindex="0"]';
+    const named = (e) => e.getAttribute('aria-label') || e.getAttribute('aria-labelledby')
+        || e.title || e.textContent.trim() || e.labels?.length;
+    return [...document.querySelectorAll(`main :is(${which})`)]
+        .filter((e) => e.offsetParent && !named(e)).map((e) => e.outerHTML.slice(0, 120));
+}"""
+
+
 def test_everything_is_reachable_by_keyboard_and_named(browser, server):
     visit = Visit(browser, server)
-    unnamed = visit.page.evaluate(
-        """() => [...document.querySelectorAll('main button, main input:not([type=file]), main select, main [tabindex="0"]')]
-        .filter((e) => e.offsetParent && !(e.getAttribute('aria-label') || e.title || e.textContent.trim()
-            || e.labels?.length || e.getAttribute('aria-labelledby'))).map((e) => e.outerHTML.slice(0, 120))"""
-    )
+    unnamed = visit.page.evaluate(UNNAMED)
     assert unnamed == []
     pad = visit.page.locator(".pad")
     pad.focus()

@@ -1,10 +1,11 @@
-"""Between Gradio and the jobs: event handlers of the page, and the named endpoints.
+"""Between Gradio and the jobs: the event handlers of the page.
 
 Handlers know the session and Gradio's types; everything they do is in demo.jobs.
 """
 
 from __future__ import annotations
 
+import secrets
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -12,14 +13,14 @@ from typing import Any
 import gradio as gr
 from gradio import FileData
 
-from demo.jobs import EXPORTS, Progress, Studio, dimmed, export, read_report, sentence
-from demo.photo import Photo
+from demo.exports import EXPORTS, export
+from demo.jobs import Progress, Studio, read_report, sentence
+from demo.pictures import dimmed
 from demo.report import as_html
 from demo.work import Done
 from phy124.camera import VIEWS
 from phy124.clip import Clip
 from phy124.errors import InputError
-from phy124.scene import PRESETS, Scene, preset_names
 
 Handler = Callable[..., Any]
 EXAMPLES = Path(__file__).parent / "examples"
@@ -39,7 +40,7 @@ def cutter(studio: Studio) -> Handler:
         if picture is None:
             return None, gr.update(value=None, visible=False), None
         try:
-            made = studio.cut(_session(request), picture)
+            made = studio.cut(session_of(request), picture)
         except InputError as error:
             raise gr.Error(sentence(error), title="This picture cannot be used") from None
         canvas = {"background": dimmed(picture, made.path), "layers": [], "composite": None}
@@ -56,7 +57,7 @@ def corrector(studio: Studio) -> Handler:
         if cutout is None or not layers:
             raise gr.Error("Choose a picture and paint on it first.", title="Nothing to correct")
         try:
-            made = studio.cut(_session(request), cutout.picture, layers[0])
+            made = studio.cut(session_of(request), cutout.picture, layers[0])
         except InputError as error:
             raise gr.Error(sentence(error), title="This cannot be used") from None
         return made, gr.update(value=made.path, visible=True)
@@ -69,7 +70,7 @@ def forecaster(studio: Studio) -> Handler:
 
     def forecast(cutout: Any, scene: Any, request: gr.Request) -> str:
         path = cutout.path if cutout else None
-        return studio.forecast(_session(request), path, scene) if scene else ""
+        return studio.forecast(session_of(request), path, scene) if scene else ""
 
     return forecast
 
@@ -82,7 +83,7 @@ def runner(studio: Studio) -> Handler:
         path = cutout.path if cutout else None
         going = (gr.skip(), gr.skip())
         rested = (gr.update(interactive=True), gr.update(visible=False))
-        for progress in studio.run(_session(request), path, scene):
+        for progress in studio.run(session_of(request), path, scene):
             if progress.state == "running":
                 yield (progress.data(), gr.skip(), *going, *kept)
             else:
@@ -115,7 +116,7 @@ def stopper(studio: Studio) -> Handler:
     """Stop this visitor's work."""
 
     def stop(request: gr.Request) -> tuple[Any, ...]:
-        studio.visitors.stop(_session(request))
+        studio.visitors.stop(session_of(request))
         progress = Progress(state="stopped", message="Stopped. Nothing was changed.")
         return progress.data(), gr.update(interactive=True), gr.update(visible=False)
 
@@ -126,7 +127,7 @@ def leaver(studio: Studio) -> Handler:
     """The visitor has closed the page."""
 
     def leave(request: gr.Request) -> None:
-        studio.visitors.leave(_session(request))
+        studio.visitors.leave(session_of(request))
 
     return leave
 
@@ -187,93 +188,6 @@ def _file(path: Path) -> dict[str, Any]:
     return FileData(path=str(path), orig_name=path.name, size=path.stat().st_size).model_dump()
 
 
-def _session(request: gr.Request) -> str:
-    return str(request.session_hash or "nobody")
-
-
-def endpoints(studio: Studio) -> None:
-    """The named endpoints /generate, /render and /evaluate, with typed arguments."""
-    with gr.Column(visible=False):
-        photo = Photo(label="image", type="filepath")
-        preset = gr.Dropdown(preset_names(), value="press", label="preset")
-        accuracy = gr.Radio(list(PRESETS), value="standard", label="accuracy")
-        frames = gr.Number(14, label="frames", precision=0, minimum=1)
-        changes = gr.JSON({}, label="changes")
-        views = gr.CheckboxGroup(["front", "right", "back", "left", "orbit"], label="views")
-        size = gr.Number(512, label="size", precision=0, minimum=16)
-        elevation = gr.Number(10, label="elevation", minimum=-89, maximum=89)
-        formats = gr.CheckboxGroup(list(EXPORTS), value=[], label="formats")
-        run, files, report = gr.State(None), gr.File(file_count="multiple"), gr.JSON()
-        shared = {"concurrency_id": "device", "concurrency_limit": 1}
-        gr.Button().click(
-            _generate(studio), [photo, preset, accuracy, frames, changes, formats],
-            [run, files, report], api_name="generate", **shared,
-        )  # fmt: skip
-        gr.Button().click(
-            _render(studio), [run, views, size, elevation], [files, report],
-            api_name="render", **shared,
-        )  # fmt: skip
-        gr.Button().click(_evaluate, run, report, api_name="evaluate")
-
-
-def _generate(studio: Studio) -> Handler:
-    def generate(
-        image: str | None, preset: str, accuracy: str, frames: int, changes: Any, formats: Any,
-        request: gr.Request,
-    ) -> Iterator[tuple[Any, ...]]:  # fmt: skip
-        """Turn a picture into a moving object: its files and its report."""
-        try:
-            scene = Scene.named(preset).replaced(
-                {"accuracy": accuracy, "time.frames": int(frames), **(changes or {})}
-            )
-            cutout = studio.cut(_session(request), image)
-        except InputError as error:
-            raise gr.Error(sentence(error)) from None
-        data = scene.model_dump(mode="json")
-        for state in studio.run(_session(request), cutout.path, data):
-            if state.done is None:
-                yield _unfinished(state)
-        if state.done is not None:
-            made = [str(export(kind, state.done)) for kind in formats]
-            yield (state.done, cutout.path, data), _paths(state.done) + made, read_report(state.done)
-
-    return generate
-
-
-def _render(studio: Studio) -> Handler:
-    def render(
-        run: Any, views: list[str], size: int, elevation: float, request: gr.Request
-    ) -> Iterator[tuple[Any, ...]]:
-        """Film this session's last run again; nothing is simulated."""
-        if run is None:
-            raise gr.Error("There is no run in this session yet. Call /generate first.")
-        _, cutout, data = run
-        view = {**data["view"], "size": int(size), "elevation": elevation}
-        view["views"] = views or data["view"]["views"]
-        for state in studio.run(_session(request), cutout, {**data, "view": view}):
-            if state.done is None:
-                yield _unfinished(state)[1:]
-        if state.done is not None:
-            yield _paths(state.done), read_report(state.done)
-
-    return render
-
-
-def _evaluate(run: Any) -> dict[str, Any]:
-    """How this session's last run moved: stability figures per frame, effects, times."""
-    if run is None:
-        raise gr.Error("There is no run in this session yet. Call /generate first.")
-    return read_report(run[0])
-
-
-def _unfinished(state: Progress) -> tuple[Any, ...]:
-    if state.state != "running":
-        raise gr.Error(state.message)
-    return gr.skip(), gr.skip(), gr.skip()
-
-
-def _paths(done: Done) -> list[str]:
-    wanted = [*done.films.iterdir(), *done.clip.iterdir()]
-    # Both folders have a report; the films' one is complete.
-    chosen = {path.name: str(path) for path in reversed(wanted) if path.name != "clip.pack"}
-    return [chosen[name] for name in sorted(chosen)]
+def session_of(request: gr.Request) -> str:
+    """Whose request it is; one without a session belongs to nobody else."""
+    return str(request.session_hash or secrets.token_hex(16))

@@ -1,0 +1,69 @@
+"""Formats that are made when somebody asks for them."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+
+from demo.work import Done
+from phy124.clip import Clip
+from phy124.errors import InputError
+from phy124.export import write_ply_sequence
+from phy124.export.html import write_html
+from phy124.film import cameras
+from phy124.scene import View
+
+TAIL = 60.0
+"""Longest time that the bridge may take, s."""
+
+
+def export(kind: str, done: Done) -> Path:
+    """Make one of `EXPORTS` of a finished run, once; raises InputError."""
+    if kind not in EXPORTS or not EXPORTS[kind].available():
+        raise InputError("format", kind, "This format is not offered here.", "Choose another one.")
+    path = done.films / EXPORTS[kind].file
+    if not path.exists():
+        EXPORTS[kind].write(done, path)
+    return path
+
+
+@dataclass(frozen=True)
+class Export:
+    """A format made on demand."""
+
+    label: str
+    hint: str
+    file: str
+    write: Callable[[Done, Path], None]
+    available: Callable[[], bool] = lambda: True
+
+
+def _html(done: Done, path: Path) -> None:
+    clip = Clip.load(done.clip / "clip.safetensors")
+    view = View.model_validate(clip.scene["view"])
+    write_html(path, clip, cameras(clip, view, "front")[0], background=view.background)
+
+
+def _ply(done: Done, path: Path) -> None:
+    write_ply_sequence(path, Clip.load(done.clip / "clip.safetensors"), name="phy124")
+
+
+def _mcap(done: Done, path: Path) -> None:
+    """Through the bridge's command line: page and bridge do not know each other."""
+    command = [sys.executable, "-m", "bridge", "record", str(done.clip / "clip.safetensors")]
+    subprocess.run([*command, str(path)], check=True, timeout=TAIL, capture_output=True)
+
+
+def _bridge() -> bool:
+    return all(find_spec(name) is not None for name in ("bridge", "mcap"))
+
+
+EXPORTS = {
+    "html": Export("Player, one file", "Plays offline in any browser", "player.html", _html),
+    "ply": Export("PLY sequence", "SuperSplat, brush, Unity", "phy124-ply.zip", _ply),
+    "mcap": Export("MCAP", "ROS 2, Foxglove", "phy124.mcap", _mcap, _bridge),
+}
