@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import formula
 import numpy as np
@@ -11,6 +12,7 @@ from safetensors.torch import save_file
 
 from phy124.errors import Cancelled, InputError
 from phy124.generators.dreamgaussian import (
+    WITH_IMAGEDREAM,
     Density,
     DreamGaussian,
     Pose,
@@ -28,7 +30,6 @@ from phy124.generators.dreamgaussian.guidance import alphas_cumprod, noised, tim
 from phy124.generators.dreamgaussian.guidance.multiview import MultiView
 from phy124.generators.dreamgaussian.splats import ball
 from phy124.generators.imagedream import load_unet
-from phy124.generators.imagedream.pipeline import Condition
 from phy124.generators.orbit import orbit, to_opencv
 from phy124.generators.ply_file import PlyFile
 from phy124.generators.splatting import View, orbit_view, project, rasterize, rotation_matrices
@@ -333,6 +334,9 @@ def test_generator_returns_gaussians_of_our_size():
 
     with pytest.raises(Cancelled):
         generator(picture, progress=progress)
+    bare = replace(settings, final_extent=1e-3)
+    with pytest.raises(InputError, match="no Gaussian was left"):
+        DreamGaussian(guidance=lambda image: guidance, settings=bare, device="cpu")(picture)
     for bad in (picture[..., :3], np.zeros((9, 9, 4), np.uint8)):
         with pytest.raises(InputError):
             generator(bad)
@@ -448,19 +452,32 @@ def test_zero123_networks_load_from_files(small_zero123, tmp_path, monkeypatch):
         zero123.trained(tmp_path, "cpu", torch.float32)
 
 
+class SeenParts:
+    """ImageDream's golden networks with made-up encoders."""
+
+    def __init__(self, unet, vae):
+        self.unet, self.vae = unet, vae
+
+    def text(self):
+        return formula.inputs("text", (1, 77, 16), -1, 1)
+
+    def picture(self, image):
+        return formula.inputs("tokens", (1, 257, 1280), -1, 1)
+
+
 def test_imagedream_guidance_pulls_four_views(folder, small_zero123):
     config = json.loads((folder / "imagedream_unet_tiny.json").read_text())["config"]
     unet = load_unet(folder / "imagedream_unet_tiny.weights.fp16.safetensors", **config)
-    condition = Condition(
-        formula.inputs("text", (2, 77, 16), -1, 1),
-        formula.inputs("tokens", (1, 257, 1280), -1, 1),
-        formula.inputs("latents", (1, 4, 32, 32), -1, 1),
-        torch.zeros(5, 16),
-    )
-    guidance = MultiView(unet, small_zero123["vae"], condition)
+    guidance = MultiView.looking_at(torch.rand(3, 20, 20), SeenParts(unet, small_zero123["vae"]))
     images = torch.rand(4, 3, 32, 32, requires_grad=True)
     poses = [Pose(-5, azimuth, 0) for azimuth in (10, 100, 190, 280)]
     loss = guidance(images, poses, 0.5, torch.Generator().manual_seed(0))
     loss.backward()
     per_view = images.grad.abs().sum(dim=(1, 2, 3))
     assert guidance.views == 4 and float(per_view.min()) > 0 and bool(loss.isfinite())
+    settings = replace(WITH_IMAGEDREAM, steps=1, points=40, sizes=(16,), final_extent=10)
+    draw = torch.Generator().manual_seed(0)
+    splats = start(settings, draw)
+    before = splats.parameters["xyz"].detach().clone()
+    fit(splats, guidance, settings, draw)
+    assert float((splats.parameters["xyz"] - before).detach().abs().max()) > 1e-3

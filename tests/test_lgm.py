@@ -12,7 +12,8 @@ from safetensors.torch import load_file, save_file
 
 from phy124.errors import Cancelled, InputError
 from phy124.gaussians import Gaussians, rotation_matrices
-from phy124.generators.lgm import OPTIONS, Lgm, LgmModel, Option, load, rotations, to_gaussians
+from phy124.generators.lgm import OPTIONS, Lgm, LgmModel, Option, load, to_gaussians
+from phy124.generators.lgm import generator as generator_module
 from phy124.generators.lgm import model as lgm_model
 from phy124.generators.lgm.align import four_views, front
 from phy124.generators.lgm.generator import framed, network_input, over_white
@@ -218,7 +219,8 @@ def test_old_generation_is_known_by_checksum_and_not_rotated(tmp_path, tiny, mon
     assert model.rotations == "all"
     rows = model(torch.rand(1, 4, 9, 32, 32))
     torch.testing.assert_close((rows[0, :, 7:11] ** 2).sum(0), torch.ones(4))
-    made = Lgm(model=model, device="cpu").from_views(torch.rand(4, 3, 32, 32))
+    with pytest.warns(UserWarning, match=r"first generation.*phy124 weights fetch lgm"):
+        made = Lgm(model=model, device="cpu").from_views(torch.rand(4, 3, 32, 32))
     np.testing.assert_array_equal(made.quats, np.tile(NOT_ROTATED, (len(made), 1)))
 
 
@@ -361,7 +363,7 @@ def test_from_weight_files_to_gaussians(golden_lgm, tiny, tmp_path, monkeypatch)
     put_tensors(tmp_path, weights.KNOWN["lgm"][0].path, tiny.state_dict())
     picture = np.zeros((40, 40, 4), np.uint8)
     picture[8:32, 12:28] = 200, 90, 30, 255
-    monkeypatch.setattr(rotations, "SIDE", 16)  # nothing depends on it here
+    monkeypatch.setattr(generator_module, "judge", lambda rows, views: "each")
     told = []
     generator = Lgm(weights=tmp_path, option=TINY, device="cpu", steps=1)
     made = generator(picture, seed=5, progress=lambda *step: told.append(step))

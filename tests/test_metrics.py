@@ -2,6 +2,9 @@
 
 import json
 import math
+import re
+from dataclasses import fields
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +18,7 @@ from transformers import (
 )
 
 from phy124.clip import Clip
+from phy124.commands.evaluate import Evaluate
 from phy124.errors import InputError
 from phy124.metrics import (
     centre_paths_differ,
@@ -90,7 +94,7 @@ def test_distance_is_half_the_squared_angle_even_where_tiny():
 
 def test_clip_embeds_pictures_as_transformers_does(tiny_clip, rng):
     images = (rng.random((3, 40, 48, 3)) * 255).astype(np.uint8)
-    model = similarity.Clip(tiny_clip)
+    model = similarity.ClipModel(tiny_clip)
     rows = model(images)
     assert rows.shape == (3, 16)
     network = CLIPVisionModelWithProjection.from_pretrained(tiny_clip).eval()
@@ -101,7 +105,7 @@ def test_clip_embeds_pictures_as_transformers_does(tiny_clip, rng):
     np.testing.assert_allclose(model(images / 255), rows, atol=1e-6)
     red = similarity._pixels(np.full((8, 8, 3), [255, 0, 0], np.uint8), 32, "rgb")
     assert red[0].min() > 1 > -1 > red[1:].max()
-    other = similarity.Clip(tiny_clip, order="bgr")(images[..., ::-1])
+    other = similarity.ClipModel(tiny_clip, order="bgr")(images[..., ::-1])
     np.testing.assert_allclose(other, rows, atol=1e-6)
 
 
@@ -117,7 +121,7 @@ def test_whole_clip_models_serve_as_well(tmp_path, rng):
     with torch.inference_mode():
         vision = both.vision_model(pixel_values=torch.from_numpy(pixels)).pooler_output
         wanted = both.visual_projection(vision)
-    rows = similarity.Clip(str(tmp_path))(images)
+    rows = similarity.ClipModel(str(tmp_path))(images)
     np.testing.assert_allclose(rows, wanted, rtol=1e-4, atol=1e-6)
 
 
@@ -125,10 +129,10 @@ def test_missing_and_foreign_clip_models_are_refused_in_words(tmp_path, monkeypa
     monkeypatch.setenv("HF_HUB_CACHE", str(tmp_path / "hub"))
     monkeypatch.delenv("PHY124_WEIGHTS", raising=False)
     with pytest.raises(InputError, match=r"phy124 weights fetch clip"):
-        similarity.Clip()
+        similarity.ClipModel()
     for name in (str(tmp_path), "nobody/nothing"):
         with pytest.raises(InputError, match=r"not a CLIP model on this machine.*hf download"):
-            similarity.Clip(name)
+            similarity.ClipModel(name)
 
 
 @pytest.mark.parametrize("brightness", [1, 0.03])
@@ -199,7 +203,7 @@ def test_evaluation_states_model_formula_and_motion(tiny_clip, rng):
         "front": (rng.random((6, 40, 40, 3)) * 255).astype(np.uint8),
         "back": np.repeat((rng.random((1, 40, 40, 3)) * 255).astype(np.uint8), 6, axis=0),
     }
-    result = evaluate(falling(), videos, model=similarity.Clip(tiny_clip))
+    result = evaluate(falling(), videos, model=similarity.ClipModel(tiny_clip))
     front, back = result.views
     assert back.cosine == pytest.approx(1) and back.distance == pytest.approx(0, abs=1e-9)
     assert back.motion == 0 and front.motion > 10
@@ -241,3 +245,12 @@ def test_command_line_evaluates_a_clip(tiny_clip, tmp_path, capsys, monkeypatch)
     assert main([*arguments, "--clip-model", str(tmp_path)]) == 2
     assert "not a CLIP model" in capsys.readouterr().err
     assert main([*arguments, "--clip-model", "none"]) == 0
+
+
+def test_documentation_names_the_options_and_figures_there_are():
+    page = (Path(__file__).parents[1] / "docs/evaluation.md").read_text("utf-8")
+    header = evaluate(falling(), {"front": np.zeros((2, 4, 4, 3))}, missing="-").table()
+    for figure in ("CLIP-T cos", "CLIP-T dist", "motion %", "flicker", "momentum residual"):
+        assert figure in page and figure in header
+    options = {f"--{f.name.replace('_', '-')}" for f in fields(Evaluate)}
+    assert set(re.findall(r"--[a-z][a-z-]*", page)) <= options

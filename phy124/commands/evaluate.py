@@ -60,13 +60,13 @@ class Evaluate:
         print(json.dumps(self._data(result)) if self.json else f"{result.table()}\n{out}")
         return 0
 
-    def _model(self) -> tuple[similarity.Clip | None, str | None]:
+    def _model(self) -> tuple[similarity.ClipModel | None, str | None]:
         """The CLIP model, or why there is none; a model asked for by name must be there."""
         if self.clip_model == "none":
             return None, "it was left out with --clip-model none."
         try:
             order = "bgr" if self.bgr else "rgb"
-            return similarity.Clip(self.clip_model or similarity.MODEL, order=order), None
+            return similarity.ClipModel(self.clip_model or similarity.MODEL, order=order), None
         except InputError as error:
             if self.clip_model is not None:
                 raise

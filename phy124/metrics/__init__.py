@@ -86,7 +86,7 @@ def evaluate(
     clip: Clip,
     videos: Mapping[str, Video],
     *,
-    model: similarity.Clip | None = None,
+    model: similarity.ClipModel | None = None,
     missing: str | None = None,
 ) -> Evaluation:
     """Figures of `clip` and of its `videos` (side -> [T,H,W,3]).

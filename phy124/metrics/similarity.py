@@ -63,8 +63,8 @@ def _normalised(embeddings: NDArray) -> NDArray[np.float64]:
     return e / np.linalg.norm(e, axis=1, keepdims=True)
 
 
-class Clip:
-    """CLIP's picture tower: pictures to embeddings. Not to be confused with `phy124.Clip`."""
+class ClipModel:
+    """CLIP's picture tower: pictures to embeddings."""
 
     def __init__(self, model: str = MODEL, *, device: str = "cpu", order: Order = "rgb") -> None:
         """Load `model`, a folder or a name on huggingface.co that was fetched before.

@@ -66,6 +66,19 @@ class Settings:
         return self.sizes[min((ratio >= 0.3) + (ratio >= 0.6), len(self.sizes) - 1)]
 
 
+WITH_IMAGEDREAM = Settings(
+    radius=2.5,
+    known_size=0,
+    elevations=(-5, 0),
+    rates=Rates(steps=300),
+    density=Density(start=50, every=50),
+)
+"""DreamGaussian's imagedream.yaml, for the guidance `MultiView`.
+
+There the guidance is silently off for an empty prompt, the only one used here: it is on.
+"""
+
+
 class DreamGaussian:
     """Image to Gaussians by optimisation.
 
@@ -105,6 +118,13 @@ class DreamGaussian:
         draw = torch.Generator().manual_seed(seed)
         splats = start(settings, draw, self.device)
         fit(splats, guidance, settings, draw, known=(rgb, alpha), progress=progress)
+        if not len(splats):
+            raise InputError(
+                "generator",
+                "dreamgaussian",
+                "no Gaussian was left: all became transparent or too large.",
+                "Use more points or steps, or another seed.",
+            )
         return normalised(splats.gaussians(), "DreamGaussian")
 
     def _zero123(self, image: Tensor) -> Guidance:

@@ -122,18 +122,25 @@ class ImageDream:
         if self.parts is None:
             self.parts = TrainedParts(self.weights, self.device, self.dtype)
         parts, draw = self.parts, torch.Generator().manual_seed(seed)
-        condition = Condition(
-            text=parts.text().expand(2, -1, -1).to(self.device, self.dtype),
-            tokens=parts.picture(image).to(self.device, self.dtype),
-            latents=encode(parts.vae, image.to(self.device, self.dtype), draw),
-            cameras=torch.from_numpy(cameras(self.elevation)).to(self.device, self.dtype),
-        )
+        condition = look(parts, image.to(self.device, self.dtype), draw, elevation=self.elevation)
         noise = torch.randn(FRAMES, *condition.latents.shape[1:], generator=draw)
         latents = noise.to(self.device, self.dtype)
         stages = denoise(parts.unet, latents, condition, self.steps, self.guidance)
         for i, latents in enumerate(stages, 1):  # noqa: B007 (the last one is used)
             progress("imagedream", i, self.steps)
         return decode(parts.vae, latents)
+
+
+def look(
+    parts: Parts, image: Tensor, draw: torch.Generator, *, elevation: float = 0.0
+) -> Condition:
+    """What the networks see of `image [3,H,W]` in 0..1; both prompts are empty."""
+    return Condition(
+        text=parts.text().expand(2, -1, -1).to(image),
+        tokens=parts.picture(image).to(image),
+        latents=encode(parts.vae, image, draw),
+        cameras=torch.from_numpy(cameras(elevation)).to(image),
+    )
 
 
 def encode(vae: Any, image: Tensor, draw: torch.Generator | None = None) -> Tensor:

@@ -6,6 +6,7 @@ Tang et al. 2024, "LGM". The four views come from ImageDream, or from the user.
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Callable
 
 import numpy as np
@@ -34,6 +35,11 @@ OPACITY_MIN = 0.005
 """Fainter Gaussians are dropped, as the original does on saving."""
 VIEW_ORDER = (1, 2, 3, 0)
 """LGM's front is ImageDream's second view."""
+OLD_GENERATION = (
+    "These LGM weights are of the first generation, whose quaternions mean nothing: the Gaussians "
+    "are left unrotated, as that generation drew them. `phy124 weights fetch lgm` gets the "
+    "corrected ones."
+)
 Views = Callable[..., Tensor]
 """`(image [3,H,W] over white, *, seed, progress) -> views [5,3,256,256]` in ImageDream's order."""
 
@@ -113,6 +119,8 @@ class Lgm:
         rows = model(network_input(views)[None])[0]
         if model.rotations is None:
             model.rotations = judge(rows, views)
+        if model.rotations == "all":
+            warnings.warn(OLD_GENERATION, stacklevel=2)
         progress("lgm", 1, 1)
         return (unrotated(rows) if model.rotations == "all" else rows), views
 

@@ -15,7 +15,7 @@ from torch.nn.functional import interpolate
 
 from phy124.generators.dreamgaussian.guidance import Pose, noised, sds, timestep
 from phy124.generators.imagedream.cameras import pose_row
-from phy124.generators.imagedream.pipeline import SIZE, Condition, guided
+from phy124.generators.imagedream.pipeline import SIZE, Condition, Parts, guided, look
 
 
 class MultiView:
@@ -26,6 +26,13 @@ class MultiView:
     def __init__(self, unet: Any, vae: Any, condition: Condition, *, guidance: float = 5.0) -> None:
         self.unet, self.vae, self.condition = unet, vae, condition
         self.guidance = guidance
+
+    @classmethod
+    @torch.no_grad()
+    def looking_at(cls, image: Tensor, parts: Parts, *, seed: int = 0) -> MultiView:
+        """With the networks `parts` (see `imagedream.pipeline.TrainedParts`) and one picture."""
+        condition = look(parts, image, torch.Generator().manual_seed(seed))
+        return cls(parts.unet, parts.vae, condition)
 
     def __call__(
         self, images: Tensor, poses: Sequence[Pose], ratio: float, draw: torch.Generator
