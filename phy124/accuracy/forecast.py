@@ -28,8 +28,10 @@ from phy124.scene import PROMISES, AccuracyName, Scene
 from phy124.simulation import Simulation
 from phy124.stopwatch import Stopwatch
 
-PROBE = 20
-"""Substeps of a probe."""
+PROBE, LEAST_PROBE = 20, 6
+"""Substeps of a probe, at most and at least."""
+LONGEST_PROBE = 0.6
+"""Seconds that a probe may take; large objects are probed with fewer substeps."""
 FILMED = (1, 5)
 """Frames filmed to tell a video's start from its frames."""
 UNSURE = 0.1
@@ -151,7 +153,7 @@ class Forecaster:
         scene, solver = simulation.scene, simulation.solver
         pilot = self._pilot(simulation.gaussians, scene)
         rates, nodes = _probe(solver)
-        substeps, limiters = pilot.substeps(scene.resolution.cells, cfl=_cfl(scene))
+        substeps, limiters = pilot.substeps(scene.resolution.cells)
         mean_nodes = nodes * pilot.growth
         particles = len(simulation.particles)
         per_substep = rates.particle * particles + rates.node * mean_nodes
@@ -208,12 +210,6 @@ def _physics(scene: Scene) -> str:
     return scene.model_dump_json(exclude={"description", "seed"})
 
 
-def _cfl(scene: Scene) -> float:
-    """The pilot has the scene's own share of the stable substep."""
-    del scene
-    return 1.0
-
-
 def _caveat(pilot: Pilot, limiters: Mapping[str, float]) -> str | None:
     if pilot.stopped:
         return "The motion is not stable on a coarse grid, so its length cannot be told."
@@ -231,10 +227,13 @@ def _probe(solver: Solver) -> tuple[Rates, int]:
     start = solver.snapshot()
     try:
         _advance(solver, 2)
+        began = time.perf_counter()
+        _advance(solver, 2)
+        each = (time.perf_counter() - began) / 2
         for lane in solver.lanes:
             lane.timings.clear()
         before, began = solver.substeps, time.perf_counter()
-        _advance(solver, PROBE)
+        _advance(solver, int(np.clip(LONGEST_PROBE / each, LEAST_PROBE, PROBE)))
         seconds = (time.perf_counter() - began) / (solver.substeps - before)
         share, nodes = _node_share(solver), solver.grid.count
     finally:

@@ -40,22 +40,20 @@ class Pilot:
     stopped: bool
     """Whether it became unstable; nothing is promised then."""
 
-    def substeps(self, cells: int, *, cfl: float = 1.0) -> tuple[int, dict[str, float]]:
-        """Substeps on another grid, and the share of each limiter; `cfl` relative to the pilot's.
-
-        Each frame is a whole number of substeps.
-        """
-        scale, frames = cells / self.cells, []
-        elastic = self.counts.get("elastic", np.zeros(0))
-        at_rest = np.minimum(elastic, self.rest)
-        frames.append((at_rest * scale + (elastic - at_rest) * scale ** (1 + EXCESS)) / cfl)
-        frames.append(self.counts.get("speed", 0 * elastic) * scale)
-        others = [n for name, n in self.counts.items() if name not in ("elastic", "speed")]
-        total = np.ceil(np.sum([*frames, *others], axis=0))
-        sums = {name: float(n.sum()) for name, n in self.counts.items()}
-        sums["elastic"], sums["speed"] = float(frames[0].sum()), float(frames[1].sum())
-        whole = sum(sums.values()) or 1.0
-        return int(total.sum()), {name: n / whole for name, n in sums.items() if n}
+    def substeps(self, cells: int) -> tuple[int, dict[str, float]]:
+        """Substeps on another grid and the share of each limiter; a frame has a whole number."""
+        scale = cells / self.cells
+        at_rest = np.minimum(self.counts["elastic"], self.rest)
+        excess = self.counts["elastic"] - at_rest
+        grown = {
+            **self.counts,
+            "elastic": at_rest * scale + excess * scale ** (1 + EXCESS),
+            "speed": self.counts["speed"] * scale,
+        }
+        total = np.sum(list(grown.values()), axis=0)
+        whole = float(total.sum()) or 1.0
+        shares = {name: float(n.sum()) / whole for name, n in grown.items() if n.any()}
+        return int(np.ceil(total - 1e-9).sum()), shares
 
 
 def fly(gaussians: Gaussians, scene: Scene, *, device: str = "cpu") -> Pilot:
@@ -82,6 +80,5 @@ def fly(gaussians: Gaussians, scene: Scene, *, device: str = "cpu") -> Pilot:
             nodes.append(solver.grid.count)
     except Unstable:
         stopped = True
-    used = {name: n for name, n in counts.items() if n.any()}
     growth = float(np.mean(nodes) / nodes[0]) if nodes else 1.0
-    return Pilot(cells, used or {"elastic": counts["elastic"]}, rest, growth, stopped)
+    return Pilot(cells, counts, rest, growth, stopped)

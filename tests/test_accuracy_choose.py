@@ -1,0 +1,138 @@
+"""Goals: an error or a time in, the cheapest or finest setting out."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from shapes import ball
+
+from phy124.__main__ import main
+from phy124.accuracy import choose
+from phy124.accuracy.choose import Goal, reach
+from phy124.accuracy.convergence import distances
+from phy124.errors import InputError
+from phy124.scene import Scene
+from phy124.simulation import Simulation
+
+
+@pytest.mark.parametrize(
+    ("text", "kind", "value"),
+    [
+        ("2px", "pixels", 2),
+        ("1%", "share", 0.01),
+        ("3mm", "metres", 0.003),
+        (" .5 cm", "metres", 0.005),
+    ],
+)
+def test_goals_are_read(text, kind, value):
+    goal = Goal.error(text)
+    assert (goal.kind, goal.value) == (kind, pytest.approx(value))
+
+
+@pytest.mark.parametrize("text", ["", "2", "px", "-1px", "0%", "1e3px", "2 apples"])
+def test_what_is_no_error_is_refused(text):
+    with pytest.raises(InputError, match=r"it is not an error\. Write 2px, 1% or 3mm"):
+        Goal.error(text)
+
+
+def test_what_is_no_time_is_refused():
+    with pytest.raises(InputError, match="positive number of seconds"):
+        Goal.time(-1)
+
+
+@pytest.fixture
+def quick(monkeypatch) -> Scene:
+    monkeypatch.setattr(choose, "CHEAP", (8, 12))
+    monkeypatch.setattr(choose, "CELLS", (8, 10, 12, 14, 16, 20, 24))
+    return Scene.named("drop").replaced(
+        {"time.frames": 6, "object.lift": 0.05, "binding": "field", "view.size": 64}
+    )
+
+
+def test_an_error_goal_is_met_against_a_finer_run(quick):
+    """The setting chosen is the cheapest that should do, and it does."""
+    reached = reach(Goal.error("1%"), ball(600), quick)
+    about = reached.about
+    assert about["met"] is True
+    assert about["error"] <= 0.01
+    finer = quick.replaced({"accuracy": {"cells": 2 * about["cells"]}})
+    truth = Simulation(ball(600), finer).run()
+    assert distances([reached.clip.means, truth.means])[0, 1] <= 0.01
+    assert reached.clip.report["grid"]["dx"] == pytest.approx(1 / about["cells"])
+
+
+def test_a_lax_goal_takes_a_cheap_level_and_runs_no_third(quick):
+    about = reach(Goal.error("50%"), ball(600), quick).about
+    assert about["cells"] == 8
+    assert about["levels"] == [8, 12]
+    assert about["met"] is True
+    assert about["refined"] is False
+
+
+def test_a_goal_out_of_reach_is_refused_with_what_is_in_reach(quick):
+    with pytest.raises(InputError, match=r"no grid meets it: even D/24 would be off by about"):
+        reach(Goal.error("0.0001px"), ball(600), quick)
+
+
+def test_it_refines_at_most_once(quick, monkeypatch):
+    seen = []
+
+    def estimate(goal, runs):
+        seen.append(sorted(runs.done))
+        return choose.Convergence(1.0, 0.02)
+
+    monkeypatch.setattr(choose, "_estimate", estimate)
+    about = reach(Goal.error("1.5%"), ball(600), quick).about
+    assert len(seen) == 2
+    assert about["refined"] is True
+    assert about["met"] is False
+
+
+class Oracle:
+    """Foretells seconds by formula."""
+
+    def of(self, simulation) -> SimpleNamespace:
+        cells = simulation.scene.resolution.cells
+        seconds = 10 * (cells / 16) ** 2.5
+        return SimpleNamespace(seconds=seconds + 1, stages={"simulate": seconds}, caveat=None)
+
+
+@pytest.mark.parametrize(("seconds", "cells"), [(8.0, 12), (13.0, 16), (36.0, 24), (80.0, 32)])
+def test_a_time_goal_takes_the_finest_grid_that_fits(monkeypatch, seconds, cells):
+    built = []
+
+    class Run:
+        def __init__(self, gaussians, scene, **_):
+            self.scene = scene
+            built.append(scene.resolution.cells)
+
+        def run(self):
+            return None
+
+    monkeypatch.setattr(choose, "Simulation", Run)
+    reached = reach(Goal.time(seconds), ball(10), Scene(), forecaster=Oracle())
+    assert reached.about["cells"] == cells
+    assert reached.about["predicted"] <= seconds
+    assert len(built) <= 6
+
+
+def test_a_time_too_short_is_refused(monkeypatch):
+    monkeypatch.setattr(choose, "Simulation", lambda g, scene, **_: SimpleNamespace(scene=scene))
+    with pytest.raises(InputError, match="the coarsest grid, D/8, would take longer"):
+        reach(Goal.time(0.5), ball(10), Scene(), forecaster=Oracle())
+
+
+def test_two_wishes_are_one_too_many(capsys):
+    arguments = ["generate", "x.png", "--max-error", "2px", "--max-seconds", "3"]
+    assert main(arguments) == 2
+    assert "Give one of the two" in capsys.readouterr().err
+
+
+def test_gaps_are_in_the_unit_of_the_goal(quick):
+    a = Simulation(ball(300), quick.replaced({"accuracy": {"cells": 8}})).run()
+    means = a.means + np.float32(0.01) * np.array([0, 1, 0], np.float32)
+    b = type(a)(means, a.quats, a.scales, a.opacities, a.sh, a.times, scene=a.scene)
+    assert choose._gap(Goal.error("1%"), b, a, quick) == pytest.approx(0.01, rel=1e-3)
+    assert choose._gap(Goal.error("1m"), b, a, quick) == pytest.approx(0.01, rel=1e-3)
+    seen = choose._gap(Goal.error("1px"), b, a, quick)
+    assert seen == pytest.approx(0.01 * 64 / (2 * np.tan(np.radians(24.55)) * 1.9), rel=0.1)

@@ -1,0 +1,118 @@
+"""Forecasts: what is counted must be right; seconds are measured by benchmarks, not here."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from shapes import ball
+
+from phy124.__main__ import main
+from phy124.accuracy import Forecaster
+from phy124.accuracy import forecast as module
+from phy124.accuracy.forecast import Forecast, Rates, pixels_per_size
+from phy124.accuracy.pilot import fly
+from phy124.scene import PRESETS, Scene
+from phy124.simulation import Simulation
+
+DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"
+OBJECT = ball(800)
+
+
+def scene(name: str, cells: int = 16, **changes) -> Scene:
+    quick = {"accuracy": {"cells": cells}, "time.frames": 5, "view.size": 64}
+    return Scene.named(name).replaced({**quick, "view.views": ["front"], **changes})
+
+
+def test_the_probe_leaves_the_simulation_as_it_was():
+    plain, probed = (Simulation(OBJECT, scene("press")) for _ in range(2))
+    made = Forecaster().of(probed)
+    assert probed.solver.substeps == 0
+    assert probed.solver.time == 0
+    assert not probed.solver.timings
+    a, b = plain.run(), probed.run()
+    assert np.array_equal(a.means, b.means)
+    assert np.array_equal(a.scales, b.scales)
+    assert made.rates.particle > 0
+
+
+@pytest.mark.parametrize("name", ["press", "push_right", "drop"])
+def test_substeps_are_foretold(name):
+    """Within what the promise of ten per cent leaves them."""
+    chosen = scene(name)
+    simulation = Simulation(OBJECT, chosen)
+    foretold = Forecaster().of(simulation, filming=False)
+    simulation.run()
+    assert foretold.substeps == pytest.approx(simulation.solver.substeps, rel=0.06)
+    assert foretold.limiters == {"elastic": pytest.approx(1.0)}
+    assert foretold.caveat is None
+
+
+def test_an_undeformed_object_needs_substeps_in_proportion_to_its_cells():
+    pilot = fly(OBJECT, scene("push_right"))
+    counts = {cells: pilot.substeps(cells)[0] for cells in (12, 24, 48)}
+    each = counts[48] / 4
+    assert each == np.ceil(pilot.rest * 4)
+    assert counts[24] <= counts[48] / 2 + 4
+
+
+def test_no_promise_where_speed_rules():
+    """A jelly thrown faster than its own sound: the seconds are a guess, and it says so."""
+    fast = scene(
+        "drop", **{"material.E": 200.0, "object.velocity": [0.0, 0.0, -6.0], "object.lift": 2.0}
+    )
+    simulation = Simulation(OBJECT, fast)
+    made = Forecaster().of(simulation, filming=False)
+    assert made.limiters.get("speed", 0) > 0.1
+    assert made.caveat is not None
+    assert "no promise" in made.caveat
+    simulation.run()
+    limited = simulation.solver.limiters
+    assert limited.get("speed", 0) > 0.1 * sum(limited.values())
+
+
+def test_compared_counts_only_what_was_foretold():
+    made = Forecast(
+        {"simulate": 2.0, "render": 1.0}, (), 10, 20, 30, {"elastic": 1.0}, Rates(1.0, 1.0)
+    ).with_measured("generate", 5.0)
+    assert made.seconds == 8.0
+    report = made.compared({"generate": 50.0, "simulate": 3.0, "render": 1.0, "image": 9.0})
+    assert report["predicted"] == 3.0
+    assert report["spent"] == 4.0
+    assert report["ratio"] == pytest.approx(4 / 3)
+    assert report["stages"]["simulate"]["ratio"] == 1.5
+
+
+def test_a_second_look_at_the_stops_runs_nothing(monkeypatch):
+    for name, cells in (("draft", 8), ("standard", 12), ("fine", 16)):
+        monkeypatch.setitem(PRESETS, name, PRESETS[name].model_copy(update={"cells": cells}))
+    forecaster = Forecaster()
+    stops = forecaster.stops(OBJECT, scene("push_right"))
+    assert list(stops) == ["draft", "standard", "fine"]
+    errors = [stop.error for stop in stops.values()]
+    assert errors == sorted(errors, reverse=True)
+    substeps = [stop.forecast.substeps for stop in stops.values()]
+    assert substeps == sorted(substeps)
+    assert stops["draft"].pixels == pytest.approx(0.07 * 64 / 2 / np.tan(np.radians(24.55)) / 1.9)
+    monkeypatch.setattr(module, "Simulation", None)
+    assert forecaster.stops(OBJECT, scene("push_right")) == stops
+
+
+def test_pixels_per_size_is_what_the_camera_sees():
+    chosen = scene("press", **{"view.size": 512})
+    half = 0.5 * chosen.view.distance * np.tan(np.radians(chosen.view.fov / 2)) * 2
+    assert pixels_per_size(chosen) == pytest.approx(512 / (2 * half))
+
+
+def test_dry_run_says_how_long_and_makes_nothing(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    quick = ["--frames", "3", "--size", "64", "--views", "front", "--device", "cpu"]
+    arguments = ["generate", str(DUCK), "--accuracy", "draft", "--dry-run", "--json", *quick]
+    assert main(arguments) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert set(told["stages"]) == {
+        "image", "generate", "particles", "simulate", "deform", "render", "encode", "save",
+    }  # fmt: skip
+    assert told["measured"] == ["particles", "generate", "image"]
+    assert told["seconds"] == pytest.approx(sum(told["stages"].values()))
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,190 @@
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+from shapes import ball
+
+from phy124.__main__ import main
+from phy124.accuracy import plots
+from phy124.accuracy.convergence import Convergence
+from phy124.accuracy.difference import difference
+from phy124.accuracy.study import Report, Row, Study, kept_promises, recommend
+from phy124.clip import Clip
+from phy124.scene import Scene
+
+LEVELS = (8, 12, 16)
+
+
+@pytest.fixture(scope="module")
+def study() -> tuple[Study, Report]:
+    scene = Scene.named("drop").replaced(
+        {"time.frames": 8, "view.size": 64, "accuracy": {"cells": 16}, "object.lift": 0.1}
+    )
+    made = Study(ball(800), scene, levels=LEVELS)
+    return made, made.run()
+
+
+def test_every_level_and_variation_is_run(study):
+    names = [row.name for row in study[1].rows]
+    assert names == [
+        "D/8", "D/12", "D/16",
+        "half the substep at D/16", "float64 at D/16", "binding field at D/16",
+    ]  # fmt: skip
+    assert not study[1].skipped
+
+
+def test_errors_fall_and_hold_the_finest_levels_own(study):
+    found = study[1].convergence
+    levels = [row for row in study[1].rows if row.level]
+    errors = [row.error for row in levels]
+    assert errors == sorted(errors, reverse=True)
+    assert errors[-1] == found.error > 0
+    apart = levels[0].from_finest
+    assert errors[0] == pytest.approx(found.error + apart.relative)
+    assert apart.psnr < levels[1].from_finest.psnr
+    assert levels[0].pixels > levels[1].pixels > 0
+
+
+def test_a_smaller_substep_and_more_digits_buy_nothing(study):
+    rows = {row.name: row for row in study[1].rows}
+    coarse = rows["D/12"].from_finest.relative
+    assert rows["half the substep at D/16"].substeps > 1.8 * rows["D/16"].substeps
+    assert rows["half the substep at D/16"].from_finest.relative < 0.5 * coarse
+    assert rows["float64 at D/16"].from_finest.relative < 0.01 * coarse
+
+
+def test_energy_is_lost_not_gained_and_momentum_has_no_number_in_contact(study):
+    for row in study[1].rows:
+        assert -0.02 < row.energy_lost < 1
+        assert row.angular_momentum_lost is None
+
+
+def test_a_free_spin_keeps_its_angular_momentum():
+    scene = Scene.named("spin").replaced({"time.frames": 3, "view.size": 32})
+    made = Study(ball(300), scene, levels=(8,)).run()
+    row = made.rows[0]
+    assert row.angular_momentum_lost < 1e-4
+    assert -1e-3 < row.energy_lost < 0.2
+    assert "fewer than three levels" in made.convergence.why_not
+
+
+def test_levels_with_too_few_particles_are_skipped_and_said():
+    scene = Scene.named("spin").replaced(
+        {"accuracy": {"ppc": 1.0}, "time.frames": 2, "view.size": 32, "binding": "field"}
+    )
+    report = Study(ball(300), scene, levels=(12,)).run()
+    assert not report.rows
+    assert re.match(r"D/12 is skipped: 1\.0 particles per cell and axis", report.skipped[0])
+
+
+def test_json_is_whole(study):
+    data = json.loads(json.dumps(study[1].data(), allow_nan=False))
+    assert len(data["rows"]) == 6
+    assert data["convergence"]["order"] == study[1].convergence.order
+    assert set(data["promises"]) == {"draft", "standard", "fine"}
+
+
+def row(cells: int, error: float | None, seconds: float, name: str = "") -> Row:
+    return Row(
+        name or f"D/{cells}", cells, "float32", 0.6, "particles", 1000, 2.0, 100, seconds, seconds,
+        {"elastic": 1.0}, None, None, None, error, None,
+    )  # fmt: skip
+
+
+def test_a_promise_that_holds_and_one_that_does_not():
+    found = Convergence(1.0, 0.01)
+    said = kept_promises((row(16, 0.05, 1), row(32, 0.05, 3)), found)
+    assert said["draft"] == "holds: 5.0% of at most 7%"
+    assert said["standard"] == "DOES NOT HOLD: 5.0% of at most 4%"
+    assert said["fine"] == "not tried"
+    lost = Convergence(None, None, "not converging: finer grids do not come closer")
+    assert kept_promises((row(16, None, 1),), lost)["draft"].startswith("cannot be judged: not con")
+
+
+def test_the_recommendation_is_the_fastest_that_is_good_enough():
+    found = Convergence(1.0, 0.01)
+    rows = (row(16, 0.05, 1.0), row(32, 0.03, 3.0), row(48, 0.02, 9.0))
+    assert recommend(rows, found) == (
+        "Take D/32: 3.0% of the object's size in 3.0 s; D/48 would take 3.0 times as long for 2.0%."
+    )
+    assert "no level reached 4%" in recommend((row(16, 0.2, 1.0),), found)
+    assert "not converging" in recommend(rows, Convergence(None, None, "not converging: x"))
+
+
+def test_what_another_setting_beats_is_dominated():
+    rows = (row(16, 0.05, 1), row(32, 0.03, 3), row(32, 0.04, 6, "half the substep at D/32"))
+    assert plots.dominated(rows) == {"half the substep at D/32"}
+
+
+def test_the_page_needs_no_network_and_holds_every_point(study, tmp_path):
+    plots.save_page(study[1], tmp_path / "a.html", title="<drop>")
+    page = (tmp_path / "a.html").read_text()
+    assert not re.findall(r"(?:src|href|url)\s*[=(]", page)
+    assert set(re.findall(r"https?://[^\s\"']+", page)) == {"http://www.w3.org/2000/svg"}
+    assert "<h1>&lt;drop&gt;</h1>" in page
+    points = json.loads(re.search(r"const points = (.*);", page)[1])
+    assert len(points) == len(study[1].rows)
+
+
+def test_the_picture_is_small(study, tmp_path):
+    pytest.importorskip("matplotlib")
+    plots.save_picture(study[1], tmp_path / "a.png")
+    assert (tmp_path / "a.png").stat().st_size < 300_000
+    with Image.open(tmp_path / "a.png") as picture:
+        assert picture.size == (900, 400)
+
+
+def test_a_study_without_convergence_still_draws(study, tmp_path):
+    pytest.importorskip("matplotlib")
+    lost = Convergence(None, None, "not converging: finer grids do not come closer")
+    bare = replace(study[1], rows=(row(16, None, 1.0),), convergence=lost)
+    plots.save_picture(bare, tmp_path / "a.png")
+    plots.save_page(bare, tmp_path / "a.html")
+    assert "not converging" in (tmp_path / "a.html").read_text()
+
+
+def shifted(by: float) -> Clip:
+    means = np.zeros((2, 2, 3), np.float32)
+    means[:, 1, 2] = 1
+    means[1] += [0, by, 0]
+    quats = np.tile(np.array([1, 0, 0, 0], np.float32), (2, 2, 1))
+    scales, opacities = np.full((2, 2, 3), 0.05, np.float32), np.ones(2, np.float32)
+    return Clip(means, quats, scales, opacities, np.zeros((2, 1, 3), np.float32), np.arange(2) / 24)
+
+
+def test_difference_of_a_known_shift():
+    view = Scene().view.model_copy(update={"size": 64, "elevation": 0.0})
+    apart = difference(shifted(0.1), shifted(0.0), view)
+    assert apart.metres == pytest.approx(0.1 / np.sqrt(2), rel=1e-5)
+    assert apart.relative == pytest.approx(apart.metres, rel=1e-5)
+    assert apart.worst_frame == 1
+    assert apart.worst == pytest.approx(0.1, rel=1e-5)
+    pixels = 64 / (2 * np.tan(np.radians(view.fov / 2)) * view.distance)
+    assert apart.pixels == pytest.approx(apart.metres * pixels, rel=0.02)
+    same = difference(shifted(0.0), shifted(0.0), view)
+    assert same.metres == 0
+    assert same.psnr == np.inf
+
+
+def test_study_on_the_command_line(tmp_path, capsys):
+    (tmp_path / "s.toml").write_text(
+        'accuracy = {cells = 8}\ntime = {frames = 2}\nview = {size = 32, views = ["front"]}\n'
+    )
+    arguments = [
+        "accuracy",
+        str(tmp_path / "s.toml"),
+        "--levels",
+        "8",
+        "--out",
+        str(tmp_path / "o"),
+    ]
+    assert main([*arguments, "--device", "cpu"]) == 0
+    text = capsys.readouterr().out
+    assert "fewer than three levels" in text
+    made = {path.name for path in (tmp_path / "o").iterdir()}
+    assert made >= {"accuracy.json", "accuracy.html"}
+    assert main(["accuracy"]) == 2
+    assert "nothing to study" in capsys.readouterr().err
