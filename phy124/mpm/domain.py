@@ -43,6 +43,9 @@ class Domain:
         self.bounded = False
         self.outside = wp.zeros(0, dtype=int, device=solver.device)
         """Indices of the particles that are ballistic at the moment."""
+        # The bulk at rest; single particles far away do not count.
+        first = self._nodes(*np.quantile(solver.rest, (0.05, 0.95), axis=0))
+        self._allowed = min(LARGEST, max(LEAST, GROWTH * min(first, LARGEST)))
         self.most, self.changed = 0, False
         """The greatest number so far, and whether the last measurement changed the list."""
 
@@ -56,11 +59,11 @@ class Domain:
         if self.bounded:
             self._centre((lower + upper) / 2)
             return False
-        if self._nodes(lower, upper) <= self._allowed():
+        if self._nodes(lower, upper) <= self._allowed:
             return False
         x = self._solver.state.x.numpy().astype(np.float64)
         middle = np.median(x, axis=0)
-        side = self._solver.dx * (self._allowed() ** (1 / 3) - 3 * MARGIN)
+        side = self._solver.dx * (self._allowed ** (1 / 3) - 3 * MARGIN)
         self._half, self.bounded = np.full(3, side / 2), True
         self._centre(middle)
         return True
@@ -86,8 +89,3 @@ class Domain:
     def _nodes(self, lower: NDArray, upper: NDArray) -> float:
         """Nodes of a window over a box; in floating point, for boxes beyond all integers."""
         return float(np.prod((upper - lower) / self._solver.dx + 3 + 2 * MARGIN))
-
-    def _allowed(self) -> float:
-        # The bulk at rest; single particles far away do not count.
-        first = self._nodes(*np.quantile(self._solver.rest, (0.05, 0.95), axis=0))
-        return min(LARGEST, max(LEAST, GROWTH * min(first, LARGEST)))
