@@ -77,7 +77,9 @@ class FormulaParts:
         built = (encoders.vae(), encoders.text_encoder(), encoders.image_encoder())
         for network in built:
             network.load_state_dict(formula.state_dict(network))
-        self.vae, self.text_encoder, self.image_encoder = (n.to(device, dtype) for n in built)
+        self.vae, self.text_encoder, self.image_encoder = (
+            torch.nn.Module.to(n, device, dtype) for n in built
+        )
         self.encoders = encoders
 
     def text(self) -> torch.Tensor:

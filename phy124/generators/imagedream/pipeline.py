@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 import torch
 from diffusers.schedulers.scheduling_ddim import DDIMScheduler
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn.functional import interpolate
 
 from phy124.generators.imagedream import encoders
@@ -80,7 +80,8 @@ class TrainedParts:
             self._files["unet/diffusion_pytorch_model.safetensors"], **self._place
         )
         vae = encoders.vae(self._files["vae/diffusion_pytorch_model.safetensors"])
-        self.vae = vae.to(**self._place)
+        # Past diffusers' own `to`, which complains about a precision that is not mixed here.
+        self.vae = nn.Module.to(vae, **self._place)
 
     def text(self) -> Tensor:
         """Text tokens [1,77,1024]."""
@@ -122,7 +123,7 @@ class ImageDream:
         if self.parts is None:
             self.parts = TrainedParts(self.weights, self.device, self.dtype)
         parts, draw = self.parts, torch.Generator().manual_seed(seed)
-        condition = look(parts, image.to(self.device, self.dtype), draw, elevation=self.elevation)
+        condition = look(parts, image, draw, elevation=self.elevation)
         noise = torch.randn(FRAMES, *condition.latents.shape[1:], generator=draw)
         latents = noise.to(self.device, self.dtype)
         stages = denoise(parts.unet, latents, condition, self.steps, self.guidance)
@@ -135,11 +136,12 @@ def look(
     parts: Parts, image: Tensor, draw: torch.Generator, *, elevation: float = 0.0
 ) -> Condition:
     """What the networks see of `image [3,H,W]` in 0..1; both prompts are empty."""
+    place = next(parts.vae.parameters())
     return Condition(
-        text=parts.text().expand(2, -1, -1).to(image),
-        tokens=parts.picture(image).to(image),
-        latents=encode(parts.vae, image, draw),
-        cameras=torch.from_numpy(cameras(elevation)).to(image),
+        text=parts.text().expand(2, -1, -1).to(place),
+        tokens=parts.picture(image).to(place),
+        latents=encode(parts.vae, image.to(place), draw),
+        cameras=torch.from_numpy(cameras(elevation)).to(place),
     )
 
 

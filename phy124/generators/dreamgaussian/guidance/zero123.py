@@ -152,4 +152,5 @@ def trained(
             CameraProjection, files["clip_camera_projection"], "", "Zero123's camera projection"
         ),
     }
-    return {name: network.to(device=device, dtype=dtype) for name, network in networks.items()}
+    # Past diffusers' own `to`, which complains about a precision that is not mixed here.
+    return {k: nn.Module.to(n, device=device, dtype=dtype) for k, n in networks.items()}
