@@ -136,7 +136,10 @@ def _asset(path: Path) -> str:
         return path.read_text("utf-8")
     except OSError:
         raise InputError(
-            "viewer", path, "the player's files are missing.", "Install phy124 with its demo folder."
+            "viewer",
+            path,
+            "the player's files are missing.",
+            "Install phy124 with its demo folder.",
         ) from None
 
 
