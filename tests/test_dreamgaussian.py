@@ -2,7 +2,9 @@
 
 import json
 import math
+import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import formula
 import numpy as np
@@ -11,6 +13,7 @@ import torch
 from safetensors.torch import save_file
 
 from phy124.errors import Cancelled, InputError
+from phy124.generators import splatting
 from phy124.generators.dreamgaussian import (
     WITH_IMAGEDREAM,
     Density,
@@ -230,6 +233,36 @@ def test_screen_gradient_is_per_half_image_side():
     per_half_side = drawn.screen_gradients()[0]
     assert float(per_half_side[0]) > 0
     assert float(splats[0].grad[0, 0]) == pytest.approx(float(per_half_side[0]), rel=0.01)
+
+
+def test_gsplat_is_called_as_its_interface_asks(monkeypatch):
+    """A stand-in with gsplat 1.5's signature and shapes; the CUDA kernels need a GPU."""
+
+    def rasterization(
+        means, quats, scales, opacities, colors, viewmats, Ks, width, height, *,
+        near_plane, backgrounds, packed,
+    ):  # fmt: skip
+        del near_plane
+        assert viewmats.shape == (1, 4, 4) and backgrounds.shape == (1, 3) and not packed
+        torch.testing.assert_close(quats.norm(dim=1), torch.ones(len(quats)).double())
+        torch.testing.assert_close(Ks[0, :2, 2], torch.tensor([width, height]).double() / 2)
+        seen = View(viewmats[0], float(Ks[0, 0, 0]), width, height)
+        drawn = rasterize(means, quats, scales, opacities, colors, seen, backgrounds[0])
+        radii = drawn.radii[None, :, None].expand(1, -1, 2)
+        info = {"means2d": drawn.centres[None], "radii": radii.int()}
+        return drawn.rgb[None], drawn.alpha[None, ..., None], info
+
+    monkeypatch.setitem(sys.modules, "gsplat", SimpleNamespace(rasterization=rasterization))
+    splats = [part.requires_grad_() for part in random_splats(6)]
+    view, background = orbit_view(-10, 30, 2, 20), torch.tensor([0.2, 0.4, 0.6]).double()
+    ours = rasterize(*splats, view, background)
+    theirs = splatting._with_gsplat(*splats, view, background)
+    for name in ("rgb", "alpha", "radii"):
+        torch.testing.assert_close(getattr(theirs, name), getattr(ours, name), check_dtype=False)
+    ours.rgb.square().sum().backward()
+    assert ours.screen_gradients().shape == (6, 2)
+    theirs.rgb.square().sum().backward()
+    assert theirs.screen_gradients().shape == (6, 2)
 
 
 def test_unseen_gaussians_are_told():
