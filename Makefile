@@ -1,11 +1,11 @@
-# make demo | app | test | test-browser | bench | lint | clean
+# make demo | app | test | test-browser | bench | accuracy | lint | clean
 # Everything is installed into .venv; a stamp per set of packages says that it is there.
 
 PYTHON ?= python3
 BIN := .venv/bin
 INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: demo app test test-slow test-browser bench lint clean
+.PHONY: demo app test test-slow test-browser bench accuracy lint clean
 
 demo: .venv/base
 	$(BIN)/phy124 generate demo/examples/duck.png --scene press --out out/duck-press
@@ -25,6 +25,10 @@ test-browser: .venv/test
 
 bench: .venv/test
 	for script in tests/benchmarks/*.py; do $(BIN)/python $$script || exit 1; done
+
+accuracy: .venv/test
+	$(BIN)/python tests/benchmarks/forecast.py --docs
+	$(BIN)/python tests/benchmarks/accuracy.py --docs
 
 lint: .venv/lint
 	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/pre-commit run --all-files --show-diff-on-failure

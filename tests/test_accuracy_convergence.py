@@ -49,6 +49,13 @@ def test_scattered_levels_are_said(rng):
     assert richardson(H, distances(levels)).note
 
 
+def test_levels_that_agree_have_no_order_but_an_error():
+    found = richardson(H, 1e-7 * distances(results(1.0)))
+    assert found.order is None
+    assert 0 < found.error < 1e-6
+    assert "does not depend on the grid" in found.note
+
+
 def test_fitted_order_is_the_slope():
     assert fitted_order(H, 5 * H**1.7) == pytest.approx(1.7)
 

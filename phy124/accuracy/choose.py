@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from phy124.accuracy.convergence import Convergence, distances, extrapolated, richardson
+from phy124.accuracy.convergence import AGREE, Convergence, distances, extrapolated, richardson
 from phy124.accuracy.difference import pixel_distance
-from phy124.accuracy.forecast import Forecast, Forecaster
+from phy124.accuracy.forecast import Forecast, Forecaster, pixels_per_size
 from phy124.clip import Clip
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
@@ -30,6 +31,12 @@ CELLS = (8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 56, 64, 80, 96)
 """Grids that may be chosen."""
 GUESSED_ORDER = 1.0
 """Order assumed until three levels show theirs; contact is of first order."""
+UNIT: dict[Kind, Callable[[Scene], float]] = {
+    "pixels": pixels_per_size,
+    "share": lambda scene: 1.0,
+    "metres": lambda scene: scene.object.size,
+}
+"""The object's size in the unit of a goal."""
 MARGIN = 0.95
 """Share of the wished seconds that a forecast may fill: forecasts err by a few per cent."""
 
@@ -200,7 +207,8 @@ def _estimate(goal: Goal, runs: _Runs) -> Convergence:
         for j, other in enumerate(clips):
             if i < j:
                 apart[i, j] = apart[j, i] = _gap(goal, one, other, runs.scene)
-    return richardson([1 / n for n in cells], apart)
+    agree = AGREE * UNIT[goal.kind](runs.scene)
+    return richardson([1 / n for n in cells], apart, agree=agree)
 
 
 def _gap(goal: Goal, one: Clip, other: Clip, scene: Scene) -> float:

@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 
 ORDERS = (0.5, 3.0)
 """Orders are held to this range: a lower one makes every error a guess."""
+AGREE = 1e-5
+"""Distance, in the unit of the results, below which levels agree within rounding."""
 MISFIT = 0.35
 """RMS of log(distance / fit) from which the levels scatter too much for a good estimate."""
 
@@ -39,17 +41,21 @@ def fitted_order(spacings: Sequence[float], errors: Sequence[float]) -> float:
     return float(np.polyfit(np.log(spacings), np.log(np.abs(errors)), 1)[0])
 
 
-def richardson(spacings: Sequence[float], apart: NDArray) -> Convergence:
+def richardson(spacings: Sequence[float], apart: NDArray, *, agree: float = AGREE) -> Convergence:
     """Order and own error of the finest of three or more levels.
 
     Args:
         spacings: From coarse to fine [L].
         apart: Distances between the levels' results [L,L].
+        agree: Levels closer than this agree, and their greatest distance is the error.
     """
     h, pairs = np.array(spacings), np.triu_indices(len(spacings), 1)
     if len(h) < 3:
         return Convergence(None, None, "fewer than three levels: no order can be observed")
     to_finest, measured = apart[:-1, -1], apart[pairs]
+    if measured.max() < agree:
+        note = "all levels agree: this motion does not depend on the grid"
+        return Convergence(None, float(measured.max()), note=note)
     if not np.all(measured > 0) or not np.all(np.diff(to_finest) < 0):
         return Convergence(None, None, "not converging: finer grids do not come closer")
     orders = np.linspace(*ORDERS, 251)

@@ -1,0 +1,234 @@
+"""The measurements of docs/accuracy.md: known answers, studies, goals, the cost of each part.
+
+With `--docs` its tables and plots are renewed (`make accuracy`). About five minutes.
+"""
+
+import json
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+import warp as wp
+
+from phy124 import pipeline
+from phy124.accuracy import choose
+from phy124.accuracy.ball import ball
+from phy124.accuracy.choose import CELLS, Goal, reach
+from phy124.accuracy.convergence import distances
+from phy124.accuracy.difference import pixel_distance, video
+from phy124.accuracy.plots import save_picture
+from phy124.accuracy.study import Report, Row, Study
+from phy124.accuracy.verify import verify
+from phy124.clip import Clip
+from phy124.errors import InputError
+from phy124.gaussians import Gaussians
+from phy124.metrics import psnr
+from phy124.scene import Scene, preset_names
+from phy124.simulation import Simulation
+
+sys.path.insert(0, str(Path(__file__).parent))
+from tables import DOCS, markdown, renew
+
+PICTURES = Path(__file__).parents[2] / "demo/examples"
+SAND = {
+    "material": {"law": "sand", "E": 3e5}, "object.lift": 0.0, "object.velocity": [0, 0, 0],
+    "boundaries": [{"kind": "ground", "friction": 0.6}],
+}  # fmt: skip
+STUDIES = {
+    "duck-press": ("duck", "press", {}),
+    "sunflower-push": ("sunflower", "push_right", {}),
+    "sand-collapse": ("cupcake", "drop", SAND),
+    "ball-bounce": (None, "bounce", {}),
+}
+"""Name -> picture (None: the chequered ball), preset, changes."""
+GOAL_CELLS = tuple(n for n in CELLS if n <= 64)
+"""Grids the goals may choose here: what a minute can pay."""
+
+
+def static(picture: str | None) -> Gaussians:
+    """The object of a study."""
+    return ball() if picture is None else pipeline.static(PICTURES / f"{picture}.png").gaussians
+
+
+def known_answers() -> str:
+    """A row per check."""
+    rows = []
+    for v in verify():
+        order = "" if v.expected_order is None else f"{v.order or float('nan'):.2f}"
+        expected = "" if v.expected_order is None else "{:g} to {:g}".format(*v.expected_order)
+        cells = ", ".join(str(n) for n in v.levels)
+        rows.append(
+            [v.problem, v.quantity, cells, f"{v.value:.1e}", f"{v.limit:.0e}", order, expected,
+             "pass" if v.passed else "FAIL"]
+        )  # fmt: skip
+    heads = ["problem", "quantity", "cells", "value", "at most", "order", "expected", ""]
+    return markdown(heads, rows)
+
+
+def study_table(report: Report) -> str:
+    """The rows of a study and what it says."""
+    heads = [
+        "setting", "particles", "ppc", "substeps", "foretold s", "measured s", "error %", "pixels",
+        "worst frame", "PSNR", "SSIM", "energy lost", "limited by",
+    ]  # fmt: skip
+    found = report.convergence
+    order = "none" if found.order is None else f"{found.order:.2f}"
+    said = [
+        f"Observed order: {order}. {found.why_not or found.note}".strip(),
+        report.recommendation,
+    ]
+    said += [f"Promise of {name}: {text}." for name, text in report.promises.items()]
+    said += report.skipped
+    return "\n\n".join([markdown(heads, [study_row(row) for row in report.rows]), *said])
+
+
+def study_row(row: Row) -> list[str]:
+    """One setting."""
+    apart = row.from_finest
+    return [
+        row.name, f"{row.particles:,}", f"{row.ppc:.1f}", str(row.substeps), f"{row.predicted:.1f}",
+        f"{row.seconds:.1f}", "" if row.error is None else f"{100 * row.error:.2f}",
+        "" if row.pixels is None else f"{row.pixels:.1f}",
+        f"{apart.worst_frame} ({apart.worst:.1%})" if apart else "reference",
+        f"{apart.psnr:.1f}" if apart else "", f"{apart.ssim:.4f}" if apart else "",
+        "" if row.energy_lost is None else f"{row.energy_lost:.0%}",
+        ", ".join(f"{name} {share:.0%}" for name, share in row.limiters.items()),
+    ]  # fmt: skip
+
+
+def goal_rows(gaussians: Gaussians, wish: str) -> list[list[str]]:
+    """For each preset scene: what was chosen, and its distance from a run two levels finer."""
+    rows = []
+    for name in preset_names():
+        scene, start = Scene.named(name), time.perf_counter()
+        goal = Goal.error(wish)
+        try:
+            reached = reach(goal, gaussians, scene)
+        except InputError as refusal:
+            rows.append([name, wish, "refused", "", "", "", refusal.limit])
+            print(json.dumps(rows[-1]), flush=True)
+            continue
+        seconds, about = time.perf_counter() - start, reached.about
+        cells = about["cells"]
+        finer = int(cells * 1.5**2) if cells not in GOAL_CELLS[:-2] else following(cells)
+        accuracy = scene.resolution.model_copy(update={"cells": finer})
+        truth = Simulation(gaussians, scene.model_copy(update={"accuracy": accuracy})).run()
+        if goal.kind == "pixels":
+            off = f"{pixel_distance(reached.clip, truth, scene.view):.2f}px"
+        else:
+            off = f"{distances([reached.clip.means, truth.means])[0, 1] / scene.object.size:.2%}"
+        error = about["error"]
+        said = "" if error is None else choose.said(goal.kind, error)
+        met = "met" if about["met"] else about["why_not"] or "not met"
+        rows.append([name, wish, f"D/{cells}", said, f"{off} (D/{finer})", f"{seconds:.1f}", met])
+        print(json.dumps(rows[-1]), flush=True)
+    return rows
+
+
+def following(cells: int) -> int:
+    """Two levels finer, each by a half or a third."""
+    return {8: 14, 10: 20, 12: 24, 14: 28, 16: 32, 20: 40, 24: 48, 28: 56, 32: 64}.get(
+        cells, round(cells * 1.5)
+    )
+
+
+def time_rows(gaussians: Gaussians) -> list[list[str]]:
+    """Times wished and taken, from Gaussians to files."""
+    rows = []
+    for name, wish in (("press", 6), ("press", 20), ("bounce", 15), ("sway", 15)):
+        with tempfile.TemporaryDirectory() as folder:
+            start = time.perf_counter()
+            result = pipeline.simulate(gaussians, Scene.named(name), folder, goal=Goal.time(wish))
+            spent = time.perf_counter() - start
+        cells = result.report["goal"]["cells"]
+        rows.append([name, f"{wish} s", f"D/{cells}", f"{spent:.1f} s", f"{spent / wish:.2f}"])
+        print(json.dumps(rows[-1]), flush=True)
+    return rows
+
+
+def cost_rows(gaussians: Gaussians) -> list[list[str]]:
+    """One part of the method changed at a time: seconds by stage, change of the picture."""
+    base = Scene.named("press")
+    thinned = {n: thin(gaussians, n) for n in (12_500, 25_000)}
+    cases = [
+        ("as it is", gaussians, {}),
+        *((f"{n:,} Gaussians", few, {}) for n, few in thinned.items()),
+        ("binding field", gaussians, {"binding": "field"}),
+        ("1 view", gaussians, {"view.views": ["front"]}),
+        ("28 frames in the same time", gaussians, {"time.frames": 27, "time.fps": 48.0}),
+        ("256 x 256 pixels", gaussians, {"view.size": 256}),
+        ("1024 x 1024 pixels", gaussians, {"view.size": 1024}),
+        ("draft", gaussians, {"accuracy": "draft"}),
+        ("fine", gaussians, {"accuracy": "fine"}),
+    ]
+    rows, reference = [], None
+    for name, things, changes in cases:
+        scene = base.replaced(changes)
+        with tempfile.TemporaryDirectory() as folder:
+            result = pipeline.simulate(things, scene, folder)
+            clip = Clip.load(Path(folder) / "clip.safetensors")
+            view = base.view.model_copy(update={"size": 256})
+            shown = video(clip, clip, view)[:: 2 if "28" in name else 1]
+        reference = shown if reference is None else reference
+        quality = psnr(shown[: len(reference)], reference[: len(shown)])
+        stages = {stage["name"]: stage["seconds"] for stage in result.report["stages"]}
+        parts = [
+            stages.get(k, 0.0) for k in ("particles", "simulate", "deform", "render", "encode")
+        ]
+        rows.append(
+            [name, *(f"{p:.2f}" for p in parts), f"{sum(stages.values()):.2f}",
+             "" if np.isinf(quality) else f"{quality:.1f}"]
+        )  # fmt: skip
+        print(json.dumps(rows[-1]), flush=True)
+    return rows
+
+
+def thin(gaussians: Gaussians, count: int) -> Gaussians:
+    """Fewer Gaussians, each wider, so that the surface stays closed."""
+    chosen = np.sort(np.random.default_rng(0).permutation(len(gaussians))[:count])
+    few = gaussians.select(chosen)
+    wider = np.float32(np.sqrt(len(gaussians) / count))
+    return Gaussians(few.means, few.quats, few.scales * wider, few.opacities, few.sh)
+
+
+def main(parts: list[str], *, docs: bool) -> None:
+    """Measure the parts named, or all."""
+    wp.config.log_level = wp.LOG_ERROR
+    page, made = DOCS / "accuracy.md", {}
+    if wants(parts, "verify"):
+        made["verify"] = known_answers()
+    for name, (picture, preset, changes) in STUDIES.items():
+        if wants(parts, name):
+            scene = Scene.named(preset).replaced(changes)
+            report = Study(static(picture), scene, told=lambda row: print(row.name)).run()
+            made[name] = study_table(report)
+            print(made[name], flush=True)
+            if docs:
+                (DOCS / "accuracy").mkdir(exist_ok=True)
+                save_picture(report, DOCS / "accuracy" / f"{name}.png", title=name)
+    duck = static("duck")
+    if wants(parts, "costs"):
+        heads = ["", "particles", "simulate", "shapes", "render", "encode", "all", "PSNR"]
+        made["costs"] = markdown(heads, cost_rows(duck))
+    if wants(parts, "times"):
+        made["times"] = markdown(["scene", "wished", "grid", "took", "ratio"], time_rows(duck))
+    if wants(parts, "goals"):
+        choose.CELLS = GOAL_CELLS
+        heads = ["scene", "wished", "grid", "estimated", "off a finer run by", "s", ""]
+        made["goals"] = markdown(heads, goal_rows(duck, "2px") + goal_rows(duck, "4%"))
+    for name, text in made.items():
+        print(text, flush=True)
+        if docs:
+            renew(page, name, text)
+
+
+def wants(parts: list[str], name: str) -> bool:
+    """Whether a part is to be measured."""
+    return not parts or name in parts
+
+
+if __name__ == "__main__":
+    words = [word for word in sys.argv[1:] if word != "--docs"]
+    main(words, docs="--docs" in sys.argv)
