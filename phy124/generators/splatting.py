@@ -57,7 +57,7 @@ class Rendering:
         height, width = self.alpha.shape
         gradient = self.centres.grad
         if gradient is None:
-            return torch.zeros_like(self.centres)
+            gradient = torch.zeros_like(self.centres)
         return gradient.reshape(-1, 2) * gradient.new_tensor([width / 2, height / 2])
 
 
