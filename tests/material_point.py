@@ -8,9 +8,65 @@ import warp as wp
 from numpy.typing import NDArray
 
 from phy124.kernels.transfer import Law, types
-from phy124.materials import Material
+from phy124.materials import (
+    FixedCorotated,
+    Fluid,
+    Foam,
+    Hencky,
+    Material,
+    Metal,
+    NeoHookean,
+    Plasticine,
+    Sand,
+    Snow,
+)
 
 REALS = {"float32": wp.float32, "float64": wp.float64}
+
+
+EYE = np.eye(3)
+LAWS: list[Material] = [
+    NeoHookean(),
+    FixedCorotated(),
+    Hencky(),
+    Metal(hardening=1e4),
+    Plasticine(),
+    Foam(),
+    Sand(),
+    Snow(),
+    Fluid(viscosity=3.0),
+]
+SOLIDS = [law for law in LAWS if not isinstance(law, Fluid)]
+PLASTIC = [law for law in SOLIDS if law.device_law.project is not None]
+
+
+def name(material: Material) -> str:
+    return material.device_law.name
+
+
+def deformations(rng: np.random.Generator, amount: float, count: int = 300) -> NDArray:
+    """Random F [N,3,3] with det F > 0.3, away from the identity."""
+    F = EYE + amount * rng.standard_normal((4 * count, 3, 3))
+    return F[np.linalg.det(F) > 0.3][:count]
+
+
+def rotations(rng: np.random.Generator, count: int) -> NDArray:
+    q, _ = np.linalg.qr(rng.standard_normal((count, 3, 3)))
+    return q * np.sign(np.linalg.det(q))[:, None, None]
+
+
+def transposed(a: NDArray) -> NDArray:
+    return np.swapaxes(a, 1, 2)
+
+
+def relative(a: NDArray, b: NDArray, floor: float) -> float:
+    """Greatest difference of N matrices over the size of the second, at least `floor`."""
+    size = np.maximum(np.abs(b).reshape(len(b), -1).max(1), floor)
+    return float((np.abs(a - b).reshape(len(b), -1).max(1) / size).max())
+
+
+def deviator(a: NDArray) -> NDArray:
+    return a - np.trace(a, axis1=1, axis2=2)[:, None, None] / 3 * EYE
 
 
 class Point(NamedTuple):
