@@ -43,7 +43,10 @@ class Metal(Elastic):
 
 
 class Plasticine(Elastic):
-    """Clay: fixed corotated elasticity, yields by von Mises and weakens as it is worked."""
+    """Clay: fixed corotated elasticity, yields by von Mises and weakens as it is worked.
+
+    Like fixed corotated it is left flat by impacts above its speed of sound.
+    """
 
     law: Literal["plasticine"] = "plasticine"
     device_law: ClassVar[Law] = Law(
@@ -56,7 +59,7 @@ class Plasticine(Elastic):
     )
 
     E: float = Field(default=2e5, ge=1, le=1e13, description="Young's modulus [Pa].")
-    nu: float = Field(default=0.4, ge=-0.9, le=0.4999, description="Poisson's ratio.")
+    nu: float = Field(default=0.4, ge=0, le=0.4999, description="Poisson's ratio.")
     yield_stress: float = Field(
         default=4e3, gt=0, le=1e12, description="Uniaxial yield stress [Pa]."
     )
