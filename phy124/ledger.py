@@ -57,6 +57,16 @@ class Ledger:
         """Begin to count with the present state of the solver."""
         self.restore((np.zeros(diagnose.GIVEN), np.zeros(diagnose.GIVEN), 0.0))
         self._kicked = solver.time - solver.last_dt / 2
+        solver.caution.books = self
+
+    def mark(self) -> dict[Any, NDArray[Any]]:
+        """The open sums; for a substep that may be taken back."""
+        return {key: np.array(page.numpy()) for key, page in self._pages.items()}
+
+    def undo(self, mark: dict[Any, NDArray[Any]]) -> None:
+        """Go back to the open sums of a mark."""
+        for key, page in self._pages.items():
+            page.assign(mark[key])
 
     def total(self, solver: Solver, way: NDArray[np.float64]) -> Given:
         """What was given so far; `way` is mass times position since the start [kg m]."""

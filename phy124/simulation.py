@@ -11,6 +11,7 @@ remain good. Runs of hours, or beyond the machine's memory, are refused before t
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -211,11 +212,19 @@ class Simulation:
     def _follower(self, index: int) -> Callable[[], None]:
         """What to do after each substep: report, and keep the books of forces that vary."""
         report, books = self._reporter(index), self.watchdog.follow()
-        if books is None:
-            return report
+        patience, start = self.scene.time.patience, self.watch.seconds.get("simulate", 0.0)
+        begun = time.perf_counter()
 
         def after() -> None:
-            books()
+            if books is not None:
+                books()
+            spent = start + time.perf_counter() - begun
+            if spent > 2 * patience:
+                raise Stopped(
+                    f"frame {index} was reached in {spent:.0f} s, twice time.patience: the "
+                    f"material moves so violently that a substep is {self.solver.last_dt:.1e} s. "
+                    "Use gentler forces, a softer material, a coarser accuracy or more patience."
+                )
             report()
 
         return after

@@ -17,12 +17,12 @@ class Stress:
 
     def run(self) -> int:
         """Print the table; status 1 if a case fails."""
+        from phy124 import stress
         from phy124.commands.bars import Bars
-        from phy124.stress import CASES, run, settings
 
-        total, rows = len(CASES) * len(settings()), []
+        total, rows = len(stress.CASES) * len(stress.settings()), []
         with Bars(quiet=self.json) as bars:
-            for row in run(long=self.all):
+            for row in stress.run(long=self.all):
                 rows.append(row)
                 bars("stress", len(rows), total)
         if self.json:

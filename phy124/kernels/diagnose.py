@@ -10,6 +10,7 @@ from typing import Any
 
 import warp as wp
 
+from phy124.kernels.spectral import to_double
 from phy124.kernels.transfer import Law, types
 
 SUMS = 11
@@ -40,7 +41,7 @@ def make_weigh(law: Law, real: Any):
     """
     t = types(real)
     theta_type = wp.types.vector(law.width, real)
-    energy = law.energy
+    energy, exact = law.energy, wp.types.vector(law.width, wp.float64)
     has_history = law.project is not None
 
     @wp.kernel(module=f"phy124_weigh_{law.name}_{real.__name__}", enable_backward=False)
@@ -56,11 +57,17 @@ def make_weigh(law: Law, real: Any):
         counts_out: wp.array(dtype=int), first_out: wp.array(dtype=int),
     ):  # fmt: skip
         p = wp.tid()
-        h = t.vec2()
+        h = wp.vec2d()
         if wp.static(has_history):
-            h = history[p]
-        J = wp.float64(wp.determinant(F[p]))
-        psi = wp.float64(energy(F[p], h, theta[wp.min(p, theta.shape[0] - 1)]))
+            h = wp.vec2d(wp.float64(history[p][0]), wp.float64(history[p][1]))
+        # In float64: the energy of a small strain is the difference of large numbers.
+        row = wp.min(p, theta.shape[0] - 1)
+        parameters = exact()
+        for i in range(wp.static(law.width)):
+            parameters[i] = wp.float64(theta[row][i])
+        deformation = to_double(F[p])
+        J = wp.determinant(deformation)
+        psi = energy(deformation, h, parameters)
         m = wp.float64(mass[p])
         spread = wp.float64(dx * dx) / wp.float64(4.0)
         here = wide(x[p])

@@ -51,7 +51,7 @@ class Elastic(Material):
         description="Young's modulus [Pa]: jelly 1e4, rubber 1e6, wood 1e10.",
     )
     nu: float = Field(
-        default=0.3, ge=-0.9, le=0.4999, description="Poisson's ratio; 0.5 is incompressible."
+        default=0.3, ge=0, le=0.4999, description="Poisson's ratio; 0.5 is incompressible."
     )
 
     @property

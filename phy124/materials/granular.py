@@ -29,7 +29,7 @@ class Sand(Elastic):
     E: float = Field(
         default=1e6, ge=1, le=1e13, description="Young's modulus of the packed grains [Pa]."
     )
-    nu: float = Field(default=0.2, ge=-0.9, le=0.4999, description="Poisson's ratio.")
+    nu: float = Field(default=0.2, ge=0, le=0.4999, description="Poisson's ratio.")
     friction_angle: float = Field(
         default=35.0, ge=1, le=60, description="Angle of internal friction [degrees]."
     )
@@ -55,7 +55,7 @@ class Snow(Elastic):
 
     density: float = Field(default=400.0, ge=1, le=1e5, description="Mass per volume [kg/m^3].")
     E: float = Field(default=1.4e5, ge=1, le=1e13, description="Young's modulus, fresh [Pa].")
-    nu: float = Field(default=0.2, ge=-0.9, le=0.4999, description="Poisson's ratio.")
+    nu: float = Field(default=0.2, ge=0, le=0.4999, description="Poisson's ratio.")
     compression: float = Field(
         default=0.025, ge=1e-4, le=0.5, description="Squeeze at which it starts to pack."
     )

@@ -8,7 +8,7 @@ tried: near the limits of speed and gradient, under forces on particles, or a hu
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import warp as wp
@@ -30,6 +30,18 @@ FIRST = 4
 """Substeps after which what always acts has shown its effect."""
 
 
+class Books(Protocol):
+    """Sums that grow in every substep."""
+
+    def mark(self) -> Any:
+        """What they are now."""
+        ...
+
+    def undo(self, mark: Any) -> None:
+        """Go back to what they were."""
+        ...
+
+
 class Caution:
     """Decides which substeps are tried, and tries them."""
 
@@ -40,6 +52,8 @@ class Caution:
         self._sudden = any(name in SUDDEN for name, _ in solver.pushes)
         self.rejected = 0
         """Substeps that were taken back."""
+        self.books: Books | None = None
+        """What counts during a substep and must be taken back with it."""
 
     def called_for(self, dt: float) -> bool:
         """Whether a substep of length `dt` may carry something further than a cell."""
@@ -56,6 +70,7 @@ class Caution:
         s, cells = self._solver, 0.0
         pushed = [s.state.v, s.state.C] if s.pushes else []
         before = [wp.clone(array) for array in pushed]
+        page = self.books and self.books.mark()
         for _ in range(TRIES):
             s.begin((s.last_dt + dt) / 2, dt)
             for phase in range(2):
@@ -67,6 +82,8 @@ class Caution:
             self.rejected += 1
             for array, kept in zip(pushed, before, strict=True):
                 wp.copy(array, kept)
+            if self.books:
+                self.books.undo(page)
             dt *= min(0.5, CELLS_PER_STEP / cells)
         for lane in s.lanes:
             lane.run(2)

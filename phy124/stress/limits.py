@@ -103,7 +103,7 @@ def stiff(setting: Setting) -> list[Check]:
 def poisson(setting: Setting) -> list[Check]:
     """Nearly incompressible runs; impossible ratios are refused with a sentence."""
     checks = []
-    for nu in (0.0, 0.49, 0.4999, -0.9):
+    for nu in (0.0, 0.3, 0.49, 0.4999):
         x = block(4, 0.25)
         s = body(x, setting, NeoHookean(E=1e4, nu=nu), size=0.25, **vibrating(x, 1.0))
         meter = Meter(s)
@@ -114,7 +114,7 @@ def poisson(setting: Setting) -> list[Check]:
             at_most(f"nu {nu}: greatest / first energy", meter.greatest, 1.001),
             at_least(f"nu {nu}: least J", meter.least_J, 0.5),
         ]
-    for nu in (0.5, -0.99, 0.6, math.nan):
+    for nu in (0.5, 0.6, -0.1, -0.99, math.nan):
         checks.append(equal(f"nu {nu} is refused", _refused(nu)))
     return checks
 

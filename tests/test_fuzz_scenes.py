@@ -1,0 +1,189 @@
+"""Random scenes: whatever a scene file may say, the result is finite and its balance adds up."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, event, given, settings
+from hypothesis import strategies as st
+
+from phy124.errors import InputError
+from phy124.gaussians import Gaussians
+from phy124.scene import Scene
+from phy124.simulation import Simulation
+
+UNITS = st.floats(-1, 1)
+
+
+def decades(low: float, high: float) -> st.SearchStrategy[float]:
+    """Numbers whose logarithm is even between two numbers."""
+    return st.floats(math.log10(low), math.log10(high)).map(lambda e: min(max(10**e, low), high))
+
+
+def vectors(length: st.SearchStrategy[float]) -> st.SearchStrategy[tuple[float, float, float]]:
+    """Vectors of any direction and such lengths."""
+    return st.builds(lambda a, b, c, s: (a * s, b * s, c * s), UNITS, UNITS, UNITS, length)
+
+
+ELASTIC = {
+    "E": decades(1, 1e13),
+    "nu": st.one_of(st.floats(0, 0.4999), st.sampled_from([0.0, 0.49, 0.4999])),
+    "density": decades(1, 1e5),
+}
+MATERIALS: dict[str, dict[str, st.SearchStrategy[Any]]] = {
+    "neo_hookean": ELASTIC,
+    "fixed_corotated": ELASTIC,
+    "hencky": ELASTIC,
+    "rigid": {**ELASTIC, "speed": decades(1e-2, 1000), "strain": decades(1e-4, 0.1)},
+    "metal": {**ELASTIC, "yield_stress": decades(1e-3, 1e12), "hardening": decades(1e-3, 1e12)},
+    "plasticine": {**ELASTIC, "yield_stress": decades(1e-3, 1e12), "softening": st.just(0.0)},
+    "foam": {
+        **ELASTIC, "yield_stress": decades(1e-3, 1e12), "viscosity": decades(1e-3, 1e9),
+        "flow_index": st.floats(0.2, 1),
+    },
+    "sand": {**ELASTIC, "friction_angle": st.floats(1, 60)},
+    "snow": {
+        **ELASTIC, "compression": decades(1e-4, 0.5), "extension": decades(1e-4, 0.5),
+        "hardening": st.floats(0, 20),
+    },
+    "fluid": {
+        "bulk_modulus": decades(1, 1e12), "gamma": st.floats(1.05, 10),
+        "viscosity": st.one_of(st.just(0.0), decades(1e-6, 1e5)), "density": decades(1, 1e5),
+    },
+}  # fmt: skip
+MATERIAL = st.one_of(
+    [st.fixed_dictionaries({"law": st.just(law), **own}) for law, own in MATERIALS.items()]
+)
+PROFILE = st.sampled_from(
+    [
+        {"kind": "constant"},
+        {"kind": "sine", "frequency": 30.0},
+        {"kind": "ramp", "duration": 0.01, "first": -1.0, "last": 1.0},
+    ]
+)
+
+
+def force(kind: str, **own: st.SearchStrategy[Any]) -> st.SearchStrategy[dict[str, Any]]:
+    """A force of a kind with its own parameters and any profile."""
+    return st.fixed_dictionaries({"kind": st.just(kind), "profile": PROFILE, **own})
+
+
+STRENGTH = decades(1e-3, 1e5)
+FORCE = st.one_of(
+    force("gravity", g=vectors(decades(1e-2, 1e3))),
+    force("acceleration", a=vectors(STRENGTH)),
+    force("particle_force", f=vectors(decades(1e-9, 1e3))),
+    force("force", f=vectors(STRENGTH)),
+    st.fixed_dictionaries({"kind": st.just("impulse"), "p": vectors(decades(1e-3, 1e3))}),
+    force("set_velocity", v=vectors(decades(1e-3, 30)), spin=vectors(decades(1e-3, 30))),
+    force("wind", v=vectors(decades(1e-3, 100)), rate=decades(1e-3, 1e6)),
+    force("attraction", g=decades(1e-2, 1e4), radius=decades(1e-3, 1e3)),
+    force("field", a=vectors(STRENGTH)),
+)
+CONTACT = {
+    "contact": st.sampled_from(["sticky", "slip", "separate"]),
+    "friction": st.floats(0, 10),
+}
+BOUNDARY = st.one_of(
+    st.fixed_dictionaries({"kind": st.just("ground"), **CONTACT}),
+    st.fixed_dictionaries(
+        {"kind": st.just("press"), "depth": st.floats(0.01, 0.9), "down": decades(1e-3, 1),
+         **CONTACT}
+    ),
+    st.fixed_dictionaries({"kind": st.just("foot"), "share": st.floats(0.01, 1)}),
+    st.fixed_dictionaries(
+        {"kind": st.just("half_space"), "normal": st.sampled_from([(0, 0, 1), (1, 0, 2), (0, 1, 0)]),
+         **CONTACT}
+    ),
+)  # fmt: skip
+
+
+@st.composite
+def points(draw: st.DrawFn) -> Gaussians:
+    """From one Gaussian to a ball, a sheet, a cloud of needles, all in one point."""
+    rng = np.random.default_rng(draw(st.integers(0, 10_000)))
+    n = draw(st.sampled_from([1, 2, 5, 40, 150]))
+    rank = draw(st.integers(0, 3))
+    means = rng.normal(size=(n, 3)) * (np.arange(3) < rank)
+    shape = draw(st.sampled_from([(1, 1, 1), (1, 1, 0.01), (1, 1e-4, 1e-4), (1, 0.5, 1e-9)]))
+    scales = np.tile(shape, (n, 1)) * 10 ** rng.uniform(-1.5, -0.5, (n, 1))
+    quats = rng.normal(size=(n, 4))
+    if n > 40:
+        # A few that a user's file may well hold.
+        means[:2], scales[2], quats[3] = [[np.nan, 0, 0], [1e4, 0, 0]], 0, 0
+    return Gaussians.from_rgb(means, quats, scales, rng.uniform(0.05, 1, n), rng.random((n, 3)))
+
+
+@st.composite
+def scenes(draw: st.DrawFn) -> Scene:
+    """A whole scene whose time is so short that it takes few substeps."""
+    cells, cfl = draw(st.integers(4, 9)), draw(st.floats(0.1, 0.9))
+    data = {
+        "material": draw(MATERIAL),
+        "forces": draw(st.lists(FORCE, max_size=2)),
+        "boundaries": draw(st.lists(BOUNDARY, max_size=2)),
+        "binding": draw(st.sampled_from(["particles", "field"])),
+        "accuracy": {
+            "cells": cells, "ppc": draw(st.floats(1, 2)), "cfl": cfl,
+            "precision": draw(st.sampled_from(["float32", "float64"])),
+        },
+    }  # fmt: skip
+    probe = Scene.from_data(data)
+    speed = probe.material.wave_speed()
+    count, size = draw(st.integers(2, 30)), draw(decades(1e-3, 1e3))
+    # As many substeps as drawn: by the rate of frames, and by the size where that is not enough.
+    time = min(count * cfl * size / cells / speed, 1.0)
+    if time < 1e-3:
+        size, time = min(size * 1e-3 / time, 1e4), 1e-3
+    mach = draw(st.one_of(st.just(0.0), decades(1e-3, 5)))
+    direction = draw(vectors(st.just(1.0)))
+    data["object"] = {
+        "size": size,
+        "lift": draw(st.sampled_from([0.0, 0.1])) * size,
+        "velocity": tuple(mach * speed * c for c in direction),
+        "spin": draw(vectors(decades(1e-3, 1e2))),
+    }
+    data["time"] = {"frames": 3, "fps": max(1.0, 1 / time), "patience": 0.4}
+    return Scene.from_data(data)
+
+
+def check(gaussians: Gaussians, scene: Scene) -> None:
+    """Everything that must hold for any scene."""
+    try:
+        run = Simulation(gaussians, scene, threads=1)
+        clip = run.run()
+    except InputError as refusal:
+        assert len(str(refusal)) > 40
+        event("refused")
+        return
+    report = clip.report
+    event(f"{scene.material.law}: {'complete' if report['complete'] else 'stopped'}")
+    if not report["complete"]:
+        assert "time.patience" in report["stopped"], report["stopped"]
+    for name in ("means", "quats", "scales", "opacities", "times"):
+        assert np.isfinite(getattr(clip, name)).all(), name
+    assert np.abs(np.linalg.norm(clip.quats, axis=2) - 1).max() < 1e-5
+    assert (clip.scales >= 0).all()
+    for name, array in run.solver.state.arrays().items():
+        assert np.isfinite(array.numpy()).all(), name
+    balance = report["balance"]
+    assert balance["energy_gain"] <= 0.25
+    assert balance["momentum_gain"] <= 1e-3
+    assert math.isclose(report["mass"], float(np.sum(run.solver.mass.numpy())), rel_tol=1e-4)
+
+
+COMMON = {"deadline": None, "suppress_health_check": list(HealthCheck), "database": None}
+
+
+@settings(max_examples=100, derandomize=True, **COMMON)
+@given(gaussians=points(), scene=scenes())
+def test_random_scenes(gaussians, scene):
+    check(gaussians, scene)
+
+
+@pytest.mark.slow
+@settings(max_examples=2000, **COMMON)
+@given(gaussians=points(), scene=scenes())
+def test_two_thousand_random_scenes(gaussians, scene):
+    check(gaussians, scene)
