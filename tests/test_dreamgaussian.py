@@ -266,10 +266,10 @@ def test_gsplat_is_called_as_its_interface_asks(monkeypatch):
 
 
 def test_unseen_gaussians_are_told():
-    splats = random_splats(3)
-    splats[0] = torch.tensor([[0.0, 0, 0], [0, 0, 5], [0, 0, 1.0]]).double()
+    splats = random_splats(4)
+    splats[0] = torch.tensor([[0.0, 0, 0], [0, 0, 5], [0, 0, 1.0], [3, 0, 0]]).double()
     drawn = rasterize(*splats, orbit_view(0, 0, 2, 16), torch.zeros(3).double())
-    assert (drawn.radii > 0).tolist() == [True, False, True]
+    assert (drawn.radii > 0).tolist() == [True, False, True, False]
     assert drawn.screen_gradients().abs().sum() == 0
 
 

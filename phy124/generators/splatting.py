@@ -82,6 +82,7 @@ def rasterize(
     conics, radii = _conics(covariances, depths)
     with torch.no_grad():
         reach = _reach(covariances, opacities) * (radii > 0)
+        radii = radii * _on_screen(centres, radii, view)
         order = torch.argsort(depths)
         order = order[reach[order] > 0]
     rgb, alpha = _tiles(centres, conics, opacities, colors, reach, order, view)
@@ -133,6 +134,13 @@ def _conics(covariances: Tensor, depths: Tensor) -> tuple[Tensor, Tensor]:
         largest = middle + torch.sqrt((middle * middle - determinant).clamp(min=0.1))
         radii = torch.ceil(3 * largest.sqrt()) * (depths > NEAR)
     return conics, radii
+
+
+def _on_screen(centres: Tensor, radii: Tensor, view: View) -> Tensor:
+    """Whether the square of each Gaussian's radius touches the picture [N]."""
+    size = centres.new_tensor([view.width, view.height])
+    low, high = centres - radii[:, None], centres + radii[:, None]
+    return ((high > 0) & (low < size)).all(dim=1)
 
 
 def _reach(covariances: Tensor, opacities: Tensor) -> Tensor:
