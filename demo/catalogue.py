@@ -11,11 +11,11 @@ import re
 from pathlib import Path
 from typing import Any
 
-from demo.forecast import PROMISES, Forecast, count_particles
+from demo.forecast import Forecast, count_particles
 from demo.settings import Settings
 from phy124.errors import InputError
 from phy124.materials import Elastic
-from phy124.scene import PRESETS, Scene, preset_names
+from phy124.scene import PRESETS, PROMISES, Scene, preset_names
 
 FOLDER = Path(__file__).parent
 FIRST = ("press", "drop", "bounce", "push_right", "sway", "spin")
@@ -35,8 +35,8 @@ def catalogue(settings: Settings) -> dict[str, Any]:
         "presets": [_card(name) for name in names],
         "examples": sorted(path.stem for path in (FOLDER / "examples").glob("*.png")),
         "accuracies": [
-            {"name": name, "cells": section.cells, "promise": PROMISES.get(name)}
-            for name, section in PRESETS.items()
+            {"name": name, "promise": PROMISES[name].error, "why": PROMISES[name].why}
+            for name in PRESETS
         ],
         "softness": _anchors(),
         "weights": WEIGHTS,

@@ -12,15 +12,15 @@ import threading
 from dataclasses import dataclass, replace
 from typing import Any
 
-from phy124.scene import Scene
+from phy124.accuracy import Forecaster as Probe
+from phy124.gaussians import Gaussians
+from phy124.scene import PROMISES, Scene
 from phy124.timestep import CELLS_PER_STEP
 
 GAUSSIANS = 50_000
 """What `relief` makes of a picture."""
 FILLED = 0.13
 """Volume of a typical object, in cubes of its longest side: the filling's share of the grid."""
-PROMISES = {"draft": 0.05, "standard": 0.02, "fine": 0.011}
-"""Error that each accuracy promises, in object sizes, in scenes with contact (docs/accuracy.md)."""
 TRUST = 0.5
 """Weight of the newest measurement."""
 
@@ -50,6 +50,8 @@ class Forecast:
     particles: int
     promise: float | None
     """Promised error in object sizes; None for settings of one's own."""
+    caveat: str | None = None
+    """Why the seconds are no promise."""
 
     @property
     def sentence(self) -> str:
@@ -57,8 +59,8 @@ class Forecast:
         text = f"About {_duration(self.seconds)}: {self.substeps:,} substeps of "
         text += f"{round(self.particles, -3):,} particles."
         if self.promise is not None:
-            text += f" Shapes are promised to {self.promise:.1%} of the object's size."
-        return text
+            text += f" Error promised: at most {self.promise:.0%} of the object's size."
+        return f"{text} {self.caveat}" if self.caveat else text
 
 
 class Forecaster:
@@ -84,8 +86,7 @@ class Forecaster:
         if not simulated:
             seconds += rates.particle * particles * substeps + rates.frame * frames
             seconds += 0 if generated else rates.generate
-        promise = PROMISES.get(scene.accuracy) if isinstance(scene.accuracy, str) else None
-        return Forecast(seconds, substeps, particles, promise)
+        return Forecast(seconds, substeps, particles, promised(scene))
 
     def learn(self, report: dict[str, Any], scene: Scene) -> None:
         """Take the costs of a finished run into account."""
@@ -107,6 +108,18 @@ class Forecaster:
                 if value
             }
             self.rates = replace(self.rates, **better)
+
+
+def measured(gaussians: Gaussians, scene: Scene, device: str, rest: float) -> Forecast:
+    """The forecast of `phy124.accuracy`, from a probe of this very object; takes half a second."""
+    found = Probe(device).forecast(gaussians, scene)
+    seconds = found.seconds + rest
+    return Forecast(seconds, found.substeps, found.particles, promised(scene), found.caveat)
+
+
+def promised(scene: Scene) -> float | None:
+    """The error that the accuracy setting promises, in object sizes."""
+    return PROMISES[scene.accuracy].error if isinstance(scene.accuracy, str) else None
 
 
 def count_substeps(scene: Scene) -> int:

@@ -20,11 +20,23 @@ import numpy as np
 from PIL import Image
 
 from demo.catalogue import check_time, scene_of
-from demo.forecast import Forecaster
+from demo.forecast import Forecaster, measured
 from demo.pictures import check_picture, cut_out
 from demo.settings import Settings
 from demo.visitors import Visitor, Visitors, key
-from demo.work import BEAT, DEVICE, Done, Glimpse, Order, Reused, Step, steps
+from demo.work import (
+    BEAT,
+    DEVICE,
+    Done,
+    Glimpse,
+    Order,
+    Reused,
+    Step,
+    device_named,
+    made_gaussians,
+    steps,
+)
+from phy124.clip import Clip
 from phy124.errors import Cancelled, InputError
 from phy124.scene import Scene
 
@@ -53,6 +65,11 @@ class Studio:
     warm: threading.Event = field(default_factory=threading.Event)
     """Set once all kernels are loaded."""
 
+    @property
+    def forks(self) -> bool:
+        """Whether the work runs in a forked process: Warp must not be started in this one."""
+        return self.work is not steps
+
     def cut(self, session: str, picture: str | None, strokes: Image.Image | None = None) -> Cutout:
         """Cut the object out of an uploaded picture; raises InputError."""
         if picture is None:
@@ -77,6 +94,28 @@ class Studio:
             return f"{error.field}: {sentence(error)}"
         return forecast.sentence
 
+    def refine(self, session: str, cutout: str | None, data: Any) -> str | None:
+        """The same from a probe, if the Gaussians are there and the device is free, else None."""
+        if self.forks or not cutout or not Path(cutout).exists():
+            return None
+        if not DEVICE.acquire(blocking=False):
+            return None
+        try:
+            scene = scene_of(data, self.settings)
+            visitor = self.visitors.get(session)
+            order = self._order(visitor, Path(cutout), scene, visitor.folder / "never")
+            if not made_gaussians(order).exists():
+                return None
+            gaussians = Clip.load(made_gaussians(order)).frame(0).gaussians
+            device = device_named(self.settings.device)
+            forecast = measured(gaussians, scene, device, self.forecaster.rates.rest)
+            visitor.forecasts[key(scene.data())] = forecast.seconds
+        except InputError as error:
+            return f"{error.field}: {sentence(error)}"
+        finally:
+            DEVICE.release()
+        return forecast.sentence
+
     def run(self, session: str, cutout: str | None, data: Any) -> Iterator[Progress]:
         """Do the whole chain; yields often, the last one carries the result or what is wrong."""
         try:
@@ -90,18 +129,21 @@ class Studio:
             yield Progress(message=sentence(error), state="refused")
             return
         self.visitors.sweep(self.settings.keep_hours * 3600, self.settings.max_visitors)
-        yield from self._work(visitor, Path(cutout), scene, forecast.seconds)
+        expected = visitor.forecasts.get(key(scene.data()), forecast.seconds)
+        yield from self._work(visitor, Path(cutout), scene, expected)
+
+    def _order(self, visitor: Visitor, cutout: Path, scene: Scene, stop: Path) -> Order:
+        limits = self.settings
+        return Order(
+            visitor.folder, cutout, scene, stop, limits.max_seconds, limits.max_particles,
+            device=limits.device, gaussians=limits.gaussians, about=(("generator", "relief"),),
+        )  # fmt: skip
 
     def _work(
         self, visitor: Visitor, cutout: Path, scene: Scene, expected: float
     ) -> Iterator[Progress]:
         stop, progress = visitor.begin(), Progress(expected=expected)
-        limits = self.settings
-        order = Order(
-            visitor.folder, cutout, scene, stop, limits.max_seconds, limits.max_particles,
-            device=limits.device, gaussians=limits.gaussians, about=(("generator", "relief"),),
-        )  # fmt: skip
-        events = self.work(order)
+        events = self.work(self._order(visitor, cutout, scene, stop))
         try:
             for event in events:
                 progress.take(event)
@@ -126,14 +168,15 @@ class Studio:
         if progress.done is not None:
             if "simulate" not in progress.reused:
                 self.forecaster.learn(read_report(progress.done), scene)
-            visitor.trim(limits.max_clips)
+            visitor.trim(self.settings.max_clips)
 
     def warm_up(self) -> None:
         """Load all kernels and measure this machine with a small run; at the start, in a thread."""
         from demo.warm import warm_up
 
-        with DEVICE:
-            warm_up(self.settings.device)
+        if not self.forks:
+            with DEVICE:
+                warm_up(self.settings.device)
         self.warm.set()
 
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from html import escape
 from typing import Any
 
-from demo.forecast import PROMISES
+from phy124.scene import PROMISES
 
 WIDTH, HEIGHT, MARGIN = 280, 84, 4
 
@@ -24,10 +24,10 @@ def as_html(report: dict[str, Any], scene: dict[str, Any], predicted: float) -> 
 
 def _accuracy(report: dict[str, Any], scene: dict[str, Any], predicted: float) -> str:
     name = scene.get("accuracy")
-    promise = PROMISES.get(name) if isinstance(name, str) else None
+    promise = PROMISES[name].error if name in PROMISES else None
     rows = [
         ("Setting", name if isinstance(name, str) else "own settings"),
-        ("Error promised", "not stated" if promise is None else f"≤ {promise:.1%} of the size"),
+        ("Error promised", "not stated" if promise is None else f"≤ {promise:.0%} of the size"),
         ("Time predicted", f"{predicted:.1f} s"),
         ("Time spent", f"{report['seconds']:.1f} s"),
         ("Gaussians", f"{report['gaussians']:,}"),

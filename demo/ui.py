@@ -153,9 +153,13 @@ def _wire_run(
     studio: Studio, cutout: Any, done: Any, scene: Any, forecast: Any, go: Any, cancel: Any,
     progress: Any, results: list[Any],
 ) -> None:  # fmt: skip
-    gr.on(
+    told = gr.on(
         [scene.change, cutout.change], handlers.forecaster(studio), [cutout, scene], forecast,
         queue=False, show_progress="hidden", api_visibility="private", trigger_mode="always_last",
+    )  # fmt: skip
+    told.then(
+        handlers.refiner(studio), [cutout, scene], forecast, queue=False,
+        show_progress="hidden", api_visibility="private",
     )  # fmt: skip
     go.click(
         handlers.begin, None, [progress, go, cancel], queue=False, show_progress="hidden",

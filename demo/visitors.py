@@ -34,6 +34,8 @@ class Visitor:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.seen = time.time()
+        self.forecasts: dict[str, float] = {}
+        """Seconds that a probe has found, by scene."""
         self._work: set[Path] = set()
         for stage in STAGES:
             (folder / stage).mkdir(parents=True, exist_ok=True)

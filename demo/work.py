@@ -192,10 +192,9 @@ def _teller(order: Order, put: Callable[[Event], None]) -> Tell:
 
 
 def _produce(order: Order, tell: Tell) -> Done:
-    made = key(order.cutout.read_bytes(), order.generator, order.gaussians, order.scene.seed)
-    source = order.folder / "gaussians" / f"{made}.safetensors"
+    source = made_gaussians(order)
     physics = {name: value for name, value in order.scene.data().items() if name != "view"}
-    clips = order.folder / "clips" / key(made, physics)
+    clips = order.folder / "clips" / key(source.name, physics)
     films = order.folder / "films" / key(clips.name, order.scene.view.model_dump(mode="json"))
     if (clips / "report.json").exists():
         tell(Reused("generate"))
@@ -209,6 +208,12 @@ def _produce(order: Order, tell: Tell) -> Done:
     clips.touch()
     films.touch()
     return Done(clips, films)
+
+
+def made_gaussians(order: Order) -> Path:
+    """Where the Gaussians of an order lie once they have been made."""
+    made = key(order.cutout.read_bytes(), order.generator, order.gaussians, order.scene.seed)
+    return order.folder / "gaussians" / f"{made}.safetensors"
 
 
 def _gaussians(order: Order, path: Path, tell: Tell) -> Gaussians:

@@ -8,7 +8,7 @@ from typing import get_args
 import pytest
 
 from demo.catalogue import FOLDER, catalogue, check_time, scene_of
-from demo.forecast import Forecaster, count_substeps
+from demo.forecast import Forecaster, count_substeps, measured
 from demo.settings import Settings, table
 from phy124.boundaries import AnyBoundary
 from phy124.errors import InputError
@@ -111,4 +111,11 @@ def test_the_forecaster_learns_what_a_particle_costs():
     forecaster.learn(report, scene)
     assert forecaster.rates.particle > 4e-4
     assert forecaster(scene).seconds > 100 * before
-    assert "promised" in forecaster(scene).sentence
+    assert "Error promised: at most" in forecaster(scene).sentence
+
+
+def test_a_forecast_can_be_measured_on_the_object_itself(three_gaussians):
+    scene = Scene.named("drop").replaced({"accuracy": {"cells": 8, "ppc": 1.0}, "view.size": 32})
+    forecast = measured(three_gaussians, scene, "cpu", rest=1.0)
+    assert forecast.seconds > 1.0 and forecast.promise is None
+    assert forecast.substeps > 0 and forecast.particles >= 3
