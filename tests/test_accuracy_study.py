@@ -90,7 +90,7 @@ def test_json_is_whole(study):
 def row(cells: int, error: float | None, seconds: float, name: str = "") -> Row:
     return Row(
         name or f"D/{cells}", cells, "float32", 0.6, "particles", 1000, 2.0, 100, seconds, seconds,
-        {"elastic": 1.0}, None, None, None, error, None,
+        {"elastic": 1.0}, 0.1, None, None, error, None,
     )  # fmt: skip
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, get_args
@@ -150,15 +150,15 @@ class Forecaster:
 
     def of(self, simulation: Simulation, *, filming: bool = True) -> Forecast:
         """What a simulation that has not begun will take; its state is left as it was."""
-        scene, solver = simulation.scene, simulation.solver
+        scene = simulation.scene
         pilot = self._pilot(simulation.gaussians, scene)
-        rates, nodes = _probe(solver)
+        rates, nodes, each_frame = _probe(simulation)
         substeps, limiters = pilot.substeps(scene.resolution.cells)
         mean_nodes = nodes * pilot.growth
         particles = len(simulation.particles)
         per_substep = rates.particle * particles + rates.node * mean_nodes
         stages = {
-            "simulate": substeps * per_substep,
+            "simulate": substeps * per_substep + scene.time.frames * each_frame,
             "deform": scene.time.frames * _time_shapes(simulation),
             **(self._filming(simulation.gaussians, scene) if filming else {}),
         }
@@ -222,31 +222,51 @@ def _caveat(pilot: Pilot, limiters: Mapping[str, float]) -> str | None:
     return None
 
 
-def _probe(solver: Solver) -> tuple[Rates, int]:
-    """Rates and grid nodes from 20 substeps; the solver is put back to its start."""
-    start = solver.snapshot()
+def _probe(simulation: Simulation) -> tuple[Rates, int, float]:
+    """Rates, grid nodes and seconds of checks per frame, from 20 substeps.
+
+    The simulation goes through what a frame goes through and is then put back to its start.
+    """
+    solver, watchdog = simulation.solver, simulation.watchdog
+    watchdog.before()
+    after = watchdog.follow()
+    start, books = solver.snapshot(), watchdog.ledger.snapshot()
     try:
-        _advance(solver, 2)
-        began = time.perf_counter()
-        _advance(solver, 2)
-        each = (time.perf_counter() - began) / 2
+        _advance(solver, 2, after)
+        each = _timed(lambda: _advance(solver, 2, after)) / 2
         for lane in solver.lanes:
             lane.timings.clear()
-        before, began = solver.substeps, time.perf_counter()
-        _advance(solver, int(np.clip(LONGEST_PROBE / each, LEAST_PROBE, PROBE)))
-        seconds = (time.perf_counter() - began) / (solver.substeps - before)
+        before, count = solver.substeps, int(np.clip(LONGEST_PROBE / each, LEAST_PROBE, PROBE))
+        seconds = _timed(lambda: _advance(solver, count, after)) / (solver.substeps - before)
         share, nodes = _node_share(solver), solver.grid.count
     finally:
         solver.restore(start)
+        watchdog.ledger.restore(books)
         for lane in solver.lanes:
             lane.timings.clear()
-    return Rates(seconds * (1 - share) / len(solver.rest), seconds * share / max(nodes, 1)), nodes
+    checks = _timed(lambda: (watchdog.before(), solver.snapshot(), watchdog.after()))
+    return _rates(seconds, share, len(solver.rest), nodes), nodes, checks
 
 
-def _advance(solver: Solver, substeps: int) -> None:
+def _rates(seconds: float, share: float, particles: int, nodes: int) -> Rates:
+    """Split the seconds of a substep by the share that goes with the nodes."""
+    return Rates(seconds * (1 - share) / particles, seconds * share / max(nodes, 1))
+
+
+def _timed(work: Callable[[], Any]) -> float:
+    """Seconds that some work takes."""
+    start = time.perf_counter()
+    work()
+    return time.perf_counter() - start
+
+
+def _advance(solver: Solver, substeps: int, after: Callable[[], None] | None) -> None:
     """About so many substeps of stable length."""
-    solver.step(0.0, 0.0)
-    solver.advance(solver.time + substeps * solver.substep().dt)
+    limit = solver.substep() if solver.extremes.stiffness > 0 else None
+    if limit is None:
+        solver.step(0.0, 0.0)
+        limit = solver.substep()
+    solver.advance(solver.time + substeps * limit.dt, after=after)
 
 
 def _node_share(solver: Solver) -> float:
@@ -269,9 +289,7 @@ def _time_shapes(simulation: Simulation) -> float:
     deform = Deformer(simulation.gaussians, particles, device=simulation.device)
     x, v = solver.state.x, solver.state.v
     deform(x, F, index=0, time=0.0, velocities=v)
-    start = time.perf_counter()
-    deform(x, F, index=1, time=0.0, velocities=v)
-    return time.perf_counter() - start
+    return _timed(lambda: deform(x, F, index=1, time=0.0, velocities=v))
 
 
 def _time_film(gaussians: Gaussians, scene: Scene, device: str) -> dict[str, float]:
@@ -284,9 +302,9 @@ def _time_film(gaussians: Gaussians, scene: Scene, device: str) -> dict[str, flo
             watch = Stopwatch()
             film(clip, one, folder, device=device, watch=watch)
             seconds.append(watch.seconds)
-        clip, start = _moving(gaussians, scene, FILMED[1]), time.perf_counter()
-        clip.save(Path(folder) / "clip.safetensors")
-        saving = (time.perf_counter() - start) * frames / len(clip)
+        clip = _moving(gaussians, scene, FILMED[1])
+        path = Path(folder) / "clip.safetensors"
+        saving = _timed(lambda: clip.save(path)) * frames / len(clip)
     found = {"save": saving}
     for stage in ("render", "encode"):
         few, more = seconds[1][stage], seconds[2][stage]

@@ -53,8 +53,8 @@ class Row:
     """Seconds of simulation and shapes as measured."""
     limiters: dict[str, float]
     """Share of the substeps by what limited them."""
-    energy_lost: float | None
-    """Share of the greatest energy in motion lost in all; None if work is done from outside."""
+    energy_lost: float
+    """Energy lost beyond the work of forces and walls, as a share of all that was turned over."""
     angular_momentum_lost: float | None
     """Relative change; None if forces or walls change it."""
     from_finest: Difference | None = None
@@ -167,7 +167,7 @@ class Study:
             predicted=forecast.stages["simulate"] + forecast.stages["deform"],
             seconds=seconds["simulate"] + seconds["deform"],
             limiters={key: count / sum(counts.values()) for key, count in counts.items()},
-            energy_lost=_energy_lost(scene, before, weigh(solver)),
+            energy_lost=-clip.report["balance"]["energy_gain"],
             angular_momentum_lost=_momentum_lost(scene, before, weigh(solver)),
         ), ""
 
@@ -240,34 +240,6 @@ def _particles_per_axis(simulation: Simulation) -> float:
     cells = np.floor(simulation.particles.x / simulation.solver.dx).astype(np.int64)
     _, counts = np.unique(cells, axis=0, return_counts=True)
     return float(np.median(counts) ** (1 / 3))
-
-
-def _energy_lost(scene: Scene, before: Balance, after: Balance) -> float | None:
-    """Loss of kinetic, elastic and potential energy, where nothing but these is in play."""
-    field = _steady_field(scene)
-    moving = any(getattr(wall, "kind", "") in MOVING for wall in scene.boundaries)
-    if field is None or moving:
-        return None
-    fallen = float(field @ (after.middle - before.middle))
-    turned_over = max(before.energy, after.energy, abs(fallen))
-    lost = before.energy + fallen - after.energy
-    return lost / turned_over if turned_over > 0 else None
-
-
-MOVING = ("press",)
-"""Boundaries that do work."""
-
-
-def _steady_field(scene: Scene) -> np.ndarray | None:
-    """The sum of all uniform accelerations [3]; None if another kind of force acts."""
-    total = np.zeros(3)
-    for force in scene.forces:
-        value = {"gravity": "g", "acceleration": "a"}.get(force.kind)
-        always = force.start == 0 and force.end is None and force.region is None
-        if value is None or not always:
-            return None
-        total += np.array(getattr(force, value))
-    return total
 
 
 def _momentum_lost(scene: Scene, before: Balance, after: Balance) -> float | None:

@@ -150,5 +150,5 @@ def _cells(row: dict[str, Any]) -> tuple[str, ...]:
         str(row["substeps"]), f"{row['predicted']:.1f}", f"{row['seconds']:.1f}",
         number(error, ".2f"), number(row["pixels"], ".1f"), worst,
         number(apart.get("psnr"), ".1f"), number(apart.get("ssim"), ".4f"),
-        number(row["energy_lost"], ".1%"), number(row["angular_momentum_lost"], ".1e"), limited,
+        format(row["energy_lost"], ".1%"), number(row["angular_momentum_lost"], ".1e"), limited,
     )  # fmt: skip

@@ -93,7 +93,7 @@ def study_row(row: Row) -> list[str]:
         "" if row.pixels is None else f"{row.pixels:.1f}",
         f"{apart.worst_frame} ({apart.worst:.1%})" if apart else "reference",
         f"{apart.psnr:.1f}" if apart else "", f"{apart.ssim:.4f}" if apart else "",
-        "" if row.energy_lost is None else f"{row.energy_lost:.0%}",
+        f"{row.energy_lost:.0%}",
         ", ".join(f"{name} {share:.0%}" for name, share in row.limiters.items()),
     ]  # fmt: skip
 
