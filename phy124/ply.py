@@ -253,9 +253,10 @@ def _activated(raw: dict[str, NDArray[np.float32]]) -> tuple[Gaussians, int]:
         opacities = 1 / (1 + np.exp(-raw["opacities"].astype(np.float64)))
         raw["opacities"] = opacities.astype(np.float32)
     good = np.ones(len(raw["means"]), bool)
-    for value in raw.values():
-        # A sum is finite if all are (or overflows, which is no less wrong), and is much quicker.
-        good &= np.isfinite(value.reshape(len(value), -1).sum(axis=1, dtype=np.float64))
+    with np.errstate(over="ignore", invalid="ignore"):
+        for value in raw.values():
+            # A sum is finite if all are (or overflows, which is no less wrong), and much quicker.
+            good &= np.isfinite(value.reshape(len(value), -1).sum(axis=1, dtype=np.float64))
     kept = {name: value[good] for name, value in raw.items()} if not good.all() else raw
     length = np.linalg.norm(kept["quats"].astype(np.float64), axis=1, keepdims=True)
     zero = length[:, 0] < 1e-12

@@ -146,7 +146,7 @@ class Watchdog:
         """The balance begins with the first frame that is followed: a run may be a resumed one."""
         self.first = self.last = weigh(self.solver)
         self.turnover = max(self.first.energy, self._quiet())
-        self.moved = self._momentum_scale(self.first)
+        self.moved = math.sqrt(2 * self.mass * self.turnover)
         self.ledger.open(self.solver)
         self._begun = True
 
