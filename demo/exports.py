@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -27,7 +28,12 @@ def export(kind: str, done: Done) -> Path:
         raise InputError("format", kind, "This format is not offered here.", "Choose another one.")
     path = done.films / EXPORTS[kind].file
     if not path.exists():
-        EXPORTS[kind].write(done, path)
+        making = path.with_name(f"making-{path.name}")
+        try:
+            EXPORTS[kind].write(done, making)
+            os.replace(making, path)
+        finally:
+            making.unlink(missing_ok=True)
     return path
 
 
@@ -55,7 +61,12 @@ def _ply(done: Done, path: Path) -> None:
 def _mcap(done: Done, path: Path) -> None:
     """Through the bridge's command line: page and bridge do not know each other."""
     command = [sys.executable, "-m", "bridge", "record", str(done.clip / "clip.safetensors")]
-    subprocess.run([*command, str(path)], check=True, timeout=TAIL, capture_output=True)
+    try:
+        subprocess.run([*command, str(path)], check=True, timeout=TAIL, capture_output=True)
+    except (subprocess.SubprocessError, OSError) as error:
+        raise InputError(
+            "format", "mcap", "The bridge could not write it.", "Take clip.safetensors instead."
+        ) from error
 
 
 def _bridge() -> bool:

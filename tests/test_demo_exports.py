@@ -1,0 +1,109 @@
+"""Formats on demand, pictures corrected by brush, and the report as HTML."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from demo.exports import EXPORTS, export
+from demo.pictures import brushed, cut_out, dimmed
+from demo.report import as_html
+from demo.work import Done
+from phy124.clip import Clip
+from phy124.errors import InputError
+from phy124.gaussians import Frame
+from phy124.scene import Scene
+
+
+@pytest.fixture
+def done(tmp_path, three_gaussians) -> Done:
+    """A finished run of two frames."""
+    for name in ("clip", "films"):
+        (tmp_path / name).mkdir()
+    frames = [Frame(i, i / 10, three_gaussians.moved(1, np.array([i, 0, 0]))) for i in range(2)]
+    made = Clip.from_frames(frames)
+    scene = Scene.named("press").data()
+    Clip(**{**vars(made), "scene": scene}).save(tmp_path / "clip" / "clip.safetensors")
+    return Done(tmp_path / "clip", tmp_path / "films")
+
+
+def test_a_sequence_of_ply_files_is_made_once(done):
+    path = export("ply", done)
+    with zipfile.ZipFile(path) as archive:
+        assert archive.namelist() == ["phy124_0001.ply", "phy124_0002.ply"]
+    stamp = path.stat().st_mtime_ns
+    assert export("ply", done) == path and path.stat().st_mtime_ns == stamp
+    assert [p.name for p in done.films.iterdir()] == [path.name]
+
+
+def test_the_player_is_made(done):
+    assert "Phy124Player.mount" in export("html", done).read_text("utf-8")
+
+
+@pytest.mark.skipif(find_spec("mcap") is None, reason="the extra bridge is not installed")
+def test_a_recording_is_made_by_the_bridge(done):
+    assert export("mcap", done).read_bytes()[1:5] == b"MCAP"
+
+
+def test_unknown_formats_and_failing_writers_leave_nothing(done):
+    with pytest.raises(InputError, match="not offered"):
+        export("exe", done)
+    (done.clip / "clip.safetensors").unlink()
+    for kind, offer in EXPORTS.items():
+        if offer.available():
+            with pytest.raises(InputError):
+                export(kind, done)
+    assert list(done.films.iterdir()) == []
+
+
+def test_strokes_keep_and_remove():
+    alpha = Image.fromarray(np.full((4, 4), 128, np.uint8))
+    strokes = np.zeros((4, 4, 4), np.uint8)
+    strokes[0] = (34, 197, 94, 255)
+    strokes[1] = (239, 68, 68, 255)
+    corrected = np.asarray(brushed(alpha, Image.fromarray(strokes)))
+    assert corrected[:, 0].tolist() == [255, 0, 128, 128]
+
+
+def test_a_picture_without_an_object_can_be_rescued_by_the_brush(tmp_path):
+    Image.fromarray(np.full((40, 40, 3), 255, np.uint8)).save(tmp_path / "white.png")
+    with pytest.raises(InputError, match="No object"):
+        cut_out(str(tmp_path / "white.png"), None, tmp_path / "cut.png")
+    strokes = np.zeros((40, 40, 4), np.uint8)
+    with pytest.raises(InputError, match="Nothing is left"):
+        cut_out(str(tmp_path / "white.png"), Image.fromarray(strokes), tmp_path / "cut.png")
+    strokes[10:30, 10:30] = (34, 197, 94, 255)
+    cut_out(str(tmp_path / "white.png"), Image.fromarray(strokes), tmp_path / "cut.png")
+    with Image.open(tmp_path / "cut.png") as cut:
+        assert (np.asarray(cut.getchannel("A")) > 0).sum() == 400
+    pale = np.asarray(dimmed(str(tmp_path / "white.png"), str(tmp_path / "cut.png")))
+    assert (pale[20, 20] == 255).all() and (pale[0, 0] < 245).all()
+
+
+def _report() -> dict:
+    return {
+        "stopped": "<script>alert(1)</script>",
+        "stages": [{"name": "simulate", "seconds": 2.0}, {"name": "render", "seconds": 1.0}],
+        "seconds": 3.0, "gaussians": 10, "particles": 20, "substeps": 30, "device": "cpu",
+        "substep_stages": [{"name": "p2g", "seconds": 1.5, "launches": 30}],
+        "effects": {"left_out": [{"effect": "colliders", "why": "there are none"}]},
+        "motion": {
+            "time": [0, 0.1], "smallest_J": [1, 0.7],
+            "greatest_speed": [0, 2], "kinetic_energy": [0, 5],
+        },
+    }  # fmt: skip
+
+
+def test_the_report_says_what_was_promised_spent_left_out_and_how_stable_it_was():
+    text = as_html(_report(), Scene.named("press").data(), predicted=4.0)
+    for said in ("≤ 4% of the size", "4.0 s", "3.0 s", "0.700", "2.00 m/s", "colliders", "p2g"):
+        assert said in text, said
+
+
+def test_nothing_in_the_report_can_become_a_script():
+    assert "<script>" not in as_html(json.loads(json.dumps(_report())), {}, predicted=1.0)
