@@ -70,7 +70,7 @@ SABOTAGE = {
     10: Sabotage("the user's substep is an order", "timestep.py",
                  "limiter = min(limits, key=limits.__getitem__)",
                  'limiter = "user" if math.isfinite(ceiling) else min(limits, key=limits.get)'),
-    11: Sabotage("substeps are three times too long", "timestep.py", "CFL = 0.6\n", "CFL = 1.8\n"),
+    11: Sabotage("the elastic limit is forgotten", "timestep.py", "CFL = 0.6\n", "CFL = 60.0\n"),
     12: Sabotage("impossible deformations are not reset", "kernels/diagnose.py",
                  "if not (J >= least and J <= most and size <= greatest * greatest):",
                  "if size > real(1.0e38):"),

@@ -104,10 +104,10 @@ def floor(setting: Setting) -> list[Check]:
     """A body rests on its floor, does not sink in on landing, and slides where it may."""
     origin = (0, 0, -0.75 * DX)
     resting = body(
-        block(8, 0.5, (0, 0, 0.25)), setting, NeoHookean(E=1e6), size=0.5, forces=[Gravity()],
+        block(8, 0.5, (0, 0, 0.29)), setting, NeoHookean(E=1e6), size=0.5, forces=[Gravity()],
         boundaries=[Ground()], origin=origin,
     )  # fmt: skip
-    for _ in range(20):
+    for _ in range(40):
         resting.advance(resting.time + 0.02)
         resting.state.v.zero_()
         resting.state.C.zero_()

@@ -1,0 +1,236 @@
+"""The watchdog: balances that add up, violations that are noticed, runs that are refused."""
+
+import re
+
+import numpy as np
+import pytest
+from shapes import ball
+
+from phy124.boundaries import Ground, Press
+from phy124.clip import Clip
+from phy124.errors import InputError
+from phy124.forces import Acceleration, Gravity, ParticleForce
+from phy124.ledger import Ledger
+from phy124.limits import forecast
+from phy124.materials import FixedCorotated, NeoHookean
+from phy124.mpm import Solver, Unstable
+from phy124.particles import make_particles
+from phy124.region import Region
+from phy124.scene import Scene
+from phy124.simulation import Simulation
+from phy124.tracks import Sine
+from phy124.watchdog import Watchdog
+
+QUICK = {"accuracy": {"cells": 8}, "time.frames": 5}
+
+
+def block(per_axis: int = 6) -> np.ndarray:
+    line = (np.arange(per_axis) + 0.5) / per_axis * 0.375
+    return np.stack(np.meshgrid(line, line, line), axis=-1).reshape(-1, 3) + [0, 0, 0.05]
+
+
+def followed(forces=(), boundaries=(), **options) -> tuple[Solver, Watchdog]:
+    """A block and its watchdog, before the first frame."""
+    x, ledger = block(), Ledger()
+    s = Solver(
+        x, np.full(len(x), 0.375**3 / len(x)), [options.pop("material", NeoHookean(E=1e4))],
+        dx=0.125, forces=ledger.forces(forces), boundaries=ledger.boundaries(boundaries),
+        **options,
+    )  # fmt: skip
+    watch = Watchdog(s, ledger)
+    watch.before()
+    return s, watch
+
+
+REGION = Region(lower=(-1, -1, 0.2))
+WORLDS = {
+    "nothing": ((), ()),
+    "gravity and floor": ((Gravity(),), (Ground(),)),
+    "a force that swings": ((Acceleration(a=(30, 0, 0), profile=Sine(frequency=10)),), ()),
+    "a force on a region": ((Acceleration(a=(5, 0, 3), region=REGION),), (Ground(),)),
+    "newtons on each particle": ((ParticleForce(f=(0.1, 0, 0)),), ()),
+    "a press": ((Gravity(),), (Ground(), Press(top=0.42, depth=0.4, down=0.1))),
+    "violence": ((ParticleForce(f=(3e5, 0, 0), region=REGION),), (Ground(),)),
+}
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+@pytest.mark.parametrize("world", WORLDS)
+def test_the_balance_adds_up(world, precision):
+    """Momentum to rounding; energy never grows by more than the work done (half a per cent)."""
+    forces, boundaries = WORLDS[world]
+    v = np.tile([0, 0.3, -1.0], (216, 1))
+    s, watch = followed(forces, boundaries, precision=precision, v=v)
+    follow = watch.follow()
+    until = 0.002 if world == "violence" else 0.12
+    s.advance(until, after=follow)
+    assert watch.after() is None
+    assert watch.momentum_gain < (2e-5 if precision == "float32" else 1e-12)
+    assert watch.energy_gain < 0.005
+    if world == "violence":
+        assert s.caution.rejected > 0
+
+
+def test_two_threads_keep_the_same_books():
+    runs = []
+    for threads in (1, 2):
+        s, watch = followed((Gravity(),), (Ground(),), v=np.tile([0, 0, -2.0], (216, 1)),
+                            threads=threads, precision="float64")  # fmt: skip
+        s.advance(0.1, after=watch.follow())
+        assert watch.after() is None
+        runs.append(watch.ledger.total(s, np.zeros(3)))
+    assert runs[0].impulse == pytest.approx(runs[1].impulse, rel=1e-9)
+
+
+def test_energy_from_nowhere_is_noticed():
+    """Sabotage: the state is kicked behind the watchdog's back."""
+    s, watch = followed(v=np.tile([0, 0, 1.0], (216, 1)))
+    s.state.v.assign(2 * s.state.v.numpy())
+    s.advance(0.05)
+    problem = watch.after()
+    assert problem is not None and "of its energy came from nowhere" in problem
+
+
+def test_momentum_from_nowhere_is_noticed():
+    """Sabotage: a hundredth of the momentum is lost, as a leaking grid would."""
+    s, watch = followed(v=np.tile([0, 0, 1.0], (216, 1)))
+    s.state.v.assign(0.99 * s.state.v.numpy())
+    s.advance(0.05)
+    problem = watch.after()
+    assert problem is not None and "of its momentum came from nowhere" in problem
+
+
+def test_particles_turned_inside_out_are_noticed():
+    s, watch = followed()
+    F = s.state.F.numpy().copy()
+    F[:20] = np.diag([1, 1, -1])
+    s.state.F.assign(F)
+    problem = watch.after()
+    assert problem is not None
+    assert re.search(r"20 particles are turned inside out, number 0 of law neo_hookean", problem)
+
+
+def test_numbers_that_are_none_are_noticed_with_their_particle():
+    s, watch = followed()
+    v = s.state.v.numpy().copy()
+    v[7] = np.nan
+    s.state.v.assign(v)
+    problem = watch.after()
+    assert problem is not None and "1 particles are no longer numbers, number 7 of law" in problem
+
+
+def test_impossible_deformations_are_reset_and_counted():
+    s, watch = followed()
+    F = s.state.F.numpy().copy()
+    F[3], F[4], F[5] = 0, np.nan, 1e5 * np.eye(3)
+    s.state.F.assign(F)
+    watch.before()
+    assert watch.reset == 3
+    assert np.array_equal(s.state.F.numpy()[3:6], np.tile(np.eye(3), (3, 1, 1)))
+    assert "3 particles were deformed beyond" in watch.notes()[0]
+
+
+def test_fixed_corotated_says_when_it_may_have_collapsed():
+    s, watch = followed(material=FixedCorotated(E=1e3), v=np.tile([0, 0, -5.0], (216, 1)))
+    s.advance(0.01)
+    watch.after()
+    assert any("may have collapsed without a sign" in note for note in watch.notes())
+    assert not followed()[1].notes()
+
+
+def run(**changes) -> Simulation:
+    return Simulation(ball(300), Scene.named("push_right").replaced({**QUICK, **changes}))
+
+
+def test_a_frame_that_fails_once_is_retried_from_its_start(monkeypatch):
+    """Sabotage: the second frame fails until the substep is halved."""
+    plain, s = run(), run()
+    advance = s.solver.advance
+
+    def fail_once(until, *, after=None):
+        advance(until, after=after)
+        if until > 0.05 and s.solver.cfl > 0.5:
+            raise Unstable("5 particles left the grid")
+
+    monkeypatch.setattr(s.solver, "advance", fail_once)
+    clip, usual = s.run(), plain.run()
+    assert clip.report["complete"]
+    assert clip.report["substep"]["retried"] == [2, 3, 4]
+    assert s.solver.cfl == 0.6
+    assert np.abs(clip.means - usual.means).max() < 1e-4
+
+
+def test_a_frame_that_fails_twice_stops_and_keeps_the_good_ones(tmp_path, monkeypatch):
+    """Sabotage: particles lose their numbers in the third frame."""
+    s = run()
+    advance = s.solver.advance
+
+    def poison(until, *, after=None):
+        advance(until, after=after)
+        if until > 0.1:
+            v = s.solver.state.v.numpy().copy()
+            v[11] = np.inf
+            s.solver.state.v.assign(v)
+
+    monkeypatch.setattr(s.solver, "advance", poison)
+    clip = s.run()
+    assert len(clip) == 3
+    assert not clip.report["complete"]
+    stopped = clip.report["stopped"]
+    assert "frame 3 is not sound" in stopped
+    assert "number 11 of law neo_hookean" in stopped
+    assert "Use neo_hookean, a softer material, a gentler push" in stopped
+    clip.save(tmp_path / "c.safetensors")
+    again = Clip.load(tmp_path / "c.safetensors")
+    assert np.isfinite(again.means).all() and not again.report["complete"]
+
+
+def test_the_report_says_what_limited_the_substep():
+    report = run(**{"time.substep": 1.0}).run().report
+    assert report["substep"]["shares"] == {"elastic": 1.0}
+    assert report["substep"]["asked"] == 1.0 and report["substep"]["split"]
+    assert set(report["balance"]) >= {"energy_gain", "momentum_gain", "least_J", "ballistic"}
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (
+            {"material.E": 1e13, "time.frames": 10_000},
+            r"forecast to take .* days .* material.E = .* would fit",
+        ),
+        (
+            {"time.substep": 1e-9, "time.frames": 1000},
+            r"forecast to take .* Leave time.substep out",
+        ),
+    ],
+)
+def test_runs_of_hours_are_refused_before_they_start(changes, message):
+    with pytest.raises(InputError, match=message):
+        run(**changes)
+
+
+def test_the_setting_that_would_fit_fits():
+    hard = {"material.E": 1e12, "time.frames": 200, "time.patience": 60.0}
+    with pytest.raises(InputError) as refusal:
+        run(**hard)
+    found = re.search(r"material.E = ([0-9.e+]+) would fit", str(refusal.value))
+    assert found
+    scene = Scene.named("push_right").replaced({**QUICK, **hard, "material.E": float(found[1])})
+    gaussians = run().gaussians
+    particles = make_particles(gaussians, density=1000, spacing=scene.dx / 2)
+    assert forecast(gaussians, particles, scene, "cpu").seconds <= 1.05 * 60
+
+
+def test_clips_beyond_the_memory_are_refused(monkeypatch):
+    monkeypatch.setattr("phy124.limits.free_memory", lambda: 2e6)
+    with pytest.raises(InputError, match=r"GB of memory, .* Use at most \d+ frames"):
+        run(**{"time.frames": 500})
+
+
+def test_a_run_that_turns_out_endless_stops_by_itself(monkeypatch):
+    s = run(**{"time.patience": 1e3})
+    monkeypatch.setattr("phy124.simulation.time.perf_counter", iter(range(0, 10**9, 500)).__next__)
+    clip = s.run()
+    assert "time.patience" in clip.report["stopped"]
+    assert len(clip) >= 1
