@@ -14,7 +14,7 @@ app: .venv/demo
 	$(BIN)/python app.py
 
 test: .venv/test
-	$(BIN)/pytest
+	$(BIN)/pytest -n 2 --dist loadfile
 
 test-slow: .venv/test
 	$(BIN)/pytest -m "slow and not gpu and not weights and not ros"

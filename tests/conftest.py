@@ -1,6 +1,9 @@
 """What all tests share: golden data, tiny objects, one quiet Warp."""
 
 import os
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # two test processes share two cores
+
 from pathlib import Path
 
 import numpy as np
