@@ -350,7 +350,7 @@ def test_from_weight_files_to_gaussians(golden_lgm, tiny, tmp_path, monkeypatch)
     monkeypatch.setattr(encoders, "VISION", encoders.VISION | SMALL["vision"])
     config = json.loads((golden_lgm / "imagedream_unet_tiny.json").read_text())["config"]
     monkeypatch.setattr(pipeline, "load_unet", partial(pipeline.load_unet, **config))
-    for name in ("lgm", "imagedream"):
+    for name in ("lgm-fp32", "imagedream"):
         free = tuple(replace(f, size=None, sha256=None) for f in weights.KNOWN[name])
         monkeypatch.setitem(weights.KNOWN, name, free)
     copy = partial(put_tensors, tmp_path / "imagedream-ipmv-diffusers")
@@ -360,7 +360,7 @@ def test_from_weight_files_to_gaussians(golden_lgm, tiny, tmp_path, monkeypatch)
     copy("vae/diffusion_pytorch_model.safetensors", vae)
     copy("text_encoder/model.safetensors", encoders.text_encoder().state_dict(), "text_model.")
     copy("image_encoder/model.safetensors", encoders.image_encoder().state_dict(), "vision_model.")
-    put_tensors(tmp_path, weights.KNOWN["lgm"][0].path, tiny.state_dict())
+    put_tensors(tmp_path, weights.KNOWN["lgm-fp32"][0].path, tiny.state_dict())
     picture = np.zeros((40, 40, 4), np.uint8)
     picture[8:32, 12:28] = 200, 90, 30, 255
     monkeypatch.setattr(generator_module, "judge", lambda rows, views: "each")

@@ -27,7 +27,7 @@ from phy124.generators.ply_file import normalised
 from phy124.image import recenter
 from phy124.progress import Progress, silent
 from phy124.u2net import cut_out
-from phy124.weights import require
+from phy124.weights import have, require
 
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 """ImageNet's colour statistics, with which the input is normalised."""
@@ -96,8 +96,8 @@ class Lgm:
     ) -> Gaussians:
         """Gaussians from `views [4,3,H,W]` over white in 0..1: front, then quarter turns.
 
-        The longest side is 1 m.
-        `image [3,H,W]` is what alignment compares with; without it there is none.
+        The longest side is 1 m. `image [3,H,W]` is what alignment compares with; without it there
+        is none. Raises InputError if weights are missing.
         """
         self._prepare_model()
         rows, views = self._reconstruct(views, progress)
@@ -126,7 +126,8 @@ class Lgm:
 
     def _prepare_model(self) -> None:
         if self.model is None:
-            path = next(iter(require("lgm", self.weights).values()))
+            single = have("lgm-fp32", self.weights) and not have("lgm", self.weights)
+            (path,) = require("lgm-fp32" if single else "lgm", self.weights).values()
             self.model = load(path, self.option, device=self.device, dtype=self.dtype)
 
     def _prepare(self) -> None:
