@@ -7,6 +7,7 @@ tried: near the limits of speed and gradient, under forces on particles, or a hu
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -49,6 +50,7 @@ class Caution:
         self._solver = solver
         self._fastest = wp.zeros(1, dtype=solver.real, device=solver.device)
         self._acceleration = _greatest_acceleration(solver)
+        self._wall = _greatest_rate(solver)
         self._sudden = any(name in SUDDEN for name, _ in solver.pushes)
         self.rejected = 0
         """Substeps that were taken back."""
@@ -59,7 +61,7 @@ class Caution:
         """Whether a substep of length `dt` may carry something further than a cell."""
         s, extremes = self._solver, self._solver.extremes
         return (
-            2 * extremes.speed * dt > CELLS_PER_STEP * s.dx
+            2 * max(extremes.speed, self._wall) * dt > CELLS_PER_STEP * s.dx
             or 2 * extremes.gradient * dt > STRAIN_PER_STEP
             or self._acceleration * dt * dt > 0.1 * s.dx
             or (self._sudden and (s.tracks.vary or s.substeps < FIRST))
@@ -110,3 +112,13 @@ def _greatest_acceleration(solver: Solver) -> float:
     if any(name == PER_MASS for name, _ in solver.pushes):
         alone /= min(1.0, float(solver.mass.numpy().min()))
     return joined + alone
+
+
+def _greatest_rate(solver: Solver) -> float:
+    """How fast a wall moves at most [m/s]."""
+    fastest = 0.0
+    for track, flag in zip(solver.tracks.tracks, solver.tracks.flags, strict=True):
+        for (start, a), (end, b) in itertools.pairwise(track.keys) if not flag else ():
+            if end > start:
+                fastest = max(fastest, math.dist(a, b) / (end - start))
+    return fastest
