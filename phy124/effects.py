@@ -10,7 +10,13 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from phy124.forces import AnyForce
 from phy124.scene import Scene
+
+UNIFORM = ("gravity", "acceleration", "force", "impulse")
+"""Kinds of force that join the grid update where they name no region."""
+MOVING = ("press", "gripper")
+"""Kinds of boundary that always move."""
 
 
 @dataclass(frozen=True)
@@ -49,10 +55,9 @@ def _catalogue(scene: Scene, sh_degree: int, device: str) -> Iterator[tuple[str,
     laws = sorted({section.law for section in scene.materials})
     named = " and ".join(laws)
     plastic = any(section.device_law.project is not None for section in scene.materials)
-    regional = [f for f in scene.forces if f.region is not None]
-    pushes = regional + [f for f in scene.forces if f.kind in ("particle_force", "set_velocity")]
-    timed = [f for f in scene.forces if f.start > 0 or f.end is not None]
-    moving = [b for b in scene.boundaries if b.kind == "press"]
+    pushes = [f for f in scene.forces if f.region is not None or f.kind not in UNIFORM]
+    timed = [f for f in scene.forces if _changes(f)]
+    moving = [b for b in scene.boundaries if b.kind in MOVING or getattr(b, "motion", None)]
     for law in laws:
         yield f"stress {law}", True, ""
     yield "return mapping", plastic, f"{named} is elastic"
@@ -71,3 +76,9 @@ def _catalogue(scene: Scene, sh_degree: int, device: str) -> Iterator[tuple[str,
     yield "SIMD rows", native, f"only for float32 on the CPU, this is {device}"
     yield "dense grid", False, "a window of cells follows the particles"
     yield "singular values in substeps", False, "shapes are decomposed once per frame"
+
+
+def _changes(force: AnyForce) -> bool:
+    """Whether a force follows time."""
+    windowed = force.start > 0 or force.end is not None or force.kind == "impulse"
+    return windowed or force.profile.kind != "constant"

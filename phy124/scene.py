@@ -351,9 +351,10 @@ def _description(where: list[int | str]) -> str:
     return ""
 
 
-_TAGS = {
-    tag
-    for name in ("material", "parts", "forces", "boundaries")
-    for m in _members(Scene.model_fields[name].annotation)
-    for tag in _tags(m)
-}
+def _nested(model: type[BaseModel]) -> list[type[BaseModel]]:
+    """A model and all models in it."""
+    inner = [m for info in model.model_fields.values() for m in _members(info.annotation)]
+    return [model, *(found for m in inner for found in _nested(m))]
+
+
+_TAGS = {tag for model in _nested(Scene) for tag in _tags(model)}

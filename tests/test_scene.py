@@ -47,6 +47,10 @@ def test_a_scene_cannot_be_changed():
             r"material.E = -5: Input should be greater than or equal to 1. It is: Young's modulus",
         ),
         ({"material": {"law": "jello"}}, "'jello' found .* expected tags: 'neo_hookean'"),
+        (
+            {"forces": [{"kind": "wind", "profile": {"kind": "sine", "freq": 2}}]},
+            "forces.0.profile.freq = 2: there is no such key. Did you mean frequency",
+        ),
         ({"object": {"size": "1 m"}}, r"object.size = 1 m: .* valid number.* Longest side \[m\]"),
         ({"time": {"frames": 0}}, "time.frames = 0: Input should be greater than or equal to 1"),
         ({"time": {"frames": 2.5}}, "time.frames = 2.5: .* valid integer"),

@@ -167,6 +167,19 @@ def test_effects_follow_the_scene():
     assert "return mapping" in [o.effect for o in pressed.left_out]
 
 
+def test_effects_know_profiles_wind_and_motion():
+    scene = Scene.from_data(
+        {
+            "forces": [{"kind": "wind", "profile": {"kind": "sine"}}],
+            "boundaries": [{"kind": "ground", "motion": {"kind": "swing"}}],
+        }
+    )
+    ran = Effects.of(scene).ran
+    assert "particle forces" in ran
+    assert "time tables" in ran
+    assert "uniform acceleration" not in ran
+
+
 def test_nothing_visible_is_refused():
     g = ball()
     from dataclasses import replace
