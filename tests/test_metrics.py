@@ -156,7 +156,11 @@ def test_motion_and_flicker_tell_frozen_steady_and_flickering_apart(rng):
     ramp = np.linspace(0, 1, 5)[:, None, None, None] * np.ones((5, 8, 8, 3))
     assert motion(ramp) == pytest.approx(25) and flicker(ramp) == pytest.approx(0, abs=1e-12)
     blink = (np.arange(5) % 2)[:, None, None, None] * np.ones((5, 8, 8, 3))
-    assert motion(blink) == 100 and flicker(blink) == 1
+    assert motion(blink) == 100 and flicker(blink) == pytest.approx(100)
+    moving = np.ones((9, 8, 16, 3))
+    for t in range(9):
+        moving[t, 2:6, t + 1 : t + 5] = 0.2
+    assert motion(moving) > 1 and flicker(moving) == pytest.approx(0, abs=1e-12)
     assert motion(blink[:1]) == 0 and flicker(blink[:2]) == 0
 
 
@@ -250,7 +254,7 @@ def test_command_line_evaluates_a_clip(tiny_clip, tmp_path, capsys, monkeypatch)
 def test_documentation_names_the_options_and_figures_there_are():
     page = (Path(__file__).parents[1] / "docs/evaluation.md").read_text("utf-8")
     header = evaluate(falling(), {"front": np.zeros((2, 4, 4, 3))}, missing="-").table()
-    for figure in ("CLIP-T cos", "CLIP-T dist", "motion %", "flicker", "momentum residual"):
+    for figure in ("CLIP-T cos", "CLIP-T dist", "motion %", "flicker %", "momentum residual"):
         assert figure in page and figure in header
     options = {f"--{f.name.replace('_', '-')}" for f in fields(Evaluate)}
     assert set(re.findall(r"--[a-z][a-z-]*", page)) <= options

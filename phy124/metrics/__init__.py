@@ -40,7 +40,7 @@ class ViewFigures:
     motion: float
     """Mean change of a colour value from frame to frame [%]; see `pictures.motion`."""
     flicker: float
-    """0 steady to 1 to and fro; see `pictures.flicker`."""
+    """How much the mean colour jumps to and fro [%]; see `pictures.flicker`."""
 
 
 @dataclass(frozen=True)
@@ -63,10 +63,12 @@ class Evaluation:
 
     def table(self) -> str:
         """As text; model and formula stand with the numbers."""
-        lines = [f"{'view':<8}{'CLIP-T cos':>12}{'CLIP-T dist':>13}{'motion %':>10}{'flicker':>9}"]
+        lines = [
+            f"{'view':<8}{'CLIP-T cos':>12}{'CLIP-T dist':>13}{'motion %':>10}{'flicker %':>11}"
+        ]
         for v in self.views:
             scores = f"{_number(v.cosine, 4):>12}{_number(v.distance, 5):>13}"
-            lines.append(f"{v.view:<8}{scores}{v.motion:>10.3f}{v.flicker:>9.3f}")
+            lines.append(f"{v.view:<8}{scores}{v.motion:>10.3f}{v.flicker:>11.3f}")
         if self.clip_model:
             lines.append(f"CLIP model: {self.clip_model} ({self.order})")
             lines += [f"  {name}: {formula}" for name, formula in similarity.FORMULAS.items()]
