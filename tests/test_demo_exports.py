@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import zipfile
+from dataclasses import replace
 from importlib.util import find_spec
 
 import numpy as np
@@ -58,6 +59,17 @@ def test_unknown_formats_and_failing_writers_leave_nothing(done):
         if offer.available():
             with pytest.raises(InputError):
                 export(kind, done)
+    assert list(done.films.iterdir()) == []
+
+
+def test_a_half_written_file_is_removed(done, monkeypatch):
+    def half(_: Done, path) -> None:
+        path.write_text("half")
+        raise InputError("output", path, "the disk is full.", "Make room.")
+
+    monkeypatch.setitem(EXPORTS, "ply", replace(EXPORTS["ply"], write=half))
+    with pytest.raises(InputError):
+        export("ply", done)
     assert list(done.films.iterdir()) == []
 
 

@@ -106,8 +106,9 @@ def test_a_closed_generator_ends_the_work(order):
     events.close()
     for thread in threading.enumerate():
         if thread.name == "work":
-            thread.join(5)
+            thread.join(10)
     assert not DEVICE.locked() and not order.stop.exists()
+    assert list((order.folder / "clips").iterdir()) == [], "it went on to the end"
 
 
 def test_waiting_for_the_device_can_be_cancelled(order):
