@@ -11,7 +11,7 @@ from phy124.__main__ import main
 from phy124.accuracy import Forecaster
 from phy124.accuracy import forecast as module
 from phy124.accuracy.forecast import Forecast, Rates, pixels_per_size
-from phy124.accuracy.pilot import fly
+from phy124.accuracy.pilot import Pilot, fly
 from phy124.scene import PRESETS, Scene
 from phy124.simulation import Simulation
 
@@ -54,6 +54,16 @@ def test_an_undeformed_object_needs_substeps_in_proportion_to_its_cells():
     each = counts[48] / 4
     assert each == np.ceil(pilot.rest * 4)
     assert counts[24] <= counts[48] / 2 + 4
+
+
+def test_excess_substeps_grow_faster_than_the_cells():
+    nothing, frames = np.zeros(3), np.ones(3)
+    counts = {"elastic": 10 * frames, "speed": 4 * frames, "gradient": frames, "user": nothing}
+    substeps, shares = Pilot(12, counts, 8.0, 1.0, False).substeps(24)
+    elastic = 8 * 2 + 2 * 2**1.7
+    assert substeps == 3 * np.ceil(elastic + 4 * 2 + 1)
+    assert shares["speed"] == pytest.approx(8 / (elastic + 9))
+    assert "user" not in shares
 
 
 def test_no_promise_where_speed_rules():

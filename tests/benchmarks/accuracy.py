@@ -43,7 +43,9 @@ STUDIES = {
     "ball-bounce": (None, "bounce", {}),
 }
 """Name -> picture (None: the chequered ball), preset, changes."""
-GOAL_CELLS = tuple(n for n in CELLS if n <= 64)
+FINER = {16: 32, 20: 40, 24: 48, 28: 56, 32: 64, 40: 64, 48: 72}
+"""Grid -> one about two levels finer."""
+GOAL_CELLS = tuple(n for n in CELLS if n <= 48)
 """Grids the goals may choose here: what a minute can pay."""
 
 
@@ -112,7 +114,7 @@ def goal_rows(gaussians: Gaussians, wish: str) -> list[list[str]]:
             continue
         seconds, about = time.perf_counter() - start, reached.about
         cells = about["cells"]
-        finer = int(cells * 1.5**2) if cells not in GOAL_CELLS[:-2] else following(cells)
+        finer = FINER[cells]
         accuracy = scene.resolution.model_copy(update={"cells": finer})
         truth = Simulation(gaussians, scene.model_copy(update={"accuracy": accuracy})).run()
         if goal.kind == "pixels":
@@ -125,13 +127,6 @@ def goal_rows(gaussians: Gaussians, wish: str) -> list[list[str]]:
         rows.append([name, wish, f"D/{cells}", said, f"{off} (D/{finer})", f"{seconds:.1f}", met])
         print(json.dumps(rows[-1]), flush=True)
     return rows
-
-
-def following(cells: int) -> int:
-    """Two levels finer, each by a half or a third."""
-    return {8: 14, 10: 20, 12: 24, 14: 28, 16: 32, 20: 40, 24: 48, 28: 56, 32: 64}.get(
-        cells, round(cells * 1.5)
-    )
 
 
 def time_rows(gaussians: Gaussians) -> list[list[str]]:
@@ -202,7 +197,9 @@ def main(parts: list[str], *, docs: bool) -> None:
     for name, (picture, preset, changes) in STUDIES.items():
         if wants(parts, name):
             scene = Scene.named(preset).replaced(changes)
+            start = time.process_time()
             report = Study(static(picture), scene, told=lambda row: print(row.name)).run()
+            print(f"{name}: {time.process_time() - start:.0f} CPU seconds")
             made[name] = study_table(report)
             print(made[name], flush=True)
             if docs:
