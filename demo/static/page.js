@@ -53,10 +53,10 @@
       if (!frames.length) picture.removeAttribute('src');
       if (!running) { clearInterval(timer); timer = null; frames = []; shown = 0; }
       const left = Math.max(0, value.expected - value.elapsed);
-      element.replaceChildren(h('section', { class: `progress ${value.state}`, role: 'status', 'aria-live': 'polite' },
+      element.replaceChildren(h('section', { class: `progress ${value.state}`, 'aria-label': 'Progress' },
         running && frames.length ? h('figure', {}, picture, h('figcaption', {}, 'Preview, growing')) : null,
         h('div', { class: 'progress-body' },
-          value.message ? h('p', { class: 'message' }, value.message) : null,
+          value.message ? h('p', { class: 'message', role: 'status' }, value.message) : null,
           running ? h('p', { class: 'clock' }, value.state === 'waiting' ? 'Waiting for the device'
             : left > 0.5 ? `${seconds(value.elapsed)} so far, about ${seconds(left)} to go` : `${seconds(value.elapsed)} so far, nearly there`) : null,
           running ? h('ol', { class: 'stages' }, ...(value.stages || []).map(bar)) : null)));

@@ -147,8 +147,8 @@ globalThis.Phy124Player = (() => {
         toneMapping: pc.TONEMAP_NONE, gammaCorrection: pc.GAMMA_SRGB });
       app.root.addChild(this.camera);
       app.start();
-      this.until = 0;
-      app.on('update', () => { if (performance.now() < this.until) app.renderNextFrame = true; });
+      // Nothing moves by itself: a picture is drawn when asked for, and once more when a sort is done.
+      app.systems.gsplat.on('frame:request', () => this.wake());
     }
 
     addSplats(device) {
@@ -165,11 +165,7 @@ globalThis.Phy124Player = (() => {
       this.app.root.addChild(entity);
     }
 
-    /** Keep drawing for a moment: sorting answers a little later. */
-    wake(milliseconds = 900) {
-      this.until = performance.now() + milliseconds;
-      this.app.renderNextFrame = true;
-    }
+    wake() { this.app.renderNextFrame = true; }
 
     show(frame, colouring) {
       const n = this.pack.n, box = this.container, out = {};

@@ -105,7 +105,9 @@ def test_from_picture_to_files(browser, server, tmp_path):
 PLAYS = """async () => {
     const video = document.querySelector('.film video'), canvas = document.createElement('canvas');
     await video.play();
-    await new Promise((done) => setTimeout(done, 300));
+    while (video.readyState < 3 || !video.currentTime) {
+        await new Promise((done) => setTimeout(done, 50));
+    }
     video.pause();
     Object.assign(canvas, { width: video.videoWidth, height: video.videoHeight });
     const context = canvas.getContext('2d');
@@ -141,7 +143,7 @@ def _viewer_moves(page) -> None:
 
 def _drawn(page, good, complaint: str) -> np.ndarray:
     """The viewer's picture once it is as it should be; software WebGL takes its time."""
-    for _ in range(40):
+    for _ in range(100):
         picture = _canvas(page)
         if good(picture):
             return picture
@@ -217,6 +219,37 @@ def test_two_visitors_get_their_own_results(browser, server):
         assert visit.complaints == []
         visit.context.close()
     assert pictures[0] != pictures[1]
+
+
+def test_the_cut_out_is_corrected_by_brush(browser, server):
+    visit = Visit(browser, server)
+    page = visit.page
+    page.get_by_label("Example: teddy").click()
+    shown = page.locator("#cutout img")
+    shown.wait_for(timeout=LONG)
+    before = shown.get_attribute("src")
+    page.get_by_text("Correct the cut-out").click()
+    page.wait_for_timeout(1000)
+    box = page.locator("#brush canvas").first.bounding_box()
+    # Green over the empty corner above the ear: it is to be kept.
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] * 0.12
+    page.mouse.move(x - 60, y)
+    page.mouse.down()
+    page.mouse.move(x + 60, y, steps=8)
+    page.mouse.up()
+    page.wait_for_timeout(500)
+    page.get_by_role("button", name="Apply the strokes").click()
+    page.wait_for_function(
+        "before => document.querySelector('#cutout img').src !== before", arg=before, timeout=LONG
+    )
+    pictures = [page.request.get(src).body() for src in (before, shown.get_attribute("src"))]
+    kept = [
+        (np.asarray(Image.open(io.BytesIO(data)).convert("RGBA"))[..., 3] > 127).sum()
+        for data in pictures
+    ]
+    assert kept[1] > kept[0] + 500
+    assert visit.complaints == []
+    visit.context.close()
 
 
 def test_phone_has_no_overflow_and_a_bad_file_a_readable_message(browser, server, tmp_path):
