@@ -129,7 +129,7 @@ def test_clone_split_prune_and_reset_equal_the_original(expected):
 def test_camera_equals_the_original(expected, rng):
     points = torch.from_numpy(rng.normal(size=(10, 3)) * 0.3)
     ones = torch.ones(10, 4, dtype=torch.float64)
-    assert splatting.NEAR == float(expected["minicam_near_far"][0])
+    assert float(expected["minicam_near_far"][0]) == splatting.NEAR
     for i, (elevation, azimuth, radius) in enumerate(expected["minicam_args"].tolist()):
         pose = orbit(elevation, azimuth, radius)
         np.testing.assert_allclose(to_opencv(pose).T, expected["minicam_world_view"][i], **CLOSE)
