@@ -21,6 +21,12 @@ if TYPE_CHECKING:
     from phy124.mpm import Attachable, Solver, Stage
 
 
+BOOKS = "books"
+"""Name of the ledger's stages."""
+KINDS = ("push", "wall")
+"""What is summed apart: forces on particles, and walls."""
+
+
 class Given(NamedTuple):
     """What came from outside since the start."""
 
@@ -37,7 +43,7 @@ class Ledger:
 
     def __init__(self) -> None:
         self._pages: dict[Any, wp.array] = {}
-        self._closed = np.zeros(diagnose.GIVEN)
+        self._closed = {kind: np.zeros(diagnose.GIVEN) for kind in KINDS}
         self._walls: Sequence[Any] = ()
         self._uniform = np.zeros(diagnose.GIVEN)
         self._moved = self._kicked = 0.0
@@ -55,7 +61,8 @@ class Ledger:
 
     def open(self, solver: Solver) -> None:
         """Begin to count with the present state of the solver."""
-        self.restore((np.zeros(diagnose.GIVEN), np.zeros(diagnose.GIVEN), 0.0))
+        nothing = {kind: np.zeros(diagnose.GIVEN) for kind in KINDS}
+        self.restore((nothing, np.zeros(diagnose.GIVEN), 0.0))
         self._kicked = solver.time - solver.last_dt / 2
         solver.caution.books = self
 
@@ -87,38 +94,46 @@ class Ledger:
             return None
         mass = total_mass(solver)
         before = self._all()[:3] + self._uniform[:3]
+        walls = self._all("wall")[:3]
 
         def after() -> None:
+            nonlocal walls
             impulse = mass * float(solver.clock.numpy()[0]) * _acceleration(solver)
-            speed = (momentum + self._all()[:3] + self._uniform[:3] - before) / mass
+            # When it acts, forces on particles have acted in this substep, and walls have not.
+            since = self._all("push")[:3] + walls + self._uniform[:3]
+            speed = (momentum + since - before) / mass
             self._uniform[:3] += impulse
             self._uniform[3] += float(impulse @ (speed + impulse / (2 * mass)))
             self._moved += float(np.linalg.norm(impulse))
+            walls = self._all("wall")[:3]
 
         return after
 
-    def snapshot(self) -> tuple[NDArray, NDArray, float]:
+    def snapshot(self) -> tuple[dict[str, NDArray], NDArray, float]:
         """What `restore` needs."""
-        return self._all(), self._uniform.copy(), self._moved
+        return {kind: self._all(kind) for kind in KINDS}, self._uniform.copy(), self._moved
 
-    def restore(self, snapshot: tuple[NDArray, NDArray, float]) -> None:
+    def restore(self, snapshot: tuple[dict[str, NDArray], NDArray, float]) -> None:
         """Go back to a snapshot."""
-        self._closed, self._uniform, self._moved = (
-            snapshot[0].copy(), snapshot[1].copy(), snapshot[2],
-        )  # fmt: skip
+        self._closed = {kind: sums.copy() for kind, sums in snapshot[0].items()}
+        self._uniform, self._moved = snapshot[1].copy(), snapshot[2]
         for page in self._pages.values():
             page.zero_()
 
-    def _all(self) -> NDArray[np.float64]:
-        total = self._closed.copy()
-        for page in self._pages.values():
-            total += page.numpy()
+    def _all(self, *kinds: str) -> NDArray[np.float64]:
+        """All sums so far, or only those of pushes or of walls."""
+        total = np.zeros(diagnose.GIVEN)
+        for kind in kinds or KINDS:
+            total += self._closed[kind]
+        for key, page in self._pages.items():
+            if key[0] in (kinds or KINDS):
+                total += page.numpy()
         return total
 
-    def _page(self, key: Any, solver: Solver) -> wp.array:
+    def _page(self, key: tuple[Any, ...], solver: Solver) -> wp.array:
         """Sums of one launch's own, so that two threads never add to the same."""
         if key in self._pages:
-            self._closed = self._closed + self._pages[key].numpy()
+            self._closed[key[0]] = self._closed[key[0]] + self._pages[key].numpy()
         self._pages[key] = wp.zeros(diagnose.GIVEN, dtype=wp.float64, device=solver.device)
         return self._pages[key]
 
@@ -165,10 +180,6 @@ def _acceleration(solver: Solver) -> NDArray[np.float64]:
     """The uniform acceleration of the last substep [3], m/s^2."""
     values: NDArray[Any] = solver.tracks.values.numpy()
     return values[0, :3].astype(np.float64)
-
-
-BOOKS = "books"
-"""Name of the ledger's stages."""
 
 
 class _Bracket:

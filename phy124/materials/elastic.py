@@ -73,7 +73,7 @@ class Rigid(Elastic):
     @property
     def simulated_E(self) -> float:
         """Young's modulus that is simulated [Pa]."""
-        return min(self.E, self.density * (self.speed / self.strain) ** 2)
+        return max(1.0, min(self.E, self.density * (self.speed / self.strain) ** 2))
 
     @property
     def lame(self) -> tuple[float, float]:

@@ -1,0 +1,134 @@
+"""Measures the figures of docs/stability.md and draws its plot.
+
+Run `python tests/benchmarks/stability.py OUT`; it takes about two minutes on one core.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from phy124.materials import FixedCorotated, Material, NeoHookean
+from phy124.stress import CASES, Setting, examine
+from phy124.stress.bodies import DX, Array, block, body, host, steps
+from phy124.stress.impact import hit
+from phy124.stress.limits import heavy_on_light
+
+SETTING = Setting()
+POISSON = (0.0, 0.1, 0.2, 0.3, 0.4, 0.45, 0.49)
+
+
+def layouts() -> dict[str, Array]:
+    """Particle layouts whose limits are measured."""
+    rng = np.random.default_rng(0)
+    return {
+        "one particle": np.array([[0.013, 0.021, 0.017]]),
+        "a hundred in one point": np.tile([[0.013, 0.021, 0.017]], (100, 1)),
+        "1 per cell": block(4, 0.5),
+        "8 per cell": block(8, 0.5),
+        "8 per cell, random": rng.uniform(-0.25, 0.25, (512, 3)),
+        "27 per cell": block(9, 0.375),
+    }
+
+
+def diverges(x: Array, material: Material, dt: float) -> bool:
+    """Whether a small noise grows without bound in 400 substeps."""
+    rng = np.random.default_rng(1)
+    v = 1e-5 * DX / dt * rng.normal(size=x.shape)
+    C = np.tile(1e-5 / dt * np.eye(3), (len(x), 1, 1))
+    if len(x) == 100:
+        v[:] = v[0]
+    s = body(x, SETTING, material, size=0.5, v=v, C=C)
+    for _ in range(20):
+        steps(s, 20, dt)
+        F = host(s.state.F)
+        if not np.abs(F.transpose(0, 2, 1) @ F - np.eye(3)).max() < 0.1:
+            return True
+    return False
+
+
+def limit(x: Array, material: Material) -> float:
+    """Longest stable substep, in units of dx / sqrt(A / rho), to half a per cent."""
+    unit = DX / material.wave_speed()
+    low, high = 0.5, 2.5
+    while high - low > 0.005:
+        middle = (low + high) / 2
+        low, high = (low, middle) if diverges(x, material, middle * unit) else (middle, high)
+    return low
+
+
+def measure_limits() -> dict[str, list[float]]:
+    """The limit of each layout over Poisson's ratio."""
+    return {
+        name: [limit(x, NeoHookean(E=1e4, nu=nu)) for nu in POISSON]
+        for name, x in layouts().items()
+    }
+
+
+def measure_impacts() -> list[dict[str, Any]]:
+    """Cubes against a slippery floor at Mach 0.1 to 5."""
+    rows = []
+    for law in (NeoHookean, FixedCorotated):
+        for nu in (0.3, 0.45):
+            for mach in (0.1, 0.5, 1.0, 2.0, 5.0):
+                try:
+                    found = hit(mach, law(E=1e4, nu=nu), SETTING)._asdict()
+                except RuntimeError as error:
+                    found = {"error": str(error)}
+                rows.append({"law": law.__name__, "nu": nu, "mach": mach, **found})
+    return rows
+
+
+def measure_long() -> list[dict[str, Any]]:
+    """The cases at full length whose figures the page quotes."""
+    rows = []
+    for number in (5, 8, 9, 10, 19, 25):
+        start = time.process_time()
+        row, checks = examine(CASES[number - 1], SETTING._replace(long=True))
+        found = {check.what: check.measured for check in checks}
+        seconds = time.process_time() - start
+        rows.append({"case": row.case, "verdict": row.verdict, "seconds": seconds, **found})
+    return rows
+
+
+def draw(limits: dict[str, list[float]], path: Path) -> None:
+    """Measured against used limit."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    figure, axes = pyplot.subplots(figsize=(7, 4.2), dpi=110)
+    for name, values in limits.items():
+        axes.plot(POISSON, values, marker="o", markersize=4, label=name)
+    axes.axhline(1, color="black", linewidth=1, linestyle="--", label="derived, isolated particle")
+    axes.axhline(0.6, color="tab:red", linewidth=2, label="used (accuracy.cfl = 0.6)")
+    usual = [math.sqrt((3 * nu / (1 - 2 * nu) + 1) / (nu / (1 - 2 * nu) + 1)) for nu in POISSON]
+    axes.plot(POISSON, usual, color="grey", linestyle=":", label="dx / p-wave speed, as is usual")
+    axes.set(xlabel="Poisson's ratio", ylabel="substep / (dx / sqrt(A / rho))", ylim=(0, 2))
+    axes.legend(fontsize=8, ncols=2, loc="lower left")
+    axes.set_title("Longest stable substep: measured and used")
+    figure.tight_layout()
+    figure.savefig(path)
+
+
+def main(out: Path) -> None:
+    """Measure and draw."""
+    out.mkdir(parents=True, exist_ok=True)
+    limits = measure_limits()
+    draw(limits, out / "stability.png")
+    stacks = {r: heavy_on_light(r, SETTING, 0.4)._asdict() for r in (1.0, 1e2, 1e4)}
+    found = {"limits": limits, "impacts": measure_impacts(), "stacks": stacks}
+    found["long"] = measure_long()
+    (out / "stability.json").write_text(json.dumps(found, indent=1))
+    print(json.dumps(found, indent=1))
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
