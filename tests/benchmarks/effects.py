@@ -1,0 +1,164 @@
+"""What leaving effects out saves: paired ratios in one process, one JSON line each.
+
+switch: one law compiled alone against the same law inside a kernel that asks for the law's kind.
+window: the grid around the particles against the dense domain, 20,000 particles in 128^3.
+binding: every Gaussian a particle (the paper) against Gaussians riding on a lattice.
+scaling: particle-substeps per second and memory from 1,000 to 2,000,000 particles.
+CPU time of one thread, unless the row says wall; the least of several turns.
+"""
+
+import json
+import resource
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import warp as wp
+
+from phy124.boundaries import Ground
+from phy124.camera import Camera
+from phy124.forces import Gravity
+from phy124.generators import make
+from phy124.image import foreground, open_image
+from phy124.kernels import elastic, fluid, granular, hencky, plastic
+from phy124.kernels.transfer import Law
+from phy124.materials import NeoHookean
+from phy124.metrics import psnr
+from phy124.mpm import Solver
+from phy124.render import Renderer
+from phy124.scene import Scene
+from phy124.simulation import Simulation
+
+wp.config.log_level = wp.LOG_WARNING
+DUCK = Path(__file__).parents[2] / "demo/examples/duck.png"
+
+
+vec5 = wp.types.vector(5, float)
+
+
+@wp.func
+def any_law(F: wp.mat33, C: wp.mat33, h: wp.vec2, theta: wp.vec4):
+    """What a kernel with a switch on the kind of material runs."""
+    pair = wp.vec2(theta[0], theta[1])
+    if theta[2] == 0.0:
+        return elastic.neo_hookean(F, C, h, pair)
+    if theta[2] == 1.0:
+        return elastic.fixed_corotated(F, C, h, pair)
+    if theta[2] == 2.0:
+        return hencky.hencky(F, C, h, pair)
+    return fluid.tait(F, C, h, wp.vec3(theta[0], theta[1], theta[3]))
+
+
+@wp.func
+def any_project(F: wp.mat33, h: wp.vec2, theta: wp.vec4, dt: float):
+    """The return mapping of whatever law is meant: none for the first three."""
+    if theta[2] == 4.0:
+        return plastic.von_mises(F, h, vec5(theta[0], theta[1], theta[3], 0.0, 0.0), dt)
+    if theta[2] == 5.0:
+        return granular.drucker_prager(F, h, wp.vec3(theta[0], theta[1], theta[3]), dt)
+    return F, h
+
+
+@wp.func
+def any_modulus(F: wp.mat33, h: wp.vec2, theta: wp.vec4):
+    """The limit of the law that is chosen below."""
+    return elastic.neo_hookean_modulus(F, h, wp.vec2(theta[0], theta[1]))
+
+
+class Switched(NeoHookean):
+    """Neo-Hookean, found by asking."""
+
+    device_law = Law("switched", any_law, any_modulus, 4, project=any_project)
+
+    def theta(self) -> tuple[float, ...]:
+        """Lame parameters and the kind."""
+        return (*self.lame, 0.0, 0.0)
+
+
+def cube(count: int, cells: int, law: type = NeoHookean) -> Solver:
+    """Random particles in a cube of half the domain, sorted by cell."""
+    x = np.random.default_rng(0).random((count, 3)) * 0.3 + 0.35
+    x = x[np.lexsort(np.floor(x * cells - 0.5).T[::-1])]
+    volume = np.full(count, 0.3**3 / count)
+    walls = [Ground(height=0.3)]
+    return Solver(x, volume, [law()], dx=1 / cells, forces=[Gravity()], boundaries=walls, threads=1)
+
+
+def cost(s: Solver, substeps: int) -> float:
+    """CPU nanoseconds per particle and substep."""
+    begin = time.thread_time()
+    for _ in range(substeps):
+        s.step(1e-5, 1e-5)
+    return (time.thread_time() - begin) / substeps / len(s.rest) * 1e9
+
+
+def paired(a: Solver, b: Solver, substeps: int, turns: int = 7) -> tuple[float, float]:
+    """Least cost of each, in turns after one round of warming up."""
+    spent = [(cost(a, substeps), cost(b, substeps)) for _ in range(turns + 1)][1:]
+    first, second = np.min(spent, axis=0)
+    return float(first), float(second)
+
+
+def switch() -> None:
+    alone, asking = paired(cube(65_536, 64), cube(65_536, 64, Switched), 16)
+    row = {"alone_ns": alone, "switch_ns": asking, "ratio": asking / alone}
+    show("switch", row)
+
+
+def window() -> None:
+    near, dense = cube(20_000, 128), cube(20_000, 128)
+    dense.step(1e-5, 1e-5)
+    dense.grid.fit = lambda lower, upper: False  # from here on the window is the whole domain
+    dense.grid.rebase(np.zeros(3, int), np.full(3, 128))
+    dense._record_substep()
+    a, b = paired(near, dense, 16)
+    show("window", {"window_ns": a, "dense_ns": b, "ratio": b / a})
+
+
+def binding() -> None:
+    cutout, _ = foreground(open_image(DUCK))
+    gaussians = make("relief")(cutout, seed=0, progress=lambda *_: None)
+    runs = {}
+    for kind in ("particles", "field"):
+        begin = time.process_time()
+        run = Simulation(gaussians, Scene.named("press").replaced({"binding": kind}))
+        runs[kind] = run, run.run(), time.process_time() - begin
+    (own, a, own_s), (field, b, field_s) = runs.values()
+    draw, camera = Renderer(device="cpu"), Camera.orbit(0, 10, 1.9, 256, (0, 0, 0.35))
+    images = [[draw(c.frame(i).gaussians, camera) for c in (a, b)] for i in range(len(a))]
+    show(
+        "binding",
+        {
+            "particles": len(own.particles),
+            "lattice": len(field.particles),
+            "particles_cpu_s": own_s,
+            "field_cpu_s": field_s,
+            "rms_path_of_size": float(np.sqrt(((a.means - b.means) ** 2).sum(-1).mean())),
+            "psnr_worst_frame": min(float(psnr(x, y)) for x, y in images[1:]),
+        },
+    )
+
+
+def scaling() -> None:
+    for count in (1_000, 10_000, 100_000, 1_000_000, 2_000_000):
+        cells = round((count / 8) ** (1 / 3) / 0.3)
+        s = cube(count, max(cells, 16))
+        cost(s, 4)
+        ns = min(cost(s, max(4, 400_000 // count)) for _ in range(3))
+        megabytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        row = {"particles": count, "cpu_ns": ns, "million_per_s": 1e3 / ns, "peak_mb": megabytes}
+        show("scaling", row)
+
+
+def show(name: str, row: dict) -> None:
+    """One line."""
+    rounded = {k: float(f"{v:.4g}") if isinstance(v, float) else v for k, v in row.items()}
+    print(json.dumps({"what": name, **rounded}), flush=True)
+
+
+PARTS = {"switch": switch, "window": window, "binding": binding, "scaling": scaling}
+
+if __name__ == "__main__":
+    for part in sys.argv[1:] or PARTS:
+        PARTS[part]()
