@@ -43,6 +43,7 @@ def test_what_is_no_time_is_refused():
 @pytest.fixture
 def quick(monkeypatch) -> Scene:
     monkeypatch.setattr(choose, "CHEAP", (8, 12))
+    monkeypatch.setattr(choose, "CHECK", 6)
     monkeypatch.setattr(choose, "CELLS", (8, 10, 12, 14, 16, 20, 24))
     return Scene.named("drop").replaced(
         {"time.frames": 6, "object.lift": 0.05, "binding": "field", "view.size": 64}
@@ -61,10 +62,11 @@ def test_an_error_goal_is_met_against_a_finer_run(quick):
     assert reached.clip.report["grid"]["dx"] == pytest.approx(1 / about["cells"])
 
 
-def test_a_lax_goal_takes_a_cheap_level_and_runs_no_third(quick):
+def test_a_lax_goal_takes_a_cheap_level_and_checks_it_with_a_cheaper_one(quick):
     about = reach(Goal.error("50%"), ball(600), quick).about
     assert about["cells"] == 8
-    assert about["levels"] == [8, 12]
+    assert about["levels"] == [6, 8, 12]
+    assert 0 < about["error"] < 0.5
     assert about["met"] is True
     assert about["refined"] is False
 

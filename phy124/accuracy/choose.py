@@ -27,6 +27,8 @@ from phy124.stopwatch import Stopwatch
 Kind = Literal["pixels", "share", "metres", "seconds"]
 CHEAP = (16, 24)
 """Cells across the object of the two levels that are run first."""
+CHECK = 12
+"""A third level, run where one of the two is chosen, so that an order can be observed."""
 CELLS = (8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 56, 64, 80, 96)
 """Grids that may be chosen."""
 GUESSED_ORDER = 1.0
@@ -150,27 +152,33 @@ def _as_exact(goal: Goal, runs: _Runs) -> Reached:
         raise _unreachable(goal, "the motion stops early on a coarse grid")
     guess = extrapolated((1 / coarse, 1 / fine), gap, GUESSED_ORDER)
     cells = _coarsest(goal, fine, guess[1], GUESSED_ORDER)
-    runs.clip(cells)
+    if cells is None:
+        best = said(goal.kind, guess[1] * (fine / CELLS[-1]) ** GUESSED_ORDER)
+        raise _unreachable(goal, f"even D/{CELLS[-1]} would be off by about {best}")
+    runs.clip(CHECK if cells in CHEAP else cells)
     found = _estimate(goal, runs)
-    refined = False
-    if found.error is not None and found.error > goal.value and found.order is not None:
-        cells = _coarsest(goal, max(runs.done), found.error, found.order, finer=True)
+    cells, error = _cheapest(cells, found, runs, goal)
+    refined = error is not None and error > goal.value and bool(found.order)
+    if refined:
+        finest = max(runs.done)
+        finer = _coarsest(goal, finest, found.error or 0, found.order or 1, above=finest)
+        cells = finer or finest
         runs.clip(cells)
-        found, refined = _estimate(goal, runs), True
+        found = _estimate(goal, runs)
+        error = _error_at(cells, found, runs, goal)
     simulation, clip = runs.done[cells]
-    return Reached(simulation, clip, _about(goal, cells, guess, found, runs, refined))
+    return Reached(simulation, clip, _about(goal, cells, error, found, runs, refined))
 
 
 def _about(
     goal: Goal,
     cells: int,
-    guess: tuple[float, float],
+    error: float | None,
     found: Convergence,
     runs: _Runs,
     refined: bool,
 ) -> dict[str, Any]:
     """For the report: what was wished and what came of it, in the goal's unit."""
-    error = _error_at(cells, guess, found, runs, goal)
     return {
         "wished": goal.text, "unit": goal.kind, "cells": cells, "levels": sorted(runs.done),
         "order": found.order, "error": error, "refined": refined,
@@ -178,29 +186,26 @@ def _about(
     }  # fmt: skip
 
 
-def _error_at(
-    cells: int,
-    guess: tuple[float, float],
-    found: Convergence,
-    runs: _Runs,
-    goal: Goal,
-) -> float | None:
-    """Error of the chosen level: observed where three levels are there, else the first guess."""
+def _error_at(cells: int, found: Convergence, runs: _Runs, goal: Goal) -> float | None:
+    """Error of a level: its distance from the finest that was run, and that one's own."""
     finest = max(runs.done)
-    if found.error is not None:
-        if cells == finest:
-            return found.error
-        return found.error + _gap(goal, runs.clip(cells), runs.clip(finest), runs.scene)
-    if len(runs.done) > len(CHEAP):
+    if found.error is None:
         return None
-    return guess[CHEAP.index(cells)]
+    return found.error + _gap(goal, runs.clip(cells), runs.clip(finest), runs.scene)
+
+
+def _cheapest(cells: int, found: Convergence, runs: _Runs, goal: Goal) -> tuple[int, float | None]:
+    """The coarsest grid run, from `cells` on, that meets the goal, else `cells`; and its error."""
+    for each in sorted(n for n in runs.done if n >= cells):
+        error = _error_at(each, found, runs, goal)
+        if error is not None and error <= goal.value:
+            return each, error
+    return cells, _error_at(cells, found, runs, goal)
 
 
 def _estimate(goal: Goal, runs: _Runs) -> Convergence:
     """Order and error of the finest level run so far, in the goal's unit."""
     cells = sorted(runs.done)
-    if len(cells) < 3:
-        return Convergence(None, None)
     clips = [runs.done[n][1] for n in cells]
     apart = distances([clip.means for clip in clips])
     for i, one in enumerate(clips):
@@ -219,15 +224,12 @@ def _gap(goal: Goal, one: Clip, other: Clip, scene: Scene) -> float:
     return metres / scene.object.size if goal.kind == "share" else metres
 
 
-def _coarsest(goal: Goal, known: int, error: float, order: float, *, finer: bool = False) -> int:
-    """The coarsest grid that should meet the goal, from the error of a known one."""
-    allowed = [n for n in CELLS if n >= min(CHEAP) and (n > known or not finer)]
-    for cells in allowed:
+def _coarsest(goal: Goal, known: int, error: float, order: float, *, above: int = 0) -> int | None:
+    """The coarsest grid that should meet the goal, from the error of a known one; or None."""
+    for cells in (n for n in CELLS if n >= min(CHEAP) and n > above):
         if error * (known / cells) ** order <= goal.value:
             return cells
-    last = CELLS[-1]
-    best = error * (known / last) ** order
-    raise _unreachable(goal, f"even D/{last} would be off by about {said(goal.kind, best)}")
+    return None
 
 
 def said(kind: Kind, value: float) -> str:
