@@ -12,6 +12,7 @@ import numpy as np
 import warp as wp
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from phy124.errors import InputError
 from phy124.kernels import push
 from phy124.kernels.transfer import types
 from phy124.region import Region, Vector
@@ -27,7 +28,7 @@ UNIT: Vector = (1.0, 0.0, 0.0)
 class Force(BaseModel):
     """What all forces have: a time profile in a window of time, and a region of the body."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     start: float = Field(default=0.0, ge=0, description="Acts from here on [s].")
     end: float | None = Field(
@@ -56,11 +57,15 @@ class Force(BaseModel):
         raise NotImplementedError
 
     def chosen(self, solver: Solver) -> wp.array:
-        """Indices of the particles it acts on; raises ValueError if the region is empty."""
+        """Indices of the particles it acts on; raises InputError if the region is empty."""
         x = solver.rest
         inside = np.ones(len(x), bool) if self.region is None else self.region.contains(x)
         if not inside.any():
-            raise ValueError(f"the region of {type(self).__name__} holds no particle")
+            raise InputError(
+                "forces.region", self.region,
+                f"the region of {type(self).__name__} holds no particle.",
+                "Make it larger, or move it onto the object as it stands at the start.",
+            )  # fmt: skip
         return wp.array(np.flatnonzero(inside).astype(np.int32), device=solver.device)
 
 

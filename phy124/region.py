@@ -14,7 +14,7 @@ EVERYWHERE = 1e9
 class Region(BaseModel):
     """An axis-aligned box [m]; sides left out are open."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     lower: Vector = Field(
         default=(-EVERYWHERE, -EVERYWHERE, -EVERYWHERE), description="Lowest corner [m]."

@@ -31,7 +31,7 @@ Key = tuple[float, Vector]
 class Table(BaseModel):
     """What all time profiles have: a table of times [s] and factors, once or over and over."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     def table(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Times since the start [s] and the factors then, straight in between."""

@@ -35,7 +35,7 @@ Corners = tuple[NDArray[np.float64], NDArray[np.float64]]
 class Boundary(BaseModel):
     """What all boundaries have: how they answer to what touches them."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     shape: ClassVar[str]
 

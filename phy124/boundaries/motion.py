@@ -19,7 +19,7 @@ EASE = 16
 class Motion(BaseModel):
     """What all motions have: a displacement over time."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     start: float = Field(default=0.0, ge=0, description="Begins to move [s].")
 

@@ -13,7 +13,7 @@ from phy124.kernels.transfer import Law
 class Material(BaseModel):
     """What all materials have: a density and a law on the device."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     device_law: ClassVar[Law]
 
