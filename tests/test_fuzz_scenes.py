@@ -12,6 +12,7 @@ from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.scene import Scene
 from phy124.simulation import Simulation
+from phy124.watchdog import FRAGILE
 
 UNITS = st.floats(-1, 1)
 
@@ -85,18 +86,32 @@ CONTACT = {
     "contact": st.sampled_from(["sticky", "slip", "separate"]),
     "friction": st.floats(0, 10),
 }
-BOUNDARY = st.one_of(
-    st.fixed_dictionaries({"kind": st.just("ground"), **CONTACT}),
+MOTION = st.one_of(
+    st.none(),
     st.fixed_dictionaries(
-        {"kind": st.just("press"), "depth": st.floats(0.01, 0.9), "down": decades(1e-3, 1),
-         **CONTACT}
-    ),
-    st.fixed_dictionaries({"kind": st.just("foot"), "share": st.floats(0.01, 1)}),
-    st.fixed_dictionaries(
-        {"kind": st.just("half_space"), "normal": st.sampled_from([(0, 0, 1), (1, 0, 2), (0, 1, 0)]),
-         **CONTACT}
+        {"kind": st.just("swing"), "amplitude": vectors(decades(1e-3, 10)),
+         "frequency": decades(0.1, 1e3)}
     ),
 )  # fmt: skip
+
+
+def wall(kind: str, **own: st.SearchStrategy[Any]) -> st.SearchStrategy[dict[str, Any]]:
+    """A boundary of a kind with any contact and its own parameters."""
+    return st.fixed_dictionaries({"kind": st.just(kind), **CONTACT, **own}).map(
+        lambda found: {key: value for key, value in found.items() if value is not None}
+    )
+
+
+SIZES = decades(1e-2, 10)
+BOUNDARY = st.one_of(
+    wall("ground"),
+    wall("press", depth=st.floats(0.01, 0.9), down=decades(1e-3, 1)),
+    st.fixed_dictionaries({"kind": st.just("foot"), "share": st.floats(0.01, 1)}),
+    wall("half_space", normal=st.sampled_from([(0, 0, 1), (1, 0, 2), (0, 1, 0)]), motion=MOTION),
+    wall("sphere", centre=vectors(SIZES), radius=SIZES, motion=MOTION),
+    wall("box", upper=st.builds(lambda s: (s, s, s), SIZES), motion=MOTION),
+    st.just({"kind": "container"}),
+)
 
 
 @st.composite
@@ -160,7 +175,10 @@ def check(gaussians: Gaussians, scene: Scene) -> None:
     report = clip.report
     event(f"{scene.material.law}: {'complete' if report['complete'] else 'stopped'}")
     if not report["complete"]:
-        assert "time.patience" in report["stopped"], report["stopped"]
+        honest = "time.patience" in report["stopped"]
+        # Laws that may collapse by nature are stopped and named.
+        honest |= "inside out" in report["stopped"] and scene.material.law in FRAGILE
+        assert honest, report["stopped"]
     for name in ("means", "quats", "scales", "opacities", "times"):
         assert np.isfinite(getattr(clip, name)).all(), name
     assert np.abs(np.linalg.norm(clip.quats, axis=2) - 1).max() < 1e-5

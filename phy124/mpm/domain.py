@@ -56,16 +56,16 @@ class Domain:
 
     def confine(self, lower: NDArray, upper: NDArray) -> bool:
         """Follow the particles between two corners [m]; True if they must be measured again."""
-        if self.bounded:
+        if self.bounded and np.isfinite(lower).all():
             self._centre((lower + upper) / 2)
             return False
-        if self._nodes(lower, upper) <= self._allowed:
+        if not self.bounded and self._nodes(lower, upper) <= self._allowed:
             return False
         x = self._solver.state.x.numpy().astype(np.float64)
-        middle = np.median(x, axis=0)
         side = self._solver.dx * (self._allowed ** (1 / 3) - 3 * MARGIN)
         self._half, self.bounded = np.full(3, side / 2), True
-        self._centre(middle)
+        # Around a particle, so that at least one is inside.
+        self._centre(x[np.abs(x - np.median(x, axis=0)).max(axis=1).argmin()])
         return True
 
     def launches(self) -> list[Recorded]:
