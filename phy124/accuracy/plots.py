@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import html
 import json
+import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -63,36 +64,47 @@ def save_picture(report: Report, path: PathLike, *, title: str = "") -> None:
 
 def _draw_errors(axes: Any, report: Report) -> None:
     worse = dominated(report.rows)
-    for row in report.rows:
-        error = _error(row)
-        if error is None:
-            continue
+    known = [row for row in report.rows if _error(row) is not None]
+    for row in known:
         colour = GREY if row.name in worse else BLUE if row.level else ORANGE
-        axes.plot(row.seconds, error, "o" if row.level else "s", color=colour)
-        axes.annotate(
-            _label(row), (row.seconds, error), xytext=(5, 4), textcoords="offset points", fontsize=8
-        )
-    front = sorted(
-        (row.seconds, _error(row) or 0)
-        for row in report.rows
-        if row.name not in worse and _error(row) is not None
-    )
+        _mark(axes, row, _error(row) or 0, colour, report)
+    front = sorted((r.seconds, _error(r) or 0) for r in known if r.name not in worse)
     if front:
         axes.plot(*zip(*front, strict=True), "-", color=BLUE, linewidth=1, zorder=0)
-    axes.set(xscale="log", yscale="log", xlabel="seconds", ylabel="error [% of the object's size]")
-    axes.grid(alpha=0.3, which="both")
-    if not front:
+        axes.set(yscale="log")
+    else:
         axes.text(0.5, 0.5, report.convergence.why_not, ha="center", transform=axes.transAxes)
+    _label_axes(axes, "error [% of the object's size]")
 
 
 def _draw_psnr(axes: Any, report: Report) -> None:
     for row in report.rows:
-        if row.from_finest is None:
-            continue
-        point = row.seconds, row.from_finest.psnr
-        axes.plot(*point, "o" if row.level else "s", color=BLUE if row.level else ORANGE)
-        axes.annotate(_label(row), point, xytext=(5, 4), textcoords="offset points", fontsize=8)
-    axes.set(xscale="log", xlabel="seconds", ylabel="PSNR against the finest [dB]")
+        if row.from_finest is not None and math.isfinite(row.from_finest.psnr):
+            colour = BLUE if row.level else ORANGE
+            _mark(axes, row, row.from_finest.psnr, colour, report)
+    _label_axes(axes, "PSNR against the finest [dB]")
+
+
+def _mark(axes: Any, row: Row, value: float, colour: str, report: Report) -> None:
+    """A point with its name, on the side where there is room."""
+    times = [math.log(other.seconds) for other in report.rows]
+    late = math.log(row.seconds) > (min(times) + max(times)) / 2
+    axes.plot(row.seconds, value, "o" if row.level else "s", color=colour)
+    axes.annotate(
+        _label(row), (row.seconds, value), xytext=(-6 if late else 6, 5 if row.level else -12),
+        textcoords="offset points", fontsize=8, ha="right" if late else "left",
+    )  # fmt: skip
+
+
+def _label_axes(axes: Any, what: str) -> None:
+    from matplotlib.ticker import LogFormatter
+
+    axes.set(xscale="log", xlabel="seconds", ylabel=what)
+    scales = [axes.xaxis] + [axes.yaxis] * (axes.get_yscale() == "log")
+    for axis in scales:
+        axis.set_major_formatter(LogFormatter())
+        axis.set_minor_formatter(LogFormatter(minor_thresholds=(2, 0.5)))
+    axes.margins(0.12)
     axes.grid(alpha=0.3, which="both")
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from phy124.accuracy.convergence import Convergence, distances, richardson
 from phy124.accuracy.difference import Difference, difference
-from phy124.accuracy.forecast import Forecaster
+from phy124.accuracy.forecast import Forecaster, pixels_per_size
 from phy124.clip import Clip
 from phy124.gaussians import Gaussians
 from phy124.progress import Progress, silent
@@ -197,8 +197,9 @@ class Study:
         if found.error is None:
             return replace(row, from_finest=apart)
         error = found.error + (apart.relative if apart else 0.0)
-        scale = apart.pixels / apart.relative if apart and apart.relative else 0.0
-        return replace(row, from_finest=apart, error=error, pixels=error * scale if scale else None)
+        seen = apart.pixels / apart.relative if apart and apart.relative else None
+        scale = pixels_per_size(self.scene) if seen is None else seen
+        return replace(row, from_finest=apart, error=error, pixels=error * scale)
 
 
 def recommend(rows: tuple[Row, ...], found: Convergence) -> str:
