@@ -188,6 +188,7 @@ class Solver:
         changed = self.grid.fit(-greatest[3:6], greatest[6:9])
         for lane, own in zip(self.lanes, maxima, strict=True):
             if lane.nodes is not self.grid:
+                own = np.where(np.isfinite(own), own, greatest)
                 changed |= company.fit_part(
                     lane.nodes, self.grid, -own[3:6], own[6:9], force=changed
                 )

@@ -102,7 +102,6 @@ def _endure(setting: Setting, share: float, count: int) -> Meter:
     motion = vibrating(x, 0.3)
     turn = turning(x, (0.2, 0.5, 1.0))
     motion = {name: motion[name] + turn[name] for name in motion}
-    motion["v"] += [0.3, 0.1, -0.2]
     s = body(x, setting, size=0.25, **motion)
     meter, dt = Meter(s), share * stable_dt(s)
     for _ in range(50):
