@@ -21,6 +21,8 @@ GAUSSIANS = 50_000
 """What `relief` makes of a picture."""
 FILLED = 0.13
 """Volume of a typical object, in cubes of its longest side: the filling's share of the grid."""
+READ = 0.2
+"""Longer than it takes to read Gaussians that were made before, s."""
 TRUST = 0.5
 """Weight of the newest measurement."""
 
@@ -95,7 +97,8 @@ class Forecaster:
         pixels = report["frames"] * len(scene.view.views) * scene.view.size**2
         drawn = spent.get("render", 0.0) + spent.get("encode", 0.0)
         measured = {
-            "generate": spent.get("generate"),
+            # A file that was there already is read in no time.
+            "generate": spent["generate"] if spent.get("generate", 0) > READ else None,
             "particle": spent["simulate"] / work if work and "simulate" in spent else None,
             "frame": spent["deform"] / report["frames"] if "deform" in spent else None,
             "pixel": drawn / pixels if drawn else None,

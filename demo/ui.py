@@ -62,6 +62,7 @@ def build(studio: Studio) -> gr.Blocks:
         takeaway.prepare(
             handlers.prepare, [done, takeaway], takeaway, show_progress="hidden",
             api_visibility="private", concurrency_id="export", concurrency_limit=2,
+            trigger_mode="multiple",
         )  # fmt: skip
         page.unload(handlers.leaver(studio))
         endpoints(studio)

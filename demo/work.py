@@ -200,7 +200,10 @@ def _produce(order: Order, tell: Tell) -> Done:
         tell(Reused("generate"))
         tell(Reused("simulate"))
     else:
-        _simulate(_gaussians(order, source, tell), order, clips, tell)
+        watch = Stopwatch()
+        with watch.stage("generate"):
+            gaussians = _gaussians(order, source, tell)
+        _simulate(gaussians, order, clips, tell, watch)
     if (films / "report.json").exists():
         tell(Reused("render"))
     else:
@@ -234,9 +237,9 @@ def _gaussians(order: Order, path: Path, tell: Tell) -> Gaussians:
     return gaussians
 
 
-def _simulate(gaussians: Gaussians, order: Order, out: Path, tell: Tell) -> None:
+def _simulate(gaussians: Gaussians, order: Order, out: Path, tell: Tell, watch: Stopwatch) -> None:
     """A folder with the clip, its Gaussians, its scene and what the run did."""
-    frames, watch = order.scene.time.frames, Stopwatch()
+    frames = order.scene.time.frames
     tell(Step("simulate", 0, frames, "preparing"))
     with Image.open(order.cutout) as cutout:
         crop = crop_of(cutout)

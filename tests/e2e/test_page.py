@@ -85,14 +85,28 @@ class Visit:
         self.page.wait_for_selector("#go:not([disabled])", timeout=LONG)
 
 
+WATCH = """() => {
+    // The run is short: note what the progress panel shows rather than look at the right moment.
+    const panel = document.querySelector('#progress'), seen = globalThis.seen = { stages: [] };
+    new MutationObserver(() => {
+        seen.glimpse ||= Boolean(panel.querySelector('.glimpse[src]'));
+        for (const stage of panel.querySelectorAll('.stage.going, .stage.full')) {
+            seen.stages.push(stage.querySelector('.stage-name').textContent);
+        }
+    }).observe(panel, { childList: true, subtree: true, attributes: true });
+}"""
+
+
 def test_from_picture_to_files(browser, server, tmp_path):
     visit = Visit(browser, server, accept_downloads=True)
     page = visit.page
     visit.upload()
     visit.choose(frames=5)
+    page.evaluate(WATCH)
     visit.generate()
-    page.wait_for_selector(".glimpse[src]", timeout=LONG)
     visit.finished()
+    seen = page.evaluate("globalThis.seen")
+    assert seen["glimpse"] and {"Picture to 3D", "Physics", "Videos"} <= set(seen["stages"])
     _video_plays(page)
     _viewer_moves(page)
     _files_open(page, tmp_path)
