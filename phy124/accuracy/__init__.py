@@ -17,8 +17,8 @@ For the web page and other callers, three calls:
 second one with the same Gaussians and law a fraction of one. Every report carries the comparison
 under "forecast".
 
-    study = Study(gaussians, scene).run()    # levels, errors, Pareto plot: see `phy124 accuracy`
-    goal = Goal.parse("2px")                 # or "1%", "3mm", "20s"; see phy124.accuracy.choose
+    report = study.Study(gaussians, scene).run()    # levels, errors: see `phy124 accuracy`
+    pipeline.generate(..., goal=choose.Goal.error("2px"))    # or "1%", "3mm", Goal.time(20)
 
 The parts: `problems` and `verify` (answers that are known), `convergence` (orders, Richardson),
 `forecast`, `difference` (two clips in millimetres and pixels), `study`, `choose`, `plots`.

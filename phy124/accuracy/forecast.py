@@ -18,12 +18,13 @@ from typing import Any, get_args
 
 import numpy as np
 
-from phy124.accuracy.pilot import Pilot, fly
+from phy124.accuracy.pilot import Pilot, coarsened, fly
 from phy124.clip import Clip
 from phy124.deform import Deformer
 from phy124.film import film
 from phy124.gaussians import Gaussians
 from phy124.mpm import Solver
+from phy124.parts import WHOLE, Crop
 from phy124.scene import PROMISES, AccuracyName, Scene
 from phy124.simulation import Simulation
 from phy124.stopwatch import Stopwatch
@@ -36,6 +37,8 @@ FILMED = (1, 5)
 """Frames filmed to tell a video's start from its frames."""
 UNSURE = 0.1
 """Share of substeps limited by motion rather than stiffness from which nothing is promised."""
+REMEMBERED = 32
+"""Forecasts and measurements that are kept; the oldest goes."""
 NODE_STAGES = ("clear", "grid")
 """Stages whose time goes with the nodes, besides the colliders."""
 
@@ -138,20 +141,20 @@ class Forecaster:
     device: str = "cpu"
     _known: dict[Any, Any] = field(default_factory=dict, repr=False)
 
-    def forecast(self, gaussians: Gaussians, scene: Scene) -> Forecast:
+    def forecast(self, gaussians: Gaussians, scene: Scene, *, crop: Crop = WHOLE) -> Forecast:
         """What a run of this scene will take; makes its particles and a probe.
 
         Raises InputError as `Simulation` does.
         """
         watch = Stopwatch()
-        simulation = Simulation(gaussians, scene, device=self.device, watch=watch)
+        simulation = Simulation(gaussians, scene, device=self.device, watch=watch, crop=crop)
         made = self.of(simulation)
         return made.with_measured("particles", watch.seconds["particles"])
 
     def of(self, simulation: Simulation, *, filming: bool = True) -> Forecast:
         """What a simulation that has not begun will take; its state is left as it was."""
         scene = simulation.scene
-        pilot = self._pilot(simulation.gaussians, scene)
+        pilot = self._pilot(simulation)
         rates, nodes, each_frame = _probe(simulation)
         substeps, limiters = pilot.substeps(scene.resolution.cells)
         mean_nodes = nodes * pilot.growth
@@ -179,12 +182,11 @@ class Forecaster:
         pixels = promise.error * pixels_per_size(chosen)
         return Stop(name, made.seconds, promise.error, pixels, promise.why, made.caveat, made)
 
-    def _pilot(self, gaussians: Gaussians, scene: Scene) -> Pilot:
-        coarse = scene.model_copy(update={"accuracy": "standard"})
-        key = ("pilot", len(gaussians), gaussians.means[:: max(1, len(gaussians) // 64)].tobytes())
-        return self._remember(
-            (key, _physics(coarse)), lambda: fly(gaussians, scene, device=self.device)
-        )
+    def _pilot(self, simulation: Simulation) -> Pilot:
+        gaussians, scene, crop = simulation.gaussians, simulation.scene, simulation.crop
+        sample = gaussians.means[:: max(1, len(gaussians) // 64)].tobytes()
+        key = ("pilot", len(gaussians), sample, _physics(coarsened(scene)), crop)
+        return self._remember(key, lambda: fly(gaussians, scene, device=self.device, crop=crop))
 
     def _filming(self, gaussians: Gaussians, scene: Scene) -> dict[str, float]:
         """Seconds of pictures, videos and saving."""
@@ -195,6 +197,8 @@ class Forecaster:
     def _remember(self, key: Any, make: Any, keep: Any = None) -> Any:
         """A value made once; `keep` holds on to what the key's id belongs to."""
         if key not in self._known:
+            while len(self._known) >= REMEMBERED:
+                self._known.pop(next(iter(self._known)))
             self._known[key] = (make(), keep)
         return self._known[key][0]
 

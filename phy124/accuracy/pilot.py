@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from phy124.gaussians import Gaussians
 from phy124.mpm import Unstable
+from phy124.parts import WHOLE, Crop
 from phy124.scene import Scene
 from phy124.simulation import Simulation
 
@@ -56,12 +57,18 @@ class Pilot:
         return int(np.ceil(total - 1e-9).sum()), shares
 
 
-def fly(gaussians: Gaussians, scene: Scene, *, device: str = "cpu") -> Pilot:
-    """Run the motion coarsely, the Gaussians riding along."""
+def coarsened(scene: Scene) -> Scene:
+    """The scene as the pilot runs it: coarse, the Gaussians riding along."""
     cells = min(CELLS, scene.resolution.cells)
     accuracy = scene.resolution.model_copy(update={"cells": cells, "precision": "float32"})
-    coarse = scene.model_copy(update={"accuracy": accuracy, "binding": "field"})
-    simulation = Simulation(gaussians, coarse, device=device)
+    return scene.model_copy(update={"accuracy": accuracy, "binding": "field"})
+
+
+def fly(gaussians: Gaussians, scene: Scene, *, device: str = "cpu", crop: Crop = WHOLE) -> Pilot:
+    """Run the motion coarsely; `crop` as for `Simulation`."""
+    coarse = coarsened(scene)
+    cells = coarse.resolution.cells
+    simulation = Simulation(gaussians, coarse, device=device, crop=crop)
     solver, timing = simulation.solver, scene.time
     counts = {name: np.zeros(timing.frames - 1) for name in LIMITERS}
     nodes, rest, frame = [], 0.0, 0

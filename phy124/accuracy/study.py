@@ -19,6 +19,7 @@ from phy124.accuracy.difference import Difference, difference
 from phy124.accuracy.forecast import Forecaster, pixels_per_size
 from phy124.clip import Clip
 from phy124.gaussians import Gaussians
+from phy124.parts import WHOLE, Crop
 from phy124.progress import Progress, silent
 from phy124.scene import PRESETS, PROMISES, Accuracy, Scene
 from phy124.simulation import Simulation
@@ -97,6 +98,7 @@ class Study:
     scene: Scene
     device: str = "cpu"
     levels: tuple[int, ...] = LEVELS
+    crop: Crop = WHOLE
     progress: Progress = silent
     told: Callable[[Row], None] = lambda row: None
     """Called with each setting as it is done, before errors are known."""
@@ -139,7 +141,7 @@ class Study:
 
     def _row(self, name: str, scene: Scene) -> tuple[Row | None, str]:
         """Run one setting; a row, or why there is none."""
-        simulation = Simulation(self.gaussians, scene, device=self.device)
+        simulation = Simulation(self.gaussians, scene, device=self.device, crop=self.crop)
         ppc = _particles_per_axis(simulation)
         if ppc < LEAST_PPC:
             return None, (

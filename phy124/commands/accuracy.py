@@ -12,6 +12,7 @@ import tyro
 from phy124.commands.bars import Bars
 from phy124.commands.options import pick_device
 from phy124.errors import InputError
+from phy124.parts import WHOLE
 from phy124.scene import Scene
 
 DUCK = "demo/examples/duck.png"
@@ -72,8 +73,9 @@ class ShowAccuracy:
         name = Path(str(self.scene)).stem
         out = self.out or Path("out") / f"accuracy-{name}"
         with Bars(quiet=self.json) as bars, staged(out) as folder:
-            gaussians = self._gaussians(scene, bars)
-            study = Study(gaussians, scene, device, tuple(sorted(self.levels)), bars)
+            gaussians, crop = self._object(scene, bars)
+            levels = tuple(sorted(self.levels))
+            study = Study(gaussians, scene, device, levels, crop, progress=bars)
             report = study.run()
             bars.close()
             (folder / "accuracy.json").write_text(json.dumps(report.data(), indent=1), "utf-8")
@@ -95,16 +97,16 @@ class ShowAccuracy:
         print("\n".join(str(path) for path in sorted(out.glob("accuracy.*"))), missing, sep="\n")
         return 0
 
-    def _gaussians(self, scene: Scene, progress: Any) -> Any:
-        """The object to study."""
+    def _object(self, scene: Scene, progress: Any) -> Any:
+        """The Gaussians to study, and where they are in the picture."""
         if self.image is None:
             from phy124.accuracy.ball import ball
 
-            return ball()
+            return ball(), WHOLE
         from phy124.pipeline import static
 
         made = static(self.image, generator=self.generator, seed=scene.seed, progress=progress)
-        return made.gaussians
+        return made.gaussians, made.crop
 
 
 def _verdict_line(row: dict[str, Any]) -> str:

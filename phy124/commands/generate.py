@@ -73,7 +73,7 @@ class Generate:
                 self.image, generator=self.generator, method=self.foreground, seed=scene.seed,
                 progress=bars, watch=watch,
             )  # fmt: skip
-        forecast = Forecaster(device).forecast(made.gaussians, scene)
+        forecast = Forecaster(device).forecast(made.gaussians, scene, crop=made.crop)
         for name, seconds in reversed(watch.seconds.items()):
             forecast = forecast.with_measured(name, seconds)
         if self.options.json:
