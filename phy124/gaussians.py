@@ -57,7 +57,7 @@ class Gaussians:
 
     @classmethod
     def from_rgb(
-        cls, means: Array, quats: Array, scales: Array, opacities: Array, rgb: Array
+        cls, means: NDArray, quats: NDArray, scales: NDArray, opacities: NDArray, rgb: NDArray
     ) -> Gaussians:
         """Gaussians of plain colours `rgb [N,3]` in 0..1 (spherical harmonics of degree 0)."""
         return cls(means, quats, scales, opacities, ((rgb - 0.5) / SH_C0)[:, None, :])
