@@ -114,6 +114,18 @@ def test_pixels_per_size_is_what_the_camera_sees():
     assert pixels_per_size(chosen) == pytest.approx(512 / (2 * half))
 
 
+def test_the_report_compares_what_was_foretold(tmp_path, capsys):
+    quick = ["--frames", "3", "--size", "64", "--views", "front", "--device", "cpu", "--json"]
+    arguments = ["generate", str(DUCK), "--accuracy", "draft", *quick, "--out", str(tmp_path)]
+    assert main(arguments) == 0
+    told = json.loads(capsys.readouterr().out)["forecast"]
+    assert set(told["stages"]) == {"simulate", "deform", "render", "encode", "save"}
+    assert told["ratio"] == pytest.approx(told["spent"] / told["predicted"])
+    assert told["caveat"] is None
+    assert main([*arguments, "--no-forecast"]) == 0
+    assert "forecast" not in json.loads(capsys.readouterr().out)
+
+
 def test_dry_run_says_how_long_and_makes_nothing(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     quick = ["--frames", "3", "--size", "64", "--views", "front", "--device", "cpu"]
