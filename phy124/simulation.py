@@ -181,7 +181,7 @@ class Simulation:
             if problem is not None:
                 self.retried.append(index)
                 solver, usual = self.solver, (self.solver.cfl, self.solver.ceiling)
-                solver.cfl, solver.ceiling = usual[0] / 2, usual[1] / 2
+                solver.cfl, solver.ceiling = usual[0] / 2, min(usual[1], self._failed_dt) / 2
                 problem = self._try(index, until)
                 solver.cfl, solver.ceiling = usual
             if problem is not None:
@@ -198,6 +198,7 @@ class Simulation:
         except Unstable as error:
             problem = str(error)
         if problem is not None:
+            self._failed_dt = solver.last_dt or math.inf
             solver.restore(state)
             watchdog.ledger.restore(books)
         return problem

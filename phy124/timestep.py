@@ -35,17 +35,23 @@ class Substep(NamedTuple):
     dt: float
     """Length [s]."""
     limiter: str
-    """elastic, speed, gradient or user."""
+    """elastic, speed, gradient, viscous or user."""
 
 
 def stable_substep(
-    extremes: Extremes, dx: float, *, cfl: float = CFL, ceiling: float = math.inf
+    extremes: Extremes,
+    dx: float,
+    *,
+    cfl: float = CFL,
+    ceiling: float = math.inf,
+    viscous: float = math.inf,
 ) -> Substep:
-    """The longest stable substep; `ceiling` [s] is the user's, never exceeded."""
+    """The longest stable substep; `ceiling` [s] is the user's, `viscous` [s] the materials'."""
     limits = {
         "elastic": _divide(cfl * dx, math.sqrt(extremes.stiffness)),
         "speed": _divide(CELLS_PER_STEP * dx, extremes.speed),
         "gradient": _divide(STRAIN_PER_STEP, extremes.gradient),
+        "viscous": viscous,
         "user": ceiling,
     }
     limiter = min(limits, key=limits.__getitem__)

@@ -24,5 +24,10 @@ def test_a_users_substep_is_a_ceiling_only():
     assert stable_substep(Extremes(0, 0, 100.0), 0.1, ceiling=1.0).limiter == "elastic"
 
 
+def test_viscosity_limits_under_its_own_name():
+    assert stable_substep(Extremes(0, 0, 100.0), 0.1, viscous=1e-4) == (1e-4, "viscous")
+    assert stable_substep(Extremes(0, 0, 100.0), 0.1, viscous=1e-4, ceiling=1e-5).limiter == "user"
+
+
 def test_nothing_moves_and_nothing_is_stiff():
     assert stable_substep(Extremes(0, 0, 0), 0.1).dt == math.inf

@@ -76,8 +76,8 @@ class Solver:
         threads: int | None = None,
     ) -> None:
         self.real, self.device, self.dx = PRECISIONS[precision], device, float(dx)
-        self.cfl = cfl
-        self.ceiling = min(ceiling, *(section.viscous_limit(self.dx) for section in materials))
+        self.cfl, self.ceiling = cfl, ceiling
+        self.viscous = min(section.viscous_limit(self.dx) for section in materials)
         cpu_float = device == "cpu" and precision == "float32"
         self.native = cpu_float if simd is None else simd and cpu_float
         self.rest = np.asarray(x, dtype=np.float64)
@@ -388,7 +388,8 @@ class Solver:
 
     def substep(self) -> Substep:
         """The longest stable substep at the present state."""
-        return stable_substep(self.extremes, self.dx, cfl=self.cfl, ceiling=self.ceiling)
+        limits = {"cfl": self.cfl, "ceiling": self.ceiling, "viscous": self.viscous}
+        return stable_substep(self.extremes, self.dx, **limits)
 
     def _set_clock(self, kick: float, drift: float) -> None:
         values = (kick, drift, self.time)
