@@ -161,7 +161,7 @@ def _films(done: Done) -> list[Path]:
 
 
 def prepare(done: Done | None, shown: Any, event: gr.EventData) -> Any:
-    """Make a file on demand; the panel then offers it and opens it."""
+    """Make a file on demand; the panel then offers it."""
     kind = str(event._data.get("kind")) if event._data else ""
     if done is None or not done.films.exists():
         return {**(shown or {}), "message": "The result is no longer here. Generate it again."}

@@ -136,7 +136,8 @@
         : h('p', { class: 'empty' }, 'Videos, the moving Gaussians and the scene can be taken away from here.'));
       if (value.message) element.append(h('p', { class: 'message', role: 'alert' }, value.message));
       const made = asked && value.made === asked ? element.querySelector(`[data-name="${value.file}"]`) : null;
-      if (made) { asked = null; made.click(); made.focus(); }
+      // Not opened by itself: browsers may block downloads that no click has asked for.
+      if (made) { asked = null; made.classList.add('new'); made.focus(); }
     };
     watch('value', show);
     show();

@@ -170,12 +170,15 @@ def _files_open(page, folder: Path) -> None:
     offered = page.locator("#takeaway a.file")
     names = [offered.nth(i).get_attribute("data-name") for i in range(offered.count())]
     for name in names:
-        with page.expect_download() as download:
+        with page.expect_download(timeout=LONG) as download:
             page.locator(f'#takeaway a[data-name="{name}"]').click()
         download.value.save_as(folder / name)
     for kind, name in (("html", "player.html"), ("ply", "phy124-ply.zip")):
+        page.locator(f"#takeaway button[data-kind={kind}]").click()
+        link = page.locator(f'#takeaway a[data-name="{name}"]')
+        link.wait_for(timeout=LONG)
         with page.expect_download(timeout=LONG) as download:
-            page.locator(f"#takeaway button[data-kind={kind}]").click()
+            link.click()
         download.value.save_as(folder / name)
     _check_files(folder)
 
