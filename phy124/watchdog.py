@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 INSIDE_OUT = 0.01
 """Share of particles turned inside out from which the result is wrong."""
+FEW = 2
+"""So many are never too many; they are reset before the next frame, and counted."""
 SOUND_J = (1e-5, 1e6)
 """Volume ratios that a law can work with; a particle beyond is reset and counted."""
 SOUND_F = 1e3
@@ -202,7 +204,7 @@ class Watchdog:
     def _unsound(self, now: Balance) -> str | None:
         if now.broken:
             return f"{now.broken} particles are no longer numbers, {self._who(now.first[0])} first"
-        if now.inverted > INSIDE_OUT * len(self.solver.rest):
+        if now.inverted > max(FEW, INSIDE_OUT * len(self.solver.rest)):
             who = self._who(now.first[1])
             return f"{now.inverted} particles are turned inside out, {who} first"
         return None

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, event, given, settings
+from hypothesis import HealthCheck, Phase, event, given, settings
 from hypothesis import strategies as st
 
 from phy124.errors import InputError
@@ -201,7 +201,7 @@ def test_random_scenes(gaussians, scene):
 
 
 @pytest.mark.slow
-@settings(max_examples=2000, **COMMON)
+@settings(max_examples=2000, phases=[Phase.generate], **COMMON)
 @given(gaussians=points(), scene=scenes())
 def test_two_thousand_random_scenes(gaussians, scene):
     check(gaussians, scene)

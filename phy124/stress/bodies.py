@@ -35,18 +35,17 @@ def body(
     """A solver whose particles share the volume of a cube evenly."""
     volume = options.pop("volume", np.full(len(x), size**3 / len(x)))
     options.setdefault("dx", DX)
-    materials = options.pop("materials", [material])
-    return Solver(x, volume, materials, **options, **setting.options)
+    return Solver(x, volume, [material], **options, **setting.options)
 
 
-def turning(x: Array, omega: Sequence[float]) -> dict[str, Array]:
+def turning(x: Array, omega: Sequence[float]) -> dict[str, Any]:
     """v [P,3] and C [P,3,3] of a rigid rotation about the middle, rad/s."""
     wx, wy, wz = omega
     C = np.array([[0, -wz, wy], [wz, 0, -wx], [-wy, wx, 0]], float)
     return {"v": (x - x.mean(axis=0)) @ C.T, "C": np.broadcast_to(C, (len(x), 3, 3)).copy()}
 
 
-def vibrating(x: Array, strain_rate: float) -> dict[str, Array]:
+def vibrating(x: Array, strain_rate: float) -> dict[str, Any]:
     """v and C of a uniform stretching along x that squeezes across, 1/s."""
     C = strain_rate * np.diag([1.0, -0.5, -0.5])
     return {"v": (x - x.mean(axis=0)) @ C.T, "C": np.broadcast_to(C, (len(x), 3, 3)).copy()}
@@ -80,9 +79,8 @@ def assign(solver: Solver, name: str, values: Array) -> None:
     array.assign(wp.array(values.astype(_scalar(solver)), dtype=array.dtype, device="cpu"))
 
 
-def stable_dt(solver: Solver, nu: float | None = None) -> float:
+def stable_dt(solver: Solver) -> float:
     """dx / sqrt(A / rho0) of the first material at rest: the limit of an isolated particle [s]."""
-    del nu
     return solver.dx / solver.materials[0].wave_speed()
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, SupportsFloat
 
 
 class Setting(NamedTuple):
@@ -87,12 +87,12 @@ def examine(case: Case, setting: Setting) -> tuple[Row, list[Check]]:
     ), checks
 
 
-def at_most(what: str, measured: float, limit: float) -> Check:
+def at_most(what: str, measured: SupportsFloat, limit: float) -> Check:
     """`measured` must not exceed `limit`."""
     return Check(what, float(measured), limit)
 
 
-def at_least(what: str, measured: float, limit: float) -> Check:
+def at_least(what: str, measured: SupportsFloat, limit: float) -> Check:
     """`measured` must reach `limit`."""
     return Check(what, float(measured), limit, least=True)
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from phy124.boundaries import Ground
 from phy124.forces import ParticleForce
-from phy124.materials import AnyMaterial, NeoHookean
+from phy124.materials import Elastic, NeoHookean
 from phy124.region import Region
 from phy124.stress.bodies import (
     assign,
@@ -35,7 +35,7 @@ class Impact(NamedTuple):
     limiters: dict[str, int]
 
 
-def hit(mach: float, material: AnyMaterial, setting: Setting) -> Impact:
+def hit(mach: float, material: Elastic, setting: Setting) -> Impact:
     """A cube thrown flat on a slippery floor at `mach` times its speed of sound."""
     mu, lam = material.lame
     sound = math.sqrt((lam + 2 * mu) / material.density)

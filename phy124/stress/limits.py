@@ -11,6 +11,7 @@ from pydantic import ValidationError
 from phy124.boundaries import Ground
 from phy124.forces import Gravity
 from phy124.materials import NeoHookean
+from phy124.mpm import Solver
 from phy124.stress.bodies import (
     DX,
     Array,
@@ -163,15 +164,16 @@ def heavy_on_light(ratio: float, setting: Setting, until: float) -> Stack:
     low, high = block(4, 0.25, (0, 0, 0.125)), block(4, 0.25, (0, 0, 0.375))
     x = np.concatenate([low, high])
     materials = [NeoHookean(E=5e7, density=d) for d in (1e5 / ratio, 1e5)]
-    s = body(
+    s = Solver(
         x,
-        setting,
-        materials=materials,
+        np.full(len(x), 0.25**3 / len(low)),
+        materials,
+        dx=DX,
         material=np.repeat([0, 1], len(low)),
-        volume=np.full(len(x), 0.25**3 / len(low)),
         forces=[Gravity()],
         boundaries=[Ground(contact="sticky")],
         origin=(0, 0, -0.75 * DX),
+        **setting.options,
     )
     least, greatest = 1.0, 1.0
     for k in range(1, 11):

@@ -70,7 +70,7 @@ def continuity(setting: Setting) -> list[Check]:
 
 def _distinct(gaussians: Gaussians) -> np.ndarray:
     ordered = np.sort(gaussians.scales.astype(np.float64), axis=1)
-    return (np.diff(ordered, axis=1) > APART * ordered[:, 1:]).all(axis=1)
+    return np.all(np.diff(ordered, axis=1) > APART * ordered[:, 1:], axis=1)
 
 
 def _turn(one: Gaussians, other: Gaussians) -> Array:

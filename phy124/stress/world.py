@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from phy124.boundaries import Ground
@@ -59,7 +61,10 @@ def window(setting: Setting) -> list[Check]:
     """A window that follows the particles against one fixed grid that holds it all."""
     x = block()
     C = 1.0 * np.eye(3) + np.array([[0, -1.0, 0], [1, 0, 0], [0, 0, 0]])
-    motion = {"v": x @ C.T + [6.0, 0, -1.0], "C": np.broadcast_to(C, (len(x), 3, 3))}
+    motion: dict[str, Any] = {
+        "v": x @ C.T + [6.0, 0, -1.0],
+        "C": np.broadcast_to(C, (len(x), 3, 3)),
+    }
     moving, fixed = body(x, setting, **motion), body(x, setting, **motion)
     wide = [np.full(3, -16), np.array([48, 32, 32])]
 
@@ -87,7 +92,7 @@ def repeats(setting: Setting) -> list[Check]:
         world = {"forces": [Gravity()], "boundaries": [Ground()]}
         s = body(x, setting, NeoHookean(E=1e5), size=0.5, v=v, threads=threads, **world)
         s.advance(0.1)
-        return s.state.x.numpy().copy()
+        return host(s.state.x)
 
     one = run(1)
     checks = [equal("one thread: bitwise equal", np.array_equal(one, run(1)))]
