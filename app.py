@@ -10,11 +10,11 @@ def main() -> None:
     """Serve the page until interrupted."""
     settings = Settings.from_environment()
     root = prepare(settings)
-    from demo.ui import build, open_studio
+    from demo.ui import STYLE, build, open_studio, theme
 
     studio = open_studio(settings, root)
     threading.Thread(target=studio.warm_up, name="warm-up", daemon=True).start()
-    launch(build(studio), studio)
+    launch(build(studio), studio, theme=theme(), head=STYLE)
 
 
 if __name__ == "__main__":

@@ -42,7 +42,7 @@ def build(studio: Studio) -> gr.Blocks:
     """The whole page."""
     age = int(studio.settings.keep_hours * 3600)
     with gr.Blocks(
-        title="phy124", theme=_theme(), head=STYLE, fill_width=True, analytics_enabled=False,
+        title="phy124", fill_width=True, analytics_enabled=False,
         delete_cache=(3600, age),
     ) as page:  # fmt: skip
         gr.HTML(MASTHEAD, apply_default_css=False)
@@ -69,7 +69,7 @@ def build(studio: Studio) -> gr.Blocks:
     return page
 
 
-def _theme() -> themes.Base:
+def theme() -> themes.Base:
     """Only fonts that are there already: nothing is fetched."""
     return themes.Base(
         primary_hue="teal",
