@@ -60,7 +60,9 @@ class Gaussians:
         cls, means: NDArray, quats: NDArray, scales: NDArray, opacities: NDArray, rgb: NDArray
     ) -> Gaussians:
         """Gaussians of plain colours `rgb [N,3]` in 0..1 (spherical harmonics of degree 0)."""
-        return cls(means, quats, scales, opacities, ((rgb - 0.5) / SH_C0)[:, None, :])
+        arrays = (means, quats, scales, opacities, ((rgb - 0.5) / SH_C0)[:, None, :])
+        means, quats, scales, opacities, sh = (np.asarray(array, np.float32) for array in arrays)
+        return cls(means, quats, scales, opacities, sh)
 
     @property
     def rgb(self) -> Array:
