@@ -137,10 +137,6 @@ class Watchdog:
             device=s.device,
         )
         self.reset += int(np.sum(counts.numpy()))
-        if len(s.state.total):
-            kernel = diagnose.make_limit_total(s.real)
-            inputs = [GREATEST_TOTAL, s.state.F]
-            wp.launch(kernel, len(s.rest), inputs, [s.state.total], device=s.device)
         if not self._begun:
             self._begin()
 
@@ -159,6 +155,10 @@ class Watchdog:
         self.mach = max(self.mach, s.extremes.speed / slowest)
         problem = self._unsound(now) or self._unbalanced(now)
         if problem is None:
+            if len(s.state.total):
+                kernel = diagnose.make_limit_total(s.real)
+                inputs = [GREATEST_TOTAL, s.state.F]
+                wp.launch(kernel, len(s.rest), inputs, [s.state.total], device=s.device)
             self.last = now
             self.least_J = min(self.least_J, now.least_J)
             self.greatest_J = max(self.greatest_J, now.greatest_J)

@@ -1,6 +1,8 @@
 """Random scenes: whatever a scene file may say, the result is finite and its balance adds up."""
 
 import math
+import re
+from collections import Counter
 from typing import Any
 
 import numpy as np
@@ -12,7 +14,6 @@ from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.scene import Scene
 from phy124.simulation import Simulation
-from phy124.watchdog import FRAGILE
 
 UNITS = st.floats(-1, 1)
 
@@ -171,14 +172,16 @@ def check(gaussians: Gaussians, scene: Scene) -> None:
     except InputError as refusal:
         assert len(str(refusal)) > 40
         event("refused")
+        OUTCOMES["refused"] += 1
         return
     report = clip.report
-    event(f"{scene.material.law}: {'complete' if report['complete'] else 'stopped'}")
+    outcome = "complete" if report["complete"] else "stopped"
     if not report["complete"]:
-        honest = "time.patience" in report["stopped"]
-        # Laws that may collapse by nature are stopped and named.
-        honest |= "inside out" in report["stopped"] and scene.material.law in FRAGILE
-        assert honest, report["stopped"]
+        # An honest end: which frame, which law, what to change; the frames so far are good.
+        assert re.search(r"frame \d+ .*(The law is .* Use |time\.patience)", report["stopped"])
+        outcome = "out of patience" if "patience" in report["stopped"] else "stopped"
+    OUTCOMES[outcome] += 1
+    event(f"{scene.material.law}: {outcome}")
     for name in ("means", "quats", "scales", "opacities", "times"):
         assert np.isfinite(getattr(clip, name)).all(), name
     assert np.abs(np.linalg.norm(clip.quats, axis=2) - 1).max() < 1e-5
@@ -191,17 +194,42 @@ def check(gaussians: Gaussians, scene: Scene) -> None:
     assert math.isclose(report["mass"], float(np.sum(run.solver.mass.numpy())), rel_tol=1e-4)
 
 
-COMMON = {"deadline": None, "suppress_health_check": list(HealthCheck), "database": None}
+COMMON = {
+    "deadline": None,
+    "suppress_health_check": list(HealthCheck),
+    "database": None,
+    "phases": [Phase.generate],
+}
+OUTCOMES: Counter[str] = Counter()
+"""How many of the scenes ended how."""
+
+
+def few_are_stopped() -> None:
+    """Being stopped for a reason is honest, but must stay rare even among absurd scenes."""
+    assert OUTCOMES["stopped"] <= 0.02 * sum(OUTCOMES.values()), OUTCOMES
 
 
 @settings(max_examples=100, derandomize=True, **COMMON)
 @given(gaussians=points(), scene=scenes())
-def test_random_scenes(gaussians, scene):
+def run_a_hundred(gaussians: Gaussians, scene: Scene) -> None:
     check(gaussians, scene)
+
+
+@settings(max_examples=2000, **COMMON)
+@given(gaussians=points(), scene=scenes())
+def run_two_thousand(gaussians: Gaussians, scene: Scene) -> None:
+    check(gaussians, scene)
+
+
+def test_random_scenes():
+    OUTCOMES.clear()
+    run_a_hundred()
+    few_are_stopped()
 
 
 @pytest.mark.slow
-@settings(max_examples=2000, phases=[Phase.generate], **COMMON)
-@given(gaussians=points(), scene=scenes())
-def test_two_thousand_random_scenes(gaussians, scene):
-    check(gaussians, scene)
+def test_two_thousand_random_scenes():
+    OUTCOMES.clear()
+    run_two_thousand()
+    few_are_stopped()
+    print(f"\n{dict(OUTCOMES)}")
