@@ -145,7 +145,10 @@ class Clip:
         if missing:
             raise _refusal(path, f"the tensors {', '.join(missing)} are missing.")
         known = {name: arrays[name] for name in REQUIRED + OPTIONAL if name in arrays}
-        scene, report = json.loads(metadata["scene"]), json.loads(metadata["report"])
+        try:
+            scene, report = json.loads(metadata["scene"]), json.loads(metadata["report"])
+        except ValueError as error:
+            raise _refusal(path, f"its scene or report is damaged ({error}).") from error
         try:
             return cls(**known, scene=scene, report=report)
         except (ValueError, IndexError) as error:

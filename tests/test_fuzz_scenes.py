@@ -232,4 +232,3 @@ def test_two_thousand_random_scenes():
     OUTCOMES.clear()
     run_two_thousand()
     few_are_stopped()
-    print(f"\n{dict(OUTCOMES)}")
