@@ -3,7 +3,7 @@
 import math
 import re
 from collections import Counter
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -115,20 +115,34 @@ BOUNDARY = st.one_of(
 )
 
 
-@st.composite
-def points(draw: st.DrawFn) -> Gaussians:
+class Cloud(NamedTuple):
     """From one Gaussian to a ball, a sheet, a cloud of needles, all in one point."""
-    rng = np.random.default_rng(draw(st.integers(0, 10_000)))
-    n = draw(st.sampled_from([1, 2, 5, 40, 150]))
-    rank = draw(st.integers(0, 3))
-    means = rng.normal(size=(n, 3)) * (np.arange(3) < rank)
-    shape = draw(st.sampled_from([(1, 1, 1), (1, 1, 0.01), (1, 1e-4, 1e-4), (1, 0.5, 1e-9)]))
-    scales = np.tile(shape, (n, 1)) * 10 ** rng.uniform(-1.5, -0.5, (n, 1))
-    quats = rng.normal(size=(n, 4))
-    if n > 40:
-        # A few that a user's file may well hold.
-        means[:2], scales[2], quats[3] = [[np.nan, 0, 0], [1e4, 0, 0]], 0, 0
-    return Gaussians.from_rgb(means, quats, scales, rng.uniform(0.05, 1, n), rng.random((n, 3)))
+
+    seed: int
+    count: int
+    rank: int
+    shape: tuple[float, float, float]
+
+    def gaussians(self) -> Gaussians:
+        """The Gaussians it stands for."""
+        rng, n = np.random.default_rng(self.seed), self.count
+        means = rng.normal(size=(n, 3)) * (np.arange(3) < self.rank)
+        scales = np.tile(self.shape, (n, 1)) * 10 ** rng.uniform(-1.5, -0.5, (n, 1))
+        quats = rng.normal(size=(n, 4))
+        if n > 40:
+            # A few that a user's file may well hold.
+            means[:2], scales[2], quats[3] = [[np.nan, 0, 0], [1e4, 0, 0]], 0, 0
+        colours = rng.random((n, 3))
+        return Gaussians.from_rgb(means, quats, scales, rng.uniform(0.05, 1, n), colours)
+
+
+CLOUDS = st.builds(
+    Cloud,
+    st.integers(0, 10_000),
+    st.sampled_from([1, 2, 5, 40, 150]),
+    st.integers(0, 3),
+    st.sampled_from([(1, 1, 1), (1, 1, 0.01), (1, 1e-4, 1e-4), (1, 0.5, 1e-9)]),
+)
 
 
 @st.composite
@@ -164,10 +178,10 @@ def scenes(draw: st.DrawFn) -> Scene:
     return Scene.from_data(data)
 
 
-def check(gaussians: Gaussians, scene: Scene) -> None:
+def check(cloud: Cloud, scene: Scene) -> None:
     """Everything that must hold for any scene."""
     try:
-        run = Simulation(gaussians, scene, threads=1)
+        run = Simulation(cloud.gaussians(), scene, threads=1)
         clip = run.run()
     except InputError as refusal:
         assert len(str(refusal)) > 40
@@ -210,15 +224,15 @@ def few_are_stopped() -> None:
 
 
 @settings(max_examples=100, derandomize=True, **COMMON)
-@given(gaussians=points(), scene=scenes())
-def run_a_hundred(gaussians: Gaussians, scene: Scene) -> None:
-    check(gaussians, scene)
+@given(cloud=CLOUDS, scene=scenes())
+def run_a_hundred(cloud: Cloud, scene: Scene) -> None:
+    check(cloud, scene)
 
 
 @settings(max_examples=2000, **COMMON)
-@given(gaussians=points(), scene=scenes())
-def run_two_thousand(gaussians: Gaussians, scene: Scene) -> None:
-    check(gaussians, scene)
+@given(cloud=CLOUDS, scene=scenes())
+def run_two_thousand(cloud: Cloud, scene: Scene) -> None:
+    check(cloud, scene)
 
 
 def test_random_scenes():
