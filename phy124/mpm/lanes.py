@@ -93,16 +93,18 @@ def usable_threads(particles: int) -> int:
 
 
 def _others_running() -> int:
-    """Threads of others that want a core right now; 0 where the system does not tell."""
+    """Threads of other programs that want a core right now; 0 where the system does not tell."""
     counts = []
     for _ in range(5):
         try:
             running = Path("/proc/loadavg").read_text().split()[3].partition("/")[0]
+            # Libraries leave threads of ours spinning for a moment; they are not others.
+            own = [path.read_text() for path in Path("/proc/self/task").glob("*/stat")]
         except OSError:
             return 0
-        counts.append(int(running) - 1)
+        counts.append(int(running) - sum(text.rpartition(")")[2].split()[0] == "R" for text in own))
         time.sleep(0.002)
-    return min(counts)
+    return max(0, min(counts))
 
 
 def cut(runs: list[tuple[int, int]], lanes: int) -> list[list[tuple[int, int]]]:

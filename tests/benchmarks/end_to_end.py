@@ -24,7 +24,8 @@ def run(picture: str, scene: str, accuracy: str) -> dict:
         report = pipeline.generate(EXAMPLES / f"{picture}.png", chosen, folder).report
     row = {"picture": picture, "scene": scene, "accuracy": accuracy}
     row |= {key: report[key] for key in ("gaussians", "particles", "substeps", "frames", "device")}
-    row |= {stage["name"]: round(stage["seconds"], 2) for stage in report["stages"]}
+    row["threads"] = report["threads"]
+    row["seconds"] = {s["name"]: round(s["seconds"], 2) for s in report["stages"]}
     return row | {"total": round(report["seconds"], 2)}
 
 
