@@ -158,7 +158,7 @@ class Simulation:
             "substep": self._substep(),
             "balance": self.watchdog.report(),
             "frames": len(self.frames),
-            "effects": effects.data(),
+            "effects": effects.data(len(self.particles) * solver.substeps),
             "substep_stages": [
                 {"name": name, "seconds": seconds, "launches": launches}
                 for name, (seconds, launches) in solver.timings.items()

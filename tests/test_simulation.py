@@ -167,6 +167,14 @@ def test_effects_follow_the_scene():
     assert "return mapping" in [o.effect for o in pressed.left_out]
 
 
+def test_what_leaving_out_saves_grows_with_the_work():
+    left_out = Effects.of(Scene.named("press")).data(10**9)["left_out"]
+    saved = {o["effect"]: o.get("saved_seconds") for o in left_out}
+    assert saved["return mapping"] == 70
+    assert saved["several materials"] is None
+    assert "saved_seconds" not in str(Effects.of(Scene.named("press")).data())
+
+
 def test_effects_know_profiles_wind_and_motion():
     scene = Scene.from_data(
         {

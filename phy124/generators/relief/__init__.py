@@ -6,6 +6,9 @@ al. 1999, "Teddy"), the front carries the picture, the back what the picture's r
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
@@ -59,7 +62,8 @@ def relief(
     surface = Surface.of(squared_half_thickness(silhouette, WORK))
     view = _view(silhouette.inside, base)
     progress("relief", 1, STAGES)
-    points, normals, spacing = _points(surface, view, base, count, rng)
+    alive = partial(progress, "relief", 1, STAGES)
+    points, normals, spacing = _points(surface, view, base, count, rng, alive)
     progress("relief", 2, STAGES)
     picture = clean_picture(rgba)
     rgb = colour(points, normals, picture, back_picture(picture, silhouette, WORK))
@@ -78,10 +82,15 @@ def _view(inside: NDArray[np.bool_], base: float) -> View:
 
 
 def _points(
-    surface: Surface, view: View, base: float, count: int, rng: np.random.Generator
+    surface: Surface,
+    view: View,
+    base: float,
+    count: int,
+    rng: np.random.Generator,
+    alive: Callable[[], None],
 ) -> tuple[Field, Field, Field]:
     """Points, normals and spacing of the walls above the foot, and of the foot."""
-    points, normals, spacing, pitch = spread(surface, base, count, rng)
+    points, normals, spacing, pitch = spread(surface, base, count, rng, alive)
     below, facing, floor = foot(surface, view, base, pitch)
     above = view.drawn(points, normals)[0][:, 1] <= floor - DRAWN_IN
     walls = points[above], normals[above], spacing[above]

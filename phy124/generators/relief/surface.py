@@ -6,6 +6,7 @@ seam: the rim is as regular as any other place.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -79,12 +80,17 @@ def pitch_factor(normals: Field) -> Field:
 
 
 def spread(
-    surface: Surface, base: float, count: int, rng: np.random.Generator
+    surface: Surface,
+    base: float,
+    count: int,
+    rng: np.random.Generator,
+    alive: Callable[[], None] = lambda: None,
 ) -> tuple[Field, Field, Field, float]:
     """Points spread evenly over the part above y = base, so dense that foot and walls get `count`.
 
     Returns positions [N,3], unit normals [N,3], spacing [N] and the front's spacing, pixels; a few
-    points lie below the base, where the caller cuts.
+    points lie below the base, where the caller cuts. `alive` is called between rounds and may
+    raise.
     """
     trial = _scatter(surface, 1.0, rng)
     walls = np.count_nonzero(trial[:, 1] < base)
@@ -92,7 +98,9 @@ def spread(
     points = _scatter(surface, pitch, rng)
     points = points[points[:, 1] < base + OVERHANG]
     for _ in range(ROUNDS):
+        alive()
         points, _ = _relaxed(surface, points, pitch)
+    alive()
     _, spacing = _relaxed(surface, points, pitch)
     return points, surface.normals(points), spacing, pitch
 
