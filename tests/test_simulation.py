@@ -188,6 +188,16 @@ def test_effects_know_profiles_wind_and_motion():
     assert "uniform acceleration" not in ran
 
 
+@pytest.mark.parametrize("height", [0.0, 0.13])
+def test_a_node_plane_lies_three_quarters_of_a_cell_below_the_floor(height):
+    """Only then does the object touch the floor instead of hovering above or sinking into it."""
+    boundaries = [{"kind": "ground", "height": height}]
+    scene = Scene.from_data({"boundaries": boundaries, "accuracy": {"cells": 10}})
+    grid = Simulation(ball(800), scene).solver.grid
+    below = (height - grid.origin[2]) / grid.dx
+    assert abs(below % 1 - 0.75) < 1e-9
+
+
 def test_nothing_visible_is_refused():
     g = ball()
     from dataclasses import replace
