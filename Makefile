@@ -14,7 +14,8 @@ app: .venv/demo
 	$(BIN)/python app.py
 
 test: .venv/test
-	$(BIN)/pytest -n 2 --dist loadfile
+	$(BIN)/pytest -n 2 --dist loadfile -m "not slow and not browser"
+	if command -v chromium >/dev/null; then $(BIN)/pytest -m browser; fi
 
 test-slow: .venv/test
 	$(BIN)/pytest -m "slow and not gpu and not weights and not ros"
