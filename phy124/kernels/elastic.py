@@ -10,7 +10,7 @@ from typing import Any
 import warp as wp
 
 from phy124.kernels.spectral import from_double, signed_stretch, to_double
-from phy124.kernels.symmetric import deviator, gram
+from phy124.kernels.symmetric import deviator, gram, symmetric
 
 SMALLEST_J = wp.constant(1.0e-4)
 """Volume ratio below which log J is continued by its tangent, so inverted elements push back."""
@@ -58,12 +58,34 @@ def stretch(F: Any):
 
 
 @wp.func
-def log_volume(J: Any):
+def log_volume_far(J: Any):
     """log J, continued linearly below SMALLEST_J: finite and repelling for every J."""
     floor = type(J)(SMALLEST_J)
     if J > floor:
         return wp.log(J)
     return wp.log(floor) + (J - floor) / floor
+
+
+@wp.func
+def log_volume(J: wp.float64):
+    """As `log_volume_far`, in float64."""
+    return log_volume_far(J)
+
+
+@wp.func
+def log_volume(J: wp.float32):  # noqa: F811
+    """As `log_volume_far`; near J = 1 a polynomial, which costs a third of a call of log.
+
+    Best approximation of log(1 + y) / y in |y| < 0.2: error 3e-8, with rounding 1.4e-7, and
+    exactly 0 at J = 1. Its two halves are independent, so that a processor works on both.
+    """
+    y = J - 1.0
+    if wp.abs(y) >= 0.2:
+        return log_volume_far(J)
+    y2 = y * y
+    low = (1.0 - 0.5000009 * y) + y2 * (0.33333524 - 0.24981497 * y)
+    high = (0.19976348 - 0.17579095 * y) + y2 * 0.15217274
+    return y * (low + (y2 * y2) * high)
 
 
 @wp.func
@@ -91,7 +113,13 @@ def neo_hookean_energy(F: Any, h: Any, theta: Any):
 def neo_hookean(F: Any, C: Any, h: Any, theta: Any):
     """mu (F F^T - I) + lam log J I (Bonet and Wood 2008, eq. 6.29); theta = (mu, lam)."""
     p = theta[1] * log_volume(wp.determinant(F)) - theta[0]
-    return theta[0] * gram(F) + p * wp.identity(3, dtype=type(p))
+    b = gram(F)
+    mu = theta[0]
+    # Entry by entry: the compiler does not see that the products with the identity are nothing.
+    return symmetric(
+        mu * b[0, 0] + p, mu * b[0, 1], mu * b[0, 2],
+        mu * b[1, 1] + p, mu * b[1, 2], mu * b[2, 2] + p,
+    )  # fmt: skip
 
 
 @wp.func
