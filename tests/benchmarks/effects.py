@@ -1,6 +1,7 @@
 """What leaving effects out saves: paired ratios in one process, one JSON line each.
 
-switch: one law compiled alone against the same law inside a kernel that asks for the law's kind.
+switch: one law compiled alone against the same law inside kernels that ask for the law's kind and
+  hold all ten, and against transfers only; scatter and gather, without the grid.
 window: the grid around the particles against the dense domain, 20,000 particles in 128^3.
 binding: every Gaussian a particle (the paper) against Gaussians riding on a lattice.
 scaling: particle-substeps per second and memory from 1,000 to 2,000,000 particles.
@@ -13,6 +14,7 @@ import sys
 import time
 from pathlib import Path
 
+import laws
 import numpy as np
 import warp as wp
 
@@ -35,54 +37,73 @@ DUCK = Path(__file__).parents[2] / "demo/examples/duck.png"
 
 
 vec5 = wp.types.vector(5, float)
+vec6 = wp.types.vector(6, float)
+"""Parameters of whatever law, and its number: the laws of a scene in the order of `KINDS`."""
+KINDS = (
+    "neo_hookean", "fixed_corotated", "hencky", "rigid", "metal", "plasticine", "foam", "sand",
+    "snow", "fluid",
+)  # fmt: skip
 
 
 @wp.func
-def any_law(F: wp.mat33, C: wp.mat33, h: wp.vec2, theta: wp.vec4):
-    """What a kernel with a switch on the kind of material runs."""
-    pair = wp.vec2(theta[0], theta[1])
-    if theta[2] == 0.0:
-        return elastic.neo_hookean(F, C, h, pair)
-    if theta[2] == 1.0:
-        return elastic.fixed_corotated(F, C, h, pair)
-    if theta[2] == 2.0:
-        return hencky.hencky(F, C, h, pair)
-    return fluid.tait(F, C, h, wp.vec3(theta[0], theta[1], theta[3]))
+def any_law(F: wp.mat33, C: wp.mat33, h: wp.vec2, theta: vec6):
+    """The stress of whatever law is meant, as a program without specialisation asks for it."""
+    kind = int(theta[5])
+    five = vec5(theta[0], theta[1], theta[2], theta[3], theta[4])
+    if kind == 0 or kind == 3:
+        return elastic.neo_hookean(F, C, h, five)
+    if kind == 1 or kind == 5:
+        return elastic.fixed_corotated(F, C, h, five)
+    if kind == 8:
+        return granular.snow(F, C, h, five)
+    if kind == 9:
+        return fluid.tait(F, C, h, five)
+    return hencky.hencky(F, C, h, five)
 
 
 @wp.func
-def any_project(F: wp.mat33, h: wp.vec2, theta: wp.vec4, dt: float):
-    """The return mapping of whatever law is meant: none for the first three."""
-    if theta[2] == 4.0:
-        return plastic.von_mises(F, h, vec5(theta[0], theta[1], theta[3], 0.0, 0.0), dt)
-    if theta[2] == 5.0:
-        return granular.drucker_prager(F, h, wp.vec3(theta[0], theta[1], theta[3]), dt)
+def any_project(F: wp.mat33, h: wp.vec2, theta: vec6, dt: float):
+    """The return mapping of whatever law is meant: none for the elastic ones."""
+    kind = int(theta[5])
+    five = vec5(theta[0], theta[1], theta[2], theta[3], theta[4])
+    if kind == 4 or kind == 5:
+        return plastic.von_mises(F, h, five, dt)
+    if kind == 6:
+        return plastic.herschel_bulkley(F, h, five, dt)
+    if kind == 7:
+        return granular.drucker_prager(F, h, five, dt)
+    if kind == 8:
+        return granular.snow_return(F, h, five, dt)
+    if kind == 9:
+        return fluid.isotropic(F, h, five, dt)
     return F, h
 
 
 @wp.func
-def any_modulus(F: wp.mat33, h: wp.vec2, theta: wp.vec4):
+def any_modulus(F: wp.mat33, h: wp.vec2, theta: vec6):
     """The limit of the law that is chosen below."""
-    return elastic.neo_hookean_modulus(F, h, wp.vec2(theta[0], theta[1]))
+    return elastic.neo_hookean_modulus(F, h, theta)
 
 
 class Switched(NeoHookean):
     """Neo-Hookean, found by asking."""
 
-    device_law = Law("switched", any_law, any_modulus, 4, project=any_project)
+    device_law = Law("switched", any_law, any_modulus, 6, project=any_project)
 
     def theta(self) -> tuple[float, ...]:
         """Lame parameters and the kind."""
-        return (*self.lame, 0.0, 0.0)
+        return (*self.lame, 0.0, 0.0, 0.0, float(KINDS.index("neo_hookean")))
 
 
-def cube(count: int, cells: int, law: type = NeoHookean) -> Solver:
+def cube(count: int, cells: int) -> Solver:
     """Random particles in a cube of half the domain, sorted by cell."""
     x = np.random.default_rng(0).random((count, 3)) * 0.3 + 0.35
     x = x[np.lexsort(np.floor(x * cells - 0.5).T[::-1])]
     volume = np.full(count, 0.3**3 / count)
     walls = [Ground(height=0.3)]
-    return Solver(x, volume, [law()], dx=1 / cells, forces=[Gravity()], boundaries=walls, threads=1)
+    return Solver(
+        x, volume, [NeoHookean()], dx=1 / cells, forces=[Gravity()], boundaries=walls, threads=1
+    )
 
 
 def cost(s: Solver, substeps: int) -> float:
@@ -100,10 +121,15 @@ def paired(a: Solver, b: Solver, substeps: int, turns: int = 7) -> tuple[float, 
     return float(first), float(second)
 
 
-def switch() -> None:
-    alone, asking = paired(cube(65_536, 64), cube(65_536, 64, Switched), 16)
-    row = {"alone_ns": alone, "switch_ns": asking, "ratio": asking / alone}
-    show("switch", row)
+def switch(turns: int = 40) -> None:
+    for form, simd in (("SIMD rows", True), ("plain", False)):
+        kinds = {"transfers_ns": laws.Nothing(), "alone_ns": NeoHookean(), "switch_ns": Switched()}
+        made = {name: laws.solver(law, 0.02, simd=simd) for name, law in kinds.items()}
+        starts = {name: s.state.copy() for name, s in made.items()}
+        spent = [[laws.cost(s, starts[name]) for name, s in made.items()] for _ in range(turns)]
+        row = dict(zip(kinds, np.min(spent, axis=0).sum(axis=1).tolist(), strict=True))
+        row["alone_to_transfers"] = row["alone_ns"] / row["transfers_ns"]
+        show("switch", {"form": form, **row, "ratio": row["switch_ns"] / row["alone_ns"]})
 
 
 def window() -> None:

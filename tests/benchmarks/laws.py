@@ -58,12 +58,12 @@ LAWS: dict[str, Material] = {
 }
 
 
-def solver(material: Material, strain: float) -> Solver:
+def solver(material: Material, strain: float, *, simd: bool = True) -> Solver:
     """A cube of particles with a random strain each."""
     rng = np.random.default_rng(0)
     line = (np.arange(SIDE) + 0.5) * DX / 2
     x = np.stack(np.meshgrid(line, line, line, indexing="ij"), -1).reshape(-1, 3) + 0.3
-    made = Solver(x, np.full(len(x), (DX / 2) ** 3), [material], dx=DX, threads=1)
+    made = Solver(x, np.full(len(x), (DX / 2) ** 3), [material], dx=DX, threads=1, simd=simd)
     F = np.eye(3) + strain * rng.standard_normal((len(x), 3, 3))
     if isinstance(material, Fluid):
         F = np.eye(3) * (1 + strain * rng.standard_normal((len(x), 1, 1)))
