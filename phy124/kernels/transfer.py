@@ -209,9 +209,8 @@ def make_p2g(law: Law, real: Any, native: bool):
 def make_g2p(law: Law, real: Any, native: bool):
     """Kernel: velocities back to particles, then x and F.
 
-    A particle whose next place is outside the window (or not a number) stays where it is and is
-    counted; one that is outside already is ballistic (kernels/ballistic.py). Plastic laws also
-    carry F_total, which the Gaussians follow.
+    A particle outside the window stays as it is: it is ballistic (kernels/ballistic.py), or the
+    next measurement finds it. Plastic laws also carry F_total, which the Gaussians follow.
     """
     t = types(real)
     theta_type = wp.types.vector(law.width, real)
@@ -232,13 +231,10 @@ def make_g2p(law: Law, real: Any, native: bool):
         v_out: wp.array(dtype=t.vec3), C_out: wp.array(dtype=t.mat33),
         F_out: wp.array(dtype=t.mat33), history_out: wp.array(dtype=t.vec2),
         total_out: wp.array(dtype=t.mat33),
-        # out
-        stray_out: wp.array(dtype=int),
     ):  # fmt: skip
         p = wp.tid()
         dx = lattice[3]
-        origin = wp.vector(lattice[0], lattice[1], lattice[2])
-        g = (x_out[p] - origin) / dx
+        g = (x_out[p] - wp.vector(lattice[0], lattice[1], lattice[2])) / dx
         low = first_node(g)
         f = wp.vector(g[0] - real(low[0]), g[1] - real(low[1]), g[2] - real(low[2]))
         size = window[1]
@@ -256,11 +252,8 @@ def make_g2p(law: Law, real: Any, native: bool):
             # Compensated sum (Kahan): in float32 a slow drift would otherwise round to nothing.
             change = dt * v - residue_out[p]
             moved = x_out[p] + change
-            if in_window(first_node((moved - origin) / dx) - window[0], size):
-                residue_out[p] = (moved - x_out[p]) - change
-                x_out[p] = moved
-            else:
-                wp.atomic_add(stray_out, 0, 1)
+            residue_out[p] = (moved - x_out[p]) - change
+            x_out[p] = moved
             v_out[p] = v
             C_out[p] = C
             trial = F_out[p] + dt * (C * F_out[p])

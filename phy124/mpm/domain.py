@@ -58,7 +58,7 @@ class Domain:
         """Follow the particles between two corners [m]; True if they must be measured again."""
         if self.bounded and np.isfinite(lower).all():
             self._centre((lower + upper) / 2)
-            return False
+            return self.changed
         if not self.bounded and self._nodes(lower, upper) <= self._allowed:
             return False
         x = self._solver.state.x.numpy().astype(np.float64)

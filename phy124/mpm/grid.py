@@ -15,6 +15,10 @@ MARGIN = 4
 """Cells of window beyond the particles: more than they can cross between two measurements."""
 
 
+class Unstable(RuntimeError):
+    """Particles left the grid window or stopped being numbers; the state is not to be used."""
+
+
 class Grid:
     """A flat array of nodes; node (i, j, k) of the window is at origin + (low + (i, j, k)) dx."""
 
@@ -25,6 +29,8 @@ class Grid:
         self.window = wp.zeros(2, dtype=wp.vec3i, device=device)
         self.low, self.size = np.zeros(3, int), np.zeros(3, int)
         self.nodes = wp.zeros(0, dtype=t.vec4, device=device)
+        self.stale = True
+        """Whether the window has nothing to do with where the particles are now."""
         self.share: tuple[int, int] | None = None
         """Layers first <= i < last that launches being recorded may touch; None: all."""
 
@@ -34,16 +40,23 @@ class Grid:
         return int(np.prod(self.size))
 
     def fit(self, lower: NDArray, upper: NDArray) -> bool:
-        """Cover particles between two corners [m] with room to move; True if the window changed."""
+        """Cover particles between two corners [m] with room to move; True if the window changed.
+
+        Raises Unstable if they are outside already: the grid did not move them.
+        """
         low, high = self.reach(lower, upper)
-        if self.count and self._roomy(low, high):
-            return False
+        below, above = low - self.low, self.low + self.size - high
+        if not self.stale:
+            if min(below.min(), above.min()) < 0:
+                raise Unstable("particles crossed more cells than they may between two looks")
+            if _roomy(below) and _roomy(above):
+                return False
         self.rebase(low - MARGIN, high - low + 2 * MARGIN)
         return True
 
     def rebase(self, low: NDArray, size: NDArray) -> None:
         """Cover the nodes from `low` on, `size` along each axis; all nodes are cleared."""
-        self.low, self.size = low, size
+        self.low, self.size, self.stale = low, size, False
         self.window.assign(np.stack([low, size]).astype(np.int32))
         # One node more than the window: the SIMD rows read four nodes at a time.
         self.nodes = wp.zeros(self.count + 1, dtype=self.vec4, device=self.device)
@@ -68,7 +81,7 @@ class Grid:
         layer = int(self.size[1] * self.size[2])
         return cast("wp.array", self.nodes[first * layer : last * layer])
 
-    def _roomy(self, low: NDArray, high: NDArray) -> bool:
-        """Whether the window leaves room to move on all sides, and not far too much."""
-        spare = np.minimum(low - self.low, self.low + self.size - high)
-        return bool(np.all(spare >= MARGIN // 2) and np.all(spare <= 3 * MARGIN))
+
+def _roomy(spare: NDArray) -> bool:
+    """Whether cells to spare on one side of each axis leave room to move, and not far too much."""
+    return bool(np.all(spare >= MARGIN // 2) and np.all(spare <= 3 * MARGIN))

@@ -23,7 +23,7 @@ from phy124.materials import Material
 from phy124.mpm import lanes as company
 from phy124.mpm.caution import Caution
 from phy124.mpm.domain import Domain
-from phy124.mpm.grid import Grid
+from phy124.mpm.grid import Grid, Unstable
 from phy124.mpm.lanes import Lane, Meeting, Recorded, Timings, cut, taken, timed, work
 from phy124.mpm.state import Group, State, part_of
 from phy124.timestep import CFL, Extremes, Substep, stable_substep
@@ -42,10 +42,6 @@ class Attachable(Protocol):
     def attach(self, solver: Solver) -> list[Stage]:
         """The stages it needs in each substep."""
         ...
-
-
-class Unstable(RuntimeError):
-    """Particles left the grid window or stopped being numbers; the state is not to be used."""
 
 
 class Solver:
@@ -185,6 +181,8 @@ class Solver:
             maxima = self._maxima()
             greatest = maxima.max(axis=0)
         self.extremes = Extremes(*greatest[:3].tolist())
+        # A particle that comes back to the domain may be beyond the window.
+        self.grid.stale |= self.domain.changed
         changed = self.grid.fit(-greatest[3:6], greatest[6:9])
         for lane, own in zip(self.lanes, maxima, strict=True):
             if lane.nodes is not self.grid:
@@ -192,7 +190,7 @@ class Solver:
                 changed |= company.fit_part(
                     lane.nodes, self.grid, -own[3:6], own[6:9], force=changed
                 )
-        if changed or self.domain.changed:
+        if changed:
             self._record_substep()
         self._since_check = 0
 
@@ -202,7 +200,7 @@ class Solver:
             self._measure_lane(lane)
         lost = int(self.stray.numpy()[0])
         if lost:
-            raise Unstable(f"{lost} particles left the grid or are no longer numbers")
+            raise Unstable(f"{lost} particles are no longer numbers")
         return np.array([lane.maxima.numpy() for lane in self.lanes], dtype=np.float64)
 
     def _measure_lane(self, lane: Lane) -> None:
@@ -264,7 +262,7 @@ class Solver:
         kernel = transfer.make_g2p(law, self.real, self.native)
         inputs = [group.rows(part), grid.lattice, grid.window, self.clock, grid.nodes]
         outputs = [s.x[part], s.residue[part], s.v[part], s.C[part], s.F[part]]
-        outputs += [part_of(s.history, part), part_of(s.total, part), self.stray]
+        outputs += [part_of(s.history, part), part_of(s.total, part)]
         return f"g2p {law.name}", self.record(kernel, part.stop - part.start, inputs, outputs)
 
     def _record_update(self, lane: Lane, share: tuple[int, int] | None) -> Recorded:
@@ -384,6 +382,7 @@ class Solver:
             setattr(self, name, value)
         self.limiters = dict(snapshot["limiters"])
         self.stray.zero_()
+        self.grid.stale = True
         self._since_check = CHECK_EVERY
 
     def substep(self) -> Substep:
