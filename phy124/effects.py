@@ -79,6 +79,7 @@ def _catalogue(scene: Scene, sh_degree: int, device: str) -> Iterator[tuple[str,
     yield "return mapping", plastic, f"{named} is elastic"
     yield "total F beside elastic F", plastic, f"{named} keeps all deformation in F"
     yield "several materials", bool(scene.parts), "the scene names no parts"
+    yield "stiffness per particle", scene.stiffness is not None, "E is the same everywhere"
     yield "uniform acceleration", len(scene.forces) > len(pushes), "no force acts on the whole body"
     yield "particle forces", bool(pushes), "no force names single particles or a region"
     yield "time tables", bool(timed or moving), "no force or boundary changes in time"

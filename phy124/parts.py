@@ -12,14 +12,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
+from pydantic import ValidationError
 from scipy.spatial import KDTree
 
 from phy124.errors import InputError
-from phy124.scene import Part
-
-Crop = tuple[float, float, float, float]
-WHOLE: Crop = (0.0, 0.0, 1.0, 1.0)
-"""Left, top, right, bottom of the object in the picture, as shares of its width and height."""
+from phy124.materials import AnyMaterial
+from phy124.painted import WHOLE, Crop, brightness
+from phy124.particles import Particles
+from phy124.scene import Part, Scene
 
 
 def crop_of(cutout: Image.Image) -> Crop:
@@ -55,7 +55,7 @@ def assign(
         if part.gaussians is not None:
             inside &= _held(x, gaussian, part.gaussians)
         if part.mask is not None:
-            inside &= _painted(x, part.mask, crop)
+            inside &= brightness(x, part.mask, crop, field=f"parts.{number - 1}.mask") > 0.5
         if not inside.any():
             raise InputError(
                 f"parts.{number - 1}", part.data(), "it holds no particle.",
@@ -75,20 +75,37 @@ def _held(x: NDArray, gaussian: NDArray, span: tuple[int, int]) -> NDArray[np.bo
     return (owner >= span[0]) & (owner < span[1])
 
 
-def _painted(x: NDArray, path: str, crop: Crop) -> NDArray[np.bool_]:
-    """Particles whose place in the picture is painted bright."""
-    try:
-        with Image.open(path) as opened:
-            mask = np.asarray(opened.convert("L")) > 127
-    except (OSError, ValueError) as error:
+def stiffnesses(
+    particles: Particles, means: NDArray, scene: Scene, crop: Crop = WHOLE
+) -> NDArray[np.float64] | None:
+    """Share of its material's E that each particle has [P]; None where all have the whole.
+
+    `means [N,3]` are the object's Gaussians. Raises InputError if no material of the scene has an
+    E that may vary, or cannot be as soft as is asked.
+    """
+    if scene.stiffness is None:
+        return None
+    varying = [section for section in scene.materials if section.scaled]
+    if not varying:
         raise InputError(
-            "parts.mask", path, f"it cannot be read ({error}).", "Give a PNG, white on the part."
-        ) from None
-    low, high = x.min(axis=0), x.max(axis=0)
-    across = (x[:, 1] - low[1]) / max(high[1] - low[1], 1e-12)
-    down = (high[2] - x[:, 2]) / max(high[2] - low[2], 1e-12)
-    left, top, right, bottom = crop
-    column = (left + across * (right - left)) * mask.shape[1]
-    row = (top + down * (bottom - top)) * mask.shape[0]
-    i = np.clip(row.astype(int), 0, mask.shape[0] - 1)
-    return mask[i, np.clip(column.astype(int), 0, mask.shape[1] - 1)]
+            "stiffness", scene.stiffness.kind,
+            f"the law {scene.material.law} has no Young's modulus that may vary.",
+            "Use another law, or leave stiffness out.",
+        )  # fmt: skip
+    shares = scene.stiffness.shares(particles.x, means, crop)
+    for section in varying:
+        _refuse_too_soft(section, float(shares.min()))
+    return shares
+
+
+def _refuse_too_soft(section: AnyMaterial, share: float) -> None:
+    """Refuse a share at which a material's own bounds do not hold."""
+    softened = {**section.model_dump(), "E": getattr(section, "E", 0.0) * share}
+    try:
+        type(section).model_validate(softened)
+    except ValidationError as error:
+        message = error.errors()[0]["msg"].removeprefix("Value error, ")
+        raise InputError(
+            "stiffness", f"{share:g} of E", f"{section.law} cannot be so soft: {message}.",
+            "Raise the least share, or the material's E.",
+        ) from None  # fmt: skip

@@ -23,6 +23,7 @@ from phy124.errors import InputError
 from phy124.forces import AnyForce, Gravity
 from phy124.materials import AnyMaterial, NeoHookean
 from phy124.region import Region, Vector
+from phy124.stiffness import AnyStiffness
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -177,6 +178,9 @@ class Scene(Section):
     object: Object = Field(default_factory=Object)
     material: AnyMaterial = Field(default_factory=NeoHookean, description="Constitutive law.")
     parts: tuple[Part, ...] = Field(default=(), description="Parts of other materials.")
+    stiffness: AnyStiffness | None = Field(
+        default=None, description="How E varies inside the object; absent: not at all."
+    )
     forces: tuple[AnyForce, ...] = Field(default=(Gravity(),), description="What pushes.")
     boundaries: tuple[AnyBoundary, ...] = Field(default=(Ground(),), description="What is solid.")
     accuracy: AccuracyName | Accuracy = Field(

@@ -26,8 +26,9 @@ from phy124.gaussians import Frame, Gaussians
 from phy124.ledger import Ledger
 from phy124.limits import refuse_hopeless
 from phy124.mpm import Solver, Unstable
+from phy124.painted import WHOLE, Crop
 from phy124.particles import Particles, clean, make_particles, to_size
-from phy124.parts import WHOLE, Crop, assign
+from phy124.parts import assign, stiffnesses
 from phy124.progress import Progress, silent
 from phy124.scene import Scene
 from phy124.stopwatch import Stopwatch
@@ -87,10 +88,11 @@ class Simulation:
                 binding=scene.binding,
             )
             self.particles = with_materials(made, scene, crop)
+            shares = stiffnesses(self.particles, self.gaussians.means, scene, crop)
             self.demand = refuse_hopeless(self.gaussians, self.particles, scene, device)
         with self.watch.stage("compile"):
             ledger = Ledger()
-            self.solver = _solver(self.particles, scene, device, threads, ledger)
+            self.solver = _solver(self.particles, shares, scene, device, threads, ledger)
             self.watchdog = Watchdog(self.solver, ledger)
             flows = any(m.device_law.project is not None for m in scene.materials)
             self.deformer = Deformer(
@@ -279,7 +281,12 @@ def with_materials(particles: Particles, scene: Scene, crop: Crop = WHOLE) -> Pa
 
 
 def _solver(
-    particles: Particles, scene: Scene, device: str, threads: int | None, ledger: Ledger
+    particles: Particles,
+    stiffness: NDArray | None,
+    scene: Scene,
+    device: str,
+    threads: int | None,
+    ledger: Ledger,
 ) -> Solver:
     x = particles.x.astype(np.float64)
     v, C = _motion(x, particles.mass, scene)
@@ -291,6 +298,7 @@ def _solver(
         scene.materials,
         dx=scene.dx,
         material=particles.material,
+        stiffness=stiffness,
         v=v,
         C=C,
         forces=ledger.forces(scene.forces),

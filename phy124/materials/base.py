@@ -16,6 +16,8 @@ class Material(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     device_law: ClassVar[Law]
+    scaled: ClassVar[int] = 0
+    """How many of the first parameters are proportional to E; 0: it has no E to vary."""
 
     density: float = Field(default=1000.0, ge=1, le=1e5, description="Mass per volume [kg/m^3].")
 
@@ -43,6 +45,8 @@ class Material(BaseModel):
 
 class Elastic(Material):
     """Materials with Young's modulus and Poisson's ratio; theta begins with mu and lambda."""
+
+    scaled: ClassVar[int] = 2
 
     E: float = Field(
         default=1e5,

@@ -59,6 +59,7 @@ class Rigid(Elastic):
 
     law: Literal["rigid"] = "rigid"
     device_law: ClassVar[Law] = NeoHookean.device_law
+    scaled: ClassVar[int] = 0
 
     E: float = Field(
         default=1e10, ge=1, le=1e13, description="Young's modulus of the real body [Pa]."

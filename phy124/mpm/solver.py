@@ -25,7 +25,7 @@ from phy124.mpm.caution import Caution
 from phy124.mpm.domain import Domain
 from phy124.mpm.grid import Grid, Unstable
 from phy124.mpm.lanes import Lane, Meeting, Recorded, Timings, cut, taken, timed, work
-from phy124.mpm.state import Group, State, part_of
+from phy124.mpm.state import Group, State, parameters, part_of
 from phy124.timestep import CFL, Extremes, Substep, stable_substep
 from phy124.tracks import Tracks
 
@@ -48,7 +48,8 @@ class Solver:
     """Steps particles of given materials under forces and boundaries.
 
     `x [P,3]` m, `volume [P]` m^3, `material [P]` non-decreasing indices into `materials`,
-    `dx` the grid spacing [m]; `v [P,3]` m/s and `C [P,3,3]` 1/s are the motion at the start.
+    `stiffness [P]` shares of their E, `dx` the grid spacing [m]; `v [P,3]` m/s and `C [P,3,3]` 1/s
+    are the motion at the start.
     """
 
     def __init__(
@@ -59,6 +60,7 @@ class Solver:
         *,
         dx: float,
         material: NDArray | None = None,
+        stiffness: NDArray | None = None,
         v: NDArray | None = None,
         C: NDArray | None = None,
         forces: Sequence[Attachable] = (),
@@ -78,7 +80,8 @@ class Solver:
         self.native = cpu_float if simd is None else simd and cpu_float
         self.rest = np.asarray(x, dtype=np.float64)
         self.materials = tuple(materials)
-        self._build_model(volume, np.zeros(len(x), int) if material is None else material)
+        material = np.zeros(len(x), int) if material is None else material
+        self._build_model(volume, material, stiffness)
         self._build_state(v, C)
         self.grid = Grid(origin, self.dx, real=self.real, device=device)
         self.clock = wp.zeros(3, dtype=self.real, device=device)
@@ -100,7 +103,7 @@ class Solver:
         self.extremes = Extremes(0.0, 0.0, 0.0)
         self.domain, self.caution = Domain(self), Caution(self)
 
-    def _build_model(self, volume: NDArray, material: NDArray) -> None:
+    def _build_model(self, volume: NDArray, material: NDArray, share: NDArray | None) -> None:
         laws = [section.device_law.name for section in self.materials]
         law = np.array([laws.index(name) for name in laws])[material]
         if np.any(np.diff(law) < 0):
@@ -114,20 +117,12 @@ class Solver:
         self.groups = []
         for index in np.unique(law):
             start, stop = np.searchsorted(law, [index, index + 1]).tolist()
-            self.groups.append(self._group(start, stop, material[start:stop]))
-
-    def _group(self, start: int, stop: int, material: NDArray) -> Group:
-        """Particles of one law; one row of parameters if they are all of one material."""
-        found = np.unique(material)
-        law = self.materials[found[0]].device_law
-        rows = [section.theta() for section in self.materials if section.device_law is law]
-        numbers = [i for i, section in enumerate(self.materials) if section.device_law is law]
-        if len(found) == 1:
-            theta = [self.materials[found[0]].theta()]
-        else:
-            theta = np.array(rows)[np.searchsorted(numbers, material)]
-        width = wp.types.vector(law.width, self.real)
-        return Group(law, start, stop, self.array(theta, width))
+            part = slice(start, stop)
+            own = None if share is None else share[part]
+            theta = parameters(self.materials, material[part], own)
+            kind = self.materials[material[start]].device_law
+            width = wp.types.vector(kind.width, self.real)
+            self.groups.append(Group(kind, start, stop, self.array(theta, width)))
 
     def _build_state(self, v: NDArray | None, C: NDArray | None) -> None:
         t, count = types(self.real), len(self.rest)

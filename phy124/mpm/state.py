@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import cast
 
+import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from phy124.kernels.transfer import Law
+from phy124.materials import Material
 
 
 @dataclass(frozen=True)
@@ -25,6 +29,23 @@ class Group:
         if len(self.theta) == 1:
             return self.theta
         return cast("wp.array", self.theta[part.start - self.start : part.stop - self.start])
+
+
+def parameters(
+    materials: Sequence[Material], material: NDArray, share: NDArray | None
+) -> NDArray[np.float64]:
+    """Parameters of particles of one law: one row if they are all alike, else one row each.
+
+    `material [P]` are indices into `materials`, `share [P]` multiplies what is proportional to E.
+    """
+    found = np.unique(material)
+    rows = np.array([materials[i].theta() for i in found])
+    scaled = np.array([materials[i].scaled for i in found])
+    if share is None or not scaled.any():
+        return rows if len(found) == 1 else rows[np.searchsorted(found, material)]
+    own = np.searchsorted(found, material)
+    column = np.arange(rows.shape[1]) < scaled[own][:, None]
+    return rows[own] * np.where(column, share[:, None], 1.0)
 
 
 @dataclass

@@ -1,0 +1,42 @@
+"""Painted: what a picture says about each point of the object it was painted over."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from phy124.errors import InputError
+
+Crop = tuple[float, float, float, float]
+WHOLE: Crop = (0.0, 0.0, 1.0, 1.0)
+"""Left, top, right, bottom of the object in the picture, as shares of its width and height."""
+
+
+def brightness(x: NDArray, path: str, crop: Crop = WHOLE, *, field: str) -> NDArray[np.float64]:
+    """How bright the picture is where each point is seen from the front [P], 0 black, 1 white.
+
+    Args:
+        x: Points at rest [P,3], m, the object upright and facing +x.
+        path: The picture; colours count as their grey.
+        crop: Where the object is in it.
+        field: The scene's field that names the picture, for the message.
+
+    Raises:
+        InputError: the picture cannot be read.
+    """
+    try:
+        with Image.open(path) as opened:
+            grey = np.asarray(opened.convert("L"), dtype=np.float64) / 255
+    except (OSError, ValueError) as error:
+        raise InputError(
+            field, path, f"it cannot be read ({error}).", "Give a PNG, painted over the picture."
+        ) from None
+    low, high = x.min(axis=0), x.max(axis=0)
+    across = (x[:, 1] - low[1]) / max(high[1] - low[1], 1e-12)
+    down = (high[2] - x[:, 2]) / max(high[2] - low[2], 1e-12)
+    left, top, right, bottom = crop
+    column = (left + across * (right - left)) * grey.shape[1]
+    row = (top + down * (bottom - top)) * grey.shape[0]
+    i = np.clip(row.astype(int), 0, grey.shape[0] - 1)
+    return grey[i, np.clip(column.astype(int), 0, grey.shape[1] - 1)]

@@ -1,0 +1,103 @@
+"""Stiffness: how Young's modulus varies continuously inside one object.
+
+Every law's first parameters are proportional to E, so a field of shares multiplies them particle
+by particle: E(x) = share(x) E, with E the material's. Kernels read a row of parameters per
+particle then; a scene without such a field has one row for all.
+"""
+
+from __future__ import annotations
+
+import os
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+from scipy.spatial import KDTree
+
+from phy124.errors import InputError
+from phy124.painted import Crop, brightness
+
+LEAST = 1e-4
+"""Smallest share: a hundred times slower waves."""
+Share = Annotated[float, Field(ge=LEAST, le=1)]
+
+
+class _Field(BaseModel):
+    """What all fields of stiffness have."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    def shares(self, x: NDArray, means: NDArray, crop: Crop) -> NDArray[np.float64]:
+        """Share of E at each particle [P].
+
+        Args:
+            x: Particles at rest [P,3], m.
+            means: The object's Gaussians [N,3], m.
+            crop: Where the object is in the picture it was made from.
+
+        Raises:
+            InputError: a file cannot be used.
+        """
+        raise NotImplementedError
+
+
+class Gradient(_Field):
+    """Straight from one end of the object to the other: grown wood, a tail, a root."""
+
+    kind: Literal["gradient"] = "gradient"
+    axis: Literal["x", "y", "z"] = Field(default="z", description="Direction in which it varies.")
+    first: Share = Field(default=1.0, description="Share of E at the lowest end of the axis.")
+    last: Share = Field(default=0.1, description="Share of E at the highest end of the axis.")
+
+    def shares(self, x: NDArray, means: NDArray, crop: Crop) -> NDArray[np.float64]:
+        """Linear between the object's ends."""
+        along = np.asarray(x, dtype=np.float64)[:, "xyz".index(self.axis)]
+        return np.interp(along, [along.min(), along.max()], [self.first, self.last])
+
+
+class Picture(_Field):
+    """As a grey picture painted over the object's: white is stiff, black is soft."""
+
+    kind: Literal["picture"] = "picture"
+    picture: str = Field(description="Grey picture file, seen from the front.")
+    black: Share = Field(default=0.1, description="Share of E where it is black.")
+    white: Share = Field(default=1.0, description="Share of E where it is white.")
+
+    def shares(self, x: NDArray, means: NDArray, crop: Crop) -> NDArray[np.float64]:
+        """Linear in the grey value."""
+        grey = brightness(x, self.picture, crop, field="stiffness.picture")
+        return self.black + grey * (self.white - self.black)
+
+
+class Listed(_Field):
+    """As a file says, a share for each Gaussian; what is between them follows the nearest."""
+
+    kind: Literal["gaussians"] = "gaussians"
+    file: str = Field(description="NumPy file (.npy) of shares of E, one per Gaussian.")
+
+    def shares(self, x: NDArray, means: NDArray, crop: Crop) -> NDArray[np.float64]:
+        """That of the nearest Gaussian."""
+        try:
+            listed = np.load(os.fspath(self.file), allow_pickle=False)
+            listed = np.asarray(listed, dtype=np.float64)
+        except (OSError, ValueError, EOFError, TypeError) as error:
+            limit = f"it cannot be read ({error})."
+            raise InputError(
+                "stiffness.file", self.file, limit, "Give numbers saved by numpy.save."
+            ) from None
+        if listed.shape != (len(means),):
+            raise InputError(
+                "stiffness.file", self.file,
+                f"it holds an array {listed.shape}, the object has {len(means)} Gaussians.",
+                "Give one share per Gaussian of the gaussians.ply that a run writes.",
+            )  # fmt: skip
+        if not ((listed >= LEAST) & (listed <= 1)).all():
+            raise InputError(
+                "stiffness.file", self.file, f"a share is outside {LEAST:g} to 1.",
+                "Divide by the greatest value and give that to the material's E.",
+            )  # fmt: skip
+        return listed[KDTree(means).query(x)[1]]
+
+
+AnyStiffness = Annotated[Gradient | Picture | Listed, Field(discriminator="kind")]

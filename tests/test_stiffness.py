@@ -1,0 +1,181 @@
+"""Stiffness that varies inside one law, against the closed forms of a pulled bar."""
+
+import numpy as np
+import pytest
+from PIL import Image
+from shapes import ball
+
+from phy124.errors import InputError
+from phy124.forces import TotalForce, Wind
+from phy124.materials import Fluid, NeoHookean, Plasticine, Rigid
+from phy124.mpm import Solver
+from phy124.painted import WHOLE
+from phy124.region import Region
+from phy124.scene import Scene
+from phy124.simulation import Simulation
+from phy124.stiffness import Gradient, Listed, Picture
+
+DX = 1 / 16
+E = 1e5
+WIDTH = 4 * DX
+PULL = 0.01 * E * WIDTH**2
+"""What stretches the stiffest bar by 1 % [N]."""
+AT = np.array([0.25, 0.75])
+"""Marks on the bar between which it is measured, beyond what the ends see [m]."""
+
+
+def bar() -> np.ndarray:
+    """A bar of length 1 m along z, two particles per cell and axis."""
+    line = (np.arange(8) + 0.5) * DX / 2
+    along = (np.arange(32) + 0.5) * DX / 2
+    return np.stack(np.meshgrid(line, line, along, indexing="ij"), -1).reshape(-1, 3)
+
+
+def pulled(share: np.ndarray | None) -> np.ndarray:
+    """Where the marks are once both ends are pulled and all has come to rest [m]."""
+    x = bar()
+    ends = [Region(upper=(9, 9, 2 * DX)), Region(lower=(-9, -9, 1 - 2 * DX))]
+    pull = [TotalForce(f=(0, 0, f), region=at) for f, at in zip((-PULL, PULL), ends, strict=True)]
+    # First what damps: it would take its share of a kick that was just given.
+    forces = [Wind(v=(0, 0, 0), rate=15.0), *pull]
+    volume = np.full(len(x), (DX / 2) ** 3)
+    law = [NeoHookean(E=E, nu=0.0)]
+    s = Solver(x, volume, law, dx=DX, forces=forces, stiffness=share, precision="float64")
+    s.advance(1.5)
+    assert np.abs(s.state.v.numpy()).max() < 1e-4
+    layer = x[:, 2].reshape(-1, 32).mean(axis=0)
+    return np.interp(AT, layer, s.state.x.numpy()[:, 2].reshape(-1, 32).mean(axis=0))
+
+
+def stretch(share: np.ndarray) -> np.ndarray:
+    """mu (s - 1/s) = force over area, with mu = share E / 2 as nu is 0."""
+    load = PULL / WIDTH**2 / (share * E)
+    return load + np.sqrt(load**2 + 1)
+
+
+def length(share) -> float:
+    """Distance of the marks in equilibrium: the integral of the stretch."""
+    z = np.linspace(*AT, 20_001)
+    s = stretch(share(z))
+    return float(((s[1:] + s[:-1]) / 2 * np.diff(z)).sum())
+
+
+def test_two_halves_in_series_stretch_by_the_sum_of_their_compliances():
+    share = np.where(bar()[:, 2] > 0.5, 0.25, 1.0)
+    first, last = pulled(share)
+    exact = 0.25 * stretch(np.array(1.0)) + 0.25 * stretch(np.array(0.25))
+    assert (last - first - 0.5) == pytest.approx(float(exact) - 0.5, rel=0.02)
+    even = np.subtract(*pulled(None)[::-1]) - 0.5
+    assert even == pytest.approx(0.5 * (stretch(np.array(1.0)) - 1), rel=0.01)
+    # (1 + 4) / 2 times an even bar, but for what a stretch of 4 % hardens.
+    assert (last - first - 0.5) / even == pytest.approx(2.5, rel=0.03)
+
+
+def test_a_linear_gradient_stretches_by_a_logarithm():
+    """Small strains: sigma L / (E (b - a)) log(b / a) for a stiffness from a E to b E."""
+    field = Gradient(first=1.0, last=0.2)
+    first, last = pulled(field.shares(bar(), np.zeros((1, 3)), WHOLE))
+    # The shares are 1 and 0.2 at the outermost particles.
+    inner = 1 - DX / 2
+    slope = -0.8 / inner
+
+    def share(z):
+        return 1.0 + slope * (z - DX / 4)
+
+    assert (last - first - 0.5) == pytest.approx(length(share) - 0.5, rel=0.01)
+    linear = PULL / WIDTH**2 / E / slope * np.log(share(AT[1]) / share(AT[0]))
+    assert length(share) - 0.5 == pytest.approx(linear, rel=0.02)
+
+
+def test_rows_are_per_particle_only_where_stiffness_varies():
+    x = bar()
+    volume = np.full(len(x), 1.0)
+    plain = Solver(x, volume, [NeoHookean(E=E)], dx=DX)
+    assert len(plain.groups[0].theta) == 1
+    share = np.linspace(0.1, 1, len(x))
+    varied = Solver(x, volume, [NeoHookean(E=E)], dx=DX, stiffness=share)
+    rows = varied.groups[0].theta.numpy()
+    assert np.allclose(rows, np.outer(share, NeoHookean(E=E).theta()), rtol=1e-6)
+    stiff = Solver(x, volume, [Rigid()], dx=DX, stiffness=share)
+    assert len(stiff.groups[0].theta) == 1
+
+
+def test_what_does_not_scale_with_e_stays():
+    x, law = bar(), Plasticine()
+    share = np.full(len(x), 0.5)
+    rows = Solver(x, np.ones(len(x)), [law], dx=DX, stiffness=share).groups[0].theta.numpy()
+    assert np.allclose(rows[0], np.array(law.theta()) * [0.5, 0.5, 1, 1, 1], rtol=1e-6)
+
+
+def test_materials_of_one_law_and_stiffness_together():
+    x = bar()
+    material = (np.arange(len(x)) >= 1000).astype(int)
+    laws = [Rigid(E=1e4, speed=1000.0), NeoHookean(E=E)]
+    s = Solver(x, np.ones(len(x)), laws, dx=DX, material=material, stiffness=np.full(len(x), 0.5))
+    rows = s.groups[0].theta.numpy()
+    assert np.allclose(rows[:1000], laws[0].theta(), rtol=1e-6)
+    assert np.allclose(rows[1000:], 0.5 * np.array(laws[1].theta()), rtol=1e-6)
+
+
+def test_a_picture_says_how_stiff(tmp_path):
+    Image.fromarray(np.linspace(0, 255, 256).astype(np.uint8)[None].repeat(4, 0)).save(
+        tmp_path / "grey.png"
+    )
+    x = np.stack([np.zeros(5), np.linspace(-1, 1, 5), [0, 1, 0, 1, 0]], axis=1)
+    field = Picture(picture=str(tmp_path / "grey.png"), black=0.2, white=1.0)
+    assert field.shares(x, x, WHOLE) == pytest.approx(np.linspace(0.2, 1, 5), abs=0.01)
+
+
+def test_a_file_says_how_stiff_each_gaussian_is(tmp_path):
+    means = np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0]], float)
+    np.save(tmp_path / "e.npy", [0.1, 0.5, 1.0])
+    field = Listed(file=str(tmp_path / "e.npy"))
+    x = np.array([[0.1, 0, 0], [1.4, 0, 0], [9, 0, 0]])
+    assert field.shares(x, means, WHOLE).tolist() == [0.1, 0.5, 1.0]
+    with pytest.raises(InputError, match="the object has 2 Gaussians"):
+        field.shares(x, means[:2], WHOLE)
+    np.save(tmp_path / "e.npy", [0.1, np.nan, 1.0])
+    with pytest.raises(InputError, match=r"outside 0\.0001 to 1"):
+        field.shares(x, means, WHOLE)
+    (tmp_path / "e.npy").write_text("hello")
+    with pytest.raises(InputError, match="it cannot be read"):
+        field.shares(x, means, WHOLE)
+
+
+def test_the_soft_end_gives_way_more_and_the_report_says_so():
+    scene = Scene.named("drop").replaced(
+        {
+            "object.lift": 0.0,
+            "material.E": 1e5,
+            "stiffness": {"kind": "gradient", "axis": "y", "first": 0.05, "last": 1.0},
+            "accuracy": {"cells": 12},
+            "time.frames": 6,
+        }
+    )
+    run = Simulation(ball(), scene)
+    clip = run.run()
+    F = run.solver.state.F.numpy()
+    strain = np.linalg.norm(np.swapaxes(F, 1, 2) @ F - np.eye(3), axis=(1, 2))
+    y = run.particles.x[:, 1]
+    assert strain[y < -0.2].mean() > 1.5 * strain[y > 0.2].mean()
+    assert "stiffness per particle" in clip.report["effects"]["ran"]
+    assert Scene.from_data(scene.data()) == scene
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"material": {"law": "fluid"}}, "fluid has no Young's modulus that may vary"),
+        ({"material": {"law": "rigid"}}, "rigid has no Young's modulus that may vary"),
+        ({"material": {"law": "plasticine", "softening": 5e4}}, "plasticine cannot be so soft"),
+        ({"material": {"law": "neo_hookean", "E": 5.0}}, "neo_hookean cannot be so soft"),
+    ],
+)
+def test_refusals(changes, message):
+    field = {"stiffness": {"kind": "gradient", "last": 0.01}, "accuracy": {"cells": 8}}
+    with pytest.raises(InputError, match=message):
+        Simulation(ball(400), Scene.named("drop").replaced({**field, **changes}))
+
+
+def test_laws_say_what_scales():
+    assert (Fluid.scaled, Rigid.scaled, NeoHookean.scaled, Plasticine.scaled) == (0, 0, 2, 2)
