@@ -1,7 +1,7 @@
 """The ledger: impulse and work that forces and walls give a run, summed in every substep.
 
-Forces on particles and walls are bracketed: momentum and energy are taken before they act and
-compared after. A uniform acceleration gives M a dt and M a . dx, which needs
+Forces on particles and walls are bracketed: velocities are kept before they act and compared
+after. A uniform acceleration gives M a dt and M a . dx, which needs
 no launch; where it varies in time, its work is summed on the host.
 """
 
@@ -46,7 +46,7 @@ class Ledger:
         self._closed = {kind: np.zeros(diagnose.GIVEN) for kind in KINDS}
         self._walls: Sequence[Any] = ()
         self._uniform = np.zeros(diagnose.GIVEN)
-        self._moved = self._kicked = 0.0
+        self._kicked = 0.0
 
     def forces(self, forces: Sequence[Attachable]) -> list[Attachable]:
         """The forces, bracketed."""
@@ -62,7 +62,7 @@ class Ledger:
     def open(self, solver: Solver) -> None:
         """Begin to count with the present state of the solver."""
         nothing = {kind: np.zeros(diagnose.GIVEN) for kind in KINDS}
-        self.restore((nothing, np.zeros(diagnose.GIVEN), 0.0))
+        self.restore((nothing, np.zeros(diagnose.GIVEN)))
         self._kicked = solver.time - solver.last_dt / 2
         solver.caution.books = self
 
@@ -80,13 +80,11 @@ class Ledger:
         given = self._all()
         if solver.tracks.vary:
             given = given + self._uniform
-            moved = self._moved
         else:
             a, mass = _acceleration(solver), total_mass(solver)
             impulse = mass * a * (solver.time - solver.last_dt / 2 - self._kicked)
-            given = given + np.array([*impulse, float(a @ way)])
-            moved = float(np.linalg.norm(impulse))
-        return Given(given[:3], float(given[3]), moved + float(np.linalg.norm(given[:3])))
+            given = given + np.array([*impulse, float(a @ way), np.linalg.norm(impulse)])
+        return Given(given[:3], float(given[3]), float(given[4]))
 
     def follow(self, solver: Solver, momentum: NDArray[np.float64]) -> Callable[[], None] | None:
         """What to call after each substep of a frame that begins with `momentum`; None: nothing."""
@@ -104,19 +102,19 @@ class Ledger:
             speed = (momentum + since - before) / mass
             self._uniform[:3] += impulse
             self._uniform[3] += float(impulse @ (speed + impulse / (2 * mass)))
-            self._moved += float(np.linalg.norm(impulse))
+            self._uniform[4] += float(np.linalg.norm(impulse))
             walls = self._all("wall")[:3]
 
         return after
 
-    def snapshot(self) -> tuple[dict[str, NDArray], NDArray, float]:
+    def snapshot(self) -> tuple[dict[str, NDArray], NDArray]:
         """What `restore` needs."""
-        return {kind: self._all(kind) for kind in KINDS}, self._uniform.copy(), self._moved
+        return {kind: self._all(kind) for kind in KINDS}, self._uniform.copy()
 
-    def restore(self, snapshot: tuple[dict[str, NDArray], NDArray, float]) -> None:
+    def restore(self, snapshot: tuple[dict[str, NDArray], NDArray]) -> None:
         """Go back to a snapshot."""
         self._closed = {kind: sums.copy() for kind, sums in snapshot[0].items()}
-        self._uniform, self._moved = snapshot[1].copy(), snapshot[2]
+        self._uniform = snapshot[1].copy()
         for page in self._pages.values():
             page.zero_()
 
@@ -140,10 +138,14 @@ class Ledger:
     def _push(self, solver: Solver, sign: int) -> wp.Launch | None:
         if all(name == BOOKS for name, _ in solver.pushes):
             return None
-        state = solver.state
-        inputs = [solver.mass, solver.dx, float(sign), state.v, state.C]
+        state, count = solver.state, len(solver.rest)
+        if sign < 0:
+            self._kept = [wp.empty_like(state.v), wp.empty_like(state.C)]
+            kernel = diagnose.make_push_copy(solver.real)
+            return solver.record(kernel, count, [state.v, state.C], self._kept)
+        inputs = [solver.mass, solver.dx, state.v, state.C, *self._kept]
         kernel = diagnose.make_push_sums(solver.real)
-        return solver.record(kernel, len(solver.rest), inputs, [self._page(("push", sign), solver)])
+        return solver.record(kernel, count, inputs, [self._page(("push",), solver)])
 
     def _wall(self, solver: Solver, sign: int) -> wp.Launch | None:
         grid, real = solver.grid, solver.real

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from phy124 import culprit
 from phy124.boundaries import Ground
 from phy124.clip import Clip
 from phy124.deform import Deformer
@@ -187,7 +188,7 @@ class Simulation:
                 problem = self._try(index, until)
                 solver.cfl, solver.ceiling = usual
             if problem is not None:
-                raise Stopped(f"frame {index} is not sound: {problem}. {self._remedy()}")
+                raise Stopped(f"frame {index} is not sound: {problem}.")
 
     def _try(self, index: int, until: float) -> str | None:
         """One try at a frame; what is wrong with it, or None. The state is then as before."""
@@ -198,19 +199,12 @@ class Simulation:
             solver.advance(until, after=self._follower(index))
             problem = watchdog.after()
         except Unstable as error:
-            problem = str(error)
+            problem = watchdog.blame(str(error))
         if problem is not None:
             self._failed_dt = solver.last_dt or math.inf
             solver.restore(state)
             watchdog.ledger.restore(books)
         return problem
-
-    def _remedy(self) -> str:
-        laws = " and ".join(sorted({section.law for section in self.scene.materials}))
-        return (
-            f"The law is {laws}. Use neo_hookean, a softer material, a gentler push, or a "
-            "smaller accuracy.cfl."
-        )
 
     def _follower(self, index: int) -> Callable[[], None]:
         """What to do after each substep: report, and keep the books of forces that vary."""
@@ -224,8 +218,8 @@ class Simulation:
             spent = start + time.perf_counter() - begun
             if spent > 2 * patience:
                 raise Stopped(
-                    f"frame {index} was reached in {spent:.0f} s, twice time.patience: the "
-                    f"material moves so violently that a substep is {self.solver.last_dt:.1e} s. "
+                    f"frame {index} was reached in {spent:.0f} s, twice time.patience: "
+                    f"{culprit.pace(self.solver)}. "
                     "Use gentler forces, a softer material, a coarser accuracy or more patience."
                 )
             report()

@@ -3,7 +3,8 @@
 A violation is a sentence. What is checked, with the limits below: every number is finite; no
 more than a few particles are turned inside out; volume ratios stay in range; momentum changes by
 what forces and walls gave; energy does not grow beyond the work they did (explicit MPM only loses
-energy, so more means that the run is exploding).
+energy, so more means that the run is exploding). Which particle it is and what to change is
+looked for only then (phy124/culprit.py).
 """
 
 from __future__ import annotations
@@ -11,12 +12,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from phy124 import culprit
 from phy124.kernels import diagnose
 from phy124.ledger import Ledger, total_mass
 
@@ -31,6 +33,10 @@ SOUND_J = (1e-5, 1e6)
 """Volume ratios that a law can work with; a particle beyond is reset and counted."""
 SOUND_F = 1e3
 """Greatest norm of a sound deformation gradient."""
+NARROWEST = 1e-5
+"""Least share of the smallest stretch in the greatest: beyond, rounding decides the sign of J."""
+HEAL_AFTER = 1.0
+"""Strain after which deformations are looked at again: |C| dt, summed over the substeps."""
 ENERGY_GAIN = 0.25
 """Energy from nowhere that is tolerated, as a share of the greatest energy turned over.
 
@@ -118,8 +124,10 @@ class Watchdog:
         self.solver, self.ledger = solver, ledger
         self.first = self.last = weigh(solver)
         self.mass = total_mass(solver)
-        self.reset = 0
+        self.reset, self._first_reset = 0, FAR
         """Particles whose deformation was reset so far."""
+        self._found = wp.zeros(2, dtype=int, device=solver.device)
+        self._heal = self._record_heal()
         self.mach = 0.0
         """Greatest speed so far, in speeds of sound."""
         self.energy_gain = self.momentum_gain = 0.0
@@ -128,17 +136,20 @@ class Watchdog:
 
     def before(self) -> None:
         """Before a frame: reset deformations that no law can work with."""
-        s, counts = self.solver, wp.zeros(1, dtype=int, device=self.solver.device)
-        wp.launch(
-            diagnose.make_reset(s.real),
-            len(s.rest),
-            inputs=[*SOUND_J, SOUND_F],
-            outputs=[s.state.F, s.state.C, counts],
-            device=s.device,
-        )
-        self.reset += int(np.sum(counts.numpy()))
+        self._found.assign([self.reset, self._first_reset])
+        self._heal.launch()
+        self._count_resets()
         if not self._begun:
             self._begin()
+
+    def _record_heal(self) -> wp.Launch:
+        s, limits = self.solver, [*SOUND_J, SOUND_F, NARROWEST]
+        outputs = [s.state.F, s.state.C, self._found]
+        launch = s.record(diagnose.make_reset(s.real), len(s.rest), limits, outputs)
+        return cast("wp.Launch", launch)
+
+    def _count_resets(self) -> None:
+        self.reset, self._first_reset = self._found.numpy().tolist()
 
     def _begin(self) -> None:
         """The balance begins with the first frame that is followed: a run may be a resumed one."""
@@ -155,6 +166,7 @@ class Watchdog:
         self.mach = max(self.mach, s.extremes.speed / slowest)
         problem = self._unsound(now) or self._unbalanced(now)
         if problem is None:
+            self._count_resets()
             if len(s.state.total):
                 kernel = diagnose.make_limit_total(s.real)
                 inputs = [GREATEST_TOTAL, s.state.F]
@@ -164,17 +176,42 @@ class Watchdog:
             self.greatest_J = max(self.greatest_J, now.greatest_J)
         return problem
 
-    def follow(self) -> Callable[[], None] | None:
-        """What to call after each substep of the next frame, if anything."""
-        return self.ledger.follow(self.solver, self.last.momentum)
+    def follow(self) -> Callable[[], None]:
+        """What to call after each substep of the next frame."""
+        s, books = self.solver, self.ledger.follow(self.solver, self.last.momentum)
+        strain = 0.0
+
+        def after() -> None:
+            nonlocal strain
+            if books is not None:
+                books()
+            strain += s.extremes.gradient * float(s.last_dt)
+            if strain > HEAL_AFTER:
+                self._heal.launch()
+                strain = 0.0
+
+        return after
+
+    def blame(self, problem: str) -> str:
+        """The solver gave up: what it said, with the particle and what to change."""
+        s = self.solver
+        index = culprit.first_broken(s)
+        if index is not None:
+            return f"{problem}, first {self._who(index)}. {culprit.remedy(s, index)}"
+        index = int(culprit.speeds(s).argmax())
+        return (
+            f"{problem}, the fastest {self._who(index)}. Use a gentler push, fewer "
+            "accuracy.cells or a stiffer material"
+        )
 
     def notes(self) -> list[str]:
         """What the user should know about how the run went."""
         notes, s = [], self.solver
         if self.reset:
             notes.append(
-                f"{self.reset} particles were deformed beyond what a law can describe and were "
-                "given their shape at rest."
+                f"{self.reset} times a particle was deformed beyond what a law can describe and "
+                f"was given its shape at rest, first {self._who(self._first_reset)}. A gentler "
+                "push or a stiffer material would keep it whole."
             )
         if s.domain.most:
             notes.append(
@@ -202,12 +239,14 @@ class Watchdog:
         }
 
     def _unsound(self, now: Balance) -> str | None:
+        what, index = "", 0
         if now.broken:
-            return f"{now.broken} particles are no longer numbers, {self._who(now.first[0])} first"
-        if now.inverted > max(FEW, INSIDE_OUT * len(self.solver.rest)):
-            who = self._who(now.first[1])
-            return f"{now.inverted} particles are turned inside out, {who} first"
-        return None
+            what, index = f"{now.broken} particles are no longer numbers", now.first[0]
+        elif now.inverted > max(FEW, INSIDE_OUT * len(self.solver.rest)):
+            what, index = f"{now.inverted} particles are turned inside out", now.first[1]
+        if not what:
+            return None
+        return f"{what}, first {self._who(index)}. {culprit.remedy(self.solver, index)}"
 
     def _unbalanced(self, now: Balance) -> str | None:
         """Compare what is there with what was there at first and what was given since."""
@@ -215,13 +254,22 @@ class Watchdog:
         turnover = max(self.turnover, now.energy, abs(given.work))
         energy_gain = (now.energy - self.first.energy - given.work) / turnover
         if energy_gain > ENERGY_GAIN:
-            return f"{energy_gain:.0%} of its energy came from nowhere"
+            index = int(culprit.energies(self.solver).argmax())
+            return (
+                f"{energy_gain:.0%} of its energy came from nowhere, most of all its energy is in "
+                f"{self._who(index)}. {culprit.remedy(self.solver, index)}"
+            )
         moved = max(self.moved, self._momentum_scale(now), given.moved)
         missing = now.momentum - self.first.momentum - given.impulse
         momentum_gain = float(np.linalg.norm(missing)) / moved if moved > 0 else 0.0
         precision = "float32" if self.solver.real is wp.float32 else "float64"
         if momentum_gain > MOMENTUM_GAIN[precision]:
-            return f"{momentum_gain:.2%} of its momentum came from nowhere"
+            index = int(culprit.speeds(self.solver).argmax())
+            finer = "accuracy.precision = float64" if precision == "float32" else "a smaller cfl"
+            return (
+                f"{momentum_gain:.2%} of its momentum came from nowhere, the fastest is "
+                f"{self._who(index)}. Use {finer} or a gentler push"
+            )
         self.turnover, self.moved = turnover, moved
         self.energy_gain, self.momentum_gain = energy_gain, momentum_gain
         return None
@@ -237,7 +285,4 @@ class Watchdog:
 
     def _who(self, index: int) -> str:
         """A particle in words."""
-        s = self.solver
-        law = next(g.law.name for g in s.groups if g.start <= index < g.stop)
-        place = ", ".join(f"{c:.3g}" for c in s.rest[index])
-        return f"number {index} of law {law}, at ({place}) m at rest,"
+        return culprit.describe(self.solver, index)

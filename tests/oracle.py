@@ -162,7 +162,15 @@ def snow_return(F: Array, h: Array, t: Array, dt: float) -> tuple[Array, Array]:
     U, s, Vt = signed_svd(F)
     new = np.clip(np.abs(s), t[2], t[3]) * np.where(s < 0, -1, 1)
     volume = (1 + h[:, 0]) * s.prod(1) / new.prod(1) - 1
-    return spread(U, new, Vt), np.column_stack([volume, h[:, 1]])
+    after = np.column_stack([volume, h[:, 1]])
+
+    def energy(s: Array, h: Array) -> Array:
+        return snow_factor(h, t) * (
+            t[0] * ((s - 1) ** 2).sum(1) + t[1] / 2 * (s.prod(1) - 1) ** 2
+        )
+
+    flows = energy(new, after) <= energy(s, h)
+    return np.where(flows[:, None, None], spread(U, new, Vt), F), np.where(flows[:, None], after, h)
 
 
 def tait_energy(F: Array, h: Array, t: Array) -> Array:

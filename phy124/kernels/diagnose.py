@@ -15,8 +15,8 @@ from phy124.kernels.transfer import Law, types
 
 SUMS = 11
 """Momentum 3, angular momentum 3, kinetic and elastic energy, mass times position 3."""
-GIVEN = 4
-"""Impulse 3, work."""
+GIVEN = 5
+"""Impulse 3, work, sum of the sizes of all impulses."""
 
 
 @wp.func
@@ -99,26 +99,84 @@ def make_weigh(law: Law, real: Any):
 
 
 @cache
+def make_energies(law: Law, real: Any):
+    """Kernel: kinetic and elastic energy of each particle [J]; to find one, not to sum them."""
+    t = types(real)
+    theta_type = wp.types.vector(law.width, real)
+    energy, exact = law.energy, wp.types.vector(law.width, wp.float64)
+    has_history = law.project is not None
+
+    @wp.kernel(module=f"phy124_energies_{law.name}_{real.__name__}", enable_backward=False)
+    def energies(
+        # model
+        theta: wp.array(dtype=theta_type), mass: wp.array(dtype=real),
+        volume: wp.array(dtype=real), dx: real,
+        # state in
+        v: wp.array(dtype=t.vec3), C: wp.array(dtype=t.mat33),
+        F: wp.array(dtype=t.mat33), history: wp.array(dtype=t.vec2),
+        # out
+        energy_out: wp.array(dtype=wp.float64),
+    ):  # fmt: skip
+        p = wp.tid()
+        h = wp.vec2d()
+        if wp.static(has_history):
+            h = wp.vec2d(wp.float64(history[p][0]), wp.float64(history[p][1]))
+        row = wp.min(p, theta.shape[0] - 1)
+        parameters = exact()
+        for i in range(wp.static(law.width)):
+            parameters[i] = wp.float64(theta[row][i])
+        psi = energy(to_double(F[p]), h, parameters)
+        spread = wp.float64(dx * dx) / wp.float64(4.0)
+        square = wp.dot(wide(v[p]), wide(v[p])) + spread * wp.float64(wp.ddot(C[p], C[p]))
+        half = wp.float64(mass[p]) / wp.float64(2.0)
+        energy_out[p] = half * square + psi * wp.float64(volume[p])
+
+    return energies
+
+
+@cache
+def make_push_copy(real: Any):
+    """Kernel: keeps what the particles do before forces act on them."""
+    t = types(real)
+
+    @wp.kernel(module=f"phy124_push_copy_{real.__name__}", enable_backward=False)
+    def push_copy(
+        # state in
+        v: wp.array(dtype=t.vec3), C: wp.array(dtype=t.mat33),
+        # out
+        v_out: wp.array(dtype=t.vec3), C_out: wp.array(dtype=t.mat33),
+    ):  # fmt: skip
+        p = wp.tid()
+        v_out[p] = v[p]
+        C_out[p] = C[p]
+
+    return push_copy
+
+
+@cache
 def make_push_sums(real: Any):
-    """Kernel: adds `sign` times momentum and kinetic energy of chosen particles to `GIVEN` sums."""
+    """Kernel: adds the change of momentum and kinetic energy since `push_copy` to `GIVEN` sums."""
     t = types(real)
 
     @wp.kernel(module=f"phy124_push_sums_{real.__name__}", enable_backward=False)
     def push_sums(
         # model
-        mass: wp.array(dtype=real), dx: real, sign: wp.float64,
+        mass: wp.array(dtype=real), dx: real,
         # state in
         v: wp.array(dtype=t.vec3), C: wp.array(dtype=t.mat33),
+        v_kept: wp.array(dtype=t.vec3), C_kept: wp.array(dtype=t.mat33),
         # out
         given_out: wp.array(dtype=wp.float64),
     ):  # fmt: skip
         p = wp.tid()
-        m = sign * wp.float64(mass[p])
-        moving = wide(v[p])
+        m = wp.float64(mass[p])
+        change = wide(v[p]) - wide(v_kept[p])
         spread = wp.float64(dx * dx) / wp.float64(4.0)
-        square = wp.dot(moving, moving) + spread * wp.float64(wp.ddot(C[p], C[p]))
-        add3(given_out, 0, m * moving)
+        affine = wp.float64(wp.ddot(C[p], C[p])) - wp.float64(wp.ddot(C_kept[p], C_kept[p]))
+        square = wp.dot(change, wide(v[p]) + wide(v_kept[p])) + spread * affine
+        add3(given_out, 0, m * change)
         wp.atomic_add(given_out, 3, m / wp.float64(2.0) * square)
+        wp.atomic_add(given_out, 4, m * wp.length(change))
 
     return push_sums
 
@@ -150,7 +208,7 @@ def make_wall_copy(real: Any):
 
 @cache
 def make_wall_sums(real: Any):
-    """Kernel over the same rows: adds impulse and work of the walls to `GIVEN` sums.
+    """Kernel over the same rows: adds what the walls give to `GIVEN` sums.
 
     The work of an impulse J is J . v with the velocity after it, which moves the material: zero
     for walls at rest, negative for friction. With the velocity before it, stress that presses on
@@ -174,6 +232,7 @@ def make_wall_sums(real: Any):
         row = ((i + low[0]) * size[1] + j + low[1]) * size[2] + low[2]
         impulse = wp.vec3d()
         work = wp.float64(0.0)
+        gross = wp.float64(0.0)
         for k in range(count[2]):
             q = grid[row + k]
             if q[3] > real(0.0):
@@ -182,9 +241,11 @@ def make_wall_sums(real: Any):
                     J = wp.float64(q[3]) * wide(d)
                     impulse += J
                     work += wp.dot(J, wide(q))
-        if work != wp.float64(0.0) or wp.dot(impulse, impulse) > wp.float64(0.0):
+                    gross += wp.length(J)
+        if gross > wp.float64(0.0):
             add3(given_out, 0, impulse)
             wp.atomic_add(given_out, 3, work)
+            wp.atomic_add(given_out, 4, gross)
 
     return wall_sums
 
@@ -253,27 +314,37 @@ def make_probe(law: Law, real: Any):
 
 @cache
 def make_reset(real: Any):
-    """Kernel: deformations that no law can work with become the identity, and are counted.
+    """Kernel: deformations that no law can work with become the identity.
 
-    Sound are volume ratios between `least` and `most` and norms up to `greatest`.
+    Sound are volume ratios between `least` and `most`, norms up to `greatest`, and a smallest
+    stretch of at least the share `narrowest` of the greatest: J / |cof F| against |F|.
+    `found_out` is how many are not and the lowest index of one.
     """
     t = types(real)
 
     @wp.kernel(module=f"phy124_reset_{real.__name__}", enable_backward=False)
     def reset(
-        least: real, most: real, greatest: real,
+        least: real, most: real, greatest: real, narrowest: real,
         # state, updated in place
         F_out: wp.array(dtype=t.mat33), C_out: wp.array(dtype=t.mat33),
         # out
-        counts_out: wp.array(dtype=int),
+        found_out: wp.array(dtype=int),
     ):  # fmt: skip
         p = wp.tid()
-        J = wp.determinant(F_out[p])
-        size = wp.ddot(F_out[p], F_out[p])
+        deformation = F_out[p]
+        a = wp.cross(deformation[1], deformation[2])
+        b = wp.cross(deformation[2], deformation[0])
+        c = wp.cross(deformation[0], deformation[1])
+        J = wp.dot(deformation[0], a)
+        size = wp.sqrt(wp.ddot(deformation, deformation))
+        cofactor = wp.sqrt(wp.dot(a, a) + wp.dot(b, b) + wp.dot(c, c))
         # A comparison with NaN is false, so the test is for soundness.
-        if not (J >= least and J <= most and size <= greatest * greatest):
+        if not (
+            J >= least and J <= most and size <= greatest and J >= narrowest * size * cofactor
+        ):
             F_out[p] = wp.identity(3, dtype=real)
             C_out[p] = t.mat33()
-            wp.atomic_add(counts_out, 0, 1)
+            wp.atomic_add(found_out, 0, 1)
+            wp.atomic_min(found_out, 1, p)
 
     return reset

@@ -70,17 +70,30 @@ def snow_modulus(F: Any, h: Any, theta: Any):
 
 
 @wp.func
-def clamp_share(at: wp.float64, least: wp.float64, most: wp.float64) -> wp.float64:
-    """Clamped stretch over stretch, for a squared stretch."""
-    stretch = wp.sqrt(wp.max(at, wp.float64(1.0e-12)))
-    return wp.clamp(stretch, least, most) / stretch
+def clamped(s: wp.vec3d, least: wp.float64, most: wp.float64) -> wp.vec3d:
+    """Stretches brought into their range."""
+    return wp.vec3d(
+        wp.clamp(s[0], least, most), wp.clamp(s[1], least, most), wp.clamp(s[2], least, most)
+    )
+
+
+@wp.func
+def stretch_energy(s: wp.vec3d, side: wp.float64, mu: wp.float64, lam: wp.float64) -> wp.float64:
+    """`fixed_corotated_energy` of stretches; the smallest counts as `side` = -1 if inverted."""
+    one = wp.float64(1.0)
+    d = wp.vec3d(s[0] - one, s[1] - one, side * s[2] - one)
+    j1 = side * s[0] * s[1] * s[2] - one
+    return mu * wp.dot(d, d) + lam / wp.float64(2.0) * j1 * j1
 
 
 @wp.func
 def snow_return(F: Any, h: Any, theta: Any, dt: Any):
     """Stretches clamped to [least, most], what is cut off goes to Jp (eqs. 9 and 10 there).
 
-    Bounds of the eigenvalues of F F^T that need no root settle most elastic particles.
+    Nothing is cut off where that would raise the energy, hardening included: a stretch under
+    pressure does not break, however long it is. Without this, snow of a Poisson's ratio near 1/2
+    gains energy from breaking. Bounds of the eigenvalues of F F^T that need no root settle most
+    elastic particles.
     """
     s = F[0, 0]
     b = gram(F)
@@ -92,13 +105,20 @@ def snow_return(F: Any, h: Any, theta: Any, dt: Any):
     wide = to_double(F)
     squared = wide * wp.transpose(wide)
     at = eigenvalues(squared)
-    least = wp.float64(theta[2])
-    most = wp.float64(theta[3])
-    f = wp.vec3d(
-        clamp_share(at[0], least, most),
-        clamp_share(at[1], least, most),
-        clamp_share(at[2], least, most),
+    tiny = wp.float64(1.0e-12)
+    trial = wp.vec3d(
+        wp.sqrt(wp.max(at[0], tiny)), wp.sqrt(wp.max(at[1], tiny)), wp.sqrt(wp.max(at[2], tiny))
     )
-    cut = with_values(squared, at, f)
+    kept = clamped(trial, wp.float64(theta[2]), wp.float64(theta[3]))
+    f = wp.cw_div(kept, trial)
     volume = (type(s)(1.0) + h[0]) / type(s)(f[0] * f[1] * f[2])
-    return from_double(cut * wide, s), wp.vector(volume - type(s)(1.0), h[1])
+    after = wp.vector(volume - type(s)(1.0), h[1])
+    side = wp.float64(1.0)
+    if wp.determinant(F) < type(s)(0.0):
+        side = -side
+    mu = wp.float64(theta[0])
+    lam = wp.float64(theta[1])
+    gain = wp.float64(snow_hardening(after, theta)) * stretch_energy(kept, side, mu, lam)
+    if gain > wp.float64(snow_hardening(h, theta)) * stretch_energy(trial, side, mu, lam):
+        return F, h
+    return from_double(with_values(squared, at, f) * wide, s), after

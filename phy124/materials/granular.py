@@ -5,11 +5,18 @@ from __future__ import annotations
 import math
 from typing import ClassVar, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from phy124.kernels import granular, hencky
 from phy124.kernels.transfer import Law
 from phy124.materials.base import Elastic
+
+PACKING = 2 / 3
+"""Greatest product of snow's hardening and compression.
+
+Squeezed evenly to 1 - c, snow holds psi = 3/2 (2 mu + 3 lambda) c^2; packing by d gives back
+3 (2 mu + 3 lambda) c d and stiffens psi by the share 3 xi d, which takes more once xi c > 2/3.
+"""
 
 
 class Sand(Elastic):
@@ -65,6 +72,16 @@ class Snow(Elastic):
     hardening: float = Field(
         default=10.0, ge=0, le=20, description="How fast packing stiffens it; e^4 at most."
     )
+
+    @model_validator(mode="after")
+    def _dissipates(self) -> Snow:
+        packing = self.hardening * self.compression
+        if packing > PACKING:
+            raise ValueError(
+                f"hardening x compression = {packing:.3g} must be at most {PACKING:.3g}, or snow "
+                "stores more energy by packing than the packing takes; lower one of them"
+            )
+        return self
 
     def theta(self) -> tuple[float, ...]:
         """(mu, lambda, least stretch, greatest stretch, hardening)."""
