@@ -88,32 +88,50 @@ def refiner(studio: Studio) -> Handler:
 def runner(studio: Studio) -> Handler:
     """Cut-out and scene -> progress, then everything there is to see."""
 
-    def run(cutout: Any, scene: Any, request: gr.Request) -> Iterator[tuple[Any, ...]]:
+    def run(
+        cutout: Any, scene: Any, ticket: str | None, request: gr.Request
+    ) -> Iterator[tuple[Any, ...]]:
         kept = [gr.skip()] * 4
         path = cutout.path if cutout else None
         going = (gr.skip(), gr.skip())
-        rested = (gr.update(interactive=True), gr.update(visible=False))
-        for progress in studio.run(session_of(request), path, scene):
+        # Gradio empties the outputs of a generator that ends without a word.
+        yield (gr.skip(), gr.skip(), *going, *kept)
+        for progress in studio.run(session_of(request), path, scene, ticket):
             if progress.state == "running":
                 yield (progress.data(), gr.skip(), *going, *kept)
             else:
                 shown = kept if progress.done is None else results(progress.done, progress)
                 kept_done = gr.skip() if progress.done is None else progress.done
-                yield (progress.data(), kept_done, *rested, *shown)
+                yield (progress.data(), kept_done, *rested(), *shown)
 
     return run
 
 
-def begin() -> tuple[Any, ...]:
-    """At the click itself, before the queue: the page says that it waits."""
-    waiting = Progress(state="waiting").data()
-    return waiting, gr.update(interactive=False), gr.update(visible=True)
+def beginner(studio: Studio) -> Handler:
+    """At the click itself, before the queue: a ticket, and the page says that it waits."""
+
+    def begin(request: gr.Request) -> tuple[Any, ...]:
+        waiting = Progress(state="waiting").data()
+        ticket = studio.announce(session_of(request))
+        return ticket, waiting, gr.update(interactive=False), gr.update(visible=True)
+
+    return begin
 
 
-def refused() -> tuple[Any, ...]:
+def refuser(studio: Studio) -> Handler:
     """The queue would not take the click; Gradio has said why."""
-    progress = Progress(state="refused", message="Too many visitors are waiting. Try again soon.")
-    return progress.data(), gr.update(interactive=True), gr.update(visible=False)
+
+    def refused(request: gr.Request) -> tuple[Any, ...]:
+        studio.visitors.stop(session_of(request))
+        message = "Too many visitors are waiting. Try again soon."
+        return Progress(state="refused", message=message).data(), *rested()
+
+    return refused
+
+
+def rested() -> tuple[Any, Any]:
+    """The buttons when nothing runs: Generate can be pressed, Cancel is gone."""
+    return gr.update(interactive=True), gr.update(visible=False)
 
 
 def pick(event: gr.EventData) -> str | None:
@@ -123,12 +141,18 @@ def pick(event: gr.EventData) -> str | None:
 
 
 def stopper(studio: Studio) -> Handler:
-    """Stop this visitor's work."""
+    """Stop this visitor's work.
+
+    A run that has started says itself that it has stopped: were it said here as well, the run's
+    last word on its progress could come after it and stay. Cancelling it in Gradio, too, would
+    close the run's stream before that word.
+    """
 
     def stop(request: gr.Request) -> tuple[Any, ...]:
-        studio.visitors.stop(session_of(request))
+        if studio.visitors.stop(session_of(request)):
+            return gr.skip(), gr.skip(), gr.skip()
         progress = Progress(state="stopped", message="Stopped. Nothing was changed.")
-        return progress.data(), gr.update(interactive=True), gr.update(visible=False)
+        return progress.data(), *rested()
 
     return stop
 

@@ -116,8 +116,20 @@ class Studio:
             DEVICE.release()
         return forecast.sentence
 
-    def run(self, session: str, cutout: str | None, data: Any) -> Iterator[Progress]:
-        """Do the whole chain; yields often, the last one carries the result or what is wrong."""
+    def announce(self, session: str) -> str | None:
+        """A ticket for a run that is about to be queued, so that it can be called off there."""
+        try:
+            return self.visitors.get(session).begin().name
+        except InputError:
+            return None
+
+    def run(
+        self, session: str, cutout: str | None, data: Any, ticket: str | None = None
+    ) -> Iterator[Progress]:
+        """Do the whole chain; yields often, the last one carries the result or what is wrong.
+
+        Yields nothing for a ticket that was called off while it waited in the queue.
+        """
         try:
             if not cutout or not Path(cutout).exists():
                 raise InputError("picture", "none", "There is no picture yet.", "Choose one first.")
@@ -128,9 +140,12 @@ class Studio:
         except InputError as error:
             yield Progress(message=sentence(error), state="refused")
             return
+        flag = visitor.folder / ticket if ticket else visitor.begin()
+        if not visitor.start(flag):
+            return
         self.visitors.sweep(self.settings.keep_hours * 3600, self.settings.max_visitors)
         expected = visitor.forecasts.get(key(scene.data()), forecast.seconds)
-        yield from self._work(visitor, Path(cutout), scene, expected)
+        yield from self._work(visitor, self._order(visitor, Path(cutout), scene, flag), expected)
 
     def _order(self, visitor: Visitor, cutout: Path, scene: Scene, stop: Path) -> Order:
         limits = self.settings
@@ -139,24 +154,21 @@ class Studio:
             device=limits.device, gaussians=limits.gaussians, about=(("generator", "relief"),),
         )  # fmt: skip
 
-    def _work(
-        self, visitor: Visitor, cutout: Path, scene: Scene, expected: float
-    ) -> Iterator[Progress]:
-        stop, progress = visitor.begin(), Progress(expected=expected)
-        events = self.work(self._order(visitor, cutout, scene, stop))
+    def _work(self, visitor: Visitor, order: Order, expected: float) -> Iterator[Progress]:
+        progress, events = Progress(expected=expected), self.work(order)
         try:
             for event in events:
                 progress.take(event)
                 if progress.due():
                     yield progress
         except Cancelled:
-            progress.message, progress.state = "Stopped.", "stopped"
+            progress.message, progress.state = "Stopped. Nothing was changed.", "stopped"
             yield progress
         except InputError as error:
             progress.message, progress.state = sentence(error), "refused"
             yield progress
         except GeneratorExit:
-            stop.touch()
+            order.stop.touch()
             raise
         except Exception:
             LOG.exception("the work failed")
@@ -164,10 +176,10 @@ class Studio:
             yield progress
         finally:
             stop_at_close(events)
-            visitor.end(stop)
+            visitor.end(order.stop)
         if progress.done is not None:
             if "simulate" not in progress.reused:
-                self.forecaster.learn(read_report(progress.done), scene)
+                self.forecaster.learn(read_report(progress.done), order.scene)
             visitor.trim(self.settings.max_clips)
 
     def warm_up(self) -> None:

@@ -11,6 +11,7 @@ EDITOR = HEAD + '<script src="phy124/static/scene.js"></script>'
 PLAYER = (
     HEAD
     + '<script src="phy124/viewer/vendor/playcanvas.min.js"></script>'
+    + '<script src="phy124/viewer/pack.js"></script>'
     + '<script src="phy124/viewer/player.js"></script>'
     + '<link rel="stylesheet" href="phy124/viewer/player.css">'
 )

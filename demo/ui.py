@@ -162,20 +162,22 @@ def _wire_run(
         handlers.refiner(studio), [cutout, scene], forecast, queue=False,
         show_progress="hidden", api_visibility="private",
     )  # fmt: skip
-    go.click(
-        handlers.begin, None, [progress, go, cancel], queue=False, show_progress="hidden",
-        api_visibility="private",
+    ticket = gr.State(None)
+    queued = go.click(
+        handlers.beginner(studio), None, [ticket, progress, go, cancel], queue=False,
+        show_progress="hidden", api_visibility="private",
     )  # fmt: skip
-    run = go.click(
-        handlers.runner(studio), [cutout, scene], [progress, done, go, cancel, *results],
+    # "multiple": a run called off in the queue must not keep the next one from being sent.
+    run = queued.then(
+        handlers.runner(studio), [cutout, scene, ticket], [progress, done, go, cancel, *results],
         concurrency_id="device", concurrency_limit=1, show_progress="minimal",
-        show_progress_on=progress, api_visibility="private",
+        show_progress_on=progress, api_visibility="private", trigger_mode="multiple",
     )  # fmt: skip
     run.failure(
-        handlers.refused, None, [progress, go, cancel], queue=False, show_progress="hidden",
-        api_visibility="private",
+        handlers.refuser(studio), None, [progress, go, cancel], queue=False,
+        show_progress="hidden", api_visibility="private",
     )  # fmt: skip
     cancel.click(
-        handlers.stopper(studio), None, [progress, go, cancel], cancels=[run], queue=False,
+        handlers.stopper(studio), None, [progress, go, cancel], queue=False,
         show_progress="hidden", api_visibility="private",
     )  # fmt: skip

@@ -36,7 +36,9 @@ class Visitor:
         self.seen = time.time()
         self.forecasts: dict[str, float] = {}
         """Seconds that a probe has found, by scene."""
-        self._work: set[Path] = set()
+        self._lock = threading.Lock()
+        self._waiting: set[Path] = set()
+        self._running: set[Path] = set()
         for stage in STAGES:
             (folder / stage).mkdir(parents=True, exist_ok=True)
 
@@ -46,23 +48,39 @@ class Visitor:
         A file, because the work may run in another process (ZeroGPU forks one).
         """
         flag = self.folder / f"stop-{secrets.token_hex(8)}"
-        self._work.add(flag)
+        with self._lock:
+            self._waiting.add(flag)
         return flag
+
+    def start(self, flag: Path) -> bool:
+        """Whether announced work may start; no longer if it was called off while it waited."""
+        with self._lock:
+            if flag not in self._waiting:
+                return False
+            self._waiting.discard(flag)
+            self._running.add(flag)
+        return True
 
     def end(self, flag: Path) -> None:
         """The work is over, or asked to stop; whoever does it removes the file."""
-        self._work.discard(flag)
+        with self._lock:
+            self._waiting.discard(flag)
+            self._running.discard(flag)
 
     @property
     def busy(self) -> bool:
-        """Whether work is in hand."""
-        return bool(self._work)
+        """Whether work is in hand or waits for its turn."""
+        return bool(self._waiting or self._running)
 
-    def stop(self) -> None:
-        """Ask all work in hand to stop; harmless if there is none."""
-        for flag in tuple(self._work):
+    def stop(self) -> bool:
+        """Call off what waits and ask what runs to stop; returns whether anything ran."""
+        with self._lock:
+            self._waiting.clear()
+            running = tuple(self._running)
+        for flag in running:
             with contextlib.suppress(OSError):
                 flag.touch()
+        return bool(running)
 
     def trim(self, keep: int) -> None:
         """Forget all but the newest results of each stage."""
@@ -97,12 +115,11 @@ class Visitors:
             visitor.seen = time.time()
             return visitor
 
-    def stop(self, session: str) -> None:
-        """Ask a visitor's work to stop."""
+    def stop(self, session: str) -> bool:
+        """Stop a visitor's work; returns whether any was running."""
         with self._lock:
             visitor = self._known.get(session)
-        if visitor is not None:
-            visitor.stop()
+        return visitor is not None and visitor.stop()
 
     def leave(self, session: str) -> None:
         """Stop the visitor's work and remove the folder."""

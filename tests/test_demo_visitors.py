@@ -37,6 +37,7 @@ def test_leaving_removes_the_folder(visitors, tmp_path):
 def test_leaving_while_work_goes_on_asks_it_to_stop(visitors):
     visitor = visitors.get("a")
     flag = visitor.begin()
+    assert visitor.start(flag)
     visitors.leave("a")
     assert flag.exists()
     assert not (visitor.folder / "clips").exists()
@@ -53,10 +54,20 @@ def test_what_was_queued_for_someone_who_has_left_is_refused(visitors, tmp_path)
 def test_a_stop_reaches_all_work_in_hand_and_no_other(visitors):
     visitor = visitors.get("a")
     one, two, over = visitor.begin(), visitor.begin(), visitor.begin()
+    assert all(visitor.start(flag) for flag in (one, two, over))
     visitor.end(over)
-    visitor.stop()
+    assert visitor.stop()
     assert one.exists() and two.exists() and not over.exists()
     assert not visitor.begin().exists()
+
+
+def test_work_that_waits_is_called_off_and_never_starts(visitors):
+    visitor = visitors.get("a")
+    early, late = visitor.begin(), visitor.begin()
+    assert visitor.busy and not visitors.stop("a"), "nothing was running"
+    assert not visitor.busy and not visitor.start(early)
+    assert not late.exists(), "no stop file is left behind"
+    assert visitor.start(visitor.begin()) and visitor.busy
 
 
 def test_sweeping_by_age_and_by_number(visitors, tmp_path):

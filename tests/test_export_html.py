@@ -36,7 +36,7 @@ def clip(rng) -> Clip:
 
 
 def _unpacked(data: bytes) -> tuple[dict, dict[str, np.ndarray]]:
-    """What player.js does, in NumPy."""
+    """What pack.js does, in NumPy."""
     raw = gzip.decompress(data)
     length = int.from_bytes(raw[:4], "little")
     head = json.loads(raw[4 : 4 + length])
@@ -104,7 +104,7 @@ def test_the_page_needs_nothing_but_itself(clip, tmp_path):
     assert not re.search(r"<(?:script|link|img)[^>]+(?:src|href)=", page)
     assert "&lt;b&gt;duck &amp; co" in page and "<b>duck" not in page
     assert "PlayCanvas" in page and "Permission is hereby granted" in page
-    assert page.count("</script>") == 4
+    assert page.count("</script>") == 5
 
 
 def test_refusals_are_sentences_and_leave_no_file(clip, tmp_path):

@@ -35,7 +35,7 @@ from phy124.gaussians import SH_C0
 
 VIEWER = Path(__file__).parents[2] / "demo" / "viewer"
 """Where the player's scripts lie, beside this package."""
-SCRIPTS = ("vendor/playcanvas.min.js", "player.js")
+SCRIPTS = ("vendor/playcanvas.min.js", "pack.js", "player.js")
 STYLE = "player.css"
 LICENCE = "vendor/LICENSE-playcanvas.txt"
 TALLEST = 4.0
