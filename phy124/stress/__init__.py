@@ -30,7 +30,7 @@ CASES = (
     Case(18, "opacity 0 and 1, no volume, no mass", inputs.odd_gaussians),
     Case(19, "mass ratio 10,000", limits.mass_ratio),
     Case(20, "a million times its weight on one particle", impact.monstrous_push),
-    Case(21, "sand in tension, and its angle of friction", laws.sand),
+    Case(21, "sand in tension, in heaps, under pressure", laws.sand),
     Case(22, "Hencky stress without an SVD", laws.series_strain),
     Case(23, "covariances over a long motion", shapes.covariances),
     Case(24, "quaternions go on", shapes.continuity),

@@ -1,4 +1,4 @@
-"""Cases 12, 21, 22: what the laws make of deformations no real material has seen."""
+"""Cases 12, 21, 22: what the laws make of deformations no real material has seen; sand heaps."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import math
 import numpy as np
 import warp as wp
 
+from phy124.boundaries import Container, Ground
 from phy124.forces import Gravity
 from phy124.kernels.diagnose import make_probe
 from phy124.kernels.transfer import types
@@ -22,7 +23,9 @@ from phy124.materials import (
     Sand,
     Snow,
 )
+from phy124.mpm import Solver
 from phy124.mpm.solver import PRECISIONS
+from phy124.region import Region
 from phy124.stress.bodies import Array, block, body, host
 from phy124.stress.case import Check, Setting, at_most, equal
 
@@ -75,8 +78,8 @@ def every_deformation(setting: Setting) -> list[Check]:
 
 
 def sand(setting: Setting) -> list[Check]:
-    """Sand in the air and under pressure."""
-    return [*thrown_sand(setting), *friction_angle(setting)]
+    """Sand in the air, in a heap and under pressure."""
+    return [*thrown_sand(setting), *heap(setting), *friction_angle(setting)]
 
 
 def thrown_sand(setting: Setting) -> list[Check]:
@@ -97,6 +100,57 @@ def thrown_sand(setting: Setting) -> list[Check]:
         at_most("stress / E", np.abs(stress).max() / Sand().E, 1e-5),
         at_most("F^T F - I", np.abs(F.transpose(0, 2, 1) @ F - np.eye(3)).max(), 1e-5),
     ]
+
+
+HEAP = 0.4
+"""Radius of the heaps [m]."""
+
+
+def heap(setting: Setting) -> list[Check]:
+    """Cones five degrees steeper than the angle of friction slump and come to rest at it.
+
+    The finer the grid, the steeper it stands: Drucker's and Prager's cone, fitted to triaxial
+    compression, lets an endless slope stand up to tan = M / sqrt(3), M = 6 sin phi / (3 - sin phi),
+    29.6 degrees for 25 and 39.3 for 35. A column that collapses fast ends flatter, by inertia.
+    """
+    checks = []
+    for angle in (20.0, 25.0, 35.0) if setting.long else (25.0, 35.0):
+        s = cone(angle, angle + 5, 20 if setting.long else 16, setting)
+        s.advance(1.0)
+        speed = np.linalg.norm(host(s.state.v), axis=1)
+        fastest = float(np.quantile(speed, 0.99)) / math.sqrt(9.81 * HEAP)
+        checks += [
+            at_most(f"heap of {angle:g} degrees: error [degrees]", abs(slope(s) - angle), 3.0),
+            at_most("99 % slower than / sqrt(g R)", fastest, 0.01),
+        ]
+    return checks
+
+
+def cone(angle: float, steepness: float, cells: int, setting: Setting) -> Solver:
+    """A quarter of a cone on a rough floor, between two smooth walls; angles in degrees."""
+    dx, height = HEAP / cells, HEAP * math.tan(math.radians(steepness))
+    along = (np.arange(2 * cells) + 0.5) * dx / 2
+    up = (np.arange(int(2 * height / dx) + 1) + 0.5) * dx / 2
+    x = np.stack(np.meshgrid(along, along, up, indexing="ij"), axis=-1).reshape(-1, 3)
+    x = x[x[:, 2] < height * (1 - np.hypot(x[:, 0], x[:, 1]) / HEAP)]
+    walls = [Container(inside=Region(lower=(0, 0, -1e9)), contact="slip"), Ground(contact="sticky")]
+    return Solver(
+        x, np.full(len(x), (dx / 2) ** 3), [Sand(friction_angle=angle, E=3e5)], dx=dx,
+        boundaries=walls, forces=[Gravity()], origin=(0.25 * dx, 0.25 * dx, -0.75 * dx),
+        **setting.options,
+    )  # fmt: skip
+
+
+def slope(solver: Solver) -> float:
+    """Angle of the flank of a cone that was built with radius `HEAP` [degrees].
+
+    The surface is where the three highest particles of each ring are; top and toe do not count.
+    """
+    x = host(solver.state.x)
+    r = np.hypot(x[:, 0], x[:, 1])
+    rings = np.arange(0.15 * HEAP, 0.8 * HEAP, solver.dx)
+    tops = [np.sort(x[(r >= a) & (r < a + solver.dx), 2])[-3:].mean() for a in rings]
+    return -math.degrees(math.atan(np.polyfit(rings, tops, 1)[0]))
 
 
 def friction_angle(setting: Setting) -> list[Check]:
