@@ -5,7 +5,7 @@ import re
 import pytest
 import warp as wp
 
-from phy124.kernels import grid, push, transfer
+from phy124.kernels import grid, pace, push, transfer
 from phy124.materials import FixedCorotated, NeoHookean, Sand
 
 LAWS = [m.device_law for m in (NeoHookean, FixedCorotated, Sand)]
@@ -22,18 +22,20 @@ def ptx(kernel, folder) -> str:
 def test_transfers_compile_for_cuda(law, tmp_path):
     (tmp_path / "p2g").mkdir()
     (tmp_path / "g2p").mkdir()
-    scatter = ptx(transfer.make_p2g(law, wp.float32, False), tmp_path / "p2g")
-    assert ".visible .entry" in ptx(transfer.make_g2p(law, wp.float32, False), tmp_path / "g2p")
+    scatter = ptx(transfer.make_p2g(law, wp.float32, "cuda"), tmp_path / "p2g")
+    assert ".visible .entry" in ptx(transfer.make_g2p(law, wp.float32, "cuda"), tmp_path / "g2p")
     assert ".target sm_90" in scatter
-    # 27 nodes of four numbers, added without return values.
-    adds = re.findall(r"(?:red|atom)\.\S*add\S*f32", scatter)
-    assert len(adds) == 108
+    # 27 nodes, the four numbers of each added at once and without return values.
+    assert len(re.findall(r"red\.global\.add\.v4\.f32", scatter)) == 27
+    assert not re.findall(r"atom\S*add", scatter)
 
 
 def test_grid_and_pushes_compile_for_cuda(tmp_path):
     kernels = {
         "update": grid.make_update(wp.float32),
         "merge": grid.make_merge(wp.float32),
+        "measure": transfer.make_measure(NeoHookean().device_law, wp.float32),
+        "pace": pace.make_pace(wp.float32),
         "accelerate": push.make_accelerate(wp.float32, True),
     }
     for name, kernel in kernels.items():

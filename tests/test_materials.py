@@ -39,9 +39,9 @@ def every_variant_first() -> None:
     for material in LAWS:
         for real in (wp.float32, wp.float64):
             make_probe(material.device_law, real)
-        for native in (True, False):
-            transfer.make_p2g(material.device_law, wp.float32, native)
-        transfer.make_g2p(material.device_law, wp.float32, True)
+        for form in transfer.SCATTERS:
+            transfer.make_p2g(material.device_law, wp.float32, form)
+        transfer.make_g2p(material.device_law, wp.float32, "simd")
         transfer.make_measure(material.device_law, wp.float32)
 
 
@@ -209,8 +209,8 @@ def test_materials_are_named_by_their_law_and_bounded():
 @pytest.mark.parametrize("material", LAWS, ids=name)
 def test_substeps_contain_no_singular_value_decomposition(material):
     for kernel in (
-        transfer.make_p2g(material.device_law, wp.float32, True),
-        transfer.make_g2p(material.device_law, wp.float32, True),
+        transfer.make_p2g(material.device_law, wp.float32, "simd"),
+        transfer.make_g2p(material.device_law, wp.float32, "simd"),
     ):
         source = generated(kernel)
         assert "builtin_tid1d()" in source, "this is the generated code"

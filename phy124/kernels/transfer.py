@@ -15,7 +15,8 @@ from typing import Any, NamedTuple
 
 import warp as wp
 
-from phy124.kernels import simd
+from phy124.kernels import reduction, simd
+from phy124.kernels.spline import offsets, spline
 
 
 class Law(NamedTuple):
@@ -52,22 +53,6 @@ def types(real: Any) -> Types:
     vector, matrix = wp.types.vector, wp.types.matrix
     sizes = (vector(2, real), vector(3, real), vector(4, real))
     return Types(real, *sizes, matrix((3, 3), real), matrix((4, 4), real))
-
-
-@wp.func
-def spline(f: Any):
-    """Quadratic B-spline weights of three nodes, f in [0.5, 1.5) the distance to the first."""
-    half = type(f)(0.5)
-    a = type(f)(1.5) - f
-    b = f - type(f)(1.0)
-    c = f - half
-    return wp.vector(half * a * a, type(f)(0.75) - b * b, half * c * c)
-
-
-@wp.func
-def offsets(f: Any):
-    """0, 1, 2 in the precision of f (casting a loop index would retype the index itself)."""
-    return wp.vector(type(f)(0.0), type(f)(1.0), type(f)(2.0))
 
 
 @wp.func
@@ -162,15 +147,19 @@ def columns4(a: Any, s: Any):
     )
 
 
+SCATTERS = {"plain": scatter, "simd": simd.scatter, "cuda": reduction.scatter}
+"""Forms of one algorithm: readable, for CPU cores and for CUDA, the latter two in float32."""
+
+
 @cache
-def make_p2g(law: Law, real: Any, native: bool):
-    """Kernel: stress, then momentum and mass to the grid; `native` for the SIMD rows."""
+def make_p2g(law: Law, real: Any, form: str):
+    """Kernel: stress, then momentum and mass to the grid."""
     t = types(real)
     theta_type = wp.types.vector(law.width, real)
     stress = law.stress
-    spread = simd.scatter if native else scatter
+    spread = SCATTERS[form]
     has_history = law.project is not None
-    name = f"phy124_p2g_{law.name}_{real.__name__}_{'simd' if native else 'plain'}"
+    name = f"phy124_p2g_{law.name}_{real.__name__}_{form}"
 
     @wp.kernel(module=name, enable_backward=False)
     def p2g(
@@ -206,7 +195,7 @@ def make_p2g(law: Law, real: Any, native: bool):
 
 
 @cache
-def make_g2p(law: Law, real: Any, native: bool):
+def make_g2p(law: Law, real: Any, form: str):
     """Kernel: velocities back to particles, then x and F.
 
     A particle outside the window stays as it is: it is ballistic (kernels/ballistic.py), or the
@@ -214,10 +203,10 @@ def make_g2p(law: Law, real: Any, native: bool):
     """
     t = types(real)
     theta_type = wp.types.vector(law.width, real)
-    project, collect = law.project, simd.gather if native else gather
+    project, collect = law.project, simd.gather if form == "simd" else gather
     plastic = project is not None
     owner = law.name if plastic else f"elastic{law.width}"
-    name = f"phy124_g2p_{owner}_{real.__name__}_{'simd' if native else 'plain'}"
+    name = f"phy124_g2p_{owner}_{real.__name__}_{form}"
 
     @wp.kernel(module=name, enable_backward=False)
     def g2p(

@@ -49,22 +49,29 @@ class Caution:
     def __init__(self, solver: Solver) -> None:
         self._solver = solver
         self._fastest = wp.zeros(1, dtype=solver.real, device=solver.device)
-        self._acceleration = _greatest_acceleration(solver)
-        self._wall = _greatest_rate(solver)
-        self._sudden = any(name in SUDDEN for name, _ in solver.pushes)
+        self.acceleration = _greatest_acceleration(solver)
+        """What forces may do to a particle at most [m/s^2]."""
+        self.wall = _greatest_rate(solver)
+        """How fast a wall moves at most [m/s]."""
+        self._pushy = any(name in SUDDEN for name, _ in solver.pushes)
         self.rejected = 0
         """Substeps that were taken back."""
         self.books: Books | None = None
         """What counts during a substep and must be taken back with it."""
 
+    @property
+    def sudden(self) -> bool:
+        """Whether a force may change velocities at once in the next substep."""
+        return self._pushy and (self._solver.tracks.vary or self._solver.substeps < FIRST)
+
     def called_for(self, dt: float) -> bool:
         """Whether a substep of length `dt` may carry something further than a cell."""
         s, extremes = self._solver, self._solver.extremes
         return (
-            2 * max(extremes.speed, self._wall) * dt > CELLS_PER_STEP * s.dx
+            2 * max(extremes.speed, self.wall) * dt > CELLS_PER_STEP * s.dx
             or 2 * extremes.gradient * dt > STRAIN_PER_STEP
-            or self._acceleration * dt * dt > 0.1 * s.dx
-            or (self._sudden and (s.tracks.vary or s.substeps < FIRST))
+            or self.acceleration * dt * dt > 0.1 * s.dx
+            or self.sudden
         )
 
     def step(self, dt: float) -> float:

@@ -1,11 +1,13 @@
 """Solver: explicit MLS-MPM substeps of stable length.
 
-A substep reads as push, clear, p2g, update, collide, g2p; each stage is one recorded launch per
-material and thread. Two threads work on halves of the particles (phy124/mpm/lanes.py).
+What a substep does is recorded (phy124/mpm/substep.py) and repeated by one thread, by two that
+have half of the particles each (phy124/mpm/lanes.py), or by a CUDA device alone
+(phy124/mpm/graph.py).
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -17,15 +19,16 @@ import warp as wp
 from numpy.typing import NDArray
 
 from phy124.kernels import transfer
-from phy124.kernels.grid import make_merge, make_update
 from phy124.kernels.transfer import types
 from phy124.materials import Material
 from phy124.mpm import lanes as company
 from phy124.mpm.caution import Caution
 from phy124.mpm.domain import Domain
+from phy124.mpm.graph import Graph, usable
 from phy124.mpm.grid import Grid, Unstable
-from phy124.mpm.lanes import Lane, Meeting, Recorded, Timings, cut, taken, timed, work
+from phy124.mpm.lanes import Lane, Meeting, Named, Timings, cut, timed
 from phy124.mpm.state import Group, State, parameters, part_of
+from phy124.mpm.substep import parts, record_phases, record_pushes
 from phy124.timestep import CFL, Extremes, Substep, stable_substep
 from phy124.tracks import Tracks
 
@@ -72,12 +75,15 @@ class Solver:
         ceiling: float = math.inf,
         simd: bool | None = None,
         threads: int | None = None,
+        graph: bool | None = None,
     ) -> None:
         self.real, self.device, self.dx = PRECISIONS[precision], device, float(dx)
         self.cfl, self.ceiling = cfl, ceiling
         self.viscous = min(section.viscous_limit(self.dx) for section in materials)
         cpu_float = device == "cpu" and precision == "float32"
-        self.native = cpu_float if simd is None else simd and cpu_float
+        rows = cpu_float if simd is None else simd and cpu_float
+        on_gpu = device != "cpu" and precision == "float32"
+        self.form = "simd" if rows else "cuda" if on_gpu else "plain"
         self.rest = np.asarray(x, dtype=np.float64)
         self.materials = tuple(materials)
         material = np.zeros(len(x), int) if material is None else material
@@ -97,11 +103,13 @@ class Solver:
         self.timings: Timings = self.lanes[0].timings
         self._tracks_launch = self.tracks.record()
         self._tracks_launch.launch()
-        self._pushes: list[tuple[str, wp.Launch]] = []
+        self._pushes: list[Named] = []
         self._meeting: Meeting | None = None
-        self._since_check = CHECK_EVERY
+        self.since_check = CHECK_EVERY
         self.extremes = Extremes(0.0, 0.0, 0.0)
         self.domain, self.caution = Domain(self), Caution(self)
+        self.graph = Graph(self, every=CHECK_EVERY)
+        self.alone = usable(device) if graph is None else graph
 
     def _build_model(self, volume: NDArray, material: NDArray, share: NDArray | None) -> None:
         laws = [section.device_law.name for section in self.materials]
@@ -187,20 +195,21 @@ class Solver:
                 )
         if changed:
             self._record_substep()
-        self._since_check = 0
+        self.since_check = 0
 
     def _maxima(self) -> NDArray[np.float64]:
         """What limits each lane [L,9]; raises Unstable."""
         for lane in self.lanes:
-            self._measure_lane(lane)
+            self.measure_lane(lane)
         lost = int(self.stray.numpy()[0])
         if lost:
             raise Unstable(f"{lost} particles are no longer numbers")
         return np.array([lane.maxima.numpy() for lane in self.lanes], dtype=np.float64)
 
-    def _measure_lane(self, lane: Lane) -> None:
+    def measure_lane(self, lane: Lane) -> None:
+        """Find what limits the substep among a lane's particles, and where they are."""
         lane.maxima.fill_(-np.inf)
-        for group, part in self._parts(lane):
+        for group, part in parts(self, lane):
             s, kernel = self.state, transfer.make_measure(group.law, self.real)
             model = [group.rows(part), self.mass[part], self.volume[part], self.domain.corners]
             state = [s.x[part], s.v[part], s.C[part], s.F[part], part_of(s.history, part)]
@@ -212,74 +221,15 @@ class Solver:
                 device=self.device,
             )
 
-    def _parts(self, lane: Lane) -> Iterator[tuple[Group, slice]]:
-        """The lane's part of each group."""
-        for group, (start, stop) in zip(self.groups, lane.runs, strict=True):
-            if stop > start:
-                yield group, slice(start, stop)
-
     def _record_substep(self) -> None:
         """Record the launches of one substep, in order."""
-        self._pushes = taken((name, record()) for name, record in self.pushes)
-        edges = self._share_edges()
-        for lane, share in zip(self.lanes, edges, strict=True):
-            scatter = [
-                self._record_p2g(group, part, lane.nodes) for group, part in self._parts(lane)
-            ]
-            self.grid.share = share
-            update = [self._record_update(lane, share), *((n, r()) for n, r in self.collisions)]
-            self.grid.share = None
-            gather = [self._record_g2p(group, part) for group, part in self._parts(lane)]
-            clear: tuple[str, Callable[[], Any]] = ("clear", lane.nodes.nodes.zero_)
-            lane.phases = [[clear, *work(scatter)], work(update), work(gather)]
-        self.lanes[0].phases[2] += work(self.domain.launches())
-
-    def _share_edges(self) -> list[tuple[int, int] | None]:
-        """The layers of the shared grid that each lane brings up to date."""
-        if len(self.lanes) == 1:
-            return [None]
-        low, layers = self.grid.low[0], int(self.grid.size[0])
-        first, second = (lane.nodes for lane in self.lanes)
-        middle = int((first.low[0] + first.size[0] + second.low[0]) // 2 - low)
-        middle = min(max(middle, 0), layers)
-        return [(0, middle), (middle, layers)]
-
-    def _record_p2g(self, group: Group, part: slice, nodes: Grid) -> Recorded:
-        s, law = self.state, group.law
-        kernel = transfer.make_p2g(law, self.real, self.native)
-        model = [self.mass[part], self.volume[part], group.rows(part)]
-        state = [s.x[part], s.v[part], s.C[part], s.F[part], part_of(s.history, part)]
-        inputs = [*model, nodes.lattice, nodes.window, self.clock, *state]
-        return f"p2g {law.name}", self.record(kernel, part.stop - part.start, inputs, [nodes.nodes])
-
-    def _record_g2p(self, group: Group, part: slice) -> Recorded:
-        s, grid, law = self.state, self.grid, group.law
-        kernel = transfer.make_g2p(law, self.real, self.native)
-        inputs = [group.rows(part), grid.lattice, grid.window, self.clock, grid.nodes]
-        outputs = [s.x[part], s.residue[part], s.v[part], s.C[part], s.F[part]]
-        outputs += [part_of(s.history, part), part_of(s.total, part)]
-        return f"g2p {law.name}", self.record(kernel, part.stop - part.start, inputs, outputs)
-
-    def _record_update(self, lane: Lane, share: tuple[int, int] | None) -> Recorded:
-        inputs = [self.clock, self.tracks.values]
-        if share is None:
-            kernel = make_update(self.real)
-            return "grid", self.record(kernel, self.grid.count, inputs, [self.grid.nodes])
-        layer = int(self.grid.size[1] * self.grid.size[2])
-        ranges = []
-        for other in self.lanes:
-            first = int(other.nodes.low[0] - self.grid.low[0]) * layer
-            ranges += [first, first + other.nodes.count]
-        nodes = [other.nodes.nodes for other in self.lanes]
-        start, count = share[0] * layer, (share[1] - share[0]) * layer
-        kernel = make_merge(self.real)
-        return "grid", self.record(
-            kernel, count, [start, *ranges, *inputs, *nodes], [self.grid.nodes]
-        )
+        self._pushes = record_pushes(self)
+        record_phases(self)
+        self.graph.forget()
 
     def step(self, kick: float, drift: float) -> None:
         """One substep: velocities change over `kick` s, positions and F over `drift` s."""
-        if self._since_check >= CHECK_EVERY:
+        if self.since_check >= CHECK_EVERY:
             timed(self.timings, "measure", self._measure)
         self.begin(kick, drift)
         self._meet()
@@ -295,13 +245,13 @@ class Solver:
         if self.tracks.vary:
             timed(self.timings, "tracks", self._tracks_launch.launch)
         for name, launch in self._pushes:
-            timed(self.timings, name, launch.launch)
+            timed(self.timings, name, launch)
 
     def finish(self, drift: float, *, violent: bool = False) -> None:
         """Count a substep that was taken; after a violent one the limits are measured anew."""
         self.time += drift
         self.substeps += 1
-        self._since_check += CHECK_EVERY if violent else 1
+        self.since_check += CHECK_EVERY if violent else 1
 
     def _meet(self) -> None:
         if self._meeting:
@@ -314,7 +264,7 @@ class Solver:
             yield
             return
         # Kernels must be loaded before two threads use them: loading is not safe in Warp.
-        if self._since_check >= CHECK_EVERY:
+        if self.since_check >= CHECK_EVERY:
             timed(self.timings, "measure", self._measure)
         self._meeting, self._halt = Meeting(2), False
         helper = threading.Thread(target=self._follow, args=(self.lanes[1], self._meeting))
@@ -344,14 +294,30 @@ class Solver:
         """
         with self._company():
             while self.time < until:
-                self._stable_step(until)
+                if not self._run_graph(until):
+                    self._stable_step(until)
                 if after is not None:
                     after()
         timed(self.timings, "measure", self._measure)
 
+    def launches(self) -> Iterator[Callable[[], Any]]:
+        """What one substep of a single lane launches, in order."""
+        if self.tracks.vary:
+            yield self._tracks_launch.launch
+        for _, launch in itertools.chain(self._pushes, *self.lanes[0].phases):
+            yield launch
+
+    def _run_graph(self, until: float) -> bool:
+        """Substeps by the device alone; False if the next is for the host."""
+        if not (self.alone and self.graph.fits):
+            return False
+        if self.since_check >= CHECK_EVERY:
+            timed(self.timings, "measure", self._measure)
+        return self.graph.run(until)
+
     def _stable_step(self, until: float) -> None:
         """One substep, as long as is stable and divides the rest evenly."""
-        if self._since_check >= CHECK_EVERY:
+        if self.since_check >= CHECK_EVERY:
             timed(self.timings, "measure", self._measure)
         limit = self.substep()
         rest = until - self.time
@@ -378,7 +344,7 @@ class Solver:
         self.limiters = dict(snapshot["limiters"])
         self.stray.zero_()
         self.grid.stale = True
-        self._since_check = CHECK_EVERY
+        self.since_check = CHECK_EVERY
 
     def substep(self) -> Substep:
         """The longest stable substep at the present state."""

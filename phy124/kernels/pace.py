@@ -1,0 +1,198 @@
+"""Pace: the length of the next substep chosen on the device, so that a frame needs no host.
+
+The same limits, in the same double precision and in the same order as phy124/timestep.py and
+phy124/mpm/caution.py: on one device both take the same substeps, bit for bit.
+"""
+
+from functools import cache
+from typing import Any
+
+import warp as wp
+
+DONE, LOOK, CAREFUL = 1, 2, 3
+"""Why substeps end: the time has come, the host must measure, the next may be violent."""
+ELASTIC, SPEED, GRADIENT, VISCOUS, USER = range(5)
+"""What limits a substep."""
+
+
+@wp.struct
+class Limits:
+    """What the host fixes for the substeps up to a time."""
+
+    until: wp.float64
+    """Time to reach [s]."""
+    dx: wp.float64
+    """Grid spacing [m]."""
+    reach: wp.float64
+    """Courant number times dx [m]."""
+    stride: wp.float64
+    """Way of a particle in a substep at most [m]."""
+    turn: wp.float64
+    """|C| dt at most."""
+    viscous: wp.float64
+    """The materials' own limit [s]."""
+    ceiling: wp.float64
+    """The user's limit [s]."""
+    wall: wp.float64
+    """How fast a wall moves at most [m/s]."""
+    acceleration: wp.float64
+    """What forces may do to a particle at most [m/s^2]."""
+    strain: wp.float64
+    """Sum of |C| dt after which the host must look."""
+    origin: wp.vec3d
+    """Position of node 0 [m]."""
+    margin: wp.int32
+    """Cells of window kept beyond the particles."""
+    every: wp.int32
+    """Substeps between two measurements."""
+
+
+@wp.struct
+class Pace:
+    """Where the substeps are."""
+
+    time: wp.float64
+    """[s]."""
+    last: wp.float64
+    """Length of the last substep [s]."""
+    next: wp.float64
+    """Length of the next one [s]; 0: none has been chosen."""
+    speed: wp.float64
+    """Greatest |v| [m/s]."""
+    gradient: wp.float64
+    """Greatest |C| [1/s]."""
+    stiffness: wp.float64
+    """Greatest A / rho0 [m^2/s^2]."""
+    strain: wp.float64
+    """Sum of |C| dt so far."""
+    taken: wp.int32
+    """Substeps taken."""
+    since: wp.int32
+    """Substeps since the last measurement."""
+    reason: wp.int32
+    """Why the substeps have ended; 0: they go on."""
+
+
+@wp.func
+def over(a: wp.float64, b: wp.float64):
+    """a / b, infinity for b = 0."""
+    if b > wp.float64(0.0):
+        return a / b
+    return wp.float64(wp.inf)
+
+
+@wp.func
+def finish(s: Pace, given: Limits):
+    """Count the substep that was taken, if any."""
+    if s.next > wp.float64(0.0):
+        rest = given.until - s.time
+        s.strain += s.gradient * s.next
+        s.time = s.time + s.next
+        if s.next == rest:
+            s.time = given.until
+        s.last = s.next
+        s.taken += 1
+        s.since += 1
+        s.next = wp.float64(0.0)
+    return s
+
+
+@wp.func
+def spare(x: wp.float64, origin: wp.float64, dx: wp.float64):
+    """The first of the three nodes along an axis that a particle at x touches."""
+    return int(wp.floor((x - origin) / dx - wp.float64(0.5)))
+
+
+@wp.func
+def roomy(low: wp.vec3d, high: wp.vec3d, window: wp.array(dtype=wp.vec3i), given: Limits):
+    """Whether the window leaves room to move beyond the particles, and not far too much."""
+    fits = bool(True)
+    for axis in range(3):
+        first = window[0][axis]
+        below = spare(low[axis], given.origin[axis], given.dx) - first
+        above = first + window[1][axis] - spare(high[axis], given.origin[axis], given.dx) - 3
+        least = given.margin // 2
+        most = 3 * given.margin
+        if below < least or above < least or below > most or above > most:
+            fits = False
+    return fits
+
+
+@wp.func
+def limiter(s: Pace, given: Limits):
+    """The shortest of all limits [s] and which it is; the first of equals."""
+    dt = over(given.reach, wp.sqrt(s.stiffness))
+    which = int(wp.static(ELASTIC))
+    if over(given.stride, s.speed) < dt:
+        dt = over(given.stride, s.speed)
+        which = int(wp.static(SPEED))
+    if over(given.turn, s.gradient) < dt:
+        dt = over(given.turn, s.gradient)
+        which = int(wp.static(GRADIENT))
+    if given.viscous < dt:
+        dt = given.viscous
+        which = int(wp.static(VISCOUS))
+    if given.ceiling < dt:
+        dt = given.ceiling
+        which = int(wp.static(USER))
+    return dt, which
+
+
+@wp.func
+def violent(dt: wp.float64, s: Pace, given: Limits):
+    """Whether a substep may carry something further than a cell."""
+    two = wp.float64(2.0)
+    return (
+        two * wp.max(s.speed, given.wall) * dt > given.stride
+        or two * s.gradient * dt > given.turn
+        or given.acceleration * dt * dt > wp.float64(0.1) * given.dx
+    )
+
+
+@cache
+def make_pace(real: Any):
+    """Kernel of one thread: finish a substep, choose the next, or end and say why."""
+
+    @wp.kernel(module=f"phy124_pace_{real.__name__}", enable_backward=False)
+    def pace(
+        # model
+        limits: wp.array(dtype=Limits), window: wp.array(dtype=wp.vec3i),
+        # state in
+        maxima: wp.array(dtype=real), stray: wp.array(dtype=int),
+        # out
+        pace_out: wp.array(dtype=Pace), clock_out: wp.array(dtype=real),
+        limiters_out: wp.array(dtype=int), on_out: wp.array(dtype=int),
+    ):  # fmt: skip
+        given = limits[0]
+        s = finish(pace_out[0], given)
+        s.reason = 0
+        look = s.strain > given.strain
+        if s.since >= given.every:
+            s.speed = wp.float64(maxima[0])
+            s.gradient = wp.float64(maxima[1])
+            s.stiffness = wp.float64(maxima[2])
+            low = -wp.vec3d(wp.float64(maxima[3]), wp.float64(maxima[4]), wp.float64(maxima[5]))
+            high = wp.vec3d(wp.float64(maxima[6]), wp.float64(maxima[7]), wp.float64(maxima[8]))
+            look = look or stray[0] > 0 or not roomy(low, high, window, given)
+            if not look:
+                s.since = 0
+        if s.time >= given.until:
+            s.reason = wp.static(DONE)
+        elif look:
+            s.reason = wp.static(LOOK)
+        else:
+            dt, which = limiter(s, given)
+            rest = given.until - s.time
+            dt = rest / wp.max(wp.float64(1.0), wp.ceil(rest / dt - wp.float64(1e-9)))
+            if violent(dt, s, given):
+                s.reason = wp.static(CAREFUL)
+            else:
+                s.next = dt
+                limiters_out[which] = limiters_out[which] + 1
+                clock_out[0] = real((s.last + dt) / wp.float64(2.0))
+                clock_out[1] = real(dt)
+                clock_out[2] = real(s.time)
+        pace_out[0] = s
+        on_out[0] = wp.where(s.reason == 0, 1, 0)
+
+    return pace

@@ -1,0 +1,114 @@
+"""A frame without the host takes the very substeps that the host's loop takes."""
+
+import numpy as np
+import pytest
+
+from phy124.boundaries import Ground, Press
+from phy124.forces import Acceleration, Gravity, Wind
+from phy124.kernels import pace
+from phy124.materials import NeoHookean, Sand
+from phy124.mpm import Solver, Unstable
+from phy124.tracks import Sine
+
+SWING = Acceleration(a=(0, 3, 0), profile=Sine(frequency=3.0), start=0.05, end=0.4)
+PRESS = Press()
+FRAMES = np.arange(1, 13) / 24
+
+
+def block(count: int = 1500) -> np.ndarray:
+    x = np.random.default_rng(0).uniform(-0.5, 0.5, (count, 3)) + [0, 0, 0.9]
+    return x[np.lexsort(np.floor(x * 8).T[::-1])]
+
+
+def solvers(material, *, v=(0.5, 0, -1), **options) -> list[Solver]:
+    """The same run twice: by the host's loop, and by the device alone."""
+    x = block()
+    options = {"boundaries": [Ground()], "forces": [Gravity()], **options}
+    speeds = np.tile(np.array(v, float), (len(x), 1))
+    return [
+        Solver(
+            x,
+            np.full(len(x), 1 / len(x)),
+            [material],
+            dx=1 / 8,
+            v=speeds,
+            threads=1,
+            graph=graph,
+            **options,
+        )  # fmt: skip
+        for graph in (False, True)
+    ]
+
+
+def assert_same(host: Solver, alone: Solver) -> None:
+    assert alone.time == host.time and alone.last_dt == host.last_dt
+    assert alone.substeps == host.substeps and alone.limiters == host.limiters
+    assert alone.extremes == host.extremes
+    for name in ("x", "v", "C", "F", "history", "total"):
+        one, other = getattr(host.state, name), getattr(alone.state, name)
+        np.testing.assert_array_equal(one.numpy(), other.numpy(), err_msg=name)
+
+
+@pytest.mark.parametrize(
+    "material, options",
+    [
+        (NeoHookean(E=3e4), {}),
+        (NeoHookean(E=3e4), {"precision": "float64"}),
+        (NeoHookean(E=3e4), {"ceiling": 1e-3}),
+        (NeoHookean(E=3e4), {"simd": False}),
+        (NeoHookean(E=3e4), {"boundaries": [Ground(), PRESS]}),
+        (NeoHookean(E=3e4), {"forces": [Gravity(), SWING]}),
+        (Sand(), {}),
+    ],
+)
+def test_the_device_alone_takes_the_substeps_of_the_host(material, options):
+    host, alone = solvers(material, **options)
+    for until in FRAMES:
+        host.advance(until)
+        alone.advance(until)
+    assert_same(host, alone)
+    assert alone.timings["graph"][1] > 100, "the graph has hardly been used"
+
+
+def test_a_window_that_moves_and_violent_substeps_are_left_to_the_host():
+    host, alone = solvers(NeoHookean(E=3e4), v=(20, 0, 0))
+    for until in FRAMES:
+        host.advance(until)
+        alone.advance(until)
+    assert_same(host, alone)
+    assert "speed" in host.limiters
+
+
+def test_wind_is_left_to_the_host_until_it_has_shown_its_effect():
+    host, alone = solvers(NeoHookean(E=3e4), forces=[Wind(v=(3, 0, 0))])
+    host.advance(0.1)
+    alone.advance(0.1)
+    assert_same(host, alone)
+
+
+def test_a_particle_that_is_no_number_stops_the_graph():
+    _, alone = solvers(NeoHookean(E=3e4))
+    alone.advance(FRAMES[0])
+    v = alone.state.v.numpy()
+    v[7] = np.nan
+    alone.state.v.assign(v)
+    with pytest.raises(Unstable, match="no longer numbers"):
+        alone.advance(FRAMES[1])
+
+
+def test_callback_after_each_visit_of_the_host():
+    _, alone = solvers(NeoHookean(E=3e4))
+    calls = []
+    alone.advance(0.25, after=lambda: calls.append(alone.time))
+    assert calls[-1] == 0.25 and len(calls) < alone.substeps / 5
+
+
+def test_the_host_looks_before_the_strain_of_a_frame_grows_large(monkeypatch):
+    monkeypatch.setattr("phy124.mpm.graph.STRAIN", 0.05)
+    host, alone = solvers(NeoHookean(E=3e3), v=(0, 0, -2))
+    looks = []
+    host.advance(0.5)
+    alone.advance(0.5, after=lambda: looks.append(alone.time))
+    assert len(looks) > 3
+    assert alone.substeps == pytest.approx(host.substeps, rel=0.05)
+    assert pace.LOOK != pace.CAREFUL
