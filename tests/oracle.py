@@ -19,6 +19,7 @@ SMALLEST_J = 1e-4
 SMALLEST_STRETCH = 1e-4
 LEAST_J = 0.1
 HARDEST = 4.0
+LOOSEST = 1e6
 
 
 class Twin(NamedTuple):
@@ -161,7 +162,7 @@ def snow(F: Array, C: Array, h: Array, t: Array) -> Array:
 def snow_return(F: Array, h: Array, t: Array, dt: float) -> tuple[Array, Array]:
     U, s, Vt = signed_svd(F)
     new = np.clip(np.abs(s), t[2], t[3]) * np.where(s < 0, -1, 1)
-    volume = (1 + h[:, 0]) * s.prod(1) / new.prod(1) - 1
+    volume = np.minimum((1 + h[:, 0]) * s.prod(1) / new.prod(1), LOOSEST) - 1
     after = np.column_stack([volume, h[:, 1]])
 
     def energy(s: Array, h: Array) -> Array:

@@ -231,6 +231,12 @@ def test_no_return_mapping_gains_energy(material, rng):
     assert (kept < 0.9 * trial.energy).mean() > 0.2
 
 
+def test_snow_that_flies_apart_stops_counting():
+    """1e6 times its volume is as loose as 1e30 times, and stays a number in float32."""
+    point = evaluate(Snow(), 1.1 * EYE[None], h=np.array([[9e5, 0.0]]), precision="float32")
+    assert point.history[0, 0] == pytest.approx(1e6, rel=1e-6)
+
+
 def test_snow_that_would_gain_by_packing_is_refused():
     with pytest.raises(ValueError, match="hardening x compression = 1 must be at most 0.667"):
         Snow(hardening=10, compression=0.1)

@@ -15,6 +15,8 @@ from phy124.kernels.symmetric import deviator, exponential, gram
 
 HARDEST = wp.constant(4.0)
 """Greatest exponent of snow's hardening: at most e^4 = 55 times stiffer than fresh."""
+LOOSEST = wp.constant(1.0e6)
+"""Jp at which snow that flies apart stops counting, before it overflows."""
 
 
 @wp.func
@@ -112,7 +114,7 @@ def snow_return(F: Any, h: Any, theta: Any, dt: Any):
     kept = clamped(trial, wp.float64(theta[2]), wp.float64(theta[3]))
     f = wp.cw_div(kept, trial)
     volume = (type(s)(1.0) + h[0]) / type(s)(f[0] * f[1] * f[2])
-    after = wp.vector(volume - type(s)(1.0), h[1])
+    after = wp.vector(wp.min(volume, type(s)(LOOSEST)) - type(s)(1.0), h[1])
     side = wp.float64(1.0)
     if wp.determinant(F) < type(s)(0.0):
         side = -side
