@@ -1,8 +1,8 @@
 """The ledger: impulse and work that forces and walls give a run, summed in every substep.
 
 Forces on particles and walls are bracketed: velocities are kept before they act and compared
-after. A uniform acceleration gives M a dt and M a . dx, which needs
-no launch; where it varies in time, its work is summed on the host.
+after. A uniform acceleration gives M a dt and M a . dx, which needs no launch; where it varies in
+time, a kernel of one thread closes each substep with its impulse and work.
 """
 
 from __future__ import annotations
@@ -23,8 +23,10 @@ if TYPE_CHECKING:
 
 BOOKS = "books"
 """Name of the ledger's stages."""
-KINDS = ("push", "wall")
-"""What is summed apart: forces on particles, and walls."""
+KINDS = ("push", "wall", "uniform")
+"""What is summed apart: forces on particles, walls, and a uniform acceleration that varies."""
+_WALLS = (("wall", False), ("wall", True))
+"""Pages of the walls, by lane."""
 
 
 class Given(NamedTuple):
@@ -45,7 +47,7 @@ class Ledger:
         self._pages: dict[Any, wp.array] = {}
         self._closed = {kind: np.zeros(diagnose.GIVEN) for kind in KINDS}
         self._walls: Sequence[Any] = ()
-        self._uniform = np.zeros(diagnose.GIVEN)
+        self._begun = np.zeros(3)
         self._kicked = 0.0
 
     def forces(self, forces: Sequence[Attachable]) -> list[Attachable]:
@@ -61,8 +63,12 @@ class Ledger:
 
     def open(self, solver: Solver) -> None:
         """Begin to count with the present state of the solver."""
-        nothing = {kind: np.zeros(diagnose.GIVEN) for kind in KINDS}
-        self.restore((nothing, np.zeros(diagnose.GIVEN)))
+        self.restore({kind: np.zeros(diagnose.GIVEN) for kind in KINDS})
+        if solver.tracks.vary:
+            self._base, self._walls_before = (
+                wp.zeros(3, dtype=wp.float64, device=solver.device) for _ in range(2)
+            )
+            solver.closings.append((BOOKS, lambda: self._close(solver)))
         self._kicked = solver.time - solver.last_dt / 2
         solver.caution.books = self
 
@@ -78,43 +84,25 @@ class Ledger:
     def total(self, solver: Solver, way: NDArray[np.float64]) -> Given:
         """What was given so far; `way` is mass times position since the start [kg m]."""
         given = self._all()
-        if solver.tracks.vary:
-            given = given + self._uniform
-        else:
+        if not solver.tracks.vary:
             a, mass = _acceleration(solver), total_mass(solver)
             impulse = mass * a * (solver.time - solver.last_dt / 2 - self._kicked)
             given = given + np.array([*impulse, float(a @ way), np.linalg.norm(impulse)])
         return Given(given[:3], float(given[3]), float(given[4]))
 
-    def follow(self, solver: Solver, momentum: NDArray[np.float64]) -> Callable[[], None] | None:
-        """What to call after each substep of a frame that begins with `momentum`; None: nothing."""
-        if not solver.tracks.vary:
-            return None
-        mass = total_mass(solver)
-        before = self._all()[:3] + self._uniform[:3]
-        walls = self._all("wall")[:3]
+    def begin(self, solver: Solver, momentum: NDArray[np.float64]) -> None:
+        """A frame begins with this momentum: the work of what varies depends on it."""
+        if solver.tracks.vary:
+            self._begun = momentum - self._all()[:3]
+            self._set_base()
 
-        def after() -> None:
-            nonlocal walls
-            impulse = mass * float(solver.clock.numpy()[0]) * _acceleration(solver)
-            # When it acts, forces on particles have acted in this substep, and walls have not.
-            since = self._all("push")[:3] + walls + self._uniform[:3]
-            speed = (momentum + since - before) / mass
-            self._uniform[:3] += impulse
-            self._uniform[3] += float(impulse @ (speed + impulse / (2 * mass)))
-            self._uniform[4] += float(np.linalg.norm(impulse))
-            walls = self._all("wall")[:3]
-
-        return after
-
-    def snapshot(self) -> tuple[dict[str, NDArray], NDArray]:
+    def snapshot(self) -> dict[str, NDArray]:
         """What `restore` needs."""
-        return {kind: self._all(kind) for kind in KINDS}, self._uniform.copy()
+        return {kind: self._all(kind) for kind in KINDS}
 
-    def restore(self, snapshot: tuple[dict[str, NDArray], NDArray]) -> None:
+    def restore(self, snapshot: dict[str, NDArray]) -> None:
         """Go back to a snapshot."""
-        self._closed = {kind: sums.copy() for kind, sums in snapshot[0].items()}
-        self._uniform = snapshot[1].copy()
+        self._closed = {kind: sums.copy() for kind, sums in snapshot.items()}
         for page in self._pages.values():
             page.zero_()
 
@@ -134,6 +122,23 @@ class Ledger:
             self._closed[key[0]] = self._closed[key[0]] + self._pages[key].numpy()
         self._pages[key] = wp.zeros(diagnose.GIVEN, dtype=wp.float64, device=solver.device)
         return self._pages[key]
+
+    def _close(self, solver: Solver) -> wp.Launch | None:
+        """The launch that ends a substep with the books of the uniform acceleration."""
+        page = self._page(("uniform",), solver)
+        self._set_base()
+        none = wp.zeros(diagnose.GIVEN, dtype=wp.float64, device=solver.device)
+        pages = [self._pages.get(key, none) for key in (("push",), *_WALLS)]
+        inputs = [total_mass(solver), solver.clock, solver.tracks.values, self._base, *pages]
+        kernel = diagnose.make_uniform_sums(solver.real)
+        return solver.record(kernel, 1, inputs, [self._walls_before, page])
+
+    def _set_base(self) -> None:
+        """Momentum without what the open pages hold; the walls' last impulse is on theirs."""
+        closed = sum(self._closed[kind][:3] for kind in KINDS)
+        self._base.assign(self._begun + closed)
+        walls = [self._pages[key].numpy()[:3] for key in _WALLS if key in self._pages]
+        self._walls_before.assign(np.sum(walls, axis=0) if walls else np.zeros(3))
 
     def _push(self, solver: Solver, sign: int) -> wp.Launch | None:
         if all(name == BOOKS for name, _ in solver.pushes):
@@ -159,7 +164,7 @@ class Ledger:
         read: list[Any] = [box, grid.window, grid.nodes]
         if sign < 0:
             return solver.record(diagnose.make_wall_copy(real), rows, read, [kept])
-        page = self._page(("wall", grid.share and grid.share[0] > 0), solver)
+        page = self._page(("wall", bool(grid.share and grid.share[0] > 0)), solver)
         return solver.record(diagnose.make_wall_sums(real), rows, [*read, kept], [page])
 
     def _reach(self, solver: Solver) -> Corners:

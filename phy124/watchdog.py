@@ -177,15 +177,15 @@ class Watchdog:
         return problem
 
     def follow(self) -> Callable[[], None]:
-        """What to call after each substep of the next frame."""
-        s, books = self.solver, self.ledger.follow(self.solver, self.last.momentum)
-        strain = 0.0
+        """What to call after each substep of the next frame, or after some of them."""
+        s = self.solver
+        self.ledger.begin(s, self.last.momentum)
+        strain, seen = 0.0, s.time
 
         def after() -> None:
-            nonlocal strain
-            if books is not None:
-                books()
-            strain += s.extremes.gradient * float(s.last_dt)
+            nonlocal strain, seen
+            strain += s.extremes.gradient * (s.time - seen)
+            seen = s.time
             if strain > HEAL_AFTER:
                 self._heal.launch()
                 strain = 0.0

@@ -251,6 +251,40 @@ def make_wall_sums(real: Any):
 
 
 @cache
+def make_uniform_sums(real: Any):
+    """Kernel of one thread: adds what the uniform acceleration gives in a substep.
+
+    When it acts, forces on particles have acted in this substep and walls have not: `walls_out`
+    keeps what those had given before. `base` is the momentum without what the pages hold.
+    """
+    t = types(real)
+
+    @wp.kernel(module=f"phy124_uniform_sums_{real.__name__}", enable_backward=False)
+    def uniform_sums(
+        # scalars
+        mass: wp.float64, clock: wp.array(dtype=real), values: wp.array(dtype=t.vec4),
+        # in
+        base: wp.array(dtype=wp.float64), push: wp.array(dtype=wp.float64),
+        wall_a: wp.array(dtype=wp.float64), wall_b: wp.array(dtype=wp.float64),
+        # out
+        walls_out: wp.array(dtype=wp.float64), given_out: wp.array(dtype=wp.float64),
+    ):  # fmt: skip
+        a = values[0]
+        factor = mass * wp.float64(clock[0])
+        J = factor * wp.vec3d(wp.float64(a[0]), wp.float64(a[1]), wp.float64(a[2]))
+        p = wp.vec3d()
+        for c in range(3):
+            p[c] = base[c] + push[c] + walls_out[c] + given_out[c]
+            walls_out[c] = wall_a[c] + wall_b[c]
+        add3(given_out, 0, J)
+        work = wp.dot(J, p + J / wp.float64(2.0)) / mass
+        wp.atomic_add(given_out, 3, work)
+        wp.atomic_add(given_out, 4, wp.length(J))
+
+    return uniform_sums
+
+
+@cache
 def make_grid_speed(real: Any):
     """Kernel: the greatest squared speed of a node with mass; decides whether a step is taken."""
     t = types(real)
@@ -339,9 +373,7 @@ def make_reset(real: Any):
         size = wp.sqrt(wp.ddot(deformation, deformation))
         cofactor = wp.sqrt(wp.dot(a, a) + wp.dot(b, b) + wp.dot(c, c))
         # A comparison with NaN is false, so the test is for soundness.
-        if not (
-            J >= least and J <= most and size <= greatest and J >= narrowest * size * cofactor
-        ):
+        if not (J >= least and J <= most and size <= greatest and J >= narrowest * size * cofactor):
             F_out[p] = wp.identity(3, dtype=real)
             C_out[p] = t.mat33()
             wp.atomic_add(found_out, 0, 1)

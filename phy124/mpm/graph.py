@@ -27,7 +27,7 @@ STAGE = "graph"
 """Name of all this in the list of stages."""
 LIMITERS = ("elastic", "speed", "gradient", "viscous", "user")
 """In the order of phy124/kernels/pace.py."""
-STRAIN = 5.0
+STRAIN = 1.0
 """Sum of |C| dt after which the host has another look, so that broken particles can be mended."""
 
 

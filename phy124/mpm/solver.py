@@ -95,6 +95,8 @@ class Solver:
         self.tracks = Tracks(real=self.real, device=device)
         self.pushes = [stage for force in forces for stage in force.attach(self)]
         self.collisions = [stage for wall in boundaries for stage in wall.attach(self)]
+        self.closings: list[Stage] = []
+        """What ends a substep, once the walls have acted; for books."""
         self.tracks.upload(self.clock)
         self.time, self.substeps, self.last_dt = 0.0, 0, 0.0
         self.limiters: dict[str, int] = {}

@@ -42,7 +42,8 @@ def record_phases(solver: Solver) -> None:
         gather = [_g2p(solver, group, part) for group, part in parts(solver, lane)]
         clear: tuple[str, Callable[[], Any]] = ("clear", lane.nodes.nodes.zero_)
         lane.phases = [[clear, *work(scatter)], work(update), work(gather)]
-    solver.lanes[0].phases[2] += work(solver.domain.launches())
+    closing = [*solver.domain.launches(), *((name, record()) for name, record in solver.closings)]
+    solver.lanes[0].phases[2] += work(closing)
 
 
 def _shares(solver: Solver) -> list[tuple[int, int] | None]:
