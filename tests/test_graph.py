@@ -2,11 +2,14 @@
 
 import numpy as np
 import pytest
+from shapes import ball
 
 from phy124.boundaries import Ground, Press
 from phy124.forces import Acceleration, Gravity, Wind
 from phy124.materials import NeoHookean, Sand
 from phy124.mpm import Solver, Unstable
+from phy124.scene import Scene, preset_names
+from phy124.simulation import Simulation
 from phy124.tracks import Sine
 
 SWING = Acceleration(a=(0, 3, 0), profile=Sine(frequency=3.0), start=0.05, end=0.4)
@@ -102,3 +105,17 @@ def test_the_host_looks_before_the_strain_of_a_frame_grows_large(monkeypatch):
         alone.advance(0.5, after=lambda alone=alone, times=times: times.append(alone.time))
         looks.append(len(times))
     assert looks[0] > 1.5 * looks[1]
+
+
+@pytest.mark.parametrize("name", preset_names())
+def test_every_preset_moves_the_same_by_the_device_alone(name, monkeypatch):
+    scene = Scene.named(name).replaced({"accuracy": {"cells": 8}, "time.frames": 6})
+    runs = []
+    for alone in (False, True):
+        monkeypatch.setattr("phy124.mpm.solver.usable", lambda device, alone=alone: alone)
+        runs.append(Simulation(ball(500), scene))
+        runs[-1].run()
+    host, device = (run.solver for run in runs)
+    assert_same(host, device)
+    assert device.timings["graph"][1] > 0
+    assert runs[0].watchdog.energy_gain == runs[1].watchdog.energy_gain
