@@ -1,14 +1,17 @@
 """How fast the solver steps: particle-substeps per second by law, form, threads and size.
 
 A cube of random particles, cell-sorted, falls on a floor with the paper's settings (jelly, E 1e5,
-dt 1e-4), so rows compare with facts about other engines. Forms and thread counts take turns in
-one process; the best of five rounds counts. One line of JSON each.
+dt 1e-4), so rows compare with facts about other engines. Forms, thread counts and a
+straightforward program of the same law (tests/textbook.py) take turns in one process; the best of
+five rounds counts. One line of JSON each.
 """
 
 import itertools
 import json
 import platform
+import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import warp as wp
@@ -17,6 +20,9 @@ from phy124.boundaries import Ground
 from phy124.forces import Gravity
 from phy124.materials import FixedCorotated, NeoHookean
 from phy124.mpm import Solver
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from textbook import Textbook
 
 wp.config.log_level = wp.LOG_WARNING
 FORMS = {"simd": ("float32", True), "plain": ("float32", False), "double": ("float64", False)}
@@ -41,10 +47,22 @@ def cube(count: int, cells: int, law: type, form: str, threads: int) -> Solver:
     )
 
 
-def round_of(s: Solver, substeps: int) -> tuple[float, float]:
+def textbook(count: int, cells: int) -> Textbook:
+    """The same cube for the straightforward program."""
+    x = np.random.default_rng(0).random((count, 3)) + 0.5
+    x = x[np.lexsort(np.floor(x * cells / 2 - 0.5).T[::-1])]
+    material = {"E": 1e5, "nu": 0.3, "density": 200}
+    return Textbook(x, 1 / count, cells=cells, size=2, floor=0.5, **material)
+
+
+def round_of(s: Solver | Textbook, substeps: int) -> tuple[float, float]:
     """Wall and CPU seconds per substep."""
     wall, cpu, before = time.perf_counter(), time.process_time(), s.substeps
-    s.advance(s.time + substeps * 1e-4)
+    if isinstance(s, Textbook):
+        for _ in range(substeps):
+            s.step(1e-4)
+    else:
+        s.advance(s.time + substeps * 1e-4)
     count = s.substeps - before
     return (time.perf_counter() - wall) / count, (time.process_time() - cpu) / count
 
@@ -54,7 +72,11 @@ def main() -> None:
     laws = [NeoHookean, FixedCorotated]
     variants = [("simd", 1), ("plain", 1), ("double", 1), ("simd", 2), ("plain", 2)]
     for (count, cells), law in itertools.product(sizes, laws):
-        solvers = {v: cube(count, cells, law, *v) for v in variants}
+        solvers: dict[tuple[str, int], Solver | Textbook] = {
+            v: cube(count, cells, law, *v) for v in variants
+        }
+        if law is FixedCorotated:
+            solvers["textbook", 1] = textbook(count, cells)
         best: dict[tuple[str, int], tuple[float, float]] = {}
         for turn, (variant, s) in itertools.product(range(6), solvers.items()):
             spent = round_of(s, max(8, 1_500_000 // count))
