@@ -60,7 +60,8 @@ class Record:
             self._record(say, run, len(run), run.scene.data(), run.report)
             return _status(run)
         clip = Clip.load(self.source)
-        self._record(say, clip.frames(), len(clip), clip.scene, lambda: clip.report)
+        frames = clip.frames(velocities=True)
+        self._record(say, frames, len(clip), clip.scene, lambda: clip.report)
         return 0
 
     def _record(

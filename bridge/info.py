@@ -37,9 +37,10 @@ def describe_clip(clip: Clip) -> list[str]:
     count = clip.means.shape[1]
     seconds = float(clip.times[-1] - clip.times[0])
     rate = (len(clip) - 1) / seconds if seconds else 0.0
+    velocities = "kept" if clip.velocities is not None else "from the places of the frames beside"
     lines = [
         f"clip: {len(clip)} frames of {count:,} Gaussians, {seconds:.3f} s at {rate:.4g} frames/s",
-        f"velocities: {'yes' if clip.velocities is not None else 'no (vx, vy, vz will be NaN)'}",
+        f"velocities: {velocities if len(clip) > 1 else 'no (vx, vy, vz will be NaN)'}",
     ]
     for name, fields in (("viz", VIZ), ("full", FULL)):
         size = count * 4 * len(fields) / 1e6

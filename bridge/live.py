@@ -49,7 +49,7 @@ def play(
         tick = player.due(clock())
         if tick is None:
             continue
-        frame = replace(clip.frame(tick.index), time=tick.stamp)
+        frame = replace(clip.frame(tick.index, velocities=True), time=tick.stamp)
         sink.write(frame if sink.monotonic else replace(frame, time=tick.time))
         for record in records:
             record.write(frame)

@@ -37,11 +37,11 @@ class LiveOptions:
             raise InputError("live", self.live, limit, "Add --live, or leave the scene out.")
 
     def resolve(self) -> Scene:
-        """The scene with all changes; raises InputError."""
+        """The scene with all changes, velocities kept unless it says not; raises InputError."""
         from phy124.commands.options import assignments
         from phy124.scene import Scene
 
-        return Scene.named(self.scene).replaced(assignments(self.set))
+        return Scene.named(self.scene).replaced({"velocities": True, **assignments(self.set)})
 
 
 class LiveRun:
@@ -55,8 +55,10 @@ class LiveRun:
         self.scene = options.resolve()
         gaussians = make_object(source, options.generator, self.scene.seed, progress)
         device = pick_device(options.device)
-        self._simulation = Simulation(gaussians, self.scene, device=device, progress=progress)
-        self._count = 0
+        # The sinks have each frame; keeping it would limit the run to what memory holds.
+        self._simulation = Simulation(
+            gaussians, self.scene, device=device, progress=progress, keep=False
+        )
         self.stopped: str | None = None
         """Why it ended early, once it did."""
 
@@ -67,22 +69,16 @@ class LiveRun:
         """The frames as they are computed; `stopped` says why if going on would be wrong."""
         from phy124.simulation import Stopped
 
-        run = self._simulation
         try:
-            for frame in run:
-                # The sinks have it; keeping it would limit the run to what memory holds.
-                run.frames.clear()
-                run.rotations.clear()
-                self._count += 1
-                yield frame
+            yield from self._simulation
         except Stopped as stop:
             self.stopped = str(stop)
 
     def report(self) -> dict[str, Any]:
         """What the run did."""
-        complete = self.stopped is None and self._count == len(self)
-        kept = {"frames": self._count, "complete": complete, "stopped": self.stopped}
-        return {**self._simulation.report(), **kept}
+        report = self._simulation.report()
+        complete = report["complete"] and self.stopped is None
+        return {**report, "complete": complete, "stopped": self.stopped}
 
 
 def make_object(source: Path, generator: str, seed: int, progress: Progress) -> Gaussians:

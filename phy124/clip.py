@@ -94,19 +94,38 @@ class Clip:
             velocities=np.stack(velocities) if len(velocities) == len(frames) else None,
         )
 
-    def frame(self, index: int) -> Frame:
-        """The Gaussians of one frame, colours turned with the material."""
+    def frame(self, index: int, *, velocities: bool = False) -> Frame:
+        """The Gaussians of one frame, colours turned with the material.
+
+        With `velocities` the frame has some even if none were kept: see `velocity`.
+        """
         sh = self.sh
         if self.rotations is not None and sh.shape[1] > 1:
             sh = rotate_sh(sh, self.rotations[index])
         means, quats, scales = self.means[index], self.quats[index], self.scales[index]
         gaussians = Gaussians(means, quats, scales, self.opacities, sh)
-        velocities = None if self.velocities is None else self.velocities[index]
-        return Frame(index, float(self.times[index]), gaussians, velocities)
+        v = None if self.velocities is None else self.velocities[index]
+        if v is None and velocities:
+            v = self.velocity(index)
+        return Frame(index, float(self.times[index]), gaussians, v)
 
-    def frames(self) -> Iterator[Frame]:
+    def frames(self, *, velocities: bool = False) -> Iterator[Frame]:
         """All frames in order, one in memory at a time if the clip is memory-mapped."""
-        return map(self.frame, range(len(self)))
+        return (self.frame(index, velocities=velocities) for index in range(len(self)))
+
+    def velocity(self, index: int) -> Array | None:
+        """Velocities of the centres at a frame [N,3], m/s; None if there is but one frame.
+
+        Those that the run kept (`velocities = true` in its scene), else what the neighbouring
+        frames say: (x_after - x_before) / (t_after - t_before), one-sided at both ends.
+        """
+        if self.velocities is not None:
+            return self.velocities[index]
+        before, after = max(index - 1, 0), min(index + 1, len(self) - 1)
+        if before == after:
+            return None
+        seconds = np.float32(self.times[after] - self.times[before])
+        return (self.means[after] - self.means[before]) / seconds
 
     def with_report(self, report: dict[str, Any]) -> Clip:
         """The same clip carrying another report."""

@@ -42,12 +42,29 @@ class Effects:
     left_out: tuple[Omission, ...]
 
     @classmethod
-    def of(cls, scene: Scene, *, sh_degree: int = 0, device: str = "cpu") -> Effects:
-        """The effects a scene calls for."""
+    def of(
+        cls,
+        scene: Scene,
+        *,
+        sh_degree: int = 0,
+        device: str = "cpu",
+        static: int | None = None,
+        slept: str | None = "",
+    ) -> Effects:
+        """The effects a scene calls for.
+
+        After a run `static` is the number of static Gaussians and `slept` how it slept, None if
+        it did not.
+        """
         ran, left_out = [], []
-        for effect, called_for, why in _catalogue(scene, sh_degree, device):
+        found = {}
+        if static:
+            found["static Gaussians"] = f": {static} never enter the solver"
+        if slept:
+            found["sleep while all rests"] = f": {slept}"
+        for effect, called_for, why in _catalogue(scene, sh_degree, device, slept is not None):
             if called_for:
-                ran.append(effect)
+                ran.append(effect + found.get(effect, ""))
             else:
                 left_out.append(Omission(effect, why))
         return cls(tuple(ran), tuple(left_out))
@@ -66,7 +83,9 @@ class Effects:
         return {"ran": list(self.ran), "left_out": left_out}
 
 
-def _catalogue(scene: Scene, sh_degree: int, device: str) -> Iterator[tuple[str, bool, str]]:
+def _catalogue(
+    scene: Scene, sh_degree: int, device: str, rested: bool
+) -> Iterator[tuple[str, bool, str]]:
     """Every effect: name, whether the scene calls for it, why not if it does not."""
     laws = sorted({section.law for section in scene.materials})
     named = " and ".join(laws)
@@ -78,7 +97,7 @@ def _catalogue(scene: Scene, sh_degree: int, device: str) -> Iterator[tuple[str,
         yield f"stress {law}", True, ""
     yield "return mapping", plastic, f"{named} is elastic"
     yield "total F beside elastic F", plastic, f"{named} keeps all deformation in F"
-    yield "several materials", bool(scene.parts), "the scene names no parts"
+    yield "several materials", len(scene.materials) > 1, "all that moves is of one"
     yield "stiffness per particle", scene.stiffness is not None, "E is the same everywhere"
     yield "uniform acceleration", len(scene.forces) > len(pushes), "no force acts on the whole body"
     yield "particle forces", bool(pushes), "no force names single particles or a region"
@@ -86,6 +105,11 @@ def _catalogue(scene: Scene, sh_degree: int, device: str) -> Iterator[tuple[str,
     for wall in scene.boundaries:
         yield f"collider {wall.kind} ({wall.contact})", True, ""
     yield "colliders", bool(scene.boundaries), "the scene has no boundaries"
+    static = any(part.static for part in scene.parts)
+    yield "static Gaussians", static, "no part of the scene is static"
+    restless = "it was never at rest for long enough" if scene.time.sleep else "time.sleep is off"
+    yield "sleep while all rests", scene.time.sleep and rested, restless
+    yield "velocities", scene.velocities, "nobody asked for them; they follow from the places"
     yield "spherical-harmonic rotation", sh_degree > 0, "colours do not depend on the direction"
     double = scene.resolution.precision == "float64"
     yield "double precision", double, "single precision is accurate enough: the grid limits it"

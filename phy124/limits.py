@@ -43,24 +43,31 @@ class Demand(NamedTuple):
     """Bytes."""
 
 
-def forecast(gaussians: Gaussians, particles: Particles, scene: Scene, device: str) -> Demand:
-    """A rough estimate of what a simulation needs."""
+def forecast(
+    gaussians: Gaussians, particles: Particles, scene: Scene, device: str, *, keep: bool = True
+) -> Demand:
+    """A rough estimate of what a simulation needs; `keep`: all its frames."""
     substeps, kind = _substeps(scene), "cuda" if device.startswith("cuda") else "cpu"
     nodes = float(np.prod(np.ptp(particles.x, axis=0) / scene.dx + 11))
     each = PER_PARTICLE[kind] * len(particles) + PER_NODE[kind] * nodes + PER_SUBSTEP
     double = 2 if scene.resolution.precision == "float64" else 1
-    memory = (
-        double * (BYTES_PER_PARTICLE * len(particles) + BYTES_PER_NODE * nodes)
-        + BYTES_PER_GAUSSIAN * len(gaussians) * scene.time.frames
-    )
+    memory = double * (
+        BYTES_PER_PARTICLE * len(particles) + BYTES_PER_NODE * nodes
+    ) + BYTES_PER_GAUSSIAN * len(gaussians) * (scene.time.frames if keep else 1)
     return Demand(substeps, substeps * each, memory)
 
 
 def refuse_hopeless(
-    gaussians: Gaussians, particles: Particles, scene: Scene, device: str = "cpu"
+    gaussians: Gaussians,
+    particles: Particles,
+    scene: Scene,
+    device: str = "cpu",
+    *,
+    keep: bool = True,
 ) -> Demand:
     """What the run needs; raises InputError if that is more than its patience or the memory."""
-    demand, patience = forecast(gaussians, particles, scene, device), scene.time.patience
+    demand = forecast(gaussians, particles, scene, device, keep=keep)
+    patience = scene.time.patience
     if demand.seconds > patience:
         raise InputError(
             "time.patience",

@@ -2,7 +2,7 @@
 
 A part is picked by a box in space, by a segmentation mask of the picture, by the Gaussians it
 holds, or by several of these at once. Later parts win; what no part claims keeps the scene's
-material.
+material. Static parts are made of nothing: no particle is theirs.
 """
 
 from __future__ import annotations
@@ -63,6 +63,60 @@ def assign(
             )  # fmt: skip
         chosen[inside] = number
     return chosen
+
+
+def with_materials(
+    particles: Particles, means: NDArray, scene: Scene, crop: Crop = WHOLE
+) -> tuple[Particles, NDArray[np.bool_]]:
+    """Each particle's material and density, and which Gaussians move [N].
+
+    Args:
+        particles: Made of all Gaussians, so that a cut leaves the inside of a solid filled.
+        means: The Gaussians at rest [N,3], m.
+        scene: Names the parts.
+        crop: Where the object is in the picture that masks were painted on.
+
+    Returns:
+        The particles that move, those of one law together; they know their Gaussian by its number
+        among those that move.
+
+    Raises:
+        InputError: a part holds nothing, or everything is static.
+    """
+    every = np.ones(len(means), bool)
+    if not scene.parts:
+        return particles, every
+    part = assign(particles.x, particles.gaussian, scene.parts, crop)
+    static = np.array([False, *(section.static for section in scene.parts)])
+    moves = every
+    if static.any():
+        seen = assign(means, np.arange(len(means)), scene.parts, crop)
+        own = particles.gaussian >= 0
+        # A Gaussian and its particle agree, though fillers may stretch what a mask is laid over.
+        part[own] = seen[particles.gaussian[own]]
+        moves = ~static[seen]
+    kept = np.flatnonzero(~static[part])
+    if not moves.any() or not len(kept):
+        raise InputError(
+            "parts", "static = true", "every Gaussian is static, so nothing moves.",
+            "Leave a part of the object out.",
+        )  # fmt: skip
+    laws = [section.device_law.name for section in scene.materials]
+    # Number of each part's material among those that move; static ones are not asked for.
+    material = (np.cumsum(~static) - 1)[part[kept]]
+    law = np.array([laws.index(name) for name in laws])[material]
+    order = np.argsort(law, kind="stable")
+    kept, material = kept[order], material[order]
+    gaussian = particles.gaussian[kept]
+    density = np.array([section.density for section in scene.materials])[material]
+    found = Particles(
+        x=particles.x[kept],
+        volume=particles.volume[kept],
+        density=density,
+        material=material.astype(np.int32),
+        gaussian=np.where(gaussian >= 0, (np.cumsum(moves) - 1)[gaussian], -1).astype(np.int32),
+    )
+    return found, moves
 
 
 def _held(x: NDArray, gaussian: NDArray, span: tuple[int, int]) -> NDArray[np.bool_]:

@@ -33,6 +33,8 @@ def save(run: Simulation, path: str | os.PathLike[str]) -> None:
     tensors: Tensors = {f"given.{name}": getattr(run.given, name) for name in GAUSSIANS}
     tensors |= {f"state.{name}": a.numpy() for name, a in solver.state.arrays().items()}
     tensors |= {f"deformer.{name}": a for name, a in run.deformer.memory().items()}
+    if run.sleep.anchor is not None:
+        tensors["sleep.anchor"] = run.sleep.anchor
     tensors |= _frames(run)
     clock = {"time": solver.time, "last_dt": solver.last_dt, "substeps": solver.substeps}
     metadata = {
@@ -40,6 +42,8 @@ def save(run: Simulation, path: str | os.PathLike[str]) -> None:
         "scene": json.dumps(run.scene.data()),
         "clock": json.dumps(clock | {"cfl": solver.cfl, "threads": solver.threads}),
         "limiters": json.dumps(solver.limiters),
+        "sleep": json.dumps(run.sleep.memory()),
+        "frames": json.dumps({"count": run.count, "keep": run.keep}),
         "crop": json.dumps(run.crop),
     }
     with replacing(path) as temporary:
@@ -56,7 +60,7 @@ def load(
     metadata, tensors = _read(Path(path))
     given = Gaussians(*(tensors[f"given.{name}"] for name in GAUSSIANS))
     left, top, right, bottom = json.loads(metadata["crop"])
-    clock = json.loads(metadata["clock"])
+    clock, frames = json.loads(metadata["clock"]), json.loads(metadata["frames"])
     run = Simulation(
         given,
         Scene.from_data(json.loads(metadata["scene"]), str(path)),
@@ -64,7 +68,10 @@ def load(
         progress=progress,
         crop=(left, top, right, bottom),
         threads=clock.pop("threads"),
+        keep=frames["keep"],
     )
+    run.count = frames["count"]
+    run.sleep.recall(json.loads(metadata["sleep"]), tensors.get("sleep.anchor"))
     for name, array in run.solver.state.arrays().items():
         array.assign(tensors[f"state.{name}"])
     for name, value in clock.items():
@@ -84,20 +91,23 @@ def _frames(run: Simulation) -> Tensors:
             stack = [getattr(frame.gaussians, name) for frame in run.frames]
             tensors[f"frames.{name}"] = np.stack(stack)
         velocities = [f.velocities for f in run.frames if f.velocities is not None]
-        tensors["frames.velocities"] = np.stack(velocities)
+        if velocities:
+            tensors["frames.velocities"] = np.stack(velocities)
     if run.rotations:
         tensors["frames.rotations"] = np.stack(run.rotations)
     return tensors
 
 
 def _put_frames(run: Simulation, tensors: Tensors) -> None:
-    rest = run.gaussians
-    for index, time in enumerate(tensors["frames.times"].tolist()):
+    rest, velocities = run.gaussians, tensors.get("frames.velocities")
+    times = tensors["frames.times"].tolist()
+    for index, time in enumerate(times):
         means, quats, scales = (
             tensors[f"frames.{name}"][index] for name in ("means", "quats", "scales")
         )
         gaussians = Gaussians(means, quats, scales, rest.opacities, rest.sh)
-        run.frames.append(Frame(index, time, gaussians, tensors["frames.velocities"][index]))
+        v = None if velocities is None else velocities[index]
+        run.frames.append(Frame(run.count - len(times) + index, time, gaussians, v))
     run.rotations = list(tensors.get("frames.rotations", []))
 
 

@@ -112,6 +112,10 @@ class Timing(Section):
     substep: float | None = Field(
         default=None, gt=0, description="Longest substep allowed [s]; absent: as stability needs."
     )
+    sleep: bool = Field(
+        default=True,
+        description="Leave substeps out while all rests: 3e-4 of its size astray at most.",
+    )
     patience: float = Field(
         default=7200.0, gt=0, description="A simulation forecast to take longer is refused [s]."
     )
@@ -148,9 +152,12 @@ class View(Section):
 
 
 class Part(Section):
-    """A part of the object that is made of another material."""
+    """A part of the object that is made of another material, or does not move at all."""
 
     material: AnyMaterial = Field(default_factory=NeoHookean, description="Its material.")
+    static: bool = Field(
+        default=False, description="Scenery: it is seen, but neither moves nor touches anything."
+    )
     region: Region | None = Field(default=None, description="Box of space it lies in [m].")
     mask: str | None = Field(
         default=None, description="Picture file, white where it is seen from the front."
@@ -163,11 +170,13 @@ class Part(Section):
     def _picked(self) -> Part:
         if self.region is None and self.mask is None and self.gaussians is None:
             raise ValueError("a part needs a region, a mask or gaussians to say where it is")
+        if self.static and self.material != NeoHookean():
+            raise ValueError("a static part is made of nothing; leave its material out")
         return self
 
     def data(self) -> dict[str, Any]:
         """How it is picked, as plain data."""
-        return self.model_dump(mode="json", exclude_none=True, exclude={"material"})
+        return self.model_dump(mode="json", exclude_none=True, exclude={"material", "static"})
 
 
 class Scene(Section):
@@ -193,6 +202,10 @@ class Scene(Section):
         description="particles: every Gaussian is a particle (the paper); field: they ride along.",
     )
     time: Timing = Field(default_factory=Timing)
+    velocities: bool = Field(
+        default=False,
+        description="Keep the velocity of each Gaussian; speeds also follow from the places.",
+    )
     view: View = Field(default_factory=View)
 
     @property
@@ -202,8 +215,8 @@ class Scene(Section):
 
     @property
     def materials(self) -> list[AnyMaterial]:
-        """The scene's material, then those of its parts."""
-        return [self.material, *(part.material for part in self.parts)]
+        """The scene's material, then those of its parts that move."""
+        return [self.material, *(part.material for part in self.parts if not part.static)]
 
     @property
     def dx(self) -> float:

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -29,9 +30,11 @@ from phy124.limits import refuse_hopeless
 from phy124.mpm import Solver, Unstable
 from phy124.painted import WHOLE, Crop
 from phy124.particles import Particles, clean, make_particles, to_size
-from phy124.parts import assign, stiffnesses
+from phy124.parts import stiffnesses, with_materials
 from phy124.progress import Progress, silent
 from phy124.scene import Scene
+from phy124.scenery import Scenery
+from phy124.sleep import Sleep
 from phy124.stopwatch import Stopwatch
 from phy124.watchdog import Watchdog
 
@@ -61,6 +64,7 @@ class Simulation:
         watch: Stopwatch | None = None,
         crop: Crop = WHOLE,
         threads: int | None = None,
+        keep: bool = True,
     ) -> None:
         """Place the object, make its particles and build the solver.
 
@@ -72,6 +76,7 @@ class Simulation:
             watch: Where the stages' times go.
             crop: Where the object is in the picture that masks of parts were painted on.
             threads: CPU threads, 1 or 2; None: two if they pay and a core is free.
+            keep: Keep all frames for `clip`; if not, a run may be longer than memory.
 
         Raises:
             InputError: the Gaussians or the scene cannot be used.
@@ -88,20 +93,27 @@ class Simulation:
                 spacing=scene.dx / scene.resolution.ppc,
                 binding=scene.binding,
             )
-            self.particles = with_materials(made, scene, crop)
+            self.particles, moves = with_materials(made, self.gaussians.means, scene, crop)
+            self.scenery = Scenery(self.gaussians, moves)
             shares = stiffnesses(self.particles, self.gaussians.means, scene, crop)
-            self.demand = refuse_hopeless(self.gaussians, self.particles, scene, device)
+            self.demand = refuse_hopeless(self.gaussians, self.particles, scene, device, keep=keep)
         with self.watch.stage("compile"):
             ledger = Ledger()
             self.solver = _solver(self.particles, shares, scene, device, threads, ledger)
             self.watchdog = Watchdog(self.solver, ledger)
             flows = any(m.device_law.project is not None for m in scene.materials)
             self.deformer = Deformer(
-                self.gaussians,
+                self.scenery.moving,
                 self.particles,
                 max_stretch=MAX_STRETCH if flows else None,
                 device=device,
             )
+        timing = scene.time
+        self.sleep = Sleep(
+            self.solver, size=scene.object.size, frames=timing.frames, fps=timing.fps
+        )
+        self.keep, self.count = keep, 0
+        """Whether all frames are kept, and how many there were."""
         self.frames: list[Frame] = []
         self.rotations: list[NDArray] = []
         self.retried: list[int] = []
@@ -113,12 +125,18 @@ class Simulation:
         Raises Stopped or Cancelled.
         """
         timing = self.scene.time
-        for index in range(len(self.frames), timing.frames):
-            if index:
-                self._advance(index, index / timing.fps)
+        for index in range(self.count, timing.frames):
+            at = index / timing.fps
+            asleep = index > 0 and timing.sleep and self.sleep.skip(index)
+            if index and not asleep:
+                self._advance(index, at)
             with self.watch.stage("deform"):
-                frame = self._frame(index, index / timing.fps)
+                frame = self._again(index, at) if asleep else self._frame(index, at)
+            if not self.keep:
+                self.frames.clear()
+                del self.rotations[:-1]
             self.frames.append(frame)
+            self.count += 1
             self.progress("simulate", index + 1, timing.frames)
             yield frame
 
@@ -134,7 +152,9 @@ class Simulation:
         return self.clip()
 
     def clip(self) -> Clip:
-        """The frames so far."""
+        """The frames so far; raises ValueError if they were not kept."""
+        if not self.keep:
+            raise ValueError("this run does not keep its frames")
         rotations = np.stack(self.rotations) if self.rotations else None
         made = Clip.from_frames(self.frames, rotations)
         return Clip(
@@ -145,9 +165,15 @@ class Simulation:
     def report(self) -> dict[str, Any]:
         """What the run did; the keys are documented in docs/report.md."""
         solver = self.solver
-        effects = Effects.of(self.scene, sh_degree=self.gaussians.sh_degree, device=self.device)
+        effects = Effects.of(
+            self.scene,
+            sh_degree=self.gaussians.sh_degree,
+            device=self.device,
+            static=self.scenery.count,
+            slept=self.sleep.sentence(),
+        )
         return {
-            "complete": self.stopped is None and len(self.frames) == self.scene.time.frames,
+            "complete": self.stopped is None and self.count == self.scene.time.frames,
             "stopped": self.stopped,
             "gaussians": len(self.gaussians),
             "particles": len(self.particles),
@@ -160,7 +186,9 @@ class Simulation:
             "limiters": solver.limiters,
             "substep": self._substep(),
             "balance": self.watchdog.report(),
-            "frames": len(self.frames),
+            "frames": self.count,
+            "static": self.scenery.count,
+            "sleep": self.sleep.report(),
             "effects": effects.data(len(self.particles) * solver.substeps),
             "substep_stages": [
                 {"name": name, "seconds": seconds, "launches": launches}
@@ -170,15 +198,23 @@ class Simulation:
 
     def _frame(self, index: int, time: float) -> Frame:
         state = self.solver.state
+        velocities = state.v if self.scene.velocities else None
         frame = self.deformer(
-            state.x, state.deformation, index=index, time=time, velocities=state.v
+            state.x, state.deformation, index=index, time=time, velocities=velocities
         )
         if self.deformer.rotations is not None:
-            self.rotations.append(self.deformer.rotations)
-        return frame
+            self.rotations.append(self.scenery.turns(self.deformer.rotations))
+        return self.scenery.whole(frame)
+
+    def _again(self, index: int, time: float) -> Frame:
+        """The last frame once more: nothing has moved since."""
+        if self.rotations:
+            self.rotations.append(self.rotations[-1])
+        return replace(self.frames[-1], index=index, time=time)
 
     def _advance(self, index: int, until: float) -> None:
         """Substeps up to a frame's time, tried once more with half the substep."""
+        before = self.solver.substeps
         with self.watch.stage("simulate"):
             problem = self._try(index, until)
             if problem is not None:
@@ -189,6 +225,7 @@ class Simulation:
                 solver.cfl, solver.ceiling = usual
             if problem is not None:
                 raise Stopped(f"frame {index} is not sound: {problem}.")
+        self.sleep.computed(index, self.solver.substeps - before)
 
     def _try(self, index: int, until: float) -> str | None:
         """One try at a frame; what is wrong with it, or None. The state is then as before."""
@@ -215,6 +252,7 @@ class Simulation:
         def after() -> None:
             if books is not None:
                 books()
+            self.sleep.look()
             spent = start + time.perf_counter() - begun
             if spent > 2 * patience:
                 raise Stopped(
@@ -230,7 +268,7 @@ class Simulation:
         """How long substeps were and what limited them."""
         solver, asked = self.solver, self.scene.time.substep
         taken = max(sum(solver.limiters.values()), 1)
-        mean = solver.time / taken
+        mean = (solver.time - self.sleep.skipped / self.scene.time.fps) / taken
         return {
             "mean": mean,
             "asked": asked,
@@ -255,23 +293,6 @@ def place(gaussians: Gaussians, scene: Scene) -> Gaussians:
     if scene.object.lift == 0:
         return standing
     return standing.moved(1.0, np.array([0, 0, scene.object.lift]))
-
-
-def with_materials(particles: Particles, scene: Scene, crop: Crop = WHOLE) -> Particles:
-    """Each particle's material and density, particles of one law together."""
-    if not scene.parts:
-        return particles
-    material = assign(particles.x, particles.gaussian, scene.parts, crop)
-    laws = [section.device_law.name for section in scene.materials]
-    order = np.argsort(np.array([laws.index(name) for name in laws])[material], kind="stable")
-    density = np.array([section.density for section in scene.materials])[material]
-    return Particles(
-        x=particles.x[order],
-        volume=particles.volume[order],
-        density=density[order],
-        material=material[order],
-        gaussian=particles.gaussian[order],
-    )
 
 
 def _solver(

@@ -70,12 +70,14 @@ def test_info_of_a_clip(clip, capsys):
     assert main(["info", str(clip)]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "clip: 6 frames of 50 Gaussians, 0.083 s at 60 frames/s"
-    assert lines[1] == "velocities: yes"
+    assert lines[1] == "velocities: kept"
     assert lines[3] == "profile full: 0.00 MB per frame, 0.2 MB/s"
 
 
-def test_info_says_that_velocities_are_missing():
-    assert "no (vx, vy, vz will be NaN)" in describe_clip(random_clip(velocities=False))[1]
+def test_info_says_where_velocities_come_from():
+    assert "from the places" in describe_clip(random_clip(velocities=False))[1]
+    one = random_clip(frames=1, velocities=False)
+    assert "no (vx, vy, vz will be NaN)" in describe_clip(one)[1]
 
 
 def test_play_and_record_beside(clip, monkeypatch, capsys):

@@ -47,7 +47,7 @@ def test_recorded_while_simulated_is_the_finished_clip(ply, tmp_path):
         for frame in run:
             sink.write(frame)
             # Nothing piles up: a run may be longer than memory.
-            assert run._simulation.frames == []
+            assert run._simulation.frames == [frame]
     clip = Simulation(PlyFile(str(ply))(), options.resolve()).run()
     with open(tmp_path / "one.mcap", "rb") as stream:
         reader = make_reader(stream)

@@ -47,6 +47,17 @@ def test_frames_give_back_the_gaussians(clip):
     assert np.array_equal(frames[2].gaussians.means, clip.means[2])
 
 
+def test_velocities_come_from_the_frames_beside_if_none_were_kept(clip):
+    assert np.array_equal(clip.frame(1, velocities=True).velocities, clip.velocities[1])
+    bare = dataclasses.replace(clip, velocities=None)
+    assert bare.frame(1).velocities is None
+    for frame in bare.frames(velocities=True):  # a metre per frame along each axis
+        assert frame.velocities.dtype == np.float32
+        assert frame.velocities == pytest.approx(np.full((3, 3), 24.0), rel=1e-5)
+    one = Clip.from_frames([bare.frame(0)])
+    assert one.frame(0, velocities=True).velocities is None
+
+
 def test_colours_turn_with_the_material(rng, three_gaussians):
     g = three_gaussians
     sh = rng.normal(size=(3, 4, 3)).astype(np.float32)

@@ -12,7 +12,7 @@ SCENE = {"accuracy": {"cells": 10}, "time.frames": 6}
 
 @pytest.mark.parametrize(
     "changes",
-    [{}, {"binding": "field"}, {"material": {"law": "sand"}}],
+    [{"velocities": True}, {"binding": "field"}, {"material": {"law": "sand"}}],
     ids=["particles", "field", "plastic"],
 )
 def test_a_paused_run_goes_on_bit_for_bit(tmp_path, changes):

@@ -2,9 +2,10 @@ import numpy as np
 import pytest
 from shapes import ball
 
+from phy124 import resume
 from phy124.clip import Clip
-from phy124.effects import Effects
 from phy124.errors import Cancelled, InputError
+from phy124.limits import forecast
 from phy124.mpm import Unstable
 from phy124.scene import Scene, preset_names
 from phy124.simulation import Simulation
@@ -159,35 +160,6 @@ def test_report_has_the_documented_keys():
     assert all(o["why"] for o in report["effects"]["left_out"])
 
 
-def test_effects_follow_the_scene():
-    free = Effects.of(Scene.named("push_right"))
-    pressed = Effects.of(Scene.named("press"))
-    assert "colliders" in [o.effect for o in free.left_out]
-    assert "collider press (separate)" in pressed.ran
-    assert "return mapping" in [o.effect for o in pressed.left_out]
-
-
-def test_what_leaving_out_saves_grows_with_the_work():
-    left_out = Effects.of(Scene.named("press")).data(10**9)["left_out"]
-    saved = {o["effect"]: o.get("saved_seconds") for o in left_out}
-    assert saved["return mapping"] == 70
-    assert saved["several materials"] is None
-    assert "saved_seconds" not in str(Effects.of(Scene.named("press")).data())
-
-
-def test_effects_know_profiles_wind_and_motion():
-    scene = Scene.from_data(
-        {
-            "forces": [{"kind": "wind", "profile": {"kind": "sine"}}],
-            "boundaries": [{"kind": "ground", "motion": {"kind": "swing"}}],
-        }
-    )
-    ran = Effects.of(scene).ran
-    assert "particle forces" in ran
-    assert "time tables" in ran
-    assert "uniform acceleration" not in ran
-
-
 @pytest.mark.parametrize("height", [0.0, 0.13])
 def test_a_node_plane_lies_three_quarters_of_a_cell_below_the_floor(height):
     """Only then does the object touch the floor instead of hovering above or sinking into it."""
@@ -204,3 +176,29 @@ def test_nothing_visible_is_refused():
 
     with pytest.raises(InputError, match="none of them is finite and visible"):
         Simulation(replace(g, opacities=g.opacities * 0), Scene())
+
+
+def test_a_run_that_keeps_nothing_gives_the_same_frames_and_no_clip(tmp_path):
+    scene = Scene.named("press").replaced(QUICK)
+    kept = Simulation(ball(400), scene).run()
+    s = Simulation(ball(400), scene, keep=False)
+    for frame in s:
+        assert np.array_equal(frame.gaussians.means, kept.means[frame.index])
+        assert s.frames == [frame]
+        if frame.index == 2:
+            resume.save(s, tmp_path / "pause")
+    assert (s.report()["frames"], s.report()["complete"]) == (6, True)
+    with pytest.raises(ValueError, match="does not keep its frames"):
+        s.clip()
+    again = resume.load(tmp_path / "pause")
+    assert [f.index for f in again.frames] == [2]
+    for frame in again:
+        assert np.array_equal(frame.gaussians.means, kept.means[frame.index])
+    assert again.count == 6
+
+
+def test_memory_for_frames_that_are_not_kept_is_not_asked_for():
+    scene = Scene.named("press").replaced({**QUICK, "time.frames": 10_000})
+    s = Simulation(ball(400), scene, keep=False)
+    kept = forecast(s.gaussians, s.particles, scene, "cpu")
+    assert kept.memory - s.demand.memory == pytest.approx(9_999 * 40 * 400)

@@ -1,0 +1,60 @@
+"""Scenery: Gaussians of static parts, which are in every frame and never in the solver."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.gaussians import Array, Frame, Gaussians
+
+IDENTITY = np.array([1, 0, 0, 0], np.float32)
+"""No turn, wxyz."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scenery:
+    """An object of which only some Gaussians move; frames of those become frames of all."""
+
+    gaussians: Gaussians
+    """All of them at rest, N."""
+    moves: NDArray[np.bool_]
+    """Which of them move [N]."""
+
+    @property
+    def count(self) -> int:
+        """How many are static."""
+        return int((~self.moves).sum())
+
+    @property
+    def moving(self) -> Gaussians:
+        """Those that move, at rest, in order."""
+        return self.gaussians.select(self.moves) if self.count else self.gaussians
+
+    def whole(self, frame: Frame) -> Frame:
+        """A frame of those that move with the static ones in their places, bit for bit."""
+        if not self.count:
+            return frame
+        rest, moved = self.gaussians, frame.gaussians
+        means, quats, scales = (
+            self._filled(getattr(rest, name), getattr(moved, name))
+            for name in ("means", "quats", "scales")
+        )
+        sh = rest.sh if rest.sh_degree == 0 else self._filled(rest.sh, moved.sh)
+        velocities = frame.velocities
+        if velocities is not None:
+            velocities = self._filled(np.zeros_like(rest.means), velocities)
+        gaussians = Gaussians(means, quats, scales, rest.opacities, sh)
+        return replace(frame, gaussians=gaussians, velocities=velocities)
+
+    def turns(self, rotations: Array) -> Array:
+        """Rotations of all [N,4] from those of the Gaussians that move."""
+        if not self.count:
+            return rotations
+        return self._filled(np.tile(IDENTITY, (len(self.moves), 1)), rotations)
+
+    def _filled(self, still: Array, moved: Array) -> Array:
+        filled = still.copy()
+        filled[self.moves] = moved
+        return filled

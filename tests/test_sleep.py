@@ -1,0 +1,209 @@
+"""Substeps are left out while everything rests, and only then."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from shapes import ball
+
+from phy124 import resume
+from phy124.gaussians import Gaussians
+from phy124.scene import Scene
+from phy124.simulation import Simulation
+from phy124.sleep import STILL, Sleep, next_change
+from phy124.tracks import Constant, Keyframes, Ramp, Sine, Track
+
+UP = (0.0, 0.0, 1.0)
+BLOW = {"kind": "impulse", "p": [0, 200.0, 0], "start": 0.25, "duration": 0.02}
+DAMPING = {"kind": "wind", "v": [0, 0, 0], "rate": 40.0}
+GRAVITY = {"kind": "gravity"}
+
+
+def scene(**changes) -> Scene:
+    usual = {"accuracy": {"cells": 6}, "object.lift": 0.0, "time.frames": 14, "time.fps": 24}
+    return Scene.named("drop").replaced({**usual, **changes})
+
+
+def cube() -> Gaussians:
+    """A solid cube of ten round Gaussians a side."""
+    line = (np.arange(10) + 0.5) / 10
+    x = np.stack(np.meshgrid(line, line, line, indexing="ij"), -1).reshape(-1, 3)
+    n = len(x)
+    quats, scales = np.tile([1, 0, 0, 0], (n, 1)), np.full((n, 3), 0.04)
+    return Gaussians.from_rgb(x, quats, scales, np.full(n, 0.95), x)
+
+
+def track(profile, start: float = 0.0, end: float = 1e30) -> Track:
+    return Track.scaled(UP, profile, start, end, mean=True)
+
+
+@pytest.mark.parametrize(
+    ("moving", "at", "change"),
+    [
+        (Track.constant(UP), 0.0, math.inf),
+        (track(Constant(), 2.0), 1.0, 2.0),
+        (track(Constant(), 0.0, 3.0), 1.0, 3.0),
+        (track(Constant(), 0.0, 3.0), 3.0, 3.0),
+        (track(Ramp(duration=0.5), 2.0), 1.0, 2.0),
+        (track(Ramp(duration=0.5), 2.0), 2.2, 2.2),
+        (track(Sine(), 2.0), 1.0, 2.0),
+        (track(Sine(), 2.0), 9.7, 9.7),
+        (track(Sine(), 0.0, 4.0), 3.5, 3.5),
+        (track(Keyframes(times=(0.5, 1, 2), factors=(1, 1, 3))), 0.0, 1.0),
+        (track(Keyframes(times=(0, 1, 2), factors=(1, 1, 1), repeat=True), 0.0, 5.0), 2.5, 5.0),
+        (track(Keyframes(times=(0, 1), factors=(1, 3), repeat=True), 0.0, 5.0), 2.5, 2.5),
+    ],
+)
+def test_when_a_track_next_changes(moving, at, change):
+    assert next_change(moving, at) == change
+
+
+@pytest.mark.parametrize("profile", [Ramp(duration=0.5), Keyframes(times=(0, 1), factors=(1, 3))])
+def test_after_its_last_key_a_track_stays(profile):
+    assert next_change(track(profile), 1.5) > 1e20
+
+
+def test_at_rest_it_sleeps_until_a_blow_and_nothing_differs():
+    """Without forces rest is exact: what comes after the blow is the same bit for bit."""
+    runs = []
+    for sleep in (True, False):
+        run = Simulation(ball(300), scene(forces=[BLOW], **{"time.sleep": sleep}))
+        runs.append((run, run.run()))
+    (slept, a), (_, b) = runs
+    assert np.array_equal(a.means, b.means) and np.array_equal(a.quats, b.quats)
+    assert np.ptp(a.means[:, 0, 1]) > 1e-3, "the blow woke it"
+    assert (a.means[6] == a.means[0]).all() and (a.means[7] != a.means[0]).any()
+    # Frames 1 and 2 show that it rests, 3 to 6 end before the blow.
+    assert slept.sleep.report() == {
+        "since": 3, "frames": 4, "substeps": b.report["substeps"] - a.report["substeps"],
+    }  # fmt: skip
+    sentence = f"asleep from frame 3, 4 frames, saved {slept.sleep.saved} substeps"
+    assert f"sleep while all rests: {sentence}" in a.report["effects"]["ran"]
+    (left_out,) = (o for o in b.report["effects"]["left_out"] if "sleep" in o["effect"])
+    assert left_out["why"] == "time.sleep is off"
+
+
+def test_a_block_settled_on_the_floor_sleeps_within_the_tolerance():
+    forces, clips = [DAMPING, GRAVITY, {**BLOW, "start": 1.25}], []
+    floor = [{"kind": "ground", "contact": "sticky"}]
+    for sleep in (True, False):
+        changes = {"material.E": 1e6, "time.frames": 34, "time.sleep": sleep}
+        run = Simulation(cube(), scene(forces=forces, boundaries=floor, **changes))
+        clips.append(run.run())
+        report = run.sleep.report()
+        if sleep:
+            assert report is not None and report["frames"] >= 5 and report["since"] > 3
+        else:
+            assert report is None
+    apart = np.abs(clips[0].means - clips[1].means).max(axis=(1, 2))
+    # Slept frames, and those after the blow at 1.25 s, which begins in frame 31.
+    assert 0 < apart[:31].max() < STILL / 3
+    assert apart[31:].max() < STILL / 3
+    assert np.abs(clips[0].means[33] - clips[0].means[30]).max() > 0.001
+
+
+@pytest.mark.parametrize("fps", [24, 1000])
+@pytest.mark.parametrize("frames", [11, 14, 21])
+def test_a_thrown_body_never_sleeps_in_the_air(fps, frames):
+    """At frame 10 it stands still for an instant; at 1000 frames/s the frames around look still."""
+    up = 9.81 * 10 / fps
+    changes = {"time.fps": fps, "time.frames": frames, "object.velocity": [0, 0, up]}
+    run = Simulation(ball(200), scene(**changes, **{"object.lift": 0.5}))
+    highest = max((float(f.gaussians.means[:, 2].mean()), f.index) for f in run)[1]
+    assert highest == 10
+    assert run.sleep.report() is None
+
+
+def test_what_creeps_slowly_does_not_sleep():
+    """A thick fluid that sinks by less than a tenth of the tolerance per frame."""
+    material = {"law": "fluid", "viscosity": 2e3, "bulk_modulus": 2e5}
+    forces = [{"kind": "gravity", "g": [0, 0, -0.01]}, {**DAMPING, "rate": 5.0}]
+    run = Simulation(ball(300), scene(material=material, forces=forces, **{"time.frames": 40}))
+    clip = run.run()
+    per_frame = np.abs(np.diff(clip.means, axis=0)).max(axis=(1, 2))
+    assert 0 < per_frame[20:].max() < STILL / 3
+    assert np.abs(clip.means[-1] - clip.means[20]).max() > STILL
+    assert run.sleep.report() is None
+
+
+def test_something_that_moves_anywhere_keeps_it_awake():
+    swing = {"kind": "swing", "amplitude": [0.1, 0, 0], "frequency": 1.0}
+    far = {"kind": "sphere", "centre": [0, 0, 90.0], "radius": 1.0, "motion": swing}
+    awake = Simulation(ball(300), scene(forces=[], boundaries=[far]))
+    awake.run()
+    assert awake.sleep.report() is None
+    still = Simulation(ball(300), scene(forces=[], boundaries=[{**far, "motion": None}]))
+    still.run()
+    assert still.sleep.report() is not None
+    left_out = awake.report()["effects"]["left_out"]
+    (why,) = (o["why"] for o in left_out if "sleep" in o["effect"])
+    assert why == "it was never at rest for long enough"
+
+
+@pytest.mark.parametrize("pause", [1, 2, 4, 8])
+def test_a_run_paused_asleep_goes_on_bit_for_bit(tmp_path, pause):
+    chosen = scene(forces=[BLOW])
+    whole = Simulation(ball(300), chosen).run()
+    run = Simulation(ball(300), chosen)
+    for frame in run:
+        if frame.index == pause:
+            break
+    resume.save(run, tmp_path / "pause.safetensors")
+    again = resume.load(tmp_path / "pause.safetensors")
+    clip = again.run()
+    assert np.array_equal(clip.means, whole.means)
+    assert clip.report["sleep"] == whole.report["sleep"]
+    assert clip.report["substeps"] == whole.report["substeps"]
+
+
+def left_out(path, frames: int, acts: Track | None = None) -> list[int]:
+    """Which frames of a particle on a path x(frame) [m] a sleeper of size 1 leaves out."""
+    fps = 24.0
+    at = SimpleNamespace(x=0.0)
+    state = SimpleNamespace(x=SimpleNamespace(numpy=lambda: np.array([[at.x, 0.0, 0.0]])))
+    values = SimpleNamespace(numpy=lambda: np.zeros((1, 4)))
+    solver = SimpleNamespace(
+        dx=0.1, time=0.0, state=state, domain=SimpleNamespace(count=0),
+        extremes=SimpleNamespace(speed=0.0, gradient=0.0),
+        tracks=SimpleNamespace(tracks=[acts or Track.constant(UP)], values=values),
+    )  # fmt: skip
+    sleeper, slept = Sleep(solver, size=1.0, frames=frames, fps=fps), []
+    for index in range(1, frames):
+        if sleeper.skip(index):
+            slept.append(index)
+            continue
+        at.x = path(index)
+        solver.extremes.speed = abs(path(index) - path(index - 1)) * fps
+        sleeper.computed(index, 1)
+    return slept
+
+
+@pytest.mark.parametrize("speed", [1e-6, 3e-6, 1e-5, 1e-4])
+@pytest.mark.parametrize("gain", [0.0, 1e-7, 1e-6])
+@pytest.mark.parametrize("turn", [0, 20])
+def test_no_even_acceleration_goes_astray_further_than_promised(speed, gain, turn):
+    """Whatever it left out, the particle was nowhere further than `STILL` from where it is seen."""
+
+    def path(frame):
+        return speed * frame + gain * (frame - turn) ** 2
+
+    slept = left_out(path, 60)
+    if slept:
+        assert slept == list(range(slept[0], 60)), "it sleeps to the end"
+        shown = path(slept[0] - 1)
+        assert max(abs(path(frame) - shown) for frame in slept) <= STILL
+    assert gain == 0 or speed < 1e-5 or not slept
+
+
+def test_what_begins_to_topple_is_awake():
+    """Growing by a fifth per frame, it is invisible at first and far away in the end."""
+    assert left_out(lambda frame: 1e-9 * 1.2**frame, 60) == []
+    assert left_out(lambda frame: 1e-9 * 0.8**frame, 60) != []
+
+
+def test_after_a_change_it_must_be_seen_to_rest_again():
+    """A force changes during frame 10: that and two more are computed."""
+    change = track(Constant(), 9.5 / 24)
+    slept = left_out(lambda frame: 0.0, 20, change)
+    assert slept == [3, 4, 5, 6, 7, 8, 9, 13, 14, 15, 16, 17, 18, 19]
