@@ -2,6 +2,7 @@
 
 switch: one law compiled alone against the same law inside kernels that ask for the law's kind and
   hold all ten, and against transfers only; scatter and gather, without the grid.
+registers: the same kernels compiled for a GPU (sm_90), registers per thread; nothing is run.
 window: the grid around the particles against the dense domain, 20,000 particles in 128^3.
 binding: every Gaussian a particle (the paper) against Gaussians riding on a lattice.
 scaling: particle-substeps per second and memory from 1,000 to 2,000,000 particles.
@@ -10,7 +11,9 @@ CPU time of one thread, unless the row says wall; the least of several turns.
 
 import json
 import resource
+import struct
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -23,7 +26,7 @@ from phy124.camera import Camera
 from phy124.forces import Gravity
 from phy124.generators import make
 from phy124.image import foreground, open_image
-from phy124.kernels import elastic, fluid, granular, hencky, plastic
+from phy124.kernels import elastic, fluid, granular, hencky, plastic, transfer
 from phy124.kernels.transfer import Law
 from phy124.materials import NeoHookean
 from phy124.metrics import psnr
@@ -132,6 +135,35 @@ def switch(turns: int = 40) -> None:
         show("switch", {"form": form, **row, "ratio": row["switch_ns"] / row["alone_ns"]})
 
 
+def registers() -> None:
+    kinds = {"transfers": laws.Nothing, "alone": NeoHookean, "switch": Switched}
+    row = {}
+    for name, material in kinds.items():
+        for build in (transfer.make_p2g, transfer.make_g2p):
+            with tempfile.TemporaryDirectory() as folder:
+                module = build(material.device_law, wp.float32, "plain").module
+                wp.compile_aot_module(module, arch=90, module_dir=folder, use_ptx=False)
+                (cubin,) = Path(folder).glob("*.cubin")
+                row[f"{name}_{build.__name__[-3:]}"] = register_count(cubin.read_bytes())
+    show("registers", row)
+
+
+def register_count(cubin: bytes) -> int:
+    """Registers per thread: attribute 0x2f of a cubin's ELF section .nv.info."""
+    start = struct.unpack_from("<Q", cubin, 0x28)[0]
+    size, count, names = struct.unpack_from("<HHH", cubin, 0x3A)
+    sections = [struct.unpack_from("<IIQQQQ", cubin, start + i * size) for i in range(count)]
+    for name, _, _, _, at, length in sections:
+        if cubin[sections[names][4] + name :].startswith(b".nv.info\0"):
+            end = at + length
+            while at < end:
+                kind, attribute, extent = struct.unpack_from("<BBH", cubin, at)
+                if (kind, attribute) == (4, 0x2F):
+                    return struct.unpack_from("<II", cubin, at + 4)[1]
+                at += 4 + (extent if kind == 4 else 0)
+    raise ValueError("the cubin does not say how many registers its kernel takes")
+
+
 def window() -> None:
     near, dense = cube(20_000, 128), cube(20_000, 128)
     dense.step(1e-5, 1e-5)
@@ -183,7 +215,13 @@ def show(name: str, row: dict) -> None:
     print(json.dumps({"what": name, **rounded}), flush=True)
 
 
-PARTS = {"switch": switch, "window": window, "binding": binding, "scaling": scaling}
+PARTS = {
+    "switch": switch,
+    "registers": registers,
+    "window": window,
+    "binding": binding,
+    "scaling": scaling,
+}
 
 if __name__ == "__main__":
     for part in sys.argv[1:] or PARTS:
