@@ -1,13 +1,18 @@
 """Device code compiles for a GPU on a machine without one, and holds what it should."""
 
+import importlib
 import re
 
 import pytest
 import warp as wp
+from shapes import ball
 
 from phy124.kernels import grid, pace, push, transfer
 from phy124.materials import FixedCorotated, NeoHookean, Sand
+from phy124.scene import Scene, preset_names
+from phy124.simulation import Simulation
 
+CPU_ONLY = ("_simd", "barrier")
 LAWS = [m.device_law for m in (NeoHookean, FixedCorotated, Sand)]
 
 
@@ -41,3 +46,22 @@ def test_grid_and_pushes_compile_for_cuda(tmp_path):
     for name, kernel in kernels.items():
         (tmp_path / name).mkdir()
         assert ".visible .entry" in ptx(kernel, tmp_path / name)
+
+
+@pytest.mark.slow
+def test_every_module_of_the_presets_compiles_for_cuda(tmp_path):
+    """What runs on the CPU here, but for the rows of its vector units, would run there."""
+    for name in preset_names():
+        scene = Scene.named(name).replaced({"accuracy": {"cells": 8}, "time.frames": 3})
+        Simulation(ball(300), scene).run()
+    for name in ("project", "bin", "blend"):
+        importlib.import_module(f"phy124.kernels.splat.{name}")
+    modules = [
+        module for name, module in wp._src.context.user_modules.items()
+        if name.startswith("phy124") and module.kernels and not name.endswith(CPU_ONLY)
+    ]  # fmt: skip
+    for module in modules:
+        (tmp_path / module.name).mkdir()
+        wp.compile_aot_module(module, arch=90, module_dir=str(tmp_path / module.name), use_ptx=True)
+        assert list((tmp_path / module.name).glob("*.ptx")), module.name
+    assert len(modules) > 15
