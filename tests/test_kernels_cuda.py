@@ -64,4 +64,4 @@ def test_every_module_of_the_presets_compiles_for_cuda(tmp_path):
         (tmp_path / module.name).mkdir()
         wp.compile_aot_module(module, arch=90, module_dir=str(tmp_path / module.name), use_ptx=True)
         assert list((tmp_path / module.name).glob("*.ptx")), module.name
-    assert len(modules) > 15
+    assert len(modules) >= 15
