@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import warp as wp
 from shapes import ball
 
 from phy124.boundaries import Ground, Press
@@ -119,3 +120,17 @@ def test_every_preset_moves_the_same_by_the_device_alone(name, monkeypatch):
     assert_same(host, device)
     assert device.timings["graph"][1] > 0
     assert runs[0].watchdog.energy_gain == runs[1].watchdog.energy_gain
+
+
+@pytest.mark.gpu
+@pytest.mark.parametrize("name", preset_names())
+def test_cuda_moves_as_the_cpu_does(name):
+    if not wp.is_cuda_available():
+        pytest.skip("no CUDA device")
+    scene = Scene.named(name).replaced({"accuracy": {"cells": 8}, "time.frames": 6})
+    cpu, cuda = (Simulation(ball(500), scene, device=device) for device in ("cpu", "cuda:0"))
+    cpu.run()
+    cuda.run()
+    assert cuda.solver.timings["graph"][1] > 0
+    apart = cuda.frames[-1].gaussians.means - cpu.frames[-1].gaussians.means
+    assert np.abs(apart).max() < 1e-3
