@@ -141,11 +141,17 @@ def fixed_corotated_energy(F: Any, h: Any, theta: Any):
 
 @wp.func
 def fixed_corotated(F: Any, C: Any, h: Any, theta: Any):
-    """2 mu (F - R) F^T + lam J (J - 1) I (Stomakhin et al. 2012); (F - R) F^T = V^2 - V."""
+    """2 mu (F - R) F^T + lam J (J - 1) I (Stomakhin et al. 2012); (F - R) F^T = F F^T - V."""
     J = wp.determinant(F)
     V = stretch(F)
-    shear = type(J)(2.0) * theta[0] * (gram(V) - V)
-    return shear + theta[1] * J * (J - type(J)(1.0)) * wp.identity(3, dtype=type(J))
+    b = gram(F)
+    shear = type(J)(2.0) * theta[0]
+    p = theta[1] * J * (J - type(J)(1.0))
+    return symmetric(
+        shear * (b[0, 0] - V[0, 0]) + p, shear * (b[0, 1] - V[0, 1]), shear * (b[0, 2] - V[0, 2]),
+        shear * (b[1, 1] - V[1, 1]) + p, shear * (b[1, 2] - V[1, 2]),
+        shear * (b[2, 2] - V[2, 2]) + p,
+    )  # fmt: skip
 
 
 @wp.func
