@@ -1,0 +1,87 @@
+"""Makes the pictures of the page in docs/: light, dark and phone, after a run of the duck.
+
+    python docs/screenshots.py
+
+Needs Debian's chromium and `pip install "phy124[demo,test]"`.
+"""
+
+from __future__ import annotations
+
+import io
+import shutil
+import sys
+import tempfile
+from pathlib import Path
+
+from PIL import Image
+from playwright.sync_api import Browser, Page, sync_playwright
+
+DOCS = Path(__file__).parent
+sys.path[:0] = [str(DOCS.parent), str(DOCS.parent / "tests")]
+
+from served import serving  # noqa: E402
+
+FLAGS = [
+    "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist",
+]  # fmt: skip
+LOOKS = {
+    "light": {"viewport": {"width": 1360, "height": 1180}, "color_scheme": "light"},
+    "dark": {"viewport": {"width": 1360, "height": 1180}, "color_scheme": "dark"},
+    "phone": {"viewport": {"width": 390, "height": 844}, "color_scheme": "light"},
+}
+SECONDS = 300_000
+
+
+def main() -> None:
+    """Take all of them."""
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        serving(Path(folder)) as server,
+        sync_playwright() as session,
+    ):
+        browser = session.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
+        for name, look in LOOKS.items():
+            _take(browser, server.url, name, look)
+        browser.close()
+
+
+def _take(browser: Browser, url: str, name: str, look: dict) -> None:
+    context = browser.new_context(**look, reduced_motion="reduce")
+    page = context.new_page()
+    query = "?__theme=dark" if name == "dark" else ""
+    page.goto(url + query)
+    page.get_by_label("Example: duck").click()
+    page.locator("#cutout img").wait_for(timeout=SECONDS)
+    page.locator("#forecast").get_by_text("substeps").wait_for(timeout=SECONDS)
+    page.wait_for_timeout(1500)
+    page.locator("#go").click()
+    page.wait_for_selector(".film video", timeout=SECONDS)
+    page.wait_for_selector("#go:not([disabled])", timeout=SECONDS)
+    _pose(page)
+    _save(page.screenshot(full_page=name == "phone"), DOCS / f"web-{name}.jpg")
+    if name == "light":
+        page.get_by_role("tab", name="Report").click()
+        page.wait_for_timeout(1000)
+        page.locator("#report").scroll_into_view_if_needed()
+        _save(page.screenshot(), DOCS / "web-report.jpg")
+    context.close()
+
+
+def _pose(page: Page) -> None:
+    """The instant at which the plate is lowest, in the player and in the videos."""
+    page.locator(".phy-canvas").wait_for(timeout=SECONDS)
+    page.locator(".phy-time").evaluate(
+        "(bar) => { bar.value = 0.25; bar.dispatchEvent(new Event('input')); }"
+    )
+    for film in page.locator(".film video").all():
+        film.evaluate("(video) => { video.pause(); video.currentTime = 0.25; }")
+    page.wait_for_timeout(4000)
+
+
+def _save(png: bytes, path: Path) -> None:
+    Image.open(io.BytesIO(png)).convert("RGB").save(path, quality=82, optimize=True)
+
+
+if __name__ == "__main__":
+    main()
