@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from safetensors.numpy import save_file
 from phy124.errors import InputError
 from phy124.files import replacing
 from phy124.gaussians import Frame, Gaussians
+from phy124.harmonics import rotate_sh
 from phy124.progress import Progress, silent
 from phy124.scene import Scene
 from phy124.simulation import Simulation
@@ -80,6 +82,7 @@ def load(
     memory = {k.removeprefix("deformer."): v for k, v in tensors.items() if k.startswith("def")}
     run.deformer.recall(memory)
     _put_frames(run, tensors)
+    _turn_last(run)
     return run
 
 
@@ -109,6 +112,14 @@ def _put_frames(run: Simulation, tensors: Tensors) -> None:
         v = None if velocities is None else velocities[index]
         run.frames.append(Frame(run.count - len(times) + index, time, gaussians, v))
     run.rotations = list(tensors.get("frames.rotations", []))
+
+
+def _turn_last(run: Simulation) -> None:
+    """Colours of the last frame turned with the material, for it is shown again if all rests."""
+    if run.frames and run.rotations:
+        last = run.frames[-1]
+        turned = replace(last.gaussians, sh=rotate_sh(last.gaussians.sh, run.rotations[-1]))
+        run.frames[-1] = replace(last, gaussians=turned)
 
 
 def _read(path: Path) -> tuple[dict[str, Any], Tensors]:

@@ -114,7 +114,7 @@ class Timing(Section):
     )
     sleep: bool = Field(
         default=True,
-        description="Leave substeps out while all rests: 3e-4 of its size astray at most.",
+        description="Leave substeps out while the object rests; at most 3e-4 of its size astray.",
     )
     patience: float = Field(
         default=7200.0, gt=0, description="A simulation forecast to take longer is refused [s]."

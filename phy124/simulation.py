@@ -225,7 +225,8 @@ class Simulation:
                 solver.cfl, solver.ceiling = usual
             if problem is not None:
                 raise Stopped(f"frame {index} is not sound: {problem}.")
-        self.sleep.computed(index, self.solver.substeps - before)
+        if self.scene.time.sleep:
+            self.sleep.computed(index, self.solver.substeps - before)
 
     def _try(self, index: int, until: float) -> str | None:
         """One try at a frame; what is wrong with it, or None. The state is then as before."""

@@ -1,10 +1,10 @@
 """Sleep: substeps are left out while everything rests and nothing that acts changes.
 
 An instant without speed is not rest: a thrown body has one at the top of its path. Rest is that in
-Q frames of T seconds no particle got further than D from where it was. If it moved as evenly
-accelerated as that allows, it would go 4 D m (1 + m) in the M = m Q frames to be left out; and a
-vibration in step with the frames, whose greatest speed is v, hides v T / 2 pi. The object sleeps
-where the sum is invisible and its speed does not grow, until a force or a boundary changes,
+Q frames of T seconds no particle got further than D from where it was. Evenly accelerated it then
+goes at most 7 D m (1 + m) in the M = m Q frames to be left out (the worst: there, back and on); and
+a vibration in step with the frames, whose greatest speed is v, hides v T / 2 pi. The object
+sleeps where the sum is invisible and its speed does not grow, until a force or a boundary changes,
 anywhere in the scene, or the clip ends. Under gravity it must also have stayed where a free body
 would have left, or a film of many frames per second would catch it resting in the air.
 """
@@ -112,7 +112,7 @@ class Sleep:
         share = (last - index + 1) / len(self.speeds)
         if share <= 0 or self._grows() or not self._held():
             return False
-        reach = 4 * self.drift * share * (1 + share)
+        reach = 7 * self.drift * share * (1 + share)
         return reach + self._hidden(max(self.speeds)) <= self._far
 
     def _hidden(self, speed: float) -> float:
