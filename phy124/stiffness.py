@@ -60,20 +60,20 @@ class Picture(_Field):
     """As a grey picture painted over the object's: white is stiff, black is soft."""
 
     kind: Literal["picture"] = "picture"
-    picture: str = Field(description="Grey picture file, seen from the front.")
+    file: str = Field(description="Grey picture file, seen from the front.")
     black: Share = Field(default=0.1, description="Share of E where it is black.")
     white: Share = Field(default=1.0, description="Share of E where it is white.")
 
     def shares(self, x: NDArray, means: NDArray, crop: Crop) -> NDArray[np.float64]:
         """Linear in the grey value."""
-        grey = brightness(x, self.picture, crop, field="stiffness.picture")
+        grey = brightness(x, self.file, crop, field="stiffness.file")
         return self.black + grey * (self.white - self.black)
 
 
 class Listed(_Field):
     """As a file says, a share for each Gaussian; what is between them follows the nearest."""
 
-    kind: Literal["gaussians"] = "gaussians"
+    kind: Literal["array"] = "array"
     file: str = Field(description="NumPy file (.npy) of shares of E, one per Gaussian.")
 
     def shares(self, x: NDArray, means: NDArray, crop: Crop) -> NDArray[np.float64]:

@@ -122,7 +122,7 @@ def test_a_picture_says_how_stiff(tmp_path):
         tmp_path / "grey.png"
     )
     x = np.stack([np.zeros(5), np.linspace(-1, 1, 5), [0, 1, 0, 1, 0]], axis=1)
-    field = Picture(picture=str(tmp_path / "grey.png"), black=0.2, white=1.0)
+    field = Picture(file=str(tmp_path / "grey.png"), black=0.2, white=1.0)
     assert field.shares(x, x, WHOLE) == pytest.approx(np.linspace(0.2, 1, 5), abs=0.01)
 
 
@@ -175,6 +175,21 @@ def test_refusals(changes, message):
     field = {"stiffness": {"kind": "gradient", "last": 0.01}, "accuracy": {"cells": 8}}
     with pytest.raises(InputError, match=message):
         Simulation(ball(400), Scene.named("drop").replaced({**field, **changes}))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"stiffness": {"kind": "picture"}}, "stiffness.file"),
+        ({"stiffness": {"kind": "gradient", "axes": "y"}}, "Did you mean axis"),
+        ({"stiffness": {"kind": "gradient", "last": 2}}, "stiffness.last = 2"),
+        ({"parts": [{"gaussians": [1, "two"]}]}, "parts.0.gaussians"),
+    ],
+)
+def test_mistakes_in_a_scene_are_named_where_they_are(changes, message):
+    with pytest.raises(InputError) as refusal:
+        Scene.named("drop").replaced(changes)
+    assert message in str(refusal.value)
 
 
 def test_laws_say_what_scales():
