@@ -63,9 +63,11 @@ class Balance:
     angular: NDArray[np.float64]
     """Angular momentum about the origin [3], kg m^2/s."""
     kinetic: float
-    """J."""
+    """J, when the last substep kicked: half a substep before the positions."""
     elastic: float
     """J."""
+    lag: float
+    """What the kinetic energy will have changed by at the time of the elastic one, J."""
     middle: NDArray[np.float64]
     """Mass times position [3], kg m."""
     least_J: float
@@ -81,8 +83,11 @@ class Balance:
 
     @property
     def energy(self) -> float:
-        """Kinetic and elastic energy, J."""
-        return self.kinetic + self.elastic
+        """Kinetic and elastic energy of one instant, J.
+
+        m/2 v(t - dt/2) . v(t + dt/2) + psi(t), which leapfrog conserves exactly in a vibration.
+        """
+        return self.kinetic + self.elastic + self.lag
 
 
 def weigh(solver: Solver) -> Balance:
@@ -112,7 +117,8 @@ def weigh(solver: Solver) -> Balance:
     index: NDArray[Any] = first.numpy()
     return Balance(
         momentum=total[:3], angular=total[3:6], kinetic=float(total[6]), elastic=float(total[7]),
-        middle=total[8:], least_J=-float(ends[0]), greatest_J=float(ends[1]),
+        lag=-solver.last_dt / 2 * float(total[11]), middle=total[8:11],
+        least_J=-float(ends[0]), greatest_J=float(ends[1]),
         broken=int(found[0]), inverted=int(found[1]), first=(int(index[0]), int(index[1])),
     )  # fmt: skip
 

@@ -19,7 +19,7 @@ from phy124.region import Region
 from phy124.scene import Scene
 from phy124.simulation import Simulation
 from phy124.tracks import Sine
-from phy124.watchdog import Watchdog
+from phy124.watchdog import Watchdog, weigh
 
 QUICK = {"accuracy": {"cells": 8}, "time.frames": 5}
 
@@ -101,6 +101,44 @@ def test_two_threads_keep_the_same_books():
         assert watch.after() is None
         runs.append(watch.ledger.total(s, np.zeros(3)))
     assert runs[0].impulse == pytest.approx(runs[1].impulse, rel=1e-9)
+
+
+def lone(**options) -> Solver:
+    """One particle that swells and shrinks, the stiffest motion there is."""
+    C = 4.0 * np.eye(3)[None]
+    return Solver(np.full((1, 3), 0.02), np.array([1e-3]), [NeoHookean(E=1e4, nu=0.49)], dx=0.125,
+                  C=C, precision="float64", **options)  # fmt: skip
+
+
+def test_energies_are_those_of_one_instant():
+    """Velocities are half a substep old; the plain sum of both energies would swing by half."""
+    s = lone()
+    sums, plain = [], []
+    s.advance(0.2, after=lambda: (sums.append(weigh(s).energy), plain.append(weigh(s))))
+    assert len(sums) > 30
+    assert max(sums[3:]) / min(sums[3:]) < 1.02
+    naive = [b.kinetic + b.elastic for b in plain[3:]]
+    assert max(naive) / min(naive) > 1.5
+
+
+@pytest.mark.parametrize(("law", "nu", "seed", "count"), [
+    (Hencky, 0.3, 1, 40), (Hencky, 0.4999, 2, 5), (FixedCorotated, 0.3, 1, 1),
+])  # fmt: skip
+def test_a_few_particles_thrown_apart_at_mach_1_keep_their_books(law, nu, seed, count):
+    """They fly beyond the domain and back, thin out to 1:1e5, and spin: nobody is to blame."""
+    rng, dx = np.random.default_rng(seed), 0.1
+    material, ledger = law(E=1e5, nu=nu), Ledger()
+    x = rng.uniform(-0.15, 0.15, (count, 3)) + [0, 0, 0.35]
+    spin = rng.normal(size=(3, 3)) * material.wave_speed() / dx
+    v = (x - x.mean(axis=0)) @ (spin - spin.T).T + [0, 0, -material.wave_speed()]
+    s = Solver(x, np.full(count, dx**3 / 8), [material], dx=dx, v=v,
+               C=np.tile(spin - spin.T, (count, 1, 1)),
+               boundaries=ledger.boundaries([Ground(contact="slip")]))  # fmt: skip
+    watch = Watchdog(s, ledger)
+    while s.substeps < 500:
+        watch.before()
+        s.advance(s.time + 20 * dx / material.wave_speed(), after=watch.follow())
+        assert watch.after() is None
 
 
 def test_energy_from_nowhere_is_noticed():

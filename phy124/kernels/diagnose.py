@@ -13,8 +13,8 @@ import warp as wp
 from phy124.kernels.spectral import to_double
 from phy124.kernels.transfer import Law, types
 
-SUMS = 11
-"""Momentum 3, angular momentum 3, kinetic and elastic energy, mass times position 3."""
+SUMS = 12
+"""Momentum 3, angular momentum 3, kinetic and elastic energy, mass times position 3, power."""
 GIVEN = 5
 """Impulse 3, work, sum of the sizes of all impulses."""
 
@@ -37,11 +37,13 @@ def add3(sums: wp.array(dtype=wp.float64), at: int, a: wp.vec3d):
 def make_weigh(law: Law, real: Any):
     """Kernel: `SUMS` over the particles, -least and greatest J, and the unsound particles.
 
+    The power is that of the elastic stress, V tau : C, with which kinetic energy goes into elastic.
     `counts_out` is (not finite, inside out), `first_out` the lowest index of each.
     """
     t = types(real)
     theta_type = wp.types.vector(law.width, real)
-    energy, exact = law.energy, wp.types.vector(law.width, wp.float64)
+    energy, stress = law.energy, law.stress
+    exact = wp.types.vector(law.width, wp.float64)
     has_history = law.project is not None
 
     @wp.kernel(module=f"phy124_weigh_{law.name}_{real.__name__}", enable_backward=False)
@@ -86,6 +88,9 @@ def make_weigh(law: Law, real: Any):
             wp.atomic_add(sums_out, 6, kinetic)
             wp.atomic_add(sums_out, 7, psi * wp.float64(volume[p]))
             add3(sums_out, 8, m * here)
+            tau = stress(deformation, wp.mat33d(), h, parameters)
+            power = wp.ddot(tau, to_double(rate)) * wp.float64(volume[p])
+            wp.atomic_add(sums_out, 11, power)
             wp.atomic_max(range_out, 0, -J)
             wp.atomic_max(range_out, 1, J)
             if J <= wp.float64(0.0):

@@ -57,8 +57,9 @@ class Domain:
     def confine(self, lower: NDArray, upper: NDArray) -> bool:
         """Follow the particles between two corners [m]; True if they must be measured again."""
         if self.bounded and np.isfinite(lower).all():
+            measured = self._beyond()
             self._centre((lower + upper) / 2)
-            return self.changed
+            return self.changed or not np.array_equal(measured, self.outside.numpy())
         if not self.bounded and self._nodes(lower, upper) <= self._allowed:
             return False
         x = self._solver.state.x.numpy().astype(np.float64)
@@ -80,11 +81,15 @@ class Domain:
     def _centre(self, middle: NDArray) -> None:
         low, high = middle - self._half, middle + self._half
         self.corners.assign(np.stack([low, high]).astype(self.corners.numpy().dtype))
-        x = self._solver.state.x.numpy()
-        out = np.flatnonzero(~np.all((x >= low) & (x <= high), axis=1)).astype(np.int32)
+        out = self._beyond()
         self.changed = not np.array_equal(out, self.outside.numpy())
         self.outside = wp.array(out, dtype=int, device=self._solver.device)
         self.most = max(self.most, len(out))
+
+    def _beyond(self) -> NDArray[np.int32]:
+        """Indices of the particles beyond the corners, by the same comparison as on the device."""
+        (low, high), x = self.corners.numpy(), self._solver.state.x.numpy()
+        return np.flatnonzero(~np.all((x >= low) & (x <= high), axis=1)).astype(np.int32)
 
     def _nodes(self, lower: NDArray, upper: NDArray) -> float:
         """Nodes of a window over a box; in floating point, for boxes beyond all integers."""
