@@ -351,3 +351,43 @@ def test_boundaries_are_named_by_their_kind_and_refuse_nonsense():
         Gripper(opening=0.3, closed=0.4)
     with pytest.raises(ValidationError, match="Extra inputs"):
         Press(motion=Swing())
+
+
+@cache
+def squeezed(axis: int, offset: float) -> float:
+    """Strain of a block between two plates, less that of the gap, in cells; nu is 0."""
+    across, depth = EYE[axis], 0.08 + offset * DX
+    x = block(size=tuple(0.4 + 0.4 * across), low=tuple(0.013 * across))
+    path = Path(times=(0.0, 0.15), points=((0, 0, 0), tuple(-depth * across)))
+    walls = [
+        HalfSpace(point=tuple(0.013 * across), normal=tuple(across), contact="slip"),
+        HalfSpace(point=tuple(0.813 * across), normal=tuple(-across), contact="slip", motion=path),
+    ]
+    s = solver(x, *walls, forces=[], material=NeoHookean(E=5e4, nu=0.0), origin=(0, 0, 0))
+    s.advance(0.2)
+    strains = []
+    while s.time < 0.35:
+        s.advance(s.time + 0.01)
+        inner = np.abs(s.rest[:, axis] - 0.413) < 0.2
+        strains.append(s.state.F.numpy()[inner, axis, axis].mean())
+    return (np.mean(strains) * 0.8 - (0.8 - depth)) / DX
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("offset", [0.0, 0.3, 0.6])
+def test_plates_squeeze_by_the_way_they_went(axis, offset):
+    """Wherever they stand between the nodes: a tenth of a cell, where single nodes miss one."""
+    assert abs(squeezed(axis, offset)) < 0.12
+
+
+def test_a_wall_across_the_threads_is_met_by_single_nodes():
+    """Its columns would belong to both threads; the answer is rougher there, and bitwise again."""
+    wall = HalfSpace(point=(0.22, 0, 0), normal=(-1, 0, 0))
+    tall = block(size=(0.4, 0.4, 0.8))
+
+    def run() -> np.ndarray:
+        s = solver(tall, wall, Ground(), v=np.tile([0.5, 0, 0], (len(tall), 1)), threads=2)
+        s.advance(0.1)
+        return s.state.x.numpy()
+
+    assert np.array_equal(run(), run())

@@ -109,8 +109,8 @@ SABOTAGE = {
                  "if changed:", "if not self.substeps:"),
     28: Sabotage("the second lane overwrites the first", "kernels/grid.py",
                  "q += nodes_b[n - first_b]", "q = nodes_b[n - first_b]"),
-    29: Sabotage("walls answer three quarters of a cell too early", "boundaries/base.py",
-                 "return REACH * dx", "return (REACH + 0.75) * dx"),
+    29: Sabotage("walls answer before the body has come to them", "kernels/collide.py",
+                 "m[1] * covered(far) >= full", "m[0] > full"),
 }  # fmt: skip
 """One deliberate error per case, by its number."""
 

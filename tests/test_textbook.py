@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from textbook import Textbook
 
-from phy124.boundaries import Ground
+from phy124.boundaries import Held
 from phy124.forces import Gravity
 from phy124.materials import FixedCorotated
 from phy124.mpm import Solver
@@ -18,7 +18,7 @@ def test_solver_against_a_straightforward_program(simd):
     twin = Textbook(x, volume, cells=cells, size=2, E=2e4, nu=0.3, density=200, floor=0.52)
     solver = Solver(
         x, np.full(len(x), volume), [FixedCorotated(E=2e4, nu=0.3, density=200)], dx=2 / cells,
-        forces=[Gravity()], boundaries=[Ground(height=0.52, contact="sticky")], simd=simd,
+        forces=[Gravity()], boundaries=[Held(lower=(-9, -9, -9), upper=(9, 9, 0.52))], simd=simd,
         ceiling=dt,
     )  # fmt: skip
     for _ in range(steps):

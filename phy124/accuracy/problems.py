@@ -300,7 +300,7 @@ class Bounce:
             [self.material],
             dx=dx,
             forces=[Gravity()],
-            boundaries=[Ground(contact="slip")],
+            boundaries=[Ground(friction=0.0)],
             origin=(0.0, 0.0, -FLOOR_NODE * dx),
         )
         frames = []

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from phy124.boundaries.motion import AnyMotion
 from phy124.errors import InputError
-from phy124.kernels.collide import make_collider
+from phy124.kernels.collide import make_collider, make_contact
 from phy124.kernels.transfer import types
 from phy124.region import Vector
 from phy124.tracks import Track
@@ -22,11 +22,13 @@ if TYPE_CHECKING:
 
 Contact = Literal["sticky", "slip", "separate"]
 REACH = -0.15
-"""A node answers to a wall below this signed distance, in cells.
+"""A node that answers to a wall by itself does so below this signed distance, in cells.
 
-Material rests 0.6 to 0.9 cells above the last free-moving node plane, so the plane that stops it
-must lie about 0.75 cells inside the wall for the body to touch the wall itself.
+Material rests 0.6 to 0.9 cells above the last node plane that moves freely, so on the average the
+plane that stops it must lie about 0.65 cells inside the wall for the body to touch it.
 """
+MARGIN = 2.0
+"""How far in front of a wall nodes may answer to it, in cells."""
 THINNEST = 1.0
 """Least half thickness of a solid, in cells: nodes must lie inside it to stop anything."""
 Corners = tuple[NDArray[np.float64], NDArray[np.float64]]
@@ -48,9 +50,21 @@ class Boundary(BaseModel):
         """Three vectors that the shape's distance function reads."""
         raise NotImplementedError
 
-    def bounds(self, solver: Solver) -> Corners:
-        """Corners of a box that holds every node inside the shape at rest [m]."""
+    def extent(self, solver: Solver) -> Corners:
+        """Corners of a box that holds the shape at rest [m]."""
         return np.full(3, -np.inf), np.full(3, np.inf)
+
+    def bounds(self, solver: Solver) -> Corners:
+        """Corners of a box that holds every node that may answer to the shape at rest [m]."""
+        low, high = self.extent(solver)
+        margin = MARGIN * solver.dx if self.met(solver) else 0.0
+        return low - margin, high + margin
+
+    def met(self, solver: Solver) -> bool:
+        """Whether the wall is met where it is, between the nodes; else node by node."""
+        laws = (section.device_law for section in solver.materials)
+        yields = any(law.project is not None and law.name != "fluid" for law in laws)
+        return not yields and self.reach(solver.dx) is None
 
     def track(self, solver: Solver) -> Track | None:
         """Displacement over time [m]; None if it never moves."""
@@ -70,27 +84,31 @@ class Boundary(BaseModel):
             )  # fmt: skip
         return [(type(self).__name__.lower(), self._recorder(solver))]
 
-    def reach(self, dx: float) -> float:
-        """Signed distance below which a node answers [m]."""
-        return REACH * dx
+    def reach(self, dx: float) -> float | None:
+        """Signed distance below which a node answers [m]; None: as suits the material."""
+        return None
 
     def _recorder(self, solver: Solver) -> Callable[[], wp.Launch | None]:
         t, track = types(solver.real), self.track(solver)
         slot = 0 if track is None else solver.tracks.add(track)
-        kernel = make_collider(self.shape, self.contact, track is not None, solver.real)
         bounds = self.bounds(solver)
         if track is not None:
             bounds = swept(bounds, track)
         shape = t.mat33(*np.ravel(self.geometry(solver)))
+        met, reach = self.met(solver), self.reach(solver.dx)
+        kernel = (make_contact if met else make_collider)(
+            self.shape, self.contact, track is not None, solver.real
+        )
 
         def record() -> wp.Launch | None:
-            start, extent = solver.grid.nodes_within(*bounds)
-            inputs = [
-                shape, self.friction, self.reach(solver.dx), slot,
-                wp.vec3i(*start.tolist()), solver.grid.lattice, solver.grid.window,
-                solver.tracks.values, solver.tracks.rates,
-            ]  # fmt: skip
-            return solver.record(kernel, tuple(extent), inputs, [solver.grid.nodes])
+            grid = solver.grid
+            start, extent = grid.nodes_within(*bounds)
+            model = [shape, self.friction, REACH * grid.dx if reach is None else reach, slot]
+            model.append(wp.vec3i(*start.tolist()))
+            if met:
+                model.append(wp.vec2i(*(grid.share or (0, int(grid.size[0])))))
+            inputs = [*model, grid.lattice, grid.window, solver.tracks.values, solver.tracks.rates]
+            return solver.record(kernel, tuple(extent), inputs, [grid.nodes])
 
         return record
 

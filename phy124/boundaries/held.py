@@ -27,11 +27,11 @@ class Held(Movable):
         """Centre and half sizes."""
         return box_of(self.lower, self.upper)
 
-    def bounds(self, solver: Solver) -> Corners:
+    def extent(self, solver: Solver) -> Corners:
         """The box."""
         return np.array(self.lower), np.array(self.upper)
 
-    def reach(self, dx: float) -> float:
+    def reach(self, dx: float) -> float | None:
         """The box is a region, not a wall: all its nodes are held."""
         return 0.0
 
@@ -50,11 +50,11 @@ class Foot(Movable):
         top = float(z.min() + self.share * np.ptp(z))
         return (0.0, 0.0, top), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
 
-    def bounds(self, solver: Solver) -> Corners:
+    def extent(self, solver: Solver) -> Corners:
         """Everything below."""
         point, normal, _ = self.geometry(solver)
         return half_bounds(point, normal)
 
-    def reach(self, dx: float) -> float:
+    def reach(self, dx: float) -> float | None:
         """A region, not a wall: all its nodes are held."""
         return 0.0

@@ -22,7 +22,7 @@ class Plane(Boundary):
 
     shape: ClassVar[str] = "half_space"
 
-    def bounds(self, solver: Solver) -> Corners:
+    def extent(self, solver: Solver) -> Corners:
         """Half of space if the normal lies along an axis, else all of it."""
         point, normal, _ = self.geometry(solver)
         return half_bounds(point, normal)

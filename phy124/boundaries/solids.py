@@ -36,7 +36,7 @@ class Box(Movable):
         """Centre and half sizes."""
         return box_of(self.lower, self.upper)
 
-    def bounds(self, solver: Solver) -> Corners:
+    def extent(self, solver: Solver) -> Corners:
         """The box."""
         return np.array(self.lower), np.array(self.upper)
 
@@ -57,7 +57,7 @@ class Sphere(Movable):
         """Centre and radius."""
         return self.centre, (self.radius, 0.0, 0.0), (0.0, 0.0, 0.0)
 
-    def bounds(self, solver: Solver) -> Corners:
+    def extent(self, solver: Solver) -> Corners:
         """The box around it."""
         return np.array(self.centre) - self.radius, np.array(self.centre) + self.radius
 
@@ -85,7 +85,7 @@ class Capsule(Movable):
         """Ends and radius."""
         return self.start, self.end, (self.radius, 0.0, 0.0)
 
-    def bounds(self, solver: Solver) -> Corners:
+    def extent(self, solver: Solver) -> Corners:
         """The box around it."""
         ends = np.array([self.start, self.end])
         return ends.min(axis=0) - self.radius, ends.max(axis=0) + self.radius

@@ -1,7 +1,20 @@
-"""Colliders: nodes inside a shape answer to its wall between the grid update and the gather.
+"""Colliders: nodes near a wall answer to it between the grid update and the gather.
 
 Node n of the window sits at origin + (window[0] + (i, j, k)) dx. A collider is built from a
 distance function and a response, so an absent shape or mode costs nothing.
+
+`make_contact` meets a wall where it is, between the nodes. Along the axis nearest to its normal,
+the velocity relative to the wall is to be linear in the distance and zero on the wall: the first
+node at least half a cell in front of it leads, the two behind follow with the ratios of their
+distances, g (quadratic B-splines reproduce linear fields, and reach no further behind). Momentum
+is projected onto such fields, v_1 = sum(g m v) / sum(g^2 m), which never adds energy and pushes on
+all three nodes alike; without that a wall is as soft as a layer one cell thick. (Extended
+B-splines: Hoellig, Reif, Wipper 2001.) The wall acts once the material has come to it, which the
+masses of the nodes on its two sides tell: see `covered`.
+
+`make_collider` is the usual rule, node by node: for regions that are held, and for solids
+that yield, which slide on a layer thinner than a cell; a field that is linear down to the wall
+would hold them a cell above it.
 """
 
 from functools import cache
@@ -38,7 +51,29 @@ def separate(v: Any, wall: Any, n: Any, friction: Any):
     return wall + along * (type(speed)(1.0) + friction * speed / length)
 
 
+@wp.func
+def all_of_it(along: Any, pressed: Any, friction: Any):
+    """A wall that holds takes all of the motion along it."""
+    return type(pressed)(1.0)
+
+
+@wp.func
+def none_of_it(along: Any, pressed: Any, friction: Any):
+    """A wall without friction takes none."""
+    return type(pressed)(0.0)
+
+
+@wp.func
+def coulomb(along: Any, pressed: Any, friction: Any):
+    """Share of the impulse that would stop all motion along the wall that friction can give."""
+    wanted = wp.length(along)
+    if wanted <= friction * pressed:
+        return type(pressed)(1.0)
+    return friction * pressed / wanted
+
+
 RESPONSES = {"sticky": sticky, "slip": slip, "separate": separate}
+HOLDS = {"sticky": all_of_it, "slip": none_of_it, "separate": coulomb}
 
 
 @wp.func
@@ -97,11 +132,189 @@ def capsule(x: Any, shape: Any):
 SHAPES = {"half_space": half_space, "sphere": sphere, "box": box, "capsule": capsule}
 
 
+@wp.func
+def covered(u: Any):
+    """Share of a quadratic B-spline on the far side of a plane u cells before its middle."""
+    one = type(u)(1.0)
+    sixth = type(u)(1.0 / 6.0)
+    reach = wp.max(type(u)(1.5) - wp.abs(u), type(u)(0.0))
+    tail = sixth * reach * reach * reach
+    if u < type(u)(-0.5):
+        return tail
+    if u > type(u)(0.5):
+        return one - tail
+    return type(u)(0.5) + u * (type(u)(0.75) - u * u * type(u)(1.0 / 3.0))
+
+
+@wp.func
+def steepest(n: Any):
+    """The axis nearest to a direction."""
+    axis = int(0)
+    if wp.abs(n[1]) >= wp.abs(n[0]):
+        axis = 1
+    if wp.abs(n[2]) >= wp.abs(n[axis]):
+        axis = 2
+    return axis
+
+
+@wp.func
+def place(lattice: Any, node: wp.vec3i):
+    """Where a node of the grid is."""
+    dx = lattice[3]
+    return wp.vector(
+        lattice[0] + dx * type(dx)(node[0]),
+        lattice[1] + dx * type(dx)(node[1]),
+        lattice[2] + dx * type(dx)(node[2]),
+    )
+
+
+@wp.func
+def front(s: Any, axis: int, dx: Any):
+    """Whether a node at the distance s is at least half a cell in front of the wall, along axis."""
+    return s[3] >= type(dx)(0.5) * dx * wp.abs(s[axis])
+
+
+@wp.func
+def tied(v: Any, m: Any, g: Any):
+    """Change of velocities [node, axis] of masses m that makes them follow with ratios g."""
+    weight = wp.cw_mul(g, m)
+    return wp.outer(g, (wp.transpose(v) @ weight) / wp.dot(weight, g)) - v
+
+
+@wp.func
+def velocity(q: Any):
+    """The velocity of a node, or the normal of a distance."""
+    return wp.vector(q[0], q[1], q[2])
+
+
+@wp.func
+def holds(size: wp.vec3i, span: wp.vec2i, node: wp.vec3i):
+    """Whether a node is in the window, and in the layers a launch may touch."""
+    return (
+        node[0] >= span[0] and node[1] >= 0 and node[2] >= 0
+        and node[0] < span[1] and node[1] < size[1] and node[2] < size[2]
+    )  # fmt: skip
+
+
+FULL = wp.constant(0.8)
+"""Share of the mass of a body up to the wall from which it has come to it (0.15 cells of gap)."""
+
+
+@wp.func
+def arrived(m: Any, near: Any, far: Any):
+    """Whether material has come to a wall: nodes `near` and `far` cells in front have masses m.
+
+    A body up to the wall covers their splines in a known ratio; with a gap there is less on the
+    nearer node. The ratio does not depend on how dense or how wide the body is. Irregular
+    particles scatter about it, and a body must not stand on the few columns that are fullest.
+    """
+    full = type(near)(FULL) * m[0] * covered(near)
+    return m[1] > type(near)(0.0) and m[1] * covered(far) >= full
+
+
+@cache
+def make_contact(shape: str, response: str, moving: bool, real: Any):
+    """Kernel over the nodes of a sub-box: columns of three nodes at a wall answer to it.
+
+    Nodes further behind, or of columns without material in front, answer one by one below `reach`
+    m of signed distance; so do columns that leave `span`, the layers first <= i < last that this
+    launch may touch. A moving shape is displaced by the value of its track and its wall moves at
+    the track's rate, while the track is active.
+    """
+    t = types(real)
+    distance, answer, hold = SHAPES[shape], RESPONSES[response], HOLDS[response]
+    name = f"phy124_contact_{shape}_{response}_{'moving' if moving else 'still'}_{real.__name__}"
+
+    @wp.kernel(module=name, enable_backward=False)
+    def contact(
+        # model
+        geometry: t.mat33, friction: real, reach: real, slot: int, start: wp.vec3i, span: wp.vec2i,
+        lattice: t.vec4, window: wp.array(dtype=wp.vec3i),
+        values: wp.array(dtype=t.vec4), rates: wp.array(dtype=t.vec4),
+        # out
+        grid_out: wp.array(dtype=t.vec4),
+    ):  # fmt: skip
+        i, j, k = wp.tid()
+        size = window[1]
+        here = wp.vec3i(i, j, k) + start
+        moved = t.vec3()
+        wall = t.vec3()
+        active = real(1.0)
+        if wp.static(moving):
+            moved = velocity(values[slot])
+            wall = velocity(rates[slot])
+            active = values[slot][3]
+        stride = wp.vec3i(size[1] * size[2], size[2], 1)
+        n = wp.dot(here, stride)
+        if active <= real(0.0) or not holds(size, span, here):
+            return
+        if grid_out[n][3] <= real(0.0):
+            return
+        low = window[0]
+        dx = lattice[3]
+        s = distance(place(lattice, low + here) - moved, geometry)
+        axis = steepest(s)
+        back = wp.vec3i()
+        back[axis] = -int(wp.sign(s[axis]))
+        s1 = distance(place(lattice, low + here + back) - moved, geometry)
+        lead = here
+        if front(s, axis, dx):
+            if front(s1, axis, dx):
+                return
+        else:
+            lead = here - back
+            if not front(distance(place(lattice, low + lead) - moved, geometry), axis, dx):
+                lead = lead - back
+        step = wp.dot(back, stride)
+        end = lead + back + back
+        s0 = distance(place(lattice, low + lead) - moved, geometry)
+        s2 = distance(place(lattice, low + end) - moved, geometry)
+        column = front(s0, axis, dx) and s2[3] <= real(0.0)
+        if not (column and holds(size, span, lead) and holds(size, span, end)):
+            column = False
+        elif grid_out[wp.dot(lead, stride)][3] <= real(0.0):
+            column = False
+        if not column:
+            if s[3] < reach:
+                u = answer(velocity(grid_out[n]), wall, velocity(s), friction)
+                grid_out[n] = wp.vector(u[0], u[1], u[2], grid_out[n][3])
+            return
+        if not front(s, axis, dx):
+            return
+        q0 = grid_out[n]
+        q1 = grid_out[n + step]
+        q2 = grid_out[n + 2 * step]
+        # Shares of the mass: squares of momenta in small units would be nothing in float32.
+        m = wp.vector(q0[3], q1[3], q2[3]) / (q0[3] + q1[3] + q2[3])
+        normal = velocity(s0)
+        across = dx * wp.abs(normal[axis])
+        if not arrived(m, s1[3] / across, s0[3] / across):
+            return
+        v = wp.matrix_from_rows(velocity(q0) - wall, velocity(q1) - wall, velocity(q2) - wall)
+        g = wp.vector(s0[3], s1[3], s2[3]) / s0[3]
+        stop = tied(v, m, g) * normal
+        pressed = wp.dot(m, stop)
+        if wp.static(response == "separate"):
+            if pressed <= real(0.0):
+                return
+        drag = tied(v, m, g)
+        drag -= wp.outer(drag * normal, normal)
+        change = wp.outer(stop, normal) + drag * hold(wp.transpose(drag) * m, pressed, friction)
+        for row in range(3):
+            if m[row] > real(0.0):
+                node = n + row * step
+                grid_out[node] += wp.vector(
+                    change[row, 0], change[row, 1], change[row, 2], real(0.0)
+                )
+
+    return contact
+
+
 @cache
 def make_collider(shape: str, response: str, moving: bool, real: Any):
     """Kernel over the nodes of a sub-box: velocities inside a shape answer to its wall.
 
-    A node counts as inside below `reach` m of signed distance. A moving shape is displaced by the
+    A node counts as inside below `reach` m of signed distance; a moving shape is displaced by the
     value of its track and its wall moves at the track's rate, while the track is active.
     """
     t = types(real)
