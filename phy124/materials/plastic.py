@@ -45,7 +45,7 @@ class Metal(Elastic):
 class Plasticine(Elastic):
     """Clay: fixed corotated elasticity, yields by von Mises and weakens as it is worked.
 
-    Like fixed corotated it is left flat by impacts above its speed of sound.
+    Like fixed corotated it may stay squeezed by impacts near its speed of sound, unless it yields.
     """
 
     law: Literal["plasticine"] = "plasticine"
