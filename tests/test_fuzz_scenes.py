@@ -12,8 +12,10 @@ from hypothesis import strategies as st
 
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
+from phy124.materials.granular import PACKING
 from phy124.scene import Scene
 from phy124.simulation import Simulation
+from phy124.watchdog import ENERGY_GAIN
 
 UNITS = st.floats(-1, 1)
 
@@ -26,6 +28,14 @@ def decades(low: float, high: float) -> st.SearchStrategy[float]:
 def vectors(length: st.SearchStrategy[float]) -> st.SearchStrategy[tuple[float, float, float]]:
     """Vectors of any direction and such lengths."""
     return st.builds(lambda a, b, c, s: (a * s, b * s, c * s), UNITS, UNITS, UNITS, length)
+
+
+def legal(material: dict[str, Any]) -> dict[str, Any]:
+    """The same with snow that hardens no more than it may."""
+    if material["law"] == "snow":
+        most = PACKING / max(material["hardening"], 1)
+        material = {**material, "compression": min(material["compression"], 0.999 * most)}
+    return material
 
 
 ELASTIC = {
@@ -55,8 +65,12 @@ MATERIALS: dict[str, dict[str, st.SearchStrategy[Any]]] = {
     },
 }  # fmt: skip
 MATERIAL = st.one_of(
-    [st.fixed_dictionaries({"law": st.just(law), **own}) for law, own in MATERIALS.items()]
+    [
+        st.fixed_dictionaries({"law": st.just(law), **own}).map(legal)
+        for law, own in MATERIALS.items()
+    ]
 )
+PATIENCE = r"^frame \d+ was reached in .*time\.patience: .*number \d+ of law .* Use gentler"
 PROFILE = st.sampled_from(
     [
         {"kind": "constant"},
@@ -174,7 +188,7 @@ def scenes(draw: st.DrawFn) -> Scene:
         "velocity": tuple(mach * speed * c for c in direction),
         "spin": draw(vectors(decades(1e-3, 1e2))),
     }
-    data["time"] = {"frames": 3, "fps": max(1.0, 1 / time), "patience": 0.4}
+    data["time"] = {"frames": 3, "fps": max(1.0, 1 / time), "patience": 1.0}
     return Scene.from_data(data)
 
 
@@ -189,11 +203,11 @@ def check(cloud: Cloud, scene: Scene) -> None:
         OUTCOMES["refused"] += 1
         return
     report = clip.report
-    outcome = "complete" if report["complete"] else "stopped"
+    outcome = "complete"
     if not report["complete"]:
-        # An honest end: which frame, which law, what to change; the frames so far are good.
-        assert re.search(r"frame \d+ .*(The law is .* Use |time\.patience)", report["stopped"])
-        outcome = "out of patience" if "patience" in report["stopped"] else "stopped"
+        # No scene may break; one may outlast the test's patience, and its frames so far are good.
+        assert re.search(PATIENCE, report["stopped"]), report["stopped"]
+        outcome = "out of patience"
     OUTCOMES[outcome] += 1
     event(f"{scene.material.law}: {outcome}")
     for name in ("means", "quats", "scales", "opacities", "times"):
@@ -203,7 +217,7 @@ def check(cloud: Cloud, scene: Scene) -> None:
     for name, array in run.solver.state.arrays().items():
         assert np.isfinite(array.numpy()).all(), name
     balance = report["balance"]
-    assert balance["energy_gain"] <= 0.25
+    assert balance["energy_gain"] <= ENERGY_GAIN
     assert balance["momentum_gain"] <= 1e-3
     assert math.isclose(report["mass"], float(np.sum(run.solver.mass.numpy())), rel_tol=1e-4)
 
@@ -218,9 +232,9 @@ OUTCOMES: Counter[str] = Counter()
 """How many of the scenes ended how."""
 
 
-def few_are_stopped() -> None:
-    """Being stopped for a reason is honest, but must stay rare even among absurd scenes."""
-    assert OUTCOMES["stopped"] <= 0.02 * sum(OUTCOMES.values()), OUTCOMES
+def most_are_complete() -> None:
+    """Refused or out of patience proves nothing, so most must run to their end."""
+    assert OUTCOMES["complete"] >= 2 / 3 * sum(OUTCOMES.values()), OUTCOMES
 
 
 @settings(max_examples=100, derandomize=True, **COMMON)
@@ -238,11 +252,11 @@ def run_two_thousand(cloud: Cloud, scene: Scene) -> None:
 def test_random_scenes():
     OUTCOMES.clear()
     run_a_hundred()
-    few_are_stopped()
+    most_are_complete()
 
 
 @pytest.mark.slow
 def test_two_thousand_random_scenes():
     OUTCOMES.clear()
     run_two_thousand()
-    few_are_stopped()
+    most_are_complete()

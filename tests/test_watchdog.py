@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from shapes import ball
 
+from demo.report import as_html
+from phy124.__main__ import main
 from phy124.boundaries import Ground, Press
 from phy124.clip import Clip
 from phy124.errors import InputError
@@ -15,6 +17,7 @@ from phy124.limits import forecast
 from phy124.materials import FixedCorotated, Hencky, NeoHookean, Plasticine, Snow
 from phy124.mpm import Solver, Unstable
 from phy124.particles import make_particles
+from phy124.ply import write_ply
 from phy124.region import Region
 from phy124.scene import Scene
 from phy124.simulation import Simulation
@@ -265,6 +268,19 @@ def test_laws_that_may_stay_flat_say_so(law):
         assert ("may stay squeezed flat without any other sign" in notes) == said
     fast = followed(material=Snow(E=1e3, nu=0.3), v=v * 9)[1]
     assert not fast.notes() and not followed()[1].notes()
+
+
+def test_the_note_reaches_the_command_line_and_the_page(tmp_path, capsys):
+    write_ply(tmp_path / "ball.ply", ball(300))
+    arguments = ["simulate", str(tmp_path / "ball.ply"), "--scene", "push_right", "--frames", "2"]
+    arguments += ["--size", "64", "--accuracy", "draft", "--device", "cpu", "--views", "front"]
+    fast = ["material.law=fixed_corotated", "material.E=1e3", "object.velocity=[0, 0, 2]"]
+    assert main([*arguments, "--out", str(tmp_path / "made"), "--set", *fast]) == 0
+    said = capsys.readouterr().out
+    assert "note: The law fixed_corotated moved at 1." in said
+    clip = Clip.load(tmp_path / "made/clip.safetensors")
+    page = as_html({**clip.report, "seconds": 1.0, "device": "cpu"}, clip.scene, 1.0)
+    assert "may stay squeezed flat without any other sign" in page
 
 
 def run(**changes) -> Simulation:

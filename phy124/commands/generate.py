@@ -145,6 +145,8 @@ def show(result: pipeline.Result, *, as_json: bool) -> int:
             f"{report['substeps']} substeps, {report['frames']} frames on {report['device']}"
         )
         print_forecast(report)
+        for note in report["notes"]:
+            print(f"note: {note}")
         for path in result.files:
             print(path)
         if report["stopped"]:
