@@ -18,12 +18,24 @@ UNIFORM = ("gravity", "acceleration", "force", "impulse")
 MOVING = ("press", "gripper")
 """Kinds of boundary that always move."""
 
+PARTICLE_COSTS = {
+    "return mapping": 70,
+    "several materials": 7,
+    "particle forces": 15,
+    "double precision": 59,
+    "singular values in substeps": 337,
+}
+"""What effects would cost, nanoseconds per particle and substep on one core (docs/benchmarks.md).
 
-COSTS = {"return mapping": 70, "double precision": 59, "singular values in substeps": 337}
-"""What effects would cost, nanoseconds per particle and substep on one core.
-
-Metal's G2P against an elastic one, float64 against float32, and Warp's svd3 (docs/benchmarks.md).
+Metal's G2P against an elastic one; every particle asked for its law; a force on a region with its
+books; float64 against float32; Warp's svd3.
 """
+TABLE_COST = 14e3
+"""Sampling the time tables, nanoseconds per substep."""
+NODE_COST = 1.8
+"""Clearing a node of the grid and bringing it up to date, nanoseconds."""
+DENSE = 100**3
+"""Nodes of the dense grid that a scene of PhysGaussian uses."""
 
 
 @dataclass(frozen=True)
@@ -69,18 +81,29 @@ class Effects:
                 left_out.append(Omission(effect, why))
         return cls(tuple(ran), tuple(left_out))
 
-    def data(self, particle_substeps: int = 0) -> dict[str, Any]:
+    def data(
+        self, *, particles: int = 0, substeps: int = 0, nodes: int = 0, threads: int = 1
+    ) -> dict[str, Any]:
         """Plain data for the report.
 
-        With the particle-substeps of a run, an omission whose cost is known also says what it
-        saved: an estimate for one core from measured costs.
+        With the particles, substeps, nodes of the window and threads of a run, an omission whose
+        cost is known also says what it saved: an estimate from measured costs.
         """
         left_out = [asdict(omission) for omission in self.left_out]
         for omission in left_out:
-            cost = COSTS.get(omission["effect"], 0) * particle_substeps * 1e-9
-            if cost:
+            cost = _cost(omission["effect"], particles, nodes) * substeps / threads * 1e-9
+            if cost > 0:
                 omission["saved_seconds"] = round(cost, 3)
         return {"ran": list(self.ran), "left_out": left_out}
+
+
+def _cost(effect: str, particles: int, nodes: int) -> float:
+    """Nanoseconds per substep that an effect would cost one core; 0 if that is not known."""
+    if effect == "time tables":
+        return TABLE_COST
+    if effect == "dense grid":
+        return NODE_COST * (DENSE - nodes)
+    return PARTICLE_COSTS.get(effect, 0) * particles
 
 
 def _catalogue(
@@ -115,7 +138,11 @@ def _catalogue(
     yield "double precision", double, "single precision is accurate enough: the grid limits it"
     native = device == "cpu" and not double
     yield "SIMD rows", native, f"only for float32 on the CPU, this is {device}"
-    yield "dense grid", False, "a window of cells follows the particles"
+    yield (
+        "dense grid",
+        False,
+        "a window of cells follows the particles; a dense grid has 100^3 nodes",
+    )
     yield "singular values in substeps", False, "shapes are decomposed once per frame"
 
 

@@ -189,7 +189,12 @@ class Simulation:
             "frames": self.count,
             "static": self.scenery.count,
             "sleep": self.sleep.report(),
-            "effects": effects.data(len(self.particles) * solver.substeps),
+            "effects": effects.data(
+                particles=len(self.particles),
+                substeps=solver.substeps,
+                nodes=solver.grid.count,
+                threads=solver.threads,
+            ),
             "substep_stages": [
                 {"name": name, "seconds": seconds, "launches": launches}
                 for name, (seconds, launches) in solver.timings.items()

@@ -24,11 +24,19 @@ def test_effects_follow_the_scene():
 
 
 def test_what_leaving_out_saves_grows_with_the_work():
-    left_out = Effects.of(Scene.named("press")).data(10**9)["left_out"]
-    saved = {o["effect"]: o.get("saved_seconds") for o in left_out}
+    effects = Effects.of(Scene.named("press"))
+    work = {"particles": 10**6, "substeps": 1000, "nodes": 10**5}
+    saved = saved_by(effects, **work)
     assert saved["return mapping"] == 70
-    assert saved["several materials"] is None
-    assert "saved_seconds" not in str(Effects.of(Scene.named("press")).data())
+    assert saved["dense grid"] == pytest.approx(1.8 * 0.9, rel=1e-3)
+    assert saved["velocities"] is None
+    assert saved_by(effects, **work, threads=2)["return mapping"] == 35
+    assert "dense grid" in saved and saved_by(effects, **{**work, "nodes": 2 * 10**6}) != saved
+    assert "saved_seconds" not in str(effects.data())
+
+
+def saved_by(effects: Effects, **work: int) -> dict:
+    return {o["effect"]: o.get("saved_seconds") for o in effects.data(**work)["left_out"]}
 
 
 def test_effects_know_profiles_wind_and_motion():
