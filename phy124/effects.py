@@ -21,7 +21,7 @@ MOVING = ("press", "gripper")
 PARTICLE_COSTS = {
     "return mapping": 70,
     "several materials": 7,
-    "particle forces": 15,
+    "particle forces": 11,
     "double precision": 59,
     "singular values in substeps": 337,
 }
@@ -30,7 +30,7 @@ PARTICLE_COSTS = {
 Metal's G2P against an elastic one; every particle asked for its law; a force on a region with its
 books; float64 against float32; Warp's svd3.
 """
-TABLE_COST = 14e3
+TABLE_COST = 30e3
 """Sampling the time tables, nanoseconds per substep."""
 NODE_COST = 1.8
 """Clearing a node of the grid and bringing it up to date, nanoseconds."""

@@ -1,9 +1,11 @@
 """What leaving effects out saves: paired ratios in one process, one JSON line each.
 
 switch: one law compiled alone against the same law inside kernels that ask for the law's kind and
-  hold all ten, and against transfers only; scatter and gather, without the grid.
+  hold all ten, by kind and parameters of each particle, and against transfers only; scatter and
+  gather, without the grid.
 registers: the same kernels compiled for a GPU (sm_90), registers per thread; nothing is run.
 window: the grid around the particles against the dense domain, 20,000 particles in 128^3.
+costs: what a force on a region, time tables, a second law and stiffness per particle add.
 binding: every Gaussian a particle (the paper) against Gaussians riding on a lattice.
 scaling: particle-substeps per second and memory from 1,000 to 2,000,000 particles.
 CPU time of one thread, unless the row says wall; the least of several turns.
@@ -15,6 +17,7 @@ import struct
 import sys
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import laws
@@ -23,17 +26,20 @@ import warp as wp
 
 from phy124.boundaries import Ground
 from phy124.camera import Camera
-from phy124.forces import Gravity
+from phy124.forces import Acceleration, Gravity
 from phy124.generators import make
 from phy124.image import foreground, open_image
 from phy124.kernels import elastic, fluid, granular, hencky, plastic, transfer
 from phy124.kernels.transfer import Law
-from phy124.materials import NeoHookean
+from phy124.ledger import Ledger
+from phy124.materials import FixedCorotated, NeoHookean
 from phy124.metrics import psnr
 from phy124.mpm import Solver
+from phy124.region import Region
 from phy124.render import Renderer
 from phy124.scene import Scene
 from phy124.simulation import Simulation
+from phy124.tracks import Sine
 
 wp.config.log_level = wp.LOG_WARNING
 DUCK = Path(__file__).parents[2] / "demo/examples/duck.png"
@@ -128,11 +134,57 @@ def switch(turns: int = 40) -> None:
     for form, simd in (("SIMD rows", True), ("plain", False)):
         kinds = {"transfers_ns": laws.Nothing(), "alone_ns": NeoHookean(), "switch_ns": Switched()}
         made = {name: laws.solver(law, 0.02, simd=simd) for name, law in kinds.items()}
+        one_row_each(made["switch_ns"])
         starts = {name: s.state.copy() for name, s in made.items()}
         spent = [[laws.cost(s, starts[name]) for name, s in made.items()] for _ in range(turns)]
         row = dict(zip(kinds, np.min(spent, axis=0).sum(axis=1).tolist(), strict=True))
         row["alone_to_transfers"] = row["alone_ns"] / row["transfers_ns"]
         show("switch", {"form": form, **row, "ratio": row["switch_ns"] / row["alone_ns"]})
+
+
+def one_row_each(s: Solver) -> None:
+    """Kind and parameters by particle: a kernel that asks cannot know that all are alike."""
+    for i, group in enumerate(s.groups):
+        rows = np.tile(group.theta.numpy(), (group.stop - group.start, 1))
+        theta = wp.array(rows, dtype=group.theta.dtype, device="cpu")
+        s.groups[i] = replace(group, theta=theta)
+    s._record_substep()
+
+
+def costs() -> None:
+    count = 60_000
+    x = np.random.default_rng(0).random((count, 3)) * 0.5 + 0.2
+    x = x[np.lexsort(np.floor(x * 40 - 0.5).T[::-1])]
+    up, half = {"a": (0, 0, 1)}, (np.arange(count) >= count // 2).astype(int)
+    share = np.random.default_rng(1).random(count) / 2 + 0.5
+
+    def made(*forces: Acceleration, laws=None, **options) -> Solver:
+        ledger = Ledger()
+        volume, v = np.full(count, 0.125 / count), np.random.default_rng(2).normal(size=x.shape)
+        bracketed = ledger.forces(forces)
+        s = Solver(
+            x,
+            volume,
+            laws or [NeoHookean()],
+            dx=1 / 40,
+            v=v,
+            forces=bracketed,
+            threads=1,
+            **options,
+        )
+        ledger.open(s)
+        return s
+
+    runs = {
+        "nothing": made(),
+        "force on a region": made(Acceleration(**up, region=Region(lower=(-9, -9, -9)))),
+        "time tables": made(Acceleration(**up, profile=Sine())),
+        "a second law": made(laws=(NeoHookean(), FixedCorotated()), material=half),
+        "stiffness per particle": made(stiffness=share),
+    }
+    spent = [{name: cost(s, 12) for name, s in runs.items()} for _ in range(13)][1:]
+    least = {name: min(turn[name] for turn in spent) for name in runs}
+    show("costs", {name: ns - least["nothing"] for name, ns in least.items()})
 
 
 def registers() -> None:
@@ -219,6 +271,7 @@ PARTS = {
     "switch": switch,
     "registers": registers,
     "window": window,
+    "costs": costs,
     "binding": binding,
     "scaling": scaling,
 }
