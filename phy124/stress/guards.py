@@ -44,7 +44,7 @@ def _one_bad_particle(
     assign(s, "F", deformations)
     watch = Watchdog(s, Ledger())
     watch.before()
-    s.advance(1 / 24)
+    s.advance(1 / 24, after=watch.follow())
     problem = watch.after()
     way = np.abs(host(s.state.x) - x).max() / 0.25
     return float(volume_ratios(s).min()), float(way), finite(s) and problem is None
