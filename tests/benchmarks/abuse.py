@@ -1,0 +1,244 @@
+"""The abuse that PhysGaussian's solver was put to (docs/stability.md), here: what comes of it.
+
+Run `python tests/benchmarks/abuse.py`; it prints one line per abuse and takes a minute. Bodies are
+those of the table: a cube of 512 particles (1,728 in impacts) with E = 1e5 Pa.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from phy124.boundaries import Ground
+from phy124.forces import Gravity
+from phy124.ledger import Ledger
+from phy124.materials import FixedCorotated, Material, NeoHookean, Sand, Snow
+from phy124.mpm import Solver
+from phy124.simulation import Simulation
+from phy124.stress import Setting
+from phy124.stress.bodies import (
+    Array,
+    assign,
+    block,
+    finite,
+    host,
+    turning,
+    volume_ratios,
+)
+from phy124.stress.inputs import quick, shell
+from phy124.watchdog import Watchdog, sound_speed, weigh
+
+SIZE = 0.5
+"""Edge of the cubes [m]; 512 particles are two per cell and axis."""
+JELLY = NeoHookean(E=1e5, nu=0.3)
+LAWS = (NeoHookean, FixedCorotated)
+
+
+def cube(per_axis: int = 8, height: float = 0.3) -> Array:
+    """A cube whose middle is `height` above the floor."""
+    return block(per_axis, SIZE, (0, 0, height))
+
+
+def watched(x: Array, material: Material = JELLY, **options: Any) -> tuple[Solver, Watchdog]:
+    """A solver with its watchdog, as a simulation has it."""
+    ledger, count = Ledger(), options.pop("filled", len(x))
+    s = Solver(
+        x, np.full(len(x), SIZE**3 / count), [material], dx=2 * SIZE / round(count ** (1 / 3)),
+        forces=ledger.forces(options.pop("forces", ())),
+        boundaries=ledger.boundaries(options.pop("boundaries", ())), **options,
+    )  # fmt: skip
+    return s, Watchdog(s, ledger)
+
+
+def go(s: Solver, watch: Watchdog, seconds: float, frames: int = 1) -> str:
+    """Run frames as a simulation does; what is wrong, or least J and how often one was reset."""
+    for k in range(1, frames + 1):
+        watch.before()
+        s.advance(seconds * k / frames, after=watch.follow())
+        problem = watch.after()
+        if problem or not finite(s):
+            return problem or "not finite"
+    resets = f", {watch.reset} reset" if watch.reset else ""
+    return f"sound, J >= {min(watch.least_J, 1.0):.2g}{resets}"
+
+
+def dropped(material: Material) -> str:
+    """On the floor at 1 m/s."""
+    x = cube(height=0.26)
+    v = np.tile([0, 0, -1.0], (len(x), 1))
+    s, watch = watched(x, material, v=v, forces=[Gravity()], boundaries=[Ground()])
+    steps = 2000 * 0.6 * s.dx / material.wave_speed()
+    return go(s, watch, min(0.2, steps), 4) + f", {s.substeps} substeps in {s.time:.2g} s"
+
+
+def long_substep() -> str:
+    """A substep ten times too long, against the automatic one."""
+    found = []
+    for ceiling in (math.inf, 10 * 0.6 * 0.125 / JELLY.wave_speed()):
+        x = cube()
+        s, watch = watched(x, v=np.tile([0, 0, -1.0], (len(x), 1)), boundaries=[Ground()],
+                           ceiling=ceiling)  # fmt: skip
+        go(s, watch, 0.1)
+        found.append(host(s.state.x))
+    return f"largest difference {np.abs(found[1] - found[0]).max():.1e} m"
+
+
+def nan_position() -> str:
+    """One position NaN in the file of the object."""
+    given = shell(512)
+    means = given.means.copy()
+    means[7] = np.nan
+    report = Simulation(replace(given, means=means), quick(Setting())).run().report
+    return f"complete: {report['complete']}; {report['cleaning']}"
+
+
+def far(place: float) -> str:
+    """One particle far from the body."""
+    x = np.concatenate([cube(), [[place, 0, 0.3]]])
+    s, watch = watched(x, forces=[Gravity()], filled=512)
+    said = go(s, watch, 0.1)
+    error = np.abs(host(s.state.x) - x + [0, 0, 9.81 * 0.1**2 / 2]).max()
+    return f"{said}, {s.domain.count} ballistic, off its parabola by {error:.1e} m"
+
+
+def leaving() -> str:
+    """The body at 30 m/s for half a second."""
+    x = cube()
+    s, watch = watched(x, v=np.tile([30.0, 0, 0], (len(x), 1)))
+    return (
+        go(s, watch, 0.5, 5)
+        + f", shape off by {np.abs(host(s.state.x) - x - [15, 0, 0]).max():.1e} m"
+    )
+
+
+def impact(mach: float, law: type[NeoHookean] | type[FixedCorotated]) -> str:
+    """A cube of 1,728 particles on a slippery floor."""
+    material, x = law(E=1e5, nu=0.3), cube(12, 0.27)
+    speed = mach * sound_speed(material)
+    s, watch = watched(x, material, v=np.tile([0, 0, -speed], (len(x), 1)),
+                       boundaries=[Ground(contact="slip")])  # fmt: skip
+    first = weigh(s).kinetic
+    said = go(s, watch, SIZE * (3 / sound_speed(material) + 1.5 / speed), 10)
+    notes = "; noted" if watch.notes() else ""
+    return f"{said}, rebound {weigh(s).kinetic / first:.2%}{notes}"
+
+
+def broken(F: Array, material: Material = JELLY) -> str:
+    """One element with an impossible deformation."""
+    s, watch = watched(cube(), material)
+    deformations = host(s.state.F)
+    deformations[100] = F
+    assign(s, "F", deformations)
+    return go(s, watch, 0.05) + f", J = {volume_ratios(s)[100]:.3g} at the end"
+
+
+def fast() -> str:
+    """One particle at 20 km/s."""
+    x = cube()
+    v = np.zeros_like(x)
+    v[100] = [2e4, 0, 0]
+    s, watch = watched(x, v=v)
+    return go(s, watch, 0.01, 2)
+
+
+def slippery() -> str:
+    """Tangential speed lost on a slippery floor in 0.1 s."""
+    x = cube(height=SIZE / 2)
+    s, watch = watched(x, v=np.tile([1.0, 0, 0], (len(x), 1)), forces=[Gravity()],
+                       boundaries=[Ground(contact="slip")],
+                       origin=(0, 0, -0.75 * 0.125))  # fmt: skip
+    said = go(s, watch, 0.1)
+    kept = weigh(s).momentum[0] / s.mass.numpy().sum()
+    return f"{said}, {1 - kept:.1e} of the speed lost"
+
+
+def tiny() -> str:
+    """An object of 10 micrometres falls for a millisecond."""
+    x = cube() * (1e-5 / SIZE)
+    s = Solver(x, np.full(512, 1e-15 / 512), [JELLY], dx=2.5e-6, forces=[Gravity()])
+    s.advance(1e-4)
+    fallen = (x - host(s.state.x))[:, 2].mean()
+    return f"fell {fallen / (9.81 * 1e-8 / 2):.6f} of what it should, {s.substeps} substeps"
+
+
+def spinning() -> str:
+    """Energy lost at once, and in eight turns."""
+    x = cube()
+    s, watch = watched(x, **turning(x, (0, 0, 2 * math.pi)))
+    first = weigh(s).energy
+    s.step(1e-4, 1e-4)
+    at_once = 1 - weigh(s).energy / first
+    s.last_dt = 1e-4
+    go(s, watch, 8.0)
+    return f"{at_once:.1e} at once, {1 - weigh(s).energy / first:.2%} in eight turns"
+
+
+def falling() -> str:
+    """Free fall of 0.1 s."""
+    x = cube()
+    s, _ = watched(x, forces=[Gravity()])
+    s.advance(0.1)
+    return f"{np.abs(host(s.state.x) - x + [0, 0, 9.81 * 0.1**2 / 2]).max():.1e} m off"
+
+
+def snow() -> str:
+    """Snow dropped from 5 cm."""
+    x = cube()
+    s, watch = watched(x, Snow(), forces=[Gravity()], boundaries=[Ground()])
+    said = go(s, watch, 0.5, 12)
+    return f"{said}, {np.ptp(host(s.state.x)[:, 2]) / np.ptp(x[:, 2]):.0%} of its height"
+
+
+def no_volume() -> str:
+    """One particle without volume."""
+    volume = np.full(512, SIZE**3 / 512)
+    volume[3] = 0
+    try:
+        Solver(cube(), volume, [JELLY], dx=0.125)
+    except ValueError as error:
+        return f"refused: {error}"
+    return "accepted"
+
+
+def near_zero() -> str:
+    """A body astride x = 0 against one far inside."""
+    found = []
+    for cells in (16, 0):
+        x = cube() + [cells * 0.125, 0, 0]
+        s, _ = watched(x, **turning(x, (0, 0, 3.0)), boundaries=[Ground()])
+        s.advance(0.2)
+        found.append(host(s.state.x) - [cells * 0.125, 0, 0])
+    return f"largest difference {np.abs(found[1] - found[0]).max():.1e} m"
+
+
+ABUSE: dict[str, Callable[[], str]] = {
+    "E = 2e9 Pa": lambda: dropped(NeoHookean(E=2e9, nu=0.3)),
+    "nu = 0.4999": lambda: dropped(NeoHookean(E=1e5, nu=0.4999)),
+    "substep ten times too long": long_substep,
+    "one position NaN": nan_position,
+    "one particle at 5 m": lambda: far(5.0),
+    "one particle at 1000 km": lambda: far(1e6),
+    "body at 30 m/s": leaving,
+    **{f"Mach {m}, {law.__name__}": lambda m=m, law=law: impact(m, law)
+       for m in (2.0, 5.0) for law in LAWS},
+    "one element inside out": lambda: broken(np.diag([1, 1, -0.5])),
+    "one element flat": lambda: broken(np.diag([1, 1, 0.0])),
+    "sand, one element inside out": lambda: broken(np.diag([1, 1, -0.5]), Sand(E=1e5)),
+    "one particle at 20 km/s": fast,
+    "slippery floor": slippery,
+    "object of 10 micrometres": tiny,
+    "spinning body": spinning,
+    "free fall of 0.1 s": falling,
+    "snow, dropped": snow,
+    "one particle without volume": no_volume,
+    "body near x = 0": near_zero,
+}  # fmt: skip
+
+
+if __name__ == "__main__":
+    for name, abuse in ABUSE.items():
+        print(f"{name}: {abuse()}", flush=True)
