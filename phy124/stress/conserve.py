@@ -98,11 +98,11 @@ def _pair(setting: Setting) -> list[str]:
 
 
 def _endure(setting: Setting, share: float, count: int) -> Meter:
-    x = block(4, 0.25, middle=(0.7, 0.7, 0.7))
+    x = block(8, 0.5, middle=(0.7, 0.7, 0.7))
     motion = vibrating(x, 0.3)
     turn = turning(x, (0.2, 0.5, 1.0))
     motion = {name: motion[name] + turn[name] for name in motion}
-    s = body(x, setting, size=0.25, **motion)
+    s = body(x, setting, size=0.5, **motion)
     meter, dt = Meter(s), share * stable_dt(s)
     for _ in range(50):
         steps(s, count // 50 - 1, dt)
