@@ -71,6 +71,16 @@ def nearest(points, others):
 SHAPES = {"ball": (ball, BALL), "box": (box, SIDES.prod()), "cloud": (cloud, BALL)}
 
 
+@pytest.mark.parametrize("make", [ball, box], ids=["ball", "box"])
+def test_the_object_is_the_same_on_every_grid(make, rng):
+    gaussians = make(20_000, rng)
+    found = [make_particles(gaussians, density=1, spacing=1 / n) for n in (24, 33, 48, 80)]
+    masses = [p.mass.sum() for p in found]
+    np.testing.assert_allclose(masses, masses[0], rtol=1e-6)
+    middles = [p.mass @ p.x / p.mass.sum() for p in found]
+    assert np.abs(np.array(middles) - middles[-1]).max() < 1e-3
+
+
 @pytest.mark.parametrize("cells", [6, 16, 23.7, 64])
 @pytest.mark.parametrize("name", SHAPES)
 def test_volume_is_right_to_three_percent_at_every_resolution(name, cells, rng):

@@ -12,13 +12,14 @@ How the inside is found:
 4. A voxel at the surface counts only by the part below the local surface: the plane at the
    samples' upper edge along the outward normal. This makes volumes accurate far below the voxel.
 
-Voxels are the particle spacing times or divided by a whole number, aligned with the particle
-lattice (i + 1/2) * spacing. Time and memory are bounded by `MAX_VOXELS` and `MAX_SAMPLES`.
+The voxels depend on the Gaussians alone, so that the object is the same on every grid; the result
+is resampled to voxels that are the particle spacing times or divided by a whole number, aligned
+with the particle lattice (i + 1/2) * spacing. Time and memory are bounded by `MAX_VOXELS` and
+`MAX_SAMPLES`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,8 +33,10 @@ Mask = NDArray[np.bool_]
 
 MAX_VOXELS = 4_000_000
 MAX_SAMPLES = 6_000_000
-ACROSS = 48
-"""Voxels along the longest side, at least, unless the Gaussians are too sparse for that."""
+ACROSS = 96
+"""Voxels along the longest side, unless the Gaussians are too sparse for that."""
+COARSER = 1.2
+"""Ratio of one size of voxels to the next that is tried."""
 SEAL = 0.065
 """Half the widest gap that is sealed, as a part of the longest side."""
 CONNECTED = 6
@@ -61,16 +64,34 @@ class Solid:
         at = np.asarray(points, dtype=np.float64) / self.voxel - self.first - 0.5
         return ndimage.map_coordinates(self.fraction, at.T, order=1) > 0.5
 
+    def aligned(self, spacing: float) -> Solid:
+        """The same volume in voxels of about this size that fit a lattice of some spacing."""
+        ratio = spacing / self.voxel
+        step = spacing / round(ratio) if ratio > 1 else spacing * round(1 / ratio)
+        fraction, first = self.fraction.astype(np.float64), []
+        for axis, start in enumerate((self.first * self.voxel).tolist()):
+            old = start + self.voxel * np.arange(fraction.shape[axis] + 1)
+            low, high = int(np.floor(old[0] / step)), int(np.ceil(old[-1] / step))
+            first.append(low)
+            summed = np.cumsum(np.moveaxis(fraction, axis, 0), axis=0)
+            summed = np.concatenate([np.zeros_like(summed[:1]), summed])
+            at = np.clip((step * np.arange(low, high + 1) - old[0]) / self.voxel, 0, len(old) - 1)
+            below = np.minimum(at.astype(np.int64), len(old) - 2)
+            part = (at - below)[:, None, None]
+            edges = (1 - part) * summed[below] + part * summed[below + 1]
+            fraction = np.moveaxis(np.diff(edges, axis=0) * self.voxel / step, 0, axis)
+        return Solid(np.array(first), step, fraction.astype(np.float32))
+
 
 def solid(gaussians: Gaussians, spacing: float) -> Solid:
     """Find the solid outlined by clean Gaussians, for particles `spacing` m apart."""
     opaque = gaussians.opacities >= VISIBLE
     some = gaussians.select(opaque) if opaque.any() else gaussians
-    grid = _voxelise(some, spacing)
+    grid = _voxelise(some)
     region, outside = _inside(grid.occupied, grid.across)
     fraction = region.astype(np.float32)
     _trim_surface(fraction, region, outside, grid)
-    return Solid(grid.first, grid.voxel, fraction)
+    return Solid(grid.first, grid.voxel, fraction).aligned(spacing)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,37 +108,18 @@ class _Voxels:
     occupied: Mask
 
 
-def _voxelise(gaussians: Gaussians, spacing: float) -> _Voxels:
+def _voxelise(gaussians: Gaussians) -> _Voxels:
     """The finest admissible grid on which the samples hang together; else the finest of all."""
     extent = _extent(gaussians)
-    finest = None
-    for voxel in _voxel_sizes(spacing, extent):
-        if not _admissible(gaussians, voxel, extent):
-            continue
-        grid = _rasterise(gaussians, voxel, extent)
-        finest = finest or grid
-        if _neighbours(grid.occupied) >= CONNECTED:
-            return grid
-        if voxel > 4 * finest.voxel:
-            break
-    if finest is None:
-        raise RuntimeError("no voxel size was admissible")
+    finest, voxel = None, float(extent.max()) / ACROSS
+    while finest is None or voxel <= 4 * finest.voxel:
+        if _admissible(gaussians, voxel, extent):
+            grid = _rasterise(gaussians, voxel, extent)
+            finest = finest or grid
+            if _neighbours(grid.occupied) >= CONNECTED:
+                return grid
+        voxel *= COARSER
     return finest
-
-
-def _voxel_sizes(spacing: float, extent: NDArray) -> Iterator[float]:
-    """Sizes from fine to coarse: spacing / n, then spacing * n."""
-    longest = float(extent.max())
-    n = int(np.ceil(spacing * ACROSS / longest))
-    while n > 1:
-        yield spacing / n
-        n = min(n - 1, int(n / 1.25))
-    n = 1
-    # Far finer lattices than the grid can be are skipped in one step.
-    n = max(n, int(longest / (4 * MAX_VOXELS ** (1 / 3)) / spacing))
-    while True:
-        yield spacing * n
-        n = max(n + 1, int(n * 1.25))
 
 
 def _extent(gaussians: Gaussians) -> NDArray[np.float64]:
