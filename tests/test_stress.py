@@ -73,8 +73,9 @@ SABOTAGE = {
     11: Sabotage("forces are a tenth", "kernels/transfer.py",
                  "(real(4.0) * clock[0]", "(real(0.4) * clock[0]"),
     12: Sabotage("impossible deformations are not reset", "kernels/diagnose.py",
-                 "if not (J >= least and J <= most and size <= greatest * greatest):",
-                 "if size > real(1.0e38):"),
+                 "J >= least and J <= most and size <= greatest and J >= narrowest * size "
+                 "* cofactor",
+                 "size <= real(1.0e38)"),
     13: Sabotage("at rest it is stressed by mu", "kernels/elastic.py",
                  "log_volume(wp.determinant(F)) - theta[0]\n",
                  "log_volume(wp.determinant(F)) - type(theta[0])(2.0) * theta[0]\n"),

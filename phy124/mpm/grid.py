@@ -13,6 +13,8 @@ from phy124.kernels.transfer import types
 
 MARGIN = 4
 """Cells of window beyond the particles: more than they can cross between two measurements."""
+FARTHEST = 2**30
+"""Cells from the origin within which nodes have numbers on the device."""
 
 
 class Unstable(RuntimeError):
@@ -42,8 +44,11 @@ class Grid:
     def fit(self, lower: NDArray, upper: NDArray) -> bool:
         """Cover particles between two corners [m] with room to move; True if the window changed.
 
-        Raises Unstable if they are outside already: the grid did not move them.
+        Raises Unstable if they are outside already, since the grid did not move them, or so far
+        that nodes cannot be numbered.
         """
+        if not np.all(np.abs([lower, upper]) < FARTHEST * self.dx):
+            raise Unstable(f"particles flew {FARTHEST:.0e} cells far")
         low, high = self.reach(lower, upper)
         below, above = low - self.low, self.low + self.size - high
         if not self.stale:
