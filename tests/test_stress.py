@@ -72,10 +72,10 @@ SABOTAGE = {
                  'limiter = "user" if math.isfinite(ceiling) else min(limits, key=limits.get)'),
     11: Sabotage("forces are a tenth", "kernels/transfer.py",
                  "(real(4.0) * clock[0]", "(real(0.4) * clock[0]"),
-    12: Sabotage("impossible deformations are not reset", "kernels/diagnose.py",
+    12: Sabotage("flat and inverted elements are not reset", "kernels/diagnose.py",
                  "J >= least and J <= most and size <= greatest and J >= narrowest * size "
                  "* cofactor",
-                 "size <= real(1.0e38)"),
+                 "J <= most and size <= greatest"),
     13: Sabotage("at rest it is stressed by mu", "kernels/elastic.py",
                  "log_volume(wp.determinant(F)) - theta[0]\n",
                  "log_volume(wp.determinant(F)) - type(theta[0])(2.0) * theta[0]\n"),

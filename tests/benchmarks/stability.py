@@ -112,7 +112,7 @@ def draw(limits: dict[str, list[float]], path: Path) -> None:
     for name, values in limits.items():
         axes.plot(POISSON, values, marker="o", markersize=4, label=name)
     axes.axhline(1, color="black", linewidth=1, linestyle="--", label="derived, isolated particle")
-    axes.axhline(0.6, color="tab:red", linewidth=2, label="used (accuracy.cfl = 0.6)")
+    axes.axhline(0.6, color="black", linewidth=2, label="used (accuracy.cfl = 0.6)")
     usual = [math.sqrt((3 * nu / (1 - 2 * nu) + 1) / (nu / (1 - 2 * nu) + 1)) for nu in POISSON]
     axes.plot(POISSON, usual, color="grey", linestyle=":", label="dx / p-wave speed, as is usual")
     axes.set(xlabel="Poisson's ratio", ylabel="substep / (dx / sqrt(A / rho))", ylim=(0, 2))
