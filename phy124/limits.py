@@ -72,7 +72,7 @@ def refuse_hopeless(
         raise InputError(
             "time.patience",
             f"{patience:g} s",
-            f"the run is forecast to take {_duration(demand.seconds)} "
+            f"the run is forecast to take {duration(demand.seconds)} "
             f"({demand.substeps:.2g} substeps of {len(particles):,} particles).",
             _quicker(scene, demand.seconds / patience),
         )
@@ -134,7 +134,8 @@ def _quicker(scene: Scene, excess: float) -> str:
     return f"{softer}{frames} frames, or a coarser accuracy, or more time.patience."
 
 
-def _duration(seconds: float) -> str:
+def duration(seconds: float) -> str:
+    """A time in words."""
     if seconds < 5400:
         return f"{seconds:.0f} s"
     if seconds < 2 * 86400:

@@ -13,21 +13,48 @@ def results(order: float, scale: float = 3.0) -> list[np.ndarray]:
     return [7.0 + scale * h**order * field for h in H]
 
 
-@pytest.mark.parametrize("order", [0.7, 1.0, 1.3, 2.0])
-def test_order_and_own_error_of_the_finest_are_found(order):
+@pytest.mark.parametrize("order", [1.0, 1.3, 2.0])
+def test_order_and_errors_of_all_levels_are_found(order):
     found = richardson(H, distances(results(order)))
     assert found.order == pytest.approx(order, abs=0.01)
-    assert found.error == pytest.approx(3.0 * H[-1] ** order, rel=0.02)
+    assert found.errors == pytest.approx(3.0 * H**order, rel=0.02)
     assert not found.why_not
     assert not found.note
 
 
+def test_any_result_has_an_error_by_its_distances():
+    levels = results(1.5)
+    found = richardson(H, distances(levels))
+    other = levels[0] + 0.05 * np.random.default_rng(1).normal(size=levels[0].shape)
+    apart = np.array([distances([other, level])[0, 1] for level in levels])
+    exact = results(1.5, scale=0.0)[0]
+    assert found.error_of(apart) == pytest.approx(distances([other, exact])[0, 1], rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("scatter", "count", "most"), [(0.05, 3, 1.4), (0.3, 3, 2.0), (0.1, 4, 1.1), (0.3, 4, 1.5)]
+)
+def test_what_scatters_from_grid_to_grid_is_not_taken_for_a_low_order(scatter, count, most):
+    """The error of the finest level is estimated well, or too high, over many seeds."""
+    rng, h, ratios = np.random.default_rng(1), H[:count], []
+    for _ in range(40):
+        levels = [
+            x + 3.0 * scatter * n * rng.normal(size=x.shape) / np.sqrt(3)
+            for x, n in zip(results(1.0)[:count], h, strict=True)
+        ]
+        true = distances([levels[-1], results(1.0, scale=0.0)[0]])[0, 1]
+        ratios.append((richardson(h, distances(levels)).error or np.nan) / true)
+    assert 0.95 < np.median(ratios) < most
+    assert np.min(ratios) > 0.8
+
+
 def test_levels_that_do_not_come_closer_have_no_number():
     levels = results(1.0)
-    levels[1], levels[2] = levels[2], levels[1]
+    levels[0], levels[2] = levels[2], levels[0]
     found = richardson(H, distances(levels))
     assert found.order is None
     assert found.error is None
+    assert found.error_of(np.ones(4)) is None
     assert found.why_not == "not converging: finer grids do not come closer"
 
 
@@ -35,18 +62,15 @@ def test_two_levels_show_no_order():
     assert "fewer than three" in richardson(H[:2], distances(results(1.0)[:2])).why_not
 
 
-def test_an_order_out_of_range_is_said():
-    found = richardson(H, distances(results(0.2)))
-    assert found.order == 0.5
-    assert "rough" in found.note
-
-
-def test_scattered_levels_are_said(rng):
-    levels = [x + 0.1 * rng.normal(size=x.shape) for x in results(1.0, scale=1.0)]
-    levels[0] += 1.0
-    levels[1] += 0.5
-    levels[2] += 0.4
-    assert richardson(H, distances(levels)).note
+@pytest.mark.parametrize("order", [0.2, 0.7])
+def test_a_low_order_is_said_and_not_trusted(order):
+    """Errors are about those of first order: the levels are too coarse to tell."""
+    apart = distances(results(order))
+    found = richardson(H, apart)
+    assert found.order == pytest.approx(max(order, 0.5), abs=0.02)
+    assert "outside 1 to 2: errors are rough" in found.note
+    first = apart[-2, -1] / (H[-2] - H[-1]) * H[-1]
+    assert 0.8 * first < found.error < 1.5 * first
 
 
 def test_levels_that_agree_have_no_order_but_an_error():

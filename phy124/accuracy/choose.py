@@ -1,24 +1,37 @@
 """Choosing the accuracy from what the user wants: an error, or a time.
 
 An error: two cheap levels tell how far apart they are; with the order that contact problems show,
-the coarsest grid that should meet the wish is run, its error is estimated again from all levels
-run so far, and it is refined at most once. A time: the finest grid whose forecast fits.
+the coarsest grid that should meet the wish is run and the errors are estimated again from all
+levels run so far. Where those do not come closer yet, one more is run. It is refined at most once.
+A time: the finest grid whose forecast fits.
 """
 
 from __future__ import annotations
 
 import math
 import re
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import combinations
 from typing import Any, Literal
 
-from phy124.accuracy.convergence import AGREE, Convergence, distances, extrapolated, richardson
+import numpy as np
+
+from phy124.accuracy.convergence import (
+    AGREE,
+    TRUSTED,
+    Convergence,
+    distances,
+    extrapolated,
+    richardson,
+)
 from phy124.accuracy.difference import pixel_distance
 from phy124.accuracy.forecast import Forecast, Forecaster, pixels_per_size
 from phy124.clip import Clip
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
+from phy124.limits import duration
 from phy124.progress import Progress, silent
 from phy124.scene import Scene
 from phy124.simulation import Simulation
@@ -32,7 +45,9 @@ CHECK = 12
 CELLS = (8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 56, 64, 80, 96)
 """Grids that may be chosen."""
 GUESSED_ORDER = 1.0
-"""Order assumed until three levels show theirs; contact is of first order."""
+"""Order assumed until three levels show theirs; free surfaces are of first order."""
+FINER = 1.3
+"""Ratio of cells from which a level is clearly finer."""
 UNIT: dict[Kind, Callable[[Scene], float]] = {
     "pixels": pixels_per_size,
     "share": lambda scene: 1.0,
@@ -119,6 +134,8 @@ class _Runs:
     watch: Stopwatch
     options: dict[str, Any]
     done: dict[int, tuple[Simulation, Clip]] = field(default_factory=dict)
+    spent: dict[int, float] = field(default_factory=dict)
+    """Seconds that each took."""
 
     def simulation(self, cells: int) -> Simulation:
         """A run that has not begun."""
@@ -135,8 +152,10 @@ class _Runs:
     def clip(self, cells: int) -> Clip:
         """The clip on a grid, made if it is not there."""
         if cells not in self.done:
+            start = time.perf_counter()
             simulation = self.simulation(cells)
             self.done[cells] = simulation, simulation.run()
+            self.spent[cells] = time.perf_counter() - start
         return self.done[cells][1]
 
     @property
@@ -150,24 +169,48 @@ def _as_exact(goal: Goal, runs: _Runs) -> Reached:
     gap = _gap(goal, runs.clip(coarse), runs.clip(fine), runs.scene)
     if not runs.complete:
         raise _unreachable(goal, "the motion stops early on a coarse grid")
-    guess = extrapolated((1 / coarse, 1 / fine), gap, GUESSED_ORDER)
-    cells = _coarsest(goal, fine, guess[1], GUESSED_ORDER)
-    if cells is None:
-        best = said(goal.kind, guess[1] * (fine / CELLS[-1]) ** GUESSED_ORDER)
-        raise _unreachable(goal, f"even D/{CELLS[-1]} would be off by about {best}")
-    runs.clip(CHECK if cells in CHEAP else cells)
+    _, error = extrapolated((1 / coarse, 1 / fine), gap, GUESSED_ORDER)
+    wanted = _coarsest(goal, fine, error, GUESSED_ORDER)
+    if wanted is None:
+        raise _unreachable(goal, _best(goal, runs, error))
+    _run(goal, runs, CHECK if wanted in CHEAP else wanted)
     found = _estimate(goal, runs)
-    cells, error = _cheapest(cells, found, runs, goal)
-    refined = error is not None and error > goal.value and bool(found.order)
-    if refined:
-        finest = max(runs.done)
-        finer = _coarsest(goal, finest, found.error or 0, found.order or 1, above=finest)
-        cells = finer or finest
-        runs.clip(cells)
+    if not found.errors:
+        _run(goal, runs, _above(max(runs.done)))
         found = _estimate(goal, runs)
-        error = _error_at(cells, found, runs, goal)
+    cells, error = _cheapest(found, runs, goal)
+    refined = error is not None and error > goal.value
+    if refined:
+        order = min(max(found.order or GUESSED_ORDER, TRUSTED[0]), TRUSTED[1])
+        finest = max(runs.done)
+        finer = _coarsest(goal, finest, found.error or 0.0, order, above=finest)
+        _run(goal, runs, finer or _above(finest))
+        found = _estimate(goal, runs)
+        cells, error = _cheapest(found, runs, goal)
     simulation, clip = runs.done[cells]
     return Reached(simulation, clip, _about(goal, cells, error, found, runs, refined))
+
+
+def _run(goal: Goal, runs: _Runs, cells: int) -> None:
+    """Make a level; raises InputError if it would take too long or too much memory."""
+    try:
+        runs.clip(cells)
+    except InputError as refusal:
+        why = f"it takes D/{cells}, and there {refusal.limit.rstrip('.')}"
+        raise _unreachable(goal, why) from None
+
+
+def _above(cells: int) -> int:
+    """A level that is clearly finer, or the finest of all."""
+    return next((n for n in CELLS if n >= FINER * cells), CELLS[-1])
+
+
+def _best(goal: Goal, runs: _Runs, error: float) -> str:
+    """What the finest grid would achieve and cost, from the finest level that was run."""
+    known, finest = max(runs.done), CELLS[-1]
+    best = said(goal.kind, error * (known / finest) ** GUESSED_ORDER)
+    seconds = duration(runs.spent[known] * (finest / known) ** GROWTH)
+    return f"even D/{finest}, in about {seconds}, would be off by about {best}"
 
 
 def _about(
@@ -179,39 +222,31 @@ def _about(
     refined: bool,
 ) -> dict[str, Any]:
     """For the report: what was wished and what came of it, in the goal's unit."""
+    levels = sorted(runs.done)
     return {
-        "wished": goal.text, "unit": goal.kind, "cells": cells, "levels": sorted(runs.done),
+        "wished": goal.text, "unit": goal.kind, "cells": cells, "levels": levels,
+        "errors": list(found.errors), "seconds": [runs.spent[n] for n in levels],
         "order": found.order, "error": error, "refined": refined,
         "met": error is not None and error <= goal.value, "why_not": found.why_not,
     }  # fmt: skip
 
 
-def _error_at(cells: int, found: Convergence, runs: _Runs, goal: Goal) -> float | None:
-    """Error of a level: its distance from the finest that was run, and that one's own."""
-    finest = max(runs.done)
-    if found.error is None:
-        return None
-    return found.error + _gap(goal, runs.clip(cells), runs.clip(finest), runs.scene)
-
-
-def _cheapest(cells: int, found: Convergence, runs: _Runs, goal: Goal) -> tuple[int, float | None]:
-    """The coarsest grid run, from `cells` on, that meets the goal, else `cells`; and its error."""
-    for each in sorted(n for n in runs.done if n >= cells):
-        error = _error_at(each, found, runs, goal)
-        if error is not None and error <= goal.value:
-            return each, error
-    return cells, _error_at(cells, found, runs, goal)
+def _cheapest(found: Convergence, runs: _Runs, goal: Goal) -> tuple[int, float | None]:
+    """The coarsest grid run that meets the goal, else the finest; and its error."""
+    levels = sorted(runs.done)
+    for cells, error in zip(levels, found.errors, strict=False):
+        if cells >= min(CHEAP) and error <= goal.value:
+            return cells, error
+    return levels[-1], found.error
 
 
 def _estimate(goal: Goal, runs: _Runs) -> Convergence:
-    """Order and error of the finest level run so far, in the goal's unit."""
+    """Order and errors of the levels run so far, in the goal's unit."""
     cells = sorted(runs.done)
-    clips = [runs.done[n][1] for n in cells]
-    apart = distances([clip.means for clip in clips])
-    for i, one in enumerate(clips):
-        for j, other in enumerate(clips):
-            if i < j:
-                apart[i, j] = apart[j, i] = _gap(goal, one, other, runs.scene)
+    apart = np.zeros((len(cells), len(cells)))
+    for i, j in combinations(range(len(cells)), 2):
+        one, other = (runs.done[cells[k]][1] for k in (i, j))
+        apart[i, j] = apart[j, i] = _gap(goal, one, other, runs.scene)
     agree = AGREE * UNIT[goal.kind](runs.scene)
     return richardson([1 / n for n in cells], apart, agree=agree)
 

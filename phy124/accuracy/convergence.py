@@ -1,25 +1,34 @@
-"""Orders of convergence, and Richardson's estimate of what the finest level still lacks.
+"""Orders of convergence, and Richardson's estimate of what each level still lacks.
 
-For an error C h^p at grid spacing h, two levels are C |h_i^p - h_j^p| apart. C and p are fitted
-to the distances of all pairs of levels (logarithms, least squares), and C h^p of the finest is
-its own error (Richardson 1911; Roache 1998; the fit as in Eca, Hoekstra 2014).
+The result at grid spacing h is taken as exact + h^p e + scatter h^p: one field e that shrinks with
+the grid, and what differs from grid to grid without any order. Two levels are then about
+C |h_i^p - h_j^p| apart, from which p follows (logarithms, all pairs); exact and e are fitted to all
+levels with weights h^-2p; the error of a level is h^p e and the scatter (Richardson 1911; Roache
+1998; a least-squares fit as in Eca, Hoekstra 2014). All of it follows from the distances between
+the levels alone.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
 ORDERS = (0.5, 3.0)
-"""Orders are held to this range: a lower one makes every error a guess."""
+"""Orders that are looked for."""
+TRUSTED = (1.0, 2.0)
+"""Orders that errors are estimated with: free surfaces are of first order, the inside of second.
+
+Levels that are too coarse to have any order show a lower one; with that every error is a guess.
+"""
+SAFETY = 1.25
+"""Factor on errors where the observed order is further than `NEAR` from these (Roache 1998)."""
+NEAR = 0.1
 AGREE = 1e-5
 """Distance, in the unit of the results, below which levels agree within rounding."""
-MISFIT = 0.35
-"""RMS of log(distance / fit) from which the levels scatter too much for a good estimate."""
 
 
 @dataclass(frozen=True)
@@ -28,12 +37,30 @@ class Convergence:
 
     order: float | None
     """Observed order; None if the levels do not converge."""
-    error: float | None
-    """Estimated error of the finest level, in the unit of the distances."""
+    errors: tuple[float, ...] = ()
+    """Estimated error of each level, in the unit of the distances; empty if there is none."""
     why_not: str = ""
     """Why there is no number, in words."""
     note: str = ""
     """Why the number is a rough one, in words."""
+    exact: tuple[float, ...] = ()
+    """Weights of the levels in the extrapolated result; they sum to one."""
+    inside: float = 0.0
+    """Mean square distance of the levels from it, by these weights."""
+    factor: float = 1.0
+    """Of safety."""
+
+    @property
+    def error(self) -> float | None:
+        """Error of the finest level."""
+        return self.errors[-1] if self.errors else None
+
+    def error_of(self, apart: NDArray) -> float | None:
+        """Error of any result, from its distances to the levels [L]."""
+        if not self.exact:
+            return None
+        square = float(apart**2 @ np.array(self.exact)) - self.inside
+        return self.factor * float(np.sqrt(max(square, 0.0)))
 
 
 def fitted_order(spacings: Sequence[float], errors: Sequence[float]) -> float:
@@ -42,34 +69,56 @@ def fitted_order(spacings: Sequence[float], errors: Sequence[float]) -> float:
 
 
 def richardson(spacings: Sequence[float], apart: NDArray, *, agree: float = AGREE) -> Convergence:
-    """Order and own error of the finest of three or more levels.
+    """Order, and the error of each of three or more levels.
 
     Args:
         spacings: From coarse to fine [L].
         apart: Distances between the levels' results [L,L].
         agree: Levels closer than this agree, and their greatest distance is the error.
     """
-    h, pairs = np.array(spacings), np.triu_indices(len(spacings), 1)
-    if len(h) < 3:
-        return Convergence(None, None, "fewer than three levels: no order can be observed")
-    to_finest, measured = apart[:-1, -1], apart[pairs]
-    if measured.max() < agree:
+    h, levels = np.array(spacings), len(spacings)
+    if levels < 3:
+        return Convergence(None, why_not="fewer than three levels: no order can be observed")
+    if apart.max() < agree:
+        exact, error = (*[0.0] * (levels - 1), 1.0), float(apart.max())
         note = "all levels agree: this motion does not depend on the grid"
-        return Convergence(None, float(measured.max()), note=note)
-    if not np.all(measured > 0) or not np.all(np.diff(to_finest) < 0):
-        return Convergence(None, None, "not converging: finer grids do not come closer")
-    orders = np.linspace(*ORDERS, 251)
+        return Convergence(None, (error,) * levels, note=note, exact=exact)
+    if apart[-2, -1] >= apart[0, -1] or not apart[np.triu_indices(levels, 1)].all():
+        return Convergence(None, why_not="not converging: finer grids do not come closer")
+    observed = _order(h, apart)
+    trusted = float(np.clip(observed, *TRUSTED))
+    found = _fit(h, apart, trusted)
+    if abs(observed - trusted) > NEAR:
+        note = f"the observed order is outside {TRUSTED[0]:g} to {TRUSTED[1]:g}: errors are rough"
+        more = tuple(SAFETY * error for error in found.errors)
+        found = replace(found, errors=more, factor=SAFETY, note=note)
+    return replace(found, order=observed)
+
+
+def _order(h: NDArray, apart: NDArray) -> float:
+    """The p for which the distances of all pairs are most nearly C |h_i^p - h_j^p|."""
+    orders, pairs = np.linspace(*ORDERS, 251), np.triu_indices(len(h), 1)
     power = h[:, None] ** orders
-    ratio = np.log(measured[:, None] / (power[pairs[0]] - power[pairs[1]]))
-    misfit = ratio.std(axis=0)
-    best = int(misfit.argmin())
-    scale = np.exp(ratio[:, best].mean())
-    note = ""
-    if best in (0, len(orders) - 1):
-        note = f"the observed order is outside {ORDERS[0]:g} to {ORDERS[1]:g}: errors are rough"
-    elif misfit[best] > MISFIT:
-        note = "the levels scatter about one order: errors are rough"
-    return Convergence(float(orders[best]), float(scale * power[-1, best]), note=note)
+    ratio = np.log(apart[pairs][:, None] / (power[pairs[0]] - power[pairs[1]]))
+    return float(orders[ratio.std(axis=0).argmin()])
+
+
+def _fit(h: NDArray, apart: NDArray, p: float) -> Convergence:
+    """exact + h^p e through the levels."""
+    power = h**p
+    columns = np.stack([np.ones(len(h)), power], axis=1)
+    weighted = columns / power[:, None] ** 2
+    exact, field = np.linalg.solve(columns.T @ weighted, weighted.T)
+    rest = np.eye(len(h)) - columns @ np.stack([exact, field])
+    scatter = (_squares(rest, apart) / power**2).sum() / (len(h) - 2)
+    errors = power * np.sqrt(_squares(field[None], apart)[0] + scatter)
+    inside = 0.5 * float(exact @ apart**2 @ exact)
+    return Convergence(p, tuple(errors.tolist()), exact=tuple(exact.tolist()), inside=inside)
+
+
+def _squares(rows: NDArray, apart: NDArray) -> NDArray[np.float64]:
+    """Mean squares of combinations of levels [K,L], each with weights that sum to zero."""
+    return np.maximum(-0.5 * np.einsum("ki,ij,kj->k", rows, apart**2, rows), 0.0)
 
 
 def distances(results: Sequence[NDArray]) -> NDArray[np.float64]:

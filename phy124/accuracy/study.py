@@ -1,8 +1,8 @@
 """The study: one scene at several grid spacings, what each costs and how far each is off.
 
-The error of a level is its distance from the finest plus the finest one's own error, estimated
-by Richardson's extrapolation with the order that three levels show. Where finer grids do not
-come closer to each other, there is no number: "not converging".
+The error of a setting is its distance from what all levels extrapolate to, by Richardson with the
+order that they show, and the uncertainty of that (`convergence`). Where finer grids do not come
+closer to each other, there is no number: "not converging".
 """
 
 from __future__ import annotations
@@ -178,27 +178,32 @@ class Study:
         levels = [row for row in rows if row.level]
         size = self.scene.object.size
         if not levels:
-            none = Convergence(None, None, "no level could be run")
+            none = Convergence(None, why_not="no level could be run")
             return Report(tuple(rows), skipped, none, size, none.why_not, {})
         names = [row.name for row in levels]
-        apart = distances([self.clips[name].means for name in names]) / size
+        clips = [self.clips[name] for name in names]
+        apart = distances([clip.means for clip in clips]) / size
         found = richardson([1 / row.cells for row in levels], apart)
-        finest = self.clips[names[-1]]
-        judged = tuple(self._error(row, finest, names[-1], found) for row in rows)
+        known = dict(zip(names, found.errors, strict=False))
+        judged = tuple(self._compared(row, clips, found, known) for row in rows)
         return Report(
             judged, skipped, found, size, recommend(judged, found), kept_promises(judged, found)
         )
 
-    def _error(self, row: Row, finest: Clip, name: str, found: Convergence) -> Row:
-        view = self.scene.view
+    def _compared(
+        self, row: Row, levels: list[Clip], found: Convergence, known: dict[str, float]
+    ) -> Row:
+        """The row with its distance from the finest level and its error."""
+        view, clip, size = self.scene.view, self.clips[row.name], self.scene.object.size
         small = view.model_copy(update={"size": min(view.size, SIZE)})
         apart = None
-        if row.name != name:
-            apart = difference(self.clips[row.name], finest, small, device=self.device)
+        if clip is not levels[-1]:
+            apart = difference(clip, levels[-1], small, device=self.device)
             apart = replace(apart, pixels=apart.pixels * view.size / small.size)
-        if found.error is None:
+        each = [distances([clip.means, level.means])[0, 1] / size for level in levels]
+        error = known.get(row.name, found.error_of(np.array(each)))
+        if error is None:
             return replace(row, from_finest=apart)
-        error = found.error + (apart.relative if apart else 0.0)
         seen = apart.pixels / apart.relative if apart and apart.relative else None
         scale = pixels_per_size(self.scene) if seen is None else seen
         return replace(row, from_finest=apart, error=error, pixels=error * scale)
