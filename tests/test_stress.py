@@ -72,10 +72,8 @@ SABOTAGE = {
                  'limiter = "user" if math.isfinite(ceiling) else min(limits, key=limits.get)'),
     11: Sabotage("forces are a tenth", "kernels/transfer.py",
                  "(real(4.0) * clock[0]", "(real(0.4) * clock[0]"),
-    12: Sabotage("flat and inverted elements are not reset", "kernels/diagnose.py",
-                 "J >= least and J <= most and size <= greatest and J >= narrowest * size "
-                 "* cofactor",
-                 "J <= most and size <= greatest"),
+    12: Sabotage("the logarithm is not continued for flat elements", "kernels/elastic.py",
+                 "    if J > floor:\n", "    if J > type(J)(-1.0e30):\n"),
     13: Sabotage("at rest it is stressed by mu", "kernels/elastic.py",
                  "log_volume(wp.determinant(F)) - theta[0]\n",
                  "log_volume(wp.determinant(F)) - type(theta[0])(2.0) * theta[0]\n"),

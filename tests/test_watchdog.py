@@ -210,7 +210,9 @@ def test_particles_that_crossed_too_much_are_named():
         for _ in range(5):
             s.step(1e-3, 1e-3)
     problem = watch.blame(str(error.value))
-    assert re.search(r"the fastest number \d+ of law neo_hookean, at .+ m/s\. Use a gen", problem)
+    assert re.search(
+        r"the fastest is number \d+ of law neo_hookean, at .+ m/s\. Use a gen", problem
+    )
 
 
 def test_numbers_lost_in_a_substep_are_named():
