@@ -85,17 +85,17 @@ class Promise:
 
 PROMISES = {
     "draft": Promise(
-        0.10,
-        "a wall is felt up to half a cell too early or late, and a cell is 6 % of the object; "
-        "for looking at a motion before it is made well",
+        0.07,
+        "thin places bend as if they were thicker by a part of a cell, and a cell is 6 % of the "
+        "object; for looking at a motion before it is made well",
     ),
     "standard": Promise(
-        0.07,
-        "cells half as wide feel walls more exactly; a smaller substep would not help, "
+        0.04,
+        "cells half as wide bend more truly; a smaller substep would not help, "
         "for what transfers lose per step does not depend on it",
     ),
     "fine": Promise(
-        0.05,
+        0.03,
         "cells a third as wide, at least two particles per cell and axis so that they are used, "
         "and double precision so that rounding is no question",
     ),
@@ -194,7 +194,7 @@ class Scene(Section):
     boundaries: tuple[AnyBoundary, ...] = Field(default=(Ground(),), description="What is solid.")
     accuracy: AccuracyName | Accuracy = Field(
         default="standard",
-        description="draft (error up to 10 % of the object's size), standard (7 %), fine (5 %), "
+        description="draft (error up to 7 % of the object's size), standard (4 %), fine (3 %), "
         "or a table of cells, ppc, cfl and precision.",
     )
     binding: Literal["particles", "field"] = Field(

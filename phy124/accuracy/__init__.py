@@ -14,8 +14,8 @@ For the web page and other callers, three calls:
     forecast.compared(spent)                           # predicted, spent, ratio by stage
 
 `gaussians` are those that the generator made (any size). The first call takes a few seconds, a
-second one with the same Gaussians and law a fraction of one. Every report carries the comparison
-under "forecast".
+second one with the same Gaussians and law a fraction of one. The report of a run with a forecaster
+carries the comparison under "forecast".
 
     report = study.Study(gaussians, scene).run()    # levels, errors: see `phy124 accuracy`
     pipeline.generate(..., goal=choose.Goal.error("2px"))    # or "1%", "3mm", Goal.time(20)

@@ -68,6 +68,8 @@ class Forecast:
     limiters: dict[str, float]
     """Share of the substeps by what limits them."""
     rates: Rates
+    memory: float = 0.0
+    """Bytes, roughly (`phy124.limits`)."""
     caveat: str | None = None
     """Why the seconds are no promise."""
 
@@ -91,6 +93,7 @@ class Forecast:
         about = (
             f"{self.particles} particles, {self.nodes} nodes, about {self.substeps} substeps "
             f"(limited by: {limited}), {1e9 * self.rates.particle:.0f} ns per particle and substep"
+            f", about {self.memory / 1e9:.1f} GB"
         )
         return [*made, total, about, *([self.caveat] if self.caveat else [])]
 
@@ -167,7 +170,7 @@ class Forecaster:
         }
         return Forecast(
             stages, (), particles, round(mean_nodes), substeps, limiters, rates,
-            _caveat(pilot, limiters),
+            simulation.demand.memory, _caveat(pilot, limiters),
         )  # fmt: skip
 
     def stops(self, gaussians: Gaussians, scene: Scene) -> dict[str, Stop]:

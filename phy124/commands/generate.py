@@ -34,8 +34,8 @@ class Generate:
     """Folder to look for trained weights in first (see `phy124 doctor`)."""
     out: Path | None = None
     """Folder of the results; default out/PICTURE-SCENE."""
-    forecast: bool = True
-    """Foretell the seconds and compare them in the report; takes half a second."""
+    forecast: bool = False
+    """Foretell the seconds first and compare them in the report; takes about a second."""
     dry_run: bool = False
     """Only make the Gaussians and say how long the rest would take."""
     max_error: str | None = None
