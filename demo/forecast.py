@@ -10,11 +10,13 @@ from __future__ import annotations
 import math
 import threading
 from dataclasses import dataclass, replace
+from html import escape
 from typing import Any
 
 from phy124.accuracy import Forecaster as Probe
+from phy124.accuracy.forecast import pixels_per_size
 from phy124.gaussians import Gaussians
-from phy124.scene import PROMISES, Scene
+from phy124.scene import PRESETS, PROMISES, Scene
 from phy124.timestep import CELLS_PER_STEP
 
 GAUSSIANS = 50_000
@@ -23,6 +25,8 @@ FILLED = 0.13
 """Volume of a typical object, in cubes of its longest side: the filling's share of the grid."""
 READ = 0.2
 """Longer than it takes to read Gaussians that were made before, s."""
+DOUBLE = 1.7
+"""How much longer a substep takes in float64 (docs/accuracy.md)."""
 TRUST = 0.5
 """Weight of the newest measurement."""
 
@@ -65,6 +69,19 @@ class Forecast:
         return f"{text} {self.caveat}" if self.caveat else text
 
 
+@dataclass(frozen=True)
+class Stop:
+    """A named accuracy as it would be for one scene."""
+
+    name: str
+    seconds: float
+    error: float
+    """Promised, in object sizes."""
+    pixels: float
+    """The same in the video."""
+    chosen: bool
+
+
 class Forecaster:
     """Predicts runs and learns from the reports of finished ones."""
 
@@ -86,14 +103,30 @@ class Forecaster:
         frames, view = scene.time.frames, scene.view
         seconds = rates.rest + rates.pixel * frames * len(view.views) * view.size**2
         if not simulated:
-            seconds += rates.particle * particles * substeps + rates.frame * frames
+            slower = DOUBLE if scene.resolution.precision == "float64" else 1.0
+            seconds += slower * rates.particle * particles * substeps + rates.frame * frames
             seconds += 0 if generated else rates.generate
         return Forecast(seconds, substeps, particles, promised(scene))
+
+    def stops(
+        self, scene: Scene, *, gaussians: int = GAUSSIANS, seconds: float | None = None
+    ) -> list[Stop]:
+        """All named accuracies for a scene; `seconds` were measured for the one it has."""
+        scale = 1.0 if seconds is None else seconds / self(scene, gaussians=gaussians).seconds
+        found = []
+        for name in PRESETS:
+            other = scene.model_copy(update={"accuracy": name})
+            took = scale * self(other, gaussians=gaussians).seconds
+            error = PROMISES[name].error
+            pixels = error * pixels_per_size(scene)
+            found.append(Stop(name, took, error, pixels, scene.accuracy == name))
+        return found
 
     def learn(self, report: dict[str, Any], scene: Scene) -> None:
         """Take the costs of a finished run into account."""
         spent = {stage["name"]: stage["seconds"] for stage in report["stages"]}
         work = report["particles"] * report["substeps"]
+        work *= DOUBLE if scene.resolution.precision == "float64" else 1.0
         pixels = report["frames"] * len(scene.view.views) * scene.view.size**2
         drawn = spent.get("render", 0.0) + spent.get("encode", 0.0)
         measured = {
@@ -118,6 +151,17 @@ def measured(gaussians: Gaussians, scene: Scene, device: str, rest: float) -> Fo
     found = Probe(device).forecast(gaussians, scene)
     seconds = found.seconds + rest
     return Forecast(seconds, found.substeps, found.particles, promised(scene), found.caveat)
+
+
+def stops_table(stops: list[Stop]) -> str:
+    """What each stop of the accuracy slider would take and be off by, as HTML."""
+    rows = [
+        f"<tr{' class=chosen' if stop.chosen else ''}><td>{escape(stop.name.capitalize())}</td>"
+        f"<td>about {_duration(stop.seconds)}</td>"
+        f"<td>off by at most {stop.error:.0%} ({stop.pixels:.0f} px)</td></tr>"
+        for stop in stops
+    ]
+    return f'<table class="stops">{"".join(rows)}</table>'
 
 
 def promised(scene: Scene) -> float | None:

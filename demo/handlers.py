@@ -13,14 +13,18 @@ from typing import Any
 import gradio as gr
 from gradio import FileData
 
+from demo.catalogue import scene_of
 from demo.exports import EXPORTS, export
+from demo.forecast import stops_table
 from demo.jobs import Progress, Studio, read_report, sentence
 from demo.pictures import dimmed
 from demo.report import as_html
+from demo.visitors import key
 from demo.work import Done
 from phy124.camera import VIEWS
 from phy124.clip import Clip
 from phy124.errors import InputError
+from phy124.scene import Scene
 
 Handler = Callable[..., Any]
 EXAMPLES = Path(__file__).parent / "examples"
@@ -69,18 +73,32 @@ def forecaster(studio: Studio) -> Handler:
     """Scene -> what it will take."""
 
     def forecast(cutout: Any, scene: Any, request: gr.Request) -> str:
-        path = cutout.path if cutout else None
-        return studio.forecast(session_of(request), path, scene) if scene else ""
+        path, session = cutout.path if cutout else None, session_of(request)
+        if not scene:
+            return ""
+        return with_stops(studio, session, scene, studio.forecast(session, path, scene))
 
     return forecast
+
+
+def with_stops(studio: Studio, session: str, data: Any, text: str) -> str:
+    """A forecast, and under it what each stop of the accuracy slider would be."""
+    try:
+        scene = scene_of(data, studio.settings)
+        known = studio.visitors.get(session).forecasts.get(key(scene.data()))
+    except InputError:
+        return text
+    count = studio.settings.gaussians
+    return text + stops_table(studio.forecaster.stops(scene, gaussians=count, seconds=known))
 
 
 def refiner(studio: Studio) -> Handler:
     """The same, measured on the visitor's own object where that is quick."""
 
     def refine(cutout: Any, scene: Any, request: gr.Request) -> Any:
-        text = studio.refine(session_of(request), cutout.path, scene) if cutout and scene else None
-        return gr.skip() if text is None else text
+        session = session_of(request)
+        text = studio.refine(session, cutout.path, scene) if cutout and scene else None
+        return gr.skip() if text is None else with_stops(studio, session, scene, text)
 
     return refine
 
@@ -100,7 +118,7 @@ def runner(studio: Studio) -> Handler:
             if progress.state == "running":
                 yield (progress.data(), gr.skip(), *going, *kept)
             else:
-                shown = kept if progress.done is None else results(progress.done, progress)
+                shown = kept if progress.done is None else results(progress.done, progress, studio)
                 kept_done = gr.skip() if progress.done is None else progress.done
                 yield (progress.data(), kept_done, *rested(), *shown)
 
@@ -166,14 +184,15 @@ def leaver(studio: Studio) -> Handler:
     return leave
 
 
-def results(done: Done, progress: Progress) -> list[Any]:
+def results(done: Done, progress: Progress, studio: Studio) -> list[Any]:
     """Values of the viewer, the videos, the report and the take-away panel."""
     report = read_report(done)
     scene = Clip.load(done.clip / "clip.safetensors").scene
+    stops = studio.forecaster.stops(Scene.from_data(scene), gaussians=report["gaussians"])
     return [
         {"pack": _file(done.films / "clip.pack")},
         {"films": [{"name": path.stem, "file": _file(path)} for path in _films(done)]},
-        as_html(report, scene, progress.expected),
+        as_html(report, scene, progress.expected, stops),
         _takeaway(done),
     ]
 

@@ -2,29 +2,34 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from html import escape
 from typing import Any
 
-from phy124.scene import PROMISES
+from demo.forecast import Stop
+from phy124.scene import PRESETS, PROMISES
 
 WIDTH, HEIGHT, MARGIN = 280, 84, 4
 
 
-def as_html(report: dict[str, Any], scene: dict[str, Any], predicted: float) -> str:
-    """The report for the page; every word of it is escaped."""
+def as_html(
+    report: dict[str, Any], scene: dict[str, Any], predicted: float, stops: Sequence[Stop] = ()
+) -> str:
+    """The report for the page; every word of it is escaped. `stops` are the other accuracies."""
     parts = []
     if report.get("stopped"):
         parts.append(f'<p class="notice">Stopped early: {escape(str(report["stopped"]))}</p>')
     parts += [f'<p class="note">{escape(str(note))}</p>' for note in report.get("notes", [])]
-    parts += [_accuracy(report, scene, predicted), _stages(report), _motion(report)]
+    parts += [_accuracy(report, scene, predicted), _pareto(report, scene, stops)]
+    parts += [_stages(report), _motion(report)]
     parts += [_effects(report), _left_out(report)]
     return f'<div class="report">{"".join(parts)}</div>'
 
 
 def _accuracy(report: dict[str, Any], scene: dict[str, Any], predicted: float) -> str:
     name = scene.get("accuracy")
-    promise = PROMISES[name].error if name in PROMISES else None
+    promise = PROMISES[name].error if isinstance(name, str) else None
     rows = [
         ("Setting", name if isinstance(name, str) else "own settings"),
         ("Error promised", "not stated" if promise is None else f"≤ {promise:.0%} of the size"),
@@ -36,6 +41,56 @@ def _accuracy(report: dict[str, Any], scene: dict[str, Any], predicted: float) -
         ("Device", report["device"]),
     ]
     return _section("Accuracy and cost", _table(rows))
+
+
+def _pareto(report: dict[str, Any], scene: dict[str, Any], stops: Sequence[Stop]) -> str:
+    """Error over seconds: the stops of the accuracy slider, and the point this run reached."""
+    reached = expected_error(scene.get("accuracy"))
+    if not stops or reached is None:
+        return ""
+    run = (float(report["seconds"]), reached)
+    points = [(stop.seconds, stop.error) for stop in stops]
+    x = _scale([a for a, _ in [*points, run]], 2 * MARGIN, WIDTH - 2 * MARGIN)
+    y = _scale([b for _, b in [*points, run]], HEIGHT - 26, 26)
+    marks = [
+        f'<circle class="stop" cx="{x(a):.1f}" cy="{y(b):.1f}" r="3.5"/>'
+        f'<text x="{x(a):.1f}" y="{y(b) - 7:.1f}" text-anchor="{_anchor(x(a))}">'
+        f"{escape(stop.name)}, {stop.error:.0%}, {stop.seconds:.0f} s</text>"
+        for stop, (a, b) in zip(stops, points, strict=True)
+    ]
+    line = " ".join(f"{x(a):.1f},{y(b):.1f}" for a, b in points)
+    here = f'<circle class="reached" cx="{x(run[0]):.1f}" cy="{y(run[1]):.1f}" r="5.5"/>'
+    label = f"this run: {run[0]:.1f} s, error at most about {run[1]:.1%} of the size"
+    return _section(
+        "Accuracy over time",
+        f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{escape(label)}">'
+        f'<line class="axis" x1="0" x2="{WIDTH}" y1="{HEIGHT - 14}" y2="{HEIGHT - 14}"/>'
+        f'<polyline class="curve" points="{line}"/>{"".join(marks)}{here}'
+        f'<text x="{MARGIN}" y="{HEIGHT - 3}">{escape(label)}</text></svg>',
+    )
+
+
+def expected_error(accuracy: Any) -> float | None:
+    """What a setting promises, in object sizes; one's own cells by the nearest named ones."""
+    if isinstance(accuracy, str):
+        return PROMISES[accuracy].error
+    cells = accuracy.get("cells") if isinstance(accuracy, dict) else None
+    if not cells:
+        return None
+    name = min(PRESETS, key=lambda each: abs(math.log(PRESETS[each].cells / cells)))
+    return PROMISES[name].error * PRESETS[name].cells / cells
+
+
+def _scale(values: Sequence[float], start: float, end: float) -> Any:
+    """Values to places on a logarithmic axis."""
+    low, high = math.log(min(values)), math.log(max(values))
+    span = (high - low) or 1.0
+    return lambda value: start + (end - start) * (math.log(value) - low) / span
+
+
+def _anchor(x: float) -> str:
+    """Labels stay inside the picture."""
+    return "start" if x < WIDTH / 3 else "end" if x > 2 * WIDTH / 3 else "middle"
 
 
 def _stages(report: dict[str, Any]) -> str:

@@ -12,6 +12,7 @@ import pytest
 from PIL import Image
 
 from demo.exports import EXPORTS, export
+from demo.forecast import Forecaster
 from demo.pictures import brushed, cut_out, dimmed
 from demo.report import as_html
 from demo.work import Done
@@ -116,6 +117,19 @@ def test_the_report_says_what_was_promised_spent_left_out_and_how_stable_it_was(
     promise = f"≤ {PROMISES['standard'].error:.0%} of the size"
     for said in (promise, "4.0 s", "3.0 s", "0.700", "2.00 m/s", "colliders", "p2g"):
         assert said in text, said
+
+
+def test_the_report_shows_the_point_reached_among_the_stops():
+    scene = Scene.named("press")
+    stops = Forecaster().stops(scene)
+    text = as_html(_report(), scene.data(), 4.0, stops)
+    assert "this run: 3.0 s, error at most about 4.0% of the size" in text
+    assert text.count('class="stop"') == 3 and text.count('class="reached"') == 1
+    for stop in stops:
+        assert f"{stop.name}, {stop.error:.0%}" in text
+    own = as_html(_report(), {"accuracy": {"cells": 20}}, 4.0, stops)
+    assert "error at most about 5.6% of the size" in own
+    assert "Accuracy over time" not in as_html(_report(), scene.data(), 4.0)
 
 
 def test_nothing_in_the_report_can_become_a_script():

@@ -8,7 +8,7 @@ from typing import get_args
 import pytest
 
 from demo.catalogue import FOLDER, catalogue, check_time, scene_of
-from demo.forecast import Forecaster, count_substeps, measured
+from demo.forecast import Forecaster, count_substeps, measured, stops_table
 from demo.settings import Settings, table
 from phy124.boundaries import AnyBoundary
 from phy124.errors import InputError
@@ -112,6 +112,21 @@ def test_the_forecaster_learns_what_a_particle_costs():
     assert forecaster.rates.particle > 4e-4
     assert forecaster(scene).seconds > 100 * before
     assert "Error promised: at most" in forecaster(scene).sentence
+
+
+def test_stops_are_those_of_the_scene_and_follow_what_was_measured():
+    forecaster, scene = Forecaster(), Scene.named("press").replaced({"accuracy": "draft"})
+    stops = forecaster.stops(scene)
+    assert [stop.name for stop in stops] == ["draft", "standard", "fine"]
+    assert [stop.chosen for stop in stops] == [True, False, False]
+    assert stops[0].seconds == forecaster(scene).seconds
+    assert sorted(stop.seconds for stop in stops) == [stop.seconds for stop in stops]
+    assert stops[0].pixels == pytest.approx(stops[0].error * 295, rel=0.01)
+    twice = forecaster.stops(scene, seconds=2 * stops[0].seconds)
+    assert [b.seconds / a.seconds for a, b in zip(stops, twice, strict=True)] == [2, 2, 2]
+    table = stops_table(stops)
+    assert table.count("<tr") == 3 and table.count("class=chosen") == 1
+    assert "off by at most 7% (21 px)" in table
 
 
 def test_a_forecast_can_be_measured_on_the_object_itself(three_gaussians):
