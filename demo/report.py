@@ -10,7 +10,7 @@ from typing import Any
 from demo.forecast import Stop
 from phy124.scene import PRESETS, PROMISES
 
-WIDTH, HEIGHT, MARGIN = 280, 84, 4
+WIDTH, HEIGHT, TALL, MARGIN = 280, 84, 130, 4
 
 
 def as_html(
@@ -51,7 +51,7 @@ def _pareto(report: dict[str, Any], scene: dict[str, Any], stops: Sequence[Stop]
     run = (float(report["seconds"]), reached)
     points = [(stop.seconds, stop.error) for stop in stops]
     x = _scale([a for a, _ in [*points, run]], 2 * MARGIN, WIDTH - 2 * MARGIN)
-    y = _scale([b for _, b in [*points, run]], HEIGHT - 26, 26)
+    y = _scale([b for _, b in [*points, run]], TALL - 26, 26)
     marks = [
         f'<circle class="stop" cx="{x(a):.1f}" cy="{y(b):.1f}" r="3.5"/>'
         f'<text x="{x(a):.1f}" y="{y(b) - 7:.1f}" text-anchor="{_anchor(x(a))}">'
@@ -63,10 +63,10 @@ def _pareto(report: dict[str, Any], scene: dict[str, Any], stops: Sequence[Stop]
     label = f"this run: {run[0]:.1f} s, error at most about {run[1]:.1%} of the size"
     return _section(
         "Accuracy over time",
-        f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{escape(label)}">'
-        f'<line class="axis" x1="0" x2="{WIDTH}" y1="{HEIGHT - 14}" y2="{HEIGHT - 14}"/>'
+        f'<svg viewBox="0 0 {WIDTH} {TALL}" role="img" aria-label="{escape(label)}">'
+        f'<line class="axis" x1="0" x2="{WIDTH}" y1="{TALL - 14}" y2="{TALL - 14}"/>'
         f'<polyline class="curve" points="{line}"/>{"".join(marks)}{here}'
-        f'<text x="{MARGIN}" y="{HEIGHT - 3}">{escape(label)}</text></svg>',
+        f'<text x="{MARGIN}" y="{TALL - 3}">{escape(label)}</text></svg>',
     )
 
 
