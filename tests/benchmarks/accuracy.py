@@ -1,7 +1,7 @@
 """The measurements of docs/accuracy.md: known answers, studies, goals, the cost of each part.
 
-With `--docs` its tables and plots are renewed (`make accuracy`). About seven minutes; names of parts
-(verify, duck-press, sunflower-push, sand-collapse, ball-bounce, costs, times, goals) do only these.
+With `--docs` its tables and plots are renewed (`make accuracy`). About seven minutes; parts by name
+(verify, duck-press, sunflower-push, sand-collapse, ball-bounce, costs, times, goals) do only those.
 """
 
 import json
