@@ -44,7 +44,7 @@ STUDIES = {
     "ball-bounce": (None, "bounce", {}, (12, 16, 24, 32)),
 }
 """Name -> picture (None: the chequered ball), preset, changes, levels."""
-GOAL_CELLS = tuple(n for n in CELLS if n <= 64)
+GOAL_CELLS = tuple(n for n in CELLS if n <= 48)
 """Grids the goals may choose here: what a minute can pay."""
 
 
