@@ -166,9 +166,7 @@ def snow_return(F: Array, h: Array, t: Array, dt: float) -> tuple[Array, Array]:
     after = np.column_stack([volume, h[:, 1]])
 
     def energy(s: Array, h: Array) -> Array:
-        return snow_factor(h, t) * (
-            t[0] * ((s - 1) ** 2).sum(1) + t[1] / 2 * (s.prod(1) - 1) ** 2
-        )
+        return snow_factor(h, t) * (t[0] * ((s - 1) ** 2).sum(1) + t[1] / 2 * (s.prod(1) - 1) ** 2)
 
     flows = energy(new, after) <= energy(s, h)
     return np.where(flows[:, None, None], spread(U, new, Vt), F), np.where(flows[:, None], after, h)

@@ -133,13 +133,13 @@ class Cloud(NamedTuple):
     """From one Gaussian to a ball, a sheet, a cloud of needles, all in one point."""
 
     seed: int
-    count: int
+    number: int
     rank: int
     shape: tuple[float, float, float]
 
     def gaussians(self) -> Gaussians:
         """The Gaussians it stands for."""
-        rng, n = np.random.default_rng(self.seed), self.count
+        rng, n = np.random.default_rng(self.seed), self.number
         means = rng.normal(size=(n, 3)) * (np.arange(3) < self.rank)
         scales = np.tile(self.shape, (n, 1)) * 10 ** rng.uniform(-1.5, -0.5, (n, 1))
         quats = rng.normal(size=(n, 4))

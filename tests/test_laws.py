@@ -238,7 +238,7 @@ def test_snow_that_flies_apart_stops_counting():
 
 
 def test_snow_that_would_gain_by_packing_is_refused():
-    with pytest.raises(ValueError, match="hardening x compression = 1 must be at most 0.667"):
+    with pytest.raises(ValueError, match=r"hardening x compression = 1 must be at most 0\.667"):
         Snow(hardening=10, compression=0.1)
 
 
