@@ -8,7 +8,7 @@ from shapes import ball
 
 from demo.report import as_html
 from phy124.__main__ import main
-from phy124.boundaries import Ground, Press
+from phy124.boundaries import Box, Ground, Press
 from phy124.clip import Clip
 from phy124.errors import InputError
 from phy124.forces import Acceleration, Gravity, ParticleForce
@@ -53,6 +53,10 @@ WORLDS = {
     "a force on a region": ((Acceleration(a=(5, 0, 3), region=REGION),), (Ground(),)),
     "newtons on each particle": ((ParticleForce(f=(0.1, 0, 0)),), ()),
     "a press": ((Gravity(),), (Ground(), Press(top=0.42, depth=0.4, down=0.1))),
+    "held against a push": (
+        (ParticleForce(f=(100, 0, 0)),),
+        (Box(lower=(-1, -1, -1), upper=(1, 1, 1), contact="sticky"),),
+    ),
     "violence": ((ParticleForce(f=(3e5, 0, 0), region=REGION),), (Ground(),)),
 }
 
@@ -111,6 +115,19 @@ def lone(**options) -> Solver:
     C = 4.0 * np.eye(3)[None]
     return Solver(np.full((1, 3), 0.02), np.array([1e-3]), [NeoHookean(E=1e4, nu=0.49)], dx=0.125,
                   C=C, precision="float64", **options)  # fmt: skip
+
+
+def test_the_window_forgets_a_particle_that_flew_off():
+    """One leaves at 1 km/s: the window is that of the others again, and nobody is lost."""
+    x = np.concatenate([block(), [[1500.0, 0, 0.2]]])
+    v = np.zeros_like(x)
+    v[-1] = [0, 600, 1000]
+    s = Solver(x, np.full(len(x), 1e-4), [NeoHookean(E=1e4)], dx=0.125, v=v)
+    s.advance(0.02)
+    assert s.domain.outside.numpy().tolist() == [216]
+    assert s.grid.count < 5000
+    fallen = s.state.x.numpy()[-1] - x[-1]
+    np.testing.assert_allclose(fallen, [0, 12, 20], atol=2e-3)
 
 
 def test_energies_are_those_of_one_instant():
