@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+import warp as wp
 from shapes import ball
 
 from demo.report import as_html
@@ -15,7 +16,7 @@ from phy124.forces import Acceleration, Gravity, ParticleForce
 from phy124.ledger import Ledger
 from phy124.limits import forecast
 from phy124.materials import FixedCorotated, Hencky, NeoHookean, Plasticine, Snow
-from phy124.mpm import Solver, Unstable
+from phy124.mpm import Grid, Solver, Unstable
 from phy124.particles import make_particles
 from phy124.ply import write_ply
 from phy124.region import Region
@@ -54,7 +55,7 @@ WORLDS = {
     "newtons on each particle": ((ParticleForce(f=(0.1, 0, 0)),), ()),
     "a press": ((Gravity(),), (Ground(), Press(top=0.42, depth=0.4, down=0.1))),
     "held against a push": (
-        (ParticleForce(f=(100, 0, 0)),),
+        (ParticleForce(f=(1e5, 0, 0)),),
         (Box(lower=(-1, -1, -1), upper=(1, 1, 1), contact="sticky"),),
     ),
     "violence": ((ParticleForce(f=(3e5, 0, 0), region=REGION),), (Ground(),)),
@@ -128,6 +129,17 @@ def test_the_window_forgets_a_particle_that_flew_off():
     assert s.grid.count < 5000
     fallen = s.state.x.numpy()[-1] - x[-1]
     np.testing.assert_allclose(fallen, [0, 12, 20], atol=2e-3)
+
+
+def test_a_window_far_too_large_on_one_side_shrinks():
+    grid = Grid((0, 0, 0), 1.0, real=wp.float32, device="cpu")
+    grid.fit(np.zeros(3), np.array([100.0, 5, 5]))
+    assert grid.fit(np.zeros(3), np.full(3, 5.0))
+    assert grid.size.max() < 20
+    with pytest.raises(Unstable, match="crossed more cells"):
+        grid.fit(np.zeros(3), np.array([5.0, 5, 50]))
+    with pytest.raises(Unstable, match=r"flew 1e\+09 cells far"):
+        grid.fit(np.zeros(3), np.array([5.0, 5, 1e10]))
 
 
 def test_energies_are_those_of_one_instant():
