@@ -33,7 +33,7 @@ Mask = NDArray[np.bool_]
 
 MAX_VOXELS = 4_000_000
 MAX_SAMPLES = 6_000_000
-ACROSS = 96
+ACROSS = 64
 """Voxels along the longest side, unless the Gaussians are too sparse for that."""
 COARSER = 1.2
 """Ratio of one size of voxels to the next that is tried."""
