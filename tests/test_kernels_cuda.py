@@ -7,7 +7,7 @@ import pytest
 import warp as wp
 from shapes import ball
 
-from phy124.kernels import grid, pace, push, transfer
+from phy124.kernels import collide, grid, pace, push, transfer
 from phy124.materials import FixedCorotated, NeoHookean, Sand
 from phy124.scene import Scene, preset_names
 from phy124.simulation import Simulation
@@ -42,6 +42,7 @@ def test_grid_and_pushes_compile_for_cuda(tmp_path):
         "measure": transfer.make_measure(NeoHookean().device_law, wp.float32),
         "pace": pace.make_pace(wp.float32),
         "accelerate": push.make_accelerate(wp.float32, True),
+        "contact": collide.make_contact("box", "separate", True, wp.float32),
     }
     for name, kernel in kernels.items():
         (tmp_path / name).mkdir()
