@@ -1,8 +1,9 @@
 """Choosing the accuracy from what the user wants: an error, or a time.
 
-An error: two cheap levels tell how far apart they are; with the order that contact problems show,
-the coarsest grid that should meet the wish is run and the errors are estimated again from all
-levels run so far. Where those do not come closer yet, one more is run. It is refined at most once.
+An error: three cheap levels tell their order and errors; the coarsest grid that should meet the
+wish is run and the errors are estimated again from all levels run so far. Where those do not come
+closer yet, one more is run. It is refined at most once.
+
 A time: the finest grid whose forecast fits.
 """
 
@@ -39,13 +40,13 @@ from phy124.stopwatch import Stopwatch
 
 Kind = Literal["pixels", "share", "metres", "seconds"]
 CHEAP = (16, 24)
-"""Cells across the object of the two levels that are run first."""
+"""Cells across the object of the levels that are run first and may be chosen."""
 CHECK = 12
-"""A third level, run where one of the two is chosen, so that an order can be observed."""
+"""A third level, so that an order can be observed."""
 CELLS = (8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 56, 64, 80, 96)
 """Grids that may be chosen."""
 GUESSED_ORDER = 1.0
-"""Order assumed until three levels show theirs; free surfaces are of first order."""
+"""Order assumed where the cheap levels show none; free surfaces are of first order."""
 FINER = 1.3
 """Ratio of cells from which a level is clearly finer."""
 UNIT: dict[Kind, Callable[[Scene], float]] = {
@@ -165,15 +166,17 @@ class _Runs:
 
 
 def _as_exact(goal: Goal, runs: _Runs) -> Reached:
-    coarse, fine = CHEAP
-    gap = _gap(goal, runs.clip(coarse), runs.clip(fine), runs.scene)
+    for each in (CHECK, *CHEAP):
+        runs.clip(each)
     if not runs.complete:
         raise _unreachable(goal, "the motion stops early on a coarse grid")
-    _, error = extrapolated((1 / coarse, 1 / fine), gap, GUESSED_ORDER)
-    wanted = _coarsest(goal, fine, error, GUESSED_ORDER)
+    found = _estimate(goal, runs)
+    error, order = _guess(goal, runs, found)
+    meets = min(CHEAP) if found.errors and found.errors[1] <= goal.value else None
+    wanted = meets or _coarsest(goal, max(CHEAP), error, order, above=min(CHEAP))
     if wanted is None:
-        raise _unreachable(goal, _best(goal, runs, error))
-    _run(goal, runs, CHECK if wanted in CHEAP else wanted)
+        raise _unreachable(goal, _best(goal, runs, error, order))
+    _run(goal, runs, wanted)
     found = _estimate(goal, runs)
     if not found.errors:
         _run(goal, runs, _above(max(runs.done)))
@@ -181,14 +184,22 @@ def _as_exact(goal: Goal, runs: _Runs) -> Reached:
     cells, error = _cheapest(found, runs, goal)
     refined = error is not None and error > goal.value
     if refined:
-        order = min(max(found.order or GUESSED_ORDER, TRUSTED[0]), TRUSTED[1])
-        finest = max(runs.done)
-        finer = _coarsest(goal, finest, found.error or 0.0, order, above=finest)
-        _run(goal, runs, finer or _above(finest))
+        finest, (error, order) = max(runs.done), _guess(goal, runs, found)
+        _run(goal, runs, _coarsest(goal, finest, error, order, above=finest) or _above(finest))
         found = _estimate(goal, runs)
         cells, error = _cheapest(found, runs, goal)
     simulation, clip = runs.done[cells]
     return Reached(simulation, clip, _about(goal, cells, error, found, runs, refined))
+
+
+def _guess(goal: Goal, runs: _Runs, found: Convergence) -> tuple[float, float]:
+    """Error of the finest level run, and the order to go on with."""
+    if found.error is not None:
+        order = found.order or GUESSED_ORDER
+        return found.error, min(max(order, TRUSTED[0]), TRUSTED[1])
+    coarse, fine = sorted(runs.done)[-2:]
+    gap = _gap(goal, runs.clip(coarse), runs.clip(fine), runs.scene)
+    return extrapolated((1 / coarse, 1 / fine), gap, GUESSED_ORDER)[1], GUESSED_ORDER
 
 
 def _run(goal: Goal, runs: _Runs, cells: int) -> None:
@@ -205,10 +216,10 @@ def _above(cells: int) -> int:
     return next((n for n in CELLS if n >= FINER * cells), CELLS[-1])
 
 
-def _best(goal: Goal, runs: _Runs, error: float) -> str:
+def _best(goal: Goal, runs: _Runs, error: float, order: float) -> str:
     """What the finest grid would achieve and cost, from the finest level that was run."""
     known, finest = max(runs.done), CELLS[-1]
-    best = said(goal.kind, error * (known / finest) ** GUESSED_ORDER)
+    best = said(goal.kind, error * (known / finest) ** order)
     seconds = duration(runs.spent[known] * (finest / known) ** GROWTH)
     return f"even D/{finest}, in about {seconds}, would be off by about {best}"
 
