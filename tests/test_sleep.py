@@ -94,7 +94,7 @@ def test_a_block_settled_on_the_floor_sleeps_within_the_tolerance():
         clips.append(run.run())
         report = run.sleep.report()
         if sleep:
-            assert report is not None and report["frames"] >= 5 and report["since"] > 3
+            assert report is not None and report["frames"] >= 3 and report["since"] > 3
         else:
             assert report is None
     apart = np.abs(clips[0].means - clips[1].means).max(axis=(1, 2))
