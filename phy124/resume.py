@@ -17,9 +17,11 @@ from phy124.errors import InputError
 from phy124.files import replacing
 from phy124.gaussians import Frame, Gaussians
 from phy124.harmonics import rotate_sh
+from phy124.mpm.solver import CLOCK
 from phy124.progress import Progress, silent
 from phy124.scene import Scene
 from phy124.simulation import Simulation
+from phy124.timestep import Extremes
 
 FORMAT = "phy124-pause"
 GAUSSIANS = ("means", "quats", "scales", "opacities", "sh")
@@ -38,7 +40,7 @@ def save(run: Simulation, path: str | os.PathLike[str]) -> None:
     if run.sleep.anchor is not None:
         tensors["sleep.anchor"] = run.sleep.anchor
     tensors |= _frames(run)
-    clock = {"time": solver.time, "last_dt": solver.last_dt, "substeps": solver.substeps}
+    clock = {name: getattr(solver, name) for name in CLOCK}
     metadata = {
         "format": FORMAT,
         "scene": json.dumps(run.scene.data()),
@@ -76,6 +78,7 @@ def load(
     run.sleep.recall(json.loads(metadata["sleep"]), tensors.get("sleep.anchor"))
     for name, array in run.solver.state.arrays().items():
         array.assign(tensors[f"state.{name}"])
+    clock["extremes"] = Extremes(*clock["extremes"])
     for name, value in clock.items():
         setattr(run.solver, name, value)
     run.solver.limiters = json.loads(metadata["limiters"])

@@ -3,6 +3,9 @@
 dt = min(k dx sqrt(rho0 / A), 0.5 dx / |v|, 0.4 / |C|): A the largest eigenvalue of
 d tau / d ln sigma (an isolated particle is a harmonic oscillator of omega^2 = 4 A / (rho0 dx^2)),
 |v| the greatest speed, |C| the greatest velocity gradient. See docs/physics.md.
+
+A substep that follows A up and down in step with a vibration feeds it, as a swing is fed, so A is
+forgotten only slowly: leapfrog with substeps of one length conserves what it should.
 """
 
 from __future__ import annotations
@@ -16,6 +19,8 @@ CELLS_PER_STEP = 0.5
 """Greatest way of a particle in one substep, in cells."""
 STRAIN_PER_STEP = 0.4
 """Greatest |C| dt; below 1 an element cannot turn inside out."""
+MEMORY = 0.95
+"""Share of the stiffness met before that still counts at the next measurement."""
 
 
 class Extremes(NamedTuple):
@@ -27,6 +32,10 @@ class Extremes(NamedTuple):
     """|C|, Frobenius norm [1/s]."""
     stiffness: float
     """A / rho0 [m^2/s^2]."""
+
+    def after(self, before: Extremes) -> Extremes:
+        """The same with a stiffness that still knows of the one before."""
+        return self._replace(stiffness=max(self.stiffness, MEMORY * before.stiffness))
 
 
 class Substep(NamedTuple):

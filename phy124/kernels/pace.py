@@ -37,6 +37,8 @@ class Limits:
     """How fast a wall moves at most [m/s]."""
     acceleration: wp.float64
     """What forces may do to a particle at most [m/s^2]."""
+    memory: wp.float64
+    """Share of the stiffness met before that still counts."""
     strain: wp.float64
     """Sum of |C| dt after which the host must look."""
     origin: wp.vec3d
@@ -170,7 +172,7 @@ def make_pace(real: Any):
         if s.since >= given.every:
             s.speed = wp.float64(maxima[0])
             s.gradient = wp.float64(maxima[1])
-            s.stiffness = wp.float64(maxima[2])
+            s.stiffness = wp.max(wp.float64(maxima[2]), given.memory * s.stiffness)
             low = -wp.vec3d(wp.float64(maxima[3]), wp.float64(maxima[4]), wp.float64(maxima[5]))
             high = wp.vec3d(wp.float64(maxima[6]), wp.float64(maxima[7]), wp.float64(maxima[8]))
             look = look or stray[0] > 0 or not roomy(low, high, window, given)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from phy124.kernels import pace
 from phy124.mpm.grid import MARGIN
 from phy124.mpm.lanes import timed
-from phy124.timestep import CELLS_PER_STEP, STRAIN_PER_STEP, Extremes
+from phy124.timestep import CELLS_PER_STEP, MEMORY, STRAIN_PER_STEP, Extremes
 
 if TYPE_CHECKING:
     from phy124.mpm.solver import Solver
@@ -105,6 +105,7 @@ class Graph:
             "ceiling": s.ceiling,
             "wall": s.caution.wall,
             "acceleration": s.caution.acceleration,
+            "memory": MEMORY,
             "strain": STRAIN,
             "origin": s.grid.origin,
             "margin": MARGIN,

@@ -34,6 +34,8 @@ from phy124.tracks import Tracks
 
 Stage = tuple[str, Callable[[], wp.Launch | None]]
 """Name of a stage and how to record its launch for the grid window of the moment."""
+CLOCK = ("time", "last_dt", "substeps", "extremes")
+"""What a snapshot holds beside the state."""
 CHECK_EVERY = 4
 """Substeps between two measurements of the stability limits."""
 PRECISIONS = {"float32": wp.float32, "float64": wp.float64}
@@ -185,7 +187,7 @@ class Solver:
         if self.domain.confine(-greatest[3:6], greatest[6:9]):
             maxima = self._maxima()
             greatest = maxima.max(axis=0)
-        self.extremes = Extremes(*greatest[:3].tolist())
+        self.extremes = Extremes(*greatest[:3].tolist()).after(self.extremes)
         # A particle that comes back to the domain may be beyond the window.
         self.grid.stale |= self.domain.changed
         changed = self.grid.fit(-greatest[3:6], greatest[6:9])
@@ -335,7 +337,7 @@ class Solver:
 
     def snapshot(self) -> dict[str, Any]:
         """All that `restore` needs to go on from here bit for bit."""
-        clock = {"time": self.time, "last_dt": self.last_dt, "substeps": self.substeps}
+        clock = {name: getattr(self, name) for name in CLOCK}
         return {"state": self.state.copy(), "clock": clock, "limiters": dict(self.limiters)}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
