@@ -33,8 +33,8 @@ PROBE, LEAST_PROBE = 20, 6
 """Substeps of a probe, at most and at least."""
 LONGEST_PROBE = 0.6
 """Seconds that a probe may take; large objects are probed with fewer substeps."""
-FILMED = (1, 5)
-"""Frames filmed to tell a video's start from its frames."""
+FILMED, TRIES = (1, 5), 2
+"""Frames filmed to tell a video's start from its frames, and how often; the quickest counts."""
 UNSURE = 0.1
 """Share of substeps limited by motion rather than stiffness from which nothing is promised."""
 REMEMBERED = 32
@@ -302,23 +302,25 @@ def _time_shapes(simulation: Simulation) -> float:
 def _time_film(gaussians: Gaussians, scene: Scene, device: str) -> dict[str, float]:
     """Film a few frames from one side; the rest is multiplication."""
     one = scene.view.model_copy(update={"views": scene.view.views[:1]})
-    seconds, frames = [], scene.time.frames
+    views, frames = len(scene.view.views), scene.time.frames
+    few, more = FILMED
+    seconds: dict[int, list[dict[str, float]]] = {few: [], more: []}
     with tempfile.TemporaryDirectory() as folder:
         # The first time loads the kernels.
-        for clip in [_moving(gaussians, scene, count) for count in (1, *FILMED)]:
+        for count in (few, *TRIES * FILMED):
             watch = Stopwatch()
-            film(clip, one, folder, device=device, watch=watch)
-            seconds.append(watch.seconds)
-        clip = _moving(gaussians, scene, FILMED[1])
-        path = Path(folder) / "clip.safetensors"
-        saving = _timed(lambda: clip.save(path)) * frames / len(clip)
-    found = {"save": saving}
-    for stage in ("render", "encode"):
-        few, more = seconds[1][stage], seconds[2][stage]
-        each = max(more - few, 0.0) / (FILMED[1] - FILMED[0])
-        first = max(few - each * FILMED[0], 0.0)
-        found[stage] = len(scene.view.views) * (first + each * frames)
-    return found
+            film(_moving(gaussians, scene, count), one, folder, device=device, watch=watch)
+            seconds[count].append(watch.seconds)
+        clip = _moving(gaussians, scene, more)
+        saving = _timed(lambda: clip.save(Path(folder) / "clip.safetensors")) * frames / more
+    least = {n: min(seconds[n], key=lambda s: s["render"] + s["encode"]) for n in FILMED}
+    each = max(least[more]["encode"] - least[few]["encode"], 0.0) / (more - few)
+    first = max(least[few]["encode"] - each * few, 0.0)
+    return {
+        "save": saving,
+        "render": views * frames * least[more]["render"] / more,
+        "encode": views * (first + each * frames),
+    }
 
 
 def _moving(gaussians: Gaussians, scene: Scene, count: int) -> Clip:
