@@ -60,7 +60,7 @@ def test_excess_substeps_grow_faster_than_the_cells():
     nothing, frames = np.zeros(3), np.ones(3)
     counts = {"elastic": 10 * frames, "speed": 4 * frames, "gradient": frames, "user": nothing}
     substeps, shares = Pilot(12, counts, 8.0, 1.0, False).substeps(24)
-    elastic = 8 * 2 + 2 * 2**1.7
+    elastic = 8 * 2 + 2 * 2**1.8
     assert substeps == 3 * np.ceil(elastic + 4 * 2 + 1)
     assert shares["speed"] == pytest.approx(8 / (elastic + 9))
     assert "user" not in shares

@@ -2,7 +2,7 @@
 
 It tells what a probe at rest cannot: how the stable substep shrinks as the material strains and
 moves. The strain at its worst place grows with resolution, so the substeps in excess of those at
-rest are extrapolated as cells^1.7 (docs/accuracy.md has the measurements); those at rest and
+rest are extrapolated as cells^1.8 (docs/accuracy.md has the measurements); those at rest and
 those limited by speed go with the cells, those limited by a ceiling do not change.
 """
 
@@ -22,7 +22,7 @@ from phy124.simulation import Simulation
 
 CELLS = 12
 """Cells across the object in the pilot."""
-EXCESS = 0.7
+EXCESS = 0.8
 """Exponent with which excess substeps grow faster than the number of cells."""
 LIMITERS = ("elastic", "speed", "gradient", "viscous", "user")
 
