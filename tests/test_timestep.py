@@ -31,3 +31,10 @@ def test_viscosity_limits_under_its_own_name():
 
 def test_nothing_moves_and_nothing_is_stiff():
     assert stable_substep(Extremes(0, 0, 0), 0.1).dt == math.inf
+
+
+def test_stiffness_is_forgotten_slowly():
+    """A softer moment counts for no less than 0.95 of the stiffer one before; speeds do at once."""
+    before, now = Extremes(5, 7, 100.0), Extremes(1, 2, 40.0)
+    assert now.after(before) == (1, 2, 95.0)
+    assert before.after(now) == before
