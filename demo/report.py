@@ -113,8 +113,12 @@ def _motion(report: dict[str, Any]) -> str:
         ("Greatest kinetic energy", f"{max(motion['kinetic_energy']):.3g} J"),
     ]
     balance = report.get("balance") or {}
-    names = {"energy_gain": "Energy out of nothing", "momentum_gain": "Momentum out of nothing"}
-    rows += [(label, f"{balance[name]:.2%}") for name, label in names.items() if name in balance]
+    if "energy_gain" in balance:
+        gain = balance["energy_gain"]
+        label = "Energy out of nothing" if gain > 0 else "Energy lost beside the walls' work"
+        rows.append((label, f"{abs(gain):.2%}"))
+    if "momentum_gain" in balance:
+        rows.append(("Momentum out of nothing", f"{balance['momentum_gain']:.2%}"))
     curve = _plot(motion["time"], motion["kinetic_energy"], "kinetic energy [J]")
     volumes = _plot(motion["time"], motion["smallest_J"], "smallest J")
     return _section("Stability", _table(rows) + curve + volumes)
