@@ -82,9 +82,7 @@ class Caution:
         page = self.books and self.books.mark()
         for _ in range(TRIES):
             s.begin((s.last_dt + dt) / 2, dt)
-            for phase in range(2):
-                for lane in s.lanes:
-                    lane.run(phase)
+            s.work((0, 1))
             cells = self._speed() * dt / s.dx
             if cells <= 1:
                 break
@@ -94,8 +92,7 @@ class Caution:
             if self.books:
                 self.books.undo(page)
             dt *= min(0.5, CELLS_PER_STEP / cells)
-        for lane in s.lanes:
-            lane.run(2)
+        s.work((2,))
         s.finish(dt, violent=2 * cells > CELLS_PER_STEP)
         return dt
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, Protocol, cast
 
@@ -36,6 +36,8 @@ Stage = tuple[str, Callable[[], wp.Launch | None]]
 """Name of a stage and how to record its launch for the grid window of the moment."""
 CLOCK = ("time", "last_dt", "substeps", "extremes")
 """What a snapshot holds beside the state."""
+HALT = -1
+"""Instead of a phase: the second thread ends."""
 CHECK_EVERY = 4
 """Substeps between two measurements of the stability limits."""
 PRECISIONS = {"float32": wp.float32, "float64": wp.float64}
@@ -109,6 +111,7 @@ class Solver:
         self._tracks_launch.launch()
         self._pushes: list[Named] = []
         self._meeting: Meeting | None = None
+        self._agenda: list[int | None] = []
         self.since_check = CHECK_EVERY
         self.extremes = Extremes(0.0, 0.0, 0.0)
         self.domain, self.caution = Domain(self), Caution(self)
@@ -236,12 +239,16 @@ class Solver:
         if self.since_check >= CHECK_EVERY:
             timed(self.timings, "measure", self._measure)
         self.begin(kick, drift)
-        self._meet()
-        for phase in range(3):
+        self.work(range(3))
+        self.finish(drift)
+
+    def work(self, phases: Iterable[int]) -> None:
+        """Phases of a substep: scatter 0, update 1, gather 2; by both threads if there are two."""
+        for phase in phases:
+            self._meet(phase)
             for lane in self.lanes[: 1 if self._meeting else None]:
                 lane.run(phase)
-            self._meet()
-        self.finish(drift)
+        self._meet(None)
 
     def begin(self, kick: float, drift: float) -> None:
         """What comes before the scatter: the clock, the tracks, forces on particles."""
@@ -257,8 +264,11 @@ class Solver:
         self.substeps += 1
         self.since_check += CHECK_EVERY if violent else 1
 
-    def _meet(self) -> None:
+    def _meet(self, phase: int | None) -> None:
+        """Wait for the other thread, which then works on a phase, or waits again for None."""
         if self._meeting:
+            # A list, since the other thread may read late what is agreed on here.
+            self._agenda.append(phase)
             timed(self.timings, "wait", lambda: self._meeting and self._meeting.wait(0))
 
     @contextmanager
@@ -270,26 +280,26 @@ class Solver:
         # Kernels must be loaded before two threads use them: loading is not safe in Warp.
         if self.since_check >= CHECK_EVERY:
             timed(self.timings, "measure", self._measure)
-        self._meeting, self._halt = Meeting(2), False
+        self._meeting, self._agenda = Meeting(2), []
         helper = threading.Thread(target=self._follow, args=(self.lanes[1], self._meeting))
         helper.start()
         try:
             yield
         finally:
-            self._halt = True
+            self._agenda.append(HALT)
             self._meeting.wait(0)
             helper.join()
             self._meeting = None
 
     def _follow(self, lane: Lane, meeting: Meeting) -> None:
-        """The second thread: three phases per substep until told to stop."""
-        while True:
+        """The second thread: phases as they come, until told to stop."""
+        for meetings in itertools.count():
             meeting.wait(1)
-            if self._halt:
+            phase = self._agenda[meetings]
+            if phase == HALT:
                 return
-            for phase in range(3):
+            if phase is not None:
                 lane.run(phase)
-                meeting.wait(1)
 
     def advance(self, until: float, *, after: Callable[[], None] | None = None) -> None:
         """Substeps of stable length up to a time [s]; `after` is called after each.
