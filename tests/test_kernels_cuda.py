@@ -27,8 +27,8 @@ def ptx(kernel, folder) -> str:
 def test_transfers_compile_for_cuda(law, tmp_path):
     (tmp_path / "p2g").mkdir()
     (tmp_path / "g2p").mkdir()
-    scatter = ptx(transfer.make_p2g(law, wp.float32, "cuda"), tmp_path / "p2g")
-    assert ".visible .entry" in ptx(transfer.make_g2p(law, wp.float32, "cuda"), tmp_path / "g2p")
+    scatter = ptx(transfer.make_p2g(law, wp.float32, "plain"), tmp_path / "p2g")
+    assert ".visible .entry" in ptx(transfer.make_g2p(law, wp.float32, "plain"), tmp_path / "g2p")
     assert ".target sm_90" in scatter
     # 27 nodes, the four numbers of each added at once and without return values.
     assert len(re.findall(r"red\.global\.add\.v4\.f32", scatter)) == 27

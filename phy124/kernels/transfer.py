@@ -15,7 +15,8 @@ from typing import Any, NamedTuple
 
 import warp as wp
 
-from phy124.kernels import reduction, simd
+from phy124.kernels import simd
+from phy124.kernels.reduction import add
 from phy124.kernels.spline import offsets, spline
 
 
@@ -106,9 +107,9 @@ def scatter(
             low = w * (base + step[i] * column_x + step[j] * column_y)
             rise = w * column_z
             n = ((first[0] + i) * size[1] + first[1] + j) * size[2] + first[2]
-            wp.atomic_add(grid, n, wz[0] * low)
-            wp.atomic_add(grid, n + 1, wz[1] * (low + rise))
-            wp.atomic_add(grid, n + 2, wz[2] * (low + rise + rise))
+            add(grid, n, wz[0] * low)
+            add(grid, n + 1, wz[1] * (low + rise))
+            add(grid, n + 2, wz[2] * (low + rise + rise))
 
 
 @wp.func
@@ -147,8 +148,8 @@ def columns4(a: Any, s: Any):
     )
 
 
-SCATTERS = {"plain": scatter, "simd": simd.scatter, "cuda": reduction.scatter}
-"""Forms of one algorithm: readable, for CPU cores and for CUDA, the latter two in float32."""
+SCATTERS = {"plain": scatter, "simd": simd.scatter}
+"""Forms of one algorithm: for reading and for GPUs, and for CPU cores in float32."""
 
 
 @cache

@@ -86,8 +86,7 @@ class Solver:
         self.viscous = min(section.viscous_limit(self.dx) for section in materials)
         cpu_float = device == "cpu" and precision == "float32"
         rows = cpu_float if simd is None else simd and cpu_float
-        on_gpu = device != "cpu" and precision == "float32"
-        self.form = "simd" if rows else "cuda" if on_gpu else "plain"
+        self.form = "simd" if rows else "plain"
         self.rest = np.asarray(x, dtype=np.float64)
         self.materials = tuple(materials)
         material = np.zeros(len(x), int) if material is None else material
