@@ -163,6 +163,20 @@ def test_two_threads_do_as_one(rng):
     assert np.abs(run(2, alone=True) - run(1, alone=True)).max() < 1e-5
 
 
+def test_each_thread_measures_its_own_particles(rng):
+    """What limits the substep is found by both threads, each among its half."""
+    v = rng.normal(size=(4096, 3))
+    runs = {threads: solver(block(16), v=v, dx=DX / 2, threads=threads) for threads in (1, 2)}
+    for s in runs.values():
+        s.ceiling = 2e-3
+        s.advance(0.02)
+        assert all("measure" in lane.timings for lane in s.lanes)
+    one, two = (np.array(s.extremes) for s in runs.values())
+    np.testing.assert_allclose(one, two, rtol=1e-4)
+    own = [lane.maxima.numpy() for lane in runs[2].lanes]
+    assert own[0][6] < own[1][6]
+
+
 def test_the_second_thread_ends_with_the_frame():
     before = threading.active_count()
     s = solver(block(16), dx=DX / 2, threads=2)

@@ -36,8 +36,8 @@ Stage = tuple[str, Callable[[], wp.Launch | None]]
 """Name of a stage and how to record its launch for the grid window of the moment."""
 CLOCK = ("time", "last_dt", "substeps", "extremes")
 """What a snapshot holds beside the state."""
-HALT = -1
-"""Instead of a phase: the second thread ends."""
+MEASURE, HALT = 3, -1
+"""Instead of a phase: the limits are measured; the second thread ends."""
 CHECK_EVERY = 4
 """Substeps between two measurements of the stability limits."""
 PRECISIONS = {"float32": wp.float32, "float64": wp.float64}
@@ -205,8 +205,12 @@ class Solver:
 
     def _maxima(self) -> NDArray[np.float64]:
         """What limits each lane [L,9]; raises Unstable."""
-        for lane in self.lanes:
+        if self._meeting:
+            self._agree(MEASURE)
+        for lane in self.lanes[: 1 if self._meeting else None]:
             self.measure_lane(lane)
+        if self._meeting:
+            self._agree(None)
         lost = int(self.stray.numpy()[0])
         if lost:
             raise Unstable(f"{lost} particles are no longer numbers")
@@ -266,9 +270,14 @@ class Solver:
     def _meet(self, phase: int | None) -> None:
         """Wait for the other thread, which then works on a phase, or waits again for None."""
         if self._meeting:
-            # A list, since the other thread may read late what is agreed on here.
-            self._agenda.append(phase)
-            timed(self.timings, "wait", lambda: self._meeting and self._meeting.wait(0))
+            timed(self.timings, "wait", lambda: self._agree(phase))
+
+    def _agree(self, phase: int | None) -> None:
+        """Meet the other thread and tell it what is next."""
+        # A list, since the other thread may read late what is agreed on here.
+        self._agenda.append(phase)
+        if self._meeting:
+            self._meeting.wait(0)
 
     @contextmanager
     def _company(self) -> Iterator[None]:
@@ -285,8 +294,7 @@ class Solver:
         try:
             yield
         finally:
-            self._agenda.append(HALT)
-            self._meeting.wait(0)
+            self._agree(HALT)
             helper.join()
             self._meeting = None
 
@@ -297,7 +305,9 @@ class Solver:
             phase = self._agenda[meetings]
             if phase == HALT:
                 return
-            if phase is not None:
+            if phase == MEASURE:
+                timed(lane.timings, "measure", lambda: self.measure_lane(lane))
+            elif phase is not None:
                 lane.run(phase)
 
     def advance(self, until: float, *, after: Callable[[], None] | None = None) -> None:
@@ -311,7 +321,7 @@ class Solver:
                     self._stable_step(until)
                 if after is not None:
                     after()
-        timed(self.timings, "measure", self._measure)
+            timed(self.timings, "measure", self._measure)
 
     def launches(self) -> Iterator[Callable[[], Any]]:
         """What one substep of a single lane launches, in order."""
