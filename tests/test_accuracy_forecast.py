@@ -52,7 +52,7 @@ def test_an_undeformed_object_needs_substeps_in_proportion_to_its_cells():
     pilot = fly(OBJECT, scene("push_right"))
     counts = {cells: pilot.substeps(cells)[0] for cells in (12, 24, 48)}
     each = counts[48] / 4
-    assert each == np.ceil(pilot.rest * 4)
+    assert each == np.ceil(pilot.rest * 48 / pilot.cells)
     assert counts[24] <= counts[48] / 2 + 4
 
 

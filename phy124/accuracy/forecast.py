@@ -2,7 +2,7 @@
 
     seconds = substeps * (a * particles + b * nodes) + frames * (shapes + views * pictures)
 
-a and b come from a probe of 20 substeps of the very solver that will run, put back to its start
+a and b come from probes of 20 substeps of the very solver that will run, put back to its start
 afterwards; the substeps from a pilot (`phy124.accuracy.pilot`); shapes, pictures and video from
 doing a few. No promise is made when the speed of the particles rules the substep.
 """
@@ -31,8 +31,11 @@ from phy124.stopwatch import Stopwatch
 
 PROBE, LEAST_PROBE = 20, 6
 """Substeps of a probe, at most and at least."""
-LONGEST_PROBE = 0.6
-"""Seconds that a probe may take; large objects are probed with fewer substeps."""
+LONGEST_PROBE, ROUNDS = 0.6, 5
+"""Seconds that a probe may take, and how often it is repeated within them; the median counts.
+
+Large objects are probed with fewer substeps.
+"""
 FILMED, TRIES = (1, 5), 2
 """Frames filmed to tell a video's start from its frames, and how often; the quickest counts."""
 UNSURE = 0.1
@@ -230,7 +233,7 @@ def _caveat(pilot: Pilot, limiters: Mapping[str, float]) -> str | None:
 
 
 def _probe(simulation: Simulation) -> tuple[Rates, int, float]:
-    """Rates, grid nodes and seconds of checks per frame, from 20 substeps.
+    """Rates, grid nodes and seconds of checks per frame, from a few times 20 substeps.
 
     The simulation goes through what a frame goes through and is then put back to its start.
     """
@@ -238,21 +241,42 @@ def _probe(simulation: Simulation) -> tuple[Rates, int, float]:
     watchdog.before()
     after = watchdog.follow()
     start, books = solver.snapshot(), watchdog.ledger.snapshot()
+    rounds: list[tuple[float, float, int]] = []
+    spent = 0.0
     try:
-        _advance(solver, 2, after)
-        each = _timed(lambda: _advance(solver, 2, after)) / 2
-        for lane in solver.lanes:
-            lane.timings.clear()
-        before, count = solver.substeps, int(np.clip(LONGEST_PROBE / each, LEAST_PROBE, PROBE))
-        seconds = _timed(lambda: _advance(solver, count, after)) / (solver.substeps - before)
-        share, nodes = _node_share(solver), solver.grid.count
+        while len(rounds) < ROUNDS and spent < LONGEST_PROBE:
+            spent += _timed(lambda: rounds.append(_pace(solver, after)))
+            solver.restore(start)
+        checks = min(_timed(lambda: _empty_frame(simulation)) for _ in range(TRIES))
     finally:
         solver.restore(start)
         watchdog.ledger.restore(books)
-        for lane in solver.lanes:
-            lane.timings.clear()
-    checks = _timed(lambda: (watchdog.before(), solver.snapshot(), watchdog.after()))
+        _forget_timings(solver)
+    seconds, share, nodes = sorted(rounds)[len(rounds) // 2]
     return _rates(seconds, share, len(solver.rest), nodes), nodes, checks
+
+
+def _pace(solver: Solver, after: Callable[[], None] | None) -> tuple[float, float, int]:
+    """Seconds per substep, their share that goes with the nodes, and the number of nodes."""
+    each = min(_timed(lambda: _advance(solver, 2, after)) / 2 for _ in range(2))
+    _forget_timings(solver)
+    before, count = solver.substeps, int(np.clip(LONGEST_PROBE / each, LEAST_PROBE, PROBE))
+    seconds = _timed(lambda: _advance(solver, count, after))
+    return seconds / (solver.substeps - before), _node_share(solver), solver.grid.count
+
+
+def _empty_frame(simulation: Simulation) -> None:
+    """What a frame takes besides its substeps."""
+    solver, watchdog = simulation.solver, simulation.watchdog
+    watchdog.before()
+    solver.snapshot()
+    solver.advance(solver.time)
+    watchdog.after()
+
+
+def _forget_timings(solver: Solver) -> None:
+    for lane in solver.lanes:
+        lane.timings.clear()
 
 
 def _rates(seconds: float, share: float, particles: int, nodes: int) -> Rates:

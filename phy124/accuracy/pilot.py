@@ -20,7 +20,7 @@ from phy124.parts import WHOLE, Crop
 from phy124.scene import Scene
 from phy124.simulation import Simulation
 
-CELLS = 12
+CELLS = 16
 """Cells across the object in the pilot."""
 EXCESS = 0.8
 """Exponent with which excess substeps grow faster than the number of cells."""
