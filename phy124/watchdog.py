@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from phy124 import culprit
 from phy124.kernels import diagnose
 from phy124.ledger import Ledger, total_mass
+from phy124.tearing import Tearing
 
 if TYPE_CHECKING:
     from phy124.mpm import Solver
@@ -138,6 +139,7 @@ class Watchdog:
         self.solver, self.ledger = solver, ledger
         self.first = self.last = weigh(solver)
         self.mass = total_mass(solver)
+        self.tearing = Tearing(solver)
         self.reset, self._first_reset = 0, FAR
         """Particles whose deformation was reset so far."""
         self._found = wp.zeros(2, dtype=int, device=solver.device)
@@ -182,6 +184,7 @@ class Watchdog:
                 kernel = diagnose.make_limit_total(s.real)
                 inputs = [GREATEST_TOTAL, s.state.F]
                 wp.launch(kernel, len(s.rest), inputs, [s.state.total], device=s.device)
+            self.tearing.look()
             self.last = now
             self.least_J = min(self.least_J, now.least_J)
             self.greatest_J = max(self.greatest_J, now.greatest_J)
@@ -239,7 +242,8 @@ class Watchdog:
                     f"something at more than {COLLAPSE} times, it may stay squeezed flat without "
                     "any other sign; neo_hookean would not."
                 )
-        return notes
+        torn = self.tearing.note()
+        return [*notes, torn] if torn else notes
 
     def report(self) -> dict[str, Any]:
         """What was found, for the report of the run."""
@@ -251,6 +255,7 @@ class Watchdog:
             "inside_out": self.last.inverted,
             "reset": self.reset,
             "ballistic": self.solver.domain.most,
+            "tearing": self.tearing.report(),
         }
 
     def _unsound(self, now: Balance) -> str | None:

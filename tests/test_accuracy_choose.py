@@ -71,6 +71,15 @@ def test_a_lax_goal_takes_a_cheap_level_and_checks_it_with_a_cheaper_one(quick):
     assert about["refined"] is False
 
 
+def test_a_torn_object_meets_no_goal(quick):
+    """However close two grids are: what both tear is not what the material does."""
+    soft = {"material.E": 300, "time.frames": 8, "binding": "field", "view.size": 64}
+    about = reach(Goal.error("50%"), ball(600), Scene.named("spin").replaced(soft)).about
+    assert about["error"] < 0.5
+    assert about["met"] is False
+    assert "torn" in about["why_not"]
+
+
 def test_a_goal_out_of_reach_is_refused_with_what_is_in_reach(quick):
     with pytest.raises(
         InputError, match=r"no grid meets it: even D/24, in about .*, would be off by about"

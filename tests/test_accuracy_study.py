@@ -81,6 +81,13 @@ def test_levels_with_too_few_particles_are_skipped_and_said():
     assert re.match(r"D/12 is skipped: 1\.0 particles per cell and axis", report.skipped[0])
 
 
+def test_a_level_that_may_be_torn_is_said():
+    soft = {"material.E": 300, "time.frames": 8, "view.size": 32, "binding": "field"}
+    report = Study(ball(300), Scene.named("spin").replaced(soft), levels=(8,)).run()
+    assert report.rows[0].name == "D/8"
+    assert re.match(r"D/8: \d+ particles were stretched, up to \d\.\d times", report.skipped[0])
+
+
 def test_json_is_whole(study):
     data = json.loads(json.dumps(study[1].data(), allow_nan=False))
     assert len(data["rows"]) == 6

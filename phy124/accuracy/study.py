@@ -77,7 +77,7 @@ class Report:
 
     rows: tuple[Row, ...]
     skipped: tuple[str, ...]
-    """Levels left out and why, in sentences."""
+    """Levels left out, or torn where the grid lost hold, and why: sentences."""
     convergence: Convergence
     object_size: float
     """Longest side at rest, m."""
@@ -171,7 +171,7 @@ class Study:
             limiters={key: count / sum(counts.values()) for key, count in counts.items()},
             energy_lost=-clip.report["balance"]["energy_gain"],
             angular_momentum_lost=_momentum_lost(scene, before, weigh(solver)),
-        ), ""
+        ), f"{name}: {torn}" if (torn := simulation.watchdog.tearing.note()) else ""
 
     def _judged(self, rows: list[Row], skipped: tuple[str, ...]) -> Report:
         """Add errors against the finest level and say what follows."""

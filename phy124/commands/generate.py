@@ -166,5 +166,5 @@ def print_forecast(report: dict[str, Any]) -> None:
         print(f"wished at most {goal['wished']}: D/{goal['cells']}, {report['seconds']:.1f} s")
     elif goal:
         error = goal["why_not"] if goal["error"] is None else said(goal["unit"], goal["error"])
-        met = "met" if goal["met"] else "NOT met"
+        met = "met" if goal["met"] else f"NOT met {goal['why_not']}".rstrip()
         print(f"wished at most {goal['wished']}: D/{goal['cells']}, error {error}, {met}")

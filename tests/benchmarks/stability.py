@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from phy124.materials import FixedCorotated, Material, NeoHookean
-from phy124.mpm import Unstable
+from phy124.mpm import Solver, Unstable
 from phy124.stress import CASES, Setting, examine
 from phy124.stress.bodies import DX, Array, block, body, host, steps
 from phy124.stress.impact import hit
@@ -101,6 +101,42 @@ def measure_long() -> list[dict[str, Any]]:
     return rows
 
 
+def measure_tears() -> list[dict[str, Any]]:
+    """A bar pulled ever harder: the greatest stretch it came back from, and the least it did not.
+
+    The stretch is that of its middle half; it parted if a gap wider than three cells opened.
+    """
+    rows = []
+    for ppc in (2, 3, 4):
+        held, parted = 1.0, math.inf
+        for speed in np.arange(2.0, 12.0, 0.5):
+            stretch, gap = pull(ppc, float(speed))
+            if gap < 3:
+                held = max(held, stretch)
+            else:
+                parted = min(parted, stretch)
+                break
+        rows.append({"ppc": ppc, "held": held, "parted": parted, "cells": held / ppc})
+    return rows
+
+
+def pull(ppc: int, speed: float, cells: int = 16) -> tuple[float, float]:
+    """A bar of 1 m whose ends fly apart at `speed` m/s: greatest stretch, widest gap in cells."""
+    h = 1 / cells / ppc
+    sides = [np.arange(round(n / h)) * h + h / 2 for n in (0.375, 0.375, 1.0)]
+    x = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
+    rate = np.zeros((len(x), 3, 3))
+    rate[:, 2, 2] = 2 * speed
+    v = np.einsum("pij,pj->pi", rate, x - 0.5)
+    s = Solver(x, np.full(len(x), h**3), [NeoHookean(E=1e4)], dx=1 / cells, v=v, C=rate, threads=1)
+    middle, stretch, gap = np.abs(x[:, 2] - 0.5) < 0.25, 1.0, 0.0
+    for frame in range(60):
+        s.advance((frame + 1) * 0.015)
+        stretch = max(stretch, float(s.state.F.numpy()[middle, 2, 2].mean()))
+        gap = max(gap, float(np.diff(np.sort(s.state.x.numpy()[middle, 2])).max() / s.dx))
+    return stretch, gap
+
+
 def draw(limits: dict[str, list[float]], path: Path) -> None:
     """Measured against used limit."""
     import matplotlib
@@ -129,6 +165,7 @@ def main(out: Path) -> None:
     draw(limits, out / "stability.png")
     stacks = {r: heavy_on_light(r, SETTING, 0.4)._asdict() for r in (1.0, 1e2, 1e4)}
     found = {"limits": limits, "impacts": measure_impacts(), "stacks": stacks}
+    found["tears"] = measure_tears()
     found["long"] = measure_long()
     (out / "stability.json").write_text(json.dumps(found, indent=1))
     print(json.dumps(found, indent=1))

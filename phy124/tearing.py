@@ -1,0 +1,76 @@
+"""Tearing: material that its law keeps whole, stretched until its particles lose each other.
+
+The grid knows nothing of neighbours. Particles hold together because they share nodes, and where
+stretching has carried them more than about a cell apart they no longer do: the material parts
+though no law said so (numerical fracture). A bar pulled apart holds up to a mean spacing of about
+one cell, at which its worst places reach `APART` (docs/stability.md). A finer grid does not help,
+since it resolves sharper corners, which are stretched more; more particles per cell do.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+
+from phy124 import culprit
+from phy124.kernels.stretch import make_apart
+
+if TYPE_CHECKING:
+    from phy124.mpm import Solver
+
+APART = 1.2
+"""Spacing of particles [cells] from which they may part."""
+MANY = 1e-4
+"""Share of the particles from which it is worth a word: single ones part at any sharp corner."""
+
+
+class Tearing:
+    """Follows how far the particles of elastic materials are stretched apart, once per frame.
+
+    What flows (a law with a return mapping) parts and joins as it should and is not looked at.
+    """
+
+    def __init__(self, solver: Solver) -> None:
+        self._solver = solver
+        self._elastic = [group for group in solver.groups if group.law.project is None]
+        self.count, self.first, self.stretch = 0, 0, 1.0
+        """Most particles at once beyond `APART`, the lowest of them, and the greatest stretch."""
+
+    @property
+    def likely(self) -> bool:
+        """Whether enough particles lost their neighbours for a visible tear."""
+        return self.count > MANY * len(self._solver.rest)
+
+    def look(self) -> None:
+        """At the end of a frame."""
+        s = self._solver
+        found = wp.array([0, len(s.rest)], dtype=int, device=s.device)
+        greatest = wp.zeros(1, dtype=s.real, device=s.device)
+        for group in self._elastic:
+            part = slice(group.start, group.stop)
+            inputs = [s.volume[part], APART * s.dx, group.start, s.state.F[part]]
+            count = group.stop - group.start
+            kernel, outputs = make_apart(s.real), [found, greatest]
+            wp.launch(kernel, count, inputs=inputs, outputs=outputs, device=s.device)
+        count, first = found.numpy().tolist()
+        if count > self.count:
+            stretch: Any = greatest.numpy()
+            self.count, self.first = count, first
+            self.stretch = max(self.stretch, float(np.asarray(stretch)[0]))
+
+    def note(self) -> str | None:
+        """What the user should know, or None."""
+        if not self.likely:
+            return None
+        return (
+            f"{self.count} particles were stretched, up to {self.stretch:.1f} times, until they lay "
+            f"more than {APART} cells apart, first {culprit.describe(self._solver, self.first)}. "
+            "There the grid may tear what the material holds together. A larger accuracy.ppc, a "
+            "stiffer material or a gentler motion keeps it whole; a finer grid does not."
+        )
+
+    def report(self) -> dict[str, Any]:
+        """For the report of the run."""
+        return {"apart": self.count, "stretch": self.stretch, "likely": self.likely}

@@ -1,0 +1,83 @@
+"""Numerical fracture is noticed: a bar pulled until its particles lose each other."""
+
+import numpy as np
+import pytest
+
+from phy124.materials import NeoHookean, Sand
+from phy124.mpm import Solver
+from phy124.tearing import APART, Tearing
+
+CELLS = 16
+
+
+def pulled(
+    ppc: int, speed: float, law=NeoHookean, *, frames: int = 20, cells: int = CELLS
+) -> tuple[Solver, Tearing]:
+    """A bar of 1 m whose ends fly apart at `speed` m/s each; looked at in every frame."""
+    h = 1 / cells / ppc
+    sides = [np.arange(round(n / h)) * h + h / 2 for n in (0.25, 0.25, 1.0)]
+    x = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
+    rate = np.zeros((len(x), 3, 3))
+    rate[:, 2, 2] = 2 * speed
+    v = np.einsum("pij,pj->pi", rate, x - 0.5)
+    volume = np.full(len(x), h**3)
+    s = Solver(x, volume, [law(E=1e4)], dx=1 / cells, v=v, C=rate, threads=1)
+    tearing = Tearing(s)
+    for frame in range(frames):
+        s.advance((frame + 1) * 0.02)
+        tearing.look()
+    return s, tearing
+
+
+def widest_gap(s: Solver) -> float:
+    """The longest stretch of the bar without any particle, in cells."""
+    return float(np.diff(np.sort(s.state.x.numpy()[:, 2])).max() / s.dx)
+
+
+def test_a_bar_that_holds_is_not_reported():
+    s, tearing = pulled(2, 2.0)
+    assert widest_gap(s) < 1
+    assert tearing.count == 0
+    assert tearing.note() is None
+
+
+def test_a_bar_that_parts_is_reported_with_the_remedy():
+    s, tearing = pulled(2, 7.0, frames=40)
+    assert widest_gap(s) > 3
+    assert tearing.likely
+    assert tearing.stretch > APART * 2
+    note = tearing.note()
+    assert "accuracy.ppc" in note
+    assert "of law neo_hookean, at (" in note
+
+
+def test_more_particles_per_cell_are_the_remedy():
+    """As the note says: the same pull, closer particles."""
+    s, tearing = pulled(4, 6.0, frames=40)
+    assert widest_gap(s) < 1.2
+    assert not tearing.likely
+
+
+@pytest.mark.parametrize("cells", [12, 24])
+def test_a_finer_grid_is_not(cells):
+    """What counts is the spacing in cells, which the same stretch makes the same on every grid."""
+    assert not pulled(2, 3.0, cells=cells)[1].likely
+    assert pulled(2, 7.0, cells=cells)[1].likely
+
+
+def test_what_flows_may_part():
+    _, tearing = pulled(2, 7.0, Sand)
+    assert tearing.count == 0
+
+
+@pytest.mark.parametrize("stretch", [1.0, 2.3, 2.5])
+def test_the_spacing_is_that_along_the_greatest_stretch(stretch):
+    s, _ = pulled(2, 0.0, frames=0)
+    turned = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
+    F = turned @ np.diag([1 / np.sqrt(stretch)] * 2 + [stretch])
+    s.state.F.assign(np.tile(F.astype(np.float32), (len(s.rest), 1, 1)))
+    tearing = Tearing(s)
+    tearing.look()
+    assert tearing.count == (len(s.rest) if stretch / 2 > APART else 0)
+    if tearing.count:
+        assert tearing.stretch == pytest.approx(stretch, rel=1e-4)
