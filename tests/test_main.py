@@ -105,7 +105,7 @@ def test_scenes_and_effects_and_doctor_print(capsys):
     assert main(["scenes"]) == 0
     assert "press" in capsys.readouterr().out
     assert main(["scenes", "drop"]) == 0
-    assert "lift = 0.5" in capsys.readouterr().out
+    assert "lift = 0.3" in capsys.readouterr().out
     assert main(["effects", "press", "--device", "cpu"]) == 0
     assert "left out  return mapping: neo_hookean is elastic" in capsys.readouterr().out
     assert main(["doctor", "--json"]) == 0

@@ -56,6 +56,9 @@ UNIT: dict[Kind, Callable[[Scene], float]] = {
 }
 """The object's size in the unit of a goal."""
 TORN = "the grid may have torn the material, see the notes"
+"""Why a run meets no wish."""
+LAST_CHANCE = 0.85
+"""Share of the wished error that a refinement aims at: there is no second one."""
 MARGIN = 0.95
 """Share of the wished seconds that a forecast may fill: forecasts err by a few per cent."""
 
@@ -186,6 +189,7 @@ def _as_exact(goal: Goal, runs: _Runs) -> Reached:
     refined = error is not None and error > goal.value
     if refined:
         finest, (error, order) = max(runs.done), _guess(goal, runs, found)
+        error /= LAST_CHANCE
         _run(goal, runs, _coarsest(goal, finest, error, order, above=finest) or _above(finest))
         found = _estimate(goal, runs)
         cells, error = _cheapest(found, runs, goal)

@@ -44,8 +44,8 @@ STUDIES = {
     "ball-bounce": (None, "bounce", {}, (12, 16, 24, 32)),
 }
 """Name -> picture (None: the chequered ball), preset, changes, levels."""
-GOAL_CELLS = tuple(n for n in CELLS if n <= 48)
-"""Grids the goals may choose here: what a minute can pay."""
+FINER = (*CELLS, 144, 160)
+"""Grids that goals are checked with."""
 
 
 def static(picture: str | None) -> Gaussians:
@@ -113,7 +113,7 @@ def goal_rows(gaussians: Gaussians, wish: str) -> list[list[str]]:
             continue
         seconds, about = time.perf_counter() - start, reached.about
         cells = about["cells"]
-        finer = CELLS[min(CELLS.index(cells) + 2, len(CELLS) - 1)]
+        finer = FINER[FINER.index(cells) + 2]
         accuracy = scene.resolution.model_copy(update={"cells": finer})
         truth = Simulation(gaussians, scene.model_copy(update={"accuracy": accuracy})).run()
         if goal.kind == "pixels":
@@ -211,7 +211,6 @@ def main(parts: list[str], *, docs: bool) -> None:
     if wants(parts, "times"):
         made["times"] = markdown(["scene", "wished", "grid", "took", "ratio"], time_rows(duck))
     if wants(parts, "goals"):
-        choose.CELLS = GOAL_CELLS
         heads = ["scene", "wished", "grid", "estimated", "off a finer run by", "s", ""]
         made["goals"] = markdown(heads, goal_rows(duck, "2px"))
     for name, text in made.items():
