@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from phy124.kernels import diagnose
+from phy124.kernels.weigh import make_energies
 
 if TYPE_CHECKING:
     from phy124.mpm import Solver
@@ -34,7 +34,7 @@ def energies(solver: Solver) -> NDArray[np.float64]:
         history = s.history[part] if len(s.history) else s.history
         model = [group.theta, solver.mass[part], solver.volume[part], solver.dx]
         wp.launch(
-            diagnose.make_energies(group.law, solver.real),
+            make_energies(group.law, solver.real),
             group.stop - group.start,
             inputs=[*model, s.v[part], s.C[part], s.F[part], history],
             outputs=[found[part]],

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from phy124.boundaries.base import Corners, swept
 from phy124.kernels import diagnose
+from phy124.kernels.reduction import shared_out
 
 if TYPE_CHECKING:
     from phy124.mpm import Attachable, Solver, Stage
@@ -148,9 +149,10 @@ class Ledger:
             self._kept = [wp.empty_like(state.v), wp.empty_like(state.C)]
             kernel = diagnose.make_push_copy(solver.real)
             return solver.record(kernel, count, [state.v, state.C], self._kept)
-        inputs = [solver.mass, solver.dx, state.v, state.C, *self._kept]
+        threads, *share = shared_out(count, solver.device)
+        inputs = [*share, solver.mass, solver.dx, state.v, state.C, *self._kept]
         kernel = diagnose.make_push_sums(solver.real)
-        return solver.record(kernel, count, inputs, [self._page(("push",), solver)])
+        return solver.record(kernel, threads, inputs, [self._page(("push",), solver)])
 
     def _wall(self, solver: Solver, sign: int) -> wp.Launch | None:
         grid, real = solver.grid, solver.real

@@ -65,8 +65,9 @@ class Tearing:
         if not self.likely:
             return None
         return (
-            f"{self.count} particles were stretched, up to {self.stretch:.1f} times, until they lay "
-            f"more than {APART} cells apart, first {culprit.describe(self._solver, self.first)}. "
+            f"{self.count} particles were stretched, up to {self.stretch:.1f} times, until they "
+            f"lay more than {APART} cells apart, first "
+            f"{culprit.describe(self._solver, self.first)}. "
             "There the grid may tear what the material holds together. A larger accuracy.ppc, a "
             "stiffer material or a gentler motion keeps it whole; a finer grid does not."
         )

@@ -20,6 +20,8 @@ from numpy.typing import NDArray
 
 from phy124 import culprit
 from phy124.kernels import diagnose
+from phy124.kernels.reduction import shared_out
+from phy124.kernels.weigh import SUMS, make_weigh
 from phy124.ledger import Ledger, total_mass
 from phy124.tearing import Tearing
 
@@ -96,7 +98,7 @@ class Balance:
 def weigh(solver: Solver) -> Balance:
     """Add up the state of a solver."""
     device = solver.device
-    sums = wp.zeros(diagnose.SUMS, dtype=wp.float64, device=device)
+    sums = wp.zeros(SUMS, dtype=wp.float64, device=device)
     spread = wp.array([-math.inf, -math.inf], dtype=wp.float64, device=device)
     counts = wp.zeros(2, dtype=int, device=device)
     first = wp.array([FAR, FAR], dtype=int, device=device)
@@ -104,11 +106,12 @@ def weigh(solver: Solver) -> Balance:
     for group in solver.groups:
         part = slice(group.start, group.stop)
         history = s.history[part] if len(s.history) else s.history
+        threads, *share = shared_out(group.stop - group.start, device)
         wp.launch(
-            diagnose.make_weigh(group.law, solver.real),
-            group.stop - group.start,
+            make_weigh(group.law, solver.real),
+            threads,
             inputs=[
-                group.theta, solver.mass[part], solver.volume[part], solver.dx, group.start,
+                *share, group.theta, solver.mass[part], solver.volume[part], solver.dx, group.start,
                 s.x[part], s.v[part], s.C[part], s.F[part], history,
             ],
             outputs=[sums, spread, counts, first],

@@ -13,6 +13,7 @@ from phy124.accuracy.convergence import distances
 from phy124.errors import InputError
 from phy124.scene import Scene
 from phy124.simulation import Simulation
+from phy124.tearing import Tearing
 
 
 @pytest.mark.parametrize(
@@ -71,13 +72,26 @@ def test_a_lax_goal_takes_a_cheap_level_and_checks_it_with_a_cheaper_one(quick):
     assert about["refined"] is False
 
 
-def test_a_torn_object_meets_no_goal(quick):
+SOFT = {"material.E": 300, "time.frames": 8, "binding": "field", "view.size": 64}
+
+
+def test_an_object_that_tears_meets_no_goal(quick):
     """However close two grids are: what both tear is not what the material does."""
-    soft = {"material.E": 300, "time.frames": 8, "binding": "field", "view.size": 64}
-    about = reach(Goal.error("50%"), ball(600), Scene.named("spin").replaced(soft)).about
-    assert about["error"] < 0.5
+    soft = Scene.named("spin").replaced(SOFT)
+    with pytest.raises(InputError, match=r"on D/6 the material is stretched \d.* may tear it"):
+        reach(Goal.error("50%"), ball(600), soft)
+
+
+def test_a_grid_that_tears_the_object_is_not_taken(quick, monkeypatch):
+    """What was whole is returned, and why nothing finer was."""
+    likely = property(lambda self: self._solver.dx < 1 / 13)
+    monkeypatch.setattr(Tearing, "likely", likely)
+    about = reach(Goal.error("0.1%"), ball(600), quick).about
+    assert about["cells"] == 12
+    assert about["levels"] == [6, 8, 12]
+    assert about["torn"]
     assert about["met"] is False
-    assert "torn" in about["why_not"]
+    assert f"on D/{about['torn'][0]}" in about["why_not"]
 
 
 def test_a_goal_out_of_reach_is_refused_with_what_is_in_reach(quick):

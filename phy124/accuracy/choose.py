@@ -55,8 +55,6 @@ UNIT: dict[Kind, Callable[[Scene], float]] = {
     "metres": lambda scene: scene.object.size,
 }
 """The object's size in the unit of a goal."""
-TORN = "the grid may have torn the material, see the notes"
-"""Why a run meets no wish."""
 LAST_CHANCE = 0.85
 """Share of the wished error that a refinement aims at: there is no second one."""
 MARGIN = 0.95
@@ -168,12 +166,24 @@ class _Runs:
         """Whether no run stopped early."""
         return all(clip.report["complete"] for _, clip in self.done.values())
 
+    @property
+    def torn(self) -> list[int]:
+        """Levels on which the grid may have torn the material, which say nothing about it."""
+        return sorted(n for n, (run, _) in self.done.items() if run.watchdog.tearing.likely)
+
+    @property
+    def whole(self) -> list[int]:
+        """The other levels."""
+        return sorted(set(self.done) - set(self.torn))
+
 
 def _as_exact(goal: Goal, runs: _Runs) -> Reached:
     for each in (CHECK, *CHEAP):
         runs.clip(each)
     if not runs.complete:
         raise _unreachable(goal, "the motion stops early on a coarse grid")
+    if runs.torn:
+        raise _unreachable(goal, _why_torn(runs))
     found = _estimate(goal, runs)
     error, order = _guess(goal, runs, found)
     meets = min(CHEAP) if found.errors and found.errors[1] <= goal.value else None
@@ -182,11 +192,11 @@ def _as_exact(goal: Goal, runs: _Runs) -> Reached:
         raise _unreachable(goal, _best(goal, runs, error, order))
     _run(goal, runs, wanted)
     found = _estimate(goal, runs)
-    if not found.errors:
+    if not found.errors and not runs.torn:
         _run(goal, runs, _above(max(runs.done)))
         found = _estimate(goal, runs)
     cells, error = _cheapest(found, runs, goal)
-    refined = error is not None and error > goal.value
+    refined = error is not None and error > goal.value and not runs.torn
     if refined:
         finest, (error, order) = max(runs.done), _guess(goal, runs, found)
         error /= LAST_CHANCE
@@ -198,11 +208,11 @@ def _as_exact(goal: Goal, runs: _Runs) -> Reached:
 
 
 def _guess(goal: Goal, runs: _Runs, found: Convergence) -> tuple[float, float]:
-    """Error of the finest level run, and the order to go on with."""
+    """Error of the finest level that is whole, and the order to go on with."""
     if found.error is not None:
         order = found.order or GUESSED_ORDER
         return found.error, min(max(order, TRUSTED[0]), TRUSTED[1])
-    coarse, fine = sorted(runs.done)[-2:]
+    coarse, fine = runs.whole[-2:]
     gap = _gap(goal, runs.clip(coarse), runs.clip(fine), runs.scene)
     return extrapolated((1 / coarse, 1 / fine), gap, GUESSED_ORDER)[1], GUESSED_ORDER
 
@@ -238,20 +248,26 @@ def _about(
     refined: bool,
 ) -> dict[str, Any]:
     """For the report: what was wished and what came of it, in the goal's unit."""
-    levels = sorted(runs.done)
-    torn = runs.done[cells][0].watchdog.tearing.likely
+    levels, met = runs.whole, error is not None and error <= goal.value
     return {
         "wished": goal.text, "unit": goal.kind, "cells": cells, "levels": levels,
         "errors": list(found.errors), "seconds": [runs.spent[n] for n in levels],
-        "order": found.order, "error": error, "refined": refined,
-        "met": error is not None and error <= goal.value and not torn,
-        "why_not": TORN if torn else found.why_not,
+        "order": found.order, "error": error, "refined": refined, "met": met, "torn": runs.torn,
+        "why_not": _why_torn(runs) if runs.torn and not met else found.why_not,
     }  # fmt: skip
+
+
+def _why_torn(runs: _Runs) -> str:
+    stretch = runs.done[runs.torn[0]][0].watchdog.tearing.stretch
+    return (
+        f"on D/{runs.torn[0]} the material is stretched {stretch:.1f} times and the grid may tear "
+        "it; a larger accuracy.ppc, a stiffer material or a gentler motion keeps it whole"
+    )
 
 
 def _cheapest(found: Convergence, runs: _Runs, goal: Goal) -> tuple[int, float | None]:
     """The coarsest grid run that meets the goal, else the finest; and its error."""
-    levels = sorted(runs.done)
+    levels = runs.whole
     for cells, error in zip(levels, found.errors, strict=False):
         if cells >= min(CHEAP) and error <= goal.value:
             return cells, error
@@ -260,7 +276,7 @@ def _cheapest(found: Convergence, runs: _Runs, goal: Goal) -> tuple[int, float |
 
 def _estimate(goal: Goal, runs: _Runs) -> Convergence:
     """Order and errors of the levels run so far, in the goal's unit."""
-    cells = sorted(runs.done)
+    cells = runs.whole
     apart = np.zeros((len(cells), len(cells)))
     for i, j in combinations(range(len(cells)), 2):
         one, other = (runs.done[cells[k]][1] for k in (i, j))

@@ -1,8 +1,7 @@
-"""Sums that tell whether a run is sound: momentum, energy, volume ratio, work done from outside.
+"""Sums that tell whether a run is sound: impulse and work that forces and walls give.
 
-All sums are float64. The state is weighed once per frame; what forces and walls give is summed in
-every substep, because it depends on the path. The kinetic energy counts what APIC keeps in C:
-m/2 (|v|^2 + dx^2/4 |C|^2), the inertia of a quadratic B-spline (Jiang et al. 2017, eq. 12).
+They are summed in float64 in every substep, because they depend on the path, and weighed against
+what the state gained (phy124/kernels/weigh.py). Also single states, speeds of nodes, and resets.
 """
 
 from functools import cache
@@ -10,133 +9,11 @@ from typing import Any
 
 import warp as wp
 
-from phy124.kernels.spectral import to_double
 from phy124.kernels.transfer import Law, types
+from phy124.kernels.weigh import add3, kinetic_energy, wide
 
-SUMS = 12
-"""Momentum 3, angular momentum 3, kinetic and elastic energy, mass times position 3, power."""
 GIVEN = 5
 """Impulse 3, work, sum of the sizes of all impulses."""
-
-
-@wp.func
-def wide(a: Any):
-    """A three-vector in float64."""
-    return wp.vec3d(wp.float64(a[0]), wp.float64(a[1]), wp.float64(a[2]))
-
-
-@wp.func
-def add3(sums: wp.array(dtype=wp.float64), at: int, a: wp.vec3d):
-    """Add a vector to three sums."""
-    wp.atomic_add(sums, at, a[0])
-    wp.atomic_add(sums, at + 1, a[1])
-    wp.atomic_add(sums, at + 2, a[2])
-
-
-@cache
-def make_weigh(law: Law, real: Any):
-    """Kernel: `SUMS` over the particles, -least and greatest J, and the unsound particles.
-
-    The power is that of the elastic stress, V tau : C, with which kinetic energy goes into elastic.
-    `counts_out` is (not finite, inside out), `first_out` the lowest index of each.
-    """
-    t = types(real)
-    theta_type = wp.types.vector(law.width, real)
-    energy, stress = law.energy, law.stress
-    exact = wp.types.vector(law.width, wp.float64)
-    has_history = law.project is not None
-
-    @wp.kernel(module=f"phy124_weigh_{law.name}_{real.__name__}", enable_backward=False)
-    def weigh(
-        # model
-        theta: wp.array(dtype=theta_type), mass: wp.array(dtype=real),
-        volume: wp.array(dtype=real), dx: real, start: int,
-        # state in
-        x: wp.array(dtype=t.vec3), v: wp.array(dtype=t.vec3), C: wp.array(dtype=t.mat33),
-        F: wp.array(dtype=t.mat33), history: wp.array(dtype=t.vec2),
-        # out
-        sums_out: wp.array(dtype=wp.float64), range_out: wp.array(dtype=wp.float64),
-        counts_out: wp.array(dtype=int), first_out: wp.array(dtype=int),
-    ):  # fmt: skip
-        p = wp.tid()
-        h = wp.vec2d()
-        if wp.static(has_history):
-            h = wp.vec2d(wp.float64(history[p][0]), wp.float64(history[p][1]))
-        # In float64: the energy of a small strain is the difference of large numbers.
-        row = wp.min(p, theta.shape[0] - 1)
-        parameters = exact()
-        for i in range(wp.static(law.width)):
-            parameters[i] = wp.float64(theta[row][i])
-        deformation = to_double(F[p])
-        J = wp.determinant(deformation)
-        psi = energy(deformation, h, parameters)
-        m = wp.float64(mass[p])
-        spread = wp.float64(dx * dx) / wp.float64(4.0)
-        here = wide(x[p])
-        moving = wide(v[p])
-        rate = C[p]
-        affine = wp.float64(wp.ddot(rate, rate))
-        kinetic = m / wp.float64(2.0) * (wp.dot(moving, moving) + spread * affine)
-        if wp.isfinite(kinetic + psi + J + wp.length(here)):
-            axial = wp.vec3d(
-                wp.float64(rate[2, 1] - rate[1, 2]),
-                wp.float64(rate[0, 2] - rate[2, 0]),
-                wp.float64(rate[1, 0] - rate[0, 1]),
-            )
-            add3(sums_out, 0, m * moving)
-            add3(sums_out, 3, m * (wp.cross(here, moving) + spread * axial))
-            wp.atomic_add(sums_out, 6, kinetic)
-            wp.atomic_add(sums_out, 7, psi * wp.float64(volume[p]))
-            add3(sums_out, 8, m * here)
-            tau = stress(deformation, wp.mat33d(), h, parameters)
-            power = wp.ddot(tau, to_double(rate)) * wp.float64(volume[p])
-            wp.atomic_add(sums_out, 11, power)
-            wp.atomic_max(range_out, 0, -J)
-            wp.atomic_max(range_out, 1, J)
-            if J <= wp.float64(0.0):
-                wp.atomic_add(counts_out, 1, 1)
-                wp.atomic_min(first_out, 1, start + p)
-        else:
-            wp.atomic_add(counts_out, 0, 1)
-            wp.atomic_min(first_out, 0, start + p)
-
-    return weigh
-
-
-@cache
-def make_energies(law: Law, real: Any):
-    """Kernel: kinetic and elastic energy of each particle [J]; to find one, not to sum them."""
-    t = types(real)
-    theta_type = wp.types.vector(law.width, real)
-    energy, exact = law.energy, wp.types.vector(law.width, wp.float64)
-    has_history = law.project is not None
-
-    @wp.kernel(module=f"phy124_energies_{law.name}_{real.__name__}", enable_backward=False)
-    def energies(
-        # model
-        theta: wp.array(dtype=theta_type), mass: wp.array(dtype=real),
-        volume: wp.array(dtype=real), dx: real,
-        # state in
-        v: wp.array(dtype=t.vec3), C: wp.array(dtype=t.mat33),
-        F: wp.array(dtype=t.mat33), history: wp.array(dtype=t.vec2),
-        # out
-        energy_out: wp.array(dtype=wp.float64),
-    ):  # fmt: skip
-        p = wp.tid()
-        h = wp.vec2d()
-        if wp.static(has_history):
-            h = wp.vec2d(wp.float64(history[p][0]), wp.float64(history[p][1]))
-        row = wp.min(p, theta.shape[0] - 1)
-        parameters = exact()
-        for i in range(wp.static(law.width)):
-            parameters[i] = wp.float64(theta[row][i])
-        psi = energy(to_double(F[p]), h, parameters)
-        spread = wp.float64(dx * dx) / wp.float64(4.0)
-        square = wp.dot(wide(v[p]), wide(v[p])) + spread * wp.float64(wp.ddot(C[p], C[p]))
-        half = wp.float64(mass[p]) / wp.float64(2.0)
-        energy_out[p] = half * square + psi * wp.float64(volume[p])
-
-    return energies
 
 
 @cache
@@ -166,22 +43,29 @@ def make_push_sums(real: Any):
     @wp.kernel(module=f"phy124_push_sums_{real.__name__}", enable_backward=False)
     def push_sums(
         # model
-        mass: wp.array(dtype=real), dx: real,
+        first: int, each: int, stride: int, mass: wp.array(dtype=real), dx: real,
         # state in
         v: wp.array(dtype=t.vec3), C: wp.array(dtype=t.mat33),
         v_kept: wp.array(dtype=t.vec3), C_kept: wp.array(dtype=t.mat33),
         # out
         given_out: wp.array(dtype=wp.float64),
     ):  # fmt: skip
-        p = wp.tid()
-        m = wp.float64(mass[p])
-        change = wide(v[p]) - wide(v_kept[p])
-        spread = wp.float64(dx * dx) / wp.float64(4.0)
-        affine = wp.float64(wp.ddot(C[p], C[p])) - wp.float64(wp.ddot(C_kept[p], C_kept[p]))
-        square = wp.dot(change, wide(v[p]) + wide(v_kept[p])) + spread * affine
-        add3(given_out, 0, m * change)
-        wp.atomic_add(given_out, 3, m / wp.float64(2.0) * square)
-        wp.atomic_add(given_out, 4, m * wp.length(change))
+        impulse = wp.vec3d()
+        work = wp.float64(0.0)
+        gross = wp.float64(0.0)
+        for k in range(each):
+            p = wp.tid() * first + k * stride
+            if p < mass.shape[0]:
+                m = wp.float64(mass[p])
+                now = wide(v[p])
+                before = wide(v_kept[p])
+                impulse += m * (now - before)
+                work += kinetic_energy(m, now, C[p], dx)
+                work -= kinetic_energy(m, before, C_kept[p], dx)
+                gross += m * wp.length(now - before)
+        add3(given_out, 0, impulse)
+        wp.atomic_add(given_out, 3, work)
+        wp.atomic_add(given_out, 4, gross)
 
     return push_sums
 

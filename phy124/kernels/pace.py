@@ -153,7 +153,10 @@ def violent(dt: wp.float64, s: Pace, given: Limits):
 
 @cache
 def make_pace(real: Any):
-    """Kernel of one thread: finish a substep, choose the next, or end and say why."""
+    """Kernel of one thread: finish a substep, choose the next, or end and say why.
+
+    `look_out` tells whether the particles are to be measured after the next one.
+    """
 
     @wp.kernel(module=f"phy124_pace_{real.__name__}", enable_backward=False)
     def pace(
@@ -164,6 +167,7 @@ def make_pace(real: Any):
         # out
         pace_out: wp.array(dtype=Pace), clock_out: wp.array(dtype=real),
         limiters_out: wp.array(dtype=int), on_out: wp.array(dtype=int),
+        look_out: wp.array(dtype=int),
     ):  # fmt: skip
         given = limits[0]
         s = finish(pace_out[0], given)
@@ -196,5 +200,6 @@ def make_pace(real: Any):
                 clock_out[2] = real(s.time)
         pace_out[0] = s
         on_out[0] = wp.where(s.reason == 0, 1, 0)
+        look_out[0] = wp.where(s.since + 1 >= given.every, 1, 0)
 
     return pace

@@ -1,10 +1,27 @@
-"""Adding a four-vector to a node of the grid, which many particles do at once.
+"""Many particles adding to few numbers: to a node of the grid, or to a sum over all.
 
-From compute capability 9.0 on a GPU adds four float32 to global memory in one transaction; older
-ones, float64 and the CPU add component by component.
+Atomic operations on one address queue on a GPU, so a thread first adds up a share by itself. To
+nodes, from compute capability 9.0 on, a GPU adds four float32 in one transaction; older ones,
+float64 and the CPU add component by component.
 """
 
 import warp as wp
+
+EACH, MOST_THREADS = 32, 2**14
+"""Particles that one thread of the CPU adds up, and threads of a GPU that share all."""
+
+
+def shared_out(particles: int, device: str) -> tuple[int, int, int, int]:
+    """Threads that make a sum or a maximum of all, and their shares: first, each, stride.
+
+    A thread has the particles `thread * first + k * stride`, k < each. On the CPU they are
+    neighbours; on a GPU those of neighbouring threads are, which read memory together.
+    """
+    if device == "cpu":
+        return -(-particles // EACH), EACH, EACH, 1
+    threads = min(particles, MOST_THREADS)
+    return threads, 1, -(-particles // threads), threads
+
 
 ADD = """
 #if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 900

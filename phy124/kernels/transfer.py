@@ -262,12 +262,20 @@ def make_g2p(law: Law, real: Any, form: str):
     return g2p
 
 
+@wp.func
+def raise_to(maxima: wp.array(dtype=Any), index: int, value: Any):
+    """Raise a maximum. Asking first spares most of the atomic operations, which would queue."""
+    if value > maxima[index]:
+        wp.atomic_max(maxima, index, value)
+
+
 @cache
 def make_measure(law: Law, real: Any):
     """Kernel: what limits the substep and where the particles are, every few substeps.
 
     Nine maxima: |v| [m/s], |C| [1/s], A / rho0 [m^2/s^2], then -x, -y, -z, x, y, z [m], of the
-    particles inside the domain. Those that are not finite are counted as stray.
+    particles inside the domain. Those that are not finite are counted as stray. Each thread looks
+    at `each` particles, `stride` apart, the first of them `first` times its number.
     """
     t = types(real)
     theta_type = wp.types.vector(law.width, real)
@@ -277,6 +285,7 @@ def make_measure(law: Law, real: Any):
     @wp.kernel(module=f"phy124_measure_{law.name}_{real.__name__}", enable_backward=False)
     def measure(
         # model
+        first: int, each: int, stride: int,
         theta: wp.array(dtype=theta_type), mass: wp.array(dtype=real),
         volume: wp.array(dtype=real), domain: wp.array(dtype=t.vec3),
         # state in
@@ -285,22 +294,34 @@ def make_measure(law: Law, real: Any):
         # out
         maxima_out: wp.array(dtype=real), stray_out: wp.array(dtype=int),
     ):  # fmt: skip
-        p = wp.tid()
-        h = t.vec2()
-        if wp.static(has_history):
-            h = history[p]
-        speed = wp.length(v[p])
-        gradient = wp.sqrt(wp.ddot(C[p], C[p]))
-        A = modulus(F[p], h, theta[wp.min(p, theta.shape[0] - 1)])
-        here = x[p]
-        if not wp.isfinite(speed + gradient + A + wp.length(here)):
-            wp.atomic_add(stray_out, 0, 1)
-        elif between(here, domain[0], domain[1]):
-            wp.atomic_max(maxima_out, 0, speed)
-            wp.atomic_max(maxima_out, 1, gradient)
-            wp.atomic_max(maxima_out, 2, A * volume[p] / mass[p])
-            for axis in range(3):
-                wp.atomic_max(maxima_out, 3 + axis, -here[axis])
-                wp.atomic_max(maxima_out, 6 + axis, here[axis])
+        speed = real(-wp.inf)
+        gradient = real(-wp.inf)
+        stiffness = real(-wp.inf)
+        low = t.vec3(real(-wp.inf))
+        high = t.vec3(real(-wp.inf))
+        for k in range(each):
+            p = wp.tid() * first + k * stride
+            if p < x.shape[0]:
+                h = t.vec2()
+                if wp.static(has_history):
+                    h = history[p]
+                fast = wp.length(v[p])
+                rate = wp.sqrt(wp.ddot(C[p], C[p]))
+                A = modulus(F[p], h, theta[wp.min(p, theta.shape[0] - 1)])
+                here = x[p]
+                if not wp.isfinite(fast + rate + A + wp.length(here)):
+                    wp.atomic_add(stray_out, 0, 1)
+                elif between(here, domain[0], domain[1]):
+                    speed = wp.max(speed, fast)
+                    gradient = wp.max(gradient, rate)
+                    stiffness = wp.max(stiffness, A * volume[p] / mass[p])
+                    low = wp.max(low, -here)
+                    high = wp.max(high, here)
+        raise_to(maxima_out, 0, speed)
+        raise_to(maxima_out, 1, gradient)
+        raise_to(maxima_out, 2, stiffness)
+        for axis in range(3):
+            raise_to(maxima_out, 3 + axis, low[axis])
+            raise_to(maxima_out, 6 + axis, high[axis])
 
     return measure

@@ -40,7 +40,7 @@ class Graph:
         self._limits = wp.zeros(1, dtype=cast("type", pace.Limits), device=device)
         self._pace = wp.zeros(1, dtype=cast("type", pace.Pace), device=device)
         self._limiters = wp.zeros(len(LIMITERS), dtype=int, device=device)
-        self._on = wp.zeros(1, dtype=int, device=device)
+        self._on, self._look = (wp.zeros(1, dtype=int, device=device) for _ in range(2))
         self._captured: Any = None
         self._per_substep, self._reason = 0, 0
 
@@ -75,17 +75,17 @@ class Graph:
     def _capture(self) -> Any:
         s = self._solver
         inputs = [self._limits, s.grid.window, s.lanes[0].maxima, s.stray]
-        outputs = [self._pace, s.clock, self._limiters, self._on]
+        outputs = [self._pace, s.clock, self._limiters, self._on, self._look]
         choose = s.record(pace.make_pace(s.real), 1, inputs, outputs)
         assert choose is not None
 
         launches = list(s.launches())
-        self._per_substep = len(launches) + len(s.groups) + 1
+        self._per_substep = len(launches) + 1
 
         def substep() -> None:
             for launch in launches:
                 launch()
-            s.measure_lane(s.lanes[0])
+            wp.capture_if(self._look, lambda: s.measure_lane(s.lanes[0]))
             choose.launch()
 
         with wp.ScopedCapture(device=s.device) as capture:

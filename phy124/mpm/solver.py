@@ -19,6 +19,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from phy124.kernels import transfer
+from phy124.kernels.reduction import shared_out
 from phy124.kernels.transfer import types
 from phy124.materials import Material
 from phy124.mpm import lanes as company
@@ -221,12 +222,13 @@ class Solver:
         lane.maxima.fill_(-np.inf)
         for group, part in parts(self, lane):
             s, kernel = self.state, transfer.make_measure(group.law, self.real)
+            threads, *share = shared_out(part.stop - part.start, self.device)
             model = [group.rows(part), self.mass[part], self.volume[part], self.domain.corners]
             state = [s.x[part], s.v[part], s.C[part], s.F[part], part_of(s.history, part)]
             wp.launch(
                 kernel,
-                part.stop - part.start,
-                inputs=[*model, *state],
+                threads,
+                inputs=[*share, *model, *state],
                 outputs=[lane.maxima, self.stray],
                 device=self.device,
             )

@@ -115,7 +115,8 @@ def goal_rows(gaussians: Gaussians, wish: str) -> list[list[str]]:
         cells = about["cells"]
         finer = FINER[FINER.index(cells) + 2]
         accuracy = scene.resolution.model_copy(update={"cells": finer})
-        truth = Simulation(gaussians, scene.model_copy(update={"accuracy": accuracy})).run()
+        check = Simulation(gaussians, scene.model_copy(update={"accuracy": accuracy}))
+        truth, torn = check.run(), ", torn" if check.watchdog.tearing.likely else ""
         if goal.kind == "pixels":
             off = f"{pixel_distance(reached.clip, truth, scene.view):.2f}px"
         else:
@@ -123,7 +124,9 @@ def goal_rows(gaussians: Gaussians, wish: str) -> list[list[str]]:
         error = about["error"]
         said = "" if error is None else choose.said(goal.kind, error)
         met = "met" if about["met"] else about["why_not"] or "not met"
-        rows.append([name, wish, f"D/{cells}", said, f"{off} (D/{finer})", f"{seconds:.1f}", met])
+        rows.append(
+            [name, wish, f"D/{cells}", said, f"{off} (D/{finer}{torn})", f"{seconds:.1f}", met]
+        )
         print(json.dumps(rows[-1]), flush=True)
     return rows
 

@@ -28,7 +28,7 @@ wp.config.log_level = wp.LOG_WARNING
 FORMS = {"simd": ("float32", True), "plain": ("float32", False), "double": ("float64", False)}
 
 
-def cube(count: int, cells: int, law: type, form: str, threads: int) -> Solver:
+def cube(count: int, cells: int, law: type, form: str, threads: int, device: str = "cpu") -> Solver:
     """A unit cube in a domain of 2 m with `cells` cells per axis."""
     x = np.random.default_rng(0).random((count, 3)) + 0.5
     x = x[np.lexsort(np.floor(x * cells / 2 - 0.5).T[::-1])]
@@ -43,6 +43,7 @@ def cube(count: int, cells: int, law: type, form: str, threads: int) -> Solver:
         precision=precision,
         simd=simd,
         threads=threads,
+        device=device,
         ceiling=1e-4,
     )
 
