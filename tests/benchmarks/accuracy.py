@@ -1,6 +1,7 @@
 """The measurements of docs/accuracy.md: known answers, studies, goals, the cost of each part.
 
-With `--docs` its tables and plots are renewed (`make accuracy`). About seven minutes; parts by name
+With `--docs` its tables and plots are renewed (`make accuracy`). About half an hour, most of it
+for the goals and the finer runs that check them; parts by name
 (verify, duck-press, sunflower-push, sand-collapse, ball-bounce, costs, times, goals) do only those.
 """
 
