@@ -47,6 +47,8 @@ CELLS = (8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 56, 64, 80, 96, 112, 128)
 """Grids that may be chosen; the finest take minutes, and less than 2 GB, on two cores."""
 GUESSED_ORDER = 1.0
 """Order assumed where the cheap levels show none; free surfaces are of first order."""
+FAR = 2.5
+"""How many times finer than the cheap levels the next may be: they do not tell what comes then."""
 FINER = 1.3
 """Ratio of cells from which a level is clearly finer."""
 UNIT: dict[Kind, Callable[[Scene], float]] = {
@@ -190,7 +192,7 @@ def _as_exact(goal: Goal, runs: _Runs) -> Reached:
     wanted = meets or _coarsest(goal, max(CHEAP), error, order, above=min(CHEAP))
     if wanted is None:
         raise _unreachable(goal, _best(goal, runs, error, order))
-    _run(goal, runs, wanted)
+    _run(goal, runs, min(wanted, _within(FAR * max(CHEAP))))
     found = _estimate(goal, runs)
     if not found.errors and not runs.torn:
         _run(goal, runs, _above(max(runs.done)))
@@ -231,6 +233,11 @@ def _above(cells: int) -> int:
     return next((n for n in CELLS if n >= FINER * cells), CELLS[-1])
 
 
+def _within(cells: float) -> int:
+    """The finest level up to some number of cells."""
+    return max(n for n in CELLS if n <= cells)
+
+
 def _best(goal: Goal, runs: _Runs, error: float, order: float) -> str:
     """What the finest grid would achieve and cost, from the finest level that was run."""
     known, finest = max(runs.done), CELLS[-1]
@@ -261,7 +268,7 @@ def _why_torn(runs: _Runs) -> str:
     stretch = runs.done[runs.torn[0]][0].watchdog.tearing.stretch
     return (
         f"on D/{runs.torn[0]} the material is stretched {stretch:.1f} times and the grid may tear "
-        "it; a larger accuracy.ppc, a stiffer material or a gentler motion keeps it whole"
+        "it; a larger accuracy.ppc, a stiffer material or a gentler motion helps"
     )
 
 

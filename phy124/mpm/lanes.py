@@ -42,6 +42,8 @@ class Lane:
     """What `measure` finds among its particles [9]."""
     phases: list[list[Named]] = field(default_factory=list)
     """Work between two meetings: scatter, update, gather."""
+    looks: list[wp.Launch] = field(default_factory=list)
+    """Measures what limits the substep."""
     timings: Timings = field(default_factory=dict)
     """Seconds and launches by stage."""
 

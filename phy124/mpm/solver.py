@@ -18,8 +18,6 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from phy124.kernels import transfer
-from phy124.kernels.reduction import shared_out
 from phy124.kernels.transfer import types
 from phy124.materials import Material
 from phy124.mpm import lanes as company
@@ -28,8 +26,8 @@ from phy124.mpm.domain import Domain
 from phy124.mpm.graph import Graph, usable
 from phy124.mpm.grid import Grid, Unstable
 from phy124.mpm.lanes import Lane, Meeting, Named, Timings, cut, timed
-from phy124.mpm.state import Group, State, parameters, part_of
-from phy124.mpm.substep import parts, record_phases, record_pushes
+from phy124.mpm.state import Group, State, parameters
+from phy124.mpm.substep import record_looks, record_phases, record_pushes
 from phy124.timestep import CFL, Extremes, Substep, stable_substep
 from phy124.tracks import Tracks
 
@@ -105,6 +103,7 @@ class Solver:
         self.time, self.substeps, self.last_dt = 0.0, 0, 0.0
         self.limiters: dict[str, int] = {}
         self.threads = self._thread_count(threads)
+        self.domain = Domain(self)
         self.lanes = self._build_lanes()
         self.timings: Timings = self.lanes[0].timings
         self._tracks_launch = self.tracks.record()
@@ -114,7 +113,7 @@ class Solver:
         self._agenda: list[int | None] = []
         self.since_check = CHECK_EVERY
         self.extremes = Extremes(0.0, 0.0, 0.0)
-        self.domain, self.caution = Domain(self), Caution(self)
+        self.caution = Caution(self)
         self.graph = Graph(self, every=CHECK_EVERY)
         self.alone = usable(device) if graph is None else graph
 
@@ -181,6 +180,7 @@ class Solver:
                 nodes = Grid(self.grid.origin.tolist(), self.dx, real=self.real, device=self.device)
             maxima = wp.zeros(9, dtype=self.real, device=self.device)
             lanes.append(Lane(part, nodes, maxima))
+            lanes[-1].looks = record_looks(self, lanes[-1])
         return lanes
 
     def _measure(self) -> None:
@@ -220,18 +220,8 @@ class Solver:
     def measure_lane(self, lane: Lane) -> None:
         """Find what limits the substep among a lane's particles, and where they are."""
         lane.maxima.fill_(-np.inf)
-        for group, part in parts(self, lane):
-            s, kernel = self.state, transfer.make_measure(group.law, self.real)
-            threads, *share = shared_out(part.stop - part.start, self.device)
-            model = [group.rows(part), self.mass[part], self.volume[part], self.domain.corners]
-            state = [s.x[part], s.v[part], s.C[part], s.F[part], part_of(s.history, part)]
-            wp.launch(
-                kernel,
-                threads,
-                inputs=[*share, *model, *state],
-                outputs=[lane.maxima, self.stray],
-                device=self.device,
-            )
+        for launch in lane.looks:
+            launch.launch()
 
     def _record_substep(self) -> None:
         """Record the launches of one substep, in order."""

@@ -9,10 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
+import warp as wp
+
 from phy124.kernels import transfer
 from phy124.kernels.grid import make_merge, make_update
+from phy124.kernels.reduction import shared_out
 from phy124.mpm.grid import Grid
-from phy124.mpm.lanes import Lane, Named, Recorded, work
+from phy124.mpm.lanes import Lane, Named, Recorded, taken, work
 from phy124.mpm.state import Group, part_of
 
 if TYPE_CHECKING:
@@ -44,6 +47,20 @@ def record_phases(solver: Solver) -> None:
         lane.phases = [[clear, *work(scatter)], work(update), work(gather)]
     closing = [*solver.domain.launches(), *((name, record()) for name, record in solver.closings)]
     solver.lanes[0].phases[2] += work(closing)
+
+
+def record_looks(solver: Solver, lane: Lane) -> list[wp.Launch]:
+    """What measures the limits of the substep among a lane's particles."""
+    s, looks = solver.state, list[Recorded]()
+    for group, part in parts(solver, lane):
+        threads, *share = shared_out(part.stop - part.start, solver.device)
+        kernel = transfer.make_measure(group.law, solver.real)
+        corners = solver.domain.corners
+        model = [*share, group.rows(part), solver.mass[part], solver.volume[part], corners]
+        state = [s.x[part], s.v[part], s.C[part], s.F[part], part_of(s.history, part)]
+        outputs = [lane.maxima, solver.stray]
+        looks.append(("measure", solver.record(kernel, threads, [*model, *state], outputs)))
+    return [launch for _, launch in taken(looks)]
 
 
 def _shares(solver: Solver) -> list[tuple[int, int] | None]:
