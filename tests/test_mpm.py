@@ -191,6 +191,21 @@ def test_the_second_thread_ends_with_the_frame():
     assert threading.active_count() == before
 
 
+def test_a_fault_of_the_second_thread_is_raised_and_nothing_waits(monkeypatch):
+    before = threading.active_count()
+    s = solver(block(16), dx=DX / 2, threads=2)
+
+    def fail(phase: int) -> None:
+        raise OSError("out of luck")
+
+    monkeypatch.setattr(s.lanes[1], "run", fail)
+    with pytest.raises(OSError, match="out of luck"):
+        s.advance(0.1)
+    assert threading.active_count() == before
+    monkeypatch.undo()
+    s.advance(0.1)
+
+
 @pytest.mark.parametrize("law", [NeoHookean, FixedCorotated])
 def test_repeats_are_bitwise_equal(law, rng):
     v = rng.normal(size=(512, 3))

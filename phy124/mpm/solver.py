@@ -111,6 +111,7 @@ class Solver:
         self._pushes: list[Named] = []
         self._meeting: Meeting | None = None
         self._agenda: list[int | None] = []
+        self._fault: Exception | None = None
         self.since_check = CHECK_EVERY
         self.extremes = Extremes(0.0, 0.0, 0.0)
         self.caution = Caution(self)
@@ -270,6 +271,9 @@ class Solver:
         self._agenda.append(phase)
         if self._meeting:
             self._meeting.wait(0)
+        fault, self._fault = self._fault, None
+        if fault:
+            raise fault
 
     @contextmanager
     def _company(self) -> Iterator[None]:
@@ -286,9 +290,11 @@ class Solver:
         try:
             yield
         finally:
-            self._agree(HALT)
-            helper.join()
-            self._meeting = None
+            try:
+                self._agree(HALT)
+            finally:
+                helper.join()
+                self._meeting = None
 
     def _follow(self, lane: Lane, meeting: Meeting) -> None:
         """The second thread: phases as they come, until told to stop."""
@@ -297,10 +303,13 @@ class Solver:
             phase = self._agenda[meetings]
             if phase == HALT:
                 return
-            if phase == MEASURE:
-                timed(lane.timings, "measure", lambda: self.measure_lane(lane))
-            elif phase is not None:
-                lane.run(phase)
+            try:
+                if phase == MEASURE:
+                    timed(lane.timings, "measure", lambda: self.measure_lane(lane))
+                elif phase is not None:
+                    lane.run(phase)
+            except Exception as fault:  # The first thread waits here, and raises it.
+                self._fault = fault
 
     def advance(self, until: float, *, after: Callable[[], None] | None = None) -> None:
         """Substeps of stable length up to a time [s]; `after` is called after each.

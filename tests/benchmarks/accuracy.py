@@ -27,6 +27,7 @@ from phy124.clip import Clip
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.metrics import psnr
+from phy124.ply import write_ply
 from phy124.scene import Scene, preset_names
 from phy124.simulation import Simulation
 
@@ -182,6 +183,19 @@ def cost_rows(gaussians: Gaussians) -> list[list[str]]:
     return rows
 
 
+def generator_rows(folder: Path) -> list[list[str]]:
+    """Seconds from the picture to the Gaussians, by generators that need no weights."""
+    file, rows = folder / "duck.ply", []
+    for name in ("relief", str(file)):
+        start = time.perf_counter()
+        found = pipeline.static(PICTURES / "duck.png", generator=name).gaussians
+        spent = time.perf_counter() - start
+        label = "a PLY file" if name.endswith(".ply") else name
+        rows.append([label, f"{len(found):,}", f"{spent:.2f}"])
+        write_ply(file, found)
+    return rows
+
+
 def thin(gaussians: Gaussians, count: int) -> Gaussians:
     """Fewer Gaussians, each wider, so that the surface stays closed."""
     chosen = np.sort(np.random.default_rng(0).permutation(len(gaussians))[:count])
@@ -212,6 +226,9 @@ def main(parts: list[str], *, docs: bool) -> None:
     if wants(parts, "costs"):
         heads = ["", "particles", "simulate", "shapes", "render", "encode", "all", "PSNR"]
         made["costs"] = markdown(heads, cost_rows(duck))
+        with tempfile.TemporaryDirectory() as folder:
+            rows = generator_rows(Path(folder))
+        made["generators"] = markdown(["generator", "Gaussians", "seconds"], rows)
     if wants(parts, "times"):
         made["times"] = markdown(["scene", "wished", "grid", "took", "ratio"], time_rows(duck))
     if wants(parts, "goals"):
