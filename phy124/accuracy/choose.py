@@ -2,7 +2,8 @@
 
 An error: three cheap levels tell their order and errors; the coarsest grid that should meet the
 wish is run and the errors are estimated again from all levels run so far. Where those do not come
-closer yet, one more is run. It is refined at most once.
+closer yet, one more is run. It is refined at most once. A level that tears the material
+(phy124/tearing.py) is run again with one particle more per cell and axis, as are all after it.
 
 A time: the finest grid whose forecast fits.
 """
@@ -57,6 +58,8 @@ UNIT: dict[Kind, Callable[[Scene], float]] = {
     "metres": lambda scene: scene.object.size,
 }
 """The object's size in the unit of a goal."""
+DENSEST = 4.0
+"""Most particles per cell and axis."""
 LAST_CHANCE = 0.85
 """Share of the wished error that a refinement aims at: there is no second one."""
 MARGIN = 0.95
@@ -142,9 +145,14 @@ class _Runs:
     spent: dict[int, float] = field(default_factory=dict)
     """Seconds that each took."""
 
+    denser: bool = False
+    """Whether a level tore the material, so that one more particle per cell and axis is used."""
+
     def simulation(self, cells: int) -> Simulation:
         """A run that has not begun."""
-        accuracy = self.scene.resolution.model_copy(update={"cells": cells})
+        base = self.scene.resolution
+        ppc = min(base.ppc + self.denser, DENSEST)
+        accuracy = base.model_copy(update={"cells": cells, "ppc": ppc})
         return Simulation(
             self.gaussians,
             self.scene.model_copy(update={"accuracy": accuracy}),
@@ -158,10 +166,16 @@ class _Runs:
         """The clip on a grid, made if it is not there."""
         if cells not in self.done:
             start = time.perf_counter()
-            simulation = self.simulation(cells)
-            self.done[cells] = simulation, simulation.run()
+            self._make(cells)
+            if cells in self.torn and not self.denser:
+                self.denser = True
+                self._make(cells)
             self.spent[cells] = time.perf_counter() - start
         return self.done[cells][1]
+
+    def _make(self, cells: int) -> None:
+        simulation = self.simulation(cells)
+        self.done[cells] = simulation, simulation.run()
 
     @property
     def complete(self) -> bool:
@@ -260,6 +274,7 @@ def _about(
         "wished": goal.text, "unit": goal.kind, "cells": cells, "levels": levels,
         "errors": list(found.errors), "seconds": [runs.spent[n] for n in levels],
         "order": found.order, "error": error, "refined": refined, "met": met, "torn": runs.torn,
+        "ppc": runs.done[cells][0].scene.resolution.ppc,
         "why_not": _why_torn(runs) if runs.torn and not met else found.why_not,
     }  # fmt: skip
 

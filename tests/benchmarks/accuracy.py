@@ -116,7 +116,7 @@ def goal_rows(gaussians: Gaussians, wish: str) -> list[list[str]]:
         seconds, about = time.perf_counter() - start, reached.about
         cells = about["cells"]
         finer = FINER[FINER.index(cells) + 2]
-        accuracy = scene.resolution.model_copy(update={"cells": finer})
+        accuracy = scene.resolution.model_copy(update={"cells": finer, "ppc": about["ppc"]})
         check = Simulation(gaussians, scene.model_copy(update={"accuracy": accuracy}))
         truth, torn = check.run(), ", torn" if check.watchdog.tearing.likely else ""
         if goal.kind == "pixels":
