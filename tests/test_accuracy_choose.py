@@ -85,6 +85,29 @@ def test_an_object_that_tears_is_given_more_particles(quick):
     assert not about["torn"]
 
 
+def test_where_more_particles_are_too_many_what_was_whole_is_returned(quick, monkeypatch):
+    """The second try is refused: nothing that was run is lost for it."""
+    monkeypatch.setattr(Tearing, "likely", property(lambda self: self._solver.dx < 1 / 13))
+    plain = choose.Simulation
+
+    def refusing(gaussians, scene, **options):
+        if scene.resolution.ppc > 2:
+            raise InputError("time.patience", "1 s", "it takes too long.", "Wait.")
+        return plain(gaussians, scene, **options)
+
+    monkeypatch.setattr(choose, "Simulation", refusing)
+    reached = reach(Goal.error("0.1%"), ball(600), quick)
+    assert reached.about["cells"] == 12
+    assert reached.about["ppc"] == 2
+    assert reached.about["met"] is False
+
+
+def test_the_densest_object_is_not_tried_again(quick, monkeypatch):
+    monkeypatch.setattr(Tearing, "likely", property(lambda self: self._solver.dx < 1 / 13))
+    most = quick.replaced({"accuracy": {"ppc": 4.0}})
+    assert reach(Goal.error("0.1%"), ball(600), most).about["ppc"] == 4
+
+
 def test_an_object_that_tears_all_the_same_meets_no_goal(quick):
     """However close two grids are: what both tear is not what the material does."""
     with pytest.raises(InputError, match=r"on D/\d+ the material is stretched \d.* may tear it"):

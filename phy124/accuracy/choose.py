@@ -14,6 +14,7 @@ import math
 import re
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import combinations
 from typing import Any, Literal
@@ -151,8 +152,7 @@ class _Runs:
     def simulation(self, cells: int) -> Simulation:
         """A run that has not begun."""
         base = self.scene.resolution
-        ppc = min(base.ppc + self.denser, DENSEST)
-        accuracy = base.model_copy(update={"cells": cells, "ppc": ppc})
+        accuracy = base.model_copy(update={"cells": cells, "ppc": base.ppc + self.denser})
         return Simulation(
             self.gaussians,
             self.scene.model_copy(update={"accuracy": accuracy}),
@@ -168,14 +168,20 @@ class _Runs:
             start = time.perf_counter()
             self._make(cells)
             if cells in self.torn and not self.denser:
-                self.denser = True
-                self._make(cells)
+                self._make_denser(cells)
             self.spent[cells] = time.perf_counter() - start
         return self.done[cells][1]
 
     def _make(self, cells: int) -> None:
         simulation = self.simulation(cells)
         self.done[cells] = simulation, simulation.run()
+
+    def _make_denser(self, cells: int) -> None:
+        """A torn level again; where more particles are too many it stays torn."""
+        self.denser = self.scene.resolution.ppc + 1 <= DENSEST
+        if self.denser:
+            with suppress(InputError):
+                self._make(cells)
 
     @property
     def complete(self) -> bool:

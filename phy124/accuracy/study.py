@@ -140,7 +140,7 @@ class Study:
         return self.scene.model_copy(update={"accuracy": accuracy})
 
     def _row(self, name: str, scene: Scene) -> tuple[Row | None, str]:
-        """Run one setting; a row, or why there is none."""
+        """Run one setting: its row, or why there is none, or why to doubt it."""
         simulation = Simulation(self.gaussians, scene, device=self.device, crop=self.crop)
         ppc = _particles_per_axis(simulation)
         if ppc < LEAST_PPC:
@@ -155,7 +155,7 @@ class Study:
             return None, f"{name} is left out: {clip.report['stopped']}"
         self.clips[name] = clip
         solver, accuracy = simulation.solver, scene.resolution
-        seconds = simulation.watch.seconds
+        seconds, torn = simulation.watch.seconds, simulation.watchdog.tearing.note()
         counts = solver.limiters
         return Row(
             name=name,
@@ -171,7 +171,7 @@ class Study:
             limiters={key: count / sum(counts.values()) for key, count in counts.items()},
             energy_lost=-clip.report["balance"]["energy_gain"],
             angular_momentum_lost=_momentum_lost(scene, before, weigh(solver)),
-        ), f"{name}: {torn}" if (torn := simulation.watchdog.tearing.note()) else ""
+        ), f"{name}: {torn}" if torn else ""
 
     def _judged(self, rows: list[Row], skipped: tuple[str, ...]) -> Report:
         """Add errors against the finest level and say what follows."""
