@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
+from math import isfinite
 from typing import Any
 
 from phy124.forces import AnyForce
@@ -118,6 +119,8 @@ def _catalogue(
     moving = [b for b in scene.boundaries if b.kind in MOVING or getattr(b, "motion", None)]
     for law in laws:
         yield f"stress {law}", True, ""
+    rubbing = any(isfinite(section.viscous_limit(scene.dx)) for section in scene.materials)
+    yield "inner friction", rubbing, "no material has a viscosity"
     yield "return mapping", plastic, f"{named} is elastic"
     yield "total F beside elastic F", plastic, f"{named} keeps all deformation in F"
     yield "several materials", len(scene.materials) > 1, "all that moves is of one"

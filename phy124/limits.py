@@ -17,7 +17,7 @@ from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.particles import Particles
 from phy124.scene import Scene
-from phy124.timestep import STRAIN_PER_STEP
+from phy124.timestep import STRAIN_PER_STEP, beside_elastic
 
 PER_PARTICLE = {"cpu": 110e-9, "cuda": 1.5e-9}
 """Seconds per particle and substep."""
@@ -109,7 +109,8 @@ def _substeps(scene: Scene) -> float:
     duration = (scene.time.frames - 1) / scene.time.fps
     fastest = max(section.wave_speed() for section in scene.materials)
     longest = scene.resolution.cfl * scene.dx / fastest
-    longest = min(longest, *(m.viscous_limit(scene.dx) for m in scene.materials))
+    viscous = min(m.viscous_limit(scene.dx) for m in scene.materials)
+    longest = min(longest, beside_elastic(scene.resolution.cfl) * viscous)
     turning = math.sqrt(2) * math.hypot(*scene.object.spin)
     if turning > 0:
         longest = min(longest, STRAIN_PER_STEP / turning)

@@ -67,5 +67,14 @@ def stable_substep(
     return Substep(limits[limiter], limiter)
 
 
+def beside_elastic(cfl: float) -> float:
+    """Share of the viscous limit that is stable together with `cfl` of the elastic one.
+
+    An oscillator of omega dt = 2 cfl with friction gamma dt = share, both taken explicitly, is
+    stable while (omega dt)^2 <= 4 - 2 gamma dt.
+    """
+    return min(1.0, 2 - 2 * cfl * cfl)
+
+
 def _divide(a: float, b: float) -> float:
     return a / b if b > 0 else math.inf

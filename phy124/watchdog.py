@@ -236,7 +236,8 @@ class Watchdog:
                 f"{s.domain.most} particles flew out of the simulated space and went on along "
                 "their parabolas, without contact."
             )
-        fragile = {m.device_law.name: m for m in s.materials if m.device_law.name in FRAGILE}
+        laws = {m.device_law.name: m for m in s.materials}
+        fragile = {name: m for name, m in laws.items() if name.startswith(FRAGILE)}
         for name, material in sorted(fragile.items()):
             mach = self._fastest / sound_speed(material)
             if mach > COLLAPSE:

@@ -68,6 +68,11 @@ def neo_hookean(F: Array, C: Array, h: Array, t: Array) -> Array:
     return t[0] * (F @ F.transpose(0, 2, 1) - EYE) + t[1] * logJ * EYE
 
 
+def neo_hookean_viscous(F: Array, C: Array, h: Array, t: Array) -> Array:
+    J = np.maximum(np.linalg.det(F), 0)[:, None, None]
+    return neo_hookean(F, C, h, t[:2]) + J * t[2] * (C + C.transpose(0, 2, 1))
+
+
 def fixed_corotated_energy(F: Array, h: Array, t: Array) -> Array:
     _, s, _ = signed_svd(F)
     return t[0] * ((s - 1) ** 2).sum(1) + t[1] / 2 * (s.prod(1) - 1) ** 2
@@ -193,6 +198,7 @@ def isotropic(F: Array, h: Array, t: Array, dt: float) -> tuple[Array, Array]:
 
 TWINS = {
     "neo_hookean": Twin(neo_hookean_energy, neo_hookean),
+    "neo_hookean_viscous": Twin(neo_hookean_energy, neo_hookean_viscous),
     "fixed_corotated": Twin(fixed_corotated_energy, fixed_corotated),
     "hencky": Twin(hencky_energy, hencky),
     "metal": Twin(hencky_energy, hencky, von_mises),

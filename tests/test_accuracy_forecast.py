@@ -66,6 +66,23 @@ def test_excess_substeps_grow_faster_than_the_cells():
     assert "user" not in shares
 
 
+def test_friction_asks_for_the_square_of_the_cells():
+    counts = {"elastic": np.array([10.0, 100.0]), "speed": np.zeros(2)}
+    substeps, shares = Pilot(12, counts, 10.0, 1.0, False, viscous=15.0).substeps(24)
+    second = 2 * 10 + 90 * 2**1.8
+    assert substeps == 60 + np.ceil(second), "friction rules the first frame only"
+    assert shares["viscous"] == pytest.approx(60 / (60 + second))
+
+
+def test_substeps_of_a_body_with_friction_are_foretold():
+    rubbing = scene("press", **{"material.viscosity": 400.0})
+    simulation = Simulation(OBJECT, rubbing)
+    made = Forecaster().of(simulation, filming=False)
+    simulation.run()
+    assert made.substeps == pytest.approx(simulation.solver.substeps, rel=0.06)
+    assert made.limiters.get("viscous", 0) > 0.5
+
+
 def test_no_promise_where_speed_rules():
     """A jelly thrown faster than its own sound: the seconds are a guess, and it says so."""
     fast = scene(

@@ -1,8 +1,9 @@
 import math
 
+import numpy as np
 import pytest
 
-from phy124.timestep import Extremes, stable_substep
+from phy124.timestep import Extremes, beside_elastic, stable_substep
 
 
 @pytest.mark.parametrize(
@@ -27,6 +28,15 @@ def test_a_users_substep_is_a_ceiling_only():
 def test_viscosity_limits_under_its_own_name():
     assert stable_substep(Extremes(0, 0, 100.0), 0.1, viscous=1e-4) == (1e-4, "viscous")
     assert stable_substep(Extremes(0, 0, 100.0), 0.1, viscous=1e-4, ceiling=1e-5).limiter == "user"
+
+
+def test_friction_leaves_room_for_stiffness():
+    """omega dt = 2 cfl and gamma dt: stable while both roots stay in the unit circle."""
+    for cfl in (0.3, 0.6, 0.8, 0.9):
+        share = beside_elastic(cfl)
+        for rate, stable in ((0.98 * share, True), (2 - 2 * cfl**2 + 0.02, False)):
+            roots = np.roots([1, -(2 - rate - (2 * cfl) ** 2), 1 - rate])
+            assert (np.abs(roots).max() <= 1 + 1e-9) == stable, (cfl, rate)
 
 
 def test_nothing_moves_and_nothing_is_stiff():

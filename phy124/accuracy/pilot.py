@@ -3,7 +3,8 @@
 It tells what a probe at rest cannot: how the stable substep shrinks as the material strains and
 moves. The strain at its worst place grows with resolution, so the substeps in excess of those at
 rest are extrapolated as cells^1.8 (docs/accuracy.md has the measurements); those at rest and
-those limited by speed go with the cells, those limited by a ceiling do not change.
+those limited by speed go with the cells, those limited by a ceiling do not change. Inner friction
+needs at least so many in a frame as go with the cells' square.
 """
 
 from __future__ import annotations
@@ -40,6 +41,8 @@ class Pilot:
     """Mean size of the grid window over that at the start."""
     stopped: bool
     """Whether it became unstable; nothing is promised then."""
+    viscous: float = 0.0
+    """Substeps that friction asks for in each frame at least."""
 
     def substeps(self, cells: int) -> tuple[int, dict[str, float]]:
         """Substeps on another grid and the share of each limiter; a frame has a whole number."""
@@ -51,6 +54,10 @@ class Pilot:
             "elastic": at_rest * scale + excess * scale ** (1 + EXCESS),
             "speed": self.counts["speed"] * scale,
         }
+        without = np.sum([n for name, n in grown.items() if name != "viscous"], axis=0)
+        ruled = without < self.viscous * scale**2
+        grown = {name: np.where(ruled, 0.0, n) for name, n in grown.items()}
+        grown["viscous"] = np.where(ruled, self.viscous * scale**2, 0.0)
         total = np.sum(list(grown.values()), axis=0)
         whole = float(total.sum()) or 1.0
         shares = {name: float(n.sum()) / whole for name, n in grown.items() if n.any()}
@@ -88,4 +95,4 @@ def fly(gaussians: Gaussians, scene: Scene, *, device: str = "cpu", crop: Crop =
     except Unstable:
         stopped = True
     growth = float(np.mean(nodes) / nodes[0]) if nodes else 1.0
-    return Pilot(cells, counts, rest, growth, stopped)
+    return Pilot(cells, counts, rest, growth, stopped, 1 / (solver.viscous * timing.fps))

@@ -43,6 +43,15 @@ class Material(BaseModel):
         return []
 
 
+def viscous_substep(density: float, viscosity: float, dx: float) -> float:
+    """rho dx^2 / (8 eta), the substep in which friction stops an isolated particle's strain [s].
+
+    Twice as long would be unstable; see `timestep.beside_elastic` for what is left beside the
+    elastic limit.
+    """
+    return density * dx * dx / (8 * viscosity) if viscosity else math.inf
+
+
 class Elastic(Material):
     """Materials with Young's modulus and Poisson's ratio; theta begins with mu and lambda."""
 

@@ -2,20 +2,52 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 from pydantic import Field
 
-from phy124.kernels import elastic, hencky
+from phy124.kernels import elastic, hencky, viscous
 from phy124.kernels.transfer import Law
-from phy124.materials.base import Elastic
+from phy124.materials.base import Elastic, viscous_substep
 
 
-class NeoHookean(Elastic):
+class Springy(Elastic):
+    """Elastic solids that may lose energy by inner friction, as rubber does."""
+
+    lossless: ClassVar[Law]
+    friction: ClassVar[Any]
+    """The same stress with friction; theta then ends with eta."""
+
+    viscosity: float = Field(
+        default=0.0,
+        ge=0,
+        le=1e7,
+        description="Inner friction [Pa s]; loss tangent of a swing of w rad/s: w viscosity / mu.",
+    )
+
+    @property
+    def device_law(self) -> Law:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """The law without friction, or one of its own with it."""
+        plain = self.lossless
+        if self.viscosity == 0:
+            return plain
+        return plain._replace(name=f"{plain.name}_viscous", stress=self.friction, width=3)
+
+    def theta(self) -> tuple[float, ...]:
+        """(mu, lambda), and the viscosity if there is one."""
+        return (*self.lame, self.viscosity) if self.viscosity else self.lame
+
+    def viscous_limit(self, dx: float) -> float:
+        """Longest substep that friction allows [s]."""
+        return viscous_substep(self.density, self.viscosity, dx)
+
+
+class NeoHookean(Springy):
     """Compressible neo-Hookean solid with log J: the default, stays sound in hard impacts."""
 
     law: Literal["neo_hookean"] = "neo_hookean"
-    device_law: ClassVar[Law] = Law(
+    friction: ClassVar[Any] = staticmethod(viscous.neo_hookean_viscous)
+    lossless: ClassVar[Law] = Law(
         name="neo_hookean",
         stress=elastic.neo_hookean,
         modulus=elastic.neo_hookean_modulus,
@@ -24,11 +56,12 @@ class NeoHookean(Elastic):
     )
 
 
-class FixedCorotated(Elastic):
+class FixedCorotated(Springy):
     """Fixed corotated solid (PhysGaussian's jelly); collapses silently in hard impacts."""
 
     law: Literal["fixed_corotated"] = "fixed_corotated"
-    device_law: ClassVar[Law] = Law(
+    friction: ClassVar[Any] = staticmethod(viscous.fixed_corotated_viscous)
+    lossless: ClassVar[Law] = Law(
         name="fixed_corotated",
         stress=elastic.fixed_corotated,
         modulus=elastic.fixed_corotated_modulus,
@@ -37,11 +70,12 @@ class FixedCorotated(Elastic):
     )
 
 
-class Hencky(Elastic):
+class Hencky(Springy):
     """St. Venant-Kirchhoff solid in Hencky strain: linear in log stretch, softens when pulled."""
 
     law: Literal["hencky"] = "hencky"
-    device_law: ClassVar[Law] = Law(
+    friction: ClassVar[Any] = staticmethod(viscous.hencky_viscous)
+    lossless: ClassVar[Law] = Law(
         name="hencky",
         stress=hencky.hencky,
         modulus=hencky.hencky_modulus,
@@ -58,7 +92,7 @@ class Rigid(Elastic):
     """
 
     law: Literal["rigid"] = "rigid"
-    device_law: ClassVar[Law] = NeoHookean.device_law
+    device_law: ClassVar[Law] = NeoHookean.lossless
     scaled: ClassVar[int] = 0
 
     E: float = Field(

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from phy124.kernels import fluid
 from phy124.kernels.transfer import Law
-from phy124.materials.base import Material
+from phy124.materials.base import Material, viscous_substep
 
 
 class Fluid(Material):
@@ -48,7 +48,5 @@ class Fluid(Material):
         return math.sqrt(3 * self.bulk_modulus / self.density)
 
     def viscous_limit(self, dx: float) -> float:
-        """Half of rho dx^2 / (4 eta), at which an isolated particle's C changes sign [s]."""
-        if self.viscosity == 0:
-            return math.inf
-        return self.density * dx * dx / (8 * self.viscosity)
+        """Longest substep that friction allows [s]."""
+        return viscous_substep(self.density, self.viscosity, dx)

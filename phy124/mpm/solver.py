@@ -28,7 +28,7 @@ from phy124.mpm.grid import Grid, Unstable
 from phy124.mpm.lanes import Lane, Meeting, Named, Timings, cut, timed
 from phy124.mpm.state import Group, State, parameters
 from phy124.mpm.substep import record_looks, record_phases, record_pushes
-from phy124.timestep import CFL, Extremes, Substep, stable_substep
+from phy124.timestep import CFL, Extremes, Substep, beside_elastic, stable_substep
 from phy124.tracks import Tracks
 
 Stage = tuple[str, Callable[[], wp.Launch | None]]
@@ -82,7 +82,8 @@ class Solver:
     ) -> None:
         self.real, self.device, self.dx = PRECISIONS[precision], device, float(dx)
         self.cfl, self.ceiling = cfl, ceiling
-        self.viscous = min(section.viscous_limit(self.dx) for section in materials)
+        slowest = min(section.viscous_limit(self.dx) for section in materials)
+        self.viscous = beside_elastic(cfl) * slowest
         cpu_float = device == "cpu" and precision == "float32"
         rows = cpu_float if simd is None else simd and cpu_float
         self.form = "simd" if rows else "plain"
