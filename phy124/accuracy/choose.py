@@ -50,7 +50,7 @@ CELLS = (8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 56, 64, 80, 96, 112, 128)
 GUESSED_ORDER = 1.0
 """Order assumed where the cheap levels show none; free surfaces are of first order."""
 FAR = 2.5
-"""How many times finer than the cheap levels the next may be: they do not tell what comes then."""
+"""How many times finer than all so far the next level may be: they do not tell what comes then."""
 FINER = 1.3
 """Ratio of cells from which a level is clearly finer."""
 UNIT: dict[Kind, Callable[[Scene], float]] = {
@@ -222,7 +222,8 @@ def _as_exact(goal: Goal, runs: _Runs) -> Reached:
     if refined:
         finest, (error, order) = max(runs.done), _guess(goal, runs, found)
         error /= LAST_CHANCE
-        _run(goal, runs, _coarsest(goal, finest, error, order, above=finest) or _above(finest))
+        wanted = _coarsest(goal, finest, error, order, above=finest) or _above(finest)
+        _run(goal, runs, min(wanted, _within(FAR * finest)))
         found = _estimate(goal, runs)
         cells, error = _cheapest(found, runs, goal)
     simulation, clip = runs.done[cells]
