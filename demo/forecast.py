@@ -17,7 +17,7 @@ from phy124.accuracy import Forecaster as Probe
 from phy124.accuracy.forecast import pixels_per_size
 from phy124.gaussians import Gaussians
 from phy124.scene import PRESETS, PROMISES, Scene
-from phy124.timestep import CELLS_PER_STEP
+from phy124.timestep import CELLS_PER_STEP, beside_elastic
 
 GAUSSIANS = 50_000
 """What `relief` makes of a picture."""
@@ -170,11 +170,12 @@ def promised(scene: Scene) -> float | None:
 
 
 def count_substeps(scene: Scene) -> int:
-    """Substeps until the last frame, from the elastic and the speed limit."""
-    length = (scene.time.frames - 1) / scene.time.fps
-    elastic = scene.resolution.cfl * scene.dx / max(scene.material.wave_speed(), 1e-9)
+    """Substeps until the last frame, from the elastic, the viscous and the speed limit."""
+    length, cfl = (scene.time.frames - 1) / scene.time.fps, scene.resolution.cfl
+    elastic = cfl * scene.dx / max(scene.material.wave_speed(), 1e-9)
+    viscous = beside_elastic(cfl) * scene.material.viscous_limit(scene.dx)
     speed = CELLS_PER_STEP * scene.dx / max(_greatest_speed(scene, length), 1e-9)
-    step = min(elastic, speed, scene.time.substep or math.inf)
+    step = min(elastic, viscous, speed, scene.time.substep or math.inf)
     # Whole substeps in every frame.
     return (scene.time.frames - 1) * max(1, math.ceil(1 / scene.time.fps / step))
 

@@ -92,10 +92,12 @@ def test_what_would_take_too_long_is_refused_before_it_starts():
         check_time(Forecaster()(stiff), Settings())
 
 
-def test_the_forecast_counts_the_substeps_of_a_run(three_gaussians):
+@pytest.mark.parametrize("viscosity", [0.0, 2e4])
+def test_the_forecast_counts_the_substeps_of_a_run(three_gaussians, viscosity):
     from phy124.simulation import Simulation
 
-    scene = Scene.named("push_right").replaced({"accuracy": {"cells": 8, "ppc": 1.0}})
+    small = {"accuracy": {"cells": 8, "ppc": 1.0}, "material.viscosity": viscosity}
+    scene = Scene.named("push_right").replaced(small)
     run = Simulation(three_gaussians, scene, device="cpu")
     run.run()
     assert count_substeps(scene) == pytest.approx(run.solver.substeps, rel=0.25)
