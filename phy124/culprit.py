@@ -19,7 +19,7 @@ LIMITS = {
     "elastic": "the stiffness of the material",
     "speed": "its speed",
     "gradient": "its rate of strain",
-    "viscous": "its viscosity",
+    "viscous": "its viscosity or damping",
     "user": "time.substep",
 }
 """What limits a substep, in words."""

@@ -21,7 +21,7 @@ from phy124.boundaries import AnyBoundary, Ground
 from phy124.camera import FOV_Y
 from phy124.errors import InputError
 from phy124.forces import AnyForce, Gravity
-from phy124.materials import AnyMaterial, NeoHookean
+from phy124.materials import AnyMaterial, NeoHookean, forget_others
 from phy124.region import Region, Vector
 from phy124.stiffness import AnyStiffness
 
@@ -269,10 +269,16 @@ class Scene(Section):
         return tomli_w.dumps(self.data())
 
     def replaced(self, changes: dict[str, Any]) -> Scene:
-        """With other values at dotted paths, such as {"material.E": 2e4}; raises InputError."""
+        """With other values at dotted paths, such as {"material.E": 2e4}; raises InputError.
+
+        A material of another law forgets what only the former one had.
+        """
         data = self.data()
-        for path, value in changes.items():
-            _put(data, path, value)
+        # Laws come first, so that what is forgotten is not what was just asked for.
+        for path in sorted(changes, key=lambda path: not path.endswith("material.law")):
+            section = _put(data, path, changes[path])
+            if path.endswith("material.law"):
+                forget_others(section)
         return Scene.from_data(data)
 
 
@@ -293,8 +299,8 @@ def _preset_folder() -> Path:
     return Path(str(resources.files("phy124") / "presets"))
 
 
-def _put(data: Any, path: str, value: Any) -> None:
-    """Set one value in nested dicts and lists; list items are picked by number."""
+def _put(data: Any, path: str, value: Any) -> Any:
+    """Set one value in nested dicts and lists and return what it lies in; items go by number."""
     *parents, last = path.split(".")
     for key in parents:
         try:
@@ -307,6 +313,7 @@ def _put(data: Any, path: str, value: Any) -> None:
         raise InputError(
             path, value, f"there is no {last!r} to set there.", "See scene.toml."
         ) from None
+    return data
 
 
 def _refusal(error: ValidationError, source: str) -> InputError:
@@ -319,6 +326,8 @@ def _refusal(error: ValidationError, source: str) -> InputError:
     if kind == "extra_forbidden":
         known = _known_keys(where[:-1])
         close = difflib.get_close_matches(str(where[-1]), known, 1)
+        if where[-1] in known:
+            return InputError(field, value, "this kind has no such key.", "Leave it out.")
         hint = f"Did you mean {close[0]}?" if close else f"Known keys: {', '.join(known)}."
         return InputError(field, value, "there is no such key.", hint)
     remedy = _description(where) or "Change the value."

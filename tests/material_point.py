@@ -27,7 +27,7 @@ REALS = {"float32": wp.float32, "float64": wp.float64}
 EYE = np.eye(3)
 LAWS: list[Material] = [
     NeoHookean(),
-    NeoHookean(viscosity=3.0),
+    NeoHookean(damping=3.0),
     FixedCorotated(),
     Hencky(),
     Metal(hardening=1e4),

@@ -68,7 +68,7 @@ def neo_hookean(F: Array, C: Array, h: Array, t: Array) -> Array:
     return t[0] * (F @ F.transpose(0, 2, 1) - EYE) + t[1] * logJ * EYE
 
 
-def neo_hookean_viscous(F: Array, C: Array, h: Array, t: Array) -> Array:
+def neo_hookean_damped(F: Array, C: Array, h: Array, t: Array) -> Array:
     J = np.maximum(np.linalg.det(F), 0)[:, None, None]
     return neo_hookean(F, C, h, t[:2]) + J * t[2] * (C + C.transpose(0, 2, 1))
 
@@ -198,7 +198,7 @@ def isotropic(F: Array, h: Array, t: Array, dt: float) -> tuple[Array, Array]:
 
 TWINS = {
     "neo_hookean": Twin(neo_hookean_energy, neo_hookean),
-    "neo_hookean_viscous": Twin(neo_hookean_energy, neo_hookean_viscous),
+    "neo_hookean_damped": Twin(neo_hookean_energy, neo_hookean_damped),
     "fixed_corotated": Twin(fixed_corotated_energy, fixed_corotated),
     "hencky": Twin(hencky_energy, hencky),
     "metal": Twin(hencky_energy, hencky, von_mises),

@@ -75,7 +75,7 @@ def test_friction_asks_for_the_square_of_the_cells():
 
 
 def test_substeps_of_a_body_with_friction_are_foretold():
-    rubbing = scene("press", **{"material.viscosity": 400.0})
+    rubbing = scene("press", **{"material.damping": 400.0})
     simulation = Simulation(OBJECT, rubbing)
     made = Forecaster().of(simulation, filming=False)
     simulation.run()

@@ -92,11 +92,11 @@ def test_what_would_take_too_long_is_refused_before_it_starts():
         check_time(Forecaster()(stiff), Settings())
 
 
-@pytest.mark.parametrize("viscosity", [0.0, 2e4])
-def test_the_forecast_counts_the_substeps_of_a_run(three_gaussians, viscosity):
+@pytest.mark.parametrize("damping", [0.0, 2e4])
+def test_the_forecast_counts_the_substeps_of_a_run(three_gaussians, damping):
     from phy124.simulation import Simulation
 
-    small = {"accuracy": {"cells": 8, "ppc": 1.0}, "material.viscosity": viscosity}
+    small = {"accuracy": {"cells": 8, "ppc": 1.0}, "material.damping": damping}
     scene = Scene.named("push_right").replaced(small)
     run = Simulation(three_gaussians, scene, device="cpu")
     run.run()

@@ -43,10 +43,11 @@ ELASTIC = {
     "nu": st.one_of(st.floats(0, 0.4999), st.sampled_from([0.0, 0.49, 0.4999])),
     "density": decades(1, 1e5),
 }
+DAMPING = st.one_of(st.just(0.0), decades(1e-3, 1e7))
 MATERIALS: dict[str, dict[str, st.SearchStrategy[Any]]] = {
-    "neo_hookean": ELASTIC,
-    "fixed_corotated": ELASTIC,
-    "hencky": ELASTIC,
+    "neo_hookean": {**ELASTIC, "damping": DAMPING},
+    "fixed_corotated": {**ELASTIC, "damping": DAMPING},
+    "hencky": {**ELASTIC, "damping": DAMPING},
     "rigid": {**ELASTIC, "speed": decades(1e-2, 1000), "strain": decades(1e-4, 0.1)},
     "metal": {**ELASTIC, "yield_stress": decades(1e-3, 1e12), "hardening": decades(1e-3, 1e12)},
     "plasticine": {**ELASTIC, "yield_stress": decades(1e-3, 1e12), "softening": st.just(0.0)},

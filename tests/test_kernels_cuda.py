@@ -13,7 +13,7 @@ from phy124.scene import Scene, preset_names
 from phy124.simulation import Simulation
 
 CPU_ONLY = ("_simd", "barrier")
-LAWS = [m.device_law for m in (NeoHookean(), NeoHookean(viscosity=1.0), FixedCorotated(), Sand())]
+LAWS = [m.device_law for m in (NeoHookean(), NeoHookean(damping=1.0), FixedCorotated(), Sand())]
 
 
 def ptx(kernel, folder) -> str:

@@ -87,6 +87,27 @@ def test_an_unknown_preset_names_the_nearest():
         Scene.named("pres")
 
 
+@pytest.mark.parametrize("law", ["sand", "rigid", "fluid", "snow", "metal", "foam", "hencky"])
+def test_every_preset_takes_every_law(law):
+    """What the former law alone had is forgotten: a fluid has no Young's modulus."""
+    for name in preset_names():
+        assert Scene.named(name).replaced({"material.law": law}).material.law == law
+
+
+def test_what_was_asked_for_is_never_forgotten():
+    with pytest.raises(InputError, match=r"material.E = 2e4|material.E = 20000"):
+        Scene.named("press").replaced({"material.E": 2e4, "material.law": "fluid"})
+    made = Scene.named("press").replaced({"material.damping": 3.0, "material.law": "hencky"})
+    assert made.material.damping == 3.0
+    with pytest.raises(InputError, match="material.law"):
+        Scene.named("press").replaced({"material.law": "butter"})
+
+
+def test_a_key_of_another_kind_is_named_as_such():
+    with pytest.raises(InputError, match="this kind has no such key"):
+        Scene.from_data({"material": {"law": "sand", "damping": 3.0}})
+
+
 def test_values_are_replaced_by_dotted_path():
     scene = Scene.named("press").replaced({"material.E": 2e4, "boundaries.0.friction": 0.1})
     assert scene.material.E == 2e4

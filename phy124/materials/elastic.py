@@ -6,7 +6,7 @@ from typing import Any, ClassVar, Literal
 
 from pydantic import Field
 
-from phy124.kernels import elastic, hencky, viscous
+from phy124.kernels import damping, elastic, hencky
 from phy124.kernels.transfer import Law
 from phy124.materials.base import Elastic, viscous_substep
 
@@ -15,38 +15,38 @@ class Springy(Elastic):
     """Elastic solids that may lose energy by inner friction, as rubber does."""
 
     lossless: ClassVar[Law]
-    friction: ClassVar[Any]
+    damped: ClassVar[Any]
     """The same stress with friction; theta then ends with eta."""
 
-    viscosity: float = Field(
+    damping: float = Field(
         default=0.0,
         ge=0,
         le=1e7,
-        description="Inner friction [Pa s]; loss tangent of a swing of w rad/s: w viscosity / mu.",
+        description="Inner friction [Pa s]; loss tangent of a swing of w rad/s: w damping / mu.",
     )
 
     @property
     def device_law(self) -> Law:  # pyright: ignore[reportIncompatibleVariableOverride]
         """The law without friction, or one of its own with it."""
         plain = self.lossless
-        if self.viscosity == 0:
+        if self.damping == 0:
             return plain
-        return plain._replace(name=f"{plain.name}_viscous", stress=self.friction, width=3)
+        return plain._replace(name=f"{plain.name}_damped", stress=self.damped, width=3)
 
     def theta(self) -> tuple[float, ...]:
-        """(mu, lambda), and the viscosity if there is one."""
-        return (*self.lame, self.viscosity) if self.viscosity else self.lame
+        """(mu, lambda), and the damping if there is one."""
+        return (*self.lame, self.damping) if self.damping else self.lame
 
     def viscous_limit(self, dx: float) -> float:
         """Longest substep that friction allows [s]."""
-        return viscous_substep(self.density, self.viscosity, dx)
+        return viscous_substep(self.density, self.damping, dx)
 
 
 class NeoHookean(Springy):
     """Compressible neo-Hookean solid with log J: the default, stays sound in hard impacts."""
 
     law: Literal["neo_hookean"] = "neo_hookean"
-    friction: ClassVar[Any] = staticmethod(viscous.neo_hookean_viscous)
+    damped: ClassVar[Any] = staticmethod(damping.neo_hookean_damped)
     lossless: ClassVar[Law] = Law(
         name="neo_hookean",
         stress=elastic.neo_hookean,
@@ -60,7 +60,7 @@ class FixedCorotated(Springy):
     """Fixed corotated solid (PhysGaussian's jelly); collapses silently in hard impacts."""
 
     law: Literal["fixed_corotated"] = "fixed_corotated"
-    friction: ClassVar[Any] = staticmethod(viscous.fixed_corotated_viscous)
+    damped: ClassVar[Any] = staticmethod(damping.fixed_corotated_damped)
     lossless: ClassVar[Law] = Law(
         name="fixed_corotated",
         stress=elastic.fixed_corotated,
@@ -74,7 +74,7 @@ class Hencky(Springy):
     """St. Venant-Kirchhoff solid in Hencky strain: linear in log stretch, softens when pulled."""
 
     law: Literal["hencky"] = "hencky"
-    friction: ClassVar[Any] = staticmethod(viscous.hencky_viscous)
+    damped: ClassVar[Any] = staticmethod(damping.hencky_damped)
     lossless: ClassVar[Law] = Law(
         name="hencky",
         stress=hencky.hencky,

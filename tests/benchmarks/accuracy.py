@@ -1,14 +1,15 @@
 """The measurements of docs/accuracy.md: known answers, studies, goals, the cost of each part.
 
-With `--docs` its tables and plots are renewed (`make accuracy`). About half an hour, most of it
-for the goals and the finer runs that check them; parts by name
-(verify, duck-press, sunflower-push, sand-collapse, ball-bounce, costs, times, goals) do only those.
+With `--docs` its tables and plots are renewed (`make accuracy`). About a quarter of an hour, most
+of it for the goals and the finer runs that check them; parts by name (verify, duck-press,
+sunflower-push, sand-collapse, ball-bounce, damping, costs, times, goals) do only those.
 """
 
 import json
 import sys
 import tempfile
 import time
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -46,6 +47,8 @@ STUDIES = {
     "ball-bounce": (None, "bounce", {}, (12, 16, 24, 32)),
 }
 """Name -> picture (None: the chequered ball), preset, changes, levels."""
+DAMPED_LEVELS = (16, 24, 32, 48)
+"""Grids on which inner friction is varied."""
 FINER = (*CELLS, 144, 160)
 """Grids that goals are checked with."""
 
@@ -147,6 +150,24 @@ def time_rows(gaussians: Gaussians) -> list[list[str]]:
     return rows
 
 
+def damping_rows(gaussians: Gaussians) -> list[list[str]]:
+    """The duck bounced by grid, with more and more inner friction: what is lost, what changes."""
+    rows = []
+    for damping in (0.0, 100.0, 200.0, 400.0):
+        scene, clips, lost = Scene.named("bounce").replaced({"material.damping": damping}), [], []
+        for cells in DAMPED_LEVELS:
+            accuracy = scene.resolution.model_copy(update={"cells": cells})
+            run = Simulation(gaussians, scene.model_copy(update={"accuracy": accuracy}))
+            clips.append(run.run())
+            lost.append(-clips[-1].report["balance"]["energy_gain"])
+        apart = [pixel_distance(a, b, scene.view) for a, b in pairwise(clips)]
+        across = pixel_distance(clips[0], clips[-1], scene.view)
+        cells = [*(f"{share:.0%}" for share in lost), *(f"{px:.1f}" for px in (*apart, across))]
+        rows.append([f"{damping:g}", *cells, str(run.solver.substeps)])
+        print(json.dumps(rows[-1]), flush=True)
+    return rows
+
+
 def cost_rows(gaussians: Gaussians) -> list[list[str]]:
     """One part of the method changed at a time: seconds by stage, change of the picture."""
     base = Scene.named("press")
@@ -223,6 +244,12 @@ def main(parts: list[str], *, docs: bool) -> None:
                 (DOCS / "accuracy").mkdir(exist_ok=True)
                 save_picture(report, DOCS / "accuracy" / f"{name}.png", title=name)
     duck = static("duck")
+    if wants(parts, "damping"):
+        pairs = [f"D/{a} to D/{b}, px" for a, b in pairwise(DAMPED_LEVELS)]
+        pairs.append(f"D/{DAMPED_LEVELS[0]} to D/{DAMPED_LEVELS[-1]}")
+        lost = [f"lost at D/{n}" for n in DAMPED_LEVELS]
+        heads = ["damping [Pa s]", *lost, *pairs, f"substeps at D/{DAMPED_LEVELS[-1]}"]
+        made["damping"] = markdown(heads, damping_rows(duck))
     if wants(parts, "costs"):
         heads = ["", "particles", "simulate", "shapes", "render", "encode", "all", "PSNR"]
         made["costs"] = markdown(heads, cost_rows(duck))

@@ -13,13 +13,13 @@ from phy124.scene import Scene
 from phy124.watchdog import weigh
 
 ETA = 7.0
-LAWS = [law(viscosity=ETA) for law in (NeoHookean, FixedCorotated, Hencky)]
+LAWS = [law(damping=ETA) for law in (NeoHookean, FixedCorotated, Hencky)]
 
 
 @pytest.mark.parametrize("material", LAWS, ids=name)
 def test_friction_is_newtonian_beside_the_elastic_stress(material, rng):
     F, C = deformations(rng, 0.3), 50 * rng.standard_normal((300, 3, 3))
-    plain = material.model_copy(update={"viscosity": 0.0})
+    plain = material.model_copy(update={"damping": 0.0})
     more = evaluate(material, F, C=C).stress - evaluate(plain, F).stress
     J = np.linalg.det(F)[:, None, None]
     assert np.allclose(more, J * ETA * (C + transposed(C)), rtol=1e-9, atol=1e-7)
@@ -47,10 +47,10 @@ def test_without_friction_the_plain_law_runs():
     assert NeoHookean().device_law is NeoHookean.lossless
     assert NeoHookean().device_law.width == len(NeoHookean().theta()) == 2
     assert LAWS[0].device_law.width == len(LAWS[0].theta()) == 3
-    assert "viscosity" not in Rigid.model_fields
+    assert "damping" not in Rigid.model_fields
 
 
-def damped_bar(viscosity: float, *, cells: int = 24, ppc: int = 2) -> float:
+def damped_bar(damping: float, *, cells: int = 24, ppc: int = 2) -> float:
     """Rate [1/s] at which the first mode of a free bar dies away, over its first period."""
     E, density = 1e4, 1000.0
     dx, wave, speed = 1 / cells, math.pi, math.sqrt(E / density)
@@ -58,7 +58,7 @@ def damped_bar(viscosity: float, *, cells: int = 24, ppc: int = 2) -> float:
     x, v, C = (np.zeros((len(z), *shape)) for shape in ((3,), (3,), (3, 3)))
     x[:, 2], v[:, 2] = z, 1e-6 * np.cos(wave * z)
     C[:, 2, 2] = -1e-6 * wave * np.sin(wave * z)
-    material = NeoHookean(E=E, nu=0.0, density=density, viscosity=viscosity)
+    material = NeoHookean(E=E, nu=0.0, density=density, damping=damping)
     volume = np.full(len(x), dx**3 / ppc)
     solver = Solver(x, volume, [material], dx=dx, v=v, C=C, precision="float64")
     period = 2 / speed
@@ -69,17 +69,17 @@ def damped_bar(viscosity: float, *, cells: int = 24, ppc: int = 2) -> float:
 
 def test_a_bar_swings_as_a_damped_oscillator():
     """rho u'' = E u_zz + 2 eta u'_zz: the mode cos(k z) decays at k^2 eta / rho."""
-    viscosity = 20.0
+    damping = 20.0
     grid = damped_bar(0.0)
-    assert damped_bar(viscosity) - grid == pytest.approx(math.pi**2 * viscosity / 1000, rel=0.02)
+    assert damped_bar(damping) - grid == pytest.approx(math.pi**2 * damping / 1000, rel=0.02)
 
 
 @pytest.mark.parametrize("cfl", [0.6, 0.9])
-@pytest.mark.parametrize("viscosity", [30.0, 3000.0])
-def test_a_shaken_block_only_calms_down(viscosity, cfl, rng):
+@pytest.mark.parametrize("damping", [30.0, 3000.0])
+def test_a_shaken_block_only_calms_down(damping, cfl, rng):
     """Substeps are as long as friction and stiffness together allow, and no energy appears."""
     x = block(5, 0.1)
-    material = NeoHookean(E=2e4, viscosity=viscosity)
+    material = NeoHookean(E=2e4, damping=damping)
     v = rng.normal(scale=0.3, size=x.shape)
     solver = Solver(x, np.full(len(x), 0.05**3), [material], dx=0.1, v=v, cfl=cfl)
     energies = [weigh(solver).energy]
@@ -87,7 +87,7 @@ def test_a_shaken_block_only_calms_down(viscosity, cfl, rng):
         solver.advance(0.04 * frame)
         energies.append(weigh(solver).energy)
     assert (np.diff(energies) <= 1e-3 * energies[0]).all()
-    limiter = "elastic" if viscosity < 100 else "viscous"
+    limiter = "elastic" if damping < 100 else "viscous"
     assert max(solver.limiters, key=solver.limiters.__getitem__) == limiter
 
 
@@ -96,9 +96,9 @@ def test_a_lone_particle_is_stable_beside_both_limits(rng):
     dx, cfl = 0.1, 0.9
     speed = NeoHookean(E=2e4).wave_speed()
     share = 2 - 2 * cfl**2
-    viscosity = 1.5 * share * 1000 * dx * speed / (8 * cfl)
+    damping = 1.5 * share * 1000 * dx * speed / (8 * cfl)
     C = rng.normal(scale=0.01, size=(1, 3, 3))
-    material = NeoHookean(E=2e4, viscosity=viscosity)
+    material = NeoHookean(E=2e4, damping=damping)
     solver = Solver(
         np.zeros((1, 3)), np.full(1, dx**3), [material], dx=dx, C=C, cfl=cfl, precision="float64"
     )
@@ -109,5 +109,5 @@ def test_a_lone_particle_is_stable_beside_both_limits(rng):
 
 
 def test_a_scene_can_name_it():
-    scene = Scene.model_validate({"material": {"law": "hencky", "viscosity": 12.0}})
-    assert scene.material.device_law.name == "hencky_viscous"
+    scene = Scene.model_validate({"material": {"law": "hencky", "damping": 12.0}})
+    assert scene.material.device_law.name == "hencky_damped"

@@ -23,18 +23,18 @@ def newtonian(F: Any, C: Any, eta: Any):
 
 
 @wp.func
-def neo_hookean_viscous(F: Any, C: Any, h: Any, theta: Any):
+def neo_hookean_damped(F: Any, C: Any, h: Any, theta: Any):
     """Neo-Hookean with friction; theta = (mu, lam, eta)."""
     return neo_hookean(F, C, h, theta) + newtonian(F, C, theta[2])
 
 
 @wp.func
-def fixed_corotated_viscous(F: Any, C: Any, h: Any, theta: Any):
+def fixed_corotated_damped(F: Any, C: Any, h: Any, theta: Any):
     """Fixed corotated with friction; theta = (mu, lam, eta)."""
     return fixed_corotated(F, C, h, theta) + newtonian(F, C, theta[2])
 
 
 @wp.func
-def hencky_viscous(F: Any, C: Any, h: Any, theta: Any):
+def hencky_damped(F: Any, C: Any, h: Any, theta: Any):
     """Hencky with friction; theta = (mu, lam, eta)."""
     return hencky(F, C, h, theta) + newtonian(F, C, theta[2])
