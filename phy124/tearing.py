@@ -73,7 +73,8 @@ class Tearing:
             f"lay more than {APART} cells apart, first "
             f"{culprit.describe(self._solver, self.first)}. "
             "There the grid may tear what the material holds together. A larger accuracy.ppc, a "
-            "stiffer material or a gentler motion helps; a finer grid does not."
+            "stiffer material, more material.damping or a gentler motion helps; a finer grid does "
+            "not."
         )
 
     def report(self) -> dict[str, Any]:
