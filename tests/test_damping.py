@@ -1,4 +1,4 @@
-"""Inner friction of elastic laws: the stress, a bar whose decay is known, stability at the limit."""
+"""Inner friction of elastic laws: the stress, a bar of known decay, stability at the limit."""
 
 import math
 

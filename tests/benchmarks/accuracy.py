@@ -150,7 +150,7 @@ def time_rows(gaussians: Gaussians) -> list[list[str]]:
     return rows
 
 
-def damping_rows(gaussians: Gaussians) -> list[list[str]]:
+def damping_table(gaussians: Gaussians) -> str:
     """The duck bounced by grid, with more and more inner friction: what is lost, what changes."""
     rows = []
     for damping in (0.0, 100.0, 200.0, 400.0):
@@ -165,7 +165,11 @@ def damping_rows(gaussians: Gaussians) -> list[list[str]]:
         cells = [*(f"{share:.0%}" for share in lost), *(f"{px:.1f}" for px in (*apart, across))]
         rows.append([f"{damping:g}", *cells, str(run.solver.substeps)])
         print(json.dumps(rows[-1]), flush=True)
-    return rows
+    pairs = [f"D/{a} to D/{b}, px" for a, b in pairwise(DAMPED_LEVELS)]
+    pairs.append(f"D/{DAMPED_LEVELS[0]} to D/{DAMPED_LEVELS[-1]}")
+    lost_at = [f"lost at D/{n}" for n in DAMPED_LEVELS]
+    heads = ["damping [Pa s]", *lost_at, *pairs, f"substeps at D/{DAMPED_LEVELS[-1]}"]
+    return markdown(heads, rows)
 
 
 def cost_rows(gaussians: Gaussians) -> list[list[str]]:
@@ -225,31 +229,32 @@ def thin(gaussians: Gaussians, count: int) -> Gaussians:
     return Gaussians(few.means, few.quats, few.scales * wider, few.opacities, few.sh)
 
 
+def studies(parts: list[str], *, docs: bool) -> dict[str, str]:
+    """The tables of the studies named, or of all; with `docs` their plots are drawn anew."""
+    made = {}
+    for name, (picture, preset, changes, levels) in STUDIES.items():
+        if not wants(parts, name):
+            continue
+        start, scene = time.process_time(), Scene.named(preset).replaced(changes)
+        study = Study(static(picture), scene, levels=levels, told=lambda row: print(row.name))
+        report = study.run()
+        made[name] = study_table(report)
+        print(f"{name}: {time.process_time() - start:.0f} CPU seconds\n{made[name]}", flush=True)
+        if docs:
+            (DOCS / "accuracy").mkdir(exist_ok=True)
+            save_picture(report, DOCS / "accuracy" / f"{name}.png", title=name)
+    return made
+
+
 def main(parts: list[str], *, docs: bool) -> None:
     """Measure the parts named, or all."""
     wp.config.log_level = wp.LOG_ERROR
-    page, made = DOCS / "accuracy.md", {}
+    made, duck = {}, static("duck")
     if wants(parts, "verify"):
         made["verify"] = known_answers()
-    for name, (picture, preset, changes, levels) in STUDIES.items():
-        if wants(parts, name):
-            scene = Scene.named(preset).replaced(changes)
-            start = time.process_time()
-            study = Study(static(picture), scene, levels=levels, told=lambda row: print(row.name))
-            report = study.run()
-            print(f"{name}: {time.process_time() - start:.0f} CPU seconds")
-            made[name] = study_table(report)
-            print(made[name], flush=True)
-            if docs:
-                (DOCS / "accuracy").mkdir(exist_ok=True)
-                save_picture(report, DOCS / "accuracy" / f"{name}.png", title=name)
-    duck = static("duck")
+    made |= studies(parts, docs=docs)
     if wants(parts, "damping"):
-        pairs = [f"D/{a} to D/{b}, px" for a, b in pairwise(DAMPED_LEVELS)]
-        pairs.append(f"D/{DAMPED_LEVELS[0]} to D/{DAMPED_LEVELS[-1]}")
-        lost = [f"lost at D/{n}" for n in DAMPED_LEVELS]
-        heads = ["damping [Pa s]", *lost, *pairs, f"substeps at D/{DAMPED_LEVELS[-1]}"]
-        made["damping"] = markdown(heads, damping_rows(duck))
+        made["damping"] = damping_table(duck)
     if wants(parts, "costs"):
         heads = ["", "particles", "simulate", "shapes", "render", "encode", "all", "PSNR"]
         made["costs"] = markdown(heads, cost_rows(duck))
@@ -264,7 +269,7 @@ def main(parts: list[str], *, docs: bool) -> None:
     for name, text in made.items():
         print(text, flush=True)
         if docs:
-            renew(page, name, text)
+            renew(DOCS / "accuracy.md", name, text)
 
 
 def wants(parts: list[str], name: str) -> bool:
