@@ -20,7 +20,6 @@ AnyMaterial = Annotated[
 ]
 
 
-
 def forget_others(section: dict[str, Any]) -> None:
     """Leave in a material's section only what its law has; all if there is no such law."""
     union, _ = get_args(AnyMaterial)
