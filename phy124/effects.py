@@ -20,6 +20,7 @@ MOVING = ("press", "gripper")
 """Kinds of boundary that always move."""
 
 PARTICLE_COSTS = {
+    "inner friction": 2,
     "return mapping": 70,
     "several materials": 7,
     "particle forces": 11,
@@ -28,8 +29,8 @@ PARTICLE_COSTS = {
 }
 """What effects would cost, nanoseconds per particle and substep on one core (docs/benchmarks.md).
 
-Metal's G2P against an elastic one; every particle asked for its law; a force on a region with its
-books; float64 against float32; Warp's svd3.
+Damped stress against plain; metal's G2P against an elastic one; every particle asked for its law;
+a force on a region with its books; float64 against float32; Warp's svd3.
 """
 TABLE_COST = 30e3
 """Sampling the time tables, nanoseconds per substep."""

@@ -47,6 +47,7 @@ class Nothing(Elastic):
 LAWS: dict[str, Material] = {
     "transfers only": Nothing(),
     "neo_hookean": NeoHookean(),
+    "neo_hookean, damped": NeoHookean(damping=50.0),
     "fixed_corotated": FixedCorotated(),
     "hencky": Hencky(),
     "metal": Metal(yield_stress=2e3),
