@@ -28,7 +28,7 @@ READ = 0.2
 DOUBLE = 1.7
 """How much longer a substep takes in float64 (docs/accuracy.md)."""
 TRUST = 0.5
-"""Weight of the newest measurement."""
+"""Weight of the newest measurement; the first counts alone."""
 
 
 @dataclass(frozen=True)
@@ -88,6 +88,7 @@ class Forecaster:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self.rates = Rates()
+        self._trust = 1.0
 
     def __call__(
         self,
@@ -137,13 +138,13 @@ class Forecaster:
             "pixel": drawn / pixels if drawn else None,
         }
         with self._lock:
-            old = vars(self.rates)
+            old, new = vars(self.rates), self._trust
             better = {
-                name: (1 - TRUST) * old[name] + TRUST * value
+                name: (1 - new) * old[name] + new * value
                 for name, value in measured.items()
                 if value
             }
-            self.rates = replace(self.rates, **better)
+            self.rates, self._trust = replace(self.rates, **better), TRUST
 
 
 def measured(gaussians: Gaussians, scene: Scene, device: str, rest: float) -> Forecast:

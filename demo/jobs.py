@@ -184,11 +184,12 @@ class Studio:
 
     def warm_up(self) -> None:
         """Load all kernels and measure this machine with a small run; at the start, in a thread."""
-        from demo.warm import warm_up
+        from demo.warm import small_run, warm_up
 
         if not self.forks:
             with DEVICE:
                 warm_up(self.settings.device)
+                self.forecaster.learn(*small_run(self.settings.device))
         self.warm.set()
 
 

@@ -1,10 +1,17 @@
-"""Warm up: load every kernel that the presets use, so that the first visitor does not wait."""
+"""Warm up: load every kernel that the presets use, so that the first visitor does not wait, and
+measure this machine, so that the first forecast is one.
+"""
 
 from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from demo.work import device_named
+from phy124 import pipeline
 from phy124.camera import Camera
 from phy124.gaussians import Gaussians
 from phy124.render import Renderer
@@ -12,6 +19,7 @@ from phy124.scene import Scene, preset_names
 from phy124.simulation import Simulation
 
 COUNT = 500
+EXAMPLE = Path(__file__).parent / "examples/duck.png"
 
 
 def warm_up(device: str) -> None:
@@ -23,6 +31,15 @@ def warm_up(device: str) -> None:
         few = {"accuracy": {"cells": 8, "ppc": 1.0}, "time.frames": 2, "time.fps": 240.0}
         for _ in Simulation(ball, Scene.named(name).replaced(few), device=device):
             pass
+
+
+def small_run(device: str) -> tuple[dict[str, Any], Scene]:
+    """Report and scene of a short clip of an example: what things cost on this machine."""
+    short = {"accuracy": "draft", "time.frames": 5, "view.views": ["front"]}
+    scene = Scene.named("press").replaced(short)
+    with tempfile.TemporaryDirectory() as folder:
+        result = pipeline.generate(EXAMPLE, scene, folder, device=device_named(device))
+    return result.report, scene
 
 
 def _ball() -> Gaussians:

@@ -10,6 +10,7 @@ import pytest
 from demo.catalogue import FOLDER, catalogue, check_time, scene_of
 from demo.forecast import Forecaster, count_substeps, measured, stops_table
 from demo.settings import Settings, table
+from demo.warm import small_run
 from phy124.boundaries import AnyBoundary
 from phy124.errors import InputError
 from phy124.forces import AnyForce
@@ -114,6 +115,29 @@ def test_the_forecaster_learns_what_a_particle_costs():
     assert forecaster.rates.particle > 4e-4
     assert forecaster(scene).seconds > 100 * before
     assert "Error promised: at most" in forecaster(scene).sentence
+
+
+def test_the_first_measurement_counts_alone_and_later_ones_by_half():
+    forecaster, scene = Forecaster(), Scene.named("press")
+    for seconds, rate in ((10.0, 1e-5), (20.0, 1.5e-5), (15.0, 1.5e-5)):
+        report = {
+            "stages": [{"name": "simulate", "seconds": seconds}],
+            "particles": 1000, "substeps": 1000, "frames": 14,
+        }  # fmt: skip
+        forecaster.learn(report, scene)
+        assert forecaster.rates.particle == pytest.approx(rate)
+
+
+def test_the_page_measures_this_machine_before_the_first_visitor():
+    """What it then foretells is nearer to a run than the rates it was written with."""
+    forecaster, (report, scene) = Forecaster(), small_run("cpu")
+    written = forecaster.rates
+    forecaster.learn(report, scene)
+    stages = {stage["name"]: stage["seconds"] for stage in report["stages"]}
+    assert forecaster.rates.generate == stages["generate"] != written.generate
+    work = report["particles"] * report["substeps"]
+    assert forecaster.rates.particle == pytest.approx(stages["simulate"] / work)
+    assert forecaster.rates.rest == written.rest
 
 
 def test_stops_are_those_of_the_scene_and_follow_what_was_measured():
