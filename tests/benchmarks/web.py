@@ -25,7 +25,7 @@ def main() -> None:
     start = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder, serving(Path(folder)) as server:
         ready = time.perf_counter() - start
-        rows = [("cold start to a page with all kernels loaded, and this machine measured", f"{ready:.1f} s")]
+        rows = [("cold start to a warm page that has measured the machine", f"{ready:.1f} s")]
         rows.append(("the page itself", f"{_seconds(lambda: _read(server.url)):.2f} s"))
         client = Client(server.url, verbose=False, analytics_enabled=False)
         rows += _runs(client)
