@@ -107,16 +107,25 @@ def free_memory() -> float:
 def _substeps(scene: Scene) -> float:
     """How many substeps the elastic limit, the user's or the spin ask for."""
     duration = (scene.time.frames - 1) / scene.time.fps
-    fastest = max(section.wave_speed() for section in scene.materials)
-    longest = scene.resolution.cfl * scene.dx / fastest
-    viscous = min(m.viscous_limit(scene.dx) for m in scene.materials)
-    longest = min(longest, beside_elastic(scene.resolution.cfl) * viscous)
+    longest = min(_elastic(scene), _viscous(scene))
     turning = math.sqrt(2) * math.hypot(*scene.object.spin)
     if turning > 0:
         longest = min(longest, STRAIN_PER_STEP / turning)
     if scene.time.substep is not None:
         longest = min(longest, scene.time.substep)
     return duration / longest
+
+
+def _elastic(scene: Scene) -> float:
+    """Longest substep that stiffness allows at rest [s]."""
+    fastest = max(section.wave_speed() for section in scene.materials)
+    return scene.resolution.cfl * scene.dx / fastest
+
+
+def _viscous(scene: Scene) -> float:
+    """Longest substep that friction allows [s]."""
+    friction = min(section.viscous_limit(scene.dx) for section in scene.materials)
+    return beside_elastic(scene.resolution.cfl) * friction
 
 
 def _quicker(scene: Scene, excess: float) -> str:
@@ -126,13 +135,18 @@ def _quicker(scene: Scene, excess: float) -> str:
     automatic = scene.model_copy(update={"time": timing})
     if longest is not None and _substeps(automatic) < _substeps(scene) / 2:
         return f"Leave time.substep out, or allow {longest * excess:.2g} s."
+    frames = max(1, int((scene.time.frames - 1) / excess) + 1)
+    others = f"{frames} frames, or a coarser accuracy, or more time.patience."
+    if _viscous(scene) < _elastic(scene) / 2 and not scene.parts:
+        name = next(n for n in ("damping", "viscosity") if hasattr(scene.material, n))
+        fits = getattr(scene.material, name) / excess
+        return f"material.{name} = {fits:.2g} would fit, or {others}"
     E = getattr(scene.material, "simulated_E", getattr(scene.material, "E", None))
     if E is not None and not scene.parts:
         softer = f"material.E = {E / excess**2:.2g} would fit, or the law rigid, or "
     else:
         softer = "A softer material would fit, or "
-    frames = max(1, int((scene.time.frames - 1) / excess) + 1)
-    return f"{softer}{frames} frames, or a coarser accuracy, or more time.patience."
+    return f"{softer}{others}"
 
 
 def duration(seconds: float) -> str:

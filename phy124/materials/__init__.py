@@ -24,7 +24,7 @@ def forget_others(section: dict[str, Any]) -> None:
     """Leave in a material's section only what its law has; all if there is no such law."""
     union, _ = get_args(AnyMaterial)
     known = {kind.model_fields["law"].default: kind.model_fields for kind in get_args(union)}
-    fields = known.get(section.get("law"), section)
+    fields = known.get(str(section.get("law")), section)
     for key in [key for key in section if key not in fields]:
         del section[key]
 
