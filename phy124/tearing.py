@@ -5,6 +5,9 @@ stretching has carried them more than about a cell apart they no longer do: the 
 though no law said so (numerical fracture). A bar pulled apart holds up to a mean spacing of about
 one cell, at which its worst places reach `APART` (docs/stability.md). A finer grid does not help,
 since it resolves sharper corners, which are stretched more; more particles per cell do.
+
+Two signs are looked for: particles that are stretched so far, and pieces that came off. The first
+warns of a tear and misses that of a thin stem, the second is a tear.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ import warp as wp
 
 from phy124 import culprit
 from phy124.kernels.stretch import make_apart
+from phy124.pieces import Pieces
 
 if TYPE_CHECKING:
     from phy124.mpm import Solver
@@ -28,6 +32,14 @@ MANY, FEW = 5e-3, 3
 Of the pressed, dropped and bounced ducks that were looked at, those below 5.2e-3 were whole; one
 at 6.7e-3 lost its head, another at 7.9e-3 did not.
 """
+REACH = 1.5
+"""How far a particle's spline reaches [cells]; nothing holds across a wider empty layer."""
+LOOSE, FLAKE = 2e-3, 8
+"""Share of the elastic particles, and their least number, that have to come off for a tear."""
+REMEDY = (
+    "A larger accuracy.ppc, a stiffer material, more material.damping or a gentler motion helps; "
+    "a finer grid does not."
+)
 
 
 class Tearing:
@@ -41,11 +53,22 @@ class Tearing:
         self._elastic = [group for group in solver.groups if group.law.project is None]
         self.count, self.first, self.stretch = 0, 0, 1.0
         """Most particles at once beyond `APART`, the lowest of them, and the greatest stretch."""
+        self.loose = 0
+        """Most particles at once that were off the piece they belong to."""
+        self._chosen = np.zeros(len(solver.rest), bool)
+        for group in self._elastic:
+            self._chosen[group.start : group.stop] = True
+        self._pieces = Pieces(solver.rest[self._chosen], REACH * solver.dx)
+
+    @property
+    def torn(self) -> bool:
+        """Whether a visible piece came off."""
+        return self.loose >= max(FLAKE, LOOSE * int(self._chosen.sum()))
 
     @property
     def likely(self) -> bool:
-        """Whether enough particles lost their neighbours for a visible tear."""
-        return self.count > max(FEW, MANY * len(self._solver.rest) ** (2 / 3))
+        """Whether a piece came off, or enough particles lost their neighbours that one may."""
+        return self.torn or self.count > max(FEW, MANY * len(self._solver.rest) ** (2 / 3))
 
     def look(self) -> None:
         """At the end of a frame."""
@@ -63,20 +86,39 @@ class Tearing:
             stretch: Any = greatest.numpy()
             self.count, self.first = count, first
             self.stretch = max(self.stretch, float(np.asarray(stretch)[0]))
+        x: Any = s.state.x.numpy()
+        whole = self._chosen.all()
+        self.loose = max(self.loose, self._pieces.loose(x if whole else x[self._chosen]))
 
     def note(self) -> str | None:
         """What the user should know, or None."""
         if not self.likely:
             return None
+        if self.torn:
+            share = self.loose / self._chosen.sum()
+            return (
+                f"{self.loose} particles ({share:.1%}) came off the piece they belong to: the grid "
+                f"tore what the material holds together. {REMEDY}"
+            )
         return (
             f"{self.count} particles were stretched, up to {self.stretch:.1f} times, until they "
             f"lay more than {APART} cells apart, first "
             f"{culprit.describe(self._solver, self.first)}. "
-            "There the grid may tear what the material holds together. A larger accuracy.ppc, a "
-            "stiffer material, more material.damping or a gentler motion helps; a finer grid does "
-            "not."
+            f"There the grid may tear what the material holds together. {REMEDY}"
         )
+
+    @property
+    def briefly(self) -> str:
+        """The same in a few words."""
+        if self.torn:
+            return "the grid tears the material"
+        return f"the material is stretched {self.stretch:.1f} times and the grid may tear it"
 
     def report(self) -> dict[str, Any]:
         """For the report of the run."""
-        return {"apart": self.count, "stretch": self.stretch, "likely": self.likely}
+        return {
+            "apart": self.count,
+            "stretch": self.stretch,
+            "loose": self.loose,
+            "likely": self.likely,
+        }

@@ -46,9 +46,46 @@ def test_a_bar_that_parts_is_reported_with_the_remedy():
     assert widest_gap(s) > 3
     assert tearing.likely
     assert tearing.stretch > APART * 2
+    assert tearing.torn
     note = tearing.note()
     assert "accuracy.ppc" in note
+    assert f"{tearing.loose} particles" in note
+    assert 0.1 < tearing.loose / len(s.rest) < 0.9
+    assert tearing.briefly == "the grid tears the material"
+
+
+def test_a_bar_about_to_part_is_reported_with_the_place():
+    _, tearing = pulled(2, 7.0, frames=5)
+    assert tearing.likely and not tearing.torn
+    note = tearing.note()
     assert "of law neo_hookean, at (" in note
+    assert f"up to {tearing.stretch:.1f} times" in note
+
+
+def test_a_thin_stem_that_parts_is_reported():
+    """Two blocks and a rod of one cell between them, looked at when the rod has sprung back."""
+    s = dumb_bell(speed=4.0)
+    tearing = Tearing(s)
+    assert tearing.loose == 0
+    s.advance(0.6)
+    tearing.look()
+    assert widest_gap(s) > 3
+    assert tearing.loose == pytest.approx(len(s.rest) / 2, rel=0.1)
+    assert tearing.likely
+
+
+def dumb_bell(speed: float) -> Solver:
+    """Blocks of 10 cells, a rod of one cell and 6 long; they fly apart at `speed` m/s each."""
+    dx, h = 0.05, 0.025
+    line = (np.arange(20) + 0.5) * h
+    block = np.stack(np.meshgrid(line, line, line, indexing="ij"), -1).reshape(-1, 3)
+    rod = np.stack(
+        np.meshgrid(*[[0.2375, 0.2625]] * 2, (np.arange(12) + 0.5) * h, indexing="ij"), -1
+    )
+    x = np.concatenate([block, rod.reshape(-1, 3) + [0, 0, 0.5], block + [0, 0, 0.8]])
+    v = np.zeros_like(x)
+    v[:, 2] = speed * np.clip((x[:, 2] - 0.65) / 0.15, -1, 1)
+    return Solver(x, np.full(len(x), h**3), [NeoHookean(E=1e4)], dx=dx, v=v, threads=1)
 
 
 def test_more_particles_per_cell_are_the_remedy():

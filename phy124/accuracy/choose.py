@@ -287,10 +287,10 @@ def _about(
 
 
 def _why_torn(runs: _Runs) -> str:
-    stretch = runs.done[runs.torn[0]][0].watchdog.tearing.stretch
+    why = runs.done[runs.torn[0]][0].watchdog.tearing.briefly
     return (
-        f"on D/{runs.torn[0]} the material is stretched {stretch:.1f} times and the grid may tear "
-        "it; a larger accuracy.ppc, more damping, a stiffer material or a gentler motion helps"
+        f"on D/{runs.torn[0]} {why}; a larger accuracy.ppc, more damping, a stiffer material or a "
+        "gentler motion helps"
     )
 
 

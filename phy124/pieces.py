@@ -1,0 +1,69 @@
+"""Pieces: which particles still hang together with those they hung together with at rest.
+
+Space is cut into cubes. Particles in the same cube, or in cubes that touch, hang together; an
+empty layer of cubes between two groups parts them.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+FAR = 4096
+"""Cubes between the outermost particles from which empty space is left out before labelling."""
+MOST = 50_000_000
+"""Cubes that are labelled at most; a cloud beyond has no shape left to speak of."""
+
+
+class Pieces:
+    """The pieces that particles at rest, `rest` [P,3] m, form with cubes of a side [m]."""
+
+    def __init__(self, rest: NDArray, side: float) -> None:
+        self._side = side
+        self._body = labels(rest, side)
+        if self._body is not None:
+            self._sizes = np.bincount(self._body)
+
+    def loose(self, x: NDArray) -> int:
+        """How many are off the largest piece of what they were part of; `x` [P,3] m, now."""
+        now = labels(x, self._side)
+        if now is None or self._body is None or now.max() == 0:
+            return 0
+        pairs, counts = np.unique(self._body * (now.max() + 1) + now, return_counts=True)
+        largest = np.zeros(len(self._sizes), int)
+        np.maximum.at(largest, pairs // (now.max() + 1), counts)
+        return int((self._sizes - largest).sum())
+
+
+def labels(x: NDArray, side: float) -> NDArray[np.int64] | None:
+    """The number of the piece of each particle [P]; None if they are strewn too far."""
+    if len(x) == 0 or not np.isfinite(x).all():
+        return None
+    columns = [_cubes(column, side) for column in x.T]
+    size = tuple(int(column.max()) + 1 for column in columns)
+    if math.prod(size) > MOST:
+        return None
+    at = (columns[0] * size[1] + columns[1]) * size[2] + columns[2]
+    occupied = np.zeros(size, bool)
+    occupied.reshape(-1)[at] = True
+    numbered, count = ndimage.label(occupied, np.ones((3, 3, 3)))  # pyright: ignore
+    if count == 1:
+        return np.zeros(len(x), np.int64)
+    found: NDArray[np.int64] = numbered.reshape(-1)[at].astype(np.int64) - 1
+    return found
+
+
+def _cubes(column: NDArray, side: float) -> NDArray[np.int64]:
+    """Cube of each particle along one axis, the first is 0.
+
+    Where they are strewn far, wider gaps are made two cubes wide: what is apart stays apart.
+    """
+    places = (column - column.min()) / side
+    if places.max() < FAR:
+        return places.astype(np.int64)
+    found, which = np.unique(np.floor(places), return_inverse=True)
+    steps = np.minimum(np.diff(found, prepend=found[:1]), 2)
+    return np.cumsum(steps).astype(np.int64)[which.reshape(-1)]
