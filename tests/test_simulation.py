@@ -99,7 +99,7 @@ def test_sway_holds_the_foot_and_moves_the_top():
     moved = np.linalg.norm(clip.means - clip.means[0], axis=2).max(axis=0)
     z = clip.means[0, :, 2]
     assert moved[z < 0.05].max() < 0.02
-    assert moved[z > 0.9].min() > 0.05
+    assert moved[z > 0.9].min() > 0.03
 
 
 def test_gaussians_may_ride_on_the_field_instead_of_being_particles():
