@@ -40,9 +40,9 @@ MAX_PIXELS = 1 << 26
 MAX_PAIRS = 1 << 24
 """Tile entries held at once; scenes that need more are blended in several runs of tiles."""
 BLENDS = {
-    "simd": (blend_simd, blend_simd.blend_tiles_simd),
-    "plain": (blend, blend.blend_tiles),
-    "pixel": (blend, blend.blend_pixels),
+    "simd": blend_simd.blend_tiles_simd,
+    "plain": blend.blend_tiles,
+    "pixel": blend.blend_pixels,
 }
 """Forms of the last stage: a tile per thread in vectorised C++ (CPU only), the same in Warp,
 and a pixel per thread (what CUDA runs)."""
@@ -72,11 +72,11 @@ class Renderer:
                 f"this form of blending does not exist on {self.device}.",
                 "Choose auto, plain or pixel, or on a CPU simd.",
             )
-        module, self._blend = BLENDS[blend]
+        self._blend = BLENDS[blend]
         # The GPU's way of binning goes with its way of blending, so a CPU can test both.
         self._per_pixel = blend == "pixel"
-        for used in (project, binning, module):
-            wp.load_module(used, self.device)
+        for kernel in (project.project, binning.bin_serial, self._blend):
+            wp.load_module(kernel.module, self.device)
         self._buffers: dict[str, wp.array] = {}
         self._constants: dict[str, tuple[Any, Array, wp.array]] = {}
 

@@ -121,7 +121,8 @@ def test_every_form_agrees_with_the_plain_compositor(renderers, rng, name):
 def test_the_forms_agree_with_each_other(renderers, rng):
     gaussians, camera = cloud(rng, 3000, degree=3), Camera.orbit(30, 20, 1.4, (150, 110))
     images = {form: renderers[form](gaussians, camera) for form in FORMS}
-    np.testing.assert_array_equal(images["plain"], images["pixel"])
+    # Not bit for bit: each kernel fuses products and sums where its own code lets it.
+    np.testing.assert_allclose(images["plain"], images["pixel"], atol=1e-6)
     assert np.abs(images["simd"] - images["plain"]).max() < 1 / 255
 
 

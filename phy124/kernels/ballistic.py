@@ -5,6 +5,7 @@ from typing import Any
 
 import warp as wp
 
+from phy124.kernels.build import kernel
 from phy124.kernels.transfer import first_node, in_window, types
 
 
@@ -13,7 +14,7 @@ def make_fly(real: Any):
     """Kernel: kick and drift of chosen particles, as far as they are outside the window."""
     t = types(real)
 
-    @wp.kernel(module=f"phy124_fly_{real.__name__}", enable_backward=False)
+    @kernel(f"phy124_fly_{real.__name__}")
     def fly(
         # model
         chosen: wp.array(dtype=int), lattice: t.vec4, window: wp.array(dtype=wp.vec3i),

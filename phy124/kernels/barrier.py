@@ -6,6 +6,8 @@ microseconds; whoever calls it gives the core away before it tries again.
 
 import warp as wp
 
+from phy124.kernels.build import kernel
+
 MEET = """
 int* shared = (int*)counter.data;
 int* mine = (int*)ticket.data;
@@ -33,7 +35,7 @@ def meet_native(counter: wp.array(dtype=int), ticket: wp.array(dtype=int), parti
     ...
 
 
-@wp.kernel(module="phy124_barrier", enable_backward=False)
+@kernel("phy124_barrier")
 def meet(counter: wp.array(dtype=int), ticket: wp.array(dtype=int), parties: int):
     """One thread's attempt to pass; `ticket[0]` is zero once it has."""
     meet_native(counter, ticket, parties)

@@ -22,6 +22,7 @@ from typing import Any
 
 import warp as wp
 
+from phy124.kernels.build import kernel
 from phy124.kernels.transfer import types
 
 
@@ -225,7 +226,7 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
     distance, answer, hold = SHAPES[shape], RESPONSES[response], HOLDS[response]
     name = f"phy124_contact_{shape}_{response}_{'moving' if moving else 'still'}_{real.__name__}"
 
-    @wp.kernel(module=name, enable_backward=False)
+    @kernel(name)
     def contact(
         # model
         geometry: t.mat33, friction: real, reach: real, slot: int, start: wp.vec3i, span: wp.vec2i,
@@ -321,7 +322,7 @@ def make_collider(shape: str, response: str, moving: bool, real: Any):
     distance, answer = SHAPES[shape], RESPONSES[response]
     name = f"phy124_collide_{shape}_{response}_{'moving' if moving else 'still'}_{real.__name__}"
 
-    @wp.kernel(module=name, enable_backward=False)
+    @kernel(name)
     def collide(
         # model
         geometry: t.mat33, friction: real, reach: real, slot: int, start: wp.vec3i,

@@ -9,6 +9,7 @@ from typing import Any
 
 import warp as wp
 
+from phy124.kernels.build import kernel
 from phy124.kernels.transfer import Law, types
 from phy124.kernels.weigh import add3, kinetic_energy, wide
 
@@ -21,7 +22,7 @@ def make_push_copy(real: Any):
     """Kernel: keeps what the particles do before forces act on them."""
     t = types(real)
 
-    @wp.kernel(module=f"phy124_push_copy_{real.__name__}", enable_backward=False)
+    @kernel(f"phy124_push_copy_{real.__name__}")
     def push_copy(
         # state in
         v: wp.array(dtype=t.vec3), C: wp.array(dtype=t.mat33),
@@ -40,7 +41,7 @@ def make_push_sums(real: Any):
     """Kernel: adds the change of momentum and kinetic energy since `push_copy` to `GIVEN` sums."""
     t = types(real)
 
-    @wp.kernel(module=f"phy124_push_sums_{real.__name__}", enable_backward=False)
+    @kernel(f"phy124_push_sums_{real.__name__}")
     def push_sums(
         # model
         first: int, each: int, stride: int, mass: wp.array(dtype=real), dx: real,
@@ -75,7 +76,7 @@ def make_wall_copy(real: Any):
     """Kernel over rows of nodes in a sub-box: keeps their velocities before walls act."""
     t = types(real)
 
-    @wp.kernel(module=f"phy124_wall_copy_{real.__name__}", enable_backward=False)
+    @kernel(f"phy124_wall_copy_{real.__name__}")
     def wall_copy(
         # model
         box: wp.array(dtype=wp.vec3i), window: wp.array(dtype=wp.vec3i),
@@ -105,7 +106,7 @@ def make_wall_sums(real: Any):
     """
     t = types(real)
 
-    @wp.kernel(module=f"phy124_wall_sums_{real.__name__}", enable_backward=False)
+    @kernel(f"phy124_wall_sums_{real.__name__}")
     def wall_sums(
         # model
         box: wp.array(dtype=wp.vec3i), window: wp.array(dtype=wp.vec3i),
@@ -148,7 +149,7 @@ def make_uniform_sums(real: Any):
     """
     t = types(real)
 
-    @wp.kernel(module=f"phy124_uniform_sums_{real.__name__}", enable_backward=False)
+    @kernel(f"phy124_uniform_sums_{real.__name__}")
     def uniform_sums(
         # scalars
         mass: wp.float64, clock: wp.array(dtype=real), values: wp.array(dtype=t.vec4),
@@ -178,7 +179,7 @@ def make_grid_speed(real: Any):
     """Kernel: the greatest squared speed of a node with mass; decides whether a step is taken."""
     t = types(real)
 
-    @wp.kernel(module=f"phy124_grid_speed_{real.__name__}", enable_backward=False)
+    @kernel(f"phy124_grid_speed_{real.__name__}")
     def grid_speed(grid: wp.array(dtype=t.vec4), fastest_out: wp.array(dtype=real)):
         q = grid[wp.tid()]
         if q[3] > real(0.0):
@@ -197,7 +198,7 @@ def make_limit_total(real: Any):
     """Kernel: F_total of material that flows for ever is scaled down before it overflows."""
     t = types(real)
 
-    @wp.kernel(module=f"phy124_limit_total_{real.__name__}", enable_backward=False)
+    @kernel(f"phy124_limit_total_{real.__name__}")
     def limit_total(greatest: real, F: wp.array(dtype=t.mat33), total_out: wp.array(dtype=t.mat33)):
         p = wp.tid()
         size = wp.sqrt(wp.ddot(total_out[p], total_out[p]))
@@ -217,7 +218,7 @@ def make_probe(law: Law, real: Any):
     stress, modulus, project = law.stress, law.modulus, law.project
     plastic = project is not None
 
-    @wp.kernel(module=f"phy124_probe_law_{law.name}_{real.__name__}", enable_backward=False)
+    @kernel(f"phy124_probe_law_{law.name}_{real.__name__}")
     def probe(
         theta: wp.array(dtype=theta_type), F: wp.array(dtype=t.mat33),
         history: wp.array(dtype=t.vec2), dt: real,
@@ -245,7 +246,7 @@ def make_reset(real: Any):
     """
     t = types(real)
 
-    @wp.kernel(module=f"phy124_reset_{real.__name__}", enable_backward=False)
+    @kernel(f"phy124_reset_{real.__name__}")
     def reset(
         least: real, most: real, greatest: real, narrowest: real,
         # state, updated in place

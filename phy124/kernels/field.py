@@ -10,6 +10,8 @@ Sigma itself is decomposed. Quaternions are wxyz vectors.
 
 import warp as wp
 
+from phy124.kernels.build import kernel
+
 MODULE = "phy124_deform"
 SWEEPS = wp.constant(24)
 TOLERANCE = wp.constant(wp.float64(4e-6))
@@ -203,7 +205,7 @@ def nearest_labels(u: wp.mat33d, previous: wp.mat33d) -> wp.mat33d:
     return best
 
 
-@wp.kernel(module=MODULE, enable_backward=False)
+@kernel(MODULE)
 def deform_shapes(
     # rest
     carrier: wp.array(dtype=wp.int32),
@@ -242,7 +244,7 @@ def deform_shapes(
     scales[i] = s
 
 
-@wp.kernel(module=MODULE, enable_backward=False)
+@kernel(MODULE)
 def turn_of_material(
     # rest
     carrier: wp.array(dtype=wp.int32),
@@ -263,7 +265,7 @@ def turn_of_material(
     rotations[i] = wp.vec4f(q)
 
 
-@wp.kernel(module=MODULE, enable_backward=False)
+@kernel(MODULE)
 def carry(
     # rest
     neighbours: wp.array2d(dtype=wp.int32),

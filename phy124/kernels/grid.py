@@ -5,6 +5,7 @@ from typing import Any
 
 import warp as wp
 
+from phy124.kernels.build import kernel
 from phy124.kernels.transfer import types
 
 
@@ -13,7 +14,7 @@ def make_update(real: Any):
     """Kernel: (momentum, mass) to (velocity, mass), kicked by the uniform acceleration."""
     t = types(real)
 
-    @wp.kernel(module=f"phy124_grid_{real.__name__}", enable_backward=False)
+    @kernel(f"phy124_grid_{real.__name__}")
     def update(
         # scalars
         clock: wp.array(dtype=real), values: wp.array(dtype=t.vec4),
@@ -42,7 +43,7 @@ def make_merge(real: Any):
     """
     t = types(real)
 
-    @wp.kernel(module=f"phy124_merge_{real.__name__}", enable_backward=False)
+    @kernel(f"phy124_merge_{real.__name__}")
     def merge(
         # model
         start: int, first_a: int, last_a: int, first_b: int, last_b: int,

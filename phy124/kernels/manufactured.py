@@ -15,6 +15,7 @@ from typing import Any
 
 import warp as wp
 
+from phy124.kernels.build import kernel
 from phy124.kernels.transfer import types
 
 
@@ -26,7 +27,7 @@ def make_vortex(real: Any):
     """
     t = types(real)
 
-    @wp.kernel(module=f"phy124_vortex_{real.__name__}", enable_backward=False)
+    @kernel(f"phy124_vortex_{real.__name__}")
     def vortex(
         # model
         ring: t.vec4, clock: wp.array(dtype=real),

@@ -9,6 +9,8 @@ from typing import Any
 
 import warp as wp
 
+from phy124.kernels.build import kernel
+
 DONE, LOOK, CAREFUL = 1, 2, 3
 """Why substeps end: the time has come, the host must measure, the next may be violent."""
 ELASTIC, SPEED, GRADIENT, VISCOUS, USER = range(5)
@@ -158,7 +160,7 @@ def make_pace(real: Any):
     `look_out` tells whether the particles are to be measured after the next one.
     """
 
-    @wp.kernel(module=f"phy124_pace_{real.__name__}", enable_backward=False)
+    @kernel(f"phy124_pace_{real.__name__}")
     def pace(
         # model
         limits: wp.array(dtype=Limits), window: wp.array(dtype=wp.vec3i),

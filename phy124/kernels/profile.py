@@ -10,6 +10,7 @@ from typing import Any
 
 import warp as wp
 
+from phy124.kernels.build import kernel
 from phy124.kernels.transfer import types
 
 MEAN = 1
@@ -81,7 +82,7 @@ def make_sampler(real: Any):
     """
     t = types(real)
 
-    @wp.kernel(module=f"phy124_tracks_{real.__name__}", enable_backward=False)
+    @kernel(f"phy124_tracks_{real.__name__}")
     def sample(
         # model
         starts: wp.array(dtype=int), times: wp.array(dtype=real), keys: wp.array(dtype=t.vec3),

@@ -9,6 +9,7 @@ from typing import Any
 
 import warp as wp
 
+from phy124.kernels.build import kernel
 from phy124.kernels.transfer import types
 
 
@@ -18,7 +19,7 @@ def make_accelerate(real: Any, per_mass: bool):
     t = types(real)
     name = f"phy124_accelerate_{'force' if per_mass else 'field'}_{real.__name__}"
 
-    @wp.kernel(module=name, enable_backward=False)
+    @kernel(name)
     def accelerate(
         # model
         chosen: wp.array(dtype=int), slot: int, mass: wp.array(dtype=real),
@@ -41,7 +42,7 @@ def make_field(real: Any):
     """Kernel: v += kick a for particles that are inside a box at the moment."""
     t = types(real)
 
-    @wp.kernel(module=f"phy124_field_{real.__name__}", enable_backward=False)
+    @kernel(f"phy124_field_{real.__name__}")
     def field(
         # model
         lower: t.vec3, upper: t.vec3, slot: int, x: wp.array(dtype=t.vec3),
@@ -66,7 +67,7 @@ def make_drag(real: Any):
     """Kernel: v approaches the wind at a rate, v += (u - v)(1 - exp(-rate kick)): never past it."""
     t = types(real)
 
-    @wp.kernel(module=f"phy124_drag_{real.__name__}", enable_backward=False)
+    @kernel(f"phy124_drag_{real.__name__}")
     def drag(
         # model
         chosen: wp.array(dtype=int), slot: int, rate: real,
@@ -88,7 +89,7 @@ def make_attract(real: Any):
     """Kernel: v += kick g d / r, g linear inside `radius` and falling as 1 / d^2 outside."""
     t = types(real)
 
-    @wp.kernel(module=f"phy124_attract_{real.__name__}", enable_backward=False)
+    @kernel(f"phy124_attract_{real.__name__}")
     def attract(
         # model
         chosen: wp.array(dtype=int), slot: int, centre: t.vec3, radius: real,
@@ -109,7 +110,7 @@ def make_set_velocity(real: Any):
     """Kernel: v = s (u + omega x (x - centre)) and C = s [omega]x while active, s the profile."""
     t = types(real)
 
-    @wp.kernel(module=f"phy124_set_velocity_{real.__name__}", enable_backward=False)
+    @kernel(f"phy124_set_velocity_{real.__name__}")
     def set_velocity(
         # model
         chosen: wp.array(dtype=int), slot: int, u: t.vec3, centre: t.vec3, omega: t.vec3,

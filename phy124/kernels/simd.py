@@ -19,23 +19,25 @@ const float wx[3] = SPLINE(fx), wy[3] = SPLINE(fy), wz[3] = SPLINE(fz);
 const float w0 = wz[0], w1 = wz[1], w2 = wz[2], u2 = 2.f * w2;
 const Row W = {w0, w0, w0, w0, w1, w1, w1, w1, w2, w2, w2, w2, 0.f, 0.f, 0.f, 0.f};
 const Row K = {0.f, 0.f, 0.f, 0.f, w1, w1, w1, w1, u2, u2, u2, u2, 0.f, 0.f, 0.f, 0.f};
-const long start = 4 * (((long)first[0] * size[1] + first[1]) * size[2] + first[2]);
+const long along_y = 4 * (long)size[2], along_x = along_y * size[1];
+const long start = first[0] * along_x + first[1] * along_y + 4 * (long)first[2];
 """
 
 SCATTER = (
     ROW
     + """
-float* nodes = (float*)grid.data + start;
+float* layer = (float*)grid.data + start;
 const Node b = {base[0], base[1], base[2], base[3]};
 const Node x = {column_x[0], column_x[1], column_x[2], 0.f};
 const Node y = {column_y[0], column_y[1], column_y[2], 0.f};
 const Node z = {column_z[0], column_z[1], column_z[2], 0.f};
-const Row B = W * REPEAT(b) + K * REPEAT(z), X = W * REPEAT(x), Y = W * REPEAT(y);
-for (int i = 0; i < 3; ++i) for (int j = 0; j < 3; ++j) {
-    float* row = nodes + 4 * ((long)(i * size[1] + j) * size[2]);
-    Row sum = *(Row*)row;
-    sum += (wx[i] * wy[j]) * (B + (float)i * X + (float)j * Y);
-    *(Row*)row = sum;
+const Row X = W * REPEAT(x), Y = W * REPEAT(y);
+Row low = W * REPEAT(b) + K * REPEAT(z);
+for (int i = 0; i < 3; ++i, layer += along_x, low += X) {
+    const Row middle = low + Y, high = middle + Y;
+    *(Row*)layer += (wx[i] * wy[0]) * low;
+    *(Row*)(layer + along_y) += (wx[i] * wy[1]) * middle;
+    *(Row*)(layer + 2 * along_y) += (wx[i] * wy[2]) * high;
 }
 """
 )
@@ -43,15 +45,17 @@ for (int i = 0; i < 3; ++i) for (int j = 0; j < 3; ++j) {
 GATHER = (
     ROW
     + """
-const float* nodes = (const float*)grid.data + start;
-Row mean = {0.f}, by_x = {0.f}, by_y = {0.f};
-for (int i = 0; i < 3; ++i) for (int j = 0; j < 3; ++j) {
-    const float* at = nodes + 4 * ((long)(i * size[1] + j) * size[2]);
-    const Row row = (wx[i] * wy[j]) * *(const Row*)at;
-    mean += row;
-    by_x += (float)i * row;
-    by_y += (float)j * row;
+const float* layer = (const float*)grid.data + start;
+Row sum[3], rise[3];
+for (int i = 0; i < 3; ++i, layer += along_x) {
+    const Row low = *(const Row*)layer, middle = *(const Row*)(layer + along_y);
+    const Row high = *(const Row*)(layer + 2 * along_y);
+    sum[i] = wy[0] * low + wy[1] * middle + wy[2] * high;
+    rise[i] = wy[1] * middle + (2.f * wy[2]) * high;
 }
+const Row mean = wx[0] * sum[0] + wx[1] * sum[1] + wx[2] * sum[2];
+const Row by_x = wx[1] * sum[1] + (2.f * wx[2]) * sum[2];
+const Row by_y = wx[0] * rise[0] + wx[1] * rise[1] + wx[2] * rise[2];
 const Row r0 = W * mean, r1 = W * by_x, r2 = W * by_y, r3 = K * mean;
 const Node s0 = SUM(r0), s1 = SUM(r1), s2 = SUM(r2), s3 = SUM(r3);
 return wp::mat_t<4, 4, wp::float32>(

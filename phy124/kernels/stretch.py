@@ -5,6 +5,7 @@ from typing import Any
 
 import warp as wp
 
+from phy124.kernels.build import kernel
 from phy124.kernels.elastic import largest_stretch_squared
 from phy124.kernels.transfer import types
 
@@ -23,7 +24,7 @@ def make_apart(real: Any):
     """
     t = types(real)
 
-    @wp.kernel(module=f"phy124_apart_{real.__name__}", enable_backward=False)
+    @kernel(f"phy124_apart_{real.__name__}")
     def apart(
         # model
         volume: wp.array(dtype=real), limit: real, start: int,

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import warp as wp
 
 from phy124.kernels import simd
+from phy124.kernels.build import kernel
 from phy124.kernels.reduction import add
 from phy124.kernels.spline import offsets, spline
 
@@ -162,7 +163,7 @@ def make_p2g(law: Law, real: Any, form: str):
     has_history = law.project is not None
     name = f"phy124_p2g_{law.name}_{real.__name__}_{form}"
 
-    @wp.kernel(module=name, enable_backward=False)
+    @kernel(name)
     def p2g(
         # model
         mass: wp.array(dtype=real), volume: wp.array(dtype=real), theta: wp.array(dtype=theta_type),
@@ -209,7 +210,7 @@ def make_g2p(law: Law, real: Any, form: str):
     owner = law.name if plastic else f"elastic{law.width}"
     name = f"phy124_g2p_{owner}_{real.__name__}_{form}"
 
-    @wp.kernel(module=name, enable_backward=False)
+    @kernel(name)
     def g2p(
         # model
         theta: wp.array(dtype=theta_type), lattice: t.vec4, window: wp.array(dtype=wp.vec3i),
@@ -282,7 +283,7 @@ def make_measure(law: Law, real: Any):
     modulus = law.modulus
     has_history = law.project is not None
 
-    @wp.kernel(module=f"phy124_measure_{law.name}_{real.__name__}", enable_backward=False)
+    @kernel(f"phy124_measure_{law.name}_{real.__name__}")
     def measure(
         # model
         first: int, each: int, stride: int,

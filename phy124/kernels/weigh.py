@@ -10,6 +10,7 @@ from typing import Any
 
 import warp as wp
 
+from phy124.kernels.build import kernel
 from phy124.kernels.spectral import to_double
 from phy124.kernels.transfer import Law, types
 
@@ -61,7 +62,7 @@ def make_weigh(law: Law, real: Any):
     exact, all_sums = (wp.types.vector(n, wp.float64) for n in (law.width, SUMS))
     has_history = law.project is not None
 
-    @wp.kernel(module=f"phy124_weigh_{law.name}_{real.__name__}", enable_backward=False)
+    @kernel(f"phy124_weigh_{law.name}_{real.__name__}")
     def weigh(
         # model
         first: int, each: int, stride: int,
@@ -130,7 +131,7 @@ def make_energies(law: Law, real: Any):
     energy, exact = law.energy, wp.types.vector(law.width, wp.float64)
     has_history = law.project is not None
 
-    @wp.kernel(module=f"phy124_energies_{law.name}_{real.__name__}", enable_backward=False)
+    @kernel(f"phy124_energies_{law.name}_{real.__name__}")
     def energies(
         # model
         theta: wp.array(dtype=theta_type), mass: wp.array(dtype=real),

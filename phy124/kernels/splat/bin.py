@@ -2,12 +2,11 @@
 
 import warp as wp
 
+from phy124.kernels.build import kernel
 from phy124.kernels.splat.screen import Splat, tiles_of
 
-wp.set_module_options({"enable_backward": False})
 
-
-@wp.kernel
+@kernel("phy124_bin")
 def bin_serial(
     order: wp.array(dtype=int),
     splats: wp.array(dtype=Splat),
@@ -33,7 +32,7 @@ def bin_serial(
                     ends_out[tile] = slot + 1
 
 
-@wp.kernel
+@kernel("phy124_bin")
 def bin_parallel(
     order: wp.array(dtype=int),
     splats: wp.array(dtype=Splat),

@@ -2,15 +2,14 @@
 
 import warp as wp
 
+from phy124.kernels.build import kernel
 from phy124.kernels.splat.screen import MIN_TRANSMITTANCE, TILE, Splat, View, alpha_at, shown
-
-wp.set_module_options({"enable_backward": False})
 
 PIXELS = wp.constant(256)
 """Pixels of a tile."""
 
 
-@wp.kernel
+@kernel("phy124_blend")
 def blend_pixels(
     starts: wp.array(dtype=int),
     ends: wp.array(dtype=int),
@@ -46,7 +45,7 @@ def blend_pixels(
     alpha_out[pixel] = 1.0 - transmittance
 
 
-@wp.kernel
+@kernel("phy124_blend")
 def blend_tiles(
     starts: wp.array(dtype=int),
     ends: wp.array(dtype=int),

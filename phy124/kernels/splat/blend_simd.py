@@ -7,9 +7,8 @@ snippet `float(x)` and `int(x)` are macros of Warp, so casts are written the C w
 
 import warp as wp
 
+from phy124.kernels.build import kernel
 from phy124.kernels.splat.screen import Splat, View
-
-wp.set_module_options({"enable_backward": False})
 
 BLEND_TILE = r"""
     alignas(64) float T[256], R[256], G[256], B[256], centres[16];
@@ -103,7 +102,7 @@ def blend_tile(
     ...
 
 
-@wp.kernel
+@kernel("phy124_blend_simd")
 def blend_tiles_simd(
     starts: wp.array(dtype=int),
     ends: wp.array(dtype=int),

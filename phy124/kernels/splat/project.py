@@ -4,9 +4,8 @@ import warp as wp
 
 from phy124 import harmonics
 from phy124.gaussians import SH_C0
+from phy124.kernels.build import kernel
 from phy124.kernels.splat.screen import MIN_ALPHA, Splat, View, tiles_of
-
-wp.set_module_options({"enable_backward": False})
 
 LOW_PASS = wp.constant(0.3)
 """Added to the screen covariance [px^2]: no splat is thinner than about half a pixel."""
@@ -100,7 +99,7 @@ def splat_of(p: wp.vec3, quat: wp.vec4, scale: wp.vec3, opacity: float, view: Vi
     return splat
 
 
-@wp.kernel
+@kernel("phy124_project")
 def project(
     # model
     means: wp.array(dtype=wp.vec3),

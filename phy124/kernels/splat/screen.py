@@ -7,8 +7,6 @@ below 1e-4. Pixel (x, y) is sampled at its centre (x + 0.5, y + 0.5).
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
-
 TILE = wp.constant(16)
 """Edge of a screen tile, pixels; blend_simd.py relies on 16."""
 MAX_ALPHA = wp.constant(0.99)

@@ -1,0 +1,25 @@
+"""How kernels are built: forward only, each variant in a module of its own name.
+
+Warp hashes the set of functions a closure uses and not which is which, so variants need names.
+Products and sums are contracted to fused multiply-adds, as CUDA compilers do by themselves: a
+substep takes a fifth less on a CPU and rounds less. Nothing is reordered.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import warp as wp
+
+CONTRACT = "-ffp-contract=fast"
+
+
+def kernel(module: str) -> Callable[[Callable[..., Any]], Any]:
+    """Decorator: a kernel of the Warp module of that name."""
+    flags = wp.config.cpu_compiler_flags
+    native = "-march=native" if flags is None else flags
+    wp.set_module_options({"cpu_compiler_flags": f"{native} {CONTRACT}"}, module=module)
+
+    def build(function: Callable[..., Any]) -> Any:
+        return wp.kernel(function, module=module, enable_backward=False)
+
+    return build

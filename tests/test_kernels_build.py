@@ -1,0 +1,36 @@
+"""How kernels are built: contracted, forward only, beside whatever flags the user has set."""
+
+import numpy as np
+import pytest
+import warp as wp
+
+from phy124.kernels.build import CONTRACT, kernel
+
+
+@pytest.fixture(scope="module")
+def residue():
+    @kernel("phy124_test_residue")
+    def residue(a: wp.array(dtype=float), b: wp.array(dtype=float), out: wp.array(dtype=float)):
+        out[wp.tid()] = a[wp.tid()] * b[wp.tid()] - 1.0
+
+    return residue
+
+
+def test_products_and_sums_are_rounded_once(residue):
+    """(1 + e) (1 - e) - 1 = -e^2, which is lost if the product is rounded on its own."""
+    e = np.float32(2.0**-13)
+    a, b = (wp.array([1 + e * sign], dtype=float, device="cpu") for sign in (1, -1))
+    out = wp.zeros(1, dtype=float, device="cpu")
+    wp.launch(residue, 1, inputs=[a, b], outputs=[out], device="cpu")
+    assert out.numpy()[0] == -(2.0**-26)
+
+
+def test_what_the_user_told_the_compiler_stays(monkeypatch):
+    monkeypatch.setattr(wp.config, "cpu_compiler_flags", "-fno-vectorize")
+    kernel("phy124_test_flags")
+    options = wp.get_module_options("phy124_test_flags")
+    assert options["cpu_compiler_flags"] == f"-fno-vectorize {CONTRACT}"
+
+
+def test_there_is_no_backward_pass(residue):
+    assert residue.options["enable_backward"] is False
