@@ -1,9 +1,11 @@
-"""Many particles adding to few numbers: to a node of the grid, or to a sum over all.
+"""Many particles, few numbers: sums at the nodes of the grid, sums and maxima over all.
 
 Atomic operations on one address queue on a GPU, so a thread first adds up a share by itself. To
 nodes, from compute capability 9.0 on, a GPU adds four float32 in one transaction; older ones,
 float64 and the CPU add component by component.
 """
+
+from typing import Any
 
 import warp as wp
 
@@ -44,3 +46,22 @@ def add(grid: wp.array(dtype=wp.vec4), node: int, value: wp.vec4):
 def add(grid: wp.array(dtype=wp.vec4d), node: int, value: wp.vec4d):  # noqa: F811
     """Add to a node in float64."""
     ...
+
+
+@wp.func
+def finite(a: Any):
+    """Whether a number is neither infinite nor NaN; on the CPU `wp.isfinite` is a call."""
+    return a - a == type(a)(0.0)
+
+
+@wp.func
+def greater(a: Any, b: Any):
+    """The greater of two numbers: `wp.max` would also ask whether they are."""
+    return wp.where(b > a, b, a)
+
+
+@wp.func
+def raise_to(maxima: wp.array(dtype=Any), index: int, value: Any):
+    """Raise a maximum. Asking first spares most of the atomic operations, which would queue."""
+    if value > maxima[index]:
+        wp.atomic_max(maxima, index, value)

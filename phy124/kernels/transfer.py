@@ -17,7 +17,7 @@ import warp as wp
 
 from phy124.kernels import simd
 from phy124.kernels.build import kernel
-from phy124.kernels.reduction import add
+from phy124.kernels.reduction import add, finite, greater, raise_to
 from phy124.kernels.spline import offsets, spline
 
 
@@ -263,13 +263,6 @@ def make_g2p(law: Law, real: Any, form: str):
     return g2p
 
 
-@wp.func
-def raise_to(maxima: wp.array(dtype=Any), index: int, value: Any):
-    """Raise a maximum. Asking first spares most of the atomic operations, which would queue."""
-    if value > maxima[index]:
-        wp.atomic_max(maxima, index, value)
-
-
 @cache
 def make_measure(law: Law, real: Any):
     """Kernel: what limits the substep and where the particles are, every few substeps.
@@ -310,14 +303,15 @@ def make_measure(law: Law, real: Any):
                 rate = wp.sqrt(wp.ddot(C[p], C[p]))
                 A = modulus(F[p], h, theta[wp.min(p, theta.shape[0] - 1)])
                 here = x[p]
-                if not wp.isfinite(fast + rate + A + wp.length(here)):
+                if not finite(fast + rate + A + wp.length(here)):
                     wp.atomic_add(stray_out, 0, 1)
                 elif between(here, domain[0], domain[1]):
-                    speed = wp.max(speed, fast)
-                    gradient = wp.max(gradient, rate)
-                    stiffness = wp.max(stiffness, A * volume[p] / mass[p])
-                    low = wp.max(low, -here)
-                    high = wp.max(high, here)
+                    speed = greater(speed, fast)
+                    gradient = greater(gradient, rate)
+                    stiffness = greater(stiffness, A * volume[p] / mass[p])
+                    for axis in range(3):
+                        low[axis] = greater(low[axis], -here[axis])
+                        high[axis] = greater(high[axis], here[axis])
         raise_to(maxima_out, 0, speed)
         raise_to(maxima_out, 1, gradient)
         raise_to(maxima_out, 2, stiffness)
