@@ -149,17 +149,16 @@ def _relaxed(surface: Surface, points: Field, pitch: float) -> tuple[Field, Fiel
     """Points pushed apart along the surface, and the mean distance to their neighbours."""
     normals = surface.normals(points)
     wanted = pitch * pitch_factor(normals)
-    near = np.asarray(KDTree(points).query(points, k=min(8, len(points)))[1])[:, 1:]
+    found, near = KDTree(points).query(points, k=min(8, len(points)), workers=-1)
+    near, distance = np.asarray(near)[:, 1:], np.asarray(found)[:, 1:]
     apart = points[:, None] - points[near]
-    distance = np.linalg.norm(apart, axis=2)
     # In thin parts the nearest points may lie on the other side; those do not count.
-    same = (normals[:, None] * normals[near]).sum(axis=2) > 0.3
+    same = np.einsum("nd,nkd->nk", normals, normals[near]) > 0.3
     reach = 1.25 * wanted[:, None]
     push = np.where(same, np.maximum(0, 1 - distance / reach), 0.0) * wanted[:, None]
-    move = 0.45 * (push[:, :, None] * apart / np.maximum(distance, 1e-9)[:, :, None]).sum(axis=1)
-    move -= (move * normals).sum(axis=1, keepdims=True) * normals
-    closest = np.where(same, distance, np.nan)[:, :6]
+    move = 0.45 * np.einsum("nk,nkd->nd", push / np.maximum(distance, 1e-9), apart)
+    move -= np.einsum("nd,nd->n", move, normals)[:, None] * normals
     counted = np.maximum(same[:, :6].sum(axis=1), 1)
-    spacing = np.nansum(closest, axis=1) / counted
+    spacing = np.where(same, distance, 0.0)[:, :6].sum(axis=1) / counted
     spacing = np.clip(np.where(spacing > 0, spacing, wanted), 0.6 * wanted, 1.6 * wanted)
     return surface.project(points + move), spacing
