@@ -1,6 +1,7 @@
 """The solver against exact solutions and invariants, in both precisions and both forms."""
 
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from phy124.kernels import simd, transfer
 from phy124.kernels.spline import spline
 from phy124.materials import FixedCorotated, NeoHookean
 from phy124.mpm import Solver, Unstable
+from phy124.mpm.lanes import Meeting
 from phy124.region import Region
 
 DX = 1 / 8
@@ -189,6 +191,25 @@ def test_the_second_thread_ends_with_the_frame():
     assert threading.active_count() == before
     s.advance(0.1)
     assert threading.active_count() == before
+
+
+@pytest.mark.parametrize("late", [0.0, 0.05])
+def test_nobody_leaves_a_meeting_before_all_have_come(late):
+    meeting, came = Meeting(2), []
+
+    def other():
+        for _ in range(3):
+            time.sleep(late)
+            came.append("other")
+            meeting.wait(1)
+
+    helper = threading.Thread(target=other)
+    helper.start()
+    for rounds in (1, 2, 3):
+        meeting.wait(0)
+        assert len(came) >= rounds
+    helper.join(timeout=5)
+    assert not helper.is_alive()
 
 
 def test_a_fault_of_the_second_thread_is_raised_and_nothing_waits(monkeypatch):

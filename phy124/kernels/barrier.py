@@ -1,7 +1,7 @@
 """A meeting point for CPU threads that run kernels side by side.
 
-Waiting spins inside a kernel, where Warp has released Python's lock, for at most some ten
-microseconds; whoever calls it gives the core away before it tries again.
+Waiting spins inside a kernel, where Warp has released Python's lock, for tens of microseconds;
+whoever calls it gives the core away before it tries again.
 """
 
 import warp as wp
@@ -21,7 +21,7 @@ if (mine[0] == 0) {
     }
     mine[0] = now + 1;
 }
-for (int i = 0; i < 20000; ++i)
+for (int i = 0; i < 100000; ++i)
     if (__atomic_load_n(generation, __ATOMIC_ACQUIRE) != mine[0] - 1) {
         mine[0] = 0;
         return;

@@ -7,6 +7,7 @@ these phases the threads meet. Warp's CPU kernels release Python's lock.
 
 from __future__ import annotations
 
+import itertools
 import os
 import time
 from collections.abc import Callable, Iterable
@@ -21,10 +22,10 @@ from numpy.typing import NDArray
 from phy124.kernels.barrier import meet
 from phy124.mpm.grid import MARGIN, Grid
 
-LEAST_PARTICLES = 50_000
+LEAST_PARTICLES = 20_000
 """Below this the meetings cost more than the second thread brings."""
-NAP = 5e-5
-"""Sleep [s] between two rounds of spinning at a meeting, so that others get the core."""
+ROUNDS, NAP = 20, 5e-5
+"""Rounds of spinning at a meeting between which others may have the core, then sleep [s]."""
 Timings = dict[str, list[float]]
 Named = tuple[str, Callable[[], Any]]
 Recorded = tuple[str, "wp.Launch | None"]
@@ -70,9 +71,16 @@ class Meeting:
         """Come back when all have arrived."""
         launch, view = self.launches[who], self.views[who]
         launch.launch()
-        while view[0]:
-            time.sleep(NAP)
+        for spun in itertools.count(1):
+            if not view[0]:
+                return
+            give_way() if spun < ROUNDS else time.sleep(NAP)
             launch.launch()
+
+
+def give_way() -> None:
+    """Let another thread have the core, if one wants it; to sleep would cost more than a phase."""
+    os.sched_yield() if hasattr(os, "sched_yield") else time.sleep(0)
 
 
 def timed(timings: Timings, name: str, work: Callable[[], Any]) -> None:

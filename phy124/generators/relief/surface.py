@@ -153,11 +153,11 @@ def _relaxed(surface: Surface, points: Field, pitch: float) -> tuple[Field, Fiel
     near, distance = np.asarray(near)[:, 1:], np.asarray(found)[:, 1:]
     apart = points[:, None] - points[near]
     # In thin parts the nearest points may lie on the other side; those do not count.
-    same = np.einsum("nd,nkd->nk", normals, normals[near]) > 0.3
+    same = np.einsum("pi,pki->pk", normals, normals[near]) > 0.3
     reach = 1.25 * wanted[:, None]
     push = np.where(same, np.maximum(0, 1 - distance / reach), 0.0) * wanted[:, None]
-    move = 0.45 * np.einsum("nk,nkd->nd", push / np.maximum(distance, 1e-9), apart)
-    move -= np.einsum("nd,nd->n", move, normals)[:, None] * normals
+    move = 0.45 * np.einsum("pk,pki->pi", push / np.maximum(distance, 1e-9), apart)
+    move -= np.einsum("pi,pi->p", move, normals)[:, None] * normals
     counted = np.maximum(same[:, :6].sum(axis=1), 1)
     spacing = np.where(same, distance, 0.0)[:, :6].sum(axis=1) / counted
     spacing = np.clip(np.where(spacing > 0, spacing, wanted), 0.6 * wanted, 1.6 * wanted)
