@@ -194,9 +194,9 @@ def scenes(draw: st.DrawFn) -> Scene:
 
 
 def check(cloud: Cloud, scene: Scene) -> None:
-    """Everything that must hold for any scene."""
+    """Everything that must hold for any scene, whether one thread steps it or two."""
     try:
-        run = Simulation(cloud.gaussians(), scene, threads=1)
+        run = Simulation(cloud.gaussians(), scene, threads=2 if cloud.seed % 4 == 0 else 1)
         clip = run.run()
     except InputError as refusal:
         assert len(str(refusal)) > 40

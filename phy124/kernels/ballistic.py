@@ -1,4 +1,8 @@
-"""Particles beyond the grid: they feel the uniform acceleration and nothing else."""
+"""Particles beyond the grid: they feel the uniform acceleration and nothing else.
+
+Whether a particle takes part in a substep is settled when it scatters. While the others gather it
+is out of sight, or one that the gather carries across the edge, either way, would move twice.
+"""
 
 from functools import cache
 from typing import Any
@@ -8,29 +12,62 @@ import warp as wp
 from phy124.kernels.build import kernel
 from phy124.kernels.transfer import first_node, in_window, types
 
+OUT_OF_SIGHT = wp.constant(4)
+"""Nodes below the window where nobody gathers."""
+
+
+@cache
+def make_hide(real: Any):
+    """Kernel: takes those of the chosen that were beyond the scatter's window out of sight."""
+    t = types(real)
+
+    @kernel(f"phy124_hide_{real.__name__}")
+    def hide(
+        # model
+        chosen: wp.array(dtype=int), lattice: t.vec4, scattered: wp.array(dtype=wp.vec3i),
+        gathered: wp.array(dtype=wp.vec3i),
+        # state, updated in place
+        x_out: wp.array(dtype=t.vec3),
+        # out
+        kept_out: wp.array(dtype=t.vec3), away_out: wp.array(dtype=int),
+    ):  # fmt: skip
+        i = wp.tid()
+        p = chosen[i]
+        dx = lattice[3]
+        origin = wp.vector(lattice[0], lattice[1], lattice[2])
+        kept_out[i] = x_out[p]
+        away_out[i] = 0
+        if not in_window(first_node((x_out[p] - origin) / dx) - scattered[0], scattered[1]):
+            away_out[i] = 1
+            low = gathered[0] - wp.vec3i(OUT_OF_SIGHT)
+            x_out[p] = origin + dx * wp.vector(real(low[0]), real(low[1]), real(low[2]))
+
+    return hide
+
 
 @cache
 def make_fly(real: Any):
-    """Kernel: kick and drift of chosen particles, as far as they are outside the window."""
+    """Kernel: brings the hidden back into sight, and kicks and moves them."""
     t = types(real)
 
     @kernel(f"phy124_fly_{real.__name__}")
     def fly(
         # model
-        chosen: wp.array(dtype=int), lattice: t.vec4, window: wp.array(dtype=wp.vec3i),
-        clock: wp.array(dtype=real), values: wp.array(dtype=t.vec4),
+        chosen: wp.array(dtype=int), clock: wp.array(dtype=real), values: wp.array(dtype=t.vec4),
+        # in
+        kept: wp.array(dtype=t.vec3), away: wp.array(dtype=int),
         # state, updated in place
         x_out: wp.array(dtype=t.vec3), residue_out: wp.array(dtype=t.vec3),
         v_out: wp.array(dtype=t.vec3),
     ):  # fmt: skip
-        p = chosen[wp.tid()]
-        g = (x_out[p] - wp.vector(lattice[0], lattice[1], lattice[2])) / lattice[3]
-        if not in_window(first_node(g) - window[0], window[1]):
+        i = wp.tid()
+        if away[i] > 0:
+            p = chosen[i]
             a = values[0]
             v = v_out[p] + clock[0] * wp.vector(a[0], a[1], a[2])
             change = clock[1] * v - residue_out[p]
-            moved = x_out[p] + change
-            residue_out[p] = (moved - x_out[p]) - change
+            moved = kept[i] + change
+            residue_out[p] = (moved - kept[i]) - change
             x_out[p] = moved
             v_out[p] = v
 

@@ -14,12 +14,12 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from phy124.kernels.ballistic import make_fly
+from phy124.kernels.ballistic import make_fly, make_hide
 from phy124.kernels.transfer import types
 from phy124.mpm.grid import MARGIN
 
 if TYPE_CHECKING:
-    from phy124.mpm.lanes import Recorded
+    from phy124.mpm.lanes import Lane, Recorded
     from phy124.mpm.solver import Solver
 
 LARGEST = 2**25
@@ -69,14 +69,21 @@ class Domain:
         self._centre(x[np.abs(x - np.median(x, axis=0)).max(axis=1).argmin()])
         return True
 
-    def launches(self) -> list[Recorded]:
-        """The stage that moves the ballistic particles, if there are any."""
-        if not self.count:
-            return []
-        s, state = self._solver, self._solver.state
-        inputs = [self.outside, s.grid.lattice, s.grid.window, s.clock, s.tracks.values]
-        outputs = [state.x, state.residue, state.v]
-        return [("ballistic", s.record(make_fly(s.real), self.count, inputs, outputs))]
+    def around(self, lane: Lane, gather: list[Recorded]) -> list[Recorded]:
+        """The gather of a lane, between hiding and moving its ballistic particles, if any."""
+        out = self.outside.numpy()
+        mine = [out[(out >= start) & (out < stop)] for start, stop in lane.runs]
+        s, state, count = self._solver, self._solver.state, sum(map(len, mine))
+        if not count:
+            return gather
+        chosen = wp.array(np.concatenate(mine), dtype=int, device=s.device)
+        kept = wp.empty(count, dtype=state.x.dtype, device=s.device)
+        away = wp.empty(count, dtype=int, device=s.device)
+        inputs = [chosen, s.grid.lattice, lane.nodes.window, s.grid.window]
+        hide = s.record(make_hide(s.real), count, inputs, [state.x, kept, away])
+        inputs = [chosen, s.clock, s.tracks.values, kept, away]
+        fly = s.record(make_fly(s.real), count, inputs, [state.x, state.residue, state.v])
+        return [("ballistic", hide), *gather, ("ballistic", fly)]
 
     def _centre(self, middle: NDArray) -> None:
         low, high = middle - self._half, middle + self._half

@@ -43,10 +43,10 @@ def record_phases(solver: Solver) -> None:
         update = [_update(solver, share), *((n, record()) for n, record in solver.collisions)]
         grid.share = None
         gather = [_g2p(solver, group, part) for group, part in parts(solver, lane)]
+        gather = solver.domain.around(lane, gather)
         clear: tuple[str, Callable[[], Any]] = ("clear", lane.nodes.nodes.zero_)
         lane.phases = [[clear, *work(scatter)], work(update), work(gather)]
-    closing = [*solver.domain.launches(), *((name, record()) for name, record in solver.closings)]
-    solver.lanes[0].phases[2] += work(closing)
+    solver.lanes[0].phases[2] += work((name, record()) for name, record in solver.closings)
 
 
 def record_looks(solver: Solver, lane: Lane) -> list[wp.Launch]:
