@@ -79,7 +79,7 @@ SABOTAGE = {
                  "log_volume(wp.determinant(F)) - type(theta[0])(2.0) * theta[0]\n"),
     14: Sabotage("dropped rows are not counted", "ply.py", "int(np.count_nonzero(~good))", "0"),
     15: Sabotage("far particles stand still", "mpm/domain.py",
-                 "if not self.count:", "if self.count >= 0:"),
+                 "if not count:", "if count >= 0:"),
     16: Sabotage("truncation instead of floor", "kernels/transfer.py",
                  "int(wp.floor(g[0] - half))", "int(g[0] - half)"),
     17: Sabotage("a picometre is added to every axis", "kernels/field.py",
