@@ -22,9 +22,9 @@ MOVING = ("press", "gripper")
 PARTICLE_COSTS = {
     "inner friction": 2,
     "return mapping": 70,
-    "several materials": 7,
-    "particle forces": 11,
-    "double precision": 59,
+    "several materials": 13,
+    "particle forces": 8,
+    "double precision": 48,
     "singular values in substeps": 337,
 }
 """What effects would cost, nanoseconds per particle and substep on one core (docs/benchmarks.md).

@@ -1,7 +1,7 @@
 """What leaving effects out saves: paired ratios in one process, one JSON line each.
 
 switch: one law compiled alone against the same law inside kernels that ask for the law's kind and
-  hold all ten, by kind and parameters of each particle, and against transfers only; scatter and
+  hold all thirteen, by kind and parameters of each particle, and against transfers only; scatter and
   gather, without the grid.
 registers: the same kernels compiled for a GPU (sm_90), registers per thread; nothing is run.
 window: the grid around the particles against the dense domain, 20,000 particles in 128^3.
@@ -29,7 +29,7 @@ from phy124.camera import Camera
 from phy124.forces import Acceleration, Gravity
 from phy124.generators import make
 from phy124.image import foreground, open_image
-from phy124.kernels import elastic, fluid, granular, hencky, plastic, transfer
+from phy124.kernels import damping, elastic, fluid, granular, hencky, plastic, transfer
 from phy124.kernels.transfer import Law
 from phy124.ledger import Ledger
 from phy124.materials import FixedCorotated, NeoHookean
@@ -50,7 +50,7 @@ vec6 = wp.types.vector(6, float)
 """Parameters of whatever law, and its number: the laws of a scene in the order of `KINDS`."""
 KINDS = (
     "neo_hookean", "fixed_corotated", "hencky", "rigid", "metal", "plasticine", "foam", "sand",
-    "snow", "fluid",
+    "snow", "fluid", "neo_hookean_damped", "fixed_corotated_damped", "hencky_damped",
 )  # fmt: skip
 
 
@@ -67,6 +67,12 @@ def any_law(F: wp.mat33, C: wp.mat33, h: wp.vec2, theta: vec6):
         return granular.snow(F, C, h, five)
     if kind == 9:
         return fluid.tait(F, C, h, five)
+    if kind == 10:
+        return damping.neo_hookean_damped(F, C, h, five)
+    if kind == 11:
+        return damping.fixed_corotated_damped(F, C, h, five)
+    if kind == 12:
+        return damping.hencky_damped(F, C, h, five)
     return hencky.hencky(F, C, h, five)
 
 
@@ -188,7 +194,7 @@ def costs() -> None:
 
 
 def registers() -> None:
-    kinds = {"transfers": laws.Nothing, "alone": NeoHookean, "switch": Switched}
+    kinds = {"transfers": laws.Nothing(), "alone": NeoHookean(), "switch": Switched()}
     row = {}
     for name, material in kinds.items():
         for build in (transfer.make_p2g, transfer.make_g2p):
