@@ -1,8 +1,8 @@
 """What leaving effects out saves: paired ratios in one process, one JSON line each.
 
 switch: one law compiled alone against the same law inside kernels that ask for the law's kind and
-  hold all thirteen, by kind and parameters of each particle, and against transfers only; scatter and
-  gather, without the grid.
+  hold all thirteen, by kind and parameters of each particle, and against transfers only; scatter
+  and gather, without the grid.
 registers: the same kernels compiled for a GPU (sm_90), registers per thread; nothing is run.
 window: the grid around the particles against the dense domain, 20,000 particles in 128^3.
 costs: what a force on a region, time tables, a second law and stiffness per particle add.
