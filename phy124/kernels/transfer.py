@@ -68,14 +68,17 @@ def first_node(g: Any):
 
 @wp.func
 def in_window(first: wp.vec3i, size: wp.vec3i):
-    """Whether all 27 nodes are inside; a NaN position gives a first node that is not."""
+    """Whether all 27 nodes are inside; a position that is NaN or far off gives a node that is not.
+
+    What a device makes of such a position may be its greatest integer, to which nothing is added.
+    """
     return (
         first[0] >= 0
         and first[1] >= 0
         and first[2] >= 0
-        and first[0] + 3 <= size[0]
-        and first[1] + 3 <= size[1]
-        and first[2] + 3 <= size[2]
+        and first[0] <= size[0] - 3
+        and first[1] <= size[1] - 3
+        and first[2] <= size[2] - 3
     )
 
 
