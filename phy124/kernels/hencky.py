@@ -12,7 +12,15 @@ from typing import Any
 import warp as wp
 
 from phy124.kernels.spectral import floored_log, from_double, to_double
-from phy124.kernels.symmetric import deviator, gram, invariants, next_power, quadratic, symmetric
+from phy124.kernels.symmetric import (
+    deviator,
+    gram,
+    invariants,
+    linear_range,
+    next_power,
+    quadratic,
+    symmetric,
+)
 
 SMALLEST_STRETCH = wp.constant(1.0e-4)
 """Stretches below count as this one: the strain of a flat element is finite."""
@@ -76,7 +84,10 @@ def log_strain(F: Any):
     share = type(s)(1.0) / (type(s)(8.0) + four * i[0] + two * i[1] + i[2])
     z = quadratic(share * wp.vector(i[2], four + two * i[0], -two), x, squared)
     z_squared = gram(z)
-    if not wp.trace(z_squared) < series_range(s):
+    size = wp.trace(z_squared)
+    if size < linear_range(s):
+        return z
+    if not size < series_range(s):
         return from_double(floored_log(to_double(F), wp.float64(SMALLEST_STRETCH)), s)
     return quadratic(inverse_tanh(invariants(z, z_squared)), z, z_squared)
 

@@ -61,6 +61,21 @@ def quadratic(c: Any, a: Any, squared: Any):
 
 
 @wp.func
+def linear_range(s: wp.float32):
+    """|A|^2 below which I + A is exp A to rounding, and A its own atanh, in float32.
+
+    Higher powers of so small a matrix would also be denormal numbers, which are slow.
+    """
+    return wp.float32(1.0e-10)
+
+
+@wp.func
+def linear_range(s: wp.float64):  # noqa: F811
+    """The same in float64."""
+    return wp.float64(1.0e-18)
+
+
+@wp.func
 def small_enough(s: wp.float32):
     """|A|^2 for which the series of exp A up to A^5 / 120 is exact in float32."""
     return wp.float32(0.015625)
@@ -78,6 +93,8 @@ def exponential(a: Any):
     s = a[0, 0]
     small = a
     size = wp.ddot(a, a)
+    if size < linear_range(s):
+        return wp.identity(3, dtype=type(s)) + a
     doublings = int(0)
     while size > small_enough(s) and doublings < 24:
         small = type(s)(0.5) * small
