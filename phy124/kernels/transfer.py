@@ -68,9 +68,9 @@ def first_node(g: Any):
 
 @wp.func
 def in_window(first: wp.vec3i, size: wp.vec3i):
-    """Whether all 27 nodes are inside; a position that is NaN or far off gives a node that is not.
+    """Whether all 27 nodes are inside; those of a position that is NaN (on a CPU) are not.
 
-    What a device makes of such a position may be its greatest integer, to which nothing is added.
+    Of what is far off devices make the least or the greatest integer: nothing is added to it.
     """
     return (
         first[0] >= 0
