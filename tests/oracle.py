@@ -69,7 +69,7 @@ def neo_hookean(F: Array, C: Array, h: Array, t: Array) -> Array:
 
 
 def neo_hookean_damped(F: Array, C: Array, h: Array, t: Array) -> Array:
-    J = np.maximum(np.linalg.det(F), 0)[:, None, None]
+    J = np.clip(np.linalg.det(F), 0, 1)[:, None, None]
     return neo_hookean(F, C, h, t[:2]) + J * t[2] * (C + C.transpose(0, 2, 1))
 
 
@@ -188,7 +188,7 @@ def tait(F: Array, C: Array, h: Array, t: Array) -> Array:
     K, g, eta = t
     rate = C + C.transpose(0, 2, 1)
     rate = rate - np.trace(rate, axis1=1, axis2=2)[:, None, None] / 3 * EYE
-    return J * eta * rate - J * K / g * (J**-g - 1) * EYE
+    return np.minimum(J, 1) * eta * rate - J * K / g * (J**-g - 1) * EYE
 
 
 def isotropic(F: Array, h: Array, t: Array, dt: float) -> tuple[Array, Array]:

@@ -21,7 +21,7 @@ def test_friction_is_newtonian_beside_the_elastic_stress(material, rng):
     F, C = deformations(rng, 0.3), 50 * rng.standard_normal((300, 3, 3))
     plain = material.model_copy(update={"damping": 0.0})
     more = evaluate(material, F, C=C).stress - evaluate(plain, F).stress
-    J = np.linalg.det(F)[:, None, None]
+    J = np.minimum(np.linalg.det(F), 1)[:, None, None]
     assert np.allclose(more, J * ETA * (C + transposed(C)), rtol=1e-9, atol=1e-7)
     assert ((more * C).sum(axis=(1, 2)) >= 0).all(), "it takes energy whatever the motion"
 

@@ -16,9 +16,10 @@ from phy124.kernels.hencky import hencky
 def newtonian(F: Any, C: Any, eta: Any):
     """J eta (C + C^T): Kirchhoff stress of sigma = 2 eta D, D the rate of strain.
 
-    An element that is inside out has none, so it never gives energy.
+    An element that is inside out has none, so it never gives energy; one that is larger than at
+    rest has that of rest, which is what the substep is limited for.
     """
-    strength = wp.max(wp.determinant(F), type(eta)(0.0)) * eta
+    strength = wp.clamp(wp.determinant(F), type(eta)(0.0), type(eta)(1.0)) * eta
     return strength * (C + wp.transpose(C))
 
 

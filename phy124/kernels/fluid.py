@@ -22,14 +22,15 @@ def tait_energy(F: Any, h: Any, theta: Any):
 
 @wp.func
 def tait(F: Any, C: Any, h: Any, theta: Any):
-    """-J p I + 2 J eta dev(sym C), p = K / gamma (J^-gamma - 1) (Cole 1948; Becker 2007, eq. 7).
+    """-J p I + 2 j eta dev(sym C), p = K / gamma (J^-gamma - 1) (Cole 1948; Becker 2007, eq. 7).
 
-    theta = (K [Pa], gamma, eta [Pa s]); tension is allowed, as cohesion.
+    theta = (K [Pa], gamma, eta [Pa s]); tension is allowed, as cohesion. j = min(J, 1): what has
+    flown apart keeps its viscosity per mass, which limits the substep, not that per volume.
     """
     one = type(theta[0])(1.0)
     J = wp.max(wp.determinant(F), type(one)(LEAST_J))
     pressure = theta[0] / theta[1] * (wp.pow(J, -theta[1]) - one)
-    viscous = J * theta[2]
+    viscous = wp.min(J, one) * theta[2]
     mean = viscous * type(one)(2.0) / type(one)(3.0) * wp.trace(C) + J * pressure
     return viscous * (C + wp.transpose(C)) - mean * wp.identity(3, dtype=type(one))
 
