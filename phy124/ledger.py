@@ -39,6 +39,8 @@ class Given(NamedTuple):
     """J."""
     moved: float
     """Sum of the sizes of all impulses, N s."""
+    turned: float
+    """Sum of the sizes of all works, J."""
 
 
 class Ledger:
@@ -88,8 +90,9 @@ class Ledger:
         if not solver.tracks.vary:
             a, mass = _acceleration(solver), total_mass(solver)
             impulse = mass * a * (solver.time - solver.last_dt / 2 - self._kicked)
-            given = given + np.array([*impulse, float(a @ way), np.linalg.norm(impulse)])
-        return Given(given[:3], float(given[3]), float(given[4]))
+            work = float(a @ way)
+            given = given + np.array([*impulse, work, np.linalg.norm(impulse), abs(work)])
+        return Given(given[:3], *given[3:].tolist())
 
     def begin(self, solver: Solver, momentum: NDArray[np.float64]) -> None:
         """A frame begins with this momentum: the work of what varies depends on it."""

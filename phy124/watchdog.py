@@ -48,6 +48,8 @@ is set in every substep); an unstable run passes any limit within a few frames.
 """
 MOMENTUM_GAIN = {"float32": 1e-3, "float64": 1e-6}
 """Momentum from nowhere that is tolerated, as a share of all momentum moved."""
+ROUNDING = {"float32": 1e-5, "float64": 1e-12}
+"""Share of all work, given and taken, that rounding may lose."""
 QUIET = 1e-9
 """Energies below this share of volume times stiffness are rounding."""
 FRAGILE = ("fixed_corotated", "plasticine")
@@ -275,7 +277,9 @@ class Watchdog:
     def _unbalanced(self, now: Balance) -> str | None:
         """Compare what is there with what was there at first and what was given since."""
         given = self.ledger.total(self.solver, now.middle - self.first.middle)
-        turnover = max(self.turnover, now.energy, abs(given.work))
+        precision = "float32" if self.solver.real is wp.float32 else "float64"
+        lost = ROUNDING[precision] * given.turned
+        turnover = max(self.turnover, now.energy, abs(given.work), lost)
         energy_gain = (now.energy - self.first.energy - given.work) / turnover
         if energy_gain > ENERGY_GAIN:
             index = int(culprit.energies(self.solver).argmax())
@@ -286,7 +290,6 @@ class Watchdog:
         moved = max(self.moved, self._momentum_scale(now), given.moved)
         missing = now.momentum - self.first.momentum - given.impulse
         momentum_gain = float(np.linalg.norm(missing)) / moved if moved > 0 else 0.0
-        precision = "float32" if self.solver.real is wp.float32 else "float64"
         if momentum_gain > MOMENTUM_GAIN[precision]:
             index = int(culprit.speeds(self.solver).argmax())
             finer = (

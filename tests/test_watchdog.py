@@ -11,7 +11,7 @@ from demo.report import as_html
 from phy124.__main__ import main
 from phy124.boundaries import Box, Ground, Press
 from phy124.clip import Clip
-from phy124.forces import Acceleration, Gravity, ParticleForce
+from phy124.forces import Acceleration, Gravity, Impulse, ParticleForce, SetVelocity
 from phy124.ledger import Ledger
 from phy124.materials import FixedCorotated, Hencky, NeoHookean, Plasticine, Snow
 from phy124.mpm import Grid, Solver, Unstable
@@ -74,6 +74,17 @@ def test_the_balance_adds_up(world, precision):
     assert watch.energy_gain < 0.005
     if world == "violence":
         assert s.caution.rejected > 0
+
+
+@pytest.mark.parametrize("way", range(8))
+def test_what_a_held_body_is_given_and_loses_again_may_be_rounded(way):
+    """A blow of 6 kJ on a body whose velocity is set to zero: what is left is rounding."""
+    p = [4000 * (0.7 if way & bit else -1.0) for bit in (1, 2, 4)]
+    s, watch = followed((Impulse(p=p), SetVelocity(v=(0, 0, 0))))
+    s.advance(0.05, after=watch.follow())
+    assert watch.after() is None
+    given = watch.ledger.total(s, np.zeros(3))
+    assert 0 < abs(given.work) < 1e-6 * given.turned
 
 
 @pytest.mark.parametrize("threads", [1, 2])

@@ -13,8 +13,20 @@ from phy124.kernels.build import kernel
 from phy124.kernels.transfer import Law, types
 from phy124.kernels.weigh import add3, kinetic_energy, wide
 
-GIVEN = 5
-"""Impulse 3, work, sum of the sizes of all impulses."""
+GIVEN = 6
+"""Impulse 3, work, and the sums of the sizes of all impulses and of all works."""
+
+
+@wp.func
+def add_given(
+    given: wp.array(dtype=wp.float64), impulse: wp.vec3d, work: wp.float64, moved: wp.float64,
+    turned: wp.float64,
+):  # fmt: skip
+    """Add to `GIVEN` sums."""
+    add3(given, 0, impulse)
+    wp.atomic_add(given, 3, work)
+    wp.atomic_add(given, 4, moved)
+    wp.atomic_add(given, 5, turned)
 
 
 @cache
@@ -53,20 +65,20 @@ def make_push_sums(real: Any):
     ):  # fmt: skip
         impulse = wp.vec3d()
         work = wp.float64(0.0)
-        gross = wp.float64(0.0)
+        moved = wp.float64(0.0)
+        turned = wp.float64(0.0)
         for k in range(each):
             p = wp.tid() * first + k * stride
             if p < mass.shape[0]:
                 m = wp.float64(mass[p])
                 now = wide(v[p])
                 before = wide(v_kept[p])
+                gain = kinetic_energy(m, now, C[p], dx) - kinetic_energy(m, before, C_kept[p], dx)
                 impulse += m * (now - before)
-                work += kinetic_energy(m, now, C[p], dx)
-                work -= kinetic_energy(m, before, C_kept[p], dx)
-                gross += m * wp.length(now - before)
-        add3(given_out, 0, impulse)
-        wp.atomic_add(given_out, 3, work)
-        wp.atomic_add(given_out, 4, gross)
+                work += gain
+                moved += m * wp.length(now - before)
+                turned += wp.abs(gain)
+        add_given(given_out, impulse, work, moved, turned)
 
     return push_sums
 
@@ -122,20 +134,21 @@ def make_wall_sums(real: Any):
         row = ((i + low[0]) * size[1] + j + low[1]) * size[2] + low[2]
         impulse = wp.vec3d()
         work = wp.float64(0.0)
-        gross = wp.float64(0.0)
+        moved = wp.float64(0.0)
+        turned = wp.float64(0.0)
         for k in range(count[2]):
             q = grid[row + k]
             if q[3] > real(0.0):
                 d = q - kept[(i * count[1] + j) * count[2] + k]
                 if d[0] != real(0.0) or d[1] != real(0.0) or d[2] != real(0.0):
                     J = wp.float64(q[3]) * wide(d)
+                    gain = wp.dot(J, wide(q))
                     impulse += J
-                    work += wp.dot(J, wide(q))
-                    gross += wp.length(J)
-        if gross > wp.float64(0.0):
-            add3(given_out, 0, impulse)
-            wp.atomic_add(given_out, 3, work)
-            wp.atomic_add(given_out, 4, gross)
+                    work += gain
+                    moved += wp.length(J)
+                    turned += wp.abs(gain)
+        if moved > wp.float64(0.0):
+            add_given(given_out, impulse, work, moved, turned)
 
     return wall_sums
 
@@ -166,10 +179,8 @@ def make_uniform_sums(real: Any):
         for c in range(3):
             p[c] = base[c] + push[c] + walls_out[c] + given_out[c]
             walls_out[c] = wall_a[c] + wall_b[c]
-        add3(given_out, 0, J)
         work = wp.dot(J, p + J / wp.float64(2.0)) / mass
-        wp.atomic_add(given_out, 3, work)
-        wp.atomic_add(given_out, 4, wp.length(J))
+        add_given(given_out, J, work, wp.length(J), wp.abs(work))
 
     return uniform_sums
 
