@@ -148,7 +148,7 @@ class Watchdog:
         self.reset, self._first_reset = 0, FAR
         """Particles whose deformation was reset so far."""
         self._found = wp.zeros(2, dtype=int, device=solver.device)
-        self._heal = self._record_heal()
+        self._heal, self._limit = self._record_heal(), self._record_limit()
         self._fastest = 0.0
         self.energy_gain = self.momentum_gain = 0.0
         self.least_J, self.greatest_J = self.first.least_J, self.first.greatest_J
@@ -168,6 +168,17 @@ class Watchdog:
         launch = s.record(diagnose.make_reset(s.real), len(s.rest), limits, outputs)
         return cast("wp.Launch", launch)
 
+    def _record_limit(self) -> wp.Launch | None:
+        s = self.solver
+        inputs, count = [GREATEST_TOTAL, s.state.F], len(s.state.total)
+        return s.record(diagnose.make_limit_total(s.real), count, inputs, [s.state.total])
+
+    def _tend(self) -> None:
+        """Reset deformations that no law can work with, and hold F_total to its greatest size."""
+        self._heal.launch()
+        if self._limit is not None:
+            self._limit.launch()
+
     def _count_resets(self) -> None:
         self.reset, self._first_reset = self._found.numpy().tolist()
 
@@ -185,10 +196,8 @@ class Watchdog:
         problem = self._unsound(now) or self._unbalanced(now)
         if problem is None:
             self._count_resets()
-            if len(s.state.total):
-                kernel = diagnose.make_limit_total(s.real)
-                inputs = [GREATEST_TOTAL, s.state.F]
-                wp.launch(kernel, len(s.rest), inputs, [s.state.total], device=s.device)
+            if self._limit is not None:
+                self._limit.launch()
             self.tearing.look()
             self.last = now
             self.least_J = min(self.least_J, now.least_J)
@@ -207,7 +216,7 @@ class Watchdog:
             strain += s.extremes.gradient * (s.time - seen)
             seen = s.time
             if strain > HEAL_AFTER:
-                self._heal.launch()
+                self._tend()
                 strain = 0.0
 
         return after

@@ -13,7 +13,7 @@ from phy124.boundaries import Box, Ground, Press
 from phy124.clip import Clip
 from phy124.forces import Acceleration, Gravity, Impulse, ParticleForce, SetVelocity
 from phy124.ledger import Ledger
-from phy124.materials import FixedCorotated, Hencky, NeoHookean, Plasticine, Snow
+from phy124.materials import FixedCorotated, Fluid, Hencky, NeoHookean, Plasticine, Snow
 from phy124.mpm import Grid, Solver, Unstable
 from phy124.ply import write_ply
 from phy124.region import Region
@@ -124,6 +124,17 @@ def lone(**options) -> Solver:
     C = 4.0 * np.eye(3)[None]
     return Solver(np.full((1, 3), 0.02), np.array([1e-3]), [NeoHookean(E=1e4, nu=0.49)], dx=0.125,
                   C=C, precision="float64", **options)  # fmt: skip
+
+
+def test_what_flows_far_within_a_frame_is_held_before_the_frame_ends():
+    """A shear of 300/s for 10 ms, from an F_total that would soon overflow."""
+    x = block()
+    v, C = np.zeros_like(x), np.zeros((len(x), 3, 3))
+    v[:, 0], C[:, 0, 2] = 300 * x[:, 2], 300
+    s, watch = followed(material=Fluid(), v=v, C=C)
+    s.state.total.fill_(1e30)
+    s.advance(0.01, after=watch.follow())
+    assert np.abs(s.state.total.numpy()).max() < 1e8
 
 
 def test_the_window_forgets_a_particle_that_flew_off():
