@@ -192,7 +192,7 @@ class Watchdog:
 
     def after(self) -> str | None:
         """After a frame: what is wrong with it, as half a sentence, or None."""
-        now, s = weigh(self.solver), self.solver
+        now = weigh(self.solver)
         problem = self._unsound(now) or self._unbalanced(now)
         if problem is None:
             self._count_resets()
