@@ -106,7 +106,9 @@ class Ledger:
 
     def restore(self, snapshot: dict[str, NDArray]) -> None:
         """Go back to a snapshot."""
-        self._closed = {kind: sums.copy() for kind, sums in snapshot.items()}
+        # Pauses of earlier builds know no sum of all works.
+        missing = {kind: (0, diagnose.GIVEN - len(sums)) for kind, sums in snapshot.items()}
+        self._closed = {kind: np.pad(sums, missing[kind]) for kind, sums in snapshot.items()}
         for page in self._pages.values():
             page.zero_()
 
