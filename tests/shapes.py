@@ -1,4 +1,4 @@
-"""Small analytic objects made of Gaussians."""
+"""Small analytic objects made of Gaussians, or of particles."""
 
 import numpy as np
 
@@ -20,3 +20,9 @@ def ball(count: int = 2000, radius: float = 0.5) -> Gaussians:
     return Gaussians.from_rgb(
         normals * radius, quaternions(axes), scales, np.full(count, 0.95), 0.5 + 0.4 * normals
     )
+
+
+def block(per_axis: int = 6) -> np.ndarray:
+    """Particles on a lattice in a cube of 0.375 m, 5 cm above the ground [N,3]."""
+    line = (np.arange(per_axis) + 0.5) / per_axis * 0.375
+    return np.stack(np.meshgrid(line, line, line), axis=-1).reshape(-1, 3) + [0, 0, 0.05]

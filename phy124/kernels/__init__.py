@@ -1,1 +1,1 @@
-"""Device code and only device code: Warp functions and kernels, one formula per function."""
+"""Device code, one formula per function, and how it is built; nothing else."""

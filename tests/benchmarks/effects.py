@@ -1,8 +1,8 @@
 """What leaving effects out saves: paired ratios in one process, one JSON line each.
 
 switch: one law compiled alone against the same law inside kernels that ask for the law's kind and
-  hold all thirteen, by kind and parameters of each particle, and against transfers only; scatter
-  and gather, without the grid.
+  hold all thirteen, or the ten without friction, by kind and parameters of each particle, and
+  against transfers only; scatter and gather, without the grid.
 registers: the same kernels compiled for a GPU (sm_90), registers per thread; nothing is run.
 window: the grid around the particles against the dense domain, 20,000 particles in 128^3.
 costs: what a force on a region, time tables, a second law and stiffness per particle add.
@@ -55,10 +55,16 @@ KINDS = (
 
 
 @wp.func
-def any_law(F: wp.mat33, C: wp.mat33, h: wp.vec2, theta: vec6):
-    """The stress of whatever law is meant, as a program without specialisation asks for it."""
+def five_of(theta: vec6):
+    """Parameters of whatever law."""
+    return vec5(theta[0], theta[1], theta[2], theta[3], theta[4])
+
+
+@wp.func
+def any_lossless(F: wp.mat33, C: wp.mat33, h: wp.vec2, theta: vec6):
+    """The stress of whatever of the ten laws without friction is meant."""
     kind = int(theta[5])
-    five = vec5(theta[0], theta[1], theta[2], theta[3], theta[4])
+    five = five_of(theta)
     if kind == 0 or kind == 3:
         return elastic.neo_hookean(F, C, h, five)
     if kind == 1 or kind == 5:
@@ -67,30 +73,36 @@ def any_law(F: wp.mat33, C: wp.mat33, h: wp.vec2, theta: vec6):
         return granular.snow(F, C, h, five)
     if kind == 9:
         return fluid.tait(F, C, h, five)
-    if kind == 10:
-        return damping.neo_hookean_damped(F, C, h, five)
-    if kind == 11:
-        return damping.fixed_corotated_damped(F, C, h, five)
-    if kind == 12:
-        return damping.hencky_damped(F, C, h, five)
     return hencky.hencky(F, C, h, five)
+
+
+@wp.func
+def any_law(F: wp.mat33, C: wp.mat33, h: wp.vec2, theta: vec6):
+    """The stress of whatever law is meant, as a program without specialisation asks for it."""
+    kind = int(theta[5])
+    if kind == 10:
+        return damping.neo_hookean_damped(F, C, h, five_of(theta))
+    if kind == 11:
+        return damping.fixed_corotated_damped(F, C, h, five_of(theta))
+    if kind == 12:
+        return damping.hencky_damped(F, C, h, five_of(theta))
+    return any_lossless(F, C, h, theta)
 
 
 @wp.func
 def any_project(F: wp.mat33, h: wp.vec2, theta: vec6, dt: float):
     """The return mapping of whatever law is meant: none for the elastic ones."""
     kind = int(theta[5])
-    five = vec5(theta[0], theta[1], theta[2], theta[3], theta[4])
     if kind == 4 or kind == 5:
-        return plastic.von_mises(F, h, five, dt)
+        return plastic.von_mises(F, h, five_of(theta), dt)
     if kind == 6:
-        return plastic.herschel_bulkley(F, h, five, dt)
+        return plastic.herschel_bulkley(F, h, five_of(theta), dt)
     if kind == 7:
-        return granular.drucker_prager(F, h, five, dt)
+        return granular.drucker_prager(F, h, five_of(theta), dt)
     if kind == 8:
-        return granular.snow_return(F, h, five, dt)
+        return granular.snow_return(F, h, five_of(theta), dt)
     if kind == 9:
-        return fluid.isotropic(F, h, five, dt)
+        return fluid.isotropic(F, h, five_of(theta), dt)
     return F, h
 
 
@@ -108,6 +120,12 @@ class Switched(NeoHookean):
     def theta(self) -> tuple[float, ...]:
         """Lame parameters and the kind."""
         return (*self.lame, 0.0, 0.0, 0.0, float(KINDS.index("neo_hookean")))
+
+
+class Fewer(Switched):
+    """The same among the ten laws without friction."""
+
+    device_law = Law("switched_lossless", any_lossless, any_modulus, 6, project=any_project)
 
 
 def cube(count: int, cells: int) -> Solver:
@@ -138,13 +156,18 @@ def paired(a: Solver, b: Solver, substeps: int, turns: int = 7) -> tuple[float, 
 
 def switch(turns: int = 40) -> None:
     for form, simd in (("SIMD rows", True), ("plain", False)):
-        kinds = {"transfers_ns": laws.Nothing(), "alone_ns": NeoHookean(), "switch_ns": Switched()}
+        kinds = {
+            "transfers_ns": laws.Nothing(), "alone_ns": NeoHookean(), "switch_ns": Switched(),
+            "lossless_switch_ns": Fewer(),
+        }  # fmt: skip
         made = {name: laws.solver(law, 0.02, simd=simd) for name, law in kinds.items()}
         one_row_each(made["switch_ns"])
+        one_row_each(made["lossless_switch_ns"])
         starts = {name: s.state.copy() for name, s in made.items()}
         spent = [[laws.cost(s, starts[name]) for name, s in made.items()] for _ in range(turns)]
         row = dict(zip(kinds, np.min(spent, axis=0).sum(axis=1).tolist(), strict=True))
         row["alone_to_transfers"] = row["alone_ns"] / row["transfers_ns"]
+        row["lossless_ratio"] = row["lossless_switch_ns"] / row["alone_ns"]
         show("switch", {"form": form, **row, "ratio": row["switch_ns"] / row["alone_ns"]})
 
 
