@@ -1,17 +1,20 @@
-# make demo | app | test | test-browser | bench | accuracy | lint | clean
+# make demo | app | bridge | test | test-browser | bench | accuracy | lint | clean
 # Everything is installed into .venv; a stamp per set of packages says that it is there.
 
 PYTHON ?= python3
 BIN := .venv/bin
 INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: demo app test test-slow test-browser bench accuracy lint clean
+.PHONY: demo app bridge test test-slow test-browser bench accuracy lint clean
 
 demo: .venv/base
 	$(BIN)/phy124 generate demo/examples/duck.png --scene press --out out/duck-press
 
 app: .venv/demo
 	$(BIN)/python app.py
+
+bridge: .venv/bridge
+	$(BIN)/python -m bridge doctor
 
 test: .venv/test
 	$(BIN)/pytest -n 2 --dist loadfile -m "not slow and not browser"
@@ -49,10 +52,15 @@ clean:
 	$(INSTALL) --editable ".[demo]"
 	touch $@ .venv/base
 
+.venv/bridge: .venv/python pyproject.toml
+	$(INSTALL) --editable ".[bridge,foxglove]"
+	$(INSTALL) --editable ".[dds]" || echo "no cyclonedds for this machine: DDS needs ROS 2 here"
+	touch $@ .venv/base
+
 .venv/test: .venv/python pyproject.toml
 	$(INSTALL) --editable ".[test]"
-	touch $@ .venv/base .venv/demo
+	touch $@ .venv/base .venv/demo .venv/bridge
 
 .venv/lint: .venv/python pyproject.toml
 	$(INSTALL) --editable ".[test,lint]"
-	touch $@ .venv/base .venv/demo .venv/test
+	touch $@ .venv/base .venv/demo .venv/bridge .venv/test

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Literal
 
 from phy124.errors import InputError
+from phy124.installation import install_command
 
 from .options import Options
 from .sinks import LiveSink
@@ -44,8 +45,8 @@ def choose(backend: Backend) -> str:
             return candidate
     limit = "Neither rclpy nor cyclonedds is here, so only MCAP files are possible."
     remedy = (
-        "Record one with `python -m bridge record`, or source ROS 2, or "
-        "`pip install 'phy124[dds]'` (ROS 2 peers) or 'phy124[foxglove]' (Foxglove)."
+        "Record one with `python -m bridge record`, source ROS 2, "
+        f"run `{install_command('dds')}`, or choose --backend foxglove."
     )
     raise InputError("backend", "auto", limit, remedy)
 

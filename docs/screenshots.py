@@ -1,8 +1,8 @@
 """Makes the pictures of the page in docs/: light, dark and phone, after a run of the duck.
 
-    python docs/screenshots.py
+    make test && .venv/bin/python docs/screenshots.py
 
-Needs Debian's chromium and `pip install "phy124[demo,test]"`.
+Needs Debian's chromium, and what the tests need.
 """
 
 from __future__ import annotations

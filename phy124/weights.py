@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Literal, cast
 
 from phy124.errors import InputError
+from phy124.installation import install_command
 from phy124.progress import Progress, silent
 
 Verdict = Literal["match", "differs", "unknown", "unchecked", "missing"]
@@ -321,7 +322,7 @@ def _download(
             "weights",
             file.repo,
             "the library huggingface_hub is not installed.",
-            "Run `pip install 'phy124[lgm]'`.",
+            f"Run `{install_command('lgm')}`.",
         ) from error
     target = None if folder is None else folder / file.repo.rpartition("/")[2]
     # Its HTTP library changes from release to release; the bases name that library's error.

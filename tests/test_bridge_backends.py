@@ -1,5 +1,6 @@
 """Which outlet `auto` picks, and what is said when there is none."""
 
+import re
 import sys
 
 import pytest
@@ -9,6 +10,7 @@ from bridge.options import Options
 from bridge.sinks.dds import DdsSink
 from bridge.sinks.foxglove import FoxgloveSink
 from phy124.errors import InputError
+from phy124.installation import install_command
 
 
 def hide(monkeypatch, *modules):
@@ -33,7 +35,7 @@ def test_auto_says_what_remains_and_how_to_get_more(monkeypatch):
         choose("auto")
     sentence = str(caught.value)
     assert "only MCAP files are possible" in sentence
-    for way in ("python -m bridge record", "source ROS 2", "phy124[dds]", "phy124[foxglove]"):
+    for way in ("python -m bridge record", "source ROS 2", install_command("dds"), "foxglove"):
         assert way in sentence
 
 
@@ -41,9 +43,9 @@ def test_auto_says_what_remains_and_how_to_get_more(monkeypatch):
     ("outlet", "module", "remedy"),
     [
         ("rclpy", "rclpy", "source /opt/ros/jazzy/setup.bash"),
-        ("dds", "cyclonedds.domain", r"pip install 'phy124\[dds\]'"),
-        ("foxglove", "foxglove", r"pip install 'phy124\[foxglove\]'"),
-        ("mcap", "mcap.writer", r"pip install 'phy124\[bridge\]'"),
+        ("dds", "cyclonedds.domain", re.escape(install_command("dds"))),
+        ("foxglove", "foxglove", re.escape(install_command("foxglove"))),
+        ("mcap", "mcap.writer", re.escape(install_command("bridge"))),
     ],
 )
 def test_each_missing_package_names_its_remedy(monkeypatch, outlet, module, remedy):

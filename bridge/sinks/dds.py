@@ -13,6 +13,7 @@ from typing import Any
 
 from phy124.errors import InputError
 from phy124.gaussians import Frame
+from phy124.installation import install_command
 
 from ..cdr import encode
 from ..encoder import FrameEncoder
@@ -187,7 +188,7 @@ def require_cyclonedds() -> None:
         import cyclonedds.domain  # noqa: F401
     except ImportError as error:
         limit = "Publishing without ROS 2 needs the package cyclonedds, which is not installed."
-        remedy = "Run `pip install 'phy124[dds]'`; it exists for x86-64 Linux, Windows and macOS."
+        remedy = f"Run `{install_command('dds')}`; it exists for x86-64 Linux, Windows and macOS."
         raise InputError("backend", "dds", limit, remedy) from error
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from phy124.errors import InputError
 from phy124.gaussians import Frame
+from phy124.installation import install_command
 
 from ..bag import ENCODING
 from ..cdr import NANO
@@ -172,5 +173,5 @@ def require_foxglove() -> None:
         import foxglove  # noqa: F401
     except ImportError as error:
         limit = "Serving Foxglove needs the package foxglove-sdk, which is not installed."
-        remedy = "Run `pip install 'phy124[foxglove]'`."
+        remedy = f"Run `{install_command('foxglove')}`."
         raise InputError("backend", "foxglove", limit, remedy) from error

@@ -15,6 +15,7 @@ from typing import IO, Any, Literal
 
 from phy124.errors import InputError
 from phy124.gaussians import Frame
+from phy124.installation import install_command
 
 from .. import bag
 from ..encoder import FrameEncoder
@@ -178,5 +179,5 @@ def require_mcap() -> None:
         import mcap.writer  # noqa: F401
     except ImportError as error:
         limit = "Recording needs the package mcap, which is not installed."
-        remedy = "Run `pip install 'phy124[bridge]'`."
+        remedy = f"Run `{install_command('bridge')}`."
         raise InputError("recording", "mcap", limit, remedy) from error

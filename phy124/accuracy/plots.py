@@ -17,6 +17,7 @@ from typing import Any
 from phy124.accuracy.study import Report, Row
 from phy124.errors import InputError
 from phy124.files import replacing
+from phy124.installation import install_command
 from phy124.scene import PRESETS
 
 PathLike = str | os.PathLike[str]
@@ -50,7 +51,7 @@ def save_picture(report: Report, path: PathLike, *, title: str = "") -> None:
             "plots",
             "PNG",
             "drawing it needs matplotlib, which is not installed.",
-            'Install it with pip install "phy124[plots]"; accuracy.html shows the same.',
+            f"Run `{install_command('plots')}`; accuracy.html shows the same.",
         ) from None
     figure = Figure(figsize=(9, 4), dpi=100, layout="constrained")
     FigureCanvasAgg(figure)

@@ -17,6 +17,7 @@ from phy124.clip import Clip
 from phy124.errors import InputError
 from phy124.files import replacing
 from phy124.gaussians import Gaussians
+from phy124.installation import install_command
 from phy124.progress import Progress, silent
 
 ENDINGS = (".usdc", ".usda", ".usd")
@@ -64,7 +65,7 @@ def _pxr() -> Any:
             "format",
             "usd",
             "this needs the package usd-core, 26.3 or later.",
-            "Install it with: pip install 'phy124[usd]'.",
+            f"Run `{install_command('usd')}`.",
         ) from error
     return SimpleNamespace(Usd=Usd, UsdGeom=UsdGeom, Schema=schema, Vt=Vt)
 

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Protocol
 
 from phy124.errors import InputError
+from phy124.installation import install_command
 from phy124.progress import Progress
 
 if TYPE_CHECKING:
@@ -89,7 +90,7 @@ def make(chosen: str | Generator) -> Generator:
             raise
         limit = f"It needs the package {error.name}, which is not installed."
         extra = chosen.partition("-")[0]
-        remedy = f"Run `pip install 'phy124[{extra}]'`, or choose relief."
+        remedy = f"Run `{install_command(extra)}`, or choose relief."
         raise InputError("generator", chosen, limit, remedy) from error
 
 

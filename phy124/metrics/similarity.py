@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from phy124.errors import InputError
+from phy124.installation import install_command
 from phy124.metrics.pictures import unit
 from phy124.weights import require
 
@@ -109,7 +110,7 @@ def _load(model: str) -> Any:
             "clip-model",
             model,
             "transformers is needed to run CLIP and is not installed.",
-            "Run `pip install 'phy124[eval]'`.",
+            f"Run `{install_command('eval')}`.",
         ) from error
     source: str | os.PathLike[str] = model
     if model == MODEL:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from phy124.errors import InputError
+from phy124.installation import install_command
 from phy124.weights import KNOWN, WeightFile, find, require
 
 SIZE = 320
@@ -74,7 +75,7 @@ def load(path: str | os.PathLike[str]) -> Network:
             "weights",
             path,
             f"{error.name} is needed to run it and is not installed.",
-            "Run `pip install 'phy124[lgm]'`, or choose the foreground `grabcut`.",
+            f"Run `{install_command('lgm')}`, or choose the foreground `grabcut`.",
         ) from error
 
 
