@@ -11,7 +11,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from demo.forecast import Forecast, count_particles
+from demo.forecast import count_particles
 from demo.settings import Settings
 from phy124.errors import InputError
 from phy124.materials import Elastic
@@ -89,13 +89,13 @@ def _check(scene: Scene, settings: Settings) -> None:
             )
 
 
-def check_time(forecast: Forecast, settings: Settings) -> None:
-    """Refuse before it starts what would not end in time; raises InputError."""
-    if forecast.seconds > settings.max_seconds:
+def check_time(seconds: float, settings: Settings) -> None:
+    """Refuse before it starts what could not end in time on any day; raises InputError."""
+    if seconds > settings.max_seconds:
         raise InputError(
             "time",
-            f"{forecast.seconds:.0f} s",
-            f"This would take about {forecast.seconds:,.0f} s; one run may take "
+            f"{seconds:.0f} s",
+            f"This would take about {seconds:,.0f} s; one run may take "
             f"{settings.max_seconds:.0f} s here.",
             "Choose draft accuracy, a softer material, or fewer frames.",
         )

@@ -1,18 +1,16 @@
 """How long a run will take and what its accuracy promises, said before it starts.
 
 Substeps follow from the stability limit (phy124.timestep), particles from the Gaussians and the
-filling; what a particle-substep, a drawn pixel and so on cost is measured on this machine by
-every finished run, first by a small one at the start of the page.
+filling; what a particle-substep, a drawn pixel and so on cost is in demo/rates.py.
 """
 
 from __future__ import annotations
 
 import math
-import threading
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from html import escape
-from typing import Any
 
+from demo.rates import Learned, Rates, Work
 from phy124.accuracy import Forecaster as Probe
 from phy124.accuracy.forecast import pixels_per_size
 from phy124.gaussians import Gaussians
@@ -23,28 +21,6 @@ GAUSSIANS = 50_000
 """What `relief` makes of a picture."""
 FILLED = 0.13
 """Volume of a typical object, in cubes of its longest side: the filling's share of the grid."""
-READ = 0.2
-"""Longer than it takes to read Gaussians that were made before, s."""
-DOUBLE = 1.7
-"""How much longer a substep takes in float64 (docs/accuracy.md)."""
-TRUST = 0.5
-"""Weight of the newest measurement; the first counts alone."""
-
-
-@dataclass(frozen=True)
-class Rates:
-    """What the stages cost on this machine."""
-
-    generate: float = 3.0
-    """Seconds to make Gaussians of a picture."""
-    particle: float = 1.5e-7
-    """Seconds per particle and substep."""
-    frame: float = 0.06
-    """Seconds per simulated frame, besides its substeps."""
-    pixel: float = 1.2e-7
-    """Seconds per drawn and encoded pixel."""
-    rest: float = 1.5
-    """Seconds for everything else."""
 
 
 @dataclass(frozen=True)
@@ -86,9 +62,12 @@ class Forecaster:
     """Predicts runs and learns from the reports of finished ones."""
 
     def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self.rates = Rates()
-        self._trust = 1.0
+        self.learned = Learned()
+
+    @property
+    def rates(self) -> Rates:
+        """What the stages cost now."""
+        return self.learned.now
 
     def __call__(
         self,
@@ -99,15 +78,18 @@ class Forecaster:
         simulated: bool = False,
     ) -> Forecast:
         """The forecast of a run; `generated` and `simulated`: these stages are there already."""
-        rates, substeps = self.rates, count_substeps(scene)
-        particles = count_particles(scene, gaussians)
-        frames, view = scene.time.frames, scene.view
-        seconds = rates.rest + rates.pixel * frames * len(view.views) * view.size**2
+        work = work_of(scene, gaussians)
+        costs = self.rates.seconds(work)
+        seconds = self.rates.rest + costs["film"]
         if not simulated:
-            slower = DOUBLE if scene.resolution.precision == "float64" else 1.0
-            seconds += slower * rates.particle * particles * substeps + rates.frame * frames
-            seconds += 0 if generated else rates.generate
-        return Forecast(seconds, substeps, particles, promised(scene))
+            seconds += costs["simulate"] + costs["deform"]
+            seconds += 0 if generated else costs["generate"]
+        particles = count_particles(scene, gaussians)
+        return Forecast(seconds, round(work.substeps), particles, promised(scene))
+
+    def least(self, scene: Scene, *, gaussians: int = GAUSSIANS) -> float:
+        """Seconds of computing, were this machine as quick as it was ever known to be."""
+        return sum(self.learned.least.seconds(work_of(scene, gaussians)).values())
 
     def stops(
         self, scene: Scene, *, gaussians: int = GAUSSIANS, seconds: float | None = None
@@ -122,29 +104,6 @@ class Forecaster:
             pixels = error * pixels_per_size(scene)
             found.append(Stop(name, took, error, pixels, scene.accuracy == name))
         return found
-
-    def learn(self, report: dict[str, Any], scene: Scene) -> None:
-        """Take the costs of a finished run into account."""
-        spent = {stage["name"]: stage["seconds"] for stage in report["stages"]}
-        work = report["particles"] * report["substeps"]
-        work *= DOUBLE if scene.resolution.precision == "float64" else 1.0
-        pixels = report["frames"] * len(scene.view.views) * scene.view.size**2
-        drawn = spent.get("render", 0.0) + spent.get("encode", 0.0)
-        measured = {
-            # A file that was there already is read in no time.
-            "generate": spent["generate"] if spent.get("generate", 0) > READ else None,
-            "particle": spent["simulate"] / work if work and "simulate" in spent else None,
-            "frame": spent["deform"] / report["frames"] if "deform" in spent else None,
-            "pixel": drawn / pixels if drawn else None,
-        }
-        with self._lock:
-            old, new = vars(self.rates), self._trust
-            better = {
-                name: (1 - new) * old[name] + new * value
-                for name, value in measured.items()
-                if value
-            }
-            self.rates, self._trust = replace(self.rates, **better), TRUST
 
 
 def measured(gaussians: Gaussians, scene: Scene, device: str, rest: float) -> Forecast:
@@ -168,6 +127,12 @@ def stops_table(stops: list[Stop]) -> str:
 def promised(scene: Scene) -> float | None:
     """The error that the accuracy setting promises, in object sizes."""
     return PROMISES[scene.accuracy].error if isinstance(scene.accuracy, str) else None
+
+
+def work_of(scene: Scene, gaussians: int = GAUSSIANS) -> Work:
+    """What a run of a scene has to do."""
+    particles = count_particles(scene, gaussians)
+    return Work.of(scene, count_substeps(scene), particles, scene.time.frames)
 
 
 def count_substeps(scene: Scene) -> int:

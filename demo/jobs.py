@@ -89,7 +89,7 @@ class Studio:
         try:
             scene = scene_of(data, self.settings)
             forecast = self.forecaster(scene, gaussians=self.settings.gaussians)
-            check_time(forecast, self.settings)
+            self._check_time(scene)
         except InputError as error:
             return f"{error.field}: {sentence(error)}"
         return forecast.sentence
@@ -135,7 +135,7 @@ class Studio:
                 raise InputError("picture", "none", "There is no picture yet.", "Choose one first.")
             scene = scene_of(data, self.settings)
             forecast = self.forecaster(scene, gaussians=self.settings.gaussians)
-            check_time(forecast, self.settings)
+            self._check_time(scene)
             visitor = self.visitors.get(session)
         except InputError as error:
             yield Progress(message=sentence(error), state="refused")
@@ -146,6 +146,10 @@ class Studio:
         self.visitors.sweep(self.settings.keep_hours * 3600, self.settings.max_visitors)
         expected = visitor.forecasts.get(key(scene.data()), forecast.seconds)
         yield from self._work(visitor, self._order(visitor, Path(cutout), scene, flag), expected)
+
+    def _check_time(self, scene: Scene) -> None:
+        count = self.settings.gaussians
+        check_time(self.forecaster.least(scene, gaussians=count), self.settings)
 
     def _order(self, visitor: Visitor, cutout: Path, scene: Scene, stop: Path) -> Order:
         limits = self.settings
@@ -179,17 +183,18 @@ class Studio:
             visitor.end(order.stop)
         if progress.done is not None:
             if "simulate" not in progress.reused:
-                self.forecaster.learn(read_report(progress.done), order.scene)
+                self.forecaster.learned.learn(read_report(progress.done), order.scene)
             visitor.trim(self.settings.max_clips)
 
     def warm_up(self) -> None:
         """Load all kernels and measure this machine with a small run; at the start, in a thread."""
-        from demo.warm import small_run, warm_up
+        from demo.warm import example_run, tiny_run, warm_up
 
         if not self.forks:
             with DEVICE:
                 warm_up(self.settings.device)
-                self.forecaster.learn(*small_run(self.settings.device))
+                device = self.settings.device
+                self.forecaster.learned.calibrate(tiny_run(device), example_run(device))
         self.warm.set()
 
 

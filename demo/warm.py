@@ -33,7 +33,16 @@ def warm_up(device: str) -> None:
             pass
 
 
-def small_run(device: str) -> tuple[dict[str, Any], Scene]:
+def tiny_run(device: str) -> tuple[dict[str, Any], Scene]:
+    """Report and scene of a run of hardly any work: what substeps and videos cost at least."""
+    few = {"accuracy": {"cells": 8, "ppc": 1.0}, "time.frames": 2}
+    scene = Scene.named("press").replaced({**few, "view.size": 32, "view.views": ["front"]})
+    with tempfile.TemporaryDirectory() as folder:
+        result = pipeline.simulate(_ball(), scene, folder, device=device_named(device))
+    return result.report, scene
+
+
+def example_run(device: str) -> tuple[dict[str, Any], Scene]:
     """Report and scene of a short clip of an example: what things cost on this machine."""
     short = {"accuracy": "draft", "time.frames": 5, "view.views": ["front"]}
     scene = Scene.named("press").replaced(short)

@@ -91,7 +91,7 @@ def test_fractions_of_frames_are_refused_though_a_slider_would_send_them():
 def test_what_would_take_too_long_is_refused_before_it_starts():
     stiff = Scene.named("press").replaced({"material.E": 1e10})
     with pytest.raises(InputError, match="would take about"):
-        check_time(Forecaster()(stiff), Settings())
+        check_time(Forecaster().least(stiff), Settings())
 
 
 @pytest.mark.parametrize("damping", [0.0, 2e4])
@@ -103,30 +103,6 @@ def test_the_forecast_counts_the_substeps_of_a_run(three_gaussians, damping):
     run = Simulation(three_gaussians, scene, device="cpu")
     run.run()
     assert count_substeps(scene) == pytest.approx(run.solver.substeps, rel=0.25)
-
-
-def test_the_forecaster_learns_what_a_particle_costs():
-    forecaster, scene = Forecaster(), Scene.named("press")
-    before = forecaster(scene).seconds
-    report = {
-        "stages": [{"name": "simulate", "seconds": 1000.0}],
-        "particles": 1000, "substeps": 1000, "frames": 14,
-    }  # fmt: skip
-    forecaster.learn(report, scene)
-    assert forecaster.rates.particle > 4e-4
-    assert forecaster(scene).seconds > 100 * before
-    assert "Error promised: at most" in forecaster(scene).sentence
-
-
-def test_the_first_measurement_counts_alone_and_later_ones_by_half():
-    forecaster, scene = Forecaster(), Scene.named("press")
-    for seconds, rate in ((10.0, 1e-5), (20.0, 1.5e-5), (15.0, 1.5e-5)):
-        report = {
-            "stages": [{"name": "simulate", "seconds": seconds}],
-            "particles": 1000, "substeps": 1000, "frames": 14,
-        }  # fmt: skip
-        forecaster.learn(report, scene)
-        assert forecaster.rates.particle == pytest.approx(rate)
 
 
 def test_the_page_measures_this_machine_before_the_first_visitor(tmp_path):

@@ -1,0 +1,164 @@
+"""What the stages of a run cost on this machine: measured at the start, corrected by finished runs.
+
+A substep, a frame and a video each have a fixed cost, and one per particle or pixel on top. Both
+are measured before the first visitor. Afterwards a finished run corrects the costs per particle and
+pixel, but no single visitor can spoil them: runs too small to show such a cost teach nothing, the
+median of the last few counts, and it stays within a factor of what was measured at the start.
+"""
+
+from __future__ import annotations
+
+import statistics
+import threading
+from collections import deque
+from dataclasses import dataclass, replace
+from typing import Any
+
+from phy124.scene import Scene
+
+READ = 0.2
+"""Longer than it takes to read Gaussians that were made before, s."""
+DOUBLE = 1.7
+"""How much longer a substep takes in float64 (docs/accuracy.md)."""
+SPREAD = 3.0
+"""Learned costs stay within this factor of those measured at the start, either way."""
+WINDOW = 5
+"""Runs whose median counts."""
+LEAST = 0.2
+"""Share of the first measurement's work below which a run teaches nothing."""
+
+
+@dataclass(frozen=True)
+class Rates:
+    """What the stages cost on this machine."""
+
+    generate: float = 3.0
+    """Seconds to make Gaussians of a picture."""
+    substep: float = 1e-4
+    """Seconds per substep, however few particles there are."""
+    particle: float = 1.5e-7
+    """Seconds per particle and substep."""
+    frame: float = 0.06
+    """Seconds per simulated frame, besides its substeps."""
+    video: float = 0.15
+    """Seconds per video, however few pixels it has."""
+    pixel: float = 1.2e-7
+    """Seconds per drawn and encoded pixel."""
+    rest: float = 1.5
+    """Seconds for everything else."""
+
+    def seconds(self, work: Work) -> dict[str, float]:
+        """Seconds of each stage for an amount of work."""
+        return {
+            "generate": self.generate,
+            "simulate": self.substep * work.substeps + self.particle * work.particles,
+            "deform": self.frame * work.frames,
+            "film": self.video * work.videos + self.pixel * work.pixels,
+        }
+
+    def quickest(self, other: Rates) -> Rates:
+        """The smaller of each cost."""
+        return Rates(**{name: min(value, vars(other)[name]) for name, value in vars(self).items()})
+
+
+@dataclass(frozen=True)
+class Work:
+    """How much a run has to do."""
+
+    substeps: float
+    particles: float
+    """Particles times substeps, those in double precision counted for what they cost."""
+    frames: int
+    videos: int
+    pixels: float
+    """Pixels of all frames of all videos."""
+
+    @classmethod
+    def of(cls, scene: Scene, substeps: float, particles: float, frames: int) -> Work:
+        """The work of a scene of so many substeps, particles and frames."""
+        slower = DOUBLE if scene.resolution.precision == "float64" else 1.0
+        views = len(scene.view.views)
+        return cls(
+            substeps, slower * particles * substeps, frames, views,
+            frames * views * scene.view.size**2,
+        )  # fmt: skip
+
+
+class Learned:
+    """Rates that follow finished runs; safe to use from several threads."""
+
+    def __init__(self) -> None:
+        self.now = Rates()
+        self.measured: Rates | None = None
+        """What the first measurement found; None before it."""
+        self._first: Work | None = None
+        self._seen: dict[str, deque[float]] = {}
+        self._lock = threading.Lock()
+
+    def calibrate(
+        self, small: tuple[dict[str, Any], Scene], usual: tuple[dict[str, Any], Scene]
+    ) -> None:
+        """Measure from the reports of two runs: one of hardly any work, and a usual one."""
+        (little, spent_little), (much, spent) = _observed(*small), _observed(*usual)
+        fixed = replace(
+            self.now,
+            substep=_per(spent_little["simulate"], little.substeps) or self.now.substep,
+            video=_per(spent_little["film"], little.videos) or self.now.video,
+        )
+        found = _variable(fixed, much, spent)
+        with self._lock:
+            self.now = self.measured = replace(fixed, **found)
+            self._first = much
+            # Twice, so that the first run alone decides nothing.
+            self._seen = {name: deque([value] * 2, WINDOW) for name, value in found.items()}
+
+    def learn(self, report: dict[str, Any], scene: Scene) -> None:
+        """Correct the rates by a finished run."""
+        work, spent = _observed(report, scene)
+        with self._lock:
+            if self.measured is None or self._first is None:
+                return
+            found = _variable(self.now, work, spent)
+            if work.particles < LEAST * self._first.particles:
+                found.pop("particle", None)
+            if work.pixels < LEAST * self._first.pixels:
+                found.pop("pixel", None)
+            for name, value in found.items():
+                usual = vars(self.measured)[name]
+                value = min(max(value, usual / SPREAD), usual * SPREAD)
+                self._seen.setdefault(name, deque([usual] * 2, WINDOW)).append(value)
+            medians = {name: statistics.median(seen) for name, seen in self._seen.items()}
+            self.now = replace(self.now, **medians)
+
+    @property
+    def least(self) -> Rates:
+        """The quickest that this machine may be: of the rates written here and those measured."""
+        return Rates().quickest(self.measured or self.now).quickest(self.now)
+
+
+def _observed(report: dict[str, Any], scene: Scene) -> tuple[Work, dict[str, float]]:
+    """The work of a finished run, and the seconds that each stage took."""
+    spent = {stage["name"]: stage["seconds"] for stage in report["stages"]}
+    spent["film"] = spent.get("render", 0.0) + spent.get("encode", 0.0)
+    for name in ("generate", "simulate", "deform"):
+        spent.setdefault(name, 0.0)
+    work = Work.of(scene, report["substeps"], report["particles"], report["frames"])
+    return work, spent
+
+
+def _variable(rates: Rates, work: Work, spent: dict[str, float]) -> dict[str, float]:
+    """The costs that a run shows, the fixed ones taken off."""
+    fixed = {"particle": rates.substep * work.substeps, "pixel": rates.video * work.videos}
+    found = {
+        # A file that was there already is read in no time.
+        "generate": spent["generate"] if spent["generate"] > READ else None,
+        "particle": _per(spent["simulate"] - fixed["particle"], work.particles),
+        "frame": _per(spent["deform"], work.frames),
+        "pixel": _per(spent["film"] - fixed["pixel"], work.pixels),
+    }
+    return {name: value for name, value in found.items() if value}
+
+
+def _per(seconds: float, amount: float) -> float | None:
+    """Seconds per unit, or None where that cannot be said."""
+    return seconds / amount if amount > 0 and seconds > 0 else None

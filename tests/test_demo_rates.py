@@ -1,0 +1,72 @@
+"""Costs of stages: measured at the start, and not to be spoilt by any single visitor."""
+
+from __future__ import annotations
+
+import pytest
+
+from demo.forecast import Forecaster, work_of
+from demo.rates import SPREAD, Learned
+from phy124.scene import Scene
+
+FEW = {"view.size": 16, "view.views": ["front"], "time.frames": 2}
+TINY = Scene.named("press").replaced({**FEW, "accuracy": "draft"})
+USUAL = Scene.named("press").replaced({"accuracy": "draft", "view.views": ["front"]})
+
+
+def _report(scene: Scene, **spent: float) -> dict:
+    work = work_of(scene)
+    stages = [{"name": name, "seconds": seconds} for name, seconds in spent.items()]
+    return {
+        "stages": stages, "substeps": work.substeps, "frames": work.frames,
+        "particles": work.particles / work.substeps,
+    }  # fmt: skip
+
+
+@pytest.fixture
+def learned() -> Learned:
+    made = Learned()
+    little = _report(TINY, simulate=1e-4 * work_of(TINY).substeps, render=0.01, encode=0.2)
+    much = _report(USUAL, generate=0.8, simulate=1.0, deform=0.2, render=0.4, encode=0.4)
+    made.calibrate((little, TINY), (much, USUAL))
+    return made
+
+
+def test_a_run_measured_at_the_start_is_forecast_as_it_was(learned):
+    costs = learned.now.seconds(work_of(USUAL))
+    wanted = {"generate": 0.8, "simulate": 1.0, "deform": 0.2, "film": 0.8}
+    assert costs == pytest.approx(wanted)
+
+
+def test_tiny_runs_do_not_make_the_page_believe_that_everything_is_slow(learned):
+    before = learned.now
+    for _ in range(10):
+        learned.learn(_report(TINY, simulate=0.5, render=0.2, encode=0.5), TINY)
+    assert learned.now == before
+
+
+def test_one_outlier_is_forgotten_and_many_move_the_rates_within_bounds(learned):
+    before = learned.now
+    slow = _report(USUAL, simulate=1000.0, deform=50.0, render=300.0, encode=1.0)
+    learned.learn(slow, USUAL)
+    assert learned.now == before
+    for _ in range(10):
+        learned.learn(slow, USUAL)
+    assert learned.now.particle == pytest.approx(SPREAD * before.particle)
+    assert learned.now.pixel == pytest.approx(SPREAD * before.pixel)
+
+
+def test_a_machine_that_became_slower_is_believed(learned):
+    twice = _report(USUAL, generate=1.6, simulate=2.0, deform=0.4, render=0.8, encode=0.8)
+    for _ in range(4):
+        learned.learn(twice, USUAL)
+    assert sum(learned.now.seconds(work_of(USUAL)).values()) == pytest.approx(5.6, rel=0.15)
+
+
+def test_nothing_is_refused_because_of_what_was_learned(learned):
+    forecaster = Forecaster()
+    forecaster.learned = learned
+    before = forecaster.least(USUAL)
+    for _ in range(10):
+        learned.learn(_report(USUAL, simulate=900.0, render=900.0), USUAL)
+    assert forecaster(USUAL).seconds > 2 * before
+    assert forecaster.least(USUAL) == before
