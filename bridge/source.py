@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -85,6 +86,7 @@ def make_object(source: Path, generator: str, seed: int, progress: Progress) -> 
     """Gaussians of a picture, or of a 3DGS .ply file; raises InputError."""
     from phy124 import generators
     from phy124.image import foreground, open_image
+    from phy124.isolated import Deadline
 
     if not source.is_file():
         limit = "There is no such file."
@@ -93,5 +95,6 @@ def make_object(source: Path, generator: str, seed: int, progress: Progress) -> 
         from phy124.generators.ply_file import PlyFile
 
         return PlyFile(str(source))(progress=progress)
-    cutout, _ = foreground(open_image(source), "auto")
+    deadline = Deadline(beat=partial(progress, "cut out", 0, 1))
+    cutout, _ = foreground(open_image(source), "auto", deadline=deadline)
     return generators.make(generator)(cutout, seed=seed, progress=progress)

@@ -12,7 +12,7 @@ from demo.handlers import Handler, session_of
 from demo.jobs import Progress, Studio, read_report, sentence
 from demo.photo import photo
 from demo.work import Done
-from phy124.errors import InputError
+from phy124.errors import Cancelled, InputError
 from phy124.scene import PRESETS, Scene, preset_names
 
 
@@ -54,6 +54,8 @@ def _generate(studio: Studio) -> Handler:
             cutout = studio.cut(session_of(request), image)
         except InputError as error:
             raise gr.Error(sentence(error)) from None
+        except Cancelled:
+            raise gr.Error("Stopped. Nothing was made.") from None
         data = scene.model_dump(mode="json")
         for state in studio.run(session_of(request), cutout.path, data):
             if state.done is None:

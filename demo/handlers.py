@@ -23,7 +23,7 @@ from demo.visitors import key
 from demo.work import Done
 from phy124.camera import VIEWS
 from phy124.clip import Clip
-from phy124.errors import InputError
+from phy124.errors import Cancelled, InputError
 from phy124.scene import Scene
 
 Handler = Callable[..., Any]
@@ -47,6 +47,8 @@ def cutter(studio: Studio) -> Handler:
             made = studio.cut(session_of(request), picture)
         except InputError as error:
             raise gr.Error(sentence(error), title="This picture cannot be used") from None
+        except Cancelled:
+            return None, gr.update(value=None, visible=False), None
         canvas = {"background": dimmed(picture, made.path), "layers": [], "composite": None}
         return made, gr.update(value=made.path, visible=True), canvas
 
@@ -64,6 +66,8 @@ def corrector(studio: Studio) -> Handler:
             made = studio.cut(session_of(request), cutout.picture, layers[0])
         except InputError as error:
             raise gr.Error(sentence(error), title="This cannot be used") from None
+        except Cancelled:
+            return gr.skip(), gr.skip()
         return made, gr.update(value=made.path, visible=True)
 
     return correct

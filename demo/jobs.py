@@ -12,6 +12,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -38,12 +39,13 @@ from demo.work import (
 )
 from phy124.clip import Clip
 from phy124.errors import Cancelled, InputError
+from phy124.isolated import Deadline
 from phy124.scene import Scene
 
 STAGES = {"generate": "Picture to 3D", "simulate": "Physics", "render": "Videos", "save": "Files"}
 FAILED = "Something went wrong here, not with you; it is in the log. Try again or change the scene."
 LOG = logging.getLogger("phy124.web")
-CUTTING = threading.BoundedSemaphore(2)
+CUTTERS = 2
 """Pictures cut out at once."""
 
 
@@ -51,6 +53,31 @@ def sentence(error: InputError) -> str:
     """An error for the visitor: no server paths in it."""
     text = f"{error.limit} {error.remedy}"
     return text[:1].upper() + text[1:]
+
+
+class Cutting:
+    """Turns at cutting out: a few pictures at once."""
+
+    def __init__(self) -> None:
+        self.at_work = 0
+        self._slots = threading.BoundedSemaphore(CUTTERS)
+        self._lock = threading.Lock()
+
+    @contextmanager
+    def turn(self, check: Callable[[], None]) -> Iterator[None]:
+        """Wait for a turn, then hold it; what `check` raises ends the wait."""
+        while not self._slots.acquire(timeout=BEAT):
+            check()
+        self._count(1)
+        try:
+            yield
+        finally:
+            self._count(-1)
+            self._slots.release()
+
+    def _count(self, more: int) -> None:
+        with self._lock:
+            self.at_work += more
 
 
 @dataclass
@@ -65,13 +92,20 @@ class Studio:
     warm: threading.Event = field(default_factory=threading.Event)
     """Set once all kernels are loaded."""
 
+    cutting: Cutting = field(default_factory=Cutting)
+
+    @property
+    def busy(self) -> bool:
+        """Whether anybody's work is in hand."""
+        return DEVICE.locked() or self.cutting.at_work > 0
+
     @property
     def forks(self) -> bool:
         """Whether the work runs in a forked process: Warp must not be started in this one."""
         return self.work is not steps
 
     def cut(self, session: str, picture: str | None, strokes: Image.Image | None = None) -> Cutout:
-        """Cut the object out of an uploaded picture; raises InputError."""
+        """Cut the object out of an uploaded picture; raises InputError, Cancelled."""
         if picture is None:
             raise InputError("picture", "none", "There is no picture yet.", "Choose one first.")
         check_picture(Path(picture), self.settings)
@@ -79,8 +113,9 @@ class Studio:
         marks = b"" if strokes is None else np.asarray(strokes).tobytes()
         path = visitor.folder / "cutouts" / f"{key(Path(picture).read_bytes(), marks)}.png"
         if not path.exists():
-            with CUTTING:
-                cut_out(picture, strokes, path)
+            with visitor.cutting() as check, self.cutting.turn(check):
+                deadline = Deadline(self.settings.max_cut_seconds, check)
+                cut_out(picture, strokes, path, deadline)
         return Cutout(str(path), picture)
 
     def forecast(self, session: str, cutout: str | None, data: Any) -> str:

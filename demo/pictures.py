@@ -11,6 +11,7 @@ from PIL import Image
 from demo.settings import Settings
 from phy124.errors import InputError
 from phy124.image import FORMATS, foreground, open_image
+from phy124.isolated import MINUTE, Deadline
 
 
 def check_picture(path: Path, settings: Settings) -> None:
@@ -34,11 +35,13 @@ def check_picture(path: Path, settings: Settings) -> None:
         raise InputError("picture", path.name, limit, "Reduce it to 2000 pixels, say.")
 
 
-def cut_out(picture: str, strokes: Image.Image | None, path: Path) -> None:
+def cut_out(
+    picture: str, strokes: Image.Image | None, path: Path, deadline: Deadline = MINUTE
+) -> None:
     """Write the cut-out; green strokes are object and red ones are not, whatever was found."""
     image = open_image(picture)
     try:
-        cut, _ = foreground(image)
+        cut, _ = foreground(image, deadline=deadline)
     except InputError:
         if strokes is None:
             raise

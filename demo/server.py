@@ -94,7 +94,6 @@ class Assets(StaticFiles):
 def routes(studio: Studio) -> list[Route | Mount]:
     """Our own addresses: scripts, pictures, the catalogue of scenes, health."""
     from demo.catalogue import catalogue
-    from demo.work import DEVICE
 
     offered = json.dumps(catalogue(studio.settings)).encode()
 
@@ -102,10 +101,9 @@ def routes(studio: Studio) -> list[Route | Mount]:
         return Response(offered, media_type="application/json")
 
     async def health(_: Request) -> Response:
-        busy, visitors = DEVICE.locked(), len(studio.visitors)
-        ready = studio.warm.is_set()
+        ready, visitors = studio.warm.is_set(), len(studio.visitors)
         return JSONResponse(
-            {"status": "ok", "ready": ready, "busy": busy, "visitors": visitors},
+            {"status": "ok", "ready": ready, "busy": studio.busy, "visitors": visitors},
         )
 
     return [

@@ -35,6 +35,9 @@ class Settings(BaseModel):
     max_pixels: int = Field(default=768, ge=64, le=4096, description="Side of a video [pixels].")
     max_views: int = Field(default=5, ge=1, le=5, description="Videos of one run.")
     max_seconds: float = Field(default=180, gt=0, description="Wall-clock time of one run [s].")
+    max_cut_seconds: float = Field(
+        default=30, gt=0, description="Wall-clock time of one cut-out [s]."
+    )
     max_queue: int = Field(default=16, ge=1, description="Requests that may wait.")
     max_clips: int = Field(default=3, ge=1, description="Results kept per visitor.")
     max_visitors: int = Field(default=64, ge=1, description="Visitors whose files are kept.")

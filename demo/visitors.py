@@ -18,10 +18,11 @@ import secrets
 import shutil
 import threading
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from phy124.errors import InputError
+from phy124.errors import Cancelled, InputError
 
 AFTERLIFE = 60.0
 """For so long after a visitor has left, what was still queued for them is refused, s."""
@@ -39,6 +40,7 @@ class Visitor:
         self._lock = threading.Lock()
         self._waiting: set[Path] = set()
         self._running: set[Path] = set()
+        self._cutting: set[threading.Event] = set()
         for stage in STAGES:
             (folder / stage).mkdir(parents=True, exist_ok=True)
 
@@ -70,13 +72,35 @@ class Visitor:
     @property
     def busy(self) -> bool:
         """Whether work is in hand or waits for its turn."""
-        return bool(self._waiting or self._running)
+        return bool(self._waiting or self._running or self._cutting)
+
+    @contextlib.contextmanager
+    def cutting(self) -> Iterator[Callable[[], None]]:
+        """While a cut-out waits or is made: a function that raises Cancelled once it is called off.
+
+        No file as for a run: a cut-out is always made by this process.
+        """
+        unwanted = threading.Event()
+
+        def check() -> None:
+            if unwanted.is_set():
+                raise Cancelled
+
+        with self._lock:
+            self._cutting.add(unwanted)
+        try:
+            yield check
+        finally:
+            with self._lock:
+                self._cutting.discard(unwanted)
 
     def stop(self) -> bool:
-        """Call off what waits and ask what runs to stop; returns whether anything ran."""
+        """Call off what waits and ask what runs to stop; returns whether a run was on."""
         with self._lock:
             self._waiting.clear()
             running = tuple(self._running)
+            for unwanted in self._cutting:
+                unwanted.set()
         for flag in running:
             with contextlib.suppress(OSError):
                 flag.touch()
@@ -116,7 +140,7 @@ class Visitors:
             return visitor
 
     def stop(self, session: str) -> bool:
-        """Stop a visitor's work; returns whether any was running."""
+        """Stop a visitor's work; returns whether a run was on."""
         with self._lock:
             visitor = self._known.get(session)
         return visitor is not None and visitor.stop()

@@ -11,6 +11,10 @@ class InputError(ValueError):
         self.field, self.value, self.limit, self.remedy = field, value, limit, remedy
         super().__init__(f"{field} = {value}: {limit} {remedy}")
 
+    def __reduce__(self) -> tuple[type, tuple[object, ...]]:
+        """For pickle, which would otherwise hand the whole message over as the field."""
+        return type(self), (self.field, self.value, self.limit, self.remedy)
+
 
 class Cancelled(Exception):
     """Raised from a progress callback to stop the work in hand at once."""

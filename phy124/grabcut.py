@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 Field = NDArray[np.float32]
 SIDE = 320
 """Longest side while cutting, pixels."""
+FAINT = 3
+"""A picture whose grey levels differ by less shows nothing."""
 ROUNDS = 4
 RING = 0.03
 """Width of the border taken for background, in shorter sides."""
@@ -32,6 +34,9 @@ def grabcut(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
     scale = min(1.0, SIDE / max(height, width))
     size = (max(8, round(width * scale)), max(8, round(height * scale)))
     small = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
+    if np.ptp(small, axis=(0, 1)).max() < FAINT:
+        # OpenCV's search for the cut does not end on some pictures of one colour.
+        return np.zeros((height, width), np.uint8)
     # Both k-means and GrabCut draw from OpenCV's generator.
     cv2.setRNGSeed(0)
     smooth = cv2.bilateralFilter(small, 5, 30, 3)

@@ -11,14 +11,16 @@ import warnings
 import zlib
 from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageOps
 
-from phy124 import u2net
+from phy124 import isolated, u2net
 from phy124.errors import InputError
+from phy124.grabcut import grabcut
 
 MAX_BYTES = 50_000_000
 """Largest picture file opened."""
@@ -66,23 +68,31 @@ def open_image(path: str | os.PathLike[str]) -> Image.Image:
             raise _refusal(path, limit, "Copy or export it again.") from error
 
 
-def foreground(image: Image.Image, method: str = "auto") -> tuple[Image.Image, str]:
+def foreground(
+    image: Image.Image, method: str = "auto", *, deadline: isolated.Deadline = isolated.MINUTE
+) -> tuple[Image.Image, str]:
     """Cut the object out: the picture with alpha, and the name of the method that found it.
 
     Args:
         image: A picture in any mode.
         method: Key of `METHODS`, or "auto" for the first of them that applies.
+        deadline: How long the search may take, and who may call it off.
 
     Raises:
-        InputError: The method is unknown, or finds no object or nothing but object.
+        InputError: The method is unknown, finds no object or nothing but object, or its time is
+            up.
     """
     image = image.convert("RGBA")
     if method == "auto":
-        method = next(name for name, (applies, _) in METHODS.items() if applies(image))
+        method = next(name for name, way in METHODS.items() if way.applies(image))
     if method not in METHODS:
         known = ", ".join(["auto", *METHODS])
         raise InputError("foreground", method, "It is not known.", f"Choose one of {known}.")
-    alpha = METHODS[method][1](image)
+    try:
+        alpha = METHODS[method].find(image, deadline)
+    except isolated.Unfinished as error:
+        limit = f"The search for the object by {method} {error}."
+        raise InputError("foreground", method, limit, REMEDY) from error
     share = float(np.mean(alpha > 127))
     if share < LEAST:
         limit = f"No object was found in the picture by {method}."
@@ -142,7 +152,8 @@ def has_alpha(image: Image.Image) -> bool:
     return REAL_ALPHA <= solid <= 1 - REAL_ALPHA
 
 
-def _own_alpha(image: Image.Image) -> NDArray[np.uint8]:
+def _own_alpha(image: Image.Image, deadline: isolated.Deadline) -> NDArray[np.uint8]:
+    del deadline
     if not has_alpha(image):
         limit = "The picture has no transparency that separates an object."
         remedy = 'Choose "auto" or "grabcut", or save the cut-out object as PNG.'
@@ -150,10 +161,8 @@ def _own_alpha(image: Image.Image) -> NDArray[np.uint8]:
     return np.asarray(image.getchannel("A"))
 
 
-def _grabcut(image: Image.Image) -> NDArray[np.uint8]:
-    from phy124.grabcut import grabcut
-
-    return grabcut(np.asarray(image.convert("RGB")))
+def _grabcut(image: Image.Image, deadline: isolated.Deadline) -> NDArray[np.uint8]:
+    return isolated.run(grabcut, np.asarray(image.convert("RGB")), deadline=deadline)
 
 
 def _always(image: Image.Image) -> bool:
@@ -161,14 +170,21 @@ def _always(image: Image.Image) -> bool:
     return True
 
 
-METHODS: dict[
-    str, tuple[Callable[[Image.Image], bool], Callable[[Image.Image], NDArray[np.uint8]]]
-] = {
-    "alpha": (has_alpha, _own_alpha),
-    "u2net": (u2net.available, u2net.alpha),
-    "grabcut": (_always, _grabcut),
+class Method(NamedTuple):
+    """A way to find the object."""
+
+    applies: Callable[[Image.Image], bool]
+    """Whether "auto" may choose it for a picture."""
+    find: Callable[[Image.Image, isolated.Deadline], NDArray[np.uint8]]
+    """The alpha [H,W] of a picture; native code of others runs through `phy124.isolated`."""
+
+
+METHODS: dict[str, Method] = {
+    "alpha": Method(has_alpha, _own_alpha),
+    "u2net": Method(u2net.available, u2net.alpha),
+    "grabcut": Method(_always, _grabcut),
 }
-"""Ways to find the object, best first: whether one applies, and the alpha [H,W] it finds."""
+"""Ways to find the object, best first."""
 
 
 def _refusal(path: Path, limit: str, remedy: str) -> InputError:

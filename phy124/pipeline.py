@@ -14,6 +14,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,7 @@ from phy124.gaussians import Gaussians
 from phy124.generators import Generator, needs_image
 from phy124.generators import make as make_generator
 from phy124.image import foreground, open_image
+from phy124.isolated import Deadline
 from phy124.parts import WHOLE, Crop, crop_of
 from phy124.ply import write_ply
 from phy124.progress import Progress, silent
@@ -113,7 +115,8 @@ def static(
     cutout = Image.new("RGBA", (1, 1))
     if needs_image(generator):
         with watch.stage("image"):
-            cutout, used = foreground(open_image(image), method)
+            deadline = Deadline(beat=partial(progress, "cut out", 0, 1))
+            cutout, used = foreground(open_image(image), method, deadline=deadline)
     with watch.stage("generate"):
         gaussians = make(cutout, seed=seed, progress=progress)
     about = {"foreground": used, "generator": _name(generator)}

@@ -1,6 +1,7 @@
 """Pictures: every kind opens right and upright, limits hold, objects are found."""
 
 import struct
+import time
 import zlib
 
 import numpy as np
@@ -8,8 +9,9 @@ import pytest
 from PIL import Image
 
 from phy124 import image
-from phy124.errors import InputError
-from phy124.image import METHODS, foreground, open_image, recenter
+from phy124.errors import Cancelled, InputError
+from phy124.image import METHODS, Method, foreground, open_image, recenter
+from phy124.isolated import Deadline, run
 
 
 def gradient(height=20, width=30):
@@ -181,10 +183,35 @@ def test_nothing_or_everything_is_refused():
         foreground(flat, "magic")
 
 
+@pytest.mark.parametrize("colour", [(255, 0, 0), (128, 128, 128), (0, 0, 255), (200, 30, 40, 0)])
+def test_a_picture_of_one_colour_shows_no_object(colour):
+    """OpenCV's search never ends on these at this size."""
+    flat = Image.new("RGBA" if len(colour) == 4 else "RGB", (300, 300), colour)
+    with pytest.raises(InputError, match=r"No object was found.*plain background"):
+        foreground(flat, deadline=Deadline(60))
+
+
+def test_a_search_that_does_not_end_is_refused(monkeypatch):
+    stuck = Method(lambda _: True, lambda _, deadline: run(time.sleep, 600, deadline=deadline))
+    monkeypatch.setitem(METHODS, "grabcut", stuck)
+    with pytest.raises(
+        InputError, match=r"by grabcut did not finish within 0\.2 s\. Use a picture"
+    ):
+        foreground(disc()[0], deadline=Deadline(0.2))
+
+
+def test_a_search_can_be_called_off():
+    def beat():
+        raise Cancelled
+
+    with pytest.raises(Cancelled):
+        foreground(disc()[0], deadline=Deadline(beat=beat))
+
+
 def test_u2net_comes_before_grabcut_where_weights_are(monkeypatch):
     assert list(METHODS) == ["alpha", "u2net", "grabcut"]
     picture, mask = disc()
-    found = (lambda _: True, lambda _: 255 * mask.astype(np.uint8))
+    found = Method(lambda _: True, lambda *_: 255 * mask.astype(np.uint8))
     monkeypatch.setitem(METHODS, "u2net", found)
     cut, method = foreground(picture)
     assert method == "u2net"
@@ -192,7 +219,7 @@ def test_u2net_comes_before_grabcut_where_weights_are(monkeypatch):
 
 
 def test_a_new_method_is_one_line(monkeypatch):
-    everything = (lambda _: True, lambda i: np.full(i.size[::-1], 255, np.uint8))
+    everything = Method(lambda _: True, lambda i, _: np.full(i.size[::-1], 255, np.uint8))
     monkeypatch.setattr(image, "METHODS", {"all": everything, **METHODS})
     with pytest.raises(InputError, match=r"whole picture .100%. was taken.*by all"):
         foreground(Image.new("RGB", (64, 64)))

@@ -170,6 +170,32 @@ def test_interrupting_leaves_nothing(tmp_path):
     assert os.listdir(tmp_path / "out") == []
 
 
+def test_interrupting_a_cut_out_that_never_ends(tmp_path):
+    note = tmp_path / "process"
+    forever = f"import os, time; open({str(note)!r}, 'w').write(str(os.getpid())); time.sleep(600)"
+    program = f"""
+import sys
+from phy124 import image, isolated
+from phy124.__main__ import main
+def stuck(picture, deadline):
+    return isolated.run(exec, {forever!r}, deadline=deadline)
+image.METHODS["alpha"] = image.Method(lambda _: True, stuck)
+sys.exit(main(["generate", {str(DUCK)!r}, "--out", {str(tmp_path / "out")!r}]))
+"""
+    run = subprocess.Popen([sys.executable, "-c", program], stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 120
+    while not (note.exists() and note.read_text()):
+        assert run.poll() is None
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    run.send_signal(signal.SIGINT)
+    _, errors = run.communicate(timeout=60)
+    assert run.returncode == 130
+    assert "stopped; nothing half-written" in errors and "Traceback" not in errors
+    with pytest.raises(ProcessLookupError):
+        os.kill(int(note.read_text()), 0)
+
+
 HEAVY = {"torch", "diffusers", "gradio", "mcap", "transformers", "rclpy"}
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from phy124 import isolated
 from phy124.errors import InputError
 from phy124.installation import install_command
 from phy124.weights import KNOWN, WeightFile, find, require
@@ -48,14 +49,18 @@ def available(image: Image.Image | None = None) -> bool:
     return path is not None and find_spec(_library(path)) is not None
 
 
-def alpha(image: Image.Image) -> NDArray[np.uint8]:
+def alpha(image: Image.Image, deadline: isolated.Deadline = isolated.MINUTE) -> NDArray[np.uint8]:
     """Mask [H,W], 0..255, of the salient object in a picture, by the weights that are found.
 
     Raises InputError if there are none, or their library is not installed.
     """
     # `require` says where it was looked for and how to get it.
     path = weights_file() or require("u2net")["u2net.onnx"]
-    return foreground(np.asarray(image.convert("RGB")), load(path))
+    return isolated.run(_alpha, np.asarray(image.convert("RGB")), path, deadline=deadline)
+
+
+def _alpha(rgb: NDArray[np.uint8], weights: Path) -> NDArray[np.uint8]:
+    return foreground(rgb, load(weights))
 
 
 def _library(path: Path) -> str:

@@ -1,0 +1,119 @@
+"""Native code of others on a user's data: in a process of its own, which can be killed.
+
+A C++ loop that never ends cannot be interrupted from Python, neither by Ctrl-C nor by a thread.
+The process is started from a file of ours, not by `multiprocessing`: a user's script needs no
+`if __name__ == "__main__"`, and it works from any thread and on every platform. It imports
+nothing but the function's own module. It ends when its time is up, when the wait is interrupted
+or called off, and when the process that waits for it dies.
+"""
+
+from __future__ import annotations
+
+import pickle
+import queue
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import IO, Any, NamedTuple, TypeVar
+
+T = TypeVar("T")
+CHILD = Path(__file__).with_name("child.py")
+BEAT = 0.1
+"""Between two looks at the clock and at the wish to stop, s."""
+NO_WINDOW: int = getattr(subprocess, "CREATE_NO_WINDOW", 0)
+
+
+class Deadline(NamedTuple):
+    """How long isolated code may take, and who may call it off."""
+
+    seconds: float = 60.0
+    beat: Callable[[], object] = lambda: None
+    """Called ten times a second; what it raises ends the wait and the process."""
+
+
+MINUTE = Deadline()
+"""A minute, come what may."""
+
+
+class Unfinished(Exception):
+    """The process took too long or broke down; the message is the second half of a sentence."""
+
+
+class RemoteTraceback(Exception):
+    """Where in the other process an exception came from."""
+
+    def __str__(self) -> str:
+        return "\n" + self.args[0]
+
+
+def run(function: Callable[..., T], *arguments: Any, deadline: Deadline = MINUTE) -> T:
+    """The answer of a function of a module, called in another process.
+
+    Whatever it raises is raised here; it may be anything that can be pickled.
+
+    Raises:
+        Unfinished: The time is up, or the process broke down.
+    """
+    if getattr(sys, "frozen", False) or not sys.executable:
+        # There is no Python that could be started: the program would start itself.
+        return function(*arguments)
+    order = pickle.dumps(sys.path) + pickle.dumps((function, arguments))
+    with tempfile.TemporaryFile() as log:
+        child = subprocess.Popen(
+            [sys.executable, CHILD],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=log,
+            creationflags=NO_WINDOW,
+        )
+        try:
+            answer = _answer(child, order, deadline)
+            if not answer:
+                child.wait()
+                log.seek(0)
+                raise Unfinished(_breakdown(child.returncode, log))
+        finally:
+            child.kill()
+            child.wait()
+    value, error, where = pickle.loads(answer)
+    if error is not None:
+        raise error from RemoteTraceback(where)
+    return value
+
+
+def _answer(child: subprocess.Popen[bytes], order: bytes, deadline: Deadline) -> bytes:
+    """What the process writes until it ends; empty if it broke down."""
+    answers: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+    threading.Thread(target=_talk, args=(child, order, answers), daemon=True).start()
+    end = time.monotonic() + deadline.seconds
+    while True:
+        try:
+            return answers.get(timeout=BEAT)
+        except queue.Empty:
+            deadline.beat()
+        if time.monotonic() > end:
+            raise Unfinished(f"did not finish within {deadline.seconds:g} s")
+
+
+def _talk(child: subprocess.Popen[bytes], order: bytes, answers: queue.SimpleQueue[bytes]) -> None:
+    """Send the order and read the answer: both may block, so this is a thread's work."""
+    assert child.stdin is not None and child.stdout is not None
+    answer = b""
+    with suppress(OSError), child.stdin as orders, child.stdout as said:
+        orders.write(order)
+        orders.flush()
+        # The pipe of orders stays open until the answer is here: its end tells the child that
+        # nobody waits any more.
+        answer = said.read()
+    answers.put(answer)
+
+
+def _breakdown(status: int, log: IO[bytes]) -> str:
+    said = log.read().decode(errors="replace").strip().splitlines()
+    last = f": {said[-1][:200]}" if said else ""
+    return f"broke down (exit status {status}{last})"

@@ -1,0 +1,53 @@
+"""The other side of `phy124.isolated.run`: calls one function and writes its answer.
+
+Run by its path, so that it starts with nothing of phy124 imported.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import sys
+import threading
+import traceback
+
+
+def main() -> None:
+    """Read an order from standard input, write the pickled answer to standard output."""
+    # Ctrl-C reaches the whole group of processes; whoever waits for this one decides.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what libraries print is no part of the answer
+    try:
+        sys.path[:] = pickle.load(sys.stdin.buffer)
+        function, arguments = pickle.load(sys.stdin.buffer)
+        threading.Thread(target=_end_with_parent, daemon=True).start()
+        answer = pickle.dumps((function(*arguments), None, ""))
+    except Exception as error:
+        answer = _failed(error)
+    with answers:
+        answers.write(answer)
+    os._exit(0)
+
+
+def _failed(error: Exception) -> bytes:
+    where = traceback.format_exc()
+    try:
+        data = pickle.dumps((None, error, where))
+        pickle.loads(data)
+    except Exception:
+        data = pickle.dumps((None, RuntimeError(str(error)), where))
+    return data
+
+
+def _end_with_parent() -> None:
+    """The end of standard input: whoever waited for the answer is gone."""
+    # Not through sys.stdin: its lock would be held for ever.
+    while os.read(0, 1):
+        pass
+    os._exit(1)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,126 @@
+"""Other people's native code in a process of its own: same answer, and it can always be ended."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from phy124.errors import Cancelled, InputError
+from phy124.grabcut import _cut, _starts, grabcut
+from phy124.isolated import Deadline, RemoteTraceback, Unfinished, run
+
+NOTE_AND_SLEEP = "import os, time; open({!r}, 'w').write(str(os.getpid())); time.sleep(600)"
+
+
+def appears(path: Path) -> str:
+    """What is written to a file that comes into being."""
+    until(lambda: path.exists() and path.read_text())
+    return path.read_text()
+
+
+def until(condition) -> None:
+    end = time.monotonic() + 60
+    while not condition():
+        assert time.monotonic() < end, "it did not happen"
+        time.sleep(0.02)
+
+
+def is_alive(process: int) -> bool:
+    try:
+        state = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
+    except FileNotFoundError:
+        return False
+    return state != "Z"
+
+
+def test_the_answer_is_that_of_the_same_process_bit_for_bit(rng):
+    y, x = np.mgrid[:90, :120]
+    disc = np.hypot(x - 55, y - 40) < 25
+    rgb = np.where(disc[..., None], [200, 40, 30], [120, 125, 130])
+    rgb = (rgb + rng.integers(-9, 9, (90, 120, 3))).astype(np.uint8)
+    expected = grabcut(rgb)
+    assert 0.1 < (expected > 127).mean() < 0.3
+    np.testing.assert_array_equal(run(grabcut, rgb), expected)
+
+
+def test_native_code_that_never_ends_is_ended():
+    """OpenCV's own loop, which no signal and no thread can stop."""
+    red = np.full((300, 300, 3), (255, 0, 0), np.uint8)
+    with pytest.raises(Unfinished, match=r"did not finish within 1\.5 s"):
+        run(_cut, red, _starts(red)[0], deadline=Deadline(1.5))
+
+
+def test_a_wait_that_is_called_off_ends_the_process(tmp_path):
+    note = tmp_path / "process"
+
+    def beat():
+        if note.exists() and note.read_text():
+            raise Cancelled
+
+    with pytest.raises(Cancelled):
+        run(exec, NOTE_AND_SLEEP.format(str(note)), deadline=Deadline(beat=beat))
+    until(lambda: not is_alive(int(note.read_text())))
+
+
+def test_errors_come_across():
+    with pytest.raises(ValueError, match="invalid literal") as caught:
+        run(int, "seven")
+    assert isinstance(caught.value.__cause__, RemoteTraceback)
+    refusal = "from phy124.errors import InputError; raise InputError('a', 1, 'No.', 'Do b.')"
+    with pytest.raises(InputError, match=r"a = 1: No\. Do b\.") as refused:
+        run(exec, refusal)
+    assert (refused.value.field, refused.value.value) == ("a", 1)
+    unsendable = "class Odd(Exception): pass\nraise Odd('very odd')"
+    with pytest.raises(RuntimeError, match="very odd"):
+        run(exec, unsendable)
+
+
+def test_a_crash_is_told():
+    with pytest.raises(Unfinished, match=r"broke down \(exit status 3\)"):
+        run(os._exit, 3)
+    with pytest.raises(Unfinished, match="broke down"):
+        run(exec, "import os, signal; os.kill(os.getpid(), signal.SIGTERM)")
+
+
+def test_what_is_printed_is_no_part_of_the_answer():
+    assert run(print, "loud") is None
+
+
+def test_it_starts_with_little():
+    loaded = run(eval, "(__import__('phy124.grabcut'), list(__import__('sys').modules))[1]")
+    assert "cv2" in loaded
+    assert not {"warp", "pydantic", "scipy", "phy124.gaussians"} & set(loaded)
+
+
+def test_scripts_need_no_main_guard_and_threads_can_wait(tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import threading\n"
+        "from phy124.isolated import run\n"
+        "print('started', run(abs, -3))\n"
+        "found = []\n"
+        "threads = [threading.Thread(target=lambda: found.append(run(abs, -4))) for _ in '123']\n"
+        "[t.start() for t in threads]\n"
+        "[t.join() for t in threads]\n"
+        "print(*found)\n"
+    )
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=True)
+    assert sorted(done.stdout.split()) == ["3", "4", "4", "4", "started"]
+    assert done.stderr == ""
+
+
+@pytest.mark.skipif(not Path("/proc").exists(), reason="looks for processes in /proc")
+@pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGKILL])
+def test_it_ends_with_whoever_waits_for_it(tmp_path, ending):
+    note = tmp_path / "process"
+    order = f"from phy124.isolated import run; run(exec, {NOTE_AND_SLEEP.format(str(note))!r})"
+    waiting = subprocess.Popen([sys.executable, "-c", order], stderr=subprocess.DEVNULL)
+    process = int(appears(note))
+    waiting.send_signal(ending)
+    waiting.wait(60)
+    until(lambda: not is_alive(process))
