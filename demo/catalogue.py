@@ -31,7 +31,7 @@ def catalogue(settings: Settings) -> dict[str, Any]:
     names = [n for n in FIRST if n in preset_names()]
     names += [n for n in preset_names() if n not in names]
     return {
-        "schema": Scene.model_json_schema(),
+        "schema": _schema(),
         "presets": [_card(name) for name in names],
         "examples": sorted(path.stem for path in (FOLDER / "examples").glob("*.png")),
         "accuracies": [
@@ -42,6 +42,14 @@ def catalogue(settings: Settings) -> dict[str, Any]:
         "weights": WEIGHTS,
         "limits": {"frames": settings.max_frames, "size": settings.max_pixels},
     }
+
+
+def _schema() -> dict[str, Any]:
+    """The scene's own schema without what the page decides: which files are made."""
+    schema = Scene.model_json_schema()
+    for name in ("formats", "transparent"):
+        del schema["$defs"]["View"]["properties"][name]
+    return schema
 
 
 def _card(name: str) -> dict[str, Any]:
@@ -77,8 +85,8 @@ def _check(scene: Scene, settings: Settings) -> None:
     limits = {
         "frames": (scene.time.frames, settings.max_frames),
         "cells": (scene.resolution.cells, settings.max_cells),
-        "size": (scene.view.size, settings.max_pixels),
-        "views": (len(scene.view.views), settings.max_views),
+        "size": (max(scene.view.size), settings.max_pixels),
+        "views": (len(scene.view.sides), settings.max_views),
         "particles": (count_particles(scene), settings.max_particles),
         "forces and boundaries": (len(scene.forces) + len(scene.boundaries), 16),
     }

@@ -204,7 +204,9 @@ def results(done: Done, progress: Progress, studio: Studio) -> list[Any]:
 def _films(done: Done) -> list[Path]:
     """The videos, the views of the paper first."""
     order = [*VIEWS, "orbit"]
-    return sorted(done.films.glob("*.mp4"), key=lambda path: order.index(path.stem))
+    place = {name: number for number, name in enumerate(order)}
+    films = sorted(done.films.glob("*.mp4"))
+    return sorted(films, key=lambda path: place.get(path.stem, len(order)))
 
 
 def prepare(done: Done | None, shown: Any, event: gr.EventData) -> Any:

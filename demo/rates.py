@@ -8,6 +8,7 @@ median of the last few counts, and it stays within a factor of what was measured
 
 from __future__ import annotations
 
+import math
 import statistics
 import threading
 from collections import deque
@@ -77,10 +78,10 @@ class Work:
     def of(cls, scene: Scene, substeps: float, particles: float, frames: int) -> Work:
         """The work of a scene of so many substeps, particles and frames."""
         slower = DOUBLE if scene.resolution.precision == "float64" else 1.0
-        views = len(scene.view.views)
+        views = len(scene.view.sides)
         return cls(
             substeps, slower * particles * substeps, frames, views,
-            frames * views * scene.view.size**2,
+            frames * views * math.prod(scene.view.size),
         )  # fmt: skip
 
 

@@ -319,17 +319,19 @@ def _glimpses(order: Order, tell: Tell) -> Callable[[Frame], None]:
 def _camera(frame: Frame, scene: Scene) -> Camera:
     rest = Clip.from_frames([frame])
     clip = Clip(**{**vars(rest), "scene": scene.data()})
-    view = scene.view.model_copy(update={"size": GLIMPSE})
+    view = scene.view.model_copy(update={"size": (GLIMPSE, GLIMPSE)})
     return pipeline.cameras(clip, view, "front")[0]
 
 
 def _film(order: Order, clips: Path, out: Path, tell: Tell) -> None:
     """A folder with the videos, the player's pack, an animated picture and the report."""
-    clip, view, watch = Clip.load(clips / "clip.safetensors"), order.scene.view, Stopwatch()
-    total = len(clip) * len(view.views)
+    clip, watch = Clip.load(clips / "clip.safetensors"), Stopwatch()
+    # The page plays MP4s; other formats are made on demand (demo/exports.py).
+    view = order.scene.view.model_copy(update={"formats": ("mp4",), "transparent": False})
+    total = len(clip) * len(view.sides)
 
     def progress(stage: str, done: int, of: int) -> None:
-        before = view.views.index(stage.removeprefix("render ")) * of
+        before = view.sides.index(stage.removeprefix("render ")) * of
         tell(Step("render", before + done, total, stage.removeprefix("render ")))
 
     tell(Step("render", 0, total))
@@ -352,6 +354,7 @@ def _film(order: Order, clips: Path, out: Path, tell: Tell) -> None:
         report = json.loads((clips / "report.json").read_text("utf-8"))
         report["stages"] = [*report["stages"], *watch.data()]
         report["seconds"] += watch.total
+        report |= pipeline.framed(clip, view)
         _write(folder / "report.json", report)
 
 

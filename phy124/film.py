@@ -1,19 +1,19 @@
-"""Filming: a clip and a view in, one MP4 per side out."""
+"""Filming: a clip and a view in; videos, pictures and files for other programs out."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 
-import numpy as np
-
-from phy124.camera import VIEWS, Camera
 from phy124.clip import Clip
+from phy124.export import write_ply_sequence, write_usd
+from phy124.framing import cameras as cameras
 from phy124.progress import Progress, silent
 from phy124.render import render_frames
 from phy124.scene import View
 from phy124.stopwatch import Stopwatch
-from phy124.video import write_mp4
+from phy124.video import Picture, write_animation, write_mp4, write_pictures
 
 PathLike = str | os.PathLike[str]
 
@@ -27,47 +27,78 @@ def film(
     progress: Progress = silent,
     watch: Stopwatch | None = None,
 ) -> list[Path]:
-    """One MP4 per view of a clip, written into a folder that exists."""
-    watch = watch or Stopwatch()
+    """Every format of a view from each of its sides, written into a folder that exists.
+
+    Each format draws its pictures afresh, so that none waits in memory for another's encoder.
+    """
+    folder, watch = Path(folder), watch or Stopwatch()
     made = []
-    for name in view.views:
-        path = Path(folder) / f"{name}.mp4"
-        images = render_frames(
-            clip.frames(),
-            cameras(clip, view, name),
-            background=view.background,
-            device=device,
-            progress=lambda _, done, total, name=name: progress(f"render {name}", done, total),
-        )
-        before = watch.seconds.get("render", 0.0)
-        with watch.stage("encode"):
-            write_mp4(path, watch.each("render", images), fps=view.fps or _rate(clip))
-        watch.seconds["encode"] -= watch.seconds.get("render", 0.0) - before
-        made.append(path)
+    for name in view.formats:
+        if name in EXPORTS:
+            with watch.stage("export"):
+                made.append(EXPORTS[name](clip, folder, progress))
+            continue
+        for side in view.sides:
+            before = watch.seconds.get("render", 0.0)
+            with watch.stage("encode"):
+                images = watch.each("render", _images(clip, view, side, device, progress))
+                made.append(ENCODERS[name](folder, side, images, view.fps or _rate(clip)))
+            watch.seconds["encode"] -= watch.seconds.get("render", 0.0) - before
     return made
 
 
-def cameras(clip: Clip, view: View, name: str) -> list[Camera]:
-    """The camera of each frame: still, or once around the object for "orbit"."""
-    low, high = _stage_box(clip)
-    reach = float((high - low).max())
-    middle = (low + high) / 2
-    turns = np.arange(len(clip)) * 360 / max(len(clip), 1)
-    azimuths = turns if name == "orbit" else np.full(len(clip), VIEWS[name])
-    x, y, z = middle.tolist()
-    return [
-        Camera.orbit(azimuth, view.elevation, view.distance * reach, view.size, (x, y, z), view.fov)
-        for azimuth in azimuths.tolist()
-    ]
+def _images(
+    clip: Clip, view: View, side: str, device: str, progress: Progress
+) -> Generator[Picture, None, None]:
+    return render_frames(
+        clip.frames(),
+        cameras(clip, view, side),
+        background=None if view.transparent else view.background,
+        device=device,
+        progress=lambda _, done, total: progress(f"render {side}", done, total),
+    )
 
 
-def _stage_box(clip: Clip) -> tuple[np.ndarray, np.ndarray]:
-    """Corners of the object at rest, and of the ground under it if it will fall there."""
-    low, high = clip.means[0].min(axis=0), clip.means[0].max(axis=0)
-    floors = [b["height"] for b in clip.scene.get("boundaries", []) if b["kind"] == "ground"]
-    if floors:
-        low = np.minimum(low, [np.inf, np.inf, max(floors)])
-    return low, high
+def _mp4(folder: Path, side: str, images: Iterator[Picture], fps: float) -> Path:
+    path = folder / f"{side}.mp4"
+    write_mp4(path, images, fps=fps)
+    return path
+
+
+def _animation(ending: str) -> Encoder:
+    def write(folder: Path, side: str, images: Iterator[Picture], fps: float) -> Path:
+        path = folder / f"{side}.{ending}"
+        write_animation(path, images, fps=fps)
+        return path
+
+    return write
+
+
+def _png(folder: Path, side: str, images: Iterator[Picture], fps: float) -> Path:
+    del fps
+    path = folder / f"{side}-png"
+    path.mkdir()
+    write_pictures(path, images, name=side)
+    return path
+
+
+def _usd(clip: Clip, folder: Path, progress: Progress) -> Path:
+    write_usd(folder / "clip.usdc", clip, progress=progress)
+    return folder / "clip.usdc"
+
+
+def _ply(clip: Clip, folder: Path, progress: Progress) -> Path:
+    write_ply_sequence(folder / "clip-ply", clip, progress=progress)
+    return folder / "clip-ply"
+
+
+Encoder = Callable[[Path, str, Iterator[Picture], float], Path]
+ENCODERS: dict[str, Encoder] = {
+    "mp4": _mp4, "webp": _animation("webp"), "gif": _animation("gif"), "png": _png,
+}  # fmt: skip
+"""Formats made of the pictures of one side; each returns the file or folder it made."""
+EXPORTS: dict[str, Callable[[Clip, Path, Progress], Path]] = {"usd": _usd, "ply": _ply}
+"""Formats made of the whole clip, likewise."""
 
 
 def _rate(clip: Clip) -> float:

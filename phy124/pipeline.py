@@ -23,9 +23,11 @@ from PIL import Image
 
 from phy124.accuracy.choose import Goal, reach
 from phy124.accuracy.forecast import Forecaster
+from phy124.clip import Clip
 from phy124.errors import InputError
 from phy124.film import cameras as cameras
 from phy124.film import film as film
+from phy124.framing import framing
 from phy124.gaussians import Gaussians
 from phy124.generators import Generator, needs_image
 from phy124.generators import make as make_generator
@@ -34,7 +36,7 @@ from phy124.isolated import Deadline
 from phy124.parts import WHOLE, Crop, crop_of
 from phy124.ply import write_ply
 from phy124.progress import Progress, silent
-from phy124.scene import Scene
+from phy124.scene import Scene, View
 from phy124.simulation import Simulation
 from phy124.stopwatch import Stopwatch
 
@@ -161,12 +163,20 @@ def simulate(
         about = {"foreground": None, "generator": None, **about}
         if foretold is not None:
             about["forecast"] = foretold.compared(watch.seconds)
-        report = {**about, **clip.report, **circumstances(device, watch)}
+        report = {**about, **clip.report, **framed(clip, scene.view)}
+        report |= circumstances(device, watch)
         with watch.stage("save"):
             clip.with_report(report).save(folder / "clip.safetensors")
             _write_json(folder / "report.json", report)
         made = sorted(path.name for path in folder.iterdir())
     return Result(Path(out), tuple(Path(out) / name for name in made), report)
+
+
+def framed(clip: Clip, view: View) -> dict[str, Any]:
+    """What a report says of the pictures, with the run's notes and one where they miss some."""
+    seen = framing(clip, view)
+    notes = clip.report["notes"] + ([seen["note"]] if seen["note"] else [])
+    return {"departures": seen["departures"], "notes": notes}
 
 
 def circumstances(device: str, watch: Stopwatch) -> dict[str, Any]:
@@ -204,6 +214,8 @@ def staged(out: PathLike) -> Iterator[Path]:
     try:
         yield folder
         for path in sorted(folder.iterdir()):
+            if path.is_dir():  # a folder takes no other's place: pictures of an older run would mix
+                shutil.rmtree(out / path.name, ignore_errors=True)
             os.replace(path, out / path.name)
     finally:
         shutil.rmtree(folder, ignore_errors=True)

@@ -31,6 +31,7 @@ from phy124.progress import Progress, silent
 
 Colour = tuple[float, float, float]
 WHITE: Colour = (1.0, 1.0, 1.0)
+BLACK: Colour = (0.0, 0.0, 0.0)
 NEAR = 0.01
 """Gaussians whose centres are nearer to the camera are not drawn, m."""
 FRUSTUM_MARGIN = 1.3
@@ -197,18 +198,20 @@ def render_frames(
     cameras: Camera | Iterable[Camera],
     *,
     size: int | tuple[int, int] | None = None,
-    background: Colour = WHITE,
+    background: Colour | None = WHITE,
     device: str | None = None,
     threads: int = 2,
     progress: Progress = silent,
 ) -> Generator[NDArray[np.uint8], None, None]:
     """Images [H,W,3] uint8 of the frames, in order, until frames or cameras run out.
 
+    Without a background they are [H,W,4]: colours as they are, the last channel the coverage.
+
     Args:
         frames: What to draw; a `Clip`'s `frames()`, or `itertools.repeat` of a still one.
         cameras: One camera for all frames, or one each.
         size: Width and height in pixels, or one number for both, instead of the cameras' own.
-        background: Colour behind the Gaussians, 0..1.
+        background: Colour behind the Gaussians, 0..1; None for none.
         device: Warp's name of the device; default: CUDA if there is one.
         threads: Frames drawn at once on a CPU (kernels there use one core each).
         progress: Called as ("render", frames done, frames in all or 0 if unknown).
@@ -230,7 +233,7 @@ def render_frames(
     def draw(frame: Frame, camera: Camera) -> NDArray[np.uint8]:
         renderer = renderers.get()
         try:
-            return to_bytes(renderer(frame.gaussians, _resized(camera, size), background))
+            return _picture(renderer, frame.gaussians, _resized(camera, size), background)
         finally:
             renderers.put(renderer)
 
@@ -242,6 +245,17 @@ def render_frames(
             yield image
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+def _picture(
+    renderer: Renderer, gaussians: Gaussians, camera: Camera, background: Colour | None
+) -> NDArray[np.uint8]:
+    """One image as bytes, with coverage and colours not multiplied by it if on no background."""
+    if background is not None:
+        return to_bytes(renderer(gaussians, camera, background))
+    image = renderer(gaussians, camera, BLACK, alpha=True)
+    image[..., :3] /= np.maximum(image[..., 3:], 1e-6)
+    return to_bytes(np.minimum(image, 1))
 
 
 def to_bytes(image: Array) -> NDArray[np.uint8]:

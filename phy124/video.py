@@ -1,4 +1,4 @@
-"""Videos: H.264 in MP4 for everybody's player, GIF or animated WebP for a message.
+"""Videos: H.264 in MP4 for everybody's player, GIF or animated WebP for a message, PNGs for a tool.
 
 Pictures stream into the encoder while they are drawn. MP4s are yuv420p, converted with and tagged
 as ITU-R BT.709 limited range (what players assume of untagged HD video but not of small ones), and
@@ -36,6 +36,12 @@ BT709 = (
 )
 """Filters that convert RGB to limited-range BT.709 and tag it so."""
 ANIMATIONS = {".gif": "GIF", ".webp": "WEBP"}
+OPAQUE = 128
+"""Coverage from which a pixel of a GIF, which knows no half, is drawn."""
+CLEAR = 255
+"""Index of the colour of a GIF that is not drawn."""
+PNG_EFFORT = 3
+"""Level of compression, 0 to 9; higher ones take twice as long for a few per cent."""
 
 
 def write_mp4(path: str | os.PathLike[str], frames: Iterable[Picture], *, fps: float) -> int:
@@ -59,16 +65,16 @@ def write_mp4(path: str | os.PathLike[str], frames: Iterable[Picture], *, fps: f
 
 
 def write_animation(path: str | os.PathLike[str], frames: Iterable[Picture], *, fps: float) -> int:
-    """Write pictures [H,W,3] uint8 as an endless .gif or .webp and return how many there were.
+    """Write pictures [H,W,3 or 4] uint8 as an endless .gif or .webp; returns how many there were.
 
     WebP counts in milliseconds, GIF in hundredths of a second: each frame ends at the nearest,
-    so the total is right. GIF has 256 colours per frame; prefer WebP. All pictures are held in
-    memory until the last has come.
+    so the total is right. GIF has 256 colours per frame and draws a pixel or not; prefer WebP.
+    All pictures are held in memory until the last has come.
 
     Raises:
         InputError: If the ending is neither, there are no pictures, the rate is unusable, or the
             place cannot be written.
-        ValueError: If a picture is not uint8 [H,W,3] of the first one's size.
+        ValueError: If a picture is not uint8 [H,W,3 or 4] of the first one's size.
     """
     kind = ANIMATIONS.get(Path(path).suffix.lower())
     if kind is None:
@@ -80,7 +86,9 @@ def write_animation(path: str | os.PathLike[str], frames: Iterable[Picture], *, 
         )
     _check_rate(fps)
     with _closing(frames), replacing(path) as temporary:
-        images = [Image.fromarray(picture) for picture in _peeked(frames)[1]]
+        made = _gif_frame if kind == "GIF" else Image.fromarray
+        images = [made(picture) for picture in _peeked(frames, channels=(3, 4))[1]]
+        clear = {"transparency": CLEAR, "disposal": 2} if images[0].mode == "P" else {}
         images[0].save(
             temporary,
             kind,
@@ -89,8 +97,37 @@ def write_animation(path: str | os.PathLike[str], frames: Iterable[Picture], *, 
             duration=_durations(len(images), fps, 10 if kind == "GIF" else 1),
             loop=0,
             quality=85,
+            **clear,
         )
     return len(images)
+
+
+def write_pictures(
+    folder: str | os.PathLike[str], frames: Iterable[Picture], *, name: str = "frame"
+) -> int:
+    """Write pictures [H,W,3 or 4] uint8 as PNGs numbered from 1 and return how many there were.
+
+    They go into a folder that exists: `name_0001.png` and so on, as film tools read them.
+
+    Raises:
+        InputError: If there are no pictures or the place cannot be written.
+        ValueError: If a picture is not uint8 [H,W,3 or 4] of the first one's size.
+    """
+    count = 0
+    with _closing(frames):
+        for count, picture in enumerate(_peeked(frames, channels=(3, 4))[1], 1):
+            with replacing(Path(folder) / f"{name}_{count:04}.png") as temporary:
+                Image.fromarray(picture).save(temporary, "PNG", compress_level=PNG_EFFORT)
+    return count
+
+
+def _gif_frame(picture: Picture) -> Image.Image:
+    """A picture for a GIF: as it is, or with coverage as 255 colours and one that is none."""
+    if picture.shape[2] == 3:
+        return Image.fromarray(picture)
+    image = Image.fromarray(picture[..., :3]).quantize(CLEAR)
+    image.paste(CLEAR, mask=Image.fromarray(picture[..., 3] < OPAQUE))
+    return image
 
 
 def _encode(temporary: Path, path: object, pictures: Iterator[Picture], fps: float) -> int:
@@ -162,7 +199,9 @@ def _closing(frames: Iterable[Picture]) -> Iterator[None]:
             frames.close()
 
 
-def _peeked(frames: Iterable[Picture]) -> tuple[Picture, Iterator[Picture]]:
+def _peeked(
+    frames: Iterable[Picture], channels: tuple[int, ...] = (3,)
+) -> tuple[Picture, Iterator[Picture]]:
     """The first picture, and all of them, each checked as it passes."""
     pictures = iter(frames)
     first = next(pictures, None)
@@ -170,13 +209,16 @@ def _peeked(frames: Iterable[Picture]) -> tuple[Picture, Iterator[Picture]]:
         raise InputError(
             "frames", 0, "a video needs at least one picture.", "Simulate one frame or more."
         )
-    return first, (_checked(p, first.shape) for p in itertools.chain([first], pictures))
+    every = itertools.chain([first], pictures)
+    return first, (_checked(picture, first.shape, channels) for picture in every)
 
 
-def _checked(picture: Picture, shape: tuple[int, ...]) -> Picture:
-    if picture.dtype != np.uint8 or picture.shape != shape or shape[2:] != (3,):
+def _checked(picture: Picture, shape: tuple[int, ...], channels: tuple[int, ...]) -> Picture:
+    fits = picture.shape == shape and len(shape) == 3 and shape[2] in channels
+    if picture.dtype != np.uint8 or not fits:
+        wanted = " or ".join(map(str, channels))
         raise ValueError(
-            f"a picture is {picture.dtype} {picture.shape}, wanted uint8 {shape[:2]} x 3"
+            f"a picture is {picture.dtype} {picture.shape}, wanted uint8 {shape[:2]} x {wanted}"
         )
     return picture
 

@@ -79,8 +79,43 @@ def test_the_first_frame_is_the_static_object(made):
 def test_render_films_again_without_simulating(made, tmp_path, capsys):
     arguments = ["render", str(made / "clip.safetensors"), "--views", "left", "--size", "32"]
     assert main([*arguments, "--out", str(tmp_path), "--json", "--device", "cpu"]) == 0
-    assert json.loads(capsys.readouterr().out) == {"files": [str(tmp_path / "left.mp4")]}
+    assert json.loads(capsys.readouterr().out) == {
+        "files": [str(tmp_path / "left.mp4")], "notes": [],
+    }  # fmt: skip
     assert read_video(tmp_path / "left.mp4").shape == (3, 32, 32, 3)
+
+
+def test_render_makes_every_format_from_any_angle(made, tmp_path, capsys):
+    clip = ["render", str(made / "clip.safetensors"), "--device", "cpu", "--out", str(tmp_path)]
+    more = ["--azimuth", "45,-30", "--size", "48x32", "--transparent", "--format"]
+    for formats in (["gif,webp", "png"], ["png"]):
+        assert main([*clip, *more, *formats]) == 0
+    names = capsys.readouterr().out.splitlines()
+    ends = (".gif", ".webp", "-png")
+    expected = [f"azimuth-{a}{end}" for end in ends for a in (45, 330)]
+    assert [Path(name).name for name in names] == [*expected, "azimuth-45-png", "azimuth-330-png"]
+    assert len(list((tmp_path / "azimuth-45-png").iterdir())) == 3
+    with Image.open(tmp_path / "azimuth-45.webp") as opened:
+        assert opened.size == (48, 32)
+    assert main([*clip, "--transparent"]) == 2
+    assert "choose the format webp, png or gif" in capsys.readouterr().err
+
+
+def test_an_object_that_leaves_the_picture_is_told_of(made, tmp_path, capsys):
+    gone = ["--scene", "push_right", "--set", "object.velocity=[0,20,0]", "--views", "front"]
+    simulate = ["simulate", str(made / "gaussians.ply"), *QUICK, *gone, "--out", str(tmp_path)]
+    assert main(simulate) == 0
+    printed = capsys.readouterr().out
+    report = json.loads((tmp_path / "report.json").read_text())
+    (left,) = report["departures"]
+    assert (left["view"], left["frame"]) == ("front", 1)
+    (note,) = [note for note in report["notes"] if "leaves the picture" in note]
+    assert f"note: {note}" in printed and "view.follow = true" in note
+    assert main(["render", str(tmp_path / "clip.safetensors"), "--device", "cpu", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["notes"] == [note]
+    follow = [*simulate, "--follow"]
+    assert main(follow) == 0
+    assert "leaves the picture" not in capsys.readouterr().out
 
 
 def test_simulate_takes_gaussians(made, tmp_path, capsys):

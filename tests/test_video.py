@@ -130,7 +130,7 @@ def test_a_wrong_picture_stops_the_renderer_too(tmp_path, three_gaussians):
 
 def test_pictures_are_taken_one_by_one(tmp_path, monkeypatch):
     taken, seen = [], []
-    monkeypatch.setattr(video, "_checked", lambda p, shape: seen.append(len(taken)) or p)
+    monkeypatch.setattr(video, "_checked", lambda p, *_: seen.append(len(taken)) or p)
 
     def pictures():
         for i in range(20):

@@ -60,7 +60,7 @@ def difference(clip: Clip, reference: Clip, view: View, *, device: str = "cpu") 
 def pixel_distance(clip: Clip, reference: Clip, view: View) -> float:
     """RMS distance in the picture of the first view over all frames, pixels."""
     squares = []
-    for index, camera in enumerate(cameras(reference, view, view.views[0])):
+    for index, camera in enumerate(cameras(reference, view, view.sides[0])):
         here, _ = camera.project(clip.means[index].astype(float))
         there, _ = camera.project(reference.means[index].astype(float))
         squares.append(((here - there) ** 2).sum(axis=1).mean())
@@ -69,6 +69,6 @@ def pixel_distance(clip: Clip, reference: Clip, view: View) -> float:
 
 def video(clip: Clip, framed: Clip, view: View, device: str = "cpu") -> NDArray[np.uint8]:
     """The first view of a clip [T,H,W,3], framed as another one would be."""
-    seen = cameras(framed, view, view.views[0])
+    seen = cameras(framed, view, view.sides[0])
     images = render_frames(clip.frames(), seen, background=view.background, device=device)
     return np.stack(list(images))

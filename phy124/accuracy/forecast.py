@@ -197,7 +197,7 @@ class Forecaster:
     def _filming(self, gaussians: Gaussians, scene: Scene) -> dict[str, float]:
         """Seconds of pictures, videos and saving."""
         view = scene.view
-        key = ("film", len(gaussians), view.size, view.distance, scene.time.frames, view.views)
+        key = ("film", len(gaussians), view, scene.time.frames)
         return self._remember(key, lambda: _time_film(gaussians, scene, self.device))
 
     def _remember(self, key: Any, make: Any, keep: Any = None) -> Any:
@@ -212,7 +212,7 @@ class Forecaster:
 def pixels_per_size(scene: Scene) -> float:
     """How many pixels of the video the object's longest side takes, at its distance."""
     half_height = np.tan(np.radians(scene.view.fov / 2)) * scene.view.distance
-    return float(scene.view.size / (2 * half_height))
+    return float(min(scene.view.size) / (2 * half_height))
 
 
 def _physics(scene: Scene) -> str:
@@ -325,26 +325,29 @@ def _time_shapes(simulation: Simulation) -> float:
 
 def _time_film(gaussians: Gaussians, scene: Scene, device: str) -> dict[str, float]:
     """Film a few frames from one side; the rest is multiplication."""
-    one = scene.view.model_copy(update={"views": scene.view.views[:1]})
-    views, frames = len(scene.view.views), scene.time.frames
+    one = scene.view.model_copy(update={"views": ("front",), "azimuths": ()})
+    views, frames = len(scene.view.sides), scene.time.frames
     few, more = FILMED
     seconds: dict[int, list[dict[str, float]]] = {few: [], more: []}
-    with tempfile.TemporaryDirectory() as folder:
-        # The first time loads the kernels.
-        for count in (few, *TRIES * FILMED):
-            watch = Stopwatch()
+    # The first time loads the kernels.
+    for count in (few, *TRIES * FILMED):
+        watch = Stopwatch()
+        with tempfile.TemporaryDirectory() as folder:
             film(_moving(gaussians, scene, count), one, folder, device=device, watch=watch)
-            seconds[count].append(watch.seconds)
+        seconds[count].append(watch.seconds)
+    with tempfile.TemporaryDirectory() as folder:
         clip = _moving(gaussians, scene, more)
         saving = _timed(lambda: clip.save(Path(folder) / "clip.safetensors")) * frames / more
-    least = {n: min(seconds[n], key=lambda s: s["render"] + s["encode"]) for n in FILMED}
+    least = {n: min(seconds[n], key=lambda s: sum(s.values())) for n in FILMED}
     each = max(least[more]["encode"] - least[few]["encode"], 0.0) / (more - few)
     first = max(least[few]["encode"] - each * few, 0.0)
-    return {
+    foretold = {
         "save": saving,
         "render": views * frames * least[more]["render"] / more,
         "encode": views * (first + each * frames),
     }
+    exporting = least[more].get("export")
+    return foretold if exporting is None else foretold | {"export": exporting * frames / more}
 
 
 def _moving(gaussians: Gaussians, scene: Scene, count: int) -> Clip:

@@ -195,11 +195,12 @@ class Study:
     ) -> Row:
         """The row with its distance from the finest level and its error."""
         view, clip, size = self.scene.view, self.clips[row.name], self.scene.object.size
-        small = view.model_copy(update={"size": min(view.size, SIZE)})
+        shrink = min(1.0, SIZE / max(view.size))
+        small = view.model_copy(update={"size": tuple(round(side * shrink) for side in view.size)})
         apart = None
         if clip is not levels[-1]:
             apart = difference(clip, levels[-1], small, device=self.device)
-            apart = replace(apart, pixels=apart.pixels * view.size / small.size)
+            apart = replace(apart, pixels=apart.pixels / shrink)
         each = [distances([clip.means, level.means])[0, 1] / size for level in levels]
         error = known.get(row.name, found.error_of(np.array(each)))
         if error is None:

@@ -9,15 +9,52 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from phy124.errors import InputError
-from phy124.scene import AccuracyName, Scene, Timing, View, ViewName, parse_value
+from phy124.scene import AccuracyName, Scene, Timing, View, parse_value
 
-Views = tuple[ViewName, ...]
 Device = Literal["auto", "cpu"] | str
 
 
-def help_of(model: Any, name: str) -> Any:
+def help_of(model: Any, name: str, *, example: str = "") -> Any:
     """The help text of an option, taken from the field it sets."""
-    return tyro.conf.arg(help=model.model_fields[name].description)
+    text = model.model_fields[name].description
+    return tyro.conf.arg(help=f"{text} Such as {example}." if example else text)
+
+
+Listed = tuple[str, ...] | None
+"""Several values, with spaces or commas between them; the scene says which are allowed."""
+
+
+@dataclass(frozen=True)
+class ViewOptions:
+    """How a clip is filmed."""
+
+    views: Annotated[Listed, help_of(View, "views")] = None
+    azimuth: Annotated[Listed, help_of(View, "azimuths")] = None
+    size: Annotated[str | None, help_of(View, "size", example="512 or 1920x1080")] = None
+    format: Annotated[Listed, help_of(View, "formats")] = None
+    transparent: Annotated[bool, help_of(View, "transparent")] = False
+    follow: Annotated[bool, help_of(View, "follow")] = False
+
+    def changes(self) -> dict[str, Any]:
+        """What is chosen, by its path in the scene."""
+        chosen = {
+            "view.views": _items(self.views),
+            "view.azimuths": _items(self.azimuth),
+            "view.size": self.size,
+            "view.formats": _items(self.format),
+            "view.transparent": self.transparent or None,
+            "view.follow": self.follow or None,
+        }
+        if self.azimuth is not None and self.views is None:
+            chosen["view.views"] = []
+        return {path: value for path, value in chosen.items() if value is not None}
+
+
+def _items(texts: Listed) -> list[Any] | None:
+    """Values of texts such as ("front,left", "45")."""
+    if texts is None:
+        return None
+    return [parse_value(item) for text in texts for item in text.split(",") if item]
 
 
 @dataclass(frozen=True)
@@ -28,8 +65,7 @@ class SceneOptions:
     """Preset (see `phy124 scenes`) or path of a .toml file."""
     accuracy: Annotated[AccuracyName | None, help_of(Scene, "accuracy")] = None
     frames: Annotated[int | None, help_of(Timing, "frames")] = None
-    views: Annotated[Views | None, help_of(View, "views")] = None
-    size: Annotated[int | None, help_of(View, "size")] = None
+    view: Annotated[ViewOptions, tyro.conf.arg(name="")] = field(default_factory=ViewOptions)
     seed: Annotated[int | None, help_of(Scene, "seed")] = None
     set: tuple[str, ...] = field(default_factory=tuple)
     """Any other value of the scene, as KEY=VALUE: material.E=2e4, boundaries.0.friction=0.1."""
@@ -43,11 +79,10 @@ class SceneOptions:
         chosen = {
             "accuracy": self.accuracy,
             "time.frames": self.frames,
-            "view.views": self.views,
-            "view.size": self.size,
             "seed": self.seed,
         }
         changes = {path: value for path, value in chosen.items() if value is not None}
+        changes |= self.view.changes()
         return Scene.named(self.scene).replaced({**changes, **assignments(self.set)})
 
 

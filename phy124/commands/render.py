@@ -12,22 +12,22 @@ import tyro
 from phy124 import pipeline
 from phy124.clip import Clip
 from phy124.commands.bars import Bars
-from phy124.commands.options import Views, assignments, help_of, pick_device
-from phy124.scene import Scene, View
+from phy124.commands.options import ViewOptions, assignments, pick_device
+from phy124.framing import framing
+from phy124.scene import Scene
 
 
 @dataclass(frozen=True)
 class Render:
-    """Film a clip from other sides or in another size."""
+    """Film a clip from other sides, in another size or as other files."""
 
     clip: tyro.conf.Positional[Path]
     """clip.safetensors made by `phy124 generate`."""
-    views: Annotated[Views | None, help_of(View, "views")] = None
-    size: Annotated[int | None, help_of(View, "size")] = None
+    view: Annotated[ViewOptions, tyro.conf.arg(name="")] = field(default_factory=ViewOptions)
     set: tuple[str, ...] = field(default_factory=tuple)
     """Any other value of the view, as KEY=VALUE: elevation=30, background=[0,0,0]."""
     out: Path | None = None
-    """Folder of the videos; default beside the clip."""
+    """Folder of the files; default beside the clip."""
     device: str = "auto"
     """auto, cpu or cuda:0."""
     json: bool = False
@@ -36,8 +36,7 @@ class Render:
     def run(self) -> int:
         """Render; prints the files."""
         clip = Clip.load(self.clip)
-        changes = {"view.views": self.views, "view.size": self.size}
-        changes = {path: value for path, value in changes.items() if value is not None}
+        changes = self.view.changes()
         changes |= {f"view.{key}": value for key, value in assignments(self.set).items()}
         view = Scene.from_data(clip.scene, str(self.clip)).replaced(changes).view
         out = self.out or self.clip.parent
@@ -45,6 +44,9 @@ class Render:
             paths = pipeline.film(
                 clip, view, folder, device=pick_device(self.device), progress=bars
             )
-        files = [str(out / path.name) for path in paths]
-        print(json.dumps({"files": files}) if self.json else "\n".join(files))
+        files, note = [str(out / path.name) for path in paths], framing(clip, view)["note"]
+        if self.json:
+            print(json.dumps({"files": files, "notes": [note] if note else []}))
+        else:
+            print("\n".join([*files, *([f"note: {note}"] if note else [])]))
         return 0

@@ -1,0 +1,143 @@
+"""Framing: where the cameras of a clip stand, and whether they see all of what moves."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.camera import VIEWS, Camera
+from phy124.clip import Clip
+from phy124.scene import View
+
+SAMPLE = 4096
+"""At most so many Gaussians, evenly picked, stand for all of them."""
+VISIBLE = 0.1
+"""Opacity from which a Gaussian counts as part of the object."""
+OUTSIDE = 0.01
+"""Share of the object that may be outside the picture before it is said to leave it."""
+STEP = 0.1
+"""Recommended distances are multiples of this, in object sizes."""
+FARTHEST = 100.0
+"""Greatest distance a view may have, in object sizes."""
+
+
+def cameras(clip: Clip, view: View, side: str) -> list[Camera]:
+    """The camera of each frame of a side: still, once around for "orbit", or going along.
+
+    Portrait pictures are taken from farther away, so that the narrower side shows as much as a
+    square one does.
+    """
+    count = len(clip)
+    low, high = _box(clip, view)
+    middle = (low + high) / 2
+    targets = middle + (_path(clip) if view.follow else np.zeros((count, 3)))
+    turns = np.arange(count) * 360 / max(count, 1)
+    azimuths = turns if side == "orbit" else np.full(count, _azimuth(side))
+    width, height = view.size
+    radius = view.distance * float((high - low).max()) * max(1.0, height / width)
+    return [
+        Camera.orbit(azimuth, view.elevation, radius, view.size, (x, y, z), view.fov)
+        for azimuth, (x, y, z) in zip(azimuths.tolist(), targets.tolist(), strict=True)
+    ]
+
+
+@dataclass(frozen=True)
+class Departure:
+    """A side whose pictures do not hold the whole object."""
+
+    view: str
+    frame: int
+    """The first frame in which it is not whole, from 0."""
+    worst_frame: int
+    """The frame in which most of it is outside."""
+    outside: float
+    """Share of the object outside in that frame."""
+    distance: float
+    """Distance from which all of it would be seen, in object sizes."""
+
+
+def departures(clip: Clip, view: View) -> list[Departure]:
+    """The sides from which the object leaves the picture."""
+    points = _sample(clip)
+    found = [_departure(points, cameras(clip, view, side), view, side) for side in view.sides]
+    return [departure for departure in found if departure is not None]
+
+
+def framing(clip: Clip, view: View) -> dict[str, Any]:
+    """For the report: the `departures`, and a sentence about them or None."""
+    left = departures(clip, view)
+    return {"departures": [asdict(one) for one in left], "note": _note(clip, view, left)}
+
+
+def _note(clip: Clip, view: View, left: list[Departure]) -> str | None:
+    if not left:
+        return None
+    sides = ", ".join(
+        f"{one.view} from frame {one.frame} (frame {one.worst_frame}: {one.outside:.0%} outside)"
+        for one in left
+    )
+    remedies = []
+    distance = max(one.distance for one in left)
+    if distance <= FARTHEST:
+        remedies.append(f"view.distance = {distance:g}")
+    following = view.model_copy(update={"follow": True})
+    if not view.follow and not departures(clip, following):
+        remedies.append("view.follow = true")
+    remedy = " or ".join(remedies) or "a wider view.fov"
+    return f"The object leaves the picture: {sides}. Film it again with {remedy}."
+
+
+def _departure(
+    points: NDArray[np.float64], cameras: list[Camera], view: View, side: str
+) -> Departure | None:
+    """What a side misses of the points [T,S,3], or None."""
+    needed = np.stack([_radius(seen, at) for seen, at in zip(points, cameras, strict=True)])
+    camera = cameras[0]
+    radius = math.dist(camera.eye, camera.target)
+    outside = (needed > radius * (1 + 1e-9)).mean(axis=1)
+    if not (outside > OUTSIDE).any():
+        return None
+    worst = int(outside.argmax())
+    enough = float(np.quantile(needed, 1 - OUTSIDE, axis=1, method="higher").max())
+    distance = math.ceil(enough / radius * view.distance / STEP) * STEP
+    first = int((outside > OUTSIDE).argmax())
+    return Departure(side, first, worst, float(outside[worst]), round(distance, 3))
+
+
+def _radius(points: NDArray[np.float64], camera: Camera) -> NDArray[np.float64]:
+    """How far from its target the camera must stand to see each of the points [S]."""
+    across, down, ahead = ((points - camera.target) @ camera.view[:3, :3].T).T
+    half_width, half_height = (0.5 * s / camera.focal for s in (camera.width, camera.height))
+    return np.maximum(np.abs(across) / half_width, np.abs(down) / half_height) - ahead
+
+
+def _azimuth(side: str) -> float:
+    return VIEWS[side] if side in VIEWS else float(side.removeprefix("azimuth-"))
+
+
+def _box(clip: Clip, view: View) -> tuple[NDArray, NDArray]:
+    """Corners of the object at rest, and of the ground under it if it will fall there."""
+    low, high = clip.means[0].min(axis=0), clip.means[0].max(axis=0)
+    floors = [b["height"] for b in clip.scene.get("boundaries", []) if b["kind"] == "ground"]
+    if floors and not view.follow:
+        low = np.minimum(low, [np.inf, np.inf, max(floors)])
+    return low, high
+
+
+def _path(clip: Clip) -> NDArray[np.float64]:
+    """How far the middle of what moves is from where it began [T,3], m."""
+    middle = _sample(clip).mean(axis=1)
+    return middle - middle[0]
+
+
+def _sample(clip: Clip) -> NDArray[np.float64]:
+    """Visible Gaussians that move, of all if none does [T,S,3], m."""
+    visible = np.flatnonzero(clip.opacities >= VISIBLE)
+    chosen = visible if len(visible) else np.arange(len(clip.opacities))
+    points = clip.means[:, chosen[:: 1 + len(chosen) // SAMPLE]].astype(np.float64)
+    moves = (points != points[0]).any(axis=(0, 2))
+    return points[:, moves] if moves.any() else points

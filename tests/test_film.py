@@ -1,0 +1,119 @@
+"""Filming: every format, from every side, of every size, is made and can be read back."""
+
+import re
+
+import numpy as np
+import pytest
+from PIL import Image, ImageSequence
+from test_framing import AWAY, flight
+from test_video import read as read_video
+
+from phy124.errors import InputError
+from phy124.export import usd
+from phy124.film import film
+from phy124.ply import read_ply
+from phy124.scene import Scene, View
+
+SIZE = (48, 32)
+
+
+def view(**changes) -> View:
+    chosen = {"views": ["front"], "azimuths": [22.5], "size": SIZE, "distance": 1.2} | changes
+    return Scene.from_data({"view": chosen}).view
+
+
+def frames(path) -> list[np.ndarray]:
+    with Image.open(path) as opened:
+        return [np.asarray(f.convert("RGBA")) for f in ImageSequence.Iterator(opened)]
+
+
+def picture(path) -> np.ndarray:
+    with Image.open(path) as opened:
+        return np.asarray(opened)
+
+
+@pytest.fixture(scope="module")
+def clip():
+    return flight(AWAY[:3])
+
+
+def test_all_formats_at_once(tmp_path, clip):
+    made = film(clip, view(formats=["mp4", "gif", "webp", "png", "ply"]), tmp_path, device="cpu")
+    names = [
+        f"{side}.{end}" for end in ("mp4", "gif", "webp") for side in ("front", "azimuth-22.5")
+    ]
+    assert [path.name for path in made] == [
+        *names, "front-png", "azimuth-22.5-png", "clip-ply",
+    ]  # fmt: skip
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(p.name for p in made)
+    assert read_video(tmp_path / "front.mp4").shape == (3, 32, 48, 3)
+    for name in names[2:]:
+        assert [f.shape for f in frames(tmp_path / name)] == [(32, 48, 4)] * 3
+    pictures = sorted((tmp_path / "front-png").iterdir())
+    assert [p.name for p in pictures] == [f"front_{i:04}.png" for i in (1, 2, 3)]
+    assert picture(pictures[0]).shape == (32, 48, 3)
+    read = [read_ply(p).gaussians for p in sorted((tmp_path / "clip-ply").iterdir())]
+    assert np.allclose([g.means for g in read], clip.means, atol=1e-6)
+
+
+def test_usd(tmp_path, clip):
+    pytest.importorskip("pxr.UsdVol")
+    if not hasattr(__import__("pxr.UsdVol").UsdVol, usd.SCHEMA):
+        pytest.skip("this usd-core is too old")
+    made = film(clip, view(formats=["usd"]), tmp_path, device="cpu")
+    assert [path.name for path in made] == ["clip.usdc"]
+    assert made[0].stat().st_size > clip.means.nbytes
+
+
+def test_transparent_pictures_look_alike_on_any_background(tmp_path, clip):
+    """Laid over white they are what is filmed on white; a GIF draws a pixel or does not."""
+    film(clip, view(formats=["png"]), tmp_path, device="cpu")
+    clear = tmp_path / "clear"
+    clear.mkdir()
+    film(clip, view(formats=["png", "webp", "gif"], transparent=True), clear, device="cpu")
+    for i in range(3):
+        name = f"front-png/front_{i + 1:04}.png"
+        over = picture(clear / name).astype(float)
+        alpha = over[..., 3:] / 255
+        laid = over[..., :3] * alpha + 255 * (1 - alpha)
+        assert np.abs(laid - picture(tmp_path / name)).max() <= 2
+        gif, webp = (frames(clear / f"front.{end}")[i] for end in ("gif", "webp"))
+        assert set(np.unique(gif[..., 3])) == {0, 255}
+        assert np.array_equal(gif[..., 3] == 255, over[..., 3] >= 128)
+        assert np.array_equal(webp[..., 3], over[..., 3])
+        drawn = over[..., 3] == 255
+        assert np.abs(gif[drawn, :3] - over[drawn, :3]).mean() < 4
+        assert np.abs(webp[drawn, :3] - over[drawn, :3]).mean() < 6
+
+
+def test_a_transparent_gif_leaves_no_trail(tmp_path):
+    """Where the object has been is clear again in the next frame."""
+    clip = flight([(0, -0.4, 0), (0, 0.4, 0)], count=300)
+    film(clip, view(formats=["gif"], transparent=True, azimuths=[]), tmp_path, device="cpu")
+    first, last = frames(tmp_path / "front.gif")
+    assert first[16, 24 - 8, 3] == 255 and last[16, 24 - 8 - 6, 3] == 0
+
+
+def test_an_mp4_cannot_be_transparent():
+    sentence = "view.transparent = True: an MP4 cannot be transparent; choose the format webp"
+    with pytest.raises(InputError, match=re.escape(sentence)):
+        view(transparent=True)
+
+
+@pytest.mark.parametrize(
+    ("size", "meant"),
+    [(64, (64, 64)), ("64", (64, 64)), ("64x32", (64, 32)), ("64X32", (64, 32)), ([64, 32],) * 2],
+)
+def test_sizes_are_one_number_or_two(size, meant):
+    scene = Scene.from_data({"view": {"size": size}})
+    assert scene.view.size == tuple(meant)
+    assert Scene.from_data(scene.data()) == scene
+    assert scene.data()["view"]["size"] == (meant[0] if meant[0] == meant[1] else list(meant))
+
+
+@pytest.mark.parametrize(
+    "size", [8, "8x512", "big", "1x2x3", [512, 8192], None, {}, True, 64.5, ""]
+)
+def test_other_sizes_are_refused(size):
+    with pytest.raises(InputError, match=r"^view\.size.* = .*Width and height, or one number"):
+        Scene.from_data({"view": {"size": size}})

@@ -1,0 +1,126 @@
+"""Framing: every view shows the whole object, follows it if asked, and says when it does not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from shapes import ball
+
+from phy124.clip import Clip
+from phy124.framing import cameras, departures, framing
+from phy124.gaussians import Frame
+from phy124.scene import View
+
+
+def flight(steps, *, count=500) -> Clip:
+    """A ball of 1 m that is moved by so many metres in each frame [T,3]."""
+    rest = ball(count)
+    frames = [
+        Frame(i, i / 24, rest.moved(1.0, np.array(step, float))) for i, step in enumerate(steps)
+    ]
+    return Clip.from_frames(frames)
+
+
+def view(**changes) -> View:
+    return View.model_validate({"views": ["front"], "elevation": 0, "distance": 1.9} | changes)
+
+
+AWAY = [(0, 0.2 * i, 0) for i in range(8)]
+"""To the right of the front camera."""
+
+
+def seen(clip, chosen, side="front") -> list[np.ndarray]:
+    """Where the middle of the ball is in each frame, in pixels."""
+    moved = clip.means.mean(axis=1)
+    pairs = zip(cameras(clip, chosen, side), moved, strict=True)
+    return [camera.project(middle[None])[0][0] for camera, middle in pairs]
+
+
+def test_a_still_camera_stays_and_a_following_one_keeps_the_middle():
+    clip, still, follow = flight(AWAY), view(size=256), view(size=256, follow=True)
+    assert len({camera.eye for camera in cameras(clip, still, "front")}) == 1
+    assert seen(clip, still)[-1][0] > 256
+    for chosen, side in [(follow, "front"), (follow, "orbit"), (follow, "azimuth-30")]:
+        assert np.allclose(seen(clip, chosen, side), 128, atol=0.1)
+
+
+def test_only_what_moves_is_followed():
+    """Twice as many Gaussians stay behind; the camera goes with the others."""
+    clip = flight(AWAY)
+    means = clip.means.copy()
+    means[:, ::2] = means[0, ::2]
+    clip = replace(clip, means=means)
+    moved = means[:, 1::2].mean(axis=1)
+    targets = np.array([camera.target for camera in cameras(clip, view(follow=True), "front")])
+    assert np.allclose(targets - targets[0], moved - moved[0], atol=1e-6)
+
+
+@pytest.mark.parametrize("size", [(200, 200), (300, 200), (200, 300), (100, 800)])
+def test_the_whole_object_is_in_pictures_of_any_shape(size):
+    """The narrower side shows as much as a square picture does."""
+    clip = flight(AWAY[:1])
+    camera = cameras(clip, view(size=size), "front")[0]
+    pixels, _ = camera.project(clip.means[0])
+    assert (pixels > 0).all() and (pixels < size).all()
+    square = cameras(clip, view(size=(min(size),) * 2), "front")[0].project(clip.means[0])[0]
+    narrow = size.index(min(size))
+    assert np.ptp(pixels[:, narrow]) == pytest.approx(np.ptp(square[:, narrow]), rel=0.06)
+
+
+def test_an_azimuth_lies_between_the_named_views():
+    clip, chosen = flight(AWAY[:1]), view(views=["right"], azimuths=[90, 450 - 360 - 45, -90])
+    assert chosen.sides == ("right", "azimuth-90", "azimuth-45", "azimuth-270")
+    named, same, between, left = (cameras(clip, chosen, side)[0] for side in chosen.sides)
+    assert named == same
+    middle = np.array(named.target)
+    assert np.allclose((np.array(between.eye) - middle)[:2], np.sqrt(0.5) * 1.9, atol=0.02)
+    assert np.allclose(np.array(left.eye) - middle, middle - np.array(named.eye))
+
+
+def test_what_stays_in_the_picture_is_not_mentioned():
+    assert framing(flight(AWAY[:2]), view()) == {"departures": [], "note": None}
+
+
+def test_leaving_is_told_with_the_view_the_frame_and_what_helps():
+    clip, chosen = flight(AWAY), view()
+    (left,) = departures(clip, chosen)
+    assert left.view == "front"
+    # The edge is 0.87 m off the axis in the plane of the middle; the ball begins with 0.5.
+    assert left.frame in (2, 3) and left.worst_frame == 7
+    assert left.outside > 0.9
+    note = framing(clip, chosen)["note"]
+    assert note is not None
+    assert f"front from frame {left.frame} (frame 7: {left.outside:.0%} outside)" in note
+    assert f"view.distance = {left.distance:g} or view.follow = true" in note
+
+
+@pytest.mark.parametrize("side", ["front", "orbit", "azimuth-20"])
+@pytest.mark.parametrize("size", [(128, 128), (128, 256)])
+def test_each_remedy_works_and_no_lesser_distance_does(side, size):
+    views = {"views": [side]} if side in ("front", "orbit") else {"views": [], "azimuths": [20]}
+    clip, chosen = flight(AWAY), view(size=size, **views)
+    (left,) = departures(clip, chosen)
+    assert not departures(clip, chosen.model_copy(update={"follow": True}))
+    assert not departures(clip, chosen.model_copy(update={"distance": left.distance}))
+    assert departures(clip, chosen.model_copy(update={"distance": left.distance - 0.2}))
+
+
+def test_only_remedies_that_work_are_named():
+    """What grows beyond the picture is not helped by following; what flies too far, by distance."""
+    clip = flight(AWAY)
+    grown = replace(
+        clip, means=clip.means[0] * np.linspace(1, 3, 8, dtype=np.float32)[:, None, None]
+    )
+    note = framing(grown, view())["note"]
+    assert "view.distance = " in note and "follow" not in note
+    far = flight([(0, 0, 0), (0, 300, 0)])
+    note = framing(far, view())["note"]
+    assert note.endswith("Film it again with view.follow = true.")
+
+
+def test_many_gaussians_cost_no_more_than_a_sample():
+    clip = flight(AWAY, count=40_000)
+    few = flight(AWAY, count=2_000)
+    (one,), (other,) = departures(clip, view()), departures(few, view())
+    assert (one.frame, one.worst_frame) == (other.frame, other.worst_frame)
+    assert one.outside == pytest.approx(other.outside, abs=0.03)
