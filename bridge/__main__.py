@@ -19,21 +19,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from pydantic import ValidationError
 
     from phy124.errors import InputError
+    from phy124.repeats import gathered
 
     from .commands import COMMANDS
+    from .options import Options
 
     logging.basicConfig(level=logging.INFO, format="%(message)s", force=True)
     # A supervisor's SIGTERM must end a recording as cleanly as Ctrl-C does.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
+        given = gathered(sys.argv[1:] if arguments is None else arguments, COMMANDS)
         command = tyro.extras.subcommand_cli_from_dict(
-            COMMANDS, prog="python -m bridge", description=__doc__, args=arguments
+            COMMANDS, prog="python -m bridge", description=__doc__, args=given
         )
         return command.run(_say)
     except InputError as error:
         return _complain(str(error), 2)
     except ValidationError as error:
-        return _complain("; ".join(_sentence(found) for found in error.errors()), 2)
+        from phy124.scene.refusals import refusal
+
+        return _complain(str(refusal(error, "options", Options)), 2)
     except KeyboardInterrupt:
         return _complain("stopped", 130)
     except BrokenPipeError:
@@ -46,12 +51,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _say(line: str) -> None:
     print(line, flush=True)
-
-
-def _sentence(found: object) -> str:
-    assert isinstance(found, dict)
-    where = ".".join(str(part) for part in found["loc"]) or "options"
-    return f"{where} = {found['input']}: {found['msg'].removeprefix('Value error, ')}"
 
 
 def _complain(sentence: str, status: int) -> int:

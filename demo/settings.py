@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from phy124.errors import InputError
+from phy124.scene.refusals import refusal
 
 PREFIX = "PHY124_"
 
@@ -58,14 +59,9 @@ class Settings(BaseModel):
         try:
             return cls.model_validate(given)
         except ValidationError as error:
-            first = error.errors()[0]
-            name = str(first["loc"][0])
-            raise InputError(
-                PREFIX + name.upper(),
-                first["input"],
-                f"{first['msg']}.",
-                f"It is: {cls.model_fields[name].description}",
-            ) from None
+            wrong = refusal(error, "settings", cls)
+            name = PREFIX + wrong.field.upper()
+            raise InputError(name, wrong.value, wrong.limit, wrong.remedy) from None
 
     @property
     def max_bytes(self) -> int:

@@ -18,12 +18,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     from phy124.commands import COMMANDS
     from phy124.errors import Cancelled, InputError
+    from phy124.repeats import gathered
 
     wp.config.log_level = wp.LOG_ERROR
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     try:
         command = tyro.extras.subcommand_cli_from_dict(
-            COMMANDS, prog="phy124", description=__doc__, args=arguments
+            COMMANDS, prog="phy124", description=__doc__, args=gathered(arguments, COMMANDS)
         )
         return command.run()
     except InputError as error:

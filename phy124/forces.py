@@ -12,6 +12,7 @@ import numpy as np
 import warp as wp
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from phy124.bounds import LONGEST, SHORTEST, Position, Push, Velocity
 from phy124.errors import InputError
 from phy124.kernels import push
 from phy124.kernels.transfer import types
@@ -30,9 +31,9 @@ class Force(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    start: float = Field(default=0.0, ge=0, description="Acts from here on [s].")
+    start: float = Field(default=0.0, ge=0, le=LONGEST, description="Acts from here on [s].")
     end: float | None = Field(
-        default=None, gt=0, description="Acts until here [s]; absent: always."
+        default=None, gt=0, le=LONGEST, description="Acts until here [s]; absent: always."
     )
     region: Region | None = Field(
         default=None, description="Particles it acts on, by their place at rest; all if absent."
@@ -44,7 +45,9 @@ class Force(BaseModel):
     @model_validator(mode="after")
     def _ordered(self) -> Force:
         if self.end is not None and self.start >= self.end:
-            raise ValueError(f"start {self.start} s must be before end {self.end} s")
+            raise ValueError(
+                f"start {self.start} s must be before end {self.end} s; let it end later"
+            )
         return self
 
     def track(self, value: Vector, *, mean: bool = True) -> Track:
@@ -73,7 +76,7 @@ class Gravity(Force):
     """The same acceleration everywhere, downwards by default."""
 
     kind: Literal["gravity"] = "gravity"
-    g: Vector = Field(default=(0.0, 0.0, -9.81), description="Acceleration [m/s^2].")
+    g: Push = Field(default=(0.0, 0.0, -9.81), description="Acceleration [m/s^2].")
 
     def attach(self, solver: Solver) -> list[Stage]:
         """Add to the uniform acceleration, or push chosen particles."""
@@ -84,7 +87,7 @@ class Acceleration(Force):
     """A push per mass: what presets use, since it does not depend on the particle count."""
 
     kind: Literal["acceleration"] = "acceleration"
-    a: Vector = Field(default=(0.0, 1.0, 0.0), description="Acceleration [m/s^2].")
+    a: Push = Field(default=(0.0, 1.0, 0.0), description="Acceleration [m/s^2].")
 
     def attach(self, solver: Solver) -> list[Stage]:
         """Add to the uniform acceleration, or push chosen particles."""
@@ -95,7 +98,7 @@ class TotalForce(Force):
     """A force in newtons on a region, spread over its particles by mass."""
 
     kind: Literal["force"] = "force"
-    f: Vector = Field(default=(0.0, 1.0, 0.0), description="Total force [N].")
+    f: Push = Field(default=(0.0, 1.0, 0.0), description="Total force [N].")
 
     def attach(self, solver: Solver) -> list[Stage]:
         """Accelerate the region by f over its mass."""
@@ -106,15 +109,17 @@ class Impulse(Force):
     """A blow: a total momentum given to a region, whatever the substeps and the profile are."""
 
     kind: Literal["impulse"] = "impulse"
-    p: Vector = Field(default=(0.0, 1.0, 0.0), description="Total momentum it gives [N s].")
-    duration: float = Field(default=0.01, gt=0, le=10, description="Time it takes [s].")
+    p: Push = Field(default=(0.0, 1.0, 0.0), description="Total momentum it gives [N s].")
+    duration: float = Field(default=0.01, ge=SHORTEST, le=10, description="Time it takes [s].")
 
     @model_validator(mode="after")
     def _whole(self) -> Impulse:
         if self.end is not None:
             raise ValueError("an impulse ends after its duration; leave end out")
         if self.profile.period or self._share() <= 0:
-            raise ValueError("the profile of an impulse must not repeat and must push on the whole")
+            raise ValueError(
+                "the profile of an impulse must not repeat and must push on the whole; use constant"
+            )
         return self
 
     def track(self, value: Vector, *, mean: bool = True) -> Track:
@@ -142,7 +147,7 @@ class ParticleForce(Force):
     """The paper's external force: newtons on each particle, a = f / m (Phy124, sec. 3.2)."""
 
     kind: Literal["particle_force"] = "particle_force"
-    f: Vector = Field(default=(0.0, 1e-3, 0.0), description="Force on each particle [N].")
+    f: Push = Field(default=(0.0, 1e-3, 0.0), description="Force on each particle [N].")
 
     def attach(self, solver: Solver) -> list[Stage]:
         """Push each chosen particle."""
@@ -154,7 +159,7 @@ class FieldForce(Force):
 
     kind: Literal["field"] = "field"
     place: Region = Field(default=Region(), description="Where in space it acts.")
-    a: Vector = Field(default=(0.0, 1.0, 0.0), description="Acceleration [m/s^2].")
+    a: Push = Field(default=(0.0, 1.0, 0.0), description="Acceleration [m/s^2].")
 
     @model_validator(mode="after")
     def _everything(self) -> FieldForce:
@@ -179,9 +184,9 @@ class Wind(Force):
     """Air or water that streams past and drags along: a = rate (wind - v)."""
 
     kind: Literal["wind"] = "wind"
-    v: Vector = Field(default=(0.0, 3.0, 0.0), description="Velocity of the stream [m/s].")
+    v: Velocity = Field(default=(0.0, 3.0, 0.0), description="Velocity of the stream [m/s].")
     rate: float = Field(
-        default=1.0, gt=0, le=1e6, description="Share of the difference lost per second [1/s]."
+        default=1.0, ge=1e-6, le=1e6, description="Share of the difference lost per second [1/s]."
     )
 
     def attach(self, solver: Solver) -> list[Stage]:
@@ -194,9 +199,11 @@ class Attraction(Force):
     """A point that attracts, or repels if negative: linear inside its radius, 1 / d^2 outside."""
 
     kind: Literal["attraction"] = "attraction"
-    centre: Vector = Field(default=(0.0, 0.0, 1.0), description="The point [m].")
-    g: float = Field(default=10.0, description="Acceleration at the radius [m/s^2].")
-    radius: float = Field(default=0.5, gt=0, le=1e4, description="Distance of the maximum [m].")
+    centre: Position = Field(default=(0.0, 0.0, 1.0), description="The point [m].")
+    g: float = Field(
+        default=10.0, ge=-1e9, le=1e9, description="Acceleration at the radius [m/s^2]."
+    )
+    radius: float = Field(default=0.5, ge=1e-6, le=1e5, description="Distance of the maximum [m].")
 
     def attach(self, solver: Solver) -> list[Stage]:
         """Draw the chosen particles to the point."""
@@ -210,9 +217,9 @@ class SetVelocity(Force):
     """The paper's first kind of force: the velocity of particles is prescribed."""
 
     kind: Literal["set_velocity"] = "set_velocity"
-    v: Vector = Field(default=(0.0, 0.0, 0.0), description="Velocity [m/s].")
-    spin: Vector = Field(default=(0.0, 0.0, 0.0), description="Angular velocity [rad/s].")
-    centre: Vector = Field(default=(0.0, 0.0, 0.0), description="Point the spin is about [m].")
+    v: Velocity = Field(default=(0.0, 0.0, 0.0), description="Velocity [m/s].")
+    spin: Velocity = Field(default=(0.0, 0.0, 0.0), description="Angular velocity [rad/s].")
+    centre: Position = Field(default=(0.0, 0.0, 0.0), description="Point the spin is about [m].")
 
     def attach(self, solver: Solver) -> list[Stage]:
         """Overwrite v and C of the chosen particles while active."""

@@ -20,6 +20,7 @@ from phy124.materials import AnyMaterial
 from phy124.painted import WHOLE, Crop, brightness
 from phy124.particles import Particles
 from phy124.scene import Part, Scene
+from phy124.scene.refusals import refusal
 
 
 def crop_of(cutout: Image.Image) -> Crop:
@@ -158,8 +159,9 @@ def _refuse_too_soft(section: AnyMaterial, share: float) -> None:
     try:
         type(section).model_validate(softened)
     except ValidationError as error:
-        message = error.errors()[0]["msg"].removeprefix("Value error, ")
+        wrong = refusal(error, "material", type(section))
         raise InputError(
-            "stiffness", f"{share:g} of E", f"{section.law} cannot be so soft: {message}.",
+            "stiffness", f"{share:g} of E",
+            f"{section.law} cannot be so soft; of {wrong.field}, {wrong.limit}",
             "Raise the least share, or the material's E.",
         ) from None  # fmt: skip

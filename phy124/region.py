@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -9,6 +11,8 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 Vector = tuple[float, float, float]
 EVERYWHERE = 1e9
 """Beyond any scene [m]; finite, so that scenes can be written as JSON."""
+_Side = Annotated[float, Field(ge=-EVERYWHERE, le=EVERYWHERE)]
+_Corner = tuple[_Side, _Side, _Side]
 
 
 class Region(BaseModel):
@@ -16,10 +20,10 @@ class Region(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    lower: Vector = Field(
+    lower: _Corner = Field(
         default=(-EVERYWHERE, -EVERYWHERE, -EVERYWHERE), description="Lowest corner [m]."
     )
-    upper: Vector = Field(
+    upper: _Corner = Field(
         default=(EVERYWHERE, EVERYWHERE, EVERYWHERE), description="Highest corner [m]."
     )
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial import KDTree
 
+from phy124.bounds import Text
 from phy124.errors import InputError
 from phy124.painted import Crop, brightness
 
@@ -60,7 +61,7 @@ class Picture(_Field):
     """As a grey picture painted over the object's: white is stiff, black is soft."""
 
     kind: Literal["picture"] = "picture"
-    file: str = Field(description="Grey picture file, seen from the front.")
+    file: Text = Field(max_length=4096, description="Grey picture file, seen from the front.")
     black: Share = Field(default=0.1, description="Share of E where it is black.")
     white: Share = Field(default=1.0, description="Share of E where it is white.")
 
@@ -74,7 +75,9 @@ class Listed(_Field):
     """As a file says, a share for each Gaussian; what is between them follows the nearest."""
 
     kind: Literal["array"] = "array"
-    file: str = Field(description="NumPy file (.npy) of shares of E, one per Gaussian.")
+    file: Text = Field(
+        max_length=4096, description="NumPy file (.npy) of shares of E, one per Gaussian."
+    )
 
     def shares(self, x: NDArray, means: NDArray, crop: Crop) -> NDArray[np.float64]:
         """That of the nearest Gaussian."""

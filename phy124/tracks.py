@@ -16,6 +16,7 @@ import warp as wp
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from phy124.bounds import LONGEST, SHORTEST, Factor, Instant
 from phy124.kernels.profile import JOINS, MEAN, make_sampler
 from phy124.kernels.transfer import types
 from phy124.region import Vector
@@ -57,9 +58,9 @@ class Ramp(Table):
     """From one factor to another in a straight line, then constant."""
 
     kind: Literal["ramp"] = "ramp"
-    duration: float = Field(default=0.5, gt=0, le=1e4, description="Time it takes [s].")
-    first: float = Field(default=0.0, description="Factor at the start.")
-    last: float = Field(default=1.0, description="Factor at the end and after.")
+    duration: float = Field(default=0.5, ge=SHORTEST, le=LONGEST, description="Time it takes [s].")
+    first: Factor = Field(default=0.0, description="Factor at the start.")
+    last: Factor = Field(default=1.0, description="Factor at the end and after.")
 
     def table(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Two keys."""
@@ -70,9 +71,9 @@ class Sine(Table):
     """offset + sin(2 pi (frequency t + phase / 360))."""
 
     kind: Literal["sine"] = "sine"
-    frequency: float = Field(default=1.0, gt=0, le=1e4, description="Turns per second [Hz].")
+    frequency: float = Field(default=1.0, ge=1e-5, le=1e4, description="Turns per second [Hz].")
     phase: float = Field(default=0.0, ge=-360, le=360, description="Phase at the start [degrees].")
-    offset: float = Field(default=0.0, description="Factor around which it swings.")
+    offset: Factor = Field(default=0.0, description="Factor around which it swings.")
 
     @property
     def period(self) -> float:
@@ -90,8 +91,8 @@ class Keyframes(Table):
     """Factors at given times, straight in between."""
 
     kind: Literal["keyframes"] = "keyframes"
-    times: tuple[float, ...] = Field(default=(0.0, 1.0), description="Times since the start [s].")
-    factors: tuple[float, ...] = Field(default=(1.0, 1.0), description="Factors at these times.")
+    times: tuple[Instant, ...] = Field(default=(0.0, 1.0), description="Times since the start [s].")
+    factors: tuple[Factor, ...] = Field(default=(1.0, 1.0), description="Factors at these times.")
     repeat: bool = Field(default=False, description="Begin anew after the last.")
 
     @model_validator(mode="after")

@@ -16,6 +16,7 @@ from rosbags.rosbag2 import Reader
 from bridge.__main__ import main
 from bridge.commands import COMMANDS
 from bridge.info import describe_clip, diagnose
+from phy124.repeats import gathered
 
 ROOT = Path(__file__).parents[1]
 
@@ -157,3 +158,8 @@ def test_help_of_every_command(command, capsys):
         main([command, "--help"])
     assert ended.value.code == 0
     assert "usage: python -m bridge" in capsys.readouterr().out
+
+
+def test_every_set_of_a_live_run_counts():
+    given = ["play", "p.png", "--set", "a=1", "--live", "--set", "b=2"]
+    assert gathered(given, COMMANDS) == ["play", "p.png", "--live", "--set", "a=1", "b=2"]

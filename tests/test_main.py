@@ -98,7 +98,7 @@ def test_render_makes_every_format_from_any_angle(made, tmp_path, capsys):
     with Image.open(tmp_path / "azimuth-45.webp") as opened:
         assert opened.size == (48, 32)
     assert main([*clip, "--transparent"]) == 2
-    assert "choose the format webp, png or gif" in capsys.readouterr().err
+    assert "Choose the format webp, png or gif" in capsys.readouterr().err
 
 
 def test_an_object_that_leaves_the_picture_is_told_of(made, tmp_path, capsys):
@@ -136,6 +136,22 @@ def test_set_changes_any_value(made, tmp_path, capsys):
     assert scene.boundaries[1].depth == 0.2
 
 
+def test_repeated_options_add_up(made, tmp_path, capsys):
+    arguments = [
+        "simulate",
+        str(made / "gaussians.ply"),
+        "--set",
+        "material.E=5e4",
+        "seed=3",
+        *QUICK,
+    ]
+    arguments += ["--views", "front", "--set", "boundaries.1.depth=0.2", "--views=left", "--json"]
+    assert main([*arguments, "--out", str(tmp_path)]) == 0
+    scene = Scene.from_toml(tmp_path / "scene.toml")
+    assert (scene.material.E, scene.seed, scene.boundaries[1].depth) == (5e4, 3, 0.2)
+    assert scene.view.views == ("front", "left")
+
+
 def test_scenes_and_effects_and_doctor_print(capsys):
     assert main(["scenes"]) == 0
     assert "press" in capsys.readouterr().out
@@ -152,10 +168,19 @@ def test_scenes_and_effects_and_doctor_print(capsys):
     [
         (["generate", "none.png"], "none.png"),
         (["generate", str(DUCK), "--scene", "dance"], "scene = dance: no preset has that name."),
-        (["generate", str(DUCK), "--frames", "0"], "time.frames = 0: Input should be greater"),
+        (["generate", str(DUCK), "--frames", "0"], "time.frames = 0: it must be a whole number"),
         (["generate", str(DUCK), "--generator", "magic"], "generator = magic: There is no such"),
         (["generate", str(DUCK), "--foreground", "magic"], "magic"),
         (["generate", str(DUCK), "--device", "cuda:9"], "device = cuda:9: this machine has no"),
+        (["generate", str(DUCK), "--size", "64", "--size", "65"], "size = 65: it is given twice"),
+        (
+            ["generate", str(DUCK), "--set", "seed=1", "--set", "seed=2"],
+            "seed = 2: it is also asked to be 1. Give one of the two.",
+        ),
+        (
+            ["generate", str(DUCK), "--frames", "3", "--set", "time.frames=4"],
+            "time.frames = 4: it is also asked to be 3.",
+        ),
         (["generate", str(DUCK), "--set", "speed"], "set = speed: it is not KEY=VALUE."),
         (["generate", str(DUCK), "--set", "materal.E=3"], "Did you mean material?"),
         (["simulate", "none.ply"], "none.ply"),

@@ -142,5 +142,5 @@ def test_profiles_refuse_what_makes_no_sense():
         Keyframes(times=(0.0, 1.0, 2.0), factors=(0.0, 1.0))
     with pytest.raises(ValidationError, match="must increase"):
         Keyframes(times=(0.0, 1.0, 1.0), factors=(0.0, 1.0, 2.0))
-    with pytest.raises(ValidationError, match="greater than 0"):
+    with pytest.raises(ValidationError, match="greater than or equal to"):
         Sine(frequency=0.0)

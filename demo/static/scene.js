@@ -208,7 +208,7 @@
       const tag = schema.discriminator.propertyName, kinds = Object.keys(schema.discriminator.mapping);
       const of = (kind) => this.resolve({ $ref: schema.discriminator.mapping[kind] });
       const pick = h('select', { 'aria-label': `${words(name)}: ${tag}`, onchange: (event) => {
-        data[name] = this.fresh(of(event.target.value), data[name]); this.redraw();
+        data[name] = this.fresh(of(event.target.value)); this.redraw();
       } }, ...kinds.map((kind) => h('option', { value: kind, selected: kind === data[name][tag] }, words(kind))));
       const chosen = of(data[name][tag]);
       return this.section(name, pick, h('p', { class: 'hint' }, chosen.description || ''), this.fields(chosen, data[name]));
@@ -221,17 +221,16 @@
         h('button', { type: 'button', class: 'remove', 'aria-label': `Remove ${item[tag]}`, onclick: () => { data[name].splice(index, 1); this.redraw(); } }, '×'),
         this.fields(this.resolve({ $ref: mapping[item[tag]] }), item)));
       const add = h('select', { 'aria-label': `Add to ${name}`, onchange: (event) => {
-        if (event.target.value) { data[name].push(this.fresh(this.resolve({ $ref: mapping[event.target.value] }), {})); this.redraw(); }
+        if (event.target.value) { data[name].push(this.fresh(this.resolve({ $ref: mapping[event.target.value] }))); this.redraw(); }
       } }, h('option', { value: '' }, 'Add …'), ...Object.keys(mapping).map((kind) => h('option', { value: kind }, words(kind))));
       return this.section(name, ...items, add);
     }
 
-    /** A new section with its defaults, keeping what the old one had under the same names. */
-    fresh(schema, old) {
+    /** A new section with its own defaults: what a section of another kind had means nothing to it. */
+    fresh(schema) {
       const made = {};
       for (const [name, info] of Object.entries(schema.properties)) {
         if ('const' in info) made[name] = info.const;
-        else if (name in old) made[name] = old[name];
         else if ('default' in info && info.default !== null) made[name] = clone(info.default);
       }
       return made;

@@ -8,6 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from phy124.boundaries.base import Contact, Corners, Movable, box_of, half_bounds
+from phy124.bounds import Position
 from phy124.region import Vector
 
 if TYPE_CHECKING:
@@ -19,8 +20,8 @@ class Held(Movable):
 
     shape: ClassVar[str] = "box"
     kind: Literal["held"] = "held"
-    lower: Vector = Field(default=(-10.0, -10.0, -10.0), description="Lowest corner [m].")
-    upper: Vector = Field(default=(10.0, 10.0, 0.1), description="Highest corner [m].")
+    lower: Position = Field(default=(-10.0, -10.0, -10.0), description="Lowest corner [m].")
+    upper: Position = Field(default=(10.0, 10.0, 0.1), description="Highest corner [m].")
     contact: Contact = Field(default="sticky", description="sticky holds all directions.")
 
     def geometry(self, solver: Solver) -> tuple[Vector, Vector, Vector]:
@@ -41,7 +42,7 @@ class Foot(Movable):
 
     shape: ClassVar[str] = "half_space"
     kind: Literal["foot"] = "foot"
-    share: float = Field(default=0.15, gt=0, le=1, description="Held share of its height.")
+    share: float = Field(default=0.15, ge=1e-6, le=1, description="Held share of its height.")
     contact: Contact = Field(default="sticky", description="sticky holds all directions.")
 
     def geometry(self, solver: Solver) -> tuple[Vector, Vector, Vector]:

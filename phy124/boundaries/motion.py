@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from phy124.region import Vector
+from phy124.bounds import LONGEST, Instant, Position
 from phy124.tracks import Key, Sine, Track, check_times
 
 EASE = 16
@@ -21,7 +21,7 @@ class Motion(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    start: float = Field(default=0.0, ge=0, description="Begins to move [s].")
+    start: float = Field(default=0.0, ge=0, le=LONGEST, description="Begins to move [s].")
 
     def track(self) -> Track:
         """Displacement [m]; the rate of the track is the velocity of the wall."""
@@ -32,8 +32,8 @@ class Path(Motion):
     """From point to point."""
 
     kind: Literal["path"] = "path"
-    times: tuple[float, ...] = Field(default=(0.0, 1.0), description="Times since the start [s].")
-    points: tuple[Vector, ...] = Field(
+    times: tuple[Instant, ...] = Field(default=(0.0, 1.0), description="Times since the start [s].")
+    points: tuple[Position, ...] = Field(
         default=((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), description="Displacements then [m]."
     )
     smooth: bool = Field(default=True, description="Stop gently at each point.")
@@ -43,7 +43,9 @@ class Path(Motion):
     def _fits(self) -> Path:
         check_times(self.times, len(self.points), "points")
         if self.repeat and self.points[0] != self.points[-1]:
-            raise ValueError("a path that repeats must end where it begins")
+            raise ValueError(
+                "a path that repeats must end where it begins; let its last point be its first"
+            )
         return self
 
     def track(self) -> Track:
@@ -59,8 +61,8 @@ class Swing(Motion):
     """To and fro as a sine: a shaking base."""
 
     kind: Literal["swing"] = "swing"
-    amplitude: Vector = Field(default=(0.0, 0.05, 0.0), description="Greatest displacement [m].")
-    frequency: float = Field(default=2.0, gt=0, le=1e4, description="Swings per second [Hz].")
+    amplitude: Position = Field(default=(0.0, 0.05, 0.0), description="Greatest displacement [m].")
+    frequency: float = Field(default=2.0, ge=1e-5, le=1e4, description="Swings per second [Hz].")
 
     def track(self) -> Track:
         """One swing, repeated; it begins at rest in the middle with its greatest speed."""

@@ -10,6 +10,7 @@ from pydantic import Field, model_validator
 
 from phy124.boundaries.base import Boundary, Corners, Movable, half_bounds, vector
 from phy124.boundaries.motion import Path
+from phy124.bounds import LONGEST, SHORTEST, Direction, Position
 from phy124.region import Region, Vector
 from phy124.tracks import Track
 
@@ -32,8 +33,8 @@ class HalfSpace(Plane, Movable):
     """Everything behind a plane is solid."""
 
     kind: Literal["half_space"] = "half_space"
-    point: Vector = Field(default=(0.0, 0.0, 0.0), description="A point on the plane [m].")
-    normal: Vector = Field(default=(0.0, 0.0, 1.0), description="Direction out of the solid.")
+    point: Position = Field(default=(0.0, 0.0, 0.0), description="A point on the plane [m].")
+    normal: Direction = Field(default=(0.0, 0.0, 1.0), description="Direction out of the solid.")
 
     @model_validator(mode="after")
     def _points_somewhere(self) -> HalfSpace:
@@ -52,7 +53,7 @@ class Ground(Plane, Movable):
     """A floor at a height, on which objects stand by default."""
 
     kind: Literal["ground"] = "ground"
-    height: float = Field(default=0.0, description="Height of the floor [m].")
+    height: float = Field(default=0.0, ge=-1e5, le=1e5, description="Height of the floor [m].")
 
     def geometry(self, solver: Solver) -> tuple[Vector, Vector, Vector]:
         """Point and unit normal."""
@@ -64,15 +65,18 @@ class Press(Plane):
 
     kind: Literal["press"] = "press"
     top: float | None = Field(
-        default=None, description="Height of the plate at the start [m]; absent: on the object."
+        default=None,
+        ge=-1e5,
+        le=1e5,
+        description="Height of the plate at the start [m]; absent: on the object.",
     )
     depth: float = Field(
         default=0.35, gt=0, le=0.9, description="How far it comes down, in object heights."
     )
-    start: float = Field(default=0.0, ge=0, description="Begins to move [s].")
-    down: float = Field(default=0.25, gt=0, description="Time to come down [s].")
-    hold: float = Field(default=0.05, ge=0, description="Time at the bottom [s].")
-    up: float = Field(default=0.2, gt=0, description="Time to go back [s].")
+    start: float = Field(default=0.0, ge=0, le=LONGEST, description="Begins to move [s].")
+    down: float = Field(default=0.25, ge=SHORTEST, le=LONGEST, description="Time to come down [s].")
+    hold: float = Field(default=0.05, ge=0, le=LONGEST, description="Time at the bottom [s].")
+    up: float = Field(default=0.2, ge=SHORTEST, le=LONGEST, description="Time to go back [s].")
 
     def geometry(self, solver: Solver) -> tuple[Vector, Vector, Vector]:
         """Point and unit normal, before displacement."""

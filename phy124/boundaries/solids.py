@@ -10,6 +10,7 @@ from pydantic import Field, model_validator
 
 from phy124.boundaries.base import Boundary, Corners, Movable, box_of, vector
 from phy124.boundaries.motion import Path
+from phy124.bounds import LONGEST, SHORTEST, Position
 from phy124.region import Vector
 
 if TYPE_CHECKING:
@@ -23,8 +24,8 @@ class Box(Movable):
 
     shape: ClassVar[str] = "box"
     kind: Literal["box"] = "box"
-    lower: Vector = Field(default=(-0.2, -0.2, 0.0), description="Lowest corner [m].")
-    upper: Vector = Field(default=(0.2, 0.2, 0.2), description="Highest corner [m].")
+    lower: Position = Field(default=(-0.2, -0.2, 0.0), description="Lowest corner [m].")
+    upper: Position = Field(default=(0.2, 0.2, 0.2), description="Highest corner [m].")
 
     @model_validator(mode="after")
     def _ordered(self) -> Box:
@@ -50,8 +51,8 @@ class Sphere(Movable):
 
     shape: ClassVar[str] = "sphere"
     kind: Literal["sphere"] = "sphere"
-    centre: Vector = Field(default=(0.0, 0.0, 0.2), description="Centre [m].")
-    radius: float = Field(default=0.2, gt=0, le=1e4, description="Radius [m].")
+    centre: Position = Field(default=(0.0, 0.0, 0.2), description="Centre [m].")
+    radius: float = Field(default=0.2, ge=1e-9, le=1e5, description="Radius [m].")
 
     def geometry(self, solver: Solver) -> tuple[Vector, Vector, Vector]:
         """Centre and radius."""
@@ -71,9 +72,9 @@ class Capsule(Movable):
 
     shape: ClassVar[str] = "capsule"
     kind: Literal["capsule"] = "capsule"
-    start: Vector = Field(default=(0.0, -0.5, 0.2), description="One end of its axis [m].")
-    end: Vector = Field(default=(0.0, 0.5, 0.2), description="The other end [m].")
-    radius: float = Field(default=0.1, gt=0, le=1e4, description="Radius [m].")
+    start: Position = Field(default=(0.0, -0.5, 0.2), description="One end of its axis [m].")
+    end: Position = Field(default=(0.0, 0.5, 0.2), description="The other end [m].")
+    radius: float = Field(default=0.1, ge=1e-9, le=1e5, description="Radius [m].")
 
     @model_validator(mode="after")
     def _long(self) -> Capsule:
@@ -101,20 +102,22 @@ class Gripper(Boundary):
     kind: Literal["gripper"] = "gripper"
     friction: float = Field(default=1.0, ge=0, le=10, description="Coulomb friction coefficient.")
     axis: Axis = Field(default="y", description="Direction in which it closes.")
-    centre: Vector = Field(default=(0.0, 0.0, 0.5), description="Point between the pads [m].")
-    opening: float = Field(default=1.2, gt=0, le=1e4, description="Gap at the start [m].")
-    closed: float = Field(default=0.6, gt=0, le=1e4, description="Gap when closed [m].")
-    width: float = Field(default=0.4, gt=0, le=1e4, description="Edge of the square pads [m].")
-    thick: float = Field(default=0.2, gt=0, le=1e4, description="Thickness of the pads [m].")
-    start: float = Field(default=0.0, ge=0, description="Begins to close [s].")
-    close: float = Field(default=0.4, gt=0, description="Time to close [s].")
-    lift: float = Field(default=0.3, ge=0, description="Height it lifts afterwards [m].")
-    rise: float = Field(default=0.5, gt=0, description="Time to lift [s].")
+    centre: Position = Field(default=(0.0, 0.0, 0.5), description="Point between the pads [m].")
+    opening: float = Field(default=1.2, ge=1e-9, le=1e5, description="Gap at the start [m].")
+    closed: float = Field(default=0.6, ge=1e-9, le=1e5, description="Gap when closed [m].")
+    width: float = Field(default=0.4, ge=1e-9, le=1e5, description="Edge of the square pads [m].")
+    thick: float = Field(default=0.2, ge=1e-9, le=1e5, description="Thickness of the pads [m].")
+    start: float = Field(default=0.0, ge=0, le=LONGEST, description="Begins to close [s].")
+    close: float = Field(default=0.4, ge=SHORTEST, le=LONGEST, description="Time to close [s].")
+    lift: float = Field(default=0.3, ge=0, le=1e5, description="Height it lifts afterwards [m].")
+    rise: float = Field(default=0.5, ge=SHORTEST, le=LONGEST, description="Time to lift [s].")
 
     @model_validator(mode="after")
     def _closes(self) -> Gripper:
         if self.closed >= self.opening:
-            raise ValueError(f"closed {self.closed} m must be less than opening {self.opening} m")
+            raise ValueError(
+                f"closed {self.closed} m must be less than opening {self.opening} m; lower it"
+            )
         return self
 
     def pads(self) -> list[Box]:

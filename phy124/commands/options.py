@@ -83,18 +83,27 @@ class SceneOptions:
         }
         changes = {path: value for path, value in chosen.items() if value is not None}
         changes |= self.view.changes()
-        return Scene.named(self.scene).replaced({**changes, **assignments(self.set)})
+        return Scene.named(self.scene).replaced(together(changes, assignments(self.set)))
 
 
 def assignments(texts: tuple[str, ...]) -> dict[str, Any]:
     """KEY=VALUE texts as a dict; raises InputError."""
-    pairs = {}
+    pairs: dict[str, Any] = {}
     for text in texts:
         key, equals, value = text.partition("=")
         if not equals or not key:
             raise InputError("set", text, "it is not KEY=VALUE.", "Write material.E=2e4, say.")
-        pairs[key.strip()] = parse_value(value.strip())
+        pairs = together(pairs, {key.strip(): parse_value(value.strip())})
     return pairs
+
+
+def together(some: dict[str, Any], others: dict[str, Any]) -> dict[str, Any]:
+    """Two sets of changes as one; raises InputError if they do not agree about a value."""
+    for path in some.keys() & others.keys():
+        if some[path] != others[path]:
+            limit = f"it is also asked to be {some[path]}."
+            raise InputError(path, others[path], limit, "Give one of the two.")
+    return {**some, **others}
 
 
 def pick_device(name: str) -> str:

@@ -12,7 +12,7 @@ import tyro
 from phy124 import pipeline
 from phy124.clip import Clip
 from phy124.commands.bars import Bars
-from phy124.commands.options import ViewOptions, assignments, pick_device
+from phy124.commands.options import ViewOptions, assignments, pick_device, together
 from phy124.framing import framing
 from phy124.scene import Scene
 
@@ -37,8 +37,8 @@ class Render:
         """Render; prints the files."""
         clip = Clip.load(self.clip)
         changes = self.view.changes()
-        changes |= {f"view.{key}": value for key, value in assignments(self.set).items()}
-        view = Scene.from_data(clip.scene, str(self.clip)).replaced(changes).view
+        others = {f"view.{key}": value for key, value in assignments(self.set).items()}
+        view = Scene.from_data(clip.scene, str(self.clip)).replaced(together(changes, others)).view
         out = self.out or self.clip.parent
         with Bars(quiet=self.json) as bars, pipeline.staged(out) as folder:
             paths = pipeline.film(

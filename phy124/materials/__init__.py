@@ -4,7 +4,7 @@ A material is its own section of the scene file; its device functions are in phy
 formulae with their sources in docs/physics.md.
 """
 
-from typing import Annotated, Any, get_args
+from typing import Annotated
 
 from pydantic import Field
 
@@ -18,16 +18,6 @@ AnyMaterial = Annotated[
     NeoHookean | FixedCorotated | Hencky | Rigid | Metal | Plasticine | Foam | Sand | Snow | Fluid,
     Field(discriminator="law"),
 ]
-
-
-def forget_others(section: dict[str, Any]) -> None:
-    """Leave in a material's section only what its law has; all if there is no such law."""
-    union, _ = get_args(AnyMaterial)
-    known = {kind.model_fields["law"].default: kind.model_fields for kind in get_args(union)}
-    fields = known.get(str(section.get("law")), section)
-    for key in [key for key in section if key not in fields]:
-        del section[key]
-
 
 __all__ = [
     "AnyMaterial",
@@ -43,5 +33,4 @@ __all__ = [
     "Rigid",
     "Sand",
     "Snow",
-    "forget_others",
 ]

@@ -99,7 +99,7 @@ class Rigid(Elastic):
         default=1e10, ge=1, le=1e13, description="Young's modulus of the real body [Pa]."
     )
     speed: float = Field(
-        default=3.0, gt=0, le=1000, description="Greatest speed it hits something at [m/s]."
+        default=3.0, ge=1e-3, le=1000, description="Greatest speed it hits something at [m/s]."
     )
     strain: float = Field(
         default=0.005, ge=1e-4, le=0.1, description="Greatest strain at that impact."

@@ -30,7 +30,7 @@ class Metal(Elastic):
 
     E: float = Field(default=1e6, ge=1, le=1e13, description="Young's modulus [Pa].")
     yield_stress: float = Field(
-        default=2e4, gt=0, le=1e12, description="Uniaxial yield stress [Pa]."
+        default=2e4, ge=1e-3, le=1e12, description="Uniaxial yield stress [Pa]."
     )
     hardening: float = Field(
         default=0.0, ge=0, le=1e12, description="Rise of yield stress per plastic strain [Pa]."
@@ -61,7 +61,7 @@ class Plasticine(Elastic):
     E: float = Field(default=2e5, ge=1, le=1e13, description="Young's modulus [Pa].")
     nu: float = Field(default=0.4, ge=0, le=0.4999, description="Poisson's ratio.")
     yield_stress: float = Field(
-        default=4e3, gt=0, le=1e12, description="Uniaxial yield stress [Pa]."
+        default=4e3, ge=1e-3, le=1e12, description="Uniaxial yield stress [Pa]."
     )
     softening: float = Field(
         default=1e3, ge=0, le=1e12, description="Loss of yield stress per plastic strain [Pa]."
@@ -104,7 +104,7 @@ class Foam(Elastic):
         default=200.0, ge=0, le=1e12, description="Uniaxial yield stress [Pa]; 0 always flows."
     )
     viscosity: float = Field(
-        default=50.0, gt=0, le=1e9, description="Consistency of the flow [Pa s^n]."
+        default=50.0, ge=1e-6, le=1e9, description="Consistency of the flow [Pa s^n]."
     )
     flow_index: float = Field(
         default=0.7, ge=0.2, le=1, description="Exponent n: 1 Bingham, below 1 shear thinning."

@@ -1,0 +1,46 @@
+"""How far the numbers of a scene may go: what float32 and a grid of cells can still hold.
+
+Wider than any scene needs, narrow enough that no product of two of them overflows.
+"""
+
+from typing import Annotated
+
+from pydantic import AfterValidator, Field
+
+LONGEST = 1e5
+"""A clip lasts at most 1e4 s; whatever begins later never does."""
+SHORTEST = 1e-6
+"""Shorter than any substep of an object that one can see [s]."""
+
+_Coordinate = Annotated[float, Field(ge=-1e5, le=1e5)]
+_Rate = Annotated[float, Field(ge=-1e5, le=1e5)]
+_Push = Annotated[float, Field(ge=-1e9, le=1e9)]
+_Direction = Annotated[float, Field(ge=-1e6, le=1e6)]
+
+Position = tuple[_Coordinate, _Coordinate, _Coordinate]
+"""A place or a displacement [m]."""
+Velocity = tuple[_Rate, _Rate, _Rate]
+"""A velocity [m/s], or an angular one [rad/s]."""
+Push = tuple[_Push, _Push, _Push]
+"""An acceleration [m/s^2], a force [N] or a momentum [N s]."""
+Direction = tuple[_Direction, _Direction, _Direction]
+"""A vector whose length means nothing."""
+Factor = Annotated[float, Field(ge=-1e6, le=1e6)]
+"""What a time profile multiplies by."""
+Instant = Annotated[float, Field(ge=0, le=LONGEST)]
+"""A time since the start [s]."""
+Colour = Annotated[float, Field(ge=0, le=1)]
+"""A channel of a colour."""
+
+
+def _writable(text: str) -> str:
+    """Text that a file can hold."""
+    try:
+        text.encode("utf-8")
+    except UnicodeEncodeError:
+        raise ValueError("it has characters that no file can hold; write it in UTF-8") from None
+    return text
+
+
+Text = Annotated[str, AfterValidator(_writable)]
+"""What is written into scene files as it is."""

@@ -1,0 +1,64 @@
+"""Options given more than once: lists add up, anything else must agree with itself.
+
+argparse, which reads the command line, keeps the last and drops the others without a word.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
+
+from phy124.errors import InputError
+
+
+def gathered(arguments: Sequence[str], commands: Mapping[str, type]) -> list[str]:
+    """The same arguments with each option once; raises InputError."""
+    if not arguments or arguments[0] not in commands:
+        return list(arguments)
+    lists = list_options(commands[arguments[0]])
+    rest: list[str] = []
+    listed: dict[str, list[str]] = {}
+    single: dict[str, str | None] = {}
+    for name, values in _options(arguments):
+        if name in lists:
+            # With `=` an option has that one value; what follows is not its own.
+            listed.setdefault(name, []).extend(values)
+            continue
+        value = values[0] if values else None
+        if name and single.setdefault(name, value) != value:
+            limit = f"it is given twice, as {single[name]} and as {value}."
+            raise InputError(name.removeprefix("--"), value, limit, "Give it once.")
+        rest += [name, *values] if name else values
+    return [*rest, *(text for name, values in listed.items() for text in (name, *values))]
+
+
+def list_options(command: Any) -> set[str]:
+    """Names of a command's options that take any number of values."""
+    found: set[str] = set()
+    hints = get_type_hints(command, include_extras=True)
+    for field in fields(command):
+        kind = _plain(hints[field.name])
+        if is_dataclass(kind):
+            found |= list_options(kind)
+        elif any(Ellipsis in get_args(one) for one in (kind, *get_args(kind))):
+            found.add("--" + field.name.replace("_", "-"))
+    return found
+
+
+def _plain(annotation: Any) -> Any:
+    return _plain(get_args(annotation)[0]) if get_origin(annotation) is Annotated else annotation
+
+
+def _options(arguments: Sequence[str]) -> list[tuple[str, list[str]]]:
+    """Each option with what follows it; first what comes before any, under no name."""
+    found: list[tuple[str, list[str]]] = [("", [])]
+    for text in arguments:
+        if not text.startswith("--"):
+            found[-1][1].append(text)
+            continue
+        name, equals, value = text.partition("=")
+        found.append((name.replace("_", "-"), [value] if equals else []))
+        if equals:
+            found.append(("", []))
+    return found

@@ -1,0 +1,26 @@
+"""Everything a user can choose: the scene, its sections, its presets."""
+
+from phy124.scene.accuracies import PRESETS, PROMISES, Accuracy, AccuracyName, Promise
+from phy124.scene.changes import parse_value
+from phy124.scene.scene import Scene, preset_names
+from phy124.scene.section import Section
+from phy124.scene.sections import Object, Part, Timing
+from phy124.scene.view import Format, View, ViewName
+
+__all__ = [
+    "PRESETS",
+    "PROMISES",
+    "Accuracy",
+    "AccuracyName",
+    "Format",
+    "Object",
+    "Part",
+    "Promise",
+    "Scene",
+    "Section",
+    "Timing",
+    "View",
+    "ViewName",
+    "parse_value",
+    "preset_names",
+]

@@ -1,0 +1,146 @@
+"""Scene: everything a user can choose, one frozen tree, read from and written to TOML.
+
+This is the only declaration of an option: its bounds and description serve validation, the
+command line's help and the web page's sliders alike.
+"""
+
+from __future__ import annotations
+
+import difflib
+import os
+import sys
+from importlib import resources
+from pathlib import Path
+from typing import Any, Literal
+
+import tomli_w
+from pydantic import Field, ValidationError
+
+from phy124.boundaries import AnyBoundary, Ground
+from phy124.bounds import Text
+from phy124.errors import InputError
+from phy124.forces import AnyForce, Gravity
+from phy124.materials import AnyMaterial, NeoHookean
+from phy124.scene.accuracies import PRESETS, Accuracy, AccuracyName
+from phy124.scene.changes import apply
+from phy124.scene.refusals import refusal
+from phy124.scene.section import Section
+from phy124.scene.sections import Object, Part, Timing
+from phy124.scene.view import View
+from phy124.stiffness import AnyStiffness
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+
+class Scene(Section):
+    """One complete simulation: object, material, forces, boundaries, accuracy, time and view."""
+
+    description: Text = Field(
+        default="", max_length=1000, description="What happens, in a sentence."
+    )
+    seed: int = Field(default=0, ge=0, le=2**31 - 1, description="Seed of everything random.")
+    object: Object = Field(default_factory=Object)
+    material: AnyMaterial = Field(default_factory=NeoHookean, description="Constitutive law.")
+    parts: tuple[Part, ...] = Field(default=(), description="Parts of other materials.")
+    stiffness: AnyStiffness | None = Field(
+        default=None, description="How E varies inside the object; absent: not at all."
+    )
+    forces: tuple[AnyForce, ...] = Field(default=(Gravity(),), description="What pushes.")
+    boundaries: tuple[AnyBoundary, ...] = Field(default=(Ground(),), description="What is solid.")
+    accuracy: AccuracyName | Accuracy = Field(
+        default="standard",
+        description="draft (error up to 7 % of the object's size), standard (4 %), fine (3 %), "
+        "or a table of cells, ppc, cfl and precision.",
+    )
+    binding: Literal["particles", "field"] = Field(
+        default="particles",
+        description="particles: every Gaussian is a particle (the paper); field: they ride along.",
+    )
+    time: Timing = Field(default_factory=Timing)
+    velocities: bool = Field(
+        default=False,
+        description="Keep the velocity of each Gaussian; speeds also follow from the places.",
+    )
+    view: View = Field(default_factory=View)
+
+    @property
+    def resolution(self) -> Accuracy:
+        """The accuracy settings, names looked up."""
+        return PRESETS[self.accuracy] if isinstance(self.accuracy, str) else self.accuracy
+
+    @property
+    def materials(self) -> list[AnyMaterial]:
+        """The scene's material, then those of its parts that move."""
+        return [self.material, *(part.material for part in self.parts if not part.static)]
+
+    @property
+    def dx(self) -> float:
+        """Grid spacing [m]."""
+        return self.object.size / self.resolution.cells
+
+    @classmethod
+    def from_data(cls, data: dict[str, Any], source: str = "scene") -> Scene:
+        """Validate plain data; raises InputError naming field, value, limit and remedy."""
+        try:
+            return cls.model_validate(data)
+        except ValidationError as error:
+            raise refusal(error, source, cls) from None
+
+    @classmethod
+    def from_toml(cls, path: str | os.PathLike[str]) -> Scene:
+        """Read a scene file; raises InputError."""
+        try:
+            data = tomllib.loads(Path(path).read_text("utf-8-sig"))
+        except (OSError, UnicodeDecodeError) as error:
+            raise InputError(
+                "scene", path, f"it cannot be read ({error}).", "Give a TOML file or a preset name."
+            ) from None
+        except tomllib.TOMLDecodeError as error:
+            raise InputError(
+                "scene", path, f"it is not valid TOML: {error}.", "Correct that line."
+            ) from None
+        return cls.from_data(data, str(path))
+
+    @classmethod
+    def named(cls, name: str) -> Scene:
+        """A preset by name, or a scene file by path; raises InputError."""
+        if name in preset_names():
+            return cls.from_toml(preset_folder() / f"{name}.toml")
+        if Path(name).suffix == ".toml":
+            return cls.from_toml(name)
+        close = difflib.get_close_matches(name, preset_names(), 1)
+        hint = f"Did you mean {close[0]}? " if close else ""
+        known = ", ".join(preset_names())
+        raise InputError(
+            "scene", name, "no preset has that name.", f"{hint}Give a .toml file or one of {known}."
+        )
+
+    def data(self) -> dict[str, Any]:
+        """The whole tree as plain data; what is None is left out."""
+        return self.model_dump(mode="json", exclude_none=True)
+
+    def to_toml(self) -> str:
+        """The whole tree as TOML."""
+        return tomli_w.dumps(self.data())
+
+    def replaced(self, changes: dict[str, Any]) -> Scene:
+        """With other values at dotted paths, such as {"material.E": 2e4}; raises InputError.
+
+        A material of another law, or a force or boundary of another kind, takes its own defaults.
+        """
+        data = self.data()
+        apply(data, changes)
+        return Scene.from_data(data)
+
+
+def preset_names() -> list[str]:
+    """Names of the packaged scenes, in alphabetical order."""
+    return sorted(path.stem for path in preset_folder().glob("*.toml"))
+
+
+def preset_folder() -> Path:
+    """Where the packaged scenes lie."""
+    return Path(str(resources.files("phy124") / "presets"))

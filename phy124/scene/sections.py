@@ -1,0 +1,83 @@
+"""The sections of a scene but its view: the object, its parts, which instants are kept."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from pydantic import Field, model_validator
+
+from phy124.bounds import Text, Velocity
+from phy124.materials import AnyMaterial, NeoHookean
+from phy124.region import Region
+from phy124.scene.section import Section
+
+Number = Annotated[int, Field(ge=0, le=10_000_000)]
+"""The number of a Gaussian."""
+
+
+class Object(Section):
+    """The object made from the picture and how it stands in the world."""
+
+    size: float = Field(default=1.0, ge=1e-6, le=1e4, description="Longest side [m].")
+    lift: float = Field(
+        default=0.0, ge=0, le=1e4, description="Height of its lowest point above z = 0 [m]."
+    )
+    velocity: Velocity = Field(default=(0.0, 0.0, 0.0), description="Velocity at the start [m/s].")
+    spin: Velocity = Field(
+        default=(0.0, 0.0, 0.0), description="Angular velocity about its middle [rad/s]."
+    )
+
+
+class Timing(Section):
+    """Which instants are kept."""
+
+    frames: int = Field(default=14, ge=1, le=10_000, description="Number of frames.")
+    fps: float = Field(default=24.0, ge=1, le=1000, description="Frames per second of motion.")
+    substep: float | None = Field(
+        default=None,
+        ge=1e-9,
+        le=1,
+        description="Longest substep allowed [s]; absent: as stability needs.",
+    )
+    sleep: bool = Field(
+        default=True,
+        description="Leave substeps out while the object rests; at most 3e-4 of its size astray.",
+    )
+    patience: float = Field(
+        default=7200.0,
+        ge=1e-3,
+        le=1e8,
+        description="A simulation forecast to take longer is refused [s].",
+    )
+
+
+class Part(Section):
+    """A part of the object that is made of another material, or does not move at all."""
+
+    material: AnyMaterial = Field(default_factory=NeoHookean, description="Its material.")
+    static: bool = Field(
+        default=False, description="Scenery: it is seen, but neither moves nor touches anything."
+    )
+    region: Region | None = Field(default=None, description="Box of space it lies in [m].")
+    mask: Text | None = Field(
+        default=None,
+        max_length=4096,
+        description="Picture file, white where it is seen from the front.",
+    )
+    gaussians: tuple[Number, Number] | None = Field(
+        default=None, description="Its Gaussians: the first and one past the last."
+    )
+
+    @model_validator(mode="after")
+    def _picked(self) -> Part:
+        if self.region is None and self.mask is None and self.gaussians is None:
+            raise ValueError(
+                "a part needs a region, a mask or gaussians to say where it is; give one of them"
+            )
+        if self.static and self.material != NeoHookean():
+            raise ValueError("a static part is made of nothing; leave its material out")
+        return self
+
+    def data(self) -> dict[str, Any]:
+        """How it is picked, as plain data."""
+        return self.model_dump(mode="json", exclude_none=True, exclude={"material", "static"})

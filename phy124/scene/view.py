@@ -1,0 +1,125 @@
+"""View: from where, in what size and in which formats a clip is filmed."""
+
+from __future__ import annotations
+
+import difflib
+from typing import Annotated, Any, Literal
+
+from pydantic import (
+    BeforeValidator,
+    Field,
+    PlainSerializer,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
+
+from phy124.bounds import Colour
+from phy124.camera import FOV_Y
+from phy124.scene.section import Section
+
+ViewName = Literal["front", "right", "back", "left", "orbit"]
+Format = Literal["mp4", "webp", "gif", "png", "usd", "ply"]
+Degrees = Annotated[float, Field(ge=-360, le=360)]
+
+
+def _named_colour(value: Any) -> Any:
+    """The channels of a colour that CSS has a name for, or that is written as #rrggbb."""
+    if not isinstance(value, str):
+        return value
+    from PIL import ImageColor
+
+    try:
+        return tuple(channel / 255 for channel in ImageColor.getrgb(value)[:3])
+    except ValueError:
+        close = difflib.get_close_matches(value, ImageColor.colormap, 1)
+        hint = (
+            f"did you mean {close[0]}?" if close else 'write "grey", "#808080" or [0.5, 0.5, 0.5]'
+        )
+        raise ValueError(f"CSS knows no colour of that name; {hint}") from None
+
+
+Background = Annotated[tuple[Colour, Colour, Colour], BeforeValidator(_named_colour)]
+"""Red, green and blue."""
+
+
+def _width_and_height(size: Any) -> Any:
+    """512, "512", [640, 480] or "640x480" as two sides; what is neither is refused later."""
+    sides = size.lower().split("x") if isinstance(size, str) else size
+    sides = sides if isinstance(sides, (tuple, list)) else [sides]
+    return [*sides, *sides] if len(sides) == 1 else sides
+
+
+def _shortest(size: tuple[int, int]) -> int | tuple[int, int]:
+    return size[0] if size[0] == size[1] else size
+
+
+Side = Annotated[int, Field(ge=16, le=4096)]
+Size = Annotated[
+    tuple[Side, Side],
+    BeforeValidator(_width_and_height, json_schema_input_type=Side | tuple[Side, Side]),
+    PlainSerializer(_shortest),
+]
+"""Width and height; one number, or text such as 640x480, is taken as well."""
+
+
+class View(Section):
+    """How the clip is filmed."""
+
+    views: tuple[ViewName, ...] = Field(
+        default=("front", "right", "back", "left", "orbit"),
+        description="Sides to film: front, right, back, left, orbit.",
+    )
+    azimuths: tuple[Degrees, ...] = Field(
+        default=(), description="Sides besides, by angle: 0 is the front, 90 the right [deg]."
+    )
+    formats: tuple[Format, ...] = Field(
+        default=("mp4",),
+        description="Of each side a video (mp4, webp, gif) or a folder of pictures (png); "
+        "of the whole clip usd, or ply, a folder with a file per frame.",
+    )
+    size: Size = Field(
+        default=(512, 512), description="Width and height, or one number for both [pixels]."
+    )
+    elevation: float = Field(
+        default=10.0, ge=-89, le=89, description="Camera height angle, positive looks down [deg]."
+    )
+    distance: float = Field(
+        default=1.9, ge=0.6, le=100, description="Camera distance, in object sizes."
+    )
+    follow: bool = Field(
+        default=False, description="The camera goes along and keeps what moves in the middle."
+    )
+    fov: float = Field(default=FOV_Y, ge=1, le=120, description="Vertical field of view [deg].")
+    background: Background = Field(
+        default=(1.0, 1.0, 1.0),
+        description="Background colour: red, green and blue from 0 to 1, or a CSS name.",
+    )
+    transparent: bool = Field(
+        default=False, description="No background: formats webp, png, and gif (all or nothing)."
+    )
+    fps: float | None = Field(
+        default=None, ge=1, le=120, description="Playback rate of the MP4s; absent: real time."
+    )
+
+    @model_validator(mode="after")
+    def _sides(self) -> View:
+        if not self.sides or len(set(self.sides)) != len(self.sides):
+            raise ValueError(
+                "views must name at least one view, or azimuths an angle, each once; name each once"
+            )
+        if not self.formats or len(set(self.formats)) != len(self.formats):
+            raise ValueError("formats must name at least one format, each once; name each once")
+        return self
+
+    @field_validator("transparent")
+    @classmethod
+    def _can_be(cls, transparent: bool, info: ValidationInfo) -> bool:
+        if transparent and "mp4" in info.data.get("formats", ()):
+            raise ValueError("an MP4 cannot be transparent; choose the format webp, png or gif")
+        return transparent
+
+    @property
+    def sides(self) -> tuple[str, ...]:
+        """Names of all sides: the views, then such as "azimuth-45"."""
+        return (*self.views, *(f"azimuth-{azimuth % 360:g}" for azimuth in self.azimuths))
