@@ -42,7 +42,7 @@ def film(
             before = watch.seconds.get("render", 0.0)
             with watch.stage("encode"):
                 images = watch.each("render", _images(clip, view, side, device, progress))
-                made.append(ENCODERS[name](folder, side, images, view.fps or _rate(clip)))
+                made.append(ENCODERS[name](folder, side, images, view.fps or rate(clip)))
             watch.seconds["encode"] -= watch.seconds.get("render", 0.0) - before
     return made
 
@@ -101,6 +101,6 @@ EXPORTS: dict[str, Callable[[Clip, Path, Progress], Path]] = {"usd": _usd, "ply"
 """Formats made of the whole clip, likewise."""
 
 
-def _rate(clip: Clip) -> float:
+def rate(clip: Clip) -> float:
     """Frames per second at which a clip plays in real time."""
     return float((len(clip) - 1) / (clip.times[-1] - clip.times[0])) if len(clip) > 1 else 24.0

@@ -27,6 +27,7 @@ from phy124.clip import Clip
 from phy124.errors import InputError
 from phy124.film import cameras as cameras
 from phy124.film import film as film
+from phy124.film import rate as rate
 from phy124.framing import framing
 from phy124.gaussians import Gaussians
 from phy124.generators import Generator, needs_image

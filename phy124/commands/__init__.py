@@ -1,6 +1,7 @@
 """One class per command of the command line: its fields are its options, `run` does the work."""
 
 from phy124.commands.accuracy import ShowAccuracy
+from phy124.commands.compare import Compare
 from phy124.commands.doctor import Doctor
 from phy124.commands.effects import ShowEffects
 from phy124.commands.evaluate import Evaluate
@@ -19,6 +20,7 @@ COMMANDS = {
     "effects": ShowEffects,
     "accuracy": ShowAccuracy,
     "evaluate": Evaluate,
+    "compare": Compare,
     "weights": Weights,
     "doctor": Doctor,
 }

@@ -25,14 +25,12 @@ Listed = tuple[str, ...] | None
 
 
 @dataclass(frozen=True)
-class ViewOptions:
-    """How a clip is filmed."""
+class CameraOptions:
+    """Where a clip is filmed from."""
 
     views: Annotated[Listed, help_of(View, "views")] = None
     azimuth: Annotated[Listed, help_of(View, "azimuths")] = None
     size: Annotated[str | None, help_of(View, "size", example="512 or 1920x1080")] = None
-    format: Annotated[Listed, help_of(View, "formats")] = None
-    transparent: Annotated[bool, help_of(View, "transparent")] = False
     follow: Annotated[bool, help_of(View, "follow")] = False
 
     def changes(self) -> dict[str, Any]:
@@ -41,13 +39,25 @@ class ViewOptions:
             "view.views": _items(self.views),
             "view.azimuths": _items(self.azimuth),
             "view.size": self.size,
-            "view.formats": _items(self.format),
-            "view.transparent": self.transparent or None,
             "view.follow": self.follow or None,
         }
         if self.azimuth is not None and self.views is None:
             chosen["view.views"] = []
         return {path: value for path, value in chosen.items() if value is not None}
+
+
+@dataclass(frozen=True)
+class ViewOptions(CameraOptions):
+    """How a clip is filmed."""
+
+    format: Annotated[Listed, help_of(View, "formats")] = None
+    transparent: Annotated[bool, help_of(View, "transparent")] = False
+
+    def changes(self) -> dict[str, Any]:
+        """What is chosen, by its path in the scene."""
+        chosen = {"view.formats": _items(self.format), "view.transparent": self.transparent or None}
+        made = {path: value for path, value in chosen.items() if value is not None}
+        return super().changes() | made
 
 
 def _items(texts: Listed) -> list[Any] | None:

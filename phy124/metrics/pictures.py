@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
 
 Video = NDArray
 """[T,H,W,3], uint8 or float in 0..1."""
@@ -35,10 +34,12 @@ def ssim(a: NDArray, b: NDArray) -> float:
     Wang et al. 2004, "Image Quality Assessment": a Gaussian window of 11 x 11 pixels, the mean
     over all windows that lie inside the picture and over the channels.
     """
+    import cv2
+
     x, y = unit(a), unit(b)
 
     def mean(values: NDArray) -> NDArray:
-        return gaussian_filter(values, (SIGMA, SIGMA, 0), truncate=REACH / SIGMA)
+        return cv2.GaussianBlur(values, (2 * REACH + 1, 2 * REACH + 1), SIGMA)
 
     mx, my = mean(x), mean(y)
     vx, vy, vxy = mean(x * x) - mx * mx, mean(y * y) - my * my, mean(x * y) - mx * my

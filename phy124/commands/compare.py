@@ -1,0 +1,85 @@
+"""`phy124 compare`: how far two clips are apart, in figures and side by side."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+
+from phy124 import pipeline
+from phy124.clip import Clip
+from phy124.commands.bars import Bars
+from phy124.commands.options import CameraOptions, pick_device
+from phy124.metrics.comparison import Likeness, Pictures, check_comparable, compare
+from phy124.progress import Progress
+from phy124.render import render_frames
+from phy124.scene import Scene, View
+from phy124.video import Picture, write_mp4
+
+
+@dataclass(frozen=True)
+class Compare:
+    """Measure how far two clips of one object are apart, and film them side by side."""
+
+    a: tyro.conf.Positional[Path]
+    """clip.safetensors, or the folder it is in; shown on the left, and its cameras film both."""
+    b: tyro.conf.Positional[Path]
+    """The other one."""
+    view: Annotated[CameraOptions, tyro.conf.arg(name="")] = field(default_factory=CameraOptions)
+    out: Path | None = None
+    """Folder of comparison.json and the videos; default compare-B beside the first clip."""
+    device: str = "auto"
+    """auto, cpu or cuda:0."""
+    json: bool = False
+    """Print the figures as JSON and nothing else."""
+
+    def run(self) -> int:
+        """Compare; prints the table and the files."""
+        paths = [path / "clip.safetensors" if path.is_dir() else path for path in (self.a, self.b)]
+        a, b = (Clip.load(path) for path in paths)
+        check_comparable(a, b)
+        view = Scene.from_data(a.scene, str(paths[0])).replaced(self.view.changes()).view
+        out = self.out or paths[0].parent / f"compare-{_name(paths[1])}"
+        device = pick_device(self.device)
+        with Bars(quiet=self.json) as bars, pipeline.staged(out) as folder:
+            seen = tuple(_filmed(a, b, view, side, folder, device, bars) for side in view.sides)
+            found = compare(a, b, seen)
+            data = {"clips": [str(path) for path in paths], **found.data()}
+            text = json.dumps(data, indent=2) + "\n"
+            (folder / "comparison.json").write_text(text, "utf-8")
+            files = [str(out / path.name) for path in sorted(folder.iterdir())]
+        print(json.dumps({**data, "files": files}) if self.json else found.table())
+        if not self.json:
+            print("\n".join(files))
+        return 0
+
+
+def _name(path: Path) -> str:
+    """What tells a clip from others: its file's name or, if that is the usual one, its folder's."""
+    return path.resolve().parent.name if path.stem == "clip" else path.stem
+
+
+def _filmed(
+    a: Clip, b: Clip, view: View, side: str, folder: Path, device: str, progress: Progress
+) -> Likeness:
+    """Film both from one side, one beside the other, and measure as the pictures pass."""
+    measured, seen = Pictures(), pipeline.cameras(a, view, side)
+
+    def images(clip: Clip) -> Iterator[Picture]:
+        return render_frames(
+            clip.frames(), seen, background=view.background, device=device,
+            progress=lambda _, done, total: progress(f"compare {side}", done, total),
+        )  # fmt: skip
+
+    def pairs() -> Iterator[Picture]:
+        for left, right in zip(images(a), images(b), strict=True):
+            measured.add(left, right)
+            yield np.concatenate([left, right], axis=1)
+
+    write_mp4(folder / f"{side}.mp4", pairs(), fps=view.fps or pipeline.rate(a))
+    return measured.likeness(side)

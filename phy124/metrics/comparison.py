@@ -1,0 +1,157 @@
+"""Two clips of the same Gaussians, compared: where they are, what colour, and as seen."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.clip import Clip
+from phy124.errors import InputError
+from phy124.metrics.pictures import psnr, ssim
+
+SAME_OBJECT = 0.1
+"""RMS distance of two objects at rest, in sizes, from which they are not the same one."""
+SAME_TIME = 1e-6
+"""Difference of two instants that does not count, s."""
+
+
+@dataclass(frozen=True)
+class Likeness:
+    """The pictures of two clips from one side."""
+
+    view: str
+    psnr: float | None
+    """Of the whole videos [dB]; None if they are equal."""
+    ssim: float
+    """Mean over the frames, -1 to 1."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """How far two clips are apart."""
+
+    frames: int
+    gaussians: int
+    size: float
+    """Longest side of the first clip's object at rest, m."""
+    position_rms: float
+    """RMS distance of all Gaussians over all frames, in object sizes."""
+    position_max: float
+    """Greatest distance of one Gaussian, in object sizes."""
+    worst_frame: int
+    """The frame with the greatest RMS distance, from 0."""
+    colour_rms: float
+    """RMS difference of the channels of the Gaussians' colours, 0 to 1."""
+    colour_max: float
+    views: tuple[Likeness, ...] = ()
+
+    def data(self) -> dict[str, Any]:
+        """As plain data."""
+        return asdict(self)
+
+    def table(self) -> str:
+        """As text."""
+        lines = [
+            f"{self.frames} frames, {self.gaussians:,} Gaussians, object of {self.size:.3g} m",
+            f"positions  RMS {self.position_rms:.3g}, at most {self.position_max:.3g} "
+            f"object sizes; worst frame {self.worst_frame}",
+            f"colours    RMS {self.colour_rms:.3g}, at most {self.colour_max:.3g} of 1",
+        ]
+        if self.views:
+            lines.append(f"{'view':<14}{'PSNR dB':>9}{'SSIM':>9}")
+        for one in self.views:
+            decibel = "equal" if one.psnr is None else f"{one.psnr:.2f}"
+            lines.append(f"{one.view:<14}{decibel:>9}{one.ssim:>9.4f}")
+        return "\n".join(lines)
+
+
+def compare(a: Clip, b: Clip, views: tuple[Likeness, ...] = ()) -> Comparison:
+    """Distances of `b` from `a`, with the likeness of their pictures if it was measured.
+
+    Raises:
+        InputError: If they are not two motions of one object at the same instants.
+    """
+    check_comparable(a, b)
+    size = _size(a)
+    squares = np.stack([_squares(x, y) for x, y in zip(a.means, b.means, strict=True)])
+    colours = a.frame(0).gaussians.rgb.astype(float) - b.frame(0).gaussians.rgb
+    return Comparison(
+        frames=len(a),
+        gaussians=len(a.opacities),
+        size=size,
+        position_rms=math.sqrt(squares.mean()) / size,
+        position_max=math.sqrt(squares.max()) / size,
+        worst_frame=int(squares.mean(axis=1).argmax()),
+        colour_rms=math.sqrt((colours**2).mean()),
+        colour_max=float(np.abs(colours).max()),
+        views=views,
+    )
+
+
+def check_comparable(a: Clip, b: Clip) -> None:
+    """Raise InputError, in words, for two clips that have no Gaussian by Gaussian difference."""
+    if not len(a) or not a.opacities.size:
+        raise _refusal("the first one is empty.", "Give clips with frames and Gaussians.")
+    one, other = len(a.opacities), len(b.opacities)
+    if one != other:
+        raise _refusal(
+            f"they have {one:,} and {other:,} Gaussians.",
+            "Make both from one picture or .ply file, with the same generator and seed.",
+        )
+    if len(a) != len(b):
+        raise _refusal(
+            f"they have {len(a)} and {len(b)} frames.",
+            f"Simulate one of them again with --frames {len(a)} or --frames {len(b)}.",
+        )
+    late = float(np.abs(a.times - b.times).max())
+    if late > SAME_TIME:
+        raise _refusal(
+            f"their frames are up to {late:.3g} s apart in time.",
+            "Simulate one of them again with the other's time.fps.",
+        )
+    apart = math.sqrt(_squares(_centred(a), _centred(b)).mean()) / _size(a)
+    if not apart <= SAME_OBJECT:
+        raise _refusal(
+            f"they begin as different objects: {apart:.0%} of the size apart at rest.",
+            "Make both from one picture or .ply file, with the same object.size.",
+        )
+
+
+@dataclass
+class Pictures:
+    """Takes pairs of pictures one by one and keeps no more than sums."""
+
+    errors: list[float] = field(default_factory=list)
+    similarities: list[float] = field(default_factory=list)
+
+    def add(self, a: NDArray[np.uint8], b: NDArray[np.uint8]) -> None:
+        """One more frame."""
+        self.errors.append(10 ** (-psnr(a, b) / 10))
+        self.similarities.append(ssim(a, b))
+
+    def likeness(self, view: str) -> Likeness:
+        """Of all frames so far."""
+        error = float(np.mean(self.errors))
+        decibel = None if error == 0 else -10 * math.log10(error)
+        return Likeness(view, decibel, float(np.mean(self.similarities)))
+
+
+def _size(clip: Clip) -> float:
+    return float(np.ptp(clip.means[0], axis=0).max()) or 1.0
+
+
+def _centred(clip: Clip) -> NDArray[np.float64]:
+    rest = clip.means[0].astype(np.float64)
+    return rest - rest.mean(axis=0)
+
+
+def _squares(a: NDArray, b: NDArray) -> NDArray[np.float64]:
+    return ((a.astype(np.float64) - b) ** 2).sum(axis=-1)
+
+
+def _refusal(limit: str, remedy: str) -> InputError:
+    return InputError("clips", "A and B", f"they cannot be compared: {limit}", remedy)
