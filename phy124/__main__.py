@@ -19,6 +19,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from phy124.commands import COMMANDS
     from phy124.errors import Cancelled, InputError
     from phy124.repeats import gathered
+    from phy124.signals import handled, interrupt
 
     wp.config.log_level = wp.LOG_ERROR
     arguments = list(sys.argv[1:] if arguments is None else arguments)
@@ -26,7 +27,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         command = tyro.extras.subcommand_cli_from_dict(
             COMMANDS, prog="phy124", description=__doc__, args=gathered(arguments, COMMANDS)
         )
-        return command.run()
+        with handled(interrupt):
+            return command.run()
     except InputError as error:
         _complain(str(error), as_json="--json" in arguments)
         return 2

@@ -3,16 +3,55 @@
 from __future__ import annotations
 
 import os
+import shutil
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from phy124.errors import InputError
 
+PathLike = str | os.PathLike[str]
+
 
 @contextmanager
-def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
+def staged(out: PathLike) -> Iterator[Path]:
+    """A folder to fill; its files move into `out` only if all went well.
+
+    Otherwise the folders that had to be made for it go again, unless somebody else uses them.
+
+    Raises:
+        InputError: If `out` cannot be a folder.
+    """
+    out, missing = Path(out), []
+    try:
+        missing = [path for path in (out, *out.parents) if not path.exists()]
+        out.mkdir(parents=True, exist_ok=True)
+        folder = Path(tempfile.mkdtemp(prefix=".making-", dir=out))
+    except OSError as error:
+        _remove_empty(missing)
+        why = "it is a file" if out.is_file() else f"it cannot be written ({error.strerror})"
+        raise InputError("out", out, f"{why}.", "Choose another folder.") from None
+    try:
+        yield folder
+        for path in sorted(folder.iterdir()):
+            if path.is_dir():  # a folder takes no other's place: pictures of an older run would mix
+                shutil.rmtree(out / path.name, ignore_errors=True)
+            os.replace(path, out / path.name)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        _remove_empty(missing)
+
+
+def _remove_empty(folders: list[Path]) -> None:
+    """Remove folders, the innermost first, as long as they are empty."""
+    with suppress(OSError):
+        for folder in folders:
+            folder.rmdir()
+
+
+@contextmanager
+def replacing(path: PathLike) -> Iterator[Path]:
     """A temporary name beside `path` to write to; it becomes `path` when all went well.
 
     Whatever ends the block early, an interrupt too, the temporary file goes and an older file

@@ -112,6 +112,16 @@ class Ledger:
         for page in self._pages.values():
             page.zero_()
 
+    def memory(self) -> dict[str, Any]:
+        """What `recall` needs, as plain data."""
+        sums = {kind: sums.tolist() for kind, sums in self.snapshot().items()}
+        return {"sums": sums, "kicked": self._kicked, "begun": self._begun.tolist()}
+
+    def recall(self, memory: dict[str, Any]) -> None:
+        """Go on as when `memory` was taken, after `open`."""
+        self.restore({kind: np.array(sums) for kind, sums in memory["sums"].items()})
+        self._kicked, self._begun = memory["kicked"], np.array(memory["begun"])
+
     def _all(self, *kinds: str) -> NDArray[np.float64]:
         """All sums so far, or only those of pushes or of walls."""
         total = np.zeros(diagnose.GIVEN)

@@ -1,7 +1,8 @@
 """The whole chain: picture -> foreground -> Gaussians -> moving Gaussians -> files.
 
 Every function here reports progress and its stages' times; a run that is cancelled or fails
-leaves nothing behind, one that stops early keeps its good frames.
+leaves nothing behind, one that stops early keeps its good frames, and so does a cancelled one if
+asked to.
 """
 
 from __future__ import annotations
@@ -9,10 +10,7 @@ from __future__ import annotations
 import json
 import os
 import platform
-import shutil
-import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
@@ -21,10 +19,12 @@ from typing import Any
 
 from PIL import Image
 
+from phy124 import resume
 from phy124.accuracy.choose import Goal, reach
-from phy124.accuracy.forecast import Forecaster
+from phy124.accuracy.forecast import Forecast, Forecaster
 from phy124.clip import Clip
-from phy124.errors import InputError
+from phy124.errors import Cancelled, InputError
+from phy124.files import staged as staged
 from phy124.film import cameras as cameras
 from phy124.film import film as film
 from phy124.film import rate as rate
@@ -38,10 +38,13 @@ from phy124.parts import WHOLE, Crop, crop_of
 from phy124.ply import write_ply
 from phy124.progress import Progress, silent
 from phy124.scene import Scene, View
-from phy124.simulation import Simulation
+from phy124.simulation import Interrupted, Simulation
 from phy124.stopwatch import Stopwatch
 
 PathLike = str | os.PathLike[str]
+PAUSE = "pause.safetensors"
+"""What an interrupted run leaves in its folder, for `go_on`."""
+INTERRUPTED = "it was interrupted; the same command with --resume goes on where it stopped"
 
 
 @dataclass(frozen=True)
@@ -67,29 +70,38 @@ def generate(
     progress: Progress = silent,
     goal: Goal | None = None,
     forecaster: Forecaster | None = None,
+    keep: bool = False,
 ) -> Result:
     """A picture becomes moving Gaussians, videos and a report in a folder.
 
-    With a `goal` the accuracy is chosen to meet it (`phy124.accuracy.choose`).
+    With a `goal` the accuracy is chosen to meet it (`phy124.accuracy.choose`); for `forecaster`
+    and `keep` see `simulate`.
 
     Raises InputError for what the user can mend, Cancelled if `progress` does.
     """
     watch = Stopwatch()
-    made = static(
-        image, generator=generator, method=method, seed=scene.seed, progress=progress, watch=watch
-    )
-    return simulate(
-        made.gaussians,
-        scene,
-        out,
-        device=device,
-        progress=progress,
-        watch=watch,
-        about=made.about,
-        crop=made.crop,
-        goal=goal,
-        forecaster=forecaster,
-    )
+    with staged(out):  # Refused before any work, if at all.
+        made = static(
+            image,
+            generator=generator,
+            method=method,
+            seed=scene.seed,
+            progress=progress,
+            watch=watch,
+        )
+        return simulate(
+            made.gaussians,
+            scene,
+            out,
+            device=device,
+            progress=progress,
+            watch=watch,
+            about=made.about,
+            crop=made.crop,
+            goal=goal,
+            forecaster=forecaster,
+            keep=keep,
+        )
 
 
 @dataclass(frozen=True)
@@ -138,39 +150,150 @@ def simulate(
     crop: Crop = WHOLE,
     goal: Goal | None = None,
     forecaster: Forecaster | None = None,
+    keep: bool = False,
 ) -> Result:
     """Gaussians become moving Gaussians, videos and a report in a folder.
 
-    With a `forecaster` the report compares the seconds it foretold with those spent.
+    With a `forecaster` the report compares the seconds it foretold with those spent. With `keep`
+    a run that `progress` cancels is filmed and kept as far as it came, and `go_on` goes on.
     """
-    watch, about = watch or Stopwatch(), dict(about or {})
-    with staged(out) as folder:
+    watch = watch or Stopwatch()
+    making = _Making(Path(out), device, progress, watch, dict(about or {}), keep)
+
+    def moved() -> tuple[Simulation, Clip]:
         options: dict[str, Any] = {"device": device, "progress": progress, "watch": watch}
         if goal is not None:
             reached = reach(goal, gaussians, scene, elapsed=watch.total, crop=crop, **options)
-            run, clip, about["goal"] = reached.simulation, reached.clip, reached.about
-            scene, foretold = run.scene, None
-        else:
-            run = Simulation(gaussians, scene, crop=crop, **options)
-            foretold = None
-            if forecaster is not None:
-                with watch.stage("forecast"):
-                    foretold = forecaster.of(run)
-            clip = run.run()
-        with watch.stage("save"):
+            making.about["goal"] = reached.about
+            return reached.simulation, reached.clip
+        run = Simulation(gaussians, scene, crop=crop, **options)
+        if forecaster is not None:
+            with watch.stage("forecast"):
+                making.foretold = forecaster.of(run)
+        return run, run.run()
+
+    return making.result(moved)
+
+
+def go_on(
+    out: PathLike,
+    scene: Scene | None = None,
+    *,
+    device: str = "cpu",
+    progress: Progress = silent,
+    keep: bool = False,
+) -> Result:
+    """Take up the run whose pause lies in a folder, bit for bit as if it had not been interrupted.
+
+    Raises InputError if there is none, or if it is of another `scene`.
+    """
+    path, watch = Path(out) / PAUSE, Stopwatch()
+    if not path.is_file():
+        limit = "no interrupted run was left there."
+        raise InputError("resume", out, limit, "Leave --resume out to start from the beginning.")
+    about = resume.read_about(path)
+    if scene is not None:
+        _refuse_other(scene.data(), about.pop("scene"), out)
+    about = {name: value for name, value in about.items() if name not in ("scene", "frames")}
+    making = _Making(Path(out), device, progress, watch, about, keep)
+
+    def moved() -> tuple[Simulation, Clip]:
+        run = resume.load(path, device=device, progress=progress, watch=watch)
+        return run, run.run()
+
+    return making.result(moved)
+
+
+@dataclass
+class _Making:
+    """What is made in a folder, and how."""
+
+    out: Path
+    device: str
+    progress: Progress
+    watch: Stopwatch
+    about: dict[str, Any]
+    """What the report says besides the run itself."""
+    keep: bool
+    """Whether what there is survives when `progress` cancels."""
+    foretold: Forecast | None = None
+
+    def result(self, moved: Callable[[], tuple[Simulation, Clip]]) -> Result:
+        """Move, film and save; refuses a folder that cannot be written before anything else."""
+        with staged(self.out) as folder:
+            interrupted = False
+            try:
+                run, clip = moved()
+            except Interrupted as cut:
+                if not self.keep:
+                    raise
+                run, clip, interrupted = cut.run, cut.run.clip(), True
+                # Filming may be interrupted, too.
+                with staged(self.out) as safe:
+                    self._save(safe, run, clip, interrupted)
+            interrupted |= self._film(clip, run.scene, folder)
+            report = self._save(folder, run, clip, interrupted)
+            made = sorted(path.name for path in folder.iterdir())
+        if not interrupted:
+            (self.out / PAUSE).unlink(missing_ok=True)
+        return Result(self.out, tuple(self.out / name for name in made), report)
+
+    def _film(self, clip: Clip, scene: Scene, folder: Path) -> bool:
+        """All views; True if that was interrupted, the finished ones are then kept."""
+        options: dict[str, Any] = {"device": self.device, "watch": self.watch}
+        try:
+            film(clip, scene.view, folder, progress=self.progress, **options)
+        except Cancelled:
+            if not self.keep:
+                raise
+            return True
+        return False
+
+    def _save(self, folder: Path, run: Simulation, clip: Clip, interrupted: bool) -> dict[str, Any]:
+        with self.watch.stage("save"):
             write_ply(folder / "gaussians.ply", run.gaussians)
-            (folder / "scene.toml").write_text(scene.to_toml(), "utf-8")
-        film(clip, scene.view, folder, device=device, progress=progress, watch=watch)
-        about = {"foreground": None, "generator": None, **about}
-        if foretold is not None:
-            about["forecast"] = foretold.compared(watch.seconds)
-        report = {**about, **clip.report, **framed(clip, scene.view)}
-        report |= circumstances(device, watch)
-        with watch.stage("save"):
+            (folder / "scene.toml").write_text(run.scene.to_toml(), "utf-8")
+            if interrupted:
+                resume.save(run, folder / PAUSE, about=self.about)
+        report = self._report(clip, run.scene.view, interrupted)
+        with self.watch.stage("save"):
             clip.with_report(report).save(folder / "clip.safetensors")
             _write_json(folder / "report.json", report)
-        made = sorted(path.name for path in folder.iterdir())
-    return Result(Path(out), tuple(Path(out) / name for name in made), report)
+        return report
+
+    def _report(self, clip: Clip, view: View, interrupted: bool) -> dict[str, Any]:
+        about = {"foreground": None, "generator": None, **self.about}
+        if self.foretold is not None:
+            about["forecast"] = self.foretold.compared(self.watch.seconds)
+        report = {**about, **clip.report, **framed(clip, view)}
+        report |= circumstances(self.device, self.watch)
+        if interrupted:
+            report["stopped"] = report["stopped"] or INTERRUPTED
+        return {**report, "interrupted": interrupted}
+
+
+def _refuse_other(scene: dict[str, Any], paused: dict[str, Any], out: PathLike) -> None:
+    """Raise InputError if two scenes differ, naming where."""
+    asked, found = _flat(scene), _flat(paused)
+    for name in {**asked, **found}:
+        if asked.get(name) != found.get(name):
+            both = name in asked and name in found
+            what = f"{name} = {found[name]}, not {asked[name]}" if both else f"another {name}"
+            remedy = "Give the options of that run, or leave --resume out to begin anew."
+            raise InputError("resume", out, f"the interrupted run has {what}.", remedy)
+
+
+def _flat(data: Any, name: str = "") -> dict[str, Any]:
+    """Nested data as one level: "time.frames" -> 14."""
+    parts = data.items() if isinstance(data, dict) else enumerate(data)
+    flat: dict[str, Any] = {}
+    for key, value in parts:
+        path = f"{name}.{key}" if name else str(key)
+        nested = isinstance(value, dict) or (
+            isinstance(value, (list, tuple)) and any(isinstance(v, dict) for v in value)
+        )
+        flat |= _flat(value, path) if nested else {path: value}
+    return flat
 
 
 def framed(clip: Clip, view: View) -> dict[str, Any]:
@@ -196,30 +319,6 @@ def circumstances(device: str, watch: Stopwatch) -> dict[str, Any]:
         "seconds": watch.total,
         "stages": watch.data(),
     }
-
-
-@contextmanager
-def staged(out: PathLike) -> Iterator[Path]:
-    """A folder to fill; its files move into `out` only if all went well.
-
-    Raises InputError if `out` cannot be a folder.
-    """
-    out = Path(out)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        folder = Path(tempfile.mkdtemp(prefix=".making-", dir=out))
-    except OSError as error:
-        raise InputError(
-            "out", out, f"it cannot be written ({error.strerror}).", "Choose another folder."
-        ) from None
-    try:
-        yield folder
-        for path in sorted(folder.iterdir()):
-            if path.is_dir():  # a folder takes no other's place: pictures of an older run would mix
-                shutil.rmtree(out / path.name, ignore_errors=True)
-            os.replace(path, out / path.name)
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _name(generator: str | Generator) -> str:

@@ -17,19 +17,20 @@ from phy124.errors import InputError
 from phy124.files import replacing
 from phy124.gaussians import Frame, Gaussians
 from phy124.harmonics import rotate_sh
-from phy124.mpm.solver import CLOCK
 from phy124.progress import Progress, silent
 from phy124.scene import Scene
 from phy124.simulation import Simulation
-from phy124.timestep import Extremes
+from phy124.stopwatch import Stopwatch
 
 FORMAT = "phy124-pause"
 GAUSSIANS = ("means", "quats", "scales", "opacities", "sh")
 Tensors = dict[str, NDArray]
 
 
-def save(run: Simulation, path: str | os.PathLike[str]) -> None:
-    """Write a paused run; between two frames, so no substep is cut.
+def save(
+    run: Simulation, path: str | os.PathLike[str], *, about: dict[str, Any] | None = None
+) -> None:
+    """Write a paused run, as it was after its last frame; `about` is for `read_about`.
 
     Raises InputError if the place cannot be written.
     """
@@ -40,53 +41,73 @@ def save(run: Simulation, path: str | os.PathLike[str]) -> None:
     if run.sleep.anchor is not None:
         tensors["sleep.anchor"] = run.sleep.anchor
     tensors |= _frames(run)
-    clock = {name: getattr(solver, name) for name in CLOCK}
-    metadata = {
-        "format": FORMAT,
-        "scene": json.dumps(run.scene.data()),
-        "clock": json.dumps(clock | {"cfl": solver.cfl, "threads": solver.threads}),
-        "limiters": json.dumps(solver.limiters),
-        "sleep": json.dumps(run.sleep.memory()),
-        "frames": json.dumps({"count": run.count, "keep": run.keep}),
-        "crop": json.dumps(run.crop),
+    rejected, threads = solver.caution.rejected, solver.threads
+    facts = {
+        "scene": run.scene.data(),
+        "solver": {**solver.memory(), "rejected": rejected, "threads": threads},
+        "watchdog": run.watchdog.memory(),
+        "ledger": run.watchdog.ledger.memory(),
+        "sleep": run.sleep.memory(),
+        "frames": {"count": run.count, "keep": run.keep, "retried": run.retried},
+        "crop": run.crop,
+        "about": about or {},
+        "spent": {"stages": run.watch.seconds, "total": run.watch.total},
     }
+    metadata = {"format": FORMAT, **{name: json.dumps(fact) for name, fact in facts.items()}}
     with replacing(path) as temporary:
         save_file({k: np.ascontiguousarray(v) for k, v in tensors.items()}, temporary, metadata)
 
 
 def load(
-    path: str | os.PathLike[str], *, device: str = "cpu", progress: Progress = silent
+    path: str | os.PathLike[str],
+    *,
+    device: str = "cpu",
+    progress: Progress = silent,
+    watch: Stopwatch | None = None,
 ) -> Simulation:
-    """The saved run, ready to be iterated on.
+    """The saved run, ready to be iterated on; the seconds spent before count in `watch`.
 
     Raises InputError if the file is missing, cut short or not a paused run.
     """
     metadata, tensors = _read(Path(path))
     given = Gaussians(*(tensors[f"given.{name}"] for name in GAUSSIANS))
-    left, top, right, bottom = json.loads(metadata["crop"])
-    clock, frames = json.loads(metadata["clock"]), json.loads(metadata["frames"])
+    left, top, right, bottom = metadata["crop"]
+    frames, watch = metadata["frames"], watch or Stopwatch()
     run = Simulation(
         given,
-        Scene.from_data(json.loads(metadata["scene"]), str(path)),
+        Scene.from_data(metadata["scene"], str(path)),
         device=device,
         progress=progress,
+        watch=watch,
         crop=(left, top, right, bottom),
-        threads=clock.pop("threads"),
+        threads=metadata["solver"]["threads"],
         keep=frames["keep"],
     )
-    run.count = frames["count"]
-    run.sleep.recall(json.loads(metadata["sleep"]), tensors.get("sleep.anchor"))
-    for name, array in run.solver.state.arrays().items():
-        array.assign(tensors[f"state.{name}"])
-    clock["extremes"] = Extremes(*clock["extremes"])
-    for name, value in clock.items():
-        setattr(run.solver, name, value)
-    run.solver.limiters = json.loads(metadata["limiters"])
+    watch.add(metadata["spent"]["stages"], metadata["spent"]["total"])
+    run.count, run.retried = frames["count"], frames["retried"]
+    run.sleep.recall(metadata["sleep"], tensors.get("sleep.anchor"))
+    _put_solver(run, metadata, tensors)
     memory = {k.removeprefix("deformer."): v for k, v in tensors.items() if k.startswith("def")}
     run.deformer.recall(memory)
     _put_frames(run, tensors)
     _turn_last(run)
     return run
+
+
+def read_about(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """What was saved about a run: its `scene`, `frames` so far, and what the caller added."""
+    metadata, _ = _read(Path(path), tensors=False)
+    return {**metadata["about"], "scene": metadata["scene"], "frames": metadata["frames"]["count"]}
+
+
+def _put_solver(run: Simulation, metadata: dict[str, Any], tensors: Tensors) -> None:
+    solver, memory = run.solver, metadata["solver"]
+    for name, array in solver.state.arrays().items():
+        array.assign(tensors[f"state.{name}"])
+    if "watchdog" in metadata:
+        run.watchdog.recall(metadata["watchdog"], metadata["ledger"])
+    solver.caution.rejected = memory["rejected"]
+    solver.recall({**solver.memory(), **memory})
 
 
 def _frames(run: Simulation) -> Tensors:
@@ -125,16 +146,28 @@ def _turn_last(run: Simulation) -> None:
         run.frames[-1] = replace(last, gaussians=turned)
 
 
-def _read(path: Path) -> tuple[dict[str, Any], Tensors]:
+def _read(path: Path, *, tensors: bool = True) -> tuple[dict[str, Any], Tensors]:
+    """What a file says, and its arrays."""
     remedy = "Give a file written by phy124.resume.save."
     if not path.is_file():
         raise InputError("paused run", path, "there is no such file.", remedy)
     try:
         with safe_open(path, framework="np") as file:
-            metadata = file.metadata() or {}
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+            metadata = dict(file.metadata() or {})
+            names = file.keys() if tensors else ()
+            arrays = {name: file.get_tensor(name) for name in names}
     except (SafetensorError, OSError) as error:
         raise InputError("paused run", path, f"it cannot be read ({error}).", remedy) from error
-    if metadata.get("format") != FORMAT:
+    found = metadata.pop("format", None)
+    if found != FORMAT:
         raise InputError("paused run", path, "it is not a paused run.", remedy)
-    return metadata, tensors
+    facts = {name: json.loads(text) for name, text in metadata.items()}
+    return (_of_earlier_build(facts) if "clock" in facts else facts), arrays
+
+
+def _of_earlier_build(facts: dict[str, Any]) -> dict[str, Any]:
+    """Earlier builds kept the clock alone: windows, balance and times begin anew."""
+    solver = {**facts["clock"], "limiters": facts["limiters"], "rejected": 0}
+    frames = {**facts["frames"], "retried": []}
+    spent = {"stages": {}, "total": 0.0}
+    return {**facts, "solver": solver, "frames": frames, "spent": spent, "about": {}}

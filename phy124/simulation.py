@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
@@ -24,6 +25,7 @@ from phy124.boundaries import Ground
 from phy124.clip import Clip
 from phy124.deform import Deformer
 from phy124.effects import Effects
+from phy124.errors import Cancelled
 from phy124.gaussians import Frame, Gaussians
 from phy124.ledger import Ledger
 from phy124.limits import refuse_hopeless
@@ -46,6 +48,14 @@ MAX_STRETCH = 4.0
 
 class Stopped(RuntimeError):
     """The simulation ended early because going on would be wrong; the message says why."""
+
+
+class Interrupted(Cancelled):
+    """A run was cancelled; its frames so far are good, and `phy124.resume` can save it."""
+
+    def __init__(self, run: Simulation) -> None:
+        self.run = run
+        super().__init__(f"after frame {run.count} of {run.scene.time.frames}")
 
 
 class Simulation:
@@ -141,12 +151,17 @@ class Simulation:
             yield frame
 
     def run(self) -> Clip:
-        """All frames as a clip; if it stops early the clip holds the good ones and says so."""
+        """All frames as a clip; if it stops early the clip holds the good ones and says so.
+
+        Raises Interrupted if it is cancelled: the run is then as it was after its last frame.
+        """
         try:
             for _ in self:
                 pass
         except Stopped as stop:
             self.stopped = str(stop)
+        except Cancelled as wish:
+            raise Interrupted(self) from wish
         launches = sum(count for _, count in self.solver.timings.values())
         self.watch.launches["simulate"] = int(launches)
         return self.clip()
@@ -224,14 +239,22 @@ class Simulation:
             problem = self._try(index, until)
             if problem is not None:
                 self.retried.append(index)
-                solver, usual = self.solver, (self.solver.cfl, self.solver.ceiling)
-                solver.cfl, solver.ceiling = usual[0] / 2, min(usual[1], self._failed_dt) / 2
-                problem = self._try(index, until)
-                solver.cfl, solver.ceiling = usual
+                with self._half_substep():
+                    problem = self._try(index, until)
             if problem is not None:
                 raise Stopped(f"frame {index} is not sound: {problem}.")
         if self.scene.time.sleep:
             self.sleep.computed(index, self.solver.substeps - before)
+
+    @contextmanager
+    def _half_substep(self) -> Iterator[None]:
+        """While inside, substeps are half as long as they were."""
+        solver, usual = self.solver, (self.solver.cfl, self.solver.ceiling)
+        solver.cfl, solver.ceiling = usual[0] / 2, min(usual[1], self._failed_dt) / 2
+        try:
+            yield
+        finally:
+            solver.cfl, solver.ceiling = usual
 
     def _try(self, index: int, until: float) -> str | None:
         """One try at a frame; what is wrong with it, or None. The state is then as before."""
@@ -243,11 +266,18 @@ class Simulation:
             problem = watchdog.after()
         except Unstable as error:
             problem = watchdog.blame(str(error))
+        except Exception:
+            self._restore(state, books)
+            raise
         if problem is not None:
             self._failed_dt = solver.last_dt or math.inf
-            solver.restore(state)
-            watchdog.ledger.restore(books)
+            self._restore(state, books)
         return problem
+
+    def _restore(self, state: dict[str, Any], books: dict[str, NDArray]) -> None:
+        """Go back to before a frame."""
+        self.solver.restore(state)
+        self.watchdog.ledger.restore(books)
 
     def _follower(self, index: int) -> Callable[[], None]:
         """What to do after each substep: report, and keep the books of forces that vary."""

@@ -43,6 +43,12 @@ class Stopwatch:
             if close is not None:
                 close()
 
+    def add(self, seconds: dict[str, float], total: float) -> None:
+        """Count what was spent before this stopwatch was made."""
+        for name, spent in seconds.items():
+            self.seconds[name] = self.seconds.get(name, 0.0) + spent
+        self.start -= total
+
     @property
     def total(self) -> float:
         """Seconds since the stopwatch was made."""

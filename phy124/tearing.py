@@ -34,6 +34,8 @@ at 6.7e-3 lost its head, another at 7.9e-3 did not.
 """
 REACH = 1.5
 """How far a particle's spline reaches [cells]; nothing holds across a wider empty layer."""
+MEMORY = ("count", "first", "stretch", "loose")
+"""What a paused run keeps."""
 LOOSE, FLAKE = 2e-3, 8
 """Share of the elastic particles, and their least number, that have to come off for a tear."""
 REMEDY = (
@@ -69,6 +71,15 @@ class Tearing:
     def likely(self) -> bool:
         """Whether a piece came off, or enough particles lost their neighbours that one may."""
         return self.torn or self.count > max(FEW, MANY * len(self._solver.rest) ** (2 / 3))
+
+    def memory(self) -> dict[str, Any]:
+        """What `recall` needs, as plain data."""
+        return {name: getattr(self, name) for name in MEMORY}
+
+    def recall(self, memory: dict[str, Any]) -> None:
+        """Go on as when `memory` was taken."""
+        for name in MEMORY:
+            setattr(self, name, memory[name])
 
     def look(self) -> None:
         """At the end of a frame."""

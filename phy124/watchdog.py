@@ -59,6 +59,12 @@ COLLAPSE = 0.8
 GREATEST_TOTAL = 1e6
 """Norm of F_total that flowing material is held to; what is seen of it stops growing at 4."""
 FAR = 2**31 - 1
+MEMORY = (
+    "reset", "_first_reset", "_fastest", "energy_gain", "momentum_gain", "least_J", "greatest_J",
+    "_begun", "turnover", "moved",
+)  # fmt: skip
+"""Numbers that a paused run keeps."""
+VECTORS = ("momentum", "angular", "middle")
 
 
 @dataclass(frozen=True)
@@ -87,6 +93,17 @@ class Balance:
     """Particles turned inside out."""
     first: tuple[int, int]
     """The lowest index of a broken and of an inverted particle."""
+
+    def data(self) -> dict[str, Any]:
+        """As plain data."""
+        arrays = {name: getattr(self, name).tolist() for name in VECTORS}
+        return {**vars(self), **arrays}
+
+    @classmethod
+    def from_data(cls, data: dict[str, Any]) -> Balance:
+        """From plain data."""
+        arrays = {name: np.array(data[name]) for name in VECTORS}
+        return cls(**{**data, **arrays, "first": tuple(data["first"])})
 
     @property
     def energy(self) -> float:
@@ -189,6 +206,23 @@ class Watchdog:
         self.moved = math.sqrt(2 * self.mass * self.turnover)
         self.ledger.open(self.solver)
         self._begun = True
+
+    def memory(self) -> dict[str, Any]:
+        """What `recall` needs, as plain data."""
+        memory = {name: getattr(self, name) for name in MEMORY if hasattr(self, name)}
+        balances = {name: getattr(self, name).data() for name in ("first", "last")}
+        return {**memory, **balances, "tearing": self.tearing.memory()}
+
+    def recall(self, memory: dict[str, Any], books: dict[str, Any]) -> None:
+        """Go on as when `memory` was taken; `books` are the ledger's."""
+        for name in MEMORY:
+            if name in memory:
+                setattr(self, name, memory[name])
+        self.first, self.last = (Balance.from_data(memory[name]) for name in ("first", "last"))
+        self.tearing.recall(memory["tearing"])
+        if self._begun:
+            self.ledger.open(self.solver)
+            self.ledger.recall(books)
 
     def after(self) -> str | None:
         """After a frame: what is wrong with it, as half a sentence, or None."""

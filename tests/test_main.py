@@ -209,27 +209,6 @@ def test_an_unwritable_folder_is_one_sentence(tmp_path, capsys):
     assert "it cannot be written" in capsys.readouterr().err
 
 
-def test_interrupting_leaves_nothing(tmp_path):
-    command = [sys.executable, "-m", "phy124", "generate", str(DUCK), "--accuracy", "fine"]
-    run = subprocess.Popen(
-        [*command, "--out", str(tmp_path / "out"), "--device", "cpu"],
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    deadline = time.monotonic() + 60
-    while not list(tmp_path.glob("out/.making-*")):
-        assert run.poll() is None
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
-    time.sleep(0.5)
-    run.send_signal(signal.SIGINT)
-    _, errors = run.communicate(timeout=60)
-    assert run.returncode == 130
-    assert "stopped; nothing half-written was left behind" in errors
-    assert "Traceback" not in errors
-    assert os.listdir(tmp_path / "out") == []
-
-
 def test_interrupting_a_cut_out_that_never_ends(tmp_path):
     note = tmp_path / "process"
     forever = f"import os, time; open({str(note)!r}, 'w').write(str(os.getpid())); time.sleep(600)"

@@ -1,11 +1,16 @@
+import json
+
 import numpy as np
 import pytest
+from safetensors import safe_open
+from safetensors.numpy import save_file
 from shapes import ball
 
 from phy124 import resume
-from phy124.errors import InputError
+from phy124.errors import Cancelled, InputError
 from phy124.scene import Scene
-from phy124.simulation import Simulation
+from phy124.simulation import Interrupted, Simulation
+from phy124.stopwatch import Stopwatch
 
 SCENE = {"accuracy": {"cells": 10}, "time.frames": 6}
 
@@ -28,6 +33,101 @@ def test_a_paused_run_goes_on_bit_for_bit(tmp_path, changes):
         assert np.array_equal(getattr(clip, name), getattr(whole, name)), name
     assert clip.report["substeps"] == whole.report["substeps"]
     assert clip.report["limiters"] == whole.report["limiters"]
+
+
+class CancelAfter:
+    """A progress function that cancels at a report, once."""
+
+    def __init__(self, reports: int) -> None:
+        self.left = reports
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        self.left -= 1
+        if self.left == 0:
+            raise Cancelled
+
+
+def cut_short(gaussians, scene, reports, path, **options):
+    """A run cancelled after so many reports, saved and taken up again: the clip."""
+    with pytest.raises(Interrupted) as cut:
+        Simulation(gaussians, scene, progress=CancelAfter(reports), **options).run()
+    resume.save(cut.value.run, path)
+    return resume.load(path).run()
+
+
+def without_times(report):
+    report = {name: value for name, value in report.items() if name != "substep_stages"}
+    balance = report.pop("balance")
+    return json.loads(json.dumps(report)), {k: v for k, v in balance.items() if k != "tearing"}
+
+
+FLYING = {"object.velocity": [0, 0, -30], "material": {"law": "sand"}}
+
+
+@pytest.mark.parametrize(
+    ("preset", "changes", "options"),
+    [
+        ("press", {}, {}),
+        ("press", {}, {"threads": 2}),
+        ("bounce", {"time.frames": 4}, {}),
+        ("drop", FLYING, {}),
+        ("drop", {"material": {"law": "snow"}}, {}),
+    ],
+    ids=["press", "two threads", "bounce", "flying sand", "snow"],
+)
+@pytest.mark.parametrize("share", [0.3, 0.8])
+def test_cancelled_within_a_frame_it_goes_on_bit_for_bit(tmp_path, preset, changes, options, share):
+    """The half-made frame is taken back, and the books, the windows and the limits with it."""
+    scene = Scene.named(preset).replaced({**SCENE, **changes})
+    whole = Simulation(ball(800), scene, **options).run()
+    reports = int(share * whole.report["substeps"])
+    clip = cut_short(ball(800), scene, reports, tmp_path / "pause", **options)
+    for name in ("means", "quats", "scales", "times"):
+        assert np.array_equal(getattr(clip, name), getattr(whole, name)), name
+    report, balance = without_times(clip.report)
+    wanted, wanted_balance = without_times(whole.report)
+    assert report == wanted
+    assert balance == pytest.approx(wanted_balance, rel=1e-6)
+
+
+def test_a_frame_tried_again_leaves_the_usual_substep_when_cancelled(tmp_path):
+    run = Simulation(ball(800), Scene.named("press").replaced(SCENE))
+    run._failed_dt = 1.0
+    usual = run.solver.cfl, run.solver.ceiling
+    with pytest.raises(Cancelled), run._half_substep():
+        raise Cancelled
+    assert (run.solver.cfl, run.solver.ceiling) == usual
+
+
+def test_what_was_said_about_a_run_and_its_seconds_are_kept(tmp_path):
+    run = Simulation(ball(800), Scene.named("press").replaced(SCENE))
+    next(iter(run))
+    run.watch.seconds["generate"] = 7.0
+    resume.save(run, tmp_path / "pause", about={"generator": "relief"})
+    assert resume.read_about(tmp_path / "pause")["generator"] == "relief"
+    assert resume.read_about(tmp_path / "pause")["frames"] == 1
+    watch = Stopwatch()
+    resume.load(tmp_path / "pause", watch=watch)
+    assert watch.seconds["generate"] == 7.0
+    assert watch.total >= run.watch.seconds["particles"]
+
+
+def test_pauses_of_earlier_builds_are_read(tmp_path):
+    """They kept the clock alone, where the state of the solver is kept today."""
+    run = Simulation(ball(800), Scene.named("press").replaced(SCENE))
+    for frame in run:
+        if frame.index == 2:
+            break
+    resume.save(run, tmp_path / "pause")
+    with safe_open(tmp_path / "pause", framework="np") as file:
+        facts, tensors = file.metadata(), {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    solver = json.loads(facts["solver"])
+    clock = {k: solver[k] for k in ("time", "last_dt", "substeps", "extremes", "threads")}
+    facts |= {"clock": json.dumps(clock | {"cfl": 0.6}), "limiters": json.dumps(solver["limiters"])}
+    frames = {"count": 3, "keep": True}
+    facts = {k: facts[k] for k in ("format", "scene", "clock", "limiters", "sleep", "crop")}
+    save_file(tensors, tmp_path / "earlier", {**facts, "frames": json.dumps(frames)})
+    assert len(resume.load(tmp_path / "earlier").run()) == 6
 
 
 def test_leaving_the_loop_and_iterating_again_goes_on():

@@ -1,50 +1,59 @@
-"""Progress bars on standard error, one per stage, and a safe Ctrl-C."""
+"""How far the work is, on standard error, and a safe Ctrl-C."""
 
 from __future__ import annotations
 
-import signal
 import sys
-import threading
+import time
 from types import FrameType
 
 from tqdm import tqdm
 
 from phy124.errors import Cancelled
+from phy124.signals import handled, interrupt
+
+BETWEEN_LINES = 10.0
+"""Seconds between two lines about the same stage, where no bar can be drawn."""
 
 
 class Bars:
-    """A `Progress` that draws a bar for the stage in hand; use as a context manager.
+    """A `Progress` that shows the stage in hand; use as a context manager.
+
+    On a terminal it is a bar, elsewhere, in a log say, a line now and then.
 
     Inside, Ctrl-C is remembered and ends the work at the next report of progress, never in the
-    middle of a kernel, where it could take the process down. A second Ctrl-C acts at once.
+    middle of a kernel, where it could take the process down. One more before that acts at once.
+    With `keeps` the caller keeps what there is, and the user is told that this takes a moment.
     """
 
-    def __init__(self, *, quiet: bool = False) -> None:
-        self.quiet = quiet
+    def __init__(self, *, quiet: bool = False, keeps: bool = False) -> None:
+        self.quiet, self.keeps = quiet, keeps
         self.bar: tqdm | None = None
         self.interrupted = False
+        self._stage, self._said, self._next_line = "", "", 0.0
+        self._signals = handled(self._remember)
 
     def __enter__(self) -> Bars:
-        if threading.current_thread() is threading.main_thread():
-            self._usual = signal.signal(signal.SIGINT, self._remember)
+        self._signals.__enter__()
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
-        if threading.current_thread() is threading.main_thread():
-            signal.signal(signal.SIGINT, self._usual)
+        self._signals.__exit__(None, None, None)
 
     def __call__(self, stage: str, done: int, total: int) -> None:
-        """Show how far a stage is; raises Cancelled after Ctrl-C."""
+        """Show how far a stage is; raises Cancelled once after each Ctrl-C."""
         if self.interrupted:
+            self.interrupted = False
+            self.close()
+            if self.keeps:
+                self._say("interrupted: what there is will be kept; Ctrl-C again leaves at once")
             raise Cancelled
         if self.quiet:
             return
-        if self.bar is None or self.bar.desc.removesuffix(": ") != stage:
-            self.close()
-            self.bar = tqdm(desc=stage, total=total, file=sys.stderr, leave=False, mininterval=0.2)
-        self.bar.total = total
-        self.bar.update(done - self.bar.n)
+        if sys.stderr.isatty():
+            self._draw(stage, done, total)
+        else:
+            self._report(stage, done, total)
 
     def close(self) -> None:
         """Remove the bar."""
@@ -52,7 +61,25 @@ class Bars:
             self.bar.close()
             self.bar = None
 
+    def _draw(self, stage: str, done: int, total: int) -> None:
+        if self.bar is None or self.bar.desc.removesuffix(": ") != stage:
+            self.close()
+            self.bar = tqdm(desc=stage, total=total, file=sys.stderr, leave=False, mininterval=0.2)
+        self.bar.total = total
+        self.bar.update(done - self.bar.n)
+
+    def _report(self, stage: str, done: int, total: int) -> None:
+        """A line when a stage begins and ends, and now and then in between."""
+        now, line = time.monotonic(), f"{stage}: {done} of {total}"
+        due = stage != self._stage or done == total or now >= self._next_line
+        if due and line != self._said:
+            self._stage, self._said, self._next_line = stage, line, now + BETWEEN_LINES
+            self._say(line)
+
+    def _say(self, line: str) -> None:
+        print(line, file=sys.stderr, flush=True)
+
     def _remember(self, number: int, frame: FrameType | None) -> None:
-        del number, frame
+        if self.interrupted:
+            interrupt(number, frame)
         self.interrupted = True
-        signal.signal(signal.SIGINT, self._usual)

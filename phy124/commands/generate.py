@@ -42,6 +42,8 @@ class Generate:
     """Choose the accuracy so that the error is at most this: 2px, 1% (of the size) or 3mm."""
     max_seconds: float | None = None
     """Choose the finest accuracy that takes at most so many seconds in all."""
+    resume: bool = False
+    """Go on with the run that was interrupted in the folder of the results, bit for bit."""
 
     def run(self) -> int:
         """Generate; prints files and times."""
@@ -49,10 +51,12 @@ class Generate:
         device = pick_device(self.options.device)
         out = self.out or default_out(str(self.image), self.options.scene)
         goal = wished(self.max_error, self.max_seconds)
+        if self.resume:
+            return go_on(out, self.options, goal)
         if self.dry_run:
             with looking_in(self.weights):
                 return self._foretell(device)
-        with looking_in(self.weights), Bars(quiet=self.options.json) as bars:
+        with looking_in(self.weights), Bars(quiet=self.options.json, keeps=True) as bars:
             result = pipeline.generate(
                 self.image,
                 scene,
@@ -63,6 +67,7 @@ class Generate:
                 progress=bars,
                 goal=goal,
                 forecaster=Forecaster(device) if self.forecast else None,
+                keep=True,
             )
         return show(result, as_json=self.options.json)
 
@@ -111,6 +116,8 @@ class Simulate:
     """Program that wrote the file: 3dgs, lgm, dreamgaussian, trellis, ..."""
     out: Path | None = None
     """Folder of the results; default out/FILE-SCENE."""
+    resume: bool = False
+    """Go on with the run that was interrupted in the folder of the results, bit for bit."""
 
     def run(self) -> int:
         """Simulate; prints files and times."""
@@ -119,16 +126,31 @@ class Simulate:
         scene = self.options.resolve()
         device = pick_device(self.options.device)
         out = self.out or default_out(str(self.gaussians), self.options.scene)
+        if self.resume:
+            return go_on(out, self.options)
         read = PlyFile(str(self.gaussians), up=self.up, front=self.front, dialect=self.dialect)
         watch = Stopwatch()
-        with Bars(quiet=self.options.json) as bars:
+        bars, place = Bars(quiet=self.options.json, keeps=True), pipeline.staged(out)
+        with bars, place:  # The folder is refused before any work, if at all.
             with watch.stage("read"):
                 gaussians = read(progress=bars)
             about = {"generator": str(self.gaussians)}
             result = pipeline.simulate(
-                gaussians, scene, out, device=device, progress=bars, watch=watch, about=about
-            )
+                gaussians, scene, out, device=device, progress=bars, watch=watch, about=about,
+                keep=True,
+            )  # fmt: skip
         return show(result, as_json=self.options.json)
+
+
+def go_on(out: Path, options: SceneOptions, goal: Goal | None = None) -> int:
+    """Take up the run that was interrupted in a folder; prints as it would have."""
+    if goal is not None:
+        limit = "the run that was interrupted goes on at the accuracy it had."
+        raise InputError("resume", out, limit, "Leave --max-error and --max-seconds out.")
+    device = pick_device(options.device)
+    with Bars(quiet=options.json, keeps=True) as bars:
+        result = pipeline.go_on(out, options.resolve(), device=device, progress=bars, keep=True)
+    return show(result, as_json=options.json)
 
 
 def show(result: pipeline.Result, *, as_json: bool) -> int:
@@ -151,6 +173,8 @@ def show(result: pipeline.Result, *, as_json: bool) -> int:
             print(path)
         if report["stopped"]:
             print(f"stopped early: {report['stopped']}")
+    if report["interrupted"]:
+        return 130
     return 0 if report["complete"] else 3
 
 

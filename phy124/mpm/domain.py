@@ -8,7 +8,7 @@ uniform acceleration and nothing else, and is part of the body again if it comes
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
@@ -53,6 +53,20 @@ class Domain:
     def count(self) -> int:
         """Particles that are ballistic at the moment."""
         return len(self.outside)
+
+    def memory(self) -> dict[str, Any]:
+        """What `recall` needs, as plain data."""
+        half = self._half.tolist() if self.bounded else None
+        return {"corners": self.corners.numpy().tolist(), "half": half, "most": self.most}
+
+    def recall(self, memory: dict[str, Any]) -> None:
+        """Go on as when `memory` was taken, with the particles where they were then."""
+        self.corners.assign(np.array(memory["corners"], self.corners.numpy().dtype))
+        self.bounded, self.most, self.changed = memory["half"] is not None, memory["most"], False
+        if self.bounded:
+            self._half = np.array(memory["half"])
+        out = self._beyond() if self.bounded else []
+        self.outside = wp.array(out, dtype=int, device=self._solver.device)
 
     def confine(self, lower: NDArray, upper: NDArray) -> bool:
         """Follow the particles between two corners [m]; True if they must be measured again."""

@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
@@ -21,6 +21,9 @@ from numpy.typing import NDArray
 
 from phy124.kernels.barrier import meet
 from phy124.mpm.grid import MARGIN, Grid
+
+if TYPE_CHECKING:
+    from phy124.mpm.solver import Solver
 
 LEAST_PARTICLES = 20_000
 """Below this the meetings cost more than the second thread brings."""
@@ -62,18 +65,22 @@ class Meeting:
         self.tickets = [wp.zeros(16, dtype=int, device="cpu") for _ in range(parties)]
         self.views = [ticket.numpy() for ticket in self.tickets]
         self.launches = [self._record(ticket, parties) for ticket in self.tickets]
+        self.over = False
+        """Whether nobody needs to wait any more."""
 
     def _record(self, ticket: wp.array, parties: int) -> Any:
         inputs = [self.counter, ticket, parties]
         return wp.launch(meet, 1, inputs=inputs, device="cpu", record_cmd=True)
 
-    def wait(self, who: int) -> None:
-        """Come back when all have arrived."""
+    def wait(self, who: int) -> bool:
+        """Come back when all have arrived; False if they never will."""
         launch, view = self.launches[who], self.views[who]
         launch.launch()
         for spun in itertools.count(1):
             if not view[0]:
-                return
+                return True
+            if self.over:
+                return False
             give_way() if spun < ROUNDS else time.sleep(NAP)
             launch.launch()
 
@@ -139,6 +146,12 @@ def fit_part(part: Grid, whole: Grid, lower: NDArray, upper: NDArray, *, force: 
         np.array([first, *whole.low[1:]]), np.array([max(last - first, 0), *whole.size[1:]])
     )
     return True
+
+
+def grids(solver: Solver) -> list[Grid]:
+    """The shared grid, and the private ones of lanes that have them."""
+    private = [lane.nodes for lane in solver.lanes if lane.nodes is not solver.grid]
+    return [solver.grid, *private]
 
 
 def taken(records: Iterable[Recorded]) -> list[tuple[str, wp.Launch]]:

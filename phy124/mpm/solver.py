@@ -33,10 +33,10 @@ from phy124.tracks import Tracks
 
 Stage = tuple[str, Callable[[], wp.Launch | None]]
 """Name of a stage and how to record its launch for the grid window of the moment."""
-CLOCK = ("time", "last_dt", "substeps", "extremes")
-"""What a snapshot holds beside the state."""
-MEASURE, HALT = 3, -1
-"""Instead of a phase: the limits are measured; the second thread ends."""
+CLOCK = ("time", "last_dt", "substeps", "since_check", "extremes")
+"""Numbers that a snapshot holds beside the state."""
+MEASURE = 3
+"""Instead of a phase: the limits are measured."""
 CHECK_EVERY = 4
 """Substeps between two measurements of the stability limits."""
 PRECISIONS = {"float32": wp.float32, "float64": wp.float64}
@@ -286,24 +286,23 @@ class Solver:
         if self.since_check >= CHECK_EVERY:
             timed(self.timings, "measure", self._measure)
         self._meeting, self._agenda = Meeting(2), []
-        helper = threading.Thread(target=self._follow, args=(self.lanes[1], self._meeting))
+        follow, args = self._follow, (self.lanes[1], self._meeting)
+        helper = threading.Thread(target=follow, args=args, daemon=True)
         helper.start()
         try:
             yield
         finally:
-            try:
-                self._agree(HALT)
-            finally:
-                helper.join()
-                self._meeting = None
+            # Wherever the first thread was, Ctrl-C may have ended it between two meetings.
+            self._meeting.over = True
+            helper.join()
+            self._meeting = None
 
     def _follow(self, lane: Lane, meeting: Meeting) -> None:
-        """The second thread: phases as they come, until told to stop."""
+        """The second thread: phases as they come, until there are no more meetings."""
         for meetings in itertools.count():
-            meeting.wait(1)
-            phase = self._agenda[meetings]
-            if phase == HALT:
+            if not meeting.wait(1):
                 return
+            phase = self._agenda[meetings]
             try:
                 if phase == MEASURE:
                     timed(lane.timings, "measure", lambda: self.measure_lane(lane))
@@ -358,18 +357,35 @@ class Solver:
 
     def snapshot(self) -> dict[str, Any]:
         """All that `restore` needs to go on from here bit for bit."""
-        clock = {name: getattr(self, name) for name in CLOCK}
-        return {"state": self.state.copy(), "clock": clock, "limiters": dict(self.limiters)}
+        return {"state": self.state.copy(), "memory": self.memory()}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Go back to a snapshot."""
         self.state.restore(snapshot["state"])
-        for name, value in snapshot["clock"].items():
-            setattr(self, name, value)
-        self.limiters = dict(snapshot["limiters"])
+        self.recall(snapshot["memory"])
+
+    def memory(self) -> dict[str, Any]:
+        """What `recall` needs beside the state, as plain data."""
+        return {
+            **{name: getattr(self, name) for name in CLOCK},
+            "limiters": dict(self.limiters),
+            "domain": self.domain.memory(),
+            "windows": [(g.low.tolist(), g.size.tolist()) for g in company.grids(self)],
+        }
+
+    def recall(self, memory: dict[str, Any]) -> None:
+        """Go on as when `memory` was taken, once the state is as it was then."""
+        for name in CLOCK:
+            setattr(self, name, memory[name])
+        self.extremes = Extremes(*memory["extremes"])
+        self.limiters = dict(memory["limiters"])
+        self.domain.recall(memory["domain"])
         self.stray.zero_()
-        self.grid.stale = True
-        self.since_check = CHECK_EVERY
+        for grid, (low, size) in zip(company.grids(self), memory["windows"], strict=True):
+            grid.rebase(np.array(low), np.array(size))
+        self.grid.stale = self.since_check >= CHECK_EVERY
+        if not self.grid.stale:
+            self._record_substep()
 
     def substep(self) -> Substep:
         """The longest stable substep at the present state."""

@@ -1,0 +1,34 @@
+"""Signals that ask to end: Ctrl-C, a supervisor's SIGTERM, a terminal that closes."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
+Handler = Callable[[int, FrameType | None], object]
+
+
+@contextmanager
+def handled(handler: Handler) -> Iterator[None]:
+    """While inside, all of them call `handler`; only the main thread may set that.
+
+    What whoever started this chose to ignore (nohup) stays ignored.
+    """
+    usual = {}
+    if threading.current_thread() is threading.main_thread():
+        numbers = [getattr(signal, name) for name in NAMES if hasattr(signal, name)]
+        for number in (n for n in numbers if signal.getsignal(n) is not signal.SIG_IGN):
+            usual[number] = signal.signal(number, handler)
+    try:
+        yield
+    finally:
+        for number, before in usual.items():
+            signal.signal(number, before)
+
+
+interrupt: Handler = signal.default_int_handler
+"""Raises KeyboardInterrupt."""

@@ -1,0 +1,260 @@
+"""Ctrl-C and SIGTERM: what is good stays, what is half-made goes, and a run can go on."""
+
+import json
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from shapes import ball
+
+from phy124 import pipeline
+from phy124.__main__ import main
+from phy124.clip import Clip
+from phy124.commands.bars import Bars
+from phy124.errors import Cancelled, InputError
+from phy124.files import staged
+from phy124.mpm.lanes import Meeting
+from phy124.ply import write_ply
+from phy124.scene import Scene
+
+DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"
+SCENE = Scene.named("press").replaced(
+    {"accuracy": {"cells": 10}, "time.frames": 6, "view.size": 32, "view.views": ["front", "left"]}
+)
+OPTIONS = [
+    *("--accuracy", "draft", "--frames", "6", "--size", "32", "--set", "time.sleep=false"),
+    *("--views", "front", "left", "--device", "cpu"),
+]
+
+
+def cancelling(when: Callable[[str, int], bool]):
+    """A progress function that cancels whenever a stage and its step are those."""
+
+    def progress(stage: str, done: int, total: int) -> None:
+        if when(stage, done):
+            raise Cancelled
+
+    return progress
+
+
+def test_a_cancelled_run_leaves_nothing_unless_asked(tmp_path):
+    cancel = cancelling(lambda stage, done: stage == "simulate" and done == 3)
+    with pytest.raises(Cancelled):
+        pipeline.simulate(ball(500), SCENE, tmp_path / "a" / "out", progress=cancel)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_cancelled_run_is_kept_as_far_as_it_came_and_goes_on_bit_for_bit(tmp_path):
+    whole = pipeline.simulate(ball(500), SCENE, tmp_path / "whole")
+    cancel = cancelling(lambda stage, done: stage == "simulate" and done == 3)
+    cut = pipeline.simulate(ball(500), SCENE, tmp_path / "cut", progress=cancel, keep=True)
+    assert (cut.report["interrupted"], cut.report["complete"]) == (True, False)
+    assert "--resume" in cut.report["stopped"]
+    assert cut.report["frames"] == len(Clip.load(tmp_path / "cut/clip.safetensors")) == 3
+    names = {path.name for path in (tmp_path / "cut").iterdir()}
+    assert names == {path.name for path in (tmp_path / "whole").iterdir()} | {pipeline.PAUSE}
+
+    again = pipeline.go_on(tmp_path / "cut", SCENE)
+    assert (again.report["interrupted"], again.report["complete"]) == (False, True)
+    assert not (tmp_path / "cut" / pipeline.PAUSE).exists()
+    one, other = (Clip.load(r.folder / "clip.safetensors") for r in (whole, again))
+    for name in ("means", "quats", "scales", "times"):
+        assert np.array_equal(getattr(one, name), getattr(other, name))
+    for view in ("front.mp4", "left.mp4"):
+        assert (whole.folder / view).read_bytes() == (again.folder / view).read_bytes()
+
+
+def test_filming_that_is_cancelled_keeps_the_finished_views(tmp_path):
+    cancel = cancelling(lambda stage, done: stage == "render left")
+    cut = pipeline.simulate(ball(500), SCENE, tmp_path, progress=cancel, keep=True)
+    assert (cut.report["interrupted"], cut.report["complete"]) == (True, True)
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names >= {"front.mp4", "clip.safetensors", "report.json", pipeline.PAUSE}
+    assert "left.mp4" not in names
+    assert {path.name for path in pipeline.go_on(tmp_path).files} >= {"front.mp4", "left.mp4"}
+
+
+def test_a_second_wish_while_filming_what_there_is_loses_no_frame(tmp_path):
+    cancel = cancelling(
+        lambda stage, done: (stage == "simulate" and done == 3) or "render" in stage
+    )
+    pipeline.simulate(ball(500), SCENE, tmp_path, progress=cancel, keep=True)
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "clip.safetensors", "gaussians.ply", "report.json", "scene.toml", pipeline.PAUSE,
+    }  # fmt: skip
+    assert len(Clip.load(tmp_path / "clip.safetensors")) == 3
+
+
+def test_another_scene_is_not_gone_on_with(tmp_path):
+    cancel = cancelling(lambda stage, done: stage == "simulate" and done == 3)
+    pipeline.simulate(ball(500), SCENE, tmp_path, progress=cancel, keep=True)
+    for changes, said in (
+        ({"time.frames": 9}, r"time.frames = 6, not 9"),
+        ({"material.E": 5e4}, r"material.E = "),
+        ({"forces": []}, r"another forces"),
+    ):
+        with pytest.raises(InputError, match=said):
+            pipeline.go_on(tmp_path, SCENE.replaced(changes))
+
+
+def test_there_must_be_something_to_go_on_with(tmp_path, capsys):
+    assert main(["generate", str(DUCK), "--out", str(tmp_path / "none"), "--resume"]) == 2
+    assert "no interrupted run was left there" in capsys.readouterr().err
+    arguments = ["generate", str(DUCK), "--out", str(tmp_path), "--resume", "--max-error", "1%"]
+    assert main(arguments) == 2
+    assert "Leave --max-error and --max-seconds out" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+@contextmanager
+def started(*arguments: object) -> Iterator[subprocess.Popen]:
+    """A command that runs beside the test, and is ended with it at the latest."""
+    command = [sys.executable, "-u", "-m", "phy124", *map(str, arguments)]
+    pipes = {"stderr": subprocess.PIPE, "stdout": subprocess.PIPE}
+    with subprocess.Popen(command, text=True, **pipes) as process:
+        guard = threading.Timer(600, process.kill)
+        guard.start()
+        try:
+            yield process
+        finally:
+            guard.cancel()
+            process.kill()
+
+
+def wait_for(process: subprocess.Popen, beginning: str) -> None:
+    """Read what it says until a line begins so; fails with all it said if none does."""
+    assert process.stderr
+    lines = []
+    for line in process.stderr:
+        lines.append(line)
+        if line.startswith(beginning):
+            return
+    pytest.fail("".join(lines))
+
+
+def test_ctrl_c_while_nothing_moves_yet_leaves_nothing(tmp_path):
+    command = ["generate", DUCK, *OPTIONS, "--out", tmp_path / "new" / "out"]
+    with started(*command) as run:
+        while not list(tmp_path.rglob(".making-*")):
+            assert run.poll() is None
+            time.sleep(0.01)
+        run.send_signal(signal.SIGINT)
+        _, errors = run.communicate()
+    assert run.returncode == 130
+    assert "stopped; nothing half-written was left behind" in errors
+    assert "Traceback" not in errors
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_sigterm_keeps_the_good_frames(tmp_path):
+    write_ply(tmp_path / "ball.ply", ball(800))
+    command = ["simulate", tmp_path / "ball.ply", *OPTIONS, "--out", tmp_path / "out"]
+    command[command.index("6")] = "3000"
+    with started(*command) as run:
+        wait_for(run, "simulate: ")
+        run.send_signal(signal.SIGTERM)
+        printed, errors = run.communicate()
+    assert run.returncode == 130, errors
+    assert "what there is will be kept" in errors
+    assert "stopped early: it was interrupted" in printed
+    assert 0 < json.loads((tmp_path / "out/report.json").read_text())["frames"] < 3000
+    assert (tmp_path / "out" / pipeline.PAUSE).exists()
+    assert not list(tmp_path.rglob(".making-*"))
+
+
+def test_the_same_command_with_resume_goes_on(tmp_path, capsys):
+    write_ply(tmp_path / "ball.ply", ball(800))
+    changes = {
+        "accuracy": "draft", "time.frames": 6, "time.sleep": False, "view.size": 32,
+        "view.views": ["front", "left"],
+    }  # fmt: skip
+    scene = Scene.named("press").replaced(changes)
+    cancel = cancelling(lambda stage, done: stage == "simulate" and done == 3)
+    pipeline.simulate(ball(800), scene, tmp_path / "out", progress=cancel, keep=True)
+    command = ["simulate", str(tmp_path / "ball.ply"), *OPTIONS, "--out", str(tmp_path / "out")]
+    assert main([*command, "--resume", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["complete"]
+
+
+def test_each_wish_to_end_is_told_once_and_two_at_once_end_it_at_once(capsys):
+    with Bars(quiet=True, keeps=True) as bars:
+        bars("simulate", 0, 3)
+        signal.raise_signal(signal.SIGINT)
+        with pytest.raises(Cancelled):
+            bars("simulate", 1, 3)
+        bars("render front", 1, 3)
+        signal.raise_signal(signal.SIGTERM)
+        with pytest.raises(Cancelled):
+            bars("render front", 2, 3)
+        signal.raise_signal(signal.SIGINT)
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+    assert capsys.readouterr().err.count("Ctrl-C again leaves at once") == 2
+
+
+def test_a_log_gets_lines_and_no_carriage_returns(capsys):
+    with Bars() as bars:
+        for done in range(1, 4):
+            bars("simulate", done, 3)
+            bars("simulate", done, 3)
+        bars("render front", 1, 1)
+    assert capsys.readouterr().err == ("simulate: 1 of 3\nsimulate: 3 of 3\nrender front: 1 of 1\n")
+
+
+def test_ctrl_c_anywhere_in_a_substep_of_two_threads_does_not_hang():
+    """The second thread waits for a meeting that the first, interrupted, never comes to."""
+    meeting = Meeting(2)
+    waiting = threading.Thread(target=lambda: results.append(meeting.wait(1)), daemon=True)
+    results: list[bool] = []
+    waiting.start()
+    meeting.over = True
+    waiting.join(timeout=300)
+    assert results == [False]
+
+
+@pytest.mark.parametrize("reports", [1, 5])
+def test_an_exception_between_two_meetings_ends_the_second_thread(reports):
+    from phy124.simulation import Simulation
+
+    run = Simulation(ball(800), SCENE, threads=2)
+    before = threading.active_count()
+    agree, calls = run.solver._agree, 0
+
+    def interrupted(phase):
+        nonlocal calls
+        calls += 1
+        if calls == reports:
+            run.solver._agenda.append(phase)
+            raise KeyboardInterrupt
+        agree(phase)
+
+    run.solver._agree = interrupted
+    with pytest.raises(KeyboardInterrupt):
+        run.run()
+    assert threading.active_count() == before
+
+
+def test_folders_made_for_nothing_go_again_but_not_those_of_others(tmp_path):
+    with pytest.raises(ZeroDivisionError), staged(tmp_path / "a" / "b"):
+        raise ZeroDivisionError
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(ZeroDivisionError), staged(tmp_path / "a" / "b"):
+        (tmp_path / "a" / "other").touch()
+        raise ZeroDivisionError
+    assert [path.name for path in (tmp_path / "a").iterdir()] == ["other"]
+
+
+def test_a_file_is_no_folder_and_is_refused_before_any_work(tmp_path, monkeypatch, capsys):
+    (tmp_path / "file").write_text("mine")
+    monkeypatch.setattr(pipeline, "static", lambda *_, **__: pytest.fail("it began to work"))
+    for out in (tmp_path / "file", tmp_path / "file" / "deeper"):
+        assert main(["generate", str(DUCK), *OPTIONS, "--out", str(out)]) == 2
+        assert f"out = {out}: it " in capsys.readouterr().err
+    assert (tmp_path / "file").read_text() == "mine"
