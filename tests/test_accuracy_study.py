@@ -14,6 +14,7 @@ from phy124.accuracy.difference import difference
 from phy124.accuracy.study import Report, Row, Study, kept_promises, recommend
 from phy124.clip import Clip
 from phy124.scene import Scene
+from phy124.tearing import Tearing
 
 LEVELS = (8, 12, 16)
 
@@ -86,6 +87,40 @@ def test_a_level_that_may_be_torn_is_said():
     report = Study(ball(300), Scene.named("spin").replaced(soft), levels=(8,)).run()
     assert report.rows[0].name == "D/8"
     assert re.match(r"D/8: \d+ particles were stretched, up to \d\.\d times", report.skipped[0])
+
+
+def test_a_torn_level_promises_nothing(monkeypatch, tmp_path):
+    """However close two grids are: what both tear is not what the material does."""
+    likely = property(lambda self: self._solver.dx < 1 / 13)
+    monkeypatch.setattr(Tearing, "likely", likely)
+    quick = {"time.frames": 3, "view.size": 32, "binding": "field"}
+    report = Study(ball(300), Scene.named("drop").replaced(quick), levels=(8, 10, 12, 16)).run()
+    rows = {row.name: row for row in report.rows}
+    assert all(rows[f"D/{cells}"].error is not None for cells in (8, 10, 12))
+    assert report.convergence.errors == tuple(rows[f"D/{cells}"].error for cells in (8, 10, 12))
+    torn = [row for row in report.rows if row.torn]
+    assert {row.cells for row in torn} == {16}
+    assert all(row.error is None and row.from_finest is None for row in torn)
+    assert report.promises["draft"] == "none: on D/16 the grid may tear the material"
+    assert "D/16" not in report.recommendation
+    assert not plots.dominated(report.rows) & {row.name for row in torn}
+    plots.save_page(report, tmp_path / "a.html")
+    points = json.loads(re.search(r"const points = (.*);", (tmp_path / "a.html").read_text())[1])
+    assert all(point["error"] is None for point in points if "16" in point["name"])
+
+
+def test_too_few_whole_levels_have_no_order(monkeypatch):
+    monkeypatch.setattr(Tearing, "likely", property(lambda self: self._solver.dx < 1 / 9))
+    quick = {"time.frames": 2, "view.size": 32, "binding": "field"}
+    scene = Scene.named("drop").replaced(quick)
+    report = Study(ball(300), scene, levels=(8, 12, 16)).run()
+    assert report.convergence.order is None
+    assert "D/12, D/16 may be torn" in report.convergence.why_not
+    assert not any("holds" in said for said in report.promises.values())
+    monkeypatch.setattr(Tearing, "likely", property(lambda self: True))
+    report = Study(ball(300), scene, levels=(8, 16)).run()
+    assert report.recommendation == "on every level the grid may tear the material"
+    assert report.promises["draft"].startswith("none: on D/16")
 
 
 def test_json_is_whole(study):

@@ -80,7 +80,7 @@ def _draw_errors(axes: Any, report: Report) -> None:
 
 def _draw_psnr(axes: Any, report: Report) -> None:
     for row in report.rows:
-        if row.from_finest is not None and math.isfinite(row.from_finest.psnr):
+        if row.from_finest is not None and not row.torn and math.isfinite(row.from_finest.psnr):
             colour = BLUE if row.level else ORANGE
             _mark(axes, row, row.from_finest.psnr, colour, report)
     _label_axes(axes, "PSNR against the finest [dB]")

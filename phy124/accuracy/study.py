@@ -64,6 +64,8 @@ class Row:
     """Estimated error as a share of the object's size; None where levels do not converge."""
     pixels: float | None = None
     """The same in pixels of the video."""
+    torn: str = ""
+    """Why the grid may have torn the material; such a row has no error."""
 
     @property
     def level(self) -> bool:
@@ -155,7 +157,7 @@ class Study:
             return None, f"{name} is left out: {clip.report['stopped']}"
         self.clips[name] = clip
         solver, accuracy = simulation.solver, scene.resolution
-        seconds, torn = simulation.watch.seconds, simulation.watchdog.tearing.note()
+        seconds, torn = simulation.watch.seconds, simulation.watchdog.tearing.note() or ""
         counts = solver.limiters
         return Row(
             name=name,
@@ -171,19 +173,22 @@ class Study:
             limiters={key: count / sum(counts.values()) for key, count in counts.items()},
             energy_lost=-clip.report["balance"]["energy_gain"],
             angular_momentum_lost=_momentum_lost(scene, before, weigh(solver)),
+            torn=torn,
         ), f"{name}: {torn}" if torn else ""
 
     def _judged(self, rows: list[Row], skipped: tuple[str, ...]) -> Report:
-        """Add errors against the finest level and say what follows."""
-        levels = [row for row in rows if row.level]
+        """Add errors against the finest whole level and say what follows; torn ones say nothing."""
+        levels = [row for row in rows if row.level and not row.torn]
         size = self.scene.object.size
         if not levels:
-            none = Convergence(None, why_not="no level could be run")
-            return Report(tuple(rows), skipped, none, size, none.why_not, {})
+            torn = any(row.level for row in rows)
+            why = "on every level the grid may tear the material" if torn else "no level could be run"
+            none, judged = Convergence(None, why_not=why), tuple(rows)
+            return Report(judged, skipped, none, size, why, kept_promises(judged, none))
         names = [row.name for row in levels]
         clips = [self.clips[name] for name in names]
         apart = distances([clip.means for clip in clips]) / size
-        found = richardson([1 / row.cells for row in levels], apart)
+        found = _without_torn(rows, richardson([1 / row.cells for row in levels], apart))
         known = dict(zip(names, found.errors, strict=False))
         judged = tuple(self._compared(row, clips, found, known) for row in rows)
         return Report(
@@ -193,7 +198,9 @@ class Study:
     def _compared(
         self, row: Row, levels: list[Clip], found: Convergence, known: dict[str, float]
     ) -> Row:
-        """The row with its distance from the finest level and its error."""
+        """The row with its distance from the finest level and its error; a torn one as it is."""
+        if row.torn:
+            return row
         view, clip, size = self.scene.view, self.clips[row.name], self.scene.object.size
         shrink = min(1.0, SIZE / max(view.size))
         small = view.model_copy(update={"size": tuple(round(side * shrink) for side in view.size)})
@@ -210,9 +217,17 @@ class Study:
         return replace(row, from_finest=apart, error=error, pixels=error * scale)
 
 
+def _without_torn(rows: list[Row], found: Convergence) -> Convergence:
+    """What whole levels say, with the torn ones named where they are why there is no number."""
+    torn = ", ".join(row.name for row in rows if row.level and row.torn)
+    if not torn or not found.why_not:
+        return found
+    return replace(found, why_not=f"{found.why_not} ({torn} may be torn and do not count)")
+
+
 def recommend(rows: tuple[Row, ...], found: Convergence) -> str:
     """One sentence: which level to take and what the next would cost."""
-    levels = [row for row in rows if row.level]
+    levels = [row for row in rows if row.level and not row.torn]
     if found.error is None:
         return f"No setting can be recommended by its error: {found.why_not}."
     promise = PROMISES["standard"].error
@@ -236,6 +251,8 @@ def kept_promises(rows: tuple[Row, ...], found: Convergence) -> dict[str, str]:
         row = next((row for row in rows if row.level and row.cells == accuracy.cells), None)
         if row is None:
             said[name] = "not tried"
+        elif row.torn:
+            said[name] = f"none: on {row.name} the grid may tear the material"
         elif found.error is None or row.error is None:
             said[name] = f"cannot be judged: {found.why_not}"
         else:
