@@ -1,4 +1,4 @@
-"""The particle behind a violation, and what to change: asked only once something is wrong."""
+"""The particle behind a violation: asked only once something is wrong."""
 
 from __future__ import annotations
 
@@ -13,8 +13,6 @@ from phy124.kernels.weigh import make_energies
 if TYPE_CHECKING:
     from phy124.mpm import Solver
 
-SPRINGY = ("fixed_corotated", "hencky")
-"""Elastic laws that neo_hookean can stand in for."""
 LIMITS = {
     "elastic": "the stiffness of the material",
     "speed": "its speed",
@@ -70,14 +68,6 @@ def describe(solver: Solver, index: int) -> str:
     if np.isfinite(now).all() and np.isfinite(speed):
         words += f" and now at {_place(now)} m with {speed:.3g} m/s"
     return words
-
-
-def remedy(solver: Solver, index: int) -> str:
-    """What to change where a particle gained energy, broke or turned inside out."""
-    changes = [f"an accuracy.cfl below {solver.cfl:.2g}", "a gentler push"]
-    if law_of(solver, index).startswith(SPRINGY):
-        changes.insert(0, "material.law = neo_hookean")
-    return f"Use {', '.join(changes[:-1])} or {changes[-1]}"
 
 
 def pace(solver: Solver) -> str:

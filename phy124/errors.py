@@ -1,14 +1,32 @@
 """The two ways a run ends early that are not bugs: bad input, and the user's wish."""
 
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+
+class Remedy(NamedTuple):
+    """A change of the scene that helps."""
+
+    words: str
+    """Such as "accuracy.cells = 24"."""
+    changes: dict[str, Any]
+    """Dotted field of the scene -> value, as `Scene.replaced` takes them."""
+
 
 class InputError(ValueError):
     """Something the user chose cannot be used; the message says what, why and what to do.
 
-    The command line and the web page print the message alone, never a traceback.
+    The command line and the web page print the message alone, never a traceback. `remedies` are
+    changes of the scene each of which helps by itself, where they are known.
     """
 
-    def __init__(self, field: str, value: object, limit: str, remedy: str) -> None:
+    def __init__(
+        self, field: str, value: object, limit: str, remedy: str, remedies: Sequence[Remedy] = ()
+    ) -> None:
         self.field, self.value, self.limit, self.remedy = field, value, limit, remedy
+        self.remedies = tuple(remedies)
         super().__init__(f"{field} = {value}: {limit} {remedy}")
 
     def __reduce__(self) -> tuple[type, tuple[object, ...]]:

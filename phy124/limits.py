@@ -8,14 +8,17 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from phy124.errors import InputError
+from phy124.errors import InputError, Remedy
 from phy124.gaussians import Gaussians
+from phy124.materials import AnyMaterial
 from phy124.particles import Particles
+from phy124.remedies import accuracy, listed, plain
 from phy124.scene import Scene
 from phy124.timestep import STRAIN_PER_STEP, beside_elastic
 
@@ -30,6 +33,8 @@ BYTES_PER_PARTICLE = 400
 BYTES_PER_NODE = 32
 BYTES_PER_GAUSSIAN = 40
 """Of one frame of the clip."""
+MUCH_STIFFER = 3.0
+"""Times the waves of one material are faster than those of all others when that is worth a word."""
 MEMORY_SHARE = 0.8
 """Share of the free memory a run may take."""
 
@@ -69,12 +74,19 @@ def refuse_hopeless(
     demand = forecast(gaussians, particles, scene, device, keep=keep)
     patience = scene.time.patience
     if demand.seconds > patience:
+
+        def fits(other: Scene) -> bool:
+            needed = forecast(gaussians, particles, other, device, keep=keep)
+            return needed.seconds <= other.time.patience
+
+        found = _fitting(scene, demand.seconds / patience, fits)
         raise InputError(
             "time.patience",
             f"{patience:g} s",
             f"the run is forecast to take {duration(demand.seconds)} "
             f"({demand.substeps:.2g} substeps of {len(particles):,} particles).",
-            _quicker(scene, demand.seconds / patience),
+            _would_fit(found),
+            found,
         )
     free = free_memory()
     if demand.memory > MEMORY_SHARE * free:
@@ -87,8 +99,16 @@ def refuse_hopeless(
             f"Use at most {fits} frames, or fewer Gaussians."
             if fits > 1
             else "Use fewer Gaussians or a coarser accuracy.",
+            [plain("time.frames", fits)] if fits > 1 else [],
         )
     return demand
+
+
+def _would_fit(found: Sequence[Remedy]) -> str:
+    """What would fit, as a sentence."""
+    if not found:
+        return "Nothing alone would fit: use fewer frames and a coarser accuracy."
+    return f"{listed([remedy.words for remedy in found])} would fit."
 
 
 def free_memory() -> float:
@@ -128,25 +148,71 @@ def _viscous(scene: Scene) -> float:
     return beside_elastic(scene.resolution.cfl) * friction
 
 
-def _quicker(scene: Scene, excess: float) -> str:
-    """A setting that fits: the cause of the many substeps, made `excess` times cheaper."""
-    longest = scene.time.substep
+def _fitting(scene: Scene, excess: float, fits: Callable[[Scene], bool]) -> tuple[Remedy, ...]:
+    """Settings each of which makes a run `excess` times cheaper, and was tried to be enough."""
+    found = []
+    for remedy in _cheaper(scene, excess):
+        try:
+            changed = scene.replaced(remedy.changes)
+        except InputError:
+            continue
+        if fits(changed):
+            found.append(remedy)
+    return tuple(found)
+
+
+def _cheaper(scene: Scene, excess: float) -> Iterator[Remedy]:
+    """What may do: the cause of the many substeps first."""
     timing = scene.time.model_copy(update={"substep": None})
-    automatic = scene.model_copy(update={"time": timing})
-    if longest is not None and _substeps(automatic) < _substeps(scene) / 2:
-        return f"Leave time.substep out, or allow {longest * excess:.2g} s."
-    frames = max(1, int((scene.time.frames - 1) / excess) + 1)
-    others = f"{frames} frames, or a coarser accuracy, or more time.patience."
-    if _viscous(scene) < _elastic(scene) / 2 and not scene.parts:
-        name = next(n for n in ("damping", "viscosity") if hasattr(scene.material, n))
-        fits = getattr(scene.material, name) / excess
-        return f"material.{name} = {fits:.2g} would fit, or {others}"
-    E = getattr(scene.material, "simulated_E", getattr(scene.material, "E", None))
-    if E is not None and not scene.parts:
-        softer = f"material.E = {E / excess**2:.2g} would fit, or the law rigid, or "
-    else:
-        softer = "A softer material would fit, or "
-    return f"{softer}{others}"
+    automatic = _substeps(scene.model_copy(update={"time": timing}))
+    if scene.time.substep is not None and automatic < _substeps(scene):
+        yield plain("time.substep", _rounded(1.05 * scene.time.substep * excess))
+    if not scene.parts:
+        for name in ("damping", "viscosity"):
+            if getattr(scene.material, name, 0) > 0:
+                yield plain(
+                    f"material.{name}", _rounded(0.95 * getattr(scene.material, name) / excess)
+                )
+    for field, section in _sections(scene):
+        E = getattr(section, "simulated_E", getattr(section, "E", None))
+        if E is not None:
+            yield plain(f"{field}.E", _rounded(0.95 * E / excess**2))
+    yield plain("time.frames", max(1, int(0.95 * (scene.time.frames - 1) / excess) + 1))
+    yield accuracy(scene, cells=max(4, int(0.95 * scene.resolution.cells / excess)))
+    yield plain("time.patience", _rounded(1.05 * scene.time.patience * excess))
+
+
+def _sections(scene: Scene) -> Iterator[tuple[str, AnyMaterial]]:
+    """The materials that move, with the fields they are set by, the fastest waves first."""
+    parts = [(f"parts.{i}.material", p.material) for i, p in enumerate(scene.parts) if not p.static]
+    every = [("material", scene.material), *parts]
+    yield from sorted(every, key=lambda item: -item[1].wave_speed())
+
+
+def _rounded(value: float) -> float:
+    """Two digits are enough to type."""
+    return float(f"{value:.2g}")
+
+
+def stiffest_part(scene: Scene) -> str | None:
+    """A sentence if one material takes many more substeps than all others would."""
+    fastest, *others = _sections(scene)
+    if not others:
+        return None
+    field, section = fastest
+    ratio = section.wave_speed() / max(others[0][1].wave_speed(), 1e-9)
+    if ratio < MUCH_STIFFER:
+        return None
+    remedy = f"a smaller {field}.E"
+    if section.law == "rigid":
+        remedy = f"a smaller {field}.speed, if it hits nothing that fast"
+    if field != "material":
+        part = field.removesuffix(".material")
+        remedy += f", or {part}.static = true, if nothing rests on it,"
+    return (
+        f"{field} ({section.law}) is so stiff that it alone asks for {_substeps(scene):,.0f} "
+        f"substeps, {ratio:.0f} times as many as the rest: {remedy} makes the run as much faster."
+    )
 
 
 def duration(seconds: float) -> str:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
@@ -25,20 +25,21 @@ from phy124.boundaries import Ground
 from phy124.clip import Clip
 from phy124.deform import Deformer
 from phy124.effects import Effects
-from phy124.errors import Cancelled
+from phy124.errors import Cancelled, Remedy
 from phy124.gaussians import Frame, Gaussians
 from phy124.ledger import Ledger
-from phy124.limits import refuse_hopeless
+from phy124.limits import refuse_hopeless, stiffest_part
 from phy124.mpm import Solver, Unstable
 from phy124.painted import WHOLE, Crop
 from phy124.particles import Particles, clean, make_particles, to_size
 from phy124.parts import stiffnesses, with_materials
 from phy124.progress import Progress, silent
+from phy124.remedies import advice, hurry, remedies
 from phy124.scene import Scene
 from phy124.scenery import Scenery
 from phy124.sleep import Sleep
 from phy124.stopwatch import Stopwatch
-from phy124.watchdog import Watchdog
+from phy124.watchdog import Violation, Watchdog
 
 FLOOR_NODE = 0.75
 """The node plane that stops the material lies this many cells below the floor."""
@@ -47,7 +48,14 @@ MAX_STRETCH = 4.0
 
 
 class Stopped(RuntimeError):
-    """The simulation ended early because going on would be wrong; the message says why."""
+    """The simulation ended early because going on would be wrong; the message says why.
+
+    `remedies` are changes of the scene each of which helps by itself.
+    """
+
+    def __init__(self, why: str, remedies: Sequence[Remedy] = ()) -> None:
+        self.remedies = tuple(remedies)
+        super().__init__(f"{why} {advice(remedies)}".strip())
 
 
 class Interrupted(Cancelled):
@@ -128,6 +136,8 @@ class Simulation:
         self.rotations: list[NDArray] = []
         self.retried: list[int] = []
         self.stopped: str | None = None
+        self.remedies: tuple[Remedy, ...] = ()
+        """What would help, once it has stopped."""
 
     def __iter__(self) -> Iterator[Frame]:
         """The frames in order, going on where an earlier loop left off.
@@ -159,7 +169,7 @@ class Simulation:
             for _ in self:
                 pass
         except Stopped as stop:
-            self.stopped = str(stop)
+            self.stopped, self.remedies = str(stop), stop.remedies
         except Cancelled as wish:
             raise Interrupted(self) from wish
         launches = sum(count for _, count in self.solver.timings.values())
@@ -190,6 +200,7 @@ class Simulation:
         return {
             "complete": self.stopped is None and self.count == self.scene.time.frames,
             "stopped": self.stopped,
+            "remedies": [remedy.changes for remedy in self.remedies],
             "gaussians": len(self.gaussians),
             "particles": len(self.particles),
             "mass": float(self.particles.mass.sum()),
@@ -242,7 +253,8 @@ class Simulation:
                 with self._half_substep():
                     problem = self._try(index, until)
             if problem is not None:
-                raise Stopped(f"frame {index} is not sound: {problem}.")
+                found = remedies(problem.causes, self.scene)
+                raise Stopped(f"frame {index} is not sound: {problem.what}.", found)
         if self.scene.time.sleep:
             self.sleep.computed(index, self.solver.substeps - before)
 
@@ -256,7 +268,7 @@ class Simulation:
         finally:
             solver.cfl, solver.ceiling = usual
 
-    def _try(self, index: int, until: float) -> str | None:
+    def _try(self, index: int, until: float) -> Violation | None:
         """One try at a frame; what is wrong with it, or None. The state is then as before."""
         solver, watchdog = self.solver, self.watchdog
         watchdog.before()
@@ -293,12 +305,17 @@ class Simulation:
             if spent > 2 * patience:
                 raise Stopped(
                     f"frame {index} was reached in {spent:.0f} s, twice time.patience: "
-                    f"{culprit.pace(self.solver)}. "
-                    "Use gentler forces, a softer material, a coarser accuracy or more patience."
+                    f"{culprit.pace(self.solver)}.",
+                    hurry(self.scene, self.solver.substep().limiter, self._share_done()),
                 )
             report()
 
         return after
+
+    def _share_done(self) -> float:
+        """Share of the scene's time that is over."""
+        timing = self.scene.time
+        return self.solver.time * timing.fps / max(timing.frames - 1, 1)
 
     def _substep(self) -> dict[str, Any]:
         """How long substeps were and what limited them."""
@@ -317,7 +334,8 @@ class Simulation:
     def _notes(self) -> list[str]:
         """What the user should know: of the materials, and of how the run went."""
         notes = [note for section in self.scene.materials for note in section.notes()]
-        return notes + self.watchdog.notes()
+        stiff = stiffest_part(self.scene)
+        return notes + ([stiff] if stiff else []) + self.watchdog.notes()
 
     def _reporter(self, index: int) -> Callable[[], None]:
         return lambda: self.progress("simulate", index, self.scene.time.frames)

@@ -110,6 +110,8 @@ SABOTAGE = {
                  "q += nodes_b[n - first_b]", "q = nodes_b[n - first_b]"),
     29: Sabotage("walls answer before the body has come to them", "kernels/collide.py",
                  "m[1] * covered(far) >= full", "m[0] > full"),
+    30: Sabotage("what is too fast is told to be softer", "remedies.py",
+                 '"speed": ("push",)', '"speed": ("softer",)'),
 }  # fmt: skip
 """One deliberate error per case, by its number."""
 
@@ -124,7 +126,7 @@ print(examine(CASES[int(sys.argv[2]) - 1], Setting())[0].verdict)
 
 
 def test_every_case_has_a_sabotage():
-    assert set(SABOTAGE) == {case.number for case in CASES} == set(range(1, 30))
+    assert set(SABOTAGE) == {case.number for case in CASES} == set(range(1, 31))
 
 
 @pytest.mark.parametrize("number", SABOTAGE)

@@ -1,5 +1,6 @@
 """The watchdog: balances that add up, violations that are noticed, runs that are refused."""
 
+import math
 import re
 
 import numpy as np
@@ -173,10 +174,10 @@ def test_energy_from_nowhere_is_noticed():
     assert problem is not None
     assert re.search(
         r"\d+% of its energy came from nowhere, most of all its energy is in number 5 of law "
-        r"hencky, at \(.+\) m at rest and now at \(.+\) m with .+ m/s\. "
-        r"Use material.law = neo_hookean, an accuracy.cfl below 0.6 or a gentler push$",
-        problem,
+        r"hencky, at \(.+\) m at rest and now at \(.+\) m with .+ m/s$",
+        problem.what,
     )
+    assert problem.causes == ("substep",)
 
 
 def test_momentum_from_nowhere_is_noticed():
@@ -189,9 +190,10 @@ def test_momentum_from_nowhere_is_noticed():
     assert problem is not None
     assert re.search(
         r"1.00% of its momentum came from nowhere, the fastest is number 9 of law neo_hookean, at "
-        r"\(.+\) m at rest .+ Use accuracy.precision = float64 or a gentler push$",
-        problem,
+        r"\(.+\) m at rest .+",
+        problem.what,
     )
+    assert problem.causes == ("precision",)
 
 
 def test_particles_turned_inside_out_are_noticed():
@@ -202,10 +204,10 @@ def test_particles_turned_inside_out_are_noticed():
     problem = watch.after()
     assert problem is not None
     assert re.search(
-        r"20 particles are turned inside out, first number 0 of law neo_hookean, at .+\. "
-        r"Use an accuracy.cfl below 0.6 or a gentler push$",
-        problem,
+        r"20 particles are turned inside out, first number 0 of law neo_hookean, at .+",
+        problem.what,
     )
+    assert problem.causes == ("substep",)
 
 
 def test_numbers_that_are_none_are_noticed_with_their_particle():
@@ -215,7 +217,7 @@ def test_numbers_that_are_none_are_noticed_with_their_particle():
     s.state.v.assign(v)
     problem = watch.after()
     assert problem is not None
-    assert re.search(r"1 particles are no longer numbers, first number 7 of law .+\. Use", problem)
+    assert re.search(r"1 particles are no longer numbers, first number 7 of law", problem.what)
 
 
 def test_particles_that_crossed_too_much_are_named():
@@ -229,9 +231,8 @@ def test_particles_that_crossed_too_much_are_named():
         for _ in range(5):
             s.step(1e-3, 1e-3)
     problem = watch.blame(str(error.value))
-    assert re.search(
-        r"the fastest is number \d+ of law neo_hookean, at .+ m/s\. Use a gen", problem
-    )
+    assert re.search(r"the fastest is number \d+ of law neo_hookean, at .+ m/s", problem.what)
+    assert problem.causes == ("push", "cells")
 
 
 def test_numbers_lost_in_a_substep_are_named():
@@ -242,8 +243,46 @@ def test_numbers_lost_in_a_substep_are_named():
     with pytest.raises(Unstable) as error:
         s.advance(0.01)
     problem = watch.blame(str(error.value))
-    assert "1 particles are no longer numbers, first number 44 of law neo_hookean" in problem
-    assert problem.endswith("Use an accuracy.cfl below 0.6 or a gentler push")
+    assert "1 particles are no longer numbers, first number 44 of law neo_hookean" in problem.what
+    assert problem.causes == ("substep",)
+
+
+def test_rounding_of_a_stiff_body_is_no_explosion_until_it_shows():
+    """Sabotage: the energy of a strain of 3e-5, in float32 after many substeps and after few."""
+    v = np.tile([0, 0, 1e-6], (216, 1))
+    for substeps, precision, stops in (
+        (100_000, "float32", False), (100, "float32", True), (100_000, "float64", True),
+    ):  # fmt: skip
+        s, watch = followed(v=v, precision=precision)
+        energy = watch._strained(3e-5)
+        kicked = math.sqrt(2 * energy / watch.mass) * np.where(np.arange(216) % 2, 1, -1)
+        s.state.v.assign(v + kicked[:, None] * [1.0, 0, 0])
+        s.substeps = substeps
+        problem = watch.after()
+        assert (problem is not None) == stops
+        assert any("trembling" in note for note in watch.notes()) != stops
+
+
+@pytest.mark.slow
+def test_a_stiff_body_that_turns_slowly_runs_through():
+    """F grows by less than its last digit; it trembles, wherever it is."""
+    scene = Scene.named("spin").replaced({
+        "object.size": 0.05, "object.lift": 2.0, "object.spin": [0, 0, 1.0], "material.E": 7e7,
+        "accuracy": {"cells": 8, "cfl": 0.1}, "time.frames": 3, "time.fps": 24.0,
+        "binding": "field",
+    })  # fmt: skip
+    clip = Simulation(ball(40), scene).run()
+    assert clip.report["complete"]
+    assert any("trembling" in note for note in clip.report["notes"])
+    assert 1 - clip.report["balance"]["least_J"] < 3e-4
+
+
+def test_rounding_that_shows_asks_for_more_digits():
+    s, watch = followed(v=np.tile([0, 0, 1e-6], (216, 1)))
+    kicked = math.sqrt(2 * watch._strained(1e-3) / watch.mass)
+    s.state.v.assign(kicked * np.where(np.arange(216) % 2, 1, -1)[:, None] * [1.0, 0, 0])
+    s.substeps = 1_000_000
+    assert watch.after().causes == ("precision",)
 
 
 def test_impossible_deformations_are_reset_and_counted():
@@ -345,7 +384,8 @@ def test_a_frame_that_fails_twice_stops_and_keeps_the_good_ones(tmp_path, monkey
     stopped = clip.report["stopped"]
     assert "frame 3 is not sound" in stopped
     assert "number 11 of law neo_hookean" in stopped
-    assert stopped.endswith("Use an accuracy.cfl below 0.3 or a gentler push.")
+    assert stopped.endswith("Use accuracy.cfl = 0.15.")
+    assert clip.report["remedies"][0]["accuracy"]["cfl"] == pytest.approx(0.15)
     clip.save(tmp_path / "c.safetensors")
     again = Clip.load(tmp_path / "c.safetensors")
     assert np.isfinite(again.means).all() and not again.report["complete"]

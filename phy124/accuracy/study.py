@@ -182,7 +182,9 @@ class Study:
         size = self.scene.object.size
         if not levels:
             torn = any(row.level for row in rows)
-            why = "on every level the grid may tear the material" if torn else "no level could be run"
+            why = (
+                "on every level the grid may tear the material" if torn else "no level could be run"
+            )
             none, judged = Convergence(None, why_not=why), tuple(rows)
             return Report(judged, skipped, none, size, why, kept_promises(judged, none))
         names = [row.name for row in levels]

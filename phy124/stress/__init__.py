@@ -6,7 +6,7 @@ their reasons are in docs/stability.md.
 
 from collections.abc import Iterator
 
-from phy124.stress import conserve, guards, impact, inputs, laws, limits, shapes, world
+from phy124.stress import advice, conserve, guards, impact, inputs, laws, limits, shapes, world
 from phy124.stress.case import Case, Check, Row, Setting, examine
 
 CASES = (
@@ -39,6 +39,7 @@ CASES = (
     Case(27, "the window moves", world.window),
     Case(28, "repeats and threads", world.repeats),
     Case(29, "the floor", world.floor),
+    Case(30, "advice that is followed helps", advice.advice, precise=False),
 )
 """All cases in order."""
 

@@ -1,0 +1,139 @@
+"""What error may be promised: only what was measured for such a scene.
+
+`make accuracy` runs each law in each kind of motion on a series of grids and writes what it found
+to measured.json: the error of each grid and how violent and how long the scenes were. A scene is
+promised the error of its law and kind of motion, on a grid as coarse as its own or coarser, if it
+is no more violent and not much longer. Else nothing is promised: the error is "not measured", and
+a study of the scene itself (`phy124 accuracy`) tells.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from typing import Any, Literal
+
+from phy124.scene import Scene
+
+Motion = Literal["squeezed", "landing", "standing", "held", "free"]
+WORDS: dict[Motion, str] = {
+    "squeezed": "pressed or gripped",
+    "landing": "falling or thrown onto something",
+    "standing": "standing on something",
+    "held": "held at a part of it",
+    "free": "touching nothing",
+}
+"""Kinds of motion, in words."""
+MARGIN = 1.25
+"""How much longer or more violent than what was measured a scene may be; errors grow as much."""
+STUDY = "phy124 accuracy SCENE --image PICTURE"
+"""The command that measures a scene of one's own."""
+
+
+@dataclass(frozen=True)
+class Promise:
+    """The error that a scene may be promised before it runs, or why there is none."""
+
+    error: float | None
+    """RMS distance of the Gaussians from the exact motion over the clip, in object sizes."""
+    why: str
+    """Where the number comes from, or why there is none: a sentence."""
+
+    @property
+    def sentence(self) -> str:
+        """For people."""
+        if self.error is None:
+            return f"Error: {self.why}"
+        return f"Error: at most {self.error:.1%} of the object's size. {self.why}"
+
+
+def promise(scene: Scene, report: Mapping[str, Any] | None = None) -> Promise:
+    """What may be promised of a scene; with the report of its run, what may still be said."""
+    broken = _broken(report or {})
+    if broken:
+        return Promise(None, f"none can be promised: {broken}")
+    laws, motion = sorted({section.law for section in scene.materials}), motion_of(scene)
+    if len(laws) > 1:
+        return _unknown("scenes of several materials")
+    found = table()["scenes"].get(f"{laws[0]} {motion}")
+    such = f"{laws[0]} {WORDS[motion]}"
+    if found is None:
+        return _unknown(such)
+    if scene.resolution.ppc < found["ppc"]:
+        return _unknown(f"{such} with fewer than {found['ppc']:g} particles per cell and axis")
+    if violence(scene) > MARGIN * found["violence"]:
+        return _unknown(f"{such} so violent, or so soft")
+    if length(scene) > MARGIN * found["length"]:
+        return _unknown(f"{such} for so long")
+    grids = {int(cells): error for cells, error in found["errors"].items() if error is not None}
+    within = [cells for cells in grids if cells <= scene.resolution.cells]
+    if not within:
+        return _unknown(f"{such} on so coarse a grid")
+    about = ", ".join(found["from"])
+    return Promise(
+        grids[max(within)],
+        f"Measured at D/{max(within)} for {such} ({about}; {table()['object']}).",
+    )
+
+
+def motion_of(scene: Scene) -> Motion:
+    """The kind of motion of a scene, by what it touches and how it starts."""
+    walls = [b for b in scene.boundaries if b.kind not in ("held", "foot")]
+    if any(b.kind in ("press", "gripper") or getattr(b, "motion", None) for b in scene.boundaries):
+        return "squeezed"
+    if len(walls) < len(scene.boundaries):
+        return "held"
+    if not walls:
+        return "free"
+    moves = scene.object.lift > 0 or any(scene.object.velocity)
+    return "landing" if moves else "standing"
+
+
+def violence(scene: Scene) -> float:
+    """Energy that a scene brings against the stiffness that takes it: (v^2 + |a| L) / c^2.
+
+    v is the greatest speed it starts or lands with, a what pushes it, L its size, c the speed of
+    the waves in its softest material.
+    """
+    body = scene.object
+    pull = sum(math.hypot(*_vector(force)) for force in scene.forces)
+    speed = math.hypot(*body.velocity) + math.hypot(*body.spin) * body.size / 2
+    energy = speed**2 + 2 * pull * body.lift + pull * body.size
+    slowest = min(section.wave_speed() for section in scene.materials)
+    return energy / max(slowest, 1e-9) ** 2
+
+
+def length(scene: Scene) -> float:
+    """How long a scene lasts, in units of sqrt(size / 9.81 m/s^2)."""
+    seconds = (scene.time.frames - 1) / scene.time.fps
+    return seconds / math.sqrt(scene.object.size / 9.81)
+
+
+@cache
+def table() -> dict[str, Any]:
+    """What was measured, on which machine, and when."""
+    file = resources.files("phy124") / "accuracy" / "measured.json"
+    return json.loads(file.read_text("utf-8"))
+
+
+def _vector(force: Any) -> tuple[float, ...]:
+    """The acceleration a force gives, where it is one."""
+    value = next((getattr(force, name) for name in ("g", "a") if hasattr(force, name)), 0.0)
+    return tuple(value) if isinstance(value, tuple) else (float(value),)
+
+
+def _unknown(what: str) -> Promise:
+    return Promise(None, f"not measured for {what}; `{STUDY}` measures it.")
+
+
+def _broken(report: Mapping[str, Any]) -> str:
+    """Why a run keeps no promise, whatever was measured elsewhere."""
+    if report.get("balance", {}).get("tearing", {}).get("likely"):
+        return "the grid may have torn the material (see the notes)."
+    if report.get("complete") is False:
+        return "the run stopped early."
+    return ""

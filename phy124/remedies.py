@@ -1,0 +1,147 @@
+"""Remedies: what to change in a scene when its run stops or is refused, as fields and values.
+
+Each is a change that helps by itself. `phy124 stress` follows every one that is given.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from phy124.errors import Remedy
+from phy124.scene import Scene
+
+STRENGTHS = ("g", "a", "f", "p", "v")
+"""Fields of forces that say how strong they are."""
+SPRINGY = ("fixed_corotated", "hencky")
+"""Elastic laws that neo_hookean can stand in for."""
+SOFTER = 16.0
+"""Share of E: the substep is four times as long."""
+
+
+def remedies(causes: Sequence[str], scene: Scene) -> tuple[Remedy, ...]:
+    """What helps against these causes in this scene; those that do not apply are left out."""
+    found = (KNOWN[cause](scene) for cause in causes)
+    return tuple(remedy for remedy in found if remedy is not None)
+
+
+def advice(found: Sequence[Remedy]) -> str:
+    """The remedies as a sentence, or nothing."""
+    words = [remedy.words for remedy in found]
+    return f"Use {listed(words)}." if words else ""
+
+
+def listed(words: Sequence[str]) -> str:
+    """A, B or C."""
+    return " or ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
+
+
+def accuracy(scene: Scene, **values: Any) -> Remedy:
+    """Another value of the accuracy's table, whose name no longer fits then."""
+    changed = scene.resolution.model_copy(update=values).model_dump()
+    words = ", ".join(f"accuracy.{name} = {_said(value)}" for name, value in values.items())
+    return Remedy(words, {"accuracy": changed})
+
+
+def plain(field: str, value: Any) -> Remedy:
+    """One field, one value."""
+    return Remedy(f"{field} = {_said(value)}", {field: value})
+
+
+def _gentler(scene: Scene) -> Remedy | None:
+    """All speeds and forces halved; gravity, too."""
+    changes: dict[str, Any] = {}
+    for name in ("velocity", "spin"):
+        value = getattr(scene.object, name)
+        if any(value):
+            changes[f"object.{name}"] = _half(value)
+    for index, force in enumerate(scene.forces):
+        for name in STRENGTHS:
+            if hasattr(force, name):
+                changes[f"forces.{index}.{name}"] = _half(getattr(force, name))
+    for index, wall in enumerate(scene.boundaries):
+        if wall.kind == "press":
+            changes[f"boundaries.{index}.down"] = 2 * wall.down
+    return Remedy("a gentler push (half the speeds and forces)", changes) if changes else None
+
+
+def _half(value: Any) -> Any:
+    return [x / 2 for x in value] if isinstance(value, tuple) else value / 2
+
+
+def _neo_hookean(scene: Scene) -> Remedy | None:
+    material = scene.material
+    if material.law not in SPRINGY:
+        return None
+    kept = material.model_dump(exclude={"law"})
+    return Remedy("material.law = neo_hookean", {"material": {"law": "neo_hookean", **kept}})
+
+
+def _shorter(scene: Scene) -> Remedy:
+    """A quarter of the substep: a frame that failed has been tried with half of it."""
+    return accuracy(scene, cfl=scene.resolution.cfl / 4)
+
+
+def _double(scene: Scene) -> Remedy | None:
+    single = scene.resolution.precision == "float32"
+    return accuracy(scene, precision="float64") if single else None
+
+
+def _coarser(scene: Scene) -> Remedy | None:
+    cells = max(4, scene.resolution.cells // 2)
+    return accuracy(scene, cells=cells) if cells < scene.resolution.cells else None
+
+
+def _softer(scene: Scene) -> Remedy | None:
+    E = getattr(scene.material, "E", None)
+    return None if E is None or scene.parts else plain("material.E", max(1.0, E / SOFTER))
+
+
+def hurry(scene: Scene, limiter: str, done: float) -> tuple[Remedy, ...]:
+    """What helps a run that took twice its patience for a share of its frames.
+
+    The remedies are those of what limits its substep; a motion that speeds up evenly takes time as
+    the square of its length.
+    """
+    needed = 4 * scene.time.patience / max(done, 1e-2) ** 2
+    patient = plain("time.patience", float(f"{needed:.2g}"))
+    return (*remedies((*SLOW[limiter], "cells"), scene), patient)
+
+
+SLOW = {
+    "elastic": ("softer",),
+    "speed": ("push",),
+    "gradient": ("push",),
+    "viscous": ("friction",),
+    "user": ("ceiling",),
+}
+"""What limits the substep -> what makes it longer."""
+
+
+def _thinner(scene: Scene) -> Remedy | None:
+    for name in ("damping", "viscosity"):
+        if getattr(scene.material, name, 0) > 0:
+            return plain(f"material.{name}", getattr(scene.material, name) / 4)
+    return None
+
+
+def _ceiling(scene: Scene) -> Remedy | None:
+    longest = scene.time.substep
+    return None if longest is None else plain("time.substep", 4 * longest)
+
+
+KNOWN: dict[str, Callable[[Scene], Remedy | None]] = {
+    "law": _neo_hookean,
+    "substep": _shorter,
+    "precision": _double,
+    "push": _gentler,
+    "cells": _coarser,
+    "softer": _softer,
+    "friction": _thinner,
+    "ceiling": _ceiling,
+}
+"""What may be at fault -> what to change."""
+
+
+def _said(value: Any) -> str:
+    return f"{value:.3g}" if isinstance(value, float) else str(value)

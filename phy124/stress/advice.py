@@ -1,0 +1,116 @@
+"""Case 30: advice that is followed helps."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from phy124.errors import InputError, Remedy
+from phy124.scene import Scene
+from phy124.simulation import Simulation
+from phy124.stress.case import Check, Setting, at_least, at_most, equal
+from phy124.stress.inputs import shell
+
+SMALL: dict[str, Any] = {
+    "accuracy": {"cells": 6, "ppc": 2.0}, "time": {"frames": 4, "fps": 24.0}, "binding": "field",
+}  # fmt: skip
+LONG: dict[str, Any] = {"frames": 400, "fps": 24.0, "patience": 60.0}
+REFUSED: dict[str, dict[str, Any]] = {
+    "stiff": {"material": {"law": "neo_hookean", "E": 1e12}, "time": LONG},
+    "rubbing": {"material": {"law": "neo_hookean", "damping": 1e7}, "time": LONG},
+    "viscous": {"material": {"law": "fluid", "density": 1.0, "viscosity": 1e5}, "time": LONG},
+    "ceiling": {"time": {**LONG, "substep": 1e-8}},
+    "rigid": {"material": {"law": "rigid", "speed": 1000.0, "strain": 1e-4}, "time": LONG},
+}
+"""Scenes that would take longer than their patience."""
+TOO_LONG = 2.5
+"""A share of the stable substep that no scene can ask for: the run explodes."""
+
+
+def advice(setting: Setting) -> list[Check]:
+    """Every remedy of every stop and refusal, by itself."""
+    checks = []
+    for name, changes in REFUSED.items():
+        scene = Scene.from_data({**SMALL, **changes})
+        checks += list(_accepted(name, scene, setting))
+    checks += list(_lasts("explodes", _exploding(setting), setting))
+    checks += list(_hurries(_violent(setting), setting))
+    return checks
+
+
+def _accepted(name: str, scene: Scene, setting: Setting) -> Iterator[Check]:
+    """What a refusal advises is accepted."""
+    try:
+        _run(scene, setting)
+    except InputError as refusal:
+        yield at_least(f"{name}: remedies given", len(refusal.remedies), 2)
+        for remedy in refusal.remedies:
+            yield equal(f"{name}: {remedy.words} is accepted", _starts(scene, remedy, setting))
+        return
+    yield equal(f"{name}: is refused", False)
+
+
+def _starts(scene: Scene, remedy: Remedy, setting: Setting) -> bool:
+    try:
+        _run(scene.replaced(remedy.changes), setting)
+    except InputError:
+        return False
+    return True
+
+
+def _lasts(name: str, scene: Scene, setting: Setting) -> Iterator[Check]:
+    """What a stop advises goes on to the end, or at least further."""
+    stopped = _run(scene, setting)
+    stopped.run()
+    yield equal(f"{name}: it stops", stopped.stopped is not None)
+    yield at_least(f"{name}: remedies given", len(stopped.remedies), 1)
+    for remedy in stopped.remedies:
+        again = _run(scene.replaced(remedy.changes), setting)
+        again.run()
+        better = again.stopped is None or again.count > stopped.count
+        yield equal(f"{name}: {remedy.words} helps", better)
+
+
+def _hurries(scene: Scene, setting: Setting) -> Iterator[Check]:
+    """What is advised to a run without patience makes it need fewer substeps, or ends it."""
+    name, stopped = "outruns its patience", _run(scene, setting)
+    stopped.run()
+    yield equal(f"{name}: it stops", stopped.stopped is not None)
+    yield at_least(f"{name}: remedies given", len(stopped.remedies), 2)
+    few = {"time.frames": 3, "time.patience": 1000.0}
+    usual = _substeps(scene.replaced(few), setting)
+    for remedy in stopped.remedies:
+        helped = scene.replaced(remedy.changes)
+        if "time.patience" in remedy.changes:
+            patient = _run(helped, setting)
+            patient.run()
+            yield equal(f"{name}: {remedy.words} helps", patient.stopped is None)
+        else:
+            share = _substeps(helped.replaced(few), setting) / usual
+            yield at_most(f"{name}: {remedy.words}: share of the substeps", share, 0.8)
+
+
+def _substeps(scene: Scene, setting: Setting) -> int:
+    run = _run(scene, setting)
+    run.run()
+    return run.solver.substeps
+
+
+def _run(scene: Scene, setting: Setting) -> Simulation:
+    return Simulation(shell(40), scene, device=setting.device)
+
+
+def _exploding(setting: Setting) -> Scene:
+    scene = Scene.from_data({**SMALL, "object": {"spin": [0.0, 0.0, 3.0]}, "forces": []})
+    wrong = scene.resolution.model_copy(update={"cfl": TOO_LONG, "precision": setting.precision})
+    return scene.model_copy(update={"accuracy": wrong})
+
+
+def _violent(setting: Setting) -> Scene:
+    """Forecast by its stiffness, but so fast that its speed rules the substep."""
+    accuracy = {**SMALL["accuracy"], "precision": setting.precision}
+    return Scene.from_data({
+        **SMALL, "accuracy": accuracy, "time": {"frames": 12, "fps": 24.0, "patience": 0.01},
+        "object": {"velocity": [0.0, 500.0, 0.0]}, "material": {"law": "neo_hookean", "E": 100.0},
+        "forces": [], "boundaries": [],
+    })  # fmt: skip
