@@ -71,7 +71,7 @@ MATERIAL = st.one_of(
         for law, own in MATERIALS.items()
     ]
 )
-PATIENCE = r"^frame \d+ was reached in .*time\.patience: .*number \d+ of law .* Use gentler"
+PATIENCE = r"^frame \d+ was reached in .*time\.patience: .*number \d+ of law .* Use "
 PROFILE = st.sampled_from(
     [
         {"kind": "constant"},
