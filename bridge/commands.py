@@ -59,7 +59,7 @@ class Record:
             run = _live_run(self.source, self.simulated)
             self._record(say, run, len(run), run.scene.data(), run.report)
             return _status(run)
-        clip = Clip.load(self.source)
+        clip = _opened(self.source)
         frames = clip.frames(velocities=True)
         self._record(say, frames, len(clip), clip.scene, lambda: clip.report)
         return 0
@@ -120,7 +120,7 @@ class Play:
         self.simulated.check()
         if self.simulated.live:
             return self._follow(say)
-        clip = Clip.load(self.source)
+        clip = _opened(self.source)
         player = Player(
             clip.times, speed=self.speed, loop=self.loop, rate=self.rate, paused=self.paused
         )
@@ -212,6 +212,14 @@ class Doctor:
 
 COMMANDS = {"record": Record, "play": Play, "info": Info, "recover": Recover, "doctor": Doctor}
 """Name on the command line -> class."""
+
+
+def _opened(source: Path) -> Clip:
+    """A clip; the log says what of it cannot be shown."""
+    clip = Clip.load(source)
+    for flaw in clip.flaws():
+        log.warning(flaw)
+    return clip
 
 
 def _live_run(source: Path, options: LiveOptions) -> LiveRun:

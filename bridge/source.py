@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import partial
@@ -14,6 +15,9 @@ from phy124.progress import Progress, silent
 
 if TYPE_CHECKING:
     from phy124.scene import Scene
+
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -94,7 +98,10 @@ def make_object(source: Path, generator: str, seed: int, progress: Progress) -> 
     if source.suffix.lower() == ".ply":
         from phy124.generators.ply_file import PlyFile
 
-        return PlyFile(str(source))(progress=progress)
+        gaussians, left_out = PlyFile(str(source)).read(progress)
+        for sentence in left_out:
+            log.warning(sentence)
+        return gaussians
     deadline = Deadline(beat=partial(progress, "cut out", 0, 1))
     cutout, _ = foreground(open_image(source), "auto", deadline=deadline)
     return generators.make(generator)(cutout, seed=seed, progress=progress)

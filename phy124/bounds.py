@@ -12,7 +12,10 @@ LONGEST = 1e5
 SHORTEST = 1e-6
 """Shorter than any substep of an object that one can see [s]."""
 
-_Coordinate = Annotated[float, Field(ge=-1e5, le=1e5)]
+FARTHEST = 1e5
+"""No scene is wider [m]."""
+
+_Coordinate = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST)]
 _Rate = Annotated[float, Field(ge=-1e5, le=1e5)]
 _Push = Annotated[float, Field(ge=-1e9, le=1e9)]
 _Direction = Annotated[float, Field(ge=-1e6, le=1e6)]

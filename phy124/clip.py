@@ -127,6 +127,20 @@ class Clip:
         seconds = np.float32(self.times[after] - self.times[before])
         return (self.means[after] - self.means[before]) / seconds
 
+    def flaws(self) -> list[str]:
+        """A sentence for each frame with Gaussians that are nowhere: no picture shows those."""
+        found = []
+        for index in range(len(self)):
+            arrays = (self.means[index], self.quats[index], self.scales[index])
+            bad = ~np.all([np.isfinite(array).all(axis=1) for array in arrays], axis=0)
+            if bad.any():
+                count = np.count_nonzero(bad)
+                found.append(
+                    f"Frame {index}: {count} of {len(bad)} Gaussians have NaN or infinite values "
+                    "and are not shown."
+                )
+        return found
+
     def with_report(self, report: dict[str, Any]) -> Clip:
         """The same clip carrying another report."""
         return replace(self, report=report)

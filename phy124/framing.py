@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from phy124.camera import VIEWS, Camera
 from phy124.clip import Clip
+from phy124.errors import InputError
 from phy124.scene import View
 
 SAMPLE = 4096
@@ -121,7 +122,11 @@ def _azimuth(side: str) -> float:
 
 def _box(clip: Clip, view: View) -> tuple[NDArray, NDArray]:
     """Corners of the object at rest, and of the ground under it if it will fall there."""
-    low, high = clip.means[0].min(axis=0), clip.means[0].max(axis=0)
+    first = clip.means[0][np.isfinite(clip.means[0]).all(axis=1)]
+    if not len(first):
+        limit = "no Gaussian of its first frame is anywhere: all have NaN or infinite values."
+        raise InputError("clip", f"{len(clip)} frames", limit, "Simulate it once more.")
+    low, high = first.min(axis=0), first.max(axis=0)
     floors = [b["height"] for b in clip.scene.get("boundaries", []) if b["kind"] == "ground"]
     if floors and not view.follow:
         low = np.minimum(low, [np.inf, np.inf, max(floors)])
@@ -130,7 +135,9 @@ def _box(clip: Clip, view: View) -> tuple[NDArray, NDArray]:
 
 def _path(clip: Clip) -> NDArray[np.float64]:
     """How far the middle of what moves is from where it began [T,3], m."""
-    middle = _sample(clip).mean(axis=1)
+    points = _sample(clip)
+    finite = np.isfinite(points).all(axis=2, keepdims=True)
+    middle = np.where(finite, points, 0).sum(axis=1) / np.maximum(finite.sum(axis=1), 1)
     return middle - middle[0]
 
 

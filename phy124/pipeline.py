@@ -32,6 +32,7 @@ from phy124.framing import framing
 from phy124.gaussians import Gaussians
 from phy124.generators import Generator, needs_image
 from phy124.generators import make as make_generator
+from phy124.generators.ply_file import PlyFile
 from phy124.image import foreground, open_image
 from phy124.isolated import Deadline
 from phy124.parts import WHOLE, Crop, crop_of
@@ -133,8 +134,11 @@ def static(
             deadline = Deadline(beat=partial(progress, "cut out", 0, 1))
             cutout, used = foreground(open_image(image), method, deadline=deadline)
     with watch.stage("generate"):
-        gaussians = make(cutout, seed=seed, progress=progress)
-    about = {"foreground": used, "generator": _name(generator)}
+        if isinstance(make, PlyFile):
+            gaussians, cleaning = make.read(progress)
+        else:
+            gaussians, cleaning = make(cutout, seed=seed, progress=progress), []
+    about = {"foreground": used, "generator": _name(generator), "cleaning": cleaning}
     return Static(gaussians, crop_of(cutout), about)
 
 
@@ -265,7 +269,8 @@ class _Making:
         about = {"foreground": None, "generator": None, **self.about}
         if self.foretold is not None:
             about["forecast"] = self.foretold.compared(self.watch.seconds)
-        report = {**about, **clip.report, **framed(clip, view)}
+        cleaning = [*about.get("cleaning", []), *clip.report["cleaning"]]
+        report = {**about, **clip.report, "cleaning": cleaning, **framed(clip, view)}
         report |= circumstances(self.device, self.watch)
         if interrupted:
             report["stopped"] = report["stopped"] or INTERRUPTED

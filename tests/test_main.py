@@ -6,17 +6,19 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
+from shapes import ball
 from test_video import read as read_video
 
 from phy124.__main__ import main
 from phy124.camera import Camera
 from phy124.clip import Clip
-from phy124.ply import read_ply
+from phy124.ply import read_ply, write_ply
 from phy124.render import Renderer
 from phy124.scene import Scene
 
@@ -260,3 +262,44 @@ def test_a_photograph_is_cut_out(tmp_path, capsys):
     arguments = ["generate", str(tmp_path / "disc.png"), *QUICK, "--views", "front", "--json"]
     assert main([*arguments, "--out", str(tmp_path / "o")]) == 0
     assert json.loads(capsys.readouterr().out)["foreground"] == "grabcut"
+
+
+def test_what_of_a_file_is_dropped_is_said(tmp_path, capsys):
+    """NaN Gaussians of a PLY and of a frame of a clip: in the report, and on the screen."""
+    good = ball(1000)
+    means, opacities = good.means.copy(), good.opacities.copy()
+    means[:100], opacities[100:110] = np.nan, 1e-4
+    write_ply(tmp_path / "nan.ply", replace(good, means=means, opacities=opacities))
+    given = ["simulate", str(tmp_path / "nan.ply"), *QUICK, "--views", "front"]
+    assert main([*given, "--set", "accuracy.cells=6", "--out", str(tmp_path / "o")]) == 0
+    said = capsys.readouterr().out
+    sentences = [
+        "100 of 1000 Gaussians of the file had NaN or infinite values and were dropped.",
+        "10 of 1000 Gaussians of the file were fainter than 0.005 and were dropped.",
+    ]
+    assert said.startswith("scene: neo_hookean (density 1000 kg/m^3, E 40000 Pa, nu 0.35")
+    assert json.loads((tmp_path / "o/report.json").read_text())["cleaning"] == sentences
+    assert all(f"cleaning: {sentence}\n" in said for sentence in sentences)
+    clip = Clip.load(tmp_path / "o/clip.safetensors")
+    moved = np.array(clip.means)
+    moved[2, :7] = np.nan
+    replace(clip, means=moved).save(tmp_path / "nan.safetensors")
+    render = ["render", str(tmp_path / "nan.safetensors"), "--size", "32", "--views", "front"]
+    assert main([*render, "--out", str(tmp_path / "r"), "--device", "cpu"]) == 0
+    assert (
+        "note: Frame 2: 7 of 890 Gaussians have NaN or infinite values" in capsys.readouterr().out
+    )
+
+
+def test_a_frame_in_which_nothing_is_anywhere_is_said(made, tmp_path, capsys):
+    clip = Clip.load(made / "clip.safetensors")
+    for frame, status in ((1, 0), (0, 2)):
+        means = np.array(clip.means)
+        means[frame] = np.nan
+        replace(clip, means=means).save(tmp_path / "nan.safetensors")
+        given = ["render", str(tmp_path / "nan.safetensors"), "--size", "32", "--follow"]
+        assert (
+            main([*given, "--views", "front", "--out", str(tmp_path), "--device", "cpu"]) == status
+        )
+        printed = capsys.readouterr()
+        assert "have NaN or infinite values" in printed.out + printed.err

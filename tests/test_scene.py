@@ -7,7 +7,7 @@ from phy124.boundaries import Sphere
 from phy124.errors import InputError
 from phy124.forces import Wind
 from phy124.materials import AnyMaterial
-from phy124.scene import PRESETS, Scene, parse_value, preset_names
+from phy124.scene import PRESETS, Scene, parse_value, preset_names, summary
 from phy124.tracks import Sine
 
 EXPECTED = {
@@ -223,3 +223,15 @@ def test_named_accuracies_resolve():
 )
 def test_values_are_written_as_in_toml(text, value):
     assert parse_value(text) == value
+
+
+def test_a_scene_is_said_in_one_line():
+    part = {"region": {"upper": [0, 0, 0]}, "static": True}
+    scene = Scene.named("press").replaced({"material.law": "foam", "parts": [part]})
+    said = summary(scene)
+    assert said.startswith("foam (density ")
+    assert "viscosity 50 Pa s^n, flow_index 0.7); parts static; gravity; ground, press" in said
+    assert said.endswith(
+        "1 m over 32 cells, 2 particles per cell and axis, float32; 14 frames at 24/s"
+    )
+    assert "\n" not in said

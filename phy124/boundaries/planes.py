@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from phy124.boundaries.base import Boundary, Corners, Movable, half_bounds, vector
 from phy124.boundaries.motion import Path
-from phy124.bounds import LONGEST, SHORTEST, Direction, Position
+from phy124.bounds import FARTHEST, LONGEST, SHORTEST, Direction, Position
 from phy124.region import Region, Vector
 from phy124.tracks import Track
 
@@ -53,7 +53,9 @@ class Ground(Plane, Movable):
     """A floor at a height, on which objects stand by default."""
 
     kind: Literal["ground"] = "ground"
-    height: float = Field(default=0.0, ge=-1e5, le=1e5, description="Height of the floor [m].")
+    height: float = Field(
+        default=0.0, ge=-FARTHEST, le=FARTHEST, description="Height of the floor [m]."
+    )
 
     def geometry(self, solver: Solver) -> tuple[Vector, Vector, Vector]:
         """Point and unit normal."""
@@ -106,10 +108,12 @@ class Container(Movable):
         walls = []
         for axis in range(3):
             for corner, sign in ((self.inside.lower, 1.0), (self.inside.upper, -1.0)):
-                if abs(corner[axis]) < 1e8:
-                    normal = np.zeros(3)
-                    normal[axis] = sign
-                    wall = HalfSpace(point=corner, normal=vector(normal), contact=self.contact)
+                if abs(corner[axis]) <= FARTHEST:
+                    normal, point = np.zeros((2, 3))
+                    normal[axis], point[axis] = sign, corner[axis]
+                    wall = HalfSpace(
+                        point=vector(point), normal=vector(normal), contact=self.contact
+                    )
                     moves = {"friction": self.friction, "motion": self.motion}
                     walls.append(wall.model_copy(update=moves))
         return walls
@@ -125,4 +129,5 @@ def there_and_back(to: Vector, start: float, go: float, stay: float, back: float
     here = (0.0, 0.0, 0.0)
     times = [0.0, go, go + stay, go + stay + back] if stay > 0 else [0.0, go, go + back]
     points = (here, to, to, here) if stay > 0 else (here, to, here)
-    return Path(start=start, times=tuple(times), points=points).track()
+    # Beyond what a user may give: each of the times is within bounds, their sum need not be.
+    return Path.model_construct(start=start, times=tuple(times), points=points).track()

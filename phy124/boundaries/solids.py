@@ -132,8 +132,8 @@ class Gripper(Boundary):
             inwards[along] = -side * (self.opening - self.closed) / 2
             points = ((0.0, 0.0, 0.0), vector(inwards), vector([*inwards[:2], self.lift]))
             times = (0.0, self.close, self.close + self.rise)
-            pad = Box(lower=vector(middle - half), upper=vector(middle + half))
-            path = Path(start=self.start, times=times, points=points)
+            pad = Box.model_construct(lower=vector(middle - half), upper=vector(middle + half))
+            path = Path.model_construct(start=self.start, times=times, points=points)
             answer = {"contact": self.contact, "friction": self.friction, "motion": path}
             pads.append(pad.model_copy(update=answer))
         return pads

@@ -50,12 +50,15 @@ class Compare:
             seen = tuple(_filmed(a, b, view, side, folder, device, bars) for side in view.sides)
             found = compare(a, b, seen)
             data = {"clips": [str(path) for path in paths], **found.data()}
+            data["notes"] = [
+                f"{p}: {s}" for p, c in zip(paths, (a, b), strict=True) for s in c.flaws()
+            ]
             text = json.dumps(data, indent=2) + "\n"
             (folder / "comparison.json").write_text(text, "utf-8")
             files = [str(out / path.name) for path in sorted(folder.iterdir())]
         print(json.dumps({**data, "files": files}) if self.json else found.table())
         if not self.json:
-            print("\n".join(files))
+            print("\n".join([*files, *(f"note: {note}" for note in data["notes"])]))
         return 0
 
 

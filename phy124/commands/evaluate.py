@@ -55,9 +55,11 @@ class Evaluate:
             videos = self._videos(clip, bars)
             result = evaluate(clip, videos, model=model, missing=missing)
         out = self.out or self.clip.parent / "evaluation.json"
+        data = {**self._data(result), "notes": clip.flaws()}
         with replacing(out) as path:
-            path.write_text(json.dumps(self._data(result), indent=2) + "\n", "utf-8")
-        print(json.dumps(self._data(result)) if self.json else f"{result.table()}\n{out}")
+            path.write_text(json.dumps(data, indent=2) + "\n", "utf-8")
+        told = [result.table(), *(f"note: {note}" for note in data["notes"]), str(out)]
+        print(json.dumps(data) if self.json else "\n".join(told))
         return 0
 
     def _model(self) -> tuple[similarity.ClipModel | None, str | None]:

@@ -15,6 +15,7 @@ from phy124.accuracy.choose import Goal, said
 from phy124.commands.bars import Bars
 from phy124.commands.options import SceneOptions, default_out, pick_device
 from phy124.errors import InputError
+from phy124.scene import summary
 from phy124.stopwatch import Stopwatch
 from phy124.weights import looking_in
 
@@ -53,6 +54,8 @@ class Generate:
         goal = wished(self.max_error, self.max_seconds)
         if self.resume:
             return go_on(out, self.options, goal)
+        if not self.options.json:
+            print(f"scene: {summary(scene)}", flush=True)
         if self.dry_run:
             with looking_in(self.weights):
                 return self._foretell(device)
@@ -128,13 +131,15 @@ class Simulate:
         out = self.out or default_out(str(self.gaussians), self.options.scene)
         if self.resume:
             return go_on(out, self.options)
+        if not self.options.json:
+            print(f"scene: {summary(scene)}", flush=True)
         read = PlyFile(str(self.gaussians), up=self.up, front=self.front, dialect=self.dialect)
         watch = Stopwatch()
         bars, place = Bars(quiet=self.options.json, keeps=True), pipeline.staged(out)
         with bars, place:  # The folder is refused before any work, if at all.
             with watch.stage("read"):
-                gaussians = read(progress=bars)
-            about = {"generator": str(self.gaussians)}
+                gaussians, cleaning = read.read(bars)
+            about = {"generator": str(self.gaussians), "cleaning": cleaning}
             result = pipeline.simulate(
                 gaussians, scene, out, device=device, progress=bars, watch=watch, about=about,
                 keep=True,
@@ -167,6 +172,8 @@ def show(result: pipeline.Result, *, as_json: bool) -> int:
             f"{report['substeps']} substeps, {report['frames']} frames on {report['device']}"
         )
         print_forecast(report)
+        for sentence in report["cleaning"]:
+            print(f"cleaning: {sentence}")
         for note in report["notes"]:
             print(f"note: {note}")
         for path in result.files:

@@ -45,8 +45,9 @@ class Render:
                 clip, view, folder, device=pick_device(self.device), progress=bars
             )
         files, note = [str(out / path.name) for path in paths], framing(clip, view)["note"]
+        notes = [*clip.flaws(), *([note] if note else [])]
         if self.json:
-            print(json.dumps({"files": files, "notes": [note] if note else []}))
+            print(json.dumps({"files": files, "notes": notes}))
         else:
-            print("\n".join([*files, *([f"note: {note}"] if note else [])]))
+            print("\n".join([*files, *(f"note: {note}" for note in notes)]))
         return 0

@@ -49,15 +49,29 @@ class PlyFile:
             InputError: As `read_ply`, or all Gaussians are nearly transparent or in one point.
         """
         del image_rgba, seed
+        return self.read(progress)[0]
+
+    def read(self, progress: Progress = silent) -> tuple[Gaussians, list[str]]:
+        """The same, and a sentence for each reason for which some were left out."""
         progress("read", 0, 1)
         ply = read_ply(self.path, up=self.up, front=self.front, dialect=self.dialect)
-        gaussians = ply.gaussians.select(ply.gaussians.opacities >= MIN_OPACITY)
+        visible = ply.gaussians.opacities >= MIN_OPACITY
+        gaussians = ply.gaussians.select(visible)
         if not len(gaussians):
             limit = f"All its Gaussians are fainter than {MIN_OPACITY}."
             raise InputError("PLY file", self.path, limit, "Give a file with a visible object.")
         placed = normalised(gaussians, self.path)
         progress("read", 1, 1)
-        return placed
+        left_out = {
+            "had NaN or infinite values": ply.dropped,
+            f"were fainter than {MIN_OPACITY}": int((~visible).sum()),
+        }
+        given = len(visible) + ply.dropped
+        return placed, [
+            f"{count} of {given} Gaussians of the file {why} and were dropped."
+            for why, count in left_out.items()
+            if count
+        ]
 
 
 def normalised(gaussians: Gaussians, name: str = "") -> Gaussians:

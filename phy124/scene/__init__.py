@@ -5,6 +5,7 @@ from phy124.scene.changes import parse_value
 from phy124.scene.scene import Scene, preset_names
 from phy124.scene.section import Section
 from phy124.scene.sections import Object, Part, Timing
+from phy124.scene.summary import summary
 from phy124.scene.view import Format, View, ViewName
 
 __all__ = [
@@ -23,4 +24,5 @@ __all__ = [
     "ViewName",
     "parse_value",
     "preset_names",
+    "summary",
 ]
