@@ -42,7 +42,7 @@ from phy124.stopwatch import Stopwatch
 from phy124.watchdog import Violation, Watchdog
 
 FLOOR_NODE = 0.75
-"""The node plane that stops the material lies this many cells below the floor."""
+"""A layer of nodes lies this many cells below the floor."""
 MAX_STRETCH = 4.0
 """Gaussians of material that flows grow at most this much: F_total itself has no bound."""
 

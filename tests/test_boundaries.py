@@ -25,7 +25,7 @@ from phy124.boundaries import (
 from phy124.errors import InputError
 from phy124.forces import Gravity
 from phy124.kernels import collide
-from phy124.materials import Fluid, NeoHookean
+from phy124.materials import Fluid, Foam, NeoHookean, Plasticine, Sand, Snow
 from phy124.mpm import Solver
 from phy124.region import Region
 
@@ -175,6 +175,32 @@ def test_a_settled_block_rests_on_the_wall(wall):
     bottom = s.state.x.numpy()[:, 2].reshape(8, 8, 8)[:, :, 0] - DX / 4
     assert abs(bottom.mean()) < 0.2 * DX
     assert bottom.min() > -0.5 * DX
+
+
+def test_a_light_body_does_not_sink_under_a_heavy_one():
+    """The masses of the nodes at a wall then do not stand in the ratio of one material."""
+    x = block(size=(0.4, 0.4, 0.6))
+    heavy = (x[:, 2] > 0.2).astype(int)
+    order = np.argsort(heavy, kind="stable")
+    both = [NeoHookean(E=1e5, density=100.0), NeoHookean(E=1e5, density=1000.0)]
+    volume = np.full(len(x), (DX / 2) ** 3)
+    s = Solver(
+        x[order], volume, both, dx=DX, material=heavy[order], boundaries=[Ground()],
+        forces=[Gravity()], origin=(0, 0, 0.25 * DX),
+    )  # fmt: skip
+    settle(s, 0.4)
+    assert abs(s.state.x.numpy()[:, 2].min() - DX / 4) < 0.2 * DX
+
+
+@pytest.mark.parametrize(
+    "material", [Sand(E=2e5), Snow(), Foam(), Plasticine()], ids=lambda m: m.law
+)
+@pytest.mark.parametrize("layer", [0.25, 0.6])
+def test_what_yields_does_not_sink_through_the_floor(material, layer):
+    """Wherever the nodes are: with single nodes heaps of sand ended 0.7 cells below it."""
+    s = solver(block(low=(0, 0, 0.1)), Ground(), material=material, origin=(0, 0, layer * DX))
+    s.advance(0.5)
+    assert s.state.x.numpy()[:, 2].min() > -0.2 * DX
 
 
 def test_round_obstacles_carry_what_falls_on_them():

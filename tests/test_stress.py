@@ -112,6 +112,8 @@ SABOTAGE = {
                  "m[1] * covered(far) >= full", "m[0] > full"),
     30: Sabotage("what is too fast is told to be softer", "remedies.py",
                  '"speed": ("push",)', '"speed": ("softer",)'),
+    31: Sabotage("what flows meets walls node by node", "boundaries/base.py",
+                 "return self.reach(solver.dx) is None", "return False"),
 }  # fmt: skip
 """One deliberate error per case, by its number."""
 
@@ -126,7 +128,7 @@ print(examine(CASES[int(sys.argv[2]) - 1], Setting())[0].verdict)
 
 
 def test_every_case_has_a_sabotage():
-    assert set(SABOTAGE) == {case.number for case in CASES} == set(range(1, 31))
+    assert set(SABOTAGE) == {case.number for case in CASES} == set(range(1, 32))
 
 
 @pytest.mark.parametrize("number", SABOTAGE)

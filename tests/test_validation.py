@@ -56,13 +56,16 @@ def slope(solver: Solver, width: float) -> float:
     return float(-np.degrees(np.arctan(np.polyfit(edges, tops, 1)[0])))
 
 
-@pytest.mark.parametrize("cells", [8, pytest.param(16, marks=pytest.mark.slow)])
-def test_a_sand_column_runs_out_as_far_as_in_experiments(cells):
-    """Two dimensions, aspect ratio 1: 1.2 widths (Lube et al. 2005), 20 %."""
+@pytest.mark.parametrize(
+    ("cells", "close"), [(12, 0.3), pytest.param(16, 0.2, marks=pytest.mark.slow)]
+)
+def test_a_sand_column_runs_out_as_far_as_in_experiments(cells, close):
+    """Two dimensions, aspect ratio 1: 1.2 widths (Lube et al. 2005); coarse grids stop it early."""
     width = 0.4
     s = channel(Sand(friction_angle=25.0), width, width, width / cells, friction=0.6)
     s.advance(1.0)
-    assert (front(s) - width) / width == pytest.approx(1.2, rel=0.2)
+    assert (front(s) - width) / width == pytest.approx(1.2, rel=close)
+    assert s.state.x.numpy()[:, 2].min() > 0
     assert np.abs(s.state.v.numpy()).max() < 0.05
     assert 25 - 6 < slope(s, width) < 25 + 1
 
@@ -152,8 +155,9 @@ def test_materials_side_by_side_each_obey_their_own_law():
         x[order], np.full(len(x), (dx / 2) ** 3), [soft, sand], dx=dx, material=upper[order],
         boundaries=[Ground()], forces=[Gravity()], origin=(0, 0, 0.25 * dx),
     )  # fmt: skip
-    s.advance(0.3)
+    s.advance(0.2)
     below = upper[order] == 0
+    assert s.state.x.numpy()[below, 2].mean() > 0.4 * dx
     mass = s.mass.numpy()
     assert mass[~below].sum() == pytest.approx(4 * mass[below].sum(), rel=1e-5)
     F, total = s.state.F.numpy(), s.state.deformation.numpy()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, ClassVar, Literal
 
@@ -24,8 +25,9 @@ Contact = Literal["sticky", "slip", "separate"]
 REACH = -0.15
 """A node that answers to a wall by itself does so below this signed distance, in cells.
 
-Material rests 0.6 to 0.9 cells above the last node plane that moves freely, so on the average the
-plane that stops it must lie about 0.65 cells inside the wall for the body to touch it.
+A solid rests 0.6 to 0.9 cells above the last node plane that moves freely, so on the average the
+plane that stops it must lie about 0.65 cells inside the wall for the body to touch it. What flows
+keeps no such distance and sinks to that plane, so this is only for nodes that no column holds.
 """
 MARGIN = 2.0
 """How far in front of a wall nodes may answer to it, in cells."""
@@ -62,9 +64,7 @@ class Boundary(BaseModel):
 
     def met(self, solver: Solver) -> bool:
         """Whether the wall is met where it is, between the nodes; else node by node."""
-        laws = (section.device_law for section in solver.materials)
-        yields = any(law.project is not None and law.name != "fluid" for law in laws)
-        return not yields and self.reach(solver.dx) is None
+        return self.reach(solver.dx) is None
 
     def track(self, solver: Solver) -> Track | None:
         """Displacement over time [m]; None if it never moves."""
@@ -107,6 +107,7 @@ class Boundary(BaseModel):
             model.append(wp.vec3i(*start.tolist()))
             if met:
                 model.append(wp.vec2i(*(grid.share or (0, int(grid.size[0])))))
+                model.append(lightest(solver))
             inputs = [*model, grid.lattice, grid.window, solver.tracks.values, solver.tracks.rates]
             return solver.record(kernel, tuple(extent), inputs, [grid.nodes])
 
@@ -123,6 +124,15 @@ class Movable(Boundary):
     def track(self, solver: Solver) -> Track | None:
         """Displacement over time [m]; None if it never moves."""
         return None if self.motion is None else self.motion.track()
+
+
+def lightest(solver: Solver) -> float:
+    """Mass of a node amid the lightest of several materials [kg]; infinite if all weigh the same.
+
+    A cell of one material needs no such bound: squeezed, it is denser than it was made.
+    """
+    densities = {section.density for section in solver.materials}
+    return min(densities) * solver.dx**3 if len(densities) > 1 else math.inf
 
 
 def vector(values: Iterable[float]) -> Vector:

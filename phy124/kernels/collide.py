@@ -12,9 +12,7 @@ all three nodes alike; without that a wall is as soft as a layer one cell thick.
 B-splines: Hoellig, Reif, Wipper 2001.) The wall acts once the material has come to it, which the
 masses of the nodes on its two sides tell: see `covered`.
 
-`make_collider` is the usual rule, node by node: for regions that are held, and for solids
-that yield, which slide on a layer thinner than a cell; a field that is linear down to the wall
-would hold them a cell above it.
+`make_collider` is the usual rule, node by node: for regions that are held.
 """
 
 from functools import cache
@@ -202,14 +200,17 @@ FULL = wp.constant(0.8)
 
 
 @wp.func
-def arrived(m: Any, near: Any, far: Any):
+def arrived(m: Any, near: Any, far: Any, lightest: Any):
     """Whether material has come to a wall: nodes `near` and `far` cells in front have masses m.
 
     A body up to the wall covers their splines in a known ratio; with a gap there is less on the
     nearer node. The ratio does not depend on how dense or how wide the body is. Irregular
     particles scatter about it, and a body must not stand on the few columns that are fullest.
+    Where something heavier lies on it, the farther node counts no more than a whole one of the
+    `lightest` material.
     """
-    full = type(near)(FULL) * m[0] * covered(near)
+    behind = wp.min(m[0], lightest * covered(far))
+    full = type(near)(FULL) * behind * covered(near)
     return m[1] > type(near)(0.0) and m[1] * covered(far) >= full
 
 
@@ -220,7 +221,8 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
     Nodes further behind, or of columns without material in front, answer one by one below `reach`
     m of signed distance; so do columns that leave `span`, the layers first <= i < last that this
     launch may touch. A moving shape is displaced by the value of its track and its wall moves at
-    the track's rate, while the track is active.
+    the track's rate, while the track is active. `lightest` is the mass of a node amid the lightest
+    of several materials [kg], or infinite.
     """
     t = types(real)
     distance, answer, hold = SHAPES[shape], RESPONSES[response], HOLDS[response]
@@ -230,6 +232,7 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
     def contact(
         # model
         geometry: t.mat33, friction: real, reach: real, slot: int, start: wp.vec3i, span: wp.vec2i,
+        lightest: real,
         lattice: t.vec4, window: wp.array(dtype=wp.vec3i),
         values: wp.array(dtype=t.vec4), rates: wp.array(dtype=t.vec4),
         # out
@@ -286,10 +289,11 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
         q1 = grid_out[n + step]
         q2 = grid_out[n + 2 * step]
         # Shares of the mass: squares of momenta in small units would be nothing in float32.
-        m = wp.vector(q0[3], q1[3], q2[3]) / (q0[3] + q1[3] + q2[3])
+        mass = q0[3] + q1[3] + q2[3]
+        m = wp.vector(q0[3], q1[3], q2[3]) / mass
         normal = velocity(s0)
         across = dx * wp.abs(normal[axis])
-        if not arrived(m, s1[3] / across, s0[3] / across):
+        if not arrived(m, s1[3] / across, s0[3] / across, lightest / mass):
             return
         v = wp.matrix_from_rows(velocity(q0) - wall, velocity(q1) - wall, velocity(q2) - wall)
         g = wp.vector(s0[3], s1[3], s2[3]) / s0[3]

@@ -6,7 +6,18 @@ their reasons are in docs/stability.md.
 
 from collections.abc import Iterator
 
-from phy124.stress import advice, conserve, guards, impact, inputs, laws, limits, shapes, world
+from phy124.stress import (
+    advice,
+    conserve,
+    flow,
+    guards,
+    impact,
+    inputs,
+    laws,
+    limits,
+    shapes,
+    world,
+)
 from phy124.stress.case import Case, Check, Row, Setting, examine
 
 CASES = (
@@ -40,6 +51,7 @@ CASES = (
     Case(28, "repeats and threads", world.repeats),
     Case(29, "the floor", world.floor),
     Case(30, "advice that is followed helps", advice.advice, precise=False),
+    Case(31, "what flows, at walls", flow.flow),
 )
 """All cases in order."""
 
