@@ -89,7 +89,7 @@ class LiveRun:
 def make_object(source: Path, generator: str, seed: int, progress: Progress) -> Gaussians:
     """Gaussians of a picture, or of a 3DGS .ply file; raises InputError."""
     from phy124 import generators
-    from phy124.image import foreground, open_image
+    from phy124.cutout import cut_out
     from phy124.isolated import Deadline
 
     if not source.is_file():
@@ -103,5 +103,5 @@ def make_object(source: Path, generator: str, seed: int, progress: Progress) -> 
             log.warning(sentence)
         return gaussians
     deadline = Deadline(beat=partial(progress, "cut out", 0, 1))
-    cutout, _ = foreground(open_image(source), "auto", deadline=deadline)
-    return generators.make(generator)(cutout, seed=seed, progress=progress)
+    cutout = cut_out(source, deadline=deadline)
+    return generators.make(generator)(cutout.picture, seed=seed, progress=progress)

@@ -49,6 +49,9 @@ def cutter(studio: Studio) -> Handler:
             raise gr.Error(sentence(error), title="This picture cannot be used") from None
         except Cancelled:
             return None, gr.update(value=None, visible=False), None
+        if made.doubts:
+            remedy = "If it is wrong, correct it with the brush."
+            gr.Warning(" ".join([*made.doubts, remedy]), title="Is this the object?")
         canvas = {"background": dimmed(picture, made.path), "layers": [], "composite": None}
         return made, gr.update(value=made.path, visible=True), canvas
 

@@ -112,11 +112,12 @@ class Studio:
         visitor = self.visitors.get(session)
         marks = b"" if strokes is None else np.asarray(strokes).tobytes()
         path = visitor.folder / "cutouts" / f"{key(Path(picture).read_bytes(), marks)}.png"
+        doubts: tuple[str, ...] = ()
         if not path.exists():
             with visitor.cutting() as check, self.cutting.turn(check):
                 deadline = Deadline(self.settings.max_cut_seconds, check)
-                cut_out(picture, strokes, path, deadline)
-        return Cutout(str(path), picture)
+                doubts = cut_out(picture, strokes, path, deadline)
+        return Cutout(str(path), picture, doubts)
 
     def forecast(self, session: str, cutout: str | None, data: Any) -> str:
         """What a run would take; a complaint if it is not allowed."""
@@ -240,6 +241,8 @@ class Cutout:
     path: str
     picture: str
     """What was uploaded."""
+    doubts: tuple[str, ...] = ()
+    """What makes it likely that another object was meant; told once."""
 
 
 @dataclass

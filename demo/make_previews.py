@@ -10,9 +10,9 @@ import argparse
 from pathlib import Path
 
 from phy124.clip import Clip
+from phy124.cutout import cut_out
 from phy124.gaussians import Frame
 from phy124.generators import make
-from phy124.image import foreground, open_image
 from phy124.pipeline import cameras
 from phy124.progress import silent
 from phy124.render import render_frames
@@ -37,7 +37,7 @@ def main() -> None:
 def make_preview(name: str, path: Path) -> None:
     """Simulate a preset at draft accuracy and film it from the front and slightly above."""
     picture = FOLDER / "examples" / f"{OBJECTS.get(name, 'duck')}.png"
-    cutout, _ = foreground(open_image(picture))
+    cutout = cut_out(picture).picture
     scene = Scene.named(name).replaced({"accuracy": "draft"})
     clip = Simulation(make("relief")(cutout, seed=0, progress=silent), scene).run()
     path.parent.mkdir(exist_ok=True)

@@ -9,9 +9,10 @@ import numpy as np
 from PIL import Image
 
 from demo.settings import Settings
+from phy124.cutout import foreground
 from phy124.errors import InputError
-from phy124.image import FORMATS, foreground, open_image
-from phy124.isolated import MINUTE, Deadline
+from phy124.image import FORMATS, open_image
+from phy124.isolated import PATIENT, Deadline
 
 
 def check_picture(path: Path, settings: Settings) -> None:
@@ -36,12 +37,16 @@ def check_picture(path: Path, settings: Settings) -> None:
 
 
 def cut_out(
-    picture: str, strokes: Image.Image | None, path: Path, deadline: Deadline = MINUTE
-) -> None:
-    """Write the cut-out; green strokes are object and red ones are not, whatever was found."""
-    image = open_image(picture)
+    picture: str, strokes: Image.Image | None, path: Path, deadline: Deadline = PATIENT
+) -> tuple[str, ...]:
+    """Write the cut-out and return what makes it doubtful.
+
+    Green strokes are object and red ones are not, whatever was found.
+    """
+    image, doubts = open_image(picture), ()
     try:
-        cut, _ = foreground(image, deadline=deadline)
+        found = foreground(image, deadline=deadline)
+        cut, doubts = found.picture, found.warnings
     except InputError:
         if strokes is None:
             raise
@@ -49,9 +54,11 @@ def cut_out(
         cut.putalpha(0)
     if strokes is not None:
         cut.putalpha(brushed(cut.getchannel("A"), strokes))
+        doubts = ()
     if not np.any(np.asarray(cut.getchannel("A")) > 127):
         raise InputError("picture", "empty", "Nothing is left of it.", "Paint green what to keep.")
     cut.save(path, compress_level=1)
+    return doubts
 
 
 def brushed(alpha: Image.Image, strokes: Image.Image) -> Image.Image:

@@ -37,7 +37,7 @@ class Settings(BaseModel):
     max_views: int = Field(default=5, ge=1, le=5, description="Videos of one run.")
     max_seconds: float = Field(default=180, gt=0, description="Wall-clock time of one run [s].")
     max_cut_seconds: float = Field(
-        default=30, gt=0, description="Wall-clock time of one cut-out [s]."
+        default=60, gt=0, description="Wall-clock time of one cut-out [s]."
     )
     max_queue: int = Field(default=16, ge=1, description="Requests that may wait.")
     max_clips: int = Field(default=3, ge=1, description="Results kept per visitor.")

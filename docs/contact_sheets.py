@@ -13,8 +13,8 @@ from PIL import Image
 
 from phy124 import pipeline
 from phy124.clip import Clip
+from phy124.cutout import cut_out
 from phy124.generators import make
-from phy124.image import foreground, open_image
 from phy124.render import render_frames
 from phy124.scene import Scene, preset_names
 from phy124.video import write_animation
@@ -33,7 +33,7 @@ def row(clip: Clip, scene: Scene, view: str) -> np.ndarray:
 
 def sheet(picture: Path, names: list[str]) -> np.ndarray:
     """All presets of one picture."""
-    cutout, _ = foreground(open_image(picture))
+    cutout = cut_out(picture).picture
     gaussians = make("relief")(cutout, seed=0, progress=lambda *_: None)
     rows = []
     for name in names:
@@ -49,7 +49,7 @@ def sheet(picture: Path, names: list[str]) -> np.ndarray:
 
 def banner(path: Path) -> None:
     """The README's picture: the duck pressed, four views and the orbit side by side."""
-    cutout, _ = foreground(open_image(HERE / "../demo/examples/duck.png"))
+    cutout = cut_out(HERE / "../demo/examples/duck.png").picture
     gaussians = make("relief")(cutout, seed=0, progress=lambda *_: None)
     scene = Scene.named("press").replaced({"view.views": ["front"], "view.size": 200})
     with tempfile.TemporaryDirectory() as folder:

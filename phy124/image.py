@@ -1,4 +1,4 @@
-"""Pictures in: opened upright and within limits, cut out from their background, recentred.
+"""Pictures in: opened upright and within limits; recentred for the networks.
 
 Everything after this module sees straight (not premultiplied) RGBA, 8 bits, sRGB as stored.
 """
@@ -6,21 +6,18 @@ Everything after this module sees straight (not premultiplied) RGBA, 8 bits, sRG
 from __future__ import annotations
 
 import os
+import re
 import struct
 import warnings
 import zlib
-from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageOps
 
-from phy124 import isolated, u2net
 from phy124.errors import InputError
-from phy124.grabcut import grabcut
 
 MAX_BYTES = 50_000_000
 """Largest picture file opened."""
@@ -31,84 +28,70 @@ MIN_SIDE = 8
 WORK_SIDE = 2048
 """Longer pictures are reduced to this side, pixels: no generator looks closer."""
 FORMATS = ("PNG", "JPEG", "WEBP")
+"""Of photographs."""
+ANY_FORMAT = (*FORMATS, "GIF", "BMP", "TIFF", "PPM")
+"""Of masks, which other programs write."""
+ANIMATED = ("PNG", "WEBP", "GIF")
+"""Formats whose further pictures are frames of an animation, not thumbnails or pages."""
+MAX_SCANS = 100
+"""Most passes over a JPEG: usual ones have 1 to 10, and a small file can ask for 100,000."""
+MARKER = re.compile(rb"\xff+([^\x00\xff\xd0-\xd7])", re.DOTALL)
+"""Start of a segment of a JPEG; 00 and D0 to D7 belong to the picture's data."""
+SCAN, END = b"\xda", b"\xd9"
 DEEP_MODES = ("I;16", "I;16B", "I;16L", "I;16N", "I")
 """Modes of 16-bit grey pictures, which Pillow would clip instead of scaling."""
-REAL_ALPHA = 0.005
-"""Share of pixels that must be opaque, and as many transparent, for an alpha to mean something."""
-LEAST, MOST = 0.003, 0.97
-"""Smallest and largest share of the picture that an object can take."""
 BROKEN = (OSError, SyntaxError, ValueError, EOFError, IndexError, struct.error, zlib.error)
 """What Pillow's decoders raise on broken files."""
 
 
-def open_image(path: str | os.PathLike[str]) -> Image.Image:
-    """Open a PNG, JPEG or WebP picture as upright RGBA, `WORK_SIDE` pixels at most on a side.
+def open_image(
+    path: str | os.PathLike[str],
+    *,
+    field: str = "image",
+    formats: tuple[str, ...] = FORMATS,
+    least: int = MIN_SIDE,
+) -> Image.Image:
+    """Open a picture as upright RGBA, `WORK_SIDE` pixels at most on a side.
+
+    Of an animation it is the first frame. Its `info` has the number of `frames`, and the `size`
+    of the upright picture before it was reduced.
+
+    Args:
+        path: The file.
+        field: What the picture is, for the message.
+        formats: Those of Pillow's that are taken.
+        least: Smallest side, pixels.
 
     Raises:
         InputError: The file is missing, too large, of another format, or broken.
     """
     path = Path(path)
-    _check_file(path)
     with warnings.catch_warnings():
         # Our own limit is stricter and comes before decoding.
         warnings.simplefilter("ignore", Image.DecompressionBombWarning)
         try:
-            with Image.open(path, formats=FORMATS) as opened:
-                _check_size(path, *opened.size)
+            _check_file(path)
+            with Image.open(path, formats=formats) as opened:
+                _check_size(*opened.size, least)
+                if opened.format == "JPEG":
+                    _check_scans(path.read_bytes())
                 return _upright_rgba(opened)
         except Image.UnidentifiedImageError as error:
-            limit = "It is not a PNG, JPEG or WebP picture."
-            raise _refusal(path, limit, "Save it as PNG or JPEG and try again.") from error
+            limit = f"It is not a {_listed(formats)} picture."
+            remedy = "Save it as PNG or JPEG and try again."
+            raise InputError(field, path, limit, remedy) from error
         except Image.DecompressionBombError as error:
-            raise _too_large(path) from error
-        except InputError:
-            raise
+            raise InputError(field, path, *TOO_LARGE) from error
+        except _Unusable as error:
+            raise InputError(field, path, *error.args) from None
         except BROKEN as error:
             limit = f"It is broken or cut short ({error})."
-            raise _refusal(path, limit, "Copy or export it again.") from error
+            raise InputError(field, path, limit, "Copy or export it again.") from error
 
 
-def foreground(
-    image: Image.Image, method: str = "auto", *, deadline: isolated.Deadline = isolated.MINUTE
-) -> tuple[Image.Image, str]:
-    """Cut the object out: the picture with alpha, and the name of the method that found it.
-
-    Args:
-        image: A picture in any mode.
-        method: Key of `METHODS`, or "auto" for the first of them that applies.
-        deadline: How long the search may take, and who may call it off.
-
-    Raises:
-        InputError: The method is unknown, finds no object or nothing but object, or its time is
-            up.
-    """
-    image = image.convert("RGBA")
-    if method == "auto":
-        method = next(name for name, way in METHODS.items() if way.applies(image))
-    if method not in METHODS:
-        known = ", ".join(["auto", *METHODS])
-        raise InputError("foreground", method, "It is not known.", f"Choose one of {known}.")
-    try:
-        alpha = METHODS[method].find(image, deadline)
-    except isolated.Unfinished as error:
-        limit = f"The search for the object by {method} {error}."
-        raise InputError("foreground", method, limit, REMEDY) from error
-    share = float(np.mean(alpha > 127))
-    if share < LEAST:
-        limit = f"No object was found in the picture by {method}."
-        raise InputError("foreground", method, limit, REMEDY)
-    if share > MOST:
-        limit = f"Nearly the whole picture ({share:.0%}) was taken for the object by {method}."
-        raise InputError("foreground", method, limit, REMEDY)
-    cut = image.copy()
-    cut.putalpha(Image.fromarray(alpha))
-    return cut, method
-
-
-REMEDY = (
-    "Use a picture with one object on a plain background, all of it visible, or cut the object "
-    "out yourself and save it as PNG with transparency."
-)
+def size_in_file(image: Image.Image) -> tuple[int, int]:
+    """Width and height of an opened picture before it was reduced."""
+    return image.info.get("size", image.size)
 
 
 def recenter(image: NDArray, mask: NDArray, *, border_ratio: float = 0.2) -> NDArray:
@@ -133,7 +116,8 @@ def recenter(image: NDArray, mask: NDArray, *, border_ratio: float = 0.2) -> NDA
     size, channels = max(image.shape[:2]), image.shape[2]
     rows, columns = np.nonzero(mask)
     if not len(rows) or rows.min() == rows.max() or columns.min() == columns.max():
-        raise InputError("mask", "empty", "It shows no object to centre.", REMEDY)
+        remedy = "Use a picture that shows more of the object."
+        raise InputError("mask", "empty", "It shows no object to centre.", remedy)
     top, bottom, left, right = rows.min(), rows.max(), columns.min(), columns.max()
     scale = int(size * (1 - border_ratio)) / max(bottom - top, right - left)
     height, width = max(1, int((bottom - top) * scale)), max(1, int((right - left) * scale))
@@ -146,82 +130,67 @@ def recenter(image: NDArray, mask: NDArray, *, border_ratio: float = 0.2) -> NDA
     return (canvas * 255).astype(np.uint8) if image.dtype == np.uint8 else canvas
 
 
-def has_alpha(image: Image.Image) -> bool:
-    """Whether the alpha separates an object: some pixels opaque, some transparent."""
-    solid = float(np.mean(np.asarray(image.convert("RGBA").getchannel("A")) > 127))
-    return REAL_ALPHA <= solid <= 1 - REAL_ALPHA
+class _Unusable(Exception):
+    """What is wrong with a picture, and what to do."""
 
 
-def _own_alpha(image: Image.Image, deadline: isolated.Deadline) -> NDArray[np.uint8]:
-    del deadline
-    if not has_alpha(image):
-        limit = "The picture has no transparency that separates an object."
-        remedy = 'Choose "auto" or "grabcut", or save the cut-out object as PNG.'
-        raise InputError("foreground", "alpha", limit, remedy)
-    return np.asarray(image.getchannel("A"))
+TOO_LARGE = (
+    f"It has more than {MAX_PIXELS / 1e6:.0f} million pixels.",
+    "Reduce it, for example to 2000 pixels on its longer side.",
+)
 
 
-def _grabcut(image: Image.Image, deadline: isolated.Deadline) -> NDArray[np.uint8]:
-    return isolated.run(grabcut, np.asarray(image.convert("RGB")), deadline=deadline)
-
-
-def _always(image: Image.Image) -> bool:
-    del image
-    return True
-
-
-class Method(NamedTuple):
-    """A way to find the object."""
-
-    applies: Callable[[Image.Image], bool]
-    """Whether "auto" may choose it for a picture."""
-    find: Callable[[Image.Image, isolated.Deadline], NDArray[np.uint8]]
-    """The alpha [H,W] of a picture; native code of others runs through `phy124.isolated`."""
-
-
-METHODS: dict[str, Method] = {
-    "alpha": Method(has_alpha, _own_alpha),
-    "u2net": Method(u2net.available, u2net.alpha),
-    "grabcut": Method(_always, _grabcut),
-}
-"""Ways to find the object, best first."""
-
-
-def _refusal(path: Path, limit: str, remedy: str) -> InputError:
-    return InputError("image", path, limit, remedy)
-
-
-def _too_large(path: Path) -> InputError:
-    limit = f"It has more than {MAX_PIXELS / 1e6:.0f} million pixels."
-    return _refusal(path, limit, "Reduce it, for example to 2000 pixels on its longer side.")
+def _listed(formats: tuple[str, ...]) -> str:
+    names = [name.replace("WEBP", "WebP") for name in formats]
+    return f"{', '.join(names[:-1])} or {names[-1]}"
 
 
 def _check_file(path: Path) -> None:
     if not path.is_file():
-        raise _refusal(path, "There is no such file.", "Check the path.")
+        raise _Unusable("There is no such file.", "Check the path.")
     size = path.stat().st_size
     if size == 0:
-        raise _refusal(path, "It is empty (0 bytes).", "Copy or export it again.")
+        raise _Unusable("It is empty (0 bytes).", "Copy or export it again.")
     if size > MAX_BYTES:
         limit = f"It has {size / 1e6:.0f} MB; the limit is {MAX_BYTES / 1e6:.0f} MB."
-        raise _refusal(path, limit, "Save it as JPEG or reduce it.")
+        raise _Unusable(limit, "Save it as JPEG or reduce it.")
 
 
-def _check_size(path: Path, width: int, height: int) -> None:
+def _check_size(width: int, height: int, least: int) -> None:
     if width * height > MAX_PIXELS:
-        raise _too_large(path)
-    if min(width, height) < MIN_SIDE:
-        limit = f"It has {width} x {height} pixels; each side needs {MIN_SIDE} at least."
-        raise _refusal(path, limit, "Use a larger picture.")
+        raise _Unusable(*TOO_LARGE)
+    if min(width, height) < least:
+        limit = f"It has {width} x {height} pixels; each side needs {least} at least."
+        raise _Unusable(limit, "Use a larger picture.")
+
+
+def _check_scans(jpeg: bytes) -> None:
+    scans, place = 0, 2
+    while (marker := MARKER.search(jpeg, place)) and marker[1] != END:
+        scans += marker[1] == SCAN
+        if scans > MAX_SCANS:
+            limit = f"It is a JPEG of more than {MAX_SCANS} passes, which takes very long to open."
+            raise _Unusable(limit, "Save it as PNG or as an ordinary JPEG.")
+        place = marker.end() + int.from_bytes(jpeg[marker.end() : marker.end() + 2], "big")
 
 
 def _upright_rgba(opened: Image.Image) -> Image.Image:
+    frames = getattr(opened, "n_frames", 1) if opened.format in ANIMATED else 1
     picture = ImageOps.exif_transpose(opened)
     if picture.mode in DEEP_MODES:
-        deep = np.asarray(picture).astype(np.float64)
-        picture = Image.fromarray(np.clip(np.rint(deep / 257), 0, 255).astype(np.uint8))
+        picture = _shallow(picture)
     elif picture.mode in ("CMYK", "YCbCr", "LAB", "HSV"):
         picture = picture.convert("RGB")
     picture = picture.convert("RGBA")
+    picture.info |= {"frames": frames, "size": picture.size}
     picture.thumbnail((WORK_SIDE, WORK_SIDE), Image.Resampling.LANCZOS)
     return picture
+
+
+def _shallow(picture: Image.Image) -> Image.Image:
+    """A 16-bit grey picture in 8 bits, with the transparency that its file gives one grey."""
+    deep, clear = np.asarray(picture), picture.info.get("transparency")
+    grey = Image.fromarray(np.clip(np.rint(deep / 257), 0, 255).astype(np.uint8))
+    if clear is not None:
+        grey.putalpha(Image.fromarray(255 * (deep != clear).astype(np.uint8)))
+    return grey

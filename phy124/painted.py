@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
-from phy124.errors import InputError
+from phy124.image import ANY_FORMAT, open_image
 
 Crop = tuple[float, float, float, float]
 WHOLE: Crop = (0.0, 0.0, 1.0, 1.0)
@@ -25,13 +24,8 @@ def brightness(x: NDArray, path: str, crop: Crop = WHOLE, *, field: str) -> NDAr
     Raises:
         InputError: the picture cannot be read.
     """
-    try:
-        with Image.open(path) as opened:
-            grey = np.asarray(opened.convert("L"), dtype=np.float64) / 255
-    except (OSError, ValueError) as error:
-        raise InputError(
-            field, path, f"it cannot be read ({error}).", "Give a PNG, painted over the picture."
-        ) from None
+    opened = open_image(path, field=field, formats=ANY_FORMAT, least=1)
+    grey = np.asarray(opened.convert("L"), dtype=np.float64) / 255
     low, high = x.min(axis=0), x.max(axis=0)
     across = (x[:, 1] - low[1]) / max(high[1] - low[1], 1e-12)
     down = (high[2] - x[:, 2]) / max(high[2] - low[2], 1e-12)

@@ -23,6 +23,7 @@ from phy124 import resume
 from phy124.accuracy.choose import Goal, reach
 from phy124.accuracy.forecast import Forecast, Forecaster
 from phy124.clip import Clip
+from phy124.cutout import Cutout, cut_out
 from phy124.errors import Cancelled, InputError
 from phy124.files import staged as staged
 from phy124.film import cameras as cameras
@@ -33,7 +34,6 @@ from phy124.gaussians import Gaussians
 from phy124.generators import Generator, needs_image
 from phy124.generators import make as make_generator
 from phy124.generators.ply_file import PlyFile
-from phy124.image import foreground, open_image
 from phy124.isolated import Deadline
 from phy124.parts import WHOLE, Crop, crop_of
 from phy124.ply import write_ply
@@ -67,6 +67,8 @@ def generate(
     *,
     generator: str | Generator = "relief",
     method: str = "auto",
+    mask: PathLike | None = None,
+    looked: Callable[[Cutout], object] = lambda cutout: None,
     device: str = "cpu",
     progress: Progress = silent,
     goal: Goal | None = None,
@@ -76,7 +78,8 @@ def generate(
     """A picture becomes moving Gaussians, videos and a report in a folder.
 
     With a `goal` the accuracy is chosen to meet it (`phy124.accuracy.choose`); for `forecaster`
-    and `keep` see `simulate`.
+    and `keep` see `simulate`, for `method` and `mask` `phy124.cutout.foreground`. `looked` is
+    called with the cut-out before the long work.
 
     Raises InputError for what the user can mend, Cancelled if `progress` does.
     """
@@ -86,6 +89,8 @@ def generate(
             image,
             generator=generator,
             method=method,
+            mask=mask,
+            looked=looked,
             seed=scene.seed,
             progress=progress,
             watch=watch,
@@ -99,6 +104,7 @@ def generate(
             watch=watch,
             about=made.about,
             crop=made.crop,
+            cutout=made.cutout,
             goal=goal,
             forecaster=forecaster,
             keep=keep,
@@ -112,6 +118,8 @@ class Static:
     gaussians: Gaussians
     crop: Crop
     """Where the object is in the picture."""
+    cutout: Cutout | None
+    """None without a picture."""
     about: dict[str, Any]
     """How the object was cut out and what made the Gaussians."""
 
@@ -121,25 +129,37 @@ def static(
     *,
     generator: str | Generator = "relief",
     method: str = "auto",
+    mask: PathLike | None = None,
+    looked: Callable[[Cutout], object] = lambda cutout: None,
     seed: int = 0,
     progress: Progress = silent,
     watch: Stopwatch | None = None,
 ) -> Static:
     """A picture becomes static Gaussians; raises InputError."""
     watch = watch or Stopwatch()
-    make, used = make_generator(generator), None
-    cutout = Image.new("RGBA", (1, 1))
+    make, cutout = make_generator(generator), None
+    picture = Image.new("RGBA", (1, 1))
     if needs_image(generator):
         with watch.stage("image"):
             deadline = Deadline(beat=partial(progress, "cut out", 0, 1))
-            cutout, used = foreground(open_image(image), method, deadline=deadline)
+            cutout = cut_out(image, method, mask=mask, deadline=deadline)
+        looked(cutout)
+        picture = cutout.picture
+    elif mask is not None:
+        limit = f"{_name(generator)} does not look at a picture."
+        raise InputError("mask", mask, limit, "Leave the mask out, or choose another generator.")
     with watch.stage("generate"):
         if isinstance(make, PlyFile):
             gaussians, cleaning = make.read(progress)
         else:
-            gaussians, cleaning = make(cutout, seed=seed, progress=progress), []
-    about = {"foreground": used, "generator": _name(generator), "cleaning": cleaning}
-    return Static(gaussians, crop_of(cutout), about)
+            gaussians, cleaning = make(picture, seed=seed, progress=progress), []
+    about = {
+        "foreground": cutout and cutout.method,
+        "cutout": cutout and cutout.data(),
+        "generator": _name(generator),
+        "cleaning": cleaning,
+    }
+    return Static(gaussians, crop_of(picture), cutout, about)
 
 
 def simulate(
@@ -152,6 +172,7 @@ def simulate(
     watch: Stopwatch | None = None,
     about: dict[str, Any] | None = None,
     crop: Crop = WHOLE,
+    cutout: Cutout | None = None,
     goal: Goal | None = None,
     forecaster: Forecaster | None = None,
     keep: bool = False,
@@ -159,10 +180,11 @@ def simulate(
     """Gaussians become moving Gaussians, videos and a report in a folder.
 
     With a `forecaster` the report compares the seconds it foretold with those spent. With `keep`
-    a run that `progress` cancels is filmed and kept as far as it came, and `go_on` goes on.
+    a run that `progress` cancels is filmed and kept as far as it came, and `go_on` goes on. A
+    `cutout` is saved beside the results.
     """
     watch = watch or Stopwatch()
-    making = _Making(Path(out), device, progress, watch, dict(about or {}), keep)
+    making = _Making(Path(out), device, progress, watch, dict(about or {}), keep, cutout)
 
     def moved() -> tuple[Simulation, Clip]:
         options: dict[str, Any] = {"device": device, "progress": progress, "watch": watch}
@@ -220,6 +242,7 @@ class _Making:
     """What the report says besides the run itself."""
     keep: bool
     """Whether what there is survives when `progress` cancels."""
+    cutout: Cutout | None = None
     foretold: Forecast | None = None
 
     def result(self, moved: Callable[[], tuple[Simulation, Clip]]) -> Result:
@@ -256,6 +279,8 @@ class _Making:
     def _save(self, folder: Path, run: Simulation, clip: Clip, interrupted: bool) -> dict[str, Any]:
         with self.watch.stage("save"):
             write_ply(folder / "gaussians.ply", run.gaussians)
+            if self.cutout is not None:
+                self.cutout.save(folder / "cutout.png")
             (folder / "scene.toml").write_text(run.scene.to_toml(), "utf-8")
             if interrupted:
                 resume.save(run, folder / PAUSE, about=self.about)
@@ -266,7 +291,7 @@ class _Making:
         return report
 
     def _report(self, clip: Clip, view: View, interrupted: bool) -> dict[str, Any]:
-        about = {"foreground": None, "generator": None, **self.about}
+        about = {"foreground": None, "cutout": None, "generator": None, **self.about}
         if self.foretold is not None:
             about["forecast"] = self.foretold.compared(self.watch.seconds)
         cleaning = [*about.get("cleaning", []), *clip.report["cleaning"]]

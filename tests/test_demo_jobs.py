@@ -13,7 +13,7 @@ import pytest
 from demo.jobs import Studio
 from demo.settings import Settings
 from demo.visitors import Visitors
-from phy124 import image, isolated
+from phy124 import cutout, isolated
 from phy124.errors import Cancelled, InputError
 
 DUCK = str(Path(__file__).parents[1] / "demo/examples/duck.png")
@@ -27,7 +27,7 @@ def studio(tmp_path) -> Studio:
 @pytest.fixture
 def stuck(monkeypatch) -> None:
     """The next picture's search never ends; those after it are as usual."""
-    usual = image.METHODS["alpha"]
+    usual = cutout.METHODS["alpha"]
     first = iter([True])
 
     def find(picture: Any, deadline: isolated.Deadline) -> Any:
@@ -35,7 +35,7 @@ def stuck(monkeypatch) -> None:
             return isolated.run(time.sleep, 600, deadline=deadline)
         return usual.find(picture, deadline)
 
-    monkeypatch.setitem(image.METHODS, "alpha", image.Method(lambda _: True, find))
+    monkeypatch.setitem(cutout.METHODS, "alpha", cutout.Method(lambda _: True, find))
 
 
 def _until(condition: Callable[[], bool]) -> None:

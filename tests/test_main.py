@@ -36,8 +36,8 @@ def made(tmp_path_factory) -> Path:
 
 def test_generate_makes_every_file(made):
     assert sorted(path.name for path in made.iterdir()) == [
-        "back.mp4", "clip.safetensors", "front.mp4", "gaussians.ply", "left.mp4", "orbit.mp4",
-        "report.json", "right.mp4", "scene.toml",
+        "back.mp4", "clip.safetensors", "cutout.png", "front.mp4", "gaussians.ply", "left.mp4",
+        "orbit.mp4", "report.json", "right.mp4", "scene.toml",
     ]  # fmt: skip
 
 
@@ -52,7 +52,8 @@ def test_the_report_has_the_documented_keys(made):
         "stages", "gaussians", "particles", "grid", "substeps", "frames", "device", "versions",
         "foreground", "generator", "effects",
     }  # fmt: skip
-    assert report["foreground"] == "alpha"
+    assert report["foreground"] == report["cutout"]["method"] == "alpha"
+    assert report["cutout"]["pieces"] == 1 and report["cutout"]["warnings"] == []
     assert report["generator"] == "relief"
     stages = {stage["name"]: stage for stage in report["stages"]}
     assert {"image", "generate", "particles", "simulate", "deform", "render"} <= set(stages)
@@ -216,11 +217,11 @@ def test_interrupting_a_cut_out_that_never_ends(tmp_path):
     forever = f"import os, time; open({str(note)!r}, 'w').write(str(os.getpid())); time.sleep(600)"
     program = f"""
 import sys
-from phy124 import image, isolated
+from phy124 import cutout, isolated
 from phy124.__main__ import main
 def stuck(picture, deadline):
     return isolated.run(exec, {forever!r}, deadline=deadline)
-image.METHODS["alpha"] = image.Method(lambda _: True, stuck)
+cutout.METHODS["alpha"] = cutout.Method(lambda _: True, stuck)
 sys.exit(main(["generate", {str(DUCK)!r}, "--out", {str(tmp_path / "out")!r}]))
 """
     run = subprocess.Popen([sys.executable, "-c", program], stderr=subprocess.PIPE, text=True)
@@ -262,6 +263,7 @@ def test_a_photograph_is_cut_out(tmp_path, capsys):
     arguments = ["generate", str(tmp_path / "disc.png"), *QUICK, "--views", "front", "--json"]
     assert main([*arguments, "--out", str(tmp_path / "o")]) == 0
     assert json.loads(capsys.readouterr().out)["foreground"] == "grabcut"
+<<<<<<< HEAD
 
 
 def test_what_of_a_file_is_dropped_is_said(tmp_path, capsys):
@@ -303,3 +305,7 @@ def test_a_frame_in_which_nothing_is_anywhere_is_said(made, tmp_path, capsys):
         )
         printed = capsys.readouterr()
         assert "have NaN or infinite values" in printed.out + printed.err
+=======
+    cut = np.asarray(Image.open(tmp_path / "o/cutout.png"))
+    assert ((cut[..., 3] > 127) == disc).mean() > 0.98
+>>>>>>> 547bb11 (phy124 cutout, --mask, and a word when a cut-out is implausible; JPEGs of endless passes are refused)

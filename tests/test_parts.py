@@ -46,7 +46,7 @@ def test_refusals(tmp_path):
         Scene.from_data({"parts": [{"material": {"law": "neo_hookean"}}]})
     with pytest.raises(InputError, match="it holds no particle"):
         assign(GRID, NOBODY, [Part(region=Region(lower=(5, 5, 5)))])
-    with pytest.raises(InputError, match="it cannot be read"):
+    with pytest.raises(InputError, match="There is no such file"):
         assign(GRID, NOBODY, [Part(mask=str(tmp_path / "none.png"))])
 
 

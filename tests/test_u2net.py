@@ -11,8 +11,8 @@ from safetensors.torch import load_file, save_file
 from skimage.transform import resize
 
 from phy124 import u2net
+from phy124.cutout import foreground
 from phy124.errors import InputError
-from phy124.image import foreground
 from phy124.u2net.network import WIDTHS, ConvBnRelu, U2Net
 from phy124.u2net.network import load as build
 
@@ -154,13 +154,13 @@ def test_auto_prefers_real_alpha_then_u2net_then_grabcut(no_weights, small):
     rgb[15:45, 20:60] = 40, 90, 160
     plain, cut = Image.fromarray(rgb), Image.fromarray(rgb).convert("RGBA")
     cut.putalpha(Image.fromarray(np.where(rgb[..., 0] < 255, 255, 0).astype(np.uint8)))
-    assert foreground(plain)[1] == "grabcut"
+    assert foreground(plain).method == "grabcut"
     torch.save(small.state_dict(), no_weights / "u2netp.pth")
-    found, used = foreground(plain)
-    assert used == "u2net"
+    found = foreground(plain)
+    assert found.method == "u2net"
     network = u2net.load(no_weights / "u2netp.pth")
-    np.testing.assert_array_equal(np.asarray(found)[..., 3], u2net.foreground(rgb, network))
-    assert foreground(cut)[1] == "alpha"
+    np.testing.assert_array_equal(np.asarray(found.picture)[..., 3], u2net.foreground(rgb, network))
+    assert foreground(cut).method == "alpha"
 
 
 def test_missing_corrupt_and_foreign_files_are_refused_in_words(no_weights, tmp_path):

@@ -2,6 +2,7 @@
 
 from phy124.commands.accuracy import ShowAccuracy
 from phy124.commands.compare import Compare
+from phy124.commands.cutout import CutOut
 from phy124.commands.doctor import Doctor
 from phy124.commands.effects import ShowEffects
 from phy124.commands.evaluate import Evaluate
@@ -14,6 +15,7 @@ from phy124.commands.weights import Weights
 COMMANDS = {
     "generate": Generate,
     "simulate": Simulate,
+    "cutout": CutOut,
     "render": Render,
     "scenes": Scenes,
     "stress": Stress,

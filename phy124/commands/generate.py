@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,7 +14,9 @@ from phy124 import pipeline
 from phy124.accuracy import Forecaster
 from phy124.accuracy.choose import Goal, said
 from phy124.commands.bars import Bars
+from phy124.commands.cutout import CutoutOptions, described, doubt
 from phy124.commands.options import SceneOptions, default_out, pick_device
+from phy124.cutout import Cutout
 from phy124.errors import InputError
 from phy124.scene import summary
 from phy124.stopwatch import Stopwatch
@@ -29,10 +32,7 @@ class Generate:
     options: Annotated[SceneOptions, tyro.conf.arg(name="")] = field(default_factory=SceneOptions)
     generator: str = "relief"
     """What makes the Gaussians: relief, lgm, lgm-aligned, dreamgaussian, or a 3DGS .ply file."""
-    foreground: str = "auto"
-    """How the object is cut out: auto, alpha, u2net or grabcut."""
-    weights: Path | None = None
-    """Folder to look for trained weights in first (see `phy124 doctor`)."""
+    cutting: Annotated[CutoutOptions, tyro.conf.arg(name="")] = field(default_factory=CutoutOptions)
     out: Path | None = None
     """Folder of the results; default out/PICTURE-SCENE."""
     forecast: bool = False
@@ -57,15 +57,17 @@ class Generate:
         if not self.options.json:
             print(f"scene: {summary(scene)}", flush=True)
         if self.dry_run:
-            with looking_in(self.weights):
+            with looking_in(self.cutting.weights):
                 return self._foretell(device)
-        with looking_in(self.weights), Bars(quiet=self.options.json, keeps=True) as bars:
+        with looking_in(self.cutting.weights), Bars(quiet=self.options.json, keeps=True) as bars:
             result = pipeline.generate(
                 self.image,
                 scene,
                 out,
                 generator=self.generator,
-                method=self.foreground,
+                method=self.cutting.foreground,
+                mask=self.cutting.mask,
+                looked=partial(self._look, bars),
                 device=device,
                 progress=bars,
                 goal=goal,
@@ -80,7 +82,8 @@ class Generate:
         scene = self.options.resolve()
         with Bars(quiet=self.options.json) as bars:
             made = pipeline.static(
-                self.image, generator=self.generator, method=self.foreground, seed=scene.seed,
+                self.image, generator=self.generator, method=self.cutting.foreground,
+                mask=self.cutting.mask, looked=partial(self._look, bars), seed=scene.seed,
                 progress=bars, watch=watch,
             )  # fmt: skip
         forecast = Forecaster(device).forecast(made.gaussians, scene, crop=made.crop)
@@ -91,6 +94,12 @@ class Generate:
         else:
             print("\n".join(forecast.lines()))
         return 0
+
+    def _look(self, bars: Bars, cutout: Cutout) -> None:
+        """Say what is doubtful before the long work begins."""
+        if not self.options.json:
+            bars.close()
+            doubt(cutout, f"Look at it with `phy124 cutout {self.image}`")
 
 
 def wished(max_error: str | None, max_seconds: float | None) -> Goal | None:
@@ -171,6 +180,8 @@ def show(result: pipeline.Result, *, as_json: bool) -> int:
             f"{report['gaussians']} Gaussians, {report['particles']} particles, "
             f"{report['substeps']} substeps, {report['frames']} frames on {report['device']}"
         )
+        if report.get("cutout"):
+            print(described(report["cutout"]))
         print_forecast(report)
         for sentence in report["cleaning"]:
             print(f"cleaning: {sentence}")

@@ -31,13 +31,13 @@ NO_WINDOW: int = getattr(subprocess, "CREATE_NO_WINDOW", 0)
 class Deadline(NamedTuple):
     """How long isolated code may take, and who may call it off."""
 
-    seconds: float = 60.0
+    seconds: float = 120.0
     beat: Callable[[], object] = lambda: None
     """Called ten times a second; what it raises ends the wait and the process."""
 
 
-MINUTE = Deadline()
-"""A minute, come what may."""
+PATIENT = Deadline()
+"""Two minutes: a search takes half a second where nothing else runs."""
 
 
 class Unfinished(Exception):
@@ -51,7 +51,7 @@ class RemoteTraceback(Exception):
         return "\n" + self.args[0]
 
 
-def run(function: Callable[..., T], *arguments: Any, deadline: Deadline = MINUTE) -> T:
+def run(function: Callable[..., T], *arguments: Any, deadline: Deadline = PATIENT) -> T:
     """The answer of a function of a module, called in another process.
 
     Whatever it raises is raised here; it may be anything that can be pickled.

@@ -49,7 +49,7 @@ def available(image: Image.Image | None = None) -> bool:
     return path is not None and find_spec(_library(path)) is not None
 
 
-def alpha(image: Image.Image, deadline: isolated.Deadline = isolated.MINUTE) -> NDArray[np.uint8]:
+def alpha(image: Image.Image, deadline: isolated.Deadline = isolated.PATIENT) -> NDArray[np.uint8]:
     """Mask [H,W], 0..255, of the salient object in a picture, by the weights that are found.
 
     Raises InputError if there are none, or their library is not installed.

@@ -26,9 +26,9 @@ import warp as wp
 
 from phy124.boundaries import Ground
 from phy124.camera import Camera
+from phy124.cutout import cut_out
 from phy124.forces import Acceleration, Gravity
 from phy124.generators import make
-from phy124.image import foreground, open_image
 from phy124.kernels import damping, elastic, fluid, granular, hencky, plastic, transfer
 from phy124.kernels.transfer import Law
 from phy124.ledger import Ledger
@@ -256,7 +256,7 @@ def window() -> None:
 
 
 def binding() -> None:
-    cutout, _ = foreground(open_image(DUCK))
+    cutout = cut_out(DUCK).picture
     gaussians = make("relief")(cutout, seed=0, progress=lambda *_: None)
     runs = {}
     for kind in ("particles", "field"):

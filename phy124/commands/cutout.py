@@ -1,0 +1,93 @@
+"""`phy124 cutout`: only cut the object out of a picture, to look at it before anything else."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from phy124.commands.bars import Bars
+from phy124.cutout import METHODS, Cutout, cut_out
+from phy124.errors import InputError
+from phy124.files import replacing
+from phy124.isolated import Deadline
+from phy124.weights import looking_in
+
+KINDS = (".png", ".webp")
+
+
+@dataclass(frozen=True)
+class CutoutOptions:
+    """How the object is cut out of its picture."""
+
+    foreground: Annotated[
+        str,
+        tyro.conf.arg(
+            aliases=["--method"],
+            help=f"How the object is cut out: auto, {', '.join(METHODS)}; or give a mask.",
+        ),
+    ] = "auto"
+    mask: Path | None = None
+    """Picture of the same size that is white where the object is, instead of cutting it out."""
+    weights: Path | None = None
+    """Folder to look for trained weights in first (see `phy124 doctor`)."""
+
+
+@dataclass(frozen=True)
+class CutOut:
+    """Cut the object out of a picture, say how and whether it looks right, and save it."""
+
+    image: tyro.conf.Positional[Path]
+    """PNG, JPEG or WebP picture of one object."""
+    options: Annotated[CutoutOptions, tyro.conf.arg(name="")] = field(default_factory=CutoutOptions)
+    out: Path | None = None
+    """PNG or WebP file to write; default out/PICTURE-cutout.png."""
+    json: bool = False
+    """Print as JSON and nothing else."""
+
+    def run(self) -> int:
+        """Cut out; prints method, coverage, warnings and the file."""
+        out = self.out or Path("out") / f"{self.image.stem}-cutout.png"
+        if out.suffix.lower() not in KINDS:
+            limit = "A cut-out needs a format with transparency."
+            raise InputError("out", out, limit, "End the name in .png or .webp.")
+        if self.out is None:
+            out.parent.mkdir(exist_ok=True)
+        with replacing(out) as temporary:
+            cutout = self._cut_out()
+            cutout.save(temporary)
+        if self.json:
+            print(json.dumps({"file": str(out), **cutout.data()}))
+        else:
+            print(described(cutout.data()))
+            doubt(cutout, f"Look at {out}")
+            print(out)
+        return 0
+
+    def _cut_out(self) -> Cutout:
+        how = self.options
+        with looking_in(how.weights), Bars(quiet=self.json) as bars:
+            deadline = Deadline(beat=partial(bars, "cut out", 0, 1))
+            return cut_out(self.image, how.foreground, mask=how.mask, deadline=deadline)
+
+
+def described(cutout: dict[str, Any]) -> str:
+    """How the object was cut out, and how large it is; takes `Cutout.data()`."""
+    return f"cut out by {cutout['method']}: {cutout['coverage']:.1%} of the picture"
+
+
+def doubt(cutout: Cutout, look: str) -> None:
+    """Say on standard error what makes the cut-out doubtful, and what to do."""
+    for warning in cutout.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    if cutout.warnings:
+        print(
+            f"warning: {look}; if it is not the object, give --mask FILE (white where the object "
+            "is) or a picture with transparency.",
+            file=sys.stderr,
+        )

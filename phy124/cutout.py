@@ -1,0 +1,226 @@
+"""The object of a picture: found or given by a mask, and looked at whether it can be right."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from phy124 import isolated, u2net
+from phy124.errors import InputError
+from phy124.grabcut import grabcut
+from phy124.image import ANY_FORMAT, open_image, size_in_file
+from phy124.silhouette import pieces, touched, unseen
+
+Alpha = NDArray[np.uint8]
+REAL_ALPHA = 0.005
+"""Share of pixels that must be opaque, and as many transparent, for an alpha to mean something."""
+LEAST, MOST = 0.003, 0.97
+"""Smallest and largest share of the picture that an object can take."""
+TINY, MUCH = 0.02, 0.85
+"""Shares below and above which something else was probably taken for the object."""
+SIDES = 3
+"""So many touched edges of the picture are suspicious: a table in front touches three."""
+PIECES = 4
+"""So many pieces are suspicious."""
+UNSEEN = 0.12
+"""Share of the outline without an edge in the picture that is suspicious: right ones have 0.05."""
+REMEDY = (
+    "Use a picture with one object on a plain background, all of it visible, give a mask (white "
+    "where the object is), or save the cut-out object as PNG with transparency."
+)
+
+
+class Method(NamedTuple):
+    """A way to find the object."""
+
+    applies: Callable[[Image.Image], bool]
+    """Whether "auto" may choose it for a picture."""
+    find: Callable[[Image.Image, isolated.Deadline], Alpha]
+    """The alpha [H,W] of a picture; native code of others runs through `phy124.isolated`."""
+
+
+@dataclass(frozen=True)
+class Cutout:
+    """A picture whose alpha is its object."""
+
+    picture: Image.Image
+    """RGBA, not premultiplied."""
+    method: str
+    """Key of `METHODS`, or "mask"."""
+    coverage: float
+    """Share of the picture that is object."""
+    pieces: int
+    """Parts of the object that hang together."""
+    touches: tuple[str, ...]
+    """Edges of the picture that the object reaches, or nearly: left, top, right, bottom."""
+    unseen: float
+    """Share of the outline where the picture shows no edge."""
+    frames: int = 1
+    """Of the file, if it is an animation: only the first was looked at."""
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What makes it likely that this is not the object that was meant."""
+        given, found = self.method in ("alpha", "mask"), []
+        if self.frames > 1:
+            found.append(f"The picture is an animation of {self.frames} frames; the first is used.")
+        if len(self.touches) >= SIDES and self.method != "alpha":
+            found.append(
+                f"The cut-out touches {len(self.touches)} edges of the picture "
+                f"({', '.join(self.touches)}): background may have been taken for the object."
+            )
+        if self.pieces >= PIECES:
+            found.append(f"The cut-out is in {self.pieces} pieces.")
+        if self.coverage < TINY:
+            found.append(f"The cut-out is tiny: {self.coverage:.1%} of the picture.")
+        if self.coverage > MUCH and self.method != "alpha":
+            found.append(f"The cut-out is nearly all of the picture ({self.coverage:.0%}).")
+        if self.unseen > UNSEEN and not given:
+            found.append(
+                f"{self.unseen:.0%} of the cut-out's outline runs where the picture has no edge."
+            )
+        return tuple(found)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the picture as PNG or WebP, every pixel as it is."""
+        self.picture.save(path, compress_level=1, lossless=True, exact=True)
+
+    def data(self) -> dict[str, Any]:
+        """All but the pixels."""
+        return {
+            "method": self.method,
+            "coverage": round(self.coverage, 4),
+            "pieces": self.pieces,
+            "touches": list(self.touches),
+            "unseen": round(self.unseen, 4),
+            "frames": self.frames,
+            "warnings": list(self.warnings),
+        }
+
+
+def cut_out(
+    picture: str | os.PathLike[str],
+    method: str = "auto",
+    *,
+    mask: str | os.PathLike[str] | None = None,
+    deadline: isolated.Deadline = isolated.PATIENT,
+) -> Cutout:
+    """Open a picture file and cut its object out; for the arguments and errors see `foreground`."""
+    image = open_image(picture)
+    if mask is None:
+        return foreground(image, method, deadline=deadline)
+    painted = open_image(mask, field="mask", formats=ANY_FORMAT)
+    return foreground(image, method, mask=painted, deadline=deadline)
+
+
+def foreground(
+    image: Image.Image,
+    method: str = "auto",
+    *,
+    mask: Image.Image | None = None,
+    deadline: isolated.Deadline = isolated.PATIENT,
+) -> Cutout:
+    """Cut the object out of an opened picture.
+
+    Args:
+        image: A picture in any mode.
+        method: Key of `METHODS`, or "auto" for the first of them that applies.
+        mask: Instead of a method: a picture of the same size, white where the object is; if it
+            has transparency, opaque where the object is.
+        deadline: How long the search may take, and who may call it off.
+
+    Raises:
+        InputError: The method is unknown, finds no object or nothing but object, or its time is
+            up; the mask has another size, or a method is given as well.
+    """
+    frames, image = image.info.get("frames", 1), image.convert("RGBA")
+    if mask is not None:
+        alpha, method = _given(image, mask, method), "mask"
+    else:
+        method = _chosen(image, method)
+        try:
+            alpha = METHODS[method].find(image, deadline)
+        except isolated.Unfinished as error:
+            limit = f"The search for the object by {method} {error}."
+            raise InputError("foreground", method, limit, REMEDY) from error
+    _check_share(alpha, method, frames)
+    cut = image.copy()
+    cut.putalpha(Image.fromarray(alpha))
+    solid, rgb = alpha > 127, np.asarray(image)[..., :3]
+    shape = pieces(solid), touched(solid), unseen(rgb, solid)
+    return Cutout(cut, method, float(solid.mean()), *shape, frames)
+
+
+def has_alpha(image: Image.Image) -> bool:
+    """Whether the alpha separates an object: some pixels opaque, some transparent."""
+    solid = float(np.mean(np.asarray(image.convert("RGBA").getchannel("A")) > 127))
+    return REAL_ALPHA <= solid <= 1 - REAL_ALPHA
+
+
+def _chosen(image: Image.Image, method: str) -> str:
+    if method == "auto":
+        return next(name for name, way in METHODS.items() if way.applies(image))
+    if method not in METHODS:
+        known = ", ".join(["auto", *METHODS])
+        raise InputError("foreground", method, "It is not known.", f"Choose one of {known}.")
+    return method
+
+
+def _given(image: Image.Image, mask: Image.Image, method: str) -> Alpha:
+    """The alpha that a mask gives; what was transparent in the picture stays so."""
+    if method not in ("auto", "mask"):
+        limit = "A mask is given as well, which says where the object is."
+        raise InputError("foreground", method, limit, "Give one of the two.")
+    if mask.size != image.size:
+        (width, height), (w, h) = size_in_file(image), size_in_file(mask)
+        limit = f"It does not have the size of the picture, {width} x {height} pixels."
+        raise InputError("mask", f"{w} x {h} pixels", limit, "Paint it over the picture itself.")
+    painted = mask.convert("RGBA").getchannel("A") if has_alpha(mask) else mask.convert("L")
+    return np.minimum(np.asarray(painted), np.asarray(image.getchannel("A")))
+
+
+def _check_share(alpha: Alpha, method: str, frames: int) -> None:
+    share = float(np.mean(alpha > 127))
+    if LEAST <= share <= MOST:
+        return
+    if method == "mask":
+        limit = f"{share:.0%} of the picture is white in it, which is no object."
+        raise InputError("mask", "given", limit, "Paint the object white, all else black.")
+    limit = f"No object was found in the picture by {method}."
+    if share > MOST:
+        limit = f"Nearly the whole picture ({share:.0%}) was taken for the object by {method}."
+    if frames > 1:
+        limit += f" Only the first of its {frames} frames was looked at."
+    raise InputError("foreground", method, limit, REMEDY)
+
+
+def _own_alpha(image: Image.Image, deadline: isolated.Deadline) -> Alpha:
+    del deadline
+    if not has_alpha(image):
+        limit = "The picture has no transparency that separates an object."
+        remedy = 'Choose "auto" or "grabcut", or save the cut-out object as PNG.'
+        raise InputError("foreground", "alpha", limit, remedy)
+    return np.asarray(image.getchannel("A"))
+
+
+def _grabcut(image: Image.Image, deadline: isolated.Deadline) -> Alpha:
+    return isolated.run(grabcut, np.asarray(image.convert("RGB")), deadline=deadline)
+
+
+def _always(image: Image.Image) -> bool:
+    del image
+    return True
+
+
+METHODS: dict[str, Method] = {
+    "alpha": Method(has_alpha, _own_alpha),
+    "u2net": Method(u2net.available, u2net.alpha),
+    "grabcut": Method(_always, _grabcut),
+}
+"""Ways to find the object, best first."""

@@ -1,0 +1,83 @@
+"""`phy124 cutout`, and what `generate` says of its cut-out."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from phy124.__main__ import main
+
+DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"
+QUICK = ["--accuracy", "draft", "--frames", "3", "--size", "64", "--device", "cpu"]
+
+
+@pytest.fixture
+def dark(tmp_path) -> tuple[Path, Path]:
+    """A picture of noise, and a mask of a disc in it."""
+    y, x = np.mgrid[:120, :120]
+    mask = 255 * ((x - 60) ** 2 + (y - 60) ** 2 < 40**2).astype(np.uint8)
+    rgb = np.random.default_rng(0).integers(0, 255, (120, 120, 3), dtype=np.uint8)
+    Image.fromarray(rgb).save(tmp_path / "dark.png")
+    Image.fromarray(mask).save(tmp_path / "mask.bmp")
+    return tmp_path / "dark.png", tmp_path / "mask.bmp"
+
+
+def test_a_mask_says_where_the_object_is(dark, tmp_path, capsys):
+    picture, mask = map(str, dark)
+    arguments = ["generate", picture, *QUICK, "--views", "front", "--mask", mask]
+    assert main([*arguments, "--out", str(tmp_path / "o")]) == 0
+    assert "cut out by mask: 34.8% of the picture" in capsys.readouterr().out
+    cut = np.asarray(Image.open(tmp_path / "o/cutout.png"))[..., 3]
+    np.testing.assert_array_equal(cut, np.asarray(Image.open(mask)))
+    assert main(["generate", str(DUCK), *QUICK, "--mask", mask, "--out", str(tmp_path / "p")]) == 2
+    assert "mask = 120 x 120 pixels: It does not have the size of" in capsys.readouterr().err
+    assert list(tmp_path.glob("p/*")) == []
+
+
+def test_a_picture_can_be_cut_out_alone(dark, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    picture, mask = map(str, dark)
+    assert main(["cutout", picture, "--mask", mask]) == 0
+    printed = capsys.readouterr()
+    assert printed.out.splitlines() == [
+        "cut out by mask: 34.8% of the picture", str(Path("out/dark-cutout.png")),
+    ]  # fmt: skip
+    assert "warning" not in printed.err
+    cut = np.asarray(Image.open("out/dark-cutout.png"))
+    np.testing.assert_array_equal(cut[..., 3], np.asarray(Image.open(mask)))
+    np.testing.assert_array_equal(cut[..., :3], np.asarray(Image.open(picture)))
+    assert main(["cutout", str(DUCK), "--method", "alpha", "--out", "a.webp", "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert (data["file"], data["method"], data["warnings"]) == ("a.webp", "alpha", [])
+    np.testing.assert_array_equal(np.asarray(Image.open("a.webp")), np.asarray(Image.open(DUCK)))
+
+
+def test_a_doubtful_cut_out_is_told_before_the_work(dark, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    picture, mask = dark
+    inverted = Image.fromarray(255 - np.asarray(Image.open(mask)))
+    inverted.save("inverted.png")
+    for command in ("cutout", "generate"):
+        more = [*QUICK, "--dry-run"] if command == "generate" else []
+        assert main([command, str(picture), "--mask", "inverted.png", *more]) == 0
+        told = capsys.readouterr().err
+        assert "warning: The cut-out touches 4 edges of the picture" in told
+        assert "give --mask FILE (white where the object is)" in told
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["none.png"], "image = none.png: There is no such file."),
+        ([str(DUCK), "--out", "a.jpg"], "out = a.jpg: A cut-out needs a format with transparency."),
+        ([str(DUCK), "--out", "no/a.png"], "no file can be written there"),
+        ([str(DUCK), "--method", "magic"], "Choose one of auto, alpha, u2net, grabcut."),
+    ],
+)
+def test_what_cannot_be_cut_out_leaves_nothing(arguments, sentence, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["cutout", *arguments]) == 2
+    assert sentence in capsys.readouterr().err
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == []

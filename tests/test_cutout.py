@@ -1,0 +1,274 @@
+"""Cutting out: objects are found or given, and a doubtful one is told."""
+
+import time
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from phy124 import cutout, image
+from phy124.cutout import METHODS, Method, cut_out, foreground
+from phy124.errors import Cancelled, InputError
+from phy124.grabcut import grabcut
+from phy124.isolated import Deadline, run
+
+
+def disc(size=120, radius=40, noise=6.0):
+    """A red disc on a grey ground with noise, and its mask."""
+    y, x = np.mgrid[:size, :size] + 0.5
+    mask = np.hypot(x - size * 0.55, y - size / 2) < radius
+    rgb = np.where(mask[..., None], [200, 40, 30], [120, 125, 130])
+    rgb = rgb + np.random.default_rng(0).normal(0, noise, rgb.shape)
+    return Image.fromarray(np.clip(rgb, 0, 255).astype(np.uint8)), mask
+
+
+def alpha_of(found):
+    return np.asarray(found.picture)[..., 3]
+
+
+def saved(folder, picture, name="it.png", **options):
+    picture.save(folder / name, **options)
+    return folder / name
+
+
+@pytest.fixture(autouse=True)
+def no_weights(monkeypatch):
+    """As on a machine without trained weights, whatever this one has."""
+    monkeypatch.setattr(cutout.u2net, "weights_file", lambda: None)
+
+
+def test_alpha_is_used_when_it_separates(tmp_path):
+    picture, mask = disc()
+    picture.putalpha(Image.fromarray(255 * mask.astype(np.uint8)))
+    found = foreground(picture)
+    assert found.method == "alpha"
+    np.testing.assert_array_equal(np.asarray(found.picture), np.asarray(picture))
+    # One transparent pixel does not make an alpha.
+    picture.putalpha(255)
+    picture.putpixel((0, 0), (0, 0, 0, 0))
+    assert foreground(picture).method == "grabcut"
+    with pytest.raises(InputError, match=r'no transparency.*Choose "auto"'):
+        foreground(picture, "alpha")
+
+
+@pytest.mark.parametrize("noise", [0.0, 6.0, 20.0])
+def test_grabcut_finds_a_disc(noise):
+    picture, mask = disc(noise=noise)
+    cut = foreground(picture)
+    alpha = alpha_of(cut)
+    found = alpha > 127
+    assert cut.method == "grabcut" and cut.warnings == ()
+    assert (found & mask).sum() / (found | mask).sum() > 0.97
+    # Soft only near the edge, and nothing anywhere else.
+    assert np.mean((alpha > 0) & (alpha < 255)) < 0.1
+    assert alpha[:10].max() == 0
+    np.testing.assert_array_equal(np.asarray(cut.picture)[..., :3], np.asarray(picture))
+
+
+def test_grabcut_is_deterministic_and_keeps_handles():
+    y, x = np.mgrid[:200, :200]
+    mug = ((abs(x - 85) < 45) & (abs(y - 100) < 55)) | (abs(np.hypot(x - 130, y - 100) - 33) < 8)
+    rgb = np.where(mug[..., None], [30, 60, 160], [235, 235, 230]).astype(np.uint8)
+    first, again = grabcut(rgb), alpha_of(foreground(Image.fromarray(rgb)))
+    np.testing.assert_array_equal(first, again)
+    assert first[100, 145] == 0
+    assert first[100, 163] == 255
+
+
+def test_nothing_or_everything_is_refused():
+    flat = Image.new("RGB", (64, 64), (90, 90, 90))
+    with pytest.raises(InputError, match=r"No object was found.*plain background"):
+        foreground(flat)
+    with pytest.raises(InputError, match=r"not known.*auto, alpha"):
+        foreground(flat, "magic")
+
+
+@pytest.mark.parametrize("colour", [(255, 0, 0), (128, 128, 128), (0, 0, 255), (200, 30, 40, 0)])
+def test_a_picture_of_one_colour_shows_no_object(colour):
+    """OpenCV's search never ends on these at this size."""
+    flat = Image.new("RGBA" if len(colour) == 4 else "RGB", (300, 300), colour)
+    with pytest.raises(InputError, match=r"No object was found.*plain background"):
+        foreground(flat, deadline=Deadline(60))
+
+
+def test_a_search_that_does_not_end_is_refused(monkeypatch):
+    stuck = Method(lambda _: True, lambda _, deadline: run(time.sleep, 600, deadline=deadline))
+    monkeypatch.setitem(METHODS, "grabcut", stuck)
+    with pytest.raises(
+        InputError, match=r"by grabcut did not finish within 0\.2 s\. Use a picture"
+    ):
+        foreground(disc()[0], deadline=Deadline(0.2))
+
+
+def test_a_search_can_be_called_off():
+    def beat():
+        raise Cancelled
+
+    with pytest.raises(Cancelled):
+        foreground(disc()[0], deadline=Deadline(beat=beat))
+
+
+def test_u2net_comes_before_grabcut_where_weights_are(monkeypatch):
+    assert list(METHODS) == ["alpha", "u2net", "grabcut"]
+    picture, mask = disc()
+    way = Method(lambda _: True, lambda *_: 255 * mask.astype(np.uint8))
+    monkeypatch.setitem(METHODS, "u2net", way)
+    found = foreground(picture)
+    assert found.method == "u2net"
+    np.testing.assert_array_equal(alpha_of(found) > 0, mask)
+
+
+def test_a_new_method_is_one_line(monkeypatch):
+    everything = Method(lambda _: True, lambda i, _: np.full(i.size[::-1], 255, np.uint8))
+    monkeypatch.setattr(cutout, "METHODS", {"all": everything, **METHODS})
+    with pytest.raises(InputError, match=r"whole picture .100%. was taken.*by all"):
+        foreground(Image.new("RGB", (64, 64)))
+
+
+def test_grabcut_on_a_photograph_whatever_was_drawn_before():
+    """Cup, saucer and spoon on a wooden table, and the very same after other random draws."""
+    import cv2
+
+    data = pytest.importorskip("skimage.data")
+    photo = data.coffee()
+    first = grabcut(photo)
+    cv2.setRNGSeed(12345)
+    again = grabcut(photo)
+    np.testing.assert_array_equal(first, again)
+    shown = {
+        (60, 300): True,
+        (200, 130): True,
+        (300, 330): True,
+        (20, 50): False,
+        (350, 550): False,
+    }
+    for place, is_object in shown.items():
+        assert (first[place] > 127) == is_object, place
+
+
+@pytest.mark.parametrize("name", ["m.png", "m.jpg", "m.gif", "m.bmp", "m.tif", "m.pgm"])
+def test_a_mask_of_any_format_says_where_the_object_is(tmp_path, name):
+    picture, mask = disc()
+    given = saved(tmp_path, Image.fromarray(255 * mask.astype(np.uint8)), name)
+    found = cut_out(saved(tmp_path, picture), mask=given)
+    assert (found.method, found.pieces, found.warnings) == ("mask", 1, ())
+    assert found.coverage == pytest.approx(mask.mean(), abs=0.01)
+    assert ((alpha_of(found) > 127) == mask).mean() > 0.99
+    np.testing.assert_array_equal(np.asarray(found.picture)[..., :3], np.asarray(picture))
+
+
+def test_masks_of_any_mode(tmp_path):
+    picture, mask = disc()
+    grey = Image.fromarray(255 * mask.astype(np.uint8))
+    clear = Image.new("RGBA", picture.size, (10, 20, 30, 0))
+    clear.putalpha(grey)
+    deep = Image.fromarray(65535 * mask.astype(np.uint16))
+    for given in (grey.convert("1"), grey.convert("P"), grey.convert("RGB"), clear, deep):
+        found = cut_out(saved(tmp_path, picture), mask=saved(tmp_path, given, "mask.png"))
+        np.testing.assert_array_equal(alpha_of(found) > 127, mask, err_msg=given.mode)
+
+
+def test_what_was_transparent_stays_so_under_a_mask():
+    picture, mask = disc()
+    left = np.zeros(mask.shape, np.uint8)
+    left[:, :60] = 255
+    picture.putalpha(Image.fromarray(left))
+    found = foreground(picture, mask=Image.fromarray(255 * mask.astype(np.uint8)))
+    np.testing.assert_array_equal(alpha_of(found) > 127, mask & (left > 0))
+
+
+def test_masks_that_do_not_fit_are_refused(tmp_path):
+    picture, mask = disc()
+    path, grey = saved(tmp_path, picture), Image.fromarray(255 * mask.astype(np.uint8))
+    small = saved(tmp_path, grey.resize((60, 120)), "small.png")
+    with pytest.raises(InputError, match=r"mask = 60 x 120 pixels: .* picture, 120 x 120 pixels"):
+        cut_out(path, mask=small)
+    for grey_level, share in ((0, "0%"), (255, "100%")):
+        flat = saved(tmp_path, Image.new("L", (120, 120), grey_level), "flat.png")
+        with pytest.raises(InputError, match=f"mask = given: {share} of the picture is white"):
+            cut_out(path, mask=flat)
+    with pytest.raises(InputError, match=r"mask = .*none.png: There is no such file"):
+        cut_out(path, mask=tmp_path / "none.png")
+    (tmp_path / "text.png").write_text("I am a text and no picture")
+    with pytest.raises(InputError, match=r"mask = .* It is not a PNG, .* TIFF or PPM picture"):
+        cut_out(path, mask=tmp_path / "text.png")
+    with pytest.raises(InputError, match=r"foreground = grabcut: A mask is given as well"):
+        cut_out(path, "grabcut", mask=saved(tmp_path, grey, "mask.png"))
+
+
+def test_the_size_of_a_mask_is_compared_as_the_files_have_it(tmp_path, monkeypatch):
+    monkeypatch.setattr(image, "WORK_SIDE", 60)
+    picture, mask = disc()
+    path, grey = saved(tmp_path, picture), Image.fromarray(255 * mask.astype(np.uint8))
+    assert cut_out(path, mask=saved(tmp_path, grey, "mask.png")).picture.size == (60, 60)
+    other = saved(tmp_path, grey.resize((120, 80)), "other.png")
+    with pytest.raises(InputError, match=r"mask = 120 x 80 pixels: .* 120 x 120 pixels"):
+        cut_out(path, mask=other)
+
+
+def test_a_wrong_cut_out_is_told(monkeypatch):
+    """A table in front: it reaches three edges of the picture."""
+    picture, mask = disc()
+    table = mask.copy()
+    table[80:] = True
+    table[20:, :2] = table[20:, -2:] = True
+    monkeypatch.setitem(METHODS, "grabcut", found_as(table))
+    found = foreground(picture)
+    assert found.touches == ("left", "right", "bottom")
+    told = " ".join(found.warnings)
+    assert "touches 3 edges of the picture (left, right, bottom)" in told
+    assert "outline runs where the picture has no edge" in told
+    assert found.data()["warnings"] == list(found.warnings)
+
+
+@pytest.mark.parametrize(
+    ("places", "told"),
+    [
+        ([(20, 20), (20, 80), (80, 20), (80, 80)], "is in 4 pieces"),
+        ([(60, 60)], "is tiny: 1.0% of the picture"),
+    ],
+)
+def test_pieces_and_tiny_objects_are_told(monkeypatch, places, told):
+    solid = np.zeros((120, 120), bool)
+    for row, column in places:
+        solid[row : row + 12, column : column + 12] = True
+    rgb = np.where(solid[..., None], [200, 40, 30], [120, 125, 130]).astype(np.uint8)
+    monkeypatch.setitem(METHODS, "grabcut", found_as(solid))
+    found = foreground(Image.fromarray(rgb))
+    assert len(found.warnings) == 1 and told in found.warnings[0]
+
+
+def found_as(solid):
+    """A method that finds this."""
+    return Method(lambda _: True, lambda *_: 255 * solid.astype(np.uint8))
+
+
+def test_a_tight_crop_with_transparency_is_not_doubted():
+    picture, mask = disc(90, 44)
+    picture.putalpha(Image.fromarray(255 * mask.astype(np.uint8)))
+    found = foreground(picture.crop((5, 1, 90, 89)))
+    assert len(found.touches) == 4 and found.warnings == ()
+
+
+def test_an_inverted_mask_is_doubted():
+    picture, mask = disc(noise=0)
+    found = foreground(picture, mask=Image.fromarray(255 * (~mask).astype(np.uint8)))
+    assert "touches 4 edges" in found.warnings[0]
+
+
+@pytest.mark.parametrize("name", ["a.webp", "a.png"])
+def test_of_an_animation_the_first_frame_is_taken_with_a_word(tmp_path, name):
+    frames = [disc(noise=noise)[0] for noise in (0.0, 3.0, 6.0)]
+    options = {"lossless": True} if name == "a.webp" else {}
+    path = saved(tmp_path, frames[0], name, save_all=True, append_images=frames[1:], **options)
+    found = cut_out(path)
+    np.testing.assert_array_equal(np.asarray(found.picture)[..., :3], np.asarray(frames[0]))
+    assert found.warnings == ("The picture is an animation of 3 frames; the first is used.",)
+    assert foreground(frames[0]).frames == 1
+
+
+def test_an_animation_that_begins_empty_says_so(tmp_path):
+    empty = Image.new("RGB", (120, 120), "white")
+    path = saved(tmp_path, empty, "a.webp", save_all=True, append_images=[disc()[0]])
+    with pytest.raises(InputError, match=r"No object .* Only the first of its 2 frames was looked"):
+        cut_out(path)
