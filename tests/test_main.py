@@ -263,7 +263,8 @@ def test_a_photograph_is_cut_out(tmp_path, capsys):
     arguments = ["generate", str(tmp_path / "disc.png"), *QUICK, "--views", "front", "--json"]
     assert main([*arguments, "--out", str(tmp_path / "o")]) == 0
     assert json.loads(capsys.readouterr().out)["foreground"] == "grabcut"
-<<<<<<< HEAD
+    cut = np.asarray(Image.open(tmp_path / "o/cutout.png"))
+    assert ((cut[..., 3] > 127) == disc).mean() > 0.98
 
 
 def test_what_of_a_file_is_dropped_is_said(tmp_path, capsys):
@@ -305,7 +306,3 @@ def test_a_frame_in_which_nothing_is_anywhere_is_said(made, tmp_path, capsys):
         )
         printed = capsys.readouterr()
         assert "have NaN or infinite values" in printed.out + printed.err
-=======
-    cut = np.asarray(Image.open(tmp_path / "o/cutout.png"))
-    assert ((cut[..., 3] > 127) == disc).mean() > 0.98
->>>>>>> 547bb11 (phy124 cutout, --mask, and a word when a cut-out is implausible; JPEGs of endless passes are refused)
