@@ -33,7 +33,11 @@ class Force(BaseModel):
 
     start: float = Field(default=0.0, ge=0, le=LONGEST, description="Acts from here on [s].")
     end: float | None = Field(
-        default=None, gt=0, le=LONGEST, description="Acts until here [s]; absent: always."
+        default=None,
+        gt=0,
+        le=LONGEST,
+        examples=[0.5],
+        description="Acts until here [s]; absent: always.",
     )
     region: Region | None = Field(
         default=None, description="Particles it acts on, by their place at rest; all if absent."

@@ -61,7 +61,11 @@ class Picture(_Field):
     """As a grey picture painted over the object's: white is stiff, black is soft."""
 
     kind: Literal["picture"] = "picture"
-    file: Text = Field(max_length=4096, description="Grey picture file, seen from the front.")
+    file: Text = Field(
+        max_length=4096,
+        examples=["stiff.png"],
+        description="Grey picture file, seen from the front.",
+    )
     black: Share = Field(default=0.1, description="Share of E where it is black.")
     white: Share = Field(default=1.0, description="Share of E where it is white.")
 
@@ -76,7 +80,9 @@ class Listed(_Field):
 
     kind: Literal["array"] = "array"
     file: Text = Field(
-        max_length=4096, description="NumPy file (.npy) of shares of E, one per Gaussian."
+        max_length=4096,
+        examples=["shares.npy"],
+        description="NumPy file (.npy) of shares of E, one per Gaussian.",
     )
 
     def shares(self, x: NDArray, means: NDArray, crop: Crop) -> NDArray[np.float64]:

@@ -68,8 +68,9 @@ class Press(Plane):
     kind: Literal["press"] = "press"
     top: float | None = Field(
         default=None,
-        ge=-1e5,
-        le=1e5,
+        ge=-FARTHEST,
+        le=FARTHEST,
+        examples=[1.2],
         description="Height of the plate at the start [m]; absent: on the object.",
     )
     depth: float = Field(

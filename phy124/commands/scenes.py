@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import tyro
 
 from phy124.scene import Scene, preset_names
+from phy124.scene.reference import reference, schema
 
 
 @dataclass(frozen=True)
@@ -16,11 +17,18 @@ class Scenes:
 
     name: tyro.conf.Positional[str | None] = None
     """Preset to print in full."""
+    reference: bool = False
+    """Print every field of a scene: what it may be, its default and what it is."""
+    schema: bool = False
+    """Print the JSON schema of scene files, for editors."""
     json: bool = False
     """Print as JSON."""
 
     def run(self) -> int:
         """Print."""
+        if self.reference or self.schema:
+            print(reference() if self.reference else schema(), end="")
+            return 0
         if self.name is not None:
             scene = Scene.named(self.name)
             print(json.dumps(scene.data()) if self.json else scene.to_toml())

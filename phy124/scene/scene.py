@@ -39,11 +39,14 @@ class Scene(Section):
     """One complete simulation: object, material, forces, boundaries, accuracy, time and view."""
 
     description: Text = Field(
-        default="", max_length=1000, description="What happens, in a sentence."
+        default="",
+        max_length=1000,
+        examples=["It falls."],
+        description="What happens, in a sentence.",
     )
     seed: int = Field(default=0, ge=0, le=2**31 - 1, description="Seed of everything random.")
-    object: Object = Field(default_factory=Object)
-    material: AnyMaterial = Field(default_factory=NeoHookean, description="Constitutive law.")
+    object: Object = Field(default=Object(), description="The object and how it stands.")
+    material: AnyMaterial = Field(default=NeoHookean(), description="Constitutive law.")
     parts: tuple[Part, ...] = Field(default=(), description="Parts of other materials.")
     stiffness: AnyStiffness | None = Field(
         default=None, description="How E varies inside the object; absent: not at all."
@@ -59,12 +62,12 @@ class Scene(Section):
         default="particles",
         description="particles: every Gaussian is a particle (the paper); field: they ride along.",
     )
-    time: Timing = Field(default_factory=Timing)
+    time: Timing = Field(default=Timing(), description="Which instants are kept.")
     velocities: bool = Field(
         default=False,
         description="Keep the velocity of each Gaussian; speeds also follow from the places.",
     )
-    view: View = Field(default_factory=View)
+    view: View = Field(default=View(), description="How the clip is filmed.")
 
     @property
     def resolution(self) -> Accuracy:

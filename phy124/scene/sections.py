@@ -37,6 +37,7 @@ class Timing(Section):
         default=None,
         ge=1e-9,
         le=1,
+        examples=[1e-4],
         description="Longest substep allowed [s]; absent: as stability needs.",
     )
     sleep: bool = Field(
@@ -54,7 +55,7 @@ class Timing(Section):
 class Part(Section):
     """A part of the object that is made of another material, or does not move at all."""
 
-    material: AnyMaterial = Field(default_factory=NeoHookean, description="Its material.")
+    material: AnyMaterial = Field(default=NeoHookean(), description="Its material.")
     static: bool = Field(
         default=False, description="Scenery: it is seen, but neither moves nor touches anything."
     )
@@ -62,10 +63,13 @@ class Part(Section):
     mask: Text | None = Field(
         default=None,
         max_length=4096,
+        examples=["hat.png"],
         description="Picture file, white where it is seen from the front.",
     )
     gaussians: tuple[Number, Number] | None = Field(
-        default=None, description="Its Gaussians: the first and one past the last."
+        default=None,
+        examples=[[0, 2000]],
+        description="Its Gaussians: the first and one past the last.",
     )
 
     @model_validator(mode="after")

@@ -71,7 +71,9 @@ class View(Section):
         description="Sides to film: front, right, back, left, orbit.",
     )
     azimuths: tuple[Degrees, ...] = Field(
-        default=(), description="Sides besides, by angle: 0 is the front, 90 the right [deg]."
+        default=(),
+        examples=[[45, 135]],
+        description="Sides besides, by angle: 0 is the front, 90 the right [deg].",
     )
     formats: tuple[Format, ...] = Field(
         default=("mp4",),
@@ -99,7 +101,11 @@ class View(Section):
         default=False, description="No background: formats webp, png, and gif (all or nothing)."
     )
     fps: float | None = Field(
-        default=None, ge=1, le=120, description="Playback rate of the MP4s; absent: real time."
+        default=None,
+        ge=1,
+        le=120,
+        examples=[12],
+        description="Playback rate of the MP4s; absent: real time.",
     )
 
     @model_validator(mode="after")

@@ -1,0 +1,52 @@
+"""The reference of a scene: the page in docs/, the example in it, and the schema for editors."""
+
+import json
+from pathlib import Path
+
+import pytest
+from declared import leaves
+
+from phy124.scene import Scene
+from phy124.scene.reference import EXAMPLE, reference, schema
+
+PAGE = Path(__file__).parents[1] / "docs" / "scene.md"
+
+
+def test_the_page_is_the_declaration_s():
+    told = "run `phy124 scenes --reference > docs/scene.md`"
+    assert PAGE.read_text("utf-8") == reference(), told
+
+
+def test_the_example_is_a_scene(tmp_path):
+    (tmp_path / "s.toml").write_text(EXAMPLE)
+    scene = Scene.from_toml(tmp_path / "s.toml")
+    assert scene.parts and scene.stiffness and scene.forces[1].profile.kind == "sine"
+    assert scene.boundaries[1].motion.kind == "path"
+
+
+@pytest.mark.parametrize("kind", ["gripper", "wind", "snow", "keyframes", "gradient", "swing"])
+def test_every_kind_has_a_table(kind):
+    assert f": {kind}\n" in reference()
+
+
+def test_every_field_says_what_it_is_and_shows_a_value():
+    rows = [line.split(" | ") for line in reference().splitlines() if line.startswith("| `")]
+    assert len(rows) > 200
+    for field, wanted, default, about in rows:
+        assert len(about) > 5 and wanted, field
+        assert default != "none" or "table" in wanted, f"{field}: give Field(examples=[...])"
+
+
+def test_editors_get_a_schema_of_everything():
+    told = json.loads(schema())
+    assert told["$schema"].startswith("https://json-schema.org/")
+    assert told["properties"]["object"] and "Snow" in told["$defs"]
+
+
+def test_examples_are_legal():
+    """What the page shows as an example is taken."""
+    shown = [(leaf, example) for leaf in leaves({}) for example in leaf.node.get("examples", [])]
+    assert len(shown) >= 8
+    for leaf, example in shown:
+        if "impulse" not in leaf.path:
+            Scene.from_data(leaf.wrap(example))
