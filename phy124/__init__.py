@@ -11,19 +11,18 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 __all__ = ["Camera", "Cancelled", "Clip", "Frame", "Gaussians", "InputError"]
-HOMES = {
-    "Camera": "phy124.camera",
-    "Cancelled": "phy124.errors",
-    "Clip": "phy124.clip",
-    "Frame": "phy124.gaussians",
-    "Gaussians": "phy124.gaussians",
-    "InputError": "phy124.errors",
+_HOMES = {
+    "Camera": "camera",
+    "Clip": "clip",
+    "Cancelled": "errors",
+    "InputError": "errors",
+    "Frame": "gaussians",
+    "Gaussians": "gaussians",
 }
-"""Module of each public name."""
 
 
 def __getattr__(name: str) -> Any:
-    """A public name, imported when it is first asked for: `phy124.isolated` starts with nothing."""
-    if name not in HOMES:
+    """Import a public name when it is first asked for, so that the package itself is light."""
+    if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(HOMES[name]), name)
+    return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)

@@ -1,5 +1,10 @@
 """The command line: `phy124 COMMAND ...`, or `python -m phy124`.
 
+Every command also takes --quiet (print nothing but problems) and --verbose (print what the
+libraries say, and where in the code a problem arose). `phy124 --version` names this version.
+`phy124 --tyro-print-completion bash` (zsh, fish) prints what completes commands and options with
+the Tab key; see docs/commands.md.
+
 Exit status: 0 done, 1 the machine refused (disk full, ...), 2 bad input, 3 the simulation stopped
 early and kept its good frames, 130 interrupted. No traceback for what a user can mend.
 """
@@ -7,37 +12,97 @@ early and kept its good frames, 130 interrupted. No traceback for what a user ca
 from __future__ import annotations
 
 import json
+import os
 import sys
+import traceback
+import warnings
 from collections.abc import Sequence
+from contextlib import ExitStack, redirect_stdout
+from typing import Any
+
+from phy124 import __version__
+from phy124.errors import Cancelled, InputError
+from phy124.signals import handled, interrupt
+
+GENERAL = ("--quiet", "--verbose")
+"""Options of every command."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit status."""
+    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    chosen = {name for name in GENERAL if name in arguments}
+    rest = [text for text in arguments if text not in GENERAL]
+    try:
+        with handled(interrupt):
+            status = _run(rest, quiet="--quiet" in chosen, verbose="--verbose" in chosen)
+            sys.stdout.flush()
+            return status
+    except BrokenPipeError:
+        # `... | head` has read enough; nothing may be written when Python ends.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except (InputError, KeyboardInterrupt, Cancelled, OSError) as problem:
+        status, sentence = _judged(problem)
+        _complain(sentence, as_json="--json" in rest)
+        if "--verbose" in chosen:
+            traceback.print_exception(problem)
+        return status
+
+
+def _run(arguments: list[str], *, quiet: bool, verbose: bool) -> int:
+    """Read the command line and run what it asks for."""
+    if arguments == ["--version"]:
+        print(f"phy124 {__version__}")
+        return 0
+    with ExitStack() as stack:
+        stack.enter_context(warnings.catch_warnings())
+        warnings.showwarning = _note
+        import warp as wp
+
+        from phy124.commands.bars import silence
+        from phy124.startup import start
+
+        command = _parsed(arguments or ["--help"])
+        start()
+        talkative = verbose and "--json" not in arguments
+        wp.config.log_level = wp.LOG_INFO if talkative else wp.LOG_ERROR
+        if quiet:
+            stack.enter_context(silence())
+            stack.enter_context(redirect_stdout(stack.enter_context(open(os.devnull, "w"))))
+        return command.run()
+
+
+def _parsed(arguments: list[str]) -> Any:
+    """The command with its options."""
     import tyro
-    import warp as wp
 
     from phy124.commands import COMMANDS
-    from phy124.errors import Cancelled, InputError
+    from phy124.commands.kinds import refuse_other_kind
+    from phy124.commands.refusals import plainly, refuse
     from phy124.repeats import gathered
-    from phy124.signals import handled, interrupt
 
-    wp.config.log_level = wp.LOG_ERROR
-    arguments = list(sys.argv[1:] if arguments is None else arguments)
-    try:
+    refuse(arguments, COMMANDS)
+    with plainly(arguments, COMMANDS):
         command = tyro.extras.subcommand_cli_from_dict(
             COMMANDS, prog="phy124", description=__doc__, args=gathered(arguments, COMMANDS)
         )
-        with handled(interrupt):
-            return command.run()
-    except InputError as error:
-        _complain(str(error), as_json="--json" in arguments)
-        return 2
-    except (KeyboardInterrupt, Cancelled):
-        _complain("stopped; nothing half-written was left behind", as_json="--json" in arguments)
-        return 130
-    except OSError as error:
-        _complain(f"the machine refused: {error}", as_json="--json" in arguments)
-        return 1
+    refuse_other_kind(arguments[0], command)
+    return command
+
+
+def _judged(problem: BaseException) -> tuple[int, str]:
+    """Exit status and sentence of what ended a command."""
+    if isinstance(problem, InputError):
+        return 2, str(problem)
+    if isinstance(problem, OSError):
+        return 1, f"the machine refused: {problem}"
+    return 130, "stopped; nothing half-written was left behind"
+
+
+def _note(message: Warning | str, *_: object) -> None:
+    """A warning as one line, without the place in the code."""
+    print(f"phy124: {message}", file=sys.stderr)
 
 
 def _complain(sentence: str, *, as_json: bool) -> None:

@@ -43,6 +43,14 @@ def staged(out: PathLike) -> Iterator[Path]:
         _remove_empty(missing)
 
 
+def writable(folder: Path) -> bool:
+    """Whether files can be written in a folder, or it can be made."""
+    for path in (folder, *folder.parents):
+        if os.path.lexists(path):
+            return path.is_dir() and os.access(path, os.W_OK | os.X_OK)
+    return False
+
+
 def _remove_empty(folders: list[Path]) -> None:
     """Remove folders, the innermost first, as long as they are empty."""
     with suppress(OSError):

@@ -38,7 +38,7 @@ def list_options(command: Any) -> set[str]:
     found: set[str] = set()
     hints = get_type_hints(command, include_extras=True)
     for field in fields(command):
-        kind = _plain(hints[field.name])
+        kind = plain(hints[field.name])
         if is_dataclass(kind):
             found |= list_options(kind)
         elif any(Ellipsis in get_args(one) for one in (kind, *get_args(kind))):
@@ -46,8 +46,9 @@ def list_options(command: Any) -> set[str]:
     return found
 
 
-def _plain(annotation: Any) -> Any:
-    return _plain(get_args(annotation)[0]) if get_origin(annotation) is Annotated else annotation
+def plain(annotation: Any) -> Any:
+    """The type within `Annotated`."""
+    return plain(get_args(annotation)[0]) if get_origin(annotation) is Annotated else annotation
 
 
 def _options(arguments: Sequence[str]) -> list[tuple[str, list[str]]]:

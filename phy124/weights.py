@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Literal, cast
 
 from phy124.errors import InputError
+from phy124.files import writable
 from phy124.installation import install_command
 from phy124.progress import Progress, silent
 
@@ -290,12 +291,21 @@ def fetch(
     """
     files = files_of(name)
     target = folder or _named.get() or os.environ.get("PHY124_WEIGHTS")
+    if target:
+        _refuse_unwritable(Path(target).expanduser())
     paths = []
     for i, file in enumerate(files):
         progress(f"fetch {file.repo}/{file.path}", i, len(files))
         paths.append(_fetch(name, file, Path(target).expanduser() if target else None, endpoint))
     progress(f"fetch {name}", len(files), len(files))
     return paths
+
+
+def _refuse_unwritable(folder: Path) -> None:
+    """Raise InputError if no files can be put there, before anything is downloaded."""
+    if not writable(folder):
+        limit = "it is no folder that files can be written to."
+        raise InputError("weights", folder, limit, "Choose another folder.")
 
 
 def _fetch(name: str, file: WeightFile, folder: Path | None, endpoint: str | None) -> Path:

@@ -69,12 +69,11 @@ class ShowAccuracy:
         from phy124.accuracy.study import Study
         from phy124.pipeline import staged
 
-        device = pick_device(self.device)
+        device, levels = pick_device(self.device), self._sorted_levels(scene)
         name = Path(str(self.scene)).stem
         out = self.out or Path("out") / f"accuracy-{name}"
         with Bars(quiet=self.json) as bars, staged(out) as folder:
             gaussians, crop = self._object(scene, bars)
-            levels = tuple(sorted(self.levels))
             study = Study(gaussians, scene, device, levels, crop, progress=bars)
             report = study.run()
             bars.close()
@@ -96,6 +95,17 @@ class ShowAccuracy:
             print(f"promise of {preset}: {said}")
         print("\n".join(str(path) for path in sorted(out.glob("accuracy.*"))), missing, sep="\n")
         return 0
+
+    def _sorted_levels(self, scene: Scene) -> tuple[int, ...]:
+        """The levels from coarse to fine; raises InputError for what the scene does not take."""
+        if not self.levels:
+            raise InputError("levels", "none", "there is nothing to study.", "Give 16 24 32, say.")
+        for cells in self.levels:
+            try:
+                scene.replaced({"accuracy": {"cells": cells}})
+            except InputError as refusal:
+                raise InputError("levels", cells, refusal.limit, refusal.remedy) from None
+        return tuple(sorted(set(self.levels)))
 
     def _object(self, scene: Scene, progress: Any) -> Any:
         """The Gaussians to study, and where they are in the picture."""

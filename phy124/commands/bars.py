@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from types import FrameType
 
 from tqdm import tqdm
@@ -11,8 +14,19 @@ from tqdm import tqdm
 from phy124.errors import Cancelled
 from phy124.signals import handled, interrupt
 
+_silent: ContextVar[bool] = ContextVar("_silent", default=False)
 BETWEEN_LINES = 10.0
 """Seconds between two lines about the same stage, where no bar can be drawn."""
+
+
+@contextmanager
+def silence() -> Iterator[None]:
+    """Within it no bars are drawn (`--quiet`)."""
+    token = _silent.set(True)
+    try:
+        yield
+    finally:
+        _silent.reset(token)
 
 
 class Bars:
@@ -26,7 +40,7 @@ class Bars:
     """
 
     def __init__(self, *, quiet: bool = False, keeps: bool = False) -> None:
-        self.quiet, self.keeps = quiet, keeps
+        self.quiet, self.keeps = quiet or _silent.get(), keeps
         self.bar: tqdm | None = None
         self.interrupted = False
         self._stage, self._said, self._next_line = "", "", 0.0

@@ -11,7 +11,9 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from phy124.commands.weights import data, lines
+from phy124.commands.weights import data, lines, summary
+from phy124.installation import install_command
+from phy124.startup import start
 from phy124.weights import status
 
 EXTRAS = {
@@ -33,18 +35,24 @@ class Doctor:
 
     weights: Path | None = None
     """Folder to look for weights in first."""
+    all: bool = False
+    """Also every file of weights: where it was looked for, its checksum, how to fetch it."""
     json: bool = False
     """Print as JSON."""
 
     def run(self) -> int:
         """Print; status 1 if something needed is missing."""
-        found, files = examine(), status(self.weights)
+        found, files = examine(), status(self.weights, check=self.all or self.json)
         if self.json:
             print(json.dumps({**found, "weights": data(files)}))
         else:
             for name, value in found.items():
                 print(f"{name:<12}{_text(value)}")
-            print("\n".join(["weights", *lines(files)]))
+            if self.all:
+                print("\n".join(["weights", *lines(files)]))
+            else:
+                print(f"{'weights':<12}{summary(files)}")
+                print("Every file of weights: phy124 doctor --all")
         return 0 if found["encoder"] else 1
 
 
@@ -52,7 +60,7 @@ def examine() -> dict[str, Any]:
     """Facts about this machine and installation, as plain data."""
     import warp as wp
 
-    wp.init()
+    start()
     return {
         "python": platform.python_version(),
         "warp": wp.__version__,
@@ -81,6 +89,6 @@ def _text(value: Any) -> str:
     if isinstance(value, dict):
         missing = {k: v for k, v in value.items() if v != "installed"}
         fine = ", ".join(k for k in value if k not in missing) or "none"
-        rest = "; ".join(f"{k} lacks {', '.join(v)}" for k, v in missing.items())
+        rest = "; ".join(f"{k} needs `{install_command(k)}`" for k in missing)
         return f"{fine}{'; ' + rest if rest else ''}"
     return ", ".join(value) if isinstance(value, list) else str(value)

@@ -50,13 +50,13 @@ class Evaluate:
     def run(self) -> int:
         """Measure; prints the table and writes evaluation.json."""
         clip = Clip.load(self.clip)
-        with looking_in(self.weights), Bars(quiet=self.json) as bars:
+        out = self.out or self.clip.parent / "evaluation.json"
+        weights, bars = looking_in(self.weights), Bars(quiet=self.json)
+        with replacing(out) as path, weights, bars:  # A file that cannot be written is refused now.
             model, missing = self._model()
             videos = self._videos(clip, bars)
             result = evaluate(clip, videos, model=model, missing=missing)
-        out = self.out or self.clip.parent / "evaluation.json"
-        data = {**self._data(result), "notes": clip.flaws()}
-        with replacing(out) as path:
+            data = {**self._data(result), "notes": clip.flaws()}
             path.write_text(json.dumps(data, indent=2) + "\n", "utf-8")
         told = [result.table(), *(f"note: {note}" for note in data["notes"]), str(out)]
         print(json.dumps(data) if self.json else "\n".join(told))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -189,8 +190,8 @@ def show(result: pipeline.Result, *, as_json: bool) -> int:
             print(f"note: {note}")
         for path in result.files:
             print(path)
-        if report["stopped"]:
-            print(f"stopped early: {report['stopped']}")
+    if report["stopped"]:
+        print(f"stopped early: {report['stopped']}", file=sys.stderr)
     if report["interrupted"]:
         return 130
     return 0 if report["complete"] else 3

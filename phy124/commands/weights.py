@@ -75,6 +75,19 @@ def data(found: list[WeightStatus]) -> list[dict[str, Any]]:
     ]
 
 
+def summary(found: list[WeightStatus]) -> str:
+    """Statuses in one line: which sets are whole, damaged or missing."""
+    sets: dict[str, list[WeightStatus]] = {}
+    for s in found:
+        sets.setdefault(s.weights, []).append(s)
+    here = [name for name, files in sets.items() if all(s.found for s in files)]
+    wrong = [name for name, files in sets.items() if any(s.verdict == "differs" for s in files)]
+    missing = [name for name in sets if name not in here]
+    said = {"found": here, "NOT the published files": wrong, "missing": missing}
+    parts = [f"{what}: {', '.join(names)}" for what, names in said.items() if names]
+    return "; ".join(parts) + " (`phy124 weights fetch NAME`; `relief` needs none)"
+
+
 def lines(found: list[WeightStatus]) -> list[str]:
     """Statuses as text, a paragraph for each file."""
     text = []

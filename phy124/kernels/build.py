@@ -10,6 +10,9 @@ from typing import Any
 
 import warp as wp
 
+from phy124.startup import prepare
+
+prepare()
 CONTRACT = "-ffp-contract=fast"
 
 

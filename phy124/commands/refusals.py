@@ -1,0 +1,153 @@
+"""What the command line's parser refuses, said as everything else is: field, value, limit, remedy.
+
+The parser (tyro) tells a hook of its own why it gives up. Where it does not, because it is of
+another version, its own words are shown.
+"""
+
+from __future__ import annotations
+
+import difflib
+import itertools
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import fields, is_dataclass
+from typing import Any, get_type_hints
+
+from phy124.errors import InputError
+from phy124.repeats import plain
+
+KINDS = {"INT": "a whole number", "FLOAT": "a number"}
+Commands = Mapping[str, type]
+
+
+@contextmanager
+def plainly(arguments: Sequence[str], commands: Commands) -> Iterator[None]:
+    """Within it the parser's refusals are raised as InputError."""
+    try:
+        from tyro._errors import on_parse_error
+    except ImportError:
+        yield
+        return
+
+    def hook(event: Any) -> None:
+        try:
+            refusal = _refusal(event, arguments, commands)
+        except (AttributeError, LookupError):
+            return  # Events of another version: the parser's own words must do.
+        if refusal is not None:
+            raise _Refused(refusal)
+
+    try:
+        with on_parse_error(hook):
+            yield
+    except _Refused as found:
+        raise found.refusal from None
+
+
+class _Refused(Exception):
+    """Takes a refusal past the parser, which catches ValueError."""
+
+    def __init__(self, refusal: InputError) -> None:
+        self.refusal = refusal
+
+
+def refuse(arguments: Sequence[str], commands: Commands) -> None:
+    """Raise InputError if the first argument is no command, or any is empty."""
+    name = arguments[0]
+    if name not in commands and not name.startswith(("-h", "--help", "--tyro-")):
+        if name.startswith("-"):
+            remedy = f"Write `phy124 COMMAND ... {name}`; commands are {', '.join(commands)}."
+            raise InputError("command", name, "the command comes first.", remedy)
+        raise InputError("command", name, "there is no such command.", meant(name, [*commands]))
+    for before, text in itertools.pairwise(arguments):
+        option, equals, value = text.partition("=")
+        if not text or (equals and not value and option.startswith("--")):
+            where = option.lstrip("-") if equals else before.lstrip("-")
+            raise InputError(where, "''", "it is empty.", "Give a value, or leave the option out.")
+
+
+def option_names(command: Any) -> list[str]:
+    """Names of a command's options, as they are typed."""
+    found: list[str] = []
+    hints = get_type_hints(command, include_extras=True)
+    for field in fields(command):
+        kind = plain(hints[field.name])
+        nested = option_names(kind) if is_dataclass(kind) else ["--" + field.name.replace("_", "-")]
+        found += nested
+    return found
+
+
+def meant(word: str, known: Sequence[str], *, otherwise: str = "Choose one of") -> str:
+    """Did you mean; or else what there is."""
+    close = difflib.get_close_matches(word, known, 1)
+    return f"Did you mean {close[0]}?" if close else f"{otherwise} {', '.join(known)}."
+
+
+def _refusal(event: Any, arguments: Sequence[str], commands: Commands) -> InputError | None:
+    """The refusal for an event of the parser; None if it is not known here."""
+    name, command = type(event).__name__, arguments[0]
+    if name == "UnrecognizedArgs":
+        return _unknown(event.tokens, command, option_names(commands[command]))
+    makers: dict[str, Callable[[Any], InputError]] = {
+        "MissingArgs": _missing,
+        "BadValue": _bad_value,
+        "InvalidChoice": _no_choice,
+        "InstantiationFailure": _not_made,
+    }
+    return makers[name](event) if name in makers else None
+
+
+def _missing(event: Any) -> InputError:
+    argument = event.missing_arguments[0].arg
+    name = _name(argument)
+    return InputError(name, "nothing", "it is needed.", _help(argument, "It is"))
+
+
+def _bad_value(event: Any) -> InputError:
+    limit = "it needs a value." if event.offending_value is None else "it takes no value."
+    value = event.offending_value or "nothing"
+    return InputError(_name(event.argument), value, limit, _help(event.argument, "It is"))
+
+
+def _no_choice(event: Any) -> InputError:
+    choices = [choice for choice in event.choices if choice != "None"]
+    limit = "there is no such choice."
+    return InputError(_name(event.argument), event.value, limit, meant(event.value, choices))
+
+
+def _not_made(event: Any) -> InputError:
+    if event.argument is None:
+        raise LookupError("the parser does not say which argument")
+    metavar = event.argument.lowered.metavar or ""
+    kind = next((said for name, said in KINDS.items() if name in metavar), None)
+    value = " ".join(_given(event.message))
+    limit = f"it is not {kind}." if kind else "it cannot be used."
+    return InputError(_name(event.argument), value or "?", limit, _help(event.argument, "It is"))
+
+
+def _given(message: str) -> list[str]:
+    """The values that a message of the parser names: "... instantiated from ['x']"."""
+    inside = message.partition("[")[2].partition("]")[0]
+    return [part.strip().strip("'\"") for part in inside.split(",") if part.strip()]
+
+
+def _unknown(tokens: Sequence[str], command: str, options: Sequence[str]) -> InputError:
+    """Words that are no option of the command, or more values than it takes."""
+    strange = [token for token in tokens if token.startswith("-")]
+    if not strange:
+        limit = f"`phy124 {command}` takes no more values."
+        return InputError("argument", tokens[0], limit, f"See `phy124 {command} --help`.")
+    name = strange[0].partition("=")[0]
+    close = difflib.get_close_matches(name, options, 1)
+    hint = f"Did you mean {close[0]}?" if close else f"See `phy124 {command} --help`."
+    return InputError("option", name, f"`phy124 {command}` has no such option.", hint)
+
+
+def _name(argument: Any) -> str:
+    return argument.field.intern_name.rpartition(".")[2].replace("_", "-")
+
+
+def _help(argument: Any, verb: str) -> str:
+    text = argument.field.helptext
+    text = (text() if callable(text) else text) or ""
+    return f"{verb}: {text.strip().splitlines()[0].rstrip('.')}." if text else "See --help."

@@ -1,0 +1,83 @@
+"""Warp, started so that it disturbs nobody: its messages, its warnings, its folder of kernels."""
+
+from __future__ import annotations
+
+import os
+import stat
+import sys
+import tempfile
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import warp as wp
+
+from phy124.files import writable
+
+NO_DRIVER = b"Could not find or load the NVIDIA CUDA driver"
+"""What Warp says on every machine without a GPU."""
+
+
+def prepare() -> None:
+    """Before Warp is started: no lines on standard output, and a folder that can be written."""
+    if wp.config.log_level == wp.LOG_INFO:
+        wp.config.log_level = wp.LOG_WARNING
+    usual = kernel_folder()
+    if wp.config.kernel_cache_dir is None and usual is not None and not writable(usual):
+        wp.config.kernel_cache_dir = str(temporary_folder())
+        warnings.warn(
+            f"{usual} cannot be written, so compiled kernels are kept in "
+            f"{wp.config.kernel_cache_dir}; set WARP_CACHE_PATH to keep them elsewhere",
+            stacklevel=2,
+        )
+
+
+def start() -> None:
+    """Start Warp; that there is no GPU is not worth a warning."""
+    prepare()
+    with _without_line(NO_DRIVER):
+        wp.init()
+
+
+def kernel_folder() -> Path | None:
+    """Where Warp keeps compiled kernels; None where only Warp knows."""
+    if "WARP_CACHE_PATH" in os.environ:
+        return Path(os.environ["WARP_CACHE_PATH"])
+    if not sys.platform.startswith("linux"):
+        return None
+    base = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    return Path(base) / "warp" / wp.config.version
+
+
+def temporary_folder() -> Path:
+    """A folder that later runs of the same user find again, and nobody else may write to."""
+    user = os.getuid() if hasattr(os, "getuid") else "user"
+    folder = Path(tempfile.gettempdir()) / f"phy124-kernels-{user}"
+    try:
+        folder.mkdir(mode=0o700, exist_ok=True)
+        found = folder.lstat()
+        safe = stat.S_ISDIR(found.st_mode) and found.st_mode & 0o077 == 0
+        if safe and found.st_uid == user:
+            return folder
+    except OSError:
+        pass
+    return Path(tempfile.mkdtemp(prefix="phy124-kernels-"))
+
+
+@contextmanager
+def _without_line(unwanted: bytes) -> Iterator[None]:
+    """Leave a line out of what native code writes to standard error meanwhile."""
+    sys.stderr.flush()
+    usual = os.dup(2)
+    with tempfile.TemporaryFile() as kept:
+        os.dup2(kept.fileno(), 2)
+        try:
+            yield
+        finally:
+            os.dup2(usual, 2)
+            os.close(usual)
+            kept.seek(0)
+            for line in kept:
+                if unwanted not in line:
+                    os.write(2, line)

@@ -1,0 +1,177 @@
+"""What is typed wrongly is refused in plain sentences; what every command can do."""
+
+import io
+import os
+import subprocess
+import sys
+
+import pytest
+from tyro import _errors
+
+from phy124 import __version__
+from phy124.__main__ import main
+from phy124.commands import COMMANDS
+from phy124.commands.bars import Bars, silence
+from phy124.commands.kinds import KINDS, TAKES, USES
+from phy124.commands.refusals import option_names
+
+
+@pytest.mark.parametrize(
+    ("typed", "sentence"),
+    [
+        ("generat x.png", "command = generat: there is no such command. Did you mean generate?"),
+        ("dance", "command = dance: there is no such command. Choose one of generate, "),
+        ("--scene drop generate x.png", "command = --scene: the command comes first."),
+        ("generate", "image = nothing: it is needed. It is: PNG, JPEG or WebP picture"),
+        ("generate x.png --frames", "frames = nothing: it needs a value. It is: Number of frames."),
+        ("generate x.png --frames ten", "frames = ten: it is not a whole number."),
+        ("generate x.png --max-seconds soon", "max-seconds = soon: it is not a number."),
+        ("generate x.png --accuracy fnie", "there is no such choice. Did you mean fine?"),
+        ("generate x.png --sise 3", "has no such option. Did you mean --size?"),
+        ("render clip.safetensors --sise=3", "option = --sise: `phy124 render` has no such"),
+        ("generate x.png y.png", "argument = y.png: `phy124 generate` takes no more values."),
+        ("weights fech", "action = fech: there is no such choice. Did you mean fetch?"),
+        ("accuracy press --levels a", "levels = a: it is not a whole number."),
+        ("accuracy press --levels 0", "levels = 0: it must be a whole number from"),
+        ("accuracy press --levels", "levels = none: there is nothing to study."),
+        ("generate x.ply", "`phy124 generate` takes a picture. Use `phy124 simulate x.ply`."),
+        ("simulate photo.png", "takes a file of Gaussians. Use `phy124 generate photo.png`."),
+        ("simulate clip.safetensors", "Use `phy124 render clip.safetensors`."),
+        ("render photo.JPG", "Use `phy124 generate photo.JPG`."),
+        ("generate scene.toml", "Give it after --scene."),
+        ("weights fetch u2net --weights /dev/null/x", "no folder that files can be written to"),
+    ],
+)
+def test_what_cannot_be_read_is_one_sentence(typed, sentence, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(typed.split()) == 2
+    printed = capsys.readouterr()
+    assert sentence in printed.err
+    assert len(printed.err.splitlines()) == 1
+    assert printed.out == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("typed", [["--out", ""], ["--out="], ["--scene", ""]])
+def test_an_empty_value_is_refused(typed, capsys):
+    assert main(["generate", "x.png", *typed]) == 2
+    assert "it is empty. Give a value, or leave the option out." in capsys.readouterr().err
+
+
+def test_a_parser_of_another_version_speaks_for_itself(monkeypatch, capsys):
+    class Unheard(_errors.BadValue):
+        argument = None
+
+    monkeypatch.setattr("phy124.commands.refusals._bad_value", lambda event: event.unheard)
+    with pytest.raises(SystemExit) as ended:
+        main(["generate", "x.png", "--frames"])
+    assert ended.value.code == 2
+    assert "--frames" in capsys.readouterr().err
+
+
+def test_every_kind_has_an_advice_and_every_command_its_kind():
+    assert set(KINDS.values()) == set(USES)
+    for name, (field, kind) in TAKES.items():
+        assert field in {f.strip("-") for f in option_names(COMMANDS[name])}
+        assert kind in USES
+
+
+def test_the_version_is_told(capsys):
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"phy124 {__version__}\n"
+
+
+def test_no_command_is_a_wish_for_help(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main([])
+    assert ended.value.code == 0
+    printed = capsys.readouterr().out
+    assert all(name in printed for name in (*COMMANDS, "--quiet", "--verbose", "--version"))
+
+
+def test_quiet_prints_nothing_but_problems(capsys):
+    assert main(["scenes", "--quiet"]) == 0
+    assert capsys.readouterr() == ("", "")
+    assert main(["scenes", "dance", "--quiet"]) == 2
+    assert "scene = dance" in capsys.readouterr().err
+    with silence(), Bars() as bars:
+        bars("simulate", 1, 1)
+    assert capsys.readouterr().err == ""
+
+
+def test_verbose_says_where_in_the_code(capsys):
+    assert main(["scenes", "dance", "--verbose"]) == 2
+    printed = capsys.readouterr().err
+    assert "Traceback" in printed and "scene = dance" in printed
+
+
+def test_a_reader_that_has_read_enough_is_no_error(monkeypatch, capfd):
+    class Closed(io.StringIO):
+        def write(self, text):
+            raise BrokenPipeError
+
+        def fileno(self):
+            return self.null
+
+    closed = Closed()
+    closed.null = os.open(os.devnull, os.O_WRONLY)
+    monkeypatch.setattr(sys, "stdout", closed)
+    assert main(["scenes"]) == 0
+    os.close(closed.null)
+    assert capfd.readouterr().err == ""
+
+
+def test_the_package_itself_is_light_so_that_ctrl_c_is_clean_from_the_start():
+    code = "import sys, phy124, phy124.__main__; print(*sys.modules)"
+    run = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert {"numpy", "warp", "tyro", "pydantic"} & set(run.stdout.split()) == set()
+
+
+def test_the_names_of_the_package_are_there_when_asked_for():
+    import phy124
+
+    for name in phy124.__all__:
+        assert getattr(phy124, name).__name__ == name
+    with pytest.raises(AttributeError, match="no attribute 'dance'"):
+        getattr(phy124, "dance")  # noqa: B009
+
+
+def test_ctrl_c_while_modules_are_imported(monkeypatch, capsys):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("phy124.__main__._parsed", interrupted)
+    assert main(["scenes"]) == 130
+    assert "Traceback" not in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_shells_get_a_script_that_completes(shell, capsys):
+    with pytest.raises(SystemExit):
+        main(["--tyro-print-completion", shell])
+    printed = capsys.readouterr().out
+    assert "generate" in printed and "max-error" in printed
+
+
+def test_bash_completes_a_command(tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        main(["--tyro-print-completion", "bash"])
+    (tmp_path / "phy124").write_text(capsys.readouterr().out)
+    typed = "COMP_WORDS=(phy124 gen); COMP_CWORD=1; _tyro_phy124; echo ${COMPREPLY[@]}"
+    run = subprocess.run(
+        ["bash", "-c", f"source phy124; {typed}"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert run.stdout == "generate\n", run.stderr
+
+
+def test_doctor_is_a_page_and_all_of_it_on_request(capsys):
+    assert main(["doctor"]) == 0
+    short = capsys.readouterr().out
+    assert len(short.splitlines()) < 12
+    assert "phy124 doctor --all" in short and "sha256" not in short
+    assert main(["doctor", "--all"]) == 0
+    assert "sha256" in capsys.readouterr().out
