@@ -32,6 +32,7 @@ bench: .venv/test
 
 accuracy: .venv/test
 	$(BIN)/python tests/benchmarks/forecast.py --docs
+	$(BIN)/python tests/benchmarks/promises.py
 	$(BIN)/python tests/benchmarks/accuracy.py --docs
 
 lint: .venv/lint

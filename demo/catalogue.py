@@ -15,7 +15,7 @@ from demo.forecast import count_particles
 from demo.settings import Settings
 from phy124.errors import InputError
 from phy124.materials import Elastic
-from phy124.scene import PRESETS, PROMISES, Scene, preset_names
+from phy124.scene import GOOD_FOR, PRESETS, Scene, preset_names
 
 FOLDER = Path(__file__).parent
 FIRST = ("press", "drop", "bounce", "push_right", "sway", "spin")
@@ -35,8 +35,8 @@ def catalogue(settings: Settings) -> dict[str, Any]:
         "presets": [_card(name) for name in names],
         "examples": sorted(path.stem for path in (FOLDER / "examples").glob("*.png")),
         "accuracies": [
-            {"name": name, "promise": PROMISES[name].error, "why": PROMISES[name].why}
-            for name in PRESETS
+            {"name": name, "cells": accuracy.cells, "why": f"For {GOOD_FOR[name]}."}
+            for name, accuracy in PRESETS.items()
         ],
         "softness": _anchors(),
         "weights": WEIGHTS,

@@ -7,18 +7,24 @@ filling; what a particle-substep, a drawn pixel and so on cost is in demo/rates.
 from __future__ import annotations
 
 import math
+import time
 from dataclasses import dataclass
 from html import escape
+from typing import Any
 
 from demo.rates import Learned, Rates, Work
 from phy124.accuracy import Forecaster as Probe
-from phy124.accuracy.forecast import pixels_per_size
+from phy124.accuracy.forecast import GUESS, QUIET, pixels_per_size
+from phy124.accuracy.load import Load, spoken
+from phy124.accuracy.promises import Promise, promise
 from phy124.gaussians import Gaussians
-from phy124.scene import PRESETS, PROMISES, Scene
+from phy124.scene import PRESETS, Scene
 from phy124.timestep import CELLS_PER_STEP, beside_elastic
 
 GAUSSIANS = 50_000
 """What `relief` makes of a picture."""
+FRESH = 3.0
+"""Seconds for which a look at what others do is good."""
 FILLED = 0.13
 """Volume of a typical object, in cubes of its longest side: the filling's share of the grid."""
 
@@ -30,18 +36,26 @@ class Forecast:
     seconds: float
     substeps: int
     particles: int
-    promise: float | None
-    """Promised error in object sizes; None for settings of one's own."""
+    promise: Promise
+    """The error that was measured for such scenes, or why none is promised."""
     caveat: str | None = None
     """Why the seconds are no promise."""
+    load: Load = QUIET
+    """What others do on this machine at the moment."""
+    measured: bool = False
+    """Whether it comes from a probe of this very object."""
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Between what seconds the run will lie."""
+        return self.load.span(self.seconds, unsure=1.0 if self.measured else GUESS)
 
     @property
     def sentence(self) -> str:
         """For the visitor."""
-        text = f"About {_duration(self.seconds)}: {self.substeps:,} substeps of "
-        text += f"{round(self.particles, -3):,} particles."
-        if self.promise is not None:
-            text += f" Error promised: at most {self.promise:.0%} of the object's size."
+        beside = " beside what else this machine does" if self.load.busy else ""
+        text = f"About {spoken(self.span)}{beside}: {self.substeps:,} substeps of "
+        text += f"{round(self.particles, -3):,} particles. {self.promise.sentence}"
         return f"{text} {self.caveat}" if self.caveat else text
 
 
@@ -51,9 +65,9 @@ class Stop:
 
     name: str
     seconds: float
-    error: float
-    """Promised, in object sizes."""
-    pixels: float
+    error: float | None
+    """Promised, in object sizes; None if it was not measured for such a scene."""
+    pixels: float | None
     """The same in the video."""
     chosen: bool
 
@@ -63,6 +77,7 @@ class Forecaster:
 
     def __init__(self) -> None:
         self.learned = Learned()
+        self._load, self._looked = QUIET, -math.inf
 
     @property
     def rates(self) -> Rates:
@@ -76,16 +91,30 @@ class Forecaster:
         gaussians: int = GAUSSIANS,
         generated: bool = False,
         simulated: bool = False,
+        filmed: bool = False,
     ) -> Forecast:
-        """The forecast of a run; `generated` and `simulated`: these stages are there already."""
+        """The forecast of a run; `generated` and so on: these stages are there already."""
         work = work_of(scene, gaussians)
         costs = self.rates.seconds(work)
-        seconds = self.rates.rest + costs["film"]
+        seconds = 0.0 if filmed else self.rates.rest + costs["film"]
         if not simulated:
             seconds += costs["simulate"] + costs["deform"]
             seconds += 0 if generated else costs["generate"]
-        particles = count_particles(scene, gaussians)
-        return Forecast(seconds, round(work.substeps), particles, promised(scene))
+        particles, load = count_particles(scene, gaussians), self.load()
+        seconds *= load.now
+        return Forecast(seconds, round(work.substeps), particles, promise(scene), load=load)
+
+    def load(self) -> Load:
+        """What others do on this machine, looked at anew every few seconds."""
+        if time.monotonic() > self._looked + FRESH:
+            self._load, self._looked = Load.measured(), time.monotonic()
+        return self._load
+
+    def learn(self, report: dict[str, Any], scene: Scene) -> None:
+        """Correct the rates by a finished run, less what others made it take longer."""
+        slower = self.load().now
+        stages = [{**stage, "seconds": stage["seconds"] / slower} for stage in report["stages"]]
+        self.learned.learn({**report, "stages": stages}, scene)
 
     def least(self, scene: Scene, *, gaussians: int = GAUSSIANS) -> float:
         """Seconds of computing, were this machine as quick as it was ever known to be."""
@@ -100,8 +129,8 @@ class Forecaster:
         for name in PRESETS:
             other = scene.model_copy(update={"accuracy": name})
             took = scale * self(other, gaussians=gaussians).seconds
-            error = PROMISES[name].error
-            pixels = error * pixels_per_size(scene)
+            error = promise(other).error
+            pixels = None if error is None else error * pixels_per_size(scene)
             found.append(Stop(name, took, error, pixels, scene.accuracy == name))
         return found
 
@@ -110,7 +139,10 @@ def measured(gaussians: Gaussians, scene: Scene, device: str, rest: float) -> Fo
     """The forecast of `phy124.accuracy`, from a probe of this very object; takes half a second."""
     found = Probe(device).forecast(gaussians, scene)
     seconds = found.seconds + rest
-    return Forecast(seconds, found.substeps, found.particles, promised(scene), found.caveat)
+    return Forecast(
+        seconds, found.substeps, found.particles, promise(scene), found.caveat, found.load,
+        measured=True,
+    )  # fmt: skip
 
 
 def stops_table(stops: list[Stop]) -> str:
@@ -118,15 +150,16 @@ def stops_table(stops: list[Stop]) -> str:
     rows = [
         f"<tr{' class=chosen' if stop.chosen else ''}><td>{escape(stop.name.capitalize())}</td>"
         f"<td>about {_duration(stop.seconds)}</td>"
-        f"<td>off by at most {stop.error:.0%} ({stop.pixels:.0f} px)</td></tr>"
+        f"<td>{_off(stop)}</td></tr>"
         for stop in stops
     ]
     return f'<table class="stops">{"".join(rows)}</table>'
 
 
-def promised(scene: Scene) -> float | None:
-    """The error that the accuracy setting promises, in object sizes."""
-    return PROMISES[scene.accuracy].error if isinstance(scene.accuracy, str) else None
+def _off(stop: Stop) -> str:
+    if stop.error is None or stop.pixels is None:
+        return "error not measured"
+    return f"off by at most {stop.error:.1%} ({stop.pixels:.0f} px)"
 
 
 def work_of(scene: Scene, gaussians: int = GAUSSIANS) -> Work:

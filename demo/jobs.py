@@ -34,6 +34,7 @@ from demo.work import (
     Reused,
     Step,
     device_named,
+    made_already,
     made_gaussians,
     steps,
 )
@@ -121,10 +122,10 @@ class Studio:
 
     def forecast(self, session: str, cutout: str | None, data: Any) -> str:
         """What a run would take; a complaint if it is not allowed."""
-        del session, cutout
         try:
             scene = scene_of(data, self.settings)
-            forecast = self.forecaster(scene, gaussians=self.settings.gaussians)
+            ready = self._ready(session, cutout, scene)
+            forecast = self.forecaster(scene, gaussians=self.settings.gaussians, **ready)
             self._check_time(scene)
         except InputError as error:
             return f"{error.field}: {sentence(error)}"
@@ -140,7 +141,8 @@ class Studio:
             scene = scene_of(data, self.settings)
             visitor = self.visitors.get(session)
             order = self._order(visitor, Path(cutout), scene, visitor.folder / "never")
-            if not made_gaussians(order).exists():
+            ready = made_already(order)
+            if not ready["generated"] or ready["simulated"]:
                 return None
             gaussians = Clip.load(made_gaussians(order)).frame(0).gaussians
             device = device_named(self.settings.device)
@@ -183,6 +185,13 @@ class Studio:
         expected = visitor.forecasts.get(key(scene.data()), forecast.seconds)
         yield from self._work(visitor, self._order(visitor, Path(cutout), scene, flag), expected)
 
+    def _ready(self, session: str, cutout: str | None, scene: Scene) -> dict[str, bool]:
+        """Which stages need not be run again for this visitor."""
+        if not cutout or not Path(cutout).exists():
+            return {}
+        visitor = self.visitors.get(session)
+        return made_already(self._order(visitor, Path(cutout), scene, visitor.folder / "never"))
+
     def _check_time(self, scene: Scene) -> None:
         count = self.settings.gaussians
         check_time(self.forecaster.least(scene, gaussians=count), self.settings)
@@ -219,7 +228,7 @@ class Studio:
             visitor.end(order.stop)
         if progress.done is not None:
             if "simulate" not in progress.reused:
-                self.forecaster.learned.learn(read_report(progress.done), order.scene)
+                self.forecaster.learn(read_report(progress.done), order.scene)
             visitor.trim(self.settings.max_clips)
 
     def warm_up(self) -> None:

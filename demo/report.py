@@ -8,7 +8,8 @@ from html import escape
 from typing import Any
 
 from demo.forecast import Stop
-from phy124.scene import PRESETS, PROMISES
+from phy124.accuracy.promises import promise
+from phy124.scene import Scene
 
 WIDTH, HEIGHT, TALL, MARGIN = 280, 84, 130, 4
 
@@ -29,10 +30,10 @@ def as_html(
 
 def _accuracy(report: dict[str, Any], scene: dict[str, Any], predicted: float) -> str:
     name = scene.get("accuracy")
-    promise = PROMISES[name].error if isinstance(name, str) else None
+    said = promise(Scene.from_data(scene), report)
     rows = [
         ("Setting", name if isinstance(name, str) else "own settings"),
-        ("Error promised", "not stated" if promise is None else f"≤ {promise:.0%} of the size"),
+        ("Error promised", said.sentence.removeprefix("Error: ")),
         ("Time predicted", f"{predicted:.1f} s"),
         ("Time spent", f"{report['seconds']:.1f} s"),
         ("Gaussians", f"{report['gaussians']:,}"),
@@ -45,18 +46,19 @@ def _accuracy(report: dict[str, Any], scene: dict[str, Any], predicted: float) -
 
 def _pareto(report: dict[str, Any], scene: dict[str, Any], stops: Sequence[Stop]) -> str:
     """Error over seconds: the stops of the accuracy slider, and the point this run reached."""
-    reached = expected_error(scene.get("accuracy"))
-    if not stops or reached is None:
+    reached = promise(Scene.from_data(scene), report).error
+    known = [(stop, stop.error) for stop in stops if stop.error]
+    if not known or not reached:
         return ""
     run = (float(report["seconds"]), reached)
-    points = [(stop.seconds, stop.error) for stop in stops]
+    points = [(stop.seconds, error) for stop, error in known]
     x = _scale([a for a, _ in [*points, run]], 2 * MARGIN, WIDTH - 2 * MARGIN)
     y = _scale([b for _, b in [*points, run]], TALL - 26, 26)
     marks = [
         f'<circle class="stop" cx="{x(a):.1f}" cy="{y(b):.1f}" r="3.5"/>'
         f'<text x="{x(a):.1f}" y="{y(b) - 7:.1f}" text-anchor="{_anchor(x(a))}">'
-        f"{escape(stop.name)}, {stop.error:.0%}, {stop.seconds:.0f} s</text>"
-        for stop, (a, b) in zip(stops, points, strict=True)
+        f"{escape(stop.name)}, {error:.1%}, {stop.seconds:.0f} s</text>"
+        for (stop, error), (a, b) in zip(known, points, strict=True)
     ]
     line = " ".join(f"{x(a):.1f},{y(b):.1f}" for a, b in points)
     here = f'<circle class="reached" cx="{x(run[0]):.1f}" cy="{y(run[1]):.1f}" r="5.5"/>'
@@ -68,17 +70,6 @@ def _pareto(report: dict[str, Any], scene: dict[str, Any], stops: Sequence[Stop]
         f'<polyline class="curve" points="{line}"/>{"".join(marks)}{here}'
         f'<text x="{MARGIN}" y="{TALL - 3}">{escape(label)}</text></svg>',
     )
-
-
-def expected_error(accuracy: Any) -> float | None:
-    """What a setting promises, in object sizes; one's own cells by the nearest named ones."""
-    if isinstance(accuracy, str):
-        return PROMISES[accuracy].error
-    cells = accuracy.get("cells") if isinstance(accuracy, dict) else None
-    if not cells:
-        return None
-    name = min(PRESETS, key=lambda each: abs(math.log(PRESETS[each].cells / cells)))
-    return PROMISES[name].error * PRESETS[name].cells / cells
 
 
 def _scale(values: Sequence[float], start: float, end: float) -> Any:

@@ -193,9 +193,7 @@ def _teller(order: Order, put: Callable[[Event], None]) -> Tell:
 
 def _produce(order: Order, tell: Tell) -> Done:
     source = made_gaussians(order)
-    physics = {name: value for name, value in order.scene.data().items() if name != "view"}
-    clips = order.folder / "clips" / key(source.name, physics)
-    films = order.folder / "films" / key(clips.name, order.scene.view.model_dump(mode="json"))
+    clips, films = folders(order)
     if (clips / "report.json").exists():
         tell(Reused("generate"))
         tell(Reused("simulate"))
@@ -211,6 +209,20 @@ def _produce(order: Order, tell: Tell) -> Done:
     clips.touch()
     films.touch()
     return Done(clips, films)
+
+
+def folders(order: Order) -> tuple[Path, Path]:
+    """Where the clip and the films of an order lie once they have been made."""
+    physics = {name: value for name, value in order.scene.data().items() if name != "view"}
+    clips = order.folder / "clips" / key(made_gaussians(order).name, physics)
+    view = order.scene.view.model_dump(mode="json")
+    return clips, order.folder / "films" / key(clips.name, view)
+
+
+def made_already(order: Order) -> dict[str, bool]:
+    """Which stages of an order would not be run again, as the forecast takes them."""
+    clips, films = ((folder / "report.json").exists() for folder in folders(order))
+    return {"generated": made_gaussians(order).exists(), "simulated": clips, "filmed": films}
 
 
 def made_gaussians(order: Order) -> Path:

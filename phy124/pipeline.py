@@ -11,7 +11,7 @@ import json
 import os
 import platform
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -22,6 +22,7 @@ from PIL import Image
 from phy124 import resume
 from phy124.accuracy.choose import Goal, reach
 from phy124.accuracy.forecast import Forecast, Forecaster
+from phy124.accuracy.promises import promise
 from phy124.clip import Clip
 from phy124.cutout import Cutout, cut_out
 from phy124.errors import Cancelled, InputError
@@ -296,6 +297,7 @@ class _Making:
             about["forecast"] = self.foretold.compared(self.watch.seconds)
         cleaning = [*about.get("cleaning", []), *clip.report["cleaning"]]
         report = {**about, **clip.report, "cleaning": cleaning, **framed(clip, view)}
+        report["promise"] = asdict(promise(Scene.from_data(clip.scene), report))
         report |= circumstances(self.device, self.watch)
         if interrupted:
             report["stopped"] = report["stopped"] or INTERRUPTED

@@ -12,6 +12,7 @@ from phy124.accuracy import Forecaster
 from phy124.accuracy import forecast as module
 from phy124.accuracy.forecast import Forecast, Rates, pixels_per_size
 from phy124.accuracy.pilot import Pilot, fly
+from phy124.accuracy.promises import Promise
 from phy124.scene import PRESETS, Scene
 from phy124.simulation import Simulation
 
@@ -113,11 +114,13 @@ def test_compared_counts_only_what_was_foretold():
 def test_a_second_look_at_the_stops_runs_nothing(monkeypatch):
     for name, cells in (("draft", 8), ("standard", 12), ("fine", 16)):
         monkeypatch.setitem(PRESETS, name, PRESETS[name].model_copy(update={"cells": cells}))
+    known = {8: 0.07, 12: None, 16: 0.01}
+    monkeypatch.setattr(module, "promise", lambda at: Promise(known[at.resolution.cells], ""))
     forecaster = Forecaster()
     stops = forecaster.stops(OBJECT, scene("push_right"))
     assert list(stops) == ["draft", "standard", "fine"]
-    errors = [stop.error for stop in stops.values()]
-    assert errors == sorted(errors, reverse=True)
+    assert [stop.error for stop in stops.values()] == [0.07, None, 0.01]
+    assert stops["standard"].pixels is None
     substeps = [stop.forecast.substeps for stop in stops.values()]
     assert substeps == sorted(substeps)
     assert stops["draft"].pixels == pytest.approx(0.07 * 64 / 2 / np.tan(np.radians(24.55)) / 1.9)

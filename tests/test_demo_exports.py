@@ -16,10 +16,11 @@ from demo.forecast import Forecaster
 from demo.pictures import brushed, cut_out, dimmed
 from demo.report import as_html
 from demo.work import Done
+from phy124.accuracy.promises import promise
 from phy124.clip import Clip
 from phy124.errors import InputError
 from phy124.gaussians import Frame
-from phy124.scene import PROMISES, Scene
+from phy124.scene import Scene
 
 
 @pytest.fixture
@@ -114,8 +115,8 @@ def _report() -> dict:
 
 def test_the_report_says_what_was_promised_spent_left_out_and_how_stable_it_was():
     text = as_html(_report(), Scene.named("press").data(), predicted=4.0)
-    promise = f"≤ {PROMISES['standard'].error:.0%} of the size"
-    for said in (promise, "4.0 s", "3.0 s", "0.700", "2.00 m/s", "colliders", "p2g"):
+    promised = f"at most {promise(Scene.named('press')).error:.1%} of the object&#x27;s size"
+    for said in (promised, "4.0 s", "3.0 s", "0.700", "2.00 m/s", "colliders", "p2g"):
         assert said in text, said
 
 
@@ -123,13 +124,26 @@ def test_the_report_shows_the_point_reached_among_the_stops():
     scene = Scene.named("press")
     stops = Forecaster().stops(scene)
     text = as_html(_report(), scene.data(), 4.0, stops)
-    assert "this run: 3.0 s, error at most about 4.0% of the size" in text
+    error = promise(scene).error
+    assert f"this run: 3.0 s, error at most about {error:.1%} of the size" in text
     assert text.count('class="stop"') == 3 and text.count('class="reached"') == 1
     for stop in stops:
-        assert f"{stop.name}, {stop.error:.0%}" in text
-    own = as_html(_report(), {"accuracy": {"cells": 20}}, 4.0, stops)
-    assert "error at most about 5.6% of the size" in own
+        assert f"{stop.name}, {stop.error:.1%}" in text
     assert "Accuracy over time" not in as_html(_report(), scene.data(), 4.0)
+
+
+def test_a_run_that_may_be_torn_has_no_error_and_no_point():
+    scene = Scene.named("press")
+    torn = {**_report(), "balance": {"tearing": {"likely": True}}}
+    text = as_html(torn, scene.data(), 4.0, Forecaster().stops(scene))
+    assert "none can be promised: the grid may have torn the material" in text
+    assert "at most" not in text and 'class="reached"' not in text
+
+
+def test_what_was_not_measured_has_no_error_and_no_point():
+    scene = Scene.named("drop").replaced({"material.law": "fluid", "time.frames": 700})
+    text = as_html(_report(), scene.data(), 4.0, Forecaster().stops(scene))
+    assert "not measured for fluid" in text and 'class="reached"' not in text
 
 
 def test_nothing_in_the_report_can_become_a_script():

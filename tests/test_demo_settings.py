@@ -12,11 +12,18 @@ from demo.forecast import Forecaster, count_substeps, measured, stops_table
 from demo.jobs import Studio
 from demo.settings import Settings, table
 from demo.visitors import Visitors
+from phy124.accuracy.load import Load
 from phy124.boundaries import AnyBoundary
 from phy124.errors import InputError
 from phy124.forces import AnyForce
 from phy124.materials import AnyMaterial
 from phy124.scene import Scene, preset_names
+
+
+@pytest.fixture(autouse=True)
+def quiet(monkeypatch):
+    """Nobody else is at work."""
+    monkeypatch.setattr("demo.forecast.Load.measured", lambda *_: Load(1.0, 1.0))
 
 
 def test_settings_come_from_the_environment():
@@ -129,11 +136,33 @@ def test_stops_are_those_of_the_scene_and_follow_what_was_measured():
     assert [b.seconds / a.seconds for a, b in zip(stops, twice, strict=True)] == [2, 2, 2]
     table = stops_table(stops)
     assert table.count("<tr") == 3 and table.count("class=chosen") == 1
-    assert "off by at most 7% (21 px)" in table
+    assert f"off by at most {stops[0].error:.1%} ({stops[0].pixels:.0f} px)" in table
+
+
+def test_what_was_not_measured_is_not_promised():
+    scene = Scene.named("drop").replaced({"material.law": "fluid", "time.frames": 100})
+    forecast = Forecaster()(scene)
+    assert forecast.promise.error is None
+    assert "Error: not measured for fluid" in forecast.sentence
+    assert stops_table(Forecaster().stops(scene)).count("error not measured") == 3
+
+
+def test_what_is_there_already_takes_no_time_and_others_take_theirs(monkeypatch):
+    scene, forecaster = Scene.named("press"), Forecaster()
+    whole = forecaster(scene).seconds
+    made = forecaster(scene, generated=True).seconds
+    moved = forecaster(scene, generated=True, simulated=True).seconds
+    assert whole > made > moved > 0
+    assert forecaster(scene, generated=True, simulated=True, filmed=True).seconds == 0
+    monkeypatch.setattr("demo.forecast.Load.measured", lambda *_: Load(2.0, 3.0))
+    busy = Forecaster()(scene)
+    assert busy.seconds == pytest.approx(2 * whole)
+    assert busy.span[0] < whole < busy.span[1]
+    assert "beside what else this machine does" in busy.sentence
 
 
 def test_a_forecast_can_be_measured_on_the_object_itself(three_gaussians):
     scene = Scene.named("drop").replaced({"accuracy": {"cells": 8, "ppc": 1.0}, "view.size": 32})
     forecast = measured(three_gaussians, scene, "cpu", rest=1.0)
-    assert forecast.seconds > 1.0 and forecast.promise is None
+    assert forecast.seconds > 1.0 and forecast.promise.error is None
     assert forecast.substeps > 0 and forecast.particles >= 3

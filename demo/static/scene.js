@@ -160,9 +160,9 @@
     accuracy() {
       const pick = (name) => { this.data.accuracy = name; this.turned(); };
       return this.knob('Accuracy', h('output', {}), h('div', { class: 'segments', role: 'radiogroup', 'aria-label': 'Accuracy' },
-        ...this.offer.accuracies.map(({ name, promise, why }) => h('label', { title: why },
+        ...this.offer.accuracies.map(({ name, cells, why }) => h('label', { title: why },
           h('input', { type: 'radio', name: 'accuracy', value: name, checked: this.data.accuracy === name, onchange: () => pick(name) }),
-          h('span', {}, words(name), h('small', {}, promise ? `error ≤ ${nice(100 * promise, 2)} %` : ''))))));
+          h('span', {}, words(name), h('small', {}, `${cells} cells across`))))));
     }
 
     /* ---- the form of everything ------------------------------------------------------------ */

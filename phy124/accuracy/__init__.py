@@ -6,7 +6,8 @@ For the web page and other callers, three calls:
     stops = forecaster.stops(gaussians, scene)
     # {"draft": Stop, "standard": Stop, "fine": Stop}; each has
     #   .seconds   predicted seconds of particles, simulation, shapes, pictures, video, saving
-    #   .error     promised error, as a share of the object's size; .pixels the same in the picture
+    #   .error     error measured for such scenes, as a share of the size; .pixels in the picture;
+    #              None where it was not measured, .promise.why says so
     #   .caveat    None, or a sentence: why no seconds can be promised for this scene
     #   .forecast  the whole Forecast (seconds by stage, particles, substeps)
 

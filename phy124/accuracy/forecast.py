@@ -18,14 +18,16 @@ from typing import Any, get_args
 
 import numpy as np
 
+from phy124.accuracy.load import Load, spoken
 from phy124.accuracy.pilot import Pilot, coarsened, fly
+from phy124.accuracy.promises import Promise, promise
 from phy124.clip import Clip
 from phy124.deform import Deformer
 from phy124.film import film
 from phy124.gaussians import Gaussians
 from phy124.mpm import Solver
 from phy124.parts import WHOLE, Crop
-from phy124.scene import PROMISES, AccuracyName, Scene
+from phy124.scene import AccuracyName, Scene
 from phy124.simulation import Simulation
 from phy124.stopwatch import Stopwatch
 
@@ -40,6 +42,9 @@ FILMED, TRIES = (1, 5), 2
 """Frames filmed to tell a video's start from its frames, and how often; the quickest counts."""
 UNSURE = 0.1
 """Share of substeps limited by motion rather than stiffness from which nothing is promised."""
+GUESS = 1.5
+"""How much wider the range is where the seconds are a guess."""
+QUIET = Load(1.0, 1.0)
 REMEMBERED = 32
 """Forecasts and measurements that are kept; the oldest goes."""
 NODE_STAGES = ("clear", "grid")
@@ -75,6 +80,15 @@ class Forecast:
     """Bytes, roughly (`phy124.limits`)."""
     caveat: str | None = None
     """Why the seconds are no promise."""
+    load: Load = QUIET
+    """What others did on this machine when the probes ran."""
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Between what seconds the run will lie; wide where the seconds are a guess."""
+        done = sum(self.stages[name] for name in self.measured if name in self.stages)
+        low, high = self.load.span(self.seconds - done, unsure=GUESS if self.caveat else 1.0)
+        return done + low, done + high
 
     @property
     def seconds(self) -> float:
@@ -92,7 +106,8 @@ class Forecast:
             for name, seconds in self.stages.items()
         ]
         limited = ", ".join(f"{name} {share:.0%}" for name, share in self.limiters.items())
-        total = f"  {'total':<12}{self.seconds:8.2f} s"
+        beside = " beside what else this machine does" if self.load.busy else ""
+        total = f"  {'total':<12}{self.seconds:8.2f} s, likely {spoken(self.span)}{beside}"
         about = (
             f"{self.particles} particles, {self.nodes} nodes, about {self.substeps} substeps "
             f"(limited by: {limited}), {1e9 * self.rates.particle:.0f} ns per particle and substep"
@@ -102,7 +117,7 @@ class Forecast:
 
     def data(self) -> dict[str, Any]:
         """Plain data for scripts."""
-        return {**asdict(self), "seconds": self.seconds}
+        return {**asdict(self), "seconds": self.seconds, "span": self.span}
 
     def compared(self, spent: Mapping[str, float]) -> dict[str, Any]:
         """Predicted and spent seconds and their ratio, by stage and in all, for the report."""
@@ -119,6 +134,7 @@ class Forecast:
         return {
             "predicted": total, "spent": used, "ratio": _ratio(used, total), "stages": rows,
             "substeps": self.substeps, "limiters": self.limiters, "caveat": self.caveat,
+            "span": self.span,
         }  # fmt: skip
 
 
@@ -129,15 +145,18 @@ class Stop:
     name: str
     seconds: float
     """Predicted seconds from Gaussians to files."""
-    error: float
-    """Promised error, as a share of the object's size."""
-    pixels: float
-    """The same in pixels of the video."""
-    promise: str
-    """What is promised and why, in a sentence."""
+    promise: Promise
+    """The error that was measured for such scenes, or why none is promised."""
+    pixels: float | None
+    """The promised error in pixels of the video."""
     caveat: str | None
     """Why the seconds are no promise."""
     forecast: Forecast
+
+    @property
+    def error(self) -> float | None:
+        """Promised error as a share of the object's size; None if it was not measured."""
+        return self.promise.error
 
 
 @dataclass
@@ -173,7 +192,7 @@ class Forecaster:
         }
         return Forecast(
             stages, (), particles, round(mean_nodes), substeps, limiters, rates,
-            simulation.demand.memory, _caveat(pilot, limiters),
+            simulation.demand.memory, _caveat(pilot, limiters), Load.measured(self.device),
         )  # fmt: skip
 
     def stops(self, gaussians: Gaussians, scene: Scene) -> dict[str, Stop]:
@@ -184,9 +203,9 @@ class Forecaster:
         chosen = scene.model_copy(update={"accuracy": name})
         key = (id(gaussians), _physics(chosen), self.device)
         made: Forecast = self._remember(key, lambda: self.forecast(gaussians, chosen), gaussians)
-        promise = PROMISES[name]
-        pixels = promise.error * pixels_per_size(chosen)
-        return Stop(name, made.seconds, promise.error, pixels, promise.why, made.caveat, made)
+        promised = promise(chosen)
+        pixels = None if promised.error is None else promised.error * pixels_per_size(chosen)
+        return Stop(name, made.seconds, promised, pixels, made.caveat, made)
 
     def _pilot(self, simulation: Simulation) -> Pilot:
         gaussians, scene, crop = simulation.gaussians, simulation.scene, simulation.crop

@@ -17,11 +17,12 @@ import numpy as np
 from phy124.accuracy.convergence import Convergence, distances, richardson
 from phy124.accuracy.difference import Difference, difference
 from phy124.accuracy.forecast import Forecaster, pixels_per_size
+from phy124.accuracy.promises import promise
 from phy124.clip import Clip
 from phy124.gaussians import Gaussians
 from phy124.parts import WHOLE, Crop
 from phy124.progress import Progress, silent
-from phy124.scene import PRESETS, PROMISES, Accuracy, Scene
+from phy124.scene import PRESETS, Accuracy, Scene
 from phy124.simulation import Simulation
 from phy124.watchdog import Balance, weigh
 
@@ -31,6 +32,8 @@ LEAST_PPC = 1.5
 """Median particles per cell and axis below which a level is skipped."""
 VARIED = 24
 """The level whose other settings are varied one at a time."""
+GOOD = 0.04
+"""Share of the size that an error may be for a setting to be recommended as good enough."""
 SIZE = 256
 """Width and height of the compared videos, pixels, at most."""
 
@@ -186,7 +189,7 @@ class Study:
                 "on every level the grid may tear the material" if torn else "no level could be run"
             )
             none, judged = Convergence(None, why_not=why), tuple(rows)
-            return Report(judged, skipped, none, size, why, kept_promises(judged, none))
+            return Report(judged, skipped, none, size, why, kept_promises(self.scene, judged, none))
         names = [row.name for row in levels]
         clips = [self.clips[name] for name in names]
         apart = distances([clip.means for clip in clips]) / size
@@ -194,7 +197,12 @@ class Study:
         known = dict(zip(names, found.errors, strict=False))
         judged = tuple(self._compared(row, clips, found, known) for row in rows)
         return Report(
-            judged, skipped, found, size, recommend(judged, found), kept_promises(judged, found)
+            judged,
+            skipped,
+            found,
+            size,
+            recommend(judged, found),
+            kept_promises(self.scene, judged, found),
         )
 
     def _compared(
@@ -232,13 +240,12 @@ def recommend(rows: tuple[Row, ...], found: Convergence) -> str:
     levels = [row for row in rows if row.level and not row.torn]
     if found.error is None:
         return f"No setting can be recommended by its error: {found.why_not}."
-    promise = PROMISES["standard"].error
-    good = [row for row in levels if row.error is not None and row.error <= promise]
+    good = [row for row in levels if row.error is not None and row.error <= GOOD]
     best = min(good or levels[-1:], key=lambda row: row.seconds)
     said = f"Take {best.name}: {best.error or 0:.1%} of the object's size in {best.seconds:.1f} s"
     finer = [row for row in levels if row.cells > best.cells]
     if not good:
-        return f"{said}; no level reached {promise:.0%}, only a finer grid will."
+        return f"{said}; no level reached {GOOD:.0%}, only a finer grid will."
     if not finer:
         return f"{said}; it is the finest that was tried."
     ratio = finer[0].seconds / best.seconds
@@ -246,8 +253,8 @@ def recommend(rows: tuple[Row, ...], found: Convergence) -> str:
     return f"{said}; {finer[0].name} would take {ratio:.1f} times as long for {better}."
 
 
-def kept_promises(rows: tuple[Row, ...], found: Convergence) -> dict[str, str]:
-    """For each preset whose level was run: does its promise hold here?"""
+def kept_promises(scene: Scene, rows: tuple[Row, ...], found: Convergence) -> dict[str, str]:
+    """For each preset whose level was run: does what is promised of such scenes hold here?"""
     said = {}
     for name, accuracy in PRESETS.items():
         row = next((row for row in rows if row.level and row.cells == accuracy.cells), None)
@@ -258,9 +265,17 @@ def kept_promises(rows: tuple[Row, ...], found: Convergence) -> dict[str, str]:
         elif found.error is None or row.error is None:
             said[name] = f"cannot be judged: {found.why_not}"
         else:
-            verdict = "holds" if row.error <= PROMISES[name].error else "DOES NOT HOLD"
-            said[name] = f"{verdict}: {row.error:.1%} of at most {PROMISES[name].error:.0%}"
+            said[name] = _kept(
+                promise(scene.model_copy(update={"accuracy": name})).error, row.error
+            )
     return said
+
+
+def _kept(promised: float | None, error: float) -> str:
+    if promised is None:
+        return f"none was made for such a scene; measured here: {error:.1%}"
+    verdict = "holds" if error <= promised else "DOES NOT HOLD"
+    return f"{verdict}: {error:.1%} of at most {promised:.1%}"
 
 
 def _particles_per_axis(simulation: Simulation) -> float:

@@ -14,6 +14,7 @@ import tyro
 from phy124 import pipeline
 from phy124.accuracy import Forecaster
 from phy124.accuracy.choose import Goal, said
+from phy124.accuracy.promises import Promise
 from phy124.commands.bars import Bars
 from phy124.commands.cutout import CutoutOptions, described, doubt
 from phy124.commands.options import SceneOptions, default_out, pick_device
@@ -184,6 +185,7 @@ def show(result: pipeline.Result, *, as_json: bool) -> int:
         if report.get("cutout"):
             print(described(report["cutout"]))
         print_forecast(report)
+        print(Promise(**report["promise"]).sentence)
         for sentence in report["cleaning"]:
             print(f"cleaning: {sentence}")
         for note in report["notes"]:

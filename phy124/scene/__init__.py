@@ -1,6 +1,6 @@
 """Everything a user can choose: the scene, its sections, its presets."""
 
-from phy124.scene.accuracies import PRESETS, PROMISES, Accuracy, AccuracyName, Promise
+from phy124.scene.accuracies import GOOD_FOR, PRESETS, Accuracy, AccuracyName
 from phy124.scene.changes import parse_value
 from phy124.scene.scene import Scene, preset_names
 from phy124.scene.section import Section
@@ -9,14 +9,13 @@ from phy124.scene.summary import summary
 from phy124.scene.view import Format, View, ViewName
 
 __all__ = [
+    "GOOD_FOR",
     "PRESETS",
-    "PROMISES",
     "Accuracy",
     "AccuracyName",
     "Format",
     "Object",
     "Part",
-    "Promise",
     "Scene",
     "Section",
     "Timing",

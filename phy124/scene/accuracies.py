@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 from pydantic import Field
@@ -33,32 +32,13 @@ PRESETS = {
 """Named accuracies (docs/accuracy.md)."""
 
 
-@dataclass(frozen=True)
-class Promise:
-    """What a named accuracy is good for."""
-
-    error: float
-    """RMS distance of the Gaussians from the exact motion over a clip, in object sizes."""
-    why: str
-    """Why it can be promised, and where not."""
-
-
-PROMISES = {
-    "draft": Promise(
-        0.07,
-        "thin places bend as if they were thicker by a part of a cell, and a cell is 6 % of the "
-        "object; for looking at a motion before it is made well",
-    ),
-    "standard": Promise(
-        0.04,
-        "cells half as wide bend more truly; a smaller substep would not help, "
-        "for what transfers lose per step does not depend on it",
-    ),
-    "fine": Promise(
-        0.03,
-        "cells a third as wide, at least two particles per cell and axis so that they are used, "
-        "and double precision so that rounding is no question",
-    ),
+GOOD_FOR = {
+    "draft": "looking at a motion before it is made well: thin places bend as if they were thicker "
+    "by a part of a cell, and a cell is 6 % of the object",
+    "standard": "most: cells half as wide bend more truly; a smaller substep would not help, for "
+    "what transfers lose per step does not depend on it",
+    "fine": "what shall be right: cells a third as wide, at least two particles per cell and axis "
+    "so that they are used, and double precision so that rounding is no question",
 }
-"""Measured on the preset scenes; hard bounces lose more (`phy124 accuracy` tells for a scene)."""
+"""What each is for; errors are in phy124/accuracy/measured.json, by law and kind of motion."""
 AccuracyName = Literal["draft", "standard", "fine"]

@@ -55,7 +55,7 @@ class Scene(Section):
     boundaries: tuple[AnyBoundary, ...] = Field(default=(Ground(),), description="What is solid.")
     accuracy: AccuracyName | Accuracy = Field(
         default="standard",
-        description="draft (error up to 7 % of the object's size), standard (4 %), fine (3 %), "
+        description="draft (16 cells across the object), standard (32), fine (48, float64), "
         "or a table of cells, ppc, cfl and precision.",
     )
     binding: Literal["particles", "field"] = Field(

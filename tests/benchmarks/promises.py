@@ -27,7 +27,7 @@ from phy124.scene import Scene
 from phy124.simulation import Simulation
 
 sys.path.insert(0, str(Path(__file__).parent))
-from tables import machine
+from tables import DOCS, machine, markdown, renew
 
 ROOT = Path(__file__).parents[2]
 FILE = ROOT / "phy124/accuracy/measured.json"
@@ -109,6 +109,17 @@ def rows(gaussians: Gaussians, laws: list[str]) -> Iterator[dict[str, Any]]:
         yield row
 
 
+def table(kinds: dict[str, Any]) -> str:
+    """For the page: a row per kind of scene, per cent of the size on each grid."""
+    heads = ["law", "motion", *(f"D/{cells}" for cells in LEVELS), "measured on"]
+    lines = []
+    for kind, row in sorted(kinds.items()):
+        errors = [row["errors"].get(str(cells)) for cells in LEVELS]
+        said = ["none" if error is None else f"{100 * error:.1f} %" for error in errors]
+        lines.append([*kind.split(), *said, ", ".join(row["from"])])
+    return markdown(heads, lines)
+
+
 def main(laws: list[str]) -> None:
     """Measure all, or some laws."""
     wp.config.log_level = wp.LOG_ERROR
@@ -121,6 +132,7 @@ def main(laws: list[str]) -> None:
         for kind, group in groupby(found, key=lambda row: row["kind"]):
             kinds[kind] = worst(list(group))
         about = {"machine": machine(), "date": date.today().isoformat(), "object": f"the {OBJECT}"}
+        renew(DOCS / "accuracy.md", "promises", table(kinds))
         text = json.dumps({**about, "scenes": dict(sorted(kinds.items()))}, indent=1)
         FILE.write_text(text + "\n")
 

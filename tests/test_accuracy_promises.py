@@ -1,0 +1,141 @@
+"""Promises: only what was measured for such a scene, and nothing of a run that may be torn."""
+
+import json
+
+import pytest
+from shapes import ball
+
+from phy124.accuracy import promises
+from phy124.accuracy.load import Load, spoken
+from phy124.accuracy.promises import motion_of, promise, table, violence
+from phy124.pipeline import simulate
+from phy124.ply import write_ply
+from phy124.scene import PRESETS, Scene, preset_names
+from phy124.tearing import Tearing
+
+
+def test_the_table_says_where_and_when_it_was_measured():
+    assert "Measured on" in table()["machine"]
+    assert len(table()["date"]) == 10
+    for row in table()["scenes"].values():
+        assert row["from"] and row["violence"] >= 0 and row["length"] > 0
+        errors = [row["errors"][cells] for cells in sorted(row["errors"], key=int)]
+        assert errors == sorted(errors, reverse=True), "a finer grid promises no more"
+
+
+@pytest.mark.parametrize("name", preset_names())
+def test_every_preset_is_promised_what_was_measured(name):
+    """The named accuracies, from coarse to fine."""
+    scene = Scene.named(name)
+    errors = [promise(scene.replaced({"accuracy": level})).error for level in PRESETS]
+    assert all(error is not None and 0 <= error < 0.1 for error in errors)
+    assert errors == sorted(errors, reverse=True)
+
+
+@pytest.mark.parametrize(
+    ("changes", "why"),
+    [
+        ({"material.E": 2e3}, "so violent, or so soft"),
+        ({"object.velocity": [0, 0, -30]}, "so violent, or so soft"),
+        ({"time.frames": 200}, "for so long"),
+        ({"accuracy": {"cells": 8}}, "on so coarse a grid"),
+        ({"accuracy": {"cells": 32, "ppc": 1.0}}, "fewer than 2 particles per cell"),
+        ({"parts": [{"region": {}, "material": {"law": "sand"}}]}, "several materials"),
+    ],
+)
+def test_off_what_was_measured_nothing_is_promised(changes, why):
+    said = promise(Scene.named("drop").replaced(changes))
+    assert said.error is None
+    assert why in said.sentence
+    assert "phy124 accuracy" in said.sentence
+
+
+def test_a_grid_between_two_is_promised_the_error_of_the_coarser(monkeypatch):
+    row = {"errors": {"16": 0.04, "32": 0.01, "48": None}, "violence": 1, "length": 9, "ppc": 2,
+           "from": ["drop"]}  # fmt: skip
+    monkeypatch.setattr(
+        promises, "table", lambda: {"object": "a duck", "scenes": {"neo_hookean landing": row}}
+    )
+    drop = Scene.named("drop")
+    for cells, error in ((16, 0.04), (31, 0.04), (32, 0.01), (64, 0.01)):
+        said = promise(drop.replaced({"accuracy": {"cells": cells}}))
+        assert said.error == error
+    assert said.sentence == (
+        "Error: at most 1.0% of the object's size. Measured at D/32 for neo_hookean falling or "
+        "thrown onto something (drop; a duck)."
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "kind"),
+    [
+        ("press", {}, "squeezed"),
+        ("drop", {}, "landing"),
+        ("bounce", {}, "landing"),
+        ("drop", {"object.lift": 0.0}, "standing"),
+        ("sway", {}, "held"),
+        ("spin", {}, "free"),
+        ("push_right", {}, "free"),
+    ],
+)
+def test_kinds_of_motion(name, changes, kind):
+    assert motion_of(Scene.named(name).replaced(changes)) == kind
+
+
+def test_violence_is_energy_over_stiffness():
+    drop = Scene.named("drop")
+    assert violence(drop.replaced({"material.E": 1e5})) == pytest.approx(2 * violence(drop))
+    assert violence(drop.replaced({"object.lift": 0.8})) == pytest.approx(
+        violence(drop) * 2.6 / 1.6
+    )
+
+
+def test_a_run_that_may_be_torn_or_stopped_keeps_no_promise(tmp_path, monkeypatch):
+    """However well such scenes did elsewhere."""
+    monkeypatch.setattr(Tearing, "likely", property(lambda self: True))
+    scene = Scene.named("drop").replaced(
+        {"time.frames": 2, "accuracy": "draft", "view.size": 16, "view.views": ["front"]}
+    )
+    assert promise(scene).error is not None
+    result = simulate(ball(100), scene, tmp_path)
+    told = json.loads((tmp_path / "report.json").read_text())["promise"]
+    assert told == result.report["promise"]
+    assert told["error"] is None and "torn" in told["why"]
+    assert promise(scene, {"complete": False}).error is None
+
+
+def test_a_busy_machine_takes_longer_and_is_less_sure():
+    quiet, busy = Load(1.0, 1.0), Load(2.0, 3.0)
+    assert quiet.span(10) == pytest.approx((8.5, 12))
+    low, high = busy.span(10)
+    assert low == pytest.approx(4.25), "the others may end"
+    assert high == pytest.approx(18), "all of the last minute may come back"
+    assert not quiet.busy and busy.busy
+    assert Load.measured("cuda:0") == quiet
+    assert Load.measured().now >= 1
+
+
+def test_what_one_gets_of_a_core_tells_how_many_others_want_it(monkeypatch):
+    monkeypatch.setattr("phy124.accuracy.load._cores", lambda: 2)
+    monkeypatch.setattr("phy124.accuracy.load.os.getloadavg", lambda: (0.0, 0, 0))
+    for share, slower in ((1.0, 1.0), (0.95, 1.0), (2 / 3, 2.0), (0.5, 2.5), (0.25, 4.5)):
+        monkeypatch.setattr("phy124.accuracy.load._share", lambda share=share: share)
+        assert Load.measured().now == pytest.approx(slower)
+
+
+def test_spans_are_said_in_words():
+    assert spoken((0.2, 0.9)) == "1 s"
+    assert spoken((8.2, 13.7)) == "8 to 14 s"
+    assert spoken((60, 120)) == "1.0 to 2.0 min"
+    assert spoken((3600, 9000)) == "1.0 to 2.5 h"
+
+
+def test_simulate_prints_what_is_promised(tmp_path, capsys):
+    from phy124.__main__ import main
+
+    write_ply(tmp_path / "b.ply", ball(100))
+    small = ["--frames", "2", "--accuracy", "draft", "--size", "16", "--views", "front"]
+    arguments = ["simulate", str(tmp_path / "b.ply"), "--out", str(tmp_path / "o"), *small]
+    assert main([*arguments, "--scene", "press", "--device", "cpu"]) == 0
+    said = promise(Scene.named("press").replaced({"accuracy": "draft"})).sentence
+    assert said in capsys.readouterr().out
