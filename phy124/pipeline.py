@@ -144,6 +144,7 @@ def static(
         with watch.stage("image"):
             deadline = Deadline(beat=partial(progress, "cut out", 0, 1))
             cutout = cut_out(image, method, mask=mask, deadline=deadline)
+            progress("cut out", 1, 1)
         looked(cutout)
         picture = cutout.picture
     elif mask is not None:

@@ -11,6 +11,7 @@ import itertools
 import os
 import subprocess
 import tempfile
+import threading
 from collections.abc import Generator, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from fractions import Fraction
@@ -27,6 +28,8 @@ from phy124.files import replacing
 
 Picture = NDArray[np.uint8]
 FPS_RANGE = (0.1, 240.0)
+STUCK = 120.0
+"""So long an encoder may take for one picture, or to end, before it is killed, s."""
 ENCODER = ("-preset", "veryfast", "-crf", "18", "-movflags", "+faststart", "-f", "mp4")
 """CRF 18 is visually lossless; slower presets save few bytes here."""
 BT709 = (
@@ -156,7 +159,8 @@ def _encode(temporary: Path, path: object, pictures: Iterator[Picture], fps: flo
             encoder.wait()
         if encoder.returncode:
             log.seek(0)
-            raise _unfinished(path, sent, log.read().decode(errors="replace"))
+            silent = f"it said nothing, exit status {encoder.returncode}"
+            raise _unfinished(path, sent, log.read().decode(errors="replace").strip() or silent)
     return sent
 
 
@@ -165,14 +169,28 @@ def _feed(encoder: subprocess.Popen[bytes], pictures: Iterator[Picture]) -> int:
     sent = 0
     for picture in pictures:
         try:
-            _pipe(encoder).write(np.ascontiguousarray(picture).data)
+            with _ended_if_stuck(encoder):
+                _pipe(encoder).write(np.ascontiguousarray(picture).data)
         except OSError:  # it has stopped: its exit code and message tell why
             break
         sent += 1
-    with suppress(OSError):
-        _pipe(encoder).close()
-    encoder.wait()
+    with _ended_if_stuck(encoder):
+        with suppress(OSError):
+            _pipe(encoder).close()
+        encoder.wait()
     return sent
+
+
+@contextmanager
+def _ended_if_stuck(encoder: subprocess.Popen[bytes]) -> Iterator[None]:
+    """While waiting for the encoder: kill it if that takes `STUCK` seconds."""
+    timer = threading.Timer(STUCK, encoder.kill)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
 
 
 def _pipe(encoder: subprocess.Popen[bytes]) -> IO[bytes]:
@@ -184,7 +202,7 @@ def _unfinished(path: object, sent: int, message: str) -> InputError:
     return InputError(
         "output",
         path,
-        f"the video encoder stopped after {sent} pictures: {message.strip()[:300]}.",
+        f"the video encoder stopped after {sent} pictures: {message[:300]}.",
         "Most often the disk is full: make room or choose another folder.",
     )
 

@@ -12,7 +12,6 @@ import zlib
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-import numpy as np
 import pytest
 from PIL import Image
 from served import ROOT, Server, serving
@@ -150,13 +149,14 @@ def _png(width: int, height: int) -> bytes:
         ("empty.png", b"", "is empty"),
         ("text.png", b"hello " * 100, "not a PNG, JPEG or WebP"),
         ("cut.png", DUCK.read_bytes()[:9000], "broken or cut short"),
-        ("white.png", None, "No object was found"),
+        ("white.png", (255, 255, 255), "No object was found"),
+        ("red.png", (255, 0, 0), "No object was found"),
     ],
 )
 def test_pictures_that_cannot_be_used_are_refused_readably(client, tmp_path, name, data, message):
-    if data is None:
+    if isinstance(data, tuple):
         with io.BytesIO() as file:
-            Image.fromarray(np.full((64, 64, 3), 255, np.uint8)).save(file, "PNG")
+            Image.new("RGB", (300, 300), data).save(file, "PNG")
             data = file.getvalue()
     (tmp_path / name).write_bytes(data)
     with pytest.raises(Exception, match=message) as refusal:

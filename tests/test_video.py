@@ -169,6 +169,18 @@ def test_an_encoder_that_fails_is_noticed(tmp_path, monkeypatch, processes):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.skipif(not Path("/bin/sh").exists(), reason="no shell here")
+def test_an_encoder_that_stands_still_is_ended(tmp_path, monkeypatch, processes):
+    stuck = tmp_path / "stuck"
+    stuck.write_text("#!/bin/sh\nexec sleep 600\n")
+    stuck.chmod(0o755)
+    monkeypatch.setattr(imageio_ffmpeg, "get_ffmpeg_exe", lambda: str(stuck))
+    monkeypatch.setattr(video, "STUCK", 0.3)
+    with pytest.raises(InputError, match=r"encoder stopped after \d+ pictures: it said nothing"):
+        write_mp4(tmp_path / "a.mp4", (plain(0) for _ in range(100)), fps=24)
+    assert [path.name for path in tmp_path.iterdir()] == ["stuck"]
+
+
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
 def test_a_full_disk_is_noticed(tmp_path, monkeypatch):
     monkeypatch.setattr(video, "ENCODER", ("-f", "rawvideo", "/dev/full", *video.ENCODER))

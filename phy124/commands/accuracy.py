@@ -10,7 +10,9 @@ from typing import Any
 import tyro
 
 from phy124.commands.bars import Bars
+from phy124.commands.cutout import doubt
 from phy124.commands.options import pick_device
+from phy124.cutout import Cutout
 from phy124.errors import InputError
 from phy124.parts import WHOLE
 from phy124.scene import Scene
@@ -115,8 +117,16 @@ class ShowAccuracy:
             return ball(), WHOLE
         from phy124.pipeline import static
 
-        made = static(self.image, generator=self.generator, seed=scene.seed, progress=progress)
+        made = static(
+            self.image, generator=self.generator, looked=self._look, seed=scene.seed,
+            progress=progress,
+        )  # fmt: skip
         return made.gaussians, made.crop
+
+    def _look(self, cutout: Cutout) -> None:
+        if not self.json:
+            see = f"Look at it with `phy124 cutout {self.image}`"
+            doubt(cutout, f"{see}; --mask there mends it, and what it writes can be studied.")
 
 
 def _verdict_line(row: dict[str, Any]) -> str:

@@ -19,6 +19,10 @@ from phy124.isolated import Deadline
 from phy124.weights import looking_in
 
 KINDS = (".png", ".webp")
+IF_WRONG = (
+    "if it is not the object, give --mask FILE (white where the object is) or a picture with "
+    "transparency."
+)
 
 
 @dataclass(frozen=True)
@@ -65,7 +69,7 @@ class CutOut:
             print(json.dumps({"file": str(out), **cutout.data()}))
         else:
             print(described(cutout.data()))
-            doubt(cutout, f"Look at {out}")
+            doubt(cutout, f"Look at {out}; {IF_WRONG}")
             print(out)
         return 0
 
@@ -73,7 +77,9 @@ class CutOut:
         how = self.options
         with looking_in(how.weights), Bars(quiet=self.json) as bars:
             deadline = Deadline(beat=partial(bars, "cut out", 0, 1))
-            return cut_out(self.image, how.foreground, mask=how.mask, deadline=deadline)
+            found = cut_out(self.image, how.foreground, mask=how.mask, deadline=deadline)
+            bars("cut out", 1, 1)
+        return found
 
 
 def described(cutout: dict[str, Any]) -> str:
@@ -81,13 +87,9 @@ def described(cutout: dict[str, Any]) -> str:
     return f"cut out by {cutout['method']}: {cutout['coverage']:.1%} of the picture"
 
 
-def doubt(cutout: Cutout, look: str) -> None:
+def doubt(cutout: Cutout, remedy: str) -> None:
     """Say on standard error what makes the cut-out doubtful, and what to do."""
     for warning in cutout.warnings:
         print(f"warning: {warning}", file=sys.stderr)
     if cutout.warnings:
-        print(
-            f"warning: {look}; if it is not the object, give --mask FILE (white where the object "
-            "is) or a picture with transparency.",
-            file=sys.stderr,
-        )
+        print(f"warning: {remedy}", file=sys.stderr)

@@ -16,7 +16,7 @@ from phy124.accuracy import Forecaster
 from phy124.accuracy.choose import Goal, said
 from phy124.accuracy.promises import Promise
 from phy124.commands.bars import Bars
-from phy124.commands.cutout import CutoutOptions, described, doubt
+from phy124.commands.cutout import IF_WRONG, CutoutOptions, described, doubt
 from phy124.commands.options import SceneOptions, default_out, pick_device
 from phy124.cutout import Cutout
 from phy124.errors import InputError
@@ -100,8 +100,8 @@ class Generate:
     def _look(self, bars: Bars, cutout: Cutout) -> None:
         """Say what is doubtful before the long work begins."""
         if not self.options.json:
-            bars.close()
-            doubt(cutout, f"Look at it with `phy124 cutout {self.image}`")
+            bars.close()  # a warning does not belong on the line of a bar
+            doubt(cutout, f"Look at it with `phy124 cutout {self.image}`; {IF_WRONG}")
 
 
 def wished(max_error: str | None, max_seconds: float | None) -> Goal | None:
