@@ -8,7 +8,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from demo.jobs import Studio
 from demo.settings import Settings
@@ -87,3 +89,19 @@ def test_waiting_for_a_turn_ends_with_its_visitor(studio):
         studio.visitors.leave("a")
         waiting.join(60)
     assert isinstance(waiting.came, Cancelled)
+
+
+def test_a_doubtful_cut_out_is_told_once_and_not_after_a_correction(studio, tmp_path, monkeypatch):
+    table = np.zeros((60, 80), np.uint8)
+    table[20:] = 255
+    way = cutout.Method(lambda _: True, lambda *_: table)
+    monkeypatch.setitem(cutout.METHODS, "grabcut", way)
+    monkeypatch.setattr(cutout.u2net, "weights_file", lambda: None)
+    picture = str(tmp_path / "a.png")
+    Image.fromarray(np.dstack([table] * 3)).save(picture)
+    (doubt,) = studio.cut("a", picture).doubts
+    assert "touches 3 edges of the picture (left, right, bottom)" in doubt
+    assert studio.cut("a", picture).doubts == ()
+    strokes = Image.new("RGBA", (80, 60), (0, 255, 0, 255))
+    strokes.paste((255, 0, 0, 255), (0, 0, 80, 30))
+    assert studio.cut("a", picture, strokes).doubts == ()
