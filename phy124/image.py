@@ -34,7 +34,7 @@ ANY_FORMAT = (*FORMATS, "GIF", "BMP", "TIFF", "PPM")
 ANIMATED = ("PNG", "WEBP", "GIF")
 """Formats whose further pictures are frames of an animation, not thumbnails or pages."""
 MAX_SCANS = 100
-"""Most passes over a JPEG: usual ones have 1 to 10, and a small file can ask for 100,000."""
+"""Most passes over a JPEG: usual ones have 1 to 10, and 8 MB can ask for 190,000 of 18 ms each."""
 MARKER = re.compile(rb"\xff+([^\x00\xff\xd0-\xd7])", re.DOTALL)
 """Start of a segment of a JPEG; 00 and D0 to D7 belong to the picture's data."""
 SCAN, END = b"\xda", b"\xd9"
