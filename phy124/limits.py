@@ -90,16 +90,16 @@ def refuse_hopeless(
         )
     free = free_memory()
     if demand.memory > MEMORY_SHARE * free:
-        fits = int(scene.time.frames * MEMORY_SHARE * free / demand.memory)
+        most = int(scene.time.frames * MEMORY_SHARE * free / demand.memory)
         raise InputError(
             "time.frames",
             scene.time.frames,
             f"the run is forecast to take {demand.memory / 1e9:.1f} GB of memory, "
             f"{free / 1e9:.1f} GB are free.",
-            f"Use at most {fits} frames, or fewer Gaussians."
-            if fits > 1
+            f"Use at most {most} frames, or fewer Gaussians."
+            if most > 1
             else "Use fewer Gaussians or a coarser accuracy.",
-            [plain("time.frames", fits)] if fits > 1 else [],
+            [plain("time.frames", most)] if most > 1 else [],
         )
     return demand
 

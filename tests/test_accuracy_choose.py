@@ -177,8 +177,20 @@ def test_a_time_goal_takes_the_finest_grid_that_fits(monkeypatch, seconds, cells
 
 def test_a_time_too_short_is_refused(monkeypatch):
     monkeypatch.setattr(choose, "Simulation", lambda g, scene, **_: SimpleNamespace(scene=scene))
-    with pytest.raises(InputError, match="the coarsest grid, D/8, would take longer"):
+    with pytest.raises(InputError) as refusal:
         reach(Goal.time(0.5), ball(10), Scene(), forecaster=Oracle())
+    # 10 s times 2^-2.5, 1 s that does not depend on the grid, and what is left free.
+    assert str(refusal.value) == (
+        "max_seconds = 0.5 s: the coarsest grid, D/8, takes about 3 s, most of it (2 s) for the "
+        "simulation. Ask for --max-seconds 3; time.frames = 7 takes less."
+    )
+    assert reach_in(Goal.time(3)) == 8
+    assert refusal.value.remedies[0].changes == {"time.frames": 7}
+
+
+def reach_in(goal: Goal) -> int:
+    scene, _ = choose.in_time(goal, ball(10), Scene(), forecaster=Oracle())
+    return scene.resolution.cells
 
 
 def test_two_wishes_are_one_too_many(capsys):

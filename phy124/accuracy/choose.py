@@ -10,14 +10,11 @@ A time: the finest grid whose forecast fits.
 
 from __future__ import annotations
 
-import math
-import re
 import time
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import combinations
-from typing import Any, Literal
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -30,7 +27,9 @@ from phy124.accuracy.convergence import (
     richardson,
 )
 from phy124.accuracy.difference import pixel_distance
-from phy124.accuracy.forecast import Forecast, Forecaster, pixels_per_size
+from phy124.accuracy.forecast import Forecast, Forecaster
+from phy124.accuracy.goal import MARGIN, UNIT, Goal, too_long
+from phy124.accuracy.goal import said as said
 from phy124.clip import Clip
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
@@ -40,7 +39,6 @@ from phy124.scene import Scene
 from phy124.simulation import Simulation
 from phy124.stopwatch import Stopwatch
 
-Kind = Literal["pixels", "share", "metres", "seconds"]
 CHEAP = (16, 24)
 """Cells across the object of the levels that are run first and may be chosen."""
 CHECK = 12
@@ -53,49 +51,10 @@ FAR = 2.5
 """How many times finer than all so far the next level may be: they do not tell what comes then."""
 FINER = 1.3
 """Ratio of cells from which a level is clearly finer."""
-UNIT: dict[Kind, Callable[[Scene], float]] = {
-    "pixels": pixels_per_size,
-    "share": lambda scene: 1.0,
-    "metres": lambda scene: scene.object.size,
-}
-"""The object's size in the unit of a goal."""
 DENSEST = 4.0
 """Most particles per cell and axis."""
 LAST_CHANCE = 0.85
 """Share of the wished error that a refinement aims at: there is no second one."""
-MARGIN = 0.95
-"""Share of the wished seconds that a forecast may fill: forecasts err by a few per cent."""
-
-
-@dataclass(frozen=True)
-class Goal:
-    """What a run shall achieve: an error at most, or a time at most."""
-
-    kind: Kind
-    value: float
-    """Pixels of the first view, share of the object's size, metres, or seconds."""
-    text: str
-
-    @classmethod
-    def error(cls, text: str) -> Goal:
-        """From "2px", "1%" or "3mm"; raises InputError."""
-        found = re.fullmatch(r"\s*([0-9]*\.?[0-9]+)\s*(px|%|mm|cm|m)\s*", text)
-        units: dict[str, tuple[Kind, float]] = {
-            "px": ("pixels", 1.0), "%": ("share", 0.01),
-            "mm": ("metres", 1e-3), "cm": ("metres", 1e-2), "m": ("metres", 1.0),
-        }  # fmt: skip
-        if not found or float(found[1]) <= 0:
-            raise InputError("max_error", text, "it is not an error.", "Write 2px, 1% or 3mm, say.")
-        kind, scale = units[found[2]]
-        return cls(kind, float(found[1]) * scale, text.strip())
-
-    @classmethod
-    def time(cls, seconds: float) -> Goal:
-        """At most so many seconds in all; raises InputError."""
-        if not (math.isfinite(seconds) and seconds > 0):
-            limit = "the time must be a positive number of seconds."
-            raise InputError("max_seconds", seconds, limit, "Write 20, say.")
-        return cls("seconds", float(seconds), f"{seconds:g} s")
 
 
 @dataclass
@@ -330,47 +289,73 @@ def _coarsest(goal: Goal, known: int, error: float, order: float, *, above: int 
     return None
 
 
-def said(kind: Kind, value: float) -> str:
-    """A value in the unit of a goal."""
-    if kind == "pixels":
-        return f"{value:.1f}px"
-    return f"{value:.1%}" if kind == "share" else f"{value * 1000:.2g}mm"
-
-
 def _unreachable(goal: Goal, why: str) -> InputError:
-    name = "max_seconds" if goal.kind == "seconds" else "max_error"
     return InputError(
-        name,
+        "max_error",
         goal.text,
         f"no grid meets it: {why}.",
-        "Ask for less, or see `phy124 accuracy` for what each grid achieves in this scene.",
+        "Allow a larger error, or see `phy124 accuracy` for what each grid achieves here.",
     )
 
 
+def in_time(
+    goal: Goal,
+    gaussians: Gaussians,
+    scene: Scene,
+    *,
+    elapsed: float = 0.0,
+    device: str = "cpu",
+    forecaster: Forecaster | None = None,
+    **options: Any,
+) -> tuple[Scene, Forecast]:
+    """The scene on the finest grid whose forecast fits a time, and the forecast; runs nothing.
+
+    Raises InputError if even the coarsest would take longer, saying how long.
+    """
+    runs = _Runs(gaussians, scene, device, silent, Stopwatch(), options)
+    found = _finest(goal, runs, forecaster or Forecaster(device), elapsed)
+    return found.simulation.scene, found.forecast
+
+
+class _Fit(NamedTuple):
+    """A grid that fits a time."""
+
+    cells: int
+    simulation: Simulation
+    forecast: Forecast
+    tried: list[int]
+
+
 def _in_time(goal: Goal, runs: _Runs, forecaster: Forecaster, elapsed: float) -> Reached:
-    left = MARGIN * goal.value - elapsed
     start = runs.watch.total
-    best: tuple[int, Simulation, Forecast] | None = None
-    cells: int | None = CHEAP[0]
-    tried: set[int] = set()
-    while cells is not None and cells not in tried:
-        tried.add(cells)
-        simulation = runs.simulation(cells)
-        forecast = forecaster.of(simulation)
-        fits = forecast.seconds <= left - (runs.watch.total - start)
-        if fits and (best is None or cells > best[0]):
-            best = cells, simulation, forecast
-        cells = _next(cells, forecast, left - (runs.watch.total - start), fits, tried)
-    if best is None:
-        raise _unreachable(goal, f"the coarsest grid, D/{min(tried)}, would take longer")
-    cells, simulation, forecast = best
+    cells, simulation, forecast, tried = _finest(goal, runs, forecaster, elapsed)
     ready = runs.watch.total - start
     clip = simulation.run()
     about = {
-        "wished": goal.text, "unit": "seconds", "cells": cells, "levels": sorted(tried),
+        "wished": goal.text, "unit": "seconds", "cells": cells, "levels": tried,
         "predicted": elapsed + forecast.seconds + ready, "caveat": forecast.caveat,
     }  # fmt: skip
     return Reached(simulation, clip, about)
+
+
+def _finest(goal: Goal, runs: _Runs, forecaster: Forecaster, elapsed: float) -> _Fit:
+    """The finest grid whose forecast fits; raises InputError with what the coarsest takes."""
+    left, start = MARGIN * goal.value - elapsed, runs.watch.total
+    found: dict[int, tuple[Simulation, Forecast]] = {}
+    best, cells = 0, CHEAP[0]
+    while cells and cells not in found:
+        simulation = runs.simulation(cells)
+        forecast = forecaster.of(simulation)
+        found[cells] = simulation, forecast
+        room = left - (runs.watch.total - start)
+        fits = forecast.seconds <= room
+        best = max(best, cells) if fits else best
+        cells = _next(cells, forecast, room, fits, set(found)) or 0
+    if not best:
+        coarsest = min(found)
+        ready = elapsed + runs.watch.total - start
+        raise too_long(goal, runs.scene, coarsest, found[coarsest][1], ready)
+    return _Fit(best, *found[best], sorted(found))
 
 
 def _next(cells: int, forecast: Forecast, left: float, fits: bool, tried: set[int]) -> int | None:

@@ -12,15 +12,17 @@ from typing import Annotated, Any
 import tyro
 
 from phy124 import pipeline
-from phy124.accuracy import Forecaster
 from phy124.accuracy.choose import Goal, said
 from phy124.accuracy.promises import Promise
 from phy124.commands.bars import Bars
 from phy124.commands.cutout import IF_WRONG, CutoutOptions, described, doubt
 from phy124.commands.options import SceneOptions, default_out, pick_device
+from phy124.commands.plan import PlanOptions, announce, foretell
 from phy124.cutout import Cutout
 from phy124.errors import InputError
-from phy124.scene import summary
+from phy124.generators.ply_file import PlyFile
+from phy124.painted import WHOLE
+from phy124.scene import Scene
 from phy124.stopwatch import Stopwatch
 from phy124.weights import looking_in
 
@@ -37,30 +39,20 @@ class Generate:
     cutting: Annotated[CutoutOptions, tyro.conf.arg(name="")] = field(default_factory=CutoutOptions)
     out: Path | None = None
     """Folder of the results; default out/PICTURE-SCENE."""
-    forecast: bool = False
-    """Foretell the seconds first and compare them in the report; takes about a second."""
-    dry_run: bool = False
-    """Only make the Gaussians and say how long the rest would take."""
-    max_error: str | None = None
-    """Choose the accuracy so that the error is at most this: 2px, 1% (of the size) or 3mm."""
-    max_seconds: float | None = None
-    """Choose the finest accuracy that takes at most so many seconds in all."""
-    resume: bool = False
-    """Go on with the run that was interrupted in the folder of the results, bit for bit."""
+    plan: Annotated[PlanOptions, tyro.conf.arg(name="")] = field(default_factory=PlanOptions)
 
     def run(self) -> int:
         """Generate; prints files and times."""
         scene = self.options.resolve()
         device = pick_device(self.options.device)
         out = self.out or default_out(str(self.image), self.options.scene)
-        goal = wished(self.max_error, self.max_seconds)
-        if self.resume:
+        goal = self.plan.goal()
+        if self.plan.resume:
             return go_on(out, self.options, goal)
-        if not self.options.json:
-            print(f"scene: {summary(scene)}", flush=True)
-        if self.dry_run:
+        announce(scene, as_json=self.options.json)
+        if self.plan.dry_run:
             with looking_in(self.cutting.weights):
-                return self._foretell(device)
+                return self._foretell(scene, device)
         with looking_in(self.cutting.weights), Bars(quiet=self.options.json, keeps=True) as bars:
             result = pipeline.generate(
                 self.image,
@@ -73,46 +65,29 @@ class Generate:
                 device=device,
                 progress=bars,
                 goal=goal,
-                forecaster=Forecaster(device) if self.forecast else None,
+                forecaster=self.plan.forecaster(device),
                 keep=True,
             )
         return show(result, as_json=self.options.json)
 
-    def _foretell(self, device: str) -> int:
-        """Print how long a run would take."""
+    def _foretell(self, scene: Scene, device: str) -> int:
+        """Make the Gaussians and print how long the rest would take."""
         watch = Stopwatch()
-        scene = self.options.resolve()
         with Bars(quiet=self.options.json) as bars:
             made = pipeline.static(
                 self.image, generator=self.generator, method=self.cutting.foreground,
                 mask=self.cutting.mask, looked=partial(self._look, bars), seed=scene.seed,
                 progress=bars, watch=watch,
             )  # fmt: skip
-        forecast = Forecaster(device).forecast(made.gaussians, scene, crop=made.crop)
-        for name, seconds in reversed(watch.seconds.items()):
-            forecast = forecast.with_measured(name, seconds)
-        if self.options.json:
-            print(json.dumps(forecast.data()))
-        else:
-            print("\n".join(forecast.lines()))
-        return 0
+        return foretell(
+            made.gaussians, scene, self.plan, device, made.crop, watch, as_json=self.options.json
+        )
 
     def _look(self, bars: Bars, cutout: Cutout) -> None:
         """Say what is doubtful before the long work begins."""
         if not self.options.json:
             bars.close()  # a warning does not belong on the line of a bar
             doubt(cutout, f"Look at it with `phy124 cutout {self.image}`; {IF_WRONG}")
-
-
-def wished(max_error: str | None, max_seconds: float | None) -> Goal | None:
-    """The goal of a run, if it has one; raises InputError."""
-    if max_error is not None and max_seconds is not None:
-        raise InputError(
-            "max_seconds", max_seconds, "an error is wished as well.", "Give one of the two."
-        )
-    if max_error is not None:
-        return Goal.error(max_error)
-    return None if max_seconds is None else Goal.time(max_seconds)
 
 
 @dataclass(frozen=True)
@@ -130,22 +105,21 @@ class Simulate:
     """Program that wrote the file: 3dgs, lgm, dreamgaussian, trellis, ..."""
     out: Path | None = None
     """Folder of the results; default out/FILE-SCENE."""
-    resume: bool = False
-    """Go on with the run that was interrupted in the folder of the results, bit for bit."""
+    plan: Annotated[PlanOptions, tyro.conf.arg(name="")] = field(default_factory=PlanOptions)
 
     def run(self) -> int:
         """Simulate; prints files and times."""
-        from phy124.generators.ply_file import PlyFile
-
         scene = self.options.resolve()
         device = pick_device(self.options.device)
         out = self.out or default_out(str(self.gaussians), self.options.scene)
-        if self.resume:
-            return go_on(out, self.options)
-        if not self.options.json:
-            print(f"scene: {summary(scene)}", flush=True)
+        goal = self.plan.goal()
+        if self.plan.resume:
+            return go_on(out, self.options, goal)
+        announce(scene, as_json=self.options.json)
         read = PlyFile(str(self.gaussians), up=self.up, front=self.front, dialect=self.dialect)
         watch = Stopwatch()
+        if self.plan.dry_run:
+            return self._foretell(read, scene, device)
         bars, place = Bars(quiet=self.options.json, keeps=True), pipeline.staged(out)
         with bars, place:  # The folder is refused before any work, if at all.
             with watch.stage("read"):
@@ -153,9 +127,18 @@ class Simulate:
             about = {"generator": str(self.gaussians), "cleaning": cleaning}
             result = pipeline.simulate(
                 gaussians, scene, out, device=device, progress=bars, watch=watch, about=about,
-                keep=True,
+                goal=goal, forecaster=self.plan.forecaster(device), keep=True,
             )  # fmt: skip
         return show(result, as_json=self.options.json)
+
+    def _foretell(self, read: PlyFile, scene: Scene, device: str) -> int:
+        """Read the Gaussians and print how long the rest would take."""
+        watch = Stopwatch()
+        with Bars(quiet=self.options.json) as bars, watch.stage("read"):
+            gaussians, _ = read.read(bars)
+        return foretell(
+            gaussians, scene, self.plan, device, WHOLE, watch, as_json=self.options.json
+        )
 
 
 def go_on(out: Path, options: SceneOptions, goal: Goal | None = None) -> int:

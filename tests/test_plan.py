@@ -1,0 +1,89 @@
+"""What a run shall achieve and what is foretold of it: one declaration for both commands."""
+
+import json
+
+import pytest
+from shapes import ball
+
+from phy124.__main__ import main
+from phy124.accuracy.promises import promise
+from phy124.commands.generate import Generate, Simulate
+from phy124.commands.plan import PlanOptions
+from phy124.errors import InputError
+from phy124.ply import write_ply
+from phy124.scene import Scene
+
+SMALL = ["--frames", "2", "--size", "16", "--views", "front", "--device", "cpu"]
+
+
+@pytest.fixture
+def file(tmp_path):
+    write_ply(tmp_path / "b.ply", ball(100))
+    return tmp_path / "b.ply"
+
+
+def test_both_commands_have_the_same_options_from_one_declaration():
+    for command in (Generate, Simulate):
+        assert command.__dataclass_fields__["plan"].default_factory is PlanOptions
+
+
+def test_a_dry_run_says_what_would_run_and_writes_nothing(file, tmp_path, capsys):
+    out = tmp_path / "o"
+    arguments = ["simulate", str(file), "--out", str(out), *SMALL, "--accuracy", "draft"]
+    assert main([*arguments, "--dry-run"]) == 0
+    said = capsys.readouterr().out
+    scene = Scene.named("press").replaced({"accuracy": "draft", "time.frames": 2})
+    for words in ("scene: neo_hookean (", "particles, ", "s, likely ", promise(scene).sentence):
+        assert words in said
+    assert main([*arguments, "--dry-run", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["scene"]["time"]["frames"] == 2 and told["seconds"] > 0
+    assert told["promise"]["error"] == promise(scene).error
+    assert told["span"][0] < told["seconds"] < told["span"][1]
+    assert not out.exists()
+
+
+def test_a_dry_run_tells_the_grid_that_a_time_leads_to(file, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("phy124.accuracy.choose.CELLS", (8, 10))
+    monkeypatch.setattr("phy124.accuracy.choose.CHEAP", (8, 10))
+    arguments = ["simulate", str(file), "--out", str(tmp_path / "o"), *SMALL, "--dry-run"]
+    assert main([*arguments, "--max-seconds", "1000"]) == 0
+    assert "wished at most 1000 s: D/" in capsys.readouterr().out
+    assert main([*arguments, "--max-error", "2%"]) == 2
+    assert "Leave --dry-run out" in capsys.readouterr().err
+
+
+def test_simulate_meets_a_time_and_compares_its_forecast(file, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("phy124.accuracy.choose.CELLS", (8, 10))
+    monkeypatch.setattr("phy124.accuracy.choose.CHEAP", (8, 10))
+    arguments = ["simulate", str(file), "--out", str(tmp_path / "o"), *SMALL]
+    assert main([*arguments, "--max-seconds", "1000"]) == 0
+    assert "wished at most 1000 s: D/" in capsys.readouterr().out
+    assert json.loads((tmp_path / "o/report.json").read_text())["goal"]["cells"] in (8, 10)
+    assert main([*arguments, "--accuracy", "draft", "--forecast"]) == 0
+    assert "foretold " in capsys.readouterr().out
+
+
+def test_a_time_that_cannot_be_met_says_what_can(file, tmp_path, capsys):
+    arguments = ["simulate", str(file), "--out", str(tmp_path / "o"), *SMALL]
+    assert main([*arguments, "--max-seconds", "0.01"]) == 2
+    said = capsys.readouterr().err
+    assert "the coarsest grid, D/8, takes about " in said
+    assert "Ask for --max-seconds " in said and "time.frames = 2" not in said
+
+
+def test_two_wishes_are_one_too_many():
+    with pytest.raises(InputError, match="Give one of the two"):
+        PlanOptions(max_error="2px", max_seconds=3).goal()
+
+
+def test_what_makes_a_run_slow_is_said_before_it(file, tmp_path, capsys):
+    (tmp_path / "s.toml").write_text(
+        "[[parts]]\nregion = {upper = [9, 9, 0.2]}\nmaterial = {law = 'rigid'}\n"
+        "[material]\nlaw = 'neo_hookean'\nE = 1e4\n"
+    )
+    arguments = ["simulate", str(file), "--scene", str(tmp_path / "s.toml"), *SMALL, "--dry-run"]
+    assert main([*arguments, "--accuracy", "draft"]) == 0
+    said = capsys.readouterr().out
+    assert "note: parts.0.material (rigid) is so stiff that it alone asks for" in said
+    assert "parts.0.static = true" in said
