@@ -16,7 +16,7 @@ from phy124.bounds import LONGEST, SHORTEST, Position, Push, Velocity
 from phy124.errors import InputError
 from phy124.kernels import push
 from phy124.kernels.transfer import types
-from phy124.region import Region, Vector
+from phy124.region import Region, Vector, cylinder
 from phy124.tracks import FOREVER, AnyProfile, Constant, Track
 
 if TYPE_CHECKING:
@@ -159,7 +159,7 @@ class ParticleForce(Force):
 
 
 class FieldForce(Force):
-    """A push in a place: it acts on whatever is inside its box at the moment."""
+    """A push in a place: it acts on whatever is inside at the moment."""
 
     kind: Literal["field"] = "field"
     place: Region = Field(default=Region(), description="Where in space it acts.")
@@ -175,10 +175,14 @@ class FieldForce(Force):
         """Push what is inside."""
         t, tracks, state = types(solver.real), solver.tracks, solver.state
         slot, kernel = tracks.add(self.track(self.a)), push.make_field(solver.real)
-        corners = [t.vec3(*self.place.lower), t.vec3(*self.place.upper)]
+        place: list[Any] = [t.vec3(*self.place.lower), t.vec3(*self.place.upper), -1, 0.0]
+        if self.place.cylinder:
+            place[2], _, place[3] = cylinder(
+                self.place.lower, self.place.upper, self.place.cylinder
+            )
 
         def record() -> wp.Launch | None:
-            inputs = [*corners, slot, state.x, solver.clock, tracks.values]
+            inputs = [*place, slot, state.x, solver.clock, tracks.values]
             return solver.record(kernel, len(solver.rest), inputs, [state.v])
 
         return [("field", record)]

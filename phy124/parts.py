@@ -35,7 +35,11 @@ def crop_of(cutout: Image.Image) -> Crop:
 
 
 def assign(
-    x: NDArray, gaussian: NDArray, parts: Sequence[Part], crop: Crop = WHOLE
+    x: NDArray,
+    gaussian: NDArray,
+    parts: Sequence[Part],
+    crop: Crop = WHOLE,
+    means: NDArray | None = None,
 ) -> NDArray[np.int32]:
     """Number of the material of each particle [P]: 0 the scene's, i the i-th part's (from 1).
 
@@ -44,6 +48,7 @@ def assign(
         gaussian: The Gaussian each particle is [P], or -1: it follows its nearest Gaussian.
         parts: The scene's parts.
         crop: Where the object is in the picture that masks were painted on.
+        means: The Gaussians [N,3], m, for particles none of which is a Gaussian.
 
     Raises:
         InputError: a mask cannot be read, or a part holds no particle.
@@ -54,7 +59,7 @@ def assign(
         if part.region is not None:
             inside &= part.region.contains(x)
         if part.gaussians is not None:
-            inside &= _held(x, gaussian, part.gaussians)
+            inside &= _held(x, gaussian, part.gaussians, means)
         if part.mask is not None:
             inside &= brightness(x, part.mask, crop, field=f"parts.{number - 1}.mask") > 0.5
         if not inside.any():
@@ -87,7 +92,7 @@ def with_materials(
     every = np.ones(len(means), bool)
     if not scene.parts:
         return particles, every
-    part = assign(particles.x, particles.gaussian, scene.parts, crop)
+    part = assign(particles.x, particles.gaussian, scene.parts, crop, means)
     static = np.array([False, *(section.static for section in scene.parts)])
     moves = every
     if static.any():
@@ -120,11 +125,15 @@ def with_materials(
     return found, moves
 
 
-def _held(x: NDArray, gaussian: NDArray, span: tuple[int, int]) -> NDArray[np.bool_]:
-    """Particles of the Gaussians first <= i < last, fillers by their nearest Gaussian particle."""
+def _held(
+    x: NDArray, gaussian: NDArray, span: tuple[int, int], means: NDArray | None
+) -> NDArray[np.bool_]:
+    """Particles of the Gaussians first <= i < last, fillers by their nearest Gaussian."""
     owner = gaussian.copy()
     own, filler = gaussian >= 0, gaussian < 0
-    if filler.any() and own.any():
+    if means is not None and not own.any():
+        owner = KDTree(means).query(x)[1]
+    elif filler.any() and own.any():
         nearest = KDTree(x[own]).query(x[filler])[1]
         owner[filler] = gaussian[own][nearest]
     return (owner >= span[0]) & (owner < span[1])

@@ -1,8 +1,8 @@
-"""Region: a box in space that picks what a force, a boundary or a material acts on."""
+"""Region: a box or cylinder in space: what a force, a boundary or a material acts on."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +15,11 @@ _Side = Annotated[float, Field(ge=-EVERYWHERE, le=EVERYWHERE)]
 _Corner = tuple[_Side, _Side, _Side]
 
 
+AxisName = Literal["x", "y", "z"]
+
+
 class Region(BaseModel):
-    """An axis-aligned box [m]; sides left out are open."""
+    """An axis-aligned box [m], or the cylinder that fits it; sides left out are open."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -27,14 +30,42 @@ class Region(BaseModel):
         default=(EVERYWHERE, EVERYWHERE, EVERYWHERE), description="Highest corner [m]."
     )
 
+    cylinder: AxisName | None = Field(
+        default=None,
+        description="Axis of the cylinder that fits the box, to mean that alone; absent: the box.",
+    )
+
     @model_validator(mode="after")
     def _ordered(self) -> Region:
         if any(low >= high for low, high in zip(self.lower, self.upper, strict=True)):
             raise ValueError(
                 f"lower {self.lower} must be below upper {self.upper} on each axis; swap them"
             )
+        sides = zip("xyz", self.lower, self.upper, strict=True)
+        if self.cylinder and any(
+            name != self.cylinder and max(-low, high) >= EVERYWHERE for name, low, high in sides
+        ):
+            raise ValueError(
+                f"a cylinder along {self.cylinder} needs lower and upper on the two other axes"
+            )
         return self
 
     def contains(self, x: NDArray) -> NDArray[np.bool_]:
         """Mask [N] of the points x [N,3] inside."""
-        return np.all((x >= self.lower) & (x <= self.upper), axis=1)
+        inside: NDArray[np.bool_] = np.all((x >= self.lower) & (x <= self.upper), axis=1)
+        if self.cylinder:
+            axis, middle, radius = cylinder(self.lower, self.upper, self.cylinder)
+            across = np.delete(x - middle, axis, axis=1)
+            inside &= (across**2).sum(axis=1) <= radius**2
+        return inside
+
+
+def cylinder(lower: Vector, upper: Vector, along: AxisName) -> tuple[int, Vector, float]:
+    """Axis, middle [m] and radius [m] of the cylinder that fits a box: as wide as its shorter side.
+
+    Along an axis that is open the middle means nothing.
+    """
+    axis = "xyz".index(along)
+    x, y, z = ((low + high) / 2 for low, high in zip(lower, upper, strict=True))
+    sides = [upper[i] - lower[i] for i in range(3) if i != axis]
+    return axis, (x, y, z), min(sides) / 2

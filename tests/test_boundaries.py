@@ -89,6 +89,8 @@ def segment_distance(x: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
          lambda x: np.linalg.norm(x - [0.1, 0, 0], axis=1) - 0.5),
         (Capsule(start=(0, 0, 0), end=(0.3, 0.4, 0), radius=0.2),
          lambda x: segment_distance(x, np.zeros(3), np.array([0.3, 0.4, 0])) - 0.2),
+        (Held(lower=(-0.5, -0.4, -0.2), upper=(0.5, 0.4, 0.6), cylinder="z"),
+         lambda x: np.maximum(np.hypot(x[:, 0], x[:, 1]) - 0.4, np.abs(x[:, 2] - 0.2) - 0.4)),
         (Box(lower=(-0.5, -0.2, 0), upper=(0.5, 0.2, 0.9)),
          lambda x: np.max(np.abs(x - [0, 0, 0.45]) - [0.5, 0.2, 0.45], axis=1)),
     ],
@@ -97,12 +99,12 @@ def segment_distance(x: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def test_shapes_know_their_distance_and_normal(wall, exact, rng):
     x = rng.uniform(-1, 1, (500, 3))
     geometry = wall.geometry(None)
-    normals, signed = distances(wall.shape, geometry, x)
+    normals, signed = distances(wall.outline(), geometry, x)
     inside = signed < 0.5  # beyond its faces a box promises only the face's own distance
     np.testing.assert_allclose(signed, exact(x), atol=1e-12)
     for axis in range(3):
         ahead, behind = (
-            distances(wall.shape, geometry, x + s * 1e-6 * EYE[axis])[1] for s in (1, -1)
+            distances(wall.outline(), geometry, x + s * 1e-6 * EYE[axis])[1] for s in (1, -1)
         )
         slope = (ahead - behind) / 2e-6
         smooth = np.abs(slope - normals[:, axis]) < 1e-4
@@ -137,7 +139,7 @@ def test_walls_answer_as_their_contact_says(rng):
     v, wall = rng.standard_normal((300, 3)), np.array([0.3, -0.2, 0.1])
     n, friction = np.array([0.6, 0.0, 0.8]), 0.3
     got = {}
-    for response in collide.RESPONSES:
+    for response in ("sticky", "slip", "separate"):
         out = wp.zeros(300, dtype=wp.vec3d)
         inputs = [wp.array(v, dtype=wp.vec3d), wp.vec3d(*wall), wp.vec3d(*n), friction]
         wp.launch(make_answers(response), 300, inputs=inputs, outputs=[out])
@@ -322,6 +324,43 @@ def test_foot_and_held_hold_their_part(rng):
         assert moved[s.rest[:, 2] < 0.05].max() < 0.1 * moved[s.rest[:, 2] > 0.35].min()
 
 
+@pytest.mark.parametrize("axis", [0, 2])
+@pytest.mark.parametrize("offset", [0.0, 0.3, 0.45, 0.55, 0.8])
+def test_what_is_held_ends_where_it_should(axis, offset):
+    """A pulled bar is as long as its free part, wherever the clamp ends between the nodes."""
+    along, free = EYE[axis], 0.6
+    x = block(size=tuple(0.2 + 0.6 * along), low=tuple(-0.2 * along))
+    g, E = 2.0, 2e4
+    clamp = Held(lower=(-1, -1, -1), upper=tuple(np.where(along, 0.0, 1.0)))
+    s = solver(
+        x, clamp, forces=[Gravity(g=tuple(g * along))], material=NeoHookean(E=E, nu=0.0),
+        origin=tuple(offset * DX * along),
+    )  # fmt: skip
+    settle(s, 1.0, rate=10.0)
+    wanted = 1000 * g / E * (free * s.rest[:, axis] - s.rest[:, axis] ** 2 / 2)
+    moved = (s.state.x.numpy() - s.rest)[:, axis]
+    slope = 1000 * g * free / E
+    end = s.rest[:, axis] > free - DX
+    assert abs((moved - wanted)[end].mean()) < 0.27 * DX * slope
+    assert np.abs(moved[s.rest[:, axis] < -DX]).max() < 0.08 * DX * slope
+
+
+def test_a_clamp_lets_go_and_moves_what_it_holds():
+    """Until its end; a cylinder holds what is in it."""
+    disk = {"lower": (0.05, 0.05, -1.0), "upper": (0.35, 0.35, 1.0), "cylinder": "z"}
+    up = Path(times=(0.0, 0.1), points=((0, 0, 0), (0, 0, 0.1)))
+    s = solver(block(), Held(**disk, motion=up, end=0.15), material=NeoHookean(E=1e6))
+    held = np.hypot(*(s.rest[:, :2] - 0.2).T) < 0.05
+    s.advance(0.15)
+    assert (s.state.x.numpy() - s.rest)[held, 2].mean() == pytest.approx(0.1, abs=0.005)
+    s.advance(0.25)
+    assert s.state.v.numpy()[:, 2].mean() == pytest.approx(-9.81 * 0.1, rel=0.2)
+    with pytest.raises(ValidationError, match="swap them"):
+        Held(lower=(1, 0, 0), upper=(0, 1, 1))
+    with pytest.raises(ValidationError, match="leave inside"):
+        Container(inside=Region(lower=(0, 0, 0), upper=(1, 1, 1), cylinder="z"))
+
+
 def test_two_threads_see_the_same_walls():
     tank = Container(inside=Region(lower=(-0.1, -0.1, 0.0), upper=(0.6, 0.5, 1e9)))
     places = []
@@ -357,6 +396,8 @@ def test_thin_obstacles_are_refused_with_a_reason():
     with pytest.raises(InputError, match="thinner than two grid cells") as refused:
         solver(block(), Box(lower=(0, 0, 0), upper=(1, 1, 0.05)))
     assert "Make it thicker or the grid finer" in str(refused.value)
+    with pytest.raises(InputError, match=r"boundaries\.gripper.*each pad"):
+        solver(block(), Gripper(thick=0.1))
 
 
 def test_boundaries_are_named_by_their_kind_and_refuse_nonsense():

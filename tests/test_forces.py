@@ -131,11 +131,12 @@ def test_a_body_attracted_swings_through_the_point():
     assert s.state.x.numpy()[:, 0].mean() == pytest.approx(0.2, abs=1e-3)
 
 
-def test_a_field_acts_on_what_is_inside_at_the_moment():
+@pytest.mark.parametrize("cylinder", [None, "x"])
+def test_a_field_acts_on_what_is_inside_at_the_moment(cylinder):
     """v^2 grows by 2 a d over a slab of thickness d; beside it nothing happens."""
-    place = Region(lower=(0.4, -1.0, -1.0), upper=(0.6, 1.0, 1.0))
+    place = Region(lower=(0.4, -1.0, -1.0), upper=(0.6, 1.0, 1.0), cylinder=cylinder)
     field = FieldForce(place=place, a=(3.0, 0.0, 0.0))
-    x = np.array([[0.0, 0.0, 0.0], [0.0, 3.0, 0.0]])
+    x = np.array([[0.0, 0.0, 0.0], [0.0, 0.9, 0.9] if cylinder else [0.0, 3.0, 0.0]])
     v = np.tile([2.0, 0.0, 0.0], (2, 1))
     s = solver(field, x=x, v=v, material=NeoHookean(E=10.0), ceiling=5e-4)
     s.advance(0.5)

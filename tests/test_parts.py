@@ -41,6 +41,16 @@ def test_gaussians_bring_the_fillers_near_them():
     assert np.array_equal(chosen == 1, GRID[:, 0] > 0)
 
 
+def test_gaussians_that_ride_along_pick_what_is_near_them():
+    means = np.array([[-0.5, 0, 0], [0.5, 0, 0]])
+    part = Part(gaussians=(1, 2), material=FixedCorotated(E=1e5))
+    chosen = assign(GRID, NOBODY, [part], means=means)
+    assert np.array_equal(chosen == 1, GRID[:, 0] > 0)
+    scene = Scene(parts=(part.model_copy(update={"gaussians": (0, 100)}),), binding="field")
+    coarse = scene.replaced({"accuracy": {"cells": 8}, "time.frames": 1})
+    assert 0 < Simulation(ball(), coarse).particles.material.mean() < 1
+
+
 def test_refusals(tmp_path):
     with pytest.raises(InputError, match="a part needs a region, a mask or gaussians"):
         Scene.from_data({"parts": [{"material": {"law": "neo_hookean"}}]})

@@ -111,7 +111,7 @@ def sag(cells: int, height: float = 0.1, length: float = 0.5) -> float:
 
 
 @pytest.mark.parametrize(
-    ("coarse", "fine", "close"), [(3, 4, 0.05), pytest.param(4, 6, 0.03, marks=pytest.mark.slow)]
+    ("coarse", "fine", "close"), [(3, 4, 0.03), pytest.param(4, 6, 0.01, marks=pytest.mark.slow)]
 )
 def test_a_cantilever_sags_as_beam_theory_says(coarse, fine, close):
     """The error is proportional to dx; without it the sag is Timoshenko's (shear adds 3 %)."""
@@ -119,7 +119,7 @@ def test_a_cantilever_sags_as_beam_theory_says(coarse, fine, close):
     rough, better = sag(coarse), sag(fine)
     limit = better - (rough - better) * coarse / (fine - coarse)
     assert limit == pytest.approx(shear, rel=close)
-    assert rough > better > limit
+    assert 0.93 * shear < rough < better < limit
 
 
 def test_loose_sand_flies_apart_without_a_force():

@@ -42,6 +42,8 @@ class Boundary(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     shape: ClassVar[str]
+    thing: ClassVar[str] = "it"
+    """What may be too thin."""
 
     contact: Contact = Field(
         default="separate", description="sticky, slip, or separate (may leave, with friction)."
@@ -66,6 +68,14 @@ class Boundary(BaseModel):
         """Whether the wall is met where it is, between the nodes; else node by node."""
         return self.reach(solver.dx) is None
 
+    def outline(self) -> str:
+        """Name of its distance function."""
+        return self.shape
+
+    def response(self) -> str:
+        """Name of how nodes answer to it."""
+        return self.contact
+
     def track(self, solver: Solver) -> Track | None:
         """Displacement over time [m]; None if it never moves."""
         return None
@@ -76,13 +86,18 @@ class Boundary(BaseModel):
 
     def attach(self, solver: Solver) -> list[Stage]:
         """One collider stage; raises InputError if the solid is too thin for the grid."""
+        self.refuse_thin(solver)
+        return [(type(self).__name__.lower(), self._recorder(solver))]
+
+    def refuse_thin(self, solver: Solver) -> None:
+        """Raise InputError if things would pass through the solid."""
         if self.thickness() < THINNEST * solver.dx:
             raise InputError(
                 f"boundaries.{type(self).__name__.lower()}", f"{2 * self.thickness():g} m",
-                f"it is thinner than two grid cells of {solver.dx:g} m, so things would pass it.",
+                f"{self.thing} is thinner than two grid cells of {solver.dx:g} m, "
+                "so things would pass it.",
                 "Make it thicker or the grid finer.",
             )  # fmt: skip
-        return [(type(self).__name__.lower(), self._recorder(solver))]
 
     def reach(self, dx: float) -> float | None:
         """Signed distance below which a node answers [m]; None: as suits the material."""
@@ -97,7 +112,7 @@ class Boundary(BaseModel):
         shape = t.mat33(*np.ravel(self.geometry(solver)))
         met, reach = self.met(solver), self.reach(solver.dx)
         kernel = (make_contact if met else make_collider)(
-            self.shape, self.contact, track is not None, solver.real
+            self.outline(), self.response(), track is not None, solver.real
         )
 
         def record() -> wp.Launch | None:

@@ -1,49 +1,92 @@
-"""Regions in which the material is held: no walls, so every node inside answers."""
+"""Regions in which the material is held, up to where they end between the nodes."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from phy124.boundaries.base import Contact, Corners, Movable, box_of, half_bounds
-from phy124.bounds import Position
-from phy124.region import Vector
+from phy124.boundaries.base import Contact, Corners, Movable, box_of, half_bounds, vector
+from phy124.bounds import LONGEST, SHORTEST, Position
+from phy124.region import AxisName, Vector, cylinder
+from phy124.tracks import Track
 
 if TYPE_CHECKING:
     from phy124.mpm import Solver
 
 
-class Held(Movable):
-    """A box of space in which the material is held in place, such as the foot of a stem."""
+class Clamp(Movable):
+    """What holds material, for good or until it lets go."""
+
+    contact: Contact = Field(default="sticky", description="sticky holds all directions.")
+    end: float | None = Field(
+        default=None, ge=SHORTEST, le=LONGEST, description="Lets go then [s]; absent: never."
+    )
+
+    def track(self, solver: Solver) -> Track | None:
+        """Displacement over time [m], active until it lets go; None if nothing ever changes."""
+        track = super().track(solver)
+        if self.end is None:
+            return track
+        if track is None:
+            return Track(((0.0, (0.0, 0.0, 0.0)),), end=self.end)
+        return Track(track.keys, track.start, self.end, track.origin, track.period, track.mean)
+
+    def met(self, solver: Solver) -> bool:
+        """What is held in part is a region whose nodes answer one by one."""
+        return self.contact == "sticky"
+
+    def response(self) -> str:
+        """Held up to the surface of the region."""
+        return "held" if self.contact == "sticky" else self.contact
+
+    def reach(self, dx: float) -> float | None:
+        """All nodes inside are held."""
+        return 0.0
+
+
+class Held(Clamp):
+    """A box or cylinder in which the material is held in place, such as the foot of a stem."""
 
     shape: ClassVar[str] = "box"
     kind: Literal["held"] = "held"
     lower: Position = Field(default=(-10.0, -10.0, -10.0), description="Lowest corner [m].")
     upper: Position = Field(default=(10.0, 10.0, 0.1), description="Highest corner [m].")
-    contact: Contact = Field(default="sticky", description="sticky holds all directions.")
+    cylinder: AxisName | None = Field(
+        default=None,
+        description="Axis of the cylinder that fits the box, to hold that alone; absent: the box.",
+    )
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Held:
+        if any(low >= high for low, high in zip(self.lower, self.upper, strict=True)):
+            raise ValueError(f"lower {self.lower} must be below upper {self.upper}; swap them")
+        return self
+
+    def outline(self) -> str:
+        """A box, or a cylinder."""
+        return "cylinder" if self.cylinder else "box"
 
     def geometry(self, solver: Solver) -> tuple[Vector, Vector, Vector]:
-        """Centre and half sizes."""
-        return box_of(self.lower, self.upper)
+        """Centre and half sizes; of a cylinder centre, axis, and (radius, half length)."""
+        if self.cylinder is None:
+            return box_of(self.lower, self.upper)
+        axis, middle, radius = cylinder(self.lower, self.upper, self.cylinder)
+        half = (self.upper[axis] - self.lower[axis]) / 2
+        return middle, vector(np.eye(3)[axis]), (radius, half, 0.0)
 
     def extent(self, solver: Solver) -> Corners:
         """The box."""
         return np.array(self.lower), np.array(self.upper)
 
-    def reach(self, dx: float) -> float | None:
-        """The box is a region, not a wall: all its nodes are held."""
-        return 0.0
 
-
-class Foot(Movable):
+class Foot(Clamp):
     """The lowest part of the object is held in place, as a plant is by its pot."""
 
     shape: ClassVar[str] = "half_space"
     kind: Literal["foot"] = "foot"
     share: float = Field(default=0.15, ge=1e-6, le=1, description="Held share of its height.")
-    contact: Contact = Field(default="sticky", description="sticky holds all directions.")
 
     def geometry(self, solver: Solver) -> tuple[Vector, Vector, Vector]:
         """Point and normal of the plane below which material is held."""
@@ -55,7 +98,3 @@ class Foot(Movable):
         """Everything below."""
         point, normal, _ = self.geometry(solver)
         return half_bounds(point, normal)
-
-    def reach(self, dx: float) -> float | None:
-        """A region, not a wall: all its nodes are held."""
-        return 0.0

@@ -104,6 +104,12 @@ class Container(Movable):
         description="The free space; sides left out are open.",
     )
 
+    @model_validator(mode="after")
+    def _square(self) -> Container:
+        if self.inside.cylinder:
+            raise ValueError("the walls of a container are flat; leave inside.cylinder out")
+        return self
+
     def sides(self) -> list[HalfSpace]:
         """Its walls; a side far beyond any scene is none."""
         walls = []

@@ -99,6 +99,7 @@ class Capsule(Movable):
 class Gripper(Boundary):
     """Two pads that close on the object from both sides and lift it."""
 
+    thing: ClassVar[str] = "each pad (thick, width)"
     kind: Literal["gripper"] = "gripper"
     friction: float = Field(default=1.0, ge=0, le=10, description="Coulomb friction coefficient.")
     axis: Axis = Field(default="y", description="Direction in which it closes.")
@@ -120,6 +121,10 @@ class Gripper(Boundary):
             )
         return self
 
+    def thickness(self) -> float:
+        """Half of the pads' shorter side [m]."""
+        return min(self.thick, self.width) / 2
+
     def pads(self) -> list[Box]:
         """The two pads as moving boxes."""
         along = {"x": 0, "y": 1}[self.axis]
@@ -140,5 +145,6 @@ class Gripper(Boundary):
 
     def attach(self, solver: Solver) -> list[Stage]:
         """One stage per pad."""
+        self.refuse_thin(solver)
         stages = [stage for pad in self.pads() for stage in pad.attach(solver)]
         return [("gripper", record) for _, record in stages]

@@ -12,7 +12,11 @@ all three nodes alike; without that a wall is as soft as a layer one cell thick.
 B-splines: Hoellig, Reif, Wipper 2001.) The wall acts once the material has come to it, which the
 masses of the nodes on its two sides tell: see `covered`.
 
-`make_collider` is the usual rule, node by node: for regions that are held.
+What is held ends in the same way at the surface of its region: the nodes inside are held, and the
+one next to the surface follows the one in front of it so that the velocity is zero where the region
+ends, g = (1, -w0 / w1, 0) with the weights w of the nodes there.
+
+`make_collider` is the usual rule, node by node: for regions that are held in part.
 """
 
 from functools import cache
@@ -21,6 +25,7 @@ from typing import Any
 import warp as wp
 
 from phy124.kernels.build import kernel
+from phy124.kernels.spline import spline
 from phy124.kernels.transfer import types
 
 
@@ -71,8 +76,8 @@ def coulomb(along: Any, pressed: Any, friction: Any):
     return friction * pressed / wanted
 
 
-RESPONSES = {"sticky": sticky, "slip": slip, "separate": separate}
-HOLDS = {"sticky": all_of_it, "slip": none_of_it, "separate": coulomb}
+RESPONSES = {"sticky": sticky, "slip": slip, "separate": separate, "held": sticky}
+HOLDS = {"sticky": all_of_it, "slip": none_of_it, "separate": coulomb, "held": all_of_it}
 
 
 @wp.func
@@ -128,7 +133,31 @@ def capsule(x: Any, shape: Any):
     return wp.vector(n[0], n[1], n[2], r - shape[2, 0])
 
 
-SHAPES = {"half_space": half_space, "sphere": sphere, "box": box, "capsule": capsule}
+@wp.func
+def cylinder(x: Any, shape: Any):
+    """Normal and signed distance (per face) of the cylinder about shape[0] along shape[1].
+
+    shape[2] is (radius, half length, 0).
+    """
+    d = x - shape[0]
+    along = wp.dot(d, shape[1])
+    across = d - along * shape[1]
+    r = wp.length(across)
+    cap = wp.abs(along) - shape[2, 1]
+    n = wp.sign(along) * shape[1]
+    if r - shape[2, 0] <= cap or r <= type(r)(0.0):
+        return wp.vector(n[0], n[1], n[2], wp.max(cap, r - shape[2, 0]))
+    n = across / r
+    return wp.vector(n[0], n[1], n[2], r - shape[2, 0])
+
+
+SHAPES = {
+    "half_space": half_space,
+    "sphere": sphere,
+    "box": box,
+    "capsule": capsule,
+    "cylinder": cylinder,
+}
 
 
 @wp.func
@@ -293,10 +322,15 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
         m = wp.vector(q0[3], q1[3], q2[3]) / mass
         normal = velocity(s0)
         across = dx * wp.abs(normal[axis])
-        if not arrived(m, s1[3] / across, s0[3] / across, lightest / mass):
+        g = wp.vector(s0[3], s1[3], s2[3]) / s0[3]
+        if wp.static(response == "held"):
+            w = spline(s0[3] / across)
+            g = wp.vector(real(1.0), -w[0] / w[1], real(0.0))
+            if m[1] <= real(0.0):
+                return
+        elif not arrived(m, s1[3] / across, s0[3] / across, lightest / mass):
             return
         v = wp.matrix_from_rows(velocity(q0) - wall, velocity(q1) - wall, velocity(q2) - wall)
-        g = wp.vector(s0[3], s1[3], s2[3]) / s0[3]
         stop = tied(v, m, g) * normal
         pressed = wp.dot(m, stop)
         if wp.static(response == "separate"):

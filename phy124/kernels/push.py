@@ -39,22 +39,30 @@ def make_accelerate(real: Any, per_mass: bool):
 
 @cache
 def make_field(real: Any):
-    """Kernel: v += kick a for particles that are inside a box at the moment."""
+    """Kernel: v += kick a for particles that are inside a box at the moment.
+
+    With an `axis` from 0 to 2, of the box only the cylinder along it about its middle.
+    """
     t = types(real)
 
     @kernel(f"phy124_field_{real.__name__}")
     def field(
         # model
-        lower: t.vec3, upper: t.vec3, slot: int, x: wp.array(dtype=t.vec3),
+        lower: t.vec3, upper: t.vec3, axis: int, radius: real, slot: int, x: wp.array(dtype=t.vec3),
         clock: wp.array(dtype=real), values: wp.array(dtype=t.vec4),
         # out
         v_out: wp.array(dtype=t.vec3),
     ):  # fmt: skip
         p = wp.tid()
         inside = bool(True)
-        for axis in range(3):
-            if not (x[p][axis] >= lower[axis] and x[p][axis] <= upper[axis]):
+        across = x[p] - real(0.5) * (lower + upper)
+        for i in range(3):
+            if not (x[p][i] >= lower[i] and x[p][i] <= upper[i]):
                 inside = False
+            if i == axis:
+                across[i] = real(0.0)
+        if axis >= 0 and wp.length(across) > radius:
+            inside = False
         if inside:
             a = values[slot]
             v_out[p] = v_out[p] + clock[0] * wp.vector(a[0], a[1], a[2])
