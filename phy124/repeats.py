@@ -29,6 +29,9 @@ def gathered(arguments: Sequence[str], commands: Mapping[str, type]) -> list[str
         if name and single.setdefault(name, value) != value:
             limit = f"it is given twice, as {single[name]} and as {value}."
             raise InputError(name.removeprefix("--"), value, limit, "Give it once.")
+        if name and value and value.startswith("-") and value != "-h":
+            # Else it would be taken for an option: `--front -y`.
+            name, values = f"{name}={value}", values[1:]
         rest += [name, *values] if name else values
     return [*rest, *(text for name, values in listed.items() for text in (name, *values))]
 

@@ -52,6 +52,13 @@ def test_what_cannot_be_read_is_one_sentence(typed, sentence, capsys, tmp_path, 
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("typed", ["--up z --front -y", "--up=z --front=-y"])
+def test_a_value_may_begin_with_a_minus(typed, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["simulate", "object.ply", *typed.split()]) == 2
+    assert "PLY file = object.ply: There is no such file." in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("typed", [["--out", ""], ["--out="], ["--scene", ""]])
 def test_an_empty_value_is_refused(typed, capsys):
     assert main(["generate", "x.png", *typed]) == 2
