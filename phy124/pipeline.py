@@ -42,6 +42,7 @@ from phy124.progress import Progress, silent
 from phy124.scene import Scene, View
 from phy124.simulation import Interrupted, Simulation
 from phy124.stopwatch import Stopwatch
+from phy124.thinning import asked_for, thinned
 
 PathLike = str | os.PathLike[str]
 PAUSE = "pause.safetensors"
@@ -70,6 +71,7 @@ def generate(
     method: str = "auto",
     mask: PathLike | None = None,
     looked: Callable[[Cutout], object] = lambda cutout: None,
+    count: int | None = None,
     device: str = "cpu",
     progress: Progress = silent,
     goal: Goal | None = None,
@@ -80,7 +82,7 @@ def generate(
 
     With a `goal` the accuracy is chosen to meet it (`phy124.accuracy.choose`); for `forecaster`
     and `keep` see `simulate`, for `method` and `mask` `phy124.cutout.foreground`. `looked` is
-    called with the cut-out before the long work.
+    called with the cut-out before the long work. `count` limits the number of Gaussians.
 
     Raises InputError for what the user can mend, Cancelled if `progress` does.
     """
@@ -92,6 +94,7 @@ def generate(
             method=method,
             mask=mask,
             looked=looked,
+            count=count,
             seed=scene.seed,
             progress=progress,
             watch=watch,
@@ -132,13 +135,14 @@ def static(
     method: str = "auto",
     mask: PathLike | None = None,
     looked: Callable[[Cutout], object] = lambda cutout: None,
+    count: int | None = None,
     seed: int = 0,
     progress: Progress = silent,
     watch: Stopwatch | None = None,
 ) -> Static:
     """A picture becomes static Gaussians; raises InputError."""
     watch = watch or Stopwatch()
-    make, cutout = make_generator(generator), None
+    make, cutout = asked_for(make_generator(generator), count), None
     picture = Image.new("RGBA", (1, 1))
     if needs_image(generator):
         with watch.stage("image"):
@@ -155,6 +159,7 @@ def static(
             gaussians, cleaning = make.read(progress)
         else:
             gaussians, cleaning = make(picture, seed=seed, progress=progress), []
+        gaussians = thinned(gaussians, count, seed=seed)
     about = {
         "foreground": cutout and cutout.method,
         "cutout": cutout and cutout.data(),

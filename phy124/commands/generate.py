@@ -24,6 +24,7 @@ from phy124.generators.ply_file import PlyFile
 from phy124.painted import WHOLE
 from phy124.scene import Scene
 from phy124.stopwatch import Stopwatch
+from phy124.thinning import check_count, thinned
 from phy124.weights import looking_in
 
 
@@ -36,6 +37,8 @@ class Generate:
     options: Annotated[SceneOptions, tyro.conf.arg(name="")] = field(default_factory=SceneOptions)
     generator: str = "relief"
     """What makes the Gaussians: relief, lgm, lgm-aligned, dreamgaussian, or a 3DGS .ply file."""
+    gaussians: int | None = None
+    """About so many Gaussians (relief makes 50,000), or at most so many of what is made."""
     cutting: Annotated[CutoutOptions, tyro.conf.arg(name="")] = field(default_factory=CutoutOptions)
     out: Path | None = None
     """Folder of the results; default out/PICTURE-SCENE."""
@@ -62,6 +65,7 @@ class Generate:
                 method=self.cutting.foreground,
                 mask=self.cutting.mask,
                 looked=partial(self._look, bars),
+                count=self.gaussians,
                 device=device,
                 progress=bars,
                 goal=goal,
@@ -76,8 +80,8 @@ class Generate:
         with Bars(quiet=self.options.json) as bars:
             made = pipeline.static(
                 self.image, generator=self.generator, method=self.cutting.foreground,
-                mask=self.cutting.mask, looked=partial(self._look, bars), seed=scene.seed,
-                progress=bars, watch=watch,
+                mask=self.cutting.mask, looked=partial(self._look, bars), count=self.gaussians,
+                seed=scene.seed, progress=bars, watch=watch,
             )  # fmt: skip
         return foretell(
             made.gaussians, scene, self.plan, device, made.crop, watch, as_json=self.options.json
@@ -94,7 +98,7 @@ class Generate:
 class Simulate:
     """Move ready 3D Gaussians (any standard 3DGS .ply) and film them."""
 
-    gaussians: tyro.conf.Positional[Path]
+    file: tyro.conf.Positional[Path]
     """The .ply file."""
     options: Annotated[SceneOptions, tyro.conf.arg(name="")] = field(default_factory=SceneOptions)
     up: str | None = None
@@ -103,6 +107,8 @@ class Simulate:
     """Axis of the file that the object faces."""
     dialect: str = "3dgs"
     """Program that wrote the file: 3dgs, lgm, dreamgaussian, trellis, ..."""
+    gaussians: int | None = None
+    """At most so many of its Gaussians; those that are left grow to cover the same area."""
     out: Path | None = None
     """Folder of the results; default out/FILE-SCENE."""
     plan: Annotated[PlanOptions, tyro.conf.arg(name="")] = field(default_factory=PlanOptions)
@@ -111,12 +117,13 @@ class Simulate:
         """Simulate; prints files and times."""
         scene = self.options.resolve()
         device = pick_device(self.options.device)
-        out = self.out or default_out(str(self.gaussians), self.options.scene)
+        out = self.out or default_out(str(self.file), self.options.scene)
         goal = self.plan.goal()
         if self.plan.resume:
             return go_on(out, self.options, goal)
+        check_count(self.gaussians)
         announce(scene, as_json=self.options.json)
-        read = PlyFile(str(self.gaussians), up=self.up, front=self.front, dialect=self.dialect)
+        read = PlyFile(str(self.file), up=self.up, front=self.front, dialect=self.dialect)
         watch = Stopwatch()
         if self.plan.dry_run:
             return self._foretell(read, scene, device)
@@ -124,7 +131,8 @@ class Simulate:
         with bars, place:  # The folder is refused before any work, if at all.
             with watch.stage("read"):
                 gaussians, cleaning = read.read(bars)
-            about = {"generator": str(self.gaussians), "cleaning": cleaning}
+                gaussians = thinned(gaussians, self.gaussians, seed=scene.seed)
+            about = {"generator": str(self.file), "cleaning": cleaning}
             result = pipeline.simulate(
                 gaussians, scene, out, device=device, progress=bars, watch=watch, about=about,
                 goal=goal, forecaster=self.plan.forecaster(device), keep=True,
@@ -135,7 +143,7 @@ class Simulate:
         """Read the Gaussians and print how long the rest would take."""
         watch = Stopwatch()
         with Bars(quiet=self.options.json) as bars, watch.stage("read"):
-            gaussians, _ = read.read(bars)
+            gaussians = thinned(read.read(bars)[0], self.gaussians, seed=scene.seed)
         return foretell(
             gaussians, scene, self.plan, device, WHOLE, watch, as_json=self.options.json
         )

@@ -17,7 +17,7 @@ KINDS = {
 """What a file of each ending holds."""
 TAKES = {
     "generate": ("image", "a picture"),
-    "simulate": ("gaussians", "a file of Gaussians"),
+    "simulate": ("file", "a file of Gaussians"),
     "render": ("clip", "a clip"),
     "evaluate": ("clip", "a clip"),
 }

@@ -1,0 +1,66 @@
+"""Thinning: fewer Gaussians that cover what all of them covered."""
+
+from __future__ import annotations
+
+import inspect
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.errors import InputError
+from phy124.gaussians import Gaussians
+
+FEWEST, MOST = 100, 5_000_000
+BITS = 16
+"""Of a coordinate along the space-filling curve."""
+
+
+def check_count(count: int | None) -> None:
+    """Raise InputError if that is no number of Gaussians to ask for."""
+    if count is not None and not FEWEST <= count <= MOST:
+        limit = f"it must be from {FEWEST} to {MOST:,}."
+        raise InputError("gaussians", count, limit, "Write 20000, say.")
+
+
+def asked_for(make: Any, count: int | None) -> Any:
+    """A generator that makes about `count` Gaussians by itself, if it can be told to."""
+    check_count(count)
+    if count is None or "count" not in inspect.signature(make).parameters:
+        return make
+    return partial(make, count=count)
+
+
+def thinned(gaussians: Gaussians, count: int | None, *, seed: int = 0) -> Gaussians:
+    """At most `count` of the Gaussians; those that are left grow to cover the same area.
+
+    They are evenly spread: every so many along a curve that fills space, large and opaque ones
+    more often. The same seed keeps the same ones.
+    """
+    if count is None or len(gaussians) <= count:
+        return gaussians
+    weight = (gaussians.opacities * np.sqrt(_areas(gaussians))).astype(np.float64) + 1e-30
+    along = np.argsort(_morton(gaussians.means), kind="stable")
+    ends = np.cumsum(weight[along])
+    steps = (np.arange(count) + np.random.default_rng(seed).random()) / count * ends[-1]
+    kept = gaussians.select(np.unique(along[np.searchsorted(ends, steps)]))
+    covered, left = (float((g.opacities * _areas(g)).sum()) for g in (gaussians, kept))
+    growth = np.sqrt(covered / left) if left > 0 else 1.0
+    return Gaussians(kept.means, kept.quats, kept.scales * growth, kept.opacities, kept.sh)
+
+
+def _morton(points: NDArray[np.float32]) -> NDArray[np.int64]:
+    """Places [N] along the Morton curve, which visits neighbours in space one after the other."""
+    low, size = points.min(axis=0), float(np.ptp(points, axis=0).max()) or 1.0
+    cells = ((points - low) / size * (2**BITS - 1)).astype(np.int64)
+    code = np.zeros(len(points), np.int64)
+    for bit in range(BITS):
+        for axis in range(3):
+            code |= ((cells[:, axis] >> bit) & 1) << (3 * bit + axis)
+    return code
+
+
+def _areas(gaussians: Gaussians) -> NDArray[np.float32]:
+    """Product of the two larger standard deviations [N], m^2."""
+    return np.sort(gaussians.scales, axis=1)[:, 1:].prod(axis=1)

@@ -1,0 +1,55 @@
+"""Fewer Gaussians that cover what all of them covered."""
+
+import numpy as np
+import pytest
+from shapes import ball
+
+from phy124.camera import Camera
+from phy124.errors import InputError
+from phy124.generators.ply_file import PlyFile
+from phy124.generators.relief import relief
+from phy124.render import Renderer
+from phy124.thinning import asked_for, check_count, thinned
+
+
+def test_few_stay_as_they_are():
+    g = ball(300)
+    assert thinned(g, None) is g
+    assert thinned(g, len(g)) is g
+
+
+def test_so_many_are_left_and_the_same_each_time():
+    g = ball(4000)
+    some, again = thinned(g, 1000), thinned(g, 1000)
+    assert 950 < len(some) <= 1000
+    assert np.array_equal(some.means, again.means)
+    others = [thinned(g, 1000, seed=seed) for seed in range(1, 9)]
+    assert any(not np.array_equal(some.means, other.means) for other in others)
+
+
+def test_what_is_left_covers_what_all_covered():
+    g = ball(8000)
+    camera = Camera.orbit(0, 10, 1.9, 64, (0, 0, 0))
+    draw = Renderer(device="cpu")
+    white, black = ((c, c, c) for c in (1.0, 0.0))
+
+    def alpha(gaussians):
+        return 1 - (draw(gaussians, camera, white) - draw(gaussians, camera, black)).mean(axis=2)
+
+    all_of_it, few = alpha(g), alpha(thinned(g, 2000))
+    assert few.sum() == pytest.approx(all_of_it.sum(), rel=0.1)
+    bare = alpha(g.select(np.arange(0, len(g), len(g) // 2000)))
+    assert abs(few - all_of_it).mean() < abs(bare - all_of_it).mean()
+
+
+def test_a_generator_that_can_be_told_makes_so_many_itself():
+    assert asked_for(relief, 700).keywords == {"count": 700}
+    reader = PlyFile("object.ply")
+    assert asked_for(reader, 700) is reader
+    assert asked_for(relief, None) is relief
+
+
+@pytest.mark.parametrize("count", [0, 99, -5, 10**9])
+def test_unreasonable_numbers_are_refused(count):
+    with pytest.raises(InputError, match=r"it must be from 100 to 5,000,000\. Write 20000"):
+        check_count(count)
