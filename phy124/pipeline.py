@@ -212,13 +212,15 @@ def go_on(
     out: PathLike,
     scene: Scene | None = None,
     *,
+    any_accuracy: bool = False,
     device: str = "cpu",
     progress: Progress = silent,
     keep: bool = False,
 ) -> Result:
     """Take up the run whose pause lies in a folder, bit for bit as if it had not been interrupted.
 
-    Raises InputError if there is none, or if it is of another `scene`.
+    Raises InputError if there is none, or if it is of another `scene`; with `any_accuracy` it may
+    be at another accuracy, as it is when the run had a goal.
     """
     path, watch = Path(out) / PAUSE, Stopwatch()
     if not path.is_file():
@@ -226,7 +228,10 @@ def go_on(
         raise InputError("resume", out, limit, "Leave --resume out to start from the beginning.")
     about = resume.read_about(path)
     if scene is not None:
-        _refuse_other(scene.data(), about.pop("scene"), out)
+        asked, paused = scene.data(), about["scene"]
+        if any_accuracy:
+            asked["accuracy"] = paused["accuracy"]
+        _refuse_other(asked, paused, out)
     about = {name: value for name, value in about.items() if name not in ("scene", "frames")}
     making = _Making(Path(out), device, progress, watch, about, keep)
 

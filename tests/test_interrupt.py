@@ -16,6 +16,7 @@ from shapes import ball
 
 from phy124 import pipeline
 from phy124.__main__ import main
+from phy124.accuracy.choose import Goal
 from phy124.clip import Clip
 from phy124.commands.bars import Bars
 from phy124.errors import Cancelled, InputError
@@ -104,12 +105,20 @@ def test_another_scene_is_not_gone_on_with(tmp_path):
             pipeline.go_on(tmp_path, SCENE.replaced(changes))
 
 
+def test_a_run_with_a_goal_goes_on_at_the_accuracy_in_hand(tmp_path):
+    cancel = cancelling(lambda stage, done: stage == "simulate" and done == 3)
+    goal = Goal.error("5%")
+    cut = pipeline.simulate(ball(500), SCENE, tmp_path, progress=cancel, keep=True, goal=goal)
+    assert cut.report["interrupted"]
+    with pytest.raises(InputError, match=r"accuracy"):
+        pipeline.go_on(tmp_path, SCENE)
+    again = pipeline.go_on(tmp_path, SCENE, any_accuracy=True)
+    assert again.report["complete"]
+
+
 def test_there_must_be_something_to_go_on_with(tmp_path, capsys):
     assert main(["generate", str(DUCK), "--out", str(tmp_path / "none"), "--resume"]) == 2
     assert "no interrupted run was left there" in capsys.readouterr().err
-    arguments = ["generate", str(DUCK), "--out", str(tmp_path), "--resume", "--max-error", "1%"]
-    assert main(arguments) == 2
-    assert "Leave --max-error and --max-seconds out" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 

@@ -19,7 +19,6 @@ from phy124.commands.cutout import IF_WRONG, CutoutOptions, described, doubt
 from phy124.commands.options import SceneOptions, default_out, pick_device
 from phy124.commands.plan import PlanOptions, announce, foretell
 from phy124.cutout import Cutout
-from phy124.errors import InputError
 from phy124.generators.ply_file import PlyFile
 from phy124.painted import WHOLE
 from phy124.scene import Scene
@@ -151,12 +150,11 @@ class Simulate:
 
 def go_on(out: Path, options: SceneOptions, goal: Goal | None = None) -> int:
     """Take up the run that was interrupted in a folder; prints as it would have."""
-    if goal is not None:
-        limit = "the run that was interrupted goes on at the accuracy it had."
-        raise InputError("resume", out, limit, "Leave --max-error and --max-seconds out.")
-    device = pick_device(options.device)
+    device, scene = pick_device(options.device), options.resolve()
     with Bars(quiet=options.json, keeps=True) as bars:
-        result = pipeline.go_on(out, options.resolve(), device=device, progress=bars, keep=True)
+        result = pipeline.go_on(
+            out, scene, any_accuracy=goal is not None, device=device, progress=bars, keep=True
+        )
     return show(result, as_json=options.json)
 
 
