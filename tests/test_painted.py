@@ -1,0 +1,40 @@
+"""Pictures painted over the object are opened as pictures are: upright, 16 bits, within limits."""
+
+import numpy as np
+import pytest
+from PIL import Image
+from test_image import png_claiming
+
+from phy124.errors import InputError
+from phy124.painted import brightness
+
+CORNERS = np.array([[0, -1, 1], [0, 1, 1], [0, -1, -1], [0, 1, -1]], float)
+"""Top left, top right, bottom left, bottom right, seen from the front."""
+
+
+def test_a_picture_of_four_pixels(tmp_path):
+    Image.fromarray(np.array([[0, 51], [102, 255]], np.uint8)).save(tmp_path / "a.png")
+    grey = brightness(CORNERS, str(tmp_path / "a.png"), field="parts.0.mask")
+    np.testing.assert_allclose(grey, [0, 0.2, 0.4, 1])
+
+
+def test_sixteen_bits_are_scaled_not_clipped(tmp_path):
+    deep = (np.array([[0, 51], [102, 255]]) * 257).astype(np.uint16)
+    Image.fromarray(deep).save(tmp_path / "a.png")
+    grey = brightness(CORNERS, str(tmp_path / "a.png"), field="parts.0.mask")
+    np.testing.assert_allclose(grey, [0, 0.2, 0.4, 1])
+
+
+def test_it_is_turned_upright_as_the_picture_was(tmp_path):
+    exif = Image.Exif()
+    exif[0x0112] = 6  # lies on its left side
+    picture = Image.fromarray(np.array([[0, 51], [102, 255]], np.uint8))
+    picture.save(tmp_path / "a.png", exif=exif)
+    grey = brightness(CORNERS, str(tmp_path / "a.png"), field="parts.0.mask")
+    np.testing.assert_allclose(grey, [0.4, 0, 1, 0.2])
+
+
+def test_a_bomb_is_refused_with_the_name_of_the_field(tmp_path):
+    (tmp_path / "bomb.png").write_bytes(png_claiming(30_000, 30_000))
+    with pytest.raises(InputError, match=r"stiffness.file = .*more than 50 million pixels"):
+        brightness(CORNERS, str(tmp_path / "bomb.png"), field="stiffness.file")
