@@ -27,17 +27,20 @@ def studio(tmp_path) -> Studio:
 
 
 @pytest.fixture
-def stuck(monkeypatch) -> None:
-    """The next picture's search never ends; those after it are as usual."""
+def stuck(monkeypatch) -> threading.Event:
+    """The next picture's search never ends, those after it are as usual; set once it has begun."""
+    begun = threading.Event()
     usual = cutout.METHODS["alpha"]
     first = iter([True])
 
     def find(picture: Any, deadline: isolated.Deadline) -> Any:
         if next(first, False):
+            begun.set()
             return isolated.run(time.sleep, 600, deadline=deadline)
         return usual.find(picture, deadline)
 
     monkeypatch.setitem(cutout.METHODS, "alpha", cutout.Method(lambda _: True, find))
+    return begun
 
 
 def _until(condition: Callable[[], bool]) -> None:
@@ -66,7 +69,7 @@ class _Attempt(threading.Thread):
 def test_a_search_that_hangs_stops_nobody_else_and_ends_with_its_visitor(studio, stuck, ending):
     assert not studio.busy
     hung = _Attempt(studio, "a")
-    _until(lambda: studio.busy)
+    assert stuck.wait(60) and studio.busy
     assert Path(studio.cut("b", DUCK).path).exists()
     assert studio.busy and studio.visitors.get("a").busy and not studio.visitors.get("b").busy
     getattr(studio.visitors, ending)("a")

@@ -73,8 +73,8 @@ def run(function: Callable[..., T], *arguments: Any, deadline: Deadline = PATIEN
         )
         try:
             answer = _answer(child, order, deadline)
-            if not answer:
-                child.wait()
+            if child.wait():
+                # What it wrote, if anything, may be cut short.
                 log.seek(0)
                 raise Unfinished(_breakdown(child.returncode, log))
         finally:
@@ -87,7 +87,7 @@ def run(function: Callable[..., T], *arguments: Any, deadline: Deadline = PATIEN
 
 
 def _answer(child: subprocess.Popen[bytes], order: bytes, deadline: Deadline) -> bytes:
-    """What the process writes until it ends; empty if it broke down."""
+    """What the process writes until it ends."""
     answers: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     threading.Thread(target=_talk, args=(child, order, answers), daemon=True).start()
     end = time.monotonic() + deadline.seconds
@@ -107,9 +107,10 @@ def _talk(child: subprocess.Popen[bytes], order: bytes, answers: queue.SimpleQue
     with suppress(OSError), child.stdin as orders, child.stdout as said:
         orders.write(order)
         orders.flush()
-        # The pipe of orders stays open until the answer is here: its end tells the child that
-        # nobody waits any more.
+        # The pipe of orders stays open until the child has ended: its end would tell the child
+        # that nobody waits any more.
         answer = said.read()
+        child.wait()
     answers.put(answer)
 
 
