@@ -18,7 +18,10 @@ from phy124.materials import Elastic
 from phy124.scene import GOOD_FOR, PRESETS, Scene, preset_names
 
 FOLDER = Path(__file__).parent
-FIRST = ("press", "drop", "bounce", "push_right", "sway", "spin")
+FIRST = (
+    "press", "drop", "bounce", "jelly", "sand", "snow", "water", "foam", "metal", "wind", "sway",
+    "spin", "push_right",
+)  # fmt: skip
 """Presets shown first; all others follow in alphabetical order."""
 PUSHES = {"gravity": "g", "acceleration": "a"}
 """Forces that the direction pad sets, and the field that it sets."""

@@ -16,12 +16,15 @@ from phy124.generators import make
 from phy124.pipeline import cameras
 from phy124.progress import silent
 from phy124.render import render_frames
-from phy124.scene import Scene, View, preset_names
+from phy124.scene import Scene, preset_names
 from phy124.simulation import Simulation
 from phy124.video import write_animation
 
 FOLDER = Path(__file__).parent
-OBJECTS = {"sway": "potted_plant", "drop": "pear", "bounce": "chick", "spin": "cupcake"}
+OBJECTS = {
+    "sway": "potted_plant", "drop": "pear", "bounce": "chick", "spin": "cupcake", "sand": "cupcake",
+    "snow": "teddy", "water": "pear", "jelly": "cupcake", "wind": "sunflower", "foam": "mushroom",
+}  # fmt: skip
 """Which example suits a preset; all others take the duck."""
 SIZE = 200
 
@@ -41,7 +44,8 @@ def make_preview(name: str, path: Path) -> None:
     scene = Scene.named(name).replaced({"accuracy": "draft"})
     clip = Simulation(make("relief")(cutout, seed=0, progress=silent), scene).run()
     path.parent.mkdir(exist_ok=True)
-    view = View(size=SIZE, distance=1.7)
+    closer = {"size": (SIZE, SIZE), "distance": scene.view.distance - 0.2}
+    view = scene.view.model_copy(update=closer)
     images = render_frames(_there_and_back(clip), cameras(clip, view, "front")[0], device="cpu")
     write_animation(path, images, fps=scene.time.fps * 0.6)
 

@@ -23,12 +23,20 @@ def test_the_table_says_where_and_when_it_was_measured():
         assert errors == sorted(errors, reverse=True), "a finer grid promises no more"
 
 
+SHOWN = {"jelly", "sand", "snow", "water", "foam", "metal", "wind"}
+"""Presets that show a material or the wind; what they may promise depends on the table."""
+
+
 @pytest.mark.parametrize("name", preset_names())
 def test_every_preset_is_promised_what_was_measured(name):
-    """The named accuracies, from coarse to fine."""
+    """The named accuracies, from coarse to fine; or nothing, and that it was not measured."""
     scene = Scene.named(name)
-    errors = [promise(scene.replaced({"accuracy": level})).error for level in PRESETS]
-    assert all(error is not None and 0 <= error < 0.1 for error in errors)
+    said = [promise(scene.replaced({"accuracy": level})) for level in PRESETS]
+    errors = [one.error for one in said if one.error is not None]
+    assert all("not measured" in one.sentence for one in said if one.error is None)
+    assert len(errors) == 3 or name in SHOWN
+    assert all(0 <= error < 0.2 for error in errors)
+    assert all(error < 0.1 for error in errors) or name in SHOWN
     assert errors == sorted(errors, reverse=True)
 
 

@@ -11,7 +11,8 @@ from phy124.scene import PRESETS, Scene, parse_value, preset_names, summary
 from phy124.tracks import Sine
 
 EXPECTED = {
-    "bounce", "drop", "press", "push_away", "push_right", "push_right_harder", "spin", "sway",
+    "bounce", "drop", "foam", "jelly", "metal", "press", "push_away", "push_right",
+    "push_right_harder", "sand", "snow", "spin", "sway", "water", "wind",
 }  # fmt: skip
 
 

@@ -1,0 +1,66 @@
+"""The scene editor alone in a real headless Chromium: what it makes of another law or kind."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import pytest
+from served import ROOT
+
+from demo.catalogue import catalogue
+from demo.settings import Settings
+from phy124.scene import Scene
+
+pytestmark = pytest.mark.browser
+playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+CHROMIUM = shutil.which("chromium")
+SITE = "http://editor.test/"
+START = """() => {
+    const element = document.getElementById('scene'), props = {};
+    window.props = props;
+    Phy124.scene(element, props, () => {}, () => {});
+}"""
+
+
+@pytest.fixture
+def page():
+    """The editor with the page's own catalogue, without a server."""
+    if CHROMIUM is None:
+        pytest.skip("Debian's chromium is not installed (make test-browser installs it)")
+    static = ROOT / "demo" / "static"
+    offer = json.dumps(catalogue(Settings()))
+    with playwright.sync_playwright() as session:
+        chromium = session.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        page = chromium.new_page()
+        page.route(SITE + "phy124/**", lambda route: route.fulfill(body=offer))
+        page.route(SITE, lambda route: route.fulfill(body="<div id=scene></div>"))
+        page.goto(SITE)
+        for name in ("page.js", "scene.js"):
+            page.add_script_tag(path=str(static / name))
+        page.evaluate(START)
+        page.wait_for_selector("#scene .card")
+        page.locator("#scene details.more summary").click()
+        yield page
+        chromium.close()
+
+
+def sent(page, when: str) -> Scene:
+    """The scene that the editor has made once that holds of it."""
+    page.wait_for_function(f"() => {{ const scene = window.props.value; return scene && {when}; }}")
+    return Scene.from_data(page.evaluate("window.props.value"))
+
+
+@pytest.mark.parametrize("laws", [["fluid", "foam"], ["rigid"], ["metal", "neo_hookean"]])
+def test_another_law_takes_its_own_defaults(page, laws):
+    for law in laws:
+        page.locator('select[aria-label="Material: law"]').select_option(law)
+        made = sent(page, f"scene.material.law === '{law}'").material
+    assert made == Scene.from_data({"material": {"law": law}}).material
+
+
+def test_a_force_is_added_with_its_own_defaults(page):
+    before = sent(page, "true").forces
+    page.locator('select[aria-label="Add to forces"]').select_option("wind")
+    after = sent(page, f"scene.forces.length > {len(before)}").forces
+    assert after == (*before, *Scene.from_data({"forces": [{"kind": "wind"}]}).forces)
