@@ -32,6 +32,7 @@ class Region(BaseModel):
 
     cylinder: AxisName | None = Field(
         default=None,
+        examples=["z"],
         description="Axis of the cylinder that fits the box, to mean that alone; absent: the box.",
     )
 

@@ -21,7 +21,11 @@ class Clamp(Movable):
 
     contact: Contact = Field(default="sticky", description="sticky holds all directions.")
     end: float | None = Field(
-        default=None, ge=SHORTEST, le=LONGEST, description="Lets go then [s]; absent: never."
+        default=None,
+        examples=[0.5],
+        ge=SHORTEST,
+        le=LONGEST,
+        description="Lets go then [s]; absent: never.",
     )
 
     def track(self, solver: Solver) -> Track | None:
