@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Literal
 
 from phy124.errors import InputError
@@ -59,6 +59,7 @@ def open_sink(
     network: bool = False,
     clock: bool = False,
     port: int = PORT,
+    ros_args: Sequence[str] = (),
 ) -> LiveSink:
     """The live sink of a chosen backend, not entered yet.
 
@@ -69,12 +70,19 @@ def open_sink(
         network: DDS and Foxglove: reach other machines, too.
         clock: rclpy: publish /clock.
         port: Foxglove: the websocket's port.
+        ros_args: rclpy: `--ros-args` and what follows it.
     """
+    if network and backend == "rclpy":
+        limit = "How far a ROS 2 node reaches is said by ROS_AUTOMATIC_DISCOVERY_RANGE."
+        raise InputError("network", network, limit, "Leave it out.")
+    if ros_args and backend != "rclpy":
+        limit = f"The backend {backend} is no ROS 2 node."
+        raise InputError("--ros-args", " ".join(ros_args[1:]), limit, "Use rclpy, or leave it out.")
     if clock and backend != "rclpy":
         limit = f"The backend {backend} does not publish /clock."
         raise InputError("clock", clock, limit, "Use rclpy, or leave it out.")
     if backend == "rclpy":
-        return RclpySink(options, clock=clock)
+        return RclpySink(options, clock=clock, args=[backend, *ros_args])
     if backend == "dds":
         return DdsSink(options, network=network)
     host = "0.0.0.0" if network else "127.0.0.1"

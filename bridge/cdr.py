@@ -20,6 +20,7 @@ ENCAPSULATION = b"\x00\x01\x00\x00"
 """Header of a little-endian plain CDR payload."""
 PRIMITIVES = {
     "bool": "?",
+    "byte": "B",
     "int8": "b",
     "uint8": "B",
     "int16": "h",

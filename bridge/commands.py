@@ -56,7 +56,7 @@ class Record:
         """Record; prints where."""
         self.simulated.check()
         if self.simulated.live:
-            run = _live_run(self.source, self.simulated)
+            run = LiveRun(self.source, self.simulated)
             self._record(say, run, len(run), run.scene.data(), run.report)
             return _status(run)
         clip = _opened(self.source)
@@ -114,6 +114,8 @@ class Play:
     """Foxglove: port of the websocket."""
     messages: Messages = field(default_factory=Options)
     simulated: Simulated = field(default_factory=LiveOptions)
+    ros_args: tyro.conf.Suppress[tuple[str, ...]] = ()
+    """rclpy: what stood behind --ros-args on the command line."""
 
     def run(self, say: Say) -> int:
         """Play until the end or Ctrl-C."""
@@ -137,7 +139,7 @@ class Play:
         if asked:
             limit = "There is no such choice while the simulation runs."
             raise InputError(asked[0], getattr(self, asked[0]), limit, "Leave it out.")
-        run = _live_run(self.source, self.simulated)
+        run = LiveRun(self.source, self.simulated)
         about = {"scene": run.scene.data(), "report": run.report}
         with self._outlets(say, None, **about) as (sink, records):
             frames = tqdm(run, "simulate", len(run), leave=False, disable=None)
@@ -162,9 +164,10 @@ class Play:
                 network=self.network,
                 clock=self.clock,
                 port=self.port,
+                ros_args=self.ros_args,
             )
             sink = stack.enter_context(sink)
-            say(f"Publishing through {backend}.")
+            say(f"Publishing through {backend}. {sink.audience()}")
             yield sink, records
 
 
@@ -220,14 +223,6 @@ def _opened(source: Path) -> Clip:
     for flaw in clip.flaws():
         log.warning(flaw)
     return clip
-
-
-def _live_run(source: Path, options: LiveOptions) -> LiveRun:
-    import warp
-
-    # What Warp says while it compiles is no news to a user.
-    warp.config.log_level = warp.LOG_ERROR
-    return LiveRun(source, options)
 
 
 def _status(run: LiveRun) -> int:

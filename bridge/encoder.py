@@ -43,15 +43,21 @@ class FrameEncoder:
         """Time of an instant of the clip, ns since 1970."""
         return self.epoch + round(seconds * cdr.NANO)
 
+    def limit(self, points: int | None) -> None:
+        """Send at most so many points per frame from now on; None: all."""
+        self.options = self.options.model_copy(update={"max_points": points})
+
     def static(self) -> list[Message]:
         """Messages that are sent once, before all frames."""
         if not self.options.parent_frame:
             return []
-        w, x, y, z = self.options.rotation
         transform = {
             "header": {"stamp": cdr.time(self.epoch), "frame_id": self.options.parent_frame},
             "child_frame_id": self.options.frame_id,
-            "transform": {"translation": self.options.translation, "rotation": (x, y, z, w)},
+            "transform": {
+                "translation": self.options.translation,
+                "rotation": self.options.rotation,
+            },
         }
         return [_message(TF_STATIC, self.epoch, {"transforms": [transform]})]
 

@@ -12,6 +12,7 @@ from .messages import Field, fields
 SCALARS: dict[str, Any] = {
     "bool": bool,
     "string": str,
+    "byte": types.byte,
     "int8": types.int8,
     "uint8": types.uint8,
     "int16": types.int16,

@@ -2,10 +2,14 @@
 
 All fields are little-endian float32; `rgb` holds 0x00RRGGBB in its 32 bits, as RViz and Foxglove
 expect. The world is REP-103 already (metres, x forward, y left, z up), so nothing is turned.
+Only `small` has other numbers.
 
 - `viz`, 16 bytes: x y z rgb.
 - `full`, 60 bytes: and alpha 0..1, standard deviations sx sy sz [m], the orientation qw qx qy qz,
   the velocity vx vy vz [m/s].
+- `small`, 10 bytes: x y z as int16 steps, r g b a as uint8. 16 bytes behind the last point (the
+  row is so much longer than its points) hold four float32: the centre x y z [m] and the step [m].
+  A place is centre + step * (x, y, z); -32768 stands for what is no number.
 - `ply`, 68 bytes and more: the names and raw values of a 3DGS PLY (Kerbl et al. 2023), which
   splat viewers read: colours as harmonics, opacity as logit, scales as logarithm, rot_0 = w.
 """
@@ -20,10 +24,15 @@ from numpy.typing import NDArray
 from phy124.gaussians import Frame, Gaussians
 from phy124.ply import raw_table
 
-Profile = Literal["viz", "full", "ply"]
+Profile = Literal["viz", "full", "small", "ply"]
 FLOAT32 = 7
 """`sensor_msgs/msg/PointField.FLOAT32`."""
+DATATYPES = {"<f4": FLOAT32, "<i2": 3, "|u1": 2}
+"""NumPy's names -> `sensor_msgs/msg/PointField`'s."""
 VIZ = ("x", "y", "z", "rgb")
+SMALL = np.dtype([*((axis, "<i2") for axis in "xyz"), *((colour, "u1") for colour in "rgba")])
+LARGEST_STEP = 32767
+"""int16 goes as far as this on both sides; -32768 is set apart."""
 FULL = (*VIZ, "alpha", "sx", "sy", "sz", "qw", "qx", "qy", "qz", "vx", "vy", "vz")
 
 
@@ -32,25 +41,23 @@ def cloud(frame: Frame, profile: Profile, header: dict[str, Any]) -> dict[str, A
 
     Velocities the frame does not have are NaN; the message says so by `is_dense` false.
     """
-    table = points(frame, profile)
+    table, tail = small_points(frame) if profile == "small" else (points(frame, profile), b"")
     known = profile != "full" or frame.velocities is not None
+    data = table.view(np.uint8)
     return {
         "header": header,
         "height": 1,
         "width": len(table),
-        "fields": [
-            {"name": name, "offset": 4 * i, "datatype": FLOAT32, "count": 1}
-            for i, name in enumerate(table.dtype.names or ())
-        ],
+        "fields": [_field(name, *where) for name, where in (table.dtype.fields or {}).items()],
         "point_step": table.itemsize,
-        "row_step": table.nbytes,
-        "data": table.view(np.uint8),
+        "row_step": table.nbytes + len(tail),
+        "data": np.concatenate([data, np.frombuffer(tail, np.uint8)]) if tail else data,
         "is_dense": bool(known and np.isfinite(frame.gaussians.means).all()),
     }
 
 
 def points(frame: Frame, profile: Profile) -> NDArray[Any]:
-    """One structured row per Gaussian [N], all members float32."""
+    """One structured row per Gaussian [N], all members float32; not for `small`."""
     gaussians = frame.gaussians
     if profile == "ply":
         return raw_table(gaussians)
@@ -65,6 +72,33 @@ def points(frame: Frame, profile: Profile) -> NDArray[Any]:
         table[:, 8:12] = gaussians.quats
         table[:, 12:] = np.nan if frame.velocities is None else frame.velocities
     return table.view([(name, "<f4") for name in names])[:, 0]
+
+
+def small_points(frame: Frame) -> tuple[NDArray[Any], bytes]:
+    """Rows of `small` [N], and the 16 bytes that say where they are.
+
+    A place is at most half a step off in each axis, and the step is the longest side of the
+    frame's bounding box over 65,534.
+    """
+    gaussians = frame.gaussians
+    means = gaussians.means.astype(np.float64)
+    known = np.isfinite(means).all(axis=1)
+    inside = means[known] if known.any() else np.zeros((1, 3))
+    low, high = inside.min(axis=0), inside.max(axis=0)
+    centre = ((low + high) / 2).astype("<f4")
+    reach = np.abs(inside - centre).max()
+    step = np.nextafter(np.float32(reach / LARGEST_STEP), np.float32(np.inf), dtype="<f4")
+    table = np.empty(len(means), SMALL)
+    for axis, places in zip("xyz", np.where(known[:, None], means - centre, 0).T, strict=True):
+        table[axis] = np.where(known, np.rint(places / float(step)), -LARGEST_STEP - 1)
+    colours = np.concatenate([gaussians.rgb, gaussians.opacities[:, None]], axis=1)
+    for colour, values in zip("rgba", np.rint(np.clip(colours, 0, 1) * 255).T, strict=True):
+        table[colour] = values
+    return table, centre.tobytes() + step.tobytes()
+
+
+def _field(name: str, dtype: np.dtype[Any], offset: int) -> dict[str, Any]:
+    return {"name": name, "offset": offset, "datatype": DATATYPES[dtype.str], "count": 1}
 
 
 def packed_rgb(gaussians: Gaussians) -> NDArray[np.uint32]:

@@ -20,6 +20,8 @@ LONGEST_WAIT = 0.2
 """Seconds after which a waiting sink is asked again, so that Ctrl-C is heard."""
 REPORT_EVERY = 5.0
 """Seconds between two warnings about dropped frames."""
+WORDS = ("play", "pause", "toggle", "next", "restart")
+"""Commands without a value; each is a method of Player."""
 log = logging.getLogger(__name__)
 
 
@@ -71,34 +73,53 @@ def follow(
     A simulation faster than `speed` is held to it. While paused no frame is asked for, so the
     simulation itself rests. Seeking and restarting need a finished clip and are refused.
     """
-    pacer = _Pacer(speed, clock)
+    pacer = Pacer(speed, clock)
+
+    def obey(text: str) -> str | None:
+        refusal = _attempt(lambda: pacer.command(text))
+        sink.show(pacer)
+        return refusal
+
+    sink.show(pacer)
     for frame in frames:
-        sink.listen(0.0, pacer.obey)
+        sink.listen(0.0, obey)
         while (wait := pacer.wait(frame.time)) > 0:
-            sink.listen(min(wait, LONGEST_WAIT), pacer.obey)
+            sink.listen(min(wait, LONGEST_WAIT), obey)
+        pacer.note(frame)
         for each in (sink, *records):
             each.write(frame)
+    pacer.finished = True
+    sink.show(pacer)
 
 
 def command(player: Player, text: str, now: float) -> None:
     """Do what a user asked for; raises InputError for what is no command."""
     word, *values = text.split() or [""]
-    if word in ("play", "pause", "restart") and not values:
+    if word in WORDS and not values:
         getattr(player, word)(now)
     elif word == "seek":
         player.seek(_number(text, values), now)
     elif word == "speed":
         player.set_speed(_number(text, values), now)
+    elif word == "rate":
+        player.set_rate(_number(text, values) or None)
+    elif text in ("loop on", "loop off"):
+        player.loop = text == "loop on"
     else:
         raise _unknown(text)
 
 
-class _Pacer:
+class Pacer:
     """When a frame of a running simulation may be shown."""
+
+    rate: float | None = None
+    loop, dropped = False, 0
+    """A running simulation shows each frame once."""
 
     def __init__(self, speed: float, clock: Clock) -> None:
         self.speed = checked_speed(speed)
-        self.paused = False
+        self.paused = self.finished = False
+        self.shown, self.position = 0, 0.0
         self._clock = clock
         self._anchor: tuple[float, float] | None = None  # clock reading, clip time
 
@@ -116,20 +137,26 @@ class _Pacer:
             self._anchor = now, time
         return max(ahead, 0.0)
 
-    def obey(self, text: str) -> str | None:
-        """Pause, play or change the speed; anything else is refused."""
-        return _attempt(lambda: self._command(text))
+    def note(self, frame: Frame) -> None:
+        """Count a frame that is shown now."""
+        self.shown, self.position = self.shown + 1, frame.time
 
-    def _command(self, text: str) -> None:
+    def stamp_at(self, now: float) -> float:
+        """Time of the newest frame: of what is not computed yet there is no time, either."""
+        del now
+        return self.position
+
+    def command(self, text: str) -> None:
+        """Pause, play or change the speed; anything else is refused."""
         word, *values = text.split() or [""]
-        if word in ("play", "pause") and not values:
-            self.paused = word == "pause"
+        if word in ("play", "pause", "toggle") and not values:
+            self.paused = not self.paused if word == "toggle" else word == "pause"
         elif word == "speed":
             self.speed = checked_speed(_number(text, values))
             self._anchor = None
         else:
-            limit = "While the simulation runs there are only play, pause and speed FACTOR."
-            raise InputError("command", text, limit, "Play the saved clip to seek in it.")
+            limit = "While the simulation runs there are only play, pause, toggle and speed FACTOR."
+            raise InputError("command", text, limit, "Play the saved clip for the others.")
 
 
 class _DropAnnouncer:
@@ -165,5 +192,5 @@ def _number(text: str, values: list[str]) -> float:
 
 
 def _unknown(text: str) -> InputError:
-    limit = "Known are: play, pause, restart, seek SECONDS, speed FACTOR."
+    limit = f"Known are: {', '.join(WORDS)}, seek SECONDS, speed FACTOR, rate HZ, loop on|off."
     return InputError("command", repr(text), limit, "Send one of them.")

@@ -17,6 +17,14 @@ DEFINITIONS: dict[str, str] = {
     "builtin_interfaces/msg/Duration": "int32 sec\nuint32 nanosec",
     "std_msgs/msg/Header": "builtin_interfaces/Time stamp\nstring frame_id",
     "std_msgs/msg/String": "string data",
+    "diagnostic_msgs/msg/KeyValue": "string key\nstring value",
+    "diagnostic_msgs/msg/DiagnosticStatus": (
+        "byte level\nstring name\nstring message\nstring hardware_id\n"
+        "diagnostic_msgs/KeyValue[] values"
+    ),
+    "diagnostic_msgs/msg/DiagnosticArray": (
+        "std_msgs/Header header\ndiagnostic_msgs/DiagnosticStatus[] status"
+    ),
     "std_msgs/msg/ColorRGBA": "float32 r\nfloat32 g\nfloat32 b\nfloat32 a",
     "rosgraph_msgs/msg/Clock": "builtin_interfaces/Time clock",
     "sensor_msgs/msg/PointField": "string name\nuint32 offset\nuint8 datatype\nuint32 count",
@@ -62,6 +70,12 @@ DEFINITIONS: dict[str, str] = {
 """Type name -> its own lines; messages inside it are named `package/Name`."""
 
 HASHES: dict[str, str] = {
+    "diagnostic_msgs/msg/DiagnosticArray": (
+        "RIHS01_5a8a36efb05fb25070fa0fb3810290c0e6cd4862b54a8fb975a1ee8dc55a333e"
+    ),
+    "diagnostic_msgs/msg/DiagnosticStatus": (
+        "RIHS01_b0e3e692ea2d54a8af2f4ef1930e81556a2db55216b771f8a7d2724ed47bf0e4"
+    ),
     "std_msgs/msg/String": (
         "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
     ),

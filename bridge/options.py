@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from .layout import Profile
 
@@ -22,7 +23,8 @@ class Options(BaseModel):
     profile: Profile = Field(
         default="full",
         description="Numbers per point: viz (x y z rgb), full (and opacity, scales, orientation, "
-        "velocity) or ply (raw 3DGS values for splat viewers).",
+        "velocity), small (10 bytes: int16 places, 8-bit colours) or ply (raw 3DGS values for "
+        "splat viewers).",
     )
     frame_id: str = Field(
         default="phy124", min_length=1, description="Coordinate frame of the object's world."
@@ -34,9 +36,10 @@ class Options(BaseModel):
     translation: tuple[float, float, float] = Field(
         default=(0.0, 0.0, 0.0), description="Origin of the world in the parent frame [m]."
     )
-    rotation: tuple[float, float, float, float] = Field(
-        default=(1.0, 0.0, 0.0, 0.0),
-        description="Orientation of the world in the parent frame, quaternion w x y z.",
+    rotation: tuple[float, ...] = Field(
+        default=(0.0, 0.0, 0.0, 1.0),
+        description="Orientation of the world in the parent frame: quaternion x y z w, or roll "
+        "pitch yaw [rad].",
     )
     max_points: int | None = Field(
         default=None,
@@ -67,10 +70,23 @@ class Options(BaseModel):
     @field_validator("rotation")
     @classmethod
     def _unit(cls, value: tuple[float, ...]) -> tuple[float, ...]:
+        if len(value) == 3:
+            return quaternion(*value)
+        if len(value) != 4:
+            raise ValueError("Give x y z w, or roll pitch yaw.")
         length = math.hypot(*value)
         if length < 1e-9:
-            raise ValueError("A quaternion of zeros is no rotation. Use 1 0 0 0 for none.")
-        return tuple(component / length for component in value)
+            raise ValueError("A quaternion of zeros is no rotation. Use 0 0 0 1 for none.")
+        x, y, z, w = (component / length for component in value)
+        if abs(x) >= abs(w):
+            now, before = (
+                " ".join(f"{a:.6g}" for a in angles(*q)) for q in ((x, y, z, w), (y, z, w, x))
+            )
+            raise ValueError(
+                "The order is x y z w; earlier versions had w x y z, and this could be either. "
+                f"Give roll pitch yaw: {now} if it is x y z w, {before} if it is w x y z."
+            )
+        return x, y, z, w
 
     @model_validator(mode="after")
     def _frames_differ(self) -> Options:
@@ -84,3 +100,34 @@ class Options(BaseModel):
     def live(self) -> Options:
         """The same with the live limit where no other was chosen."""
         return self if self.max_points else self.model_copy(update={"max_points": LIVE_POINTS})
+
+
+def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
+    """The quaternion x y z w of turns about the fixed axes x, y and z, in this order [rad]."""
+    (cr, sr), (cp, sp), (cy, sy) = (
+        (math.cos(angle / 2), math.sin(angle / 2)) for angle in (roll, pitch, yaw)
+    )
+    return (
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+        cr * cp * cy + sr * sp * sy,
+    )
+
+
+def angles(x: float, y: float, z: float, w: float) -> tuple[float, float, float]:
+    """Roll, pitch and yaw [rad] of a unit quaternion."""
+    pitch = math.asin(max(-1.0, min(1.0, 2 * (w * y - z * x))))
+    roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    return roll, pitch, yaw
+
+
+def refusal(error: ValidationError) -> str:
+    """What pydantic found wrong, in one line without its web addresses."""
+    return "; ".join(_sentence(found) for found in error.errors())
+
+
+def _sentence(found: Any) -> str:
+    where = ".".join(str(part) for part in found["loc"]) or "options"
+    return f"{where} = {found['input']}: {found['msg'].removeprefix('Value error, ')}"

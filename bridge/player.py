@@ -15,6 +15,8 @@ from phy124.errors import InputError
 
 SPEEDS = (0.01, 100.0)
 """Slowest and fastest playback."""
+RATES = (0.0, 1000.0)
+"""Fewest and most frames per second; none at all means every frame."""
 PATIENCE = 0.15
 """Seconds a frame may be late. Frames that are less late catch up in a burst, which at 30 Hz is no
 longer than what subscribers keep (5)."""
@@ -76,6 +78,7 @@ class Player:
         self.position = self._anchor
         """Clip time of the frame shown last, s."""
         self._stamp: float | None = None  # the last stamp given out
+        self._clock = 0.0  # the last answer of `stamp_at`
 
     @property
     def interval(self) -> float:
@@ -122,6 +125,21 @@ class Player:
         del now
         self.paused = True
 
+    def toggle(self, now: float) -> None:
+        """Play if it is held or over, else pause."""
+        if self.paused or self.finished:
+            self.play(now)
+        else:
+            self.pause(now)
+
+    def next(self, now: float) -> None:
+        """Show one frame more; raises InputError unless paused before the end."""
+        del now
+        if not self.paused or self.finished:
+            limit = "Single frames are shown only while playback is paused, up to the last one."
+            raise InputError("next", self.position, limit, "Pause or restart first.")
+        self._peek, self._shown_at = True, -math.inf
+
     def restart(self, now: float) -> None:
         """Go to the first frame and play."""
         self.paused = False
@@ -145,6 +163,19 @@ class Player:
             here = self._anchor + (now - self._start) * self.speed
             self._rebase(min(here, float(self.times[min(self._next, len(self.times) - 1)])), now)
         self.speed = speed
+
+    def set_rate(self, rate: float | None) -> None:
+        """Show at most so many frames per second, None: all; raises InputError if not positive."""
+        self.rate = _checked_rate(rate)
+
+    def stamp_at(self, now: float) -> float:
+        """Clip seconds played by `now`: between two frames it runs on, held it stands still."""
+        self._clock = max(self._clock, self._stamp or 0.0)
+        if not self.paused and not self.finished and self._start is not None:
+            next_one = float(self.times[self._next])
+            here = min(self._anchor + (now - self._start) * self.speed, next_one)
+            self._clock = max(self._clock, self._offset + here)
+        return self._clock
 
     def report(self) -> str:
         """What was shown and what was not, in one sentence."""

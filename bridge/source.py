@@ -54,9 +54,13 @@ class LiveRun:
 
     def __init__(self, source: Path, options: LiveOptions, *, progress: Progress = silent) -> None:
         """Make the object and its solver; raises InputError."""
+        import warp
+
         from phy124.commands.options import pick_device
         from phy124.simulation import Simulation
 
+        # What Warp says while it compiles is no news to a user.
+        warp.config.log_level = warp.LOG_ERROR
         self.scene = options.resolve()
         gaussians = make_object(source, options.generator, self.scene.seed, progress)
         device = pick_device(options.device)

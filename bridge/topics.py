@@ -37,7 +37,11 @@ ELLIPSOIDS = Topic("/phy124/ellipsoids", "visualization_msgs/msg/MarkerArray", d
 TF_STATIC = Topic("/tf_static", "tf2_msgs/msg/TFMessage", depth=1)
 # ROS offers the clock best effort and volatile, so that is what subscribers expect.
 CLOCK = Topic("/clock", "rosgraph_msgs/msg/Clock", depth=1, reliable=False, transient_local=False)
+STATUS = Topic("/phy124/player/status", "diagnostic_msgs/msg/DiagnosticStatus", depth=1)
+DIAGNOSTICS = Topic(
+    "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", depth=10, transient_local=False
+)
 COMMAND = Topic("/phy124/command", "std_msgs/msg/String", depth=10, transient_local=False)
-"""Heard, not offered: play, pause, restart, seek SECONDS, speed FACTOR."""
+"""Heard, not offered; the words are those of `live.command`."""
 RECORDED = {topic.name: topic for topic in (TF_STATIC, POINTS, ELLIPSOIDS)}
 """What recordings hold. No clock: it would fight `ros2 bag play --clock`."""

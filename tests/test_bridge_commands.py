@@ -83,11 +83,13 @@ def test_info_says_where_velocities_come_from():
 
 def test_play_and_record_beside(clip, monkeypatch, capsys):
     monkeypatch.setenv("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     bag = clip.parent / "shown"
     arguments = ["play", str(clip), "--backend", "dds", "--record", str(bag), "--speed", "2"]
     assert main(arguments) == 0
     out = capsys.readouterr().out
-    assert "Publishing through dds." in out
+    assert "Publishing through dds. Discovery range LOCALHOST, domain " in out
+    assert "export ROS_DOMAIN_ID=" in out
     assert "6 frames shown, 0 dropped because late" in out
     with Reader(bag) as reader:
         assert reader.message_count == 7
@@ -101,6 +103,9 @@ def test_play_and_record_beside(clip, monkeypatch, capsys):
         (["record", "CLIP", "--parent-frame", "phy124"], "cannot hang on itself"),
         (["play", "CLIP", "--speed", "0"], "speed = 0.0: The speed must lie between"),
         (["play", "CLIP", "--clock", "--backend", "dds"], "does not publish /clock"),
+        (["play", "CLIP", "--backend", "dds", "--ros-args", "-p", "a:=1"], "is no ROS 2 node"),
+        (["info", "CLIP", "--ros-args", "-p", "a:=1"], "Only `play` takes arguments for ROS 2"),
+        (["record", "CLIP", "--rotation", "1", "0", "0", "0"], "earlier versions had w x y z"),
         (["info", "."], "There is no recording"),
         (["recover", "none"], "There is no recording"),
         (["record", "none.png", "--live"], "There is no such file"),

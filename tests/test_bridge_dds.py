@@ -27,7 +27,8 @@ from bridge.layout import points
 from bridge.messages import HASHES
 from bridge.options import Options
 from bridge.player import Player
-from bridge.sinks.dds import DISCOVERY, DdsSink, domain_id, quality
+from bridge.discovery import domain_id
+from bridge.sinks.dds import DISCOVERY, DdsSink, quality
 from phy124.errors import InputError
 
 SUBSCRIBER = Path(__file__).parent / "bridge_subscriber.py"
@@ -41,7 +42,9 @@ def domain(monkeypatch):
     """A DDS domain nobody else uses, so that tests do not hear each other."""
     number = 1 + next(DOMAINS) % 100
     monkeypatch.setenv("ROS_DOMAIN_ID", str(number))
-    monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    for name in ("CYCLONEDDS_URI", "ROS_STATIC_PEERS", "ROS_LOCALHOST_ONLY"):
+        monkeypatch.delenv(name, raising=False)
     return number
 
 
@@ -140,7 +143,7 @@ def test_what_ros_2_looks_for(domain):
         def complete():
             for sample in publications.take(20):
                 found[sample.topic_name] = sample
-            return len(found) == 4
+            return len(found) == 6
 
         wait_until(complete)
         (info,) = discovery.take(1) or [discovery.take_one(timeout=5 * 10**9)]
@@ -148,6 +151,8 @@ def test_what_ros_2_looks_for(domain):
         "rt/phy124/points": "sensor_msgs/msg/PointCloud2",
         "rt/phy124/ellipsoids": "visualization_msgs/msg/MarkerArray",
         "rt/tf_static": "tf2_msgs/msg/TFMessage",
+        "rt/phy124/player/status": "diagnostic_msgs/msg/DiagnosticStatus",
+        "rt/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
         "ros_discovery_info": DISCOVERY.type,
     }
     assert found.keys() == types.keys()
@@ -156,7 +161,8 @@ def test_what_ros_2_looks_for(domain):
         sample = found[name]
         assert sample.type_name == f"{package}::msg::dds_::{base}_"
         assert sample.qos[Policy.Userdata].data == f"typehash={HASHES[kind]};".encode()
-        assert sample.qos[Policy.Durability] == Policy.Durability.TransientLocal
+        kept = name != "rt/diagnostics"
+        assert (sample.qos[Policy.Durability] == Policy.Durability.TransientLocal) is kept
         assert sample.qos[Policy.DataRepresentation].use_cdrv0_representation
     (node,) = info.node_entities_info_seq
     assert (node.node_namespace, node.node_name) == ("/phy124", "player")

@@ -4,6 +4,7 @@ import logging
 import time
 
 import numpy as np
+import pytest
 from bridge_clips import random_clip
 from rosbags.typesys import Stores, get_typestore
 
@@ -21,7 +22,7 @@ def decoded(message):
 
 
 def test_static_transform_hangs_the_world_on_its_parent():
-    turn = (0.5, 0.5, -0.5, 0.5)
+    turn = (0.1, 0.5, -0.5, 0.7)
     options = Options(translation=(1, 2, 3), rotation=turn, parent_frame="odom", epoch=EPOCH)
     (message,) = FrameEncoder(options).static()
     (transform,) = decoded(message).transforms
@@ -31,7 +32,7 @@ def test_static_transform_hangs_the_world_on_its_parent():
     moved = transform.transform.translation
     assert (moved.x, moved.y, moved.z) == (1, 2, 3)
     turned = transform.transform.rotation
-    assert (turned.w, turned.x, turned.y, turned.z) == turn
+    assert (turned.x, turned.y, turned.z, turned.w) == pytest.approx(turn)
 
 
 def test_no_parent_no_transform():

@@ -51,6 +51,9 @@ class FakeSink:
         else:
             self.clock.now = until
 
+    def audience(self):
+        return "Heard by the test."
+
     def show(self, player):
         self.states.append((player.paused, player.finished, player.speed))
 
@@ -78,13 +81,27 @@ def test_commands_are_obeyed_and_wrong_ones_answered(caplog):
     assert np.allclose(whens, [0, 0.1, 1.0, 1.06, 1.11, 1.16])
     assert np.allclose(stamps, np.arange(6) / 10)
     assert sink.answers[:2] == [None, sink.answers[1]]
-    assert "Known are: play, pause, restart, seek SECONDS, speed FACTOR" in sink.answers[1]
+    assert (
+        "Known are: play, pause, toggle, next, restart, seek SECONDS, speed FACTOR"
+        in sink.answers[1]
+    )
     assert "The clip runs from 0 s to 0.5 s" in sink.answers[2]
     assert "dance" in caplog.text
     assert player.dropped == 0
 
 
-@pytest.mark.parametrize("text", ["", "play now", "seek", "seek 1 2", "seek x", "speed"])
+def test_every_command_reaches_the_player():
+    player = Player(np.arange(3.0), loop=True)
+    for text in ("toggle", "next", "rate 10", "loop off", "speed 2"):
+        live.command(player, text, 0.0)
+    assert (player.paused, player.rate, player.loop, player.speed) == (True, 10, False, 2)
+    live.command(player, "rate 0", 0.0)
+    assert player.rate is None
+
+
+@pytest.mark.parametrize(
+    "text", ["", "loop", "loop maybe", "rate x", "play now", "seek", "seek 1 2", "seek x", "speed"]
+)
 def test_malformed_commands(text):
     with pytest.raises(InputError, match="Send one of them"):
         live.command(Player(np.arange(3.0)), text, 0.0)
@@ -169,4 +186,4 @@ def test_pause_lets_the_simulation_rest():
     assert whens[-1] < 64.0
     assert made == [0, 1, 2, 3]
     assert sink.answers[0] is sink.answers[2] is None
-    assert "only play, pause and speed" in sink.answers[1]
+    assert "only play, pause, toggle and speed" in sink.answers[1]

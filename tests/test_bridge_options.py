@@ -1,9 +1,11 @@
 """Options: bounds, defaults, and messages that say what to do."""
 
+import math
+
 import pytest
 from pydantic import ValidationError
 
-from bridge.options import LIVE_POINTS, Options
+from bridge.options import LIVE_POINTS, Options, angles, quaternion, refusal
 
 
 @pytest.mark.parametrize(
@@ -11,11 +13,14 @@ from bridge.options import LIVE_POINTS, Options
     [
         ({"frame_id": "/map"}, "begin with a slash. Leave it out"),
         ({"frame_id": "map"}, "cannot hang on itself. Rename one"),
-        ({"rotation": (0, 0, 0, 0)}, "Use 1 0 0 0 for none"),
+        ({"rotation": (0, 0, 0, 0)}, "Use 0 0 0 1 for none"),
+        ({"rotation": (0, 1)}, "x y z w, or roll pitch yaw"),
+        ({"rotation": (1, 0, 0, 0)}, "3.14159 0 0 if it is x y z w, 0 0 0 if it is w x y z"),
+        ({"rotation": (0.8, 0, 0, 0.6)}, "0 0 1.287 if it is w x y z"),
         ({"rotation": (float("nan"), 0, 0, 0)}, "finite"),
         ({"max_points": 0}, "greater than or equal to 1"),
         ({"epoch": 2.0**31}, "less than"),
-        ({"profile": "splat"}, "'viz', 'full' or 'ply'"),
+        ({"profile": "splat"}, "'viz', 'full', 'small' or 'ply'"),
         ({"qos": 1}, "Extra inputs"),
     ],
 )
@@ -24,8 +29,28 @@ def test_refusals(wrong, sentence):
         Options(**wrong)
 
 
-def test_rotation_becomes_a_unit_quaternion():
-    assert Options(rotation=(0, 0, 0, 2)).rotation == (0, 0, 0, 1)
+def test_rotation_becomes_a_unit_quaternion_in_the_order_of_ros():
+    assert Options().rotation == Options(rotation=(0, 0, 0, 2)).rotation == (0, 0, 0, 1)
+    assert Options(rotation=(0, 0, 3, 4)).rotation == pytest.approx((0, 0, 0.6, 0.8))
+
+
+def test_roll_pitch_yaw_turn_about_the_fixed_axes():
+    # tf2: `setRPY(0, 0, pi / 2)` takes x to y.
+    half = math.sqrt(0.5)
+    assert Options(rotation=(0, 0, math.pi / 2)).rotation == pytest.approx((0, 0, half, half))
+    assert Options(rotation=(math.pi, 0, 0)).rotation == pytest.approx((1, 0, 0, 0))
+    given = (0.3, -0.7, 2.1)
+    assert angles(*quaternion(*given)) == pytest.approx(given)
+
+
+def test_a_refusal_is_one_line_without_addresses():
+    with pytest.raises(ValidationError) as caught:
+        Options(frame_id="/a", ellipsoids=-1)
+    said = refusal(caught.value)
+    assert "frame_id = /a: tf2 refuses" in said
+    assert "ellipsoids = -1: Input should be" in said
+    assert "\n" not in said
+    assert "http" not in said
 
 
 def test_live_limit_applies_only_where_none_was_chosen():

@@ -16,8 +16,9 @@ import setuptools
 from ruamel.yaml import YAML
 
 import phy124
-from bridge.node import NODE, PLAYBACK
-from bridge.options import LIVE_POINTS, Options
+from bridge import parameters
+from bridge.node import NODE
+from bridge.options import Options
 from bridge.topics import ELLIPSOIDS, POINTS
 
 ROOT = Path(__file__).parents[1]
@@ -82,11 +83,10 @@ def test_executables_exist(setup_arguments):
 def test_config_file_sets_known_parameters_to_their_defaults():
     tree = YAML(typ="safe").load(BRIDGE / "config" / "player.yaml")
     values = tree["/**"]["ros__parameters"]
-    known = PLAYBACK | {name: field.default for name, field in Options.model_fields.items()}
-    known |= {"max_points": LIVE_POINTS}
+    known = parameters.CLIP | parameters.RUNNING | parameters.message_options()
     for name, value in values.items():
-        assert value == known[name], name
-        assert type(value) is type(known[name]), name
+        assert value == known[name].default, name
+        assert type(value) is type(known[name].default), name
 
 
 def test_rviz_shows_our_topics():

@@ -174,3 +174,67 @@ def test_times_must_ascend(times):
 def test_bad_rate():
     with pytest.raises(InputError, match="must be positive"):
         Player(TIMES, rate=0)
+
+
+def test_bad_rate_while_playing():
+    player = Player(TIMES, rate=5)
+    with pytest.raises(InputError, match="must be positive"):
+        player.set_rate(-1)
+    assert player.rate == 5
+
+
+def test_next_shows_single_frames_while_paused():
+    player = Player(TIMES, paused=True, rate=1)
+    assert player.due(0.0).index == 0
+    for index in (1, 2):
+        player.next(index)
+        assert player.due(index).index == index
+        assert player.due(index) is None
+    player.play(9.0)
+    with pytest.raises(InputError, match="only while playback is paused"):
+        player.next(9.0)
+
+
+def test_next_ends_at_the_last_frame():
+    player = Player(TIMES, paused=True)
+    player.seek(0.9, 0.0)
+    assert player.due(0.0).index == 9
+    with pytest.raises(InputError, match="up to the last one"):
+        player.next(1.0)
+
+
+def test_toggle():
+    player = Player(TIMES)
+    run(player, 1)
+    player.toggle(300.0)
+    assert (player.due(300.0).index, player.paused) == (0, False)
+    player.toggle(300.05)
+    assert player.paused
+    player.toggle(301.0)
+    assert not player.paused
+
+
+def test_the_stamp_runs_on_between_frames_and_never_back():
+    player, stamps, shown, now = Player(TIMES, loop=True), [], [], 0.0
+    rng = np.random.default_rng(2)
+    for _ in range(2000):
+        now += rng.uniform(0, 0.02)
+        if rng.random() < 0.01:
+            player.seek(rng.uniform(0, 0.9), now)
+        if rng.random() < 0.02:
+            player.toggle(now)
+        tick = player.due(now)
+        stamps.append(player.stamp_at(now))
+        if tick:
+            shown.append((tick.stamp, stamps[-1]))
+    assert (np.diff(stamps) >= 0).all()
+    # A frame never comes with a stamp the clock has passed already, nor long before it.
+    assert all(stamp == pytest.approx(clock, abs=0.03) for stamp, clock in shown)
+
+
+def test_the_stamp_stands_still_while_paused():
+    player = Player(TIMES)
+    player.due(0.0)
+    assert player.stamp_at(0.05) == pytest.approx(0.05)
+    player.pause(0.05)
+    assert player.stamp_at(0.07) == player.stamp_at(9.0)

@@ -1,7 +1,7 @@
 """Where frames go: one file per outlet, each with the same contract.
 
-A sink is a context manager with `write(frame)`. A live sink also listens: its users ask for
-`play`, `pause`, `restart`, `seek SECONDS` or `speed FACTOR`.
+A sink is a context manager with `write(frame)`. A live sink also listens: its users send the
+commands of `live.command`.
 """
 
 from __future__ import annotations
@@ -15,11 +15,29 @@ from phy124.gaussians import Frame
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-    from ..player import Player
-
 
 Obey = Callable[[str], "str | None"]
 """Does what a user asked for; returns why not, or None."""
+
+
+class Playback(Protocol):
+    """How a show stands: a `Player`, or a simulation that is running."""
+
+    paused: bool
+    finished: bool
+    speed: float
+    rate: float | None
+    """At most so many frames per second; None: every frame."""
+    loop: bool
+    shown: int
+    dropped: int
+    """Frames shown, and dropped because they were late."""
+    position: float
+    """Clip time of the frame shown last, s."""
+
+    def stamp_at(self, now: float) -> float:
+        """Clip seconds played at a reading of the clock; only grows."""
+        ...
 
 
 class Sink(Protocol):
@@ -50,6 +68,10 @@ class LiveSink(Sink, Protocol):
         """Wait until somebody asks for something, at most so many seconds, and let it be done."""
         ...
 
-    def show(self, player: Player) -> None:
-        """Tell the other end how playback stands."""
+    def show(self, playback: Playback) -> None:
+        """Tell the other end how playback stands; called at the start and at each change."""
+        ...
+
+    def audience(self) -> str:
+        """Who hears it, and what they need, in one line."""
         ...

@@ -7,8 +7,8 @@ rmw_dds_common). Services are not offered: their headers differ from one middlew
 
 from __future__ import annotations
 
+import logging
 import os
-import time
 from typing import Any
 
 from phy124.errors import InputError
@@ -16,27 +16,19 @@ from phy124.gaussians import Frame
 from phy124.installation import install_command
 
 from ..cdr import encode
+from ..delivery import Delivery
+from ..discovery import Discovery
 from ..encoder import FrameEncoder
 from ..messages import HASHES
 from ..options import Options
-from ..player import Player
+from ..reports import Audience, Reports
 from ..topics import COMMAND, POINTS, Message, Topic
-from . import Obey
+from . import Obey, Playback
 
 NAMESPACE, NODE = "/phy124", "player"
-LAST_DOMAIN = 232
-"""Largest DDS domain whose ports fit."""
 DISCOVERY = Topic("ros_discovery_info", "rmw_dds_common/msg/ParticipantEntitiesInfo", depth=1)
-LOOPBACK = (
-    '<General><Interfaces><NetworkInterface address="127.0.0.1" multicast="false"/></Interfaces>'
-    "<AllowMulticast>false</AllowMulticast></General><Discovery><ParticipantIndex>auto"
-    "</ParticipantIndex><MaxAutoParticipantIndex>32</MaxAutoParticipantIndex><Peers>"
-    '<Peer address="127.0.0.1"/></Peers></Discovery>'
-)
-# `max`, never `min`: hosts with a small rmem_max would refuse to start.
-BUFFERS = '<Internal><SocketReceiveBufferSize max="4MB"/></Internal>'
-FAREWELL = 2.0
-"""Seconds a leaving sink waits for subscribers to acknowledge the last frames."""
+URI = "CYCLONEDDS_URI"
+log = logging.getLogger(__name__)
 
 
 class DdsSink:
@@ -45,21 +37,25 @@ class DdsSink:
     monotonic = True
 
     def __init__(self, options: Options | None = None, *, network: bool = False) -> None:
-        """Ready to enter. Raises InputError if cyclonedds is missing.
+        """Ready to enter. Raises InputError if cyclonedds is missing or ROS's variables are wrong.
 
         Args:
             options: How frames become messages.
-            network: Publish on all interfaces. A CYCLONEDDS_URI overrides both choices.
+            network: Reach other machines. A CYCLONEDDS_URI overrides this and ROS's variables.
         """
         require_cyclonedds()
         self._encoder = FrameEncoder((options or Options()).live())
-        self._network = network
+        self._discovery = Discovery.from_environment(network=network)
+        self._reports = Reports(
+            self._encoder, self._send, self._audience, node=f"{NAMESPACE}/{NODE}"
+        )
+        self._delivery = Delivery(self._acknowledged, POINTS.depth)
 
     def __enter__(self) -> DdsSink:
         """Join the domain (ROS_DOMAIN_ID) and offer the topics."""
         from cyclonedds.core import DDSException
 
-        domain = domain_id()
+        domain = self._discovery.domain
         try:
             self._open(domain)
         except DDSException as error:
@@ -72,49 +68,74 @@ class DdsSink:
 
     def __exit__(self, *_: object) -> None:
         """Wait for subscribers to get the last frames, then leave the domain."""
-        deadline = time.monotonic() + FAREWELL
-        for writer in self._writers.values():
-            left = max(deadline - time.monotonic(), 0.0)
-            writer.wait_for_acks(int(left * 1e9))
-        # DDS entities end with their last reference, children before parents.
-        self._writers.clear()
-        del self._waitset, self._reader, self._participant, self._domain
+        try:
+            self._delivery.farewell()
+        finally:
+            # DDS entities end with their last reference, children before parents.
+            self._writers.clear()
+            del self._waitset, self._commands, self._nodes, self._participant, self._domain
+
+    def audience(self) -> str:
+        """Who hears it, and the line that the other side needs."""
+        if URI in os.environ:
+            return f"Domain {self._discovery.domain}; {URI} decides who hears it."
+        return self._discovery.audience()
 
     def write(self, frame: Frame) -> None:
         """Publish one frame."""
-        for message in self._encoder.encode(frame):
+        messages = self._encoder.encode(frame)
+        self._delivery.before_frame()
+        for message in messages:
             self._send(message)
+        self._reports.send_due()
 
     def listen(self, seconds: float, obey: Obey) -> None:
         """Obey messages on /phy124/command."""
-        if seconds > 0:
-            self._waitset.wait(int(seconds * 1e9))
-        for sample in self._reader.take(16):
+        self._reports.send_due()
+        wait = min(seconds, self._reports.wait())
+        if wait > 0:
+            self._waitset.wait(int(wait * 1e9))
+        for sample in self._commands.take(16):
             # A sample without data says that a publisher has left.
             if hasattr(sample, "data"):
                 obey(sample.data)
 
-    def show(self, player: Player) -> None:
-        """Nothing: there is no ROS topic for it."""
-        del player
+    def show(self, playback: Playback) -> None:
+        """Publish the status."""
+        self._reports.change(playback)
+
+    def limit(self, points: int) -> None:
+        """Send at most so many points per frame from now on."""
+        self._encoder.limit(points)
 
     def subscribers(self) -> int:
         """How many readers the points have now."""
         return len(self._writers[POINTS.name].get_matched_subscriptions())
 
+    def _acknowledged(self, seconds: float) -> bool:
+        try:
+            return self._writers[POINTS.name].wait_for_acks(int(seconds * 1e9))
+        except AttributeError:
+            # cyclonedds 11.0.1 means to return False for a timeout, and stumbles over its name.
+            return False
+
+    def _audience(self) -> Audience:
+        return Audience(self.subscribers(), self._delivery.lost, self._namesakes())
+
     def _open(self, domain: int) -> None:
         from cyclonedds.core import InstanceState, ReadCondition, SampleState, ViewState, WaitSet
-        from cyclonedds.domain import Domain, DomainParticipant
+        from cyclonedds.domain import DomainParticipant
         from cyclonedds.qos import Policy, Qos
 
-        own = "CYCLONEDDS_URI" in os.environ
-        self._domain = None if own else Domain(domain, _configuration(self._network))
+        self._domain = None if URI in os.environ else _domain(domain, self._discovery)
         self._participant = DomainParticipant(domain, Qos(Policy.Userdata(b"enclave=/;")))
-        self._writers = {topic.name: self._writer(topic) for topic in self._encoder.topics}
-        self._reader = self._command_reader()
+        topics = [*self._encoder.topics, *self._reports.topics]
+        self._writers = {topic.name: self._writer(topic) for topic in topics}
+        self._commands, self._nodes = self._reader(COMMAND), self._reader(DISCOVERY)
         self._waitset = WaitSet(self._participant)
         unread = SampleState.NotRead | ViewState.Any | InstanceState.Any
-        self._waitset.attach(ReadCondition(self._reader, unread))
+        self._waitset.attach(ReadCondition(self._commands, unread))
+        self._others: dict[int, bool] = {}
         self._introduce()
 
     def _writer(self, topic: Topic) -> Any:
@@ -123,18 +144,17 @@ class DdsSink:
 
         from ..idl import encoded_type
 
-        name = topic.name if topic is DISCOVERY else f"rt{topic.name}"
-        dds_topic = DdsTopic(self._participant, name, encoded_type(topic.type))
+        dds_topic = DdsTopic(self._participant, _mangled(topic), encoded_type(topic.type))
         return DataWriter(self._participant, dds_topic, qos=quality(topic))
 
-    def _command_reader(self) -> Any:
+    def _reader(self, topic: Topic) -> Any:
         from cyclonedds.sub import DataReader
         from cyclonedds.topic import Topic as DdsTopic
 
         from ..idl import idl_type
 
-        topic = DdsTopic(self._participant, f"rt{COMMAND.name}", idl_type(COMMAND.type))
-        return DataReader(self._participant, topic, qos=quality(COMMAND))
+        dds_topic = DdsTopic(self._participant, _mangled(topic), idl_type(topic.type))
+        return DataReader(self._participant, dds_topic, qos=quality(topic))
 
     def _introduce(self) -> None:
         """Tell ROS 2 the node's name; else it shows as _CREATED_BY_BARE_DDS_APP_."""
@@ -142,12 +162,22 @@ class DdsSink:
         node = {
             "node_namespace": NAMESPACE,
             "node_name": NODE,
-            "reader_gid_seq": [_gid(self._reader)],
+            "reader_gid_seq": [_gid(self._commands)],
             "writer_gid_seq": gids,
         }
         info = {"gid": _gid(self._participant), "node_entities_info_seq": [node]}
         self._writers[DISCOVERY.name] = self._writer(DISCOVERY)
         self._send(Message(DISCOVERY, 0, encode(DISCOVERY.type, info)))
+
+    def _namesakes(self) -> int:
+        """How many other participants have a node of this name."""
+        for sample in self._nodes.take(100):
+            if hasattr(sample, "gid"):
+                names = {(n.node_namespace, n.node_name) for n in sample.node_entities_info_seq}
+                self._others[sample.sample_info.publication_handle] = (NAMESPACE, NODE) in names
+        here = set(self._nodes.get_matched_publications())
+        # One of them is this node itself.
+        return max(sum(named for who, named in self._others.items() if who in here) - 1, 0)
 
     def _send(self, message: Message) -> None:
         from ..idl import sample
@@ -173,15 +203,6 @@ def quality(topic: Topic) -> Any:
     )
 
 
-def domain_id() -> int:
-    """The domain of ROS_DOMAIN_ID, else 0. Raises InputError if it is no domain."""
-    text = os.environ.get("ROS_DOMAIN_ID") or "0"
-    if not text.isdecimal() or int(text) > LAST_DOMAIN:
-        limit = f"A domain is a whole number from 0 to {LAST_DOMAIN}."
-        raise InputError("ROS_DOMAIN_ID", text, limit, "Set it to one, or unset it.")
-    return int(text)
-
-
 def require_cyclonedds() -> None:
     """Raise InputError if cyclonedds cannot be imported."""
     try:
@@ -192,9 +213,22 @@ def require_cyclonedds() -> None:
         raise InputError("backend", "dds", limit, remedy) from error
 
 
-def _configuration(network: bool) -> str:
-    inner = BUFFERS if network else LOOPBACK + BUFFERS
-    return f'<CycloneDDS><Domain id="any">{inner}</Domain></CycloneDDS>'
+def _domain(domain: int, discovery: Discovery) -> Any:
+    """The DDS domain, configured; the last configuration needs the least of the machine."""
+    from cyclonedds.core import DDSException
+    from cyclonedds.domain import Domain
+
+    *others, last = discovery.configurations()
+    for configuration in others:
+        try:
+            return Domain(domain, configuration)
+        except DDSException:
+            log.debug("DDS cannot start with %s", configuration)
+    return Domain(domain, last)
+
+
+def _mangled(topic: Topic) -> str:
+    return topic.name if topic is DISCOVERY else f"rt{topic.name}"
 
 
 def _gid(entity: Any) -> dict[str, bytes]:

@@ -17,9 +17,8 @@ from ..cdr import NANO
 from ..encoder import FrameEncoder
 from ..messages import definition
 from ..options import Options
-from ..player import Player
 from ..topics import Message
-from . import Obey
+from . import Obey, Playback
 
 PORT = 8765
 """Port that Foxglove tries first."""
@@ -99,19 +98,24 @@ class FoxgloveSink:
         for order in orders:
             obey(order)
 
-    def show(self, player: Player) -> None:
+    def show(self, playback: Playback) -> None:
         """Tell the viewers where playback stands."""
         from foxglove.websocket import PlaybackState, PlaybackStatus
 
         if self._duration is None:
             return
-        status = PlaybackStatus.Paused if player.paused else PlaybackStatus.Playing
-        if player.finished:
+        status = PlaybackStatus.Paused if playback.paused else PlaybackStatus.Playing
+        if playback.finished:
             status = PlaybackStatus.Ended
-        now = self._encoder.stamp(player.position)
-        state = PlaybackState(status, now, player.speed, self._sought, self._answers)
+        now = self._encoder.stamp(playback.position)
+        state = PlaybackState(status, now, playback.speed, self._sought, self._answers)
         self._answers, self._sought = None, False
         self._server.broadcast_playback_state(state)
+
+    def audience(self) -> str:
+        """Where to open it."""
+        there = self._host if self._host != "0.0.0.0" else "this machine's name"
+        return f"Open ws://{there}:{self.port} in Foxglove."
 
     def newcomer(self) -> None:
         """Called by the server's thread when somebody begins to look."""

@@ -9,24 +9,24 @@ rclpy's slow Python fields. Names are relative to the namespace `phy124`, so the
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from importlib import import_module
 from typing import Any
 
 from phy124.errors import InputError
 from phy124.gaussians import Frame
 
-from ..cdr import NANO, encode, time
+from ..delivery import Delivery
 from ..encoder import FrameEncoder
-from ..node import NAMESPACE, ros_node
-from ..options import Options
-from ..player import Player
-from ..topics import CLOCK, COMMAND, Topic
-from . import Obey
-
-log = logging.getLogger(__name__)
+from ..node import NAMESPACE, NODE, ros_node
+from ..options import LIVE_POINTS, Options
+from ..parameters import RUNNING, Parameter, Running, declare
+from ..reports import Audience, Reports
+from ..services import Services
+from ..topics import COMMAND, POINTS, Message, Topic
+from . import Obey, Playback
 
 
 class RclpySink:
@@ -35,62 +35,145 @@ class RclpySink:
     monotonic = True
 
     def __init__(
-        self, options: Options | None = None, *, clock: bool = False, node: Any = None
+        self,
+        options: Options | None = None,
+        *,
+        clock: bool = False,
+        node: Any = None,
+        args: list[str] | None = None,
+        running: Mapping[str, Parameter] = RUNNING,
     ) -> None:
         """Ready to enter. Raises InputError if rclpy cannot be imported.
 
         Args:
             options: How frames become messages.
-            clock: Publish /clock with each frame; nobody else may.
+            clock: Publish /clock; nobody else may.
             node: The node to use; None makes one and ends it with the sink.
+            args: What stood behind --ros-args, for the node that is made.
+            running: Parameters that can be set while it plays; declared unless they are already.
         """
         require_rclpy()
         self._encoder = FrameEncoder((options or Options()).live())
-        self._clock, self._given = clock, node
-        self._obey: Obey = lambda text: f"{text}: nothing is playing"
+        self._clock, self._given, self._args = clock, node, args
+        self._parameters, self._running = running, None
+        self._playback: Playback | None = None
+        self._obey: Obey = self._remember
+        self._values: dict[str, Any] = {}  # how it plays, as the parameters say it
+        self._wishes: list[str] = []  # commands from before anything plays
+        self._delivery = Delivery(self._acknowledged, POINTS.depth)
 
     def __enter__(self) -> RclpySink:
         """Offer topics and services."""
         from rclpy.executors import SingleThreadedExecutor
 
         with ExitStack() as stack:
-            self._node = self._given or stack.enter_context(ros_node())
-            topics = [*self._encoder.topics, *([CLOCK] if self._clock else [])]
+            self._node = self._given or stack.enter_context(ros_node(self._args))
+            self._name = self._node.get_fully_qualified_name()
+            self._reports = Reports(
+                self._encoder, self._send, self._audience, node=self._name, clock=self._clock
+            )
+            topics = [*self._encoder.topics, *self._reports.topics]
             self._publishers = {topic.name: self._publisher(topic) for topic in topics}
             for message in self._encoder.static():
-                self._publish(message.topic, message.data)
-            self._listen_to_commands()
+                self._send(message)
+            Services(self._node, self._ask, lambda: self._playback)
+            self._node.create_subscription(
+                message_class(COMMAND.type), relative(COMMAND), self._heard, quality(COMMAND)
+            )
             self._executor = SingleThreadedExecutor(context=self._node.context)
             stack.callback(self._executor.shutdown)
             self._executor.add_node(self._node)
+            stack.callback(self._say_goodbye)
             self._stack = stack.pop_all()
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Stop listening; end the node if it is the sink's own."""
+        """Wait for the last frames to arrive; end the node if it is the sink's own."""
         self._stack.close()
+
+    def audience(self) -> str:
+        """Who hears it."""
+        return f"Node {self._name}, heard as ROS 2's own variables say (ros2 node list)."
 
     def write(self, frame: Frame) -> None:
         """Publish one frame."""
-        if self._clock:
-            now = {"clock": time(self._encoder.stamp(frame.time))}
-            self._publish(CLOCK, encode(CLOCK.type, now))
-        for message in self._encoder.encode(frame):
-            self._publish(message.topic, message.data)
+        messages = self._encoder.encode(frame)
+        with self._until_shutdown():
+            self._delivery.before_frame()
+        for message in messages:
+            self._send(message)
+        self._reports.send_due()
 
     def listen(self, seconds: float, obey: Obey) -> None:
         """Serve ROS for at most so many seconds; raises KeyboardInterrupt when ROS shuts down."""
         self._obey = obey
+        while self._wishes:
+            obey(self._wishes.pop(0))
+        self._reports.send_due()
         with self._until_shutdown():
-            self._executor.spin_once(timeout_sec=seconds)
+            self._executor.spin_once(timeout_sec=min(seconds, self._reports.wait()))
 
-    def show(self, player: Player) -> None:
-        """Nothing: there is no ROS topic for it."""
-        del player
+    def show(self, playback: Playback) -> None:
+        """Publish the status, and let the parameters say how it plays."""
+        self._playback = playback
+        values = {"speed": playback.speed, "rate": playback.rate or 0.0, "loop": playback.loop}
+        self._values = values
+        if self._running is None:
+            self._declare({**values, "max_points": self._encoder.options.max_points})
+            self._running = Running(self._node, self._parameters, self._apply)
+        else:
+            self._running.follow(values)
+        self._reports.change(playback)
 
-    def _publish(self, topic: Topic, data: bytes) -> None:
+    def _declare(self, values: dict[str, Any]) -> None:
+        """Declare what no node has declared before; what --ros-args says otherwise is a wish."""
+        new = {
+            name: replace(parameter, default=values[name])
+            for name, parameter in self._parameters.items()
+            if not self._node.has_parameter(name)
+        }
+        for name, value in declare(self._node, new).items():
+            self._apply(name, value)
+
+    def _apply(self, name: str, value: Any) -> None:
+        """Carry out a change of a parameter."""
+        if name == "max_points":
+            self._encoder.limit(value or LIVE_POINTS)
+        elif value != self._values[name]:
+            word = ("off", "on")[value] if name == "loop" else repr(value)
+            self._obey(f"{name} {word}")
+
+    def _remember(self, text: str) -> None:
+        self._wishes.append(text)
+
+    def _ask(self, text: str) -> str | None:
+        return self._obey(text)
+
+    def _heard(self, message: Any) -> None:
+        self._obey(message.data)
+
+    def _send(self, message: Message) -> None:
         with self._until_shutdown():
-            self._publishers[topic.name].publish(data)
+            self._publishers[message.topic.name].publish(message.data)
+
+    def _acknowledged(self, seconds: float) -> bool:
+        from rclpy.duration import Duration
+
+        return self._publishers[POINTS.name].wait_for_all_acked(Duration(seconds=seconds))
+
+    def _say_goodbye(self) -> None:
+        """Nothing can be waited for if somebody else has shut ROS down."""
+        if self._node.context.ok():
+            self._delivery.farewell()
+
+    def _audience(self) -> Audience:
+        publisher = self._publishers[POINTS.name]
+        named = [
+            f"{space.rstrip('/')}/{name}"
+            for name, space in self._node.get_node_names_and_namespaces()
+        ]
+        namesakes = max(named.count(self._name) - 1, 0)
+        return Audience(publisher.get_subscription_count(), self._delivery.lost, namesakes)
 
     @contextmanager
     def _until_shutdown(self) -> Iterator[None]:
@@ -102,46 +185,25 @@ class RclpySink:
                 raise KeyboardInterrupt
 
     def _publisher(self, topic: Topic) -> Any:
+        from rclpy.exceptions import ParameterException
         from rclpy.qos import QoSPolicyKind as Kind
         from rclpy.qos_overriding_options import QoSOverridingOptions
 
         # The default would leave durability out of what users may override.
         kinds = [Kind.HISTORY, Kind.DEPTH, Kind.RELIABILITY, Kind.DURABILITY]
-        return self._node.create_publisher(
-            message_class(topic.type),
-            relative(topic),
-            quality(topic),
-            qos_overriding_options=QoSOverridingOptions(kinds),
-        )
-
-    def _listen_to_commands(self) -> None:
-        node, trigger = self._node, import_module("std_srvs.srv").Trigger
-        for word in ("play", "pause", "restart"):
-            node.create_service(trigger, f"~/{word}", self._trigger(word))
         try:
-            seek = import_module("rosbag2_interfaces.srv").Seek
-        except ImportError:
-            log.warning("rosbag2_interfaces is not installed: there is no service ~/seek.")
-        else:
-            node.create_service(seek, "~/seek", self._seek)
-        heard = message_class(COMMAND.type)
-        node.create_subscription(
-            heard, relative(COMMAND), lambda message: self._obey(message.data), quality(COMMAND)
-        )
-
-    def _trigger(self, word: str) -> Callable[[Any, Any], Any]:
-        def serve(request: Any, response: Any) -> Any:
-            del request
-            response.message = self._obey(word) or ""
-            response.success = not response.message
-            return response
-
-        return serve
-
-    def _seek(self, request: Any, response: Any) -> Any:
-        seconds = request.time.sec + request.time.nanosec / NANO
-        response.success = self._obey(f"seek {seconds!r}") is None
-        return response
+            return self._node.create_publisher(
+                message_class(topic.type),
+                relative(topic),
+                quality(topic),
+                qos_overriding_options=QoSOverridingOptions(kinds),
+            )
+        except (ParameterException, RuntimeError) as error:
+            if not self._node.context.ok():
+                raise KeyboardInterrupt from error
+            limit = f"ROS 2 refuses these overrides ({error})."
+            remedy = "Give reliability, durability and history as words, depth as a whole number."
+            raise InputError("qos_overrides", topic.name, limit, remedy) from error
 
 
 def message_class(name: str) -> Any:
@@ -151,7 +213,10 @@ def message_class(name: str) -> Any:
 
 
 def relative(topic: Topic) -> str:
-    """Our own topics hang on the node's namespace, the world's are absolute."""
+    """Our own topics hang on the node or its namespace, the world's are absolute."""
+    own = f"/{NAMESPACE}/{NODE}/"
+    if topic.name.startswith(own):
+        return f"~/{topic.name.removeprefix(own)}"
     return topic.name.removeprefix(f"/{NAMESPACE}/")
 
 

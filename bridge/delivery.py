@@ -1,0 +1,55 @@
+"""Delivery: frames leave no faster than subscribers acknowledge them, and none is left behind.
+
+Writers keep the last few frames. A frame that pushes an older one out before every subscriber has
+acknowledged it is lost for somebody; so is what is still open when the publisher ends.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+
+PATIENCE = 0.1
+"""Seconds to wait for the last frame's acknowledgement before the next goes out."""
+FAREWELL = 2.0
+"""Seconds a leaving publisher waits for subscribers to get the last frames."""
+log = logging.getLogger(__name__)
+
+
+class Delivery:
+    """Counts what reliable subscribers have not acknowledged."""
+
+    def __init__(self, acknowledged: Callable[[float], bool], depth: int) -> None:
+        """Nothing sent yet.
+
+        Args:
+            acknowledged: Waits at most so many seconds; whether all is acknowledged. At once true
+                without subscribers or where they are best effort.
+            depth: How many of the last frames the writer keeps.
+        """
+        self.lost = 0
+        """Frames that somebody may not have got."""
+        self._acknowledged, self._depth = acknowledged, depth
+        self._open = 0  # frames sent since all were acknowledged
+        self._stuck = False
+
+    def before_frame(self) -> None:
+        """Let the last frame arrive first; a subscriber that hangs holds up one frame only."""
+        if self._acknowledged(0.0 if self._stuck else PATIENCE):
+            self._open, self._stuck = 0, False
+        else:
+            self._stuck = True
+            self.lost += self._open >= self._depth
+        self._open += 1
+
+    def farewell(self) -> None:
+        """Wait until the last frames have arrived, but not for ever, and say what has not."""
+        if not self._open or self._acknowledged(FAREWELL):
+            return
+        missing = min(self._open, self._depth)
+        self.lost += missing
+        log.warning(
+            "A subscriber has not acknowledged the last frames in %g s: it may lack %d of them.",
+            FAREWELL,
+            missing,
+        )

@@ -1,0 +1,208 @@
+"""ROS parameters: each option once more, for a node; four of them can be set while it runs.
+
+All are declared with dynamic typing, since `-p speed:=2` is an integer to ROS and a float to us.
+What is wrong with a value is said in one sentence, whether at the start or from `ros2 param set`.
+"""
+
+# rclpy comes with ROS 2 and is on no package index, so type checkers do not find it.
+# pyright: reportMissingImports=false
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from phy124.errors import InputError
+
+from .options import LIVE_POINTS, Options
+from .player import RATES, SPEEDS
+
+POINTS = (0, 10_000_000)
+"""Fewest and most of `max_points`."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter of a node."""
+
+    default: Any
+    """Its type is the parameter's; a list holds texts or floats."""
+    description: str
+    limits: tuple[float, float] | None = None
+    while_running: bool = False
+    """Whether it can be set while the node runs."""
+
+
+RUNNING = {
+    "speed": Parameter(1.0, "Clip seconds per second.", SPEEDS, while_running=True),
+    "rate": Parameter(
+        0.0,
+        "At most so many frames per second; 0: every frame.",
+        (0.0, RATES[1]),
+        while_running=True,
+    ),
+    "loop": Parameter(True, "Begin again after the last frame.", while_running=True),
+    "max_points": Parameter(
+        LIVE_POINTS,
+        "At most so many points per frame, evenly picked; 0: the default.",
+        POINTS,
+        while_running=True,
+    ),
+}
+"""What can be set while the node runs, and is obeyed at once."""
+RUNNING_LIVE = {name: RUNNING[name] for name in ("speed", "max_points")}
+"""The same of a simulation that is running."""
+CLOCK = {"clock": Parameter(False, "Publish /clock, at 40 Hz; nobody else may then.")}
+CLIP = {"clip": Parameter("", "A clip.safetensors made by phy124."), **CLOCK}
+SIMULATED = {
+    "source": Parameter("", "A picture or a 3DGS .ply file."),
+    "scene": Parameter("press", "Preset (see `phy124 scenes`) or path of a .toml file."),
+    "set": Parameter([""], "Other values of the scene, as KEY=VALUE."),
+    "generator": Parameter("relief", "How a picture becomes Gaussians."),
+    "device": Parameter("auto", "auto, cpu or cuda:0."),
+    **CLOCK,
+}
+
+
+def message_options() -> dict[str, Parameter]:
+    """The parameters that are the options of the messages; max_points is among `RUNNING`."""
+    fields = {n: field for n, field in Options.model_fields.items() if n not in RUNNING}
+    return {
+        name: Parameter(
+            # ROS parameters have no None: 0 stands for it.
+            0.0 if field.default is None else field.default,
+            field.description or "",
+        )
+        for name, field in fields.items()
+    }
+
+
+def declare(node: Any, parameters: Mapping[str, Parameter]) -> dict[str, Any]:
+    """Declare parameters and read them; raises InputError for a value that cannot be used."""
+    from rcl_interfaces.msg import ParameterDescriptor
+
+    values = {}
+    for name, parameter in parameters.items():
+        default = parameter.default
+        start = list(default) if isinstance(default, tuple) else default
+        # The limits come afterwards, so that it is us who say what is wrong with a value.
+        given = node.declare_parameter(name, start, ParameterDescriptor(dynamic_typing=True)).value
+        values[name] = converted(name, given, parameter)
+        node.set_descriptor(name, descriptor(parameter))
+    return values
+
+
+def descriptor(parameter: Parameter) -> Any:
+    """What `ros2 param describe` shows."""
+    from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+
+    about = ParameterDescriptor(
+        description=parameter.description,
+        read_only=not parameter.while_running,
+        dynamic_typing=True,
+    )
+    if parameter.limits:
+        least, most = parameter.limits
+        about.additional_constraints = f"from {least:g} to {most:g}"
+        if isinstance(parameter.default, int):
+            about.integer_range = [IntegerRange(from_value=int(least), to_value=int(most))]
+        else:
+            about.floating_point_range = [
+                FloatingPointRange(from_value=float(least), to_value=float(most))
+            ]
+    return about
+
+
+def converted(name: str, value: Any, parameter: Parameter) -> Any:
+    """The value in the parameter's own type; raises InputError if it is of another kind."""
+    kind, convert = KINDS[type(parameter.default)]
+    wanted = convert(value)
+    if wanted is None:
+        limit = f"It takes {kind}."
+        remedy = f"For example `-p {name}:={_example(parameter.default)}`."
+        raise InputError(name, value, limit, remedy)
+    least, most = parameter.limits or (-math.inf, math.inf)
+    if parameter.limits and not least <= wanted <= most:
+        limit = f"It must lie between {least:g} and {most:g}."
+        remedy = f"The default is {_example(parameter.default)}."
+        raise InputError(name, value, limit, remedy)
+    return wanted
+
+
+class Running:
+    """Parameters that can be set while the node plays, and say how it plays."""
+
+    def __init__(
+        self, node: Any, parameters: Mapping[str, Parameter], apply: Callable[[str, Any], None]
+    ) -> None:
+        """Listen to changes of declared `parameters`; `apply(name, value)` carries one out."""
+        self._node, self._parameters, self._apply = node, parameters, apply
+        node.add_on_set_parameters_callback(self._check)
+        node.add_post_set_parameters_callback(self._carry_out)
+
+    def follow(self, values: Mapping[str, Any]) -> None:
+        """Let the parameters say what was changed by other means."""
+        from rclpy.parameter import Parameter as RosParameter
+
+        for name in values.keys() & self._parameters.keys():
+            if self._node.get_parameter(name).value != values[name]:
+                self._node.set_parameters([RosParameter(name, value=values[name])])
+
+    def _check(self, asked: list[Any]) -> Any:
+        from rcl_interfaces.msg import SetParametersResult
+
+        try:
+            for _ in self._ours(asked):
+                pass
+        except InputError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _carry_out(self, done: list[Any]) -> None:
+        for name, value in self._ours(done):
+            self._apply(name, value)
+
+    def _ours(self, some: list[Any]) -> Iterator[tuple[str, Any]]:
+        for parameter in some:
+            known = self._parameters.get(parameter.name)
+            if known is not None:
+                yield parameter.name, converted(parameter.name, parameter.value, known)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+def _whole(value: Any) -> int | None:
+    return int(value) if _is_number(value) and value % 1 == 0 else None
+
+
+def _numbers(value: Any) -> tuple[float, ...] | None:
+    # rclpy has arrays where a list of numbers was given.
+    listed = isinstance(value, (list, tuple, array))
+    return tuple(map(float, value)) if listed and all(map(_is_number, value)) else None
+
+
+def _texts(value: Any) -> tuple[str, ...] | None:
+    texts = isinstance(value, (list, tuple)) and all(isinstance(text, str) for text in value)
+    return tuple(filter(None, value)) if texts else None
+
+
+KINDS: dict[type, tuple[str, Callable[[Any], Any]]] = {
+    bool: ("true or false", lambda value: value if isinstance(value, bool) else None),
+    str: ("a text", lambda value: value if isinstance(value, str) else None),
+    float: ("a number", lambda value: float(value) if _is_number(value) else None),
+    int: ("a whole number", _whole),
+    tuple: ("a list of numbers", _numbers),
+    list: ("a list of texts", _texts),
+}
+"""Type of the default -> what is said of it, and the conversion (None: it is of another kind)."""
+
+
+def _example(default: Any) -> str:
+    if isinstance(default, (tuple, list)):
+        return f"[{', '.join(map(str, default)) or 'KEY=VALUE'}]"
+    return str(default).lower() if isinstance(default, bool) else str(default or "TEXT")

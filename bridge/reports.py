@@ -1,0 +1,146 @@
+"""Reports: what a publisher says about itself: ~/status, /diagnostics and /clock."""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from .cdr import encode
+from .cdr import time as ros_time
+from .encoder import FrameEncoder
+from .sinks import Playback
+from .topics import CLOCK, DIAGNOSTICS, STATUS, Message, Topic
+
+CLOCK_RATE = 40.0
+"""Hz of /clock, also while paused; `ros2 bag play --clock` has the same."""
+DIAGNOSTICS_EVERY = 1.0
+"""Seconds between two messages on /diagnostics."""
+log = logging.getLogger(__name__)
+OK, WARN = 0, 1
+"""`diagnostic_msgs/msg/DiagnosticStatus`."""
+
+
+@dataclass(frozen=True)
+class Audience:
+    """How the other end does."""
+
+    subscribers: int
+    lost: int
+    """Frames somebody may not have got."""
+    namesakes: int = 0
+    """Other nodes of the same name."""
+
+
+class Reports:
+    """Says how playback stands: at each change, once a second, and by the clock."""
+
+    def __init__(
+        self,
+        encoder: FrameEncoder,
+        send: Callable[[Message], None],
+        audience: Callable[[], Audience],
+        *,
+        node: str,
+        clock: bool = False,
+        now: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """Ready; nothing is due before the first `change`.
+
+        Args:
+            encoder: Knows what time a stamp is.
+            send: Publishes a message.
+            audience: Asked once a second.
+            node: Full name of the node.
+            clock: Publish /clock.
+            now: The clock playback runs by.
+        """
+        self._encoder, self._send, self._audience = encoder, send, audience
+        self._node, self._now = node, now
+        self._playback: Playback | None = None
+        self._due = {"diagnostics": math.inf, "clock": math.inf}
+        self._clock = clock
+        self._namesakes = 0
+        self._before: tuple[float, float, int] | None = None  # clock, stamp, frames in trouble
+
+    @property
+    def topics(self) -> list[Topic]:
+        """What is published."""
+        return [STATUS, DIAGNOSTICS, *([CLOCK] if self._clock else [])]
+
+    def change(self, playback: Playback) -> None:
+        """Send the status, and begin with the others."""
+        if self._playback is None:
+            self._due["diagnostics"] = self._now()
+            self._due["clock"] = self._now() if self._clock else math.inf
+        self._playback = playback
+        self._publish(STATUS, self._status(OK, self._values(playback)))
+
+    def wait(self) -> float:
+        """Seconds until the next report is due."""
+        return max(min(self._due.values()) - self._now(), 0.0)
+
+    def send_due(self) -> None:
+        """Send what is due; call it often."""
+        now = self._now()
+        if self._playback is None:
+            return
+        if now >= self._due["clock"]:
+            self._due["clock"] = max(self._due["clock"] + 1 / CLOCK_RATE, now)
+            stamp = self._encoder.stamp(self._playback.stamp_at(now))
+            self._publish(CLOCK, {"clock": ros_time(stamp)})
+        if now >= self._due["diagnostics"]:
+            self._due["diagnostics"] = now + DIAGNOSTICS_EVERY
+            self._diagnose(self._playback, now)
+
+    def _diagnose(self, playback: Playback, now: float) -> None:
+        audience = self._audience()
+        if audience.namesakes > self._namesakes:
+            log.warning(
+                "There is another node %s: both publish on the same topics. "
+                "Give one of them a name or namespace of its own.",
+                self._node,
+            )
+        self._namesakes = audience.namesakes
+        stamp, trouble = playback.stamp_at(now), playback.dropped + audience.lost
+        then, start, known = self._before or (now, stamp, 0)
+        self._before = now, stamp, trouble
+        factor = (stamp - start) / (now - then) if now > then else 0.0
+        values = {
+            **self._values(playback),
+            "subscribers": audience.subscribers,
+            "frames lost": audience.lost,
+            "other nodes of this name": audience.namesakes,
+            "real-time factor": f"{factor:.3f}",
+        }
+        level = WARN if trouble > known or audience.namesakes else OK
+        header = {"stamp": ros_time(self._encoder.stamp(stamp))}
+        self._publish(DIAGNOSTICS, {"header": header, "status": [self._status(level, values)]})
+
+    def _status(self, level: int, values: dict[str, Any]) -> dict[str, Any]:
+        pairs = [{"key": key, "value": str(value)} for key, value in values.items()]
+        return {
+            "level": level,
+            "name": f"{self._node}: playback",
+            "message": str(values["state"]),
+            "hardware_id": "phy124",
+            "values": pairs,
+        }
+
+    def _values(self, playback: Playback) -> dict[str, Any]:
+        held = "paused" if playback.paused else "playing"
+        return {
+            "state": "finished" if playback.finished else held,
+            "position [s]": f"{playback.position:.6g}",
+            "speed": f"{playback.speed:g}",
+            "rate [Hz]": f"{playback.rate:g}" if playback.rate else "every frame",
+            "loop": playback.loop,
+            "frames shown": playback.shown,
+            "frames dropped": playback.dropped,
+        }
+
+    def _publish(self, topic: Topic, content: dict[str, Any]) -> None:
+        self._send(Message(topic, 0, encode(topic.type, content)))

@@ -1,0 +1,44 @@
+"""Log lines of the program on /rosout and ROS's console, as long as a node lives."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+
+class RosHandler(logging.Handler):
+    """Hands records to the logger of a node, which publishes them on /rosout."""
+
+    def __init__(self, logger: Any) -> None:
+        super().__init__()
+        self._logger = logger
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Log one line. Each level has a line of its own: rclpy ties a severity to its caller."""
+        text = self.format(record)
+        if record.levelno >= logging.CRITICAL:
+            self._logger.fatal(text)
+        elif record.levelno >= logging.ERROR:
+            self._logger.error(text)
+        elif record.levelno >= logging.WARNING:
+            self._logger.warning(text)
+        elif record.levelno >= logging.INFO:
+            self._logger.info(text)
+        else:
+            self._logger.debug(text)
+
+
+@contextmanager
+def logged_by(node: Any) -> Iterator[None]:
+    """Send everything that is logged through the node instead of where it went before."""
+    root = logging.getLogger()
+    before, level = root.handlers[:], root.level
+    root.handlers[:] = [RosHandler(node.get_logger())]
+    root.setLevel(min(level, logging.INFO))
+    try:
+        yield
+    finally:
+        root.handlers[:] = before
+        root.setLevel(level)

@@ -1,0 +1,132 @@
+"""Who hears the DDS sink: ROS 2's environment variables, and stock peers in a private network."""
+
+import json
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+
+import private_network
+import pytest
+
+from bridge.discovery import Discovery
+from phy124.errors import InputError
+
+VARIABLES = (
+    "ROS_AUTOMATIC_DISCOVERY_RANGE",
+    "ROS_STATIC_PEERS",
+    "ROS_LOCALHOST_ONLY",
+    "ROS_DOMAIN_ID",
+)
+
+
+@pytest.fixture(autouse=True)
+def no_variables(monkeypatch):
+    for name in VARIABLES:
+        monkeypatch.delenv(name, raising=False)
+
+
+def discovery(monkeypatch, *, network=False, **variables):
+    for name, value in variables.items():
+        monkeypatch.setenv(f"ROS_{name}", value)
+    return Discovery.from_environment(network=network)
+
+
+def settings(found):
+    """Paths in the first configuration -> texts, and the peers."""
+    root = ET.fromstring(found.configurations()[0])
+    texts = {node.tag: node.text for node in root.iter() if node.text}
+    return texts, [node.get("address") for node in root.iter("Peer")]
+
+
+def interfaces(found):
+    root = ET.fromstring(found.configurations()[0])
+    return [node.get("address") or "autodetermine" for node in root.iter("NetworkInterface")]
+
+
+def test_subnet_is_the_default_and_stays_on_this_machine(monkeypatch):
+    found = discovery(monkeypatch)
+    texts, peers = settings(found)
+    assert (texts["AllowMulticast"], texts["MulticastTimeToLive"]) == ("spdp", "0")
+    assert (texts["ParticipantIndex"], texts["MaxAutoParticipantIndex"]) == ("auto", "32")
+    assert peers == ["localhost"]
+    assert interfaces(found) == ["127.0.0.1", "autodetermine"]
+    assert found.audience() == (
+        "Discovery range SUBNET, domain 0: heard by nodes on this machine; "
+        "there: `export ROS_DOMAIN_ID=0 ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET`."
+    )
+
+
+def test_network_is_what_a_node_does_by_itself(monkeypatch):
+    found = discovery(monkeypatch, network=True, STATIC_PEERS="10.0.0.5;robot<1>", DOMAIN_ID="9")
+    texts, peers = settings(found)
+    assert "AllowMulticast" not in texts
+    assert "MulticastTimeToLive" not in texts
+    assert (peers, interfaces(found)) == (["10.0.0.5", "robot<1>"], [])
+    assert "this machine and network and 10.0.0.5" in found.audience()
+    assert "ROS_DOMAIN_ID=9" in found.export()
+
+
+def test_localhost_sends_nothing_by_multicast(monkeypatch):
+    found = discovery(monkeypatch, AUTOMATIC_DISCOVERY_RANGE="LOCALHOST", STATIC_PEERS=" a ; b;")
+    texts, peers = settings(found)
+    assert texts["AllowMulticast"] == "false"
+    assert peers == ["localhost", "a", "b"]
+
+
+def test_localhost_only_prevails(monkeypatch):
+    given = {"LOCALHOST_ONLY": "1", "AUTOMATIC_DISCOVERY_RANGE": "SUBNET", "STATIC_PEERS": "a"}
+    found = discovery(monkeypatch, **given)
+    assert (found.range, found.peers) == ("LOCALHOST", ())
+    assert discovery(monkeypatch, LOCALHOST_ONLY="0").range == "SUBNET"
+
+
+@pytest.mark.parametrize("reach", ["OFF", "SYSTEM_DEFAULT"])
+def test_ranges_without_peers(monkeypatch, caplog, reach):
+    found = discovery(monkeypatch, AUTOMATIC_DISCOVERY_RANGE=reach, STATIC_PEERS="a")
+    texts, peers = settings(found)
+    assert peers == []
+    assert ("Tag" in texts) is (reach == "OFF")
+    assert f"ROS_STATIC_PEERS is ignored in the range {reach}" in caplog.text
+    assert ("heard by nobody." in found.audience()) is (reach == "OFF")
+
+
+def test_an_unknown_range_is_localhost_as_in_ros(monkeypatch, caplog):
+    assert discovery(monkeypatch, AUTOMATIC_DISCOVERY_RANGE="subnet").range == "LOCALHOST"
+    assert "ROS_AUTOMATIC_DISCOVERY_RANGE=subnet is unknown" in caplog.text
+
+
+@pytest.mark.parametrize(
+    "variables",
+    [{"AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}, {"LOCALHOST_ONLY": "1"}],
+)
+def test_network_against_the_environment_is_refused(monkeypatch, variables):
+    with pytest.raises(InputError, match="allows no other machine"):
+        discovery(monkeypatch, network=True, **variables)
+
+
+@pytest.mark.parametrize("reach", ["SUBNET", "LOCALHOST"])
+def test_every_configuration_fits_every_receive_buffer(monkeypatch, reach):
+    for text in discovery(monkeypatch, AUTOMATIC_DISCOVERY_RANGE=reach).configurations():
+        assert ET.fromstring(text).find(".//SocketReceiveBufferSize").get("max") == "4MB"
+
+
+@pytest.fixture(scope="module")
+def network():
+    pytest.importorskip("cyclonedds")
+    if not private_network.is_possible():
+        pytest.skip("no private network can be made here (unshare --net)")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("reach", "heard"),
+    [("SUBNET", ["SUBNET", "SYSTEM_DEFAULT", "LOCALHOST"]), ("LOCALHOST", ["LOCALHOST"])],
+)
+def test_stock_peers_hear_us(network, reach, heard):
+    """Without a word of configuration on their side."""
+    script = [sys.executable, private_network.__file__, reach, *heard]
+    run = subprocess.run(
+        private_network.inside(script), capture_output=True, text=True, check=True, timeout=120
+    )
+    found = {line["peer"]: line["frames"] for line in map(json.loads, run.stdout.splitlines())}
+    assert found == dict.fromkeys(heard, 4)
