@@ -48,7 +48,7 @@ def cloud(frame: Frame, profile: Profile, header: dict[str, Any]) -> dict[str, A
         "header": header,
         "height": 1,
         "width": len(table),
-        "fields": [_field(name, *where) for name, where in (table.dtype.fields or {}).items()],
+        "fields": [_field(table.dtype, name) for name in table.dtype.names or ()],
         "point_step": table.itemsize,
         "row_step": table.nbytes + len(tail),
         "data": np.concatenate([data, np.frombuffer(tail, np.uint8)]) if tail else data,
@@ -82,7 +82,7 @@ def small_points(frame: Frame) -> tuple[NDArray[Any], bytes]:
     """
     gaussians = frame.gaussians
     means = gaussians.means.astype(np.float64)
-    known = np.isfinite(means).all(axis=1)
+    known: NDArray[np.bool_] = np.isfinite(means).all(axis=1)
     inside = means[known] if known.any() else np.zeros((1, 3))
     low, high = inside.min(axis=0), inside.max(axis=0)
     centre = ((low + high) / 2).astype("<f4")
@@ -97,8 +97,9 @@ def small_points(frame: Frame) -> tuple[NDArray[Any], bytes]:
     return table, centre.tobytes() + step.tobytes()
 
 
-def _field(name: str, dtype: np.dtype[Any], offset: int) -> dict[str, Any]:
-    return {"name": name, "offset": offset, "datatype": DATATYPES[dtype.str], "count": 1}
+def _field(dtype: np.dtype[Any], name: str) -> dict[str, Any]:
+    kind, offset = (dtype.fields or {})[name][:2]
+    return {"name": name, "offset": offset, "datatype": DATATYPES[kind.str], "count": 1}
 
 
 def packed_rgb(gaussians: Gaussians) -> NDArray[np.uint32]:

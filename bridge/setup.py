@@ -31,6 +31,7 @@ setup(
     entry_points={
         "console_scripts": [
             f"player = {NAME}.node:main",
+            f"live = {NAME}.node:live",
             f"bridge = {NAME}.__main__:main",
         ]
     },

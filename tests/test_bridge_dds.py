@@ -22,12 +22,12 @@ from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 
 from bridge import live
+from bridge.discovery import domain_id
 from bridge.idl import idl_type
 from bridge.layout import points
 from bridge.messages import HASHES
 from bridge.options import Options
 from bridge.player import Player
-from bridge.discovery import domain_id
 from bridge.sinks.dds import DISCOVERY, DdsSink, quality
 from phy124.errors import InputError
 

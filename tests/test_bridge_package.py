@@ -7,16 +7,16 @@ import shutil
 import subprocess
 import sys
 import types
-import xml.etree.ElementTree as ET
 from importlib import import_module
 from pathlib import Path
 
 import pytest
 import setuptools
+from catkin_pkg.package import parse_package
 from ruamel.yaml import YAML
 
 import phy124
-from bridge import parameters
+from bridge import parameters, topics
 from bridge.node import NODE
 from bridge.options import Options
 from bridge.topics import ELLIPSOIDS, POINTS
@@ -24,6 +24,7 @@ from bridge.topics import ELLIPSOIDS, POINTS
 ROOT = Path(__file__).parents[1]
 BRIDGE = ROOT / "bridge"
 NAME = "phy124_bridge"
+LAUNCH = BRIDGE / "launch" / "player.launch.py"
 
 
 @pytest.fixture
@@ -36,22 +37,41 @@ def setup_arguments(monkeypatch):
     return caught
 
 
-def test_package_xml():
-    root = ET.parse(BRIDGE / "package.xml").getroot()
-    assert root.get("format") == "3"
-    assert root.findtext("name") == NAME
-    assert root.findtext("version") == phy124.__version__
-    assert root.findtext("license") == "MIT"
-    assert root.findtext("export/build_type") == "ament_python"
-    depends = {node.text for node in root.iter("exec_depend")}
-    imported = set()
-    for path in (BRIDGE / "node.py", BRIDGE / "sinks" / "rclpy.py"):
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
-                imported.add(node.module.split(".")[0])
-    ros = {name for name in imported if name.startswith(("rcl", "launch"))}
-    messages = {topic.type.split("/")[0] for topic in (POINTS, ELLIPSOIDS)}
-    assert ros | messages | {"std_srvs", "rosbag2_interfaces", "tf2_msgs"} <= depends
+def imported(path):
+    """Packages that a file imports by name, also through import_module("...")."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+            yield node.module.split(".")[0]
+        elif isinstance(node, ast.Import):
+            yield from (alias.name.split(".")[0] for alias in node.names)
+        elif isinstance(node, ast.Call) and ast.unparse(node.func) == "import_module":
+            given = node.args[0]
+            if isinstance(given, ast.Constant):
+                yield given.value.split(".")[0]
+
+
+def test_package_xml_is_what_rep_149_asks_for():
+    package = parse_package(str(BRIDGE / "package.xml"), warnings=(warned := []))
+    assert warned == []
+    assert package.package_format == 3
+    assert (package.name, package.version) == (NAME, phy124.__version__)
+    assert package.licenses == ["MIT"]
+    assert package.get_build_type() == "ament_python"
+
+
+def test_package_xml_names_all_of_ros_that_is_used_and_nothing_noble_lacks():
+    package = parse_package(str(BRIDGE / "package.xml"))
+    depends = {each.name: each for each in package.exec_depends}
+    files = ["node.py", "parameters.py", "services.py", "ros_log.py", "sinks/rclpy.py"]
+    used = set().union(*map(imported, [*map(BRIDGE.joinpath, files), LAUNCH]))
+    ros = {n for n in used if n.startswith(("rcl", "launch", "ament", "rosbag", "std_"))}
+    every = {name: value for name, value in vars(topics).items() if isinstance(value, topics.Topic)}
+    messages = {topic.type.split("/")[0] for topic in every.values()}
+    assert {"rclpy", "launch", "launch_ros", "ament_index_python", "rosbag2_interfaces"} <= ros
+    assert ros | messages | {"python3-numpy", "python3-tqdm"} <= depends.keys()
+    # Noble has pydantic 1.10, and RViz is only looked for.
+    assert not {"python3-pydantic", "rviz2"} & depends.keys()
+    assert depends["python3-numpy"].version_gte == "1.26"
 
 
 def test_setup_installs_what_ros_looks_for(setup_arguments):
@@ -75,7 +95,7 @@ def test_executables_exist(setup_arguments):
         name, target = script.split(" = ")
         module, function = target.replace(NAME, "bridge").split(":")
         assert callable(getattr(import_module(module), function))
-        assert name in ("player", "bridge")
+        assert name in ("player", "live", "bridge")
     config = (BRIDGE / "setup.cfg").read_text()
     assert config.count(f"$base/lib/{NAME}") == 2
 
@@ -99,31 +119,117 @@ def test_rviz_shows_our_topics():
     assert view["Global Options"]["Fixed Frame"] == Options().parent_frame
 
 
-def test_launch_file_describes_player_and_rviz(monkeypatch):
-    """Against stand-ins of launch: every class remembers how it was called."""
+class Missing(Exception):
+    """ament_index_python's PackageNotFoundError."""
+
+
+@pytest.fixture
+def launched(monkeypatch):
+    """What the launch file starts for given arguments, against stand-ins of launch.
+
+    Every class remembers how it was called; nothing of launch is on a package index.
+    """
+    installed = {NAME, "rviz2"}
 
     def remember(kind):
         return lambda *args, **kwargs: types.SimpleNamespace(kind=kind, args=args, **kwargs)
 
+    def prefix(name):
+        if name not in installed:
+            raise Missing(name)
+
+    class LaunchConfiguration:
+        def __init__(self, name):
+            self.name = name
+
+        def perform(self, context):
+            return context[self.name]
+
     modules = {
         "launch": ["LaunchDescription"],
-        "launch.actions": ["DeclareLaunchArgument"],
+        "launch.actions": ["DeclareLaunchArgument", "EmitEvent", "LogInfo", "OpaqueFunction"],
         "launch.conditions": ["IfCondition"],
-        "launch.substitutions": ["LaunchConfiguration", "PathJoinSubstitution"],
+        "launch.events": ["Shutdown"],
+        "launch.substitutions": ["PathJoinSubstitution"],
         "launch_ros.actions": ["Node"],
+        "launch_ros.parameter_descriptions": ["ParameterValue"],
         "launch_ros.substitutions": ["FindPackageShare"],
+        "ament_index_python.packages": [],
     }
     for name, classes in modules.items():
         made = types.ModuleType(name)
         vars(made).update({kind: remember(kind) for kind in classes})
         monkeypatch.setitem(sys.modules, name, made)
-    described = runpy.run_path(str(BRIDGE / "launch" / "player.launch.py"))
-    (entities,) = described["generate_launch_description"]().args
-    nodes = [entity for entity in entities if entity.kind == "Node"]
-    assert [(n.package, n.executable) for n in nodes] == [(NAME, "player"), ("rviz2", "rviz2")]
-    assert (nodes[0].namespace, nodes[0].name) == ("phy124", NODE)
-    arguments = [e.args[0] for e in entities if e.kind == "DeclareLaunchArgument"]
-    assert arguments == ["clip", "config", "rviz"]
+    sys.modules["launch.substitutions"].LaunchConfiguration = LaunchConfiguration
+    ament = sys.modules["ament_index_python.packages"]
+    ament.PackageNotFoundError, ament.get_package_prefix = Missing, prefix
+
+    def start(*, rviz=True, **arguments):
+        installed.discard("rviz2") if not rviz else installed.add("rviz2")
+        described = runpy.run_path(str(LAUNCH))["generate_launch_description"]()
+        (entities,) = described.args
+        declared = [e for e in entities if e.kind == "DeclareLaunchArgument"]
+        context = {e.args[0]: e.default_value for e in declared}
+        assert arguments.keys() <= context.keys()
+        (function,) = [e.function for e in entities if e.kind == "OpaqueFunction"]
+        return function({**context, **arguments})
+
+    return start
+
+
+def nodes(started):
+    return [entity for entity in started if entity.kind == "Node"]
+
+
+def given(node):
+    return {name: value.args[0].name for name, value in node.parameters[1].items()}
+
+
+def test_launch_starts_the_player_and_rviz(launched):
+    player, rviz = nodes(launched(clip="a.safetensors", rate="10", namespace="robot1"))
+    assert (player.package, player.executable) == (NAME, "player")
+    assert (player.namespace, player.name) == ("/robot1", NODE)
+    # What is not given is left to the parameter file.
+    assert given(player) == {"clip": "clip", "rate": "rate"}
+    assert player.parameters[1]["rate"].value_type is float
+    assert player.parameters[0].name == "config"
+    assert (rviz.package, rviz.executable) == ("rviz2", "rviz2")
+    assert ("/phy124/points", "/robot1/points") in rviz.remappings
+    assert ("/phy124/ellipsoids", "/robot1/ellipsoids") in rviz.remappings
+
+
+def test_launch_without_rviz_starts_the_player_alone(launched):
+    started = launched(rviz=False, clip="a.safetensors")
+    assert [node.executable for node in nodes(started)] == ["player"]
+    assert any("rviz2 is not installed" in getattr(entity, "msg", "") for entity in started)
+
+
+def test_launch_ends_with_the_player(launched):
+    player, _ = nodes(launched(clip="a.safetensors"))
+    assert player.on_exit.event.kind == "Shutdown"
+
+
+def test_launch_simulates_a_picture(launched):
+    live, _ = nodes(launched(source="p.png", scene="drop", profile="viz", rate="10"))
+    assert live.executable == "live"
+    assert given(live).keys() == {"source", "scene", "profile"}
+
+
+@pytest.mark.parametrize("arguments", [{}, {"clip": "a", "source": "b"}])
+def test_launch_needs_a_clip_or_a_source(launched, arguments):
+    started = launched(**arguments)
+    assert nodes(started) == []
+    assert [entity.kind for entity in started] == ["LogInfo", "EmitEvent"]
+
+
+def test_launch_arguments_are_parameters_of_the_node(launched):
+    for name, start in (("player", {"clip": "a"}), ("live", {"source": "a"})):
+        own = parameters.CLIP | parameters.RUNNING if name == "player" else parameters.SIMULATED
+        every = {"scene", "profile", "frame_id", "speed", "rate", "loop"}
+        node, _ = nodes(launched(**dict.fromkeys(every, "1"), **start))
+        running = parameters.RUNNING_LIVE if name == "live" else {}
+        assert given(node).keys() <= {*own, *running, *Options.model_fields}
+        assert node.executable == name
 
 
 def test_imports_stay_light():

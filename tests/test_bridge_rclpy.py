@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 import ros_double
 from bridge_clips import random_clip
-from ros_double import POLICIES, Node, Publisher
+from ros_double import POLICIES, Node
 from rosbags.typesys import Stores, get_typestore
 
 from bridge import live, node, parameters

@@ -1,43 +1,101 @@
-"""The player and RViz: `ros2 launch phy124_bridge player.launch.py clip:=/path/clip.safetensors`.
+"""The player, or a running simulation, and RViz.
 
-launch comes with ROS 2 and is on no package index, so type checkers do not find it.
+`ros2 launch phy124_bridge player.launch.py clip:=/path/clip.safetensors`, or with `source:=` a
+picture and `scene:=` what is to happen to it. launch comes with ROS 2 and is on no package index,
+so type checkers do not find it.
 """
 
 # pyright: reportMissingImports=false, reportAttributeAccessIssue=false
 
+from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument
+from launch.actions import DeclareLaunchArgument, EmitEvent, LogInfo, OpaqueFunction
 from launch.conditions import IfCondition
+from launch.events import Shutdown
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
 PACKAGE = "phy124_bridge"
+PARAMETERS = {
+    "clip": (str, "A clip.safetensors made by phy124; this or source is needed."),
+    "source": (str, "A picture or a 3DGS .ply file, simulated while it is shown."),
+    "scene": (str, "With source: preset (see `phy124 scenes`) or path of a .toml file."),
+    "profile": (str, "Numbers per point: viz, full, small or ply."),
+    "frame_id": (str, "Coordinate frame of the object's world."),
+    "speed": (float, "Clip seconds per second."),
+    "rate": (float, "At most so many frames per second; 0: every frame."),
+    "loop": (bool, "Begin again after the last frame."),
+}
+"""Name -> type and description; what is left empty is as the parameter file says."""
+PLAYER = ("clip", "profile", "frame_id", "speed", "rate", "loop")
+LIVE = ("source", "scene", "profile", "frame_id", "speed")
 
 
-def generate_launch_description() -> LaunchDescription:
-    """Arguments: clip (needed), config, rviz (true or false)."""
-    share = FindPackageShare(PACKAGE)
-    config = PathJoinSubstitution([share, "config", "player.yaml"])
-    view = PathJoinSubstitution([share, "rviz", "phy124.rviz"])
+def generate_launch_description():
+    """The arguments; one of clip and source must be given."""
+    config = PathJoinSubstitution([FindPackageShare(PACKAGE), "config", "player.yaml"])
     return LaunchDescription(
         [
-            DeclareLaunchArgument("clip", description="A clip.safetensors made by phy124."),
+            *(
+                DeclareLaunchArgument(name, default_value="", description=description)
+                for name, (_, description) in PARAMETERS.items()
+            ),
             DeclareLaunchArgument("config", default_value=config, description="Parameter file."),
-            DeclareLaunchArgument("rviz", default_value="true", description="Open RViz, too."),
-            Node(
-                package=PACKAGE,
-                executable="player",
-                name="player",
-                namespace="phy124",
-                parameters=[LaunchConfiguration("config"), {"clip": LaunchConfiguration("clip")}],
-                output="screen",
+            DeclareLaunchArgument(
+                "namespace",
+                default_value="phy124",
+                description="Of the node and its topics; RViz follows it.",
             ),
-            Node(
-                package="rviz2",
-                executable="rviz2",
-                arguments=["-d", view],
-                condition=IfCondition(LaunchConfiguration("rviz")),
+            DeclareLaunchArgument(
+                "rviz", default_value="true", description="Open RViz, too, if it is installed."
             ),
+            OpaqueFunction(function=_nodes),
         ]
     )
+
+
+def _nodes(context):
+    """The node for what was given, and RViz where there is one."""
+    given = {name: LaunchConfiguration(name).perform(context) for name in PARAMETERS}
+    if bool(given["clip"]) == bool(given["source"]):
+        said = "Give clip:=/path/clip.safetensors, or source:=/path/photo.png."
+        return [LogInfo(msg=said), EmitEvent(event=Shutdown(reason=said))]
+    namespace = "/" + LaunchConfiguration("namespace").perform(context).strip("/")
+    executable, names = ("live", LIVE) if given["source"] else ("player", PLAYER)
+    parameters = {
+        name: ParameterValue(LaunchConfiguration(name), value_type=PARAMETERS[name][0])
+        for name in names
+        if given[name]
+    }
+    node = Node(
+        package=PACKAGE,
+        executable=executable,
+        name="player",
+        namespace=namespace,
+        parameters=[LaunchConfiguration("config"), parameters],
+        output="screen",
+        # A node that has ended leaves nothing to look at, and RViz alone would stay for ever.
+        on_exit=EmitEvent(event=Shutdown(reason="the player has ended")),
+    )
+    return [node, *_rviz(namespace)]
+
+
+def _rviz(namespace):
+    try:
+        get_package_prefix("rviz2")
+    except PackageNotFoundError:
+        return [LogInfo(msg="rviz2 is not installed: the player runs without it.")]
+    view = PathJoinSubstitution([FindPackageShare(PACKAGE), "rviz", "phy124.rviz"])
+    return [
+        Node(
+            package="rviz2",
+            executable="rviz2",
+            arguments=["-d", view],
+            remappings=[
+                (f"/phy124/{topic}", f"{namespace}/{topic}") for topic in ("points", "ellipsoids")
+            ],
+            condition=IfCondition(LaunchConfiguration("rviz")),
+        )
+    ]
