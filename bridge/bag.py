@@ -25,6 +25,8 @@ PROFILE = "ros2"
 ENCODING = "cdr"
 RECORD = "phy124"
 """Name of the MCAP metadata record with the scene, the report and the stream's settings."""
+OWN_RECORD = "rosbag2"
+"""Name of the record in which rosbag2 keeps its metadata, the ROS distribution among them."""
 FOREVER = "\n    sec: 9223372036\n    nsec: 854775807"
 
 
@@ -79,6 +81,15 @@ def write_metadata(folder: Path, file: str, counts: Counts) -> None:
 
 def metadata_yaml(file: str, counts: Counts) -> str:
     """The text of metadata.yaml, version 9."""
+    return f"rosbag2_bagfile_information:\n{_indented(_information(file, counts))}"
+
+
+def describe(writer: Writer, file: str, counts: Counts) -> None:
+    """Keep the same in the file itself: where there is no metadata.yaml, ROS 2 looks there."""
+    writer.add_metadata(OWN_RECORD, {"serialized_metadata": _information(file, counts)})
+
+
+def _information(file: str, counts: Counts) -> str:
     start = counts.start or 0
     times = (
         f"duration:\n  nanoseconds: {max(counts.end - start, 0)}\n"
@@ -86,7 +97,7 @@ def metadata_yaml(file: str, counts: Counts) -> str:
         f"message_count: {sum(counts.messages.values())}\n"
     )
     topics = "".join(_topic_entry(counts.topics[n], counts.messages[n]) for n in counts.topics)
-    body = (
+    return (
         f"version: 9\nstorage_identifier: mcap\n{times}topics_with_message_count:"
         + (f"\n{topics}" if topics else " []\n")
         + "compression_format: ''\ncompression_mode: ''\n"
@@ -94,7 +105,6 @@ def metadata_yaml(file: str, counts: Counts) -> str:
         + f"files:\n- path: {json.dumps(file)}\n{_indented(times)}"
         + "custom_data: ~\nros_distro: jazzy\n"
     )
-    return f"rosbag2_bagfile_information:\n{_indented(body)}"
 
 
 def _topic_entry(topic: Topic, count: int) -> str:

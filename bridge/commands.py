@@ -12,7 +12,6 @@ from typing import Annotated, Any
 import tyro
 from tqdm import tqdm
 
-from phy124.clip import Clip
 from phy124.errors import InputError
 from phy124.gaussians import Frame
 
@@ -26,7 +25,7 @@ from .sinks import LiveSink, Sink
 from .sinks.background import Background
 from .sinks.foxglove import PORT
 from .sinks.mcap import Compression, McapSink
-from .source import LiveOptions, LiveRun
+from .source import LiveOptions, LiveRun, opened
 
 STOPPED_EARLY = 3
 """Exit status of a simulation that kept its good frames but did not reach the end."""
@@ -59,7 +58,7 @@ class Record:
             run = LiveRun(self.source, self.simulated)
             self._record(say, run, len(run), run.scene.data(), run.report)
             return _status(run)
-        clip = _opened(self.source)
+        clip = opened(self.source)
         frames = clip.frames(velocities=True)
         self._record(say, frames, len(clip), clip.scene, lambda: clip.report)
         return 0
@@ -122,7 +121,7 @@ class Play:
         self.simulated.check()
         if self.simulated.live:
             return self._follow(say)
-        clip = _opened(self.source)
+        clip = opened(self.source)
         player = Player(
             clip.times, speed=self.speed, loop=self.loop, rate=self.rate, paused=self.paused
         )
@@ -215,14 +214,6 @@ class Doctor:
 
 COMMANDS = {"record": Record, "play": Play, "info": Info, "recover": Recover, "doctor": Doctor}
 """Name on the command line -> class."""
-
-
-def _opened(source: Path) -> Clip:
-    """A clip; the log says what of it cannot be shown."""
-    clip = Clip.load(source)
-    for flaw in clip.flaws():
-        log.warning(flaw)
-    return clip
 
 
 def _status(run: LiveRun) -> int:

@@ -1,4 +1,4 @@
-"""Delivery: frames leave no faster than subscribers acknowledge them, and none is left behind.
+"""Delivery: frames leave no faster than subscribers acknowledge them, and the last are waited for.
 
 Writers keep the last few frames. A frame that pushes an older one out before every subscriber has
 acknowledged it is lost for somebody; so is what is still open when the publisher ends.
@@ -9,8 +9,8 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 
-PATIENCE = 0.1
-"""Seconds to wait for the last frame's acknowledgement before the next goes out."""
+PATIENCE = 1.0
+"""Seconds a frame waits that would push out one somebody has not acknowledged."""
 FAREWELL = 2.0
 """Seconds a leaving publisher waits for subscribers to get the last frames."""
 log = logging.getLogger(__name__)
@@ -34,12 +34,13 @@ class Delivery:
         self._stuck = False
 
     def before_frame(self) -> None:
-        """Let the last frame arrive first; a subscriber that hangs holds up one frame only."""
-        if self._acknowledged(0.0 if self._stuck else PATIENCE):
+        """Wait while a frame would be pushed out; a subscriber that hangs holds up one only."""
+        full = self._open >= self._depth
+        if self._acknowledged(PATIENCE if full and not self._stuck else 0.0):
             self._open, self._stuck = 0, False
-        else:
+        elif full:
             self._stuck = True
-            self.lost += self._open >= self._depth
+            self.lost += 1
         self._open += 1
 
     def farewell(self) -> None:

@@ -25,7 +25,11 @@ RANGE, PEERS, LOCALHOST_ONLY, DOMAIN = (
 LAST_DOMAIN = 232
 """Largest DDS domain whose ports fit."""
 # `max`, never `min`: hosts with a small rmem_max would refuse to start.
-BUFFERS = '<Internal><SocketReceiveBufferSize max="4MB"/></Internal>'
+# A heartbeat asks for acknowledgements; one every 100 ms, the default, is late at 30 Hz.
+BUFFERS = (
+    '<Internal><SocketReceiveBufferSize max="4MB"/>'
+    "<HeartbeatInterval>10 ms</HeartbeatInterval></Internal>"
+)
 LOOPBACK = '<NetworkInterface address="127.0.0.1" multicast="false"/>'
 # Stock nodes announce themselves on the default interface and may not listen on loopback at all.
 INTERFACES = f'<Interfaces>{LOOPBACK}<NetworkInterface autodetermine="true"/></Interfaces>'

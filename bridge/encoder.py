@@ -12,7 +12,7 @@ import numpy as np
 from phy124.gaussians import Frame
 
 from . import cdr
-from .layout import cloud, evenly
+from .layout import Profile, cloud, evenly
 from .options import Options
 from .topics import ELLIPSOIDS, POINTS, TF_STATIC, Message, Topic
 
@@ -27,10 +27,11 @@ class FrameEncoder:
     """Turns frames into messages as `options` say; announces once what it leaves out."""
 
     def __init__(self, options: Options) -> None:
-        self.options = options
+        self.options = options.recorded()
         seconds = options.epoch
         self.epoch = time.time_ns() if seconds is None else round(seconds * cdr.NANO)
         """Time of the clip's start, ns since 1970."""
+        self._profile: Profile = self.options.profile or "full"
         self._announced: set[str] = set()
 
     @property
@@ -66,13 +67,13 @@ class FrameEncoder:
         stamp = self.stamp(frame.time)
         header = {"stamp": cdr.time(stamp), "frame_id": self.options.frame_id}
         shown = self._thinned(frame)
-        messages = [_message(POINTS, stamp, cloud(shown, self.options.profile, header))]
+        messages = [_message(POINTS, stamp, cloud(shown, self._profile, header))]
         if self.options.ellipsoids:
             messages.append(_message(ELLIPSOIDS, stamp, self._ellipsoids(frame, header)))
         return messages
 
     def _thinned(self, frame: Frame) -> Frame:
-        if self.options.profile == "full" and frame.velocities is None:
+        if self._profile == "full" and frame.velocities is None:
             self._announce("The frames have no velocities: vx, vy and vz are NaN.")
         count, limit = len(frame.gaussians), self.options.max_points
         which = evenly(count, limit)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import sys
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -13,13 +15,15 @@ from phy124.errors import InputError
 
 from . import bag
 from .backends import AUTOMATIC, REQUIREMENTS, missing
-from .layout import FULL, VIZ
+from .layout import FULL, SMALL, VIZ
 from .recover import records
 from .sinks.mcap import PART
 from .topics import POINTS
 
 WANTED_BUFFER = 4 << 20
 """Receive buffer that takes a frame of 65,536 points of 60 bytes, bytes."""
+SHARED = (("NumPy", "numpy", 1), ("OpenCV", "cv2", 4))
+"""What phy124 and ROS 2's own Python packages both use: name, module, newest they bear (Jazzy)."""
 RMEM = Path("/proc/sys/net/core/rmem_max")
 
 
@@ -42,8 +46,8 @@ def describe_clip(clip: Clip) -> list[str]:
         f"clip: {len(clip)} frames of {count:,} Gaussians, {seconds:.3f} s at {rate:.4g} frames/s",
         f"velocities: {velocities if len(clip) > 1 else 'no (vx, vy, vz will be NaN)'}",
     ]
-    for name, fields in (("viz", VIZ), ("full", FULL)):
-        size = count * 4 * len(fields) / 1e6
+    for name, step in (("small", SMALL.itemsize), ("viz", 4 * len(VIZ)), ("full", 4 * len(FULL))):
+        size = count * step / 1e6
         lines.append(f"profile {name}: {size:.2f} MB per frame, {size * rate:.1f} MB/s")
     return lines
 
@@ -86,9 +90,25 @@ def diagnose() -> list[str]:
     lines.append(f"play --backend auto: {live or 'not possible, only recording'}")
     for name in ("ROS_DISTRO", "ROS_DOMAIN_ID", "RMW_IMPLEMENTATION", "CYCLONEDDS_URI"):
         lines.append(f"{name}: {os.environ.get(name) or 'not set'}")
+    lines += [_beside_ros(name, module, newest) for name, module, newest in SHARED]
     if RMEM.is_file():
         lines.append(_buffer_advice(int(RMEM.read_text())))
     return lines
+
+
+def _beside_ros(name: str, module: str, newest: int) -> str:
+    """Which version a node would get, and whether ROS's own packages bear it."""
+    found = find_spec(module)
+    if found is None or found.origin is None:
+        return f"{name}: not installed"
+    number = import_module(module).__version__
+    text = f"{name}: {number} in {Path(found.origin).parents[1]}"
+    if "ROS_DISTRO" not in os.environ or int(number.split(".")[0]) <= newest:
+        return text
+    return (
+        f"{text}; ROS 2's packages are built for {name} {newest}: install phy124 in a virtual "
+        "environment with constraints-ros.txt (docs/bridge.md)"
+    )
 
 
 def _buffer_advice(size: int) -> str:

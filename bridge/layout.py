@@ -82,7 +82,7 @@ def small_points(frame: Frame) -> tuple[NDArray[Any], bytes]:
     """
     gaussians = frame.gaussians
     means = gaussians.means.astype(np.float64)
-    known: NDArray[np.bool_] = np.isfinite(means).all(axis=1)
+    known = np.asarray(np.isfinite(means).all(axis=1))
     inside = means[known] if known.any() else np.zeros((1, 3))
     low, high = inside.min(axis=0), inside.max(axis=0)
     centre = ((low + high) / 2).astype("<f4")
@@ -97,8 +97,8 @@ def small_points(frame: Frame) -> tuple[NDArray[Any], bytes]:
     return table, centre.tobytes() + step.tobytes()
 
 
-def _field(dtype: np.dtype[Any], name: str) -> dict[str, Any]:
-    kind, offset = (dtype.fields or {})[name][:2]
+def _field(dtype: Any, name: str) -> dict[str, Any]:
+    kind, offset = dtype.fields[name][:2]
     return {"name": name, "offset": offset, "datatype": DATATYPES[kind.str], "count": 1}
 
 

@@ -32,17 +32,16 @@ def live(args: list[str] | None = None) -> None:
 
 def play_clip(node: Any) -> None:
     """Play the clip the parameters name until ROS shuts down."""
-    from phy124.clip import Clip
-
     from .live import play
     from .parameters import CLIP, RUNNING, declare, message_options
     from .player import Player
     from .sinks.rclpy import RclpySink
+    from .source import opened
 
     chosen = declare(node, {**CLIP, **RUNNING, **message_options()})
     path, clock, rate, speed, loop = _taken(chosen, "clip", "clock", "rate", "speed", "loop")
     options = _options(chosen)
-    clip = Clip.load(path)
+    clip = opened(path)
     player = Player(clip.times, rate=rate or None, speed=speed, loop=loop)
     with RclpySink(options, clock=clock, node=node) as sink:
         log.info("Playing %s. %s", path, sink.audience())
@@ -132,10 +131,12 @@ def _attempt(node: Any, work: Callable[[Any], None]) -> str | None:
 def _one_line(error: Exception) -> str:
     from pydantic import ValidationError
 
-    from .options import refusal
+    from phy124.scene.refusals import refusal
 
-    text = refusal(error) if isinstance(error, ValidationError) else str(error)
-    return " ".join(text.split())
+    from .options import Options
+
+    said = refusal(error, "options", Options) if isinstance(error, ValidationError) else error
+    return " ".join(str(said).split())
 
 
 def _accepted(start: Callable[[], Any]) -> Any:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from .layout import Profile
 
+LIVE_PROFILE: Profile = "viz"
 LIVE_POINTS = 32_768
 """Gaussians per frame that a subscriber with stock buffers receives at 30 Hz (docs/bridge.md)."""
 LAST_SECOND = 2**31 - 1
@@ -20,11 +20,11 @@ class Options(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    profile: Profile = Field(
-        default="full",
+    profile: Profile | None = Field(
+        default=None,
         description="Numbers per point: viz (x y z rgb), full (and opacity, scales, orientation, "
         "velocity), small (10 bytes: int16 places, 8-bit colours) or ply (raw 3DGS values for "
-        "splat viewers).",
+        "splat viewers). Default: full in files, viz live.",
     )
     frame_id: str = Field(
         default="phy124", min_length=1, description="Coordinate frame of the object's world."
@@ -98,8 +98,16 @@ class Options(BaseModel):
         return self
 
     def live(self) -> Options:
-        """The same with the live limit where no other was chosen."""
-        return self if self.max_points else self.model_copy(update={"max_points": LIVE_POINTS})
+        """The same with what arrives whole at 30 Hz where nothing else was chosen."""
+        chosen = {
+            "max_points": self.max_points or LIVE_POINTS,
+            "profile": self.profile or LIVE_PROFILE,
+        }
+        return self.model_copy(update=chosen)
+
+    def recorded(self) -> Options:
+        """The same with everything where nothing else was chosen."""
+        return self.model_copy(update={"profile": self.profile or "full"})
 
 
 def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
@@ -121,13 +129,3 @@ def angles(x: float, y: float, z: float, w: float) -> tuple[float, float, float]
     roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
     yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
     return roll, pitch, yaw
-
-
-def refusal(error: ValidationError) -> str:
-    """What pydantic found wrong, in one line without its web addresses."""
-    return "; ".join(_sentence(found) for found in error.errors())
-
-
-def _sentence(found: Any) -> str:
-    where = ".".join(str(part) for part in found["loc"]) or "options"
-    return f"{where} = {found['input']}: {found['msg'].removeprefix('Value error, ')}"

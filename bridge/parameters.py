@@ -17,7 +17,7 @@ from typing import Any
 
 from phy124.errors import InputError
 
-from .options import LIVE_POINTS, Options
+from .options import LIVE_POINTS, LIVE_PROFILE, Options
 from .player import RATES, SPEEDS
 
 POINTS = (0, 10_000_000)
@@ -69,11 +69,12 @@ SIMULATED = {
 
 def message_options() -> dict[str, Parameter]:
     """The parameters that are the options of the messages; max_points is among `RUNNING`."""
+    absent = {"epoch": 0.0, "profile": LIVE_PROFILE}
     fields = {n: field for n, field in Options.model_fields.items() if n not in RUNNING}
     return {
         name: Parameter(
-            # ROS parameters have no None: 0 stands for it.
-            0.0 if field.default is None else field.default,
+            # ROS parameters have no None.
+            absent[name] if field.default is None else field.default,
             field.description or "",
         )
         for name, field in fields.items()

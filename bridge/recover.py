@@ -54,7 +54,7 @@ def recover(path: str | os.PathLike[str], output: str | os.PathLike[str] | None 
     temporary = file.with_name(file.name + ".recovering")
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        counts = _copy(source, temporary)
+        counts = _copy(source, temporary, file.name)
         os.replace(temporary, file)
         if target.suffix != bag.SUFFIX:
             bag.write_metadata(target, file.name, counts)
@@ -142,14 +142,15 @@ def _inspect(file: Path) -> tuple[bool, int]:
     return footer and not damaged, frames
 
 
-def _copy(source: Path, destination: Path) -> bag.Counts:
-    """Copy what is complete into a new, finished file."""
+def _copy(source: Path, destination: Path, name: str) -> bag.Counts:
+    """Copy what is complete into a new, finished file, to be called `name`."""
     from mcap.writer import CompressionType, Writer
 
     with open(destination, "wb") as stream:
         writer = Writer(stream, chunk_size=CHUNK, compression=CompressionType.NONE)
         writer.start(bag.PROFILE)
         counts = _copy_records(source, writer)
+        bag.describe(writer, name, counts)
         writer.finish()
         stream.flush()
         os.fsync(stream.fileno())
@@ -175,6 +176,6 @@ def _copy_records(source: Path, writer: Writer) -> bag.Counts:
                 record.publish_time,
                 record.sequence,
             )
-        elif isinstance(record, Metadata):
+        elif isinstance(record, Metadata) and record.name != bag.OWN_RECORD:
             writer.add_metadata(record.name, record.metadata)
     return counts

@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from phy124.clip import Clip
 from phy124.errors import InputError
 from phy124.gaussians import Frame, Gaussians
 from phy124.progress import Progress, silent
@@ -16,6 +17,8 @@ from phy124.progress import Progress, silent
 if TYPE_CHECKING:
     from phy124.scene import Scene
 
+
+log = logging.getLogger(__name__)
 
 log = logging.getLogger(__name__)
 
@@ -88,6 +91,14 @@ class LiveRun:
         report = self._simulation.report()
         complete = report["complete"] and self.stopped is None
         return {**report, "complete": complete, "stopped": self.stopped}
+
+
+def opened(path: str | Path) -> Clip:
+    """A clip; the log says what of it cannot be shown."""
+    clip = Clip.load(path)
+    for flaw in clip.flaws():
+        log.warning(flaw)
+    return clip
 
 
 def make_object(source: Path, generator: str, seed: int, progress: Progress) -> Gaussians:

@@ -8,6 +8,7 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 from bridge_clips import random_clip
 from mcap.reader import make_reader
@@ -72,7 +73,8 @@ def test_info_of_a_clip(clip, capsys):
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "clip: 6 frames of 50 Gaussians, 0.083 s at 60 frames/s"
     assert lines[1] == "velocities: kept"
-    assert lines[3] == "profile full: 0.00 MB per frame, 0.2 MB/s"
+    assert lines[2].startswith("profile small: ")
+    assert lines[4] == "profile full: 0.00 MB per frame, 0.2 MB/s"
 
 
 def test_info_says_where_velocities_come_from():
@@ -105,7 +107,7 @@ def test_play_and_record_beside(clip, monkeypatch, capsys):
         (["play", "CLIP", "--clock", "--backend", "dds"], "does not publish /clock"),
         (["play", "CLIP", "--backend", "dds", "--ros-args", "-p", "a:=1"], "is no ROS 2 node"),
         (["info", "CLIP", "--ros-args", "-p", "a:=1"], "Only `play` takes arguments for ROS 2"),
-        (["record", "CLIP", "--rotation", "1", "0", "0", "0"], "earlier versions had w x y z"),
+        (["record", "CLIP", "--rotation", "1", "0", "0", "0"], "Earlier versions had w x y z"),
         (["info", "."], "There is no recording"),
         (["recover", "none"], "There is no recording"),
         (["record", "none.png", "--live"], "There is no such file"),
@@ -135,6 +137,20 @@ def test_doctor_advises_on_small_buffers(monkeypatch, tmp_path):
     monkeypatch.setattr("bridge.info.RMEM", small)
     assert diagnose()[-1].startswith("net.core.rmem_max: 208 KiB, too small for 65,536 points")
     assert "sysctl -w net.core.rmem_max=4194304" in diagnose()[-1]
+
+
+def test_doctor_says_which_packages_a_node_would_get(monkeypatch):
+    shared = [line for line in diagnose() if line.startswith(("NumPy: ", "OpenCV: "))]
+    assert len(shared) == 2
+    assert shared[0].startswith(f"NumPy: {np.__version__} in ")
+    monkeypatch.setattr(np, "__version__", "2.4.6")
+    assert "constraints-ros.txt" not in "".join(diagnose())
+    monkeypatch.setenv("ROS_DISTRO", "jazzy")
+    (numpy_line,) = [line for line in diagnose() if line.startswith("NumPy: ")]
+    assert "built for NumPy 1: install phy124 in a virtual environment" in numpy_line
+    monkeypatch.setattr(np, "__version__", "1.26.4")
+    (numpy_line,) = [line for line in diagnose() if line.startswith("NumPy: ")]
+    assert "constraints-ros.txt" not in numpy_line
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])

@@ -74,7 +74,10 @@ def check_every_frame_arrives(domain, frames, count, **playing):
     clip = random_clip(frames=frames, count=count)
     player = Player(clip.times, **playing)
     counting = ("--count", str(frames))
-    with DdsSink(Options(epoch=EPOCH)) as sink, subscriber(domain, *counting) as other:
+    with (
+        DdsSink(Options(epoch=EPOCH, profile="full")) as sink,
+        subscriber(domain, *counting) as other,
+    ):
         wait_until(sink.subscribers)
         # The other side needs a moment after the match.
         time.sleep(1.0)
@@ -102,7 +105,7 @@ def test_sixty_of_sixty_frames_of_32768_points_at_30_hz(domain, attempt):
 
 def test_a_late_joiner_gets_the_last_five(domain):
     clip = random_clip(frames=12, count=4096)
-    with DdsSink(Options(epoch=EPOCH)) as sink:
+    with DdsSink(Options(epoch=EPOCH, profile="full")) as sink:
         for frame in clip.frames():
             sink.write(frame)
         with subscriber(domain, "--count", "5", "--quiet", "1") as other:

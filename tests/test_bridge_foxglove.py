@@ -100,7 +100,7 @@ class Client:
 
 @contextmanager
 def connected(**options):
-    with FoxgloveSink(Options(epoch=EPOCH), port=0, **options) as sink:
+    with FoxgloveSink(Options(epoch=EPOCH, profile="full"), port=0, **options) as sink:
         client = Client(sink.port)
         try:
             yield sink, client

@@ -1,10 +1,15 @@
 """Field profiles: every value of the clip in its place, to the last bit."""
 
+import re
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from bridge_clips import random_clip
 
-from bridge.layout import FULL, cloud, evenly, packed_rgb, points
+from bridge.layout import FULL, cloud, evenly, packed_rgb, points, small_points
 from phy124.gaussians import Gaussians
 from phy124.ply import write_ply
 
@@ -21,6 +26,43 @@ def test_point_sizes(profile, size):
     assert message["row_step"] == len(message["data"]) == size * 50
     assert [field["offset"] for field in message["fields"]] == list(range(0, size, 4))
     assert {field["datatype"] for field in message["fields"]} == {7}
+
+
+def documented_reader():
+    """The snippet of docs/bridge.md."""
+    text = (Path(__file__).parents[1] / "docs" / "bridge.md").read_text()
+    (snippet,) = re.findall(r"```python\n(.*?)```", text, re.S)
+    names = {}
+    exec(snippet, names)
+    return names["read_small"]
+
+
+@pytest.mark.parametrize("extent", [1e-3, 1.0, 1e4])
+def test_small_profile_is_read_within_its_bounds(extent):
+    frame = random_clip(count=3000).frame(0)
+    gaussians = replace(frame.gaussians, means=frame.gaussians.means * np.float32(extent))
+    message = cloud(replace(frame, gaussians=gaussians), "small", {})
+    assert (message["point_step"], message["row_step"]) == (10, 10 * 3000 + 16)
+    assert [field["datatype"] for field in message["fields"]] == [3] * 3 + [2] * 4
+    places, colours = documented_reader()(SimpleNamespace(**message))
+    longest = np.ptp(gaussians.means, axis=0).max()
+    bound = 0.5 * longest / 65_534
+    rounding = 1e-6 * np.abs(gaussians.means).max()
+    assert np.abs(places - gaussians.means).max() <= bound * 1.001 + rounding
+    assert np.abs(colours[:, :3] - gaussians.rgb).max() <= 1 / 510 + 1e-6
+    assert np.abs(colours[:, 3] - gaussians.opacities).max() <= 1 / 510 + 1e-6
+
+
+def test_small_profile_of_one_point_of_none_and_of_what_is_no_number():
+    one = random_clip(count=1).frame(0)
+    places, _ = documented_reader()(SimpleNamespace(**cloud(one, "small", {})))
+    np.testing.assert_allclose(places, one.gaussians.means, rtol=1e-6)
+    assert cloud(random_clip(count=0).frame(0), "small", {})["row_step"] == 16
+    broken = random_clip().frame(0)
+    broken.gaussians.means[3, 1] = np.nan
+    table, _ = small_points(broken)
+    assert (table["x"] == -32768).nonzero()[0].tolist() == [3]
+    assert cloud(broken, "small", {})["is_dense"] is False
 
 
 def test_full_profile_is_the_clip_to_the_last_bit():

@@ -103,6 +103,26 @@ def test_mcap_reads_it_with_index_and_metadata(tmp_path, compression):
     assert json.loads(last.metadata["options"])["profile"] == "full"
 
 
+def test_a_single_file_knows_its_distribution(tmp_path):
+    """rosbag2 looks for its own record where there is no metadata.yaml."""
+    path = tmp_path / "one.mcap"
+    with McapSink(path) as sink:
+        sink.write(random_clip().frame(0))
+    with open(path, "rb") as stream:
+        records = {record.name: record.metadata for record in make_reader(stream).iter_metadata()}
+    kept = YAML(typ="safe").load(records["rosbag2"]["serialized_metadata"])
+    assert (kept["version"], kept["ros_distro"], kept["message_count"]) == (9, "jazzy", 2)
+    assert kept["relative_file_paths"] == ["one.mcap"]
+    with McapSink(tmp_path / "bag") as sink:
+        sink.write(random_clip().frame(0))
+    beside = YAML(typ="safe").load(tmp_path / "bag" / "metadata.yaml")
+    about = beside["rosbag2_bagfile_information"]
+    same = kept.keys() - {"relative_file_paths", "files", "starting_time", "duration"}
+    assert {key: kept[key] for key in same} | {} == {key: about[key] for key in same} | {
+        "topics_with_message_count": kept["topics_with_message_count"]
+    }
+
+
 def test_single_file_has_its_name_only_when_whole(tmp_path):
     path = tmp_path / "one.mcap"
     with McapSink(path) as sink:

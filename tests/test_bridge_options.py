@@ -5,7 +5,7 @@ import math
 import pytest
 from pydantic import ValidationError
 
-from bridge.options import LIVE_POINTS, Options, angles, quaternion, refusal
+from bridge.options import LIVE_POINTS, Options, angles, quaternion
 
 
 @pytest.mark.parametrize(
@@ -43,17 +43,9 @@ def test_roll_pitch_yaw_turn_about_the_fixed_axes():
     assert angles(*quaternion(*given)) == pytest.approx(given)
 
 
-def test_a_refusal_is_one_line_without_addresses():
-    with pytest.raises(ValidationError) as caught:
-        Options(frame_id="/a", ellipsoids=-1)
-    said = refusal(caught.value)
-    assert "frame_id = /a: tf2 refuses" in said
-    assert "ellipsoids = -1: Input should be" in said
-    assert "\n" not in said
-    assert "http" not in said
-
-
 def test_live_limit_applies_only_where_none_was_chosen():
     assert Options().max_points is None
     assert Options().live().max_points == LIVE_POINTS == 32_768
     assert Options(max_points=65_536).live().max_points == 65_536
+    assert (Options().live().profile, Options().recorded().profile) == ("viz", "full")
+    assert Options(profile="ply").live().profile == "ply"

@@ -1,6 +1,7 @@
 """The folder bridge/ as a ROS 2 package, and as a Python package that imports lightly."""
 
 import ast
+import json
 import os
 import runpy
 import shutil
@@ -312,3 +313,31 @@ def test_colcon_builds_the_package(tmp_path, colcon, options):
         check=False,
     )
     assert "mcap: ready" in doctor.stdout, doctor.stderr
+
+
+@pytest.mark.slow
+def test_installing_beside_ros_leaves_its_packages_alone(tmp_path):
+    """The line of docs/bridge.md, where the system has NumPy 1.26 and an old pydantic."""
+    environment = {**os.environ, "PYTHONUSERBASE": str(tmp_path / "system")}
+    base = getattr(sys, "_base_executable", sys.executable)
+
+    def run(*command):
+        done = subprocess.run(
+            command, env=environment, capture_output=True, text=True, check=False, timeout=500
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    run(base, "-m", "pip", "install", "--user", "-q", "numpy==1.26.4", "pydantic==1.10.14")
+    run(base, "-m", "venv", "--system-site-packages", str(tmp_path / "venv"))
+    python = tmp_path / "venv" / "bin" / "python"
+    wanted = ["-c", str(ROOT / "constraints-ros.txt"), f"{ROOT}[bridge]"]
+    report = tmp_path / "report.json"
+    run(python, "-m", "pip", "install", "--dry-run", "-q", "--report", str(report), *wanted)
+    new = {
+        each["metadata"]["name"].lower(): each["metadata"]["version"]
+        for each in json.loads(report.read_text())["install"]
+    }
+    assert "numpy" not in new
+    assert new["opencv-python-headless"].startswith("4.")
+    assert new["pydantic"].startswith("2.")

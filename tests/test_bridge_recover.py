@@ -83,8 +83,9 @@ def test_recovered_file_has_index_channels_and_metadata(tmp_path):
         summary = reader.get_summary()
         assert summary.statistics.channel_message_counts
         assert len(summary.chunk_indexes) >= 1
-        (record,) = reader.iter_metadata()
+        record, rosbag2 = reader.iter_metadata()
         assert "options" in record.metadata
+        assert "ros_distro: jazzy" in rosbag2.metadata["serialized_metadata"]
         *_, (_, channel, message) = reader.iter_messages("/phy124/points")
     assert "offered_qos_profiles" in channel.metadata
     assert points(clip.frame(2), "full").tobytes() in message.data

@@ -151,6 +151,7 @@ class McapSink:
 
     def _finish(self) -> None:
         self._writer.flush()
+        bag.describe(self._writer, (self.path if self._single else self.file).name, self._counts)
         self._write_record(self._report())
         self._writer.finish()
         self._stream.flush()
