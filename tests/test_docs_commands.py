@@ -71,6 +71,8 @@ def parse(words: list[str]) -> None:
         parse_phy124(rest)
     elif rest[:2] == ["-m", "bridge"]:
         tyro.extras.subcommand_cli_from_dict(BRIDGE, args=gathered(rest[2:], BRIDGE))
+    elif program == "python3" and rest[:2] == ["-m", "venv"]:
+        assert "--system-site-packages" in rest, "our own is made by make"
     elif program in ("python", ".venv/bin/python"):
         assert (ROOT / rest[0]).is_file(), rest
     else:
