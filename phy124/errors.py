@@ -27,7 +27,7 @@ class InputError(ValueError):
     ) -> None:
         self.field, self.value, self.limit, self.remedy = field, value, limit, remedy
         self.remedies = tuple(remedies)
-        super().__init__(f"{field} = {value}: {limit} {remedy}")
+        super().__init__(f"{field} = {value}: {limit} {remedy}".rstrip())
 
     def __reduce__(self) -> tuple[type, tuple[object, ...]]:
         """For pickle, which would otherwise hand the whole message over as the field."""

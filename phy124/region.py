@@ -32,7 +32,6 @@ class Region(BaseModel):
 
     cylinder: AxisName | None = Field(
         default=None,
-        examples=["z"],
         description="Axis of the cylinder that fits the box, to mean that alone; absent: the box.",
     )
 
@@ -47,7 +46,8 @@ class Region(BaseModel):
             name != self.cylinder and max(-low, high) >= EVERYWHERE for name, low, high in sides
         ):
             raise ValueError(
-                f"a cylinder along {self.cylinder} needs lower and upper on the two other axes"
+                f"a cylinder along {self.cylinder} needs lower and upper on the two other axes; "
+                "give both corners"
             )
         return self
 
