@@ -8,11 +8,17 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from pydantic import BaseModel
+
 from demo.forecast import count_particles
+from demo.pictures import check_picture
 from demo.settings import Settings
+from demo.substances import chips
+from demo.visitors import is_plain_file
 from phy124.errors import InputError
 from phy124.materials import Elastic
 from phy124.scene import GOOD_FOR, PRESETS, Scene, preset_names
@@ -36,6 +42,7 @@ def catalogue(settings: Settings) -> dict[str, Any]:
     return {
         "schema": _schema(),
         "presets": [_card(name) for name in names],
+        "substances": chips(),
         "examples": sorted(path.stem for path in (FOLDER / "examples").glob("*.png")),
         "accuracies": [
             {"name": name, "cells": accuracy.cells, "why": f"For {GOOD_FOR[name]}."}
@@ -43,7 +50,13 @@ def catalogue(settings: Settings) -> dict[str, Any]:
         ],
         "softness": _anchors(),
         "weights": WEIGHTS,
-        "limits": {"frames": settings.max_frames, "size": settings.max_pixels},
+        "limits": {
+            "frames": settings.max_frames,
+            "size": settings.max_pixels,
+            "bytes": settings.max_bytes,
+            "megapixels": settings.max_megapixels,
+            "too_large": f"{settings.too_large} {settings.make_smaller}",
+        },
     }
 
 
@@ -73,15 +86,41 @@ def _anchors() -> dict[str, float]:
     return {name: float(value) for name, value in re.findall(r"(\w+) (\d\.?\d*e\d+)", text)}
 
 
-def scene_of(data: Any, settings: Settings) -> Scene:
-    """The scene a visitor chose, within the page's limits; raises InputError."""
+def scene_of(data: Any, settings: Settings, uploads: Path | None = None) -> Scene:
+    """The scene a visitor chose, within the page's limits; raises InputError.
+
+    Fields that name files may name pictures in `uploads`, and nothing else on this machine.
+    """
     if not isinstance(data, dict):
         raise InputError("scene", data, "no scene is chosen.", "Choose one of the cards.")
     if len(json.dumps(data)) > 20_000:
         raise InputError("scene", "too long", "it is too large.", "Use fewer forces.")
     scene = Scene.from_data(data)
+    for field, path in files_named(scene):
+        _check_upload(field, path, settings, uploads)
     _check(scene, settings)
     return scene
+
+
+def files_named(section: Any, field: str = "") -> Iterator[tuple[str, Path]]:
+    """Every file that a scene names and the field that names it, whichever section it is in."""
+    if isinstance(section, Path):
+        yield field, section
+    elif isinstance(section, BaseModel):
+        for name in type(section).model_fields:
+            yield from files_named(getattr(section, name), f"{field}.{name}".strip("."))
+    elif isinstance(section, dict | list | tuple):
+        items = section.items() if isinstance(section, dict) else enumerate(section)
+        for name, value in items:
+            yield from files_named(value, f"{field}.{name}")
+
+
+def _check_upload(field: str, path: Path, settings: Settings, uploads: Path | None) -> None:
+    # The path is compared as text: what lies at any other place must not even be looked at.
+    if uploads is None or str(path) != str(uploads / path.name) or not is_plain_file(path):
+        limit = "A scene may name no file here but a picture that you have sent."
+        raise InputError(field, "a file", limit, "Leave it out, or choose a picture for it.")
+    check_picture(path, settings)
 
 
 def _check(scene: Scene, settings: Settings) -> None:

@@ -8,18 +8,23 @@ from typing import Any
 import gradio as gr
 
 from demo.exports import EXPORTS, export
-from demo.handlers import Handler, session_of
-from demo.jobs import Progress, Studio, read_report, sentence
-from demo.photo import photo
-from demo.work import Done
-from phy124.errors import Cancelled, InputError
+from demo.handlers import Handler
+from demo.identity import visitor_of
+from demo.jobs import Studio, complaint, read_report
+from demo.line import Job
+from demo.photo import photo, refusal
+from demo.visitors import Visitor
+from demo.work import BEAT, Done
+from phy124.errors import InputError
 from phy124.scene import PRESETS, Scene, preset_names
+
+NOTHING_YET = "run: There is no run in this session yet. Call /generate first."
 
 
 def endpoints(studio: Studio) -> None:
     """The named endpoints /generate, /render and /evaluate, with typed arguments."""
     with gr.Column(visible=False):
-        picture = photo(studio.settings.max_bytes, label="image")
+        picture = photo(studio, label="image")
         preset = gr.Dropdown(preset_names(), value="press", label="preset")
         accuracy = gr.Radio(list(PRESETS), value="standard", label="accuracy")
         frames = gr.Number(14, label="frames", precision=0, minimum=1)
@@ -28,8 +33,10 @@ def endpoints(studio: Studio) -> None:
         size = gr.Number(512, label="size", precision=0, minimum=16)
         elevation = gr.Number(10, label="elevation", minimum=-89, maximum=89)
         formats = gr.CheckboxGroup(list(EXPORTS), value=[], label="formats")
-        run, files, report = gr.State(None), gr.File(file_count="multiple"), gr.JSON()
-        shared = {"concurrency_id": "device", "concurrency_limit": 1}
+        run = gr.State(None)
+        files, report = gr.File(file_count="multiple", label="files"), gr.JSON(label="report")
+        # Each only follows a job, which waits for its turn in a line of our own.
+        shared = {"concurrency_id": "programs", "concurrency_limit": studio.settings.max_queue}
         gr.Button().click(
             _generate(studio), [picture, preset, accuracy, frames, changes, formats],
             [run, files, report], api_name="generate", **shared,
@@ -47,25 +54,35 @@ def _generate(studio: Studio) -> Handler:
         request: gr.Request,
     ) -> Iterator[tuple[Any, ...]]:  # fmt: skip
         """Turn a picture into a moving object: its files and its report."""
+        name = visitor_of(request)
         try:
             scene = Scene.named(preset).replaced(
-                {"accuracy": accuracy, "time.frames": int(frames), **(changes or {})}
+                {"accuracy": accuracy, "time.frames": int(frames), **_changes(changes)}
             )
-            cutout = studio.cut(session_of(request), image)
+            cutting = studio.cut(name, image)
         except InputError as error:
-            raise gr.Error(sentence(error)) from None
-        except Cancelled:
-            raise gr.Error("Stopped. Nothing was made.") from None
-        data = scene.model_dump(mode="json")
-        for state in studio.run(session_of(request), cutout.path, data):
-            if state.done is None:
-                yield _unfinished(state)
-                continue
-            made = [str(export(kind, state.done)) for kind in formats]
-            report = read_report(state.done)
-            yield (state.done, cutout.path, data), _paths(state.done) + made, report
+            raise refusal(complaint(error)) from None
+        visitor, data = studio.visitors.get(name), scene.data()
+        for _ in _followed(cutting, visitor, "image"):
+            yield (gr.skip(),) * 3
+        cutout = cutting.progress.result.path
+        job = _begun(studio, name, cutout, data)
+        for _ in _followed(job, visitor, "run"):
+            yield (gr.skip(),) * 3
+        done = job.progress.result
+        made = [str(export(kind, done)) for kind in formats or ()]
+        yield (done, cutout, data), _paths(done) + made, read_report(done)
 
     return generate
+
+
+def _changes(given: Any) -> dict[str, Any]:
+    if given is None or isinstance(given, dict):
+        return given or {}
+    raise InputError(
+        "changes", type(given).__name__, "They must be an object of values by dotted path.",
+        'Give {"material.E": 20000}, say.',
+    )  # fmt: skip
 
 
 def _render(studio: Studio) -> Handler:
@@ -74,30 +91,47 @@ def _render(studio: Studio) -> Handler:
     ) -> Iterator[tuple[Any, ...]]:
         """Film this session's last run again; nothing is simulated."""
         if run is None:
-            raise gr.Error("There is no run in this session yet. Call /generate first.")
+            raise refusal(NOTHING_YET)
         _, cutout, data = run
+        name = visitor_of(request)
         view = {**data["view"], "size": int(size), "elevation": elevation}
         view["views"] = views or data["view"]["views"]
-        for state in studio.run(session_of(request), cutout, {**data, "view": view}):
-            if state.done is None:
-                yield _unfinished(state)[1:]
-                continue
-            yield _paths(state.done), read_report(state.done)
+        job = _begun(studio, name, cutout, {**data, "view": view})
+        for _ in _followed(job, studio.visitors.get(name), "run"):
+            yield gr.skip(), gr.skip()
+        yield _paths(job.progress.result), read_report(job.progress.result)
 
     return render
+
+
+def _begun(studio: Studio, name: str, cutout: str, data: dict[str, Any]) -> Job:
+    try:
+        return studio.run(name, cutout, data)
+    except InputError as error:
+        raise refusal(complaint(error)) from None
+
+
+def _followed(job: Job, visitor: Visitor, field: str) -> Iterator[None]:
+    """Wait for a job, which is called off if the program hangs up; raises gr.Error if it fails."""
+    try:
+        while not job.wait(BEAT):
+            visitor.touch()
+            yield
+    except GeneratorExit:
+        job.cancel()
+        raise
+    if job.progress.state != "done":
+        raise refusal(f"{field}: {job.progress.message}")
 
 
 def _evaluate(run: Any) -> dict[str, Any]:
     """How this session's last run moved: stability figures per frame, effects, times."""
     if run is None:
-        raise gr.Error("There is no run in this session yet. Call /generate first.")
-    return read_report(run[0])
-
-
-def _unfinished(state: Progress) -> tuple[Any, ...]:
-    if state.state != "running":
-        raise gr.Error(state.message)
-    return gr.skip(), gr.skip(), gr.skip()
+        raise refusal(NOTHING_YET)
+    try:
+        return read_report(run[0])
+    except OSError:
+        raise refusal("run: It is no longer kept here. Call /generate again.") from None
 
 
 def _paths(done: Done) -> list[str]:

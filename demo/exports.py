@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
-from demo.work import Done
+from demo.work import Done, whole_in_view
 from phy124.clip import Clip
 from phy124.errors import InputError
 from phy124.export import write_ply_sequence
@@ -50,7 +50,7 @@ class Export:
 
 def _html(done: Done, path: Path) -> None:
     clip = Clip.load(done.clip / "clip.safetensors")
-    view = View.model_validate(clip.scene["view"])
+    view = whole_in_view(clip, View.model_validate(clip.scene["view"]))
     write_html(path, clip, cameras(clip, view, "front")[0], background=view.background)
 
 

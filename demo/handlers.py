@@ -5,8 +5,8 @@ Handlers know the session and Gradio's types; everything they do is in demo.jobs
 
 from __future__ import annotations
 
-import secrets
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -16,17 +16,22 @@ from gradio import FileData
 from demo.catalogue import scene_of
 from demo.exports import EXPORTS, export
 from demo.forecast import stops_table
-from demo.jobs import Progress, Studio, read_report, sentence
-from demo.pictures import dimmed
+from demo.identity import visitor_of
+from demo.jobs import Cutout, Studio, read_report, sentence
+from demo.line import Job
+from demo.progress import Progress
 from demo.report import as_html
-from demo.visitors import key
+from demo.strokes import strokes_of
+from demo.visitors import Visitor, key
 from demo.work import Done
 from phy124.camera import VIEWS
 from phy124.clip import Clip
-from phy124.errors import Cancelled, InputError
+from phy124.errors import InputError
 from phy124.scene import Scene
 
 Handler = Callable[..., Any]
+NOT_SHOWN = [gr.skip()] * 5
+"""For the panels that `results` fills."""
 EXAMPLES = Path(__file__).parent / "examples"
 FILES = {
     "clip.safetensors": ("Moving Gaussians", "The clip itself, for phy124"),
@@ -37,121 +42,139 @@ FILES = {
 }
 
 
-def cutter(studio: Studio) -> Handler:
-    """Picture -> cut-out, its preview, and the picture under the brush."""
+def chooser(studio: Studio) -> Handler:
+    """A picture that was sent -> it is being cut out; what was chosen before is forgotten."""
 
-    def cut(picture: str | None, request: gr.Request) -> tuple[Any, ...]:
-        if picture is None:
-            return None, gr.update(value=None, visible=False), None
+    def choose(event: gr.EventData, request: gr.Request) -> tuple[Any, Any]:
+        path, example = _data(event).get("upload"), _data(event).get("example")
+        if path is None and example is None:
+            return {}, None
         try:
-            made = studio.cut(session_of(request), picture)
+            if example is not None:
+                path = _sent_example(studio, visitor_of(request), example)
+            job = studio.cut(visitor_of(request), path)
         except InputError as error:
-            raise gr.Error(sentence(error), title="This picture cannot be used") from None
-        except Cancelled:
-            return None, gr.update(value=None, visible=False), None
-        if made.doubts:
-            remedy = "If it is wrong, correct it with the brush."
-            gr.Warning(" ".join([*made.doubts, remedy]), title="Is this the object?")
-        canvas = {"background": dimmed(picture, made.path), "layers": [], "composite": None}
-        return made, gr.update(value=made.path, visible=True), canvas
+            return _not_cut(error), None
+        return {"job": job.name, "picture": _file(Path(job.subject))}, None
 
-    return cut
+    return choose
 
 
 def corrector(studio: Studio) -> Handler:
-    """Brush strokes -> corrected cut-out and its preview."""
+    """Brush strokes -> the cut-out is being corrected."""
 
-    def correct(cutout: Any, canvas: Any, request: gr.Request) -> tuple[Any, ...]:
-        layers = (canvas or {}).get("layers") or []
-        if cutout is None or not layers:
-            raise gr.Error("Choose a picture and paint on it first.", title="Nothing to correct")
+    def correct(shown: Any, cutout: Any, event: gr.EventData, request: gr.Request) -> Any:
+        picture = _path((shown or {}).get("picture")) if cutout is None else cutout.picture
         try:
-            made = studio.cut(session_of(request), cutout.picture, layers[0])
+            strokes = strokes_of(_data(event).get("strokes"))
+            job = studio.cut(visitor_of(request), picture, strokes)
         except InputError as error:
-            raise gr.Error(sentence(error), title="This cannot be used") from None
-        except Cancelled:
-            return gr.skip(), gr.skip()
-        return made, gr.update(value=made.path, visible=True)
+            return {**(shown or {}), **_not_cut(error)}
+        return {**(shown or {}), "job": job.name}
 
     return correct
+
+
+def cut_shower(studio: Studio) -> Handler:
+    """A finished cut-out -> its preview; one that failed leaves nothing to generate from."""
+
+    def show(shown: Any, cutout: Any, event: gr.EventData, request: gr.Request) -> tuple[Any, Any]:
+        job = _job(studio, request, event)
+        if job is None or not job.over:
+            return gr.skip(), gr.skip()
+        made = job.progress.result
+        if made is None:
+            return {**(shown or {}), "job": None, "message": job.progress.message}, cutout
+        doubts = [*made.doubts, "If it is wrong, correct it with the brush."] if made.doubts else []
+        return {**_cut_out(made), "doubts": " ".join(doubts)}, made
+
+    return show
+
+
+def _cut_out(made: Cutout) -> dict[str, Any]:
+    return {"picture": _file(Path(made.picture)), "cutout": _file(Path(made.path))}
+
+
+def _not_cut(error: InputError) -> dict[str, Any]:
+    return {"job": None, "message": sentence(error), "again": error.field == "queue"}
+
+
+def _sent_example(studio: Studio, visitor: str, name: Any) -> str:
+    """An example picture, as if the visitor had sent it."""
+    path = EXAMPLES / f"{name}.png"
+    if path not in EXAMPLES.glob("*.png"):
+        raise InputError("picture", "none", "There is no such example.", "Choose another one.")
+    studio.visitors.get(visitor)
+    return str(studio.visitors.store(visitor, path.read_bytes(), ".png"))
+
+
+def _data(event: gr.EventData) -> dict[str, Any]:
+    return event._data if isinstance(event._data, dict) else {}
+
+
+def _job(studio: Studio, request: gr.Request, event: gr.EventData) -> Job | None:
+    """The visitor's own piece of work that an event names."""
+    visitor = studio.visitors.known(visitor_of(request))
+    return visitor.jobs.get(str(_data(event).get("job"))) if visitor else None
+
+
+def _path(file: Any) -> Any:
+    return file.get("path") if isinstance(file, dict) else None
 
 
 def forecaster(studio: Studio) -> Handler:
     """Scene -> what it will take."""
 
     def forecast(cutout: Any, scene: Any, request: gr.Request) -> str:
-        path, session = cutout.path if cutout else None, session_of(request)
         if not scene:
             return ""
-        return with_stops(studio, session, scene, studio.forecast(session, path, scene))
+        name, path = visitor_of(request), cutout.path if cutout else None
+        return with_stops(studio, name, scene, studio.forecast(name, path, scene))
 
     return forecast
 
 
-def with_stops(studio: Studio, session: str, data: Any, text: str) -> str:
-    """A forecast, and under it what each stop of the accuracy slider would be."""
+def with_stops(studio: Studio, name: str, data: Any, text: str) -> str:
+    """A forecast in one line that opens: what each stop of the accuracy slider would be."""
+    visitor = studio.visitors.known(name)
     try:
-        scene = scene_of(data, studio.settings)
-        known = studio.visitors.get(session).forecasts.get(key(scene.data()))
+        scene = scene_of(data, studio.settings, visitor and visitor.folder / "uploads")
     except InputError:
-        return text
+        return f"<p>{escape(text)}</p>"
+    known = visitor.forecasts.get(key(scene.data())) if visitor else None
     count = studio.settings.gaussians
-    return text + stops_table(studio.forecaster.stops(scene, gaussians=count, seconds=known))
+    table = stops_table(studio.forecaster.stops(scene, gaussians=count, seconds=known))
+    brief, _, rest = text.partition(": ")
+    return (
+        f"<details><summary>{escape(brief)}</summary><p>{escape(rest)}</p>{table}</details>"
+        if rest
+        else f"<p>{escape(text)}</p>{table}"
+    )
 
 
 def refiner(studio: Studio) -> Handler:
     """The same, measured on the visitor's own object where that is quick."""
 
     def refine(cutout: Any, scene: Any, request: gr.Request) -> Any:
-        session = session_of(request)
-        text = studio.refine(session, cutout.path, scene) if cutout and scene else None
-        return gr.skip() if text is None else with_stops(studio, session, scene, text)
+        name = visitor_of(request)
+        text = studio.refine(name, cutout.path, scene) if cutout and scene else None
+        return gr.skip() if text is None else with_stops(studio, name, scene, text)
 
     return refine
 
 
-def runner(studio: Studio) -> Handler:
-    """Cut-out and scene -> progress, then everything there is to see."""
+def starter(studio: Studio) -> Handler:
+    """Cut-out and scene -> a piece of work that the progress panel follows, or what is wrong."""
 
-    def run(
-        cutout: Any, scene: Any, ticket: str | None, request: gr.Request
-    ) -> Iterator[tuple[Any, ...]]:
-        kept = [gr.skip()] * 4
-        path = cutout.path if cutout else None
-        going = (gr.skip(), gr.skip())
-        # Gradio empties the outputs of a generator that ends without a word.
-        yield (gr.skip(), gr.skip(), *going, *kept)
-        for progress in studio.run(session_of(request), path, scene, ticket):
-            if progress.state == "running":
-                yield (progress.data(), gr.skip(), *going, *kept)
-            else:
-                shown = kept if progress.done is None else results(progress.done, progress, studio)
-                kept_done = gr.skip() if progress.done is None else progress.done
-                yield (progress.data(), kept_done, *rested(), *shown)
+    def start(cutout: Any, scene: Any, request: gr.Request) -> tuple[Any, ...]:
+        try:
+            job = studio.run(visitor_of(request), cutout.path if cutout else None, scene)
+        except InputError as error:
+            state = "full" if error.field == "queue" else "refused"
+            return Progress(state=state, message=sentence(error)).data(), *rested()
+        return {**job.progress.data(), "job": job.name}, *working()
 
-    return run
-
-
-def beginner(studio: Studio) -> Handler:
-    """At the click itself, before the queue: a ticket, and the page says that it waits."""
-
-    def begin(request: gr.Request) -> tuple[Any, ...]:
-        waiting = Progress(state="waiting").data()
-        ticket = studio.announce(session_of(request))
-        return ticket, waiting, gr.update(interactive=False), gr.update(visible=True)
-
-    return begin
-
-
-def refuser(studio: Studio) -> Handler:
-    """The queue would not take the click; Gradio has said why."""
-
-    def refused(request: gr.Request) -> tuple[Any, ...]:
-        studio.visitors.stop(session_of(request))
-        message = "Too many visitors are waiting. Try again soon."
-        return Progress(state="refused", message=message).data(), *rested()
-
-    return refused
+    return start
 
 
 def rested() -> tuple[Any, Any]:
@@ -159,49 +182,108 @@ def rested() -> tuple[Any, Any]:
     return gr.update(interactive=True), gr.update(visible=False)
 
 
-def pick(event: gr.EventData) -> str | None:
-    """An example picture by its name."""
-    path = EXAMPLES / f"{(event._data or {}).get('name')}.png"
-    return str(path) if path in EXAMPLES.glob("*.png") else None
+def working() -> tuple[Any, Any]:
+    """The buttons while something runs."""
+    return gr.update(interactive=False), gr.update(visible=True)
 
 
 def stopper(studio: Studio) -> Handler:
-    """Stop this visitor's work.
+    """Stop this visitor's work; the progress panel, which follows it, hears of it there."""
 
-    A run that has started says itself that it has stopped: were it said here as well, the run's
-    last word on its progress could come after it and stay. Cancelling it in Gradio, too, would
-    close the run's stream before that word.
-    """
-
-    def stop(request: gr.Request) -> tuple[Any, ...]:
-        if studio.visitors.stop(session_of(request)):
-            return gr.skip(), gr.skip(), gr.skip()
-        progress = Progress(state="stopped", message="Stopped. Nothing was changed.")
-        return progress.data(), *rested()
+    def stop(request: gr.Request) -> None:
+        visitor = studio.visitors.known(visitor_of(request))
+        if visitor is not None:
+            visitor.stop()
 
     return stop
 
 
-def leaver(studio: Studio) -> Handler:
-    """The visitor has closed the page."""
+def finisher(studio: Studio) -> Handler:
+    """A run that has come to an end -> everything there is to see."""
 
-    def leave(request: gr.Request) -> None:
-        studio.visitors.leave(session_of(request))
+    def finish(event: gr.EventData, request: gr.Request) -> tuple[Any, ...]:
+        job = _job(studio, request, event)
+        if job is None or not job.over or not _is_there(job.progress.result):
+            return gr.skip(), *rested(), *NOT_SHOWN
+        return job.progress.result, *rested(), *results(studio, visitor_of(request), job)
 
-    return leave
+    return finish
 
 
-def results(done: Done, progress: Progress, studio: Studio) -> list[Any]:
-    """Values of the viewer, the videos, the report and the take-away panel."""
+def _is_there(done: Any) -> bool:
+    return isinstance(done, Done) and (done.films / "report.json").exists()
+
+
+def greeter(studio: Studio) -> Handler:
+    """The page was opened, or opened again: whatever this visitor had is shown."""
+
+    def greet(request: gr.Request) -> tuple[Any, ...]:
+        visitor = studio.visitors.known(visitor_of(request))
+        if visitor is None:
+            return gr.skip(), None, gr.skip(), None, *rested(), *NOT_SHOWN
+        cut, run = visitor.latest("cut"), visitor.latest("run")
+        return *_found_picture(visitor, cut), *_found_run(studio, visitor_of(request), run)
+
+    return greet
+
+
+def _found_picture(visitor: Visitor, cut: Job | None) -> tuple[Any, Any]:
+    """The picture panel and the cut-out of a visitor who has come back."""
+    if cut is not None and not cut.over:
+        return {"job": cut.name}, None
+    made = next((j.progress.result for j in reversed(list(visitor.jobs.values()))
+                 if j.kind == "cut" and j.progress.result), None)  # fmt: skip
+    if made is None or not Path(made.path).exists() or not Path(made.picture).exists():
+        return gr.skip(), None
+    return _cut_out(made), made
+
+
+def _found_run(studio: Studio, name: str, run: Job | None) -> tuple[Any, ...]:
+    """Progress, result, buttons and result panels of a visitor who has come back."""
+    if run is None:
+        return gr.skip(), None, *rested(), *NOT_SHOWN
+    if not run.over:
+        return {**run.progress.data(), "job": run.name}, None, *working(), *NOT_SHOWN
+    done = run.progress.result
+    if not _is_there(done):
+        return gr.skip(), None, *rested(), *NOT_SHOWN
+    return gr.skip(), done, *rested(), *results(studio, name, run)
+
+
+def results(studio: Studio, name: str, job: Job) -> list[Any]:
+    """Values of the viewer, the videos, the report, the take-away panel and the history."""
+    done: Done = job.progress.result
     report = read_report(done)
-    scene = Clip.load(done.clip / "clip.safetensors").scene
-    stops = studio.forecaster.stops(Scene.from_data(scene), gaussians=report["gaussians"])
+    clip = Clip.load(done.clip / "clip.safetensors")
+    stops = studio.forecaster.stops(Scene.from_data(clip.scene), gaussians=report["gaussians"])
+    films = [{"name": path.stem, "file": _file(path)} for path in _films(done)]
+    length = float(clip.times[-1] - clip.times[0])
     return [
         {"pack": _file(done.films / "clip.pack")},
-        {"films": [{"name": path.stem, "file": _file(path)} for path in _films(done)]},
-        as_html(report, scene, progress.expected, stops),
+        {"films": films, "length": length},
+        as_html(report, clip.scene, job.progress.expected, stops),
         _takeaway(done),
+        {"runs": _earlier(studio, name, job)},
     ]
+
+
+def _earlier(studio: Studio, name: str, shown: Job) -> list[dict[str, Any]]:
+    """What a visitor has made so far, the newest first, each result once."""
+    visitor, seen, found = studio.visitors.known(name), set(), []
+    for job in reversed(list(visitor.jobs.values()) if visitor else []):
+        done = job.progress.result
+        if job.kind != "run" or not _is_there(done) or done.films in seen:
+            continue
+        seen.add(done.films)
+        scene = Clip.load(done.clip / "clip.safetensors").scene
+        found.append({
+            "job": job.name, "title": str(scene["material"]["law"]).replace("_", " ").capitalize(),
+            "detail": f"{scene['time']['frames']} frames, {scene['accuracy']}"
+            if isinstance(scene["accuracy"], str) else f"{scene['time']['frames']} frames",
+            "picture": _file(done.films / "orbit.webp"), "pack": _file(done.films / "clip.pack"),
+            "current": done == shown.progress.result,
+        })  # fmt: skip
+    return found
 
 
 def _films(done: Done) -> list[Path]:
@@ -248,8 +330,3 @@ def _link(path: Path, label: str, hint: str) -> dict[str, Any]:
 def _file(path: Path) -> dict[str, Any]:
     """A file for the page; its folder's name cannot be guessed."""
     return FileData(path=str(path), orig_name=path.name, size=path.stat().st_size).model_dump()
-
-
-def session_of(request: gr.Request) -> str:
-    """Whose request it is; one without a session belongs to nobody else."""
-    return str(request.session_hash or secrets.token_hex(16))

@@ -1,7 +1,7 @@
-"""Make the looping pictures on the preset cards from the pipeline itself.
+"""Make the looping pictures on the preset cards and material chips from the pipeline itself.
 
 Run `python -m demo.make_previews` again when presets or their physics have
-changed; it takes some seconds per preset.
+changed; it takes some seconds for each.
 """
 
 from __future__ import annotations
@@ -9,6 +9,11 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from demo.substances import SUBSTANCES
 from phy124.clip import Clip
 from phy124.cutout import cut_out
 from phy124.gaussians import Frame
@@ -18,7 +23,6 @@ from phy124.progress import silent
 from phy124.render import render_frames
 from phy124.scene import Scene, preset_names
 from phy124.simulation import Simulation
-from phy124.video import write_animation
 
 FOLDER = Path(__file__).parent
 OBJECTS = {
@@ -26,28 +30,53 @@ OBJECTS = {
     "snow": "teddy", "water": "pear", "jelly": "cupcake", "wind": "sunflower", "foam": "mushroom",
 }  # fmt: skip
 """Which example suits a preset; all others take the duck."""
-SIZE = 200
+SIZE, CHIP = 200, 96
+"""Sides of a preset's picture and of a material's, pixels."""
 
 
 def main() -> None:
-    """Make the previews of the presets named, or of all."""
+    """Make the previews of the presets and materials named, or of all."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("presets", nargs="*", default=preset_names())
-    for name in parser.parse_args().presets:
-        make_preview(name, FOLDER / "previews" / f"{name}.webp")
+    materials = [f"material_{name}" for name in SUBSTANCES]
+    parser.add_argument("names", nargs="*", default=[*preset_names(), *materials])
+    for name in parser.parse_args().names:
+        substance = None
+        if name in materials:
+            substance = SUBSTANCES[name.removeprefix("material_")]
+        scene = Scene.named("drop" if substance else name).replaced({"accuracy": "draft"})
+        size = SIZE
+        if substance:
+            scene, size = scene.replaced({"material": substance}), CHIP
+        picture = "duck" if substance else OBJECTS.get(name, "duck")
+        make_preview(scene, picture, FOLDER / "previews" / f"{name}.webp", size)
 
 
-def make_preview(name: str, path: Path) -> None:
-    """Simulate a preset at draft accuracy and film it from the front and slightly above."""
-    picture = FOLDER / "examples" / f"{OBJECTS.get(name, 'duck')}.png"
-    cutout = cut_out(picture).picture
-    scene = Scene.named(name).replaced({"accuracy": "draft"})
+def make_preview(scene: Scene, example: str, path: Path, size: int) -> None:
+    """Simulate a scene and film it from the front and slightly above."""
+    cutout = cut_out(FOLDER / "examples" / f"{example}.png").picture
     clip = Simulation(make("relief")(cutout, seed=0, progress=silent), scene).run()
     path.parent.mkdir(exist_ok=True)
-    closer = {"size": (SIZE, SIZE), "distance": scene.view.distance - 0.2}
+    closer = {"size": (size, size), "distance": scene.view.distance - 0.2}
     view = scene.view.model_copy(update=closer)
-    images = render_frames(_there_and_back(clip), cameras(clip, view, "front")[0], device="cpu")
-    write_animation(path, images, fps=scene.time.fps * 0.6)
+    camera = cameras(clip, view, "front")[0]
+    black, white = (
+        list(render_frames(_there_and_back(clip), camera, background=(g, g, g), device="cpu"))
+        for g in (0.0, 1.0)
+    )
+    images = [_clear(dark, light) for dark, light in zip(black, white, strict=True)]
+    duration = round(1000 / (0.6 * scene.time.fps))
+    images[0].save(
+        path, save_all=True, append_images=images[1:], duration=duration, loop=0,
+        quality=75, method=4,
+    )  # fmt: skip
+
+
+def _clear(on_black: NDArray, on_white: NDArray) -> Image.Image:
+    """A picture with transparency, from the same one before black and before white."""
+    dark, light = on_black.astype(np.float32), on_white.astype(np.float32)
+    alpha = 255 - (light - dark).mean(axis=2, keepdims=True).clip(0, 255)
+    colour = np.where(alpha > 0, dark * 255 / np.maximum(alpha, 1), 0).clip(0, 255)
+    return Image.fromarray(np.concatenate([colour, alpha], axis=2).astype(np.uint8))
 
 
 def _there_and_back(clip: Clip) -> list[Frame]:

@@ -7,6 +7,8 @@ from typing import Any
 import gradio as gr
 
 HEAD = '<script src="phy124/static/page.js"></script>'
+PICTURE = HEAD + '<script src="phy124/static/brush.js"></script>'
+PICTURE += '<script src="phy124/static/picture.js"></script>'
 EDITOR = HEAD + '<script src="phy124/static/scene.js"></script>'
 PLAYER = (
     HEAD
@@ -22,19 +24,28 @@ def scene() -> gr.HTML:
     return _panel("scene", EDITOR, events="'change'")
 
 
-def examples() -> gr.HTML:
-    """Pictures to begin with; "pick" tells which."""
-    return _panel("examples", HEAD, events="'pick'")
+def picture() -> gr.HTML:
+    """The picture, its cut-out, the brush and pictures to begin with.
+
+    "choose" names a file that was sent or an example, "correct" brings brush strokes, "cut" tells
+    that the cutting has come to an end.
+    """
+    return _panel("picture", PICTURE, events="'choose' 'correct' 'cut'")
 
 
 def progress() -> gr.HTML:
-    """Stages with bars, and the run so far as a flip-book."""
-    return _panel("progress", HEAD)
+    """Stages with bars, and the run so far; "finished" and "again" tell of its end."""
+    return _panel("progress", HEAD, events="'finished' 'again'")
 
 
 def viewer() -> gr.HTML:
     """The 4D viewer."""
     return _panel("viewer", PLAYER)
+
+
+def history() -> gr.HTML:
+    """Earlier results; "show" asks for one of them."""
+    return _panel("history", HEAD, events="'show'")
 
 
 def videos() -> gr.HTML:

@@ -1,21 +1,27 @@
-"""The picture input: hands over the uploaded file undecoded, so that our own limits come first.
+"""The picture input for programs: hands over the uploaded file undecoded, so that our own limits
+come first.
 
-Gradio would decode a picture before any limit of ours; and a data: URL in an API call bypasses
-its `max_file_size`.
+Gradio would decode a picture before any limit of ours, fetch it from anywhere, and take a data: URL
+in an API call past its `max_file_size`.
 """
 
 from __future__ import annotations
 
 import base64
 import binascii
-import os
-import tempfile
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gradio as gr
 
+from phy124.errors import InputError
 
-def photo(max_bytes: int, **options: Any) -> gr.Image:
+if TYPE_CHECKING:
+    from demo.jobs import Studio
+
+BROKEN = "image: The picture's data: URL is broken. Send the file itself."
+
+
+def photo(studio: Studio, **options: Any) -> gr.Image:
     """A `gr.Image` whose value is the path of the file as it was uploaded."""
     image = gr.Image(type="filepath", **options)
 
@@ -24,25 +30,42 @@ def photo(max_bytes: int, **options: Any) -> gr.Image:
         if payload is None:
             return None
         if payload.url and payload.url.startswith("data:"):
-            return _saved(payload.url, max_bytes, image.GRADIO_CACHE)
+            return _saved(payload.url, studio)
         return payload.path
 
     image.preprocess = preprocess
     return image
 
 
-def _saved(url: str, max_bytes: int, folder: str) -> str:
+def refusal(text: str) -> gr.Error:
+    """What a program is told; it is no fault of ours, so the log has none of it."""
+    return gr.Error(text, print_exception=False)
+
+
+def fetch_nothing(page: gr.Blocks) -> None:
+    """Let no component download what a request names by its address."""
+    for block in page.blocks.values():
+        moved = block.async_move_resource_to_block_cache
+
+        async def local(url_or_file_path: Any, moved: Any = moved) -> str | None:
+            if "://" in str(url_or_file_path or "")[:12]:
+                raise refusal("image: This page fetches nothing. Send the file itself.")
+            return await moved(url_or_file_path)
+
+        block.async_move_resource_to_block_cache = local
+
+
+def _saved(url: str, studio: Studio) -> str:
+    limits = studio.settings
     head, comma, text = url.partition(",")
     if not comma or not head.endswith(";base64"):
-        raise gr.Error("The picture's data: URL is broken. Send the file itself.")
-    if len(text) * 3 / 4 > max_bytes:
-        limit = f"{max_bytes / 1e6:g} MB"
-        raise gr.Error(f"The picture is larger than {limit}. Save it as JPEG or reduce it.")
+        raise refusal(BROKEN)
+    if len(text) * 3 / 4 > limits.max_bytes:
+        raise refusal(f"image: {limits.too_large} {limits.make_smaller}")
     try:
         data = base64.b64decode(text, validate=True)
+        return str(studio.visitors.store(None, data, ""))
     except binascii.Error:
-        raise gr.Error("The picture's data: URL is broken. Send the file itself.") from None
-    descriptor, path = tempfile.mkstemp(suffix=".png", dir=folder)
-    with os.fdopen(descriptor, "wb") as file:
-        file.write(data)
-    return path
+        raise refusal(BROKEN) from None
+    except InputError as error:
+        raise refusal(f"image: {error.limit} {error.remedy}") from None

@@ -3,24 +3,29 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
 from demo.settings import Settings
-from phy124.cutout import foreground
+from demo.strokes import Stroke, painted
+from phy124 import isolated
+from phy124.cutout import foreground, has_alpha
 from phy124.errors import InputError
+from phy124.files import replacing
+from phy124.grabcut import hinted
 from phy124.image import FORMATS, open_image
-from phy124.isolated import PATIENT, Deadline
+from phy124.isolated import PATIENT, Deadline, Unfinished
 
 
 def check_picture(path: Path, settings: Settings) -> None:
     """Size in bytes and pixels, from the header alone; raises InputError."""
     size = path.stat().st_size
     if size > settings.max_bytes:
-        limit = f"The picture has {size / 1e6:.0f} MB; this page takes {settings.max_upload_mb:g}."
-        raise InputError("picture", path.name, limit, "Save it as JPEG or reduce it.")
+        raise InputError("picture", path.name, settings.too_large, settings.make_smaller)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
@@ -36,47 +41,41 @@ def check_picture(path: Path, settings: Settings) -> None:
         raise InputError("picture", path.name, limit, "Reduce it to 2000 pixels, say.")
 
 
-def cut_out(
-    picture: str, strokes: Image.Image | None, path: Path, deadline: Deadline = PATIENT
-) -> tuple[str, ...]:
-    """Write the cut-out and return what makes it doubtful.
+def cut_out(picture: Path, path: Path, deadline: Deadline = PATIENT) -> tuple[str, ...]:
+    """Write the cut-out of a picture and return what makes it doubtful; raises InputError."""
+    found = foreground(open_image(picture), deadline=deadline)
+    _save(found.picture, path)
+    return tuple(found.warnings)
 
-    Green strokes are object and red ones are not, whatever was found.
+
+def corrected(
+    picture: Path, first: Path | None, strokes: Sequence[Stroke], path: Path,
+    deadline: Deadline = PATIENT,
+) -> None:  # fmt: skip
+    """Write the cut-out that brush strokes ask for, starting from the first one if there is one.
+
+    Strokes say for certain what is object and what is not; near them the outline follows the
+    picture's own edges.
     """
-    image, doubts = open_image(picture), ()
-    try:
-        found = foreground(image, deadline=deadline)
-        cut, doubts = found.picture, found.warnings
-    except InputError:
-        if strokes is None:
-            raise
-        cut = image.convert("RGBA")
-        cut.putalpha(0)
-    if strokes is not None:
-        cut.putalpha(brushed(cut.getchannel("A"), strokes))
-        doubts = ()
+    image = open_image(picture)
+    marks = np.asarray(painted(tuple(strokes), image.size))
+    alpha = np.zeros(marks.shape, np.uint8)
+    if first is not None:
+        with Image.open(first) as cut:
+            alpha = np.array(cut.getchannel("A"))
+    if not has_alpha(image):
+        # Without an answer in time the strokes still count where they are.
+        with suppress(Unfinished):
+            rgb = np.asarray(image.convert("RGB"))
+            alpha = np.array(isolated.run(hinted, rgb, alpha, marks, deadline=deadline))
+    alpha[marks == 1] = 0
+    alpha[marks == 2] = 255
+    image.putalpha(Image.fromarray(alpha))
+    _save(image, path)
+
+
+def _save(cut: Image.Image, path: Path) -> None:
     if not np.any(np.asarray(cut.getchannel("A")) > 127):
         raise InputError("picture", "empty", "Nothing is left of it.", "Paint green what to keep.")
-    cut.save(path, compress_level=1)
-    return doubts
-
-
-def brushed(alpha: Image.Image, strokes: Image.Image) -> Image.Image:
-    """Alpha with strokes applied: green keeps, red removes."""
-    marks = np.asarray(strokes.convert("RGBA").resize(alpha.size)).astype(np.int16)
-    painted = marks[..., 3] > 64
-    keep = painted & (marks[..., 1] > marks[..., 0])
-    values = np.array(alpha)
-    values[painted & ~keep] = 0
-    values[keep] = 255
-    return Image.fromarray(values)
-
-
-def dimmed(picture: str, cutout: str) -> Image.Image:
-    """The picture for the brush: what was cut away is pale, so that one sees what to correct."""
-    image = open_image(picture)
-    white = Image.new("RGBA", image.size, "white")
-    flat = np.asarray(Image.alpha_composite(white, image).convert("RGB")).astype(np.float32)
-    with Image.open(cutout) as cut:
-        kept = np.asarray(cut.getchannel("A")).astype(np.float32)[..., None] / 255
-    return Image.fromarray((flat * kept + (0.3 * flat + 165) * (1 - kept)).astype(np.uint8))
+    with replacing(path) as temporary:
+        cut.save(temporary, "PNG", compress_level=1)

@@ -1,84 +1,46 @@
-"""Around the page: limits on requests, static files, health, and how Gradio is started."""
+"""How the page is started: our own addresses, what stands before it, and how it ends."""
 
 from __future__ import annotations
 
 import json
 import os
-import tempfile
+import threading
 import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from starlette.middleware import Middleware
 from starlette.requests import Request
-from starlette.responses import JSONResponse, PlainTextResponse, Response
+from starlette.responses import JSONResponse, Response
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
-if TYPE_CHECKING:
-    from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from demo.guard import BodyLimit, Doorkeeper, Headed, Patient, own_names
+from demo.identity import cookie_of
+from demo.uploads import upload_route
 
+if TYPE_CHECKING:
     from demo.jobs import Studio
     from demo.settings import Settings
 
 FOLDER = Path(__file__).parent
-DRAIN = 1 << 28
-"""Bytes of a refused request that are read before the connection is closed."""
 SLACK = 64_000
 """Bytes of a request beside the upload itself."""
+SWEEP = 5.0
+"""Time between two looks for visitors who have gone, s."""
 
 
-def prepare(settings: Settings) -> Path:
-    """Set what must be set before Gradio is imported; returns the folder of visitors' files."""
+def prepare(settings: Settings, root: Path) -> None:
+    """Set what must be set before Gradio is imported."""
     os.environ["GRADIO_ANALYTICS_ENABLED"] = "False"
     os.environ.setdefault("HF_HUB_DISABLE_TELEMETRY", "1")
     os.environ.pop("GRADIO_VIBE_MODE", None)
     os.environ.pop("GRADIO_SHARE", None)
-    root = Path(settings.folder or tempfile.mkdtemp(prefix="phy124-web-"))
-    root.mkdir(parents=True, exist_ok=True)
     os.environ["GRADIO_TEMP_DIR"] = str(root)
     from PIL import Image
 
     Image.MAX_IMAGE_PIXELS = int(settings.max_megapixels * 1e6)
     warnings.simplefilter("error", Image.DecompressionBombWarning)
-    return root
-
-
-class BodyLimit:
-    """Refuses requests that are larger than an upload may be, however they say their size."""
-
-    def __init__(self, app: ASGIApp, most: int) -> None:
-        self.app, self.most = app, most
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer 413, or pass the request on."""
-        if scope["type"] != "http":
-            return await self.app(scope, receive, send)
-        length = dict(scope["headers"]).get(b"content-length", b"0")
-        if not length.isdigit() or int(length) > self.most:
-            return await self._refuse(scope, receive, send)
-        read = 0
-
-        async def counted() -> Message:
-            nonlocal read
-            message = await receive()
-            read += len(message.get("body", b""))
-            if read > self.most:
-                # To the application it looks as if the client had gone.
-                return {"type": "http.disconnect"}
-            return message
-
-        await self.app(scope, counted, send)
-
-    async def _refuse(self, scope: Scope, receive: Receive, send: Send) -> None:
-        # Read to the end, keeping nothing: a client that is still sending hears no answer.
-        read, more = 0, True
-        while more and read < DRAIN:
-            message = await receive()
-            read, more = read + len(message.get("body", b"")), message.get("more_body", False)
-        text = f"The file is larger than this page takes ({self.most / 1e6:.0f} MB)."
-        answer = PlainTextResponse(text, 413, {"connection": "close"})
-        await answer(scope, receive, send)
 
 
 class Assets(StaticFiles):
@@ -92,7 +54,7 @@ class Assets(StaticFiles):
 
 
 def routes(studio: Studio) -> list[Route | Mount]:
-    """Our own addresses: scripts, pictures, the catalogue of scenes, health."""
+    """Our own addresses: uploads, jobs, scripts, pictures, the catalogue of scenes, health."""
     from demo.catalogue import catalogue
 
     offered = json.dumps(catalogue(studio.settings)).encode()
@@ -106,8 +68,25 @@ def routes(studio: Studio) -> list[Route | Mount]:
             {"status": "ok", "ready": ready, "busy": studio.busy, "visitors": visitors},
         )
 
+    async def job(request: Request) -> Response:
+        """How far a piece of work is; also a sign of life."""
+        found = studio.visitors.job(request.path_params["name"])
+        if found is None:
+            return JSONResponse({"state": "gone"}, 404)
+        seen = request.query_params.get("seen", "0")
+        told = found.progress.data(int(seen) if seen.isdecimal() else 0)
+        return JSONResponse({**told, "place": found.place}, headers={"cache-control": "no-store"})
+
+    async def here(request: Request) -> Response:
+        """An open page says every minute that it is still there."""
+        known = studio.visitors.known(cookie_of(request) or "") is not None
+        return JSONResponse({"known": known}, headers={"cache-control": "no-store"})
+
     return [
         Route("/health", health),
+        upload_route(studio),
+        Route("/phy124/jobs/{name}", job),
+        Route("/phy124/here", here),
         Route("/phy124/catalogue.json", scenes),
         Mount("/phy124/examples", Assets(directory=FOLDER / "examples")),
         Mount("/phy124/previews", Assets(directory=FOLDER / "previews")),
@@ -116,12 +95,13 @@ def routes(studio: Studio) -> list[Route | Mount]:
     ]
 
 
-def launch(page: Any, studio: Studio, **options: Any) -> Any:
-    """Start the page with everything a public server needs; returns Gradio's answer."""
+def launch(page: Any, studio: Studio, **options: Any) -> None:
+    """Serve the page with everything a public server needs, until the process is to end."""
     settings = studio.settings
     page.queue(max_size=settings.max_queue, default_concurrency_limit=1, api_open=False)
-    limit = Middleware(BodyLimit, most=int(settings.max_bytes * 4 / 3) + SLACK)
-    return page.launch(
+    space = os.environ.get("SPACE_HOST", "")
+    most = int(settings.max_bytes * 4 / 3) + SLACK
+    page.launch(
         server_name=settings.host,
         server_port=settings.port,
         share=False,
@@ -134,6 +114,36 @@ def launch(page: Any, studio: Studio, **options: Any) -> Any:
         enable_monitoring=False,
         mcp_server=False,
         pwa=False,
-        app_kwargs={"middleware": [limit], "routes": routes(studio)},
+        prevent_thread_lock=True,
+        app_kwargs={
+            "middleware": [
+                Middleware(Headed, embedded=bool(space)),
+                Middleware(Doorkeeper, hosts=own_names(settings.hosts, space)),
+                Middleware(
+                    BodyLimit, most=most, message=f"{settings.too_large} {settings.make_smaller}"
+                ),
+            ],
+            "routes": routes(studio),
+        },
         **options,
     )
+    # Looked up for each new connection.
+    page.server.config.http_protocol_class = Patient
+    try:
+        while page.server.thread.is_alive():
+            page.server.thread.join(SWEEP)
+            studio.visitors.sweep()
+    finally:
+        studio.visitors.close()
+        page.close(verbose=False)
+
+
+def end_on_signals() -> None:
+    """Let SIGTERM end the page as an interrupt does, so that nothing is left behind."""
+    import signal
+
+    def end(number: int, _: Any) -> None:
+        raise SystemExit(128 + number)
+
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, end)

@@ -10,10 +10,13 @@ from collections.abc import Mapping
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from demo.visitors import Room
 from phy124.errors import InputError
 from phy124.scene.refusals import refusal
 
 PREFIX = "PHY124_"
+ALIASES = (("host", "GRADIO_SERVER_NAME"), ("port", "GRADIO_SERVER_PORT"))
+"""Gradio's own variables; ours come before them."""
 
 
 class Settings(BaseModel):
@@ -42,13 +45,23 @@ class Settings(BaseModel):
     max_queue: int = Field(default=16, ge=1, description="Requests that may wait.")
     max_clips: int = Field(default=3, ge=1, description="Results kept per visitor.")
     max_visitors: int = Field(default=64, ge=1, description="Visitors whose files are kept.")
-    keep_hours: float = Field(default=24, gt=0, description="Age at which files are removed [h].")
+    max_visitor_mb: float = Field(default=1000, gt=0, description="Files of one visitor [MB].")
+    max_total_mb: float = Field(default=8000, gt=0, description="Files of all visitors [MB].")
+    grace_minutes: float = Field(
+        default=15, gt=0, description="Silence after which a visitor's files are removed [min]."
+    )
+    hosts: str = Field(
+        default="", description="More host names the page answers to, with commas; * for any."
+    )
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str] | None = None) -> Settings:
         """Read `PHY124_MAX_FRAMES` and so on; raises InputError naming the variable."""
         environment = os.environ if environment is None else environment
         given = {
+            name: environment[variable] for name, variable in ALIASES if variable in environment
+        }
+        given |= {
             name: environment[PREFIX + name.upper()]
             for name in cls.model_fields
             if PREFIX + name.upper() in environment
@@ -61,12 +74,32 @@ class Settings(BaseModel):
         except ValidationError as error:
             wrong = refusal(error, "settings", cls)
             name = PREFIX + wrong.field.upper()
+            if name not in environment:
+                name = dict(ALIASES).get(wrong.field, name)
             raise InputError(name, wrong.value, wrong.limit, wrong.remedy) from None
 
     @property
     def max_bytes(self) -> int:
         """Largest upload, bytes."""
         return int(self.max_upload_mb * 1e6)
+
+    @property
+    def too_large(self) -> str:
+        """What is said of a larger upload, wherever it is found out."""
+        return f"The picture is larger than the {self.max_upload_mb:g} MB that this page takes."
+
+    @property
+    def make_smaller(self) -> str:
+        """What to do about it."""
+        return "Save it as JPEG or reduce it to 2000 pixels."
+
+    @property
+    def room(self) -> Room:
+        """How much of visitors' files is kept, and for how long."""
+        return Room(
+            visitors=self.max_visitors, clips=self.max_clips, grace=60 * self.grace_minutes,
+            each=1e6 * self.max_visitor_mb, all=1e6 * self.max_total_mb,
+        )  # fmt: skip
 
 
 def table() -> str:

@@ -12,14 +12,17 @@ from gradio import themes
 from demo import handlers, panels
 from demo.endpoints import endpoints
 from demo.jobs import Studio
-from demo.photo import photo
+from demo.photo import fetch_nothing
 from demo.settings import Settings
 from demo.visitors import Visitors
 from demo.work import steps
 
 FOLDER = Path(__file__).parent
 STYLE = '<link rel="stylesheet" href="phy124/static/page.css">'
-KEEP, REMOVE = "#22c55e", "#ef4444"
+QUIET: dict[str, Any] = {
+    "queue": False, "show_progress": "hidden", "api_visibility": "private",
+}  # fmt: skip
+"""For what answers at once."""
 MASTHEAD = """<div id="masthead"><svg width="42" height="42" viewBox="0 0 42 42" aria-hidden="true">
 <g fill="none" stroke="#0f766e" stroke-width="2.4"><ellipse cx="15" cy="27" rx="11" ry="9"/>
 <ellipse cx="22" cy="20" rx="12" ry="7.5" transform="rotate(-32 22 20)" opacity=".6"/>
@@ -35,37 +38,39 @@ def open_studio(settings: Settings, root: Path) -> Studio:
         import spaces  # pyright: ignore[reportMissingImports]
 
         work = spaces.GPU(duration=int(settings.max_seconds))(steps)
-    return Studio(settings, Visitors(root / "visitors"), work=work)
+    return Studio(settings, Visitors(root / "visitors", settings.room), work=work)
 
 
 def build(studio: Studio) -> gr.Blocks:
     """The whole page."""
-    age = int(studio.settings.keep_hours * 3600)
-    with gr.Blocks(
-        title="phy124", fill_width=True, analytics_enabled=False,
-        delete_cache=(3600, age),
-    ) as page:  # fmt: skip
+    with gr.Blocks(title="phy124", fill_width=True, analytics_enabled=False) as page:
         gr.HTML(MASTHEAD, apply_default_css=False)
         cutout, done = gr.State(None), gr.State(None)
         with gr.Row(elem_id="columns"):
             with gr.Column(elem_id="left"):
-                picture, preview, editor, apply = _picture(studio)
+                picture = _picture()
                 scene = _scene()
                 forecast, go, cancel = _go()
             with gr.Column(elem_id="right"):
                 progress = panels.progress()
                 viewer = panels.viewer()
+                history = panels.history()
                 videos, report, takeaway = _results()
-        results = [viewer, videos, report, takeaway]
-        _wire_picture(studio, picture, cutout, preview, editor, apply)
-        _wire_run(studio, cutout, done, scene, forecast, go, cancel, progress, results)
+        results = [viewer, videos, report, takeaway, history]
+        _wire_picture(studio, picture, cutout)
+        _wire_forecast(studio, cutout, scene, forecast)
+        _wire_run(studio, cutout, done, scene, go, cancel, progress, results)
         takeaway.prepare(
-            handlers.prepare, [done, takeaway], takeaway, show_progress="hidden",
-            api_visibility="private", concurrency_id="export", concurrency_limit=2,
-            trigger_mode="multiple",
+            handlers.prepare, [done, takeaway], takeaway, concurrency_id="export",
+            concurrency_limit=2, trigger_mode="multiple", show_progress="hidden",
+            api_visibility="private",
         )  # fmt: skip
-        page.unload(handlers.leaver(studio))
+        page.load(
+            handlers.greeter(studio), None,
+            [picture, cutout, progress, done, go, cancel, *results], **QUIET,
+        )  # fmt: skip
         endpoints(studio)
+    fetch_nothing(page)
     return page
 
 
@@ -84,36 +89,10 @@ def _heading(number: int, title: str) -> gr.HTML:
     return gr.HTML(f"<h2><b>{number}</b>{title}</h2>", apply_default_css=False)
 
 
-def _picture(studio: Studio) -> tuple[gr.Image, gr.Image, gr.ImageEditor, gr.Button]:
+def _picture() -> gr.HTML:
     with gr.Column(elem_id="picture-panel"):
         _heading(1, "Picture")
-        with gr.Row(elem_id="pictures"):
-            picture = photo(
-                studio.settings.max_bytes,
-                label="Picture", sources=["upload", "clipboard", "webcam"],
-                elem_id="photo", height=190, show_label=False, buttons=[],
-            )  # fmt: skip
-            preview = gr.Image(
-                label="Cut-out", interactive=False, elem_id="cutout", height=190, buttons=[],
-                visible=False, show_label=False, image_mode="RGBA", format="png",
-            )  # fmt: skip
-        examples = panels.examples()
-        examples.pick(
-            handlers.pick,
-            None,
-            picture,
-            queue=False,
-            show_progress="hidden",
-            api_visibility="private",
-        )
-        with gr.Accordion("Correct the cut-out", open=False):
-            editor = gr.ImageEditor(
-                label="Green keeps, red removes", type="pil",
-                layers=False, sources=[], transforms=[], elem_id="brush", height=360,
-                brush=gr.Brush(default_size=18, colors=[KEEP, REMOVE], color_mode="fixed"),
-            )  # fmt: skip
-            apply = gr.Button("Apply the strokes", size="sm")
-    return picture, preview, editor, apply
+        return panels.picture()
 
 
 def _scene() -> gr.HTML:
@@ -143,41 +122,28 @@ def _results() -> tuple[gr.HTML, gr.HTML, gr.HTML]:
     return videos, report, takeaway
 
 
-def _wire_picture(studio: Studio, picture: Any, cutout: Any, *shown: Any) -> None:
-    preview, editor, apply = shown
-    quiet = {"show_progress_on": preview, "api_visibility": "private", "concurrency_limit": 2}
-    picture.change(handlers.cutter(studio), picture, [cutout, preview, editor], **quiet)
-    apply.click(handlers.corrector(studio), [cutout, editor], [cutout, preview], **quiet)
+def _wire_picture(studio: Studio, picture: Any, cutout: Any) -> None:
+    picture.choose(handlers.chooser(studio), None, [picture, cutout], **QUIET)
+    picture.correct(handlers.corrector(studio), [picture, cutout], picture, **QUIET)
+    picture.cut(handlers.cut_shower(studio), [picture, cutout], [picture, cutout], **QUIET)
+
+
+def _wire_forecast(studio: Studio, cutout: Any, scene: Any, forecast: Any) -> None:
+    told = gr.on(
+        [scene.change, cutout.change], handlers.forecaster(studio), [cutout, scene], forecast,
+        trigger_mode="always_last", **QUIET,
+    )  # fmt: skip
+    told.then(handlers.refiner(studio), [cutout, scene], forecast, **QUIET)
 
 
 def _wire_run(
-    studio: Studio, cutout: Any, done: Any, scene: Any, forecast: Any, go: Any, cancel: Any,
-    progress: Any, results: list[Any],
+    studio: Studio, cutout: Any, done: Any, scene: Any, go: Any, cancel: Any, progress: Any,
+    results: list[Any],
 ) -> None:  # fmt: skip
-    told = gr.on(
-        [scene.change, cutout.change], handlers.forecaster(studio), [cutout, scene], forecast,
-        queue=False, show_progress="hidden", api_visibility="private", trigger_mode="always_last",
-    )  # fmt: skip
-    told.then(
-        handlers.refiner(studio), [cutout, scene], forecast, queue=False,
-        show_progress="hidden", api_visibility="private",
-    )  # fmt: skip
-    ticket = gr.State(None)
-    queued = go.click(
-        handlers.beginner(studio), None, [ticket, progress, go, cancel], queue=False,
-        show_progress="hidden", api_visibility="private",
-    )  # fmt: skip
-    # "multiple": a run called off in the queue must not keep the next one from being sent.
-    run = queued.then(
-        handlers.runner(studio), [cutout, scene, ticket], [progress, done, go, cancel, *results],
-        concurrency_id="device", concurrency_limit=1, show_progress="minimal",
-        show_progress_on=progress, api_visibility="private", trigger_mode="multiple",
-    )  # fmt: skip
-    run.failure(
-        handlers.refuser(studio), None, [progress, go, cancel], queue=False,
-        show_progress="hidden", api_visibility="private",
-    )  # fmt: skip
-    cancel.click(
-        handlers.stopper(studio), None, [progress, go, cancel], queue=False,
-        show_progress="hidden", api_visibility="private",
-    )  # fmt: skip
+    start, started = handlers.starter(studio), [progress, go, cancel]
+    for again in (go.click, progress.again):
+        again(start, [cutout, scene], started, **QUIET)
+    cancel.click(handlers.stopper(studio), None, None, **QUIET)
+    finish, shown = handlers.finisher(studio), [done, go, cancel, *results]
+    progress.finished(finish, None, shown, **QUIET)
+    results[-1].show(finish, None, shown, **QUIET)

@@ -30,12 +30,13 @@ from phy124.camera import Camera
 from phy124.clip import Clip
 from phy124.errors import Cancelled, InputError
 from phy124.export.html import pack
+from phy124.framing import departures
 from phy124.gaussians import Frame, Gaussians
 from phy124.generators import make as make_generator
 from phy124.parts import crop_of
 from phy124.ply import write_ply
 from phy124.render import Renderer, render_frames, to_bytes
-from phy124.scene import Scene
+from phy124.scene import Scene, View
 from phy124.simulation import Simulation, Stopped
 from phy124.stopwatch import Stopwatch
 from phy124.video import write_animation
@@ -48,6 +49,15 @@ GLIMPSE = 224
 """Side of the pictures shown while the simulation runs, pixels."""
 MOVING = 320
 """Side of the animated WebP, pixels."""
+SIMULATING, FILMING, HOPELESS = 0.7, 0.85, 3.0
+"""Shares of a run's time: no frame is simulated after the first, no video begun after the second;
+after the third it is given up."""
+FARTHEST = 3.0
+"""How much farther the camera goes to see a whole motion."""
+SOFT, FEW = 1e4, 8
+"""Stiffness [Pa] and frames that would hardly be changed for a quicker run."""
+SHOWN = 12_000
+"""Gaussians that the viewer gets while the simulation runs."""
 
 
 @dataclass(frozen=True)
@@ -90,6 +100,13 @@ class Glimpse:
 
 
 @dataclass(frozen=True)
+class Live:
+    """A file with the frame just simulated, for the viewer."""
+
+    file: str
+
+
+@dataclass(frozen=True)
 class Reused:
     """A stage that was not run again, since nothing it depends on has changed."""
 
@@ -106,7 +123,7 @@ class Done:
     """Folder of the videos, the player's pack and the report."""
 
 
-Event = Step | Glimpse | Reused | Done
+Event = Step | Glimpse | Live | Reused | Done
 Tell = Callable[[Event], None]
 
 
@@ -142,7 +159,7 @@ def _run(order: Order, events: queue.SimpleQueue[Any]) -> None:
     try:
         order = replace(order, device=device_named(order.device))
         with _device(order):
-            last = _produce(order, _teller(order, events.put))
+            last = _produce(order, Limits(order, events.put))
     except BaseException as error:
         last = error
     order.stop.unlink(missing_ok=True)
@@ -173,25 +190,47 @@ def _device(order: Order) -> Iterator[None]:
         DEVICE.release()
 
 
-def _teller(order: Order, put: Callable[[Event], None]) -> Tell:
-    end = time.monotonic() + order.seconds
+class Limits:
+    """The wish to stop, and the time that one run may take."""
 
-    def tell(event: Event) -> None:
-        if order.stop.exists():
+    def __init__(self, order: Order, put: Callable[[Event], None]) -> None:
+        self.order, self.put = order, put
+        self.start = time.monotonic()
+
+    def tell(self, event: Event) -> None:
+        """Pass an event on; raises Cancelled or InputError if the work is to end at once."""
+        if self.order.stop.exists():
             raise Cancelled
-        if time.monotonic() > end:
-            raise InputError(
-                "time",
-                f"{order.seconds:.0f} s",
-                "the work took longer than one visitor may have here.",
-                "Choose draft accuracy, a softer material, or fewer frames and views.",
+        if self.spent > HOPELESS:
+            limit = f"The work took far longer than the {self.order.seconds:.0f} s of one run."
+            raise InputError("time", "over", limit, easier(self.order.scene))
+        self.put(event)
+
+    def simulated(self, event: Event) -> None:
+        """The same while simulating: what there is when the time is up is kept."""
+        self.tell(event)
+        if self.spent > SIMULATING:
+            raise Stopped(
+                f"the {self.order.seconds:.0f} s that one run may take here were nearly over, "
+                f"so the frames up to here were kept. {easier(self.order.scene)}"
             )
-        put(event)
 
-    return tell
+    @property
+    def spent(self) -> float:
+        """Share of the time that is gone."""
+        return (time.monotonic() - self.start) / max(self.order.seconds, 1e-9)
 
 
-def _produce(order: Order, tell: Tell) -> Done:
+def easier(scene: Scene) -> str:
+    """What would make a scene quicker, of what can still be changed about it."""
+    ways = [] if scene.accuracy == "draft" else ["draft accuracy"]
+    ways += ["a softer material"] if getattr(scene.material, "E", 0) > SOFT else []
+    ways += ["fewer frames"] if scene.time.frames > FEW else []
+    return f"Choose {' or '.join(ways or ['a gentler motion'])}."
+
+
+def _produce(order: Order, limits: Limits) -> Done:
+    tell = limits.tell
     source = made_gaussians(order)
     clips, films = folders(order)
     if (clips / "report.json").exists():
@@ -201,11 +240,11 @@ def _produce(order: Order, tell: Tell) -> Done:
         watch = Stopwatch()
         with watch.stage("generate"):
             gaussians = _gaussians(order, source, tell)
-        _simulate(gaussians, order, clips, tell, watch)
+        _simulate(gaussians, order, clips, limits, watch)
     if (films / "report.json").exists():
         tell(Reused("render"))
     else:
-        _film(order, clips, films, tell)
+        _film(order, clips, films, limits)
     clips.touch()
     films.touch()
     return Done(clips, films)
@@ -249,15 +288,20 @@ def _gaussians(order: Order, path: Path, tell: Tell) -> Gaussians:
     return gaussians
 
 
-def _simulate(gaussians: Gaussians, order: Order, out: Path, tell: Tell, watch: Stopwatch) -> None:
+def _simulate(
+    gaussians: Gaussians, order: Order, out: Path, limits: Limits, watch: Stopwatch
+) -> None:
     """A folder with the clip, its Gaussians, its scene and what the run did."""
+    tell = limits.tell
     frames = order.scene.time.frames
     tell(Step("simulate", 0, frames, "preparing"))
     with Image.open(order.cutout) as cutout:
         crop = crop_of(cutout)
     run = Simulation(
         gaussians, order.scene, device=order.device, watch=watch, crop=crop,
-        progress=lambda _, done, total: tell(Step("simulate", done, total, _count(run))),
+        progress=lambda _, done, total: limits.simulated(
+            Step("simulate", done, total, _count(run))
+        ),
     )  # fmt: skip
     if len(run.particles) > order.max_particles:
         raise InputError(
@@ -267,13 +311,16 @@ def _simulate(gaussians: Gaussians, order: Order, out: Path, tell: Tell, watch: 
             "Choose a coarser accuracy.",
         )
     motion = Motion()
-    glimpse = _glimpses(order, tell)
+    shows = (_glimpses(order, tell), _lives(order, tell))
     try:
         for frame in run:
             motion.add(run, frame.time)
-            glimpse(frame)
+            for show in shows:
+                show(frame)
     except Stopped as stop:
         run.stopped = str(stop)
+    if not run.frames:
+        raise InputError("time", "over", "Not one frame was ready in time.", easier(order.scene))
     launches = sum(count for _, count in run.solver.timings.values())
     watch.launches["simulate"] = int(launches)
     tell(Step("simulate", frames, frames, _count(run)))
@@ -283,7 +330,9 @@ def _simulate(gaussians: Gaussians, order: Order, out: Path, tell: Tell, watch: 
         report |= pipeline.circumstances(order.device, watch)
         clip.with_report(report).save(folder / "clip.safetensors")
         write_ply(folder / "gaussians.ply", run.gaussians)
-        (folder / "scene.toml").write_text(order.scene.to_toml(), "utf-8")
+        # Uploads are named without the place where they lie.
+        text = order.scene.to_toml().replace(f"{order.folder / 'uploads'}/", "")
+        (folder / "scene.toml").write_text(text, "utf-8")
         _write(folder / "report.json", report)
 
 
@@ -328,6 +377,42 @@ def _glimpses(order: Order, tell: Tell) -> Callable[[Frame], None]:
     return show
 
 
+def _lives(order: Order, tell: Tell) -> Callable[[Frame], None]:
+    """Hands frames to the viewer while the run goes on: some of the Gaussians, made larger."""
+    folder = order.folder / "live" / order.stop.name
+    shutil.rmtree(folder.parent, ignore_errors=True)
+    folder.mkdir(parents=True)
+    chosen, camera = None, None
+
+    def show(frame: Frame) -> None:
+        nonlocal chosen, camera
+        count = len(frame.gaussians)
+        camera = camera or _camera(frame, order.scene)
+        if chosen is None:
+            rng = np.random.default_rng(0)
+            chosen = np.sort(rng.permutation(count)[:SHOWN])
+        some = _thinned(frame, chosen)
+        path = folder / f"{frame.index:04d}.pack"
+        background = order.scene.view.background
+        packed = pack(Clip.from_frames([some]), camera, background=background)
+        try:
+            path.write_bytes(packed)
+        except FileNotFoundError:
+            # The visitor has left, and the folder with them.
+            raise Cancelled from None
+        tell(Live(str(path)))
+
+    return show
+
+
+def _thinned(frame: Frame, chosen: np.ndarray) -> Frame:
+    """Some of a frame's Gaussians, enlarged so that they cover what all of them did."""
+    g = frame.gaussians
+    larger = g.scales[chosen] * (len(g) / len(chosen)) ** 0.5
+    some = Gaussians(g.means[chosen], g.quats[chosen], larger, g.opacities[chosen], g.sh[chosen])
+    return Frame(frame.index, frame.time, some)
+
+
 def _camera(frame: Frame, scene: Scene) -> Camera:
     rest = Clip.from_frames([frame])
     clip = Clip(**{**vars(rest), "scene": scene.data()})
@@ -335,20 +420,16 @@ def _camera(frame: Frame, scene: Scene) -> Camera:
     return pipeline.cameras(clip, view, "front")[0]
 
 
-def _film(order: Order, clips: Path, out: Path, tell: Tell) -> None:
+def _film(order: Order, clips: Path, out: Path, limits: Limits) -> None:
     """A folder with the videos, the player's pack, an animated picture and the report."""
     clip, watch = Clip.load(clips / "clip.safetensors"), Stopwatch()
     # The page plays MP4s; other formats are made on demand (demo/exports.py).
     view = order.scene.view.model_copy(update={"formats": ("mp4",), "transparent": False})
-    total = len(clip) * len(view.sides)
-
-    def progress(stage: str, done: int, of: int) -> None:
-        before = view.sides.index(stage.removeprefix("render ")) * of
-        tell(Step("render", before + done, total, stage.removeprefix("render ")))
-
-    tell(Step("render", 0, total))
+    view = whole_in_view(clip, view)
+    tell = limits.tell
+    tell(Step("render", 0, len(clip) * len(view.sides)))
     with pipeline.staged(out) as folder:
-        pipeline.film(clip, view, folder, device=order.device, progress=progress, watch=watch)
+        left_out = _videos(clip, view, order, folder, limits, watch)
         tell(Step("save", 0, 2))
         with watch.stage("save"):
             first = pipeline.cameras(clip, view, "front")[0]
@@ -367,7 +448,44 @@ def _film(order: Order, clips: Path, out: Path, tell: Tell) -> None:
         report["stages"] = [*report["stages"], *watch.data()]
         report["seconds"] += watch.total
         report |= pipeline.framed(clip, view)
+        if left_out:
+            names = " and ".join(left_out)
+            report["notes"] = [*report.get("notes", []), f"No time was left for {names}."]
         _write(folder / "report.json", report)
+
+
+def _videos(
+    clip: Clip, view: View, order: Order, folder: Path, limits: Limits, watch: Stopwatch
+) -> list[str]:  # fmt: skip
+    """Write the videos one by one; returns the sides for which no time was left."""
+    left_out = []
+    for number, side in enumerate(view.sides):
+        if number and limits.spent > FILMING:
+            left_out.append(side)
+            continue
+
+        def progress(_: str, done: int, of: int, number: int = number, side: str = side) -> None:
+            limits.tell(Step("render", number * of + done, len(view.sides) * of, side))
+
+        one = _only(view, side)
+        pipeline.film(clip, one, folder, device=order.device, progress=progress, watch=watch)
+    return left_out
+
+
+def _only(view: View, side: str) -> View:
+    """A view of one of its sides."""
+    views = tuple(name for name in view.views if name == side)
+    angle = () if views else (float(side.removeprefix("azimuth-")),)
+    return view.model_copy(update={"views": views, "azimuths": angle})
+
+
+def whole_in_view(clip: Clip, view: View) -> View:
+    """The view from so far away that all of the clip is seen, if nobody chose the distance."""
+    left = departures(clip, view)
+    if view.distance != View().distance or view.follow or not left:
+        return view
+    distance = min(max(one.distance for one in left), FARTHEST * view.distance)
+    return view.model_copy(update={"distance": distance})
 
 
 def _write(path: Path, data: dict[str, Any]) -> None:

@@ -3,6 +3,7 @@
 Wider than any scene needs, narrow enough that no product of two of them overflows.
 """
 
+from pathlib import Path
 from typing import Annotated
 
 from pydantic import AfterValidator, Field
@@ -47,3 +48,18 @@ def _writable(text: str) -> str:
 
 Text = Annotated[str, AfterValidator(_writable)]
 """What is written into scene files as it is."""
+NAME_LENGTH = 4096
+"""Letters of the name of a file."""
+
+
+def _nameable(path: Path) -> Path:
+    if len(str(path)) > NAME_LENGTH:
+        raise ValueError(f"the name of a file has {NAME_LENGTH} letters at most")
+    _writable(str(path))
+    return path
+
+
+FileName = Annotated[
+    Path, AfterValidator(_nameable), Field(json_schema_extra={"maxLength": NAME_LENGTH})
+]
+"""A file that is read: the type by which the page refuses it in what comes from outside."""

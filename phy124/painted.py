@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,7 +14,7 @@ WHOLE: Crop = (0.0, 0.0, 1.0, 1.0)
 """Left, top, right, bottom of the object in the picture, as shares of its width and height."""
 
 
-def brightness(x: NDArray, path: str, crop: Crop = WHOLE, *, field: str) -> NDArray[np.float64]:
+def brightness(x: NDArray, path: Path, crop: Crop = WHOLE, *, field: str) -> NDArray[np.float64]:
     """How bright the picture is where each point is seen from the front [P], 0 black, 1 white.
 
     Args:

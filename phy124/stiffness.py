@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial import KDTree
 
-from phy124.bounds import Text
+from phy124.bounds import FileName
 from phy124.errors import InputError
 from phy124.painted import Crop, brightness
 
@@ -61,8 +61,7 @@ class Picture(_Field):
     """As a grey picture painted over the object's: white is stiff, black is soft."""
 
     kind: Literal["picture"] = "picture"
-    file: Text = Field(
-        max_length=4096,
+    file: FileName = Field(
         examples=["stiff.png"],
         description="Grey picture file, seen from the front.",
     )
@@ -79,8 +78,7 @@ class Listed(_Field):
     """As a file says, a share for each Gaussian; what is between them follows the nearest."""
 
     kind: Literal["array"] = "array"
-    file: Text = Field(
-        max_length=4096,
+    file: FileName = Field(
         examples=["shares.npy"],
         description="NumPy file (.npy) of shares of E, one per Gaussian.",
     )

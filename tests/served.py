@@ -15,7 +15,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-PATIENCE = 90
+PATIENCE = 600
+"""Longest wait for a condition, s: for a machine that does ten other things, too."""
+TAIL = 4000
+"""Letters of the server's log that a failure shows."""
 
 
 class Server:
@@ -26,7 +29,7 @@ class Server:
         self.url = f"http://127.0.0.1:{port}"
 
     def health(self) -> dict:
-        with urllib.request.urlopen(f"{self.url}/health", timeout=10) as answer:
+        with urllib.request.urlopen(f"{self.url}/health", timeout=PATIENCE) as answer:
             return json.load(answer)
 
     def threads(self) -> int:
@@ -44,15 +47,20 @@ class Server:
         assert match is not None
         return int(match[1]) * 1024
 
-    def until(self, condition, patience: float = PATIENCE) -> None:
-        """Wait for something to become true."""
-        end = time.monotonic() + patience
+    def said(self) -> str:
+        """The end of the server's log."""
+        return self.log.read_text(errors="replace")[-TAIL:]
+
+    def until(self, condition, what: str = "it") -> None:
+        """Wait for something to become true; a failure shows what the server said meanwhile."""
+        end = time.monotonic() + PATIENCE
         while not condition():
-            assert time.monotonic() < end, "it did not happen"
+            assert self.process.poll() is None, f"the server has ended:\n{self.said()}"
+            assert time.monotonic() < end, f"{what} did not happen in {PATIENCE} s:\n{self.said()}"
             time.sleep(0.05)
 
     def until_idle(self) -> None:
-        self.until(lambda: not self.health()["busy"])
+        self.until(lambda: not self.health()["busy"], "an end of all work")
 
 
 @contextlib.contextmanager
@@ -70,15 +78,18 @@ def serving(folder: Path, **settings: object) -> Iterator[Server]:
         )
     server = Server(port, files, written, process)
     try:
-        server.until(lambda: _answers(server))
+        server.until(lambda: _answers(server), "a server that is ready")
         yield server
     finally:
         process.terminate()
-        process.wait(20)
+        try:
+            process.wait(60)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
 
 
 def _answers(server: Server) -> bool:
-    assert server.process.poll() is None, server.log.read_text()
     try:
         return server.health()["ready"]
     except OSError:

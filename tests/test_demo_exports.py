@@ -13,13 +13,15 @@ from PIL import Image
 
 from demo.exports import EXPORTS, export
 from demo.forecast import Forecaster
-from demo.pictures import brushed, cut_out, dimmed
+from demo.pictures import corrected, cut_out
 from demo.report import as_html
+from demo.strokes import Stroke, painted, strokes_of
 from demo.work import Done
 from phy124.accuracy.promises import promise
 from phy124.clip import Clip
 from phy124.errors import InputError
 from phy124.gaussians import Frame
+from phy124.grabcut import hinted
 from phy124.scene import Scene
 
 
@@ -75,28 +77,61 @@ def test_a_half_written_file_is_removed(done, monkeypatch):
     assert list(done.films.iterdir()) == []
 
 
-def test_strokes_keep_and_remove():
-    alpha = Image.fromarray(np.full((4, 4), 128, np.uint8))
-    strokes = np.zeros((4, 4, 4), np.uint8)
-    strokes[0] = (34, 197, 94, 255)
-    strokes[1] = (239, 68, 68, 255)
-    corrected = np.asarray(brushed(alpha, Image.fromarray(strokes)))
-    assert corrected[:, 0].tolist() == [255, 0, 128, 128]
+def _stroke(keep: bool, *points: tuple[float, float], width: float = 0.2) -> Stroke:
+    return Stroke(keep=keep, width=width, points=points)
+
+
+def test_strokes_keep_and_remove_and_the_last_one_counts():
+    marks = np.asarray(painted([
+        _stroke(True, (0.1, 0.5), (0.9, 0.5)), _stroke(False, (0.9, 0.5)),
+    ], (100, 100)))  # fmt: skip
+    assert (marks[50, 10], marks[50, 90], marks[10, 50]) == (2, 1, 0)
+    portrait = np.asarray(painted([_stroke(True, (0.25, 0.9))], (50, 100)))
+    assert portrait[90, 25] == 2 and portrait[50, 25] == 0
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        "all", [{"keep": True}], [{"keep": True, "width": 9, "points": [[0, 0]]}],
+        [{"keep": True, "width": 0.1, "points": []}],
+        [{"keep": True, "width": 0.1, "points": [[float("nan"), 0]]}],
+        [{"keep": True, "width": 0.1, "points": [[0, 0]]}] * 201,
+        [{"keep": True, "width": 0.1, "points": [[0, 0]] * 2001}],
+    ],
+)  # fmt: skip
+def test_strokes_that_cannot_be_are_refused(data):
+    with pytest.raises(InputError, match="strokes"):
+        strokes_of(data)
 
 
 def test_a_picture_without_an_object_can_be_rescued_by_the_brush(tmp_path):
-    Image.fromarray(np.full((40, 40, 3), 255, np.uint8)).save(tmp_path / "white.png")
+    white, cut = tmp_path / "white.png", tmp_path / "cut.png"
+    Image.fromarray(np.full((40, 40, 3), 255, np.uint8)).save(white)
     with pytest.raises(InputError, match="No object"):
-        cut_out(str(tmp_path / "white.png"), None, tmp_path / "cut.png")
-    strokes = np.zeros((40, 40, 4), np.uint8)
+        cut_out(white, cut)
     with pytest.raises(InputError, match="Nothing is left"):
-        cut_out(str(tmp_path / "white.png"), Image.fromarray(strokes), tmp_path / "cut.png")
-    strokes[10:30, 10:30] = (34, 197, 94, 255)
-    cut_out(str(tmp_path / "white.png"), Image.fromarray(strokes), tmp_path / "cut.png")
-    with Image.open(tmp_path / "cut.png") as cut:
-        assert (np.asarray(cut.getchannel("A")) > 0).sum() == 400
-    pale = np.asarray(dimmed(str(tmp_path / "white.png"), str(tmp_path / "cut.png")))
-    assert (pale[20, 20] == 255).all() and (pale[0, 0] < 245).all()
+        corrected(white, None, [_stroke(False, (0.5, 0.5))], cut)
+    assert not cut.exists()
+    corrected(white, None, [_stroke(True, (0.5, 0.5), width=0.5)], cut)
+    with Image.open(cut) as made:
+        alpha = np.asarray(made.getchannel("A"))
+    assert alpha[20, 20] == 255 and alpha[2, 2] == 0 and 250 < (alpha > 0).sum() < 420
+
+
+def test_a_stroke_is_a_hint_that_follows_the_edge_of_what_it_marks(tmp_path):
+    """A small stroke on a square that the cut-out missed brings in all of the square near it."""
+    rng = np.random.default_rng(0)
+    rgb = rng.integers(200, 215, (200, 200, 3)).astype(np.uint8)
+    rgb[60:140, 40:100] = rng.integers(20, 40, (80, 60, 3))
+    rgb[90:110, 100:118] = [180, 30, 30]
+    alpha = np.zeros((200, 200), np.uint8)
+    alpha[60:140, 40:100] = 255
+    marks = np.asarray(painted([_stroke(True, (0.53, 0.5), width=0.03)], (200, 200)))
+    found = hinted(rgb, alpha, marks)
+    square = found[92:108, 102:112] > 127
+    assert square.mean() > 0.9 and (marks[92:108, 102:112] == 2).mean() < 0.3
+    assert (found[60:140, 40:90] == 255).all() and (found[:50] == 0).all()
 
 
 def _report() -> dict:

@@ -1,7 +1,8 @@
-"""Behind the buttons: cut-outs that hang stop nobody else and are told by /health."""
+"""Behind the buttons: pieces of work, whose they are, and cut-outs that hang stop nobody else."""
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 from collections.abc import Callable
@@ -12,13 +13,16 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from demo.jobs import Studio
+from demo.jobs import UNFINISHED, Studio
+from demo.line import Job, Line
 from demo.settings import Settings
+from demo.strokes import Stroke
 from demo.visitors import Visitors
 from phy124 import cutout, isolated
-from phy124.errors import Cancelled, InputError
+from phy124.errors import InputError
+from phy124.scene import Scene
 
-DUCK = str(Path(__file__).parents[1] / "demo/examples/duck.png")
+DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"
 
 
 @pytest.fixture
@@ -50,48 +54,136 @@ def _until(condition: Callable[[], bool]) -> None:
         time.sleep(0.02)
 
 
-class _Attempt(threading.Thread):
-    """A cut-out in a thread, as the page makes it, and what came of it."""
+def _sent(studio: Studio, name: str) -> str:
+    studio.visitors.get(name)
+    return str(studio.visitors.store(name, DUCK.read_bytes(), ".png"))
 
-    def __init__(self, studio: Studio, session: str) -> None:
-        super().__init__()
-        self.studio, self.session, self.came = studio, session, None
-        self.start()
 
-    def run(self) -> None:
-        try:
-            self.came = self.studio.cut(self.session, DUCK)
-        except (InputError, Cancelled) as error:
-            self.came = error
+def _cut(studio: Studio, name: str) -> Job:
+    return studio.cut(name, _sent(studio, name))
 
 
 @pytest.mark.parametrize("ending", ["leave", "stop"])
 def test_a_search_that_hangs_stops_nobody_else_and_ends_with_its_visitor(studio, stuck, ending):
     assert not studio.busy
-    hung = _Attempt(studio, "a")
+    hung = _cut(studio, "a")
     assert stuck.wait(60) and studio.busy
-    assert Path(studio.cut("b", DUCK).path).exists()
+    other = _cut(studio, "b")
+    assert other.wait(60) and Path(other.progress.result.path).exists()
     assert studio.busy and studio.visitors.get("a").busy and not studio.visitors.get("b").busy
-    getattr(studio.visitors, ending)("a")
-    hung.join(60)
-    assert isinstance(hung.came, Cancelled)
-    assert not studio.busy
+    if ending == "leave":
+        studio.visitors.remove("a")
+    else:
+        studio.visitors.get("a").stop()
+    assert hung.wait(60) and hung.progress.state == "stopped"
+    _until(lambda: not studio.busy)
 
 
 def test_a_search_that_hangs_is_refused_when_its_time_is_up(tmp_path, stuck):
     studio = Studio(Settings(max_cut_seconds=0.5), Visitors(tmp_path))
-    with pytest.raises(InputError, match=r"did not finish within 0\.5 s"):
-        studio.cut("a", DUCK)
-    assert not studio.busy and list(tmp_path.glob("*/cutouts/*")) == []
+    hung = _cut(studio, "a")
+    assert hung.wait(60) and "did not finish within 0.5 s" in hung.progress.message
+    _until(lambda: not studio.busy)
+    assert list(tmp_path.glob("*/cutouts/*")) == []
 
 
-def test_waiting_for_a_turn_ends_with_its_visitor(studio):
-    with studio.cutting.turn(lambda: None), studio.cutting.turn(lambda: None):
-        waiting = _Attempt(studio, "a")
-        _until(lambda: studio.visitors.get("a").busy)
-        studio.visitors.leave("a")
-        waiting.join(60)
-    assert isinstance(waiting.came, Cancelled)
+def test_a_picture_that_was_refused_is_not_generated_from(studio):
+    studio.visitors.get("a")
+    bad = studio.visitors.store("a", b"this is no picture", ".png")
+    with pytest.raises(InputError, match="not a PNG"):
+        studio.cut("a", str(bad))
+    with pytest.raises(InputError, match="no picture yet"):
+        studio.run("a", None, Scene.named("press").data())
+
+
+@pytest.mark.parametrize("kind", ["file", "other", "device", "folder", "link", "missing", "odd"])
+def test_only_pictures_that_a_visitor_has_sent_are_read(studio, tmp_path, kind):
+    other = _sent(studio, "b")
+    folder = studio.visitors.get("a").folder / "uploads"
+    link = folder / "link.png"
+    link.symlink_to(DUCK)
+    given = {
+        "file": DUCK, "other": other, "device": "/dev/zero", "folder": folder, "link": link,
+        "missing": folder / "none.png", "odd": "\0/../..",
+    }[kind]  # fmt: skip
+    with pytest.raises(InputError) as refusal:
+        studio.cut("a", str(given))
+    assert str(refusal.value) == "picture = unknown: This picture is not here. Choose it once more."
+
+
+def test_a_fifo_among_the_uploads_is_not_opened(studio):
+    pipe = studio.visitors.get("a").folder / "uploads" / "pipe.png"
+    os.mkfifo(pipe)
+    with pytest.raises(InputError, match="not here"):
+        studio.cut("a", str(pipe))
+
+
+def test_what_a_program_has_sent_becomes_its_own_when_it_is_used(studio):
+    sent = studio.visitors.store(None, DUCK.read_bytes(), ".png")
+    job = studio.cut("session a", str(sent))
+    assert Path(job.subject).parent == studio.visitors.get("session a").folder / "uploads"
+    assert not sent.exists()
+    with pytest.raises(InputError, match="not here"):
+        studio.cut("session b", str(sent))
+
+
+def test_one_visitor_cannot_fill_the_queue(studio, stuck):
+    jobs = [_cut(studio, "a") for _ in range(UNFINISHED - 1)]
+    jobs.append(_cut(studio, "a")) if studio.visitors.get("a").busy else None
+    unfinished = [job for job in jobs if not job.over]
+    while len(unfinished) < UNFINISHED:
+        studio.visitors.get("a").remember(Job("run", Path("never")))
+        unfinished.append(jobs[0])
+    with pytest.raises(InputError, match="You have work waiting"):
+        _cut(studio, "a")
+    studio.visitors.close()
+
+
+def _line() -> tuple[Line, Job, list[str]]:
+    """A line whose only worker is held by a job."""
+    line, done = Line("test", workers=1, most=2), []
+    holding = Job("run", Path("/nowhere/stop"))
+
+    def hold(job: Job) -> None:
+        job.progress.begin()
+        _until(lambda: "let go" in done)
+        job.end("done")
+
+    line.submit(holding, hold)
+    _until(lambda: line.running == 1 and not len(line))
+    return line, holding, done
+
+
+def test_jobs_are_done_in_turn_and_know_their_place():
+    line, holding, done = _line()
+
+    def work(job: Job) -> None:
+        done.append(job.kind)
+        job.end("done")
+
+    one, two = (line.submit(Job(kind, Path("/nowhere/stop")), work) for kind in ("one", "two"))
+    assert (holding.place, one.place, two.place) == (0, 1, 2)
+    with pytest.raises(InputError, match="queue is full"):
+        line.submit(Job("three", Path("/nowhere/stop")), work)
+    done.append("let go")
+    assert two.wait(60) and done == ["let go", "one", "two"]
+
+
+def test_a_job_that_is_called_off_while_it_waits_never_starts():
+    line, holding, done = _line()
+    late = line.submit(Job("late", Path("/nowhere/stop")), lambda job: done.append("late"))
+    late.cancel()
+    assert late.over and late.progress.state == "stopped" and len(line) == 0
+    done.append("let go")
+    assert holding.wait(60) and "late" not in done
+
+
+def test_a_line_survives_work_that_breaks():
+    line = Line("test", workers=1, most=2)
+    broken = line.submit(Job("run", Path("/nowhere/stop")), lambda job: 1 / 0)
+    assert broken.wait(60) and broken.progress.state == "failed"
+    fine = line.submit(Job("run", Path("/nowhere/stop")), lambda job: job.end("done"))
+    assert fine.wait(60) and fine.progress.state == "done"
 
 
 def test_a_doubtful_cut_out_is_told_once_and_not_after_a_correction(studio, tmp_path, monkeypatch):
@@ -100,11 +192,16 @@ def test_a_doubtful_cut_out_is_told_once_and_not_after_a_correction(studio, tmp_
     way = cutout.Method(lambda _: True, lambda *_: table)
     monkeypatch.setitem(cutout.METHODS, "grabcut", way)
     monkeypatch.setattr(cutout.u2net, "weights_file", lambda: None)
-    picture = str(tmp_path / "a.png")
-    Image.fromarray(np.dstack([table] * 3)).save(picture)
-    (doubt,) = studio.cut("a", picture).doubts
+    Image.fromarray(np.dstack([table] * 3)).save(tmp_path / "a.png")
+    studio.visitors.get("a")
+    sent = str(studio.visitors.store("a", (tmp_path / "a.png").read_bytes(), ".png"))
+
+    def doubts(strokes: tuple[Stroke, ...] = ()) -> tuple[str, ...]:
+        job = studio.cut("a", sent, strokes)
+        assert job.wait(60), job.progress.message
+        return job.progress.result.doubts
+
+    (doubt,) = doubts()
     assert "touches 3 edges of the picture (left, right, bottom)" in doubt
-    assert studio.cut("a", picture).doubts == ()
-    strokes = Image.new("RGBA", (80, 60), (0, 255, 0, 255))
-    strokes.paste((255, 0, 0, 255), (0, 0, 80, 30))
-    assert studio.cut("a", picture, strokes).doubts == ()
+    assert doubts() == ()
+    assert doubts((Stroke(keep=False, width=0.2, points=((0.1, 0.5),)),)) == ()

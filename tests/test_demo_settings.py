@@ -7,7 +7,7 @@ from typing import get_args
 
 import pytest
 
-from demo.catalogue import FOLDER, catalogue, check_time, scene_of
+from demo.catalogue import FOLDER, catalogue, check_time, files_named, scene_of
 from demo.forecast import Forecaster, count_substeps, measured, stops_table
 from demo.jobs import Studio
 from demo.settings import Settings, table
@@ -34,6 +34,15 @@ def test_settings_come_from_the_environment():
 def test_a_space_listens_to_the_outside_and_a_desk_does_not():
     assert Settings.from_environment({}).host == "127.0.0.1"
     assert Settings.from_environment({"SPACE_ID": "a/b"}).host == "0.0.0.0"
+
+
+def test_gradios_own_variables_are_honoured_and_ours_come_first():
+    given = {"GRADIO_SERVER_NAME": "0.0.0.0", "GRADIO_SERVER_PORT": "8001"}
+    settings = Settings.from_environment(given)
+    assert (settings.host, settings.port) == ("0.0.0.0", 8001)
+    assert Settings.from_environment({**given, "PHY124_PORT": "9000"}).port == 9000
+    with pytest.raises(InputError, match="GRADIO_SERVER_PORT = x"):
+        Settings.from_environment({"GRADIO_SERVER_PORT": "x"})
 
 
 @pytest.mark.parametrize(
@@ -86,6 +95,47 @@ def test_values_beyond_the_pages_limits_are_refused(changes, field):
 def test_what_is_no_scene_is_refused(data):
     with pytest.raises(InputError):
         scene_of(data, Settings())
+
+
+FILES = [
+    {"stiffness": {"kind": "picture", "file": "/etc/hostname"}},
+    {"stiffness": {"kind": "array", "file": "/dev/zero"}},
+    {"parts": [{"mask": "/no/such/file.png", "material": {"law": "sand"}}]},
+    {"parts": [{"mask": "/dev/random", "material": {"law": "sand"}}]},
+]
+
+
+@pytest.mark.parametrize("change", FILES)
+def test_scenes_from_outside_name_no_file_of_the_server(change, tmp_path):
+    """The answer tells nobody whether there is such a file."""
+    data = {**Scene.named("press").data(), **change}
+    for uploads in (None, tmp_path):
+        with pytest.raises(InputError, match="may name no file here but a picture"):
+            scene_of(data, Settings(), uploads)
+
+
+def test_a_mask_may_be_a_picture_that_the_visitor_has_sent(tmp_path):
+    from PIL import Image
+
+    Image.new("L", (16, 16), 255).save(tmp_path / "mask.png")
+    part = {"mask": str(tmp_path / "mask.png"), "material": {"law": "sand"}}
+    data = {**Scene.named("press").data(), "parts": [part]}
+    scene = scene_of(data, Settings(), tmp_path)
+    assert [field for field, _ in files_named(scene)] == ["parts.0.mask"]
+    with pytest.raises(InputError):
+        scene_of(data, Settings(max_upload_mb=1e-6), tmp_path)
+
+
+def test_every_field_that_names_a_file_has_the_type_that_is_refused():
+    """A new one is refused without anybody thinking of it; text may not stand for a path."""
+    import re
+
+    for name, section in Scene.model_json_schema()["$defs"].items():
+        for field, info in section.get("properties", {}).items():
+            texts = [s for s in [info, *info.get("anyOf", [])] if s.get("type") == "string"]
+            for text in (t for t in texts if "const" not in t and "enum" not in t):
+                named = re.search(r"file|mask|path|folder", field)
+                assert text.get("format") == "path" or not named, f"{name}.{field}"
 
 
 def test_fractions_of_frames_are_refused_though_a_slider_would_send_them():

@@ -2,21 +2,36 @@
 
 from __future__ import annotations
 
+import json
 import threading
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from demo.visitors import Visitor
-from demo.work import DEVICE, Done, Glimpse, Order, Reused, Step, steps
+from demo.work import (
+    DEVICE,
+    Done,
+    Glimpse,
+    Limits,
+    Live,
+    Order,
+    Reused,
+    Step,
+    easier,
+    steps,
+    whole_in_view,
+)
 from phy124.clip import Clip
 from phy124.errors import Cancelled, InputError
-from phy124.gaussians import Gaussians
+from phy124.framing import departures
+from phy124.gaussians import Frame, Gaussians
 from phy124.ply import write_ply
-from phy124.scene import Scene
+from phy124.scene import Scene, View
 
 FEW = {"accuracy": {"cells": 8, "ppc": 1.0}, "time.frames": 3, "view.size": 48}
 
@@ -34,7 +49,7 @@ def order(tmp_path, rng) -> Order:
     Image.new("RGBA", (8, 8), "red").save(cutout)
     scene = Scene.named("drop").replaced({**FEW, "view.views": ["front"]})
     return Order(
-        visitor.folder, cutout, scene, visitor.begin(), 60, 10**6,
+        visitor.folder, cutout, scene, visitor.new_stop_file(), 60, 10**6,
         generator=str(tmp_path / "ball.ply"), device="cpu",
     )  # fmt: skip
 
@@ -120,10 +135,45 @@ def test_waiting_for_the_device_can_be_cancelled(order):
             list(events)
 
 
-def test_work_that_takes_too_long_is_ended(order):
-    with pytest.raises(InputError, match=r"took longer than .* Choose draft accuracy"):
+def test_when_the_time_is_up_what_is_finished_is_kept(order, monkeypatch):
+    monkeypatch.setattr(Limits, "spent", property(lambda limits: 0.9))
+    views = replace(order, scene=order.scene.replaced({"view.views": ["front", "back"]}))
+    done, _ = _run(views)
+    report = json.loads((done.films / "report.json").read_text())
+    assert report["frames"] == 1 and not report["complete"]
+    assert "the frames up to here were kept. Choose draft accuracy" in report["stopped"]
+    assert "No time was left for back." in report["notes"]
+    assert [path.name for path in done.films.glob("*.mp4")] == ["front.mp4"]
+
+
+def test_work_that_takes_far_too_long_is_ended(order):
+    with pytest.raises(InputError, match=r"far longer than .* Choose draft accuracy"):
         list(steps(replace(order, seconds=0.0)))
     assert not DEVICE.locked()
+
+
+def test_a_draft_is_not_advised_to_be_a_draft():
+    press = Scene.named("press")
+    assert easier(press) == "Choose draft accuracy or a softer material or fewer frames."
+    soft = press.replaced({"accuracy": "draft", "material.E": 1e3})
+    assert easier(soft) == "Choose fewer frames."
+    assert easier(soft.replaced({"time.frames": 4})) == "Choose a gentler motion."
+
+
+def test_the_viewer_gets_every_frame_while_it_is_computed(order):
+    _, events = _run(order)
+    files = [event.file for event in events if isinstance(event, Live)]
+    assert [Path(file).name for file in files] == ["0000.pack", "0001.pack", "0002.pack"]
+    assert all(Path(file).read_bytes()[:2] == b"\x1f\x8b" for file in files)
+
+
+def test_a_motion_that_would_leave_the_picture_is_seen_from_farther_away(three_gaussians):
+    frames = [Frame(i, i / 10, three_gaussians.moved(1, np.array([0, 0.5 * i, 0]))) for i in (0, 1)]
+    clip = Clip.from_frames(frames)
+    view = whole_in_view(clip, View())
+    assert View().distance < view.distance and departures(clip, view) == []
+    chosen = View(distance=2.0)
+    assert whole_in_view(clip, chosen) is chosen
 
 
 def test_too_many_particles_are_refused(order):
@@ -149,8 +199,6 @@ def test_a_visitor_who_has_left_leaves_no_folder(order):
 
 
 def test_motion_is_reported_per_frame(order):
-    import json
-
     done, _ = _run(order)
     motion = json.loads((done.films / "report.json").read_text())["motion"]
     assert motion["time"] == pytest.approx([0, 0.05, 0.1])

@@ -16,105 +16,296 @@
   const seconds = (s) => (s < 90 ? `${s.toFixed(s < 9.95 ? 1 : 0)} s` : `${(s / 60).toFixed(1)} min`);
   const size = (bytes) => (bytes < 1e6 ? `${Math.max(1, Math.round(bytes / 1e3))} kB` : `${(bytes / 1e6).toFixed(1)} MB`);
 
-  /* ---- examples ---------------------------------------------------------------------------- */
+  const calm = () => matchMedia('(prefers-reduced-motion: reduce)').matches;
+  const pause = (ms) => new Promise((done) => setTimeout(done, ms));
 
-  async function examples(element, props, watch, trigger) {
-    const { examples: names } = await (await fetch('phy124/catalogue.json')).json();
-    const button = (name) => h('button', { type: 'button', 'aria-label': `Example: ${name.replace(/_/g, ' ')}`, onclick: () => trigger('pick', { name }) },
-      h('img', { src: `phy124/examples/${name}.png`, alt: '', width: 48, height: 48, loading: 'lazy' }));
-    element.replaceChildren(h('p', { class: 'examples-title' }, 'Or begin with one of these'), h('div', { class: 'examples' }, ...names.map(button)));
+  /** A picture that moves; where people ask for little motion, its first frame. */
+  function moving(src, attributes) {
+    const img = h('img', { alt: '', loading: calm() ? 'eager' : 'lazy', ...attributes });
+    if (!calm()) { img.src = src; return img; }
+    const whole = new Image();
+    whole.onload = () => {
+      const canvas = h('canvas', { width: whole.naturalWidth, height: whole.naturalHeight });
+      canvas.getContext('2d').drawImage(whole, 0, 0);
+      img.src = canvas.toDataURL();
+    };
+    whole.src = src;
+    return img;
+  }
+
+  /* ---- work on the server ------------------------------------------------------------------ */
+
+  const ENDLESS = ['waiting', 'running', 'lost'];
+
+  /** Follow a piece of work to its end, over lost connections, too; `tell` returns false to give up. */
+  async function follow(job, tell, end) {
+    let seen = 0;
+    for (;;) {
+      let told = { state: 'lost' };
+      try {
+        const answer = await fetch(`phy124/jobs/${job}?seen=${seen}`);
+        if (answer.ok || answer.status === 404) told = await answer.json();
+      } catch { /* said by the state */ }
+      seen += told.glimpses ? told.glimpses.length : 0;
+      if (tell(told) === false) return;
+      if (!ENDLESS.includes(told.state)) return end(told);
+      await pause(told.state === 'lost' ? 1500 : told.state === 'waiting' ? 600 : 250);
+    }
+  }
+
+  /** The server keeps results as long as the page says that it is still there. */
+  setInterval(() => fetch('phy124/here').catch(() => {}), 60e3);
+
+  /* ---- what is said and heard -------------------------------------------------------------- */
+
+  const voice = h('div', { class: 'unseen', role: 'status', 'aria-live': 'polite' });
+  document.addEventListener('DOMContentLoaded', () => document.querySelector('main')?.append(voice));
+  function announce(text) {
+    if (!voice.isConnected) (document.querySelector('main') || document.body).append(voice);
+    voice.textContent = '';
+    setTimeout(() => { voice.textContent = text; }, 50);
+  }
+
+  const sounds = { get on() { return localStorage.getItem('phy124-sound') !== 'off'; }, set on(value) { localStorage.setItem('phy124-sound', value ? 'on' : 'off'); } };
+
+  /** Two soft notes when a result is there; only after a run of some length, when one may look elsewhere. */
+  function chime() {
+    if (!sounds.on || !globalThis.AudioContext) return;
+    const context = new AudioContext();
+    [[659, 0], [988, 0.14]].forEach(([pitch, at]) => {
+      const [note, loudness] = [context.createOscillator(), context.createGain()], start = context.currentTime + at;
+      note.frequency.value = pitch;
+      loudness.gain.setValueAtTime(0.0001, start);
+      loudness.gain.exponentialRampToValueAtTime(0.08, start + 0.02);
+      loudness.gain.exponentialRampToValueAtTime(0.0001, start + 0.7);
+      note.connect(loudness).connect(context.destination);
+      note.start(start);
+      note.stop(start + 0.75);
+    });
+    setTimeout(() => context.close(), 1500);
   }
 
   /* ---- progress: stages with bars, and the run so far as a flip-book ----------------------- */
 
-  function progress(element, props, watch) {
-    let frames = [], shown = 0, timer = null;
-    const picture = h('img', { alt: 'The motion so far', class: 'glimpse' });
-    const flip = () => { if (frames.length) picture.src = frames[shown++ % frames.length]; };
-    const bar = (row) => {
-      const share = row.reused ? 1 : row.total ? row.done / row.total : 0;
-      return h('li', { class: row.reused ? 'stage reused' : share >= 1 ? 'stage full' : share ? 'stage going' : 'stage' },
-        h('span', { class: 'stage-name' }, row.name),
-        h('span', { class: 'stage-note' }, row.note || (row.total > 1 && row.done ? `${row.done} of ${row.total}` : '')),
-        h('progress', { max: 1, value: share, 'aria-label': row.name }));
-    };
-    const show = () => {
-      const value = props.value || { state: 'idle' };
-      const begun = value.state !== 'idle' && element.dataset.state !== value.state;
-      element.dataset.state = value.state;
-      if (value.state === 'idle' || value.state === 'done') {
-        clearInterval(timer); timer = null; frames = []; shown = 0;
-        element.replaceChildren();
-        return;
-      }
-      for (const glimpse of value.glimpses || []) frames.push(`data:image/jpeg;base64,${glimpse}`);
-      const running = value.state === 'running' || value.state === 'waiting';
-      if (frames.length && !timer) timer = setInterval(flip, 70);
-      if (!frames.length) picture.removeAttribute('src');
-      if (!running) { clearInterval(timer); timer = null; frames = []; shown = 0; }
-      const left = Math.max(0, value.expected - value.elapsed);
-      element.replaceChildren(h('section', { class: `progress ${value.state}`, 'aria-label': 'Progress' },
-        running && frames.length ? h('figure', {}, picture, h('figcaption', {}, 'Preview, growing')) : null,
-        h('div', { class: 'progress-body' },
-          value.message ? h('p', { class: 'message', role: 'status' }, value.message) : null,
-          running ? h('p', { class: 'clock' }, value.state === 'waiting' ? 'Waiting for the device'
-            : left > 0.5 ? `${seconds(value.elapsed)} so far, about ${seconds(left)} to go` : `${seconds(value.elapsed)} so far, nearly there`) : null,
-          running ? h('ol', { class: 'stages' }, ...(value.stages || []).map(bar)) : null)));
-      flip();
-      if (begun) element.scrollIntoView({ block: 'nearest', behavior: 'smooth' });
-    };
-    watch('value', show);
-    show();
+  function progress(element, props, watch, trigger) {
+    const panel = new ProgressPanel(element, trigger);
+    watch('value', () => panel.show(props.value));
+    panel.show(props.value);
   }
+
+  class ProgressPanel {
+    constructor(element, trigger) {
+      Object.assign(this, { element, trigger, job: null, frames: [], shown: 0 });
+      this.picture = h('img', { alt: 'The motion so far', class: 'glimpse' });
+    }
+
+    show(value) {
+      clearTimeout(this.retry);
+      if (!value || !value.state) return this.element.replaceChildren();
+      if (!value.job) { this.job = null; return this.end(value); }
+      if (value.job === this.job) return;
+      Object.assign(this, { job: value.job, frames: [], shown: 0 });
+      this.draw(value);
+      this.element.scrollIntoView({ block: 'nearest', behavior: calm() ? 'auto' : 'smooth' });
+      globalThis.Phy124.live.begin();
+      follow(value.job, (told) => this.take(value.job, told), (told) => this.end(told));
+    }
+
+    take(job, told) {
+      if (this.job !== job) return false;
+      if (told.state === 'lost') { this.say('lost', 'The connection was lost. Your run goes on; trying again …'); return true; }
+      for (const glimpse of told.glimpses || []) this.frames.push(`data:image/jpeg;base64,${glimpse}`);
+      for (const file of told.live || []) globalThis.Phy124.live.add(`gradio_api/file=${file}`);
+      if (told.state === 'waiting' || told.state === 'running') this.draw(told);
+      return true;
+    }
+
+    draw(told) {
+      if (this.frames.length && !this.timer && !calm()) this.timer = setInterval(() => this.flip(), 70);
+      const left = Math.max(0, told.expected - told.elapsed);
+      const clock = told.state === 'waiting' ? this.waiting(told.place)
+        : left > 0.5 ? `${seconds(told.elapsed)} so far, about ${seconds(left)} to go` : `${seconds(told.elapsed)} so far, nearly there`;
+      this.element.replaceChildren(h('section', { class: `progress ${told.state}`, 'aria-label': 'Progress' },
+        this.frames.length ? h('figure', {}, this.picture, h('figcaption', {}, 'Preview, growing')) : null,
+        h('div', { class: 'progress-body' }, h('p', { class: 'clock' }, clock), h('ol', { class: 'stages' }, ...(told.stages || []).map(bar)))));
+      this.flip();
+    }
+
+    waiting(place) { return place > 0 ? `Waiting: ${place} ${place === 1 ? 'run' : 'runs'} before yours` : 'Waiting for the device'; }
+
+    flip() {
+      if (!this.frames.length) return;
+      const frame = this.frames[calm() ? this.frames.length - 1 : this.shown++ % this.frames.length];
+      if (this.picture.src !== frame) this.picture.src = frame;
+    }
+
+    end(told) {
+      clearInterval(this.timer);
+      const job = this.job, long = told.elapsed > 3;
+      Object.assign(this, { timer: null, frames: [], shown: 0 });
+      if (told.state === 'gone') told = { state: 'failed', message: 'The server no longer knows this run. Generate it again.' };
+      if (told.state === 'done') {
+        this.element.replaceChildren();
+        announce('The result is there.');
+        if (long) chime();
+      } else { this.say(told.state, told.message); globalThis.Phy124.live.drop(); }
+      if (job) this.trigger('finished', { job });
+    }
+
+    say(state, message) {
+      const again = state === 'full' ? h('button', { type: 'button', class: 'quiet', onclick: () => this.trigger('again') }, 'Try again now') : null;
+      if (again) this.retry = setTimeout(() => this.trigger('again'), 10e3);
+      this.element.replaceChildren(h('section', { class: `progress ${state}`, 'aria-label': 'Progress' },
+        h('div', { class: 'progress-body' }, h('p', { class: 'message', role: 'status' }, message), again)));
+    }
+  }
+
+  const bar = (row) => {
+    const share = row.reused ? 1 : row.total ? row.done / row.total : 0;
+    return h('li', { class: row.reused ? 'stage reused' : share >= 1 ? 'stage full' : share ? 'stage going' : 'stage' },
+      h('span', { class: 'stage-name' }, row.name),
+      h('span', { class: 'stage-note' }, row.note || (row.total > 1 && row.done ? `${row.done} of ${row.total}` : '')),
+      h('progress', { max: 1, value: share, 'aria-label': row.name }));
+  };
 
   /* ---- the 4D viewer ----------------------------------------------------------------------- */
 
+  /** Frames of a run that is not finished yet, shown as they come. */
+  const live = { begin() {}, add() {}, drop() {} };
+
   function viewer(element, props, watch) {
-    let player = null, current = null;
-    const show = async () => {
-      const url = props.value && props.value.pack && props.value.pack.url;
-      if (url === current) return;
-      current = url;
-      if (player) { player.dispose(); player = null; }
-      if (!url) return element.replaceChildren(welcome());
+    const panel = new ViewerPanel(element);
+    Object.assign(live, { begin: () => panel.begin(), add: (url) => panel.add(url), drop: () => panel.drop() });
+    Object.assign(globalThis.Phy124, { compare: (url, title) => panel.compare(url, title) });
+    watch('value', () => panel.show(props.value?.pack?.url));
+    panel.show(props.value?.pack?.url);
+  }
+
+  class ViewerPanel {
+    constructor(element) { Object.assign(this, { element, player: null, url: false, growing: null, other: null }); }
+
+    async show(url) {
+      if (url === this.url && !this.growing) return;
+      this.url = url;
+      const pose = this.player && this.growing ? { ...this.player.pose } : null;
+      this.growing = null;
+      if (!url) { this.clear(); return this.element.replaceChildren(welcome()); }
+      const bytes = await read(url);
+      if (this.url !== url) return;
+      this.clear();
       const host = h('div', { class: 'viewer-host' });
-      element.replaceChildren(host);
-      const answer = await fetch(url);
-      if (!answer.ok) { host.textContent = 'The result is no longer on the server. Generate it again.'; return; }
-      const bytes = new Uint8Array(await answer.arrayBuffer());
-      if (current !== url) return;
-      player = await Phy124Player.mount(host, bytes);
-      if (player && document.body.classList.contains('dark')) {
-        player.find('background').value = 'dark';
-        player.find('background').dispatchEvent(new Event('change'));
-      }
-      element.player = player;
+      this.element.replaceChildren(h('div', { class: 'viewer-row' }, host), h('p', { class: 'invented' }, 'The front is your picture; the back is invented from the outline.'));
+      if (!bytes) { host.textContent = 'The result is no longer on the server. Generate it again.'; return; }
+      this.player = await this.mount(host, bytes, pose);
+      this.element.player = this.player;
+      this.element.scrollIntoView({ block: 'nearest', behavior: calm() ? 'auto' : 'smooth' });
+    }
+
+    async mount(host, bytes, pose) {
+      const player = await Phy124Player.mount(host, bytes);
+      if (player && pose) player.take(pose);
+      return player;
+    }
+
+    clear() {
+      for (const each of [this.player, this.other]) if (each) each.dispose();
+      Object.assign(this, { player: null, other: null });
+    }
+
+    begin() { this.growing = { waiting: [], drawn: false, busy: false }; }
+
+    /** A frame that was just computed: the first one makes a player, the others lengthen its clip. */
+    async add(url) {
+      const growing = this.growing;
+      if (!growing) return;
+      growing.waiting.push(url);
+      if (growing.busy) return;
+      growing.busy = true;
+      while (growing.waiting.length) await this.grow(growing, growing.waiting.shift());
+      growing.busy = false;
+    }
+
+    async grow(growing, url) {
+      const bytes = await read(url);
+      if (!bytes || this.growing !== growing) return;
+      if (growing.drawn) { await this.player?.extend(bytes); return; }
+      growing.drawn = true;
+      const pose = this.player ? { ...this.player.pose } : null;
+      this.clear();
+      const host = h('div', { class: 'viewer-host growing' });
+      this.element.replaceChildren(h('div', { class: 'viewer-row' }, host));
+      this.player = await Phy124Player.mount(host, bytes, { growing: true });
+      if (this.player && pose) this.player.take(pose);
+    }
+
+    /** The run came to nothing: what was shown before comes back. */
+    drop() {
+      if (!this.growing) return;
+      const url = this.url;
+      this.show(url);
+    }
+
+    /** Another result beside this one, seen from the same place at the same time. */
+    async compare(url, title) {
+      if (!this.player) return;
+      if (this.other) { this.other.dispose(); this.other.host.parentNode.remove(); this.other = null; if (this.beside === url) { this.beside = null; return; } }
+      this.beside = url;
+      const bytes = await read(url), host = h('div', { class: 'viewer-host' });
+      if (!bytes || this.beside !== url) return;
+      this.element.querySelector('.viewer-row').append(h('figure', { class: 'beside' }, h('figcaption', {}, title), host));
+      this.other = await this.mount(host, bytes, null);
+      this.player.lead(this.other);
+    }
+  }
+
+  async function read(url) {
+    try { const answer = await fetch(url); return answer.ok ? new Uint8Array(await answer.arrayBuffer()) : null; } catch { return null; }
+  }
+
+  /* ---- earlier results --------------------------------------------------------------------- */
+
+  function history(element, props, watch, trigger) {
+    const show = () => {
+      const runs = (props.value && props.value.runs) || [];
+      if (runs.length < 2) return element.replaceChildren();
+      const item = ({ job, title, detail, picture, pack, current }) => h('li', { class: current ? 'current' : '' },
+        h('button', { type: 'button', 'aria-pressed': current ? 'true' : 'false', onclick: () => trigger('show', { job }) },
+          moving(picture.url, { width: 72, height: 72 }), h('strong', {}, title), h('span', {}, detail)),
+        current ? null : h('button', { type: 'button', class: 'quiet', onclick: () => globalThis.Phy124.compare(pack.url, `${title}, ${detail}`) }, 'Beside'));
+      element.replaceChildren(h('section', { class: 'history', 'aria-label': 'Earlier results' }, h('h3', {}, 'Your results'), h('ul', {}, ...runs.map(item))));
     };
     watch('value', show);
     show();
   }
 
   const welcome = () => h('div', { class: 'welcome' },
-    h('img', { src: 'phy124/previews/press.webp', alt: '' }),
+    moving('phy124/previews/press.webp', { width: 210, height: 210 }),
     h('h2', {}, 'See it move'),
     h('p', {}, 'Choose a picture of one object and what should happen to it. Here it will turn, bend and bounce in 3D, as its material would.'));
 
   /* ---- videos ------------------------------------------------------------------------------ */
 
+  const RATES = [0.1, 0.25, 0.5, 1];
+
   function videos(element, props, watch) {
+    let rate = 1;
     const show = () => {
-      const films = (props.value && props.value.films) || [];
-      element.replaceChildren(films.length
-        ? h('div', { class: 'films' }, ...films.map(film))
-        : h('p', { class: 'empty' }, 'The videos of each view appear here.'));
+      const { films = [], length = 1 } = props.value || {};
+      if (!films.length) return element.replaceChildren(h('p', { class: 'empty' }, 'The videos of each view appear here.'));
+      rate = length < 1 ? 0.5 : 1;
+      const made = films.map(film);
+      const pick = h('select', { 'aria-label': 'Speed of the videos', onchange: () => { rate = Number(pick.value); for (const video of element.querySelectorAll('video')) video.playbackRate = rate; } },
+        ...RATES.map((r) => h('option', { value: r, selected: r === rate }, r === 1 ? 'Real time' : `Slowed to ${r}×`)));
+      element.replaceChildren(h('div', { class: 'films-head' }, pick), h('div', { class: 'films' }, ...made));
     };
     const film = ({ name, file }) => {
       const video = h('video', { src: file.url, loop: true, playsinline: true, preload: 'auto', tabindex: 0, 'aria-label': `Video, ${name}` });
       video.muted = true;
+      video.addEventListener('loadedmetadata', () => { video.playbackRate = rate; });
       for (const [event, on] of [['pointerenter', true], ['focus', true], ['pointerleave', false]]) {
         video.addEventListener(event, () => { video.controls = on; });
       }
-      if (!matchMedia('(prefers-reduced-motion: reduce)').matches) video.autoplay = true;
+      if (!calm()) video.autoplay = true;
       return h('figure', { class: 'film' }, video, h('figcaption', {}, name));
     };
     watch('value', show);
@@ -143,5 +334,5 @@
     show();
   }
 
-  globalThis.Phy124 = Object.assign(globalThis.Phy124 || {}, { h, examples, progress, viewer, videos, takeaway });
+  globalThis.Phy124 = Object.assign(globalThis.Phy124 || {}, { h, calm, moving, follow, announce, sounds, live, progress, viewer, history, videos, takeaway });
 })();

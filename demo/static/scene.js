@@ -2,48 +2,143 @@
  * from the scene's own JSON schema. Its value is the whole scene as plain data. */
 'use strict';
 (() => {
-  const { h } = globalThis.Phy124;
+  const { h, moving, announce, sounds } = globalThis.Phy124;
   const clone = (data) => JSON.parse(JSON.stringify(data));
   const nice = (x, digits = 3) => Number(Number(x).toPrecision(digits)).toString();
   const words = (name) => name.replace(/_/g, ' ').replace(/^./, (c) => c.toUpperCase());
+
+  const BACKGROUNDS = { light: [1, 1, 1], dark: [0.09, 0.106, 0.133] };
+  const STORED = 'phy124-scene';
 
   async function scene(element, props, watch, trigger) {
     const offer = await (await fetch('phy124/catalogue.json')).json();
     const editor = new Editor(element, offer, (value) => { props.value = value; trigger('change'); });
     watch('value', () => { if (props.value && props.value !== editor.sent) editor.load(props.value); });
+    editor.begin(await shared() || stored());
+  }
+
+  /* ---- scenes in links --------------------------------------------------------------------- */
+
+  const through = async (bytes, stream) => new Uint8Array(await new Response(new Blob([bytes]).stream().pipeThrough(stream)).arrayBuffer());
+
+  /** A scene as part of an address: JSON, deflated, base64 of the kind that addresses take. */
+  async function asLink(data) {
+    const bytes = await through(new TextEncoder().encode(JSON.stringify(data)), new CompressionStream('deflate-raw'));
+    const text = btoa(String.fromCharCode(...bytes)).replace(/\+/g, '-').replace(/\//g, '_').replace(/=+$/, '');
+    return `${location.origin}${location.pathname}#scene=${text}`;
+  }
+
+  async function shared() {
+    const found = /^#scene=([\w-]{1,20000})$/.exec(location.hash);
+    if (!found) return null;
+    try {
+      const bytes = Uint8Array.from(atob(found[1].replace(/-/g, '+').replace(/_/g, '/')), (c) => c.charCodeAt(0));
+      return JSON.parse(new TextDecoder().decode(await through(bytes, new DecompressionStream('deflate-raw'))));
+    } catch { return null; }
+  }
+
+  function stored() {
+    try { return JSON.parse(sessionStorage.getItem(STORED)); } catch { return null; }
   }
 
   class Editor {
     constructor(element, offer, send) {
-      Object.assign(this, { element, offer, send });
+      Object.assign(this, { element, offer, send, past: [], future: [] });
       this.cards = h('div', { class: 'cards', role: 'radiogroup', 'aria-label': 'What happens' });
+      this.chips = h('div', { class: 'chips', role: 'radiogroup', 'aria-label': 'Made of' });
       this.knobs = h('div', { class: 'knobs' });
       this.form = h('div', { class: 'form' });
-      element.replaceChildren(this.cards, this.knobs,
-        h('details', { class: 'more' }, h('summary', {}, 'More: every setting of the scene'), this.form));
-      this.choose(offer.presets[0].name);
+      element.replaceChildren(this.cards, h('div', { class: 'knob' }, h('div', { class: 'knob-head' }, h('span', { class: 'knob-name' }, 'Made of')), this.chips),
+        this.knobs, h('details', { class: 'more' }, h('summary', {}, 'More: every setting of the scene'), this.form), this.tools());
+      element.addEventListener('keydown', (event) => this.shortcut(event));
+    }
+
+    tools() {
+      const button = (label, act) => h('button', { type: 'button', class: 'quiet', onclick: act }, label);
+      this.undoing = button('Undo', () => this.step(this.past, this.future));
+      this.redoing = button('Redo', () => this.step(this.future, this.past));
+      return h('div', { class: 'scene-tools' }, this.undoing, this.redoing, button('Copy a link to this scene', () => this.share()),
+        h('label', { class: 'chime' }, h('input', { type: 'checkbox', checked: sounds.on, onchange: (event) => { sounds.on = event.target.checked; } }), 'Chime when a run is done'));
+    }
+
+    begin(given) {
+      this.drawChips();
+      this.choose(this.offer.presets[0].name);
+      try { if (given && given.material && given.time) this.load(given); } catch { this.choose(this.offer.presets[0].name); }
+      const named = this.offer.presets.find((p) => p.scene.description === this.data.description);
+      this.preset = named ? named.name : null;
       this.drawCards();
     }
 
     choose(name) {
       this.preset = name;
-      this.load(clone(this.offer.presets.find((p) => p.name === name).scene));
+      const data = clone(this.offer.presets.find((p) => p.name === name).scene);
+      // On a dark page white videos would glare.
+      if (document.body.classList.contains('dark')) data.view.background = [...BACKGROUNDS.dark];
+      this.load(data);
     }
 
-    load(data) { this.data = clone(data); this.drawKnobs(); this.drawForm(); this.tell(); }
+    load(data) { this.data = clone(data); this.markChips(); this.drawKnobs(); this.drawForm(); this.tell(); }
 
     tell() {
       clearTimeout(this.timer);
-      this.timer = setTimeout(() => { this.sent = clone(this.data); this.send(this.sent); }, 120);
+      this.timer = setTimeout(() => {
+        if (this.sent && JSON.stringify(this.sent) !== JSON.stringify(this.data)) { this.past.push(this.sent); this.future = []; }
+        this.say();
+      }, 120);
+    }
+
+    say() {
+      this.sent = clone(this.data);
+      try { sessionStorage.setItem(STORED, JSON.stringify(this.sent)); } catch { /* not kept, then */ }
+      [this.undoing.disabled, this.redoing.disabled] = [!this.past.length, !this.future.length];
+      this.send(this.sent);
+    }
+
+    /** Back to an earlier scene, or forth again. */
+    step(from, to) {
+      if (!from.length) return;
+      clearTimeout(this.timer);
+      to.push(this.sent);
+      this.data = clone(from.pop());
+      this.markChips(); this.drawKnobs(); this.drawForm();
+      this.say();
+      announce('The scene was changed back.');
+    }
+
+    shortcut(event) {
+      if (!(event.ctrlKey || event.metaKey) || event.key.toLowerCase() !== 'z' || event.target.matches('input[type=text], input[type=number], textarea')) return;
+      event.preventDefault();
+      if (event.shiftKey) this.step(this.future, this.past); else this.step(this.past, this.future);
+    }
+
+    async share() {
+      const data = clone(this.data);
+      if (data.parts) data.parts = data.parts.filter((part) => !part.mask);
+      if (data.stiffness && data.stiffness.file) delete data.stiffness;
+      const link = await asLink(data);
+      try { await navigator.clipboard.writeText(link); announce('The link is copied.'); } catch { location.hash = link.split('#')[1]; announce('The link is in the address bar.'); }
     }
 
     /** A knob changed the data: the form follows. */
-    turned() { this.drawForm(); this.tell(); }
+    turned() { this.markChips(); this.drawForm(); this.tell(); }
+
+    /** Which material the scene has now; the chips stay, so that none loses the focus. */
+    markChips() {
+      const same = ({ material }) => Object.entries(material).every(([name, value]) => JSON.stringify(this.data.material[name]) === JSON.stringify(value));
+      [...this.chips.querySelectorAll('input')].forEach((input, i) => { input.checked = same(this.offer.substances[i]); });
+    }
+
+    drawChips() {
+      this.chips.replaceChildren(...this.offer.substances.map(({ name, title, material, picture }) => h('label', { class: 'chip' },
+        h('input', { type: 'radio', name: 'substance', value: name, onchange: () => { this.data.material = clone(material); this.drawKnobs(); this.turned(); } }),
+        picture ? moving(`phy124/${picture}`, { width: 48, height: 48 }) : null, h('span', {}, title))));
+    }
 
     drawCards() {
       this.cards.replaceChildren(...this.offer.presets.map((preset) => h('label', { class: 'card' },
         h('input', { type: 'radio', name: 'preset', value: preset.name, checked: preset.name === this.preset, onchange: () => this.choose(preset.name) }),
-        preset.picture ? h('img', { src: `phy124/${preset.picture}`, alt: '', loading: 'lazy', width: 160, height: 160 }) : h('span', { class: 'blank' }),
+        preset.picture ? moving(`phy124/${preset.picture}`, { width: 160, height: 160 }) : h('span', { class: 'blank' }),
         h('strong', {}, preset.title), h('span', { class: 'card-text' }, preset.text))));
     }
 
@@ -52,7 +147,7 @@
     drawKnobs() {
       const rows = [this.push(), this.log('Softness', ['material', 'E'], 1e3, 1e10, this.offer.softness, 'Pa'),
         this.log('Weight', ['material', 'density'], 20, 10000, this.offer.weights, 'kg/m³'),
-        this.held(), this.count(), this.accuracy()];
+        this.held(), this.count(), this.accuracy(), this.background()];
       this.knobs.replaceChildren(...rows.filter(Boolean));
     }
 
@@ -165,6 +260,14 @@
           h('span', {}, words(name), h('small', {}, `${cells} cells across`))))));
     }
 
+    background() {
+      const now = this.data.view.background, dark = now[0] + now[1] + now[2] < 1.5;
+      return this.knob('Background', h('output', {}), h('div', { class: 'segments', role: 'radiogroup', 'aria-label': 'Background' },
+        ...Object.entries(BACKGROUNDS).map(([name, colour]) => h('label', {},
+          h('input', { type: 'radio', name: 'background', value: name, checked: (name === 'dark') === dark, onchange: () => { this.data.view.background = [...colour]; this.turned(); } }),
+          h('span', {}, words(name))))));
+    }
+
     /* ---- the form of everything ------------------------------------------------------------ */
 
     drawForm() {
@@ -236,7 +339,7 @@
       return made;
     }
 
-    redraw() { document.activeElement.blur(); this.drawKnobs(); this.drawForm(); this.tell(); }
+    redraw() { document.activeElement.blur(); this.markChips(); this.drawKnobs(); this.drawForm(); this.tell(); }
 
     leaf(name, schema, data, optional = false) {
       const hint = schema.description || '', value = data[name];
@@ -256,10 +359,23 @@
         return h('input', { type: 'number', step: schema.type === 'integer' ? 1 : 'any', min: schema.minimum ?? schema.exclusiveMinimum, max: schema.maximum ?? schema.exclusiveMaximum,
           value: value ?? '', placeholder: optional ? 'automatic' : '', onchange: (event) => set(event.target.value === '' ? null : Number(event.target.value)) });
       }
+      if (schema.format === 'path') return this.upload(name, value, set);
       if (schema.type === 'string') return h('input', { type: 'text', value: value ?? '', onchange: (event) => set(event.target.value) });
       return h('textarea', { rows: 2, spellcheck: 'false', onchange: (event) => {
         try { set(event.target.value.trim() ? JSON.parse(event.target.value) : null); event.target.setCustomValidity(''); } catch { event.target.setCustomValidity('This is not JSON.'); event.target.reportValidity(); }
       } }, value == null ? '' : JSON.stringify(value));
+    }
+
+    /** A picture file, which is sent first. */
+    upload(name, value, set) {
+      const input = h('input', { type: 'file', accept: 'image/png,image/jpeg,image/webp', 'aria-label': words(name), onchange: async () => {
+        const form = new FormData();
+        form.append('files', input.files[0]);
+        const answer = await fetch('gradio_api/upload', { method: 'POST', body: form }).catch(() => null);
+        if (answer && answer.ok) set((await answer.json())[0]);
+        else { input.setCustomValidity(answer ? await answer.text() : 'The connection was lost.'); input.reportValidity(); }
+      } });
+      return h('span', {}, input, value ? h('small', {}, 'A picture is chosen.') : null);
     }
 
     several(name, schema, value, set) {

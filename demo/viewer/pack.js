@@ -94,5 +94,25 @@ globalThis.Phy124Pack = (() => {
     }
   }
 
-  return { unpack, Blend };
+  /** Frames that come one by one, each a pack of its own, of a clip that is still growing. */
+  class Growing extends Blend {
+    static begin(first) {
+      const { target, radius } = first.view, sides = [-1, 1].map((side) => target.map((v) => v + side * radius));
+      return { ...first, low: sides[0], high: sides[1], frames: [first], times: [...first.times] };
+    }
+
+    static add(pack, frame) {
+      pack.frames.push(frame);
+      pack.times.push(frame.times[0]);
+      pack.t = pack.frames.length;
+    }
+
+    at(frame, out) { new Blend(this.pack.frames[Math.min(Math.round(frame), this.pack.t - 1)]).at(0, out); }
+
+    speed() { return 0; }
+
+    stretch() { return 1; }
+  }
+
+  return { unpack, Blend, Growing };
 })();

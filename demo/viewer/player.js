@@ -37,7 +37,7 @@ globalThis.Phy124Player = (() => {
     constructor(canvas, pack) {
       this.canvas = canvas;
       this.pack = pack;
-      this.blend = new Phy124Pack.Blend(pack);
+      this.blend = new (pack.frames ? Phy124Pack.Growing : Phy124Pack.Blend)(pack);
       const device = new pc.WebglGraphicsDevice(canvas, { antialias: false, alpha: false, preserveDrawingBuffer: true });
       const app = this.app = new pc.AppBase(canvas);
       const options = new pc.AppOptions();
@@ -139,6 +139,8 @@ globalThis.Phy124Player = (() => {
       <output class="phy-clock">0.00 s</output>
       <select class="phy-speed" aria-label="Speed">${options(
         Object.fromEntries(SPEEDS.map((s) => [String(s), `${s}×`])), '1')}</select>
+      <select class="phy-way" aria-label="At the end">${options(
+        { loop: 'Loop', swing: 'To and fro', once: 'Once' }, 'loop')}</select>
       <select class="phy-colour" aria-label="Colouring">${options(
         { photo: 'Picture', velocity: 'Velocity', stretch: 'Stretch' }, 'photo')}</select>
       <select class="phy-background" aria-label="Background">${options(
@@ -148,7 +150,8 @@ globalThis.Phy124Player = (() => {
     </div>`;
 
   class Player {
-    constructor(host, pack, { play = true } = {}) {
+    constructor(host, pack, { play = true, growing = false } = {}) {
+      if (growing) pack = Phy124Pack.Growing.begin(pack);
       this.pack = pack;
       this.host = host;
       host.classList.add('phy-player');
@@ -159,10 +162,18 @@ globalThis.Phy124Player = (() => {
       this.stage = new Stage(this.canvas, pack);
       this.time = 0;
       this.length = pack.times[pack.t - 1] - pack.times[0];
-      this.speed = 1;
+      // Half a second is over before one has seen it.
+      const short = this.length > 0 && this.length < 1;
+      this.speed = short ? 0.5 : 1;
+      this.way = short ? 'swing' : 'loop';
+      this.forth = 1;
+      this.find('speed').value = String(this.speed);
+      this.find('way').value = this.way;
+      this.followers = [];
       this.colouring = 'photo';
       this.home();
       this.stage.background(pack.background);
+      this.find('background').value = pack.background.reduce((a, b) => a + b) < 1 ? 'dark' : 'light';
       this.find('time').max = this.length;
       this.listen();
       this.seek(0);
@@ -175,6 +186,7 @@ globalThis.Phy124Player = (() => {
       on('play', 'click', () => (this.playing ? this.pause() : this.play()));
       on('time', 'input', (event) => { this.pause(); this.seek(Number(event.target.value)); });
       on('speed', 'change', (event) => { this.speed = Number(event.target.value); });
+      on('way', 'change', (event) => { this.way = event.target.value; this.forth = 1; });
       on('colour', 'change', (event) => { this.colouring = event.target.value; this.legend(); this.seek(this.time); });
       on('background', 'change', (event) => this.stage.background(BACKGROUNDS[event.target.value]));
       on('home', 'click', () => this.home());
@@ -235,12 +247,41 @@ globalThis.Phy124Player = (() => {
 
     fit() { if (!this.stage) [this.canvas.width, this.canvas.height] = this.pixels; }
 
-    home() { this.pose = { ...this.pack.view }; this.stage.look(this.pose); }
+    home() { this.take({ ...this.pack.view, radius: this.pack.view.radius * this.narrow }); }
+
+    /** How much further away a picture higher than wide must be seen from: the field of view is vertical. */
+    get narrow() { const [width, height] = this.pixels; return Math.max(1, height / width); }
+
+    /** Look from a pose: that of another player, say. */
+    take(pose) {
+      this.pose = { ...this.pack.view, ...pose };
+      this.stage.look(this.pose);
+      for (const other of this.followers || []) other.take({ azimuth: pose.azimuth, elevation: pose.elevation });
+    }
+
+    /** Another player shows the same instant from the same side. */
+    lead(other) {
+      this.followers = other ? [other] : [];
+      if (!other) return;
+      other.pause();
+      other.find('bar').hidden = true;
+      this.take(this.pose);
+      this.seek(this.time);
+    }
+
+    /** One more frame of a clip that is still being computed. */
+    async extend(bytes) {
+      const frame = await Phy124Pack.unpack(bytes);
+      if (this.gone) return;
+      Phy124Pack.Growing.add(this.pack, frame);
+      this.length = this.pack.times[this.pack.t - 1] - this.pack.times[0];
+      this.find('time').max = this.length;
+      this.seek(this.length);
+    }
 
     turn(azimuth, elevation) {
-      this.pose.azimuth += azimuth;
-      this.pose.elevation = Math.min(89, Math.max(-89, this.pose.elevation + elevation));
-      this.stage.look(this.pose);
+      const up = Math.min(89, Math.max(-89, this.pose.elevation + elevation));
+      this.take({ ...this.pose, azimuth: this.pose.azimuth + azimuth, elevation: up });
     }
 
     zoom(factor) {
@@ -259,6 +300,7 @@ globalThis.Phy124Player = (() => {
       this.stage.show(frame, this.colouring);
       this.find('time').value = this.time;
       this.find('clock').textContent = `${this.time.toFixed(2)} s`;
+      for (const other of this.followers) other.seek(time);
     }
 
     play() {
@@ -269,12 +311,20 @@ globalThis.Phy124Player = (() => {
       const tick = (now) => {
         if (!this.playing) return;
         if (!this.host.isConnected) return this.dispose();
-        const next = this.time + Math.min((now - last) / 1000, 0.25) * this.speed;
+        const next = this.time + Math.min((now - last) / 1000, 0.25) * this.speed * this.forth;
         last = now;
-        this.seek(next > this.length ? 0 : next);
+        this.seek(this.turned(next));
         requestAnimationFrame(tick);
       };
       requestAnimationFrame(tick);
+    }
+
+    /** Where to go on from a time that may be past either end. */
+    turned(time) {
+      if (time >= 0 && time <= this.length) return time;
+      if (this.way === 'swing') { this.forth = -this.forth; return time < 0 ? 0 : this.length; }
+      if (this.way === 'once') { this.pause(); return this.length; }
+      return 0;
     }
 
     pause() { this.playing = false; this.button('play', 'Play'); }

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, model_validator
 
-from phy124.bounds import Text, Velocity
+from phy124.bounds import FileName, Velocity
 from phy124.materials import AnyMaterial, NeoHookean
 from phy124.region import Region
 from phy124.scene.section import Section
@@ -60,9 +60,8 @@ class Part(Section):
         default=False, description="Scenery: it is seen, but neither moves nor touches anything."
     )
     region: Region | None = Field(default=None, description="Box of space it lies in [m].")
-    mask: Text | None = Field(
+    mask: FileName | None = Field(
         default=None,
-        max_length=4096,
         examples=["hat.png"],
         description="Picture file, white where it is seen from the front.",
     )

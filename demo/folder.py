@@ -1,0 +1,91 @@
+"""The folder that holds visitors' files while the page runs, and nothing afterwards.
+
+It goes when the page ends. What a page that was killed has left behind goes when the next one
+starts: a lock, which dies with its process, tells the living from the dead.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from phy124.errors import InputError
+
+PREFIX = "phy124-web-"
+LOCK = "lock"
+
+
+@contextmanager
+def own_folder(wanted: str = "") -> Iterator[Path]:
+    """A folder of our own, emptied before and removed after; raises InputError if it is in use."""
+    if not wanted:
+        _sweep(Path(tempfile.gettempdir()))
+    root = Path(wanted or tempfile.mkdtemp(prefix=PREFIX)).absolute()
+    root.mkdir(parents=True, exist_ok=True)
+    strangers = [] if (root / LOCK).exists() else sorted(path.name for path in root.iterdir())
+    lock = _locked(root)
+    if lock is None:
+        raise InputError(
+            "PHY124_FOLDER", root, "another page uses this folder.", "Choose another one."
+        )
+    try:
+        _refuse(root, strangers)
+        _empty(root)
+        try:
+            yield root
+        finally:
+            _empty(root)
+    finally:
+        if not wanted:
+            shutil.rmtree(root, ignore_errors=True)
+        os.close(lock)
+
+
+def _sweep(folder: Path) -> None:
+    """Remove the folders of pages that run no more."""
+    for left in folder.glob(f"{PREFIX}*"):
+        if left.is_symlink() or not left.is_dir() or left.stat().st_uid != os.getuid():
+            continue
+        lock = _locked(left)
+        if lock is not None:
+            shutil.rmtree(left, ignore_errors=True)
+            os.close(lock)
+
+
+def _locked(folder: Path) -> int | None:
+    """The lock of a folder, or None if another process holds it."""
+    try:
+        lock = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
+    except OSError:
+        return None
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(lock)
+        return None
+    return lock
+
+
+def _refuse(root: Path, strangers: list[str]) -> None:
+    """A folder given by a person may hold what must not be deleted."""
+    if strangers:
+        (root / LOCK).unlink(missing_ok=True)
+        raise InputError(
+            "PHY124_FOLDER", root, f"it holds other files, such as {strangers[0]}.",
+            "Give an empty folder: the page removes what lies in its own.",
+        )  # fmt: skip
+
+
+def _empty(root: Path) -> None:
+    for path in root.iterdir():
+        if path.name == LOCK:
+            continue
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)

@@ -1,0 +1,210 @@
+"""What stands before the page: limits on requests, headers of answers, patience with sockets."""
+
+from __future__ import annotations
+
+import ipaddress
+import re
+import secrets
+import socket
+from asyncio import TimerHandle
+from typing import TYPE_CHECKING, Any
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.responses import PlainTextResponse
+from uvicorn.protocols.http.h11_impl import H11Protocol
+
+from demo.identity import COOKIE, new_name
+
+if TYPE_CHECKING:
+    from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+DRAIN = 1 << 28
+"""Bytes of a refused request that are read before the connection is closed."""
+HEAD, BODY = 20.0, 120.0
+"""Time for the head of a request and for its body [s]."""
+FETCHES = re.compile(r"/gradio_api/(?:file=|proxy=)(?:https?:|ftp:|//)", re.IGNORECASE)
+"""Addresses at which Gradio would fetch something from elsewhere."""
+POLICY = (
+    # Gradio makes functions of the panels' calls; scripts written into the page do not run.
+    "default-src 'self'; script-src 'self' 'nonce-{nonce}' 'unsafe-eval'; "
+    "style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; media-src 'self' blob:; "
+    "font-src 'self' data:; connect-src 'self'; worker-src 'self' blob:; object-src 'none'; "
+    "base-uri 'self'; form-action 'self'; frame-ancestors {frames}"
+)
+INERT = "default-src 'none'; style-src 'unsafe-inline'; sandbox"
+"""For whatever is not the page itself, should it be opened as one."""
+
+
+class BodyLimit:
+    """Refuses requests that are larger than an upload may be, however they say their size."""
+
+    def __init__(self, app: ASGIApp, most: int, message: str) -> None:
+        self.app, self.most, self.message = app, most, message
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer 413, or pass the request on."""
+        if scope["type"] != "http":
+            return await self.app(scope, receive, send)
+        length = dict(scope["headers"]).get(b"content-length", b"0")
+        if not length.isdigit() or int(length) > self.most:
+            return await self._refuse(scope, receive, send)
+        read = 0
+
+        async def counted() -> Message:
+            nonlocal read
+            message = await receive()
+            read += len(message.get("body", b""))
+            if read > self.most:
+                # To the application it looks as if the client had gone.
+                return {"type": "http.disconnect"}
+            return message
+
+        await self.app(scope, counted, send)
+
+    async def _refuse(self, scope: Scope, receive: Receive, send: Send) -> None:
+        # Read to the end, keeping nothing: a client that is still sending hears no answer.
+        read, more = 0, True
+        while more and read < DRAIN:
+            message = await receive()
+            read, more = read + len(message.get("body", b"")), message.get("more_body", False)
+        answer = PlainTextResponse(self.message, 413, {"connection": "close"})
+        await answer(scope, receive, send)
+
+
+class Doorkeeper:
+    """Refuses requests under other names than the page's, and those that would fetch for others."""
+
+    def __init__(self, app: ASGIApp, hosts: frozenset[str]) -> None:
+        self.app, self.hosts = app, hosts
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer 421 or 403, or pass the request on."""
+        if scope["type"] == "http":
+            refusal = self._refusal(scope)
+            if refusal is not None:
+                return await refusal(scope, receive, send)
+        await self.app(scope, receive, send)
+
+    def _refusal(self, scope: Scope) -> PlainTextResponse | None:
+        if not is_own_name(Headers(scope=scope).get("host", ""), self.hosts):
+            return PlainTextResponse("This page does not go by that name (PHY124_HOSTS).", 421)
+        if FETCHES.search(scope["path"]):
+            return PlainTextResponse("This page fetches nothing from elsewhere.", 403)
+        return None
+
+
+def own_names(more: str, space: str = "") -> frozenset[str]:
+    """Names the page answers to besides plain addresses."""
+    here = socket.gethostname().lower()
+    given = [name.strip().lower() for name in f"{more},{space}".split(",")]
+    return frozenset({"localhost", here, f"{here}.local", *filter(None, given)})
+
+
+def is_own_name(host: str, names: frozenset[str]) -> bool:
+    """Whether a Host header names this page; no foreign name can be made to point at a number."""
+    name = re.sub(r":\d+$", "", host.lower()).strip("[]")
+    if name in names or "*" in names:
+        return True
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True
+
+
+class Headed:
+    """Gives answers the headers that a public page should have, and each visitor a name."""
+
+    def __init__(self, app: ASGIApp, embedded: bool = False) -> None:
+        self.app = app
+        # A Space shows the page in a frame of another site.
+        self.frames = "'self' https://huggingface.co" if embedded else "'self'"
+        self.manner = "SameSite=None; Secure; Partitioned" if embedded else "SameSite=Lax"
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass the request on and look at the answer."""
+        if scope["type"] != "http":
+            return await self.app(scope, receive, send)
+        await self.app(scope, receive, _Answer(self, scope, send))
+
+
+class _Answer:
+    """One answer on its way out; a page is held back until it is complete."""
+
+    def __init__(self, rules: Headed, scope: Scope, send: Send) -> None:
+        self.rules, self.scope, self.send = rules, scope, send
+        self.page: Message | None = None
+        self.body = b""
+
+    async def __call__(self, message: Message) -> None:
+        if message["type"] == "http.response.start":
+            headers = MutableHeaders(scope=message)
+            self._mark(headers)
+            if headers.get("content-type", "").startswith("text/html"):
+                self.page = message
+                return
+        elif self.page is not None and message["type"] == "http.response.body":
+            self.body += message.get("body", b"")
+            if not message.get("more_body", False):
+                await self._send_page()
+            return
+        await self.send(message)
+
+    def _mark(self, headers: MutableHeaders) -> None:
+        headers["x-content-type-options"] = "nosniff"
+        headers["referrer-policy"] = "same-origin"
+        headers.setdefault("content-security-policy", INERT)
+        if headers.get("content-type", "").startswith("text/event-stream"):
+            headers["x-accel-buffering"] = "no"
+
+    async def _send_page(self) -> None:
+        assert self.page is not None
+        nonce = secrets.token_urlsafe(16)
+        body = self.body.replace(b"<script", f'<script nonce="{nonce}"'.encode())
+        headers = MutableHeaders(scope=self.page)
+        headers["content-length"] = str(len(body))
+        headers["cache-control"] = "no-store"
+        headers["content-security-policy"] = POLICY.format(nonce=nonce, frames=self.rules.frames)
+        if COOKIE.encode() + b"=" not in dict(self.scope["headers"]).get(b"cookie", b""):
+            name = f"{COOKIE}={new_name()}; Path=/; HttpOnly; {self.rules.manner}"
+            headers.append("set-cookie", name)
+        await self.send(self.page)
+        await self.send({"type": "http.response.body", "body": body})
+
+
+class Patient(H11Protocol):
+    """A connection that is closed if a request does not arrive in time, however slowly it drips."""
+
+    clock: TimerHandle | None = None
+    waiting_for = ""
+
+    def connection_made(self, transport: Any) -> None:
+        """Start the clock at once: silence counts, too."""
+        super().connection_made(transport)
+        self._watch()
+
+    def data_received(self, data: bytes) -> None:
+        """Take what came, and see what is still missing."""
+        super().data_received(data)
+        self._watch()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Nothing is waited for any more."""
+        self._stop()
+        super().connection_lost(exc)
+
+    def _watch(self) -> None:
+        missing = str(self.conn.their_state)
+        if missing not in ("IDLE", "SEND_BODY"):
+            return self._stop()
+        if missing != self.waiting_for:
+            self._stop()
+            self.waiting_for = missing
+            patience = HEAD if missing == "IDLE" else BODY
+            self.clock = self.loop.call_later(patience, self.transport.close)
+
+    def _stop(self) -> None:
+        self.waiting_for = ""
+        if self.clock is not None:
+            self.clock.cancel()
+            self.clock = None

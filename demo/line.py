@@ -1,0 +1,144 @@
+"""Work that waits for its turn: first come, first served, whether or not anybody looks on.
+
+A visitor's connection may come and go; a job is found again by its name, which cannot be guessed.
+"""
+
+from __future__ import annotations
+
+import contextvars
+import logging
+import secrets
+import threading
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+
+from demo.progress import Progress
+from phy124.errors import Cancelled, InputError
+
+LOG = logging.getLogger("phy124.web")
+
+
+class Job:
+    """One piece of work for a visitor: its progress, its end, and the wish to stop it."""
+
+    def __init__(self, kind: str, stop: Path, expected: float = 0.0, subject: str = "") -> None:
+        self.kind = kind
+        self.subject = subject
+        """The file that it is about."""
+        self.name = secrets.token_urlsafe(18)
+        self.stop = stop
+        """A file that, once it exists, asks the work to stop."""
+        self.progress = Progress(expected=expected)
+        self.line: Line | None = None
+        self._changed = threading.Condition()
+
+    @property
+    def over(self) -> bool:
+        """Whether it has come to an end of any kind."""
+        return self.progress.state not in ("waiting", "running")
+
+    def tell(self, event: object) -> None:
+        """Take an event of the work into account."""
+        with self._changed:
+            self.progress.take(event)
+            self._changed.notify_all()
+
+    def end(self, state: str, message: str = "", result: object = None) -> None:
+        """The work has come to an end; the first word counts."""
+        with self._changed:
+            if not self.over:
+                self.progress.state, self.progress.message = state, message
+                self.progress.result = result
+            self._changed.notify_all()
+
+    def wait(self, seconds: float) -> bool:
+        """Wait for an end, or for so long; returns whether it is over."""
+        with self._changed:
+            self._changed.wait_for(lambda: self.over, seconds)
+            return self.over
+
+    def cancel(self) -> None:
+        """Call it off if it waits, ask it to stop if it runs."""
+        if self.line is not None and self.line.drop(self):
+            self.end("stopped", "Stopped. Nothing was changed.")
+        elif not self.over and self.stop.parent.is_dir():
+            self.stop.touch()
+
+    def check(self) -> None:
+        """Raise Cancelled if the work is to stop."""
+        if self.stop.exists():
+            raise Cancelled
+
+    @property
+    def place(self) -> int:
+        """How many jobs come before this one; 0 if it is its turn."""
+        return 0 if self.line is None else self.line.place(self)
+
+
+class Line:
+    """Jobs that wait, and the threads that do them."""
+
+    def __init__(self, name: str, *, workers: int, most: int) -> None:
+        self.name, self.workers, self.most = name, workers, most
+        self._waiting: deque[tuple[Job, Callable[[], None]]] = deque()
+        self._running: set[Job] = set()
+        self._changed = threading.Condition()
+        self._threads: list[threading.Thread] = []
+
+    def __len__(self) -> int:
+        return len(self._waiting)
+
+    @property
+    def running(self) -> int:
+        """Jobs in hand."""
+        return len(self._running)
+
+    def submit(self, job: Job, work: Callable[[Job], None]) -> Job:
+        """Put a job at the end of the line; raises InputError if too many wait."""
+        context = contextvars.copy_context()
+        with self._changed:
+            if len(self._waiting) >= self.most:
+                raise InputError(
+                    "queue", "full", "The queue is full: too many are waiting.", "Try again soon."
+                )
+            job.line = self
+            self._waiting.append((job, lambda: context.run(work, job)))
+            self._start()
+            self._changed.notify()
+        return job
+
+    def place(self, job: Job) -> int:
+        """How many jobs must be begun before this one; 0 once it has begun."""
+        with self._changed:
+            names = [waiting.name for waiting, _ in self._waiting]
+        return names.index(job.name) + self.running if job.name in names else 0
+
+    def drop(self, job: Job) -> bool:
+        """Take a job out of the line; returns False if its turn had come."""
+        with self._changed:
+            entry = next((entry for entry in self._waiting if entry[0] is job), None)
+            if entry is None:
+                return False
+            self._waiting.remove(entry)
+            return True
+
+    def _start(self) -> None:
+        while len(self._threads) < self.workers:
+            thread = threading.Thread(target=self._serve, name=f"line {self.name}", daemon=True)
+            self._threads.append(thread)
+            thread.start()
+
+    def _serve(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._waiting)
+                job, work = self._waiting.popleft()
+                self._running.add(job)
+            try:
+                work()
+            except Exception:
+                LOG.exception("a piece of work broke")
+            job.end("failed", "Something went wrong.")
+            with self._changed:
+                self._running.discard(job)

@@ -1,0 +1,66 @@
+"""How far a piece of work is, as the page shows it."""
+
+from __future__ import annotations
+
+import base64
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+from demo.work import Done, Glimpse, Live, Reused, Step
+
+STAGES = {"generate": "Picture to 3D", "simulate": "Physics", "render": "Videos", "save": "Files"}
+
+
+@dataclass
+class Progress:
+    """What the progress panel shows."""
+
+    state: str = "waiting"
+    """waiting, running, and then done, stopped, refused, full or failed."""
+    message: str = ""
+    expected: float = 0.0
+    start: float = field(default_factory=time.monotonic)
+    stages: dict[str, Step] = field(default_factory=dict)
+    reused: list[str] = field(default_factory=list)
+    glimpses: list[bytes] = field(default_factory=list)
+    """Small pictures of all frames so far."""
+    live: list[str] = field(default_factory=list)
+    """Files of all frames so far, for the viewer."""
+    result: Any = None
+    """What the work has made."""
+
+    def take(self, event: Any) -> None:
+        """Take an event of the work into account; None only lets time pass."""
+        if isinstance(event, Step):
+            self.stages[event.stage] = event
+        elif isinstance(event, Reused):
+            self.reused.append(event.stage)
+        elif isinstance(event, Glimpse):
+            self.glimpses.append(event.picture)
+        elif isinstance(event, Live):
+            self.live.append(event.file)
+        elif isinstance(event, Done):
+            self.result, self.state = event, "done"
+
+    def begin(self) -> None:
+        """Its turn has come."""
+        self.state, self.start = "running", time.monotonic()
+
+    def data(self, seen: int = 0) -> dict[str, Any]:
+        """Plain data for the page, the pictures from the one numbered `seen` on."""
+        return {
+            "state": self.state,
+            "message": self.message,
+            "elapsed": time.monotonic() - self.start,
+            "expected": self.expected,
+            "stages": [self._row(name) for name in STAGES],
+            "glimpses": [base64.b64encode(picture).decode() for picture in self.glimpses[seen:]],
+            "live": self.live[seen:],
+        }
+
+    def _row(self, name: str) -> dict[str, Any]:
+        step, reused = self.stages.get(name), name in self.reused
+        note = "as before" if reused else step.note if step else ""
+        done, total = (step.done, step.total) if step else (0, 0)
+        return {"name": STAGES[name], "done": done, "total": total, "note": note, "reused": reused}

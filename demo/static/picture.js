@@ -1,0 +1,158 @@
+/* The picture panel: choose a picture (file, drop, paste, camera, example), see its cut-out, correct
+ * it by brush. Large photographs are reduced here, before they are sent. */
+'use strict';
+(() => {
+  const { h, follow } = globalThis.Phy124;
+  const SIDE = 2048; // the server looks no closer
+  const ACCEPT = 'image/png,image/jpeg,image/webp,image/heic,image/heif,.heic,.heif';
+
+  async function picture(element, props, watch, trigger) {
+    const offer = await (await fetch('phy124/catalogue.json')).json();
+    new PicturePanel(element, props, watch, trigger, offer);
+  }
+
+  class PicturePanel {
+    constructor(element, props, watch, trigger, offer) {
+      Object.assign(this, { element, props, trigger, offer, following: null });
+      this.status = h('p', { class: 'picture-status', role: 'status' });
+      this.again = h('button', { type: 'button', class: 'quiet', hidden: true, onclick: () => this.retry() }, 'Try again');
+      this.brush = new globalThis.Phy124.Brush((strokes) => { this.last = () => this.trigger('correct', { strokes }); this.last(); });
+      this.drop = this.dropzone();
+      this.preview = h('figure', { id: 'cutout', hidden: true }, h('img', { alt: 'The object, cut out' }));
+      element.replaceChildren(h('div', { class: 'pictures' }, this.drop, this.preview), this.status, this.again,
+        this.examples(), this.brush.element);
+      document.addEventListener('paste', (event) => this.paste(event));
+      watch('value', () => this.show());
+      this.show();
+    }
+
+    dropzone() {
+      const input = this.input = h('input', { type: 'file', accept: ACCEPT, 'aria-label': 'Choose a picture', onchange: () => this.send(input.files[0]) });
+      this.shown = h('img', { alt: 'Your picture', hidden: true });
+      this.hint = h('span', { class: 'photo-hint' }, h('strong', {}, 'Choose a picture'), 'or drop or paste it here');
+      const zone = h('div', { id: 'photo' }, h('label', {}, input, this.shown, this.hint),
+        h('button', { type: 'button', class: 'quiet camera', onclick: () => this.photograph() }, 'Camera'));
+      for (const name of ['dragover', 'dragleave', 'drop']) {
+        zone.addEventListener(name, (event) => { event.preventDefault(); zone.classList.toggle('over', name === 'dragover'); });
+      }
+      zone.addEventListener('drop', (event) => this.send(event.dataTransfer.files[0]));
+      return zone;
+    }
+
+    examples() {
+      const button = (name) => h('button', { type: 'button', 'aria-label': `Example: ${name.replace(/_/g, ' ')}`, onclick: () => this.choose({ example: name }) },
+        h('img', { src: `phy124/examples/${name}.png`, alt: '', width: 48, height: 48, loading: 'lazy' }));
+      return h('div', {}, h('p', { class: 'examples-title' }, 'Or begin with one of these'), h('div', { class: 'examples' }, ...this.offer.examples.map(button)));
+    }
+
+    paste(event) {
+      const file = [...(event.clipboardData?.files || [])].find((f) => f.type.startsWith('image/'));
+      if (file) { event.preventDefault(); this.send(file); }
+    }
+
+    async photograph() {
+      let stream;
+      try { stream = await navigator.mediaDevices.getUserMedia({ video: { facingMode: 'environment', width: { ideal: SIDE } } }); }
+      catch { return this.say('There is no camera, or it may not be used here.', true); }
+      const video = h('video', { autoplay: true, playsinline: true, 'aria-label': 'Camera' });
+      video.muted = true;
+      video.srcObject = stream;
+      const close = () => { stream.getTracks().forEach((track) => track.stop()); dialog.remove(); };
+      const take = async () => {
+        const canvas = h('canvas', { width: video.videoWidth, height: video.videoHeight });
+        canvas.getContext('2d').drawImage(video, 0, 0);
+        close();
+        this.send(await new Promise((done) => canvas.toBlob(done, 'image/jpeg', 0.92)));
+      };
+      const dialog = h('dialog', { class: 'camera-dialog', 'aria-label': 'Take a photograph', onclose: close }, video,
+        h('button', { type: 'button', onclick: take }, 'Take the photograph'), h('button', { type: 'button', onclick: close }, 'Close'));
+      document.body.append(dialog);
+      dialog.showModal();
+    }
+
+    /** Send a file, reduced if it is large, and have it cut out. */
+    async send(file) {
+      if (!file) return;
+      this.say('Sending the picture …');
+      const form = new FormData();
+      const small = await reduced(file, this.offer.limits);
+      form.append('files', small, small.name || file.name || 'picture.png');
+      this.input.value = '';
+      let answer;
+      try { answer = await fetch('gradio_api/upload', { method: 'POST', body: form }); }
+      catch { return this.refuse('The picture could not be sent: the connection was lost.', () => this.send(file)); }
+      if (!answer.ok) return this.refuse(answer.status === 413 ? this.offer.limits.too_large : await answer.text());
+      this.choose({ upload: (await answer.json())[0] });
+    }
+
+    choose(what) {
+      this.say('Cutting the object out …');
+      this.last = () => this.trigger('choose', what);
+      this.last();
+    }
+
+    retry() { this.again.hidden = true; this.last(); }
+
+    /** What was chosen before must not be generated from after a refusal: the server forgets it. */
+    refuse(message, again = null) {
+      this.trigger('choose', {});
+      this.local = message;
+      this.say(message, true);
+      if (again) { this.last = again; this.again.hidden = false; }
+    }
+
+    say(text, bad = false) {
+      this.status.textContent = text;
+      this.status.classList.toggle('bad', bad);
+      this.again.hidden = true;
+    }
+
+    show() {
+      const value = this.props.value || {};
+      const [photo, cut] = [value.picture?.url, value.cutout?.url];
+      this.drop.classList.toggle('full', Boolean(photo));
+      this.shown.hidden = !photo;
+      if (photo) this.shown.src = photo; else this.shown.removeAttribute('src');
+      this.hint.hidden = Boolean(photo);
+      this.preview.hidden = !cut;
+      if (cut) this.preview.firstChild.src = cut; else this.preview.firstChild.removeAttribute('src');
+      this.brush.load(photo, cut);
+      if (value.job) return this.await(value.job);
+      if (value.message) { this.say(value.message, true); this.again.hidden = !value.again; }
+      else if (photo) this.say(value.doubts || (cut ? 'The object is cut out.' : ''), Boolean(value.doubts));
+      else { this.say(this.local || '', Boolean(this.local)); this.local = null; }
+    }
+
+    await(job) {
+      if (this.following === job) return;
+      this.following = job;
+      this.say('Cutting the object out …');
+      follow(job, (told) => {
+        if (this.following !== job) return false;
+        if (told.state === 'waiting' && told.place) this.say(`Waiting to be cut out, ${told.place} before this picture`);
+        else if (told.state === 'lost') this.say('The connection was lost. Trying again …');
+        return true;
+      }, () => { if (this.following === job) { this.following = null; this.trigger('cut', { job }); } });
+    }
+  }
+
+  /** A picture file no longer and larger than the server needs; one that this browser cannot read as it is. */
+  async function reduced(file, limits) {
+    let bitmap;
+    try { bitmap = await createImageBitmap(file, { imageOrientation: 'from-image' }); } catch { return file; }
+    const { width, height } = bitmap, scale = Math.min(1, SIDE / Math.max(width, height));
+    const usual = /png|jpeg|webp/.test(file.type);
+    if (usual && scale === 1 && file.size <= limits.bytes) return file;
+    const canvas = h('canvas', { width: Math.max(1, Math.round(width * scale)), height: Math.max(1, Math.round(height * scale)) });
+    const context = canvas.getContext('2d');
+    context.imageSmoothingQuality = 'high';
+    context.drawImage(bitmap, 0, 0, canvas.width, canvas.height);
+    const clear = /png|webp/.test(file.type);
+    const blob = (type) => new Promise((done) => canvas.toBlob(done, type, 0.92));
+    let made = await blob(clear ? 'image/png' : 'image/jpeg');
+    if (clear && made.size > limits.bytes) made = await blob('image/webp');
+    return new File([made], `picture.${made.type.split('/')[1]}`, { type: made.type });
+  }
+
+  Object.assign(globalThis.Phy124, { picture, reduced });
+})();

@@ -1,0 +1,50 @@
+"""Brush strokes as they come from the page: lines, not pictures, so that they stay small."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from PIL import Image, ImageDraw
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+
+from phy124.errors import InputError
+
+Share = Annotated[float, Field(ge=-0.5, le=1.5, allow_inf_nan=False)]
+
+
+class Stroke(BaseModel):
+    """A line painted over the picture; lengths in shares of its longer side."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    keep: bool
+    """Whether what is under it belongs to the object."""
+    width: float = Field(gt=0, le=0.5)
+    points: tuple[tuple[Share, Share], ...] = Field(min_length=1, max_length=2000)
+
+
+STROKES = TypeAdapter(Annotated[list[Stroke], Field(max_length=200)])
+
+
+def strokes_of(data: Any) -> list[Stroke]:
+    """Strokes from plain data; raises InputError."""
+    try:
+        return STROKES.validate_python(data)
+    except ValidationError:
+        raise InputError(
+            "strokes", "unknown", "These strokes cannot be read.", "Undo some of them."
+        ) from None
+
+
+def painted(strokes: list[Stroke] | tuple[Stroke, ...], size: tuple[int, int]) -> Image.Image:
+    """A picture of the strokes: 0 nothing, 1 remove, 2 keep; a later stroke covers an earlier."""
+    marks = Image.new("L", size)
+    draw, side = ImageDraw.Draw(marks), max(size)
+    for stroke in strokes:
+        width = max(1, round(stroke.width * side))
+        points = [(x * side, y * side) for x, y in stroke.points]
+        value, reach = 1 + stroke.keep, width / 2
+        draw.line(points, value, width)
+        for x, y in points:
+            draw.ellipse((x - reach, y - reach, x + reach, y + reach), value)
+    return marks

@@ -1,0 +1,59 @@
+"""The address that takes pictures: straight into the folder of the visitor who sends them.
+
+It stands in for Gradio's own, which keeps uploads in folders that belong to nobody.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from starlette.concurrency import run_in_threadpool
+from starlette.datastructures import UploadFile
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import JSONResponse, PlainTextResponse, Response
+from starlette.routing import Route
+
+from demo.identity import cookie_of
+from phy124.errors import InputError
+
+if TYPE_CHECKING:
+    from demo.jobs import Studio
+
+ADDRESS = "/gradio_api/upload"
+SUFFIXES = {".png", ".jpg", ".jpeg", ".webp", ".heic", ".heif"}
+"""Endings that uploads keep; others have none."""
+MOST = 4
+"""Files in one request."""
+
+
+def upload_route(studio: Studio) -> Route:
+    """Where the page and programs send pictures; answers with their paths."""
+
+    async def receive(request: Request) -> Response:
+        try:
+            async with request.form(max_files=MOST, max_fields=MOST) as form:
+                sent = [part for _, part in form.multi_items() if isinstance(part, UploadFile)]
+                paths = [await _keep(studio, cookie_of(request), part) for part in sent]
+        except HTTPException as error:
+            return PlainTextResponse(str(error.detail), 400)
+        except InputError as error:
+            return PlainTextResponse(f"{error.limit} {error.remedy}", _status(error))
+        return JSONResponse(paths)
+
+    return Route(ADDRESS, receive, methods=["POST"])
+
+
+async def _keep(studio: Studio, visitor: str | None, part: UploadFile) -> str:
+    limits = studio.settings
+    if (part.size or 0) > limits.max_bytes:
+        raise InputError("picture", "large", limits.too_large, limits.make_smaller)
+    suffix = Path(part.filename or "").suffix.lower()
+    data = await part.read()
+    ending = suffix if suffix in SUFFIXES else ""
+    return str(await run_in_threadpool(studio.visitors.store, visitor, data, ending))
+
+
+def _status(error: InputError) -> int:
+    return 413 if error.value == "large" else 503

@@ -1,0 +1,111 @@
+"""A visitor who keeps to no rules: raw requests to the page, past every client."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import secrets
+import socket
+import time
+from typing import Any
+
+from served import PATIENCE, Server
+
+BOUNDARY = "boundary"
+
+
+class Attacker:
+    """One visitor with a cookie of its own, or without any."""
+
+    def __init__(self, server: Server, *, cookie: bool = True) -> None:
+        self.server = server
+        self.session = secrets.token_hex(6)
+        self.cookie = f"phy124={secrets.token_urlsafe(24)}" if cookie else ""
+        self._handlers: dict[str, int] = {}
+
+    def send(
+        self, method: str, path: str, body: Any = None, headers: dict[str, str] | None = None
+    ) -> tuple[int, str, dict[str, str]]:
+        """Status, text and headers of an answer; the path goes out as it stands."""
+        connection = http.client.HTTPConnection("127.0.0.1", self.server.port, timeout=PATIENCE)
+        sent = {"Cookie": self.cookie, **(headers or {})} if self.cookie else dict(headers or {})
+        try:
+            connection.request(method, path, body, sent)
+            answer = connection.getresponse()
+            text = answer.read().decode(errors="replace")
+            return answer.status, text, {k.lower(): v for k, v in answer.getheaders()}
+        finally:
+            connection.close()
+
+    def get(self, path: str, **headers: str) -> tuple[int, str, dict[str, str]]:
+        return self.send("GET", path, None, headers)
+
+    def post(self, path: str, data: Any, **headers: str) -> tuple[int, str, dict[str, str]]:
+        body = json.dumps(data)
+        return self.send("POST", path, body, {"Content-Type": "application/json", **headers})
+
+    def upload(self, data: bytes, name: str = "picture.png") -> tuple[int, str]:
+        """Status and answer of an upload."""
+        head = f'--{BOUNDARY}\r\nContent-Disposition: form-data; name="files"; filename="{name}"'
+        body = f"{head}\r\n\r\n".encode() + data + f"\r\n--{BOUNDARY}--\r\n".encode()
+        kind = {"Content-Type": f"multipart/form-data; boundary={BOUNDARY}"}
+        return self.send("POST", "/gradio_api/upload", body, kind)[:2]
+
+    def uploaded(self, data: bytes, name: str = "picture.png") -> str:
+        """The path under which an upload is known."""
+        status, text = self.upload(data, name)
+        assert status == 200, text
+        return json.loads(text)[0]
+
+    def press(self, panel: str, event: str, inputs: list[Any], **data: Any) -> Any:
+        """What the page's own handler of an event answers: a list of values, or an error."""
+        body = {
+            "fn_index": self._handler(panel, event), "data": inputs, "session_hash": self.session,
+            "event_data": data,
+        }  # fmt: skip
+        status, text, _ = self.post("/gradio_api/run/predict", body)
+        answer = json.loads(text)
+        return answer["data"] if status == 200 else answer
+
+    def choose(self, path: Any) -> str:
+        """Have a picture cut out; what came of it, in words."""
+        shown = self.press("picture", "choose", [], upload=path)[0]
+        if shown.get("job"):
+            return self.followed(shown["job"])["message"] or "cut out"
+        return shown["message"]
+
+    def followed(self, job: str) -> dict[str, Any]:
+        """The last word on a piece of work."""
+        end = time.monotonic() + PATIENCE
+        while time.monotonic() < end:
+            told = json.loads(self.get(f"/phy124/jobs/{job}")[1])
+            if told["state"] not in ("waiting", "running"):
+                return told
+            time.sleep(0.1)
+        raise AssertionError(f"no end of the work:\n{self.server.said()}")
+
+    def generate(self, image: Any, **options: Any) -> str:
+        """The answer of the endpoint for programs: "complete", or what it complains of."""
+        few = {"view.views": ["front"], "view.size": 64}
+        given = {"preset": "drop", "accuracy": "draft", "frames": 2, "changes": few, "formats": []}
+        data = [image, *{**given, **options}.values()]
+        status, text, _ = self.post("/gradio_api/call/generate", {"data": data})
+        if status != 200:
+            return text
+        told = self.get(f"/gradio_api/call/generate/{json.loads(text)['event_id']}")[1]
+        return told.strip().split("event: ")[-1]
+
+    def slow_socket(self, text: bytes = b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Slow: ") -> Any:
+        """A connection that begins a request and never ends it."""
+        connection = socket.create_connection(("127.0.0.1", self.server.port), timeout=PATIENCE)
+        connection.sendall(text)
+        return connection
+
+    def _handler(self, panel: str, event: str) -> int:
+        if not self._handlers:
+            config = json.loads(self.get("/config")[1])
+            names = {c["id"]: c["props"].get("elem_id") for c in config["components"]}
+            for dependency in config["dependencies"]:
+                for target, name in dependency["targets"]:
+                    self._handlers.setdefault(f"{names.get(target)} {name}", dependency["id"])
+        return self._handlers[f"{panel} {event}"]

@@ -1,0 +1,373 @@
+"""Attacks on a real server, after the threat model in docs/web.md; it takes about a minute.
+
+Each test is an attacker; the last ones look at what all of them have left behind.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import http.client
+import io
+import json
+import re
+import socket
+import struct
+import threading
+import time
+import zlib
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+from attacker import Attacker
+from PIL import Image
+from served import PATIENCE, ROOT, serving
+
+DUCK = (ROOT / "demo/examples/duck.png").read_bytes()
+GIGABYTE = 1 << 30
+NOT_HERE = "This picture is not here. Choose it once more."
+SECRETS = ["/etc/passwd", "/dev/zero", "/dev/random", "/no/such/file.png", "../../app.py"]
+SLOW = 200
+"""Connections that never finish their request; they are given up after 20 s."""
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory):
+    pytest.importorskip("gradio", reason="the extra demo is not installed")
+    with serving(
+        tmp_path_factory.mktemp("abuse"), gaussians=1000, max_upload_mb=2, max_visitors=40,
+        grace_minutes=0.3, max_cut_seconds=10, max_seconds=120,
+    ) as running:  # fmt: skip
+        yield running
+
+
+@pytest.fixture(scope="module", autouse=True)
+def slow_sockets(server):
+    """Open from the beginning: by the end they must have been closed."""
+    attacker = Attacker(server)
+    opened = [attacker.slow_socket() for _ in range(SLOW // 2)]
+    body = b"POST /gradio_api/upload HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 9\r\nX-Slow: "
+    opened += [attacker.slow_socket(body) for _ in range(SLOW // 2)]
+    yield opened
+    for connection in opened:
+        connection.close()
+
+
+@pytest.fixture
+def attacker(server) -> Attacker:
+    return Attacker(server)
+
+
+@pytest.fixture(autouse=True)
+def alive(server):
+    """Whatever was tried, the server answers afterwards."""
+    yield
+    assert server.health()["status"] == "ok", server.said()
+
+
+# ---- files of the server ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("path", SECRETS)
+@pytest.mark.parametrize("meta", [True, False])
+def test_no_file_of_the_server_is_read_as_a_picture(server, attacker, path, meta):
+    """Neither its content nor whether it exists is told."""
+    image = {"path": path, **({"meta": {"_type": "gradio.FileData"}} if meta else {})}
+    answer = attacker.generate(image)
+    assert "root:" not in answer and ("error" in answer or "not in the cache" in answer), answer
+    if not meta:
+        assert NOT_HERE in answer
+    assert attacker.choose(path) == NOT_HERE
+
+
+def test_nobody_reads_anothers_picture(server, attacker):
+    theirs = Attacker(server).uploaded(DUCK)
+    assert attacker.choose(theirs) == NOT_HERE
+    assert NOT_HERE in attacker.generate({"path": theirs})
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"stiffness": {"kind": "array", "file": "/dev/zero"}},
+        {"stiffness": {"kind": "picture", "file": "/etc/hostname"}},
+        {"parts": [{"mask": "/etc/passwd", "material": {"law": "sand"}}]},
+        {"parts": [{"mask": "/no/such/file", "material": {"law": "sand"}}]},
+    ],
+)
+def test_no_scene_names_a_file_of_the_server(attacker, changes):
+    path = attacker.uploaded(DUCK)
+    answer = attacker.generate({"path": path}, changes=changes)
+    assert "may name no file here but a picture that you have sent" in answer, answer
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/gradio_api/file=/etc/passwd", "/gradio_api/file=../../../../etc/passwd",
+        "/gradio_api/file=app.py", "/phy124/static/../../pyproject.toml",
+        "/phy124/static/%2e%2e/settings.py", "/phy124/viewer/..%2f..%2fapp.py",
+        "/gradio_api/file=https://example.com/", "/gradio_api/file=http://127.0.0.1:22/",
+        "/gradio_api/file=HTTP://169.254.169.254/", "/gradio_api/proxy=https://example.com/",
+        "/gradio_api/file%3Dhttps://example.com/", "/gradio_api/file=//example.com/",
+        "/phy124/jobs/../../health/", "/gradio_api/stream/a/b/c/playlist.m3u8",
+    ],
+)  # fmt: skip
+def test_addresses_lead_to_nothing_else(attacker, path):
+    status, text, _ = attacker.get(path)
+    assert status >= 400, (status, text[:200])
+    assert "root:" not in text and "[project]" not in text
+
+
+@pytest.mark.parametrize("name", ["../../../x.png", "/etc/x.png", "a\0b.png", "x" * 300, ".png"])
+def test_names_of_uploads_do_not_matter(server, attacker, name):
+    path = Path(attacker.uploaded(DUCK, name.replace("\0", "")))
+    assert path.parent.name == "uploads" and server.folder in path.parents
+
+
+def test_nothing_is_fetched_for_anybody(attacker):
+    for url in ("http://127.0.0.1:9/a.png", "https://example.com/a.png", "file:///etc/passwd"):
+        file = {"path": url, "url": url, "meta": {"_type": "gradio.FileData"}}
+        answer = attacker.generate(file)
+        assert "error" in answer and "complete" not in answer.split("\n")[0], answer
+
+
+# ---- what is too large --------------------------------------------------------------------------
+
+
+def test_bodies_are_limited_however_they_come(server, attacker):
+    large = bytes(4_000_000)
+    assert attacker.upload(large)[0] == 413
+    packed = "data:image/png;base64," + "A" * 3_000_000
+    status, _, _ = attacker.post("/gradio_api/call/generate", {"data": [{"url": packed}]})
+    assert status == 413
+    for length in ("-1", "x", str(10**15)):
+        connection = attacker.slow_socket(
+            f"POST /gradio_api/upload HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: {length}"
+            "\r\nConnection: close\r\n\r\n".encode()
+        )
+        connection.close()
+    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=PATIENCE)
+    connection.putrequest("POST", "/gradio_api/queue/join")
+    connection.putheader("Transfer-Encoding", "chunked")
+    connection.endheaders()
+    try:
+        for _ in range(100):
+            connection.send(b"%x\r\n" % 100_000 + bytes(100_000) + b"\r\n")
+        connection.send(b"0\r\n\r\n")
+        assert connection.getresponse().status >= 400
+    except OSError:
+        pass  # It has hung up.
+    finally:
+        connection.close()
+
+
+def test_many_files_in_one_request_are_refused(attacker):
+    part = '--b\r\nContent-Disposition: form-data; name="files"; filename="a.png"\r\n\r\nx\r\n'
+    kind = {"Content-Type": "multipart/form-data; boundary=b"}
+    body = (part * 500 + "--b--\r\n").encode()
+    assert attacker.send("POST", "/gradio_api/upload", body, kind)[0] == 400
+    assert attacker.send("POST", "/gradio_api/upload", b"nonsense", kind)[0] == 400
+    status, text, _ = attacker.send("POST", "/gradio_api/upload", b"{}", {})
+    assert (status, text) == (200, "[]") or status == 400
+
+
+def _bomb(side: int) -> bytes:
+    """A PNG of one colour: a few kilobytes however large it is."""
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return (
+            struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        )
+
+    packer = zlib.compressobj(9)
+    rows = b"".join(packer.compress(b"\0" * (1 + side // 8)) for _ in range(side))
+    header = struct.pack(">IIBBBBB", side, side, 1, 0, 0, 0, 0)
+    body = chunk(b"IHDR", header) + chunk(b"IDAT", rows + packer.flush()) + chunk(b"IEND", b"")
+    return b"\x89PNG\r\n\x1a\n" + body
+
+
+def _as(kind: str, colour: str = "white") -> bytes:
+    with io.BytesIO() as file:
+        Image.new("RGB", (64, 64), colour).save(file, kind)
+        return file.getvalue()
+
+
+ODD = {
+    "bomb": (_bomb(16_000), "million pixels"),
+    "larger bomb": (_bomb(30_000), "million pixels"),
+    "empty": (b"", "empty"),
+    "text": (b"hello " * 100, "not a PNG"),
+    "half": (DUCK[:9000], "cut short"),
+    "tiff": (_as("TIFF"), "not a PNG"),
+    "gif": (_as("GIF"), "not a PNG"),
+    "bmp": (_as("BMP"), "not a PNG"),
+    "eps": (_as("EPS"), "not a PNG"),
+    "svg": (
+        b'<svg xmlns="http://www.w3.org/2000/svg"><script>alert(1)</script></svg>',
+        "not a PNG",
+    ),
+    "one colour": (_as("PNG", "#808080"), "No object"),
+    "another colour": (_as("JPEG", "#3366cc"), "No object"),
+}
+
+
+@pytest.mark.parametrize("kind", ODD)
+def test_odd_pictures_are_refused_in_words(attacker, kind):
+    data, message = ODD[kind]
+    assert message in attacker.choose(attacker.uploaded(data))
+
+
+def test_strokes_are_limited_and_no_picture_comes_with_them(attacker):
+    path = attacker.uploaded(DUCK)
+    assert attacker.choose(path) == "cut out"
+    shown = {"picture": {"path": path}}
+    stroke = {"keep": True, "width": 0.1, "points": [[0.5, 0.5]]}
+    for strokes in (
+        [stroke] * 1000,
+        [{**stroke, "points": [[0, 0]] * 9000}],
+        [{"layer": path}],
+        "x",
+    ):
+        answer = attacker.press("picture", "correct", [shown, None], strokes=strokes)
+        assert "cannot be read" in json.dumps(answer), answer
+    status, _, _ = attacker.post("/gradio_api/component_server", {"fn_name": "accept_blobs"})
+    assert status >= 400
+
+
+# ---- scripts, names, frames ---------------------------------------------------------------------
+
+SCRIPT = "<img src=x onerror=alert(1)>"
+
+
+def test_nothing_that_is_pasted_becomes_a_script(attacker):
+    for scene in ({SCRIPT: 1}, {"material": {"law": SCRIPT}}, {"description": SCRIPT, SCRIPT: 1}):
+        shown = attacker.press("scene", "change", [None, scene])[0]
+        assert SCRIPT not in shown, shown
+
+
+def test_the_page_runs_no_script_but_its_own(attacker):
+    first, second = (attacker.get("/") for _ in range(2))
+    for _, text, headers in (first, second):
+        policy = headers["content-security-policy"]
+        scripts = re.search(r"script-src ([^;]*)", policy)[1]
+        assert "unsafe-inline" not in scripts and "*" not in policy
+        nonce = re.search(r"'nonce-([^']+)'", scripts)[1]
+        assert text.count("<script") == text.count(f'<script nonce="{nonce}"') > 1
+        assert headers["x-content-type-options"] == "nosniff"
+    assert first[2]["content-security-policy"] != second[2]["content-security-policy"]
+
+
+def test_streams_are_not_held_back_by_proxies(server, attacker):
+    with socket.create_connection(("127.0.0.1", server.port), timeout=PATIENCE) as connection:
+        connection.sendall(b"GET /gradio_api/heartbeat/abc HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+        head = connection.recv(4000).decode().lower()
+    assert "x-accel-buffering: no" in head and "nosniff" in head
+
+
+@pytest.mark.parametrize("host", ["evil.example", "evil.example:80", "127.0.0.1.evil.example", ""])
+def test_the_page_answers_to_no_foreign_name(attacker, host):
+    assert attacker.get("/", Host=host)[0] in (400, 421)
+    assert attacker.get("/health", Host="localhost:7860")[0] == 200
+
+
+def test_other_sites_read_nothing(attacker):
+    for path in ("/config", "/health", "/"):
+        headers = attacker.get(path, Origin="https://evil.example")[2]
+        assert headers.get("access-control-allow-origin") in (None, ""), path
+
+
+# ---- crowds -------------------------------------------------------------------------------------
+
+
+def test_one_tiny_run_teaches_nothing(attacker):
+    path = {"path": attacker.uploaded(DUCK)}
+    tiny = {"view.size": 16, "view.views": ["front"]}
+    assert attacker.generate(path, preset="press", changes=tiny).startswith("complete")
+    answer = attacker.generate(path, preset="bounce", frames=3)
+    assert answer.startswith("complete"), answer
+
+
+def test_tickets_push_nobody_out(server):
+    good = Attacker(server)
+    good.choose(good.uploaded(DUCK))
+    before = server.health()["visitors"]
+    for _ in range(70):
+        ticket = Attacker(server)
+        answer = ticket.press("go", "click", [None, {}])
+        assert answer[0]["state"] == "refused"
+    assert server.health()["visitors"] <= before
+    assert json.loads(good.get("/phy124/here")[1]) == {"known": True}
+
+
+def test_a_storm_of_cancels_stops_only_ones_own(server):
+    good, bad = Attacker(server), Attacker(server)
+    path = good.uploaded(DUCK)
+    with ThreadPoolExecutor(9) as pool:
+        answer = pool.submit(good.generate, {"path": path})
+        storm = [pool.submit(bad.press, "cancel", "click", []) for _ in range(40)]
+        assert answer.result(PATIENCE).startswith("complete")
+        assert all(isinstance(each.result(PATIENCE), list) for each in storm)
+
+
+def test_fifty_visitors_at_once_do_not_silence_health(server):
+    delays, stop = [], threading.Event()
+
+    def probe() -> None:
+        while not stop.is_set():
+            start = time.monotonic()
+            server.health()
+            delays.append(time.monotonic() - start)
+            time.sleep(0.05)
+
+    def visit(_: int) -> str:
+        visitor = Attacker(server, cookie=False)
+        visitor.get("/")
+        return visitor.generate({"path": visitor.uploaded(DUCK)})
+
+    probing = threading.Thread(target=probe)
+    probing.start()
+    with ThreadPoolExecutor(50) as pool:
+        answers = list(pool.map(visit, range(50)))
+    stop.set()
+    probing.join()
+    served = sum(answer.startswith("complete") for answer in answers)
+    said = {answer[:200] for answer in answers if not answer.startswith("complete")}
+    assert served > 3 and all("full" in s or "Too many" in s for s in said), (served, said)
+    assert len(delays) > 10, "the probe itself was stuck"
+
+
+# ---- what is left -------------------------------------------------------------------------------
+
+
+def test_slow_sockets_are_given_up(server, slow_sockets):
+    for connection in slow_sockets:
+        connection.settimeout(PATIENCE)
+        with contextlib.suppress(ConnectionResetError):
+            while connection.recv(1000):
+                pass
+
+
+def test_an_honest_visitor_is_served_after_all_that(server):
+    visitor = Attacker(server)
+    assert visitor.generate({"path": visitor.uploaded(DUCK)}).startswith("complete")
+
+
+def test_memory_stayed_within_bounds(server):
+    assert server.peak_memory() < 1.5 * GIGABYTE
+
+
+def test_nothing_of_anybody_is_left(server):
+    server.until_idle()
+    server.until(lambda: server.health()["visitors"] == 0, "everybody's leaving")
+    visitors = server.folder / "visitors"
+    server.until(lambda: {p.name for p in visitors.iterdir()} == {"arrivals"}, "an empty folder")
+    server.until(lambda: server.threads() == 0, "an end of all threads")
+
+
+def test_nothing_is_left_when_the_page_has_ended(tmp_path):
+    """By SIGTERM; the next start sees to what a kill has left (tests/test_demo_folder.py)."""
+    with serving(tmp_path, gaussians=1000) as running:
+        Attacker(running).uploaded(DUCK)
+        assert list(running.folder.rglob("*.png"))
+    assert [path.name for path in running.folder.iterdir()] == ["lock"]

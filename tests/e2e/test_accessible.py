@@ -1,0 +1,82 @@
+"""The page by the rules of axe-core, in every state, light and dark; and by keyboard alone."""
+
+from __future__ import annotations
+
+import pytest
+from test_page import DUCK, LONG, Visit, browser, server
+
+pytestmark = pytest.mark.browser
+axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe is not installed")
+__all__ = ["browser", "server"]
+COVERED = """() => {
+    // Whether the element in focus is under the panel that stays at the bottom.
+    const at = document.activeElement, box = at.getBoundingClientRect();
+    if (at === document.body || at.closest('#go-panel') || !box.width) return null;
+    const bar = document.querySelector('#go-panel').getBoundingClientRect();
+    const across = Math.min(box.right, bar.right) - Math.max(box.left, bar.left);
+    const hidden = Math.min(box.bottom, bar.bottom) - Math.max(box.top, bar.top);
+    return across > 1 && hidden > 1 ? at.outerHTML.slice(0, 120) : null;
+}"""
+
+
+def _violations(page) -> list[str]:
+    found = axe.Axe().run(page).response["violations"]
+    return [
+        f"{rule['id']}: {node['html'][:160]} {node['failureSummary'][-200:]}"
+        for rule in found
+        for node in rule["nodes"]
+    ]
+
+
+@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
+def test_axe_finds_nothing_in_any_state(browser, server, tmp_path, dark):
+    visit = Visit(browser, server, color_scheme="dark" if dark else "light")
+    page = visit.page
+    if dark:
+        page.goto(f"{server.url}?__theme=dark")
+        page.wait_for_selector("#scene .card", timeout=LONG)
+    found = {"empty": _violations(page)}
+    (tmp_path / "text.png").write_text("this is no picture")
+    page.locator("#photo input[type=file]").set_input_files(tmp_path / "text.png")
+    page.get_by_text("It is not a PNG, JPEG").first.wait_for(timeout=LONG)
+    found["refused"] = _violations(page)
+    visit.upload(DUCK)
+    page.get_by_text("Correct the cut-out").click()
+    page.get_by_text("More: every setting").click()
+    page.locator("#forecast summary").click()
+    page.wait_for_timeout(300)
+    found["open"] = _violations(page)
+    page.locator("#forecast summary").click()
+    visit.choose(frames=40)
+    visit.generate()
+    page.wait_for_selector(".glimpse[src]", timeout=LONG)
+    found["running"] = _violations(page)
+    visit.finished()
+    for tab in ("Videos", "Report", "Take away"):
+        page.get_by_role("tab", name=tab).click()
+        page.wait_for_timeout(300)
+        found[tab] = _violations(page)
+    assert not any(found.values()), "\n".join(
+        f"{state}: {line}" for state, lines in found.items() for line in lines
+    )
+    visit.context.close()
+
+
+def test_nothing_in_focus_is_hidden_by_the_panel_at_the_bottom(browser, server):
+    visit = Visit(browser, server)
+    visit.upload()
+    hidden = []
+    for _ in range(60):
+        visit.page.keyboard.press("Tab")
+        hidden.append(visit.page.evaluate(COVERED))
+    assert [each for each in hidden if each] == []
+    visit.context.close()
+
+
+def test_pictures_stand_still_for_those_who_ask_for_it(browser, server):
+    visit = Visit(browser, server)
+    sources = visit.page.evaluate(
+        "[...document.querySelectorAll('.card img, .chip img, .welcome img')].map((i) => i.src)"
+    )
+    assert len(sources) > 10 and all(src.startswith("data:") for src in sources), sources
+    visit.context.close()

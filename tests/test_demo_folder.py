@@ -1,0 +1,96 @@
+"""The page's own folder: emptied at the start, gone at the end, swept after a kill."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from demo.folder import PREFIX, own_folder
+from phy124.errors import InputError
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+
+
+def test_it_goes_with_everything_in_it(tmp_path):
+    with own_folder() as root:
+        (root / "visitors").mkdir()
+        (root / "visitors" / "photograph.png").write_bytes(b"x")
+        assert root.parent == tmp_path
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_it_goes_when_the_page_fails(tmp_path):
+    with pytest.raises(RuntimeError), own_folder() as root:
+        (root / "photograph.png").write_bytes(b"x")
+        raise RuntimeError
+    assert list(tmp_path.iterdir()) == []
+
+
+HOLD = """
+import sys, tempfile
+tempfile.tempdir = sys.argv[1]
+from demo.folder import own_folder
+with own_folder() as root:
+    (root / "photograph.png").write_bytes(b"x")
+    print(root, flush=True)
+    sys.stdin.read()
+"""
+
+
+@pytest.fixture
+def other(tmp_path):
+    """Another page with a folder of its own."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", HOLD, str(tmp_path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    )
+    assert process.stdout is not None
+    process.stdout.readline()
+    yield process
+    process.kill()
+    process.communicate()
+
+
+def test_what_a_killed_page_left_is_swept_by_the_next_and_a_living_one_is_let_be(tmp_path, other):
+    with own_folder():
+        assert len(list(tmp_path.glob(f"{PREFIX}*/photograph.png"))) == 1
+    os.kill(other.pid, signal.SIGKILL)
+    other.wait()
+    assert len(list(tmp_path.glob(f"{PREFIX}*/photograph.png"))) == 1
+    with own_folder():
+        assert list(tmp_path.glob(f"{PREFIX}*/photograph.png")) == []
+
+
+def test_links_are_not_followed_when_sweeping(tmp_path):
+    (tmp_path / "precious").mkdir()
+    (tmp_path / "precious" / "letter").write_text("x")
+    (tmp_path / f"{PREFIX}link").symlink_to(tmp_path / "precious")
+    with own_folder():
+        assert (tmp_path / "precious" / "letter").exists()
+
+
+def test_a_folder_of_ones_own_is_emptied_but_not_one_with_other_files(tmp_path):
+    with own_folder(str(tmp_path / "a")) as root:
+        (root / "left").write_text("x")
+        with (
+            pytest.raises(InputError, match="another page uses this folder"),
+            own_folder(str(root)),
+        ):
+            pass
+    assert [path.name for path in (tmp_path / "a").iterdir()] == ["lock"]
+    with own_folder(str(tmp_path / "a")):
+        pass
+    (tmp_path / "b").mkdir()
+    (tmp_path / "b" / "letter").write_text("x")
+    with (
+        pytest.raises(InputError, match="holds other files, such as letter"),
+        own_folder(str(tmp_path / "b")),
+    ):
+        pass
+    assert [path.name for path in (tmp_path / "b").iterdir()] == ["letter"]

@@ -1,0 +1,78 @@
+"""What stands before the page: names, headers, patience."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+
+from demo.guard import FETCHES, Headed, is_own_name, own_names
+
+NAMES = own_names("demo.example, other.example", "space.hf.space")
+
+
+@pytest.mark.parametrize(
+    ("host", "ours"),
+    [
+        ("localhost:7860", True), ("127.0.0.1", True), ("[::1]:7860", True), ("10.0.0.7:80", True),
+        ("demo.example", True), ("OTHER.example:443", True), ("space.hf.space", True),
+        ("evil.example", False), ("localhost.evil.example", False), ("", False),
+        ("127.0.0.1.evil.example", False), ("demo.example.evil", False),
+    ],
+)  # fmt: skip
+def test_foreign_names_are_not_answered_to(host, ours):
+    assert is_own_name(host, NAMES) is ours
+    assert is_own_name(host, frozenset({"*"}))
+
+
+@pytest.mark.parametrize(
+    ("path", "fetches"),
+    [
+        ("/gradio_api/file=https://a.example", True), ("/gradio_api/file=HTTP://a", True),
+        ("/gradio_api/proxy=https://a", True), ("/gradio_api/file=//a.example/", True),
+        ("/gradio_api/file=/tmp/a.png", False),
+    ],
+)  # fmt: skip
+def test_addresses_that_would_be_fetched_are_known(path, fetches):
+    assert bool(FETCHES.search(path)) is fetches
+
+
+def _answer(embedded: bool = False, cookie: bytes = b"", kind: bytes = b"text/html") -> dict:
+    """What a browser gets of an answer in two pieces, the second with a script."""
+
+    async def page(scope, receive, send):
+        head = [(b"content-type", kind), (b"content-length", b"99")]
+        await send({"type": "http.response.start", "status": 200, "headers": head})
+        await send({"type": "http.response.body", "body": b"<html><scr", "more_body": True})
+        await send({"type": "http.response.body", "body": b"ipt>1</script>"})
+
+    sent = []
+
+    async def send(message):
+        sent.append(message)
+
+    scope = {"type": "http", "headers": [(b"cookie", cookie)] if cookie else []}
+    asyncio.run(Headed(page, embedded)(scope, None, send))
+    headers = {k.decode(): v.decode() for k, v in sent[0]["headers"]}
+    return {**headers, "body": b"".join(m.get("body", b"") for m in sent[1:])}
+
+
+def test_a_page_gets_a_nonce_even_if_a_script_is_cut_in_two():
+    answer = _answer()
+    nonce = answer["content-security-policy"].split("'nonce-")[1].split("'")[0]
+    assert answer["body"] == f'<html><script nonce="{nonce}">1</script>'.encode()
+    assert answer["content-length"] == str(len(answer["body"]))
+
+
+def test_whoever_has_no_name_yet_gets_one_that_scripts_cannot_read():
+    given = _answer()["set-cookie"]
+    assert given.startswith("phy124=") and "HttpOnly" in given and "SameSite=Lax" in given
+    assert "set-cookie" not in _answer(cookie=b"phy124=abc")
+    assert "Secure; Partitioned" in _answer(embedded=True)["set-cookie"]
+
+
+def test_what_is_no_page_is_inert_and_streams_are_passed_through():
+    answer = _answer(kind=b"text/event-stream")
+    assert "sandbox" in answer["content-security-policy"]
+    assert answer["x-accel-buffering"] == "no" and answer["x-content-type-options"] == "nosniff"
+    assert b"nonce" not in answer["body"]
