@@ -6,12 +6,10 @@ its good frames, 130 interrupted. No traceback for what a user can mend.
 
 from __future__ import annotations
 
-import logging
+# Everything else is imported inside `main`, so that Ctrl-C is heard from the first moment on.
 import os
-import signal
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -29,7 +27,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: list[str]) -> int:
-    # Imported here, so that Ctrl-C is heard from the first moment on.
+    import logging
+    import signal
+    from dataclasses import replace
+
     import tyro
     from pydantic import ValidationError
 

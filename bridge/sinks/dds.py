@@ -104,10 +104,6 @@ class DdsSink:
         """Publish the status."""
         self._reports.change(playback)
 
-    def limit(self, points: int) -> None:
-        """Send at most so many points per frame from now on."""
-        self._encoder.limit(points)
-
     def subscribers(self) -> int:
         """How many readers the points have now."""
         return len(self._writers[POINTS.name].get_matched_subscriptions())
