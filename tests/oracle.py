@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 EYE = np.eye(3)
 SMALLEST_J = 1e-4
 SMALLEST_STRETCH = 1e-4
-LEAST_J = 0.1
+LEAST_J = 1e-4
 HARDEST = 4.0
 LOOSEST = 1e6
 
@@ -177,18 +177,28 @@ def snow_return(F: Array, h: Array, t: Array, dt: float) -> tuple[Array, Array]:
     return np.where(flows[:, None, None], spread(U, new, Vt), F), np.where(flows[:, None], after, h)
 
 
-def tait_energy(F: Array, h: Array, t: Array) -> Array:
+def squeezed(F: Array) -> tuple[Array, Array]:
+    """J down to 0.8, and the log of what it is squeezed beyond."""
     J = np.maximum(np.linalg.det(F), LEAST_J)
-    K, g, _ = t
-    return K / g * (J - 1 + (J ** (1 - g) - 1) / (g - 1))
+    return np.maximum(J, 0.8), np.log(np.minimum(J / 0.8, 1))
+
+
+def tait_energy(F: Array, h: Array, t: Array) -> Array:
+    J, more = squeezed(F)
+    K, g, _, _ = t
+    psi = K / g * (J - 1 + (J ** (1 - g) - 1) / (g - 1))
+    slope = K / g * ((g - 1) * J ** (1 - g) + J)
+    return psi - J * K / g * (J**-g - 1) * more + slope * more**2 / 2
 
 
 def tait(F: Array, C: Array, h: Array, t: Array) -> Array:
-    J = np.maximum(np.linalg.det(F), LEAST_J)[:, None, None]
-    K, g, eta = t
+    J, more = (values[:, None, None] for values in squeezed(F))
+    K, g, eta, zeta = t
     rate = C + C.transpose(0, 2, 1)
-    rate = rate - np.trace(rate, axis1=1, axis2=2)[:, None, None] / 3 * EYE
-    return np.minimum(J, 1) * eta * rate - J * K / g * (J**-g - 1) * EYE
+    growth = np.trace(rate, axis1=1, axis2=2)[:, None, None] / 2 * EYE
+    slope = K / g * ((g - 1) * J ** (1 - g) + J)
+    mean = J * K / g * (J**-g - 1) - slope * more - zeta * (J < 1) * growth
+    return np.minimum(J, 1) * eta * (rate - 2 / 3 * growth) - mean * EYE
 
 
 def isotropic(F: Array, h: Array, t: Array, dt: float) -> tuple[Array, Array]:

@@ -118,6 +118,8 @@ def test_stress_of_recorded_deformations(golden, case, precision):
     for step in recording.data["steps"][1:]:
         F, stress = recording.at("F", step), recording.at("stress", step)
         intact = recording.at("mu", step) > 0 if case.startswith("e2") else np.ones(len(F), bool)
+        if case.startswith("h"):
+            intact = np.linalg.det(F) > 0.8  # a fluid's pressure is not theirs beyond that
         ours = evaluate(material, F, precision=precision).stress
         # Its float32 SVD leaves a noise of 1e-6 mu in a body at rest.
         scale = np.abs(stress).max() + 0.01 * material.theta()[0]

@@ -91,6 +91,28 @@ def test_a_breaking_dam_advances_as_measured(cells):
         assert front(s) / width == pytest.approx(place, rel=0.12)
 
 
+def test_water_comes_to_its_hydrostatic_pressure():
+    """Gravity sets in at once; the sound that makes is gone in a second (it rang on for many)."""
+    dx, height, water = 0.1, 0.4, Fluid()
+    x = grid(8, 8, 8, spacing=dx / 2)
+    tank = Region(lower=(0.0, 0.0, 0.0), upper=(height, height, 1e4))
+    s = Solver(
+        x, np.full(len(x), (dx / 2) ** 3), [water], dx=dx, forces=[Gravity()],
+        boundaries=[Container(inside=tank, friction=0.0)], origin=(0.25 * dx,) * 3,
+    )  # fmt: skip
+    s.advance(1.0)
+    off = []
+    for _ in range(6):
+        s.advance(s.time + 0.03)
+        z = s.state.x.numpy()[:, 2]
+        J = np.linalg.det(s.state.F.numpy().astype(float))
+        pressure = water.bulk_modulus / water.gamma * (J**-water.gamma - 1)
+        layers = [(z >= a) & (z < a + dx) for a in (0.0, dx, 2 * dx)]
+        wanted = [1000 * G * (height - z[layer].mean()) for layer in layers]
+        off.append([pressure[layer].mean() - p for layer, p in zip(layers, wanted, strict=True)])
+    assert np.abs(off).max() < 0.15 * 1000 * G * height
+
+
 def sag(cells: int, height: float = 0.1, length: float = 0.5) -> float:
     """Sag of the tip of a clamped beam, over that of slender-beam theory (3 % of its length)."""
     dx, theory = height / cells, 0.03 * length

@@ -7,41 +7,67 @@ from typing import Any
 
 import warp as wp
 
-LEAST_J = wp.constant(0.1)
+LEAST_J = wp.constant(1.0e-4)
 """Volume ratio below which the pressure no longer rises."""
+TAIT_J = wp.constant(0.8)
+"""Volume ratio below which J p rises only as log J: a few particles that are squeezed further, by
+impacts faster than a quarter of the speed of sound, must not rule the substep of all."""
+
+
+@wp.func
+def squeeze(F: Any):
+    """J of Tait's pressure and the log of what it is squeezed beyond that."""
+    J = wp.max(wp.determinant(F), type(F[0, 0])(LEAST_J))
+    bounded = wp.max(J, type(J)(TAIT_J))
+    return bounded, wp.log(J / bounded)
+
+
+@wp.func
+def weight_of_pressure(J: Any, theta: Any):
+    """J p, p = K / gamma (J^-gamma - 1) (Cole 1948; Becker 2007, eq. 7)."""
+    return J * theta[0] / theta[1] * (wp.pow(J, -theta[1]) - type(J)(1.0))
+
+
+@wp.func
+def hardness(J: Any, theta: Any):
+    """d(-J p) / d log J = K / gamma ((gamma - 1) J^(1 - gamma) + J)."""
+    less = theta[1] - type(J)(1.0)
+    return theta[0] / theta[1] * (less * wp.pow(J, -less) + J)
 
 
 @wp.func
 def tait_energy(F: Any, h: Any, theta: Any):
     """K / gamma (J + J^(1 - gamma) / (gamma - 1) - gamma / (gamma - 1)), zero at J = 1."""
-    one = type(theta[0])(1.0)
-    J = wp.max(wp.determinant(F), type(one)(LEAST_J))
-    less = theta[1] - one
-    return theta[0] / theta[1] * (J + (wp.pow(J, -less) - theta[1]) / less)
+    J, more = squeeze(F)
+    less = theta[1] - type(J)(1.0)
+    psi = theta[0] / theta[1] * (J + (wp.pow(J, -less) - theta[1]) / less)
+    return psi + more * (hardness(J, theta) * more * type(J)(0.5) - weight_of_pressure(J, theta))
 
 
 @wp.func
 def tait(F: Any, C: Any, h: Any, theta: Any):
-    """-J p I + 2 j eta dev(sym C), p = K / gamma (J^-gamma - 1) (Cole 1948; Becker 2007, eq. 7).
+    """-J p I + 2 j eta dev(sym C) + zeta tr C I.
 
-    theta = (K [Pa], gamma, eta [Pa s]); tension is allowed, as cohesion. j = min(J, 1): what has
-    flown apart keeps its viscosity per mass, which limits the substep, not that per volume.
+    theta = (K [Pa], gamma, eta [Pa s], zeta [Pa s]); tension is allowed, as cohesion.
+    j = min(J, 1): what has flown apart keeps its viscosity per mass, which limits the substep, not
+    that per volume. zeta takes sound away, where there is pressure.
     """
     one = type(theta[0])(1.0)
-    J = wp.max(wp.determinant(F), type(one)(LEAST_J))
-    pressure = theta[0] / theta[1] * (wp.pow(J, -theta[1]) - one)
+    J, more = squeeze(F)
     viscous = wp.min(J, one) * theta[2]
-    mean = viscous * type(one)(2.0) / type(one)(3.0) * wp.trace(C) + J * pressure
+    rate = wp.trace(C)
+    mean = viscous * type(one)(2.0) / type(one)(3.0) * rate
+    mean += weight_of_pressure(J, theta) - hardness(J, theta) * more
+    if J < one:
+        mean -= theta[3] * rate
     return viscous * (C + wp.transpose(C)) - mean * wp.identity(3, dtype=type(one))
 
 
 @wp.func
 def tait_modulus(F: Any, h: Any, theta: Any):
-    """3 d(-J p) / d log J = 3 K / gamma ((gamma - 1) J^(1 - gamma) + J)."""
-    one = type(theta[0])(1.0)
-    J = wp.max(wp.determinant(F), type(one)(LEAST_J))
-    less = theta[1] - one
-    return type(one)(3.0) * theta[0] / theta[1] * (less * wp.pow(J, -less) + J)
+    """3 d(-J p) / d log J, constant below `TAIT_J`."""
+    J, _ = squeeze(F)
+    return type(J)(3.0) * hardness(J, theta)
 
 
 @wp.func

@@ -25,6 +25,11 @@ class Material(BaseModel):
         """Parameters handed to the device law."""
         raise NotImplementedError
 
+    def theta_on(self, dx: float, cfl: float) -> tuple[float, ...]:
+        """The same on a grid of spacing `dx` [m] with a share `cfl` of the stable substep."""
+        del dx, cfl
+        return self.theta()
+
     def history(self) -> tuple[float, float]:
         """Initial history variables of a particle."""
         return (0.0, 0.0)

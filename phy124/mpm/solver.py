@@ -135,7 +135,7 @@ class Solver:
             start, stop = np.searchsorted(law, [index, index + 1]).tolist()
             part = slice(start, stop)
             own = None if share is None else share[part]
-            theta = parameters(self.materials, material[part], own)
+            theta = parameters(self.materials, material[part], own, dx=self.dx, cfl=self.cfl)
             kind = self.materials[material[start]].device_law
             width = wp.types.vector(kind.width, self.real)
             self.groups.append(Group(kind, start, stop, self.array(theta, width)))

@@ -32,14 +32,19 @@ class Group:
 
 
 def parameters(
-    materials: Sequence[Material], material: NDArray, share: NDArray | None
+    materials: Sequence[Material],
+    material: NDArray,
+    share: NDArray | None,
+    *,
+    dx: float,
+    cfl: float,
 ) -> NDArray[np.float64]:
     """Parameters of particles of one law: one row if they are all alike, else one row each.
 
     `material [P]` are indices into `materials`, `share [P]` multiplies what is proportional to E.
     """
     found = np.unique(material)
-    rows = np.array([materials[i].theta() for i in found])
+    rows = np.array([materials[i].theta_on(dx, cfl) for i in found])
     scaled = np.array([materials[i].scaled for i in found])
     if share is None or not scaled.any():
         return rows if len(found) == 1 else rows[np.searchsorted(found, material)]
