@@ -104,11 +104,11 @@ def _motion(report: dict[str, Any]) -> str:
         ("Greatest kinetic energy", f"{max(motion['kinetic_energy']):.3g} J"),
     ]
     balance = report.get("balance") or {}
-    if "energy_gain" in balance:
+    if balance.get("energy_gain") is not None:
         gain = balance["energy_gain"]
         label = "Energy out of nothing" if gain > 0 else "Energy lost beside the walls' work"
         rows.append((label, f"{abs(gain):.2%}"))
-    if "momentum_gain" in balance:
+    if balance.get("momentum_gain") is not None:
         rows.append(("Momentum out of nothing", f"{balance['momentum_gain']:.2%}"))
     curve = _plot(motion["time"], motion["kinetic_energy"], "kinetic energy [J]")
     volumes = _plot(motion["time"], motion["smallest_J"], "smallest J")

@@ -6,7 +6,7 @@ is not compiled, not allocated and not launched.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from math import isfinite
 from typing import Any
@@ -32,6 +32,8 @@ PARTICLE_COSTS = {
 Damped stress against plain; metal's G2P against an elastic one; every particle asked for its law;
 a force on a region with its books; float64 against float32; Warp's svd3.
 """
+CHECKS = {"measure": "limits of the substep measured", "books": "balance of momentum and energy"}
+"""Stages of a substep that only watch -> the effects they are."""
 TABLE_COST = 30e3
 """Sampling the time tables, nanoseconds per substep."""
 NODE_COST = 1.8
@@ -84,19 +86,29 @@ class Effects:
         return cls(tuple(ran), tuple(left_out))
 
     def data(
-        self, *, particles: int = 0, substeps: int = 0, nodes: int = 0, threads: int = 1
+        self,
+        *,
+        particles: int = 0,
+        substeps: int = 0,
+        nodes: int = 0,
+        threads: int = 1,
+        timings: Mapping[str, tuple[float, int]] | None = None,
     ) -> dict[str, Any]:
         """Plain data for the report.
 
         With the particles, substeps, nodes of the window and threads of a run, an omission whose
-        cost is known also says what it saved: an estimate from measured costs.
+        cost is known also says what it saved: an estimate from measured costs. `timings` are the
+        seconds and launches of the stages of its substeps: what the checks cost.
         """
         left_out = [asdict(omission) for omission in self.left_out]
         for omission in left_out:
             cost = _cost(omission["effect"], particles, nodes) * substeps / threads * 1e-9
             if cost > 0:
                 omission["saved_seconds"] = round(cost, 3)
-        return {"ran": list(self.ran), "left_out": left_out}
+        data = {"ran": list(self.ran), "left_out": left_out}
+        found = {name: (timings or {})[stage][0] for stage, name in CHECKS.items()
+                 if stage in (timings or {})}  # fmt: skip
+        return {**data, "checks_seconds": found} if timings else data
 
 
 def _cost(effect: str, particles: int, nodes: int) -> float:
@@ -115,8 +127,8 @@ def _catalogue(
     laws = sorted({section.law for section in scene.materials})
     named = " and ".join(laws)
     plastic = any(section.device_law.project is not None for section in scene.materials)
-    pushes = [f for f in scene.forces if f.region is not None or f.kind not in UNIFORM]
-    timed = [f for f in scene.forces if _changes(f)]
+    pushes = [f for f in scene.acting if f.region is not None or f.kind not in UNIFORM]
+    timed = [f for f in scene.acting if _changes(f)]
     moving = [b for b in scene.boundaries if b.kind in MOVING or getattr(b, "motion", None)]
     for law in laws:
         yield f"stress {law}", True, ""
@@ -126,9 +138,19 @@ def _catalogue(
     yield "total F beside elastic F", plastic, f"{named} keeps all deformation in F"
     yield "several materials", len(scene.materials) > 1, "all that moves is of one"
     yield "stiffness per particle", scene.stiffness is not None, "E is the same everywhere"
-    yield "uniform acceleration", len(scene.forces) > len(pushes), "no force acts on the whole body"
+    yield "uniform acceleration", len(scene.acting) > len(pushes), "no force acts on the whole body"
     yield "particle forces", bool(pushes), "no force names single particles or a region"
     yield "time tables", bool(timed or moving), "no force or boundary changes in time"
+    every, balance = scene.checks.measure, CHECKS["books"]
+    yield f"{CHECKS['measure']} every {every} substeps or sooner", True, ""
+    if scene.checks.balance:
+        yield (
+            balance,
+            bool(scene.boundaries or pushes or timed),
+            "what acts is steady: nothing has to be summed",
+        )
+    else:
+        yield balance, False, "checks.balance is off: an explosion is seen only when numbers break"
     for wall in scene.boundaries:
         yield f"collider {wall.kind} ({wall.contact})", True, ""
     yield "colliders", bool(scene.boundaries), "the scene has no boundaries"

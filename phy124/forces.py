@@ -22,6 +22,8 @@ from phy124.tracks import FOREVER, AnyProfile, Constant, Track
 if TYPE_CHECKING:
     from phy124.mpm import Solver, Stage
 
+STRENGTHS = ("g", "a", "f", "p")
+"""Fields that say how hard a force pushes."""
 UNIT: Vector = (1.0, 0.0, 0.0)
 """Value of a track that holds only the profile."""
 
@@ -53,6 +55,12 @@ class Force(BaseModel):
                 f"start {self.start} s must be before end {self.end} s; let it end later"
             )
         return self
+
+    @property
+    def idle(self) -> bool:
+        """Whether it never pushes, since its strength is zero; a stream at rest still drags."""
+        strengths = [getattr(self, name) for name in STRENGTHS if hasattr(self, name)]
+        return bool(strengths) and not np.any(strengths)
 
     def track(self, value: Vector, *, mean: bool = True) -> Track:
         """The value times the profile inside the window of time, nothing outside."""

@@ -103,7 +103,7 @@ def hurry(scene: Scene, limiter: str, done: float) -> tuple[Remedy, ...]:
     The remedies are those of what limits its substep; a motion that speeds up evenly takes time as
     the square of its length.
     """
-    needed = 4 * scene.time.patience / max(done, 1e-2) ** 2
+    needed = min(1e8, 4 * scene.time.patience / max(done, 1e-2) ** 2)
     patient = plain("time.patience", float(f"{needed:.2g}"))
     return (*remedies((*SLOW[limiter], "cells"), scene), patient)
 

@@ -118,7 +118,7 @@ class Simulation:
         with self.watch.stage("compile"):
             ledger = Ledger()
             self.solver = _solver(self.particles, shares, scene, device, threads, ledger)
-            self.watchdog = Watchdog(self.solver, ledger)
+            self.watchdog = Watchdog(self.solver, ledger, balance=scene.checks.balance)
             flows = any(m.device_law.project is not None for m in scene.materials)
             self.deformer = Deformer(
                 self.scenery.moving,
@@ -220,6 +220,7 @@ class Simulation:
                 substeps=solver.substeps,
                 nodes=solver.grid.count,
                 threads=solver.threads,
+                timings=solver.timings,
             ),
             "substep_stages": [
                 {"name": name, "seconds": seconds, "launches": launches}
@@ -360,6 +361,7 @@ def _solver(
     x = particles.x.astype(np.float64)
     v, C = _motion(x, particles.mass, scene)
     floors = [b.height for b in scene.boundaries if isinstance(b, Ground)]
+    balance = scene.checks.balance
     ceiling = math.inf if scene.time.substep is None else scene.time.substep
     return Solver(
         x,
@@ -370,14 +372,15 @@ def _solver(
         stiffness=stiffness,
         v=v,
         C=C,
-        forces=ledger.forces(scene.forces),
-        boundaries=ledger.boundaries(scene.boundaries),
+        forces=ledger.forces(scene.acting) if balance else scene.acting,
+        boundaries=ledger.boundaries(scene.boundaries) if balance else scene.boundaries,
         origin=(0.0, 0.0, (floors[0] if floors else 0.0) - FLOOR_NODE * scene.dx),
         precision=scene.resolution.precision,
         device=device,
         cfl=scene.resolution.cfl,
         ceiling=ceiling,
         threads=threads,
+        check_every=scene.checks.measure,
     )
 
 

@@ -182,8 +182,8 @@ def sound_speed(material: Any) -> float:
 class Watchdog:
     """Follows one run, whose solver got its forces and boundaries through the `ledger`."""
 
-    def __init__(self, solver: Solver, ledger: Ledger) -> None:
-        self.solver, self.ledger = solver, ledger
+    def __init__(self, solver: Solver, ledger: Ledger, *, balance: bool = True) -> None:
+        self.solver, self.ledger, self._balance = solver, ledger, balance
         self.first = self.last = weigh(solver)
         self.mass = total_mass(solver)
         self.tearing = Tearing(solver)
@@ -231,7 +231,8 @@ class Watchdog:
         self.first = self.last = weigh(self.solver)
         self.turnover = max(self.first.energy, self._quiet())
         self.moved = math.sqrt(2 * self.mass * self.turnover)
-        self.ledger.open(self.solver)
+        if self._balance:
+            self.ledger.open(self.solver)
         self._begun = True
 
     def memory(self) -> dict[str, Any]:
@@ -247,14 +248,14 @@ class Watchdog:
                 setattr(self, name, memory[name])
         self.first, self.last = (Balance.from_data(memory[name]) for name in ("first", "last"))
         self.tearing.recall(memory["tearing"])
-        if self._begun:
+        if self._begun and self._balance:
             self.ledger.open(self.solver)
             self.ledger.recall(books)
 
     def after(self) -> Violation | None:
         """After a frame: what is wrong with it, or None."""
         now = weigh(self.solver)
-        problem = self._unsound(now) or self._unbalanced(now)
+        problem = self._unsound(now) or (self._unbalanced(now) if self._balance else None)
         if problem is None:
             self._count_resets()
             if self._limit is not None:
@@ -268,7 +269,8 @@ class Watchdog:
     def follow(self) -> Callable[[], None]:
         """What to call after each substep of the next frame, or after some of them."""
         s = self.solver
-        self.ledger.begin(s, self.last.momentum)
+        if self._balance:
+            self.ledger.begin(s, self.last.momentum)
         strain, seen = 0.0, s.time
 
         def after() -> None:
@@ -327,8 +329,8 @@ class Watchdog:
     def report(self) -> dict[str, Any]:
         """What was found, for the report of the run."""
         return {
-            "energy_gain": self.energy_gain,
-            "momentum_gain": self.momentum_gain,
+            "energy_gain": self.energy_gain if self._balance else None,
+            "momentum_gain": self.momentum_gain if self._balance else None,
             "least_J": self.least_J,
             "greatest_J": self.greatest_J,
             "inside_out": self.last.inverted,

@@ -94,3 +94,70 @@ def test_sleep_and_static_parts_are_named():
     static = scene.replaced({"parts": [part]})
     assert "static Gaussians: 7 never enter the solver" in Effects.of(static, static=7).ran
     assert whys(Effects.of(static))["several materials"] == "all that moves is of one"
+
+
+def test_gravity_of_zero_is_left_out():
+    """So is every other force that never pushes; a stream at rest still drags."""
+    still = [
+        {"kind": "gravity", "g": [0, 0, 0]},
+        {"kind": "particle_force", "f": [0, 0, 0]},
+        {"kind": "attraction", "g": 0.0},
+    ]
+    scene = Scene.from_data({"forces": still, "boundaries": []})
+    why = whys(Effects.of(scene))
+    assert why["uniform acceleration"] == "no force acts on the whole body"
+    assert "particle forces" in why
+    run = Simulation(ball(100), scene.replaced(QUICK))
+    assert not run.solver.pushes
+    wind = Scene.from_data({"forces": [{"kind": "wind", "v": [0, 0, 0]}]})
+    assert "particle forces" in Effects.of(wind).ran
+
+
+def test_checks_are_effects_with_a_cost():
+    scene = Scene.named("press").replaced(QUICK)
+    effects = Effects.of(scene)
+    assert "limits of the substep measured every 4 substeps or sooner" in effects.ran
+    assert "balance of momentum and energy" in effects.ran
+    report = Simulation(ball(100), scene).run().report
+    costs = report["effects"]["checks_seconds"]
+    assert set(costs) == {"limits of the substep measured", "balance of momentum and energy"}
+    assert all(seconds > 0 for seconds in costs.values())
+    free = whys(Effects.of(Scene.named("spin")))
+    assert "nothing has to be summed" in free["balance of momentum and energy"]
+
+
+def test_less_watching_costs_less_and_moves_the_same():
+    scene = Scene.named("press").replaced({**QUICK, "material.E": 1e7})
+    rarely = scene.replaced({"checks": {"measure": 32, "balance": False}})
+    usual, few = Simulation(ball(100), scene), Simulation(ball(100), rarely)
+    a, b = usual.run(), few.run()
+    assert np.abs(a.means - b.means).max() < 2e-3
+    measured = [run.solver.timings["measure"][1] for run in (usual, few)]
+    assert measured[1] < 0.6 * measured[0]
+    assert "books" in usual.solver.timings and "books" not in few.solver.timings
+    assert b.report["balance"]["energy_gain"] is None
+    left = {o["effect"]: o["why"] for o in b.report["effects"]["left_out"]}
+    assert "checks.balance is off" in left["balance of momentum and energy"]
+
+
+@pytest.mark.parametrize("every", [1, 32])
+def test_however_rarely_limits_are_measured_an_impact_stays_sound(every):
+    """At twice the speed of sound: measured in time, since it is fast."""
+    scene = Scene.from_data({
+        "object": {"lift": 0.1, "velocity": [0, 0, -20]}, "material": {"law": "neo_hookean"},
+        "accuracy": {"cells": 8}, "time": {"frames": 4, "fps": 60},
+        "checks": {"measure": every}, "binding": "field",
+    })  # fmt: skip
+    report = Simulation(ball(100), scene).run().report
+    assert report["complete"] and not report["balance"]["inside_out"]
+    assert report["balance"]["energy_gain"] < 0.01
+    assert report["balance"]["least_J"] > 0
+
+
+def test_without_a_balance_broken_numbers_still_stop_a_run():
+    scene = Scene.named("push_right").replaced({**QUICK, "checks": {"balance": False}})
+    run = Simulation(ball(100), scene)
+    v = run.solver.state.v.numpy().copy()
+    v[3] = np.nan
+    run.solver.state.v.assign(v)
+    assert "no longer numbers" in run.run().report["stopped"]

@@ -142,7 +142,9 @@ class Study:
         yield f"binding {binding} {here}", bound
 
     def _with(self, accuracy: Accuracy) -> Scene:
-        return self.scene.model_copy(update={"accuracy": accuracy})
+        """The balance is kept, for the energy lost is shown."""
+        checks = self.scene.checks.model_copy(update={"balance": True})
+        return self.scene.model_copy(update={"accuracy": accuracy, "checks": checks})
 
     def _row(self, name: str, scene: Scene) -> tuple[Row | None, str]:
         """Run one setting: its row, or why there is none, or why to doubt it."""
@@ -288,7 +290,7 @@ def _particles_per_axis(simulation: Simulation) -> float:
 def _momentum_lost(scene: Scene, before: Balance, after: Balance) -> float | None:
     """Relative change of angular momentum, where neither force nor wall may change it."""
     start = float(np.linalg.norm(before.angular))
-    if scene.forces or scene.boundaries or start == 0:
+    if scene.acting or scene.boundaries or start == 0:
         return None
     return float(np.linalg.norm(after.angular - before.angular)) / start
 

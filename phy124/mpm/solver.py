@@ -39,6 +39,8 @@ MEASURE = 3
 """Instead of a phase: the limits are measured."""
 CHECK_EVERY = 4
 """Substeps between two measurements of the stability limits."""
+CALM_WAY, CALM_STRAIN = 1.0, 0.1
+"""Cells and strain that nothing may pass between two measurements that are further apart."""
 PRECISIONS = {"float32": wp.float32, "float64": wp.float64}
 
 
@@ -79,9 +81,10 @@ class Solver:
         simd: bool | None = None,
         threads: int | None = None,
         graph: bool | None = None,
+        check_every: int = CHECK_EVERY,
     ) -> None:
         self.real, self.device, self.dx = PRECISIONS[precision], device, float(dx)
-        self.cfl, self.ceiling = cfl, ceiling
+        self.cfl, self.ceiling, self.check_every = cfl, ceiling, check_every
         slowest = min(section.viscous_limit(self.dx) for section in materials)
         self.viscous = beside_elastic(cfl) * slowest
         cpu_float = device == "cpu" and precision == "float32"
@@ -113,10 +116,11 @@ class Solver:
         self._meeting: Meeting | None = None
         self._agenda: list[int | None] = []
         self._fault: Exception | None = None
-        self.since_check = CHECK_EVERY
+        self.between = self.since_check = min(check_every, CHECK_EVERY)
+        """Substeps from one measurement of the limits to the next, and since the last."""
         self.extremes = Extremes(0.0, 0.0, 0.0)
         self.caution = Caution(self)
-        self.graph = Graph(self, every=CHECK_EVERY)
+        self.graph = Graph(self, every=self.between)
         self.alone = usable(device) if graph is None else graph
 
     def _build_model(self, volume: NDArray, material: NDArray, share: NDArray | None) -> None:
@@ -204,7 +208,19 @@ class Solver:
                 )
         if changed:
             self._record_substep()
-        self.since_check = 0
+        self.between, self.since_check = self._patience(), 0
+
+    def _patience(self) -> int:
+        """Substeps until the limits are measured again: many only while nothing gets far."""
+        if self.check_every <= CHECK_EVERY or self.alone:
+            return min(self.check_every, CHECK_EVERY)
+        dt, caution = self.substep().dt, self.caution
+        far = max(self.extremes.speed, caution.wall) / (CALM_WAY * self.dx)
+        fast = max(far, self.extremes.gradient / CALM_STRAIN)
+        pulled = math.sqrt(caution.acceleration / (2 * CALM_WAY * self.dx))
+        each = max(fast, pulled)
+        calm = each * dt * self.check_every <= 1 if each > 0 else True
+        return self.check_every if calm else max(CHECK_EVERY, int(1 / (each * dt)))
 
     def _maxima(self) -> NDArray[np.float64]:
         """What limits each lane [L,9]; raises Unstable."""
@@ -233,7 +249,7 @@ class Solver:
 
     def step(self, kick: float, drift: float) -> None:
         """One substep: velocities change over `kick` s, positions and F over `drift` s."""
-        if self.since_check >= CHECK_EVERY:
+        if self.since_check >= self.between:
             timed(self.timings, "measure", self._measure)
         self.begin(kick, drift)
         self.work(range(3))
@@ -259,7 +275,7 @@ class Solver:
         """Count a substep that was taken; after a violent one the limits are measured anew."""
         self.time += drift
         self.substeps += 1
-        self.since_check += CHECK_EVERY if violent else 1
+        self.since_check += self.between if violent else 1
 
     def _meet(self, phase: int | None) -> None:
         """Wait for the other thread, which then works on a phase, or waits again for None."""
@@ -283,7 +299,7 @@ class Solver:
             yield
             return
         # Kernels must be loaded before two threads use them: loading is not safe in Warp.
-        if self.since_check >= CHECK_EVERY:
+        if self.since_check >= self.between:
             timed(self.timings, "measure", self._measure)
         self._meeting, self._agenda = Meeting(2), []
         follow, args = self._follow, (self.lanes[1], self._meeting)
@@ -335,13 +351,13 @@ class Solver:
         """Substeps by the device alone; False if the next is for the host."""
         if not (self.alone and self.graph.fits):
             return False
-        if self.since_check >= CHECK_EVERY:
+        if self.since_check >= self.between:
             timed(self.timings, "measure", self._measure)
         return self.graph.run(until)
 
     def _stable_step(self, until: float) -> None:
         """One substep, as long as is stable and divides the rest evenly."""
-        if self.since_check >= CHECK_EVERY:
+        if self.since_check >= self.between:
             timed(self.timings, "measure", self._measure)
         limit = self.substep()
         rest = until - self.time
@@ -378,12 +394,14 @@ class Solver:
         for name in CLOCK:
             setattr(self, name, memory[name])
         self.extremes = Extremes(*memory["extremes"])
+        if any(self.extremes):
+            self.between = self._patience()
         self.limiters = dict(memory["limiters"])
         self.domain.recall(memory["domain"])
         self.stray.zero_()
         for grid, (low, size) in zip(company.grids(self), memory["windows"], strict=True):
             grid.rebase(np.array(low), np.array(size))
-        self.grid.stale = self.since_check >= CHECK_EVERY
+        self.grid.stale = self.since_check >= self.between
         if not self.grid.stale:
             self._record_substep()
 

@@ -4,7 +4,7 @@ from phy124.scene.accuracies import GOOD_FOR, PRESETS, Accuracy, AccuracyName
 from phy124.scene.changes import parse_value
 from phy124.scene.scene import Scene, preset_names
 from phy124.scene.section import Section
-from phy124.scene.sections import Object, Part, Timing
+from phy124.scene.sections import Checks, Object, Part, Timing
 from phy124.scene.summary import summary
 from phy124.scene.view import Format, View, ViewName
 
@@ -13,6 +13,7 @@ __all__ = [
     "PRESETS",
     "Accuracy",
     "AccuracyName",
+    "Checks",
     "Format",
     "Object",
     "Part",

@@ -25,7 +25,7 @@ from phy124.scene.accuracies import PRESETS, Accuracy, AccuracyName
 from phy124.scene.changes import apply
 from phy124.scene.refusals import refusal
 from phy124.scene.section import Section
-from phy124.scene.sections import Object, Part, Timing
+from phy124.scene.sections import Checks, Object, Part, Timing
 from phy124.scene.view import View
 from phy124.stiffness import AnyStiffness
 
@@ -63,6 +63,7 @@ class Scene(Section):
         description="particles: every Gaussian is a particle (the paper); field: they ride along.",
     )
     time: Timing = Field(default=Timing(), description="Which instants are kept.")
+    checks: Checks = Field(default=Checks(), description="How closely the run is watched.")
     velocities: bool = Field(
         default=False,
         description="Keep the velocity of each Gaussian; speeds also follow from the places.",
@@ -73,6 +74,11 @@ class Scene(Section):
     def resolution(self) -> Accuracy:
         """The accuracy settings, names looked up."""
         return PRESETS[self.accuracy] if isinstance(self.accuracy, str) else self.accuracy
+
+    @property
+    def acting(self) -> list[AnyForce]:
+        """The forces that push at all."""
+        return [force for force in self.forces if not force.idle]
 
     @property
     def materials(self) -> list[AnyMaterial]:

@@ -52,6 +52,23 @@ class Timing(Section):
     )
 
 
+class Checks(Section):
+    """How closely a run is watched: each check costs time and guards against something."""
+
+    measure: int = Field(
+        default=4,
+        ge=1,
+        le=32,
+        description="Substeps between two measurements of what limits them; above 4 only while "
+        "nothing gets a cell far in between. Rarer costs less and sees stiffening later.",
+    )
+    balance: bool = Field(
+        default=True,
+        description="Add up what forces and walls give, so that energy or momentum from nowhere "
+        "stops the run; without it only broken numbers and particles inside out do.",
+    )
+
+
 class Part(Section):
     """A part of the object that is made of another material, or does not move at all."""
 
