@@ -21,6 +21,10 @@ from phy124.timestep import CELLS_PER_STEP, STRAIN_PER_STEP
 if TYPE_CHECKING:
     from phy124.mpm.solver import Solver
 
+CHECK_EVERY = 4
+"""Substeps between two measurements of the stability limits."""
+CALM_WAY, CALM_STRAIN = 1.0, STRAIN_PER_STEP
+"""Cells and strain that nothing may pass between two measurements that are further apart."""
 TRIES = 100
 """Each try is at most half as long as the one before."""
 SUDDEN = ("set_velocity", "wind")
@@ -73,6 +77,19 @@ class Caution:
             or self.acceleration * dt * dt > 0.1 * s.dx
             or self.sudden
         )
+
+    def pause(self, every: int) -> int:
+        """Substeps until limits are measured again: `every`, if nothing gets far until then."""
+        s = self._solver
+        if every <= CHECK_EVERY or s.alone or not s.extremes.stiffness > 0:
+            return min(every, CHECK_EVERY)
+        speed, pulled = max(s.extremes.speed, self.wall), math.sqrt(self.acceleration)
+        each = s.substep().dt * max(
+            speed / (CALM_WAY * s.dx),
+            s.extremes.gradient / CALM_STRAIN,
+            pulled / math.sqrt(2 * CALM_WAY * s.dx),
+        )
+        return every if each * every <= 1 else max(CHECK_EVERY, int(1 / each))
 
     def step(self, dt: float) -> float:
         """A substep of at most `dt`, so short that no node moves more than a cell; its length."""

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from phy124.kernels.transfer import types
 from phy124.materials import Material
 from phy124.mpm import lanes as company
-from phy124.mpm.caution import Caution
+from phy124.mpm.caution import CHECK_EVERY, Caution
 from phy124.mpm.domain import Domain
 from phy124.mpm.graph import Graph, usable
 from phy124.mpm.grid import Grid, Unstable
@@ -37,10 +37,6 @@ CLOCK = ("time", "last_dt", "substeps", "since_check", "extremes")
 """Numbers that a snapshot holds beside the state."""
 MEASURE = 3
 """Instead of a phase: the limits are measured."""
-CHECK_EVERY = 4
-"""Substeps between two measurements of the stability limits."""
-CALM_WAY, CALM_STRAIN = 1.0, 0.1
-"""Cells and strain that nothing may pass between two measurements that are further apart."""
 PRECISIONS = {"float32": wp.float32, "float64": wp.float64}
 
 
@@ -117,7 +113,6 @@ class Solver:
         self._agenda: list[int | None] = []
         self._fault: Exception | None = None
         self.between = self.since_check = min(check_every, CHECK_EVERY)
-        """Substeps from one measurement of the limits to the next, and since the last."""
         self.extremes = Extremes(0.0, 0.0, 0.0)
         self.caution = Caution(self)
         self.graph = Graph(self, every=self.between)
@@ -208,19 +203,7 @@ class Solver:
                 )
         if changed:
             self._record_substep()
-        self.between, self.since_check = self._patience(), 0
-
-    def _patience(self) -> int:
-        """Substeps until the limits are measured again: many only while nothing gets far."""
-        if self.check_every <= CHECK_EVERY or self.alone:
-            return min(self.check_every, CHECK_EVERY)
-        dt, caution = self.substep().dt, self.caution
-        far = max(self.extremes.speed, caution.wall) / (CALM_WAY * self.dx)
-        fast = max(far, self.extremes.gradient / CALM_STRAIN)
-        pulled = math.sqrt(caution.acceleration / (2 * CALM_WAY * self.dx))
-        each = max(fast, pulled)
-        calm = each * dt * self.check_every <= 1 if each > 0 else True
-        return self.check_every if calm else max(CHECK_EVERY, int(1 / (each * dt)))
+        self.between, self.since_check = self.caution.pause(self.check_every), 0
 
     def _maxima(self) -> NDArray[np.float64]:
         """What limits each lane [L,9]; raises Unstable."""
@@ -394,8 +377,7 @@ class Solver:
         for name in CLOCK:
             setattr(self, name, memory[name])
         self.extremes = Extremes(*memory["extremes"])
-        if any(self.extremes):
-            self.between = self._patience()
+        self.between = self.caution.pause(self.check_every)
         self.limiters = dict(memory["limiters"])
         self.domain.recall(memory["domain"])
         self.stray.zero_()
