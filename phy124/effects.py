@@ -6,7 +6,7 @@ is not compiled, not allocated and not launched.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from math import isfinite
 from typing import Any
@@ -92,7 +92,7 @@ class Effects:
         substeps: int = 0,
         nodes: int = 0,
         threads: int = 1,
-        timings: Mapping[str, tuple[float, int]] | None = None,
+        timings: Mapping[str, Sequence[float]] | None = None,
     ) -> dict[str, Any]:
         """Plain data for the report.
 
