@@ -6,7 +6,7 @@ is not compiled, not allocated and not launched.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from math import isfinite
 from typing import Any
@@ -33,7 +33,7 @@ Damped stress against plain; metal's G2P against an elastic one; every particle 
 a force on a region with its books; float64 against float32; Warp's svd3.
 """
 CHECKS = {"measure": "limits of the substep measured", "books": "balance of momentum and energy"}
-"""Stages of a substep that only watch -> the effects they are."""
+"""Stages of a substep that only watch -> the effects they are; reports time each stage."""
 TABLE_COST = 30e3
 """Sampling the time tables, nanoseconds per substep."""
 NODE_COST = 1.8
@@ -92,23 +92,18 @@ class Effects:
         substeps: int = 0,
         nodes: int = 0,
         threads: int = 1,
-        timings: Mapping[str, Sequence[float]] | None = None,
     ) -> dict[str, Any]:
         """Plain data for the report.
 
         With the particles, substeps, nodes of the window and threads of a run, an omission whose
-        cost is known also says what it saved: an estimate from measured costs. `timings` are the
-        seconds and launches of the stages of its substeps: what the checks cost.
+        cost is known also says what it saved: an estimate from measured costs.
         """
         left_out = [asdict(omission) for omission in self.left_out]
         for omission in left_out:
             cost = _cost(omission["effect"], particles, nodes) * substeps / threads * 1e-9
             if cost > 0:
                 omission["saved_seconds"] = round(cost, 3)
-        data = {"ran": list(self.ran), "left_out": left_out}
-        found = {name: (timings or {})[stage][0] for stage, name in CHECKS.items()
-                 if stage in (timings or {})}  # fmt: skip
-        return {**data, "checks_seconds": found} if timings else data
+        return {"ran": list(self.ran), "left_out": left_out}
 
 
 def _cost(effect: str, particles: int, nodes: int) -> float:

@@ -220,7 +220,6 @@ class Simulation:
                 substeps=solver.substeps,
                 nodes=solver.grid.count,
                 threads=solver.threads,
-                timings=solver.timings,
             ),
             "substep_stages": [
                 {"name": name, "seconds": seconds, "launches": launches}

@@ -10,7 +10,7 @@ from phy124.accuracy.load import Load, spoken
 from phy124.accuracy.promises import motion_of, promise, table, violence
 from phy124.pipeline import simulate
 from phy124.ply import write_ply
-from phy124.scene import PRESETS, Scene, preset_names
+from phy124.scene import PRESETS, Scene
 from phy124.tearing import Tearing
 
 
@@ -27,8 +27,8 @@ SHOWN = {"jelly", "sand", "snow", "water", "foam", "metal", "wind"}
 """Presets that show a material or the wind; what they may promise depends on the table."""
 
 
-@pytest.mark.parametrize("name", preset_names())
-def test_every_preset_is_promised_what_was_measured(name):
+@pytest.mark.parametrize("name", ["press", "drop", "bounce", "push_right", "spin", "sway"])
+def test_presets_are_promised_what_was_measured(name):
     """The named accuracies, from coarse to fine; or nothing, and that it was not measured."""
     scene = Scene.named(name)
     said = [promise(scene.replaced({"accuracy": level})) for level in PRESETS]
