@@ -7,7 +7,6 @@ these phases the threads meet. Warp's CPU kernels release Python's lock.
 
 from __future__ import annotations
 
-import itertools
 import os
 import time
 from collections.abc import Callable, Iterable
@@ -76,13 +75,14 @@ class Meeting:
         """Come back when all have arrived; False if they never will."""
         launch, view = self.launches[who], self.views[who]
         launch.launch()
-        for spun in itertools.count(1):
-            if not view[0]:
-                return True
+        spun = 0
+        while view[0]:
             if self.over:
                 return False
+            spun += 1
             give_way() if spun < ROUNDS else time.sleep(NAP)
             launch.launch()
+        return True
 
 
 def give_way() -> None:

@@ -78,13 +78,18 @@ def span(node: Node) -> str:
     """The bounds of a number in words; empty if it has none."""
     least, above = node.get("minimum"), node.get("exclusiveMinimum")
     most, below = node.get("maximum"), node.get("exclusiveMaximum")
-    low = "" if least is None and above is None else number(above if least is None else least)
-    high = "" if most is None and below is None else number(below if most is None else most)
+    low, high = (_either(inside, beyond) for inside, beyond in ((least, above), (most, below)))
     if least is not None and most is not None:
         return f"from {low} to {high}"
     said = [f"above {low}" if above is not None else low and f"of at least {low}"]
     said.append(f"below {high}" if below is not None else high and f"at most {high}")
     return ", ".join(filter(None, said))
+
+
+def _either(inside: float | None, beyond: float | None) -> str:
+    """The one of two bounds that is there; empty if none is."""
+    bound = beyond if inside is None else inside
+    return "" if bound is None else number(bound)
 
 
 def number(value: float) -> str:
