@@ -136,7 +136,7 @@ def _held(
     elif filler.any() and own.any():
         nearest = KDTree(x[own]).query(x[filler])[1]
         owner[filler] = gaussian[own][nearest]
-    return (owner >= span[0]) & (owner < span[1])
+    return np.logical_and(owner >= span[0], owner < span[1])
 
 
 def stiffnesses(

@@ -80,7 +80,7 @@ def test_no_file_of_the_server_is_read_as_a_picture(server, attacker, path, meta
     assert attacker.choose(path) == NOT_HERE
 
 
-def test_nobody_reads_anothers_picture(server, attacker):
+def test_nobody_reads_the_picture_of_somebody_else(server, attacker):
     theirs = Attacker(server).uploaded(DUCK)
     assert attacker.choose(theirs) == NOT_HERE
     assert NOT_HERE in attacker.generate({"path": theirs})
