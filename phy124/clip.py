@@ -94,6 +94,15 @@ class Clip:
             velocities=np.stack(velocities) if len(velocities) == len(frames) else None,
         )
 
+    @property
+    def own(self) -> NDArray[np.bool_]:
+        """Which Gaussians are the object and not its surroundings, such as a floor [N]."""
+        own = np.ones(len(self.opacities), bool)
+        for part in self.scene.get("parts", []):
+            if part.get("surroundings"):
+                own[slice(*part["gaussians"])] = False
+        return own if own.any() else ~own
+
     def frame(self, index: int, *, velocities: bool = False) -> Frame:
         """The Gaussians of one frame, colours turned with the material.
 

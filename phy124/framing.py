@@ -122,7 +122,8 @@ def _azimuth(side: str) -> float:
 
 def _box(clip: Clip, view: View) -> tuple[NDArray, NDArray]:
     """Corners of the object at rest, and of the ground under it if it will fall there."""
-    first = clip.means[0][np.isfinite(clip.means[0]).all(axis=1)]
+    rest = clip.means[0][clip.own]
+    first = rest[np.isfinite(rest).all(axis=1)]
     if not len(first):
         limit = "no Gaussian of its first frame is anywhere: all have NaN or infinite values."
         raise InputError("clip", f"{len(clip)} frames", limit, "Simulate it once more.")
@@ -143,8 +144,9 @@ def _path(clip: Clip) -> NDArray[np.float64]:
 
 def _sample(clip: Clip) -> NDArray[np.float64]:
     """Visible Gaussians that move, of all if none does [T,S,3], m."""
-    visible = np.flatnonzero(clip.opacities >= VISIBLE)
-    chosen = visible if len(visible) else np.arange(len(clip.opacities))
+    own = clip.own
+    visible = np.flatnonzero(own & (clip.opacities >= VISIBLE))
+    chosen = visible if len(visible) else np.flatnonzero(own)
     points = clip.means[:, chosen[:: 1 + len(chosen) // SAMPLE]].astype(np.float64)
     moves = (points != points[0]).any(axis=(0, 2))
     return points[:, moves] if moves.any() else points

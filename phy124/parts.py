@@ -57,12 +57,18 @@ def assign(
     for number, part in enumerate(parts, 1):
         inside = np.ones(len(x), bool)
         if part.region is not None:
+            if part.region.units == "file":
+                raise InputError(
+                    f"parts.{number - 1}.region.units", "file",
+                    "the object was not read from a .ply file by `phy124 simulate`.",
+                    "Give the region in metres.",
+                )  # fmt: skip
             inside &= part.region.contains(x)
         if part.gaussians is not None:
             inside &= _held(x, gaussian, part.gaussians, means)
         if part.mask is not None:
             inside &= brightness(x, part.mask, crop, field=f"parts.{number - 1}.mask") > 0.5
-        if not inside.any():
+        if not inside.any() and not part.surroundings:
             raise InputError(
                 f"parts.{number - 1}", part.data(), "it holds no particle.",
                 "Give it a larger region, another mask or other Gaussians.",

@@ -293,7 +293,7 @@ class _Making:
             write_ply(folder / "gaussians.ply", run.gaussians)
             if self.cutout is not None:
                 self.cutout.save(folder / "cutout.png")
-            (folder / "scene.toml").write_text(run.scene.to_toml(), "utf-8")
+            (folder / "scene.toml").write_text(run.numbered.to_toml(), "utf-8")
             if interrupted:
                 resume.save(run, folder / PAUSE, about=self.about)
         report = self._report(clip, run.scene.view, interrupted)

@@ -17,28 +17,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from phy124.axes import orientation, turned
 from phy124.errors import InputError
-from phy124.gaussians import SH_COEFFICIENTS, Gaussians, quaternions
-from phy124.harmonics import rotate_sh
+from phy124.gaussians import SH_COEFFICIENTS, Gaussians
 from phy124.plyheader import Header, read_header, refusal
 
 MAX_GAUSSIANS = 10_000_000
 """Files with more are refused before they are read."""
-DIALECTS = {
-    "3dgs": ("-y", "-z"),
-    "phy124": ("-y", "-z"),
-    "trellis": ("-y", "-z"),
-    "sharp": ("-y", "-z"),
-    "lgm": ("y", "z"),
-    "dreamgaussian": ("y", "z"),
-    "sam3d": ("z", "-y"),
-}
-"""Axes of the file that point up and out of the object's front, by the program that wrote it.
-
-TRELLIS turns its z-up world to y down while saving; SAM 3D Objects, of the same make, saves z up.
-"""
-FRONTS = {"y": "z", "-y": "-z", "z": "x", "-z": "-x", "x": "y", "-x": "-y"}
-"""The front of a file of which only the up axis is told."""
 SCALE_FLOOR = 1e-12
 """Smallest scale written, m: a perfectly flat Gaussian has no logarithm."""
 OPACITY_MARGIN = 1e-7
@@ -67,16 +52,16 @@ def read_ply(
 
     Args:
         path: The file.
-        up: Axis of the file that points up: "x", "-x", "y", "-y", "z" or "-z".
-        front: Axis of the file that the object's front faces; by default `FRONTS[up]`.
-        dialect: Key of `DIALECTS`, used where `up` is not given. The default reads what viewers
-            show upright and what `write_ply` wrote.
+        up: Direction of the file that points up, as `phy124.axes.orientation` takes it.
+        front: Direction that the object's front faces.
+        dialect: Program that wrote it, used where `up` is not given. The default reads what
+            viewers show upright and what `write_ply` wrote.
 
     Raises:
         InputError: The file is missing, cut short, not a PLY, or holds no Gaussians.
     """
     path = Path(path)
-    rotation = _axes(up, front, dialect)
+    rotation = orientation(up, front, dialect)
     header, table = _read_table(path)
     raw = _columns(path, header, table)
     gaussians, dropped = _activated(raw)
@@ -88,7 +73,7 @@ def read_ply(
 def write_ply(path: str | os.PathLike[str], gaussians: Gaussians) -> None:
     """Write the Inria layout, binary little-endian float32; it appears whole or not at all."""
     path = Path(path)
-    table = raw_table(turned(gaussians, _axes("-y", "-z", "3dgs").T))
+    table = raw_table(turned(gaussians, orientation().T))
     names = table.dtype.names or ()
     lines = ["ply", "format binary_little_endian 1.0", f"comment {COMMENT}"]
     lines += [f"element vertex {len(table)}", *(f"property float {name}" for name in names)]
@@ -102,57 +87,6 @@ def write_ply(path: str | os.PathLike[str], gaussians: Gaussians) -> None:
     except BaseException:
         os.unlink(temporary)
         raise
-
-
-def turned(gaussians: Gaussians, rotation: NDArray[np.float64]) -> Gaussians:
-    """The Gaussians after a signed axis permutation `rotation [3,3]` (determinant +1), exactly.
-
-    R S S R^T becomes (M R M^T)(M S M^T)^2(M R M^T)^T: the quaternion's vector part and the scales
-    are permuted like the centres, so only harmonics above degree 0 need arithmetic.
-    """
-    order, sign = np.abs(rotation).argmax(axis=1), rotation.sum(axis=1).astype(np.float32)
-    vector = gaussians.quats[:, 1:][:, order] * sign
-    return Gaussians(
-        gaussians.means[:, order] * sign,
-        np.concatenate([gaussians.quats[:, :1], vector], axis=1),
-        gaussians.scales[:, order],
-        gaussians.opacities,
-        _turned_sh(gaussians.sh, rotation),
-    )
-
-
-def _turned_sh(sh: NDArray, rotation: NDArray[np.float64]) -> NDArray:
-    count = sh.shape[1]
-    if count == 1:
-        return sh
-    # One turn for all: its matrix is what it does to each harmonic alone.
-    unit = np.repeat(np.eye(count, dtype=np.float32)[:, :, None], 3, axis=2)
-    matrix = rotate_sh(unit, np.repeat(quaternions(rotation[None]), count, axis=0))[:, :, 0]
-    return np.einsum("kj,nkc->njc", matrix, sh, optimize=True)
-
-
-def _axes(up: str | None, front: str | None, dialect: str) -> NDArray[np.float64]:
-    """Rotation [3,3] from the file's axes to ours: rows are front, left, up in the file."""
-    if up is None:
-        if dialect not in DIALECTS:
-            known = ", ".join(DIALECTS)
-            raise InputError("dialect", dialect, "It is not known.", f"Choose one of {known}.")
-        up, front = DIALECTS[dialect][0], front or DIALECTS[dialect][1]
-    for field, value in (("up", up), ("front", front or FRONTS.get(up))):
-        if value not in FRONTS:
-            allowed = ", ".join(FRONTS)
-            raise InputError(field, value, "It is not an axis.", f"Choose one of {allowed}.")
-    z, x = _unit(up), _unit(front or FRONTS[up])
-    if np.dot(x, z):
-        limit = "The front cannot lie along the up axis."
-        raise InputError("front", front, limit, f"Choose an axis across {up}.")
-    return np.stack([x, np.cross(z, x), z])
-
-
-def _unit(axis: str) -> NDArray[np.float64]:
-    vector = np.zeros(3)
-    vector["xyz".index(axis[-1])] = -1 if axis.startswith("-") else 1
-    return vector
 
 
 def _read_table(path: Path) -> tuple[Header, NDArray[Any]]:

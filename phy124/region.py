@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from phy124.gaussians import rotation_matrices
+
 Vector = tuple[float, float, float]
 EVERYWHERE = 1e9
 """Beyond any scene [m]; finite, so that scenes can be written as JSON."""
 _Side = Annotated[float, Field(ge=-EVERYWHERE, le=EVERYWHERE)]
+_Share = Annotated[float, Field(ge=-1, le=1)]
 _Corner = tuple[_Side, _Side, _Side]
 
 
@@ -70,3 +73,31 @@ def cylinder(lower: Vector, upper: Vector, along: AxisName) -> tuple[int, Vector
     x, y, z = ((low + high) / 2 for low, high in zip(lower, upper, strict=True))
     sides = [upper[i] - lower[i] for i in range(3) if i != axis]
     return axis, (x, y, z), min(sides) / 2
+
+
+class PartRegion(Region):
+    """A box that picks a part of the object; it may be turned, or told as in its file."""
+
+    units: Literal["metres", "file"] = Field(
+        default="metres",
+        description="metres: of the object as placed; file: units and axes of its .ply file.",
+    )
+    turn: tuple[_Share, _Share, _Share, _Share] = Field(
+        default=(1.0, 0.0, 0.0, 0.0),
+        description="Turn of the box about the origin, a unit quaternion w, x, y, z.",
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _plain(cls, given: Any) -> Any:
+        return given.model_dump() if type(given) is Region else given
+
+    @model_validator(mode="after")
+    def _unit(self) -> PartRegion:
+        if abs(np.linalg.norm(self.turn) - 1) > 1e-3:
+            raise ValueError("turn is not a unit quaternion; write [1, 0, 0, 0] for no turn")
+        return self
+
+    def contains(self, x: NDArray) -> NDArray[np.bool_]:
+        """Mask [N] of the points x [N,3], m, inside."""
+        return super().contains(x @ rotation_matrices(np.array([self.turn]))[0])

@@ -31,8 +31,9 @@ from phy124.ledger import Ledger
 from phy124.limits import refuse_hopeless, stiffest_part
 from phy124.mpm import Solver, Unstable
 from phy124.painted import WHOLE, Crop
-from phy124.particles import Particles, clean, make_particles, to_size
+from phy124.particles import Particles, clean, make_particles
 from phy124.parts import stiffnesses, with_materials
+from phy124.placing import among_all, belongs, place, renumbered
 from phy124.progress import Progress, silent
 from phy124.remedies import advice, hurry, remedies
 from phy124.scene import Scene
@@ -104,16 +105,19 @@ class Simulation:
         self.watch = watch or Stopwatch()
         with self.watch.stage("particles"):
             gaussians, self.cleaning = clean(gaussians)
-            self.gaussians = place(gaussians, scene)
+            self.numbered = renumbered(scene, self.cleaning.survivors)
+            own = belongs(self.numbered, len(gaussians))
+            self.gaussians = place(gaussians, scene, own)
             made = make_particles(
-                self.gaussians,
+                self.gaussians.select(own),
                 density=scene.material.density,
                 spacing=scene.dx / scene.resolution.ppc,
                 binding=scene.binding,
             )
-            self.particles, moves = with_materials(made, self.gaussians.means, scene, crop)
+            made = among_all(made, own)
+            self.particles, moves = with_materials(made, self.gaussians.means, self.numbered, crop)
             self.scenery = Scenery(self.gaussians, moves)
-            shares = stiffnesses(self.particles, self.gaussians.means, scene, crop)
+            shares = stiffnesses(self.particles, self.gaussians.means[own], scene, crop)
             self.demand = refuse_hopeless(self.gaussians, self.particles, scene, device, keep=keep)
         with self.watch.stage("compile"):
             ledger = Ledger()
@@ -184,7 +188,7 @@ class Simulation:
         made = Clip.from_frames(self.frames, rotations)
         return Clip(
             made.means, made.quats, made.scales, self.gaussians.opacities, self.gaussians.sh,
-            made.times, made.rotations, made.velocities, self.scene.data(), self.report(),
+            made.times, made.rotations, made.velocities, self.numbered.data(), self.report(),
         )  # fmt: skip
 
     def report(self) -> dict[str, Any]:
@@ -339,14 +343,6 @@ class Simulation:
 
     def _reporter(self, index: int) -> Callable[[], None]:
         return lambda: self.progress("simulate", index, self.scene.time.frames)
-
-
-def place(gaussians: Gaussians, scene: Scene) -> Gaussians:
-    """Scaled to the scene's size, standing at its height over the origin."""
-    standing = to_size(gaussians, scene.object.size, ground=True)
-    if scene.object.lift == 0:
-        return standing
-    return standing.moved(1.0, np.array([0, 0, scene.object.lift]))
 
 
 def _solver(

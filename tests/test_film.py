@@ -95,7 +95,7 @@ def test_a_transparent_gif_leaves_no_trail(tmp_path):
 
 
 def test_an_mp4_cannot_be_transparent():
-    sentence = "view.transparent = True: an MP4 cannot be transparent; choose the format webp"
+    sentence = "view.transparent = True: an MP4 cannot be transparent. Choose the format webp"
     with pytest.raises(InputError, match=re.escape(sentence)):
         view(transparent=True)
 

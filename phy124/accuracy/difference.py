@@ -41,8 +41,9 @@ def difference(clip: Clip, reference: Clip, view: View, *, device: str = "cpu") 
     """
     if clip.means.shape != reference.means.shape:
         raise ValueError(f"clips of {clip.means.shape} and {reference.means.shape} are no pair")
-    size = float(np.ptp(reference.means[0], axis=0).max())
-    squares = ((clip.means.astype(float) - reference.means) ** 2).sum(axis=2)
+    own = reference.own
+    size = float(np.ptp(reference.means[0][own], axis=0).max())
+    squares = ((clip.means[:, own].astype(float) - reference.means[:, own]) ** 2).sum(axis=2)
     frames = np.sqrt(squares.mean(axis=1))
     metres = float(np.sqrt(squares.mean()))
     a, b = video(clip, reference, view, device), video(reference, reference, view, device)

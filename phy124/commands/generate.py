@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,16 +14,18 @@ import tyro
 from phy124 import pipeline
 from phy124.accuracy.choose import Goal, said
 from phy124.accuracy.promises import Promise
+from phy124.capture import Capture, capture, in_file_units
 from phy124.commands.bars import Bars
 from phy124.commands.cutout import IF_WRONG, CutoutOptions, described, doubt
 from phy124.commands.options import SceneOptions, default_out, pick_device
 from phy124.commands.plan import PlanOptions, announce, foretell
 from phy124.cutout import Cutout
-from phy124.generators.ply_file import PlyFile
+from phy124.generators.ply_file import PlyFile, Reading
 from phy124.painted import WHOLE
+from phy124.progress import Progress, silent
 from phy124.scene import Scene
 from phy124.stopwatch import Stopwatch
-from phy124.thinning import check_count, thinned
+from phy124.thinning import check_count
 from phy124.weights import looking_in
 
 
@@ -100,12 +102,9 @@ class Simulate:
     file: tyro.conf.Positional[Path]
     """The .ply file."""
     options: Annotated[SceneOptions, tyro.conf.arg(name="")] = field(default_factory=SceneOptions)
-    up: str | None = None
-    """Axis of the file that points up: x, y, z, -x, -y or -z; absent: as its dialect has it."""
-    front: str | None = None
-    """Axis of the file that the object faces."""
-    dialect: str = "3dgs"
-    """Program that wrote the file: 3dgs, lgm, dreamgaussian, trellis, ..."""
+    reading: Annotated[Reading, tyro.conf.arg(name="")] = field(default_factory=Reading)
+    floor: bool = False
+    """Finds the floor by a plane fit, stands the object upright on it and keeps it as scenery."""
     gaussians: int | None = None
     """At most so many of its Gaussians; those that are left grow to cover the same area."""
     out: Path | None = None
@@ -118,39 +117,48 @@ class Simulate:
         device = pick_device(self.options.device)
         out = self.out or default_out(str(self.file), self.options.scene)
         goal = self.plan.goal()
+        file = PlyFile(path=str(self.file), **asdict(self.reading))
         if self.plan.resume:
-            return go_on(out, self.options, goal)
+            if self.floor or in_file_units(scene):
+                scene = self._read(file, scene).scene
+            return go_on(out, self.options, goal, scene)
         check_count(self.gaussians)
         announce(scene, as_json=self.options.json)
-        read = PlyFile(str(self.file), up=self.up, front=self.front, dialect=self.dialect)
         watch = Stopwatch()
         if self.plan.dry_run:
-            return self._foretell(read, scene, device)
+            return self._foretell(file, scene, device)
         bars, place = Bars(quiet=self.options.json, keeps=True), pipeline.staged(out)
         with bars, place:  # The folder is refused before any work, if at all.
             with watch.stage("read"):
-                gaussians, cleaning = read.read(bars)
-                gaussians = thinned(gaussians, self.gaussians, seed=scene.seed)
-            about = {"generator": str(self.file), "cleaning": cleaning}
+                read = self._read(file, scene, bars)
+            about = {"generator": str(self.file), "cleaning": read.cleaning, **read.about}
             result = pipeline.simulate(
-                gaussians, scene, out, device=device, progress=bars, watch=watch, about=about,
-                goal=goal, forecaster=self.plan.forecaster(device), keep=True,
+                read.gaussians, read.scene, out, device=device, progress=bars, watch=watch,
+                about=about, goal=goal, forecaster=self.plan.forecaster(device), keep=True,
             )  # fmt: skip
         return show(result, as_json=self.options.json)
 
-    def _foretell(self, read: PlyFile, scene: Scene, device: str) -> int:
+    def _read(self, file: PlyFile, scene: Scene, progress: Progress = silent) -> Capture:
+        return capture(file, scene, floor=self.floor, count=self.gaussians, progress=progress)
+
+    def _foretell(self, file: PlyFile, scene: Scene, device: str) -> int:
         """Read the Gaussians and print how long the rest would take."""
         watch = Stopwatch()
         with Bars(quiet=self.options.json) as bars, watch.stage("read"):
-            gaussians = thinned(read.read(bars)[0], self.gaussians, seed=scene.seed)
+            read = self._read(file, scene, bars)
         return foretell(
-            gaussians, scene, self.plan, device, WHOLE, watch, as_json=self.options.json
+            read.gaussians, read.scene, self.plan, device, WHOLE, watch, as_json=self.options.json
         )
 
 
-def go_on(out: Path, options: SceneOptions, goal: Goal | None = None) -> int:
-    """Take up the run that was interrupted in a folder; prints as it would have."""
-    device, scene = pick_device(options.device), options.resolve()
+def go_on(
+    out: Path, options: SceneOptions, goal: Goal | None = None, scene: Scene | None = None
+) -> int:
+    """Take up the run that was interrupted in a folder; prints as it would have.
+
+    `scene` is what the options became, where that is not `options.resolve()` itself.
+    """
+    device, scene = pick_device(options.device), scene or options.resolve()
     with Bars(quiet=options.json, keeps=True) as bars:
         result = pipeline.go_on(
             out, scene, any_accuracy=goal is not None, device=device, progress=bars, keep=True
@@ -177,6 +185,8 @@ def show(result: pipeline.Result, *, as_json: bool) -> int:
         print(Promise(**report["promise"]).sentence)
         for sentence in report["cleaning"]:
             print(f"cleaning: {sentence}")
+        if (report.get("capture") or {}).get("floor"):
+            print(floor_sentence(report["capture"]["floor"]))
         for note in report["notes"]:
             print(f"note: {note}")
         for path in result.files:
@@ -186,6 +196,16 @@ def show(result: pipeline.Result, *, as_json: bool) -> int:
     if report["interrupted"]:
         return 130
     return 0 if report["complete"] else 3
+
+
+def floor_sentence(floor: dict[str, Any]) -> str:
+    """What floor was found, in the file's axes and units."""
+    up = ", ".join(f"{value:.3f}" for value in floor["normal"])
+    return (
+        f"floor: {floor['gaussians']} Gaussians ({floor['share']:.0%}) within "
+        f"{floor['tolerance']:.3g} of a plane or below it, up is ({up}), "
+        f"{floor['tilt']:.1f} degrees from where the file was said to have it"
+    )
 
 
 def print_forecast(report: dict[str, Any]) -> None:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from phy124.axes import numbers, orientation, turned
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.ply import read_ply
@@ -24,17 +25,40 @@ MARGIN = 0.5
 """How far from that core, in its sizes, a Gaussian still belongs to the object."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Reading:
+    """How a file of Gaussians is meant."""
+
+    up: str | None = None
+    """Direction of the file that points up: x, y, z, -x, -y, -z, or three numbers such as
+    0.1,-1,0.2; absent: as its dialect has it."""
+    front: str | None = None
+    """Direction of the file that the object faces, likewise."""
+    dialect: str = "3dgs"
+    """Program that wrote the file: 3dgs, lgm, dreamgaussian, trellis, ..."""
+    rotate: str | None = None
+    """Turns the file before that: degrees about x, then y, then z, such as 10,0,-25; or a
+    quaternion w,x,y,z."""
+    crop: str | None = None
+    """Keeps only what is in a box, x,y,z,X,Y,Z, in the file's own units and axes."""
+
+
+class Opened(NamedTuple):
+    """What a file holds."""
+
+    gaussians: Gaussians
+    """The visible ones in our axes, in the file's units."""
+    rotation: NDArray[np.float64]
+    """From the file's axes to ours [3,3]."""
+    cleaning: list[str]
+    """A sentence for each reason for which some were left out."""
+
+
 @dataclass(frozen=True)
-class PlyFile:
+class PlyFile(Reading):
     """The generator that reads a file instead of looking at the picture."""
 
     path: str
-    up: str | None = None
-    """Axis of the file that points up, as in `phy124.ply.read_ply`."""
-    front: str | None = None
-    """Axis of the file that the object's front faces."""
-    dialect: str = "3dgs"
-    """Program that wrote it, where `up` is not given."""
 
     def __call__(
         self,
@@ -53,25 +77,60 @@ class PlyFile:
 
     def read(self, progress: Progress = silent) -> tuple[Gaussians, list[str]]:
         """The same, and a sentence for each reason for which some were left out."""
+        opened = self.open(progress)
+        return normalised(opened.gaussians, self.path), opened.cleaning
+
+    def open(self, progress: Progress = silent) -> Opened:
+        """The file's visible Gaussians, turned upright and cropped; raises InputError."""
         progress("read", 0, 1)
-        ply = read_ply(self.path, up=self.up, front=self.front, dialect=self.dialect)
-        visible = ply.gaussians.opacities >= MIN_OPACITY
-        gaussians = ply.gaussians.select(visible)
+        rotation = orientation(self.up, self.front, self.dialect, self.rotate)
+        box = self._box()
+        found, dropped = read_ply(self.path, up="z", front="x")  # as they are in the file
+        inside = np.ones(len(found), bool)
+        if box is not None:
+            inside = ((found.means >= box[0]) & (found.means <= box[1])).all(axis=1)
+            if not inside.any():
+                raise self._empty(found)
+        faint = inside & (found.opacities < MIN_OPACITY)
+        gaussians = found.select(inside & ~faint)
         if not len(gaussians):
             limit = f"All its Gaussians are fainter than {MIN_OPACITY}."
             raise InputError("PLY file", self.path, limit, "Give a file with a visible object.")
-        placed = normalised(gaussians, self.path)
-        progress("read", 1, 1)
+        given = len(found) + dropped
         left_out = {
-            "had NaN or infinite values": ply.dropped,
-            f"were fainter than {MIN_OPACITY}": int((~visible).sum()),
+            "had NaN or infinite values": dropped,
+            "lie outside the box": int((~inside).sum()),
+            f"were fainter than {MIN_OPACITY}": int(faint.sum()),
         }
-        given = len(visible) + ply.dropped
-        return placed, [
-            f"{count} of {given} Gaussians of the file {why} and were dropped."
-            for why, count in left_out.items()
-            if count
-        ]
+        progress("read", 1, 1)
+        return Opened(
+            turned(gaussians, rotation),
+            rotation,
+            [
+                f"{count} of {given} Gaussians of the file {why} and were dropped."
+                for why, count in left_out.items()
+                if count
+            ],
+        )
+
+    def _box(self) -> NDArray[np.float64] | None:
+        """Lowest and highest corner [2,3] of the crop."""
+        if self.crop is None:
+            return None
+        values = numbers(self.crop, 6)
+        if values is None or (values[:3] >= values[3:]).any():
+            raise InputError(
+                "crop", self.crop, "A box has six numbers, each of the first three the lower.",
+                "Write x,y,z,X,Y,Z, such as -1,-1,-1,1,1,1.",
+            )  # fmt: skip
+        return values.reshape(2, 3)
+
+    def _empty(self, found: Gaussians) -> InputError:
+        low, high = (",".join(f"{v:.3g}" for v in corner) for corner in robust_bounds(found))
+        return InputError(
+            "crop", self.crop, "No Gaussian is in this box.",
+            f"The file's Gaussians reach from {low} to {high}.",
+        )  # fmt: skip
 
 
 def normalised(gaussians: Gaussians, name: str = "") -> Gaussians:

@@ -77,7 +77,8 @@ def compare(a: Clip, b: Clip, views: tuple[Likeness, ...] = ()) -> Comparison:
     """
     check_comparable(a, b)
     size = _size(a)
-    squares = np.stack([_squares(x, y) for x, y in zip(a.means, b.means, strict=True)])
+    own = a.own
+    squares = np.stack([_squares(x[own], y[own]) for x, y in zip(a.means, b.means, strict=True)])
     colours = a.frame(0).gaussians.rgb.astype(float) - b.frame(0).gaussians.rgb
     return Comparison(
         frames=len(a),
@@ -113,7 +114,7 @@ def check_comparable(a: Clip, b: Clip) -> None:
             f"their frames are up to {late:.3g} s apart in time.",
             "Simulate one of them again with the other's time.fps.",
         )
-    apart = math.sqrt(_squares(_centred(a), _centred(b)).mean()) / _size(a)
+    apart = math.sqrt(_squares(_centred(a, a.own), _centred(b, a.own)).mean()) / _size(a)
     if not apart <= SAME_OBJECT:
         raise _refusal(
             f"they begin as different objects: {apart:.0%} of the size apart at rest.",
@@ -141,11 +142,11 @@ class Pictures:
 
 
 def _size(clip: Clip) -> float:
-    return float(np.ptp(clip.means[0], axis=0).max()) or 1.0
+    return float(np.ptp(clip.means[0][clip.own], axis=0).max()) or 1.0
 
 
-def _centred(clip: Clip) -> NDArray[np.float64]:
-    rest = clip.means[0].astype(np.float64)
+def _centred(clip: Clip, own: NDArray[np.bool_]) -> NDArray[np.float64]:
+    rest = clip.means[0][own].astype(np.float64)
     return rest - rest.mean(axis=0)
 
 

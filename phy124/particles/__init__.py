@@ -6,7 +6,7 @@ is an MPM particle, and the closed interior is filled with more (as PhysGaussian
 Gaussians ride on it (`phy124.deform`), so their number does not matter to the simulation.
 """
 
-from phy124.particles.cleaning import Cleaning, bounds, clean, to_size
+from phy124.particles.cleaning import Cleaning, bounds, clean, sizing, to_size
 from phy124.particles.seeding import BINDINGS, Particles, fill, in_box, make_particles
 from phy124.particles.solid import Solid, solid
 
@@ -20,6 +20,7 @@ __all__ = [
     "fill",
     "in_box",
     "make_particles",
+    "sizing",
     "solid",
     "to_size",
 ]

@@ -16,7 +16,7 @@ Rules, in this order:
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +46,8 @@ class Cleaning:
     repaired_scales: int = 0
     repaired_quats: int = 0
     repaired_opacities: int = 0
+    survivors: NDArray[np.bool_] | None = field(default=None, compare=False, repr=False)
+    """Which of those given stayed."""
 
     @property
     def dropped(self) -> int:
@@ -88,6 +90,8 @@ def clean(gaussians: Gaussians) -> tuple[Gaussians, Cleaning]:
     usable = usable.select(~huge)
     stray = _stray(usable)
     usable = usable.select(~stray)
+    survivors = np.zeros(given, bool)
+    survivors[np.flatnonzero(finite)[visible][~huge][~stray]] = True
     if len(usable) == 0:
         raise InputError(
             "gaussians",
@@ -101,6 +105,7 @@ def clean(gaussians: Gaussians) -> tuple[Gaussians, Cleaning]:
         invisible=int((~visible).sum()),
         gigantic=int(huge.sum()),
         stray=int(stray.sum()),
+        survivors=survivors,
         **repairs,
     )
 
@@ -120,7 +125,14 @@ def bounds(gaussians: Gaussians) -> tuple[NDArray[np.float64], NDArray[np.float6
 
 
 def to_size(gaussians: Gaussians, size: float, *, ground: bool = True) -> Gaussians:
-    """The object brought to metres: its longest side is `size` m, centred in x and y.
+    """The object brought to metres, by `sizing`."""
+    return gaussians.moved(*sizing(gaussians, size, ground=ground))
+
+
+def sizing(
+    gaussians: Gaussians, size: float, *, ground: bool = True
+) -> tuple[float, NDArray[np.float64]]:
+    """Scale and then offset [3] by which the longest side is `size` m, centred in x and y.
 
     With `ground` its lowest visible point (one standard deviation below a centre of opacity 0.1
     or more) is at z = 0, otherwise it is centred in z too. Raises InputError for a size that is
@@ -131,11 +143,11 @@ def to_size(gaussians: Gaussians, size: float, *, ground: bool = True) -> Gaussi
             "size", size, "the longest side must be a positive length.", "Give metres, as 1.0."
         )
     low, high = bounds(gaussians)
-    scale = size / (high - low).max()
+    scale = float(size / (high - low).max())
     offset = -scale * (low + high) / 2
     if ground:
         offset[2] = -scale * _lowest(gaussians)
-    return gaussians.moved(scale, offset)
+    return scale, offset
 
 
 def _finite(gaussians: Gaussians) -> NDArray[np.bool_]:

@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from phy124.bounds import FileName, Velocity
 from phy124.materials import AnyMaterial, NeoHookean
-from phy124.region import Region
+from phy124.region import PartRegion
 from phy124.scene.section import Section
 
 Number = Annotated[int, Field(ge=0, le=10_000_000)]
@@ -76,7 +76,11 @@ class Part(Section):
     static: bool = Field(
         default=False, description="Scenery: it is seen, but neither moves nor touches anything."
     )
-    region: Region | None = Field(default=None, description="Box of space it lies in [m].")
+    surroundings: bool = Field(
+        default=False,
+        description="Static Gaussians, such as a floor, that do not count for the object's size.",
+    )
+    region: PartRegion | None = Field(default=None, description="Box of space it lies in [m].")
     mask: FileName | None = Field(
         default=None,
         examples=["hat.png"],
@@ -96,8 +100,15 @@ class Part(Section):
             )
         if self.static and self.material != NeoHookean():
             raise ValueError("a static part is made of nothing; leave its material out")
+        if self.surroundings and (not self.static or self.gaussians is None or self.region):
+            raise ValueError(
+                "surroundings are static and picked by gaussians alone; set static, and leave "
+                "region and mask out"
+            )
         return self
 
     def data(self) -> dict[str, Any]:
         """How it is picked, as plain data."""
-        return self.model_dump(mode="json", exclude_none=True, exclude={"material", "static"})
+        return self.model_dump(
+            mode="json", exclude_none=True, exclude={"material", "static", "surroundings"}
+        )

@@ -1,0 +1,201 @@
+"""A capture: a 3DGS file of a real place becomes an object standing on the floor it was found on.
+
+The floor is scenery: it is seen and never moves; what the object touches is the scene's ground at
+the same height. The object's longest side is the scene's `object.size`, whatever the file's unit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from phy124.axes import turned, upright
+from phy124.capture.floor import Floor, find_floor
+from phy124.errors import InputError
+from phy124.gaussians import Gaussians, quaternions, rotation_matrices
+from phy124.generators.ply_file import Opened, PlyFile, normalised, robust_bounds
+from phy124.particles import clean
+from phy124.placing import placing
+from phy124.progress import Progress, silent
+from phy124.region import EVERYWHERE, PartRegion
+from phy124.scene import Part, Scene
+from phy124.thinning import thinned
+
+VISIBLE = 0.1
+"""Opacity from which a Gaussian says where the floor is."""
+NEIGHBOURS = 8
+USUAL, OWN = 6.0, 3.0
+"""Whose 8th neighbour is so many times farther off than is usual, and than it is long itself, is
+a floater."""
+
+
+@dataclass(frozen=True)
+class Capture:
+    """Gaussians ready to be simulated, and the scene that is meant for them."""
+
+    gaussians: Gaussians
+    """Those of the object, then those of the floor."""
+    scene: Scene
+    """With the floor as a static part and all regions in metres."""
+    cleaning: list[str]
+    """What was left out of the file."""
+    about: dict[str, Any]
+    """For the report: how the file was turned and what floor was found."""
+
+
+def capture(
+    file: PlyFile,
+    scene: Scene,
+    *,
+    floor: bool = False,
+    count: int | None = None,
+    progress: Progress = silent,
+) -> Capture:
+    """Read a file for a scene; with `floor` find the floor and stand the object on it.
+
+    With `count` at most so many of its Gaussians are kept. Raises InputError.
+    """
+    opened = file.open(progress)
+    opened = opened._replace(gaussians=thinned(opened.gaussians, count, seed=scene.seed))
+    told = file.up is not None or file.rotate is not None
+    read = _on_floor(opened, told=told) if floor else _alone(opened, file.path)
+    scene = _with_floor(scene, read)
+    return Capture(read.gaussians, _in_metres(scene, read), read.cleaning, {"capture": read.about})
+
+
+def in_file_units(scene: Scene) -> bool:
+    """Whether a part's region is told in the units of the object's file."""
+    return any(part.region and part.region.units == "file" for part in scene.parts)
+
+
+@dataclass(frozen=True)
+class _Read:
+    """Gaussians in the default place and size, x = scale * rotation @ (file's x) + offset."""
+
+    gaussians: Gaussians
+    own: int
+    """How many, from the first, are the object."""
+    rotation: NDArray[np.float64]
+    scale: float
+    offset: NDArray[np.float64]
+    cleaning: list[str]
+    about: dict[str, Any]
+
+
+def _alone(opened: Opened, name: str) -> _Read:
+    """Without a floor: everything is the object."""
+    placed = normalised(opened.gaussians, name)
+    low, high = robust_bounds(opened.gaussians)
+    scale = 1 / float((high - low).max())
+    about = {"rotation": opened.rotation.tolist(), "floor": None}
+    offset = -scale * (low + high) / 2
+    return _Read(placed, len(placed), opened.rotation, scale, offset, opened.cleaning, about)
+
+
+def _on_floor(opened: Opened, *, told: bool) -> _Read:
+    """The object upright on its floor, whose height becomes z = 0; floaters are left out."""
+    given = opened.gaussians
+    seen = given.means[given.opacities >= VISIBLE]
+    found = find_floor(seen, np.array([0.0, 0.0, 1.0]) if told else None)
+    lies = found.heights(given.means) <= found.tolerance
+    if lies.all():
+        raise InputError(
+            "floor", "wanted", "nothing stands on the floor that was found.",
+            "Take more of the scene into --crop, or leave --floor out.",
+        )  # fmt: skip
+    turn = upright(found.normal)
+    standing = turned(given, turn)
+    above = standing.select(~lies)
+    alone = isolated(above)
+    own, cleaned = clean(above.select(~alone))
+    low, high = robust_bounds(own)
+    scale = 1 / float((high - low).max())
+    offset = -scale * (low + high) / 2
+    offset[2] = -scale * found.offset
+    both = joined(own, standing.select(lies)).moved(scale, offset)
+    sentences = [*opened.cleaning, *cleaned.sentences]
+    if alone.any():
+        count = f"{alone.sum()} of {len(above)} Gaussians above the floor"
+        sentences.append(f"{count} floated far from all others and were dropped.")
+    about = {"rotation": (turn @ opened.rotation).tolist(), "floor": _said(found, opened, lies)}
+    return _Read(both, len(own), turn @ opened.rotation, scale, offset, sentences, about)
+
+
+def isolated(gaussians: Gaussians) -> NDArray[np.bool_]:
+    """Floaters: Gaussians with few others near, however large they are themselves [N]."""
+    few = min(NEIGHBOURS, len(gaussians) - 1)
+    means = gaussians.means.astype(np.float64)
+    near = KDTree(means).query(means, few + 1)[0].reshape(len(means), -1)[:, -1]
+    return near > np.maximum(USUAL * np.median(near), OWN * gaussians.scales.max(axis=1))
+
+
+def joined(one: Gaussians, other: Gaussians) -> Gaussians:
+    """The Gaussians of both, the first one's first."""
+    names = ("means", "quats", "scales", "opacities", "sh")
+    return Gaussians(*(np.concatenate([getattr(one, n), getattr(other, n)]) for n in names))
+
+
+def _said(floor: Floor, opened: Opened, lies: NDArray[np.bool_]) -> dict[str, Any]:
+    """The floor for the report, in the file's axes and units."""
+    return {
+        "normal": (opened.rotation.T @ floor.normal).tolist(),
+        "offset": floor.offset,
+        "tolerance": floor.tolerance,
+        "gaussians": int(lies.sum()),
+        "share": float(lies.mean()),
+        "tilt": float(np.degrees(np.arccos(np.clip(floor.normal[2], -1, 1)))),
+    }
+
+
+def _with_floor(scene: Scene, read: _Read) -> Scene:
+    """With the Gaussians after the object's as a static part that does not count for its size."""
+    if read.own == len(read.gaussians):
+        return scene
+    floor = Part(static=True, surroundings=True, gaussians=(read.own, len(read.gaussians)))
+    return scene.model_copy(update={"parts": (*scene.parts, floor)})
+
+
+def _in_metres(scene: Scene, read: _Read) -> Scene:
+    """With regions that were told in the file's units as turned boxes in metres."""
+    if not in_file_units(scene):
+        return scene
+    kept, cleaned = clean(read.gaussians)
+    assert cleaned.survivors is not None
+    own = np.flatnonzero(cleaned.survivors) < read.own
+    scale, offset = placing(kept, scene, own)
+    offset = offset + scale * read.offset + [0, 0, scene.object.lift]
+    scale *= read.scale
+    parts = []
+    for number, part in enumerate(scene.parts):
+        if part.region is not None and part.region.units == "file":
+            region = _region_in_metres(part.region, scale, read.rotation, offset, number)
+            part = part.model_copy(update={"region": region})
+        parts.append(part)
+    return scene.model_copy(update={"parts": tuple(parts)})
+
+
+def _region_in_metres(
+    told: PartRegion,
+    scale: float,
+    rotation: NDArray[np.float64],
+    offset: NDArray[np.float64],
+    number: int,
+) -> PartRegion:
+    """The box or cylinder of a part turned with the file's axes and shifted along them."""
+    # What `told` is turned by itself comes first: rotation @ (scale * own @ box) + offset.
+    both = rotation @ rotation_matrices(np.array([told.turn]))[0]
+    corners = scale * np.array([told.lower, told.upper]) + both.T @ offset
+    corners = np.clip(corners, -EVERYWHERE, EVERYWHERE)
+    if (corners[0] >= corners[1]).any():
+        raise InputError(
+            f"parts.{number}.region", told.model_dump(exclude_defaults=True),
+            "nothing of the object is that far away.",
+            "Give corners near the places of the file's Gaussians.",
+        )  # fmt: skip
+    lower, upper = corners.tolist()
+    turn = quaternions(both[None])[0].tolist()
+    return PartRegion(lower=lower, upper=upper, cylinder=told.cylinder, turn=turn)

@@ -1,0 +1,145 @@
+"""Floor: the plane that most of a captured scene lies on, found by random samples (RANSAC).
+
+Fischler and Bolles 1981, "Random sample consensus": planes through three random points each, the
+one near most points wins; it is then fitted to its own points by least squares, whose scatter says
+how far off a point may be and still belong to it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.errors import InputError
+
+TRIALS = 2000
+"""Planes tried: enough for a floor that holds a fifth of all points (odds of missing it 1e-7)."""
+SAMPLE = 4000
+"""Points that planes are tried on."""
+THICKNESS = 0.02
+"""How far from a plane its points may be at first, in spreads of the scene."""
+SIGMAS = 3.0
+"""How far in the end, in standard deviations of the floor's own points."""
+LEAST_SHARE = 0.1
+"""A floor holds at least this share of the points."""
+NEAR = 0.7071
+"""Cosine of the greatest angle between the floor's normal and the direction said to be up."""
+
+Vectors = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Floor:
+    """A plane, normal . x = offset, and the points on it."""
+
+    normal: Vectors
+    """Unit vector that points up [3]."""
+    offset: float
+    """In the file's units."""
+    tolerance: float
+    """Points nearer than this are on it, in the file's units."""
+
+    def heights(self, points: NDArray) -> Vectors:
+        """How far above the floor points [N,3] are, negative below [N]."""
+        return points.astype(np.float64) @ self.normal - self.offset
+
+    def holds(self, points: NDArray) -> NDArray[np.bool_]:
+        """Which points [N,3] are on the floor or below it [N]."""
+        return self.heights(points) <= self.tolerance
+
+
+def find_floor(points: NDArray, up: Vectors | None = None, *, seed: int = 0) -> Floor:
+    """The floor of a scene [N,3] in any units and orientation.
+
+    Args:
+        points: Centres of the visible Gaussians.
+        up: Roughly up, if that is known: steeper planes, such as walls, are not tried. If not, up
+            is the side on which more points are.
+        seed: Of the random samples.
+
+    Raises:
+        InputError: No plane holds enough points, or none reaches farther than what stands on it.
+    """
+    x = np.asarray(points, np.float64)
+    middle = np.median(x, axis=0)
+    spread = _spread(x - middle)
+    if len(x) < 3 or not spread > 0:
+        raise _none("there are too few Gaussians.")
+    normals, offsets = _trials((x - middle) / spread, up, np.random.default_rng(seed))
+    if not len(normals):
+        raise _none("no plane is near the direction that was said to be up.")
+    some = ((x - middle) / spread)[:: 1 + len(x) // SAMPLE]
+    best = max(range(len(normals)), key=lambda i: _near(some, normals[i], offsets[i], THICKNESS))
+    normal, offset, tolerance = _fitted((x - middle) / spread, normals[best], offsets[best])
+    above = (x - middle) / spread @ normal - offset
+    rest = np.abs(above) > tolerance
+    against = up @ normal < 0 if up is not None else (above[rest] < 0).sum() > rest.sum() / 2
+    sign = -1.0 if against else 1.0
+    found = Floor(
+        sign * normal,
+        float(sign * (offset * spread + middle @ normal)),
+        float(tolerance * spread),
+    )
+    _check(x, found)
+    return found
+
+
+def _trials(x: Vectors, up: Vectors | None, rng: np.random.Generator) -> tuple[Vectors, Vectors]:
+    """Unit normals [T,3] and offsets [T] of planes through three random points each."""
+    a, b, c = x[rng.integers(0, len(x), (3, TRIALS))]
+    normals = np.cross(b - a, c - a)
+    length = np.linalg.norm(normals, axis=1)
+    # Three points nearly in a line say nothing of the plane.
+    good = length > 1e-3 * np.linalg.norm(b - a, axis=1) * np.linalg.norm(c - a, axis=1)
+    good &= length > 0
+    normals = normals[good] / length[good, None]
+    offsets = (normals * a[good]).sum(axis=1)
+    if up is None:
+        return normals, offsets
+    level = np.abs(normals @ up) >= NEAR
+    return normals[level], offsets[level]
+
+
+def _near(x: Vectors, normal: Vectors, offset: float, tolerance: float) -> int:
+    return int((np.abs(x @ normal - offset) <= tolerance).sum())
+
+
+def _fitted(x: Vectors, normal: Vectors, offset: float) -> tuple[Vectors, float, float]:
+    """The plane of least squares through its own points, and how near those are."""
+    tolerance = THICKNESS
+    for _ in range(12):
+        on = x[np.abs(x @ normal - offset) <= tolerance]
+        centre = on.mean(axis=0)
+        fitted = np.linalg.eigh(np.cov((on - centre).T))[1][:, 0]
+        normal = fitted if fitted @ normal > 0 else -fitted
+        offset = float(normal @ centre)
+        # The median is not misled by the foot of what stands on the floor.
+        deviation = 1.4826 * float(np.median(np.abs(on @ normal - offset)))
+        tolerance = min(max(SIGMAS * deviation, 1e-4), 3 * THICKNESS)
+    return normal, offset, tolerance
+
+
+def _check(x: Vectors, floor: Floor) -> None:
+    """Refuse a plane that is no floor."""
+    heights = floor.heights(x)
+    on, above = np.abs(heights) <= floor.tolerance, heights > floor.tolerance
+    if on.mean() < LEAST_SHARE:
+        raise _none(f"the best plane holds {on.mean():.0%} of the Gaussians.")
+    flat = x - heights[:, None] * floor.normal
+    reach = [_spread(flat[part] - np.median(flat[part], axis=0)) for part in (on, above)]
+    if above.any() and reach[0] <= reach[1]:
+        raise _none("the best plane reaches no farther than what stands on it.")
+
+
+def _spread(x: Vectors) -> float:
+    """Median distance from the middle, 0 of nothing; single points far off do not count."""
+    return float(np.median(np.linalg.norm(x, axis=1))) if len(x) else 0.0
+
+
+def _none(limit: str) -> InputError:
+    return InputError(
+        "floor", "wanted", f"no floor was found: {limit}",
+        "Cut other things away with --crop, say where up is with --up, or leave --floor out.",
+    )  # fmt: skip

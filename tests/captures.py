@@ -1,0 +1,72 @@
+"""Captures of a small place, as 3DGS trainings make them: any unit, any orientation, floaters."""
+
+from typing import NamedTuple
+
+import numpy as np
+from shapes import ball
+
+from phy124.axes import orientation, turned
+from phy124.capture import joined
+from phy124.gaussians import Gaussians, rotation_matrices
+
+
+class Place(NamedTuple):
+    """What was captured, and what is true of it."""
+
+    gaussians: Gaussians
+    """Those of the ball, then of the floor, then floaters; to be written with `write_ply`."""
+    kind: np.ndarray
+    """0 ball, 1 floor, 2 floater [N]."""
+    up: np.ndarray
+    """Up in the axes of the file that `write_ply` makes [3]."""
+    rotation: np.ndarray
+    """From the upright place to the file's axes [3,3]."""
+    scale: float
+    """File units per metre of the upright place, where the ball measures 1 m."""
+    offset: np.ndarray
+    """Of the place's origin, on the floor under the ball, in the file."""
+
+    def in_file(self, points) -> np.ndarray:
+        """Points of the upright place [N,3] in the file's axes and units."""
+        return self.scale * np.atleast_2d(points) @ self.rotation.T + self.offset
+
+
+def captured(seed: int, *, floor: int = 6000, floaters: int = 80, noise: float = 0.004) -> Place:
+    """A ball of 1 m on a chequered floor of 4 m."""
+    rng = np.random.default_rng(seed)
+    turn = rotation_matrices(rng.normal(size=(1, 4)))[0]
+    scale, shift = float(np.exp(rng.uniform(-3, 3))), rng.normal(size=3) * 5
+    # Of what touches the floor nothing is seen.
+    shell = ball(3000).moved(1.0, np.array([0, 0, 0.5]))
+    shell = shell.select(shell.means[:, 2] > 0.02)
+    upright = joined(joined(shell, _floor(rng, floor, noise)), _floaters(rng, floaters))
+    kind = np.repeat([0, 1, 2], [len(shell), floor, floaters])
+    to_file = orientation().T  # what write_ply does to our axes
+    return Place(
+        turned(upright, turn).moved(scale, shift),
+        kind,
+        to_file @ turn @ [0, 0, 1],
+        to_file @ turn,
+        scale,
+        to_file @ shift,
+    )
+
+
+def _floor(rng, count: int, noise: float) -> Gaussians:
+    x, y = rng.uniform(-2, 2, (2, count))
+    bright = ((np.floor(x * 2) + np.floor(y * 2)) % 2)[:, None]
+    means = np.stack([x, y, noise * rng.normal(size=count)], axis=1)
+    scales = np.tile([0.04, 0.04, 0.003], (count, 1))
+    quats = np.tile([1.0, 0, 0, 0], (count, 1))
+    return Gaussians.from_rgb(
+        means, quats, scales, np.full(count, 0.95), 0.3 + 0.4 * np.repeat(bright, 3, axis=1)
+    )
+
+
+def _floaters(rng, count: int) -> Gaussians:
+    means = rng.uniform([-3, -3, -1], [3, 3, 4], (count, 3))
+    quats = np.tile([1.0, 0, 0, 0], (count, 1))
+    scales = np.exp(rng.uniform(-4, -2, (count, 3)))
+    return Gaussians.from_rgb(
+        means, quats, scales, rng.uniform(0.05, 0.6, count), rng.random((count, 3))
+    )
