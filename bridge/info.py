@@ -106,8 +106,8 @@ def _beside_ros(name: str, module: str, newest: int) -> str:
     if "ROS_DISTRO" not in os.environ or int(number.split(".")[0]) <= newest:
         return text
     return (
-        f"{text}; ROS 2's packages are built for {name} {newest}: install phy124 in a virtual "
-        "environment with constraints-ros.txt (docs/bridge.md)"
+        f"{text}; ROS 2's packages are built for {name} {newest}: use a virtual environment "
+        "made with constraints-ros.txt (docs/bridge.md)"
     )
 
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 import sys
-from importlib.metadata import PackageNotFoundError, requires
-from importlib.util import find_spec
+from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 
 PACKAGE = "phy124"
@@ -57,6 +56,14 @@ def _pip() -> str:
     """`pip install` for this interpreter; uv where the environment has no pip."""
     python, here = Path(sys.executable), Path.cwd()
     python = shlex.quote(str(python.relative_to(here) if python.is_relative_to(here) else python))
-    if find_spec("pip") is None:
+    if not _has("pip"):
         return f"uv pip install --python {python}"
     return f"{python} -m pip install"
+
+
+def _has(package: str) -> bool:
+    try:
+        version(package)
+    except PackageNotFoundError:
+        return False
+    return True

@@ -186,7 +186,7 @@ def scenes(draw: st.DrawFn) -> Scene:
     data["object"] = {
         "size": size,
         "lift": draw(st.sampled_from([0.0, 0.1])) * size,
-        "velocity": tuple(mach * speed * c for c in direction),
+        "velocity": tuple(np.clip(mach * speed * np.array(direction), -1e5, 1e5).tolist()),
         "spin": draw(vectors(decades(1e-3, 1e2))),
     }
     data["time"] = {"frames": 3, "fps": max(1.0, 1 / time), "patience": 1.0}

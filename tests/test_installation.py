@@ -65,7 +65,7 @@ def test_an_installed_wheel_names_packages_that_an_index_has(monkeypatch):
 
 def test_an_environment_without_pip_is_uvs(monkeypatch):
     installed_as_wheel(monkeypatch, 'mcap<2,>=1.5; extra == "bridge"')
-    monkeypatch.setattr(installation, "find_spec", lambda name: None)
+    monkeypatch.setattr(installation, "_has", lambda package: False)
     monkeypatch.setattr(sys, "executable", "/venv/bin/python")
     assert install_command("bridge") == "uv pip install --python /venv/bin/python 'mcap<2,>=1.5'"
 

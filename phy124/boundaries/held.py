@@ -38,7 +38,7 @@ class Clamp(Movable):
         return Track(track.keys, track.start, self.end, track.origin, track.period, track.mean)
 
     def met(self, solver: Solver) -> bool:
-        """What is held in part is a region whose nodes answer one by one."""
+        """Sticky clamps end where their region does; others act on each node inside by itself."""
         return self.contact == "sticky"
 
     def response(self) -> str:
