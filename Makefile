@@ -5,7 +5,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: demo app bridge test test-slow test-browser bench accuracy lint clean
+.PHONY: demo app bridge test test-slow test-browser bench accuracy lint clean chromium
 
 demo: .venv/base
 	$(BIN)/phy124 generate demo/examples/duck.png --scene press --out out/duck-press
@@ -23,9 +23,11 @@ test: .venv/test
 test-slow: .venv/test
 	$(BIN)/pytest -m "slow and not gpu and not weights and not ros"
 
-test-browser: .venv/test
-	command -v chromium >/dev/null || (apt-get update -qq && apt-get install -y -qq chromium)
+test-browser: .venv/test chromium
 	$(BIN)/pytest -m browser
+
+chromium:
+	command -v chromium >/dev/null || (apt-get update -qq && apt-get install -y -qq chromium)
 
 bench: .venv/test
 	for script in tests/benchmarks/*.py; do $(BIN)/python $$script || exit 1; done

@@ -293,5 +293,5 @@ def _leave_in_the_middle(server: Server) -> None:
 
     with _client(server) as client:
         client.submit(
-            handle_file(str(DUCK)), "press", "standard", 60, {}, [], api_name="/generate"
+            handle_file(str(DUCK)), "press", "draft", 30, FEW, [], api_name="/generate"
         )  # fmt: skip
