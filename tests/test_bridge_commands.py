@@ -148,7 +148,9 @@ def test_doctor_says_which_packages_a_node_would_get(monkeypatch):
     assert "constraints-ros.txt" not in "".join(diagnose())
     monkeypatch.setenv("ROS_DISTRO", "jazzy")
     (numpy_line,) = [line for line in diagnose() if line.startswith("NumPy: ")]
-    assert "built for NumPy 1: use a virtual environment made with constraints-ros.txt" in numpy_line
+    assert (
+        "built for NumPy 1: use a virtual environment made with constraints-ros.txt" in numpy_line
+    )
     monkeypatch.setattr(np, "__version__", "1.26.4")
     (numpy_line,) = [line for line in diagnose() if line.startswith("NumPy: ")]
     assert "constraints-ros.txt" not in numpy_line
