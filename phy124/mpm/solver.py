@@ -284,7 +284,8 @@ class Solver:
         # Kernels must be loaded before two threads use them: loading is not safe in Warp.
         if self.since_check >= self.between:
             timed(self.timings, "measure", self._measure)
-        self._meeting, self._agenda = Meeting(2), []
+        # A fault may be left of the last time: nobody asks for one after another was raised.
+        self._meeting, self._agenda, self._fault = Meeting(2), [], None
         follow, args = self._follow, (self.lanes[1], self._meeting)
         helper = threading.Thread(target=follow, args=args, daemon=True)
         helper.start()
