@@ -33,7 +33,7 @@ def _accuracy(report: dict[str, Any], scene: dict[str, Any], predicted: float) -
     said = promise(Scene.from_data(scene), report)
     rows = [
         ("Setting", name if isinstance(name, str) else "own settings"),
-        ("Error promised", said.sentence.removeprefix("Error: ")),
+        ("Error promised", said.sentence.removeprefix("Expected error: ")),
         ("Time predicted", f"{predicted:.1f} s"),
         ("Time spent", f"{report['seconds']:.1f} s"),
         ("Gaussians", f"{report['gaussians']:,}"),

@@ -69,8 +69,8 @@ def test_a_grid_between_two_is_promised_the_error_of_the_coarser(monkeypatch):
         said = promise(drop.replaced({"accuracy": {"cells": cells}}))
         assert said.error == error
     assert said.sentence == (
-        "Error: at most 1.0% of the object's size. Measured at D/32 for neo_hookean falling or "
-        "thrown onto something (drop; a duck)."
+        "Expected error: at most 1.0% of the object's size. Measured at D/32 for neo_hookean "
+        "falling or thrown onto something (drop; a duck)."
     )
 
 

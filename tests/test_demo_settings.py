@@ -193,7 +193,7 @@ def test_what_was_not_measured_is_not_promised():
     scene = Scene.named("drop").replaced({"material.law": "fluid", "time.frames": 100})
     forecast = Forecaster()(scene)
     assert forecast.promise.error is None
-    assert "Error: not measured for fluid" in forecast.sentence
+    assert "Expected error: not measured for fluid" in forecast.sentence
     assert stops_table(Forecaster().stops(scene)).count("error not measured") == 3
 
 

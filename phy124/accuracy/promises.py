@@ -47,8 +47,8 @@ class Promise:
     def sentence(self) -> str:
         """For people."""
         if self.error is None:
-            return f"Error: {self.why}"
-        return f"Error: at most {self.error:.1%} of the object's size. {self.why}"
+            return f"Expected error: {self.why}"
+        return f"Expected error: at most {self.error:.1%} of the object's size. {self.why}"
 
 
 def promise(scene: Scene, report: Mapping[str, Any] | None = None) -> Promise:
