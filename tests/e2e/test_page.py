@@ -480,3 +480,9 @@ def test_the_player_draws_what_our_renderer_draws(browser, tmp_path):
         wanted = 255 * Renderer(device="cpu")(frame.gaussians, camera)
         _drawn(page, lambda now, wanted=wanted: _psnr(now, wanted) > 25, "below 25 dB")
     context.close()
+
+
+def test_before_a_picture_is_chosen_the_page_asks_for_one(browser, server):
+    page = Visit(browser, server).page
+    page.wait_for_selector(".photo-hint", timeout=LONG)
+    assert not page.get_by_alt_text("Your picture").is_visible()
