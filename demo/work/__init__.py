@@ -1,0 +1,103 @@
+"""The work behind one click: cut-out -> Gaussians -> clip -> films, each stage only if needed.
+
+`steps` runs it in a thread and yields what happens; it ends early, with `Cancelled`, within one
+substep or drawn frame of the wish to stop. Everything in an `Order` and every event can be
+pickled, because on ZeroGPU all of this runs in a forked process.
+"""
+
+from __future__ import annotations
+
+import queue
+import shutil
+import threading
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+from demo.visitors import STAGES
+from demo.work.device import BEAT, DEVICE, device_named, held
+from demo.work.films import film, whole_in_view
+from demo.work.limits import Limits, easier
+from demo.work.motion import gaussians_of, simulate
+from demo.work.order import (
+    Done,
+    Event,
+    Glimpse,
+    Live,
+    Order,
+    Reused,
+    Step,
+    folders,
+    made_already,
+    made_gaussians,
+)
+from phy124.stopwatch import Stopwatch
+
+__all__ = [
+    "BEAT", "DEVICE", "Done", "Event", "Glimpse", "Limits", "Live", "Order", "Reused", "Step",
+    "device_named", "easier", "folders", "made_already", "made_gaussians", "steps",
+    "whole_in_view",
+]  # fmt: skip
+
+
+def steps(order: Order) -> Iterator[Event | None]:
+    """Run an order; yields events, and None where nothing has happened for a moment.
+
+    Raises:
+        Cancelled: The stop file appeared.
+        InputError: Something chosen cannot be used, or the time is up.
+    """
+    events: queue.SimpleQueue[Event | BaseException] = queue.SimpleQueue()
+    thread = threading.Thread(target=_run, args=(order, events), name="work", daemon=True)
+    thread.start()
+    try:
+        while True:
+            try:
+                event = events.get(timeout=BEAT)
+            except queue.Empty:
+                yield None
+                continue
+            if isinstance(event, BaseException):
+                raise event
+            yield event
+            if isinstance(event, Done):
+                return
+    except GeneratorExit:
+        order.stop.touch()
+        raise
+
+
+def _run(order: Order, events: queue.SimpleQueue[Any]) -> None:
+    """The thread: whatever ends the work is the last event."""
+    try:
+        order = replace(order, device=device_named(order.device))
+        with held(order):
+            last = _produce(order, Limits(order, events.put))
+    except BaseException as error:
+        last = error
+    order.stop.unlink(missing_ok=True)
+    if not (order.folder / STAGES[0]).exists():
+        # The visitor has left in the meantime.
+        shutil.rmtree(order.folder, ignore_errors=True)
+    events.put(last)
+
+
+def _produce(order: Order, limits: Limits) -> Done:
+    tell = limits.tell
+    source = made_gaussians(order)
+    clips, films = folders(order)
+    if (clips / "report.json").exists():
+        tell(Reused("generate"))
+        tell(Reused("simulate"))
+    else:
+        watch = Stopwatch()
+        with watch.stage("generate"):
+            gaussians = gaussians_of(order, source, tell)
+        simulate(gaussians, order, clips, limits, watch)
+    if (films / "report.json").exists():
+        tell(Reused("render"))
+    else:
+        film(order, clips, films, limits)
+    clips.touch()
+    films.touch()
+    return Done(clips, films)

@@ -1,0 +1,36 @@
+"""The device, which one piece of work at a time has."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from demo.work.order import Order
+from phy124.errors import Cancelled
+
+DEVICE = threading.Lock()
+"""Held by whoever computes: one piece of work at a time in this process."""
+BEAT = 0.2
+"""Longest silence between two events, s: so often can a generator be closed."""
+
+
+def device_named(name: str) -> str:
+    """Warp's name of a device; "auto" is CUDA where there is one."""
+    import warp as wp
+
+    if name != "auto":
+        return name
+    return "cuda:0" if wp.is_cuda_available() else "cpu"
+
+
+@contextmanager
+def held(order: Order) -> Iterator[None]:
+    """Hold the device; gives up if the work is to stop before its turn has come."""
+    while not DEVICE.acquire(timeout=BEAT):
+        if order.stop.exists():
+            raise Cancelled
+    try:
+        yield
+    finally:
+        DEVICE.release()

@@ -1,0 +1,91 @@
+"""From a clip to films: videos, the player's pack, an animated picture."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from demo.work.limits import FILMING, Limits
+from demo.work.motion import write_json
+from demo.work.order import Order, Step
+from phy124 import pipeline
+from phy124.clip import Clip
+from phy124.export.html import pack
+from phy124.framing import departures
+from phy124.render import render_frames
+from phy124.scene import View
+from phy124.stopwatch import Stopwatch
+from phy124.video import write_animation
+
+MOVING = 320
+"""Side of the animated WebP, pixels."""
+FARTHEST = 3.0
+"""How much farther the camera goes to see a whole motion."""
+
+
+def film(order: Order, clips: Path, out: Path, limits: Limits) -> None:
+    """A folder with the videos, the player's pack, an animated picture and the report."""
+    clip, watch = Clip.load(clips / "clip.safetensors"), Stopwatch()
+    # The page plays MP4s; other formats are made on demand (demo/exports.py).
+    view = order.scene.view.model_copy(update={"formats": ("mp4",), "transparent": False})
+    view = whole_in_view(clip, view)
+    tell = limits.tell
+    tell(Step("render", 0, len(clip) * len(view.sides)))
+    with pipeline.staged(out) as folder:
+        left_out = _videos(clip, view, order, folder, limits, watch)
+        tell(Step("save", 0, 2))
+        with watch.stage("save"):
+            first = pipeline.cameras(clip, view, "front")[0]
+            (folder / "clip.pack").write_bytes(pack(clip, first, background=view.background))
+            tell(Step("save", 1, 2))
+            turning = pipeline.cameras(clip, view, "orbit")
+            write_animation(
+                folder / "orbit.webp",
+                render_frames(
+                    clip.frames(), turning, size=MOVING, background=view.background,
+                    device=order.device, progress=lambda *_: tell(Step("save", 1, 2)),
+                ),
+                fps=view.fps or order.scene.time.fps,
+            )  # fmt: skip
+        report = json.loads((clips / "report.json").read_text("utf-8"))
+        report["stages"] = [*report["stages"], *watch.data()]
+        report["seconds"] += watch.total
+        report |= pipeline.framed(clip, view)
+        if left_out:
+            names = " and ".join(left_out)
+            report["notes"] = [*report.get("notes", []), f"No time was left for {names}."]
+        write_json(folder / "report.json", report)
+
+
+def _videos(
+    clip: Clip, view: View, order: Order, folder: Path, limits: Limits, watch: Stopwatch
+) -> list[str]:  # fmt: skip
+    """Write the videos one by one; returns the sides for which no time was left."""
+    left_out = []
+    for number, side in enumerate(view.sides):
+        if number and limits.spent > FILMING:
+            left_out.append(side)
+            continue
+
+        def progress(_: str, done: int, of: int, number: int = number, side: str = side) -> None:
+            limits.tell(Step("render", number * of + done, len(view.sides) * of, side))
+
+        one = _only(view, side)
+        pipeline.film(clip, one, folder, device=order.device, progress=progress, watch=watch)
+    return left_out
+
+
+def _only(view: View, side: str) -> View:
+    """A view of one of its sides."""
+    views = tuple(name for name in view.views if name == side)
+    angle = () if views else (float(side.removeprefix("azimuth-")),)
+    return view.model_copy(update={"views": views, "azimuths": angle})
+
+
+def whole_in_view(clip: Clip, view: View) -> View:
+    """The view from so far away that all of the clip is seen, if nobody chose the distance."""
+    left = departures(clip, view)
+    if view.distance != View().distance or view.follow or not left:
+        return view
+    distance = min(max(one.distance for one in left), FARTHEST * view.distance)
+    return view.model_copy(update={"distance": distance})

@@ -1,0 +1,56 @@
+"""The wish to stop, and the time that one run may take."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from demo.work.order import Event, Order
+from phy124.errors import Cancelled, InputError
+from phy124.scene import Scene
+from phy124.simulation import Stopped
+
+SIMULATING, FILMING, HOPELESS = 0.7, 0.85, 3.0
+"""Shares of a run's time: no frame is simulated after the first, no video begun after the second;
+after the third it is given up."""
+SOFT, FEW = 1e4, 8
+"""Stiffness [Pa] and frames that would hardly be changed for a quicker run."""
+
+
+class Limits:
+    """The wish to stop, and the time that one run may take."""
+
+    def __init__(self, order: Order, put: Callable[[Event], None]) -> None:
+        self.order, self.put = order, put
+        self.start = time.monotonic()
+
+    def tell(self, event: Event) -> None:
+        """Pass an event on; raises Cancelled or InputError if the work is to end at once."""
+        if self.order.stop.exists():
+            raise Cancelled
+        if self.spent > HOPELESS:
+            limit = f"The work took far longer than the {self.order.seconds:.0f} s of one run."
+            raise InputError("time", "over", limit, easier(self.order.scene))
+        self.put(event)
+
+    def simulated(self, event: Event) -> None:
+        """The same while simulating: what there is when the time is up is kept."""
+        self.tell(event)
+        if self.spent > SIMULATING:
+            raise Stopped(
+                f"the {self.order.seconds:.0f} s that one run may take here were nearly over, "
+                f"so the frames up to here were kept. {easier(self.order.scene)}"
+            )
+
+    @property
+    def spent(self) -> float:
+        """Share of the time that is gone."""
+        return (time.monotonic() - self.start) / max(self.order.seconds, 1e-9)
+
+
+def easier(scene: Scene) -> str:
+    """What would make a scene quicker, of what can still be changed about it."""
+    ways = [] if scene.accuracy == "draft" else ["draft accuracy"]
+    ways += ["a softer material"] if getattr(scene.material, "E", 0) > SOFT else []
+    ways += ["fewer frames"] if scene.time.frames > FEW else []
+    return f"Choose {' or '.join(ways or ['a gentler motion'])}."

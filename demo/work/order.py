@@ -1,0 +1,98 @@
+"""What one click asks for, what is told meanwhile, and where it all lies."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from demo.forecast import GAUSSIANS
+from demo.visitors import key
+from phy124.scene import Scene
+
+
+@dataclass(frozen=True)
+class Order:
+    """What one click asks for."""
+
+    folder: Path
+    """The visitor's folder."""
+    cutout: Path
+    """Picture with alpha."""
+    scene: Scene
+    stop: Path
+    """Once this file exists the work stops."""
+    seconds: float
+    """Longest wall-clock time."""
+    max_particles: int
+    generator: str = "relief"
+    gaussians: int = GAUSSIANS
+    """How many `relief` makes."""
+    device: str = "auto"
+    about: tuple[tuple[str, str], ...] = ()
+    """More for the report."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """How far a stage is."""
+
+    stage: str
+    done: int
+    total: int
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Glimpse:
+    """A small JPEG of the frame just simulated."""
+
+    picture: bytes
+
+
+@dataclass(frozen=True)
+class Live:
+    """A file with the frame just simulated, for the viewer."""
+
+    file: str
+
+
+@dataclass(frozen=True)
+class Reused:
+    """A stage that was not run again, since nothing it depends on has changed."""
+
+    stage: str
+
+
+@dataclass(frozen=True)
+class Done:
+    """Everything is there."""
+
+    clip: Path
+    """Folder of the clip, its Gaussians and its scene."""
+    films: Path
+    """Folder of the videos, the player's pack and the report."""
+
+
+Event = Step | Glimpse | Live | Reused | Done
+Tell = Callable[[Event], None]
+
+
+def folders(order: Order) -> tuple[Path, Path]:
+    """Where the clip and the films of an order lie once they have been made."""
+    physics = {name: value for name, value in order.scene.data().items() if name != "view"}
+    clips = order.folder / "clips" / key(made_gaussians(order).name, physics)
+    view = order.scene.view.model_dump(mode="json")
+    return clips, order.folder / "films" / key(clips.name, view)
+
+
+def made_already(order: Order) -> dict[str, bool]:
+    """Which stages of an order would not be run again, as the forecast takes them."""
+    clips, films = ((folder / "report.json").exists() for folder in folders(order))
+    return {"generated": made_gaussians(order).exists(), "simulated": clips, "filmed": films}
+
+
+def made_gaussians(order: Order) -> Path:
+    """Where the Gaussians of an order lie once they have been made."""
+    made = key(order.cutout.read_bytes(), order.generator, order.gaussians, order.scene.seed)
+    return order.folder / "gaussians" / f"{made}.safetensors"

@@ -1,0 +1,83 @@
+"""What is seen of a motion while it is computed: small pictures, and frames for the viewer."""
+
+from __future__ import annotations
+
+import io
+import shutil
+from collections.abc import Callable
+
+import numpy as np
+from PIL import Image
+
+from demo.work.order import Glimpse, Live, Order, Tell
+from phy124 import pipeline
+from phy124.camera import Camera
+from phy124.clip import Clip
+from phy124.errors import Cancelled
+from phy124.export.html import pack
+from phy124.gaussians import Frame, Gaussians
+from phy124.render import Renderer, to_bytes
+from phy124.scene import Scene
+
+GLIMPSE = 224
+"""Side of the pictures shown while the simulation runs, pixels."""
+SHOWN = 12_000
+"""Gaussians that the viewer gets while the simulation runs."""
+
+
+def glimpses(order: Order, tell: Tell) -> Callable[[Frame], None]:
+    """Shows frames as small pictures while the run goes on."""
+    renderer, camera = Renderer(device=order.device), None
+
+    def show(frame: Frame) -> None:
+        nonlocal camera
+        camera = camera or _camera(frame, order.scene)
+        image = renderer(frame.gaussians, camera, order.scene.view.background)
+        with io.BytesIO() as file:
+            Image.fromarray(to_bytes(image)).save(file, "JPEG", quality=80)
+            tell(Glimpse(file.getvalue()))
+
+    return show
+
+
+def lives(order: Order, tell: Tell) -> Callable[[Frame], None]:
+    """Hands frames to the viewer while the run goes on: some of the Gaussians, made larger."""
+    folder = order.folder / "live" / order.stop.name
+    shutil.rmtree(folder.parent, ignore_errors=True)
+    folder.mkdir(parents=True)
+    chosen, camera = None, None
+
+    def show(frame: Frame) -> None:
+        nonlocal chosen, camera
+        count = len(frame.gaussians)
+        camera = camera or _camera(frame, order.scene)
+        if chosen is None:
+            rng = np.random.default_rng(0)
+            chosen = np.sort(rng.permutation(count)[:SHOWN])
+        some = _thinned(frame, chosen)
+        path = folder / f"{frame.index:04d}.pack"
+        background = order.scene.view.background
+        packed = pack(Clip.from_frames([some]), camera, background=background)
+        try:
+            path.write_bytes(packed)
+        except FileNotFoundError:
+            # The visitor has left, and the folder with them.
+            raise Cancelled from None
+        tell(Live(str(path)))
+
+    return show
+
+
+def _thinned(frame: Frame, chosen: np.ndarray) -> Frame:
+    """Some of a frame's Gaussians, enlarged so that they cover what all of them did."""
+    g = frame.gaussians
+    larger = g.scales[chosen] * (len(g) / len(chosen)) ** 0.5
+    some = Gaussians(g.means[chosen], g.quats[chosen], larger, g.opacities[chosen], g.sh[chosen])
+    return Frame(frame.index, frame.time, some)
+
+
+def _camera(frame: Frame, scene: Scene) -> Camera:
+    rest = Clip.from_frames([frame])
+    clip = Clip(**{**vars(rest), "scene": scene.data()})
+    view = scene.view.model_copy(update={"size": (GLIMPSE, GLIMPSE)})
+    return pipeline.cameras(clip, view, "front")[0]
