@@ -22,10 +22,12 @@ from demo.work import (
     Order,
     Reused,
     Step,
+    device_named,
     easier,
     steps,
     whole_in_view,
 )
+from phy124 import startup
 from phy124.clip import Clip
 from phy124.errors import Cancelled, InputError
 from phy124.framing import departures
@@ -75,6 +77,14 @@ def test_everything_is_made(order):
     }  # fmt: skip
     assert len(Clip.load(done.clip / "clip.safetensors")) == 3
     assert not order.stop.exists() and not DEVICE.locked()
+
+
+def test_looking_for_a_device_starts_warp_quietly(monkeypatch):
+    started = []
+    monkeypatch.setattr(startup, "start", lambda: started.append(True))
+    assert device_named("cpu") == "cpu" and not started
+    device_named("auto")
+    assert started
 
 
 def test_what_has_not_changed_is_not_done_again(order):

@@ -19,8 +19,11 @@ def device_named(name: str) -> str:
     """Warp's name of a device; "auto" is CUDA where there is one."""
     import warp as wp
 
+    from phy124.startup import start
+
     if name != "auto":
         return name
+    start()
     return "cuda:0" if wp.is_cuda_available() else "cpu"
 
 
