@@ -98,7 +98,7 @@ def scene_of(data: Any, settings: Settings, uploads: Path | None = None) -> Scen
     scene = Scene.from_data(data)
     for field, path in files_named(scene):
         _check_upload(field, path, settings, uploads)
-    _check(scene, settings)
+    check_limits(scene, settings)
     return scene
 
 
@@ -123,7 +123,8 @@ def _check_upload(field: str, path: Path, settings: Settings, uploads: Path | No
     check_picture(path, settings)
 
 
-def _check(scene: Scene, settings: Settings) -> None:
+def check_limits(scene: Scene, settings: Settings) -> None:
+    """Raise InputError if a scene is larger than the page allows."""
     limits = {
         "frames": (scene.time.frames, settings.max_frames),
         "cells": (scene.resolution.cells, settings.max_cells),

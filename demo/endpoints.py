@@ -1,8 +1,8 @@
-"""The named endpoints /generate, /render and /evaluate, for programs."""
+"""The named endpoints /generate, /render, /evaluate and /measure, for programs."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import gradio as gr
@@ -10,7 +10,7 @@ import gradio as gr
 from demo.exports import EXPORTS, export
 from demo.handlers import Handler
 from demo.identity import visitor_of
-from demo.jobs import Studio, complaint, read_report
+from demo.jobs import Studio, complaint, read_report, read_study
 from demo.line import Job
 from demo.photo import photo, refusal
 from demo.visitors import Visitor
@@ -22,7 +22,7 @@ NOTHING_YET = "run: There is no run in this session yet. Call /generate first."
 
 
 def endpoints(studio: Studio) -> None:
-    """The named endpoints /generate, /render and /evaluate, with typed arguments."""
+    """The named endpoints, with typed arguments."""
     with gr.Column(visible=False):
         picture = photo(studio, label="image")
         preset = gr.Dropdown(preset_names(), value="press", label="preset")
@@ -46,6 +46,11 @@ def endpoints(studio: Studio) -> None:
             api_name="render", **shared,
         )  # fmt: skip
         gr.Button().click(_evaluate, run, report, api_name="evaluate")
+        error, said = gr.Number(label="error"), gr.Textbox(label="sentence")
+        gr.Button().click(
+            _measure(studio), [picture, preset, accuracy, frames, changes],
+            [error, said, gr.JSON(label="levels")], api_name="measure", **shared,
+        )  # fmt: skip
 
 
 def _generate(studio: Studio) -> Handler:
@@ -55,18 +60,12 @@ def _generate(studio: Studio) -> Handler:
     ) -> Iterator[tuple[Any, ...]]:  # fmt: skip
         """Turn a picture into a moving object: its files and its report."""
         name = visitor_of(request)
-        try:
-            scene = Scene.named(preset).replaced(
-                {"accuracy": accuracy, "time.frames": int(frames), **_changes(changes)}
-            )
-            cutting = studio.cut(name, image)
-        except InputError as error:
-            raise refusal(complaint(error)) from None
+        scene, cutting = _cut(studio, name, image, preset, accuracy, frames, changes)
         visitor, data = studio.visitors.get(name), scene.data()
         for _ in _followed(cutting, visitor, "image"):
             yield (gr.skip(),) * 3
         cutout = cutting.progress.result.path
-        job = _begun(studio, name, cutout, data)
+        job = _begun(studio.run, name, cutout, data)
         for _ in _followed(job, visitor, "run"):
             yield (gr.skip(),) * 3
         done = job.progress.result
@@ -74,6 +73,43 @@ def _generate(studio: Studio) -> Handler:
         yield (done, cutout, data), _paths(done) + made, read_report(done)
 
     return generate
+
+
+def _measure(studio: Studio) -> Handler:
+    def measure(
+        image: str | None, preset: str, accuracy: str, frames: int, changes: Any,
+        request: gr.Request,
+    ) -> Iterator[tuple[Any, ...]]:  # fmt: skip
+        """Measure the error of a scene as a share of the object's size, and what each grid took."""
+        name = visitor_of(request)
+        scene, cutting = _cut(studio, name, image, preset, accuracy, frames, changes)
+        visitor = studio.visitors.get(name)
+        for _ in _followed(cutting, visitor, "image"):
+            yield (gr.skip(),) * 3
+        job = _begun(studio.measure, name, cutting.progress.result.path, scene.data())
+        for _ in _followed(job, visitor, "measure"):
+            yield (gr.skip(),) * 3
+        study = read_study(job.progress.result.study)
+        if study is None:
+            raise refusal("measure: It is no longer kept here. Call /measure again.")
+        said = study.promise(scene.resolution.cells)
+        yield said.error, said.sentence, study.rows()
+
+    return measure
+
+
+def _cut(
+    studio: Studio, name: str, image: str | None, preset: str, accuracy: str, frames: int,
+    changes: Any,
+) -> tuple[Scene, Job]:  # fmt: skip
+    """The scene that a program asks for, and the job that cuts its picture out."""
+    try:
+        scene = Scene.named(preset).replaced(
+            {"accuracy": accuracy, "time.frames": int(frames), **_changes(changes)}
+        )
+        return scene, studio.cut(name, image)
+    except InputError as error:
+        raise refusal(complaint(error)) from None
 
 
 def _changes(given: Any) -> dict[str, Any]:
@@ -96,7 +132,7 @@ def _render(studio: Studio) -> Handler:
         name = visitor_of(request)
         view = {**data["view"], "size": int(size), "elevation": elevation}
         view["views"] = views or data["view"]["views"]
-        job = _begun(studio, name, cutout, {**data, "view": view})
+        job = _begun(studio.run, name, cutout, {**data, "view": view})
         for _ in _followed(job, studio.visitors.get(name), "run"):
             yield gr.skip(), gr.skip()
         yield _paths(job.progress.result), read_report(job.progress.result)
@@ -104,9 +140,9 @@ def _render(studio: Studio) -> Handler:
     return render
 
 
-def _begun(studio: Studio, name: str, cutout: str, data: dict[str, Any]) -> Job:
+def _begun(begin: Callable[..., Job], name: str, cutout: str, data: dict[str, Any]) -> Job:
     try:
-        return studio.run(name, cutout, data)
+        return begin(name, cutout, data)
     except InputError as error:
         raise refusal(complaint(error)) from None
 

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 from typing import Any
 
 from demo.rates import Learned, Rates, Work
+from demo.studies import Measurement, on_grid
 from phy124.accuracy import Forecaster as Probe
 from phy124.accuracy.forecast import GUESS, QUIET, pixels_per_size
 from phy124.accuracy.load import Load, spoken
@@ -25,6 +27,8 @@ GAUSSIANS = 50_000
 """What `relief` makes of a picture."""
 FRESH = 3.0
 """Seconds for which a look at what others do is good."""
+SET_UP = 0.4
+"""Seconds to set up one grid of a study and compare its motion, in those of `rest`."""
 FILLED = 0.13
 """Volume of a typical object, in cubes of its longest side: the filling's share of the grid."""
 
@@ -55,7 +59,7 @@ class Forecast:
         """For the visitor."""
         beside = " beside what else this machine does" if self.load.busy else ""
         text = f"About {spoken(self.span)}{beside}: {self.substeps:,} substeps of "
-        text += f"{round(self.particles, -3):,} particles. {self.promise.sentence}"
+        text += f"{round(self.particles, -3):,} particles. {promised(self.promise)}"
         return f"{text} {self.caveat}" if self.caveat else text
 
 
@@ -70,6 +74,8 @@ class Stop:
     pixels: float | None
     """The same in the video."""
     chosen: bool
+    own: bool = False
+    """Whether the error was measured on this very scene."""
 
 
 class Forecaster:
@@ -104,6 +110,20 @@ class Forecaster:
         seconds *= load.now
         return Forecast(seconds, round(work.substeps), particles, promise(scene), load=load)
 
+    def study(
+        self,
+        scene: Scene,
+        levels: Sequence[int],
+        *,
+        gaussians: int = GAUSSIANS,
+        generated: bool = False,
+    ) -> float:
+        """Seconds of measuring a scene's error on these grids."""
+        costs = [self.rates.seconds(work_of(on_grid(scene, n), gaussians)) for n in levels]
+        seconds = sum(cost["simulate"] + cost["deform"] for cost in costs)
+        seconds += len(levels) * self.rates.rest * SET_UP
+        return (seconds + (0 if generated else self.rates.generate)) * self.load().now
+
     def load(self) -> Load:
         """What others do on this machine, looked at anew every few seconds."""
         if time.monotonic() > self._looked + FRESH:
@@ -120,18 +140,33 @@ class Forecaster:
         """Seconds of computing, were this machine as quick as it was ever known to be."""
         return sum(self.learned.least.seconds(work_of(scene, gaussians)).values())
 
+    def least_study(
+        self, scene: Scene, levels: Sequence[int], *, gaussians: int = GAUSSIANS
+    ) -> float:
+        """Seconds of computing, at best, to measure a scene's error on these grids."""
+        works = [work_of(on_grid(scene, n), gaussians) for n in levels]
+        return sum(self.learned.least.seconds(work)["simulate"] for work in works)
+
     def stops(
-        self, scene: Scene, *, gaussians: int = GAUSSIANS, seconds: float | None = None
+        self,
+        scene: Scene,
+        *,
+        gaussians: int = GAUSSIANS,
+        seconds: float | None = None,
+        study: Measurement | None = None,
     ) -> list[Stop]:
-        """All named accuracies for a scene; `seconds` were measured for the one it has."""
+        """All named accuracies for a scene.
+
+        `seconds` were measured for the one it has, `study` on this very scene.
+        """
         scale = 1.0 if seconds is None else seconds / self(scene, gaussians=gaussians).seconds
         found = []
         for name in PRESETS:
             other = scene.model_copy(update={"accuracy": name})
             took = scale * self(other, gaussians=gaussians).seconds
-            error = promise(other).error
-            pixels = None if error is None else error * pixels_per_size(scene)
-            found.append(Stop(name, took, error, pixels, scene.accuracy == name))
+            said = promise_of(other, study)
+            pixels = None if said.error is None else said.error * pixels_per_size(scene)
+            found.append(Stop(name, took, said.error, pixels, scene.accuracy == name, said.own))
         return found
 
 
@@ -143,6 +178,18 @@ def measured(gaussians: Gaussians, scene: Scene, device: str, rest: float) -> Fo
         seconds, found.substeps, found.particles, promise(scene), found.caveat, found.load,
         measured=True,
     )  # fmt: skip
+
+
+def promise_of(scene: Scene, study: Measurement | None) -> Promise:
+    """What may be promised of a scene: what was measured on it, else on such scenes."""
+    return promise(scene) if study is None else study.promise(scene.resolution.cells)
+
+
+def promised(promise: Promise) -> str:
+    """A promise for somebody who has the page and no command line."""
+    if promise.unmeasured:
+        return f"Expected error: not measured for {promise.unmeasured}."
+    return promise.sentence
 
 
 def stops_table(stops: list[Stop]) -> str:
@@ -159,7 +206,8 @@ def stops_table(stops: list[Stop]) -> str:
 def _off(stop: Stop) -> str:
     if stop.error is None or stop.pixels is None:
         return "error not measured"
-    return f"off by at most {stop.error:.1%} ({stop.pixels:.0f} px)"
+    how = "about" if stop.own else "at most"
+    return f"off by {how} {stop.error:.1%} ({stop.pixels:.0f} px)"
 
 
 def work_of(scene: Scene, gaussians: int = GAUSSIANS) -> Work:

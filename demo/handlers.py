@@ -15,18 +15,20 @@ from gradio import FileData
 
 from demo.catalogue import scene_of
 from demo.exports import EXPORTS, export
-from demo.forecast import stops_table
+from demo.forecast import promise_of, stops_table
 from demo.identity import visitor_of
 from demo.jobs import Cutout, Studio, read_report, sentence
 from demo.line import Job
 from demo.progress import Progress
 from demo.report import as_html
 from demo.strokes import strokes_of
+from demo.studies import Measurement
 from demo.visitors import Visitor, key
-from demo.work import Done
+from demo.work import Done, Measured
 from phy124.camera import VIEWS
 from phy124.clip import Clip
 from phy124.errors import InputError
+from phy124.limits import duration
 from phy124.scene import Scene
 
 Handler = Callable[..., Any]
@@ -129,13 +131,18 @@ def forecaster(studio: Studio) -> Handler:
         if not scene:
             return ""
         name, path = visitor_of(request), cutout.path if cutout else None
-        return with_stops(studio, name, scene, studio.forecast(name, path, scene))
+        return with_stops(studio, name, path, scene, studio.forecast(name, path, scene))
 
     return forecast
 
 
-def with_stops(studio: Studio, name: str, data: Any, text: str) -> str:
-    """A forecast in one line that opens: what each stop of the accuracy slider would be."""
+def with_stops(
+    studio: Studio, name: str, cutout: str | None, data: Any, text: str, *, opened: bool = False
+) -> str:
+    """A forecast in one line that opens: what each stop of the accuracy slider would be.
+
+    Below it stands what was measured on this very scene, or that it can be measured.
+    """
     visitor = studio.visitors.known(name)
     try:
         scene = scene_of(data, studio.settings, visitor and visitor.folder / "uploads")
@@ -143,13 +150,33 @@ def with_stops(studio: Studio, name: str, data: Any, text: str) -> str:
         return f"<p>{escape(text)}</p>"
     known = visitor.forecasts.get(key(scene.data())) if visitor else None
     count = studio.settings.gaussians
-    table = stops_table(studio.forecaster.stops(scene, gaussians=count, seconds=known))
+    study = studio.study(name, cutout, scene)
+    stops = studio.forecaster.stops(scene, gaussians=count, seconds=known, study=study)
+    table = stops_table(stops)
+    if study is not None:
+        table += f"<p>What accuracy cost here, without pictures:</p>{study.table()}"
     brief, _, rest = text.partition(": ")
+    if not rest:
+        return f"<p>{escape(text)}</p>{table}"
     return (
-        f"<details><summary>{escape(brief)}</summary><p>{escape(rest)}</p>{table}</details>"
-        if rest
-        else f"<p>{escape(text)}</p>{table}"
+        f"<details{' open' if opened else ''}><summary>{escape(brief)}</summary>"
+        f"<p>{escape(rest)}</p>{table}</details>{_error_line(studio, name, cutout, scene, study)}"
     )
+
+
+def _error_line(
+    studio: Studio, name: str, cutout: str | None, scene: Scene, study: Measurement | None
+) -> str:
+    """What was measured on this very scene, or a button that measures it."""
+    said = promise_of(scene, study)
+    if study is not None:
+        about = "no error can be promised" if said.error is None else f"about {said.error:.1%} off"
+        return f'<p class="measured">Measured: {about}.</p>'
+    if not said.unmeasured:
+        return ""
+    seconds = duration(studio.study_seconds(name, cutout, scene))
+    button = '<button type="button" class="quiet" data-measure>Measure</button>'
+    return f"<p>Error not measured; {button} takes about {seconds}.</p>"
 
 
 def refiner(studio: Studio) -> Handler:
@@ -158,7 +185,7 @@ def refiner(studio: Studio) -> Handler:
     def refine(cutout: Any, scene: Any, request: gr.Request) -> Any:
         name = visitor_of(request)
         text = studio.refine(name, cutout.path, scene) if cutout and scene else None
-        return gr.skip() if text is None else with_stops(studio, name, scene, text)
+        return gr.skip() if text is None else with_stops(studio, name, cutout.path, scene, text)
 
     return refine
 
@@ -172,9 +199,27 @@ def starter(studio: Studio) -> Handler:
         except InputError as error:
             state = "full" if error.field == "queue" else "refused"
             return Progress(state=state, message=sentence(error)).data(), *rested()
-        return {**job.progress.data(), "job": job.name}, *working()
+        return _shown(job), *working()
 
     return start
+
+
+def measurer(studio: Studio) -> Handler:
+    """Cut-out and scene -> its error is being measured, or what is wrong."""
+
+    def start_study(cutout: Any, scene: Any, request: gr.Request) -> tuple[Any, ...]:
+        try:
+            job = studio.measure(visitor_of(request), cutout.path if cutout else None, scene)
+        except InputError as error:
+            return Progress(state="refused", message=sentence(error)).data(), *rested()
+        return _shown(job), *working()
+
+    return start_study
+
+
+def _shown(job: Job) -> dict[str, Any]:
+    """A piece of work for the progress panel, which follows it."""
+    return {**job.progress.data(), "job": job.name, "kind": job.kind}
 
 
 def rested() -> tuple[Any, Any]:
@@ -199,13 +244,19 @@ def stopper(studio: Studio) -> Handler:
 
 
 def finisher(studio: Studio) -> Handler:
-    """A run that has come to an end -> everything there is to see."""
+    """A run that has come to an end -> everything there is to see; a study -> the forecast."""
 
-    def finish(event: gr.EventData, request: gr.Request) -> tuple[Any, ...]:
-        job = _job(studio, request, event)
+    def finish(
+        cutout: Any, scene: Any, event: gr.EventData, request: gr.Request
+    ) -> tuple[Any, ...]:
+        name, job = visitor_of(request), _job(studio, request, event)
+        if job is not None and isinstance(job.progress.result, Measured) and cutout and scene:
+            text = studio.forecast(name, cutout.path, scene)
+            told = with_stops(studio, name, cutout.path, scene, text, opened=True)
+            return told, gr.skip(), *rested(), *NOT_SHOWN
         if job is None or not job.over or not _is_there(job.progress.result):
-            return gr.skip(), *rested(), *NOT_SHOWN
-        return job.progress.result, *rested(), *results(studio, visitor_of(request), job)
+            return gr.skip(), gr.skip(), *rested(), *NOT_SHOWN
+        return gr.skip(), job.progress.result, *rested(), *results(studio, name, job)
 
     return finish
 
@@ -222,6 +273,9 @@ def greeter(studio: Studio) -> Handler:
         if visitor is None:
             return gr.skip(), None, gr.skip(), None, *rested(), *NOT_SHOWN
         cut, run = visitor.latest("cut"), visitor.latest("run")
+        study = visitor.latest("measure")
+        if study is not None and not study.over and (run is None or run.over):
+            run = study
         return *_found_picture(visitor, cut), *_found_run(studio, visitor_of(request), run)
 
     return greet
@@ -243,7 +297,7 @@ def _found_run(studio: Studio, name: str, run: Job | None) -> tuple[Any, ...]:
     if run is None:
         return gr.skip(), None, *rested(), *NOT_SHOWN
     if not run.over:
-        return {**run.progress.data(), "job": run.name}, None, *working(), *NOT_SHOWN
+        return _shown(run), None, *working(), *NOT_SHOWN
     done = run.progress.result
     if not _is_there(done):
         return gr.skip(), None, *rested(), *NOT_SHOWN

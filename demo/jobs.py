@@ -10,18 +10,29 @@ import json
 import logging
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from demo.catalogue import check_time, scene_of
-from demo.forecast import Forecaster, measured
+from demo.catalogue import check_limits, check_time, scene_of
+from demo.forecast import Forecast, Forecaster, measured, promise_of
 from demo.line import Job, Line
 from demo.pictures import check_picture, corrected, cut_out
+from demo.progress import MEASURING
 from demo.settings import Settings
 from demo.strokes import Stroke
+from demo.studies import Measurement, grids, on_grid
 from demo.visitors import Visitor, Visitors, key
-from demo.work import DEVICE, Done, Order, device_named, made_already, made_gaussians, steps
+from demo.work import (
+    DEVICE,
+    Done,
+    Order,
+    device_named,
+    made_already,
+    made_gaussians,
+    steps,
+    study_file,
+)
 from phy124.clip import Clip
 from phy124.errors import Cancelled, InputError
 from phy124.isolated import Deadline
@@ -110,7 +121,8 @@ class Studio:
         except InputError as error:
             return complaint(error)
         ready = self._ready(visitor, cutout, scene)
-        return self.forecaster(scene, gaussians=self.settings.gaussians, **ready).sentence
+        told = self.forecaster(scene, gaussians=self.settings.gaussians, **ready)
+        return self._said(told, name, cutout, scene)
 
     def refine(self, name: str, cutout: str | None, data: Any) -> str | None:
         """The same from a probe, if the Gaussians are there and the device is free, else None."""
@@ -133,20 +145,56 @@ class Studio:
             return complaint(error)
         finally:
             DEVICE.release()
-        return forecast.sentence
+        return self._said(forecast, name, cutout, scene)
+
+    def _said(self, told: Forecast, name: str, cutout: str | None, scene: Scene) -> str:
+        """A forecast in words, with what was measured on this very scene."""
+        return replace(told, promise=promise_of(scene, self.study(name, cutout, scene))).sentence
 
     def run(self, name: str, cutout: str | None, data: Any) -> Job:
         """Begin the whole chain; raises InputError for what cannot be used."""
-        visitor = self.visitors.known(name)
-        if visitor is None or not cutout or not Path(cutout).exists():
-            raise InputError("picture", "none", "There is no picture yet.", "Choose one first.")
-        scene = self._scene(visitor, data)
+        visitor, picture, scene = self._asked(name, cutout, data)
         self._check_time(scene)
         usual = self.forecaster(scene, gaussians=self.settings.gaussians).seconds
         expected = visitor.forecasts.get(key(scene.data()), usual)
         job = Job("run", visitor.new_stop_file(), expected)
-        order = self._order(visitor, Path(cutout), scene, job.stop)
+        order = self._order(visitor, picture, scene, job.stop)
         return self._submit(visitor, job, self.runs, lambda job: self._run(visitor, order, job))
+
+    def measure(self, name: str, cutout: str | None, data: Any) -> Job:
+        """Begin to measure the error of a scene; raises InputError for what cannot be used."""
+        visitor, picture, scene = self._asked(name, cutout, data)
+        levels = grids(scene)
+        for cells in levels:
+            check_limits(on_grid(scene, cells), self.settings)
+        count = self.settings.gaussians
+        check_time(self.forecaster.least_study(scene, levels, gaussians=count), self.settings)
+        expected = self.study_seconds(name, cutout, scene)
+        job = Job("measure", visitor.new_stop_file(), expected, stages=MEASURING)
+        order = replace(self._order(visitor, picture, scene, job.stop), levels=levels)
+        return self._submit(visitor, job, self.runs, lambda job: self._run(visitor, order, job))
+
+    def study(self, name: str, cutout: str | None, scene: Scene) -> Measurement | None:
+        """What was measured on this visitor's object in this scene, if anything was."""
+        visitor = self.visitors.known(name)
+        if visitor is None or not cutout or not Path(cutout).exists():
+            return None
+        return read_study(study_file(self._order(visitor, Path(cutout), scene, visitor.folder)))
+
+    def study_seconds(self, name: str, cutout: str | None, scene: Scene) -> float:
+        """How long it would take to measure that."""
+        ready = self._ready(self.visitors.known(name), cutout, scene)
+        return self.forecaster.study(
+            scene, grids(scene), gaussians=self.settings.gaussians,
+            generated=ready.get("generated", False),
+        )  # fmt: skip
+
+    def _asked(self, name: str, cutout: str | None, data: Any) -> tuple[Visitor, Path, Scene]:
+        """Who asks, the cut-out and the scene; raises InputError for what cannot be used."""
+        visitor = self.visitors.known(name)
+        if visitor is None or not cutout or not Path(cutout).exists():
+            raise InputError("picture", "none", "There is no picture yet.", "Choose one first.")
+        return visitor, Path(cutout), self._scene(visitor, data)
 
     def _scene(self, visitor: Visitor | None, data: Any) -> Scene:
         """The scene that was chosen; it may name the visitor's own uploads and no other file."""
@@ -185,7 +233,7 @@ class Studio:
             close_now(events)
             visitor.trim(self.visitors.room)
         done = job.progress.result
-        if done is not None and "simulate" not in job.progress.reused:
+        if isinstance(done, Done) and "simulate" not in job.progress.reused:
             self.forecaster.learn(read_report(done), order.scene)
 
     def warm_up(self) -> None:
@@ -236,6 +284,14 @@ def close_now(events: Iterator[Any]) -> None:
     close = getattr(events, "close", None)
     if close is not None:
         close()
+
+
+def read_study(path: Path) -> Measurement | None:
+    """What was measured on a scene, if anything was."""
+    try:
+        return Measurement.model_validate_json(path.read_text("utf-8"))
+    except FileNotFoundError:
+        return None
 
 
 def read_report(done: Done) -> dict[str, Any]:

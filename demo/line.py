@@ -10,10 +10,10 @@ import logging
 import secrets
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from demo.progress import Progress
+from demo.progress import STAGES, Progress
 from phy124.errors import Cancelled, InputError
 
 LOG = logging.getLogger("phy124.web")
@@ -22,14 +22,21 @@ LOG = logging.getLogger("phy124.web")
 class Job:
     """One piece of work for a visitor: its progress, its end, and the wish to stop it."""
 
-    def __init__(self, kind: str, stop: Path, expected: float = 0.0, subject: str = "") -> None:
+    def __init__(
+        self,
+        kind: str,
+        stop: Path,
+        expected: float = 0.0,
+        subject: str = "",
+        stages: Mapping[str, str] = STAGES,
+    ) -> None:
         self.kind = kind
         self.subject = subject
         """The file that it is about."""
         self.name = secrets.token_urlsafe(18)
         self.stop = stop
         """A file that, once it exists, asks the work to stop."""
-        self.progress = Progress(expected=expected)
+        self.progress = Progress(expected=expected, names=stages)
         self.line: Line | None = None
         self._changed = threading.Condition()
 

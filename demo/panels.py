@@ -43,6 +43,17 @@ def viewer() -> gr.HTML:
     return _panel("viewer", PLAYER)
 
 
+def forecast() -> gr.HTML:
+    """What a run will take, as HTML; "measure" asks for the error of the scene."""
+    return gr.HTML(
+        "",
+        js_on_load="Phy124.forecast(element, trigger); // 'measure'",
+        head=HEAD,
+        apply_default_css=False,
+        elem_id="forecast",
+    )
+
+
 def history() -> gr.HTML:
     """Earlier results; "show" asks for one of them."""
     return _panel("history", HEAD, events="'show'")

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import base64
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from demo.work import Done, Glimpse, Live, Reused, Step
+from demo.work import Done, Glimpse, Live, Measured, Reused, Step
 
 STAGES = {"generate": "Picture to 3D", "simulate": "Physics", "render": "Videos", "save": "Files"}
+MEASURING = {"generate": "Picture to 3D", "measure": "Grids"}
 
 
 @dataclass
@@ -20,6 +22,8 @@ class Progress:
     """waiting, running, and then done, stopped, refused, full or failed."""
     message: str = ""
     expected: float = 0.0
+    names: Mapping[str, str] = field(default_factory=lambda: STAGES)
+    """The stages to come, and what they are called."""
     start: float = field(default_factory=time.monotonic)
     stages: dict[str, Step] = field(default_factory=dict)
     reused: list[str] = field(default_factory=list)
@@ -40,7 +44,7 @@ class Progress:
             self.glimpses.append(event.picture)
         elif isinstance(event, Live):
             self.live.append(event.file)
-        elif isinstance(event, Done):
+        elif isinstance(event, Done | Measured):
             self.result, self.state = event, "done"
 
     def begin(self) -> None:
@@ -54,7 +58,7 @@ class Progress:
             "message": self.message,
             "elapsed": time.monotonic() - self.start,
             "expected": self.expected,
-            "stages": [self._row(name) for name in STAGES],
+            "stages": [self._row(name) for name in self.names],
             "glimpses": [base64.b64encode(picture).decode() for picture in self.glimpses[seen:]],
             "live": self.live[seen:],
         }
@@ -63,4 +67,10 @@ class Progress:
         step, reused = self.stages.get(name), name in self.reused
         note = "as before" if reused else step.note if step else ""
         done, total = (step.done, step.total) if step else (0, 0)
-        return {"name": STAGES[name], "done": done, "total": total, "note": note, "reused": reused}
+        return {
+            "name": self.names[name],
+            "done": done,
+            "total": total,
+            "note": note,
+            "reused": reused,
+        }

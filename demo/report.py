@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from html import escape
 from typing import Any
 
-from demo.forecast import Stop
+from demo.forecast import Stop, promised
 from phy124.accuracy.promises import promise
 from phy124.scene import Scene
 
@@ -33,7 +33,7 @@ def _accuracy(report: dict[str, Any], scene: dict[str, Any], predicted: float) -
     said = promise(Scene.from_data(scene), report)
     rows = [
         ("Setting", name if isinstance(name, str) else "own settings"),
-        ("Error promised", said.sentence.removeprefix("Expected error: ")),
+        ("Error promised", promised(said).removeprefix("Expected error: ")),
         ("Time predicted", f"{predicted:.1f} s"),
         ("Time spent", f"{report['seconds']:.1f} s"),
         ("Gaussians", f"{report['gaussians']:,}"),

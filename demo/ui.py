@@ -59,7 +59,7 @@ def build(studio: Studio) -> gr.Blocks:
         results = [viewer, videos, report, takeaway, history]
         _wire_picture(studio, picture, cutout)
         _wire_forecast(studio, cutout, scene, forecast)
-        _wire_run(studio, cutout, done, scene, go, cancel, progress, results)
+        _wire_run(studio, cutout, done, scene, go, cancel, progress, forecast, results)
         takeaway.prepare(
             handlers.prepare, [done, takeaway], takeaway, concurrency_id="export",
             concurrency_limit=2, trigger_mode="multiple", show_progress="hidden",
@@ -103,7 +103,7 @@ def _scene() -> gr.HTML:
 
 def _go() -> tuple[gr.HTML, gr.Button, gr.Button]:
     with gr.Column(elem_id="go-panel"):
-        forecast = gr.HTML("", elem_id="forecast", apply_default_css=False)
+        forecast = panels.forecast()
         with gr.Row(elem_id="go-row"):
             go = gr.Button("Generate", variant="primary", elem_id="go", scale=3)
             cancel = gr.Button("Cancel", elem_id="cancel", visible=False, scale=1, min_width=96)
@@ -138,12 +138,13 @@ def _wire_forecast(studio: Studio, cutout: Any, scene: Any, forecast: Any) -> No
 
 def _wire_run(
     studio: Studio, cutout: Any, done: Any, scene: Any, go: Any, cancel: Any, progress: Any,
-    results: list[Any],
+    forecast: Any, results: list[Any],
 ) -> None:  # fmt: skip
     start, started = handlers.starter(studio), [progress, go, cancel]
     for again in (go.click, progress.again):
         again(start, [cutout, scene], started, **QUIET)
+    forecast.measure(handlers.measurer(studio), [cutout, scene], started, **QUIET)
     cancel.click(handlers.stopper(studio), None, None, **QUIET)
-    finish, shown = handlers.finisher(studio), [done, go, cancel, *results]
-    progress.finished(finish, None, shown, **QUIET)
-    results[-1].show(finish, None, shown, **QUIET)
+    finish, shown = handlers.finisher(studio), [forecast, done, go, cancel, *results]
+    progress.finished(finish, [cutout, scene], shown, **QUIET)
+    results[-1].show(finish, [cutout, scene], shown, **QUIET)

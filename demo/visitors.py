@@ -8,6 +8,7 @@ when something it depends on has changed:
     gaussians/KEY.safetensors     cut-out, generator, seed
     clips/KEY/                    Gaussians and the scene without its view
     films/KEY/                    clip and view
+    studies/KEY.json              Gaussians and the scene without its view and grid
 
 A folder is kept while its visitor gives signs of life, which an open page does every minute, and
 for a time of grace after the last one. It then goes with everything that is in it.
@@ -33,7 +34,7 @@ from phy124.errors import InputError
 if TYPE_CHECKING:
     from demo.line import Job
 
-STAGES = ("cutouts", "gaussians", "clips", "films")
+STAGES = ("cutouts", "gaussians", "clips", "films", "studies")
 UPLOADS = 8
 """Pictures kept of one visitor."""
 AWAY = 150.0

@@ -13,9 +13,10 @@ from phy124.accuracy import study as study_of
 from phy124.accuracy.convergence import Convergence
 from phy124.accuracy.difference import difference
 from phy124.accuracy.promises import Promise
-from phy124.accuracy.study import Report, Row, Study, kept_promises, recommend
+from phy124.accuracy.study import Report, Row, Study, error_on, kept_promises, recommend
 from phy124.clip import Clip
 from phy124.scene import Scene
+from phy124.simulation import Stopped
 from phy124.tearing import Tearing
 
 LEVELS = (8, 12, 16)
@@ -82,6 +83,38 @@ def test_levels_with_too_few_particles_are_skipped_and_said():
     report = Study(ball(300), scene, levels=(12,)).run()
     assert not report.rows
     assert re.match(r"D/12 is skipped: 1\.0 particles per cell and axis", report.skipped[0])
+
+
+def test_levels_alone_are_run_where_nothing_else_is_asked():
+    scene = Scene.named("drop").replaced({"time.frames": 3, "view.size": 32, "binding": "field"})
+    told = []
+    report = Study(
+        ball(300), scene, levels=(8, 10), thorough=False, progress=lambda *at: told.append(at)
+    ).run()
+    assert [row.name for row in report.rows] == ["D/8", "D/10"]
+    assert all(row.predicted is None and row.from_finest is None for row in report.rows)
+    assert told.count(("study", 1, 2)) > report.rows[1].substeps / 2, "also while it runs"
+
+
+def test_a_level_that_is_stopped_is_left_out():
+    scene = Scene.named("drop").replaced({"time.frames": 3, "view.size": 32, "binding": "field"})
+
+    def progress(_: str, done: int, total: int) -> None:
+        if done == 1:
+            raise Stopped("the time is up")
+
+    report = Study(ball(300), scene, levels=(8, 10), thorough=False, progress=progress).run()
+    assert [row.name for row in report.rows] == ["D/8"]
+    assert report.skipped == ("D/10 is left out: the time is up",)
+
+
+def test_the_error_on_any_grid_follows_from_those_that_were_run():
+    errors = {12: 0.08, 16: 0.06, 24: 0.04}
+    assert error_on(16, errors, 1.0) == error_on(20, errors, 1.0) == 0.06
+    assert error_on(48, errors, 1.0) == pytest.approx(0.02)
+    assert error_on(48, errors, 9.0) == pytest.approx(0.01), "no higher order is trusted"
+    assert error_on(48, errors, None) == 0.04
+    assert error_on(8, errors, 1.0) is None and error_on(8, {}, 1.0) is None
 
 
 def test_a_level_that_may_be_torn_is_said():

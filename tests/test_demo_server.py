@@ -124,9 +124,21 @@ def test_generate_then_render_then_evaluate(client):
     assert len(figures["motion"]["smallest_J"]) == 2
 
 
+def test_the_error_of_a_scene_is_measured_by_name(client):
+    from gradio_client import handle_file
+
+    scene = {"preset": "drop", "accuracy": "fine", "frames": 2, "changes": {"binding": "field"}}
+    error, said, levels = client.predict(handle_file(str(DUCK)), **scene, api_name="/measure")
+    assert 0 < error < 1 and f"{error:.1%}" in said
+    assert [level["cells"] for level in levels] == [12, 16, 24]
+    assert all({"name", "seconds", "error", "torn"} <= set(level) for level in levels)
+    told = client.view_api(return_format="dict")["named_endpoints"]["/measure"]
+    assert [value["label"] for value in told["returns"]] == ["error", "sentence", "levels"]
+
+
 def test_endpoints_have_typed_arguments(client):
     described = client.view_api(print_info=False, return_format="dict")["named_endpoints"]
-    assert set(described) == {"/generate", "/render", "/evaluate"}
+    assert set(described) == {"/generate", "/render", "/evaluate", "/measure"}
     kinds = {
         p["parameter_name"]: p["python_type"]["type"] for p in described["/generate"]["parameters"]
     }

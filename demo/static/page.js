@@ -85,6 +85,15 @@
     setTimeout(() => context.close(), 1500);
   }
 
+  /* ---- the forecast, and its button that measures the error of the scene ------------------- */
+
+  function forecast(element, trigger) {
+    element.addEventListener('click', (event) => {
+      // While something runs it does nothing, as Generate.
+      if (event.target.closest('[data-measure]') && !document.querySelector('#go').disabled) trigger('measure');
+    });
+  }
+
   /* ---- progress: stages with bars, and the run so far as a flip-book ----------------------- */
 
   function progress(element, props, watch, trigger) {
@@ -107,7 +116,7 @@
       Object.assign(this, { job: value.job, frames: [], shown: 0 });
       this.draw(value);
       this.element.scrollIntoView({ block: 'nearest', behavior: calm() ? 'auto' : 'smooth' });
-      globalThis.Phy124.live.begin();
+      if (value.kind !== 'measure') globalThis.Phy124.live.begin();
       follow(value.job, (told) => this.take(value.job, told), (told) => this.end(told));
     }
 
@@ -334,5 +343,5 @@
     show();
   }
 
-  globalThis.Phy124 = Object.assign(globalThis.Phy124 || {}, { h, calm, moving, follow, announce, sounds, live, progress, viewer, history, videos, takeaway });
+  globalThis.Phy124 = Object.assign(globalThis.Phy124 || {}, { h, calm, moving, follow, announce, sounds, live, forecast, progress, viewer, history, videos, takeaway });
 })();

@@ -1,5 +1,7 @@
 """The work behind one click: cut-out -> Gaussians -> clip -> films, each stage only if needed.
 
+Or cut-out -> Gaussians -> the error of the scene, for an order that names grids.
+
 `steps` runs it in a thread and yields what happens; it ends early, with `Cancelled`, within one
 substep or drawn frame of the wish to stop. Everything in an `Order` and every event can be
 pickled, because on ZeroGPU all of this runs in a forked process.
@@ -24,18 +26,22 @@ from demo.work.order import (
     Event,
     Glimpse,
     Live,
+    Measured,
     Order,
     Reused,
     Step,
     folders,
     made_already,
     made_gaussians,
+    study_file,
 )
+from demo.work.study import measure
 from phy124.stopwatch import Stopwatch
 
 __all__ = [
-    "BEAT", "DEVICE", "Done", "Event", "Glimpse", "Limits", "Live", "Order", "Reused", "Step",
-    "device_named", "easier", "folders", "made_already", "made_gaussians", "steps",
+    "BEAT", "DEVICE", "Done", "Event", "Glimpse", "Limits", "Live", "Measured", "Order",
+    "Reused", "Step", "device_named", "easier", "folders", "made_already", "made_gaussians",
+    "steps", "study_file",
     "whole_in_view",
 ]  # fmt: skip
 
@@ -60,7 +66,7 @@ def steps(order: Order) -> Iterator[Event | None]:
             if isinstance(event, BaseException):
                 raise event
             yield event
-            if isinstance(event, Done):
+            if isinstance(event, Done | Measured):
                 return
     except GeneratorExit:
         order.stop.touch()
@@ -72,7 +78,8 @@ def _run(order: Order, events: queue.SimpleQueue[Any]) -> None:
     try:
         order = replace(order, device=device_named(order.device))
         with held(order):
-            last = _produce(order, Limits(order, events.put))
+            produce = measure if order.levels else _produce
+            last = produce(order, Limits(order, events.put))
     except BaseException as error:
         last = error
     order.stop.unlink(missing_ok=True)

@@ -10,6 +10,9 @@ from demo.forecast import GAUSSIANS
 from demo.visitors import key
 from phy124.scene import Scene
 
+VIEWED = ("view", "accuracy", "description")
+"""What the error of a scene's motion does not depend on, or what it is told for."""
+
 
 @dataclass(frozen=True)
 class Order:
@@ -31,6 +34,8 @@ class Order:
     device: str = "auto"
     about: tuple[tuple[str, str], ...] = ()
     """More for the report."""
+    levels: tuple[int, ...] = ()
+    """Grids on which to measure the scene's error instead of filming it."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +79,15 @@ class Done:
     """Folder of the videos, the player's pack and the report."""
 
 
-Event = Step | Glimpse | Live | Reused | Done
+@dataclass(frozen=True)
+class Measured:
+    """The error of the scene is known."""
+
+    study: Path
+    """File of a `demo.studies.Measurement`."""
+
+
+Event = Step | Glimpse | Live | Reused | Done | Measured
 Tell = Callable[[Event], None]
 
 
@@ -96,3 +109,11 @@ def made_gaussians(order: Order) -> Path:
     """Where the Gaussians of an order lie once they have been made."""
     made = key(order.cutout.read_bytes(), order.generator, order.gaussians, order.scene.seed)
     return order.folder / "gaussians" / f"{made}.safetensors"
+
+
+def study_file(order: Order) -> Path:
+    """Where the error of an order's scene lies once it has been measured, for any grid."""
+    physics = {name: value for name, value in order.scene.data().items() if name not in VIEWED}
+    kept = order.scene.resolution.model_dump(mode="json", exclude={"cells", "precision"})
+    name = key(made_gaussians(order).name, physics, kept)
+    return order.folder / "studies" / f"{name}.json"

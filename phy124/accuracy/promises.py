@@ -42,10 +42,16 @@ class Promise:
     """RMS distance of the Gaussians from the exact motion over the clip, in object sizes."""
     why: str
     """Where the number comes from, or why there is none: a sentence."""
+    unmeasured: str = ""
+    """The kind of scene that was not measured, if that is why there is none."""
+    own: bool = False
+    """Whether it was measured on this very scene."""
 
     @property
     def sentence(self) -> str:
         """For people."""
+        if self.own and self.error is not None:
+            return f"Error of this very scene: about {self.error:.1%} of its size. {self.why}"
         if self.error is None:
             return f"Expected error: {self.why}"
         return f"Expected error: at most {self.error:.1%} of the object's size. {self.why}"
@@ -127,7 +133,7 @@ def _vector(force: Any) -> tuple[float, ...]:
 
 
 def _unknown(what: str) -> Promise:
-    return Promise(None, f"not measured for {what}; `{STUDY}` measures it.")
+    return Promise(None, f"not measured for {what}; `{STUDY}` measures it.", unmeasured=what)
 
 
 def _broken(report: Mapping[str, Any]) -> str:

@@ -8,13 +8,14 @@ closer to each other, there is no number: "not converging".
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from phy124.accuracy.convergence import Convergence, distances, richardson
+from phy124.accuracy.convergence import TRUSTED, Convergence, distances, richardson
 from phy124.accuracy.difference import Difference, difference
 from phy124.accuracy.forecast import Forecaster, pixels_per_size
 from phy124.accuracy.promises import promise
@@ -23,7 +24,7 @@ from phy124.gaussians import Gaussians
 from phy124.parts import WHOLE, Crop
 from phy124.progress import Progress, silent
 from phy124.scene import PRESETS, Accuracy, Scene
-from phy124.simulation import Simulation
+from phy124.simulation import Simulation, Stopped
 from phy124.watchdog import Balance, weigh
 
 LEVELS = (16, 24, 32, 48)
@@ -51,8 +52,8 @@ class Row:
     ppc: float
     """Median particles per cell and axis where there are any."""
     substeps: int
-    predicted: float
-    """Seconds of simulation and shapes as forecast."""
+    predicted: float | None
+    """Seconds of simulation and shapes as forecast; None where nothing was."""
     seconds: float
     """Seconds of simulation and shapes as measured."""
     limiters: dict[str, float]
@@ -105,17 +106,25 @@ class Study:
     levels: tuple[int, ...] = LEVELS
     crop: Crop = WHOLE
     progress: Progress = silent
+    """Told ("study", setting, settings), also in the middle of a setting; may raise Cancelled, or
+    Stopped, which leaves this setting out."""
+    thorough: bool = True
+    """Also vary the other settings, forecast each and compare videos: some three times as long."""
     told: Callable[[Row], None] = lambda row: None
     """Called with each setting as it is done, before errors are known."""
     clips: dict[str, Clip] = field(default_factory=dict, repr=False)
 
     def run(self) -> Report:
-        """All settings; raises InputError, Cancelled or, where nothing ran, Stopped."""
+        """All settings; raises InputError or Cancelled."""
         rows, skipped = [], []
         plan = list(self._plan())
         for number, (name, scene) in enumerate(plan):
-            self.progress("study", number, len(plan))
-            row, reason = self._row(name, scene)
+            still = partial(self._still, number, len(plan))
+            try:
+                still()
+                row, reason = self._row(name, scene, still)
+            except Stopped as stop:
+                row, reason = None, f"{name} is left out: {stop}"
             if reason:
                 skipped.append(reason)
             if row:
@@ -124,11 +133,17 @@ class Study:
         self.progress("study", len(plan), len(plan))
         return self._judged(rows, tuple(skipped))
 
+    def _still(self, number: int, count: int, *_: object) -> None:
+        """In the middle of a setting."""
+        self.progress("study", number, count)
+
     def _plan(self) -> Iterator[tuple[str, Scene]]:
         """Every setting by name: the levels, then one thing varied at a time."""
         base = self.scene.resolution
         for cells in self.levels:
             yield f"D/{cells}", self._with(base.model_copy(update={"cells": cells}))
+        if not self.thorough:
+            return
         middle = base.model_copy(update={"cells": min(VARIED, max(self.levels))})
         here = f"at D/{middle.cells}"
         yield (
@@ -146,16 +161,18 @@ class Study:
         checks = self.scene.checks.model_copy(update={"balance": True})
         return self.scene.model_copy(update={"accuracy": accuracy, "checks": checks})
 
-    def _row(self, name: str, scene: Scene) -> tuple[Row | None, str]:
+    def _row(self, name: str, scene: Scene, progress: Progress) -> tuple[Row | None, str]:
         """Run one setting: its row, or why there is none, or why to doubt it."""
-        simulation = Simulation(self.gaussians, scene, device=self.device, crop=self.crop)
+        simulation = Simulation(
+            self.gaussians, scene, device=self.device, crop=self.crop, progress=progress
+        )
         ppc = _particles_per_axis(simulation)
         if ppc < LEAST_PPC:
             return None, (
                 f"{name} is skipped: {ppc:.1f} particles per cell and axis are fewer than "
                 f"{LEAST_PPC}, so a finer grid would be less accurate."
             )
-        forecast = Forecaster(self.device).of(simulation, filming=False)
+        predicted = self._predicted(simulation) if self.thorough else None
         before = weigh(simulation.solver)
         clip = simulation.run()
         if not clip.report["complete"]:
@@ -173,13 +190,17 @@ class Study:
             particles=len(simulation.particles),
             ppc=ppc,
             substeps=solver.substeps,
-            predicted=forecast.stages["simulate"] + forecast.stages["deform"],
+            predicted=predicted,
             seconds=seconds["simulate"] + seconds["deform"],
             limiters={key: count / sum(counts.values()) for key, count in counts.items()},
             energy_lost=-clip.report["balance"]["energy_gain"],
             angular_momentum_lost=_momentum_lost(scene, before, weigh(solver)),
             torn=torn,
         ), f"{name}: {torn}" if torn else ""
+
+    def _predicted(self, simulation: Simulation) -> float:
+        forecast = Forecaster(self.device).of(simulation, filming=False)
+        return forecast.stages["simulate"] + forecast.stages["deform"]
 
     def _judged(self, rows: list[Row], skipped: tuple[str, ...]) -> Report:
         """Add errors against the finest whole level and say what follows; torn ones say nothing."""
@@ -217,7 +238,7 @@ class Study:
         shrink = min(1.0, SIZE / max(view.size))
         small = view.model_copy(update={"size": tuple(round(side * shrink) for side in view.size)})
         apart = None
-        if clip is not levels[-1]:
+        if clip is not levels[-1] and self.thorough:
             apart = difference(clip, levels[-1], small, device=self.device)
             apart = replace(apart, pixels=apart.pixels / shrink)
         each = [distances([clip.means, level.means])[0, 1] / size for level in levels]
@@ -235,6 +256,21 @@ def _without_torn(rows: list[Row], found: Convergence) -> Convergence:
     if not torn or not found.why_not:
         return found
     return replace(found, why_not=f"{found.why_not} ({torn} may be torn and do not count)")
+
+
+def error_on(cells: int, errors: Mapping[int, float], order: float | None) -> float | None:
+    """Error on some grid from those of a study's levels by their cells.
+
+    Between levels it is that of the coarser one; beyond the finest it falls with the order that was
+    observed (held to what is trusted), or not at all where there is none. None on coarser grids.
+    """
+    within = [level for level in errors if level <= cells]
+    if not within:
+        return None
+    nearest = max(within)
+    if order is None or nearest < max(errors):
+        return errors[nearest]
+    return errors[nearest] * (nearest / cells) ** min(max(order, TRUSTED[0]), TRUSTED[1])
 
 
 def recommend(rows: tuple[Row, ...], found: Convergence) -> str:

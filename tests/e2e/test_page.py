@@ -204,6 +204,31 @@ def _check_files(folder: Path) -> None:
     assert not re.search(r'(?:src|href)="', page), "the exported player asks for other files"
 
 
+def test_the_error_of_a_scene_is_measured_on_request(browser, server):
+    visit = Visit(browser, server)
+    page = visit.page
+    visit.upload()
+    visit.choose(frames=14)
+    assert page.locator("[data-measure]").count() == 0, "of such scenes it is known"
+    page.get_by_label("Frames", exact=True).fill("40")
+    page.locator("[data-measure]").click()
+    page.locator("#progress").get_by_text("Grids").wait_for(timeout=LONG)
+    page.locator("#cancel").click()
+    page.get_by_text("Stopped.").first.wait_for(timeout=LONG)
+    visit.choose(frames=18)
+    page.locator("[data-measure]").click()
+    page.locator("#progress").get_by_text("Grids").wait_for(timeout=LONG)
+    page.reload()
+    page.locator("#forecast .measured").get_by_text("Measured: about").wait_for(timeout=LONG)
+    shown = page.locator("#forecast").text_content()
+    assert "What accuracy cost here" in shown and "D/24" in shown
+    assert page.locator("[data-measure]").count() == 0
+    visit.generate()
+    visit.finished()
+    assert visit.complaints == []
+    visit.context.close()
+
+
 def test_cancel_frees_the_device_and_the_next_job_runs(browser, server):
     visit = Visit(browser, server)
     visit.upload()

@@ -1,0 +1,111 @@
+"""What was measured on a visitor's own scene: the error of each grid, and what it took."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+
+from pydantic import BaseModel, ConfigDict
+
+from phy124.accuracy.promises import Promise
+from phy124.accuracy.study import Report, error_on
+from phy124.scene import Scene
+
+GRIDS = (12, 16, 24)
+"""Cells across the object of the grids that are run."""
+
+
+class Level(BaseModel):
+    """One grid."""
+
+    model_config = ConfigDict(frozen=True)
+
+    cells: int
+    seconds: float
+    """Simulation and shapes."""
+    error: float | None
+    """Share of the object's size; None where the grids do not converge or this one is torn."""
+    torn: bool
+
+    @property
+    def name(self) -> str:
+        """As the table has it."""
+        return f"D/{self.cells}"
+
+
+class Measurement(BaseModel):
+    """What the grids say about a scene, whatever its own grid is."""
+
+    model_config = ConfigDict(frozen=True)
+
+    levels: tuple[Level, ...]
+    order: float | None
+    why_not: str
+    """Why there are no errors."""
+    skipped: tuple[str, ...]
+
+    @classmethod
+    def of(cls, report: Report) -> Measurement:
+        """What is kept of a study."""
+        levels = tuple(
+            Level(cells=row.cells, seconds=row.seconds, error=row.error, torn=bool(row.torn))
+            for row in report.rows
+        )
+        found = report.convergence
+        return cls(levels=levels, order=found.order, why_not=found.why_not, skipped=report.skipped)
+
+    def promise(self, cells: int) -> Promise:
+        """The error on some grid; nothing is promised where any grid may be torn."""
+        torn = [level.name for level in self.levels if level.torn]
+        if torn:
+            on = _listed(torn)
+            return Promise(None, f"none can be promised: on {on} the grid may tear the material.")
+        errors = {level.cells: level.error for level in self.levels if level.error is not None}
+        error = error_on(cells, errors, self.order)
+        if error is None:
+            why = ". ".join([self.why_not or "no grid so coarse was measured", *self.skipped])
+            return Promise(None, f"none can be promised: {why.rstrip('.')}.")
+        return Promise(error, _origin(cells, sorted(errors)), own=True)
+
+    def table(self) -> str:
+        """Grid, seconds and error, as HTML."""
+        rows = [
+            f"<tr><td>{level.name}</td><td>{level.seconds:.1f} s</td><td>{_off(level)}</td></tr>"
+            for level in self.levels
+        ]
+        return f'<table class="stops">{"".join(rows)}</table>'
+
+    def rows(self) -> list[dict[str, float | str | bool | None]]:
+        """Grid, seconds and error, for programs."""
+        return [{"name": level.name, **level.model_dump()} for level in self.levels]
+
+
+def grids(scene: Scene) -> tuple[int, ...]:
+    """The grids to run for a scene: its own is among them if it is no finer than the others."""
+    own = scene.resolution.cells
+    return tuple(sorted({*GRIDS, own} if own < GRIDS[-1] else GRIDS))
+
+
+def on_grid(scene: Scene, cells: int) -> Scene:
+    """The scene on another grid; digits do not change its error (docs/accuracy.md)."""
+    accuracy = scene.resolution.model_copy(update={"cells": cells, "precision": "float32"})
+    return scene.model_copy(update={"accuracy": accuracy})
+
+
+def _origin(cells: int, known: Sequence[int]) -> str:
+    measured = _listed([f"D/{n}" for n in known])
+    if cells > known[-1]:
+        return f"Extrapolated to D/{cells} from {measured}."
+    nearest = max(n for n in known if n <= cells)
+    return f"Measured on {measured}." if nearest == cells else f"Measured on D/{nearest}."
+
+
+def _off(level: Level) -> str:
+    if level.torn:
+        return "may be torn"
+    return "no error" if level.error is None else f"off by about {level.error:.1%}"
+
+
+def _listed(names: Sequence[str]) -> str:
+    first, last = names[:-1], names[-1]
+    return escape(f"{', '.join(first)} and {last}" if first else last)

@@ -1,0 +1,57 @@
+"""From a cut-out to the error of its scene: the same motion on a few coarse grids."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from PIL import Image
+
+from demo.studies import Measurement, on_grid
+from demo.work.limits import SIMULATING, Limits, easier
+from demo.work.motion import gaussians_of
+from demo.work.order import Measured, Order, Reused, Step, made_gaussians, study_file
+from phy124.accuracy.study import Study
+from phy124.errors import InputError
+from phy124.files import replacing
+from phy124.parts import crop_of
+
+
+def measure(order: Order, limits: Limits) -> Measured:
+    """Run a scene on the grids of an order; raises InputError if too few were run in time."""
+    path = study_file(order)
+    if path.exists():
+        limits.tell(Reused("generate"))
+        limits.tell(Reused("measure"))
+        return Measured(path)
+    gaussians = gaussians_of(order, made_gaussians(order), limits.tell)
+    with Image.open(order.cutout) as cutout:
+        crop = crop_of(cutout)
+
+    def progress(_: str, done: int, total: int) -> None:
+        note = f"D/{order.levels[done]}" if done < total else ""
+        event = Step("measure", done, total, note)
+        limits.simulated(event) if done < total else limits.tell(event)
+
+    scene = on_grid(order.scene, order.levels[0])
+    study = Study(
+        gaussians, scene, order.device, order.levels, crop, progress=progress, thorough=False
+    )
+    found = Measurement.of(study.run())
+    if limits.spent > SIMULATING and len(found.levels) < len(order.levels):
+        raise _too_late(order)
+    _keep(found, path)
+    return Measured(path)
+
+
+def _keep(found: Measurement, path: Path) -> None:
+    with replacing(path) as temporary:
+        Path(temporary).write_text(found.model_dump_json(), "utf-8")
+
+
+def _too_late(order: Order) -> InputError:
+    return InputError(
+        "time",
+        "over",
+        f"The {order.seconds:.0f} s of one run were nearly over before all grids were measured.",
+        easier(order.scene.model_copy(update={"accuracy": "draft"})),
+    )

@@ -1,0 +1,151 @@
+"""The error of a visitor's own scene: measured as a job like a run, kept, and told."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from test_demo_work import order
+
+from demo import handlers
+from demo.forecast import promise_of
+from demo.jobs import Studio, read_study
+from demo.settings import Settings
+from demo.studies import GRIDS, Level, Measurement, grids
+from demo.visitors import Visitors
+from demo.work import DEVICE, Limits, Measured, Reused, Step, steps, study_file
+from phy124.errors import Cancelled, InputError
+from phy124.scene import Scene
+from phy124.tearing import Tearing
+
+__all__ = ["order"]
+DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"
+QUICK = {"time.frames": 3, "binding": "field", "accuracy": {"cells": 32}}
+
+
+def _found(*errors: float | None, torn: int = 0, rate: float | None = 1.0) -> Measurement:
+    levels = tuple(
+        Level(cells=cells, seconds=cells / 10, error=error, torn=cells == torn)
+        for cells, error in zip(GRIDS, errors, strict=True)
+    )
+    why = "" if any(errors) else "not converging: finer grids do not come closer"
+    return Measurement(levels=levels, order=rate, why_not=why, skipped=())
+
+
+def test_the_error_is_told_for_the_chosen_grid():
+    found = _found(0.08, 0.06, 0.04)
+    for cells, error, why in (
+        (16, 0.06, "Measured on D/12, D/16 and D/24."),
+        (20, 0.06, "Measured on D/16."),
+        (48, 0.02, "Extrapolated to D/48 from D/12, D/16 and D/24."),
+    ):
+        said = found.promise(cells)
+        assert said.error == pytest.approx(error) and said.why == why
+    assert found.promise(16).sentence.startswith("Error of this very scene: about 6.0% of its size")
+    assert "no grid so coarse was measured" in found.promise(8).sentence
+
+
+def test_nothing_is_promised_where_a_grid_is_torn_or_none_come_closer():
+    torn = _found(0.08, 0.06, None, torn=24)
+    assert all(torn.promise(cells).error is None for cells in (12, 16, 24, 32))
+    assert "on D/24 the grid may tear the material" in torn.promise(16).sentence
+    assert "may be torn" in torn.table()
+    lost = _found(None, None, None, rate=None)
+    assert "none can be promised: not converging" in lost.promise(24).sentence
+
+
+def test_a_scene_on_a_coarse_grid_is_measured_there_too():
+    press = Scene.named("press")
+    assert grids(press) == GRIDS
+    assert grids(press.replaced({"accuracy": {"cells": 20}})) == (12, 16, 20, 24)
+
+
+@pytest.fixture
+def study(order):
+    scene = order.scene.replaced(QUICK)
+    return replace(order, scene=scene, levels=(8, 10, 12))
+
+
+def test_grids_are_run_once_and_serve_every_accuracy_and_view(study):
+    events = [event for event in steps(study) if event is not None]
+    assert {e.stage for e in events if isinstance(e, Step)} == {"generate", "measure"}
+    assert events[-1] == Measured(study_file(study))
+    found = read_study(study_file(study))
+    assert [level.cells for level in found.levels] == [8, 10, 12]
+    assert all(level.seconds > 0 for level in found.levels)
+    finer = study.scene.replaced({"accuracy": "fine", "view.elevation": 40.0})
+    again = [event for event in steps(replace(study, scene=finer)) if event is not None]
+    assert again == [Reused("generate"), Reused("measure"), events[-1]]
+    other = study.scene.replaced({"material.E": 1e4})
+    assert study_file(replace(study, scene=other)) != study_file(study)
+
+
+def test_a_study_is_stopped_in_the_middle_of_a_grid(study):
+    many = replace(study, scene=study.scene.replaced({"time.frames": 500}))
+    events = steps(many)
+    next(event for event in events if isinstance(event, Step) and event.stage == "measure")
+    many.stop.touch()
+    with pytest.raises(Cancelled):
+        list(events)
+    assert not DEVICE.locked() and not study_file(many).exists()
+
+
+def test_a_study_whose_time_is_up_says_so_and_keeps_nothing(study, monkeypatch):
+    monkeypatch.setattr(Limits, "spent", property(lambda limits: 0.9))
+    with pytest.raises(InputError, match="before all grids were measured"):
+        list(steps(study))
+    assert not study_file(study).exists()
+
+
+def test_torn_grids_are_kept_as_such(study, monkeypatch):
+    monkeypatch.setattr(Tearing, "likely", property(lambda self: True))
+    list(steps(study))
+    found = read_study(study_file(study))
+    assert all(level.torn and level.error is None for level in found.levels)
+    assert promise_of(study.scene, found).error is None
+
+
+@pytest.fixture
+def visit(tmp_path):
+    """A studio, a visitor's cut-out, and a scene of which nothing was measured."""
+    studio = Studio(Settings(gaussians=1000, device="cpu"), Visitors(tmp_path))
+    studio.visitors.get("a")
+    cut = studio.cut("a", str(studio.visitors.store("a", DUCK.read_bytes(), ".png")))
+    assert cut.wait(60)
+    scene = Scene.named("drop").replaced({"material.law": "hencky", "time.frames": 2})
+    return studio, cut.progress.result.path, scene.data()
+
+
+def test_measuring_is_offered_where_nothing_was_measured_and_then_told(visit):
+    studio, cutout, data = visit
+
+    def shown(data):
+        text = studio.forecast("a", cutout, data)
+        return handlers.with_stops(studio, "a", cutout, data, text)
+
+    assert "data-measure" not in shown(Scene.named("drop").data())
+    before = shown(data)
+    assert "data-measure>Measure</button> takes about" in before
+    assert "phy124 accuracy" not in before, "a visitor has no command line"
+    jobs = [studio.measure("a", cutout, data) for _ in range(2)]
+    for job in jobs:
+        assert job.wait(300) and job.progress.state == "done", job.progress.message
+        assert [row["name"] for row in job.progress.data()["stages"]] == ["Picture to 3D", "Grids"]
+    assert "measure" in jobs[1].progress.reused, "a second click measures nothing again"
+    after = shown(data)
+    assert "data-measure" not in after and "Measured: about" in after
+    assert all(f"<td>D/{cells}</td>" in after for cells in GRIDS)
+    assert "error not measured" not in after
+
+
+def test_what_cannot_be_measured_is_refused(visit):
+    studio, cutout, data = visit
+    with pytest.raises(InputError, match="no picture yet"):
+        studio.measure("a", None, data)
+    stiff = {**data, "material": {**data["material"], "E": 1e12}}
+    with pytest.raises(InputError, match="would take about"):
+        studio.measure("a", cutout, stiff)
+    few = Studio(Settings(max_particles=1000), studio.visitors)
+    with pytest.raises(InputError, match="at most 1,000"):
+        few.measure("a", cutout, data)
