@@ -56,6 +56,7 @@ class Record:
         self.simulated.check()
         if self.simulated.live:
             run = LiveRun(self.source, self.simulated)
+            run.prepare()
             self._record(say, run, len(run), run.scene.data(), run.report)
             return _status(run)
         clip = opened(self.source)
@@ -139,6 +140,7 @@ class Play:
             limit = "There is no such choice while the simulation runs."
             raise InputError(asked[0], getattr(self, asked[0]), limit, "Leave it out.")
         run = LiveRun(self.source, self.simulated)
+        run.prepare()
         about = {"scene": run.scene.data(), "report": run.report}
         with self._outlets(say, None, **about) as (sink, records):
             frames = tqdm(run, "simulate", len(run), leave=False, disable=None)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
@@ -12,12 +13,11 @@ from phy124.clip import Clip
 from phy124.errors import InputError
 from phy124.gaussians import Frame
 
+from .listener import Listener
 from .player import Player, checked_speed
-from .sinks import LiveSink, Sink
+from .sinks import LONGEST_WAIT, LiveSink, Sink
 
 Clock = Callable[[], float]
-LONGEST_WAIT = 0.2
-"""Seconds after which a waiting sink is asked again, so that Ctrl-C is heard."""
 REPORT_EVERY = 5.0
 """Seconds between two warnings about dropped frames."""
 WORDS = ("play", "pause", "toggle", "next", "restart")
@@ -71,7 +71,8 @@ def follow(
     """Send each frame of a running simulation as soon as it is computed, never too early.
 
     A simulation faster than `speed` is held to it. While paused no frame is asked for, so the
-    simulation itself rests. Seeking and restarting need a finished clip and are refused.
+    simulation itself rests; a frame that is being computed is finished before. The sink is
+    listened to all the time. Seeking and restarting need a finished clip and are refused.
     """
     pacer = Pacer(speed, clock)
 
@@ -81,13 +82,14 @@ def follow(
         return refusal
 
     sink.show(pacer)
-    for frame in frames:
-        sink.listen(0.0, obey)
-        while (wait := pacer.wait(frame.time)) > 0:
-            sink.listen(min(wait, LONGEST_WAIT), obey)
-        pacer.note(frame)
-        for each in (sink, *records):
-            each.write(frame)
+    with Listener(sink, obey) as listener:
+        for frame in frames:
+            listener.check()
+            while (wait := pacer.wait(frame.time)) > 0:
+                listener.wait(wait)
+            pacer.note(frame)
+            for each in (sink, *records):
+                each.write(frame)
     pacer.finished = True
     sink.show(pacer)
 
@@ -110,7 +112,7 @@ def command(player: Player, text: str, now: float) -> None:
 
 
 class Pacer:
-    """When a frame of a running simulation may be shown."""
+    """When a frame of a running simulation may be shown; commands may come from any thread."""
 
     rate: float | None = None
     loop, dropped = False, 0
@@ -122,10 +124,14 @@ class Pacer:
         self.shown, self.position = 0, 0.0
         self._clock = clock
         self._anchor: tuple[float, float] | None = None  # clock reading, clip time
+        self._lock = threading.Lock()
 
     def wait(self, time: float) -> float:
         """Seconds until the frame of `time` s may be shown; infinite while paused."""
-        now = self._clock()
+        with self._lock:
+            return self._wait(time, self._clock())
+
+    def _wait(self, time: float, now: float) -> float:
         if self.paused:
             # The next frame is due at once when playing goes on.
             self._anchor = None
@@ -152,8 +158,9 @@ class Pacer:
         if word in ("play", "pause", "toggle") and not values:
             self.paused = not self.paused if word == "toggle" else word == "pause"
         elif word == "speed":
-            self.speed = checked_speed(_number(text, values))
-            self._anchor = None
+            speed = checked_speed(_number(text, values))
+            with self._lock:
+                self.speed, self._anchor = speed, None
         else:
             limit = "While the simulation runs there are only play, pause, toggle and speed FACTOR."
             raise InputError("command", text, limit, "Play the saved clip for the others.")

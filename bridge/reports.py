@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -64,6 +65,7 @@ class Reports:
         self._due = {"diagnostics": math.inf, "clock": math.inf}
         self._clock = clock
         self._namesakes = 0
+        self._lock = threading.Lock()
         self._before: tuple[float, float, int] | None = None  # clock, stamp, frames in trouble
 
     @property
@@ -72,20 +74,24 @@ class Reports:
         return [STATUS, DIAGNOSTICS, *([CLOCK] if self._clock else [])]
 
     def change(self, playback: Playback) -> None:
-        """Send the status, and begin with the others."""
+        """Send the status and what else is due; the first change begins the others."""
         if self._playback is None:
             self._due["diagnostics"] = self._now()
             self._due["clock"] = self._now() if self._clock else math.inf
         self._playback = playback
         self._publish(STATUS, self._status(OK, self._values(playback)))
+        self.send_due()
 
     def wait(self) -> float:
         """Seconds until the next report is due."""
         return max(min(self._due.values()) - self._now(), 0.0)
 
     def send_due(self) -> None:
-        """Send what is due; call it often."""
-        now = self._now()
+        """Send what is due; call it often, from any thread."""
+        with self._lock:
+            self._send_due(self._now())
+
+    def _send_due(self, now: float) -> None:
         if self._playback is None:
             return
         if now >= self._due["clock"]:

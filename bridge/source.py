@@ -16,9 +16,7 @@ from phy124.progress import Progress, silent
 
 if TYPE_CHECKING:
     from phy124.scene import Scene
-
-
-log = logging.getLogger(__name__)
+    from phy124.simulation import Simulation
 
 log = logging.getLogger(__name__)
 
@@ -56,21 +54,13 @@ class LiveRun:
     """A simulation whose frames are not kept, so it may be longer than memory."""
 
     def __init__(self, source: Path, options: LiveOptions, *, progress: Progress = silent) -> None:
-        """Make the object and its solver; raises InputError."""
-        import warp
-
-        from phy124.commands.options import pick_device
-        from phy124.simulation import Simulation
-
-        # What Warp says while it compiles is no news to a user.
-        warp.config.log_level = warp.LOG_ERROR
+        """Ready to `prepare`; raises InputError for what can be seen at once."""
         self.scene = options.resolve()
-        gaussians = make_object(source, options.generator, self.scene.seed, progress)
-        device = pick_device(options.device)
-        # The sinks have each frame; keeping it would limit the run to what memory holds.
-        self._simulation = Simulation(
-            gaussians, self.scene, device=device, progress=progress, keep=False
-        )
+        if not source.is_file():
+            limit = "There is no such file."
+            raise InputError("source", source, limit, "Give a picture or a 3DGS .ply file.")
+        self._source, self._options, self._progress = source, options, progress
+        self._simulation: Simulation | None = None
         self.stopped: str | None = None
         """Why it ended early, once it did."""
 
@@ -82,13 +72,36 @@ class LiveRun:
         from phy124.simulation import Stopped
 
         try:
-            yield from self._simulation
+            yield from self.prepare()
         except Stopped as stop:
             self.stopped = str(stop)
 
+    def prepare(self) -> Simulation:
+        """Make the object and its solver, unless they are there; raises InputError."""
+        if self._simulation is None:
+            self._simulation = self._made()
+        return self._simulation
+
+    def _made(self) -> Simulation:
+        import warp
+
+        from phy124.commands.options import pick_device
+        from phy124.simulation import Simulation
+        from phy124.startup import start
+
+        start()
+        # What Warp says while it compiles is no news to a user.
+        warp.config.log_level = warp.LOG_ERROR
+        device = pick_device(self._options.device)
+        gaussians = make_object(
+            self._source, self._options.generator, self.scene.seed, self._progress
+        )
+        # The sinks have each frame; keeping it would limit the run to what memory holds.
+        return Simulation(gaussians, self.scene, device=device, progress=self._progress, keep=False)
+
     def report(self) -> dict[str, Any]:
         """What the run did."""
-        report = self._simulation.report()
+        report = self.prepare().report()
         complete = report["complete"] and self.stopped is None
         return {**report, "complete": complete, "stopped": self.stopped}
 
@@ -107,9 +120,6 @@ def make_object(source: Path, generator: str, seed: int, progress: Progress) -> 
     from phy124.cutout import cut_out
     from phy124.isolated import Deadline
 
-    if not source.is_file():
-        limit = "There is no such file."
-        raise InputError("source", source, limit, "Give a picture or a 3DGS .ply file.")
     if source.suffix.lower() == ".ply":
         from phy124.generators.ply_file import PlyFile
 
@@ -117,6 +127,12 @@ def make_object(source: Path, generator: str, seed: int, progress: Progress) -> 
         for sentence in left_out:
             log.warning(sentence)
         return gaussians
+    generate = generators.make(generator)
     deadline = Deadline(beat=partial(progress, "cut out", 0, 1))
     cutout = cut_out(source, deadline=deadline)
-    return generators.make(generator)(cutout.picture, seed=seed, progress=progress)
+    if cutout.warnings:
+        see = f"Look at it with `phy124 cutout {source}`"
+        mend = "--mask there mends it, and what it writes can be given here."
+        for sentence in (*cutout.warnings, f"{see}; {mend}"):
+            log.warning(sentence)
+    return generate(cutout.picture, seed=seed, progress=progress)

@@ -209,6 +209,8 @@ class Publisher:
     def wait_for_all_acked(self, timeout: Any) -> bool:
         self.node.context_must_be_ok("publisher's context is invalid")
         self.waits.append(timeout.seconds)
+        if not self.acked:
+            time.sleep(timeout.seconds)
         return self.acked
 
 

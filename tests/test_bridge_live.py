@@ -1,6 +1,9 @@
 """Playing and following, with a clock that only runs when somebody waits."""
 
 import logging
+import queue
+import threading
+import time
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -136,54 +139,159 @@ def test_records_get_what_is_shown():
     assert record.shown == sink.shown
 
 
-def simulated(clock, clip, seconds_per_frame, made):
-    for frame in clip.frames():
-        clock.now += seconds_per_frame
-        made.append(frame.index)
-        yield frame
+PATIENCE = 20.0
+"""Seconds after which a test that waits gives up."""
+
+
+class Asked:
+    """A sink whose other end asks and waits for the answer, as a service call does."""
+
+    monotonic = True
+
+    def __init__(self):
+        self.requests = queue.Queue()
+        self.shown, self.states = [], []
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        pass
+
+    def ask(self, text):
+        answers = queue.Queue()
+        self.requests.put((text, answers))
+        return answers.get(timeout=PATIENCE)
+
+    def write(self, frame):
+        self.shown.append(frame.index)
+
+    def listen(self, seconds, obey):
+        try:
+            text, answers = self.requests.get(timeout=seconds)
+        except queue.Empty:
+            return
+        answers.put(obey(text))
+
+    def audience(self):
+        return "Asked by the test."
+
+    def show(self, playback):
+        self.states.append((playback.paused, playback.finished, playback.speed))
 
 
 def test_a_subscriber_sees_each_frame_before_the_next_is_computed():
-    clock, made = Clock(), []
-    sink = FakeSink(clock)
-    clip = random_clip(frames=5, fps=10)
-    orders = []
-    write = sink.write
-    sink.write = lambda frame: (orders.append((frame.index, len(made))), write(frame))
-    live.follow(simulated(clock, clip, 1.0, made), sink, clock=clock)
-    assert orders == [(i, i + 1) for i in range(5)]
-    assert [when for when, *_ in sink.shown] == [1, 2, 3, 4, 5]
+    sink, before = Asked(), []
+
+    def simulated():
+        for frame in random_clip(frames=5, fps=1000).frames():
+            before.append([*sink.shown])
+            yield frame
+
+    live.follow(simulated(), sink)
+    assert before == [[], [0], [0, 1], [0, 1, 2], [0, 1, 2, 3]]
+    assert sink.shown == [0, 1, 2, 3, 4]
+    assert sink.states == [(False, False, 1.0), (False, True, 1.0)]
+
+
+def test_commands_are_answered_while_a_frame_is_computed():
+    sink, answers = Asked(), []
+
+    def simulated():
+        for frame in random_clip(frames=3, fps=1000).frames():
+            if frame.index == 1:
+                # Nobody is back in `follow` before these are answered.
+                answers.extend(map(sink.ask, ["pause", "speed 5", "seek 1", "speed 0", "play"]))
+            yield frame
+
+    live.follow(simulated(), sink)
+    assert answers[:2] == [None, None]
+    assert "only play, pause, toggle and speed" in answers[2]
+    assert "The speed must lie between" in answers[3]
+    assert answers[4] is None
+    assert [state[0] for state in sink.states] == [False, True, True, True, True, False, False]
+    assert sink.states[-1] == (False, True, 5.0)
+    assert sink.shown == [0, 1, 2]
+
+
+def test_pause_lets_the_simulation_rest_after_the_frame_in_hand():
+    sink, made, seen = Asked(), [], []
+
+    def simulated():
+        for frame in random_clip(frames=4, fps=1000).frames():
+            made.append(frame.index)
+            if frame.index == 1:
+                sink.ask("pause")
+            yield frame
+
+    def look_and_play():
+        while not sink.states or not sink.states[-1][0]:
+            time.sleep(0.001)
+        for _ in range(3):
+            sink.ask("speed 2")
+            seen.append(([*made], [*sink.shown]))
+        sink.ask("toggle")
+
+    looking = threading.Thread(target=look_and_play, daemon=True)
+    looking.start()
+    live.follow(simulated(), sink)
+    looking.join(PATIENCE)
+    assert seen == [([0, 1], [0])] * 3
+    assert sink.shown == made == [0, 1, 2, 3]
+
+
+def test_what_ends_the_listening_ends_the_show():
+    """ROS that is shut down, for instance; also while the simulation waits."""
+    sink = Asked()
+
+    def listen(seconds, obey):
+        obey("pause")
+        raise KeyboardInterrupt
+
+    sink.listen = listen
+    with pytest.raises(KeyboardInterrupt):
+        live.follow(random_clip(frames=4, fps=0.1).frames(), sink)
+    assert len(sink.shown) < 4
+    assert "listener" not in {thread.name for thread in threading.enumerate()}
+
+
+def test_an_interrupted_simulation_ends_the_listening():
+    def simulated():
+        yield random_clip().frame(0)
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        live.follow(simulated(), Asked())
+    assert "listener" not in {thread.name for thread in threading.enumerate()}
+
+
+def paced(costs, *, fps=10, speed=1.0):
+    """When each frame is shown that takes so long to compute, by a clock of its own."""
+    clock, shown = Clock(), []
+    pacer = live.Pacer(speed, clock)
+    for index, cost in enumerate(costs):
+        clock.now += cost
+        clock.now += pacer.wait(index / fps)
+        shown.append(clock.now - 50)
+    return shown
 
 
 def test_a_fast_simulation_is_held_to_real_time():
-    clock, made = Clock(), []
-    sink = FakeSink(clock)
-    live.follow(simulated(clock, random_clip(frames=5, fps=10), 0.001, made), sink, clock=clock)
-    assert np.allclose([when for when, *_ in sink.shown], np.arange(5) / 10 + 0.001, atol=0.002)
+    assert np.allclose(paced([0.001] * 5), np.arange(5) / 10 + 0.001)
+    assert np.allclose(paced([0.001] * 5, speed=4), np.arange(5) / 40 + 0.001)
 
 
 def test_after_a_slow_stretch_frames_are_not_rushed():
+    shown = paced([0.0, 0.0, 2.0, 0.0, 0.0, 0.0])
+    assert np.allclose(np.diff(shown), [0.1, 2.0, 0.1, 0.1, 0.1])
+
+
+def test_a_change_of_speed_does_not_jump():
     clock = Clock()
-    sink = FakeSink(clock)
-    clip = random_clip(frames=6, fps=10)
-
-    def stuttering():
-        for frame in clip.frames():
-            clock.now += 2.0 if frame.index == 2 else 0.0
-            yield frame
-
-    live.follow(stuttering(), sink, clock=clock)
-    assert np.allclose(np.diff([when for when, *_ in sink.shown]), [0.1, 2.0, 0.1, 0.1, 0.1])
-
-
-def test_pause_lets_the_simulation_rest():
-    clock, made = Clock(), []
-    sink = FakeSink(clock, [(1.5, "pause"), (30.0, "seek 1"), (60.0, "play")])
-    live.follow(simulated(clock, random_clip(frames=4, fps=10), 1.0, made), sink, clock=clock)
-    whens = [when for when, *_ in sink.shown]
-    assert whens[0] == 1.0
-    assert whens[1] >= 60.0
-    assert whens[-1] < 64.0
-    assert made == [0, 1, 2, 3]
-    assert sink.answers[0] is sink.answers[2] is None
-    assert "only play, pause, toggle and speed" in sink.answers[1]
+    pacer = live.Pacer(1.0, clock)
+    assert pacer.wait(0.0) == 0
+    clock.now += 5.0
+    pacer.wait(5.0)
+    pacer.command("speed 0.5")
+    assert pacer.wait(5.1) == 0
+    assert pacer.wait(5.2) == pytest.approx(0.2)

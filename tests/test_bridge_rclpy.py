@@ -2,6 +2,7 @@
 
 import logging
 import signal
+import time
 from types import SimpleNamespace
 
 import pytest
@@ -10,7 +11,7 @@ from bridge_clips import random_clip
 from ros_double import POLICIES, Node
 from rosbags.typesys import Stores, get_typestore
 
-from bridge import live, node, parameters
+from bridge import delivery, live, node, parameters
 from bridge.backends import open_sink
 from bridge.options import LIVE_POINTS, Options
 from bridge.player import Player
@@ -22,6 +23,8 @@ from phy124.errors import InputError
 JAZZY = get_typestore(Stores.ROS2_JAZZY)
 FOREVER = 1000
 """Spins after which a test's script gives up."""
+PATIENCE = 20.0
+"""Seconds after which a test that waits gives up."""
 
 
 @pytest.fixture
@@ -112,22 +115,40 @@ def test_the_last_frames_are_waited_for_on_every_way_out(ros):
             sink.write(random_clip().frame(0))
             raise way or SystemExit
         made = ros.nodes[-1]
-        assert made.publishers["points"].waits[-1] == 2.0
+        assert made.publishers["points"].waits[-1] > 0
     assert {options.name for _, options in ros.init} == {"NO"}
 
 
-def test_frames_that_were_not_acknowledged_are_counted(ros):
+def test_frames_that_were_not_acknowledged_are_counted(ros, monkeypatch):
+    monkeypatch.setattr(delivery, "PATIENCE", 0.3)
+    monkeypatch.setattr(delivery, "FAREWELL", 0.2)
+    waited = []
     with RclpySink() as sink:
         made = ros.nodes[0]
-        made.publishers["points"].acked = False
+        points = made.publishers["points"]
+        points.acked = False
         for frame in random_clip(frames=9).frames():
             sink.write(frame)
-    waits = made.publishers["points"].waits
+            waited.append(round(sum(points.waits), 2))
     # Five frames are kept, so the sixth waits; then nobody is there, and there is a last chance.
-    assert waits == [*[0.0] * 5, 1.0, *[0.0] * 3, 2.0]
+    assert waited == [0.0] * 5 + [waited[5]] * 4
+    assert 0 < waited[5] < sum(points.waits)
     assert ("WARN", made.logger.lines[-1][1]) == made.logger.lines[-1]
     assert "it may lack 5 of them" in made.logger.lines[-1][1]
     assert sink._delivery.lost == 4 + 5
+
+
+def test_the_clock_ticks_while_a_frame_waits_for_acknowledgement(ros, monkeypatch):
+    monkeypatch.setattr(delivery, "PATIENCE", 0.2)
+    monkeypatch.setattr(delivery, "FAREWELL", 0.0)
+    clip = random_clip(frames=6)
+    with RclpySink(clock=True) as sink:
+        made = ros.nodes[0]
+        made.publishers["points"].acked = False
+        sink.show(Player(clip.times))
+        for frame in clip.frames():
+            sink.write(frame)
+    assert len(made.publishers["/clock"].sent) > 2
 
 
 def test_services_and_topic_command_playback(ros):
@@ -452,6 +473,56 @@ def test_a_running_simulation_as_a_node(ros, monkeypatch):
     assert made.get_parameter("generator").value == "relief"
     assert statuses(made)[-1].message == "finished"
     assert ("INFO", "All 3 frames were shown.") in made.logger.lines
+
+
+def test_a_running_simulation_answers_while_it_computes(ros, monkeypatch):
+    """Frame 1 is not there before services, parameters and the clock have been served."""
+    answers = []
+
+    def wait_until(condition):
+        deadline = time.monotonic() + PATIENCE
+        while not condition():
+            assert time.monotonic() < deadline, "nobody answers while a frame is computed"
+            time.sleep(0.001)
+
+    def in_the_meantime():
+        (made,) = ros.nodes
+        clock = made.publishers["/clock"]
+        ticks = len(clock.sent)
+        ros.script += [
+            lambda made: answers.append(made.call("~/is_paused").paused),
+            lambda made: made.call("~/toggle_paused"),
+            lambda made: answers.append(made.call("~/is_paused").paused),
+            lambda made: answers.append(made.call("~/set_rate", rate=3.0).success),
+            lambda made: answers.append(made.param_set("speed", 2).successful),
+            lambda made: answers.append(made.param_set("max_points", 10).successful),
+            lambda made: answers.append(made.call("~/play").success),
+        ]
+        wait_until(lambda: not ros.script and len(clock.sent) >= ticks + 5)
+
+    class Run:
+        stopped = None
+
+        def __init__(self, source, options):
+            pass
+
+        def __len__(self):
+            return 3
+
+        def __iter__(self):
+            in_the_meantime()
+            for frame in random_clip(frames=3, fps=1000).frames():
+                if frame.index == 1:
+                    in_the_meantime()
+                yield frame
+
+    monkeypatch.setattr("bridge.source.LiveRun", Run)
+    Node.parameters = {"source": "photo.png", "clock": True}
+    node.live()
+    assert answers == [False, True, True, True, True, True] * 2
+    (made,) = ros.nodes
+    assert [cloud.width for cloud in clouds(made)] == [10, 10, 10]
+    assert values(statuses(made)[-1])["speed"] == "2"
 
 
 def test_a_running_simulation_that_stops_early_says_so(ros, monkeypatch):

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,10 +18,11 @@ from bridge.layout import points
 from bridge.options import Options
 from bridge.sinks.dds import DdsSink
 from bridge.sinks.mcap import McapSink
-from bridge.source import LiveOptions, LiveRun
+from bridge.source import LiveOptions, LiveRun, make_object
 from phy124.errors import InputError
 from phy124.generators.ply_file import PlyFile
 from phy124.ply import write_ply
+from phy124.progress import silent
 from phy124.scene import Scene
 from phy124.simulation import Simulation, Stopped
 
@@ -91,6 +93,42 @@ def test_a_subscriber_sees_it_move_while_it_is_computed(ply, monkeypatch):
     assert len(lines) == 6
     assert lines[0]["received"] < computed[-1]
     assert len({line["crc"] for line in lines}) == 6
+
+
+def test_the_listener_has_its_turns_while_a_frame_is_computed(ply):
+    turns, computed = [], []
+
+    class Sink:
+        def listen(self, seconds, obey):
+            time.sleep(0.001)
+            turns.append(obey("speed 100"))
+
+        def write(self, frame):
+            pass
+
+        def show(self, playback):
+            pass
+
+    def watched(run):
+        frames = iter(run)
+        for _ in range(len(run)):
+            before = len(turns)
+            frame = next(frames)
+            computed.append(len(turns) - before)
+            yield frame
+
+    live.follow(watched(LiveRun(ply, LiveOptions(live=True, set=CHANGES))), Sink())
+    assert max(computed) > 0
+
+
+def test_a_doubtful_cut_out_is_said(tmp_path, monkeypatch, caplog):
+    doubtful = SimpleNamespace(picture="cut", warnings=("It is in 9 pieces.",))
+    monkeypatch.setattr("phy124.cutout.cut_out", lambda *_, **__: doubtful)
+    monkeypatch.setattr("phy124.generators.make", lambda name: lambda picture, **_: picture)
+    assert make_object(tmp_path / "photo.png", "relief", 0, silent) == "cut"
+    first, second = caplog.messages
+    assert first == "It is in 9 pieces."
+    assert f"`phy124 cutout {tmp_path / 'photo.png'}`" in second
 
 
 def test_a_run_that_stops_early_keeps_its_good_frames(ply, monkeypatch):

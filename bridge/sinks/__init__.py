@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 Obey = Callable[[str], "str | None"]
 """Does what a user asked for; returns why not, or None."""
+LONGEST_WAIT = 0.2
+"""Seconds after which a waiting sink is asked again, so that Ctrl-C and the end are heard."""
 
 
 class Playback(Protocol):
@@ -65,7 +67,10 @@ class LiveSink(Sink, Protocol):
     """Whether time must only grow; otherwise loops and seeks jump back in it."""
 
     def listen(self, seconds: float, obey: Obey) -> None:
-        """Wait until somebody asks for something, at most so many seconds, and let it be done."""
+        """Wait until somebody asks for something, at most so many seconds, and let it be done.
+
+        May run on another thread than `write`; nothing else does.
+        """
         ...
 
     def show(self, playback: Playback) -> None:

@@ -49,7 +49,7 @@ class DdsSink:
         self._reports = Reports(
             self._encoder, self._send, self._audience, node=f"{NAMESPACE}/{NODE}"
         )
-        self._delivery = Delivery(self._acknowledged, POINTS.depth)
+        self._delivery = Delivery(self._acknowledged, POINTS.depth, self._reports.send_due)
 
     def __enter__(self) -> DdsSink:
         """Join the domain (ROS_DOMAIN_ID) and offer the topics."""
@@ -87,7 +87,6 @@ class DdsSink:
         self._delivery.before_frame()
         for message in messages:
             self._send(message)
-        self._reports.send_due()
 
     def listen(self, seconds: float, obey: Obey) -> None:
         """Obey messages on /phy124/command."""

@@ -60,7 +60,6 @@ class RclpySink:
         self._obey: Obey = self._remember
         self._values: dict[str, Any] = {}  # how it plays, as the parameters say it
         self._wishes: list[str] = []  # commands from before anything plays
-        self._delivery = Delivery(self._acknowledged, POINTS.depth)
 
     def __enter__(self) -> RclpySink:
         """Offer topics and services."""
@@ -72,6 +71,8 @@ class RclpySink:
             self._reports = Reports(
                 self._encoder, self._send, self._audience, node=self._name, clock=self._clock
             )
+            tick = self._reports.send_due
+            self._delivery = Delivery(self._acknowledged, POINTS.depth, tick)
             topics = [*self._encoder.topics, *self._reports.topics]
             self._publishers = {topic.name: self._publisher(topic) for topic in topics}
             for message in self._encoder.static():
@@ -102,7 +103,6 @@ class RclpySink:
             self._delivery.before_frame()
         for message in messages:
             self._send(message)
-        self._reports.send_due()
 
     def listen(self, seconds: float, obey: Obey) -> None:
         """Serve ROS for at most so many seconds; raises KeyboardInterrupt when ROS shuts down."""
