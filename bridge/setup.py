@@ -6,8 +6,50 @@ The package phy124 itself is installed with pip (docs/bridge.md).
 from pathlib import Path
 
 from setuptools import setup
+from setuptools.command.develop import develop
+from setuptools.command.install_scripts import install_scripts
 
 NAME = "phy124_bridge"
+EXECUTABLES = {
+    "player": (f"{NAME}.start", "player", 0),
+    "live": (f"{NAME}.start", "live", 0),
+    "bridge": (f"{NAME}.__main__", "main", 130),
+}
+"""Name -> module, function, and exit status after Ctrl-C."""
+SCRIPT = """{interpreter}
+try:
+    from {module} import {function}
+
+    raise SystemExit({function}())
+except KeyboardInterrupt:
+    raise SystemExit({status}) from None
+"""
+
+
+class QuickScripts:
+    """setuptools' own scripts look the package up first, and Ctrl-C meanwhile is a traceback."""
+
+    def write_script(self, script_name, contents, *rest):
+        """Write an executable; `contents` begins with the line that names the interpreter."""
+        if script_name in EXECUTABLES:
+            module, function, status = EXECUTABLES[script_name]
+            contents = SCRIPT.format(
+                interpreter=contents.splitlines()[0],
+                module=module,
+                function=function,
+                status=status,
+            )
+        super().write_script(script_name, contents, *rest)
+
+
+class InstallScripts(QuickScripts, install_scripts):
+    """`colcon build`."""
+
+
+class Develop(QuickScripts, develop):
+    """`colcon build --symlink-install`."""
+
+
 # This folder is the package itself. `colcon build --symlink-install` cannot link ".", so it is
 # named from outside.
 HERE = f"../{Path(__file__).resolve().parent.name}"
@@ -30,9 +72,8 @@ setup(
     zip_safe=False,
     entry_points={
         "console_scripts": [
-            f"player = {NAME}.node:main",
-            f"live = {NAME}.node:live",
-            f"bridge = {NAME}.__main__:main",
+            f"{name} = {module}:{function}" for name, (module, function, _) in EXECUTABLES.items()
         ]
     },
+    cmdclass={"install_scripts": InstallScripts, "develop": Develop},
 )

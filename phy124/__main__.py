@@ -63,7 +63,7 @@ def _run(arguments: list[str], *, quiet: bool, verbose: bool) -> int:
         from phy124.commands.bars import silence
         from phy124.startup import start
 
-        command = _parsed(arguments or ["--help"])
+        command = _parsed(arguments)
         start()
         talkative = verbose and "--json" not in arguments
         wp.config.log_level = wp.LOG_INFO if talkative else wp.LOG_ERROR
@@ -75,18 +75,11 @@ def _run(arguments: list[str], *, quiet: bool, verbose: bool) -> int:
 
 def _parsed(arguments: list[str]) -> Any:
     """The command with its options."""
-    import tyro
-
     from phy124.commands import COMMANDS
     from phy124.commands.kinds import refuse_other_kind
-    from phy124.commands.refusals import plainly, refuse
-    from phy124.repeats import gathered
+    from phy124.parsing import parsed
 
-    refuse(arguments, COMMANDS)
-    with plainly(arguments, COMMANDS):
-        command = tyro.extras.subcommand_cli_from_dict(
-            COMMANDS, prog="phy124", description=__doc__, args=gathered(arguments, COMMANDS)
-        )
+    command = parsed(arguments, COMMANDS, program="phy124", description=__doc__)
     refuse_other_kind(arguments[0], command)
     return command
 

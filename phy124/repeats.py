@@ -39,14 +39,23 @@ def gathered(arguments: Sequence[str], commands: Mapping[str, type]) -> list[str
 def list_options(command: Any) -> set[str]:
     """Names of a command's options that take any number of values."""
     found: set[str] = set()
-    hints = get_type_hints(command, include_extras=True)
-    for field in fields(command):
-        kind = plain(hints[field.name])
-        if is_dataclass(kind):
+    for name, kind in members(command).items():
+        if members(kind):
             found |= list_options(kind)
         elif any(Ellipsis in get_args(one) for one in (kind, *get_args(kind))):
-            found.add("--" + field.name.replace("_", "-"))
+            found.add("--" + name.replace("_", "-"))
     return found
+
+
+def members(kind: Any) -> dict[str, Any]:
+    """Name -> type of what a dataclass or a pydantic model holds; nothing for other types."""
+    names = (
+        [f.name for f in fields(kind)]
+        if is_dataclass(kind)
+        else [*getattr(kind, "model_fields", ())]
+    )
+    hints = get_type_hints(kind, include_extras=True) if names else {}
+    return {name: plain(hints[name]) for name in names}
 
 
 def plain(annotation: Any) -> Any:

@@ -1,6 +1,5 @@
 """`python -m bridge` as a user types it."""
 
-import ast
 import json
 import os
 import signal
@@ -187,27 +186,3 @@ def test_help_of_every_command(command, capsys):
 def test_every_set_of_a_live_run_counts():
     given = ["play", "p.png", "--set", "a=1", "--live", "--set", "b=2"]
     assert gathered(given, COMMANDS) == ["play", "p.png", "--live", "--set", "a=1", "b=2"]
-
-
-@pytest.mark.parametrize("module", ["__main__", "node"])
-def test_ctrl_c_is_heard_from_the_first_moment(module):
-    """What takes long to import is imported where Ctrl-C is caught."""
-    tree = ast.parse((ROOT / "bridge" / f"{module}.py").read_text())
-    imports = set()
-    for node in tree.body:
-        if isinstance(node, ast.Import):
-            imports |= {alias.name.split(".")[0] for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
-            imports.add((node.module or ".").split(".")[0])
-    assert imports <= sys.stdlib_module_names
-
-
-def test_ctrl_c_during_an_import_is_no_traceback(monkeypatch, capsys):
-    def interrupted(name, *_, **__):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("builtins.__import__", interrupted)
-    status = main(["doctor"])
-    monkeypatch.undo()
-    assert status == 130
-    assert capsys.readouterr().err == "bridge: stopped\n"

@@ -303,7 +303,8 @@ def test_colcon_builds_the_package(tmp_path, colcon, options):
         "rviz/phy124.rviz",
     ):
         assert (installed / "share" / NAME / file).is_file()
-    assert (installed / "lib" / NAME / "player").is_file()
+    for name in ("player", "live", "bridge"):
+        assert "except KeyboardInterrupt" in (installed / "lib" / NAME / name).read_text()
     doctor = subprocess.run(
         ["bash", "-c", f". {installed.parent}/setup.bash && {installed}/lib/{NAME}/bridge doctor"],
         env={**environment, "PYTHONPATH": os.pathsep.join([str(colcon), str(ROOT)])},

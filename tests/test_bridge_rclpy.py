@@ -458,7 +458,7 @@ def test_a_running_simulation_as_a_node(ros, monkeypatch):
         def __iter__(self):
             yield from random_clip(frames=3, fps=1000).frames()
 
-    monkeypatch.setattr("bridge.source.LiveRun", Run)
+    monkeypatch.setattr(node, "LiveRun", Run)
     Node.parameters = {"source": "photo.png", "scene": "drop", "set": ["seed=1"], "profile": "viz"}
     node.live()
     ((name, options),) = asked
@@ -516,7 +516,7 @@ def test_a_running_simulation_answers_while_it_computes(ros, monkeypatch):
                     in_the_meantime()
                 yield frame
 
-    monkeypatch.setattr("bridge.source.LiveRun", Run)
+    monkeypatch.setattr(node, "LiveRun", Run)
     Node.parameters = {"source": "photo.png", "clock": True}
     node.live()
     assert answers == [False, True, True, True, True, True] * 2
@@ -538,7 +538,7 @@ def test_a_running_simulation_that_stops_early_says_so(ros, monkeypatch):
         def __iter__(self):
             yield random_clip().frame(0)
 
-    monkeypatch.setattr("bridge.source.LiveRun", Run)
+    monkeypatch.setattr(node, "LiveRun", Run)
     with pytest.raises(SystemExit) as ended:
         node.live()
     assert ended.value.code == node.STOPPED_EARLY

@@ -20,10 +20,10 @@ from phy124.gaussians import Frame
 
 from ..delivery import Delivery
 from ..encoder import FrameEncoder
-from ..node import NAMESPACE, NODE, ros_node
 from ..options import LIVE_POINTS, Options
 from ..parameters import RUNNING, Parameter, Running, declare
 from ..reports import Audience, Reports
+from ..ros_node import NAMESPACE, NODE, ros_node
 from ..services import Services
 from ..topics import COMMAND, POINTS, Message, Topic
 from . import Obey, Playback

@@ -1,4 +1,4 @@
-"""What the command line's parser refuses, said as everything else is: field, value, limit, remedy.
+"""Parsing: a command line as a command; what the parser refuses is said as everything else is.
 
 The parser (tyro) tells a hook of its own why it gives up. Where it does not, because it is of
 another version, its own words are shown.
@@ -8,20 +8,46 @@ from __future__ import annotations
 
 import difflib
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import fields, is_dataclass
-from typing import Any, get_type_hints
+from typing import Any
 
 from phy124.errors import InputError
-from phy124.repeats import plain
+from phy124.repeats import gathered, members
 
 KINDS = {"INT": "a whole number", "FLOAT": "a number"}
 Commands = Mapping[str, type]
 
 
+def parsed(
+    arguments: Sequence[str],
+    commands: Commands,
+    *,
+    program: str,
+    description: str | None = None,
+    empty: Container[str] = (),
+) -> Any:
+    """The command with its options; raises InputError for what cannot be read.
+
+    Args:
+        arguments: What was typed behind the program's name; nothing asks for help.
+        commands: Name -> class.
+        program: How it is called.
+        description: What `--help` says first.
+        empty: Names of options that may be empty.
+    """
+    import tyro
+
+    arguments = arguments or ["--help"]
+    _refuse(arguments, commands, program, empty)
+    with _plainly(arguments, commands, program):
+        return tyro.extras.subcommand_cli_from_dict(
+            commands, prog=program, description=description, args=gathered(arguments, commands)
+        )
+
+
 @contextmanager
-def plainly(arguments: Sequence[str], commands: Commands) -> Iterator[None]:
+def _plainly(arguments: Sequence[str], commands: Commands, program: str) -> Iterator[None]:
     """Within it the parser's refusals are raised as InputError."""
     try:
         from tyro._errors import on_parse_error
@@ -31,7 +57,7 @@ def plainly(arguments: Sequence[str], commands: Commands) -> Iterator[None]:
 
     def hook(event: Any) -> None:
         try:
-            refusal = _refusal(event, arguments, commands)
+            refusal = _refusal(event, arguments, commands, program)
         except (AttributeError, LookupError):
             return  # Events of another version: the parser's own words must do.
         if refusal is not None:
@@ -51,16 +77,20 @@ class _Refused(Exception):
         self.refusal = refusal
 
 
-def refuse(arguments: Sequence[str], commands: Commands) -> None:
+def _refuse(
+    arguments: Sequence[str], commands: Commands, program: str, empty: Container[str]
+) -> None:
     """Raise InputError if the first argument is no command, or any is empty."""
     name = arguments[0]
     if name not in commands and not name.startswith(("-h", "--help", "--tyro-")):
         if name.startswith("-"):
-            remedy = f"Write `phy124 COMMAND ... {name}`; commands are {', '.join(commands)}."
+            remedy = f"Write `{program} COMMAND ... {name}`; commands are {', '.join(commands)}."
             raise InputError("command", name, "the command comes first.", remedy)
         raise InputError("command", name, "there is no such command.", meant(name, [*commands]))
     for before, text in itertools.pairwise(arguments):
         option, equals, value = text.partition("=")
+        if (option if equals else before) in empty:
+            continue
         if not text or (equals and not value and option.startswith("--")):
             where = option.lstrip("-") if equals else before.lstrip("-")
             raise InputError(where, "''", "it is empty.", "Give a value, or leave the option out.")
@@ -69,11 +99,8 @@ def refuse(arguments: Sequence[str], commands: Commands) -> None:
 def option_names(command: Any) -> list[str]:
     """Names of a command's options, as they are typed."""
     found: list[str] = []
-    hints = get_type_hints(command, include_extras=True)
-    for field in fields(command):
-        kind = plain(hints[field.name])
-        nested = option_names(kind) if is_dataclass(kind) else ["--" + field.name.replace("_", "-")]
-        found += nested
+    for name, kind in members(command).items():
+        found += option_names(kind) if members(kind) else ["--" + name.replace("_", "-")]
     return found
 
 
@@ -83,11 +110,13 @@ def meant(word: str, known: Sequence[str], *, otherwise: str = "Choose one of") 
     return f"Did you mean {close[0]}?" if close else f"{otherwise} {', '.join(known)}."
 
 
-def _refusal(event: Any, arguments: Sequence[str], commands: Commands) -> InputError | None:
+def _refusal(
+    event: Any, arguments: Sequence[str], commands: Commands, program: str
+) -> InputError | None:
     """The refusal for an event of the parser; None if it is not known here."""
     name, command = type(event).__name__, arguments[0]
     if name == "UnrecognizedArgs":
-        return _unknown(event.tokens, command, option_names(commands[command]))
+        return _unknown(event.tokens, f"{program} {command}", option_names(commands[command]))
     makers: dict[str, Callable[[Any], InputError]] = {
         "MissingArgs": _missing,
         "BadValue": _bad_value,
@@ -135,12 +164,12 @@ def _unknown(tokens: Sequence[str], command: str, options: Sequence[str]) -> Inp
     """Words that are no option of the command, or more values than it takes."""
     strange = [token for token in tokens if token.startswith("-")]
     if not strange:
-        limit = f"`phy124 {command}` takes no more values."
-        return InputError("argument", tokens[0], limit, f"See `phy124 {command} --help`.")
+        limit = f"`{command}` takes no more values."
+        return InputError("argument", tokens[0], limit, f"See `{command} --help`.")
     name = strange[0].partition("=")[0]
     close = difflib.get_close_matches(name, options, 1)
-    hint = f"Did you mean {close[0]}?" if close else f"See `phy124 {command} --help`."
-    return InputError("option", name, f"`phy124 {command}` has no such option.", hint)
+    hint = f"Did you mean {close[0]}?" if close else f"See `{command} --help`."
+    return InputError("option", name, f"`{command}` has no such option.", hint)
 
 
 def _name(argument: Any) -> str:

@@ -1,0 +1,76 @@
+"""The command line behind `python -m bridge`: which command, with which options, and its log."""
+
+from __future__ import annotations
+
+import logging
+import sys
+import warnings
+from dataclasses import replace
+from typing import Any
+
+from pydantic import ValidationError
+
+from phy124.errors import InputError
+from phy124.parsing import parsed
+
+from .commands import COMMANDS, Play
+from .options import Options
+
+PROGRAM = "python -m bridge"
+MAY_BE_EMPTY = ("--parent-frame",)
+
+
+def run(arguments: list[str], description: str | None) -> int:
+    """Run one command; returns the exit status."""
+    logging.basicConfig(level=logging.INFO, format="%(message)s", force=True)
+    with warnings.catch_warnings():
+        warnings.showwarning = _note
+        try:
+            return _command(arguments, description).run(_say)
+        except InputError as error:
+            return _complain(str(error), 2)
+        except ValidationError as error:
+            from phy124.scene.refusals import refusal
+
+            return _complain(str(refusal(error, "options", Options)), 2)
+
+
+def _command(arguments: list[str], description: str | None) -> Any:
+    own, ros = split_ros_arguments(arguments)
+    command = parsed(own, COMMANDS, program=PROGRAM, description=description, empty=MAY_BE_EMPTY)
+    if not ros:
+        return command
+    if not isinstance(command, Play):
+        limit = "Only `play` takes arguments for ROS 2."
+        raise InputError("--ros-args", " ".join(ros[1:]), limit, "Leave them out.")
+    return replace(command, ros_args=tuple(ros))
+
+
+def split_ros_arguments(arguments: list[str]) -> tuple[list[str], list[str]]:
+    """The arguments of the program, and those between `--ros-args` and `--` or the end."""
+    own: list[str] = []
+    ros: list[str] = []
+    target = own
+    for argument in arguments:
+        if argument == "--ros-args":
+            target = ros
+        elif argument == "--" and target is ros:
+            target = own
+            ros.append(argument)
+            continue
+        target.append(argument)
+    return own, ros
+
+
+def _complain(sentence: str, status: int) -> int:
+    print(f"bridge: {sentence}", file=sys.stderr)
+    return status
+
+
+def _say(line: str) -> None:
+    print(line, flush=True)
+
+
+def _note(message: Warning | str, *_: object) -> None:
+    """A warning as one line, without the place in the code."""
+    logging.getLogger(__name__).warning(str(message))
