@@ -133,7 +133,9 @@ def _missing(event: Any) -> InputError:
 
 
 def _bad_value(event: Any) -> InputError:
-    limit = "it needs a value." if event.offending_value is None else "it takes no value."
+    count = event.argument.lowered.nargs
+    needed = f"{count} values" if isinstance(count, int) and count > 1 else "a value"
+    limit = f"it needs {needed}." if event.offending_value is None else "it takes no value."
     value = event.offending_value or "nothing"
     return InputError(_name(event.argument), value, limit, _help(event.argument, "It is"))
 
@@ -155,8 +157,8 @@ def _not_made(event: Any) -> InputError:
 
 
 def _given(message: str) -> list[str]:
-    """The values that a message of the parser names: "... instantiated from ['x']"."""
-    inside = message.partition("[")[2].partition("]")[0]
+    """The values that a message of the parser names: "... from ['x']", "...: 'x'"."""
+    inside = message.partition("[")[2].partition("]")[0] or message.rpartition(": ")[2]
     return [part.strip().strip("'\"") for part in inside.split(",") if part.strip()]
 
 
