@@ -10,6 +10,9 @@ from setuptools.command.develop import develop
 from setuptools.command.install_scripts import install_scripts
 
 NAME = "phy124_bridge"
+# This folder is the package itself. `colcon build --symlink-install` cannot link ".", so it is
+# named from outside.
+HERE = f"../{Path(__file__).resolve().parent.name}"
 EXECUTABLES = {
     "player": (f"{NAME}.start", "player", 0),
     "live": (f"{NAME}.start", "live", 0),
@@ -26,33 +29,26 @@ except KeyboardInterrupt:
 """
 
 
-class QuickScripts:
-    """setuptools' own scripts look the package up first, and Ctrl-C meanwhile is a traceback."""
+def quick(command):
+    """A command of setuptools that writes `SCRIPT` for our executables.
 
-    def write_script(self, script_name, contents, *rest):
-        """Write an executable; `contents` begins with the line that names the interpreter."""
-        if script_name in EXECUTABLES:
-            module, function, status = EXECUTABLES[script_name]
-            contents = SCRIPT.format(
-                interpreter=contents.splitlines()[0],
-                module=module,
-                function=function,
-                status=status,
-            )
-        super().write_script(script_name, contents, *rest)
+    setuptools' own scripts look the package up first, and Ctrl-C meanwhile is a traceback.
+    """
 
+    class Quick(command):
+        def write_script(self, script_name, contents, mode="t", *rest):
+            if script_name in EXECUTABLES:
+                module, function, status = EXECUTABLES[script_name]
+                contents = SCRIPT.format(
+                    interpreter=contents.splitlines()[0],
+                    module=module,
+                    function=function,
+                    status=status,
+                )
+            super().write_script(script_name, contents, mode, *rest)
 
-class InstallScripts(QuickScripts, install_scripts):
-    """`colcon build`."""
+    return Quick
 
-
-class Develop(QuickScripts, develop):
-    """`colcon build --symlink-install`."""
-
-
-# This folder is the package itself. `colcon build --symlink-install` cannot link ".", so it is
-# named from outside.
-HERE = f"../{Path(__file__).resolve().parent.name}"
 
 setup(
     name=NAME,
@@ -75,5 +71,6 @@ setup(
             f"{name} = {module}:{function}" for name, (module, function, _) in EXECUTABLES.items()
         ]
     },
-    cmdclass={"install_scripts": InstallScripts, "develop": Develop},
+    # `colcon build` uses the one, `colcon build --symlink-install` the other.
+    cmdclass={"install_scripts": quick(install_scripts), "develop": quick(develop)},
 )

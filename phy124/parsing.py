@@ -42,7 +42,10 @@ def parsed(
     _refuse(arguments, commands, program, empty)
     with _plainly(arguments, commands, program):
         return tyro.extras.subcommand_cli_from_dict(
-            commands, prog=program, description=description, args=gathered(arguments, commands)
+            dict(commands),
+            prog=program,
+            description=description,
+            args=gathered(arguments, commands),
         )
 
 

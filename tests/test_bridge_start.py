@@ -93,7 +93,7 @@ def executables(tmp_path, monkeypatch):
         def write_script(self, name, contents, *_):
             (tmp_path / name).write_text(contents)
 
-    writer = type("Writer", (package["QuickScripts"], Written), {})()
+    writer = package["quick"](Written)()
     for name in package["EXECUTABLES"]:
         writer.write_script(name, "#!/usr/bin/python\nas setuptools would have it\n", "t", ())
     (tmp_path / package["NAME"]).symlink_to(BRIDGE)
