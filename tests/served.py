@@ -57,7 +57,7 @@ class Server:
         while not condition():
             assert self.process.poll() is None, f"the server has ended:\n{self.said()}"
             assert time.monotonic() < end, f"{what} did not happen in {PATIENCE} s:\n{self.said()}"
-            time.sleep(0.05)
+            time.sleep(0.2)
 
     def until_idle(self) -> None:
         self.until(lambda: not self.health()["busy"], "an end of all work")

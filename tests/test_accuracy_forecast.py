@@ -18,6 +18,10 @@ from phy124.simulation import Simulation
 
 DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"
 OBJECT = ball(800)
+QUICK = [
+    *("--accuracy", "draft", "--gaussians", "2000", "--frames", "3", "--size", "64"),
+    *("--views", "front", "--device", "cpu"),
+]
 
 
 def scene(name: str, cells: int = 16, **changes) -> Scene:
@@ -135,8 +139,7 @@ def test_pixels_per_size_is_what_the_camera_sees():
 
 
 def test_the_report_compares_what_was_foretold(tmp_path, capsys):
-    quick = ["--frames", "3", "--size", "64", "--views", "front", "--device", "cpu", "--json"]
-    arguments = ["generate", str(DUCK), "--accuracy", "draft", *quick, "--out", str(tmp_path)]
+    arguments = ["generate", str(DUCK), *QUICK, "--json", "--out", str(tmp_path)]
     assert main([*arguments, "--forecast"]) == 0
     told = json.loads(capsys.readouterr().out)["forecast"]
     assert set(told["stages"]) == {"simulate", "deform", "render", "encode", "save"}
@@ -150,8 +153,7 @@ def test_the_report_compares_what_was_foretold(tmp_path, capsys):
 
 def test_dry_run_says_how_long_and_makes_nothing(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    quick = ["--frames", "3", "--size", "64", "--views", "front", "--device", "cpu"]
-    arguments = ["generate", str(DUCK), "--accuracy", "draft", "--dry-run", "--json", *quick]
+    arguments = ["generate", str(DUCK), *QUICK, "--dry-run", "--json"]
     assert main(arguments) == 0
     told = json.loads(capsys.readouterr().out)
     assert set(told["stages"]) == {

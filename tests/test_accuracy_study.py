@@ -128,7 +128,7 @@ def test_a_torn_level_promises_nothing(monkeypatch, tmp_path):
     """However close two grids are: what both tear is not what the material does."""
     likely = property(lambda self: self._solver.dx < 1 / 13)
     monkeypatch.setattr(Tearing, "likely", likely)
-    quick = {"time.frames": 3, "view.size": 32, "binding": "field"}
+    quick = {"time.frames": 2, "view.size": 32, "binding": "field"}
     report = Study(ball(300), Scene.named("drop").replaced(quick), levels=(8, 10, 12, 16)).run()
     rows = {row.name: row for row in report.rows}
     assert all(rows[f"D/{cells}"].error is not None for cells in (8, 10, 12))

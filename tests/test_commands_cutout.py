@@ -11,6 +11,7 @@ from phy124.__main__ import main
 
 DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"
 QUICK = ["--accuracy", "draft", "--frames", "3", "--size", "64", "--device", "cpu"]
+FEW = [*QUICK, "--gaussians", "2000", "--views", "front"]
 
 
 @pytest.fixture
@@ -26,7 +27,7 @@ def dark(tmp_path) -> tuple[Path, Path]:
 
 def test_a_mask_says_where_the_object_is(dark, tmp_path, capsys):
     picture, mask = map(str, dark)
-    arguments = ["generate", picture, *QUICK, "--views", "front", "--mask", mask]
+    arguments = ["generate", picture, *FEW, "--mask", mask]
     assert main([*arguments, "--out", str(tmp_path / "o")]) == 0
     assert "cut out by mask: 34.8% of the picture" in capsys.readouterr().out
     cut = np.asarray(Image.open(tmp_path / "o/cutout.png"))[..., 3]

@@ -18,6 +18,7 @@ from served import PATIENCE, ROOT, Server, serving
 
 DUCK = ROOT / "demo" / "examples" / "duck.png"
 GIGABYTE = 1 << 30
+LEAVING = 8
 FEW = {"view.views": ["front"], "view.size": 64}
 # gradio_client leaves sockets of its streams to the garbage collector.
 pytestmark = [
@@ -268,15 +269,10 @@ def test_visitors_files_are_not_found_by_name(server, client):
         assert _get(f"{server.url}/gradio_api/file={path}")[0] in (403, 404)
 
 
-def test_crowds_leave_nothing_behind(server):
-    """50 requests at once, then 20 visitors who close their tab in the middle of it."""
-    with ThreadPoolExecutor(50) as pool:
-        answers = list(pool.map(lambda _: _attempt(server), range(50)))
-    refused = [answer for answer in answers if answer is not None]
-    assert len(refused) < 50, f"nobody was served: {set(refused)}"
-    assert all("full" in answer for answer in refused), set(refused)
-    with ThreadPoolExecutor(20) as pool:
-        list(pool.map(lambda _: _leave_in_the_middle(server), range(20)))
+def test_visitors_who_leave_in_the_middle_leave_nothing_behind(server):
+    """More of them than may wait close their tab; tests/abuse has fifty who stay to the end."""
+    with ThreadPoolExecutor(LEAVING) as pool:
+        list(pool.map(lambda _: _leave_in_the_middle(server), range(LEAVING)))
     server.until_idle()
     server.until(lambda: server.health()["visitors"] == 0, "everybody's leaving")
     server.until(lambda: _folders(server) == set(), "an empty folder")
@@ -288,16 +284,6 @@ def test_crowds_leave_nothing_behind(server):
 
 def _folders(server: Server) -> set[Path]:
     return {path for path in (server.folder / "visitors").iterdir() if path.name != "arrivals"}
-
-
-def _attempt(server: Server) -> str | None:
-    """One visitor's run; None if it went well, else what was said."""
-    with _client(server) as client:
-        try:
-            _generate(client)
-        except Exception as error:
-            return str(error)
-    return None
 
 
 def _leave_in_the_middle(server: Server) -> None:

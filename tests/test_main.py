@@ -24,13 +24,14 @@ from phy124.scene import Scene
 
 DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"
 QUICK = ["--accuracy", "draft", "--frames", "3", "--size", "64", "--device", "cpu"]
+FEW = ["--gaussians", "2000"]
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory) -> Path:
     """One quick run of the duck, pressed."""
     out = tmp_path_factory.mktemp("made")
-    assert main(["generate", str(DUCK), *QUICK, "--out", str(out)]) == 0
+    assert main(["generate", str(DUCK), *QUICK, *FEW, "--out", str(out)]) == 0
     return out
 
 
@@ -260,7 +261,7 @@ def test_a_photograph_is_cut_out(tmp_path, capsys):
     picture = rng.integers(90, 120, (160, 160, 3), dtype=np.uint8)
     picture[disc] = [220, 60, 30]
     Image.fromarray(picture).save(tmp_path / "disc.png")
-    arguments = ["generate", str(tmp_path / "disc.png"), *QUICK, "--views", "front", "--json"]
+    arguments = ["generate", str(tmp_path / "disc.png"), *QUICK, *FEW, "--views", "front", "--json"]
     assert main([*arguments, "--out", str(tmp_path / "o")]) == 0
     assert json.loads(capsys.readouterr().out)["foreground"] == "grabcut"
     cut = np.asarray(Image.open(tmp_path / "o/cutout.png"))

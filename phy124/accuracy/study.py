@@ -113,6 +113,10 @@ class Study:
     told: Callable[[Row], None] = lambda row: None
     """Called with each setting as it is done, before errors are known."""
     clips: dict[str, Clip] = field(default_factory=dict, repr=False)
+    _forecaster: Forecaster = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        self._forecaster = Forecaster(self.device)
 
     def run(self) -> Report:
         """All settings; raises InputError or Cancelled."""
@@ -199,7 +203,7 @@ class Study:
         ), f"{name}: {torn}" if torn else ""
 
     def _predicted(self, simulation: Simulation) -> float:
-        forecast = Forecaster(self.device).of(simulation, filming=False)
+        forecast = self._forecaster.of(simulation, filming=False)
         return forecast.stages["simulate"] + forecast.stages["deform"]
 
     def _judged(self, rows: list[Row], skipped: tuple[str, ...]) -> Report:

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -227,10 +228,11 @@ def _between(occupied: Mask) -> Mask:
 
 def _dilate(mask: Mask, radius: int) -> Mask:
     """Grow by a cube of 2 radius + 1 voxels."""
-    grown = mask.view(np.uint8)
-    for axis in range(3):
-        grown = ndimage.maximum_filter1d(grown, 2 * radius + 1, axis, mode="constant")
-    return grown.view(bool)
+    # As a picture with a channel per voxel of the last axis: many times faster than SciPy.
+    side, shape = 2 * radius + 1, mask.shape
+    grown = cv2.dilate(np.ascontiguousarray(mask).view(np.uint8), np.ones((side, side), np.uint8))
+    grown = cv2.dilate(grown.reshape(-1, shape[2]), np.ones((1, side), np.uint8))
+    return grown.reshape(shape).view(bool)
 
 
 def _trim_surface(
