@@ -67,7 +67,7 @@ def make_preview(scene: Scene, example: str, path: Path, size: int) -> None:
     duration = round(1000 / (0.6 * scene.time.fps))
     images[0].save(
         path, save_all=True, append_images=images[1:], duration=duration, loop=0,
-        quality=75, method=4,
+        quality=75, alpha_quality=60, method=4,
     )  # fmt: skip
 
 
