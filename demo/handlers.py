@@ -28,6 +28,7 @@ from demo.work import Done, Measured
 from phy124.camera import VIEWS
 from phy124.clip import Clip
 from phy124.errors import InputError
+from phy124.heic import is_heic
 from phy124.limits import duration
 from phy124.scene import Scene
 
@@ -57,7 +58,7 @@ def chooser(studio: Studio) -> Handler:
             job = studio.cut(visitor_of(request), path)
         except InputError as error:
             return _not_cut(error), None
-        return {"job": job.name, "picture": _file(Path(job.subject))}, None
+        return {"job": job.name, "picture": _picture(job)}, None
 
     return choose
 
@@ -86,7 +87,8 @@ def cut_shower(studio: Studio) -> Handler:
             return gr.skip(), gr.skip()
         made = job.progress.result
         if made is None:
-            return {**(shown or {}), "job": None, "message": job.progress.message}, cutout
+            failed = {"job": None, "message": job.progress.message, "picture": _picture(job)}
+            return {**(shown or {}), **failed}, cutout
         doubts = [*made.doubts, "If it is wrong, correct it with the brush."] if made.doubts else []
         return {**_cut_out(made), "doubts": " ".join(doubts)}, made
 
@@ -95,6 +97,12 @@ def cut_shower(studio: Studio) -> Handler:
 
 def _cut_out(made: Cutout) -> dict[str, Any]:
     return {"picture": _file(Path(made.picture)), "cutout": _file(Path(made.path))}
+
+
+def _picture(job: Job) -> dict[str, Any] | None:
+    """The picture that is cut out, once there is one that browsers can show."""
+    path = Path(job.subject)
+    return _file(path) if path.exists() and not is_heic(path) else None
 
 
 def _not_cut(error: InputError) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from typing import Any
 from demo.catalogue import check_limits, check_time, scene_of
 from demo.forecast import Forecast, Forecaster, measured, promise_of
 from demo.line import Job, Line
-from demo.pictures import check_picture, corrected, cut_out
+from demo.pictures import check_picture, corrected, cut_out, viewable
 from demo.progress import MEASURING
 from demo.settings import Settings
 from demo.strokes import Stroke
@@ -64,7 +64,7 @@ class Cutout:
 
     path: str
     picture: str
-    """What was uploaded."""
+    """What was uploaded, as browsers can show it."""
     doubts: tuple[str, ...] = ()
     """What makes it likely that another object was meant; told once."""
 
@@ -106,8 +106,10 @@ class Studio:
 
         def work(job: Job) -> None:
             deadline = Deadline(self.settings.max_cut_seconds, job.check)
-            path, doubts = _cut(visitor, upload, strokes, deadline)
-            job.end("done", result=Cutout(str(path), str(upload), doubts))
+            shown = viewable(upload)
+            job.subject = str(shown)
+            path, doubts = _cut(visitor, shown, strokes, deadline)
+            job.end("done", result=Cutout(str(path), str(shown), doubts))
 
         job = Job("cut", visitor.new_stop_file(), subject=str(upload))
         return self._submit(visitor, job, self.cuts, work)

@@ -12,7 +12,7 @@ from PIL import Image
 
 from demo.settings import Settings
 from demo.strokes import Stroke, painted
-from phy124 import isolated
+from phy124 import heic, isolated
 from phy124.cutout import foreground, has_alpha
 from phy124.errors import InputError
 from phy124.files import replacing
@@ -29,8 +29,7 @@ def check_picture(path: Path, settings: Settings) -> None:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
-            with Image.open(path, formats=FORMATS) as opened:
-                pixels = opened.width * opened.height
+            pixels = _pixels(path)
     except Image.DecompressionBombError:
         pixels = 10**9
     except (OSError, SyntaxError, ValueError):
@@ -39,6 +38,26 @@ def check_picture(path: Path, settings: Settings) -> None:
     if pixels > settings.max_megapixels * 1e6:
         limit = f"It has more than {settings.max_megapixels:g} million pixels."
         raise InputError("picture", path.name, limit, "Reduce it to 2000 pixels, say.")
+
+
+def _pixels(path: Path) -> int:
+    if heic.is_heic(path):
+        width, height = heic.size_of(path)
+        return width * height
+    with Image.open(path, formats=FORMATS) as opened:
+        return opened.width * opened.height
+
+
+def viewable(picture: Path) -> Path:
+    """The picture, or what browsers can show in its place, which then lies beside it."""
+    if not heic.is_heic(picture):
+        return picture
+    shown = picture.with_name(f"{picture.stem}-shown.webp")
+    if not shown.exists():
+        opened = open_image(picture)
+        with replacing(shown) as temporary:
+            opened.save(temporary, "WEBP", quality=95)
+    return shown
 
 
 def cut_out(picture: Path, path: Path, deadline: Deadline = PATIENT) -> tuple[str, ...]:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageOps
 
+from phy124 import heic
 from phy124.errors import InputError
 
 MAX_BYTES = 50_000_000
@@ -28,7 +29,7 @@ MIN_SIDE = 8
 WORK_SIDE = 2048
 """Longer pictures are reduced to this side, pixels: no generator looks closer."""
 FORMATS = ("PNG", "JPEG", "WEBP")
-"""Of photographs."""
+"""Of photographs, beside HEIC (phy124/heic.py)."""
 ANY_FORMAT = (*FORMATS, "GIF", "BMP", "TIFF", "PPM")
 """Of masks, which other programs write."""
 ANIMATED = ("PNG", "WEBP", "GIF")
@@ -71,13 +72,15 @@ def open_image(
         warnings.simplefilter("ignore", Image.DecompressionBombWarning)
         try:
             _check_file(path)
+            if heic.is_heic(path):
+                return _from_heic(path, least)
             with Image.open(path, formats=formats) as opened:
                 _check_size(*opened.size, least)
                 if opened.format == "JPEG":
                     _check_scans(path.read_bytes())
                 return _upright_rgba(opened)
         except Image.UnidentifiedImageError as error:
-            limit = f"It is not a {_listed(formats)} picture."
+            limit = f"It is not a {_listed((*formats, 'HEIC'))} picture."
             remedy = "Save it as PNG or JPEG and try again."
             raise InputError(field, path, limit, remedy) from error
         except Image.DecompressionBombError as error:
@@ -162,6 +165,16 @@ def _check_size(width: int, height: int, least: int) -> None:
     if min(width, height) < least:
         limit = f"It has {width} x {height} pixels; each side needs {least} at least."
         raise _Unusable(limit, "Use a larger picture.")
+
+
+def _from_heic(path: Path, least: int) -> Image.Image:
+    if not heic.is_readable():
+        remedy = "Install it (pip install 'phy124[heic]'), or save the picture as JPEG."
+        raise _Unusable("It is a HEIC picture, which only the package pi-heif can read.", remedy)
+    _check_size(*heic.size_of(path), least)
+    picture, size = heic.decode(path, WORK_SIDE)
+    picture.info |= {"frames": 1, "size": size}
+    return picture
 
 
 def _check_scans(jpeg: bytes) -> None:

@@ -22,7 +22,7 @@ from phy124.parsing import option_names
         ("generat x.png", "command = generat: there is no such command. Did you mean generate?"),
         ("dance", "command = dance: there is no such command. Choose one of generate, "),
         ("--scene drop generate x.png", "command = --scene: the command comes first."),
-        ("generate", "image = nothing: it is needed. It is: PNG, JPEG or WebP picture"),
+        ("generate", "image = nothing: it is needed. It is: PNG, JPEG, WebP or HEIC picture"),
         ("generate x.png --frames", "frames = nothing: it needs a value. It is: Number of frames."),
         ("generate x.png --frames ten", "frames = ten: it is not a whole number."),
         ("generate x.png --max-seconds soon", "max-seconds = soon: it is not a number."),

@@ -5,14 +5,13 @@ from __future__ import annotations
 import base64
 import io
 import json
-import struct
 import urllib.error
 import urllib.request
-import zlib
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
+from hostile import bomb
 from PIL import Image
 from served import PATIENCE, ROOT, Server, serving
 
@@ -147,28 +146,13 @@ def test_endpoints_have_typed_arguments(client):
     assert "'draft'" in kinds["accuracy"] and "'press'" in kinds["preset"]
 
 
-def _png(width: int, height: int) -> bytes:
-    """A PNG of one colour, written row by row: a few kilobytes however large it is."""
-
-    def chunk(kind: bytes, data: bytes) -> bytes:
-        return (
-            struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-        )
-
-    packer = zlib.compressobj(9)
-    rows = b"".join(packer.compress(b"\0" * (1 + width // 8)) for _ in range(height))
-    header = struct.pack(">IIBBBBB", width, height, 1, 0, 0, 0, 0)
-    body = chunk(b"IHDR", header) + chunk(b"IDAT", rows + packer.flush()) + chunk(b"IEND", b"")
-    return b"\x89PNG\r\n\x1a\n" + body
-
-
 @pytest.mark.parametrize(
     ("name", "data", "message"),
     [
-        ("bomb.png", _png(16_000, 16_000), "more than 25 million pixels"),
-        ("huge.png", _png(30_000, 30_000), "more than 25 million pixels"),
+        ("bomb.png", bomb(16_000), "more than 25 million pixels"),
+        ("huge.png", bomb(30_000), "more than 25 million pixels"),
         ("empty.png", b"", "is empty"),
-        ("text.png", b"hello " * 100, "not a PNG, JPEG or WebP"),
+        ("text.png", b"hello " * 100, "not a PNG, JPEG, WebP or HEIC"),
         ("cut.png", DUCK.read_bytes()[:9000], "broken or cut short"),
         ("white.png", (255, 255, 255), "No object was found"),
         ("red.png", (255, 0, 0), "No object was found"),

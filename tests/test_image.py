@@ -100,7 +100,7 @@ def test_broken_files_are_refused(tmp_path, monkeypatch):
     jpeg = saved(tmp_path, Image.fromarray(gradient(200, 300)), "whole.jpg").read_bytes()
     cases = {
         "empty.png": (b"", "empty .0 bytes"),
-        "text.png": (b"I am a text and no picture", "not a PNG, JPEG or WebP"),
+        "text.png": (b"I am a text and no picture", "not a PNG, JPEG, WebP or HEIC"),
         "cut.png": (whole[: len(whole) // 2], "broken or cut short"),
         "head.png": (whole[:20], "broken or cut short|not a PNG"),
         "cut.jpg": (jpeg[: len(jpeg) // 2], "broken or cut short"),

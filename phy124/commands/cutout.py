@@ -47,7 +47,7 @@ class CutOut:
     """Cut the object out of a picture, say how and whether it looks right, and save it."""
 
     image: tyro.conf.Positional[Path]
-    """PNG, JPEG or WebP picture of one object."""
+    """PNG, JPEG, WebP or HEIC picture of one object."""
     options: Annotated[CutoutOptions, tyro.conf.arg(name="")] = field(default_factory=CutoutOptions)
     out: Path | None = None
     """PNG or WebP file to write; default out/PICTURE-cutout.png."""

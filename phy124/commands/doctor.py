@@ -19,7 +19,8 @@ from phy124.weights import status
 EXTRAS = {
     "lgm": ("torch", "diffusers", "transformers", "onnxruntime"),
     "eval": ("torch", "transformers"),
-    "demo": ("gradio",),
+    "heic": ("pi_heif",),
+    "demo": ("gradio", "pi_heif"),
     "bridge": ("mcap",),
     "dds": ("cyclonedds",),
     "foxglove": ("foxglove",),

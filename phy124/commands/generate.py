@@ -34,7 +34,7 @@ class Generate:
     """Turn one picture into a physically moving 3D object and MP4s."""
 
     image: tyro.conf.Positional[Path]
-    """PNG, JPEG or WebP picture of one object."""
+    """PNG, JPEG, WebP or HEIC picture of one object."""
     options: Annotated[SceneOptions, tyro.conf.arg(name="")] = field(default_factory=SceneOptions)
     generator: str = "relief"
     """What makes the Gaussians: relief, lgm, lgm-aligned, dreamgaussian, or a 3DGS .ply file."""

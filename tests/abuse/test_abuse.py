@@ -11,15 +11,14 @@ import io
 import json
 import re
 import socket
-import struct
 import threading
 import time
-import zlib
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 from attacker import Attacker
+from hostile import PHONE, bomb, heic_claiming
 from PIL import Image
 from served import PATIENCE, ROOT, serving
 
@@ -172,21 +171,6 @@ def test_many_files_in_one_request_are_refused(attacker):
     assert (status, text) == (200, "[]") or status == 400
 
 
-def _bomb(side: int) -> bytes:
-    """A PNG of one colour: a few kilobytes however large it is."""
-
-    def chunk(kind: bytes, data: bytes) -> bytes:
-        return (
-            struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-        )
-
-    packer = zlib.compressobj(9)
-    rows = b"".join(packer.compress(b"\0" * (1 + side // 8)) for _ in range(side))
-    header = struct.pack(">IIBBBBB", side, side, 1, 0, 0, 0, 0)
-    body = chunk(b"IHDR", header) + chunk(b"IDAT", rows + packer.flush()) + chunk(b"IEND", b"")
-    return b"\x89PNG\r\n\x1a\n" + body
-
-
 def _as(kind: str, colour: str = "white") -> bytes:
     with io.BytesIO() as file:
         Image.new("RGB", (64, 64), colour).save(file, kind)
@@ -194,8 +178,8 @@ def _as(kind: str, colour: str = "white") -> bytes:
 
 
 ODD = {
-    "bomb": (_bomb(16_000), "million pixels"),
-    "larger bomb": (_bomb(30_000), "million pixels"),
+    "bomb": (bomb(16_000), "million pixels"),
+    "larger bomb": (bomb(30_000), "million pixels"),
     "empty": (b"", "empty"),
     "text": (b"hello " * 100, "not a PNG"),
     "half": (DUCK[:9000], "cut short"),
@@ -207,6 +191,9 @@ ODD = {
         b'<svg xmlns="http://www.w3.org/2000/svg"><script>alert(1)</script></svg>',
         "not a PNG",
     ),
+    "heic bomb": (heic_claiming(30_000, 30_000), "million pixels"),
+    "heic of a small name": (heic_claiming(64, 64), "broken"),
+    "half a heic": (PHONE.read_bytes()[:900], "broken"),
     "one colour": (_as("PNG", "#808080"), "No object"),
     "another colour": (_as("JPEG", "#3366cc"), "No object"),
 }

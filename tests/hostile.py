@@ -1,0 +1,30 @@
+"""Pictures that would do harm, or claim to be what they are not."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from pathlib import Path
+
+PHONE = Path(__file__).parent / "pictures" / "phone.heic"
+"""The duck, 256 x 320 as stored and turned by its header; written by pillow-heif 1.8."""
+
+
+def bomb(side: int) -> bytes:
+    """A PNG of one colour: a few kilobytes however large it is."""
+    packer = zlib.compressobj(9)
+    rows = b"".join(packer.compress(b"\0" * (1 + side // 8)) for _ in range(side))
+    header = struct.pack(">IIBBBBB", side, side, 1, 0, 0, 0, 0)
+    chunks = ((b"IHDR", header), (b"IDAT", rows + packer.flush()), (b"IEND", b""))
+    return b"\x89PNG\r\n\x1a\n" + b"".join(_chunk(*chunk) for chunk in chunks)
+
+
+def _chunk(kind: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+
+def heic_claiming(width: int, height: int) -> bytes:
+    """A photograph in HEIC with another size in its header."""
+    said, data = b"ispe" + bytes(4) + struct.pack(">II", 256, 320), PHONE.read_bytes()
+    assert said in data
+    return data.replace(said, said[:8] + struct.pack(">II", width, height))

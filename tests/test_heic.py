@@ -1,0 +1,62 @@
+"""Photographs in HEIC: upright, within limits that come before decoding, never a crash."""
+
+import numpy as np
+import pytest
+from hostile import PHONE, heic_claiming
+
+from phy124 import heic
+from phy124.cutout import cut_out
+from phy124.errors import InputError
+from phy124.image import open_image
+
+reads = pytest.mark.skipif(not heic.is_readable(), reason="the extra heic is not installed")
+
+
+@reads
+def test_a_photograph_is_opened_upright_and_cut_out():
+    opened = open_image(PHONE)
+    assert (opened.mode, opened.size, opened.info["size"]) == ("RGBA", (320, 256), (320, 256))
+    pixels = np.asarray(opened).astype(int)
+    np.testing.assert_allclose(pixels[5, 5], (225, 228, 232, 255), atol=4)
+    green = pixels[..., 1] - pixels[..., 0] > 60  # the duck's head, at the top left
+    rows, columns = np.nonzero(green)
+    assert rows.mean() < 100 and columns.mean() < 160
+    assert 0.2 < cut_out(PHONE).coverage < 0.5
+
+
+def test_large_ones_are_refused_before_decoding(tmp_path, monkeypatch):
+    monkeypatch.setattr(heic, "is_readable", lambda: True)
+    monkeypatch.setattr(heic, "decode", lambda *_: pytest.fail("was decoded"))
+    (tmp_path / "bomb.heic").write_bytes(heic_claiming(30_000, 30_000))
+    with pytest.raises(InputError, match="more than 50 million pixels"):
+        open_image(tmp_path / "bomb.heic")
+
+
+@reads
+@pytest.mark.parametrize(
+    "data",
+    [
+        heic_claiming(64, 64),  # decodes to more than it says
+        heic_claiming(1000, 1000),
+        PHONE.read_bytes()[:900],
+        PHONE.read_bytes()[:40],
+    ],
+    ids=["larger than said", "smaller than said", "cut", "head"],
+)
+def test_broken_ones_are_refused_in_words(tmp_path, data):
+    (tmp_path / "a.heic").write_bytes(data)
+    with pytest.raises(InputError, match="broken or cut short"):
+        open_image(tmp_path / "a.heic")
+
+
+@reads
+def test_an_endless_decoder_costs_one_picture(monkeypatch):
+    monkeypatch.setattr(heic, "DEADLINE", heic.isolated.Deadline(0.0))
+    with pytest.raises(InputError, match="did not finish within 0 s"):
+        open_image(PHONE)
+
+
+def test_without_the_package_its_name_is_told(monkeypatch):
+    monkeypatch.setattr(heic, "is_readable", lambda: False)
+    with pytest.raises(InputError, match=r"package pi-heif can read.*phy124\[heic\]"):
+        open_image(PHONE)
