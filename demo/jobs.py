@@ -7,7 +7,6 @@ device, one for cutting pictures out, so that neither waits for the other.
 from __future__ import annotations
 
 import json
-import logging
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -38,9 +37,7 @@ from phy124.errors import Cancelled, InputError
 from phy124.isolated import Deadline
 from phy124.scene import Scene
 
-FAILED = "Something went wrong here, not with you; it is in the log. Try again or change the scene."
 STOPPED = "Stopped. Nothing was changed."
-LOG = logging.getLogger("phy124.web")
 CUTTERS = 2
 """Pictures cut out at once."""
 UNFINISHED = 3
@@ -251,7 +248,7 @@ class Studio:
 
 
 def _guarded(job: Job, work: Callable[[Job], None]) -> None:
-    """Do a job; whatever goes wrong is its end, in words."""
+    """Do a job; a refusal or a wish to stop is its end, in words."""
     job.progress.begin()
     try:
         job.check()
@@ -260,9 +257,6 @@ def _guarded(job: Job, work: Callable[[Job], None]) -> None:
         job.end("stopped", STOPPED)
     except InputError as error:
         job.end("refused", sentence(error))
-    except Exception:
-        LOG.exception("the work failed")
-        job.end("failed", FAILED)
     finally:
         job.stop.unlink(missing_ok=True)
 

@@ -16,6 +16,7 @@ from pathlib import Path
 from demo.progress import STAGES, Progress
 from phy124.errors import Cancelled, InputError
 
+FAILED = "Something went wrong here, not with you; it is in the log. Try again or change the scene."
 LOG = logging.getLogger("phy124.web")
 
 
@@ -145,7 +146,8 @@ class Line:
             try:
                 work()
             except Exception:
+                # Whatever one job breaks on, this thread has to do the next ones.
                 LOG.exception("a piece of work broke")
-            job.end("failed", "Something went wrong.")
+            job.end("failed", FAILED)
             with self._changed:
                 self._running.discard(job)
