@@ -53,7 +53,7 @@ def _take(browser: Browser, url: str, name: str, look: dict) -> None:
     page.goto(url + query)
     page.get_by_label("Example: duck").click()
     page.locator("#cutout img").wait_for(timeout=SECONDS)
-    page.locator("#forecast").get_by_text("substeps").wait_for(timeout=SECONDS)
+    page.locator("#forecast summary").wait_for(timeout=SECONDS)
     page.wait_for_timeout(1500)
     page.locator("#go").click()
     page.wait_for_selector(".film video", timeout=SECONDS)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import pytest
-from test_page import DUCK, LONG, Visit, browser, server
+from visit import DUCK, LONG, Visit
 
 pytestmark = pytest.mark.browser
 axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe is not installed")
-__all__ = ["browser", "server"]
 COVERED = """() => {
     // Whether the element in focus is under the panel that stays at the bottom.
     const at = document.activeElement, box = at.getBoundingClientRect();
@@ -79,4 +78,24 @@ def test_pictures_stand_still_for_those_who_ask_for_it(browser, server):
         "[...document.querySelectorAll('.card img, .chip img, .welcome img')].map((i) => i.src)"
     )
     assert len(sources) > 10 and all(src.startswith("data:") for src in sources), sources
+    visit.context.close()
+
+
+UNNAMED = """() => {
+    const which = 'button, input:not([type=file]), select, [tabindex="0"]';
+    const named = (e) => e.getAttribute('aria-label') || e.getAttribute('aria-labelledby')
+        || e.title || e.textContent.trim() || e.labels?.length;
+    return [...document.querySelectorAll(`main :is(${which})`)]
+        .filter((e) => e.offsetParent && !named(e)).map((e) => e.outerHTML.slice(0, 120));
+}"""
+
+
+def test_everything_is_reachable_by_keyboard_and_named(browser, server):
+    visit = Visit(browser, server)
+    unnamed = visit.page.evaluate(UNNAMED)
+    assert unnamed == []
+    pad = visit.page.locator(".pad")
+    pad.focus()
+    pad.press("ArrowRight")
+    assert "right" in pad.get_attribute("aria-valuetext")
     visit.context.close()

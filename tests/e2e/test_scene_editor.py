@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 
 import pytest
 from served import ROOT
@@ -13,8 +12,6 @@ from demo.settings import Settings
 from phy124.scene import Scene
 
 pytestmark = pytest.mark.browser
-playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-CHROMIUM = shutil.which("chromium")
 SITE = "http://editor.test/"
 START = """() => {
     const element = document.getElementById('scene'), props = {};
@@ -24,25 +21,20 @@ START = """() => {
 
 
 @pytest.fixture
-def page():
+def page(browser):
     """The editor with the page's own catalogue, without a server."""
-    if CHROMIUM is None:
-        pytest.skip("Debian's chromium is not installed (make test-browser installs it)")
-    static = ROOT / "demo" / "static"
-    offer = json.dumps(catalogue(Settings()))
-    with playwright.sync_playwright() as session:
-        chromium = session.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        page = chromium.new_page()
-        page.route(SITE + "phy124/**", lambda route: route.fulfill(body=offer))
-        page.route(SITE, lambda route: route.fulfill(body="<div id=scene></div>"))
-        page.goto(SITE)
-        for name in ("page.js", "scene.js"):
-            page.add_script_tag(path=str(static / name))
-        page.evaluate(START)
-        page.wait_for_selector("#scene .card")
-        page.locator("#scene details.more summary").click()
-        yield page
-        chromium.close()
+    static, offer = ROOT / "demo" / "static", json.dumps(catalogue(Settings()))
+    page = browser.new_page()
+    page.route(SITE + "phy124/**", lambda route: route.fulfill(body=offer))
+    page.route(SITE, lambda route: route.fulfill(body="<div id=scene></div>"))
+    page.goto(SITE)
+    for name in ("page.js", "scene.js"):
+        page.add_script_tag(path=str(static / name))
+    page.evaluate(START)
+    page.wait_for_selector("#scene .card")
+    page.locator("#scene details.more summary").click()
+    yield page
+    page.close()
 
 
 def sent(page, when: str) -> Scene:

@@ -1,0 +1,29 @@
+"""One server and one Chromium for all browser tests."""
+
+from __future__ import annotations
+
+import shutil
+
+import pytest
+from served import serving
+from visit import FLAGS
+
+CHROMIUM = shutil.which("chromium")
+
+
+@pytest.fixture(scope="session")
+def server(tmp_path_factory):
+    # Software WebGL draws few Gaussians in good time.
+    with serving(tmp_path_factory.mktemp("web"), gaussians=4000) as running:
+        yield running
+
+
+@pytest.fixture(scope="session")
+def browser():
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    if CHROMIUM is None:
+        pytest.skip("Debian's chromium is not installed (make test-browser installs it)")
+    with playwright.sync_playwright() as session:
+        chromium = session.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        yield chromium
+        chromium.close()

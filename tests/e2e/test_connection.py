@@ -1,0 +1,34 @@
+"""Lost connections and reloads in a real headless Chromium: nothing is lost with them."""
+
+from __future__ import annotations
+
+import pytest
+from visit import LONG, Visit
+
+pytestmark = pytest.mark.browser
+
+
+def test_a_lost_connection_and_a_reload_lose_nothing(browser, server):
+    visit = Visit(browser, server)
+    page = visit.page
+    visit.begin(frames=60)
+    visit.context.set_offline(True)
+    page.get_by_text("The connection was lost. Your run goes on").wait_for(timeout=LONG)
+    page.wait_for_timeout(3000)
+    visit.context.set_offline(False)
+    visit.finished()
+    page.reload()
+    visit.finished()
+    assert page.locator("#cutout img").get_attribute("src")
+    assert int(page.get_by_label("Frames", exact=True).input_value()) == 60
+    page.wait_for_selector("#viewer .phy-time")
+    visit.context.close()
+
+
+def test_a_page_that_is_loaded_again_in_the_middle_of_a_run_follows_it_to_its_end(browser, server):
+    visit = Visit(browser, server)
+    visit.begin(frames=60)
+    visit.page.reload()
+    visit.page.wait_for_selector("#progress .running", timeout=LONG)
+    visit.finished()
+    visit.context.close()

@@ -1,0 +1,73 @@
+"""Panels alone in a real headless Chromium, without a server: what is said and heard at an end."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from served import ROOT
+from visit import LONG
+
+pytestmark = pytest.mark.browser
+SITE = "http://panels.test/"
+ENDS = {
+    "long": {"state": "done", "elapsed": 20},
+    "short": {"state": "done", "elapsed": 1},
+    "stopped": {"state": "stopped", "elapsed": 20, "message": "Stopped."},
+}
+START = """() => {
+    globalThis.notes = [];
+    globalThis.AudioContext = class {
+        currentTime = 0;
+        createOscillator() {
+            const note = { frequency: {}, start: () => notes.push(note.frequency.value) };
+            return Object.assign(note, { connect: (next) => next, stop() {} });
+        }
+        createGain() {
+            const loudness = { setValueAtTime() {}, exponentialRampToValueAtTime() {} };
+            return { gain: loudness, connect: (next) => next };
+        }
+        close() {}
+    };
+    globalThis.run = (job) => new Promise((done) => {
+        const element = document.getElementById('progress'), props = { value: null };
+        let show;
+        Phy124.progress(element, props, (_, act) => { show = act; }, done);
+        props.value = { state: 'waiting', job, expected: 1, elapsed: 0 };
+        show();
+    });
+}"""
+
+
+@pytest.fixture
+def page(browser):
+    page = browser.new_page()
+
+    def answer(route) -> None:
+        job = route.request.url.split("/jobs/")[1].split("?")[0]
+        route.fulfill(body=json.dumps({"message": "", "stages": [], "expected": 1, **ENDS[job]}))
+
+    body = "<main><div id=progress></div></main>"
+    page.route(SITE, lambda route: route.fulfill(body=body, content_type="text/html"))
+    page.route(SITE + "phy124/jobs/**", answer)
+    page.goto(SITE)
+    page.add_script_tag(path=str(ROOT / "demo" / "static" / "page.js"))
+    page.evaluate(START)
+    yield page
+    page.close()
+
+
+def test_a_result_is_announced(page):
+    page.evaluate("run('short')")
+    voice = page.locator("[role=status][aria-live=polite]").filter(has_text="The result is there.")
+    voice.wait_for(state="attached", timeout=LONG)
+
+
+@pytest.mark.parametrize(
+    ("job", "sound", "notes"),
+    [("long", "on", 2), ("long", "off", 0), ("short", "on", 0), ("stopped", "on", 0)],
+)
+def test_a_chime_is_heard_after_a_long_run_that_went_well_unless_it_is_off(page, job, sound, notes):
+    page.evaluate(f"localStorage.setItem('phy124-sound', '{sound}')")
+    page.evaluate(f"run('{job}')")
+    assert page.evaluate("notes.length") == notes

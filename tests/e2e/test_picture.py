@@ -1,0 +1,124 @@
+"""Pictures in a real headless Chromium: chosen, refused, reduced, photographed, corrected."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+import pytest
+from hostile import PHONE
+from PIL import Image
+from visit import LONG, Visit
+
+pytestmark = pytest.mark.browser
+NATURAL = """async (which) => {
+    const img = document.querySelector(which);
+    await img.decode();
+    return [img.naturalWidth, img.naturalHeight];
+}"""
+
+
+def test_before_a_picture_is_chosen_the_page_asks_for_one(browser, server):
+    page = Visit(browser, server).page
+    page.wait_for_selector(".photo-hint", timeout=LONG)
+    assert not page.get_by_alt_text("Your picture").is_visible()
+
+
+def test_after_a_refused_picture_nothing_older_is_generated(browser, server, tmp_path):
+    visit = Visit(browser, server)
+    visit.upload()
+    (tmp_path / "text.png").write_text("this is no picture")
+    visit.page.locator("#photo input[type=file]").set_input_files(tmp_path / "text.png")
+    visit.page.get_by_text("It is not a PNG, JPEG").wait_for(timeout=LONG)
+    assert visit.page.locator("#cutout").is_hidden()
+    visit.generate()
+    visit.page.get_by_text("There is no picture yet").wait_for(timeout=LONG)
+    visit.context.close()
+
+
+def test_large_photographs_are_reduced_before_they_are_sent(browser, server, tmp_path):
+    rng = np.random.default_rng(0)
+    noise = rng.integers(0, 255, (3000, 4000, 3)).astype(np.uint8)
+    noise[800:2200, 1200:2800] //= 8
+    Image.fromarray(noise).save(tmp_path / "phone.jpg", quality=95)
+    assert (tmp_path / "phone.jpg").stat().st_size > 8e6
+    visit = Visit(browser, server)
+    visit.page.locator("#photo input[type=file]").set_input_files(tmp_path / "phone.jpg")
+    visit.page.wait_for_selector("#photo img[src]", timeout=LONG)
+    shape = visit.page.evaluate(NATURAL, "#photo img")
+    assert shape == [2048, 1536]
+    visit.context.close()
+
+
+def test_the_cut_out_is_corrected_by_brush(browser, server):
+    visit = Visit(browser, server)
+    page = visit.page
+    page.get_by_label("Example: teddy").click()
+    shown = page.locator("#cutout img[src]")
+    shown.wait_for(timeout=LONG)
+    before = shown.get_attribute("src")
+    page.get_by_text("Correct the cut-out").click()
+    canvas = page.locator(".brush-canvas")
+    # The picture is drawn a moment after the brush is opened.
+    page.wait_for_function("document.querySelector('.brush-canvas').height > 150", timeout=LONG)
+    canvas.scroll_into_view_if_needed()
+    box = canvas.bounding_box()
+    # Green down the empty margin on the left: it is to be kept.
+    x, y = box["x"] + box["width"] * 0.03, box["y"] + box["height"] / 4
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x, y + box["height"] / 2, steps=8)
+    page.mouse.up()
+    page.get_by_role("button", name="Apply the strokes").click()
+    page.wait_for_function(
+        "before => document.querySelector('#cutout img').src !== before && "
+        "document.querySelector('#cutout img').getAttribute('src') !== before",
+        arg=before, timeout=LONG,
+    )  # fmt: skip
+    pictures = [page.request.get(src).body() for src in (before, shown.get_attribute("src"))]
+    kept = [
+        (np.asarray(Image.open(io.BytesIO(data)).convert("RGBA"))[..., 3] > 127).sum()
+        for data in pictures
+    ]
+    assert kept[1] > kept[0] + 500
+    assert visit.complaints == []
+    visit.context.close()
+
+
+def test_the_brush_is_used_by_keyboard(browser, server):
+    visit = Visit(browser, server)
+    visit.upload()
+    visit.page.get_by_text("Correct the cut-out").click()
+    canvas = visit.page.locator(".brush-canvas")
+    canvas.focus()
+    before = canvas.evaluate("(c) => c.toDataURL()")
+    for key in ("r", " ", "ArrowLeft", "ArrowLeft", " "):
+        canvas.press(key)
+    assert canvas.evaluate("(c) => c.toDataURL()") != before
+    assert visit.page.locator("#brush input[type=radio]").nth(1).is_checked()
+    visit.context.close()
+
+
+def test_a_heic_photograph_is_shown_and_cut_out(browser, server):
+    """Chromium cannot show it: what is seen comes from the server."""
+    visit = Visit(browser, server)
+    visit.upload(PHONE)
+    shape = visit.page.evaluate(NATURAL, "#photo img")
+    assert shape == [320, 256]
+    assert visit.page.evaluate(NATURAL, "#cutout img") == shape
+    assert visit.complaints == []
+    visit.context.close()
+
+
+def test_the_camera_takes_a_photograph(browser, server):
+    visit = Visit(browser, server)
+    sent = []
+    visit.page.on("request", lambda r: r.url.endswith("upload") and sent.append(r.method))
+    visit.page.get_by_role("button", name="Camera").click()
+    visit.page.wait_for_function(
+        "document.querySelector('.camera-dialog video')?.videoWidth > 0", timeout=LONG
+    )
+    visit.page.get_by_role("button", name="Take the photograph").click()
+    visit.page.wait_for_selector("#photo img[src]", timeout=LONG)
+    assert sent == ["POST"] and visit.page.locator(".camera-dialog").count() == 0
+    visit.context.close()

@@ -1,0 +1,75 @@
+"""The player alone in a real headless Chromium: an exported file, opened offline."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from visit import LONG, drawn, psnr
+
+from phy124.camera import Camera
+from phy124.clip import Clip
+from phy124.export.html import write_html
+from phy124.gaussians import Frame, Gaussians
+from phy124.render import Renderer
+
+pytestmark = pytest.mark.browser
+CAMERA = Camera.orbit(30, 20, 2.2, 256)
+
+
+SWINGS = """() => {
+    // Forth and back again: later it is at an earlier time, but has not begun anew.
+    const last = globalThis.last ?? 0, now = player.time;
+    globalThis.last = now;
+    return now < last && now > 0.02;
+}"""
+
+
+def _frames(rng: np.random.Generator, every: float) -> list[Frame]:
+    """Three frames of a ball that is stretched, so many seconds apart."""
+    away = rng.normal(size=(3000, 3))
+    means = 0.4 * away / np.linalg.norm(away, axis=1, keepdims=True)
+    quats = rng.normal(size=(3000, 4))
+    quats /= np.linalg.norm(quats, axis=1, keepdims=True)
+    scales = np.exp(rng.uniform(-4.6, -3.2, (3000, 3)))
+    frames = []
+    for index in range(3):
+        stretched = means * [1, 1 + 0.4 * index, 1 - 0.2 * index]
+        shape = scales * (1 + 0.2 * index)
+        gaussians = Gaussians.from_rgb(stretched, quats, shape, np.full(3000, 0.8), 0.5 + means)
+        frames.append(Frame(index, index * every, gaussians))
+    return frames
+
+
+@contextmanager
+def _opened(browser, path: Path, frames: list[Frame], **context):
+    """The player of these frames, exported to one file and opened without a network."""
+    write_html(path, Clip.from_frames(frames), CAMERA)
+    context = browser.new_context(offline=True, **context)
+    page = context.new_page()
+    page.goto(f"file://{path}")
+    page.wait_for_function("globalThis.player")
+    yield page
+    context.close()
+
+
+def test_the_player_draws_what_our_renderer_draws(browser, tmp_path, rng):
+    """PSNR against our own renderer on a small object, at three times."""
+    frames = _frames(rng, 0.1)
+    with _opened(browser, tmp_path / "player.html", frames, reduced_motion="reduce") as page:
+        for frame in frames:
+            page.evaluate(f"player.stage.resize(256, 256); player.seek({frame.time})")
+            wanted = 255 * Renderer(device="cpu")(frame.gaussians, CAMERA)
+            drawn(page, lambda now, wanted=wanted: psnr(now, wanted) > 25, "below 25 dB")
+
+
+def test_clips_of_half_a_second_play_slowly_to_and_fro(browser, tmp_path, rng):
+    with _opened(browser, tmp_path / "short.html", _frames(rng, 0.25)) as page:
+        assert page.locator(".phy-speed").input_value() == "0.5"
+        assert page.locator(".phy-way").input_value() == "swing"
+        page.wait_for_function(SWINGS, polling=50, timeout=LONG)
+    with _opened(browser, tmp_path / "long.html", _frames(rng, 2.0)) as page:
+        assert page.locator(".phy-speed").input_value() == "1"
+        assert page.locator(".phy-way").input_value() == "loop"

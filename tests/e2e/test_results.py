@@ -1,0 +1,103 @@
+"""What is shown of a run in a real headless Chromium: as it grows, beside others, on a phone."""
+
+from __future__ import annotations
+
+import pytest
+from visit import LONG, Visit
+
+pytestmark = pytest.mark.browser
+
+
+def test_the_motion_streams_into_the_viewer_and_earlier_results_stay_at_hand(browser, server):
+    visit = Visit(browser, server)
+    page = visit.page
+    visit.upload()
+    visit.choose(frames=40)
+    visit.generate()
+    page.wait_for_selector(".viewer-host.growing canvas", timeout=LONG)
+    visit.finished()
+    page.get_by_text("the back is invented from the outline").wait_for()
+    page.locator(".chip input[value=rubber]").check(force=True)
+    visit.choose(frames=3)
+    visit.generate()
+    page.wait_for_selector("#history li:nth-child(2)", timeout=LONG)
+    page.locator("#history li:not(.current) .quiet").click()
+    page.wait_for_selector(".beside canvas", timeout=LONG)
+    page.locator("#history li:not(.current) > button").first.click()
+    page.wait_for_selector("#history li:nth-child(2).current", timeout=LONG)
+    assert visit.complaints == []
+    visit.context.close()
+
+
+def test_changes_of_the_scene_are_undone_and_shared_by_a_link(browser, server):
+    visit = Visit(browser, server)
+    page, frames = visit.page, visit.page.get_by_label("Frames", exact=True)
+    before = frames.input_value()
+    visit.choose(frames=23)
+    page.wait_for_timeout(300)
+    # Where the clipboard may not be written the link goes into the address bar.
+    page.evaluate("() => { navigator.clipboard.writeText = () => Promise.reject(new Error()); }")
+    page.locator(".scene-tools").get_by_text("Copy a link").click()
+    page.wait_for_function("location.hash.startsWith('#scene=')")
+    link = page.url
+    undo = page.locator(".scene-tools").get_by_text("Undo")
+    while undo.is_enabled():
+        undo.click()
+    assert frames.input_value() == before
+    page.locator(".scene-tools").get_by_text("Redo").click()
+    assert frames.input_value() == "23"
+    page.get_by_label("Frames", exact=True).press("Control+z")
+    assert frames.input_value() == before
+    page.get_by_label("Frames", exact=True).press("Control+Shift+z")
+    assert frames.input_value() == "23"
+    other = Visit(browser, server)
+    other.page.goto("about:blank")
+    other.page.goto(link)
+    other.page.wait_for_selector("#scene .card")
+    assert other.page.get_by_label("Frames", exact=True).input_value() == "23"
+    visit.context.close()
+    other.context.close()
+
+
+PHONE = {"viewport": {"width": 390, "height": 844}, "has_touch": True}
+RATES = "[...document.querySelectorAll('.film video')].map((v) => v.playbackRate)"
+WIDTH = "document.documentElement.scrollWidth"
+SEEN = """(which) => {
+    const box = document.querySelector(which).getBoundingClientRect();
+    return box.top < innerHeight / 2 && box.bottom > innerHeight / 3;
+}"""
+CUT = """() => [...document.querySelectorAll('#report .report *')].filter((e) => {
+    // What sticks out of the report on the right.
+    const right = document.querySelector('#report').getBoundingClientRect().right;
+    return e.getBoundingClientRect().right > right + 1;
+}).map((e) => e.outerHTML.slice(0, 120))"""
+
+
+def test_on_a_phone_nothing_is_too_wide_and_the_result_comes_into_view(browser, server, tmp_path):
+    visit = Visit(browser, server, **PHONE)
+    page = visit.page
+    assert page.evaluate(WIDTH) == 390
+    (tmp_path / "text.png").write_text("this is no picture")
+    page.locator("#photo input[type=file]").set_input_files(tmp_path / "text.png")
+    page.get_by_text("It is not a PNG, JPEG").first.wait_for(timeout=LONG)
+    visit.upload()
+    visit.choose(frames=20)
+    page.evaluate("scrollTo(0, 0)")
+    visit.generate()
+    cancel = page.locator("#cancel").bounding_box(timeout=LONG)
+    assert cancel["x"] >= 0 and cancel["x"] + cancel["width"] <= 390, cancel
+    visit.finished()
+    page.wait_for_selector("#viewer .phy-time", timeout=LONG)
+    page.wait_for_function(SEEN, arg="#viewer", timeout=LONG)
+    for tab in ("Report", "Take away", "Videos"):
+        page.get_by_role("tab", name=tab).click()
+        assert page.evaluate(WIDTH) == 390, tab
+        if tab == "Report":
+            page.wait_for_selector("#report .report", timeout=LONG)
+            assert page.evaluate(CUT) == []
+    rates = page.evaluate(RATES)
+    assert rates and set(rates) == {0.5}
+    page.get_by_label("Speed of the videos").select_option("0.25")
+    rates = page.evaluate(RATES)
+    assert set(rates) == {0.25}
+    visit.context.close()

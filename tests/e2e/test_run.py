@@ -1,0 +1,195 @@
+"""A run in a real headless Chromium, from the upload to the files taken away."""
+
+from __future__ import annotations
+
+import json
+import re
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from served import ROOT
+from visit import LONG, Visit, drawn
+
+pytestmark = pytest.mark.browser
+
+
+WATCH = """() => {
+    // The run is short: note what the progress panel shows rather than look at the right moment.
+    const panel = document.querySelector('#progress'), seen = globalThis.seen = { stages: [] };
+    new MutationObserver(() => {
+        seen.glimpse ||= Boolean(panel.querySelector('.glimpse[src]'));
+        for (const stage of panel.querySelectorAll('.stage.going, .stage.full')) {
+            seen.stages.push(stage.querySelector('.stage-name').textContent);
+        }
+    }).observe(panel, { childList: true, subtree: true, attributes: true });
+}"""
+
+
+def test_from_picture_to_files(browser, server, tmp_path):
+    visit = Visit(browser, server, accept_downloads=True)
+    page = visit.page
+    visit.upload()
+    visit.choose(frames=5)
+    page.evaluate(WATCH)
+    visit.generate()
+    visit.finished()
+    seen = page.evaluate("globalThis.seen")
+    assert seen["glimpse"] and {"Picture to 3D", "Physics", "Videos"} <= set(seen["stages"])
+    _video_plays(page)
+    _viewer_moves(page)
+    _files_open(page, tmp_path)
+    page.get_by_role("tab", name="Report").click()
+    assert "Smallest volume ratio J" in page.locator(".report").inner_text()
+    assert visit.complaints == []
+    visit.context.close()
+
+
+PLAYS = """async () => {
+    const video = document.querySelector('.film video'), canvas = document.createElement('canvas');
+    await video.play();
+    while (video.readyState < 3 || !video.currentTime) {
+        await new Promise((done) => setTimeout(done, 50));
+    }
+    video.pause();
+    Object.assign(canvas, { width: video.videoWidth, height: video.videoHeight });
+    const context = canvas.getContext('2d');
+    context.drawImage(video, 0, 0);
+    const pixels = context.getImageData(0, 0, canvas.width, canvas.height).data;
+    const extreme = (pick) => pixels.reduce((a, b) => pick(a, b));
+    return [video.readyState, extreme(Math.min), extreme(Math.max)];
+}"""
+
+
+def _video_plays(page) -> None:
+    ready, darkest, brightest = page.evaluate(PLAYS)
+    assert ready >= 3
+    assert darkest < 120 and brightest > 240, "the video is blank"
+
+
+def _viewer_moves(page) -> None:
+    page.wait_for_selector("#viewer .phy-time")
+    before = drawn(page, lambda picture: picture.min() < 120, "the viewer is blank")
+    page.locator("#viewer .phy-time").fill("0.16")
+    drawn(page, lambda now: np.abs(now - before).max() > 60, "the slider moves nothing")
+
+
+def _files_open(page, folder: Path) -> None:
+    page.get_by_role("tab", name="Take away").click()
+    offered = page.locator("#takeaway a.file")
+    names = [offered.nth(i).get_attribute("data-name") for i in range(offered.count())]
+    for name in names:
+        _download(page, page.locator(f'#takeaway a[data-name="{name}"]'), folder / name)
+    for kind, name in (("html", "player.html"), ("ply", "phy124-ply.zip")):
+        page.locator(f"#takeaway button[data-kind={kind}]").click()
+        link = page.locator(f'#takeaway a[data-name="{name}"]')
+        link.wait_for(timeout=LONG)
+        _download(page, link, folder / name)
+    _check_files(folder)
+
+
+def _download(page, link, path: Path) -> None:
+    # Chromium drops the eleventh download within a second; no person clicks that fast.
+    page.wait_for_timeout(150)
+    with page.expect_download(timeout=LONG) as download:
+        link.click()
+    download.value.save_as(path)
+
+
+def _check_files(folder: Path) -> None:
+    from phy124.clip import Clip
+    from phy124.ply import read_ply
+    from phy124.scene import Scene
+
+    assert len(Clip.load(folder / "clip.safetensors")) == 5
+    assert Scene.from_toml(folder / "scene.toml").time.frames == 5
+    assert json.loads((folder / "report.json").read_text())["complete"] is True
+    with Image.open(folder / "orbit.webp") as orbit:
+        assert orbit.n_frames == 5
+    assert len(read_ply(folder / "gaussians.ply").gaussians) > 1000
+    assert (folder / "front.mp4").read_bytes()[4:8] == b"ftyp"
+    names = zipfile.ZipFile(folder / "phy124-ply.zip").namelist()
+    assert names == [f"phy124_{i:04d}.ply" for i in range(1, 6)]
+    page = (folder / "player.html").read_text("utf-8")
+    assert not re.search(r'(?:src|href)="', page), "the exported player asks for other files"
+
+
+def test_the_error_of_a_scene_is_measured_on_request(browser, server):
+    visit = Visit(browser, server)
+    page = visit.page
+    visit.upload()
+    visit.choose(frames=14)
+    assert page.locator("[data-measure]").count() == 0, "of such scenes it is known"
+    page.get_by_label("Frames", exact=True).fill("40")
+    page.locator("[data-measure]").click()
+    page.locator("#progress").get_by_text("Grids").wait_for(timeout=LONG)
+    page.locator("#cancel").click()
+    page.get_by_text("Stopped.").first.wait_for(timeout=LONG)
+    visit.choose(frames=18)
+    page.locator("[data-measure]").click()
+    page.locator("#progress").get_by_text("Grids").wait_for(timeout=LONG)
+    page.reload()
+    page.locator("#forecast .measured").get_by_text("Measured: about").wait_for(timeout=LONG)
+    shown = page.locator("#forecast").text_content()
+    assert "What accuracy cost here" in shown and "D/24" in shown
+    assert page.locator("[data-measure]").count() == 0
+    visit.generate()
+    visit.finished()
+    assert visit.complaints == []
+    visit.context.close()
+
+
+def test_cancel_frees_the_device_and_the_next_job_runs(browser, server):
+    visit = Visit(browser, server)
+    visit.begin(frames=60, accuracy="standard")
+    assert server.health()["busy"]
+    visit.page.locator("#cancel").click()
+    visit.page.get_by_text("Stopped.").first.wait_for(timeout=LONG)
+    visit.page.wait_for_selector("#go:not([disabled])", timeout=LONG)
+    server.until_idle()
+    visit.choose(frames=3)
+    visit.generate()
+    visit.finished()
+    assert visit.complaints == []
+    visit.context.close()
+
+
+def test_a_run_called_off_in_the_queue_never_starts(browser, server):
+    first, second = Visit(browser, server), Visit(browser, server)
+    for visit, frames, accuracy in ((first, 60, "fine"), (second, 2, "draft")):
+        visit.upload()
+        visit.choose(frames=frames, accuracy=accuracy)
+    first.generate()
+    first.page.wait_for_selector(".glimpse[src]", timeout=LONG)
+    second.generate()
+    second.page.get_by_text("1 run before yours").wait_for(timeout=LONG)
+    second.page.locator("#cancel").click()
+    second.page.get_by_text("Stopped.").first.wait_for(timeout=LONG)
+    second.page.wait_for_selector("#go:not([disabled])", timeout=LONG)
+    second.generate()
+    second.page.get_by_text("1 run before yours").wait_for(timeout=LONG)
+    first.page.locator("#cancel").click()
+    second.finished()
+    server.until_idle()
+    for visit in (first, second):
+        assert visit.complaints == []
+        visit.context.close()
+
+
+def test_two_visitors_get_their_own_results(browser, server):
+    visits = [Visit(browser, server), Visit(browser, server)]
+    for visit, name in zip(visits, ("duck", "pear"), strict=True):
+        visit.upload(ROOT / "demo" / "examples" / f"{name}.png")
+        visit.choose(frames=2)
+    for visit in visits:
+        visit.generate()
+    pictures = []
+    for visit in visits:
+        visit.finished()
+        src = visit.page.locator(".film video").first.get_attribute("src")
+        pictures.append(visit.page.request.get(src).body())
+        assert visit.complaints == []
+        visit.context.close()
+    assert pictures[0] != pictures[1]

@@ -1,0 +1,89 @@
+"""A visitor's tab in a real browser, and what its player draws."""
+
+from __future__ import annotations
+
+import base64
+import io
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+from served import ROOT, Server
+
+FLAGS = [
+    "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist",
+    # A camera that shows a test picture.
+    "--use-fake-device-for-media-stream", "--use-fake-ui-for-media-stream",
+]  # fmt: skip
+DUCK = ROOT / "demo" / "examples" / "duck.png"
+LONG = 300_000
+"""Patience with whatever is waited for, ms."""
+
+
+class Visit:
+    """A visitor's tab that notes every complaint and every request to elsewhere."""
+
+    def __init__(self, browser, server: Server, **context) -> None:
+        size = {"width": 1280, "height": 900}
+        self.context = browser.new_context(
+            **{"viewport": size, "reduced_motion": "reduce", **context}
+        )
+        self.page = self.context.new_page()
+        self.complaints: list[str] = []
+        self.page.on("console", lambda m: m.type == "error" and self.complaints.append(m.text))
+        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
+        self.page.on("request", lambda r: self._note(r.url, server.url))
+        self.page.goto(server.url)
+        self.page.wait_for_selector("#scene .card", timeout=LONG)
+
+    def _note(self, url: str, home: str) -> None:
+        if not url.startswith((home, "data:", "blob:")):
+            self.complaints.append(f"request to {url}")
+
+    def upload(self, path: Path = DUCK) -> None:
+        self.page.locator("#photo input[type=file]").set_input_files(path)
+        self.page.wait_for_selector("#cutout img[src]", timeout=LONG)
+
+    def choose(self, *, frames: int, accuracy: str = "draft") -> None:
+        self.page.get_by_label("Frames", exact=True).fill(str(frames))
+        self.page.locator(f".segments input[value={accuracy}]").check(force=True)
+        self.page.wait_for_function(
+            "document.querySelector('#forecast').textContent.includes('substeps')"
+        )
+        # The editor tells the server a moment after the last change.
+        self.page.wait_for_timeout(400)
+
+    def begin(self, *, frames: int, accuracy: str = "draft") -> None:
+        """A run of the duck, until its first frame is seen."""
+        self.upload()
+        self.choose(frames=frames, accuracy=accuracy)
+        self.generate()
+        self.page.wait_for_selector(".glimpse[src]", timeout=LONG)
+
+    def generate(self) -> None:
+        self.page.locator("#go").click()
+
+    def finished(self) -> None:
+        self.page.wait_for_selector(".film video", timeout=LONG)
+        self.page.wait_for_selector("#go:not([disabled])", timeout=LONG)
+
+
+def _canvas(page) -> np.ndarray:
+    url = page.evaluate("document.querySelector('.phy-canvas').toDataURL()")
+    data = base64.b64decode(url.split(",")[1])
+    return np.asarray(Image.open(io.BytesIO(data)).convert("RGB")).astype(float)
+
+
+def psnr(a: np.ndarray, b: np.ndarray) -> float:
+    return -10 * np.log10(((a - b) ** 2).mean() / 255**2)
+
+
+def drawn(page, good, complaint: str) -> np.ndarray:
+    """The viewer's picture once it is as it should be; software WebGL takes its time."""
+    for _ in range(LONG // 200):
+        picture = _canvas(page)
+        if good(picture):
+            return picture
+        page.wait_for_timeout(200)
+    raise AssertionError(complaint)
