@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ipaddress
 import re
+import resource
 import secrets
 import socket
 from asyncio import TimerHandle
@@ -22,6 +23,8 @@ DRAIN = 1 << 28
 """Bytes of a refused request that are read before the connection is closed."""
 HEAD, BODY = 20.0, 120.0
 """Time for the head of a request and for its body [s]."""
+FILES = 16_384
+"""Files and connections that the page may have open, if the system lets it."""
 FETCHES = re.compile(r"/gradio_api/(?:file=|proxy=)(?:https?:|ftp:|//)", re.IGNORECASE)
 """Addresses at which Gradio would fetch something from elsewhere."""
 POLICY = (
@@ -172,16 +175,34 @@ class _Answer:
         await self.send({"type": "http.response.body", "body": body})
 
 
+def most_connections() -> int:
+    """How many may be open at once: half of what the system lets us open, all in all."""
+    now, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    least = FILES if most == resource.RLIM_INFINITY else min(FILES, most)
+    if now < least:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (least, most))
+    return max(now, least) // 2
+
+
 class Patient(H11Protocol):
-    """A connection that is closed if a request does not arrive in time, however slowly it drips."""
+    """A connection that is closed if a request does not arrive in time, however slowly it drips.
+
+    Where there are too many of them, the one that has kept us waiting longest makes room.
+    """
 
     clock: TimerHandle | None = None
     waiting_for = ""
+
+    def __init__(self, *arguments: Any, most: int, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self.most = most
 
     def connection_made(self, transport: Any) -> None:
         """Start the clock at once: silence counts, too."""
         super().connection_made(transport)
         self._watch()
+        if len(self.connections) > self.most:
+            self._make_room()
 
     def data_received(self, data: bytes) -> None:
         """Take what came, and see what is still missing."""
@@ -202,6 +223,12 @@ class Patient(H11Protocol):
             self.waiting_for = missing
             patience = HEAD if missing == "IDLE" else BODY
             self.clock = self.loop.call_later(patience, self.transport.close)
+
+    def _make_room(self) -> None:
+        waiting = [each for each in self.connections if isinstance(each, Patient) and each.clock]
+        slowest = min(waiting, key=lambda each: each.clock.when() if each.clock else 0.0)
+        slowest._stop()
+        slowest.transport.abort()
 
     def _stop(self) -> None:
         self.waiting_for = ""

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import threading
 import warnings
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +17,7 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
-from demo.guard import BodyLimit, Doorkeeper, Headed, Patient, own_names
+from demo.guard import BodyLimit, Doorkeeper, Headed, Patient, most_connections, own_names
 from demo.identity import cookie_of
 from demo.uploads import upload_route
 
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
     from demo.settings import Settings
 
 FOLDER = Path(__file__).parent
+LOG = logging.getLogger("phy124.web")
 SLACK = 64_000
 """Bytes of a request beside the upload itself."""
 SWEEP = 5.0
@@ -128,14 +131,22 @@ def launch(page: Any, studio: Studio, **options: Any) -> None:
         **options,
     )
     # Looked up for each new connection.
-    page.server.config.http_protocol_class = Patient
+    page.server.config.http_protocol_class = partial(Patient, most=most_connections())
     try:
         while page.server.thread.is_alive():
             page.server.thread.join(SWEEP)
-            studio.visitors.sweep()
+            _sweep(studio)
     finally:
         studio.visitors.close()
         page.close(verbose=False)
+
+
+def _sweep(studio: Studio) -> None:
+    try:
+        studio.visitors.sweep()
+    except OSError:
+        # No reason to end the page: it is tried again in some seconds.
+        LOG.exception("silent visitors were not swept out")
 
 
 def end_on_signals() -> None:

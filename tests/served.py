@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import re
+import resource
 import socket
 import subprocess
 import sys
@@ -42,10 +43,17 @@ class Server:
 
     def peak_memory(self) -> int:
         """Greatest resident size so far, bytes."""
+        return self._status("VmHWM")
+
+    def _status(self, name: str) -> int:
         status = Path(f"/proc/{self.process.pid}/status").read_text()
-        match = re.search(r"VmHWM:\s+(\d+) kB", status)
+        match = re.search(rf"{name}:\s+(\d+) kB", status)
         assert match is not None
         return int(match[1]) * 1024
+
+    def memory(self) -> int:
+        """Resident size now, bytes."""
+        return self._status("VmRSS")
 
     def said(self) -> str:
         """The end of the server's log."""
@@ -64,19 +72,24 @@ class Server:
 
 
 @contextlib.contextmanager
-def serving(folder: Path, **settings: object) -> Iterator[Server]:
-    """Serve until the block ends; settings are those of demo.settings.Settings."""
+def serving(folder: Path, *, files: int | None = None, **settings: object) -> Iterator[Server]:
+    """Serve until the block ends; settings are those of demo.settings.Settings.
+
+    `files` is how many files and connections the server may have open.
+    """
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     given = {f"PHY124_{name.upper()}": str(value) for name, value in settings.items()}
-    files, written = folder / "files", folder / "log.txt"
-    environment = {**os.environ, "PHY124_PORT": str(port), "PHY124_FOLDER": str(files), **given}
+    root, written = folder / "files", folder / "log.txt"
+    environment = {**os.environ, "PHY124_PORT": str(port), "PHY124_FOLDER": str(root), **given}
     with open(written, "wb") as log:
         process = subprocess.Popen(
             [sys.executable, "app.py"], cwd=ROOT, env=environment, stdout=log, stderr=log
         )
-    server = Server(port, files, written, process)
+    if files:
+        resource.prlimit(process.pid, resource.RLIMIT_NOFILE, (files, files))
+    server = Server(port, root, written, process)
     try:
         server.until(lambda: _answers(server), "a server that is ready")
         yield server

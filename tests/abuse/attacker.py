@@ -7,6 +7,7 @@ import json
 import secrets
 import socket
 import time
+from collections.abc import Iterator
 from typing import Any
 
 from served import PATIENCE, Server
@@ -74,13 +75,29 @@ class Attacker:
             return self.followed(shown["job"])["message"] or "cut out"
         return shown["message"]
 
+    def use_the_page(self, path: str, scene: Any) -> list[dict[str, Any]]:
+        """What a browser does until the result is there, and all it was told of the run."""
+        cutting = self.press("picture", "choose", [], upload=path)[0]["job"]
+        assert self.followed(cutting)["state"] == "done"
+        self.press("picture", "cut", [None, None], job=cutting)
+        run = self.press("go", "click", [None, scene])[0]["job"]
+        told = list(self.following(run))
+        shown = self.press("progress", "finished", [], job=run)
+        assert told[-1]["state"] == "done" and any(shown), told[-1]
+        return told
+
     def followed(self, job: str) -> dict[str, Any]:
         """The last word on a piece of work."""
+        return list(self.following(job))[-1]
+
+    def following(self, job: str) -> Iterator[dict[str, Any]]:
+        """What is told of a piece of work until it has ended."""
         end = time.monotonic() + PATIENCE
         while time.monotonic() < end:
             told = json.loads(self.get(f"/phy124/jobs/{job}")[1])
+            yield told
             if told["state"] not in ("waiting", "running"):
-                return told
+                return
             time.sleep(0.1)
         raise AssertionError(f"no end of the work:\n{self.server.said()}")
 
