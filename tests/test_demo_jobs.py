@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hostile import PHONE, heic_claiming
 from PIL import Image
 
 from demo.jobs import UNFINISHED, Studio
@@ -18,7 +19,7 @@ from demo.line import Job, Line
 from demo.settings import Settings
 from demo.strokes import Stroke
 from demo.visitors import Visitors
-from phy124 import cutout, isolated
+from phy124 import cutout, heic, isolated
 from phy124.errors import InputError
 from phy124.scene import Scene
 
@@ -94,6 +95,24 @@ def test_a_picture_that_was_refused_is_not_generated_from(studio):
         studio.cut("a", str(bad))
     with pytest.raises(InputError, match="no picture yet"):
         studio.run("a", None, Scene.named("press").data())
+
+
+@pytest.mark.skipif(not heic.is_readable(), reason="the extra heic is not installed")
+def test_a_heic_photograph_is_shown_as_browsers_can(studio):
+    studio.visitors.get("a")
+    job = studio.cut("a", str(studio.visitors.store("a", PHONE.read_bytes(), ".heic")))
+    assert job.wait(60) and job.progress.state == "done", job.progress.message
+    made = job.progress.result
+    with Image.open(made.picture) as shown, Image.open(made.path) as cut:
+        assert (shown.format, shown.size, cut.size) == ("WEBP", (320, 256), (320, 256))
+    assert studio.visitors.own("a", made.picture) == Path(made.picture)  # the brush names it
+
+
+def test_a_heic_bomb_is_refused_before_it_waits_for_its_turn(studio):
+    studio.visitors.get("a")
+    bomb = studio.visitors.store("a", heic_claiming(6000, 5000), ".heic")
+    with pytest.raises(InputError, match="more than 25 million pixels"):
+        studio.cut("a", str(bomb))
 
 
 @pytest.mark.parametrize("kind", ["file", "other", "device", "folder", "link", "missing", "odd"])

@@ -6,6 +6,7 @@ import json
 from typing import get_args
 
 import pytest
+from PIL import Image
 
 from demo.catalogue import FOLDER, catalogue, check_time, files_named, scene_of
 from demo.forecast import Forecaster, count_substeps, measured, stops_table
@@ -72,6 +73,9 @@ def test_every_preset_has_a_small_preview():
         path = FOLDER / "previews" / f"{name}.webp"
         assert path.exists(), f"python -m demo.make_previews {name}"
         assert path.stat().st_size < 100_000
+        with Image.open(path) as picture:
+            least, _ = picture.convert("RGBA").getchannel("A").getextrema()
+        assert least == 0, f"{name} would be a white square on a dark page"
         assert card["text"] and scene_of(card["scene"], Settings()).description == card["text"]
 
 

@@ -27,11 +27,18 @@ def _violations(page) -> list[str]:
     ]
 
 
-@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
-def test_axe_finds_nothing_in_any_state(browser, server, tmp_path, dark):
-    visit = Visit(browser, server, color_scheme="dark" if dark else "light")
+LOOKS = {
+    "light": {"color_scheme": "light"},
+    "dark": {"color_scheme": "dark"},
+    "phone": {"color_scheme": "dark", "viewport": {"width": 390, "height": 844}},
+}
+
+
+@pytest.mark.parametrize("look", LOOKS)
+def test_axe_finds_nothing_in_any_state(browser, server, tmp_path, look):
+    visit = Visit(browser, server, **LOOKS[look])
     page = visit.page
-    if dark:
+    if look != "light":
         page.goto(f"{server.url}?__theme=dark")
         page.wait_for_selector("#scene .card", timeout=LONG)
     found = {"empty": _violations(page)}
