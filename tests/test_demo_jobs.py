@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from demo.line import Job, Line
 from demo.settings import Settings
 from demo.strokes import Stroke
 from demo.visitors import Visitors
+from demo.work import Order
 from phy124 import cutout, heic, isolated
 from phy124.errors import InputError
 from phy124.scene import Scene
@@ -155,6 +156,30 @@ def test_one_visitor_cannot_fill_the_queue(studio, stuck):
         unfinished.append(jobs[0])
     with pytest.raises(InputError, match="You have work waiting"):
         _cut(studio, "a")
+    studio.visitors.close()
+
+
+def test_a_full_queue_of_runs_takes_cut_outs_all_the_same(tmp_path):
+    over = threading.Event()
+
+    def hold(_: Order) -> Iterator[None]:
+        while not over.wait(0.05):
+            yield None
+
+    studio = Studio(Settings(max_queue=1), Visitors(tmp_path), work=hold)
+    scene, made = Scene.named("press").data(), {}
+    for name in ("a", "b", "c"):
+        job = _cut(studio, name)
+        assert job.wait(60) and job.progress.state == "done"
+        made[name] = job.progress.result.path
+    studio.run("a", made["a"], scene)
+    _until(lambda: studio.runs.running == 1)
+    studio.run("b", made["b"], scene)
+    with pytest.raises(InputError, match="queue is full"):
+        studio.run("c", made["c"], scene)
+    assert _cut(studio, "c").wait(60)
+    over.set()
+    _until(lambda: studio.runs.running == 0)
     studio.visitors.close()
 
 

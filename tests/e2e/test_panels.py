@@ -33,7 +33,8 @@ START = """() => {
         const element = document.getElementById('progress'), props = { value: null };
         let show;
         Phy124.progress(element, props, (_, act) => { show = act; }, done);
-        props.value = { state: 'waiting', job, expected: 1, elapsed: 0 };
+        props.value = job ? { state: 'waiting', job, expected: 1, elapsed: 0 }
+            : { state: 'full', message: 'The queue is full.' };
         show();
     });
 }"""
@@ -71,3 +72,10 @@ def test_a_chime_is_heard_after_a_long_run_that_went_well_unless_it_is_off(page,
     page.evaluate(f"localStorage.setItem('phy124-sound', '{sound}')")
     page.evaluate(f"run('{job}')")
     assert page.evaluate("notes.length") == notes
+
+
+def test_who_finds_the_queue_full_can_try_again(page):
+    page.evaluate("run(null).then((event) => { globalThis.asked = event; })")
+    page.get_by_text("The queue is full.").wait_for(timeout=LONG)
+    page.get_by_role("button", name="Try again now").click()
+    assert page.evaluate("asked") == "again"
