@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from demo.substances import SUBSTANCES
+from demo.work.films import whole_in_view
 from phy124.clip import Clip
 from phy124.cutout import cut_out
+from phy124.framing import departures
 from phy124.gaussians import Frame
 from phy124.generators import make
 from phy124.pipeline import cameras
@@ -56,14 +58,15 @@ def make_preview(scene: Scene, example: str, path: Path, size: int) -> None:
     cutout = cut_out(FOLDER / "examples" / f"{example}.png").picture
     clip = Simulation(make("relief")(cutout, seed=0, progress=silent), scene).run()
     path.parent.mkdir(exist_ok=True)
-    closer = {"size": (size, size), "distance": scene.view.distance - 0.2}
-    view = scene.view.model_copy(update=closer)
+    closer = scene.view.model_copy(update={"distance": scene.view.distance - 0.2})
+    view = whole_in_view(clip, scene.view) if departures(clip, closer) else closer
+    view = view.model_copy(update={"size": (size, size)})
     camera = cameras(clip, view, "front")[0]
     black, white = (
         list(render_frames(_there_and_back(clip), camera, background=(g, g, g), device="cpu"))
         for g in (0.0, 1.0)
     )
-    images = [_clear(dark, light) for dark, light in zip(black, white, strict=True)]
+    images = _telling([_clear(dark, light) for dark, light in zip(black, white, strict=True)])
     duration = round(1000 / (0.6 * scene.time.fps))
     images[0].save(
         path, save_all=True, append_images=images[1:], duration=duration, loop=0,
@@ -77,6 +80,14 @@ def _clear(on_black: NDArray, on_white: NDArray) -> Image.Image:
     alpha = 255 - (light - dark).mean(axis=2, keepdims=True).clip(0, 255)
     colour = np.where(alpha > 0, dark * 255 / np.maximum(alpha, 1), 0).clip(0, 255)
     return Image.fromarray(np.concatenate([colour, alpha], axis=2).astype(np.uint8))
+
+
+def _telling(images: list[Image.Image]) -> list[Image.Image]:
+    """The loop, begun where it is least like its beginning: that is what a still shows of it."""
+    pixels = np.array([np.asarray(image, np.int16) for image in images])
+    changed = np.abs(pixels - pixels[0]).sum(axis=(1, 2, 3))
+    start = int(changed.argmax())
+    return images[start:] + images[:start]
 
 
 def _there_and_back(clip: Clip) -> list[Frame]:
