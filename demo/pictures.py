@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
+import json
 import warnings
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
 from demo.settings import Settings
 from demo.strokes import Stroke, painted
 from phy124 import heic, isolated
-from phy124.cutout import foreground, has_alpha
+from phy124.cutout import Cutout, foreground, has_alpha, looked_at
 from phy124.errors import InputError
 from phy124.files import replacing
 from phy124.grabcut import hinted
 from phy124.image import FORMATS, open_image
 from phy124.isolated import PATIENT, Deadline, Unfinished
+
+HOW = "cutout"
+"""Name of the PNG's text that says how it was cut out."""
 
 
 def check_picture(path: Path, settings: Settings) -> None:
@@ -63,8 +69,8 @@ def viewable(picture: Path) -> Path:
 def cut_out(picture: Path, path: Path, deadline: Deadline = PATIENT) -> tuple[str, ...]:
     """Write the cut-out of a picture and return what makes it doubtful; raises InputError."""
     found = foreground(open_image(picture), deadline=deadline)
-    _save(found.picture, path)
-    return tuple(found.warnings)
+    _save(found, path)
+    return found.warnings
 
 
 def corrected(
@@ -90,11 +96,19 @@ def corrected(
     alpha[marks == 1] = 0
     alpha[marks == 2] = 255
     image.putalpha(Image.fromarray(alpha))
-    _save(image, path)
+    _save(looked_at(image, "brush"), path)
 
 
-def _save(cut: Image.Image, path: Path) -> None:
-    if not np.any(np.asarray(cut.getchannel("A")) > 127):
+def how_cut(picture: Image.Image) -> dict[str, Any] | None:
+    """What is known of how a picture was cut out, if `cut_out` or `corrected` wrote it."""
+    said = picture.info.get(HOW)
+    return said and json.loads(said)
+
+
+def _save(cut: Cutout, path: Path) -> None:
+    if not cut.coverage:
         raise InputError("picture", "empty", "Nothing is left of it.", "Paint green what to keep.")
+    how = PngInfo()
+    how.add_text(HOW, json.dumps(cut.data()))
     with replacing(path) as temporary:
-        cut.save(temporary, "PNG", compress_level=1)
+        cut.picture.save(temporary, "PNG", compress_level=1, pnginfo=how)

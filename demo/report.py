@@ -23,7 +23,7 @@ def as_html(
         parts.append(f'<p class="notice">Stopped early: {escape(str(report["stopped"]))}</p>')
     parts += [f'<p class="note">{escape(str(note))}</p>' for note in report.get("notes", [])]
     parts += [_accuracy(report, scene, predicted), _pareto(report, scene, stops)]
-    parts += [_stages(report), _motion(report)]
+    parts += [_cut_out(report), _stages(report), _motion(report)]
     parts += [_effects(report), _left_out(report)]
     return f'<div class="report">{"".join(parts)}</div>'
 
@@ -92,6 +92,15 @@ def _stages(report: dict[str, Any]) -> str:
         for s in report["stages"]
     ]
     return _section("Stage times", f"<table>{''.join(rows)}</table>")
+
+
+def _cut_out(report: dict[str, Any]) -> str:
+    """How the object was found in its picture, and what makes that doubtful."""
+    cutout = report.get("cutout")
+    if not cutout:
+        return ""
+    rows = [("Method", cutout["method"]), ("Share of the picture", f"{cutout['coverage']:.1%}")]
+    return _section("Cut-out", _table([*rows, *(("Doubt", d) for d in cutout["warnings"])]))
 
 
 def _motion(report: dict[str, Any]) -> str:

@@ -15,7 +15,7 @@ from phy124 import isolated, u2net
 from phy124.errors import InputError
 from phy124.grabcut import grabcut
 from phy124.image import ANY_FORMAT, open_image, size_in_file
-from phy124.silhouette import pieces, touched, unseen
+from phy124.silhouette import alike, pieces, touched, unseen
 
 Alpha = NDArray[np.uint8]
 REAL_ALPHA = 0.005
@@ -30,6 +30,8 @@ PIECES = 4
 """So many pieces are suspicious."""
 UNSEEN = 0.12
 """Share of the outline without an edge in the picture that is suspicious: right ones have 0.05."""
+ALIKE = 0.1
+"""Share of the surroundings in the object's colours that is suspicious: right ones have 0.09."""
 REMEDY = (
     "Use a picture with one object on a plain background, all of it visible, give a mask (white "
     "where the object is), or save the cut-out object as PNG with transparency."
@@ -52,7 +54,7 @@ class Cutout:
     picture: Image.Image
     """RGBA, not premultiplied."""
     method: str
-    """Key of `METHODS`, or "mask"."""
+    """Key of `METHODS`, "mask", or "brush" where a person corrected it."""
     coverage: float
     """Share of the picture that is object."""
     pieces: int
@@ -61,13 +63,15 @@ class Cutout:
     """Edges of the picture that the object reaches, or nearly: left, top, right, bottom."""
     unseen: float
     """Share of the outline where the picture shows no edge."""
+    alike: float
+    """Share of the surroundings whose colours are commoner in the object than around it."""
     frames: int = 1
     """Of the file, if it is an animation: only the first was looked at."""
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """What makes it likely that this is not the object that was meant."""
-        given, found = self.method in ("alpha", "mask"), []
+        given, found = self.method in ("alpha", "mask", "brush"), []
         if self.frames > 1:
             found.append(f"The picture is an animation of {self.frames} frames; the first is used.")
         if len(self.touches) >= SIDES and self.method != "alpha":
@@ -85,6 +89,11 @@ class Cutout:
             found.append(
                 f"{self.unseen:.0%} of the cut-out's outline runs where the picture has no edge."
             )
+        if self.alike > ALIKE and self.method == "grabcut":
+            found.append(
+                f"{self.alike:.0%} of what surrounds the cut-out has its colours, by which it was "
+                "found: part of the object may be missing, or background taken for it."
+            )
         return tuple(found)
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -99,6 +108,7 @@ class Cutout:
             "pieces": self.pieces,
             "touches": list(self.touches),
             "unseen": round(self.unseen, 4),
+            "alike": round(self.alike, 4),
             "frames": self.frames,
             "warnings": list(self.warnings),
         }
@@ -150,11 +160,16 @@ def foreground(
             limit = f"The search for the object by {method} {error}."
             raise InputError("foreground", method, limit, REMEDY) from error
     _check_share(alpha, method, frames)
-    cut = image.copy()
-    cut.putalpha(Image.fromarray(alpha))
-    solid, rgb = alpha > 127, np.asarray(image)[..., :3]
-    shape = pieces(solid), touched(solid), unseen(rgb, solid)
-    return Cutout(cut, method, float(solid.mean()), *shape, frames)
+    image.putalpha(Image.fromarray(alpha))
+    return looked_at(image, method, frames)
+
+
+def looked_at(picture: Image.Image, method: str, frames: int = 1) -> Cutout:
+    """A picture that was cut out somehow, with what can be told of its object."""
+    rgb, alpha = np.split(np.asarray(picture), (3,), axis=2)
+    solid = alpha[..., 0] > 127
+    looks = pieces(solid), touched(solid), unseen(rgb, solid), alike(rgb, solid)
+    return Cutout(picture, method, float(solid.mean()), *looks, frames)
 
 
 def has_alpha(image: Image.Image) -> bool:

@@ -221,6 +221,33 @@ def test_a_wrong_cut_out_is_told(monkeypatch):
     assert found.data()["warnings"] == list(found.warnings)
 
 
+def two_coloured(beside):
+    """A disc half red and half green; `beside` it on the grey ground lies something of a colour."""
+    picture, mask = disc(noise=3)
+    rgb = np.array(picture)
+    rgb[:, 66:][mask[:, 66:]] = [40, 160, 60]
+    rgb[:, :26] = beside
+    return Image.fromarray(rgb), mask
+
+
+@pytest.mark.parametrize(("beside", "told"), [([200, 40, 30], True), ([60, 60, 200], False)])
+def test_colours_of_the_object_around_it_are_told(monkeypatch, beside, told):
+    picture, mask = two_coloured(beside)
+    monkeypatch.setitem(METHODS, "grabcut", found_as(mask))
+    found = foreground(picture)
+    assert (found.alike > 0.1) == told
+    assert any("of what surrounds the cut-out has its colours" in w for w in found.warnings) == told
+    # Of what a person or a network found, colours tell nothing.
+    given = foreground(picture, mask=Image.fromarray(255 * mask.astype(np.uint8)))
+    assert given.warnings == ()
+
+
+@pytest.mark.parametrize(("name", "told"), [("chelsea", True), ("coffee", False)])
+def test_half_a_cat_is_told_and_a_whole_cup_is_not(name, told):
+    found = foreground(Image.fromarray(getattr(pytest.importorskip("skimage.data"), name)()))
+    assert bool(found.warnings) == told, found.data()
+
+
 @pytest.mark.parametrize(
     ("places", "told"),
     [

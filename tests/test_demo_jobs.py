@@ -16,6 +16,7 @@ from PIL import Image
 
 from demo.jobs import UNFINISHED, Studio
 from demo.line import Job, Line
+from demo.pictures import how_cut
 from demo.settings import Settings
 from demo.strokes import Stroke
 from demo.visitors import Visitors
@@ -240,12 +241,16 @@ def test_a_doubtful_cut_out_is_told_once_and_not_after_a_correction(studio, tmp_
     studio.visitors.get("a")
     sent = str(studio.visitors.store("a", (tmp_path / "a.png").read_bytes(), ".png"))
 
-    def doubts(strokes: tuple[Stroke, ...] = ()) -> tuple[str, ...]:
+    def doubts(strokes: tuple[Stroke, ...] = ()) -> tuple[str, dict[str, Any]]:
         job = studio.cut("a", sent, strokes)
         assert job.wait(60), job.progress.message
-        return job.progress.result.doubts
+        with Image.open(job.progress.result.path) as written:
+            return " ".join(job.progress.result.doubts), how_cut(written) or {}
 
-    (doubt,) = doubts()
-    assert "touches 3 edges of the picture (left, right, bottom)" in doubt
-    assert doubts() == ()
-    assert doubts((Stroke(keep=False, width=0.2, points=((0.1, 0.5),)),)) == ()
+    told, how = doubts()
+    assert "touches 3 edges of the picture (left, right, bottom)" in told
+    # The picture itself knows it for the report, whenever it is used.
+    assert doubts() == ("", how)
+    assert how["method"] == "grabcut" and how["warnings"] == [told]
+    told, how = doubts((Stroke(keep=False, width=0.2, points=((0.1, 0.5),)),))
+    assert told == "" and how["method"] == "brush"

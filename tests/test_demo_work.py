@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from demo.pictures import cut_out
 from demo.visitors import Visitor
 from demo.work import (
     DEVICE,
@@ -35,6 +36,7 @@ from phy124.gaussians import Frame, Gaussians
 from phy124.ply import write_ply
 from phy124.scene import Scene, View
 
+DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"
 FEW = {"accuracy": {"cells": 8, "ppc": 1.0}, "time.frames": 3, "view.size": 48}
 
 
@@ -85,6 +87,15 @@ def test_looking_for_a_device_starts_warp_quietly(monkeypatch):
     assert device_named("cpu") == "cpu" and not started
     device_named("auto")
     assert started
+
+
+def test_the_report_says_how_the_object_was_cut_out(order):
+    cut_out(DUCK, order.cutout)
+    done, _ = _run(order)
+    for folder in (done.clip, done.films):
+        cutout = json.loads((folder / "report.json").read_text("utf-8"))["cutout"]
+        assert (cutout["method"], cutout["warnings"]) == ("alpha", [])
+        assert 0.3 < cutout["coverage"] < 0.6
 
 
 def test_what_has_not_changed_is_not_done_again(order):

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from demo.pictures import HOW, how_cut
 from demo.work.limits import Limits, easier
 from demo.work.order import Order, Reused, Step, Tell
 from demo.work.shows import glimpses, lives
@@ -51,7 +52,7 @@ def simulate(
     frames = order.scene.time.frames
     tell(Step("simulate", 0, frames, "preparing"))
     with Image.open(order.cutout) as cutout:
-        crop = crop_of(cutout)
+        crop, about = crop_of(cutout), {**dict(order.about), HOW: how_cut(cutout)}
     run = Simulation(
         gaussians, order.scene, device=order.device, watch=watch, crop=crop,
         progress=lambda _, done, total: limits.simulated(
@@ -81,7 +82,7 @@ def simulate(
     tell(Step("simulate", frames, frames, _count(run)))
     with pipeline.staged(out) as folder:
         clip = run.clip()
-        report = {**dict(order.about), **clip.report, "motion": motion.data()}
+        report = {**about, **clip.report, "motion": motion.data()}
         report |= pipeline.circumstances(order.device, watch)
         clip.with_report(report).save(folder / "clip.safetensors")
         write_ply(folder / "gaussians.ply", run.gaussians)
