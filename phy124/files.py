@@ -11,14 +11,22 @@ from pathlib import Path
 
 from phy124.errors import InputError
 
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None
+
 PathLike = str | os.PathLike[str]
+MAKING = ".making-"
+"""How the names of folders begin that are being filled."""
 
 
 @contextmanager
 def staged(out: PathLike) -> Iterator[Path]:
     """A folder to fill; its files move into `out` only if all went well.
 
-    Otherwise the folders that had to be made for it go again, unless somebody else uses them.
+    Otherwise the folders that had to be made for it go again, unless somebody else uses them. What
+    a killed process has left in `out` goes, too.
 
     Raises:
         InputError: If `out` cannot be a folder.
@@ -27,7 +35,10 @@ def staged(out: PathLike) -> Iterator[Path]:
     try:
         missing = [path for path in (out, *out.parents) if not path.exists()]
         out.mkdir(parents=True, exist_ok=True)
-        folder = Path(tempfile.mkdtemp(prefix=".making-", dir=out))
+        with _locked(out):
+            _sweep(out)
+            folder = Path(tempfile.mkdtemp(prefix=MAKING, dir=out))
+            lock = _lock(folder)
     except OSError as error:
         _remove_empty(missing)
         why = "it is a file" if out.is_file() else f"it cannot be written ({error.strerror})"
@@ -40,7 +51,46 @@ def staged(out: PathLike) -> Iterator[Path]:
             os.replace(path, out / path.name)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
+        _unlock(lock)
         _remove_empty(missing)
+
+
+def _sweep(out: Path) -> None:
+    """Remove the folders of processes that are gone: their locks went with them."""
+    for folder in out.glob(f"{MAKING}*"):
+        lock = _lock(folder)
+        if lock is not None:
+            shutil.rmtree(folder, ignore_errors=True)
+        _unlock(lock)
+
+
+@contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """While one process sweeps a folder no other makes anything in it."""
+    lock = _lock(folder, wait=True)
+    try:
+        yield
+    finally:
+        _unlock(lock)
+
+
+def _lock(folder: Path, *, wait: bool = False) -> int | None:
+    """A lock that ends with this process; None if another holds it or there are no locks here."""
+    if fcntl is None:
+        return None
+    with suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+            return descriptor
+        except OSError:
+            os.close(descriptor)
+    return None
+
+
+def _unlock(lock: int | None) -> None:
+    if lock is not None:
+        os.close(lock)
 
 
 def writable(folder: Path) -> bool:

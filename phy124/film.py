@@ -8,6 +8,7 @@ from pathlib import Path
 
 from phy124.clip import Clip
 from phy124.export import write_ply_sequence, write_usd
+from phy124.files import staged
 from phy124.framing import cameras as cameras
 from phy124.progress import Progress, silent
 from phy124.render import render_frames
@@ -77,8 +78,8 @@ def _animation(ending: str) -> Encoder:
 def _png(folder: Path, side: str, images: Iterator[Picture], fps: float) -> Path:
     del fps
     path = folder / f"{side}-png"
-    path.mkdir()
-    write_pictures(path, images, name=side)
+    with staged(path) as made:
+        write_pictures(made, images, name=side)
     return path
 
 

@@ -15,6 +15,7 @@ from phy124.accuracy.difference import difference
 from phy124.accuracy.promises import Promise
 from phy124.accuracy.study import Report, Row, Study, error_on, kept_promises, recommend
 from phy124.clip import Clip
+from phy124.errors import Cancelled
 from phy124.scene import Scene
 from phy124.simulation import Stopped
 from phy124.tearing import Tearing
@@ -251,6 +252,25 @@ def test_difference_of_a_known_shift():
     same = difference(shifted(0.0), shifted(0.0), view)
     assert same.metres == 0
     assert same.psnr == np.inf
+
+
+def test_levels_that_are_done_survive_an_interrupt():
+    """The second level is cancelled in its second frame."""
+    told = []
+
+    def cancel(stage, done, total):
+        told.append(done)
+        if told.count(1) == 3:
+            raise Cancelled
+
+    options = {"levels": (6, 8), "progress": cancel}
+    scene = Scene.named("drop").replaced({"time.frames": 3, "view.size": 32})
+    report = Study(ball(300), scene, keep=True, **options).run()
+    assert report.interrupted and [row.name for row in report.rows] == ["D/6"]
+    assert report.skipped[-4] == "D/8 was not run: interrupted." and len(report.skipped) >= 4
+    told.clear()
+    with pytest.raises(Cancelled):
+        Study(ball(300), scene, **options).run()
 
 
 def test_study_on_the_command_line(tmp_path, capsys):

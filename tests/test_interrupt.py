@@ -1,6 +1,7 @@
 """Ctrl-C and SIGTERM: what is good stays, what is half-made goes, and a run can go on."""
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -14,7 +15,7 @@ import numpy as np
 import pytest
 from shapes import ball
 
-from phy124 import pipeline
+from phy124 import pipeline, stress
 from phy124.__main__ import main
 from phy124.accuracy.choose import Goal
 from phy124.clip import Clip
@@ -258,6 +259,74 @@ def test_folders_made_for_nothing_go_again_but_not_those_of_others(tmp_path):
         (tmp_path / "a" / "other").touch()
         raise ZeroDivisionError
     assert [path.name for path in (tmp_path / "a").iterdir()] == ["other"]
+
+
+def test_stress_tells_of_the_cases_it_has_run(monkeypatch, capsys):
+    def rows(*, long):
+        for _ in range(3):
+            yield stress.Row("a case", "-", "-", "pass")
+            signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(stress, "run", rows)
+    assert main(["stress"]) == 130
+    said = capsys.readouterr()
+    assert said.out.count("a case") == 2
+    assert "stopped; 2 of" in said.err
+
+
+def test_render_and_compare_keep_the_sides_that_are_finished(tmp_path, monkeypatch, capsys):
+    pipeline.simulate(ball(300), SCENE, tmp_path / "a")
+    clip, quick = str(tmp_path / "a"), ["--size", "32", "--views", "front", "left"]
+    commands = {
+        "render": ["render", f"{clip}/clip.safetensors", *quick, "--format", "png", "mp4"],
+        "compare": ["compare", clip, clip, *quick],
+    }
+    for stage, command in (("render left", "render"), ("compare left", "compare")):
+        press = pressing_ctrl_c(stage)
+        monkeypatch.setattr(Bars, "_report", press)
+        assert (
+            main([*commands[command], "--device", "cpu", "--out", str(tmp_path / command)]) == 130
+        )
+        assert "stopped; " in capsys.readouterr().err
+    assert [path.name for path in (tmp_path / "render").iterdir()] == ["front-png"]
+    assert len(list((tmp_path / "render/front-png").iterdir())) == SCENE.time.frames
+    made = {path.name for path in (tmp_path / "compare").iterdir()}
+    assert made == {"front.mp4", "comparison.json"}
+
+
+def pressing_ctrl_c(where: str):
+    """A `Bars._report` that interrupts at the first word of a stage."""
+
+    def report(bars: Bars, stage: str, done: int, total: int) -> None:
+        if stage == where and not bars.cancelled:
+            signal.raise_signal(signal.SIGINT)
+
+    return report
+
+
+HOLD = """
+import sys, time
+from phy124.files import staged
+with staged(sys.argv[1]) as folder:
+    (folder / "clip").touch()
+    print(folder, flush=True)
+    time.sleep(600)
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no locks on folders")
+def test_what_a_killed_process_left_goes_at_the_next_start_and_what_is_in_use_stays(tmp_path):
+    command = [sys.executable, "-c", HOLD, str(tmp_path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout
+        theirs = Path(process.stdout.readline().strip())
+        with staged(tmp_path) as mine, staged(tmp_path) as nested:
+            assert all(path.is_dir() for path in (theirs, mine, nested))
+        process.kill()
+    assert (theirs / "clip").exists()
+    with staged(tmp_path) as mine:
+        assert list(tmp_path.iterdir()) == [mine]
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_file_is_no_folder_and_is_refused_before_any_work(tmp_path, monkeypatch, capsys):

@@ -20,6 +20,7 @@ from phy124.accuracy.difference import Difference, difference
 from phy124.accuracy.forecast import Forecaster, pixels_per_size
 from phy124.accuracy.promises import promise
 from phy124.clip import Clip
+from phy124.errors import Cancelled
 from phy124.gaussians import Gaussians
 from phy124.parts import WHOLE, Crop
 from phy124.progress import Progress, silent
@@ -90,6 +91,8 @@ class Report:
     recommendation: str
     promises: dict[str, str]
     """For each preset whether its promise holds in this scene."""
+    interrupted: bool = False
+    """Whether it was cancelled before all settings were run."""
 
     def data(self) -> dict[str, Any]:
         """Plain data for accuracy.json; infinities become None."""
@@ -112,6 +115,8 @@ class Study:
     """Also vary the other settings, forecast each and compare videos: some three times as long."""
     told: Callable[[Row], None] = lambda row: None
     """Called with each setting as it is done, before errors are known."""
+    keep: bool = False
+    """Whether the settings that are done are judged when `progress` cancels."""
     clips: dict[str, Clip] = field(default_factory=dict, repr=False)
     _forecaster: Forecaster = field(init=False, repr=False)
 
@@ -129,6 +134,11 @@ class Study:
                 row, reason = self._row(name, scene, still)
             except Stopped as stop:
                 row, reason = None, f"{name} is left out: {stop}"
+            except Cancelled:
+                if not (self.keep and rows):
+                    raise
+                skipped += [f"{late} was not run: interrupted." for late, _ in plan[number:]]
+                return replace(self._judged(rows, tuple(skipped)), interrupted=True)
             if reason:
                 skipped.append(reason)
             if row:

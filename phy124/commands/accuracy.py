@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,11 +14,12 @@ from phy124.commands.bars import Bars
 from phy124.commands.cutout import doubt
 from phy124.commands.options import pick_device
 from phy124.cutout import Cutout
-from phy124.errors import InputError
+from phy124.errors import Cancelled, InputError
 from phy124.parts import WHOLE
 from phy124.scene import Scene
 
 DUCK = "demo/examples/duck.png"
+KEPT = "what is told is of the settings that were run"
 
 
 @dataclass(frozen=True)
@@ -54,17 +56,19 @@ class ShowAccuracy:
     def _verify(self) -> int:
         from phy124.accuracy.verify import verify
 
-        rows, good = [], True
-        for verdict in verify():
-            good &= verdict.passed
-            rows.append({**verdict.__dict__, "passed": verdict.passed})
-            if not self.json:
-                print(_verdict_line(rows[-1]), flush=True)
+        rows = []
+        with Bars(quiet=True, keeps=True) as bars, suppress(Cancelled):
+            for verdict in verify():
+                rows.append({**verdict.__dict__, "passed": verdict.passed})
+                if not self.json:
+                    print(_verdict_line(rows[-1]), flush=True)
+                bars("verify", len(rows), len(rows))
+        good = all(row["passed"] for row in rows)
         if self.json:
-            print(json.dumps({"passed": good, "checks": rows}))
-        else:
+            print(json.dumps({"passed": good and not bars.cancelled, "checks": rows}))
+        elif not bars.cancelled:
             print("all as expected" if good else "NOT as expected: see the lines marked FAIL")
-        return 0 if good else 1
+        return bars.status(f"{len(rows)} checks were made") or (0 if good else 1)
 
     def _study(self, scene: Scene) -> int:
         from phy124.accuracy.plots import save_page, save_picture
@@ -74,9 +78,9 @@ class ShowAccuracy:
         device, levels = pick_device(self.device), self._sorted_levels(scene)
         name = Path(str(self.scene)).stem
         out = self.out or Path("out") / f"accuracy-{name}"
-        with Bars(quiet=self.json) as bars, staged(out) as folder:
+        with Bars(quiet=self.json, keeps=True) as bars, staged(out) as folder:
             gaussians, crop = self._object(scene, bars)
-            study = Study(gaussians, scene, device, levels, crop, progress=bars)
+            study = Study(gaussians, scene, device, levels, crop, progress=bars, keep=True)
             report = study.run()
             bars.close()
             (folder / "accuracy.json").write_text(json.dumps(report.data(), indent=1), "utf-8")
@@ -88,7 +92,7 @@ class ShowAccuracy:
                 missing = str(refusal)
         if self.json:
             print(json.dumps(report.data()))
-            return 0
+            return bars.status(KEPT)
         print(table(report.data()["rows"]))
         for sentence in (*report.skipped, report.convergence.why_not, report.recommendation):
             if sentence:
@@ -96,7 +100,7 @@ class ShowAccuracy:
         for preset, said in report.promises.items():
             print(f"promise of {preset}: {said}")
         print("\n".join(str(path) for path in sorted(out.glob("accuracy.*"))), missing, sep="\n")
-        return 0
+        return bars.status(KEPT)
 
     def _sorted_levels(self, scene: Scene) -> tuple[int, ...]:
         """The levels from coarse to fine; raises InputError for what the scene does not take."""

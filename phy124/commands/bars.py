@@ -43,6 +43,8 @@ class Bars:
         self.quiet, self.keeps = quiet or _silent.get(), keeps
         self.bar: tqdm | None = None
         self.interrupted = False
+        self.cancelled = False
+        """Whether Ctrl-C has ended the work or a part of it."""
         self._stage, self._said, self._next_line = "", "", 0.0
         self._signals = handled(self._remember)
 
@@ -57,7 +59,7 @@ class Bars:
     def __call__(self, stage: str, done: int, total: int) -> None:
         """Show how far a stage is; raises Cancelled once after each Ctrl-C."""
         if self.interrupted:
-            self.interrupted = False
+            self.interrupted, self.cancelled = False, True
             self.close()
             if self.keeps:
                 self._say("interrupted: what there is will be kept; Ctrl-C again leaves at once")
@@ -74,6 +76,13 @@ class Bars:
         if self.bar is not None:
             self.bar.close()
             self.bar = None
+
+    def status(self, kept: str) -> int:
+        """The exit status of a command that keeps what it has finished; says what that is."""
+        if not self.cancelled:
+            return 0
+        self._say(f"phy124: stopped; {kept}")
+        return 130
 
     def _draw(self, stage: str, done: int, total: int) -> None:
         if self.bar is None or self.bar.desc.removesuffix(": ") != stage:

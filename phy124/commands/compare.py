@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -15,6 +16,7 @@ from phy124 import pipeline
 from phy124.clip import Clip
 from phy124.commands.bars import Bars
 from phy124.commands.options import CameraOptions, pick_device
+from phy124.errors import Cancelled
 from phy124.metrics.comparison import Likeness, Pictures, check_comparable, compare
 from phy124.progress import Progress
 from phy124.render import render_frames
@@ -46,9 +48,12 @@ class Compare:
         view = Scene.from_data(a.scene, str(paths[0])).replaced(self.view.changes()).view
         out = self.out or paths[0].parent / f"compare-{_name(paths[1])}"
         device = pick_device(self.device)
-        with Bars(quiet=self.json) as bars, pipeline.staged(out) as folder:
-            seen = tuple(_filmed(a, b, view, side, folder, device, bars) for side in view.sides)
-            found = compare(a, b, seen)
+        seen = []
+        with Bars(quiet=self.json, keeps=True) as bars, pipeline.staged(out) as folder:
+            with suppress(Cancelled):
+                for side in view.sides:
+                    seen.append(_filmed(a, b, view, side, folder, device, bars))
+            found = compare(a, b, tuple(seen))
             data = {"clips": [str(path) for path in paths], **found.data()}
             data["notes"] = [
                 f"{p}: {s}" for p, c in zip(paths, (a, b), strict=True) for s in c.flaws()
@@ -59,7 +64,7 @@ class Compare:
         print(json.dumps({**data, "files": files}) if self.json else found.table())
         if not self.json:
             print("\n".join([*files, *(f"note: {note}" for note in data["notes"])]))
-        return 0
+        return bars.status("sides that were not filmed are missing")
 
 
 def _name(path: Path) -> str:

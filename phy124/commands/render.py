@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -13,6 +14,7 @@ from phy124 import pipeline
 from phy124.clip import Clip
 from phy124.commands.bars import Bars
 from phy124.commands.options import ViewOptions, assignments, pick_device, together
+from phy124.errors import Cancelled
 from phy124.framing import framing
 from phy124.scene import Scene
 
@@ -40,14 +42,16 @@ class Render:
         others = {f"view.{key}": value for key, value in assignments(self.set).items()}
         view = Scene.from_data(clip.scene, str(self.clip)).replaced(together(changes, others)).view
         out = self.out or self.clip.parent
-        with Bars(quiet=self.json) as bars, pipeline.staged(out) as folder:
-            paths = pipeline.film(
-                clip, view, folder, device=pick_device(self.device), progress=bars
-            )
-        files, note = [str(out / path.name) for path in paths], framing(clip, view)["note"]
+        with Bars(quiet=self.json, keeps=True) as bars, pipeline.staged(out) as folder:
+            with suppress(Cancelled):
+                pipeline.film(clip, view, folder, device=pick_device(self.device), progress=bars)
+            files = [str(out / path.name) for path in sorted(folder.iterdir())]
+            if bars.cancelled and not files:
+                raise Cancelled
+        note = framing(clip, view)["note"]
         notes = [*clip.flaws(), *([note] if note else [])]
         if self.json:
             print(json.dumps({"files": files, "notes": notes}))
         else:
             print("\n".join([*files, *(f"note: {note}" for note in notes)]))
-        return 0
+        return bars.status("the files named are whole, the others were not made")

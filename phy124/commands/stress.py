@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from dataclasses import dataclass
+
+from phy124.errors import Cancelled
 
 
 @dataclass(frozen=True)
@@ -21,7 +24,7 @@ class Stress:
         from phy124.commands.bars import Bars
 
         total, rows = len(stress.CASES) * len(stress.settings()), []
-        with Bars(quiet=self.json) as bars:
+        with Bars(quiet=self.json, keeps=True) as bars, suppress(Cancelled):
             for row in stress.run(long=self.all):
                 rows.append(row)
                 bars("stress", len(rows), total)
@@ -34,4 +37,5 @@ class Stress:
                     row.bound.split("; "), row.measured.split("; "), strict=False
                 ):
                     print(f"       {measured:>10}  {bound}")
-        return 0 if all(row.verdict == "pass" for row in rows) else 1
+        good = all(row.verdict == "pass" for row in rows)
+        return bars.status(f"{len(rows)} of {total} cases were run") or (0 if good else 1)
