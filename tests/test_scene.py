@@ -200,6 +200,23 @@ def test_what_was_asked_for_is_never_forgotten():
             Scene.named("press").replaced({"material.law": law})
 
 
+@pytest.mark.parametrize(
+    ("key", "meant"),
+    [
+        ("background", "view.background"),
+        ("frames", "time.frames"),
+        ("size", "object.size or view.size"),
+        ("E", "material.E"),
+        ("materail", "material"),
+    ],
+)
+def test_a_key_without_its_section_is_found(key, meant):
+    with pytest.raises(
+        InputError, match=rf"{key} = 3: there is no such key\. Did you mean {meant}\?"
+    ):
+        Scene.named("press").replaced({key: 3})
+
+
 def test_a_key_of_another_kind_is_named_as_such():
     with pytest.raises(InputError, match=r"sand has no such key\. Leave it out"):
         Scene.from_data({"material": {"law": "sand", "damping": 3.0}})

@@ -133,9 +133,10 @@ def _try(declared: Declaration, node: Node, value: Any) -> str:
 def _unknown(declared: Declaration, place: _Place) -> tuple[str, str]:
     """A key that does not exist there."""
     key, known = str(place.keys[-1]), sorted(place.around.get("properties", {}))
-    close = difflib.get_close_matches(key, known, 1)
-    if close:
-        return "there is no such key.", f"Did you mean {close[0]}?"
+    meant = _in_sections(declared, key) if len(place.keys) == 1 else []
+    meant = meant or difflib.get_close_matches(key, known, 1)
+    if meant:
+        return "there is no such key.", f"Did you mean {' or '.join(meant)}?"
     others = declared.schema.get("$defs", {}).values()
     if any(key in other.get("properties", {}) for other in others):
         own = [
@@ -144,6 +145,16 @@ def _unknown(declared: Declaration, place: _Place) -> tuple[str, str]:
         where = f"{own[0]} has no such key" if own else "there is no such key here"
         return f"{where}.", "Leave it out."
     return "there is no such key.", f"Known keys: {', '.join(known)}."
+
+
+def _in_sections(declared: Declaration, key: str) -> list[str]:
+    """The sections of the whole that have a key, with it: "view.size"."""
+    found = []
+    for name, node in declared.schema["properties"].items():
+        inner = [*declared.choices(node), *map(declared.resolved, declared.kinds(node).values())]
+        if any(key in choice.get("properties", {}) for choice in inner):
+            found.append(f"{name}.{key}")
+    return found
 
 
 def _at_tag(place: _Place, found: dict[str, Any]) -> tuple[_Place, dict[str, Any]]:
