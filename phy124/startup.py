@@ -13,8 +13,6 @@ from pathlib import Path
 
 import warp as wp
 
-from phy124.files import writable
-
 NO_DRIVER = b"Could not find or load the NVIDIA CUDA driver"
 """What Warp says on every machine without a GPU."""
 
@@ -24,7 +22,7 @@ def prepare() -> None:
     if wp.config.log_level == wp.LOG_INFO:
         wp.config.log_level = wp.LOG_WARNING
     usual = kernel_folder()
-    if wp.config.kernel_cache_dir is None and usual is not None and not writable(usual):
+    if wp.config.kernel_cache_dir is None and usual is not None and not _usable(usual):
         wp.config.kernel_cache_dir = str(temporary_folder())
         warnings.warn(
             f"{usual} cannot be written, so compiled kernels are kept in "
@@ -63,6 +61,16 @@ def temporary_folder() -> Path:
     except OSError:
         pass
     return Path(tempfile.mkdtemp(prefix="phy124-kernels-"))
+
+
+def _usable(folder: Path) -> bool:
+    """Whether files can be written in a folder, by trying: permissions do not tell it all."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return True
+    except OSError:
+        return False
 
 
 @contextmanager

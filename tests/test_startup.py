@@ -49,6 +49,15 @@ def test_a_home_that_cannot_be_written_gives_a_temporary_folder_and_says_so(
     assert startup.temporary_folder() == folder
 
 
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="no /proc")
+def test_a_folder_that_only_seems_to_be_writable_is_found_out(fresh, monkeypatch, tmp_path):
+    """As /proc is for root."""
+    monkeypatch.setenv("HOME", "/proc")
+    monkeypatch.setattr(startup.tempfile, "gettempdir", lambda: str(tmp_path))
+    with pytest.warns(UserWarning, match=r"/proc/\.cache/warp/.* cannot be written"):
+        startup.prepare()
+
+
 def test_a_temporary_folder_that_others_may_write_to_is_not_used(monkeypatch, tmp_path):
     monkeypatch.setattr(startup.tempfile, "gettempdir", lambda: str(tmp_path))
     shared = startup.temporary_folder()
