@@ -2,8 +2,8 @@
 
 Rows are presets, columns every second frame from the front; the last row of each sheet shows the
 orbit of the first preset. docs/sheets/substances.jpg has the presets that are about a substance,
-each on a picture that suits it. Run it as `python docs/contact_sheets.py [PICTURE ...]`; the word
-`substances` makes that one alone.
+each on a picture that suits it, at draft. Run it as `python docs/contact_sheets.py [PICTURE ...]`;
+the word `substances` makes that one alone.
 """
 
 import sys
@@ -57,7 +57,7 @@ def substances() -> np.ndarray:
     """The presets about a substance, as many frames of each as the shortest has."""
     rows = []
     for name, picture in SUBSTANCES.items():
-        clip = moved(made_of(example(picture)), name)
+        clip = moved(made_of(example(picture)), name, accuracy="draft")
         rows.append(row(clip, Scene.named(name), "front"))
     width = min(row.shape[1] for row in rows)
     return np.concatenate([row[:, :width] for row in rows], axis=0)
@@ -74,9 +74,10 @@ def made_of(picture: Path) -> Gaussians:
     return make("relief")(cutout, seed=0, progress=lambda *_: None)
 
 
-def moved(gaussians: Gaussians, name: str) -> Clip:
+def moved(gaussians: Gaussians, name: str, *, accuracy: str = "standard") -> Clip:
     """A preset's clip."""
-    scene = Scene.named(name).replaced({"view.views": ["front"], "view.size": 16})
+    changes = {"accuracy": accuracy, "view.views": ["front"], "view.size": 16}
+    scene = Scene.named(name).replaced(changes)
     with tempfile.TemporaryDirectory() as folder:
         pipeline.simulate(gaussians, scene, folder)
         return Clip.load(Path(folder) / "clip.safetensors")
