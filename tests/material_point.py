@@ -121,19 +121,21 @@ def evaluate(
     h: NDArray | None = None,
     dt: float = 1e-3,
     precision: str = "float64",
+    theta: NDArray | None = None,
 ) -> Point:
     """What the device law of a material says about the states F [N,3,3]."""
     real, law = REALS[precision], material.device_law
     t, scalar, n = types(real), np.dtype(precision), len(F)
     C = np.zeros((n, 3, 3)) if C is None else C
     h = np.tile(material.history(), (n, 1)) if h is None else h
+    theta = np.array(material.theta()) if theta is None else theta
 
     def array(values: object, dtype: Any) -> wp.array:
         return wp.array(np.ascontiguousarray(values, dtype=scalar), dtype=dtype)
 
     outputs = [wp.zeros(n, dtype=d) for d in (t.mat33, real, real, t.mat33, t.vec2)]
     inputs = [
-        array([material.theta()], wp.types.vector(law.width, real)),
+        array([theta], wp.types.vector(law.width, real)),
         array(F, t.mat33), array(C, t.mat33), array(h, t.vec2), dt,
     ]  # fmt: skip
     wp.launch(make_probe(law, real), n, inputs=inputs, outputs=outputs)

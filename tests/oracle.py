@@ -183,27 +183,35 @@ def squeezed(F: Array) -> tuple[Array, Array]:
     return np.maximum(J, 0.8), np.log(np.minimum(J / 0.8, 1))
 
 
+def lag(F: Array, h: Array) -> Array:
+    """log of J over what it was about a relaxation time ago."""
+    return np.log(np.maximum(np.linalg.det(F), LEAST_J) / np.maximum(h[:, 0], LEAST_J))
+
+
 def tait_energy(F: Array, h: Array, t: Array) -> Array:
     J, more = squeezed(F)
-    K, g, _, _ = t
+    K, g, _, _, sudden, _ = t
     psi = K / g * (J - 1 + (J ** (1 - g) - 1) / (g - 1))
     slope = K / g * ((g - 1) * J ** (1 - g) + J)
+    psi += sudden * lag(F, h) ** 2 / 2
     return psi - J * K / g * (J**-g - 1) * more + slope * more**2 / 2
 
 
 def tait(F: Array, C: Array, h: Array, t: Array) -> Array:
     J, more = (values[:, None, None] for values in squeezed(F))
-    K, g, eta, zeta = t
+    K, g, eta, zeta, sudden, _ = t
     rate = C + C.transpose(0, 2, 1)
     growth = np.trace(rate, axis1=1, axis2=2)[:, None, None] / 2 * EYE
     slope = K / g * ((g - 1) * J ** (1 - g) + J)
     mean = J * K / g * (J**-g - 1) - slope * more - zeta * (J < 1) * growth
+    mean = mean - sudden * lag(F, h)[:, None, None]
     return np.minimum(J, 1) * eta * (rate - 2 / 3 * growth) - mean * EYE
 
 
 def isotropic(F: Array, h: Array, t: Array, dt: float) -> tuple[Array, Array]:
     j = np.maximum(np.trace(F, axis1=1, axis2=2) / 3, 0)
-    return j[:, None, None] * EYE, h
+    late = h[:, 0] - np.expm1(-dt * t[5]) * (j**3 - h[:, 0])
+    return j[:, None, None] * EYE, np.column_stack([late, h[:, 1]])
 
 
 TWINS = {

@@ -1,6 +1,8 @@
 """Weakly compressible fluid: pressure of the volume ratio J, viscosity of the velocity gradient.
 
-The elastic F of a fluid is j I with j = J^(1/3): shape is forgotten, only volume is kept.
+The elastic F of a fluid is j I with j = J^(1/3): shape is forgotten, only volume is kept. Its
+history is J as it was about a relaxation time ago: against a change that is faster than that the
+fluid is stiffer, and what it gave to that stiffness is lost (Mandelstam and Leontovich 1937).
 """
 
 from typing import Any
@@ -36,19 +38,29 @@ def hardness(J: Any, theta: Any):
 
 
 @wp.func
+def lag(F: Any, h: Any):
+    """log of J over what it was about a relaxation time ago."""
+    J = wp.max(wp.determinant(F), type(F[0, 0])(LEAST_J))
+    return wp.log(J / wp.max(h[0], type(J)(LEAST_J)))
+
+
+@wp.func
 def tait_energy(F: Any, h: Any, theta: Any):
     """K / gamma (J + J^(1 - gamma) / (gamma - 1) - gamma / (gamma - 1)), zero at J = 1."""
     J, more = squeeze(F)
     less = theta[1] - type(J)(1.0)
+    late = lag(F, h)
     psi = theta[0] / theta[1] * (J + (wp.pow(J, -less) - theta[1]) / less)
+    psi += theta[4] * late * late * type(J)(0.5)
     return psi + more * (hardness(J, theta) * more * type(J)(0.5) - weight_of_pressure(J, theta))
 
 
 @wp.func
 def tait(F: Any, C: Any, h: Any, theta: Any):
-    """-J p I + 2 j eta dev(sym C) + zeta tr C I.
+    """-J p I + 2 j eta dev(sym C) + zeta tr C I + K' lag I.
 
-    theta = (K [Pa], gamma, eta [Pa s], zeta [Pa s]); tension is allowed, as cohesion.
+    theta = (K [Pa], gamma, eta [Pa s], zeta [Pa s], K' [Pa], 1 / relaxation time [1/s]); tension
+    is allowed, as cohesion.
     j = min(J, 1): what has flown apart keeps its viscosity per mass, which limits the substep, not
     that per volume. zeta takes sound away, where there is pressure.
     """
@@ -60,14 +72,15 @@ def tait(F: Any, C: Any, h: Any, theta: Any):
     mean += weight_of_pressure(J, theta) - hardness(J, theta) * more
     if J < one:
         mean -= theta[3] * rate
+    mean -= theta[4] * lag(F, h)
     return viscous * (C + wp.transpose(C)) - mean * wp.identity(3, dtype=type(one))
 
 
 @wp.func
 def tait_modulus(F: Any, h: Any, theta: Any):
-    """3 d(-J p) / d log J, constant below `TAIT_J`."""
+    """3 d(-J p) / d log J, constant below `TAIT_J`, and 3 K'."""
     J, _ = squeeze(F)
-    return type(J)(3.0) * hardness(J, theta)
+    return type(J)(3.0) * (hardness(J, theta) + theta[4])
 
 
 @wp.func
@@ -76,5 +89,8 @@ def isotropic(F: Any, h: Any, theta: Any, dt: Any):
 
     det(I + dt W) of a rotation exceeds one by (dt omega)^2, which would let a whirl expand.
     """
+    one = type(dt)(1.0)
     j = wp.max(wp.trace(F) / type(dt)(3.0), type(dt)(0.0))
-    return j * wp.identity(3, dtype=type(dt)), h
+    share = one - wp.exp(-dt * theta[5])
+    late = h[0] + share * (j * j * j - h[0])
+    return j * wp.identity(3, dtype=type(dt)), wp.vector(late, h[1])

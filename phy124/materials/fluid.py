@@ -13,6 +13,11 @@ from phy124.materials.base import Material, viscous_substep
 
 RINGING = 0.7
 """Share used of the bulk viscosity that needs no shorter substep."""
+SUDDEN = 0.3
+"""How much stiffer than K a fluid is against what is faster than its relaxation time."""
+RELAXATION = 10.0
+"""That time, in those that sound takes to cross a cell: bodies are some tens of cells deep, and
+sound that takes so long to go up and down is what rings."""
 
 
 class Fluid(Material):
@@ -29,7 +34,7 @@ class Fluid(Material):
         modulus=fluid.tait_modulus,
         project=fluid.isotropic,
         energy=fluid.tait_energy,
-        width=4,
+        width=6,
     )
 
     bulk_modulus: float = Field(
@@ -43,22 +48,33 @@ class Fluid(Material):
     )
 
     def theta(self) -> tuple[float, ...]:
-        """(K, gamma, eta, zeta)."""
-        return self.bulk_modulus, self.gamma, self.viscosity, 0.0
+        """(K, gamma, eta) without what takes ringing away: zeta, K', 1 / relaxation time."""
+        return self.bulk_modulus, self.gamma, self.viscosity, 0.0, 0.0, 0.0
+
+    def history(self) -> tuple[float, float]:
+        """J as it was."""
+        return 1.0, 0.0
+
+    @property
+    def _sound(self) -> float:
+        """sqrt(K / rho) [m/s]."""
+        return math.sqrt(self.bulk_modulus / self.density)
 
     def theta_on(self, dx: float, cfl: float) -> tuple[float, ...]:
-        """The same with a bulk viscosity zeta that takes ringing away.
+        """The same with a bulk viscosity zeta and a relaxation that take ringing away.
 
-        Of zeta = a rho c dx a substep of `cfl` allows (2 cfl)^2 <= 4 - 2 (12 zeta / rho dx^2) dt,
-        the rule of `beside_elastic`; at J < 1 substeps are shorter than at rest.
+        The relaxation takes away what is slow, zeta what is fast. Of zeta = a rho c dx a substep of
+        `cfl` allows (2 cfl)^2 <= 4 - 2 (12 zeta / rho dx^2) dt, the rule of `beside_elastic`; at
+        J < 1 substeps are shorter than at rest.
         """
         most = (1 - cfl * cfl) / (2 * math.sqrt(3) * cfl)
-        impedance = math.sqrt(self.bulk_modulus * self.density)
-        return *self.theta()[:3], RINGING * most * impedance * dx
+        zeta = RINGING * most * math.sqrt(1 + SUDDEN) * self._sound * self.density * dx
+        relaxation = SUDDEN * self.bulk_modulus, self._sound / (RELAXATION * dx)
+        return *self.theta()[:3], zeta, *relaxation
 
     def wave_speed(self) -> float:
-        """sqrt(3 K / rho) [m/s]."""
-        return math.sqrt(3 * self.bulk_modulus / self.density)
+        """sqrt(3 (K + K') / rho) [m/s]."""
+        return math.sqrt(3 * (1 + SUDDEN)) * self._sound
 
     def viscous_limit(self, dx: float) -> float:
         """Longest substep that friction allows [s]."""
