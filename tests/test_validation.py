@@ -56,18 +56,34 @@ def slope(solver: Solver, width: float) -> float:
     return float(-np.degrees(np.arctan(np.polyfit(edges, tops, 1)[0])))
 
 
-@pytest.mark.parametrize(
-    ("cells", "close"), [(12, 0.3), pytest.param(16, 0.2, marks=pytest.mark.slow)]
-)
-def test_a_sand_column_runs_out_as_far_as_in_experiments(cells, close):
-    """Two dimensions, aspect ratio 1: 1.2 widths (Lube et al. 2005); coarse grids stop it early."""
+def run_out(friction_angle: float, cells: int) -> tuple[float, float]:
+    """How far 98 % of a square column came, in widths, and the slope of its heap [degrees]."""
     width = 0.4
-    s = channel(Sand(friction_angle=25.0), width, width, width / cells, friction=0.6)
+    s = channel(Sand(friction_angle=friction_angle), width, width, width / cells, friction=0.6)
     s.advance(1.0)
-    assert (front(s) - width) / width == pytest.approx(1.2, rel=close)
-    assert s.state.x.numpy()[:, 2].min() > 0
-    assert np.abs(s.state.v.numpy()).max() < 0.05
-    assert 25 - 6 < slope(s, width) < 25 + 1
+    x = s.state.x.numpy()
+    assert x[:, 2].min() > 0
+    assert np.quantile(np.abs(s.state.v.numpy()), 0.99) < 0.01
+    return float(np.quantile(x[:, 0], 0.98)) / width - 1, slope(s, width)
+
+
+@pytest.mark.parametrize("cells", [12, pytest.param(16, marks=pytest.mark.slow)])
+def test_a_sand_column_runs_out_and_heaps_as_its_friction_says(cells):
+    """Experiments: 1.2 widths to the last grain (Lube et al. 2005); grids stop the thin toe early.
+
+    Friction wrong by 30 or 40 % would be seen: 1.30 and 0.45 widths, 15 and 31 degrees.
+    """
+    out, angle = run_out(25.0, cells)
+    assert 0.65 < out < 1.0
+    assert 25 - 6 < angle < 25 + 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("factor", [0.7, 1.4])
+def test_a_wrong_friction_shows_in_a_sand_column(factor):
+    out, angle = run_out(25.0 * factor, 12)
+    assert not 0.65 < out < 1.0
+    assert not 25 - 6 < angle < 25 + 1
 
 
 @pytest.mark.parametrize("cells", [8, pytest.param(16, marks=pytest.mark.slow)])
@@ -110,7 +126,7 @@ def test_water_comes_to_its_hydrostatic_pressure():
         layers = [(z >= a) & (z < a + dx) for a in (0.0, dx, 2 * dx)]
         wanted = [1000 * G * (height - z[layer].mean()) for layer in layers]
         off.append([pressure[layer].mean() - p for layer, p in zip(layers, wanted, strict=True)])
-    assert np.abs(off).max() < 0.15 * 1000 * G * height
+    assert np.abs(off).max() < 0.05 * 1000 * G * height
 
 
 def sag(cells: int, height: float = 0.1, length: float = 0.5) -> float:
