@@ -20,11 +20,14 @@ from phy124.accuracy.forecast import GUESS, QUIET, pixels_per_size
 from phy124.accuracy.load import Load, spoken
 from phy124.accuracy.promises import Promise, promise
 from phy124.gaussians import Gaussians
+from phy124.limits import duration
 from phy124.scene import PRESETS, Scene
 from phy124.timestep import CELLS_PER_STEP, beside_elastic
 
 GAUSSIANS = 50_000
 """What `relief` makes of a picture."""
+Measured = tuple[dict[str, Any], Scene]
+"""Report and scene of a finished run."""
 FRESH = 3.0
 """Seconds for which a look at what others do is good."""
 SET_UP = 0.4
@@ -48,11 +51,14 @@ class Forecast:
     """What others do on this machine at the moment."""
     measured: bool = False
     """Whether it comes from a probe of this very object."""
+    compiling: float = 0.0
+    """Seconds of these until the kernels are compiled, which is done once."""
 
     @property
     def span(self) -> tuple[float, float]:
         """Between what seconds the run will lie."""
-        return self.load.span(self.seconds, unsure=1.0 if self.measured else GUESS)
+        unsure = 1.0 if self.measured and not self.caveat else GUESS
+        return self.load.span(self.seconds, unsure=unsure)
 
     @property
     def sentence(self) -> str:
@@ -60,6 +66,11 @@ class Forecast:
         beside = " beside what else this machine does" if self.load.busy else ""
         text = f"About {spoken(self.span)}{beside}: {self.substeps:,} substeps of "
         text += f"{round(self.particles, -3):,} particles. {promised(self.promise)}"
+        if self.load.busy:
+            text += f" Others here make it {self.load.now:.1f} times as long, as things are;"
+            text += " who ends or begins meanwhile is not foreseen."
+        if self.compiling > 0:
+            text += f" The first run of this kind compiles for about {duration(self.compiling)}."
         return f"{text} {self.caveat}" if self.caveat else text
 
 
@@ -98,17 +109,24 @@ class Forecaster:
         generated: bool = False,
         simulated: bool = False,
         filmed: bool = False,
+        compiling: float = 0.0,
     ) -> Forecast:
-        """The forecast of a run; `generated` and so on: these stages are there already."""
+        """The forecast of a run; `generated` and so on: these stages are there already.
+
+        `compiling` are the seconds, alone on this machine, until the kernels are there.
+        """
         work = work_of(scene, gaussians)
         costs = self.rates.seconds(work)
         seconds = 0.0 if filmed else self.rates.rest + costs["film"]
         if not simulated:
             seconds += costs["simulate"] + costs["deform"]
-            seconds += 0 if generated else costs["generate"]
+            seconds += compiling + (0 if generated else costs["generate"])
         particles, load = count_particles(scene, gaussians), self.load()
         seconds *= load.now
-        return Forecast(seconds, round(work.substeps), particles, promise(scene), load=load)
+        return Forecast(
+            seconds, round(work.substeps), particles, promise(scene), load=load,
+            compiling=0.0 if simulated else compiling * load.now,
+        )  # fmt: skip
 
     def study(
         self,
@@ -117,11 +135,12 @@ class Forecaster:
         *,
         gaussians: int = GAUSSIANS,
         generated: bool = False,
+        compiling: float = 0.0,
     ) -> float:
         """Seconds of measuring a scene's error on these grids."""
         costs = [self.rates.seconds(work_of(on_grid(scene, n), gaussians)) for n in levels]
         seconds = sum(cost["simulate"] + cost["deform"] for cost in costs)
-        seconds += len(levels) * self.rates.rest * SET_UP
+        seconds += len(levels) * self.rates.rest * SET_UP + compiling
         return (seconds + (0 if generated else self.rates.generate)) * self.load().now
 
     def load(self) -> Load:
@@ -130,11 +149,15 @@ class Forecaster:
             self._load, self._looked = Load.measured(), time.monotonic()
         return self._load
 
+    def calibrate(self, small: Measured, usual: Measured) -> None:
+        """Measure the rates by two runs, less what others made them take longer."""
+        slower = self.load().now
+        alone = [(_alone(report, slower), scene) for report, scene in (small, usual)]
+        self.learned.calibrate(*alone)
+
     def learn(self, report: dict[str, Any], scene: Scene) -> None:
         """Correct the rates by a finished run, less what others made it take longer."""
-        slower = self.load().now
-        stages = [{**stage, "seconds": stage["seconds"] / slower} for stage in report["stages"]]
-        self.learned.learn({**report, "stages": stages}, scene)
+        self.learned.learn(_alone(report, self.load().now), scene)
 
     def least(self, scene: Scene, *, gaussians: int = GAUSSIANS) -> float:
         """Seconds of computing, were this machine as quick as it was ever known to be."""
@@ -168,6 +191,12 @@ class Forecaster:
             pixels = None if said.error is None else said.error * pixels_per_size(scene)
             found.append(Stop(name, took, said.error, pixels, scene.accuracy == name, said.own))
         return found
+
+
+def _alone(report: dict[str, Any], slower: float) -> dict[str, Any]:
+    """The report as it would be if others had not made it so many times slower."""
+    stages = [{**stage, "seconds": stage["seconds"] / slower} for stage in report["stages"]]
+    return {**report, "stages": stages}
 
 
 def measured(gaussians: Gaussians, scene: Scene, device: str, rest: float) -> Forecast:

@@ -25,11 +25,12 @@ from demo.strokes import strokes_of
 from demo.studies import Measurement
 from demo.visitors import Visitor, key
 from demo.work import Done, Measured
+from phy124.accuracy.forecast import GUESS
+from phy124.accuracy.load import spoken
 from phy124.camera import VIEWS
 from phy124.clip import Clip
 from phy124.errors import InputError
 from phy124.heic import is_heic
-from phy124.limits import duration
 from phy124.scene import Scene
 
 Handler = Callable[..., Any]
@@ -182,9 +183,10 @@ def _error_line(
         return f'<p class="measured">Measured: {about}.</p>'
     if not said.unmeasured:
         return ""
-    seconds = duration(studio.study_seconds(name, cutout, scene))
+    seconds = studio.study_seconds(name, cutout, scene)
+    span = spoken(studio.forecaster.load().span(seconds, unsure=GUESS))
     button = '<button type="button" class="quiet" data-measure>Measure</button>'
-    return f"<p>Error not measured; {button} takes about {seconds}.</p>"
+    return f"<p>Error not measured; {button} takes {span}.</p>"
 
 
 def refiner(studio: Studio) -> Handler:

@@ -32,6 +32,7 @@ from demo.work import (
     steps,
     study_file,
 )
+from phy124.accuracy.compiling import seconds_to_compile
 from phy124.clip import Clip
 from phy124.errors import Cancelled, InputError
 from phy124.isolated import Deadline
@@ -120,7 +121,8 @@ class Studio:
         except InputError as error:
             return complaint(error)
         ready = self._ready(visitor, cutout, scene)
-        told = self.forecaster(scene, gaussians=self.settings.gaussians, **ready)
+        count, compiling = self.settings.gaussians, self._compiling(scene)
+        told = self.forecaster(scene, gaussians=count, compiling=compiling, **ready)
         return self._said(told, name, cutout, scene)
 
     def refine(self, name: str, cutout: str | None, data: Any) -> str | None:
@@ -134,10 +136,12 @@ class Studio:
             scene = self._scene(visitor, data)
             order = self._order(visitor, Path(cutout), scene, visitor.folder / "never")
             ready = made_already(order)
+            device = device_named(self.settings.device)
             if not ready["generated"] or ready["simulated"]:
                 return None
+            if seconds_to_compile(scene, device):
+                return None
             gaussians = Clip.load(made_gaussians(order)).frame(0).gaussians
-            device = device_named(self.settings.device)
             forecast = measured(gaussians, scene, device, self.forecaster.rates.rest)
             visitor.forecasts[key(scene.data())] = forecast.seconds
         except InputError as error:
@@ -154,7 +158,10 @@ class Studio:
         """Begin the whole chain; raises InputError for what cannot be used."""
         visitor, picture, scene = self._asked(name, cutout, data)
         self._check_time(scene)
-        usual = self.forecaster(scene, gaussians=self.settings.gaussians).seconds
+        ready = self._ready(visitor, cutout, scene)
+        usual = self.forecaster(
+            scene, gaussians=self.settings.gaussians, compiling=self._compiling(scene), **ready
+        ).seconds
         expected = visitor.forecasts.get(key(scene.data()), usual)
         job = Job("run", visitor.new_stop_file(), expected)
         order = self._order(visitor, picture, scene, job.stop)
@@ -186,6 +193,7 @@ class Studio:
         return self.forecaster.study(
             scene, grids(scene), gaussians=self.settings.gaussians,
             generated=ready.get("generated", False),
+            compiling=self._compiling(on_grid(scene, grids(scene)[0])),
         )  # fmt: skip
 
     def _asked(self, name: str, cutout: str | None, data: Any) -> tuple[Visitor, Path, Scene]:
@@ -204,6 +212,15 @@ class Studio:
         if visitor is None or not cutout or not Path(cutout).exists():
             return {}
         return made_already(self._order(visitor, Path(cutout), scene, visitor.folder / "never"))
+
+    def _compiling(self, scene: Scene) -> float:
+        """Seconds until a scene's kernels are compiled; 0 while a run may be making them."""
+        if self.forks or not DEVICE.acquire(blocking=False):
+            return 0.0
+        try:
+            return seconds_to_compile(scene, device_named(self.settings.device))
+        finally:
+            DEVICE.release()
 
     def _check_time(self, scene: Scene) -> None:
         count = self.settings.gaussians
@@ -243,7 +260,7 @@ class Studio:
             with DEVICE:
                 warm_up(self.settings.device)
                 device = self.settings.device
-                self.forecaster.learned.calibrate(tiny_run(device), example_run(device))
+                self.forecaster.calibrate(tiny_run(device), example_run(device))
         self.warm.set()
 
 

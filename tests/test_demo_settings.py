@@ -24,7 +24,7 @@ from phy124.scene import Scene, preset_names
 @pytest.fixture(autouse=True)
 def quiet(monkeypatch):
     """Nobody else is at work."""
-    monkeypatch.setattr("demo.forecast.Load.measured", lambda *_: Load(1.0, 1.0))
+    monkeypatch.setattr("demo.forecast.Load.measured", lambda *_: Load(1.0))
 
 
 def test_settings_come_from_the_environment():
@@ -208,11 +208,34 @@ def test_what_is_there_already_takes_no_time_and_others_take_theirs(monkeypatch)
     moved = forecaster(scene, generated=True, simulated=True).seconds
     assert whole > made > moved > 0
     assert forecaster(scene, generated=True, simulated=True, filmed=True).seconds == 0
-    monkeypatch.setattr("demo.forecast.Load.measured", lambda *_: Load(2.0, 3.0))
+    monkeypatch.setattr("demo.forecast.Load.measured", lambda *_: Load(2.0))
     busy = Forecaster()(scene)
     assert busy.seconds == pytest.approx(2 * whole)
-    assert busy.span[0] < whole < busy.span[1]
     assert "beside what else this machine does" in busy.sentence
+    assert "make it 2.0 times as long" in busy.sentence
+
+
+def test_kernels_that_are_not_there_take_time_and_it_is_said(monkeypatch):
+    monkeypatch.setattr("demo.forecast.Load.measured", lambda *_: Load(2.0))
+    scene, forecaster = Scene.named("press"), Forecaster()
+    warm, cold = forecaster(scene), forecaster(scene, compiling=5.0)
+    assert cold.seconds == pytest.approx(warm.seconds + 10.0)
+    assert "compiles for about 10 s" in cold.sentence and "compiles" not in warm.sentence
+    again = forecaster(scene, simulated=True, compiling=5.0)
+    assert "compiles" not in again.sentence
+    assert again.seconds == forecaster(scene, simulated=True).seconds
+
+
+def test_rates_are_measured_less_what_others_took(monkeypatch):
+    report = {"stages": [{"name": "simulate", "seconds": 4.0}], "substeps": 100, "frames": 2,
+              "particles": 1000}  # fmt: skip
+    scene, found = Scene.named("press"), []
+    for now in (1.0, 2.0):
+        monkeypatch.setattr("demo.forecast.Load.measured", lambda *_, now=now: Load(now))
+        forecaster = Forecaster()
+        forecaster.calibrate((report, scene), (report, scene))
+        found.append(forecaster.rates.substep)
+    assert found[1] == pytest.approx(found[0] / 2)
 
 
 def test_a_forecast_can_be_measured_on_the_object_itself(three_gaussians):

@@ -126,7 +126,7 @@ def test_measuring_is_offered_where_nothing_was_measured_and_then_told(visit):
 
     assert "data-measure" not in shown(Scene.named("drop").data())
     before = shown(data)
-    assert "data-measure>Measure</button> takes about" in before
+    assert "data-measure>Measure</button> takes " in before
     assert "phy124 accuracy" not in before, "a visitor has no command line"
     jobs = [studio.measure("a", cutout, data) for _ in range(2)]
     for job in jobs:
@@ -137,6 +137,18 @@ def test_measuring_is_offered_where_nothing_was_measured_and_then_told(visit):
     assert "data-measure" not in after and "Measured: about" in after
     assert all(f"<td>D/{cells}</td>" in after for cells in GRIDS)
     assert "error not measured" not in after
+
+
+def test_kernels_to_compile_are_foretold_and_no_probe_compiles_them(visit, monkeypatch):
+    studio, cutout, data = visit
+    job = studio.run("a", cutout, data)
+    assert job.wait(300) and job.progress.state == "done", job.progress.message
+    other = {**data, "time": {**data["time"], "frames": 3}}
+    assert "compiles" not in studio.forecast("a", cutout, other)
+    assert studio.refine("a", cutout, other)
+    monkeypatch.setattr("demo.jobs.seconds_to_compile", lambda *_: 5.0)
+    assert "The first run of this kind compiles for about" in studio.forecast("a", cutout, other)
+    assert studio.refine("a", cutout, other) is None
 
 
 def test_what_cannot_be_measured_is_refused(visit):

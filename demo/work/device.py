@@ -21,9 +21,9 @@ def device_named(name: str) -> str:
 
     from phy124.startup import start
 
+    start()
     if name != "auto":
         return name
-    start()
     return "cuda:0" if wp.is_cuda_available() else "cpu"
 
 

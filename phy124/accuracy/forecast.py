@@ -42,9 +42,9 @@ FILMED, TRIES = (1, 5), 2
 """Frames filmed to tell a video's start from its frames, and how often; the quickest counts."""
 UNSURE = 0.1
 """Share of substeps limited by motion rather than stiffness from which nothing is promised."""
-GUESS = 1.5
+GUESS = 1.14
 """How much wider the range is where the seconds are a guess."""
-QUIET = Load(1.0, 1.0)
+QUIET = Load(1.0)
 REMEMBERED = 32
 """Forecasts and measurements that are kept; the oldest goes."""
 NODE_STAGES = ("clear", "grid")

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import os
+import statistics
 import time
 from dataclasses import dataclass
+from pathlib import Path
 
 THREADS = 2
 """Threads of a run on the CPU."""
-SPIN = 0.03
-"""Seconds that are spun to see how much of a core one gets."""
+SPIN, LOOKS = 0.1, 5
+"""Seconds that are spun to see how much of a core one gets, and how often others are counted."""
 ALONE = 0.93
-"""Share of a core from which nobody else is at work."""
-LEAST, MOST = 0.85, 1.2
+"""Share of a core from which nobody else has it."""
+LEAST, MOST = 0.8, 1.5
 """What runs took, in forecasts, where nothing else was at work (docs/accuracy.md)."""
+BUSY = 1.2
+"""How much wider the range is beside others: they come and go within a run."""
 
 
 @dataclass(frozen=True)
@@ -22,18 +26,22 @@ class Load:
 
     now: float
     """How many times longer a run takes than on a quiet machine, as things are."""
-    lately: float
-    """The same by the load of the last minute."""
 
     @classmethod
     def measured(cls, device: str = "cpu") -> Load:
-        """From a spin of 30 ms and the load average; a run on a GPU hardly notices others."""
+        """From a spin of 0.1 s; a run on a GPU hardly notices others.
+
+        Three views of how many others want a core, of which the median counts: what is left of a
+        core knows their priorities, but not of a core that they leave free; a count of what runs
+        knows the moment only; the load average knows the last minute, and our own work in it.
+        """
         if device != "cpu":
-            return cls(1.0, 1.0)
-        cores, share = _cores(), _share()
-        others = 0.0 if share > ALONE else max(cores / share - 1, 0.0)
-        load = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0
-        return cls(_slower(others, cores), _slower(load, cores))
+            return cls(1.0)
+        cores, (share, counted) = _cores(), _spun()
+        squeezed = 0.0 if share > ALONE else max(cores / share - 1, 0.0)
+        lately = os.getloadavg()[0] if hasattr(os, "getloadavg") else squeezed
+        views = [squeezed, lately, squeezed if counted is None else counted]
+        return cls(_slower(statistics.median(views), cores))
 
     @property
     def busy(self) -> bool:
@@ -43,10 +51,10 @@ class Load:
     def span(self, seconds: float, *, unsure: float = 1.0) -> tuple[float, float]:
         """Between what times a run lies that takes `seconds` as things are.
 
-        At best the others end now; at worst all of the last minute come back.
+        Others who end or begin meanwhile are not foreseen.
         """
-        worse = max(1.0, self.lately / self.now)
-        return LEAST / unsure * seconds / self.now, MOST * unsure * worse * seconds
+        wider = unsure * (BUSY if self.busy else 1.0)
+        return LEAST / wider * seconds, MOST * wider * seconds
 
 
 def spoken(span: tuple[float, float]) -> str:
@@ -60,12 +68,34 @@ def spoken(span: tuple[float, float]) -> str:
     return f"{low / 3600:.1f} to {high / 3600:.1f} h"
 
 
-def _share() -> float:
-    """Share of a core that one thread gets."""
-    begun, own = time.perf_counter(), time.thread_time()
-    while time.perf_counter() - begun < SPIN:
-        pass
-    return max((time.thread_time() - own) / (time.perf_counter() - begun), 0.02)
+def _spun() -> tuple[float, float | None]:
+    """Share of a core that one thread gets, and how many others run meanwhile; None: unknown."""
+    begun, own, counts = time.perf_counter(), time.thread_time(), []
+    for look in range(LOOKS):
+        while time.perf_counter() - begun < SPIN * (look + 1) / LOOKS:
+            pass
+        counts.append(_others())
+    share = max((time.thread_time() - own) / (time.perf_counter() - begun), 0.02)
+    known = [count for count in counts if count is not None]
+    return share, statistics.mean(known) if known else None
+
+
+def _others() -> int | None:
+    """Threads of others that run or wait for a core now; None where the system does not say."""
+    try:
+        stat = Path("/proc/stat").read_text()
+        mine = sum(_runs(task) for task in Path("/proc/self/task").iterdir())
+    except OSError:
+        return None
+    line = next((line for line in stat.splitlines() if line.startswith("procs_running")), None)
+    return None if line is None else max(int(line.split()[1]) - mine, 0)
+
+
+def _runs(task: Path) -> bool:
+    try:
+        return (task / "stat").read_text().rpartition(")")[2].split()[0] == "R"
+    except OSError:
+        return False  # The thread has ended.
 
 
 def _slower(others: float, cores: int) -> float:

@@ -1,0 +1,84 @@
+"""How long it takes to compile what a scene needs and the cache of kernels does not have."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import warp as wp
+
+from phy124.boundaries import AnyBoundary, Container, Gripper, Press
+from phy124.boundaries.held import Clamp
+from phy124.kernels import diagnose, field, stretch, transfer, weigh
+from phy124.kernels.collide import make_collider, make_contact
+from phy124.kernels.grid import make_update
+from phy124.kernels.profile import make_sampler
+from phy124.mpm.solver import PRECISIONS
+from phy124.scene import Scene
+
+Costed = tuple[Any, float]
+"""A kernel and the processor seconds that its module takes, on one core of an AMD EPYC."""
+
+
+def seconds_to_compile(scene: Scene, device: str = "cpu") -> float:
+    """Processor seconds until a scene's kernels are there; 0 if they are, or on a GPU.
+
+    Only one thread may ask at a time, and none while a solver is built: kernels are made for it.
+    Those of forces on a part of the object (0.3 s each) do not count.
+    """
+    if device != "cpu" or wp.config.kernel_cache_dir is None:
+        return 0.0
+    needed = {kernel.module.name: (kernel, seconds) for kernel, seconds in kernels(scene)}
+    return sum(seconds for kernel, seconds in needed.values() if not is_compiled(kernel))
+
+
+def is_compiled(kernel: Any) -> bool:
+    """Whether a kernel's module is loaded, or lies in the cache as it is now."""
+    if kernel.module.execs:
+        return True
+    folder = Path(str(wp.config.kernel_cache_dir)) / kernel.module.get_module_identifier(1)
+    return any(folder.glob("*.o"))
+
+
+def kernels(scene: Scene) -> Iterator[Costed]:
+    """What a run of a scene launches in one thread."""
+    real = PRECISIONS[scene.resolution.precision]
+    form = "simd" if real is wp.float32 else "plain"
+    yield from (
+        (make_sampler(real), 0.65),
+        (make_update(real), 0.15),
+        (diagnose.make_reset(real), 0.2),
+        (field.deform_shapes, 1.5),
+    )
+    laws = {material.device_law.name: material.device_law for material in scene.materials}
+    for law in laws.values():
+        yield transfer.make_measure(law, real), 2.4
+        yield weigh.make_weigh(law, real), 0.65
+        yield transfer.make_p2g(law, real, form), 0.6
+        yield transfer.make_g2p(law, real, form), 0.5
+        if law.project is None:
+            yield stretch.make_apart(real), 0.2
+        else:
+            yield diagnose.make_limit_total(real), 0.15
+    for boundary in scene.boundaries:
+        yield from ((_wall(part, real), 0.4) for part in _parts(boundary))
+    if scene.boundaries and scene.checks.balance:
+        yield diagnose.make_wall_copy(real), 0.15
+        yield diagnose.make_wall_sums(real), 0.2
+
+
+def _parts(boundary: AnyBoundary) -> list[Any]:
+    """The simple walls that a boundary consists of."""
+    if isinstance(boundary, Container):
+        return list(boundary.sides())
+    return list(boundary.pads()) if isinstance(boundary, Gripper) else [boundary]
+
+
+def _wall(wall: Any, real: Any) -> Any:
+    """The kernel of a simple wall."""
+    moves = isinstance(wall, Press) or wall.motion is not None
+    moves = moves or getattr(wall, "end", None) is not None
+    met = wall.contact == "sticky" if isinstance(wall, Clamp) else True
+    make = make_contact if met else make_collider
+    return make(wall.outline(), wall.response(), moves, real)

@@ -1,0 +1,165 @@
+"""How often a run of the page lies within the span that was foretold, and how wide the span is.
+
+Forecasts and true times beside 0, 1, 2 and 4 busy loops: a new picture, another motion of a picture
+that is there, another camera, what was probed on the object itself, and kernels that must be
+compiled. With `--docs` the table of docs/accuracy.md is renewed. It prints a line per run, asserts
+nothing, and takes a quarter of an hour on a busy machine; numbers of loops do only these.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+ROOT = Path(__file__).parents[2]
+sys.path[:0] = [str(ROOT), str(Path(__file__).parent)]
+
+from tables import DOCS, markdown, renew  # noqa: E402
+
+from demo.forecast import Forecast  # noqa: E402
+from demo.jobs import Studio  # noqa: E402
+from demo.settings import Settings  # noqa: E402
+from demo.visitors import Visitors  # noqa: E402
+from phy124.scene import Scene  # noqa: E402
+from phy124.startup import kernel_folder  # noqa: E402
+
+LOOPS = (0, 1, 2, 4)
+PICTURES = ("duck", "teddy", "pear", "cupcake")
+COLD = ("hencky", "fixed_corotated", "plasticine", "snow")
+"""Laws whose kernels are taken out of the cache, one for each number of loops."""
+SETTLE = 20.0
+"""Seconds for which the loops have run before anything is foretold."""
+
+
+@contextmanager
+def busy(loops: int) -> Iterator[None]:
+    """Others at work meanwhile."""
+    # They end with this process, whatever ends it.
+    spin = [sys.executable, "-c", "import os\nmine = os.getppid()\nwhile os.getppid() == mine: 0"]
+    others = [subprocess.Popen(spin) for _ in range(loops)]
+    try:
+        time.sleep(SETTLE if loops else 0)
+        yield
+    finally:
+        for other in others:
+            other.kill()
+            other.wait()
+
+
+def kernels_without(laws: tuple[str, ...], folder: Path) -> None:
+    """A cache of kernels of our own: the usual one, but for some laws."""
+    usual = kernel_folder()
+    if usual is not None and usual.exists():
+        skipped = shutil.ignore_patterns(*(f"*_{law}_*" for law in laws))
+        shutil.copytree(usual, folder / usual.name, dirs_exist_ok=True, ignore=skipped)
+    os.environ["WARP_CACHE_PATH"] = str(folder)
+
+
+class Page:
+    """A visitor of a page of our own."""
+
+    def __init__(self, folder: Path) -> None:
+        self.studio = Studio(Settings(device="cpu"), Visitors(folder))
+        self.told: Forecast | None = None
+        said = self.studio._said
+
+        def noted(told: Forecast, *arguments: Any) -> str:
+            self.told = told
+            return said(told, *arguments)
+
+        self.studio._said = noted
+        self.studio.warm_up()
+        self.studio.visitors.get("a")
+
+    def cut(self, name: str) -> str:
+        """A picture, cut out."""
+        data = (ROOT / f"demo/examples/{name}.png").read_bytes()
+        job = self.studio.cut("a", str(self.studio.visitors.store("a", data, ".png")))
+        job.wait(600)
+        return job.progress.result.path
+
+    def run(self, cutout: str, scene: Scene, *, probe: bool = False) -> dict[str, Any]:
+        """One run and its forecast."""
+        data = scene.data()
+        self.studio.forecaster._looked = -1e9
+        self.studio.forecast("a", cutout, data)
+        if probe:
+            self.studio.refine("a", cutout, data)
+        told, load = self.told, os.getloadavg()[0]
+        assert told is not None
+        start = time.perf_counter()
+        job = self.studio.run("a", cutout, data)
+        job.wait(1200)
+        took = time.perf_counter() - start
+        low, high = told.span
+        return {
+            "took s": round(took, 2), "foretold s": round(told.seconds, 2), "low s": round(low, 2),
+            "high s": round(high, 2), "within": low <= took <= high, "probed": told.measured,
+            "compiling s": round(told.compiling, 2), "slower": round(told.load.now, 2),
+            "load": round(load, 1), "end": job.progress.state,
+        }  # fmt: skip
+
+
+def runs(page: Page, loops: int, number: int) -> Iterator[tuple[str, dict[str, Any]]]:
+    """The kinds of runs beside some loops."""
+    press = Scene.named("press").replaced({"accuracy": "draft"})
+    cutout = page.cut(PICTURES[number])
+    yield "new picture", page.run(cutout, press)
+    drop = Scene.named("drop").replaced({"accuracy": "draft", "seed": press.seed})
+    yield "another motion", page.run(cutout, drop)
+    yield "probed", page.run(cutout, drop.replaced({"material.E": 1e5}), probe=True)
+    yield "probed, standard", page.run(cutout, press.replaced({"accuracy": "standard"}), probe=True)
+    yield "another camera", page.run(cutout, drop.replaced({"view.elevation": 30.0 + number}))
+    cold = {"accuracy": "draft", "material": {"law": COLD[number]}}
+    yield "kernels to compile", page.run(cutout, Scene.named("drop").replaced(cold))
+
+
+def summary(rows: list[dict[str, Any]]) -> str:
+    """Coverage and width, quiet and loaded."""
+    said = []
+    for name, some in (
+        ("without loops", [row for row in rows if not row["loops"]]),
+        ("beside loops", [row for row in rows if row["loops"]]),
+        ("all", rows),
+    ):
+        if some:
+            within = sum(row["within"] for row in some)
+            width = np.median([row["high s"] / max(row["low s"], 0.01) for row in some])
+            said.append(
+                f"{name}: {within} of {len(some)} true times were within the span foretold, whose "
+                f"ends are a factor of {width:.1f} apart (median)"
+            )
+    return ".\n".join(said) + "."
+
+
+def main(loops: list[int], *, docs: bool) -> None:
+    """All runs, a line each, and what they add up to."""
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        kernels_without(COLD, Path(folder) / "kernels")
+        page = Page(Path(folder) / "visitors")
+        for count in loops:
+            with busy(count):
+                for kind, row in runs(page, count, LOOPS.index(count)):
+                    rows.append({"loops": count, "kind": kind, **row})
+                    print(json.dumps(rows[-1]), flush=True)
+    print(summary(rows))
+    if docs:
+        table = markdown(list(rows[0]), [list(row.values()) for row in rows])
+        renew(DOCS / "accuracy.md", "spans", f"{summary(rows)}\n\n{table}")
+
+
+if __name__ == "__main__":
+    given = [int(word) for word in sys.argv[1:] if word != "--docs"]
+    main(given or list(LOOPS), docs="--docs" in sys.argv)

@@ -1,0 +1,64 @@
+"""What a scene needs compiled: all that a run launches, and nothing that is there already."""
+
+from __future__ import annotations
+
+import pytest
+import warp as wp
+from shapes import ball
+from warp._src.context import Module
+
+from phy124.accuracy.compiling import is_compiled, kernels, seconds_to_compile
+from phy124.scene import Scene
+from phy124.simulation import Simulation
+
+QUICK = {"accuracy": {"cells": 8, "ppc": 1.0}, "time.frames": 2, "time.fps": 240.0}
+WALLS = {
+    "container": {"kind": "container"},
+    "gripper": {"kind": "gripper", "thick": 0.3},
+    "sphere": {"kind": "sphere", "centre": [0.0, 0.0, 0.0]},
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [
+        ("press", {}),
+        ("sway", {}),
+        ("spin", {}),
+        ("drop", {"material": {"law": "sand"}}),
+        ("drop", {"accuracy": {"cells": 8, "ppc": 1.0, "precision": "float64"}}),
+        *(("drop", {"boundaries": [wall]}) for wall in WALLS.values()),
+    ],
+)
+def test_all_that_takes_long_is_listed(name, changes, monkeypatch):
+    """Modules that a run loads are listed, but for a few of tenths of a second."""
+    loaded, load = set(), Module.load
+
+    def noted(module, *arguments, **options):
+        loaded.add(module.name)
+        return load(module, *arguments, **options)
+
+    monkeypatch.setattr(Module, "load", noted)
+    scene = Scene.named(name).replaced({**QUICK, **changes})
+    Simulation(ball(300), scene).run()
+    listed = {kernel.module.name: seconds for kernel, seconds in kernels(scene)}
+    assert set(listed) <= loaded
+    small = ("uniform_sums", "merge", "barrier", "push_", "field")
+    assert not {n for n in loaded - set(listed) if not any(word in n for word in small)}
+    assert sum(listed.values()) > 4
+    assert seconds_to_compile(scene) == 0, "a run has compiled them"
+
+
+def test_what_the_cache_does_not_have_takes_time(monkeypatch, tmp_path):
+    scene = Scene.named("drop").replaced({"material": {"law": "plasticine"}})
+    missing = [kernel for kernel, _ in kernels(scene) if not kernel.module.execs]
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
+    assert not any(is_compiled(kernel) for kernel in missing)
+    made = tmp_path / missing[0].module.get_module_identifier(1)
+    made.mkdir()
+    assert not is_compiled(missing[0])
+    assert seconds_to_compile(scene, "cuda:0") == 0
+    before = seconds_to_compile(scene)
+    (made / "any.cpu.o").touch()
+    assert is_compiled(missing[0])
+    assert seconds_to_compile(scene) < before
