@@ -25,6 +25,8 @@ SPREAD = 3.0
 """Learned costs stay within this factor of those measured at the start, either way."""
 WINDOW = 5
 """Runs whose median counts."""
+FIXED = 0.7
+"""Largest share of the usual run's time that a fixed cost may explain, were the small run slow."""
 LEAST = 0.2
 """Share of the first measurement's work below which a run teaches nothing."""
 
@@ -101,10 +103,12 @@ class Learned:
     ) -> None:
         """Measure from the reports of two runs: one of hardly any work, and a usual one."""
         (little, spent_little), (much, spent) = _observed(*small), _observed(*usual)
+        substep = _per(spent_little["simulate"], little.substeps) or self.now.substep
+        video = _per(spent_little["film"], little.videos) or self.now.video
         fixed = replace(
             self.now,
-            substep=_per(spent_little["simulate"], little.substeps) or self.now.substep,
-            video=_per(spent_little["film"], little.videos) or self.now.video,
+            substep=_at_most(FIXED, spent["simulate"], much.substeps, substep),
+            video=_at_most(FIXED, spent["film"], much.videos, video),
         )
         found = _variable(fixed, much, spent)
         with self._lock:
@@ -163,3 +167,9 @@ def _variable(rates: Rates, work: Work, spent: dict[str, float]) -> dict[str, fl
 def _per(seconds: float, amount: float) -> float | None:
     """Seconds per unit, or None where that cannot be said."""
     return seconds / amount if amount > 0 and seconds > 0 else None
+
+
+def _at_most(share: float, seconds: float, amount: float, cost: float) -> float:
+    """A cost per unit, or what explains no more than a share of the seconds for an amount."""
+    usual = _per(seconds, amount)
+    return cost if usual is None else min(cost, share * usual)

@@ -37,6 +37,16 @@ def test_a_run_measured_at_the_start_is_forecast_as_it_was(learned):
     assert costs == pytest.approx(wanted)
 
 
+def test_a_small_run_at_a_slow_moment_does_not_explain_the_usual_one():
+    made = Learned()
+    little = _report(TINY, simulate=100.0, render=20.0, encode=20.0)
+    much = _report(USUAL, generate=0.8, simulate=1.0, deform=0.2, render=0.4, encode=0.4)
+    made.calibrate((little, TINY), (much, USUAL))
+    costs = made.now.seconds(work_of(USUAL))
+    assert costs == pytest.approx({"generate": 0.8, "simulate": 1.0, "deform": 0.2, "film": 0.8})
+    assert made.now.particle > 0 and made.now.pixel > 0
+
+
 def test_tiny_runs_do_not_make_the_page_believe_that_everything_is_slow(learned):
     before = learned.now
     for _ in range(10):
