@@ -76,6 +76,7 @@ def _pose(page: Page) -> None:
     )
     for film in page.locator(".film video").all():
         film.evaluate("(video) => { video.pause(); video.currentTime = 0.25; }")
+    page.evaluate("scrollTo(0, 0)")
     page.wait_for_timeout(4000)
 
 

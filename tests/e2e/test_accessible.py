@@ -7,6 +7,7 @@ from visit import DUCK, LONG, Visit
 
 pytestmark = pytest.mark.browser
 axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe is not installed")
+SOURCES = "[...document.querySelectorAll('.card img, .chip img, .welcome img')].map((i) => i.src)"
 COVERED = """() => {
     // Whether the element in focus is under the panel that stays at the bottom.
     const at = document.activeElement, box = at.getBoundingClientRect();
@@ -81,9 +82,8 @@ def test_nothing_in_focus_is_hidden_by_the_panel_at_the_bottom(browser, server):
 
 def test_pictures_stand_still_for_those_who_ask_for_it(browser, server):
     visit = Visit(browser, server)
-    sources = visit.page.evaluate(
-        "[...document.querySelectorAll('.card img, .chip img, .welcome img')].map((i) => i.src)"
-    )
+    visit.page.wait_for_function(f"{SOURCES}.every(Boolean)", timeout=LONG)
+    sources = visit.page.evaluate(SOURCES)
     assert len(sources) > 10 and all(src.startswith("data:") for src in sources), sources
     visit.context.close()
 
