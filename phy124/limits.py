@@ -38,6 +38,9 @@ MUCH_STIFFER = 3.0
 MEMORY_SHARE = 0.8
 """Share of the free memory a run may take."""
 
+FARTHEST_CELLS = 1e5
+"""Cells from the origin up to which float32 knows a place to a hundredth of a cell."""
+
 
 class Demand(NamedTuple):
     """What a run is forecast to need."""
@@ -70,7 +73,10 @@ def refuse_hopeless(
     *,
     keep: bool = True,
 ) -> Demand:
-    """What the run needs; raises InputError if that is more than its patience or the memory."""
+    """What the run needs; raises InputError if that is more than its patience or the memory, or if
+    the object is so far up that float32 cannot tell places in a cell apart.
+    """
+    _refuse_far(scene)
     demand = forecast(gaussians, particles, scene, device, keep=keep)
     patience = scene.time.patience
     if demand.seconds > patience:
@@ -102,6 +108,20 @@ def refuse_hopeless(
             [plain("time.frames", most)] if most > 1 else [],
         )
     return demand
+
+
+def _refuse_far(scene: Scene) -> None:
+    lift, most = scene.object.lift, _rounded(FARTHEST_CELLS * scene.dx)
+    if lift <= most:
+        return
+    raise InputError(
+        "object.lift",
+        f"{lift:g} m",
+        f"Gaussians are float32, which knows places there to {np.spacing(np.float32(lift)):.2g} m, "
+        f"and a cell has {scene.dx:.2g} m.",
+        f"Use at most {most:g} m, and bring what it falls on as much nearer to the origin.",
+        [plain("object.lift", most)],
+    )
 
 
 def _would_fit(found: Sequence[Remedy]) -> str:

@@ -56,6 +56,14 @@ def test_the_setting_that_would_fit_fits(hard):
     assert forecast(gaussians, particles, scene, "cpu").seconds <= 60
 
 
+def test_what_is_too_far_up_for_float32_is_refused():
+    """A ball of 5 cm at 10 km: float32 knows its places to a millimetre, a sixth of a cell."""
+    with pytest.raises(InputError, match=r"object\.lift = 10000 m: .*Use at most 620 m") as refusal:
+        run(**{"object.size": 0.05, "object.lift": 1e4})
+    changes = refusal.value.remedies[0].changes
+    assert run(**{"object.size": 0.05, **changes}).particles.x.max() < 621
+
+
 def test_clips_beyond_the_memory_are_refused(monkeypatch):
     monkeypatch.setattr("phy124.limits.free_memory", lambda: 2e6)
     with pytest.raises(InputError, match=r"GB of memory, .* Use at most \d+ frames"):
