@@ -20,6 +20,10 @@ from .sinks import LONGEST_WAIT, LiveSink, Sink
 Clock = Callable[[], float]
 REPORT_EVERY = 5.0
 """Seconds between two warnings about dropped frames."""
+SLOW = (
+    "%d frames dropped so far: sending is slower than playback. Fewer points (max_points), the "
+    "profile small or a lower rate help."
+)
 WORDS = ("play", "pause", "toggle", "next", "restart")
 """Commands without a value; each is a method of Player."""
 log = logging.getLogger(__name__)
@@ -176,7 +180,7 @@ class _DropAnnouncer:
     def look(self) -> None:
         dropped, now = self._player.dropped, self._clock()
         if dropped > self._said and now - self._when >= REPORT_EVERY:
-            log.warning("%d frames dropped so far: sending is slower than playback.", dropped)
+            log.warning(SLOW, dropped)
             self._said, self._when = dropped, now
 
 

@@ -107,7 +107,7 @@ class Reports:
         if audience.namesakes > self._namesakes:
             log.warning(
                 "There is another node %s: both publish on the same topics. "
-                "Give one of them a name or namespace of its own.",
+                "Give one of them a name, namespace or ROS_DOMAIN_ID of its own.",
                 self._node,
             )
         self._namesakes = audience.namesakes

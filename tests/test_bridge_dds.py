@@ -18,6 +18,7 @@ pytest.importorskip("cyclonedds")
 
 from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
 from cyclonedds.domain import DomainParticipant
+from cyclonedds.pub import DataWriter
 from cyclonedds.qos import Policy
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
@@ -188,6 +189,32 @@ def test_what_ros_2_looks_for(domain):
     written = {bytes(gid.data) for gid in node.writer_gid_seq}
     named = [name for name, sample in found.items() if sample.key.bytes in written]
     assert sorted(named) == sorted(types.keys() - {"ros_discovery_info"})
+
+
+def test_a_second_node_of_the_same_name_is_warned_of(domain, monkeypatch, caplog):
+    monkeypatch.setattr("bridge.reports.DIAGNOSTICS_EVERY", 0.02)
+
+    def introduce(participant, name):
+        gid = idl_type("rmw_dds_common/msg/Gid")(list(participant.guid.bytes))
+        node = idl_type("rmw_dds_common/msg/NodeEntitiesInfo")("/phy124", name, [], [])
+        topic = Topic(participant, DISCOVERY.name, idl_type(DISCOVERY.type))
+        writer = DataWriter(participant, topic, qos=quality(DISCOVERY))
+        writer.write(idl_type(DISCOVERY.type)(gid, [node]))
+        return writer
+
+    with DdsSink(Options()) as sink:
+        sink.show(Player(random_clip().times))
+        names = ["elsewhere", *["player"] * 4]
+        others = [introduce(DomainParticipant(domain), name) for name in names]
+
+        def counted():
+            sink.listen(0.02, lambda text: None)
+            return sink._namesakes() == 4
+
+        wait_until(counted)
+        sink.listen(0.02, lambda text: None)
+    assert len(others) == 5
+    assert "another node /phy124/player" in caplog.text
 
 
 def test_live_limit_holds(domain, caplog):

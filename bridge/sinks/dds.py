@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import logging
 import os
+from dataclasses import replace
 from typing import Any
 
 from phy124.errors import InputError
@@ -27,6 +28,8 @@ from . import Obey, Playback
 
 NAMESPACE, NODE = "/phy124", "player"
 DISCOVERY = Topic("ros_discovery_info", "rmw_dds_common/msg/ParticipantEntitiesInfo", depth=1)
+MANY = 1000
+"""Participants whose nodes are looked at."""
 URI = "CYCLONEDDS_URI"
 log = logging.getLogger(__name__)
 
@@ -126,7 +129,9 @@ class DdsSink:
         self._participant = DomainParticipant(domain, Qos(Policy.Userdata(b"enclave=/;")))
         topics = [*self._encoder.topics, *self._reports.topics]
         self._writers = {topic.name: self._writer(topic) for topic in topics}
-        self._commands, self._nodes = self._reader(COMMAND), self._reader(DISCOVERY)
+        self._commands = self._reader(COMMAND)
+        # All nodes write to this topic, and it has no key to keep them apart by.
+        self._nodes = self._reader(replace(DISCOVERY, depth=MANY))
         self._waitset = WaitSet(self._participant)
         unread = SampleState.NotRead | ViewState.Any | InstanceState.Any
         self._waitset.attach(ReadCondition(self._commands, unread))
@@ -166,13 +171,15 @@ class DdsSink:
 
     def _namesakes(self) -> int:
         """How many other participants have a node of this name."""
-        for sample in self._nodes.take(100):
-            if hasattr(sample, "gid"):
+        own = self._participant.guid.bytes
+        for sample in self._nodes.take(MANY):
+            if hasattr(sample, "gid") and bytes(sample.gid.data) != own:
                 names = {(n.node_namespace, n.node_name) for n in sample.node_entities_info_seq}
-                self._others[sample.sample_info.publication_handle] = (NAMESPACE, NODE) in names
-        here = set(self._nodes.get_matched_publications())
-        # One of them is this node itself.
-        return max(sum(named for who, named in self._others.items() if who in here) - 1, 0)
+                writer = sample.sample_info.publication_handle
+                self._others[writer] = (NAMESPACE, NODE) in names
+        # cyclonedds has these handles with a sign, and those without.
+        here = {handle % 2**64 for handle in self._nodes.get_matched_publications()}
+        return sum(named for writer, named in self._others.items() if writer in here)
 
     def _send(self, message: Message) -> None:
         from ..idl import sample
@@ -223,7 +230,7 @@ def _domain(domain: int, discovery: Discovery) -> Any:
 
 
 def _mangled(topic: Topic) -> str:
-    return topic.name if topic is DISCOVERY else f"rt{topic.name}"
+    return topic.name if topic.name == DISCOVERY.name else f"rt{topic.name}"
 
 
 def _gid(entity: Any) -> dict[str, bytes]:
