@@ -24,7 +24,13 @@ WANTED_BUFFER = 4 << 20
 """Receive buffer that takes a frame of 65,536 points of 60 bytes, bytes."""
 SHARED = (("NumPy", "numpy", 1), ("OpenCV", "cv2", 4))
 """What phy124 and ROS 2's own Python packages both use: name, module, newest they bear (Jazzy)."""
-RMEM = Path("/proc/sys/net/core/rmem_max")
+BUFFERS = Path("/proc/sys/net/core")
+SHORT = {
+    "rmem_max": "too small for 65,536 points per frame",
+    "rmem_default": "which is all that Fast DDS takes: too small for 32,768 points per frame on a "
+    "busy machine",
+}
+"""Receive buffers of the system, and what it means if one is smaller than `WANTED_BUFFER`."""
 
 
 def describe(path: Path) -> list[str]:
@@ -91,9 +97,7 @@ def diagnose() -> list[str]:
     for name in ("ROS_DISTRO", "ROS_DOMAIN_ID", "RMW_IMPLEMENTATION", "CYCLONEDDS_URI"):
         lines.append(f"{name}: {os.environ.get(name) or 'not set'}")
     lines += [_beside_ros(name, module, newest) for name, module, newest in SHARED]
-    if RMEM.is_file():
-        lines.append(_buffer_advice(int(RMEM.read_text())))
-    return lines
+    return lines + [_buffer_advice(name) for name in SHORT if (BUFFERS / name).is_file()]
 
 
 def _beside_ros(name: str, module: str, newest: int) -> str:
@@ -111,11 +115,12 @@ def _beside_ros(name: str, module: str, newest: int) -> str:
     )
 
 
-def _buffer_advice(size: int) -> str:
-    text = f"net.core.rmem_max: {size / 1024:.0f} KiB"
+def _buffer_advice(name: str) -> str:
+    size = int((BUFFERS / name).read_text())
+    text = f"net.core.{name}: {size / 1024:.0f} KiB"
     if size >= WANTED_BUFFER:
         return text
     return (
-        f"{text}, too small for 65,536 points per frame; "
-        f"`sudo sysctl -w net.core.rmem_max={WANTED_BUFFER}` on the receiving machine"
+        f"{text}, {SHORT[name]}; "
+        f"`sudo sysctl -w net.core.{name}={WANTED_BUFFER}` on the receiving machine"
     )

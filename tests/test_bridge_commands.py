@@ -146,11 +146,15 @@ def test_doctor_says_what_is_ready(capsys):
 
 
 def test_doctor_advises_on_small_buffers(monkeypatch, tmp_path):
-    small = tmp_path / "rmem_max"
-    small.write_text("212992\n")
-    monkeypatch.setattr("bridge.info.RMEM", small)
-    assert diagnose()[-1].startswith("net.core.rmem_max: 208 KiB, too small for 65,536 points")
-    assert "sysctl -w net.core.rmem_max=4194304" in diagnose()[-1]
+    (tmp_path / "rmem_max").write_text("4194304\n")
+    (tmp_path / "rmem_default").write_text("212992\n")
+    monkeypatch.setattr("bridge.info.BUFFERS", tmp_path)
+    largest, default = diagnose()[-2:]
+    assert largest == "net.core.rmem_max: 4096 KiB"
+    assert default.startswith("net.core.rmem_default: 208 KiB, which is all that Fast DDS takes")
+    assert "sysctl -w net.core.rmem_default=4194304" in default
+    (tmp_path / "rmem_max").write_text("212992\n")
+    assert "208 KiB, too small for 65,536 points" in diagnose()[-2]
 
 
 def test_doctor_says_which_packages_a_node_would_get(monkeypatch):
