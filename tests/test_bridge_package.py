@@ -63,7 +63,14 @@ def test_package_xml_is_what_rep_149_asks_for():
 def test_package_xml_names_all_of_ros_that_is_used_and_nothing_noble_lacks():
     package = parse_package(str(BRIDGE / "package.xml"))
     depends = {each.name: each for each in package.exec_depends}
-    files = ["node.py", "ros_node.py", "parameters.py", "services.py", "ros_log.py", "sinks/rclpy.py"]
+    files = [
+        "node.py",
+        "ros_node.py",
+        "parameters.py",
+        "services.py",
+        "ros_log.py",
+        "sinks/rclpy.py",
+    ]
     used = set().union(*map(imported, [*map(BRIDGE.joinpath, files), LAUNCH]))
     ros = {n for n in used if n.startswith(("rcl", "launch", "ament", "rosbag", "std_"))}
     every = {name: value for name, value in vars(topics).items() if isinstance(value, topics.Topic)}
