@@ -289,3 +289,16 @@ def test_a_capture_at_an_accuracy_that_is_looked_for(tmp_path, capsys):
     report = json.loads((tmp_path / "out/report.json").read_text())
     assert report["goal"]["met"] and 1800 < report["gaussians"] <= 2000
     assert 0.5 < report["static"] / report["gaussians"] < 0.8
+
+
+def test_a_study_reads_captures_as_a_simulation_does(tmp_path, capsys):
+    path = saved(tmp_path, captured(8, floor=600))
+    (tmp_path / "s.toml").write_text(
+        'accuracy = {cells = 6}\ntime = {frames = 2}\nview = {size = 32, views = ["front"]}\n'
+    )
+    out = str(tmp_path / "o")
+    study = ["accuracy", str(tmp_path / "s.toml"), "--levels", "6", "--device", "cpu", "--out", out]
+    assert main([*study, "--image", path, "--floor"]) == 0
+    assert "D/6" in capsys.readouterr().out
+    assert main([*study, "--floor"]) == 2
+    assert "no file of Gaussians that --floor" in capsys.readouterr().err

@@ -190,7 +190,7 @@ def test_masks_that_do_not_fit_are_refused(tmp_path):
     with pytest.raises(InputError, match=r"mask = .*none.png: There is no such file"):
         cut_out(path, mask=tmp_path / "none.png")
     (tmp_path / "text.png").write_text("I am a text and no picture")
-    with pytest.raises(InputError, match=r"mask = .* It is not a PNG, .* TIFF or PPM picture"):
+    with pytest.raises(InputError, match=r"mask = .* It is not a PNG, .* PPM or HEIC picture"):
         cut_out(path, mask=tmp_path / "text.png")
     with pytest.raises(InputError, match=r"foreground = grabcut: A mask is given as well"):
         cut_out(path, "grabcut", mask=saved(tmp_path, grey, "mask.png"))

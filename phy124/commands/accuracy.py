@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import json
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import tyro
 
+from phy124.capture import capture
 from phy124.commands.bars import Bars
 from phy124.commands.cutout import doubt
 from phy124.commands.options import pick_device
 from phy124.cutout import Cutout
 from phy124.errors import Cancelled, InputError
-from phy124.parts import WHOLE
+from phy124.gaussians import Gaussians
+from phy124.generators.ply_file import PlyFile, Reading
+from phy124.parts import WHOLE, Crop
+from phy124.progress import Progress
 from phy124.scene import Scene
 
 DUCK = "demo/examples/duck.png"
@@ -38,6 +42,9 @@ class ShowAccuracy:
     """Folder of accuracy.json, .html and .png; default out/accuracy-SCENE."""
     generator: str = "relief"
     """How the picture becomes Gaussians."""
+    reading: Annotated[Reading, tyro.conf.arg(name="")] = field(default_factory=Reading)
+    floor: bool = False
+    """Finds the floor of a .ply file by a plane fit and stands the object upright on it."""
     device: str = "auto"
     """auto, cpu or cuda:0."""
     json: bool = False
@@ -79,7 +86,7 @@ class ShowAccuracy:
         name = Path(str(self.scene)).stem
         out = self.out or Path("out") / f"accuracy-{name}"
         with Bars(quiet=self.json, keeps=True) as bars, staged(out) as folder:
-            gaussians, crop = self._object(scene, bars)
+            gaussians, scene, crop = self._object(scene, bars)
             study = Study(gaussians, scene, device, levels, crop, progress=bars, keep=True)
             report = study.run()
             bars.close()
@@ -113,19 +120,26 @@ class ShowAccuracy:
                 raise InputError("levels", cells, refusal.limit, refusal.remedy) from None
         return tuple(sorted(set(self.levels)))
 
-    def _object(self, scene: Scene, progress: Any) -> Any:
-        """The Gaussians to study, and where they are in the picture."""
+    def _object(self, scene: Scene, progress: Progress) -> tuple[Gaussians, Scene, Crop]:
+        """The Gaussians to study, the scene meant for them, and where they are in the picture."""
+        if self.image is not None and self.image.suffix.lower() == ".ply":
+            file = PlyFile(path=str(self.image), **asdict(self.reading))
+            read = capture(file, scene, floor=self.floor, progress=progress)
+            return read.gaussians, read.scene, WHOLE
+        if self.floor or self.reading != Reading():
+            limit = "There is no file of Gaussians that --floor, --crop and the like could be for."
+            raise InputError("image", self.image or "none", limit, "Give a .ply file.")
         if self.image is None:
             from phy124.accuracy.ball import ball
 
-            return ball(), WHOLE
+            return ball(), scene, WHOLE
         from phy124.pipeline import static
 
         made = static(
             self.image, generator=self.generator, looked=self._look, seed=scene.seed,
             progress=progress,
         )  # fmt: skip
-        return made.gaussians, made.crop
+        return made.gaussians, scene, made.crop
 
     def _look(self, cutout: Cutout) -> None:
         if not self.json:
