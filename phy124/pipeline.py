@@ -321,7 +321,7 @@ def _refuse_other(scene: dict[str, Any], paused: dict[str, Any], out: PathLike) 
     for name in {**asked, **found}:
         if asked.get(name) != found.get(name):
             both = name in asked and name in found
-            what = f"{name} = {found[name]}, not {asked[name]}" if both else f"another {name}"
+            what = f"{name} = {found[name]}, not {asked[name]}" if both else f"different {name}"
             remedy = "Give the options of that run, or leave --resume out to begin anew."
             raise InputError("resume", out, f"the interrupted run has {what}.", remedy)
 

@@ -321,8 +321,9 @@ def test_what_a_killed_process_left_goes_at_the_next_start_and_what_is_in_use_st
         assert process.stdout
         theirs = Path(process.stdout.readline().strip())
         with staged(tmp_path) as mine, staged(tmp_path) as nested:
-            assert all(path.is_dir() for path in (theirs, mine, nested))
+            stay = [path.is_dir() for path in (theirs, mine, nested)]
         process.kill()
+    assert all(stay)
     assert (theirs / "clip").exists()
     with staged(tmp_path) as mine:
         assert list(tmp_path.iterdir()) == [mine]
