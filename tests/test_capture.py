@@ -274,7 +274,7 @@ def test_an_interrupted_capture_goes_on_with_the_same_command_only(tmp_path, cap
     pipeline.simulate(read.gaussians, read.scene, tmp_path / "out", progress=cancel, keep=True)
     again = ["simulate", path, *OPTIONS, "--out", str(tmp_path / "out"), "--resume"]
     assert main([word for word in again if word != "--floor"]) == 2
-    assert "the interrupted run has another parts" in capsys.readouterr().err
+    assert "the interrupted run has different parts" in capsys.readouterr().err
     assert main(again) == 0
     assert Clip.load(tmp_path / "out/clip.safetensors").report["complete"]
 
