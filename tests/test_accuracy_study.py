@@ -156,6 +156,7 @@ def test_too_few_whole_levels_have_no_order(monkeypatch):
     monkeypatch.setattr(Tearing, "likely", property(lambda self: True))
     report = Study(ball(300), scene, levels=(8, 16)).run()
     assert report.recommendation == "on every level the grid may tear the material"
+    assert report.sentences.count(report.recommendation) == 1
     assert report.promises["draft"].startswith("none: on D/16")
 
 

@@ -128,10 +128,7 @@ def save_page(report: Report, path: PathLike, *, title: str = "Accuracy and time
     ]
     # "</" would end the script element early.
     data = json.dumps(points).replace("</", "<\\/")
-    said = [report.recommendation, *(f"{n}: {s}" for n, s in report.promises.items())]
-    said += report.skipped
-    if report.convergence.why_not:
-        said.append(report.convergence.why_not)
+    said = [*report.sentences, *(f"{n}: {s}" for n, s in report.promises.items())]
     page = PAGE.format(
         title=html.escape(title),
         said="".join(f"<p>{html.escape(sentence)}</p>" for sentence in said),

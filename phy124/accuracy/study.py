@@ -94,6 +94,12 @@ class Report:
     interrupted: bool = False
     """Whether it was cancelled before all settings were run."""
 
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """What to say of it, each thing once: why there is no order may be all there is."""
+        said = (*self.skipped, self.convergence.why_not, self.recommendation)
+        return tuple(sentence for sentence in dict.fromkeys(said) if sentence)
+
     def data(self) -> dict[str, Any]:
         """Plain data for accuracy.json; infinities become None."""
         return _plain(asdict(self))

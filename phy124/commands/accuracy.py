@@ -101,9 +101,8 @@ class ShowAccuracy:
             print(json.dumps(report.data()))
             return bars.status(KEPT)
         print(table(report.data()["rows"]))
-        for sentence in (*report.skipped, report.convergence.why_not, report.recommendation):
-            if sentence:
-                print(sentence)
+        for sentence in report.sentences:
+            print(sentence)
         for preset, said in report.promises.items():
             print(f"promise of {preset}: {said}")
         print("\n".join(str(path) for path in sorted(out.glob("accuracy.*"))), missing, sep="\n")
