@@ -19,6 +19,7 @@ from PIL import Image, ImageOps
 
 from phy124 import heic
 from phy124.errors import InputError
+from phy124.installation import install_command
 
 MAX_BYTES = 50_000_000
 """Largest picture file opened."""
@@ -169,7 +170,7 @@ def _check_size(width: int, height: int, least: int) -> None:
 
 def _from_heic(path: Path, least: int) -> Image.Image:
     if not heic.is_readable():
-        remedy = "Install it (pip install 'phy124[heic]'), or save the picture as JPEG."
+        remedy = f"Install it ({install_command('heic')}), or save the picture as JPEG."
         raise _Unusable("It is a HEIC picture, which only the package pi-heif can read.", remedy)
     _check_size(*heic.size_of(path), least)
     picture, size = heic.decode(path, WORK_SIDE)

@@ -65,7 +65,7 @@ def alike(rgb: NDArray[np.uint8], solid: Solid) -> float:
     if not (inside.any() and around.any()):
         return 0.0
     bins = ((lab - LEAST) / EXTENT * BINS).astype(int)
-    kinds = np.ravel_multi_index(tuple(np.moveaxis(bins, 2, 0)), BINS, mode="clip")
+    kinds = np.asarray(np.ravel_multi_index(tuple(np.moveaxis(bins, 2, 0)), BINS, mode="clip"))
     commoner = _shares(kinds[inside]) > _shares(kinds[around])
     return float(commoner[kinds[around]].mean())
 
@@ -83,4 +83,4 @@ def _small(rgb: NDArray[np.uint8], solid: Solid) -> tuple[NDArray[np.float32], S
     small = cv2.resize(np.ascontiguousarray(rgb), size, interpolation=cv2.INTER_AREA)
     mask = cv2.resize(255 * solid.astype(np.uint8), size, interpolation=cv2.INTER_AREA)
     smooth = cv2.bilateralFilter(small, 5, 30, 3).astype(np.float32) / 255
-    return cv2.cvtColor(smooth, cv2.COLOR_RGB2Lab), mask > 127
+    return np.asarray(cv2.cvtColor(smooth, cv2.COLOR_RGB2Lab), np.float32), mask > 127

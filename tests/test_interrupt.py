@@ -100,7 +100,7 @@ def test_another_scene_is_not_gone_on_with(tmp_path):
     for changes, said in (
         ({"time.frames": 9}, r"time.frames = 6, not 9"),
         ({"material.E": 5e4}, r"material.E = "),
-        ({"forces": []}, r"another forces"),
+        ({"forces": []}, r"different forces"),
     ):
         with pytest.raises(InputError, match=said):
             pipeline.go_on(tmp_path, SCENE.replaced(changes))

@@ -258,9 +258,9 @@ def hydrostatic_column(cells: int, *, ppc: int = 2) -> Column:
 
 
 def _settle(solver: Solver, crossing: float) -> None:
-    """Stop the motion at each of its fastest moments, until eight have passed."""
+    """Stop the motion at each of its fastest moments, until twelve have passed."""
     stops, last = 0, 0.0
-    while stops < 8:
+    while stops < 12:
         solver.advance(solver.time + crossing / 20)
         now = _kinetic(solver)
         if now < last:
