@@ -19,7 +19,8 @@ def test_the_table_says_where_and_when_it_was_measured():
     assert len(table()["date"]) == 10
     for row in table()["scenes"].values():
         assert row["from"] and row["violence"] >= 0 and row["length"] > 0
-        errors = [row["errors"][cells] for cells in sorted(row["errors"], key=int)]
+        known = [row["errors"][cells] for cells in sorted(row["errors"], key=int)]
+        errors = [error for error in known if error is not None]  # None: torn in one of the scenes
         assert errors == sorted(errors, reverse=True), "a finer grid promises no more"
 
 

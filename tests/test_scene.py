@@ -207,7 +207,7 @@ def test_what_was_asked_for_is_never_forgotten():
         ("frames", "time.frames"),
         ("size", "object.size or view.size"),
         ("E", "material.E"),
-        ("materail", "material"),
+        ("materal", "material"),
     ],
 )
 def test_a_key_without_its_section_is_found(key, meant):
