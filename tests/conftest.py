@@ -1,7 +1,11 @@
 """What all tests share: golden data, tiny objects, one quiet Warp."""
 
 import os
+import signal
 
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    # A background job of a shell ignores Ctrl-C, and so would all that the tests send it to.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # two test processes share two cores
 
 from pathlib import Path
