@@ -22,18 +22,19 @@ from typing import Any
 
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).parents[2]))
+sys.path.insert(0, str(Path(__file__).parent))
+
+from tables import DOCS, markdown, renew
+
+from demo.forecast import Forecast
+from demo.jobs import Studio
+from demo.settings import Settings
+from demo.visitors import Visitors
+from phy124.scene import Scene
+from phy124.startup import kernel_folder
+
 ROOT = Path(__file__).parents[2]
-sys.path[:0] = [str(ROOT), str(Path(__file__).parent)]
-
-from tables import DOCS, markdown, renew  # noqa: E402
-
-from demo.forecast import Forecast  # noqa: E402
-from demo.jobs import Studio  # noqa: E402
-from demo.settings import Settings  # noqa: E402
-from demo.visitors import Visitors  # noqa: E402
-from phy124.scene import Scene  # noqa: E402
-from phy124.startup import kernel_folder  # noqa: E402
-
 LOOPS = (0, 1, 2, 4)
 PICTURES = ("duck", "teddy", "pear", "cupcake")
 COLD = ("hencky", "fixed_corotated", "plasticine", "snow")

@@ -15,12 +15,13 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).parents[2]))
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from gradio_client import Client, handle_file
+from served import Server, serving
+
 ROOT = Path(__file__).parents[2]
-sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
-
-from gradio_client import Client, handle_file  # noqa: E402
-from served import Server, serving  # noqa: E402
-
 DUCK = ROOT / "demo" / "examples" / "duck.png"
 Row = tuple[str, float, float]
 """What was done, seconds, processor seconds."""
