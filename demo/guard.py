@@ -175,8 +175,8 @@ class _Answer:
         await self.send({"type": "http.response.body", "body": body})
 
 
-def most_connections() -> int:
-    """How many may be open at once: half of what the system lets us open, all in all."""
+def allow_connections() -> int:
+    """Raise the limit of open files as far as we may; how many connections that leaves: half."""
     now, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     least = FILES if most == resource.RLIM_INFINITY else min(FILES, most)
     if now < least:

@@ -17,7 +17,7 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
-from demo.guard import BodyLimit, Doorkeeper, Headed, Patient, most_connections, own_names
+from demo.guard import BodyLimit, Doorkeeper, Headed, Patient, allow_connections, own_names
 from demo.identity import cookie_of
 from demo.uploads import upload_route
 
@@ -131,7 +131,7 @@ def launch(page: Any, studio: Studio, **options: Any) -> None:
         **options,
     )
     # Looked up for each new connection.
-    page.server.config.http_protocol_class = partial(Patient, most=most_connections())
+    page.server.config.http_protocol_class = partial(Patient, most=allow_connections())
     try:
         while page.server.thread.is_alive():
             page.server.thread.join(SWEEP)
