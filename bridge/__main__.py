@@ -21,7 +21,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from .start import importing
 
         with importing(130, STOPPED):
-            from phy124.signals import handled, interrupt
+            from phy124.runtime.signals import handled, interrupt
 
             from .command_line import run
         with handled(interrupt):

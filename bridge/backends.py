@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import Literal
 
 from phy124.errors import InputError
-from phy124.installation import install_command
+from phy124.runtime.installation import install_command
 
 from .options import Options
 from .sinks import LiveSink

@@ -10,8 +10,8 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from phy124.arguments.parsing import parsed
 from phy124.errors import InputError
-from phy124.parsing import parsed
 
 from .commands import COMMANDS, Play
 from .options import Options

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.gaussians import Frame, Gaussians
-from phy124.ply import raw_table
+from phy124.io.ply import raw_table
 
 Profile = Literal["viz", "full", "small", "ply"]
 FLOAT32 = 7

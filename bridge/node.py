@@ -13,7 +13,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from phy124.signals import handled, interrupt
+from phy124.runtime.signals import handled, interrupt
 
 from .live import follow, play
 from .options import Options

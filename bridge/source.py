@@ -86,8 +86,8 @@ class LiveRun:
         import warp
 
         from phy124.commands.options import pick_device
+        from phy124.runtime.startup import start
         from phy124.simulation import Simulation
-        from phy124.startup import start
 
         start()
         # What Warp says while it compiles is no news to a user.
@@ -117,8 +117,8 @@ def opened(path: str | Path) -> Clip:
 def make_object(source: Path, generator: str, seed: int, progress: Progress) -> Gaussians:
     """Gaussians of a picture, or of a 3DGS .ply file; raises InputError."""
     from phy124 import generators
-    from phy124.cutout import cut_out
-    from phy124.isolated import Deadline
+    from phy124.imaging.cutout import cut_out
+    from phy124.runtime.isolated import Deadline
 
     if source.suffix.lower() == ".ply":
         from phy124.generators.ply_file import PlyFile

@@ -33,7 +33,7 @@ def importing(status: int, said: str = "") -> Iterator[None]:
     prints it.
     """
     try:
-        from phy124.signals import ending, handled
+        from phy124.runtime.signals import ending, handled
 
         with handled(ending(status, said)):
             yield

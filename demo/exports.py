@@ -13,9 +13,9 @@ from pathlib import Path
 from demo.work import Done, whole_in_view
 from phy124.clip import Clip
 from phy124.errors import InputError
-from phy124.export import write_ply_sequence
-from phy124.export.html import write_html
-from phy124.film import cameras
+from phy124.io.export import write_ply_sequence
+from phy124.io.export.html import write_html
+from phy124.rendering.film import cameras
 from phy124.scene import View
 
 TAIL = 60.0

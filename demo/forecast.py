@@ -1,6 +1,6 @@
 """How long a run will take and what its accuracy promises, said before it starts.
 
-Substeps follow from the stability limit (phy124.timestep), particles from the Gaussians and the
+Substeps follow from the stability limit (phy124.mpm.timestep), particles from the Gaussians and the
 filling; what a particle-substep, a drawn pixel and so on cost is in demo/rates.py.
 """
 
@@ -21,8 +21,8 @@ from phy124.accuracy.load import Load, spoken
 from phy124.accuracy.promises import Promise, promise
 from phy124.gaussians import Gaussians
 from phy124.limits import duration
+from phy124.mpm.timestep import CELLS_PER_STEP, beside_elastic
 from phy124.scene import PRESETS, Scene
-from phy124.timestep import CELLS_PER_STEP, beside_elastic
 
 GAUSSIANS = 50_000
 """What `relief` makes of a picture."""

@@ -35,7 +35,7 @@ from demo.work import (
 from phy124.accuracy.compiling import seconds_to_compile
 from phy124.clip import Clip
 from phy124.errors import Cancelled, InputError
-from phy124.isolated import Deadline
+from phy124.runtime.isolated import Deadline
 from phy124.scene import Scene
 
 STOPPED = "Stopped. Nothing was changed."

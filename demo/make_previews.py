@@ -16,13 +16,13 @@ from PIL import Image
 from demo.substances import SUBSTANCES
 from demo.work.films import whole_in_view
 from phy124.clip import Clip
-from phy124.cutout import cut_out
-from phy124.framing import departures
 from phy124.gaussians import Frame
 from phy124.generators import make
+from phy124.imaging.cutout import cut_out
 from phy124.pipeline import cameras
 from phy124.progress import silent
-from phy124.render import render_frames
+from phy124.rendering.framing import departures
+from phy124.rendering.render import render_frames
 from phy124.scene import Scene, preset_names
 from phy124.simulation import Simulation
 

@@ -15,13 +15,14 @@ from PIL.PngImagePlugin import PngInfo
 
 from demo.settings import Settings
 from demo.strokes import Stroke, painted
-from phy124 import heic, isolated
-from phy124.cutout import Cutout, foreground, has_alpha, looked_at
 from phy124.errors import InputError
-from phy124.files import replacing
-from phy124.grabcut import hinted
-from phy124.image import FORMATS, open_image
-from phy124.isolated import PATIENT, Deadline, Unfinished
+from phy124.imaging import heic
+from phy124.imaging.cutout import Cutout, foreground, has_alpha, looked_at
+from phy124.imaging.grabcut import hinted
+from phy124.imaging.image import FORMATS, open_image
+from phy124.io.files import replacing
+from phy124.runtime import isolated
+from phy124.runtime.isolated import PATIENT, Deadline, Unfinished
 
 HOW = "cutout"
 """Name of the PNG's text that says how it was cut out."""

@@ -15,12 +15,12 @@ from PIL import Image
 
 from phy124 import pipeline
 from phy124.clip import Clip
-from phy124.cutout import cut_out
 from phy124.gaussians import Gaussians
 from phy124.generators import make
-from phy124.render import render_frames
+from phy124.imaging.cutout import cut_out
+from phy124.io.video import write_animation
+from phy124.rendering.render import render_frames
 from phy124.scene import Scene, preset_names
-from phy124.video import write_animation
 
 HERE = Path(__file__).parent
 PICTURES = ("duck", "sunflower", "teddy", "potted_plant")

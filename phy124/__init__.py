@@ -4,15 +4,15 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from phy124.camera import Camera
     from phy124.clip import Clip
     from phy124.errors import Cancelled, InputError
     from phy124.gaussians import Frame, Gaussians
+    from phy124.rendering.camera import Camera
 
 __version__ = "0.1.0"
 __all__ = ["Camera", "Cancelled", "Clip", "Frame", "Gaussians", "InputError"]
 _HOMES = {
-    "Camera": "camera",
+    "Camera": "rendering.camera",
     "Clip": "clip",
     "Cancelled": "errors",
     "InputError": "errors",

@@ -22,7 +22,7 @@ from typing import Any
 
 from phy124 import __version__
 from phy124.errors import Cancelled, InputError
-from phy124.signals import handled, interrupt
+from phy124.runtime.signals import handled, interrupt
 
 GENERAL = ("--quiet", "--verbose")
 """Options of every command."""
@@ -61,7 +61,7 @@ def _run(arguments: list[str], *, quiet: bool, verbose: bool) -> int:
         import warp as wp
 
         from phy124.commands.bars import silence
-        from phy124.startup import start
+        from phy124.runtime.startup import start
 
         command = _parsed(arguments)
         start()
@@ -75,9 +75,9 @@ def _run(arguments: list[str], *, quiet: bool, verbose: bool) -> int:
 
 def _parsed(arguments: list[str]) -> Any:
     """The command with its options."""
+    from phy124.arguments.parsing import parsed
     from phy124.commands import COMMANDS
     from phy124.commands.kinds import refuse_other_kind
-    from phy124.parsing import parsed
 
     command = parsed(arguments, COMMANDS, program="phy124", description=__doc__)
     refuse_other_kind(arguments[0], command)

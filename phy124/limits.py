@@ -17,10 +17,10 @@ import numpy as np
 from phy124.errors import InputError, Remedy
 from phy124.gaussians import Gaussians
 from phy124.materials import AnyMaterial
+from phy124.mpm.timestep import STRAIN_PER_STEP, beside_elastic
 from phy124.particles import Particles
 from phy124.remedies import accuracy, listed, plain
 from phy124.scene import Scene
-from phy124.timestep import STRAIN_PER_STEP, beside_elastic
 
 PER_PARTICLE = {"cpu": 110e-9, "cuda": 1.5e-9}
 """Seconds per particle and substep."""

@@ -16,8 +16,8 @@ from pydantic import ValidationError
 from scipy.spatial import KDTree
 
 from phy124.errors import InputError
+from phy124.imaging.painted import WHOLE, Crop, brightness
 from phy124.materials import AnyMaterial
-from phy124.painted import WHOLE, Crop, brightness
 from phy124.particles import Particles
 from phy124.scene import Part, Scene
 from phy124.scene.refusals import refusal

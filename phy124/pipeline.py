@@ -19,30 +19,30 @@ from typing import Any
 
 from PIL import Image
 
-from phy124 import resume
 from phy124.accuracy.choose import Goal, reach
 from phy124.accuracy.forecast import Forecast, Forecaster
 from phy124.accuracy.promises import promise
 from phy124.clip import Clip
-from phy124.cutout import Cutout, cut_out
 from phy124.errors import Cancelled, InputError
-from phy124.files import staged as staged
-from phy124.film import cameras as cameras
-from phy124.film import film as film
-from phy124.film import rate as rate
-from phy124.framing import framing
 from phy124.gaussians import Gaussians
 from phy124.generators import Generator, needs_image
 from phy124.generators import make as make_generator
 from phy124.generators.ply_file import PlyFile
-from phy124.isolated import Deadline
+from phy124.imaging.cutout import Cutout, cut_out
+from phy124.io import resume
+from phy124.io.files import staged as staged
+from phy124.io.ply import write_ply
+from phy124.particles.thinning import asked_for, thinned
 from phy124.parts import WHOLE, Crop, crop_of
-from phy124.ply import write_ply
 from phy124.progress import Progress, silent
+from phy124.rendering.film import cameras as cameras
+from phy124.rendering.film import film as film
+from phy124.rendering.film import rate as rate
+from phy124.rendering.framing import framing
+from phy124.runtime.isolated import Deadline
+from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene, View
 from phy124.simulation import Interrupted, Simulation
-from phy124.stopwatch import Stopwatch
-from phy124.thinning import asked_for, thinned
 
 PathLike = str | os.PathLike[str]
 PAUSE = "pause.safetensors"
@@ -81,8 +81,9 @@ def generate(
     """A picture becomes moving Gaussians, videos and a report in a folder.
 
     With a `goal` the accuracy is chosen to meet it (`phy124.accuracy.choose`); for `forecaster`
-    and `keep` see `simulate`, for `method` and `mask` `phy124.cutout.foreground`. `looked` is
-    called with the cut-out before the long work. `count` limits the number of Gaussians.
+    and `keep` see `simulate`, for `method` and `mask` `phy124.imaging.cutout.foreground`.
+    `looked` is called with the cut-out before the long work. `count` limits the number of
+    Gaussians.
 
     Raises InputError for what the user can mend, Cancelled if `progress` does.
     """

@@ -20,27 +20,27 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phy124 import culprit
 from phy124.boundaries import Ground
 from phy124.clip import Clip
 from phy124.deform import Deformer
 from phy124.effects import Effects
 from phy124.errors import Cancelled, Remedy
 from phy124.gaussians import Frame, Gaussians
-from phy124.ledger import Ledger
+from phy124.imaging.painted import WHOLE, Crop
 from phy124.limits import refuse_hopeless, stiffest_part
+from phy124.monitor import culprit
+from phy124.monitor.ledger import Ledger
+from phy124.monitor.sleep import Sleep
+from phy124.monitor.watchdog import Violation, Watchdog
 from phy124.mpm import Solver, Unstable
-from phy124.painted import WHOLE, Crop
 from phy124.particles import Particles, clean, make_particles
 from phy124.parts import stiffnesses, with_materials
 from phy124.placing import among_all, belongs, place, renumbered
 from phy124.progress import Progress, silent
 from phy124.remedies import advice, hurry, remedies
+from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
 from phy124.scenery import Scenery
-from phy124.sleep import Sleep
-from phy124.stopwatch import Stopwatch
-from phy124.watchdog import Violation, Watchdog
 
 FLOOR_NODE = 0.75
 """A layer of nodes lies this many cells below the floor."""
@@ -60,7 +60,7 @@ class Stopped(RuntimeError):
 
 
 class Interrupted(Cancelled):
-    """A run was cancelled; its frames so far are good, and `phy124.resume` can save it."""
+    """A run was cancelled; its frames so far are good, and `phy124.io.resume` can save it."""
 
     def __init__(self, run: Simulation) -> None:
         self.run = run
@@ -70,7 +70,7 @@ class Interrupted(Cancelled):
 class Simulation:
     """One run; iterate over it to get its frames. Leave the loop to pause, iterate again to go on.
 
-    A paused run is saved and taken up again, bit for bit, by `phy124.resume`.
+    A paused run is saved and taken up again, bit for bit, by `phy124.io.resume`.
     """
 
     def __init__(

@@ -17,7 +17,7 @@ from scipy.spatial import KDTree
 
 from phy124.bounds import FileName
 from phy124.errors import InputError
-from phy124.painted import Crop, brightness
+from phy124.imaging.painted import Crop, brightness
 
 LEAST = 1e-4
 """Smallest share: a hundred times slower waves."""

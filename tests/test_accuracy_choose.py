@@ -11,9 +11,9 @@ from phy124.accuracy import choose
 from phy124.accuracy.choose import Goal, reach
 from phy124.accuracy.convergence import distances
 from phy124.errors import InputError
+from phy124.monitor.tearing import Tearing
 from phy124.scene import Scene
 from phy124.simulation import Simulation
-from phy124.tearing import Tearing
 
 
 @pytest.mark.parametrize(

@@ -8,10 +8,10 @@ from shapes import ball
 from phy124.accuracy import load, promises
 from phy124.accuracy.load import Load, spoken
 from phy124.accuracy.promises import motion_of, promise, table, violence
+from phy124.io.ply import write_ply
+from phy124.monitor.tearing import Tearing
 from phy124.pipeline import simulate
-from phy124.ply import write_ply
 from phy124.scene import PRESETS, Scene
-from phy124.tearing import Tearing
 
 
 def test_the_table_says_where_and_when_it_was_measured():

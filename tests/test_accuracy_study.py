@@ -16,9 +16,9 @@ from phy124.accuracy.promises import Promise
 from phy124.accuracy.study import Report, Row, Study, error_on, kept_promises, recommend
 from phy124.clip import Clip
 from phy124.errors import Cancelled
+from phy124.monitor.tearing import Tearing
 from phy124.scene import Scene
 from phy124.simulation import Stopped
-from phy124.tearing import Tearing
 
 LEVELS = (8, 12, 16)
 

@@ -10,7 +10,7 @@ from bridge.options import Options
 from bridge.sinks.dds import DdsSink
 from bridge.sinks.foxglove import FoxgloveSink
 from phy124.errors import InputError
-from phy124.installation import install_command
+from phy124.runtime.installation import install_command
 
 
 def hide(monkeypatch, *modules):

@@ -17,7 +17,7 @@ from rosbags.rosbag2 import Reader
 from bridge.__main__ import main
 from bridge.commands import COMMANDS
 from bridge.info import describe_clip, diagnose
-from phy124.repeats import gathered
+from phy124.arguments.repeats import gathered
 
 ROOT = Path(__file__).parents[1]
 

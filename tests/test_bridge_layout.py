@@ -11,7 +11,7 @@ from bridge_clips import random_clip
 
 from bridge.layout import FULL, cloud, evenly, packed_rgb, points, small_points
 from phy124.gaussians import Gaussians
-from phy124.ply import write_ply
+from phy124.io.ply import write_ply
 
 
 def bits(values):

@@ -21,7 +21,7 @@ from bridge.sinks.mcap import McapSink
 from bridge.source import LiveOptions, LiveRun, make_object
 from phy124.errors import InputError
 from phy124.generators.ply_file import PlyFile
-from phy124.ply import write_ply
+from phy124.io.ply import write_ply
 from phy124.progress import silent
 from phy124.scene import Scene
 from phy124.simulation import Simulation, Stopped
@@ -123,7 +123,7 @@ def test_the_listener_has_its_turns_while_a_frame_is_computed(ply):
 
 def test_a_doubtful_cut_out_is_said(tmp_path, monkeypatch, caplog):
     doubtful = SimpleNamespace(picture="cut", warnings=("It is in 9 pieces.",))
-    monkeypatch.setattr("phy124.cutout.cut_out", lambda *_, **__: doubtful)
+    monkeypatch.setattr("phy124.imaging.cutout.cut_out", lambda *_, **__: doubtful)
     monkeypatch.setattr("phy124.generators.make", lambda name: lambda picture, **_: picture)
     assert make_object(tmp_path / "photo.png", "relief", 0, silent) == "cut"
     first, second = caplog.messages

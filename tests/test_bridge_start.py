@@ -51,7 +51,7 @@ def clip(tmp_path):
     ("command", "moment"),
     [
         ("doctor", EXEC),
-        ("doctor", "phy124.signals"),
+        ("doctor", "phy124.runtime.signals"),
         ("doctor", "numpy"),
         ("doctor", "cyclonedds"),
         ("record CLIP", EXEC),

@@ -15,11 +15,11 @@ from phy124.capture import capture, isolated, joined
 from phy124.capture.floor import find_floor
 from phy124.clip import Clip
 from phy124.errors import Cancelled, InputError
-from phy124.framing import cameras
 from phy124.gaussians import rotation_matrices
 from phy124.generators.ply_file import PlyFile
-from phy124.ply import write_ply
+from phy124.io.ply import write_ply
 from phy124.region import PartRegion
+from phy124.rendering.framing import cameras
 from phy124.scene import Scene, View
 from phy124.simulation import Simulation
 

@@ -10,10 +10,10 @@ from tyro import _errors
 
 from phy124 import __version__
 from phy124.__main__ import main
+from phy124.arguments.parsing import option_names
 from phy124.commands import COMMANDS
 from phy124.commands.bars import Bars, silence
 from phy124.commands.kinds import KINDS, TAKES, USES
-from phy124.parsing import option_names
 
 
 @pytest.mark.parametrize(
@@ -69,7 +69,7 @@ def test_a_parser_of_another_version_speaks_for_itself(monkeypatch, capsys):
     class Unheard(_errors.BadValue):
         argument = None
 
-    monkeypatch.setattr("phy124.parsing._bad_value", lambda event: event.unheard)
+    monkeypatch.setattr("phy124.arguments.parsing._bad_value", lambda event: event.unheard)
     with pytest.raises(SystemExit) as ended:
         main(["generate", "x.png", "--frames"])
     assert ended.value.code == 2

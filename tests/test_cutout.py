@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from phy124 import cutout, image
-from phy124.cutout import METHODS, Method, cut_out, foreground
 from phy124.errors import Cancelled, InputError
-from phy124.grabcut import grabcut
-from phy124.isolated import Deadline, run
+from phy124.imaging import cutout, image
+from phy124.imaging.cutout import METHODS, Method, cut_out, foreground
+from phy124.imaging.grabcut import grabcut
+from phy124.runtime.isolated import Deadline, run
 
 
 def disc(size=120, radius=40, noise=6.0):

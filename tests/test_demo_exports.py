@@ -21,7 +21,7 @@ from phy124.accuracy.promises import promise
 from phy124.clip import Clip
 from phy124.errors import InputError
 from phy124.gaussians import Frame
-from phy124.grabcut import hinted
+from phy124.imaging.grabcut import hinted
 from phy124.scene import Scene
 
 

@@ -21,8 +21,9 @@ from demo.settings import Settings
 from demo.strokes import Stroke
 from demo.visitors import Visitors
 from demo.work import Order
-from phy124 import cutout, heic, isolated
 from phy124.errors import InputError
+from phy124.imaging import cutout, heic
+from phy124.runtime import isolated
 from phy124.scene import Scene
 
 DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"

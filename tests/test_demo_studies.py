@@ -16,8 +16,8 @@ from demo.studies import GRIDS, Level, Measurement, grids
 from demo.visitors import Visitors
 from demo.work import DEVICE, Limits, Measured, Reused, Step, steps, study_file
 from phy124.errors import Cancelled, InputError
+from phy124.monitor.tearing import Tearing
 from phy124.scene import Scene
-from phy124.tearing import Tearing
 
 __all__ = ["order"]
 DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"

@@ -28,12 +28,12 @@ from demo.work import (
     steps,
     whole_in_view,
 )
-from phy124 import startup
 from phy124.clip import Clip
 from phy124.errors import Cancelled, InputError
-from phy124.framing import departures
 from phy124.gaussians import Frame, Gaussians
-from phy124.ply import write_ply
+from phy124.io.ply import write_ply
+from phy124.rendering.framing import departures
+from phy124.runtime import startup
 from phy124.scene import Scene, View
 
 DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"

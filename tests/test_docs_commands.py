@@ -17,8 +17,8 @@ import tyro
 
 from bridge.commands import COMMANDS as BRIDGE
 from phy124.__main__ import _parsed
+from phy124.arguments.repeats import gathered
 from phy124.errors import InputError
-from phy124.repeats import gathered
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), ROOT / "CONTRIBUTING.md"]

@@ -28,7 +28,7 @@ from phy124.generators.dreamgaussian.splats import ball
 from phy124.generators.orbit import orbit, to_opencv
 from phy124.generators.ply_file import PlyFile
 from phy124.generators.splatting import View, orbit_view, project
-from phy124.ply import read_ply
+from phy124.io.ply import read_ply
 
 CLOSE = {"rtol": 1e-4, "atol": 2e-5}
 NAMES = {

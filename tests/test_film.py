@@ -9,9 +9,9 @@ from test_framing import AWAY, flight
 from test_video import read as read_video
 
 from phy124.errors import InputError
-from phy124.export import usd
-from phy124.film import film
-from phy124.ply import read_ply
+from phy124.io.export import usd
+from phy124.io.ply import read_ply
+from phy124.rendering.film import film
 from phy124.scene import Scene, View
 
 SIZE = (48, 32)

@@ -7,8 +7,8 @@ import pytest
 from shapes import ball
 
 from phy124.clip import Clip
-from phy124.framing import cameras, departures, framing
 from phy124.gaussians import Frame
+from phy124.rendering.framing import cameras, departures, framing
 from phy124.scene import View
 
 

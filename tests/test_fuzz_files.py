@@ -14,7 +14,7 @@ from PIL import Image
 from shapes import ball
 
 from phy124.__main__ import main
-from phy124.ply import write_ply
+from phy124.io.ply import write_ply
 from phy124.scene import Scene
 from phy124.simulation import Simulation
 

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.materials.granular import PACKING
+from phy124.monitor.watchdog import ENERGY_GAIN
 from phy124.scene import Scene
 from phy124.simulation import Simulation
-from phy124.watchdog import ENERGY_GAIN
 
 UNITS = st.floats(-1, 1)
 

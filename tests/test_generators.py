@@ -10,7 +10,7 @@ from phy124 import generators
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.generators.ply_file import PlyFile, normalised, robust_bounds
-from phy124.ply import write_ply
+from phy124.io.ply import write_ply
 
 
 def box(rng, count=2000, opacity=0.9):

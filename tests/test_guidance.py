@@ -91,7 +91,7 @@ def test_zero123_gradient_is_guided_noise_difference(small_zero123, monkeypatch)
 
 
 def test_zero123_networks_load_from_files(small_zero123, tmp_path, monkeypatch):
-    from phy124 import weights
+    from phy124.weights import store as weights
 
     folder = tmp_path / "zero123-xl-diffusers"
     for name, part in (("unet", "unet"), ("image_encoder", "vision"), ("vae", "vae")):

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from hostile import PHONE, heic_claiming
 
-from phy124 import heic
-from phy124.cutout import cut_out
 from phy124.errors import InputError
-from phy124.image import open_image
+from phy124.imaging import heic
+from phy124.imaging.cutout import cut_out
+from phy124.imaging.image import open_image
 
 reads = pytest.mark.skipif(not heic.is_readable(), reason="the extra heic is not installed")
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from phy124 import image
 from phy124.errors import InputError
-from phy124.image import open_image, recenter
+from phy124.imaging import image
+from phy124.imaging.image import open_image, recenter
 
 
 def gradient(height=20, width=30):

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from phy124 import installation
 from phy124.commands.doctor import EXTRAS
-from phy124.installation import clone, install_command, packages
+from phy124.runtime import installation
+from phy124.runtime.installation import clone, install_command, packages
 
 ROOT = Path(__file__).parents[1]
 

@@ -15,15 +15,16 @@ import numpy as np
 import pytest
 from shapes import ball
 
-from phy124 import pipeline, stress
+from phy124 import pipeline
+from phy124 import selftest as stress
 from phy124.__main__ import main
 from phy124.accuracy.choose import Goal
 from phy124.clip import Clip
 from phy124.commands.bars import Bars
 from phy124.errors import Cancelled, InputError
-from phy124.files import staged
+from phy124.io.files import staged
+from phy124.io.ply import write_ply
 from phy124.mpm.lanes import Meeting
-from phy124.ply import write_ply
 from phy124.scene import Scene
 
 DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"
@@ -306,7 +307,7 @@ def pressing_ctrl_c(where: str):
 
 HOLD = """
 import sys, time
-from phy124.files import staged
+from phy124.io.files import staged
 with staged(sys.argv[1]) as folder:
     (folder / "clip").touch()
     print(folder, flush=True)

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from phy124.errors import Cancelled, InputError
-from phy124.grabcut import _cut, _starts, grabcut
-from phy124.isolated import Deadline, RemoteTraceback, Unfinished, run
+from phy124.imaging.grabcut import _cut, _starts, grabcut
+from phy124.runtime.isolated import Deadline, RemoteTraceback, Unfinished, run
 
 NOTE_AND_SLEEP = "import os, time; open({!r}, 'w').write(str(os.getpid())); time.sleep(600)"
 
@@ -92,7 +92,7 @@ def test_what_is_printed_is_no_part_of_the_answer():
 
 
 def test_it_starts_with_little():
-    loaded = run(eval, "(__import__('phy124.grabcut'), list(__import__('sys').modules))[1]")
+    loaded = run(eval, "(__import__('phy124.imaging.grabcut'), list(__import__('sys').modules))[1]")
     assert "cv2" in loaded
     assert not {"warp", "pydantic", "scipy", "phy124.gaussians"} & set(loaded)
 
@@ -101,7 +101,7 @@ def test_scripts_need_no_main_guard_and_threads_can_wait(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(
         "import threading\n"
-        "from phy124.isolated import run\n"
+        "from phy124.runtime.isolated import run\n"
         "print('started', run(abs, -3))\n"
         "found = []\n"
         "threads = [threading.Thread(target=lambda: found.append(run(abs, -4))) for _ in '123']\n"
@@ -118,7 +118,8 @@ def test_scripts_need_no_main_guard_and_threads_can_wait(tmp_path):
 @pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGKILL])
 def test_it_ends_with_whoever_waits_for_it(tmp_path, ending):
     note = tmp_path / "process"
-    order = f"from phy124.isolated import run; run(exec, {NOTE_AND_SLEEP.format(str(note))!r})"
+    work = NOTE_AND_SLEEP.format(str(note))
+    order = f"from phy124.runtime.isolated import run; run(exec, {work!r})"
     waiting = subprocess.Popen([sys.executable, "-c", order], stderr=subprocess.DEVNULL)
     process = int(appears(note))
     waiting.send_signal(ending)

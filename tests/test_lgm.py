@@ -23,7 +23,7 @@ from phy124.generators.lgm.rotations import NOT_ROTATED, draw, judge, unrotated
 from phy124.generators.lgm.unet import UNet
 from phy124.generators.orbit import orbit, to_opencv
 from phy124.generators.splatting import View, project
-from phy124.ply import read_ply
+from phy124.io.ply import read_ply
 
 CLOSE = {"rtol": 1e-4, "atol": 2e-5}
 TINY = Option((32, 32, 64), (False, True, True), (64, 32), (True, False), 32, 16)
@@ -342,8 +342,8 @@ def test_missing_weights_name_the_command(tmp_path, monkeypatch):
 
 def test_from_weight_files_to_gaussians(golden_lgm, tiny, tmp_path, monkeypatch):
     """The files a user has, in small: found, read and run from a picture to Gaussians."""
-    from phy124 import weights
     from phy124.generators.imagedream import encoders, pipeline
+    from phy124.weights import store as weights
 
     monkeypatch.setattr(encoders, "VAE", encoders.VAE | SMALL["vae"])
     monkeypatch.setattr(encoders, "TEXT", encoders.TEXT | SMALL["text"])

@@ -16,10 +16,10 @@ from shapes import ball
 from test_video import read as read_video
 
 from phy124.__main__ import main
-from phy124.camera import Camera
 from phy124.clip import Clip
-from phy124.ply import read_ply, write_ply
-from phy124.render import Renderer
+from phy124.io.ply import read_ply, write_ply
+from phy124.rendering.camera import Camera
+from phy124.rendering.render import Renderer
 from phy124.scene import Scene
 
 DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"
@@ -218,7 +218,8 @@ def test_interrupting_a_cut_out_that_never_ends(tmp_path):
     forever = f"import os, time; open({str(note)!r}, 'w').write(str(os.getpid())); time.sleep(600)"
     program = f"""
 import sys
-from phy124 import cutout, isolated
+from phy124.imaging import cutout
+from phy124.runtime import isolated
 from phy124.__main__ import main
 def stuck(picture, deadline):
     return isolated.run(exec, {forever!r}, deadline=deadline)

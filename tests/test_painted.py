@@ -6,7 +6,7 @@ from PIL import Image
 from test_image import png_claiming
 
 from phy124.errors import InputError
-from phy124.painted import brightness
+from phy124.imaging.painted import brightness
 
 CORNERS = np.array([[0, -1, 1], [0, 1, 1], [0, -1, -1], [0, 1, -1]], float)
 """Top left, top right, bottom left, bottom right, seen from the front."""

@@ -10,7 +10,7 @@ from phy124.accuracy.promises import promise
 from phy124.commands.generate import Generate, Simulate
 from phy124.commands.plan import PlanOptions
 from phy124.errors import InputError
-from phy124.ply import write_ply
+from phy124.io.ply import write_ply
 from phy124.scene import Scene
 
 SMALL = ["--frames", "2", "--size", "16", "--views", "front", "--device", "cpu"]

@@ -14,7 +14,7 @@ from phy124.generators.dreamgaussian import Density, DreamGaussian, Settings, Sp
 from phy124.generators.lgm import Lgm, LgmModel, Option, load, to_gaussians
 from phy124.generators.orbit import TO_WORLD
 from phy124.generators.ply_file import PlyFile
-from phy124.ply import write_ply
+from phy124.io.ply import write_ply
 from phy124.scene import Scene
 from phy124.simulation import Simulation
 

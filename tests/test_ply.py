@@ -6,13 +6,13 @@ import struct
 import numpy as np
 import pytest
 
-from phy124 import ply
 from phy124.axes import DIALECTS, orientation
 from phy124.errors import InputError
 from phy124.gaussians import SH_C0, Gaussians
 from phy124.harmonics import sh_basis
-from phy124.ply import read_ply, write_ply
-from phy124.plyheader import MAX_BYTES
+from phy124.io import ply
+from phy124.io.ply import read_ply, write_ply
+from phy124.io.plyheader import MAX_BYTES
 
 NAMES = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2"]
 NAMES += ["rot_0", "rot_1", "rot_2", "rot_3"]

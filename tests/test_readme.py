@@ -5,7 +5,7 @@ from pathlib import Path
 
 from shapes import ball
 
-from phy124.ply import write_ply
+from phy124.io.ply import write_ply
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()

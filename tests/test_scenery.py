@@ -7,10 +7,10 @@ import pytest
 from PIL import Image
 from shapes import ball
 
-from phy124 import resume
 from phy124.effects import Effects
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
+from phy124.io import resume
 from phy124.particles import make_particles
 from phy124.parts import with_materials
 from phy124.scene import Scene

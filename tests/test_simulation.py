@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 from shapes import ball
 
-from phy124 import resume
 from phy124.clip import Clip
 from phy124.errors import Cancelled, InputError
+from phy124.io import resume
 from phy124.limits import forecast
 from phy124.mpm import Unstable
 from phy124.scene import Scene, preset_names

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from shapes import ball
 
-from phy124 import resume
 from phy124.gaussians import Gaussians
+from phy124.io import resume
+from phy124.monitor.sleep import STILL, Sleep, next_change
 from phy124.scene import Scene
 from phy124.simulation import Simulation
-from phy124.sleep import STILL, Sleep, next_change
 from phy124.tracks import Constant, Keyframes, Ramp, Sine, Track
 
 UP = (0.0, 0.0, 1.0)

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 import warp as wp
 
-from phy124 import startup
-from phy124.files import writable
+from phy124.io.files import writable
+from phy124.runtime import startup
 
 NAMED = ("WARP_CACHE_PATH", "XDG_CACHE_HOME", "PYTHONWARNINGS")
 

@@ -7,9 +7,9 @@ from shapes import ball
 
 from phy124.errors import InputError
 from phy124.forces import TotalForce, Wind
+from phy124.imaging.painted import WHOLE
 from phy124.materials import Fluid, NeoHookean, Plasticine, Rigid
 from phy124.mpm import Solver
-from phy124.painted import WHOLE
 from phy124.region import Region
 from phy124.scene import Scene
 from phy124.simulation import Simulation

@@ -11,7 +11,7 @@ import pytest
 import warp as wp
 
 from phy124.__main__ import main
-from phy124.stress import CASES, Setting, examine
+from phy124.selftest import CASES, Setting, examine
 
 PACKAGE = Path(__file__).parents[1] / "phy124"
 DEVICES = ["cpu", pytest.param("cuda:0", marks=pytest.mark.gpu)]
@@ -63,11 +63,11 @@ SABOTAGE = {
                 "(real(4.0) * clock[0]", "(real(6.0) * clock[0]"),
     7: Sabotage("forces are half as large", "kernels/transfer.py",
                 "(real(4.0) * clock[0]", "(real(2.0) * clock[0]"),
-    8: Sabotage("substeps are at least a microsecond", "timestep.py",
+    8: Sabotage("substeps are at least a microsecond", "mpm/timestep.py",
                 '"elastic": _divide(', '"elastic": 1e-6 + _divide('),
     9: Sabotage("Poisson's ratio up to 0.7 is let in", "materials/base.py",
                 "le=0.4999", "le=0.7"),
-    10: Sabotage("the user's substep is an order", "timestep.py",
+    10: Sabotage("the user's substep is an order", "mpm/timestep.py",
                  "limiter = min(limits, key=limits.__getitem__)",
                  'limiter = "user" if math.isfinite(ceiling) else min(limits, key=limits.get)'),
     11: Sabotage("forces are a tenth", "kernels/transfer.py",
@@ -77,7 +77,7 @@ SABOTAGE = {
     13: Sabotage("at rest it is stressed by mu", "kernels/elastic.py",
                  "log_volume(wp.determinant(F)) - theta[0]\n",
                  "log_volume(wp.determinant(F)) - type(theta[0])(2.0) * theta[0]\n"),
-    14: Sabotage("dropped rows are not counted", "ply.py", "int(np.count_nonzero(~good))", "0"),
+    14: Sabotage("dropped rows are not counted", "io/ply.py", "int(np.count_nonzero(~good))", "0"),
     15: Sabotage("far particles stand still", "mpm/domain.py",
                  "if not count:", "if count >= 0:"),
     16: Sabotage("truncation instead of floor", "kernels/transfer.py",
@@ -122,7 +122,7 @@ import sys
 sys.path.insert(0, sys.argv[1])
 import phy124
 assert phy124.__file__.startswith(sys.argv[1]), phy124.__file__
-from phy124.stress import CASES, Setting, examine
+from phy124.selftest import CASES, Setting, examine
 print(examine(CASES[int(sys.argv[2]) - 1], Setting())[0].verdict)
 """
 
@@ -159,7 +159,7 @@ def test_a_broken_build_fails(number, tmp_path):
 
 def test_the_command_prints_the_table(capsys, monkeypatch):
     """Two cases are enough to see the form."""
-    monkeypatch.setattr("phy124.stress.CASES", CASES[2:4])
+    monkeypatch.setattr("phy124.selftest.CASES", CASES[2:4])
     assert main(["stress", "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)
     assert [set(row) for row in rows] == [{"case", "bound", "measured", "verdict"}] * len(rows)

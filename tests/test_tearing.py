@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from phy124.materials import NeoHookean, Sand
+from phy124.monitor.tearing import APART, Tearing
 from phy124.mpm import Solver
-from phy124.tearing import APART, Tearing
 
 CELLS = 16
 

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from phy124.timestep import Extremes, beside_elastic, stable_substep
+from phy124.mpm.timestep import Extremes, beside_elastic, stable_substep
 
 
 @pytest.mark.parametrize(

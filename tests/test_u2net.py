@@ -10,11 +10,11 @@ from PIL import Image
 from safetensors.torch import load_file, save_file
 from skimage.transform import resize
 
-from phy124 import u2net
-from phy124.cutout import foreground
 from phy124.errors import InputError
-from phy124.u2net.network import WIDTHS, ConvBnRelu, U2Net
-from phy124.u2net.network import load as build
+from phy124.imaging import u2net
+from phy124.imaging.cutout import foreground
+from phy124.imaging.u2net.network import WIDTHS, ConvBnRelu, U2Net
+from phy124.imaging.u2net.network import load as build
 
 CLOSE = {"rtol": 1e-4, "atol": 2e-5}
 SIZE = (201, 150)

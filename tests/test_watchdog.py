@@ -12,15 +12,15 @@ from phy124.__main__ import main
 from phy124.boundaries import Box, Ground, Press
 from phy124.clip import Clip
 from phy124.forces import Acceleration, Gravity, Impulse, ParticleForce, SetVelocity
-from phy124.ledger import KINDS, Ledger
+from phy124.io.ply import write_ply
 from phy124.materials import FixedCorotated, Fluid, Hencky, NeoHookean, Plasticine, Snow
+from phy124.monitor.ledger import KINDS, Ledger
+from phy124.monitor.watchdog import Watchdog, sound_speed, weigh
 from phy124.mpm import Solver, Unstable
-from phy124.ply import write_ply
 from phy124.region import Region
 from phy124.scene import Scene
 from phy124.simulation import Simulation
 from phy124.tracks import Sine
-from phy124.watchdog import Watchdog, sound_speed, weigh
 
 QUICK = {"accuracy": {"cells": 8}, "time.frames": 5}
 

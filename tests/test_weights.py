@@ -9,9 +9,9 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
 
-from phy124 import weights
 from phy124.errors import InputError
-from phy124.weights import KNOWN, WeightFile, fetch, find, looking_in, require, status
+from phy124.weights import store as weights
+from phy124.weights.store import KNOWN, WeightFile, fetch, find, looking_in, require, status
 
 CONTENT = bytes(range(256)) * 2000
 DIGEST = hashlib.sha256(CONTENT).hexdigest()
@@ -282,7 +282,8 @@ def test_generating_without_weights_is_one_sentence(tmp_path, capsys):
 
 def test_nothing_heavy_is_imported():
     code = (
-        "import sys, phy124.weights, phy124.checkpoints, phy124.u2net, phy124.metrics;"
+        "import sys, phy124.weights.store, phy124.weights.checkpoints;"
+        "import phy124.imaging.u2net, phy124.metrics;"
         "heavy = {'torch', 'diffusers', 'transformers', 'onnxruntime', 'huggingface_hub'};"
         "assert not heavy & set(sys.modules), heavy & set(sys.modules)"
     )

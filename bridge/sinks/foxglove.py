@@ -10,7 +10,7 @@ from typing import Any
 
 from phy124.errors import InputError
 from phy124.gaussians import Frame
-from phy124.installation import install_command
+from phy124.runtime.installation import install_command
 
 from ..bag import ENCODING
 from ..cdr import NANO

@@ -15,7 +15,7 @@ from typing import IO, Any, Literal
 
 from phy124.errors import InputError
 from phy124.gaussians import Frame
-from phy124.installation import install_command
+from phy124.runtime.installation import install_command
 
 from .. import bag
 from ..encoder import FrameEncoder

@@ -1,4 +1,4 @@
-/* Reads a pack of moving Gaussians (phy124/export/html.py writes it) and blends between frames.
+/* Reads a pack of moving Gaussians (phy124/io/export/html.py writes it) and blends between frames.
  *
  *   const pack = await Phy124Pack.unpack(bytes);
  *   new Phy124Pack.Blend(pack).at(2.5, { centre, rotation, scale });

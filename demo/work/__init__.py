@@ -36,7 +36,7 @@ from demo.work.order import (
     study_file,
 )
 from demo.work.study import measure
-from phy124.stopwatch import Stopwatch
+from phy124.runtime.stopwatch import Stopwatch
 
 __all__ = [
     "BEAT", "DEVICE", "Done", "Event", "Glimpse", "Limits", "Live", "Measured", "Order",

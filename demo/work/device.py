@@ -19,7 +19,7 @@ def device_named(name: str) -> str:
     """Warp's name of a device; "auto" is CUDA where there is one."""
     import warp as wp
 
-    from phy124.startup import start
+    from phy124.runtime.startup import start
 
     start()
     if name != "auto":

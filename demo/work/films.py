@@ -10,12 +10,12 @@ from demo.work.motion import write_json
 from demo.work.order import Order, Step
 from phy124 import pipeline
 from phy124.clip import Clip
-from phy124.export.html import pack
-from phy124.framing import departures
-from phy124.render import render_frames
+from phy124.io.export.html import pack
+from phy124.io.video import write_animation
+from phy124.rendering.framing import departures
+from phy124.rendering.render import render_frames
+from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import View
-from phy124.stopwatch import Stopwatch
-from phy124.video import write_animation
 
 MOVING = 320
 """Side of the animated WebP, pixels."""

@@ -19,10 +19,10 @@ from phy124.clip import Clip
 from phy124.errors import InputError
 from phy124.gaussians import Frame, Gaussians
 from phy124.generators import make as make_generator
+from phy124.io.ply import write_ply
 from phy124.parts import crop_of
-from phy124.ply import write_ply
+from phy124.runtime.stopwatch import Stopwatch
 from phy124.simulation import Simulation, Stopped
-from phy124.stopwatch import Stopwatch
 
 
 def gaussians_of(order: Order, path: Path, tell: Tell) -> Gaussians:

@@ -12,7 +12,7 @@ from demo.work.motion import gaussians_of
 from demo.work.order import Measured, Order, Reused, Step, made_gaussians, study_file
 from phy124.accuracy.study import Study
 from phy124.errors import InputError
-from phy124.files import replacing
+from phy124.io.files import replacing
 from phy124.parts import crop_of
 
 

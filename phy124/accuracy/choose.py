@@ -3,7 +3,8 @@
 An error: three cheap levels tell their order and errors; the coarsest grid that should meet the
 wish is run and the errors are estimated again from all levels run so far. Where those do not come
 closer yet, one more is run. It is refined at most once. A level that tears the material
-(phy124/tearing.py) is run again with one particle more per cell and axis, as are all after it.
+(phy124/monitor/tearing.py) is run again with one particle more per cell and axis, as are all
+after it.
 
 A time: the finest grid whose forecast fits.
 """
@@ -35,9 +36,9 @@ from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.limits import duration
 from phy124.progress import Progress, silent
+from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
 from phy124.simulation import Simulation
-from phy124.stopwatch import Stopwatch
 
 CHEAP = (16, 24)
 """Cells across the object of the levels that are run first and may be chosen."""

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.clip import Clip
-from phy124.film import cameras
 from phy124.metrics import psnr, ssim
-from phy124.render import render_frames
+from phy124.rendering.film import cameras
+from phy124.rendering.render import render_frames
 from phy124.scene import View
 
 

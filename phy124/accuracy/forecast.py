@@ -23,13 +23,13 @@ from phy124.accuracy.pilot import Pilot, coarsened, fly
 from phy124.accuracy.promises import Promise, promise
 from phy124.clip import Clip
 from phy124.deform import Deformer
-from phy124.film import film
 from phy124.gaussians import Gaussians
 from phy124.mpm import Solver
 from phy124.parts import WHOLE, Crop
+from phy124.rendering.film import film
+from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import AccuracyName, Scene
 from phy124.simulation import Simulation
-from phy124.stopwatch import Stopwatch
 
 PROBE, LEAST_PROBE = 20, 6
 """Substeps of a probe, at most and at least."""

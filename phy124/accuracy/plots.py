@@ -16,8 +16,8 @@ from typing import Any
 
 from phy124.accuracy.study import Report, Row
 from phy124.errors import InputError
-from phy124.files import replacing
-from phy124.installation import install_command
+from phy124.io.files import replacing
+from phy124.runtime.installation import install_command
 from phy124.scene import PRESETS
 
 PathLike = str | os.PathLike[str]

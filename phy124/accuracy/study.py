@@ -22,11 +22,11 @@ from phy124.accuracy.promises import promise
 from phy124.clip import Clip
 from phy124.errors import Cancelled
 from phy124.gaussians import Gaussians
+from phy124.monitor.watchdog import Balance, weigh
 from phy124.parts import WHOLE, Crop
 from phy124.progress import Progress, silent
 from phy124.scene import PRESETS, Accuracy, Scene
 from phy124.simulation import Simulation, Stopped
-from phy124.watchdog import Balance, weigh
 
 LEVELS = (16, 24, 32, 48)
 """Cells across the object, from coarse to fine; draft, standard and fine among them."""

@@ -12,8 +12,8 @@ from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
+from phy124.arguments.repeats import gathered, members
 from phy124.errors import InputError
-from phy124.repeats import gathered, members
 
 KINDS = {"INT": "a whole number", "FLOAT": "a number"}
 Commands = Mapping[str, type]

@@ -19,11 +19,11 @@ from phy124.errors import InputError
 from phy124.gaussians import Gaussians, quaternions, rotation_matrices
 from phy124.generators.ply_file import Opened, PlyFile, normalised, robust_bounds
 from phy124.particles import clean
+from phy124.particles.thinning import thinned
 from phy124.placing import placing
 from phy124.progress import Progress, silent
 from phy124.region import EVERYWHERE, PartRegion
 from phy124.scene import Part, Scene
-from phy124.thinning import thinned
 
 VISIBLE = 0.1
 """Opacity from which a Gaussian says where the floor is."""

@@ -14,10 +14,10 @@ from phy124.capture import capture
 from phy124.commands.bars import Bars
 from phy124.commands.cutout import doubt
 from phy124.commands.options import pick_device
-from phy124.cutout import Cutout
 from phy124.errors import Cancelled, InputError
 from phy124.gaussians import Gaussians
 from phy124.generators.ply_file import PlyFile, Reading
+from phy124.imaging.cutout import Cutout
 from phy124.parts import WHOLE, Crop
 from phy124.progress import Progress
 from phy124.scene import Scene

@@ -12,7 +12,7 @@ from types import FrameType
 from tqdm import tqdm
 
 from phy124.errors import Cancelled
-from phy124.signals import handled, interrupt
+from phy124.runtime.signals import handled, interrupt
 
 _silent: ContextVar[bool] = ContextVar("_silent", default=False)
 BETWEEN_LINES = 10.0

@@ -17,11 +17,11 @@ from phy124.clip import Clip
 from phy124.commands.bars import Bars
 from phy124.commands.options import CameraOptions, pick_device
 from phy124.errors import Cancelled
+from phy124.io.video import Picture, write_mp4
 from phy124.metrics.comparison import Likeness, Pictures, check_comparable, compare
 from phy124.progress import Progress
-from phy124.render import render_frames
+from phy124.rendering.render import render_frames
 from phy124.scene import Scene, View
-from phy124.video import Picture, write_mp4
 
 
 @dataclass(frozen=True)

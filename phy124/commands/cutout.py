@@ -12,11 +12,11 @@ from typing import Annotated, Any
 import tyro
 
 from phy124.commands.bars import Bars
-from phy124.cutout import METHODS, Cutout, cut_out
 from phy124.errors import InputError
-from phy124.files import replacing
-from phy124.isolated import Deadline
-from phy124.weights import looking_in
+from phy124.imaging.cutout import METHODS, Cutout, cut_out
+from phy124.io.files import replacing
+from phy124.runtime.isolated import Deadline
+from phy124.weights.store import looking_in
 
 KINDS = (".png", ".webp")
 IF_WRONG = (

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from phy124.commands.weights import data, lines, summary
-from phy124.installation import install_command
-from phy124.startup import start
-from phy124.weights import status
+from phy124.runtime.installation import install_command
+from phy124.runtime.startup import start
+from phy124.weights.store import status
 
 EXTRAS = {
     "lgm": ("torch", "diffusers", "transformers", "onnxruntime"),

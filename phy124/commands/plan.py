@@ -11,10 +11,10 @@ from phy124.accuracy.choose import Goal, in_time
 from phy124.accuracy.promises import promise
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
+from phy124.imaging.painted import Crop
 from phy124.limits import stiffest_part
-from phy124.painted import Crop
+from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene, summary
-from phy124.stopwatch import Stopwatch
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from phy124.clip import Clip
 from phy124.commands.bars import Bars
 from phy124.commands.options import ViewOptions, assignments, pick_device, together
 from phy124.errors import Cancelled
-from phy124.framing import framing
+from phy124.rendering.framing import framing
 from phy124.scene import Scene
 
 

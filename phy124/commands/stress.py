@@ -20,7 +20,7 @@ class Stress:
 
     def run(self) -> int:
         """Print the table; status 1 if a case fails."""
-        from phy124 import stress
+        from phy124 import selftest as stress
         from phy124.commands.bars import Bars
 
         total, rows = len(stress.CASES) * len(stress.settings()), []

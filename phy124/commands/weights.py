@@ -11,7 +11,7 @@ import tyro
 
 from phy124.commands.bars import Bars
 from phy124.errors import InputError
-from phy124.weights import KNOWN, WeightStatus, fetch, status
+from phy124.weights.store import KNOWN, WeightStatus, fetch, status
 
 SENTENCES = {
     "match": "whole: size and sha256 are the published ones",

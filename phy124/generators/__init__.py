@@ -13,8 +13,8 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Protocol
 
 from phy124.errors import InputError
-from phy124.installation import install_command
 from phy124.progress import Progress
+from phy124.runtime.installation import install_command
 
 if TYPE_CHECKING:
     import numpy as np

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from phy124.axes import numbers, orientation, turned
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
-from phy124.ply import read_ply
+from phy124.io.ply import read_ply
 from phy124.progress import Progress, silent
 
 if TYPE_CHECKING:

@@ -2,7 +2,8 @@
 
 Kerbl et al. 2023, "3D Gaussian Splatting", and Zwicker et al. 2002 (EWA) for the projection. The
 reference here is plain torch, tile by tile: right for small pictures and for gradients on the CPU.
-On CUDA gsplat (Apache-2.0) does the same if it is installed. `phy124.render` draws final pictures.
+On CUDA gsplat (Apache-2.0) does the same if it is installed. `phy124.rendering.render` draws
+final pictures.
 """
 
 from __future__ import annotations

@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from phy124 import isolated, u2net
 from phy124.errors import InputError
-from phy124.grabcut import grabcut
-from phy124.image import ANY_FORMAT, open_image, size_in_file
-from phy124.silhouette import alike, pieces, touched, unseen
+from phy124.imaging import u2net
+from phy124.imaging.grabcut import grabcut
+from phy124.imaging.image import ANY_FORMAT, open_image, size_in_file
+from phy124.imaging.silhouette import alike, pieces, touched, unseen
+from phy124.runtime import isolated
 
 Alpha = NDArray[np.uint8]
 REAL_ALPHA = 0.005
@@ -44,7 +45,7 @@ class Method(NamedTuple):
     applies: Callable[[Image.Image], bool]
     """Whether "auto" may choose it for a picture."""
     find: Callable[[Image.Image, isolated.Deadline], Alpha]
-    """The alpha [H,W] of a picture; native code of others runs through `phy124.isolated`."""
+    """The alpha [H,W] of a picture; native code of others runs in `phy124.runtime.isolated`."""
 
 
 @dataclass(frozen=True)

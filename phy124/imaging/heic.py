@@ -14,7 +14,7 @@ from importlib.util import find_spec
 
 from PIL import Image, ImageOps
 
-from phy124 import isolated
+from phy124.runtime import isolated
 
 BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"hevm", b"hevs", b"mif1", b"msf1")
 """How such files call themselves, in bytes 8 to 11."""

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageOps
 
-from phy124 import heic
 from phy124.errors import InputError
-from phy124.installation import install_command
+from phy124.imaging import heic
+from phy124.runtime.installation import install_command
 
 MAX_BYTES = 50_000_000
 """Largest picture file opened."""
@@ -30,7 +30,7 @@ MIN_SIDE = 8
 WORK_SIDE = 2048
 """Longer pictures are reduced to this side, pixels: no generator looks closer."""
 FORMATS = ("PNG", "JPEG", "WEBP")
-"""Of photographs, beside HEIC (phy124/heic.py)."""
+"""Of photographs, beside HEIC (phy124/imaging/heic.py)."""
 ANY_FORMAT = (*FORMATS, "GIF", "BMP", "TIFF", "PPM")
 """Of masks, which other programs write."""
 ANIMATED = ("PNG", "WEBP", "GIF")

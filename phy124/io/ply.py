@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from phy124.axes import orientation, turned
 from phy124.errors import InputError
 from phy124.gaussians import SH_COEFFICIENTS, Gaussians
-from phy124.plyheader import Header, read_header, refusal
+from phy124.io.plyheader import Header, read_header, refusal
 
 MAX_GAUSSIANS = 10_000_000
 """Files with more are refused before they are read."""

@@ -14,13 +14,13 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 
 from phy124.errors import InputError
-from phy124.files import replacing
 from phy124.gaussians import Frame, Gaussians
 from phy124.harmonics import rotate_sh
+from phy124.io.files import replacing
 from phy124.progress import Progress, silent
+from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
 from phy124.simulation import Simulation
-from phy124.stopwatch import Stopwatch
 
 FORMAT = "phy124-pause"
 GAUSSIANS = ("means", "quats", "scales", "opacities", "sh")
@@ -148,7 +148,7 @@ def _turn_last(run: Simulation) -> None:
 
 def _read(path: Path, *, tensors: bool = True) -> tuple[dict[str, Any], Tensors]:
     """What a file says, and its arrays."""
-    remedy = "Give a file written by phy124.resume.save."
+    remedy = "Give a file written by phy124.io.resume.save."
     if not path.is_file():
         raise InputError("paused run", path, "there is no such file.", remedy)
     try:

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from phy124.errors import InputError
-from phy124.files import replacing
+from phy124.io.files import replacing
 
 Picture = NDArray[np.uint8]
 FPS_RANGE = (0.1, 240.0)

@@ -10,7 +10,7 @@ from typing import Any
 
 import warp as wp
 
-from phy124.startup import prepare
+from phy124.runtime.startup import prepare
 
 prepare()
 CONTRACT = "-ffp-contract=fast"

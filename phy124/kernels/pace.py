@@ -1,6 +1,6 @@
 """Pace: the length of the next substep chosen on the device, so that a frame needs no host.
 
-The same limits, in the same double precision and in the same order as phy124/timestep.py and
+The same limits, in the same double precision and in the same order as phy124/mpm/timestep.py and
 phy124/mpm/caution.py: on one device both take the same substeps, bit for bit.
 """
 

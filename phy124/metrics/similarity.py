@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from phy124.errors import InputError
-from phy124.installation import install_command
 from phy124.metrics.pictures import unit
-from phy124.weights import require
+from phy124.runtime.installation import install_command
+from phy124.weights.store import require
 
 MODEL = "laion/CLIP-ViT-B-32-laion2B-s34B-b79K"
 """4DGen's model; the paper's is not known."""

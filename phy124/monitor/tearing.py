@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from phy124 import culprit
 from phy124.kernels.stretch import make_apart
-from phy124.pieces import Pieces
+from phy124.monitor import culprit
+from phy124.monitor.pieces import Pieces
 
 if TYPE_CHECKING:
     from phy124.mpm import Solver

@@ -4,7 +4,7 @@ A violation is a sentence. What is checked, with the limits below: every number 
 more than a few particles are turned inside out; volume ratios stay in range; momentum changes by
 what forces and walls gave; energy does not grow beyond the work they did (explicit MPM only loses
 energy, so more means that the run is exploding). Which particle it is and what to change is
-looked for only then (phy124/culprit.py).
+looked for only then (phy124/monitor/culprit.py).
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from phy124 import culprit
 from phy124.kernels import diagnose
 from phy124.kernels.reduction import shared_out
 from phy124.kernels.weigh import SUMS, make_weigh
-from phy124.ledger import Ledger, total_mass
-from phy124.tearing import Tearing
+from phy124.monitor import culprit
+from phy124.monitor.ledger import Ledger, total_mass
+from phy124.monitor.tearing import Tearing
 
 if TYPE_CHECKING:
     from phy124.mpm import Solver

@@ -16,7 +16,7 @@ import warp as wp
 
 from phy124.kernels.diagnose import make_grid_speed
 from phy124.kernels.profile import JOINS
-from phy124.timestep import CELLS_PER_STEP, STRAIN_PER_STEP
+from phy124.mpm.timestep import CELLS_PER_STEP, STRAIN_PER_STEP
 
 if TYPE_CHECKING:
     from phy124.mpm.solver import Solver

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from phy124.kernels import pace
 from phy124.mpm.grid import MARGIN
 from phy124.mpm.lanes import timed
-from phy124.timestep import CELLS_PER_STEP, MEMORY, STRAIN_PER_STEP, Extremes
+from phy124.mpm.timestep import CELLS_PER_STEP, MEMORY, STRAIN_PER_STEP, Extremes
 
 if TYPE_CHECKING:
     from phy124.mpm.solver import Solver

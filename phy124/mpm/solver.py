@@ -28,7 +28,7 @@ from phy124.mpm.grid import Grid, Unstable
 from phy124.mpm.lanes import Lane, Meeting, Named, Timings, cut, timed
 from phy124.mpm.state import Group, State, parameters
 from phy124.mpm.substep import record_looks, record_phases, record_pushes
-from phy124.timestep import CFL, Extremes, Substep, beside_elastic, stable_substep
+from phy124.mpm.timestep import CFL, Extremes, Substep, beside_elastic, stable_substep
 from phy124.tracks import Tracks
 
 Stage = tuple[str, Callable[[], wp.Launch | None]]

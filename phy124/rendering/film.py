@@ -7,14 +7,14 @@ from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 
 from phy124.clip import Clip
-from phy124.export import write_ply_sequence, write_usd
-from phy124.files import staged
-from phy124.framing import cameras as cameras
+from phy124.io.export import write_ply_sequence, write_usd
+from phy124.io.files import staged
+from phy124.io.video import Picture, write_animation, write_mp4, write_pictures
 from phy124.progress import Progress, silent
-from phy124.render import render_frames
+from phy124.rendering.framing import cameras as cameras
+from phy124.rendering.render import render_frames
+from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import View
-from phy124.stopwatch import Stopwatch
-from phy124.video import Picture, write_animation, write_mp4, write_pictures
 
 PathLike = str | os.PathLike[str]
 

@@ -32,7 +32,7 @@ def install_command(extra: str) -> str:
 
 def clone() -> Path | None:
     """The checked-out repository this code runs from, if it does."""
-    root = Path(__file__).resolve().parents[1]
+    root = Path(__file__).resolve().parents[2]
     return root if (root / "pyproject.toml").is_file() else None
 
 

@@ -6,7 +6,7 @@ their reasons are in docs/stability.md.
 
 from collections.abc import Iterator
 
-from phy124.stress import (
+from phy124.selftest import (
     advice,
     conserve,
     flow,
@@ -18,7 +18,7 @@ from phy124.stress import (
     shapes,
     world,
 )
-from phy124.stress.case import Case, Check, Row, Setting, examine
+from phy124.selftest.case import Case, Check, Row, Setting, examine
 
 CASES = (
     Case(1, "at rest nothing moves", conserve.rest),

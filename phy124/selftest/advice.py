@@ -7,9 +7,9 @@ from typing import Any
 
 from phy124.errors import InputError, Remedy
 from phy124.scene import Scene
+from phy124.selftest.case import Check, Setting, at_least, at_most, equal
+from phy124.selftest.inputs import shell
 from phy124.simulation import Simulation
-from phy124.stress.case import Check, Setting, at_least, at_most, equal
-from phy124.stress.inputs import shell
 
 SMALL: dict[str, Any] = {
     "accuracy": {"cells": 6, "ppc": 2.0}, "time": {"frames": 4, "fps": 24.0}, "binding": "field",

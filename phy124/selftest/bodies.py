@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from phy124.kernels.transfer import types
 from phy124.materials import Material, NeoHookean
+from phy124.monitor.watchdog import weigh
 from phy124.mpm import Solver
-from phy124.stress.case import Setting
-from phy124.watchdog import weigh
+from phy124.selftest.case import Setting
 
 Array = NDArray[np.float64]
 DX = 0.125

@@ -7,9 +7,9 @@ import numpy as np
 from phy124.boundaries import Ground
 from phy124.forces import Gravity
 from phy124.materials import FixedCorotated, NeoHookean
-from phy124.stress.bodies import Meter, block, body, host, stable_dt, steps, turning, vibrating
-from phy124.stress.case import Check, Setting, at_most, equal
-from phy124.watchdog import weigh
+from phy124.monitor.watchdog import weigh
+from phy124.selftest.bodies import Meter, block, body, host, stable_dt, steps, turning, vibrating
+from phy124.selftest.case import Check, Setting, at_most, equal
 
 
 def rest(setting: Setting) -> list[Check]:

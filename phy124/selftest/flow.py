@@ -9,8 +9,8 @@ from phy124.forces import Gravity
 from phy124.materials import Fluid, Material, Sand, Snow
 from phy124.mpm import Solver
 from phy124.region import Region
-from phy124.stress.bodies import DX, Array, block, body, host
-from phy124.stress.case import Check, Setting, at_most
+from phy124.selftest.bodies import DX, Array, block, body, host
+from phy124.selftest.case import Check, Setting, at_most
 
 SIZE = 0.5
 """Side of the cube that falls apart [m]."""

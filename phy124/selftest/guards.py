@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from phy124.ledger import Ledger
 from phy124.materials import Fluid, Hencky, Material, Metal, NeoHookean, Sand
-from phy124.stress.bodies import assign, block, body, finite, host, volume_ratios
-from phy124.stress.case import Check, Setting, at_least, at_most, equal
-from phy124.stress.laws import IMPOSSIBLE, every_deformation
-from phy124.watchdog import Watchdog
+from phy124.monitor.ledger import Ledger
+from phy124.monitor.watchdog import Watchdog
+from phy124.selftest.bodies import assign, block, body, finite, host, volume_ratios
+from phy124.selftest.case import Check, Setting, at_least, at_most, equal
+from phy124.selftest.laws import IMPOSSIBLE, every_deformation
 
 FRAMES = (NeoHookean(E=1e4), Hencky(E=1e4), Metal(E=1e4), Sand(), Fluid(bulk_modulus=1e4))
 """Laws whose bodies get an impossible particle."""

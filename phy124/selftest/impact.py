@@ -10,8 +10,9 @@ import numpy as np
 from phy124.boundaries import Ground
 from phy124.forces import ParticleForce
 from phy124.materials import Elastic, NeoHookean
+from phy124.monitor.watchdog import weigh
 from phy124.region import Region
-from phy124.stress.bodies import (
+from phy124.selftest.bodies import (
     assign,
     block,
     body,
@@ -20,8 +21,7 @@ from phy124.stress.bodies import (
     host,
     volume_ratios,
 )
-from phy124.stress.case import Check, Setting, at_least, at_most, equal
-from phy124.watchdog import weigh
+from phy124.selftest.case import Check, Setting, at_least, at_most, equal
 
 
 class Impact(NamedTuple):

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from phy124.deform import Deformer
 from phy124.gaussians import Gaussians, quaternions
+from phy124.io.ply import raw_table, read_ply
 from phy124.particles import clean, make_particles, solid, to_size
-from phy124.ply import raw_table, read_ply
 from phy124.scene import Scene
+from phy124.selftest.bodies import DX, Array, block, body, host, relative
+from phy124.selftest.case import Check, Setting, at_least, at_most, equal
 from phy124.simulation import Simulation
-from phy124.stress.bodies import DX, Array, block, body, host, relative
-from phy124.stress.case import Check, Setting, at_least, at_most, equal
 
 FIELDS = ("means", "quats", "scales", "opacities", "sh")
 

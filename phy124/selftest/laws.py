@@ -26,8 +26,8 @@ from phy124.materials import (
 from phy124.mpm import Solver
 from phy124.mpm.solver import PRECISIONS
 from phy124.region import Region
-from phy124.stress.bodies import Array, block, body, host
-from phy124.stress.case import Check, Setting, at_most, equal
+from phy124.selftest.bodies import Array, block, body, host
+from phy124.selftest.case import Check, Setting, at_most, equal
 
 LAWS: tuple[Material, ...] = (
     NeoHookean(), FixedCorotated(), Hencky(), Metal(), Plasticine(), Foam(), Sand(), Snow(),

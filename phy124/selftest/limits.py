@@ -12,7 +12,7 @@ from phy124.boundaries import Ground
 from phy124.forces import Gravity
 from phy124.materials import NeoHookean
 from phy124.mpm import Solver, Unstable
-from phy124.stress.bodies import (
+from phy124.selftest.bodies import (
     DX,
     Array,
     Meter,
@@ -26,7 +26,7 @@ from phy124.stress.bodies import (
     vibrating,
     volume_ratios,
 )
-from phy124.stress.case import Check, Setting, at_least, at_most, equal
+from phy124.selftest.case import Check, Setting, at_least, at_most, equal
 
 POISSON = (0.0, 0.3, 0.45, 0.49)
 

@@ -7,8 +7,8 @@ import numpy as np
 from phy124.deform import Deformer
 from phy124.gaussians import Gaussians, rotation_matrices
 from phy124.mpm import Solver
-from phy124.stress.bodies import Array, block, body, host, stable_dt, steps, turning, vibrating
-from phy124.stress.case import Check, Setting, at_least, at_most
+from phy124.selftest.bodies import Array, block, body, host, stable_dt, steps, turning, vibrating
+from phy124.selftest.case import Check, Setting, at_least, at_most
 
 FLAT = (0.01, 0.01, 1e-4)
 """A flat Gaussian, 100:1 [m]."""

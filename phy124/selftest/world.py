@@ -9,9 +9,9 @@ import numpy as np
 from phy124.boundaries import Ground
 from phy124.forces import Gravity
 from phy124.materials import NeoHookean
-from phy124.stress.bodies import DX, Array, block, body, finite, host, relative
-from phy124.stress.case import Check, Setting, at_most, equal
-from phy124.watchdog import weigh
+from phy124.monitor.watchdog import weigh
+from phy124.selftest.bodies import DX, Array, block, body, finite, host, relative
+from phy124.selftest.case import Check, Setting, at_most, equal
 
 
 def astray(setting: Setting) -> list[Check]:

@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import Literal, cast
 
 from phy124.errors import InputError
-from phy124.files import writable
-from phy124.installation import install_command
+from phy124.io.files import writable
 from phy124.progress import Progress, silent
+from phy124.runtime.installation import install_command
 
 Verdict = Literal["match", "differs", "unknown", "unchecked", "missing"]
 """Of a file's size and sha256; "unknown": there is nothing to compare with."""

@@ -15,12 +15,12 @@ import numpy as np
 
 from phy124.boundaries import Ground
 from phy124.forces import Gravity
-from phy124.ledger import Ledger
 from phy124.materials import FixedCorotated, Material, NeoHookean, Sand, Snow
+from phy124.monitor.ledger import Ledger
+from phy124.monitor.watchdog import Watchdog, sound_speed, weigh
 from phy124.mpm import Solver
-from phy124.simulation import Simulation
-from phy124.stress import Setting
-from phy124.stress.bodies import (
+from phy124.selftest import Setting
+from phy124.selftest.bodies import (
     Array,
     assign,
     block,
@@ -29,8 +29,8 @@ from phy124.stress.bodies import (
     turning,
     volume_ratios,
 )
-from phy124.stress.inputs import quick, shell
-from phy124.watchdog import Watchdog, sound_speed, weigh
+from phy124.selftest.inputs import quick, shell
+from phy124.simulation import Simulation
 
 SIZE = 0.5
 """Edge of the cubes [m]; 512 particles are two per cell and axis."""

@@ -27,8 +27,8 @@ from phy124.accuracy.verify import verify
 from phy124.clip import Clip
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
+from phy124.io.ply import write_ply
 from phy124.metrics import psnr
-from phy124.ply import write_ply
 from phy124.scene import Scene, preset_names
 from phy124.simulation import Simulation
 

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from phy124.cutout import foreground
-from phy124.image import open_image
+from phy124.imaging.cutout import foreground
+from phy124.imaging.image import open_image
 
 RIGHT = 0.85
 """Overlap (intersection over union) with the true mask from which a cut-out is right."""

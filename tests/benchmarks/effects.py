@@ -25,18 +25,18 @@ import numpy as np
 import warp as wp
 
 from phy124.boundaries import Ground
-from phy124.camera import Camera
-from phy124.cutout import cut_out
 from phy124.forces import Acceleration, Gravity
 from phy124.generators import make
+from phy124.imaging.cutout import cut_out
 from phy124.kernels import damping, elastic, fluid, granular, hencky, plastic, transfer
 from phy124.kernels.transfer import Law
-from phy124.ledger import Ledger
 from phy124.materials import FixedCorotated, NeoHookean
 from phy124.metrics import psnr
+from phy124.monitor.ledger import Ledger
 from phy124.mpm import Solver
 from phy124.region import Region
-from phy124.render import Renderer
+from phy124.rendering.camera import Camera
+from phy124.rendering.render import Renderer
 from phy124.scene import Scene
 from phy124.simulation import Simulation
 from phy124.tracks import Sine

@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import get_args
 
 from phy124.clip import Clip
-from phy124.film import film
-from phy124.framing import framing
+from phy124.rendering.film import film
+from phy124.rendering.framing import framing
+from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Format, View
-from phy124.stopwatch import Stopwatch
 
 
 def main(path: str) -> None:

@@ -110,8 +110,8 @@ def stage(device: str, steps: int) -> dict:
 
 def u2net(device: str) -> dict:
     """A picture of 1024 x 1024 to its mask, by the torch network."""
-    from phy124 import u2net as cut
-    from phy124.u2net.network import WIDTHS, U2Net, load
+    from phy124.imaging import u2net as cut
+    from phy124.imaging.u2net.network import WIDTHS, U2Net, load
 
     with torch.device("meta"):
         empty = U2Net(WIDTHS["u2net"])

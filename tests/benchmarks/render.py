@@ -15,9 +15,9 @@ import time
 import numpy as np
 import warp as wp
 
-from phy124.camera import Camera
 from phy124.gaussians import Frame, Gaussians
-from phy124.render import Renderer, render_frames
+from phy124.rendering.camera import Camera
+from phy124.rendering.render import Renderer, render_frames
 
 REVISION = 1
 """Raise when scene or method change: figures of different revisions do not compare."""

@@ -31,8 +31,8 @@ from demo.forecast import Forecast
 from demo.jobs import Studio
 from demo.settings import Settings
 from demo.visitors import Visitors
+from phy124.runtime.startup import kernel_folder
 from phy124.scene import Scene
-from phy124.startup import kernel_folder
 
 ROOT = Path(__file__).parents[2]
 LOOPS = (0, 1, 2, 4)

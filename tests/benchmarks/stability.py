@@ -16,10 +16,10 @@ import numpy as np
 
 from phy124.materials import FixedCorotated, Material, NeoHookean
 from phy124.mpm import Solver, Unstable
-from phy124.stress import CASES, Setting, examine
-from phy124.stress.bodies import DX, Array, block, body, host, steps
-from phy124.stress.impact import hit
-from phy124.stress.limits import heavy_on_light
+from phy124.selftest import CASES, Setting, examine
+from phy124.selftest.bodies import DX, Array, block, body, host, steps
+from phy124.selftest.impact import hit
+from phy124.selftest.limits import heavy_on_light
 
 SETTING = Setting()
 POISSON = (0.0, 0.1, 0.2, 0.3, 0.4, 0.45, 0.49)

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from visit import LONG, drawn, psnr
 
-from phy124.camera import Camera
 from phy124.clip import Clip
-from phy124.export.html import write_html
 from phy124.gaussians import Frame, Gaussians
-from phy124.render import Renderer
+from phy124.io.export.html import write_html
+from phy124.rendering.camera import Camera
+from phy124.rendering.render import Renderer
 
 pytestmark = pytest.mark.browser
 CAMERA = Camera.orbit(30, 20, 2.2, 256)

@@ -33,9 +33,9 @@ from phy124.generators.dreamgaussian.guidance import Guidance, Pose
 from phy124.generators.dreamgaussian.splats import Rates, Splats, ball
 from phy124.generators.ply_file import normalised
 from phy124.generators.splatting import View, orbit_view
+from phy124.imaging.u2net import cut_out
 from phy124.progress import Progress, silent
-from phy124.u2net import cut_out
-from phy124.weights import require
+from phy124.weights.store import require
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class DreamGaussian:
     """Image to Gaussians by optimisation.
 
     `guidance` makes the guidance of a picture [3,S,S] over white; without it Zero123's weights
-    are looked for as `phy124.weights` says.
+    are looked for as `phy124.weights.store` says.
     """
 
     def __init__(

@@ -20,7 +20,7 @@ from phy124.generators.imagedream import encoders
 from phy124.generators.imagedream.cameras import cameras
 from phy124.generators.imagedream.unet import load_unet
 from phy124.progress import Progress, silent
-from phy124.weights import require
+from phy124.weights.store import require
 
 FRAMES = 5
 """Four views and the picture."""

@@ -16,11 +16,11 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from phy124.checkpoints import StateDict, fill, read_tensors, without_prefix
 from phy124.errors import InputError
 from phy124.generators.imagedream.attention import GROUPS, SpatialTransformer
 from phy124.generators.imagedream.blocks import Downsample, ResBlock, Stage, Upsample
 from phy124.generators.imagedream.resampler import Resampler
+from phy124.weights.checkpoints import StateDict, fill, read_tensors, without_prefix
 
 CLIP_WIDTH = 1280
 """Width of the picture's tokens: CLIP ViT-H/14."""

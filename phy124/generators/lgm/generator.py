@@ -24,10 +24,10 @@ from phy124.generators.lgm.rays import four_rays
 from phy124.generators.lgm.rotations import judge, unrotated
 from phy124.generators.orbit import to_world
 from phy124.generators.ply_file import normalised
-from phy124.image import recenter
+from phy124.imaging.image import recenter
+from phy124.imaging.u2net import cut_out
 from phy124.progress import Progress, silent
-from phy124.u2net import cut_out
-from phy124.weights import have, require
+from phy124.weights.store import have, require
 
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 """ImageNet's colour statistics, with which the input is normalised."""
@@ -48,7 +48,7 @@ class Lgm:
     """Image to Gaussians; weights are read on the first call and kept.
 
     `model` and `multiview` may be given ready made, for tests and for other weights; otherwise
-    they are found as `phy124.weights` says. `align` turns the result to the picture
+    they are found as `phy124.weights.store` says. `align` turns the result to the picture
     (`lgm.align`), at the price of a small rendering every `align_step` degrees and a second pass.
     `steps` is ImageDream's.
     """

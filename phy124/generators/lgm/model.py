@@ -13,10 +13,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from phy124.checkpoints import StateDict, fill, read_tensors
 from phy124.errors import InputError
 from phy124.generators.lgm.unet import UNet
-from phy124.weights import sha256_of
+from phy124.weights.checkpoints import StateDict, fill, read_tensors
+from phy124.weights.store import sha256_of
 
 Rotations = Literal["each", "all"]
 """Over what quaternions are normalised: each Gaussian alone, or all Gaussians of an object.

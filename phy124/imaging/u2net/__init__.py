@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from phy124 import isolated
 from phy124.errors import InputError
-from phy124.installation import install_command
-from phy124.weights import KNOWN, WeightFile, find, require
+from phy124.runtime import isolated
+from phy124.runtime.installation import install_command
+from phy124.weights.store import KNOWN, WeightFile, find, require
 
 SIZE = 320
 """Side of the network's input, pixels."""
@@ -188,8 +188,8 @@ def _providers(onnxruntime: object) -> list[str]:
 def _torch(path: Path) -> Network:
     import torch
 
-    from phy124.checkpoints import read_tensors
-    from phy124.u2net.network import load as build
+    from phy124.imaging.u2net.network import load as build
+    from phy124.weights.checkpoints import read_tensors
 
     network = build(read_tensors(path))
 

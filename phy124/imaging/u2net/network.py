@@ -12,7 +12,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from phy124.checkpoints import StateDict, fill
+from phy124.weights.checkpoints import StateDict, fill
 
 SIDES = 6
 

@@ -27,13 +27,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phy124.camera import Camera
 from phy124.clip import Clip
 from phy124.errors import InputError
-from phy124.files import replacing
 from phy124.gaussians import SH_C0
+from phy124.io.files import replacing
+from phy124.rendering.camera import Camera
 
-VIEWER = Path(__file__).parents[2] / "demo" / "viewer"
+VIEWER = Path(__file__).parents[3] / "demo" / "viewer"
 """Where the player's scripts lie, beside this package."""
 SCRIPTS = ("vendor/playcanvas.min.js", "pack.js", "player.js")
 STYLE = "player.css"

@@ -1,7 +1,7 @@
 """A sequence of 3DGS PLY files, one per frame.
 
 SuperSplat plays files named alike with a running number (`name_0001.ply`, ...) dropped into it
-together, and brush plays a zip of them. `phy124.ply` turns the axes to that world's y down.
+together, and brush plays a zip of them. `phy124.io.ply` turns the axes to that world's y down.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from pathlib import Path
 
 from phy124.clip import Clip
 from phy124.errors import InputError
-from phy124.files import replacing
-from phy124.ply import write_ply
+from phy124.io.files import replacing
+from phy124.io.ply import write_ply
 from phy124.progress import Progress, silent
 
 

@@ -15,10 +15,10 @@ import numpy as np
 
 from phy124.clip import Clip
 from phy124.errors import InputError
-from phy124.files import replacing
 from phy124.gaussians import Gaussians
-from phy124.installation import install_command
+from phy124.io.files import replacing
 from phy124.progress import Progress, silent
+from phy124.runtime.installation import install_command
 
 ENDINGS = (".usdc", ".usda", ".usd")
 SCHEMA = "ParticleField3DGaussianSplat"

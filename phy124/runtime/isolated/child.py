@@ -1,4 +1,4 @@
-"""The other side of `phy124.isolated.run`: calls one function and writes its answer.
+"""The other side of `phy124.runtime.isolated.run`: calls one function and writes its answer.
 
 Run by its path, so that it starts with nothing of phy124 imported.
 """

@@ -19,7 +19,7 @@ from transformers import CLIPVisionConfig, CLIPVisionModelWithProjection
 
 from phy124.generators.dreamgaussian.guidance import Pose, alphas_cumprod, noised, sds, timestep
 from phy124.generators.imagedream import encoders
-from phy124.weights import require
+from phy124.weights.store import require
 
 SIZE = 256
 UNET: dict[str, Any] = {"in_channels": 8, "out_channels": 4, "cross_attention_dim": 768}

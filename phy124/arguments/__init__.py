@@ -1,0 +1,1 @@
+"""A command line as a command, and its refusals in plain sentences."""
