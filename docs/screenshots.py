@@ -19,7 +19,7 @@ from playwright.sync_api import Browser, Page, sync_playwright
 DOCS = Path(__file__).parent
 sys.path[:0] = [str(DOCS.parent), str(DOCS.parent / "tests")]
 
-from served import serving  # noqa: E402
+from support.served import serving  # noqa: E402
 
 FLAGS = [
     "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader",

@@ -4,7 +4,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from shapes import ball
 
 from phy124.__main__ import main
 from phy124.accuracy import choose
@@ -14,6 +13,7 @@ from phy124.errors import InputError
 from phy124.monitor.tearing import Tearing
 from phy124.scene import Scene
 from phy124.simulation import Simulation
+from support.shapes import ball
 
 
 @pytest.mark.parametrize(

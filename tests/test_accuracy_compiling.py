@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 import warp as wp
-from shapes import ball
 from warp._src.context import Module
 
 from phy124.accuracy.compiling import is_compiled, kernels, seconds_to_compile
 from phy124.scene import Scene
 from phy124.simulation import Simulation
+from support.shapes import ball
 
 QUICK = {"accuracy": {"cells": 8, "ppc": 1.0}, "time.frames": 2, "time.fps": 240.0}
 WALLS = {

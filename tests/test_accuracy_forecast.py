@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from shapes import ball
 
 from phy124.__main__ import main
 from phy124.accuracy import Forecaster
@@ -15,6 +14,7 @@ from phy124.accuracy.pilot import Pilot, fly
 from phy124.accuracy.promises import Promise
 from phy124.scene import PRESETS, Scene
 from phy124.simulation import Simulation
+from support.shapes import ball
 
 DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"
 OBJECT = ball(800)

@@ -3,7 +3,6 @@
 import json
 
 import pytest
-from shapes import ball
 
 from phy124.accuracy import load, promises
 from phy124.accuracy.load import Load, spoken
@@ -12,6 +11,7 @@ from phy124.io.ply import write_ply
 from phy124.monitor.tearing import Tearing
 from phy124.pipeline import simulate
 from phy124.scene import PRESETS, Scene
+from support.shapes import ball
 
 
 def test_the_table_says_where_and_when_it_was_measured():

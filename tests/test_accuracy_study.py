@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PIL import Image
-from shapes import ball
 
 from phy124.__main__ import main
 from phy124.accuracy import plots
@@ -19,6 +18,7 @@ from phy124.errors import Cancelled
 from phy124.monitor.tearing import Tearing
 from phy124.scene import Scene
 from phy124.simulation import Stopped
+from support.shapes import ball
 
 LEVELS = (8, 12, 16)
 

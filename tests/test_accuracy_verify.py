@@ -2,7 +2,6 @@
 
 import json
 
-import analytic
 import numpy as np
 import pytest
 import warp as wp
@@ -12,6 +11,7 @@ from phy124.accuracy import problems, verify
 from phy124.accuracy.verify import CHECKS, Verdict
 from phy124.kernels.manufactured import make_vortex
 from phy124.materials import NeoHookean
+from reference import analytic
 
 
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)

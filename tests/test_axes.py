@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from test_ply import some_gaussians
 
 from phy124.axes import euler, orientation, turn, turned, upright
 from phy124.errors import InputError
 from phy124.gaussians import rotation_matrices
 from phy124.harmonics import sh_basis
+from test_ply import some_gaussians
 
 
 def random_rotation(rng) -> np.ndarray:

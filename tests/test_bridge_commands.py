@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bridge_clips import random_clip
 from mcap.reader import make_reader
 from rosbags.rosbag2 import Reader
 
@@ -18,6 +17,7 @@ from bridge.__main__ import main
 from bridge.commands import COMMANDS
 from bridge.info import describe_clip, diagnose
 from phy124.arguments.repeats import gathered
+from support.bridge_clips import random_clip
 
 ROOT = Path(__file__).parents[1]
 

@@ -12,7 +12,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from bridge_clips import random_clip
+
+from support.bridge_clips import random_clip
 
 pytest.importorskip("cyclonedds")
 
@@ -33,7 +34,7 @@ from bridge.player import Player
 from bridge.sinks.dds import DISCOVERY, DdsSink, quality
 from phy124.errors import InputError
 
-SUBSCRIBER = Path(__file__).parent / "bridge_subscriber.py"
+SUBSCRIBER = Path(__file__).parent / "support/bridge_subscriber.py"
 EPOCH = 1_700_000_000
 DOMAINS = itertools.count(os.getpid())
 PATIENCE = 20.0

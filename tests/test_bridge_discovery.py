@@ -5,11 +5,11 @@ import subprocess
 import sys
 import xml.etree.ElementTree as ET
 
-import private_network
 import pytest
 
 from bridge.discovery import Discovery
 from phy124.errors import InputError
+from support import private_network
 
 VARIABLES = (
     "ROS_AUTOMATIC_DISCOVERY_RANGE",

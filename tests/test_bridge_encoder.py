@@ -5,13 +5,13 @@ import time
 
 import numpy as np
 import pytest
-from bridge_clips import random_clip
 from rosbags.typesys import Stores, get_typestore
 
 from bridge.encoder import FrameEncoder
 from bridge.options import Options
 from bridge.topics import ELLIPSOIDS, POINTS, TF_STATIC
 from phy124.gaussians import rotation_matrices
+from support.bridge_clips import random_clip
 
 JAZZY = get_typestore(Stores.ROS2_JAZZY)
 EPOCH = 1_700_000_000

@@ -10,8 +10,9 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from bridge_clips import random_clip
 from rosbags.typesys import Stores, get_typestore
+
+from support.bridge_clips import random_clip
 
 pytest.importorskip("foxglove")
 

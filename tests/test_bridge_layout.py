@@ -7,11 +7,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from bridge_clips import random_clip
 
 from bridge.layout import FULL, cloud, evenly, packed_rgb, points, small_points
 from phy124.gaussians import Gaussians
 from phy124.io.ply import write_ply
+from support.bridge_clips import random_clip
 
 
 def bits(values):

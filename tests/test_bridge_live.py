@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
-from bridge_clips import random_clip
 
 from bridge import live
 from bridge.player import Player
 from phy124.errors import InputError
+from support.bridge_clips import random_clip
 
 
 class Clock:

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bridge_clips import random_clip
 from mcap.reader import make_reader
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
@@ -20,6 +19,7 @@ from bridge.layout import points
 from bridge.options import Options
 from bridge.sinks.mcap import McapSink
 from phy124.errors import InputError
+from support.bridge_clips import random_clip
 
 JAZZY = get_typestore(Stores.ROS2_JAZZY)
 EPOCH = 1_700_000_000
@@ -203,7 +203,7 @@ def test_read_only_folder(tmp_path):
 DISK_FULL = """
 import resource, signal, sys
 sys.path[:0] = [{root!r}, {tests!r}]
-from bridge_clips import random_clip
+from support.bridge_clips import random_clip
 from bridge.sinks.mcap import McapSink
 from phy124.errors import InputError
 resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))
@@ -272,7 +272,7 @@ def node_modules(pytestconfig):
 def test_foxglove_reads_every_value_to_the_last_bit(tmp_path, node_modules, profile):
     clip = random_clip(count=300)
     bag = record(tmp_path / "bag", clip, profile=profile, translation=(1, 2, 3))
-    script = Path(__file__).parent / "bridge_node" / "read.mjs"
+    script = Path(__file__).parent / "support/read_bag.mjs"
     file = bag / "bag_0.mcap"
     run = subprocess.run(
         ["node", script, node_modules, file],

@@ -6,9 +6,6 @@ import time
 from types import SimpleNamespace
 
 import pytest
-import ros_double
-from bridge_clips import random_clip
-from ros_double import POLICIES, Node
 from rosbags.typesys import Stores, get_typestore
 
 from bridge import delivery, live, node, parameters
@@ -19,6 +16,9 @@ from bridge.reports import CLOCK_RATE
 from bridge.sinks.rclpy import RclpySink, require_rclpy
 from bridge.topics import POINTS, Message
 from phy124.errors import InputError
+from support import ros_double
+from support.bridge_clips import random_clip
+from support.ros_double import POLICIES, Node
 
 JAZZY = get_typestore(Stores.ROS2_JAZZY)
 FOREVER = 1000

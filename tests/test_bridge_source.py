@@ -10,7 +10,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from bridge_clips import random_clip
 from mcap.reader import make_reader
 
 from bridge import live
@@ -25,8 +24,9 @@ from phy124.io.ply import write_ply
 from phy124.progress import silent
 from phy124.scene import Scene
 from phy124.simulation import Simulation, Stopped
+from support.bridge_clips import random_clip
 
-SUBSCRIBER = Path(__file__).parent / "bridge_subscriber.py"
+SUBSCRIBER = Path(__file__).parent / "support/bridge_subscriber.py"
 CHANGES = ("accuracy=draft", "time.frames=6")
 
 

@@ -14,10 +14,10 @@ from pathlib import Path
 
 import pytest
 import setuptools
-from bridge_clips import random_clip
 
 from bridge.__main__ import main
 from bridge.start import importing
+from support.bridge_clips import random_clip
 
 ROOT = Path(__file__).parents[1]
 BRIDGE = ROOT / "bridge"

@@ -5,8 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from captures import captured
-from shapes import ball
 
 from phy124 import pipeline
 from phy124.__main__ import main
@@ -22,6 +20,8 @@ from phy124.region import PartRegion
 from phy124.rendering.framing import cameras
 from phy124.scene import Scene, View
 from phy124.simulation import Simulation
+from support.captures import captured
+from support.shapes import ball
 
 QUICK = {"accuracy": {"cells": 10}, "time.frames": 3, "parts": []}
 

@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_framing import AWAY, flight
-from test_video import read as read_video
 
 from phy124.__main__ import main
 from phy124.errors import InputError
 from phy124.gaussians import SH_C0
 from phy124.metrics import psnr, ssim
 from phy124.metrics.comparison import Pictures, compare
+from test_framing import AWAY, flight
+from test_video import read as read_video
 
 
 @pytest.fixture(scope="module")

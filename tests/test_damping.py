@@ -4,13 +4,13 @@ import math
 
 import numpy as np
 import pytest
-from material_point import deformations, evaluate, name, rotations, transposed
 
 from phy124.accuracy.problems import block
 from phy124.materials import FixedCorotated, Hencky, NeoHookean, Rigid
 from phy124.monitor.watchdog import weigh
 from phy124.mpm import Solver
 from phy124.scene import Scene
+from reference.material_point import deformations, evaluate, name, rotations, transposed
 
 ETA = 7.0
 LAWS = [law(damping=ETA) for law in (NeoHookean, FixedCorotated, Hencky)]

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hostile import PHONE, heic_claiming
 from PIL import Image
 
 from demo.jobs import UNFINISHED, Studio
@@ -25,6 +24,7 @@ from phy124.errors import InputError
 from phy124.imaging import cutout, heic
 from phy124.runtime import isolated
 from phy124.scene import Scene
+from support.hostile import PHONE, heic_claiming
 
 DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"
 

@@ -11,9 +11,10 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
-from hostile import bomb
 from PIL import Image
-from served import PATIENCE, ROOT, Server, serving
+
+from support.hostile import bomb
+from support.served import PATIENCE, ROOT, Server, serving
 
 DUCK = ROOT / "demo" / "examples" / "duck.png"
 GIGABYTE = 1 << 30

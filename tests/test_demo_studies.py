@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from test_demo_work import order
 
 from demo import handlers
 from demo.forecast import promise_of
@@ -18,6 +17,7 @@ from demo.work import DEVICE, Limits, Measured, Reused, Step, steps, study_file
 from phy124.errors import Cancelled, InputError
 from phy124.monitor.tearing import Tearing
 from phy124.scene import Scene
+from test_demo_work import order
 
 __all__ = ["order"]
 DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"

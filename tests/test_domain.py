@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 import warp as wp
-from shapes import block
 
 from phy124.forces import Gravity
 from phy124.materials import NeoHookean
 from phy124.mpm import Grid, Solver, Unstable
+from support.shapes import block
 
 
 def test_the_window_forgets_a_particle_that_flew_off():

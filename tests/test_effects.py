@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from shapes import ball
 
 from phy124.effects import Effects
 from phy124.scene import Scene, preset_names
 from phy124.simulation import Simulation
+from support.shapes import ball
 
 QUICK = {"accuracy": {"cells": 8}, "time.frames": 3}
 

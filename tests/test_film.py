@@ -5,14 +5,14 @@ import re
 import numpy as np
 import pytest
 from PIL import Image, ImageSequence
-from test_framing import AWAY, flight
-from test_video import read as read_video
 
 from phy124.errors import InputError
 from phy124.io.export import usd
 from phy124.io.ply import read_ply
 from phy124.rendering.film import film
 from phy124.scene import Scene, View
+from test_framing import AWAY, flight
+from test_video import read as read_video
 
 SIZE = (48, 32)
 

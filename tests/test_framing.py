@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from shapes import ball
 
 from phy124.clip import Clip
 from phy124.gaussians import Frame
 from phy124.rendering.framing import cameras, departures, framing
 from phy124.scene import View
+from support.shapes import ball
 
 
 def flight(steps, *, count=500) -> Clip:

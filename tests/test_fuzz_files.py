@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from shapes import ball
 
 from phy124.__main__ import main
 from phy124.io.ply import write_ply
 from phy124.scene import Scene
 from phy124.simulation import Simulation
+from support.shapes import ball
 
 STATUSES = {0, 1, 2, 3}
 """Done, refused by the machine, refused by us, stopped early."""

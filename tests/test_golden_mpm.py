@@ -9,15 +9,15 @@ from typing import ClassVar, Literal
 
 import numpy as np
 import pytest
-from material_point import evaluate
-from oracle import TWINS
-from physgaussian import MAPS, Original, Recording
 
 from phy124.boundaries import Container, HalfSpace
 from phy124.forces import Force, Gravity, ParticleForce, SetVelocity
 from phy124.materials import FixedCorotated, Fluid, Hencky, Material, Metal, Plasticine, Sand, Snow
 from phy124.mpm import Solver
 from phy124.region import Region
+from reference.material_point import evaluate
+from reference.oracle import TWINS
+from reference.physgaussian import MAPS, Original, Recording
 
 EYE = np.eye(3)
 

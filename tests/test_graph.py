@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 import warp as wp
-from shapes import ball
 
 from phy124.boundaries import Ground, Press
 from phy124.forces import Acceleration, Gravity, Wind
@@ -12,6 +11,7 @@ from phy124.mpm import Solver, Unstable
 from phy124.scene import Scene, preset_names
 from phy124.simulation import Simulation
 from phy124.tracks import Sine
+from support.shapes import ball
 
 SWING = Acceleration(a=(0, 3, 0), profile=Sine(frequency=3.0), start=0.05, end=0.4)
 PRESS = Press()

@@ -3,7 +3,6 @@
 import json
 from dataclasses import replace
 
-import formula
 import numpy as np
 import pytest
 import torch
@@ -20,6 +19,7 @@ from phy124.generators.dreamgaussian import (
 from phy124.generators.dreamgaussian.guidance import alphas_cumprod, noised, zero123
 from phy124.generators.dreamgaussian.guidance.multiview import MultiView
 from phy124.generators.imagedream import load_unet
+from reference import formula
 
 
 @pytest.fixture(scope="module")

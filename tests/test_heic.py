@@ -4,12 +4,12 @@ import time
 
 import numpy as np
 import pytest
-from hostile import PHONE, heic_claiming
 
 from phy124.errors import InputError
 from phy124.imaging import heic
 from phy124.imaging.cutout import cut_out
 from phy124.imaging.image import open_image
+from support.hostile import PHONE, heic_claiming
 
 reads = pytest.mark.skipif(not heic.is_readable(), reason="the extra heic is not installed")
 

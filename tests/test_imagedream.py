@@ -3,7 +3,6 @@
 import json
 from pathlib import Path
 
-import formula
 import numpy as np
 import pytest
 import torch
@@ -30,6 +29,7 @@ from phy124.generators.imagedream.pipeline import (
     predict,
 )
 from phy124.generators.imagedream.unet import timestep_embedding, with_picture
+from reference import formula
 
 CLOSE = {"rtol": 1e-4, "atol": 2e-5}
 PIPELINE = {"rtol": 1e-3, "atol": 1e-3}

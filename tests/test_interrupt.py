@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from shapes import ball
 
 from phy124 import pipeline
 from phy124 import selftest as stress
@@ -26,6 +25,7 @@ from phy124.io.files import staged
 from phy124.io.ply import write_ply
 from phy124.mpm.lanes import Meeting
 from phy124.scene import Scene
+from support.shapes import ball
 
 DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"
 SCENE = Scene.named("press").replaced(

@@ -5,12 +5,12 @@ import re
 
 import pytest
 import warp as wp
-from shapes import ball
 
 from phy124.kernels import collide, grid, pace, push, transfer
 from phy124.materials import FixedCorotated, NeoHookean, Sand
 from phy124.scene import Scene, preset_names
 from phy124.simulation import Simulation
+from support.shapes import ball
 
 CPU_ONLY = ("_simd", "barrier")
 LAWS = [m.device_law for m in (NeoHookean(), NeoHookean(damping=1.0), FixedCorotated(), Sand())]

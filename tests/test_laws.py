@@ -3,18 +3,6 @@
 import numpy as np
 import pytest
 import warp as wp
-from material_point import (
-    EYE,
-    PLASTIC,
-    SOLIDS,
-    deformations,
-    deviator,
-    evaluate,
-    name,
-    relative,
-    transposed,
-)
-from oracle import TWINS
 
 from phy124.materials import (
     Elastic,
@@ -30,6 +18,18 @@ from phy124.materials import (
     Snow,
 )
 from phy124.mpm import Solver
+from reference.material_point import (
+    EYE,
+    PLASTIC,
+    SOLIDS,
+    deformations,
+    deviator,
+    evaluate,
+    name,
+    relative,
+    transposed,
+)
+from reference.oracle import TWINS
 
 
 @pytest.mark.parametrize("material", [m for m in SOLIDS if isinstance(m, Elastic)], ids=name)

@@ -4,7 +4,6 @@ import json
 from dataclasses import replace
 from functools import partial
 
-import formula
 import numpy as np
 import pytest
 import torch
@@ -24,6 +23,7 @@ from phy124.generators.lgm.unet import UNet
 from phy124.generators.orbit import orbit, to_opencv
 from phy124.generators.splatting import View, project
 from phy124.io.ply import read_ply
+from reference import formula
 
 CLOSE = {"rtol": 1e-4, "atol": 2e-5}
 TINY = Option((32, 32, 64), (False, True, True), (64, 32), (True, False), 32, 16)

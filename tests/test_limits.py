@@ -1,13 +1,13 @@
 """Runs beyond hours or memory are refused before they start, with the setting that would fit."""
 
 import pytest
-from shapes import ball
 
 from phy124.errors import InputError
 from phy124.limits import forecast, stiffest_part
 from phy124.particles import make_particles
 from phy124.scene import Scene
 from phy124.simulation import Simulation
+from support.shapes import ball
 
 QUICK = {"accuracy": {"cells": 8}, "time.frames": 5}
 

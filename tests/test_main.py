@@ -12,8 +12,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from shapes import ball
-from test_video import read as read_video
 
 from phy124.__main__ import main
 from phy124.clip import Clip
@@ -21,6 +19,8 @@ from phy124.io.ply import read_ply, write_ply
 from phy124.rendering.camera import Camera
 from phy124.rendering.render import Renderer
 from phy124.scene import Scene
+from support.shapes import ball
+from test_video import read as read_video
 
 DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"
 QUICK = ["--accuracy", "draft", "--frames", "3", "--size", "64", "--device", "cpu"]

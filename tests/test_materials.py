@@ -5,7 +5,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 import warp as wp
-from material_point import (
+from numpy.typing import NDArray
+from pydantic import TypeAdapter, ValidationError
+
+from phy124.kernels import transfer
+from phy124.materials import (
+    AnyMaterial,
+    Fluid,
+    Plasticine,
+    Rigid,
+    Sand,
+)
+from phy124.mpm import Solver
+from reference.material_point import (
     EYE,
     LAWS,
     PLASTIC,
@@ -18,19 +30,7 @@ from material_point import (
     rotations,
     transposed,
 )
-from numpy.typing import NDArray
-from oracle import TWINS
-from pydantic import TypeAdapter, ValidationError
-
-from phy124.kernels import transfer
-from phy124.materials import (
-    AnyMaterial,
-    Fluid,
-    Plasticine,
-    Rigid,
-    Sand,
-)
-from phy124.mpm import Solver
+from reference.oracle import TWINS
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 from PIL import Image
-from shapes import ball
 
 from phy124.errors import InputError
 from phy124.materials import FixedCorotated, NeoHookean
@@ -10,6 +9,7 @@ from phy124.parts import assign
 from phy124.region import Region
 from phy124.scene import Part, Scene
 from phy124.simulation import Simulation
+from support.shapes import ball
 
 GRID = np.stack(np.meshgrid(*[np.linspace(-0.5, 0.5, 8)] * 3), axis=-1).reshape(-1, 3)
 NOBODY = np.full(len(GRID), -1)

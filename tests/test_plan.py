@@ -3,7 +3,6 @@
 import json
 
 import pytest
-from shapes import ball
 
 from phy124.__main__ import main
 from phy124.accuracy.promises import promise
@@ -12,6 +11,7 @@ from phy124.commands.plan import PlanOptions
 from phy124.errors import InputError
 from phy124.io.ply import write_ply
 from phy124.scene import Scene
+from support.shapes import ball
 
 SMALL = ["--frames", "2", "--size", "16", "--views", "front", "--device", "cpu"]
 

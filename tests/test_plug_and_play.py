@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-import formula
 import numpy as np
 import pytest
 import torch
@@ -17,6 +16,7 @@ from phy124.generators.ply_file import PlyFile
 from phy124.io.ply import write_ply
 from phy124.scene import Scene
 from phy124.simulation import Simulation
+from reference import formula
 
 HALF = np.array([0.5, 0.3, 0.4])
 """Half sides of the box that every description below is of, m."""

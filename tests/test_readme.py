@@ -3,9 +3,8 @@
 import re
 from pathlib import Path
 
-from shapes import ball
-
 from phy124.io.ply import write_ply
+from support.shapes import ball
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()

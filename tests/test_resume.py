@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from safetensors import safe_open
 from safetensors.numpy import save_file
-from shapes import ball
 
 from phy124.errors import Cancelled, InputError
 from phy124.io import resume
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
 from phy124.simulation import Interrupted, Simulation
+from support.shapes import ball
 
 SCENE = {"accuracy": {"cells": 10}, "time.frames": 6}
 

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from declared import Leaf, beyond, leaves, legal
 from PIL import Image
-from shapes import ball
 
 from phy124.errors import InputError
 from phy124.scene import Scene
 from phy124.simulation import Simulation
+from support.declared import Leaf, beyond, leaves, legal
+from support.shapes import ball
 
 TINY = {"accuracy": {"cells": 4, "ppc": 1}, "time": {"frames": 2, "fps": 240, "patience": 0.1}}
 FOREIGN = re.compile(r"Input should|validation|pydantic|literal\[|Value error|type=|Traceback")

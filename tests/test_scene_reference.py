@@ -4,10 +4,10 @@ import json
 from pathlib import Path
 
 import pytest
-from declared import leaves
 
 from phy124.scene import Scene
 from phy124.scene.reference import EXAMPLE, reference, schema
+from support.declared import leaves
 
 PAGE = Path(__file__).parents[1] / "docs" / "scene.md"
 

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PIL import Image
-from shapes import ball
 
 from phy124.effects import Effects
 from phy124.errors import InputError
@@ -15,6 +14,7 @@ from phy124.particles import make_particles
 from phy124.parts import with_materials
 from phy124.scene import Scene
 from phy124.simulation import Simulation
+from support.shapes import ball
 
 COUNT = 300
 NAMES = ("means", "quats", "scales", "opacities", "sh")

@@ -1,6 +1,5 @@
 import numpy as np
 import pytest
-from shapes import ball
 
 from phy124.clip import Clip
 from phy124.errors import Cancelled, InputError
@@ -9,6 +8,7 @@ from phy124.limits import forecast
 from phy124.mpm import Unstable
 from phy124.scene import Scene, preset_names
 from phy124.simulation import Simulation
+from support.shapes import ball
 
 QUICK = {"accuracy": {"cells": 12}, "time.frames": 6}
 

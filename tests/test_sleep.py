@@ -6,7 +6,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from shapes import ball
 
 from phy124.gaussians import Gaussians
 from phy124.io import resume
@@ -14,6 +13,7 @@ from phy124.monitor.sleep import STILL, Sleep, next_change
 from phy124.scene import Scene
 from phy124.simulation import Simulation
 from phy124.tracks import Constant, Keyframes, Ramp, Sine, Track
+from support.shapes import ball
 
 UP = (0.0, 0.0, 1.0)
 BLOW = {"kind": "impulse", "p": [0, 200.0, 0], "start": 0.25, "duration": 0.02}

@@ -5,12 +5,12 @@ from functools import cache
 import numpy as np
 import pytest
 import warp as wp
-from material_point import REALS
 from numpy.typing import NDArray
-from oracle import from_axes, signed_svd
 
 from phy124.kernels import elastic, hencky, spectral, symmetric
 from phy124.kernels.transfer import types
+from reference.material_point import REALS
+from reference.oracle import from_axes, signed_svd
 
 FUNCTIONS = {
     "exponential": symmetric.exponential,

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from PIL import Image
-from shapes import ball
 
 from phy124.errors import InputError
 from phy124.forces import TotalForce, Wind
@@ -14,6 +13,7 @@ from phy124.region import Region
 from phy124.scene import Scene
 from phy124.simulation import Simulation
 from phy124.stiffness import Gradient, Listed, Picture
+from support.shapes import ball
 
 DX = 1 / 16
 E = 1e5

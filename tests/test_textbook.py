@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from textbook import Textbook
 
 from phy124.boundaries import Held
 from phy124.forces import Gravity
 from phy124.materials import FixedCorotated
 from phy124.mpm import Solver
+from reference.textbook import Textbook
 
 
 class AtNodes(Held):

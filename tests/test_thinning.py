@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from shapes import ball
 
 from phy124.errors import InputError
 from phy124.generators.ply_file import PlyFile
@@ -10,6 +9,7 @@ from phy124.generators.relief import relief
 from phy124.particles.thinning import asked_for, check_count, thinned
 from phy124.rendering.camera import Camera
 from phy124.rendering.render import Renderer
+from support.shapes import ball
 
 
 def test_few_stay_as_they_are():

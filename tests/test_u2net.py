@@ -2,7 +2,6 @@
 
 import json
 
-import formula
 import numpy as np
 import pytest
 import torch
@@ -15,6 +14,7 @@ from phy124.imaging import u2net
 from phy124.imaging.cutout import foreground
 from phy124.imaging.u2net.network import WIDTHS, ConvBnRelu, U2Net
 from phy124.imaging.u2net.network import load as build
+from reference import formula
 
 CLOSE = {"rtol": 1e-4, "atol": 2e-5}
 SIZE = (201, 150)

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from material_point import evaluate
 
 from phy124.boundaries import Container, Ground, Held
 from phy124.forces import Gravity
@@ -21,6 +20,7 @@ from phy124.materials import (
 )
 from phy124.mpm import Solver
 from phy124.region import Region
+from reference.material_point import evaluate
 
 G = 9.81
 MARTIN_MOYCE = {1.19: 1.44, 1.63: 1.89, 1.98: 2.33, 2.32: 2.78, 2.65: 3.22}

@@ -5,7 +5,6 @@ import re
 
 import numpy as np
 import pytest
-from shapes import ball, block
 
 from demo.report import as_html
 from phy124.__main__ import main
@@ -21,6 +20,7 @@ from phy124.region import Region
 from phy124.scene import Scene
 from phy124.simulation import Simulation
 from phy124.tracks import Sine
+from support.shapes import ball, block
 
 QUICK = {"accuracy": {"cells": 8}, "time.frames": 5}
 

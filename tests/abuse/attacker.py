@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterator
 from typing import Any
 
-from served import PATIENCE, Server
+from support.served import PATIENCE, Server
 
 BOUNDARY = "boundary"
 

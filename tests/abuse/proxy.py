@@ -8,7 +8,7 @@ import threading
 from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
-from served import PATIENCE, Server
+from support.served import PATIENCE, Server
 
 
 class _Handler(BaseHTTPRequestHandler):

@@ -19,12 +19,12 @@ from pathlib import Path
 
 import pytest
 from attacker import Attacker
-from hostile import PHONE, bomb, heic_claiming
 from PIL import Image
 from proxy import in_front_of
-from served import PATIENCE, ROOT, serving
 
 from phy124.scene import Scene
+from support.hostile import PHONE, bomb, heic_claiming
+from support.served import PATIENCE, ROOT, serving
 
 DUCK = (ROOT / "demo/examples/duck.png").read_bytes()
 GIGABYTE = 1 << 30

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 from attacker import Attacker
-from served import ROOT, serving
 
 from phy124.scene import Scene
+from support.served import ROOT, serving
 
 pytestmark = pytest.mark.slow
 DUCK = (ROOT / "demo/examples/duck.png").read_bytes()

@@ -27,9 +27,6 @@ import numpy as np
 ROOT = Path(__file__).parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
 
-from bridge_clips import random_clip  # noqa: E402
-from private_network import STOCK  # noqa: E402
-
 from bridge import live  # noqa: E402
 from bridge.cdr import encode  # noqa: E402
 from bridge.encoder import FrameEncoder  # noqa: E402
@@ -38,12 +35,14 @@ from bridge.options import Options  # noqa: E402
 from bridge.player import Player  # noqa: E402
 from bridge.sinks.dds import DdsSink  # noqa: E402
 from bridge.sinks.mcap import McapSink  # noqa: E402
+from support.bridge_clips import random_clip  # noqa: E402
+from support.private_network import STOCK  # noqa: E402
 
 REVISION = 2
 """Raise when a case or the method changes: figures of different revisions do not compare."""
 HEADER = {"frame_id": "phy124"}
 CLOUD = "sensor_msgs/msg/PointCloud2"
-SUBSCRIBER = ROOT / "tests" / "bridge_subscriber.py"
+SUBSCRIBER = ROOT / "tests/support/bridge_subscriber.py"
 DOMAIN = 99
 PUBLISHED = (
     (32_768, "viz"),

@@ -18,7 +18,7 @@ import numpy as np
 import torch
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-import formula
+from reference import formula
 
 REVISION = 1
 """Raise when the method changes: figures of different revisions do not compare."""

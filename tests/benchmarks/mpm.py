@@ -1,9 +1,9 @@
 """How fast the solver steps: particle-substeps per second by law, form, threads and size.
 
 A cube of random particles, cell-sorted, falls on a floor with the paper's settings (jelly, E 1e5,
-dt 1e-4), so rows compare with facts about other engines. Forms, thread counts and a
-straightforward program of the same law (tests/textbook.py) take turns in one process; the best of
-five rounds counts. One line of JSON each.
+dt 1e-4), so rows compare with facts about other engines. Forms, thread counts and a straightforward
+program of the same law (tests/reference/textbook.py) take turns in one process; the best of five
+rounds counts. One line of JSON each.
 """
 
 import itertools
@@ -22,7 +22,7 @@ from phy124.materials import FixedCorotated, NeoHookean
 from phy124.mpm import Solver
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from textbook import Textbook
+from reference.textbook import Textbook
 
 wp.config.log_level = wp.LOG_WARNING
 FORMS = {"simd": ("float32", True), "plain": ("float32", False), "double": ("float64", False)}

@@ -19,7 +19,8 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from gradio_client import Client, handle_file
-from served import Server, serving
+
+from support.served import Server, serving
 
 ROOT = Path(__file__).parents[2]
 DUCK = ROOT / "demo" / "examples" / "duck.png"

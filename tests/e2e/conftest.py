@@ -5,8 +5,9 @@ from __future__ import annotations
 import shutil
 
 import pytest
-from served import serving
 from visit import FLAGS
+
+from support.served import serving
 
 CHROMIUM = shutil.which("chromium")
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 
 import pytest
-from served import ROOT
 from visit import LONG
+
+from support.served import ROOT
 
 pytestmark = pytest.mark.browser
 SITE = "http://panels.test/"

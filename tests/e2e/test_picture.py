@@ -6,9 +6,10 @@ import io
 
 import numpy as np
 import pytest
-from hostile import PHONE
 from PIL import Image
 from visit import LONG, Visit
+
+from support.hostile import PHONE
 
 pytestmark = pytest.mark.browser
 NATURAL = """async (which) => {

@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from served import ROOT
 from visit import LONG, Visit, drawn
+
+from support.served import ROOT
 
 pytestmark = pytest.mark.browser
 

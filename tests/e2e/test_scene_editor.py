@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 
 import pytest
-from served import ROOT
 
 from demo.catalogue import catalogue
 from demo.settings import Settings
 from phy124.scene import Scene
+from support.served import ROOT
 
 pytestmark = pytest.mark.browser
 SITE = "http://editor.test/"

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image
-from served import ROOT, Server
+
+from support.served import ROOT, Server
 
 FLAGS = [
     "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader",

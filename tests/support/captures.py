@@ -3,11 +3,11 @@
 from typing import NamedTuple
 
 import numpy as np
-from shapes import ball
 
 from phy124.axes import orientation, turned
 from phy124.capture import joined
 from phy124.gaussians import Gaussians, rotation_matrices
+from support.shapes import ball
 
 
 class Place(NamedTuple):

@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from oracle import EYE, from_axes, signed_svd, spread
+
+from reference.oracle import EYE, from_axes, signed_svd, spread
 
 Array = NDArray[np.float64]
 OFFSETS = np.stack(np.meshgrid(*[np.arange(3)] * 3, indexing="ij"), -1).reshape(27, 3)

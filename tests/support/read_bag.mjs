@@ -1,5 +1,5 @@
 // Reads an MCAP bag with Foxglove's own packages and prints what it finds as JSON lines.
-// Usage: node read.mjs FOLDER_WITH_NODE_MODULES FILE.mcap
+// Usage: node read_bag.mjs FOLDER_WITH_NODE_MODULES FILE.mcap
 import { createHash } from "node:crypto";
 import { createRequire } from "node:module";
 import { open } from "node:fs/promises";

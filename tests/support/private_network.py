@@ -51,12 +51,11 @@ def is_possible() -> bool:
 
 
 def main(reach: str, *peers: str) -> None:
-    sys.path[:0] = [str(HERE.parent), str(HERE)]
+    sys.path[:0] = [str(HERE.parents[1]), str(HERE.parent)]
     os.environ |= {"ROS_AUTOMATIC_DISCOVERY_RANGE": reach, "ROS_DOMAIN_ID": "7"}
-    from bridge_clips import random_clip
-
     from bridge.options import Options
     from bridge.sinks.dds import DdsSink
+    from support.bridge_clips import random_clip
 
     with DdsSink(Options()) as sink:
         for frame in random_clip(count=100).frames():
