@@ -33,7 +33,7 @@ log = logging.getLogger(__name__)
 Say = Callable[[str], None]
 """Takes one line of results; problems go to the log."""
 Messages = Annotated[Options, tyro.conf.arg(name="")]
-Simulated = Annotated[LiveOptions, tyro.conf.arg(name="")]
+Simulated = Annotated[LiveOptions, tyro.conf.arg(name=""), tyro.conf.OmitArgPrefixes]
 
 
 @dataclass(frozen=True)

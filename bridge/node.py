@@ -13,6 +13,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from phy124.generators.ply_file import Reading
 from phy124.runtime.signals import handled, interrupt
 
 from .live import follow, play
@@ -58,8 +59,10 @@ def simulate(node: Any) -> None:
     chosen = declare(node, {**SIMULATED, **RUNNING_LIVE, **message_options()})
     source, clock, speed = _taken(chosen, "source", "clock", "speed")
     scene, changes, generator, device = _taken(chosen, "scene", "set", "generator", "device")
+    told = dict(zip(Reading.model_fields, _taken(chosen, *Reading.model_fields), strict=True))
+    reading = Reading(**{name: value for name, value in told.items() if value != ""})
     options = _options(chosen)
-    asked = LiveOptions(True, scene, changes, generator, device)
+    asked = LiveOptions(True, scene, changes, generator, device, reading)
     run = LiveRun(Path(source), asked)
     with RclpySink(options, clock=clock, node=node, running=RUNNING_LIVE) as sink:
         log.info("Simulating %s, scene %s. %s", source, scene, sink.audience())

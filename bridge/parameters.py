@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from phy124.errors import InputError
+from phy124.generators.ply_file import Reading
 
 from .options import LIVE_POINTS, LIVE_PROFILE, Options
 from .player import RATES, SPEEDS
@@ -63,6 +64,11 @@ SIMULATED = {
     "set": Parameter([""], "Other values of the scene, as KEY=VALUE."),
     "generator": Parameter("relief", "How a picture becomes Gaussians."),
     "device": Parameter("auto", "auto, cpu or cuda:0."),
+    **{
+        # ROS parameters have no None.
+        name: Parameter("" if field.default is None else field.default, field.description or "")
+        for name, field in Reading.model_fields.items()
+    },
     **CLOCK,
 }
 

@@ -5,16 +5,18 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from phy124.clip import Clip
 from phy124.errors import InputError
-from phy124.gaussians import Frame, Gaussians
+from phy124.gaussians import Frame
+from phy124.generators.ply_file import Reading
 from phy124.progress import Progress, silent
 
 if TYPE_CHECKING:
+    from phy124.imaging.cutout import Cutout
+    from phy124.pipeline import Static
     from phy124.scene import Scene
     from phy124.simulation import Simulation
 
@@ -35,6 +37,7 @@ class LiveOptions:
     """How a picture becomes Gaussians."""
     device: str = "auto"
     """auto, cpu or cuda:0."""
+    reading: Reading = field(default_factory=Reading)
 
     def check(self) -> None:
         """Raise InputError if something is asked that only `--live` does."""
@@ -93,11 +96,11 @@ class LiveRun:
         # What Warp says while it compiles is no news to a user.
         warp.config.log_level = warp.LOG_ERROR
         device = pick_device(self._options.device)
-        gaussians = make_object(
-            self._source, self._options.generator, self.scene.seed, self._progress
-        )
+        made = make_object(self._source, self._options, self.scene, self._progress)
+        self.scene = made.scene
         # The sinks have each frame; keeping it would limit the run to what memory holds.
-        return Simulation(gaussians, self.scene, device=device, progress=self._progress, keep=False)
+        options: dict[str, Any] = {"device": device, "crop": made.crop, "keep": False}
+        return Simulation(made.gaussians, made.scene, progress=self._progress, **options)
 
     def report(self) -> dict[str, Any]:
         """What the run did."""
@@ -114,25 +117,25 @@ def opened(path: str | Path) -> Clip:
     return clip
 
 
-def make_object(source: Path, generator: str, seed: int, progress: Progress) -> Gaussians:
-    """Gaussians of a picture, or of a 3DGS .ply file; raises InputError."""
-    from phy124 import generators
-    from phy124.imaging.cutout import cut_out
-    from phy124.runtime.isolated import Deadline
+def make_object(source: Path, options: LiveOptions, scene: Scene, progress: Progress) -> Static:
+    """A picture, or a 3DGS .ply file, as Gaussians and the scene for them; raises InputError."""
+    from phy124.pipeline import static
 
-    if source.suffix.lower() == ".ply":
-        from phy124.generators.ply_file import PlyFile
+    def look(cutout: Cutout) -> None:
+        if cutout.warnings:
+            see = f"Look at it with `phy124 cutout {source}`"
+            mend = "--mask there mends it, and what it writes can be given here."
+            for sentence in (*cutout.warnings, f"{see}; {mend}"):
+                log.warning(sentence)
 
-        gaussians, left_out = PlyFile(str(source)).read(progress)
-        for sentence in left_out:
-            log.warning(sentence)
-        return gaussians
-    generate = generators.make(generator)
-    deadline = Deadline(beat=partial(progress, "cut out", 0, 1))
-    cutout = cut_out(source, deadline=deadline)
-    if cutout.warnings:
-        see = f"Look at it with `phy124 cutout {source}`"
-        mend = "--mask there mends it, and what it writes can be given here."
-        for sentence in (*cutout.warnings, f"{see}; {mend}"):
-            log.warning(sentence)
-    return generate(cutout.picture, seed=seed, progress=progress)
+    made = static(
+        source,
+        scene,
+        generator=str(source) if source.suffix.lower() == ".ply" else options.generator,
+        reading=options.reading,
+        looked=look,
+        progress=progress,
+    )
+    for sentence in made.about["cleaning"]:
+        log.warning(sentence)
+    return made

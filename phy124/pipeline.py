@@ -22,12 +22,13 @@ from PIL import Image
 from phy124.accuracy.choose import Goal, reach
 from phy124.accuracy.forecast import Forecast, Forecaster
 from phy124.accuracy.promises import promise
+from phy124.capture import capture
 from phy124.clip import Clip
 from phy124.errors import Cancelled, InputError
 from phy124.gaussians import Gaussians
 from phy124.generators import Generator, needs_image
 from phy124.generators import make as make_generator
-from phy124.generators.ply_file import PlyFile
+from phy124.generators.ply_file import PlyFile, Reading
 from phy124.imaging.cutout import Cutout, cut_out
 from phy124.io import resume
 from phy124.io.files import staged as staged
@@ -68,6 +69,7 @@ def generate(
     out: PathLike,
     *,
     generator: str | Generator = "relief",
+    reading: Reading | None = None,
     method: str = "auto",
     mask: PathLike | None = None,
     looked: Callable[[Cutout], object] = lambda cutout: None,
@@ -80,10 +82,8 @@ def generate(
 ) -> Result:
     """A picture becomes moving Gaussians, videos and a report in a folder.
 
-    With a `goal` the accuracy is chosen to meet it (`phy124.accuracy.choose`); for `forecaster`
-    and `keep` see `simulate`, for `method` and `mask` `phy124.imaging.cutout.foreground`.
-    `looked` is called with the cut-out before the long work. `count` limits the number of
-    Gaussians.
+    With a `goal` the accuracy is chosen to meet it (`phy124.accuracy.choose`). For `forecaster`
+    and `keep` see `simulate`, for the other options `static`.
 
     Raises InputError for what the user can mend, Cancelled if `progress` does.
     """
@@ -91,18 +91,19 @@ def generate(
     with staged(out):  # Refused before any work, if at all.
         made = static(
             image,
+            scene,
             generator=generator,
+            reading=reading,
             method=method,
             mask=mask,
             looked=looked,
             count=count,
-            seed=scene.seed,
             progress=progress,
             watch=watch,
         )
         return simulate(
             made.gaussians,
-            scene,
+            made.scene,
             out,
             device=device,
             progress=progress,
@@ -121,6 +122,8 @@ class Static:
     """The object made from a picture, before anything happens to it."""
 
     gaussians: Gaussians
+    scene: Scene
+    """The scene for it: of a capture with the floor that was found, and regions in metres."""
     crop: Crop
     """Where the object is in the picture."""
     cutout: Cutout | None
@@ -131,19 +134,33 @@ class Static:
 
 def static(
     image: PathLike,
+    scene: Scene | None = None,
     *,
     generator: str | Generator = "relief",
+    reading: Reading | None = None,
     method: str = "auto",
     mask: PathLike | None = None,
     looked: Callable[[Cutout], object] = lambda cutout: None,
     count: int | None = None,
-    seed: int = 0,
     progress: Progress = silent,
     watch: Stopwatch | None = None,
 ) -> Static:
-    """A picture becomes static Gaussians; raises InputError."""
-    watch = watch or Stopwatch()
-    make, cutout = asked_for(make_generator(generator), count), None
+    """A picture becomes static Gaussians; raises InputError.
+
+    Args:
+        image: The picture; a generator that is a .ply file does not look at it.
+        scene: What will happen to them; None: the default one.
+        generator: Name, path of a .ply file, or object.
+        reading: How that .ply file is meant, and whether to find its floor.
+        method: How the object is cut out, see `phy124.imaging.cutout.foreground`.
+        mask: Picture that is white where the object is.
+        looked: Called with the cut-out before the long work.
+        count: Limits the number of Gaussians.
+        progress: Told how far it is; may raise Cancelled.
+        watch: Where the stages' times go.
+    """
+    watch, scene = watch or Stopwatch(), scene or Scene()
+    make, cutout = asked_for(make_generator(generator, reading), count), None
     picture = Image.new("RGBA", (1, 1))
     if needs_image(generator):
         with watch.stage("image"):
@@ -155,19 +172,21 @@ def static(
     elif mask is not None:
         limit = f"{_name(generator)} does not look at a picture."
         raise InputError("mask", mask, limit, "Leave the mask out, or choose another generator.")
-    with watch.stage("generate"):
-        if isinstance(make, PlyFile):
-            gaussians, cleaning = make.read(progress)
-        else:
-            gaussians, cleaning = make(picture, seed=seed, progress=progress), []
-        gaussians = thinned(gaussians, count, seed=seed)
     about = {
         "foreground": cutout and cutout.method,
         "cutout": cutout and cutout.data(),
         "generator": _name(generator),
-        "cleaning": cleaning,
+        "cleaning": [],
     }
-    return Static(gaussians, crop_of(picture), cutout, about)
+    with watch.stage("generate"):
+        if isinstance(make, PlyFile):
+            read = capture(make, scene, count=count, progress=progress)
+            gaussians, scene = read.gaussians, read.scene
+            about |= {"cleaning": read.cleaning, **read.about}
+        else:
+            gaussians = make(picture, seed=scene.seed, progress=progress)
+            gaussians = thinned(gaussians, count, seed=scene.seed)
+    return Static(gaussians, scene, crop_of(picture), cutout, about)
 
 
 def simulate(

@@ -113,6 +113,8 @@ def test_play_and_record_beside(clip, monkeypatch, capsys):
         (["record", "none.png", "--live"], "There is no such file"),
         (["record", "CLIP", "--scene", "drop"], "Add --live, or leave the scene out"),
         (["play", "CLIP", "--set", "seed=1"], "Add --live"),
+        (["record", "CLIP", "--floor"], "Add --live"),
+        (["record", "PNG", "--live", "--up", "z"], "generator = relief: --up is for a .ply file"),
         (["play", "none.png", "--live", "--loop"], "no such choice while the simulation runs"),
         (["pley", "CLIP"], "command = pley: there is no such command. Did you mean play?"),
         (["--speed", "2", "play", "CLIP"], "Write `python -m bridge COMMAND ... --speed`"),
@@ -131,7 +133,9 @@ def test_play_and_record_beside(clip, monkeypatch, capsys):
     ],
 )
 def test_bad_input_is_one_sentence(clip, capsys, arguments, sentence):
-    assert main([str(clip) if a == "CLIP" else a for a in arguments]) == 2
+    files = {"CLIP": str(clip), "PNG": str(clip.with_suffix(".png"))}
+    clip.with_suffix(".png").touch()
+    assert main([files.get(a, a) for a in arguments]) == 2
     error = capsys.readouterr().err
     assert error.startswith("bridge: ")
     assert sentence in error

@@ -16,6 +16,7 @@ from bridge.reports import CLOCK_RATE
 from bridge.sinks.rclpy import RclpySink, require_rclpy
 from bridge.topics import POINTS, Message
 from phy124.errors import InputError
+from phy124.generators.ply_file import Reading
 from support import ros_double
 from support.bridge_clips import random_clip
 from support.ros_double import POLICIES, Node
@@ -460,6 +461,7 @@ def test_a_running_simulation_as_a_node(ros, monkeypatch):
 
     monkeypatch.setattr(node, "LiveRun", Run)
     Node.parameters = {"source": "photo.png", "scene": "drop", "set": ["seed=1"], "profile": "viz"}
+    Node.parameters |= {"floor": True, "crop": "-1,-1,-1,1,1,1"}
     node.live()
     ((name, options),) = asked
     assert (name, options.live, options.scene, options.set) == (
@@ -468,6 +470,7 @@ def test_a_running_simulation_as_a_node(ros, monkeypatch):
         "drop",
         ("seed=1",),
     )
+    assert options.reading == Reading(floor=True, crop="-1,-1,-1,1,1,1")
     (made,) = ros.nodes
     assert len(made.publishers["points"].sent) == 3
     assert made.get_parameter("generator").value == "relief"

@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from PIL import Image
 
 from bridge import live
 from bridge.layout import points
@@ -18,13 +19,15 @@ from bridge.options import Options
 from bridge.sinks.dds import DdsSink
 from bridge.sinks.mcap import McapSink
 from bridge.source import LiveOptions, LiveRun, make_object
+from phy124.capture import capture
 from phy124.errors import InputError
-from phy124.generators.ply_file import PlyFile
+from phy124.generators.ply_file import PlyFile, Reading
 from phy124.io.ply import write_ply
 from phy124.progress import silent
 from phy124.scene import Scene
 from phy124.simulation import Simulation, Stopped
 from support.bridge_clips import random_clip
+from support.captures import captured
 
 SUBSCRIBER = Path(__file__).parent / "support/bridge_subscriber.py"
 CHANGES = ("accuracy=draft", "time.frames=6")
@@ -122,13 +125,35 @@ def test_the_listener_has_its_turns_while_a_frame_is_computed(ply):
 
 
 def test_a_doubtful_cut_out_is_said(tmp_path, monkeypatch, caplog):
-    doubtful = SimpleNamespace(picture="cut", warnings=("It is in 9 pieces.",))
-    monkeypatch.setattr("phy124.imaging.cutout.cut_out", lambda *_, **__: doubtful)
-    monkeypatch.setattr("phy124.generators.make", lambda name: lambda picture, **_: picture)
-    assert make_object(tmp_path / "photo.png", "relief", 0, silent) == "cut"
+    picture = Image.new("RGBA", (2, 2))
+    doubtful = SimpleNamespace(
+        picture=picture, warnings=("It is in 9 pieces.",), method="u2net", data=dict
+    )
+    monkeypatch.setattr("phy124.pipeline.cut_out", lambda *_, **__: doubtful)
+    monkeypatch.setattr("phy124.generators.GENERATORS", {"relief": lambda: lambda *_, **__: "made"})
+    made = make_object(tmp_path / "photo.png", LiveOptions(), Scene(), silent)
+    assert made.gaussians == "made"
     first, second = caplog.messages
     assert first == "It is in 9 pieces."
     assert f"`phy124 cutout {tmp_path / 'photo.png'}`" in second
+
+
+def test_a_capture_stands_on_its_floor(tmp_path):
+    """As `phy124 simulate --floor` does it; the recorded scene has the floor."""
+    write_ply(tmp_path / "place.ply", captured(8, floor=1500).gaussians)
+    options = LiveOptions(True, set=CHANGES, reading=Reading(floor=True))
+    expected = capture(PlyFile(str(tmp_path / "place.ply"), options.reading), options.resolve())
+    run = LiveRun(tmp_path / "place.ply", options)
+    simulation = run.prepare()
+    assert run.scene == expected.scene and run.scene.parts[-1].static
+    assert (simulation.given.means == expected.gaussians.means).all()
+
+
+def test_a_region_in_the_units_of_a_live_file(ply):
+    part = 'parts=[{static=true,region={upper=[9,0,9],units="file"}}]'
+    run = LiveRun(ply, LiveOptions(True, set=(*CHANGES, part)))
+    run.prepare()
+    assert run.scene.parts[0].region.units == "metres"
 
 
 def test_a_run_that_stops_early_keeps_its_good_frames(ply, monkeypatch):

@@ -14,7 +14,7 @@ from phy124.capture.floor import find_floor
 from phy124.clip import Clip
 from phy124.errors import Cancelled, InputError
 from phy124.gaussians import rotation_matrices
-from phy124.generators.ply_file import PlyFile
+from phy124.generators.ply_file import PlyFile, Reading
 from phy124.io.ply import write_ply
 from phy124.region import PartRegion
 from phy124.rendering.framing import cameras
@@ -23,6 +23,7 @@ from phy124.simulation import Simulation
 from support.captures import captured
 from support.shapes import ball
 
+FLOOR = Reading(floor=True)
 QUICK = {"accuracy": {"cells": 10}, "time.frames": 3, "parts": []}
 
 
@@ -51,7 +52,7 @@ def degrees(a, b) -> float:
 )
 def test_the_floor_is_found_in_any_unit_and_orientation(tmp_path, seed, changes):
     place = captured(seed, **changes)
-    read = capture(PlyFile(saved(tmp_path, place)), scene(), floor=True)
+    read = capture(PlyFile(saved(tmp_path, place), FLOOR), scene())
     floor = read.about["capture"]["floor"]
     assert degrees(floor["normal"], place.up) < 1
     (part,) = read.scene.parts
@@ -81,7 +82,7 @@ def test_which_gaussians_are_the_floors(rng):
 def test_the_object_stands_on_its_floor(tmp_path):
     """It falls nowhere, the floor stays bit for bit; the object alone is simulated and framed."""
     place = captured(4)
-    read = capture(PlyFile(saved(tmp_path, place)), scene("drop", **{"time.frames": 6}), floor=True)
+    read = capture(PlyFile(saved(tmp_path, place), FLOOR), scene("drop", **{"time.frames": 6}))
     run = Simulation(read.gaussians, read.scene)
     clip = run.run()
     first, last = clip.scene["parts"][0]["gaussians"]
@@ -102,7 +103,7 @@ def test_the_object_stands_on_its_floor(tmp_path):
 
 def test_a_lifted_object_leaves_its_floor_on_the_ground(tmp_path):
     read = capture(
-        PlyFile(saved(tmp_path, captured(2))), scene("drop", **{"object.lift": 0.4}), floor=True
+        PlyFile(saved(tmp_path, captured(2)), FLOOR), scene("drop", **{"object.lift": 0.4})
     )
     run = Simulation(read.gaussians, read.scene)
     own = run.numbered.parts[0].gaussians[0]
@@ -161,13 +162,13 @@ def test_a_region_in_the_files_own_units(tmp_path):
     """A box of the file holds the same Gaussians before and after they are turned and scaled."""
     place = captured(7, floaters=0)
     path = saved(tmp_path, place)
-    as_file = PlyFile(path, up="z", front="x").open().gaussians.means
+    as_file = PlyFile(path, Reading(up="z", front="x")).open().gaussians.means
     centre = place.in_file([[0, 0, 0.8]])[0]
     half = 0.35 * place.scale
     region = {"lower": (centre - half).tolist(), "upper": (centre + half).tolist(), "units": "file"}
     chosen = scene(**{"parts": [{"material": {"law": "metal"}, "region": region}]})
     for floor in (False, True):
-        read = capture(PlyFile(path), chosen, floor=floor)
+        read = capture(PlyFile(path, Reading(floor=floor)), chosen)
         assert read.scene.parts[0].region.units == "metres"
         run = Simulation(read.gaussians, read.scene)
         inside = read.scene.parts[0].region.contains(run.gaussians.means)
@@ -182,7 +183,7 @@ def test_a_cylinder_turned_in_the_files_own_units(tmp_path, rng, floor):
     """It stays a cylinder, and what it is turned by itself adds to the turn of the file."""
     place = captured(7, floaters=0)
     path = saved(tmp_path, place)
-    as_file = PlyFile(path, up="z", front="x").open().gaussians.means
+    as_file = PlyFile(path, Reading(up="z", front="x")).open().gaussians.means
     turn = rng.normal(size=4)
     turn /= np.linalg.norm(turn)
     own = rotation_matrices(turn[None])[0]
@@ -192,7 +193,7 @@ def test_a_cylinder_turned_in_the_files_own_units(tmp_path, rng, floor):
         cylinder="y", turn=turn.tolist(), units="file",
     )  # fmt: skip
     part = {"material": {"law": "metal"}, "region": region.model_dump()}
-    read = capture(PlyFile(path), scene(**{"parts": [part]}), floor=floor)
+    read = capture(PlyFile(path, Reading(floor=floor)), scene(**{"parts": [part]}))
     placed = read.scene.parts[0].region
     assert (placed.cylinder, placed.units) == ("y", "metres")
     inside = placed.contains(Simulation(read.gaussians, read.scene).gaussians.means).sum()
@@ -270,7 +271,7 @@ def test_an_interrupted_capture_goes_on_with_the_same_command_only(tmp_path, cap
     path = saved(tmp_path, captured(8, floor=1500))
     changes = {"time.frames": 4, "time.sleep": False, "view.size": 32, "view.views": ["front"]}
     chosen = Scene.named("drop").replaced({"accuracy": {"cells": 8}} | changes)
-    read = capture(PlyFile(path), chosen, floor=True)
+    read = capture(PlyFile(path, FLOOR), chosen)
     pipeline.simulate(read.gaussians, read.scene, tmp_path / "out", progress=cancel, keep=True)
     again = ["simulate", path, *OPTIONS, "--out", str(tmp_path / "out"), "--resume"]
     assert main([word for word in again if word != "--floor"]) == 2
@@ -301,4 +302,43 @@ def test_a_study_reads_captures_as_a_simulation_does(tmp_path, capsys):
     assert main([*study, "--image", path, "--floor"]) == 0
     assert "D/6" in capsys.readouterr().out
     assert main([*study, "--floor"]) == 2
-    assert "no file of Gaussians that --floor" in capsys.readouterr().err
+    assert "image = none: --floor is for a .ply file" in capsys.readouterr().err
+
+
+def test_a_generator_that_is_a_capture(tmp_path, capsys):
+    """`generate --generator x.ply` is `simulate x.ply`: the same floor, the same clip."""
+    path, clips = saved(tmp_path, captured(8, floor=1500)), []
+    for command in (["simulate", path], ["generate", "any.png", "--generator", path]):
+        out = tmp_path / command[0]
+        assert main([*command, *OPTIONS, "--gaussians", "2000", "--out", str(out)]) == 0
+        assert "floor: " in capsys.readouterr().out
+        clips.append(Clip.load(out / "clip.safetensors"))
+    assert (clips[0].means == clips[1].means).all()
+    assert clips[0].report["capture"] == clips[1].report["capture"]
+
+
+def test_an_interrupted_generator_that_is_a_capture_goes_on(tmp_path):
+    def cancel(stage: str, done: int, total: int) -> None:
+        if (stage, done) == ("simulate", 2):
+            raise Cancelled
+
+    path = saved(tmp_path, captured(8, floor=1500))
+    changes = {"time.frames": 4, "time.sleep": False, "view.size": 32, "view.views": ["front"]}
+    chosen = Scene.named("drop").replaced({"accuracy": {"cells": 8}} | changes)
+    out, told = tmp_path / "out", {"generator": path, "reading": FLOOR}
+    pipeline.generate("any.png", chosen, out, **told, progress=cancel, keep=True)
+    again = ["generate", "any.png", "--generator", path, *OPTIONS, "--out", str(out), "--resume"]
+    assert main(again) == 0
+    assert Clip.load(out / "clip.safetensors").report["complete"]
+
+
+@pytest.mark.parametrize("told", [["--floor"], ["--crop", "0,0,0,1,1,1"], ["--up", "z"]])
+def test_what_is_told_of_a_file_needs_one(tmp_path, capsys, told):
+    assert main(["generate", "any.png", *told, "--out", str(tmp_path / "out")]) == 2
+    assert f"generator = relief: {told[0]} is for a .ply file" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_floor_is_not_forgotten_where_there_is_no_scene():
+    with pytest.raises(InputError, match="A floor is part of a scene"):
+        PlyFile("a.ply", FLOOR)()

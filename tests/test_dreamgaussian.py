@@ -26,7 +26,7 @@ from phy124.generators.dreamgaussian.generator import framed
 from phy124.generators.dreamgaussian.guidance import timestep, zero123
 from phy124.generators.dreamgaussian.splats import ball
 from phy124.generators.orbit import orbit, to_opencv
-from phy124.generators.ply_file import PlyFile
+from phy124.generators.ply_file import PlyFile, Reading
 from phy124.generators.splatting import View, orbit_view, project
 from phy124.io.ply import read_ply
 
@@ -143,7 +143,7 @@ def test_ply_of_the_original_enters_at_our_size(folder, expected):
     np.testing.assert_allclose(read.means, ours.means, **CLOSE)
     np.testing.assert_allclose(read.covariances(), ours.covariances(), **CLOSE)
     np.testing.assert_allclose(read.sh, ours.sh, **CLOSE)
-    made = PlyFile(str(path), dialect="dreamgaussian")()
+    made = PlyFile(str(path), Reading(dialect="dreamgaussian"))()
     assert np.ptp(made.means, axis=0).max() == pytest.approx(1, abs=1e-5)
 
 

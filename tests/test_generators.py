@@ -9,7 +9,7 @@ import pytest
 from phy124 import generators
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
-from phy124.generators.ply_file import PlyFile, normalised, robust_bounds
+from phy124.generators.ply_file import PlyFile, Reading, normalised, robust_bounds
 from phy124.io.ply import write_ply
 
 
@@ -79,7 +79,7 @@ def test_outliers_and_faint_gaussians_do_not_count(tmp_path, rng):
 
 def test_axes_can_be_told(tmp_path, rng):
     write_ply(tmp_path / "a.ply", box(rng))
-    standing = PlyFile(str(tmp_path / "a.ply"), up="x", front="z")()
+    standing = PlyFile(str(tmp_path / "a.ply"), Reading(up="x", front="z"))()
     extent = standing.means.max(axis=0) - standing.means.min(axis=0)
     # In the file x is our y (2 m), y our -z (1 m), z our -x (4 m).
     np.testing.assert_allclose(extent, [1, 0.25, 0.5], atol=0.003)

@@ -48,23 +48,25 @@ class Capture:
 
 
 def capture(
-    file: PlyFile,
-    scene: Scene,
-    *,
-    floor: bool = False,
-    count: int | None = None,
-    progress: Progress = silent,
+    file: PlyFile, scene: Scene, *, count: int | None = None, progress: Progress = silent
 ) -> Capture:
-    """Read a file for a scene; with `floor` find the floor and stand the object on it.
+    """Read a file for a scene; if its `reading` says so, find the floor and stand the object on it.
 
     With `count` at most so many of its Gaussians are kept. Raises InputError.
     """
     opened = file.open(progress)
     opened = opened._replace(gaussians=thinned(opened.gaussians, count, seed=scene.seed))
-    told = file.up is not None or file.rotate is not None
-    read = _on_floor(opened, told=told) if floor else _alone(opened, file.path)
+    told = file.reading.up is not None or file.reading.rotate is not None
+    read = _on_floor(opened, told=told) if file.reading.floor else _alone(opened, file.path)
     scene = _with_floor(scene, read)
     return Capture(read.gaussians, _in_metres(scene, read), read.cleaning, {"capture": read.about})
+
+
+def changed(file: PlyFile, scene: Scene, *, count: int | None = None) -> Scene:
+    """The scene as `capture` makes it; the file is read only if that matters. Raises InputError."""
+    if file.reading.floor or in_file_units(scene):
+        return capture(file, scene, count=count).scene
+    return scene
 
 
 def in_file_units(scene: Scene) -> bool:

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import json
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
 
-from phy124.capture import capture
 from phy124.commands.bars import Bars
 from phy124.commands.cutout import doubt
 from phy124.commands.options import pick_device
 from phy124.errors import Cancelled, InputError
 from phy124.gaussians import Gaussians
-from phy124.generators.ply_file import PlyFile, Reading
+from phy124.generators.ply_file import Reading
 from phy124.imaging.cutout import Cutout
 from phy124.parts import WHOLE, Crop
 from phy124.progress import Progress
@@ -43,8 +42,6 @@ class ShowAccuracy:
     generator: str = "relief"
     """How the picture becomes Gaussians."""
     reading: Annotated[Reading, tyro.conf.arg(name="")] = field(default_factory=Reading)
-    floor: bool = False
-    """Finds the floor of a .ply file by a plane fit and stands the object upright on it."""
     device: str = "auto"
     """auto, cpu or cuda:0."""
     json: bool = False
@@ -121,24 +118,19 @@ class ShowAccuracy:
 
     def _object(self, scene: Scene, progress: Progress) -> tuple[Gaussians, Scene, Crop]:
         """The Gaussians to study, the scene meant for them, and where they are in the picture."""
-        if self.image is not None and self.image.suffix.lower() == ".ply":
-            file = PlyFile(path=str(self.image), **asdict(self.reading))
-            read = capture(file, scene, floor=self.floor, progress=progress)
-            return read.gaussians, read.scene, WHOLE
-        if self.floor or self.reading != Reading():
-            limit = "There is no file of Gaussians that --floor, --crop and the like could be for."
-            raise InputError("image", self.image or "none", limit, "Give a .ply file.")
         if self.image is None:
             from phy124.accuracy.ball import ball
 
+            self.reading.refuse("image", "none")
             return ball(), scene, WHOLE
         from phy124.pipeline import static
 
+        generator = str(self.image) if self.image.suffix.lower() == ".ply" else self.generator
         made = static(
-            self.image, generator=self.generator, looked=self._look, seed=scene.seed,
+            self.image, scene, generator=generator, reading=self.reading, looked=self._look,
             progress=progress,
         )  # fmt: skip
-        return made.gaussians, scene, made.crop
+        return made.gaussians, made.scene, made.crop
 
     def _look(self, cutout: Cutout) -> None:
         if not self.json:

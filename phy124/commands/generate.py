@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,11 +14,12 @@ import tyro
 from phy124 import pipeline
 from phy124.accuracy.choose import Goal, said
 from phy124.accuracy.promises import Promise
-from phy124.capture import Capture, capture, in_file_units
+from phy124.capture import Capture, capture, changed
 from phy124.commands.bars import Bars
 from phy124.commands.cutout import IF_WRONG, CutoutOptions, described, doubt
 from phy124.commands.options import SceneOptions, default_out, pick_device
 from phy124.commands.plan import PlanOptions, announce, foretell
+from phy124.generators import needs_image
 from phy124.generators.ply_file import PlyFile, Reading
 from phy124.imaging.cutout import Cutout
 from phy124.imaging.painted import WHOLE
@@ -38,6 +39,7 @@ class Generate:
     options: Annotated[SceneOptions, tyro.conf.arg(name="")] = field(default_factory=SceneOptions)
     generator: str = "relief"
     """What makes the Gaussians: relief, lgm, lgm-aligned, dreamgaussian, or a 3DGS .ply file."""
+    reading: Annotated[Reading, tyro.conf.arg(name="")] = field(default_factory=Reading)
     gaussians: int | None = None
     """About so many Gaussians (relief makes 50,000), or at most so many of what is made."""
     cutting: Annotated[CutoutOptions, tyro.conf.arg(name="")] = field(default_factory=CutoutOptions)
@@ -52,7 +54,10 @@ class Generate:
         out = self.out or default_out(str(self.image), self.options.scene)
         goal = self.plan.goal()
         if self.plan.resume:
-            return go_on(out, self.options, goal)
+            if not needs_image(self.generator):
+                file = PlyFile(self.generator, self.reading)
+                scene = changed(file, scene, count=self.gaussians)
+            return go_on(out, self.options, scene, goal)
         announce(scene, as_json=self.options.json)
         if self.plan.dry_run:
             with looking_in(self.cutting.weights):
@@ -63,6 +68,7 @@ class Generate:
                 scene,
                 out,
                 generator=self.generator,
+                reading=self.reading,
                 method=self.cutting.foreground,
                 mask=self.cutting.mask,
                 looked=partial(self._look, bars),
@@ -80,13 +86,14 @@ class Generate:
         watch = Stopwatch()
         with Bars(quiet=self.options.json) as bars:
             made = pipeline.static(
-                self.image, generator=self.generator, method=self.cutting.foreground,
-                mask=self.cutting.mask, looked=partial(self._look, bars), count=self.gaussians,
-                seed=scene.seed, progress=bars, watch=watch,
+                self.image, scene, generator=self.generator, reading=self.reading,
+                method=self.cutting.foreground, mask=self.cutting.mask,
+                looked=partial(self._look, bars), count=self.gaussians, progress=bars, watch=watch,
             )  # fmt: skip
         return foretell(
-            made.gaussians, scene, self.plan, device, made.crop, watch, as_json=self.options.json
-        )
+            made.gaussians, made.scene, self.plan, device, made.crop, watch,
+            as_json=self.options.json,
+        )  # fmt: skip
 
     def _look(self, bars: Bars, cutout: Cutout) -> None:
         """Say what is doubtful before the long work begins."""
@@ -103,8 +110,6 @@ class Simulate:
     """The .ply file."""
     options: Annotated[SceneOptions, tyro.conf.arg(name="")] = field(default_factory=SceneOptions)
     reading: Annotated[Reading, tyro.conf.arg(name="")] = field(default_factory=Reading)
-    floor: bool = False
-    """Finds the floor by a plane fit, stands the object upright on it and keeps it as scenery."""
     gaussians: int | None = None
     """At most so many of its Gaussians; those that are left grow to cover the same area."""
     out: Path | None = None
@@ -117,11 +122,9 @@ class Simulate:
         device = pick_device(self.options.device)
         out = self.out or default_out(str(self.file), self.options.scene)
         goal = self.plan.goal()
-        file = PlyFile(path=str(self.file), **asdict(self.reading))
+        file = PlyFile(str(self.file), self.reading)
         if self.plan.resume:
-            if self.floor or in_file_units(scene):
-                scene = self._read(file, scene).scene
-            return go_on(out, self.options, goal, scene)
+            return go_on(out, self.options, changed(file, scene, count=self.gaussians), goal)
         check_count(self.gaussians)
         announce(scene, as_json=self.options.json)
         watch = Stopwatch()
@@ -139,7 +142,7 @@ class Simulate:
         return show(result, as_json=self.options.json)
 
     def _read(self, file: PlyFile, scene: Scene, progress: Progress = silent) -> Capture:
-        return capture(file, scene, floor=self.floor, count=self.gaussians, progress=progress)
+        return capture(file, scene, count=self.gaussians, progress=progress)
 
     def _foretell(self, file: PlyFile, scene: Scene, device: str) -> int:
         """Read the Gaussians and print how long the rest would take."""
@@ -151,14 +154,9 @@ class Simulate:
         )
 
 
-def go_on(
-    out: Path, options: SceneOptions, goal: Goal | None = None, scene: Scene | None = None
-) -> int:
-    """Take up the run that was interrupted in a folder; prints as it would have.
-
-    `scene` is what the options became, where that is not `options.resolve()` itself.
-    """
-    device, scene = pick_device(options.device), scene or options.resolve()
+def go_on(out: Path, options: SceneOptions, scene: Scene, goal: Goal | None = None) -> int:
+    """Take up the run of a scene that was interrupted in a folder; prints as it would have."""
+    device = pick_device(options.device)
     with Bars(quiet=options.json, keeps=True) as bars:
         result = pipeline.go_on(
             out, scene, any_accuracy=goal is not None, device=device, progress=bars, keep=True

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from PIL import Image
 
     from phy124.gaussians import Gaussians
+    from phy124.generators.ply_file import Reading
 
 
 class Generator(Protocol):
@@ -67,18 +68,25 @@ GENERATORS: dict[str, Callable[[], Generator]] = {
 """Name to factory; each imports its generator only when called."""
 
 
-def make(chosen: str | Generator) -> Generator:
+def make(chosen: str | Generator, reading: Reading | None = None) -> Generator:
     """The generator of a name in `GENERATORS`, of the path of a .ply file, or of itself.
 
+    Args:
+        chosen: Name, path or generator.
+        reading: How the .ply file is meant; None: as its dialect says.
+
     Raises:
-        InputError: No generator has that name, or what it needs is not installed.
+        InputError: No generator has that name, what it needs is not installed, or `reading` is
+            given without a file.
     """
-    if not isinstance(chosen, str):
-        return chosen
-    if chosen.lower().endswith(".ply"):
+    if isinstance(chosen, str) and chosen.lower().endswith(".ply"):
         from phy124.generators.ply_file import PlyFile
 
-        return PlyFile(chosen)
+        return PlyFile(chosen, reading) if reading else PlyFile(chosen)
+    if reading is not None:
+        reading.refuse("generator", chosen)
+    if not isinstance(chosen, str):
+        return chosen
     if chosen not in GENERATORS:
         known = ", ".join(GENERATORS)
         limit = "There is no such generator."

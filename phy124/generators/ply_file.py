@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
 
 from phy124.axes import numbers, orientation, turned
 from phy124.errors import InputError
@@ -25,22 +26,45 @@ MARGIN = 0.5
 """How far from that core, in its sizes, a Gaussian still belongs to the object."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Reading:
-    """How a file of Gaussians is meant."""
+class Reading(BaseModel):
+    """How a .ply file of Gaussians is meant."""
 
-    up: str | None = None
-    """Direction of the file that points up: x, y, z, -x, -y, -z, or three numbers such as
-    0.1,-1,0.2; absent: as its dialect has it."""
-    front: str | None = None
-    """Direction of the file that the object faces, likewise."""
-    dialect: str = "3dgs"
-    """Program that wrote the file: 3dgs, lgm, dreamgaussian, trellis, ..."""
-    rotate: str | None = None
-    """Turns the file before that: degrees about x, then y, then z, such as 10,0,-25; or a
-    quaternion w,x,y,z."""
-    crop: str | None = None
-    """Keeps only what is in a box, x,y,z,X,Y,Z, in the file's own units and axes."""
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    up: str | None = Field(
+        default=None,
+        description="Direction of the .ply file that points up: x, y, z, -x, -y, -z, or three "
+        "numbers such as 0.1,-1,0.2; absent: as its dialect has it.",
+    )
+    front: str | None = Field(
+        default=None, description="Direction of the .ply file that the object faces, likewise."
+    )
+    dialect: str = Field(
+        default="3dgs",
+        description="Program that wrote the .ply file: 3dgs, lgm, dreamgaussian, trellis, ...",
+    )
+    rotate: str | None = Field(
+        default=None,
+        description="Turns the .ply file before that: degrees about x, then y, then z, such as "
+        "10,0,-25; or a quaternion w,x,y,z.",
+    )
+    crop: str | None = Field(
+        default=None,
+        description="Keeps only what is in a box, x,y,z,X,Y,Z, in the .ply file's own units and "
+        "axes.",
+    )
+    floor: bool = Field(
+        default=False,
+        description="Finds the floor of a .ply file by a plane fit, stands the object upright on "
+        "it and keeps it as scenery.",
+    )
+
+    def refuse(self, name: str, source: object) -> None:
+        """Raise InputError if anything is told of a file although `source` is none."""
+        told = [f"--{option}" for option in self.model_dump(exclude_defaults=True)]
+        if told:
+            limit = f"{' and '.join(told)} {'is' if len(told) == 1 else 'are'} for a .ply file."
+            raise InputError(name, source, limit, "Give a .ply file, or leave that out.")
 
 
 class Opened(NamedTuple):
@@ -55,10 +79,14 @@ class Opened(NamedTuple):
 
 
 @dataclass(frozen=True)
-class PlyFile(Reading):
-    """The generator that reads a file instead of looking at the picture."""
+class PlyFile:
+    """The generator that reads a file instead of looking at the picture.
+
+    Where its floor is found and what stands on it is told by `phy124.capture`, which has a scene.
+    """
 
     path: str
+    reading: Reading = field(default_factory=Reading)
 
     def __call__(
         self,
@@ -77,13 +105,17 @@ class PlyFile(Reading):
 
     def read(self, progress: Progress = silent) -> tuple[Gaussians, list[str]]:
         """The same, and a sentence for each reason for which some were left out."""
+        if self.reading.floor:
+            limit = "A floor is part of a scene, and there is none here."
+            raise InputError("floor", "wanted", limit, "Call phy124.capture.capture instead.")
         opened = self.open(progress)
         return normalised(opened.gaussians, self.path), opened.cleaning
 
     def open(self, progress: Progress = silent) -> Opened:
         """The file's visible Gaussians, turned upright and cropped; raises InputError."""
         progress("read", 0, 1)
-        rotation = orientation(self.up, self.front, self.dialect, self.rotate)
+        told = self.reading
+        rotation = orientation(told.up, told.front, told.dialect, told.rotate)
         box = self._box()
         found, dropped = read_ply(self.path, up="z", front="x")  # as they are in the file
         inside = np.ones(len(found), bool)
@@ -115,12 +147,13 @@ class PlyFile(Reading):
 
     def _box(self) -> NDArray[np.float64] | None:
         """Lowest and highest corner [2,3] of the crop."""
-        if self.crop is None:
+        crop = self.reading.crop
+        if crop is None:
             return None
-        values = numbers(self.crop, 6)
+        values = numbers(crop, 6)
         if values is None or (values[:3] >= values[3:]).any():
             raise InputError(
-                "crop", self.crop, "A box has six numbers, each of the first three the lower.",
+                "crop", crop, "A box has six numbers, each of the first three the lower.",
                 "Write x,y,z,X,Y,Z, such as -1,-1,-1,1,1,1.",
             )  # fmt: skip
         return values.reshape(2, 3)
@@ -128,7 +161,7 @@ class PlyFile(Reading):
     def _empty(self, found: Gaussians) -> InputError:
         low, high = (",".join(f"{v:.3g}" for v in corner) for corner in robust_bounds(found))
         return InputError(
-            "crop", self.crop, "No Gaussian is in this box.",
+            "crop", self.reading.crop, "No Gaussian is in this box.",
             f"The file's Gaussians reach from {low} to {high}.",
         )  # fmt: skip
 
