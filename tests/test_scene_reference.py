@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from phy124.__main__ import main
 from phy124.scene import Scene
 from phy124.scene.reference import EXAMPLE, reference, schema
 from support.declared import leaves
@@ -42,6 +43,12 @@ def test_editors_get_a_schema_of_everything():
     told = json.loads(schema())
     assert told["$schema"].startswith("https://json-schema.org/")
     assert told["properties"]["object"] and "Snow" in told["$defs"]
+
+
+def test_the_reference_as_json_is_the_schema(capsys):
+    for options in (["--reference", "--json"], ["--schema"], ["--schema", "--json"]):
+        assert main(["scenes", *options]) == 0
+        assert json.loads(capsys.readouterr().out) == json.loads(schema())
 
 
 def test_examples_are_legal():

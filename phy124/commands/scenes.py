@@ -20,14 +20,14 @@ class Scenes:
     reference: bool = False
     """Print every field of a scene: what it may be, its default and what it is."""
     schema: bool = False
-    """Print the JSON schema of scene files, for editors."""
+    """Print the JSON schema of scene files, for editors; the same as --reference --json."""
     json: bool = False
-    """Print as JSON."""
+    """Print as JSON and nothing else."""
 
     def run(self) -> int:
         """Print."""
         if self.reference or self.schema:
-            print(reference() if self.reference else schema(), end="")
+            print(schema() if self.schema or self.json else reference(), end="")
             return 0
         if self.name is not None:
             scene = Scene.named(self.name)

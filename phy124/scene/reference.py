@@ -84,7 +84,7 @@ def reference() -> str:
 def schema() -> str:
     """The JSON schema, for editors."""
     told = {"$schema": "https://json-schema.org/draft/2020-12/schema", **declaration(Scene).schema}
-    return json.dumps(told, indent=1)
+    return json.dumps(told, indent=1) + "\n"
 
 
 def _page(
