@@ -49,7 +49,7 @@ def rotate_sh(sh: NDArray, quats: NDArray) -> NDArray[np.float32]:
     """
     turned = np.array(sh, dtype=np.float64)
     rotations = rotation_matrices(quats)
-    directions = _spread_directions(16)
+    directions = spread_directions(16)
     for degree, band in ((1, slice(1, 4)), (2, slice(4, 9)), (3, slice(9, 16))):
         if sh.shape[1] < (degree + 1) ** 2:
             break
@@ -60,7 +60,7 @@ def rotate_sh(sh: NDArray, quats: NDArray) -> NDArray[np.float32]:
     return turned.astype(np.float32)
 
 
-def _spread_directions(count: int) -> NDArray[np.float64]:
+def spread_directions(count: int) -> NDArray[np.float64]:
     """Unit vectors on a Fibonacci spiral [count, 3]."""
     i = np.arange(count) + 0.5
     z, angle = 1 - 2 * i / count, np.pi * (1 + 5**0.5) * i

@@ -7,7 +7,7 @@ from phy124.axes import euler, orientation, turn, turned, upright
 from phy124.errors import InputError
 from phy124.gaussians import rotation_matrices
 from phy124.harmonics import sh_basis
-from test_ply import some_gaussians
+from support.shapes import random_gaussians
 
 
 def random_rotation(rng) -> np.ndarray:
@@ -16,7 +16,7 @@ def random_rotation(rng) -> np.ndarray:
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_places_shapes_and_colours_turn_by_any_rotation(rng, degree):
-    given, rotation = some_gaussians(rng, degree=degree), random_rotation(rng)
+    given, rotation = random_gaussians(rng, degree=degree), random_rotation(rng)
     made = turned(given, rotation)
     assert np.allclose(made.means, given.means @ rotation.T, atol=1e-6)
     assert np.allclose(made.covariances(), rotation @ given.covariances() @ rotation.T, atol=1e-6)

@@ -28,6 +28,7 @@ from phy124.kernels import collide
 from phy124.materials import Fluid, Foam, NeoHookean, Plasticine, Sand, Snow
 from phy124.mpm import Solver
 from phy124.region import Region
+from support.shapes import lattice
 
 DX = 0.1
 EYE = np.eye(3)
@@ -35,10 +36,7 @@ EYE = np.eye(3)
 
 def block(size=(0.4, 0.4, 0.4), low=(0.0, 0.0, 0.0)) -> np.ndarray:
     """Eight particles per cell, from a corner on [m]."""
-    lines = [
-        np.arange(round(2 * s / DX)) * DX / 2 + DX / 4 + a for s, a in zip(size, low, strict=True)
-    ]
-    return np.stack(np.meshgrid(*lines, indexing="ij"), -1).reshape(-1, 3)
+    return lattice(*[round(2 * side / DX) for side in size], spacing=DX / 2, corner=low)
 
 
 def solver(x: np.ndarray, *walls, material=None, **options) -> Solver:

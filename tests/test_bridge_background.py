@@ -7,7 +7,7 @@ from rosbags.rosbag2 import Reader
 
 from bridge.sinks.background import Background
 from bridge.sinks.mcap import McapSink
-from support.bridge_clips import random_clip
+from support.clips import random_clip
 
 WAIT = 20
 FRAME = random_clip(frames=1).frame(0)

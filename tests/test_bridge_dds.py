@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from support.bridge_clips import random_clip
+from support.clips import random_clip
 
 pytest.importorskip("cyclonedds")
 

@@ -11,7 +11,7 @@ from bridge.encoder import FrameEncoder
 from bridge.options import Options
 from bridge.topics import ELLIPSOIDS, POINTS, TF_STATIC
 from phy124.gaussians import rotation_matrices
-from support.bridge_clips import random_clip
+from support.clips import random_clip
 
 JAZZY = get_typestore(Stores.ROS2_JAZZY)
 EPOCH = 1_700_000_000

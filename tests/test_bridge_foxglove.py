@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
-from support.bridge_clips import random_clip
+from support.clips import random_clip
 
 pytest.importorskip("foxglove")
 

@@ -11,7 +11,7 @@ import pytest
 from bridge.layout import FULL, cloud, evenly, packed_rgb, points, small_points
 from phy124.gaussians import Gaussians
 from phy124.io.ply import write_ply
-from support.bridge_clips import random_clip
+from support.clips import random_clip
 
 
 def bits(values):

@@ -12,7 +12,7 @@ import pytest
 from bridge import live
 from bridge.player import Player
 from phy124.errors import InputError
-from support.bridge_clips import random_clip
+from support.clips import random_clip
 
 
 class Clock:

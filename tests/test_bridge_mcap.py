@@ -19,7 +19,7 @@ from bridge.layout import points
 from bridge.options import Options
 from bridge.sinks.mcap import McapSink
 from phy124.errors import InputError
-from support.bridge_clips import random_clip
+from support.clips import random_clip
 
 JAZZY = get_typestore(Stores.ROS2_JAZZY)
 EPOCH = 1_700_000_000
@@ -203,7 +203,7 @@ def test_read_only_folder(tmp_path):
 DISK_FULL = """
 import resource, signal, sys
 sys.path[:0] = [{root!r}, {tests!r}]
-from support.bridge_clips import random_clip
+from support.clips import random_clip
 from bridge.sinks.mcap import McapSink
 from phy124.errors import InputError
 resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))

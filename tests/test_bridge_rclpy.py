@@ -18,7 +18,7 @@ from bridge.topics import POINTS, Message
 from phy124.errors import InputError
 from phy124.generators.ply_file import Reading
 from support import ros_double
-from support.bridge_clips import random_clip
+from support.clips import random_clip
 from support.ros_double import POLICIES, Node
 
 JAZZY = get_typestore(Stores.ROS2_JAZZY)

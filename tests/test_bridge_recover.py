@@ -17,14 +17,14 @@ from bridge.options import Options
 from bridge.recover import Recovery, recover
 from bridge.sinks.mcap import McapSink
 from phy124.errors import InputError
-from support.bridge_clips import random_clip
+from support.clips import random_clip
 
 TESTS = Path(__file__).parent
 WRITER = """
 import itertools, sys
 sys.path[:0] = [{root!r}, {tests!r}]
 from dataclasses import replace
-from support.bridge_clips import random_clip
+from support.clips import random_clip
 from bridge.options import Options
 from bridge.sinks.mcap import McapSink
 clip = random_clip(frames=4, count={count})

@@ -26,8 +26,8 @@ from phy124.io.ply import write_ply
 from phy124.progress import silent
 from phy124.scene import Scene
 from phy124.simulation import Simulation, Stopped
-from support.bridge_clips import random_clip
 from support.captures import captured
+from support.clips import random_clip
 
 SUBSCRIBER = Path(__file__).parent / "support/bridge_subscriber.py"
 CHANGES = ("accuracy=draft", "time.frames=6")

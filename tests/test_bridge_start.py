@@ -17,7 +17,7 @@ import setuptools
 
 from bridge.__main__ import main
 from bridge.start import importing
-from support.bridge_clips import random_clip
+from support.clips import random_clip
 
 ROOT = Path(__file__).parents[1]
 BRIDGE = ROOT / "bridge"

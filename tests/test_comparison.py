@@ -13,8 +13,8 @@ from phy124.errors import InputError
 from phy124.gaussians import SH_C0
 from phy124.metrics import psnr, ssim
 from phy124.metrics.comparison import Pictures, compare
-from test_framing import AWAY, flight
-from test_video import read as read_video
+from support.clips import AWAY, flight
+from support.videos import read_video
 
 
 @pytest.fixture(scope="module")

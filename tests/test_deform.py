@@ -10,6 +10,7 @@ from phy124.errors import InputError
 from phy124.gaussians import Gaussians, quaternions, rotation_matrices
 from phy124.harmonics import sh_basis
 from phy124.particles import Particles, make_particles
+from support.shapes import lattice
 
 IDENTITY = np.eye(3)
 
@@ -246,13 +247,12 @@ def test_field_follows_bending_to_second_order(rng):
 
     errors = []
     for cells in (10, 20):
-        axis = (np.arange(cells) + 0.5) / cells
-        x = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3).astype(np.float32)
+        x = lattice(*[cells] * 3, spacing=1 / cells).astype(np.float32)
         F = np.tile(IDENTITY, (len(x), 1, 1))
         F[:, 2, 0] = x[:, 0]
         one = np.ones(len(x))
-        lattice = Particles(x, one, one, one.astype(np.int32), -one.astype(np.int32))
-        frame = Deformer(gaussians, lattice)(bend(x), F, index=0, time=0)
+        particles = Particles(x, one, one, one.astype(np.int32), -one.astype(np.int32))
+        frame = Deformer(gaussians, particles)(bend(x), F, index=0, time=0)
         errors.append(np.abs(frame.gaussians.means - bend(points)).mean())
     assert errors[0] < 2e-3
     assert errors[0] / errors[1] > 3

@@ -17,9 +17,8 @@ from demo.work import DEVICE, Limits, Measured, Reused, Step, steps, study_file
 from phy124.errors import Cancelled, InputError
 from phy124.monitor.tearing import Tearing
 from phy124.scene import Scene
-from test_demo_work import order
+from support.orders import small_order
 
-__all__ = ["order"]
 DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"
 QUICK = {"time.frames": 3, "binding": "field", "accuracy": {"cells": 32}}
 
@@ -62,7 +61,8 @@ def test_a_scene_on_a_coarse_grid_is_measured_there_too():
 
 
 @pytest.fixture
-def study(order):
+def study(tmp_path):
+    order = small_order(tmp_path)
     scene = order.scene.replaced(QUICK)
     return replace(order, scene=scene, levels=(8, 10, 12))
 

@@ -10,10 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from demo.pictures import cut_out
-from demo.visitors import STAGES, Visitor
+from demo.visitors import STAGES
 from demo.work import (
     DEVICE,
     Done,
@@ -30,32 +29,18 @@ from demo.work import (
 )
 from phy124.clip import Clip
 from phy124.errors import Cancelled, InputError
-from phy124.gaussians import Frame, Gaussians
-from phy124.io.ply import write_ply
+from phy124.gaussians import Frame
 from phy124.rendering.framing import departures
 from phy124.runtime import startup
 from phy124.scene import Scene, View
+from support.orders import small_order
 
 DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"
-FEW = {"accuracy": {"cells": 8, "ppc": 1.0}, "time.frames": 3, "view.size": 48}
 
 
 @pytest.fixture
-def order(tmp_path, rng) -> Order:
-    """A small ball instead of a generator's work."""
-    away = rng.normal(size=(400, 3))
-    means = 0.5 * away / np.linalg.norm(away, axis=1, keepdims=True)
-    quats, scales = np.tile([1.0, 0, 0, 0], (400, 1)), np.full((400, 3), 0.06)
-    ball = Gaussians.from_rgb(means, quats, scales, np.full(400, 0.9), rng.random((400, 3)))
-    write_ply(tmp_path / "ball.ply", ball)
-    visitor = Visitor(tmp_path / "visitor")
-    cutout = visitor.folder / "cutouts" / "a.png"
-    Image.new("RGBA", (8, 8), "red").save(cutout)
-    scene = Scene.named("drop").replaced({**FEW, "view.views": ["front"]})
-    return Order(
-        visitor.folder, cutout, scene, visitor.new_stop_file(), 60, 10**6,
-        generator=str(tmp_path / "ball.ply"), device="cpu",
-    )  # fmt: skip
+def order(tmp_path) -> Order:
+    return small_order(tmp_path)
 
 
 def _run(order: Order) -> tuple[Done, list]:

@@ -12,7 +12,7 @@ from support.shapes import block
 
 def test_the_window_forgets_a_particle_that_flew_off():
     """One leaves at 1 km/s: the window is that of the others again, and nobody is lost."""
-    x = np.concatenate([block(), [[1500.0, 0, 0.2]]])
+    x = np.concatenate([block(middle=(0, 0, 0.24)), [[1500.0, 0, 0.2]]])
     v = np.zeros_like(x)
     v[-1] = [0, 600, 1000]
     s = Solver(x, np.full(len(x), 1e-4), [NeoHookean(E=1e4)], dx=0.125, v=v)
@@ -29,7 +29,7 @@ def test_who_crosses_the_edge_of_the_domain_falls_once_per_substep(rng, threads)
     way = rng.normal(size=(20, 3))
     way /= np.linalg.norm(way, axis=1, keepdims=True)
     start = way * np.repeat([4.0, 9.0], 10)[:, None]
-    x = np.concatenate([block(), start, [[1500.0, 0, 0.2]]])
+    x = np.concatenate([block(middle=(0, 0, 0.24)), start, [[1500.0, 0, 0.2]]])
     v = np.zeros_like(x)
     v[216:236] = way * np.repeat([60.0, -60.0], 10)[:, None]
     s = Solver(x, np.full(len(x), 1e-4), [NeoHookean(E=1e2)], dx=0.125, v=v, forces=[Gravity()],

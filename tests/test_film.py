@@ -11,8 +11,8 @@ from phy124.io.export import usd
 from phy124.io.ply import read_ply
 from phy124.rendering.film import film
 from phy124.scene import Scene, View
-from test_framing import AWAY, flight
-from test_video import read as read_video
+from support.clips import AWAY, flight
+from support.videos import read_video
 
 SIZE = (48, 32)
 

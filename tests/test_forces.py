@@ -20,14 +20,10 @@ from phy124.materials import NeoHookean
 from phy124.mpm import Solver
 from phy124.region import Region
 from phy124.tracks import Keyframes, Ramp, Sine
+from support.shapes import block
 
 DX = 0.125
 LEFT = Region(upper=(0.0, 1e9, 1e9))
-
-
-def block(per_axis: int = 6, size: float = 0.375) -> np.ndarray:
-    line = (np.arange(per_axis) + 0.5) / per_axis * size - size / 2
-    return np.stack(np.meshgrid(line, line, line, indexing="ij"), -1).reshape(-1, 3)
 
 
 def solver(*forces, x: np.ndarray | None = None, **options) -> Solver:

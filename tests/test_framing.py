@@ -5,28 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from phy124.clip import Clip
-from phy124.gaussians import Frame
 from phy124.rendering.framing import cameras, departures, framing
 from phy124.scene import View
-from support.shapes import ball
-
-
-def flight(steps, *, count=500) -> Clip:
-    """A ball of 1 m that is moved by so many metres in each frame [T,3]."""
-    rest = ball(count)
-    frames = [
-        Frame(i, i / 24, rest.moved(1.0, np.array(step, float))) for i, step in enumerate(steps)
-    ]
-    return Clip.from_frames(frames)
+from support.clips import AWAY, flight
 
 
 def view(**changes) -> View:
     return View.model_validate({"views": ["front"], "elevation": 0, "distance": 1.9} | changes)
-
-
-AWAY = [(0, 0.2 * i, 0) for i in range(8)]
-"""To the right of the front camera."""
 
 
 def seen(clip, chosen, side="front") -> list[np.ndarray]:

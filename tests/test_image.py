@@ -1,7 +1,6 @@
 """Pictures: every kind opens right and upright, limits hold."""
 
 import struct
-import zlib
 
 import numpy as np
 import pytest
@@ -10,6 +9,7 @@ from PIL import Image
 from phy124.errors import InputError
 from phy124.imaging import image
 from phy124.imaging.image import open_image, recenter
+from support.hostile import png_claiming
 
 
 def gradient(height=20, width=30):
@@ -69,19 +69,6 @@ def test_long_pictures_are_reduced(tmp_path, monkeypatch):
     monkeypatch.setattr(image, "WORK_SIDE", 12)
     opened = open_image(saved(tmp_path, Image.fromarray(gradient())))
     assert opened.size == (12, 8)
-
-
-def png_claiming(width, height):
-    """A valid small PNG whose header claims a size."""
-
-    def chunk(kind, data):
-        return (
-            struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-        )
-
-    head = struct.pack(">IIBBBBB", width, height, 1, 0, 0, 0, 0)
-    body = chunk(b"IHDR", head) + chunk(b"IDAT", zlib.compress(bytes(64))) + chunk(b"IEND", b"")
-    return b"\x89PNG\r\n\x1a\n" + body
 
 
 @pytest.mark.parametrize("side", [8000, 13000, 30000])

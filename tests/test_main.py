@@ -20,7 +20,7 @@ from phy124.rendering.camera import Camera
 from phy124.rendering.render import Renderer
 from phy124.scene import Scene
 from support.shapes import ball
-from test_video import read as read_video
+from support.videos import read_video
 
 DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"
 QUICK = ["--accuracy", "draft", "--frames", "3", "--size", "64", "--device", "cpu"]

@@ -16,15 +16,15 @@ from phy124.materials import FixedCorotated, NeoHookean
 from phy124.mpm import Solver, Unstable
 from phy124.mpm.lanes import Meeting
 from phy124.region import Region
+from support import shapes
 
 DX = 1 / 8
 FORMS = [("float32", True), ("float32", False), ("float64", False)]
 
 
-def block(per_axis: int = 8, size: float = 0.5) -> np.ndarray:
-    """Centres of a cube of particles around (0, 0, 1) [m]."""
-    line = (np.arange(per_axis) + 0.5) / per_axis * size - size / 2
-    return np.stack(np.meshgrid(line, line, line), axis=-1).reshape(-1, 3) + [0, 0, 1]
+def block(per_axis: int = 8) -> np.ndarray:
+    """A cube of 0.5 m around (0, 0, 1)."""
+    return shapes.block(per_axis, 0.5, middle=(0, 0, 1))
 
 
 def solver(x: np.ndarray, material=None, size: float = 0.5, **options) -> Solver:

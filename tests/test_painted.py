@@ -6,7 +6,7 @@ from PIL import Image
 
 from phy124.errors import InputError
 from phy124.imaging.painted import brightness
-from test_image import png_claiming
+from support.hostile import png_claiming
 
 CORNERS = np.array([[0, -1, 1], [0, 1, 1], [0, -1, -1], [0, 1, -1]], float)
 """Top left, top right, bottom left, bottom right, seen from the front."""

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from phy124.monitor.pieces import FAR, Pieces, labels
+from support.shapes import lattice
 
 
 def block(corner, cells=4) -> np.ndarray:
     """Eight particles in each of cells^3 cells of 1 m."""
-    line = np.arange(2 * cells) / 2 + 0.25
-    return np.stack(np.meshgrid(line, line, line, indexing="ij"), -1).reshape(-1, 3) + corner
+    return lattice(*[2 * cells] * 3, spacing=0.5, corner=corner)
 
 
 def test_touching_cells_hang_together_and_an_empty_layer_parts():

@@ -13,17 +13,10 @@ from phy124.harmonics import sh_basis
 from phy124.io import ply
 from phy124.io.ply import read_ply, write_ply
 from phy124.io.plyheader import MAX_BYTES
+from support.shapes import random_gaussians
 
 NAMES = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2"]
 NAMES += ["rot_0", "rot_1", "rot_2", "rot_3"]
-
-
-def some_gaussians(rng, count=50, degree=0):
-    quats = rng.normal(size=(count, 4))
-    quats /= np.linalg.norm(quats, axis=1, keepdims=True)
-    sh = rng.normal(size=(count, (degree + 1) ** 2, 3))
-    scales, opacities = np.exp(rng.normal(size=(count, 3)) - 4), rng.random(count)
-    return Gaussians(rng.normal(size=(count, 3)), quats, scales, opacities, sh)
 
 
 def header(names=NAMES, count=2, kind="float", encoding="binary_little_endian", after=()):
@@ -53,7 +46,7 @@ def assert_same(a, b, atol=3e-7):
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_written_files_are_read_back(tmp_path, rng, degree):
-    gaussians = some_gaussians(rng, degree=degree)
+    gaussians = random_gaussians(rng, degree=degree)
     write_ply(tmp_path / "a.ply", gaussians)
     back, dropped = read_ply(tmp_path / "a.ply")
     assert dropped == 0
@@ -122,7 +115,7 @@ def test_axes_of_each_dialect(tmp_path, dialect, axes):
 
 @pytest.mark.parametrize("up", ["y", "-y", "z", "-x"])
 def test_shape_and_colour_turn_with_the_axes(tmp_path, rng, up):
-    gaussians = some_gaussians(rng, degree=3)
+    gaussians = random_gaussians(rng, degree=3)
     write_ply(tmp_path / "a.ply", gaussians)
     as_file = read_ply(tmp_path / "a.ply", up="z", front="x").gaussians
     ours = read_ply(tmp_path / "a.ply", up=up).gaussians

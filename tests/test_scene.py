@@ -1,14 +1,12 @@
-from typing import get_args
-
 import pytest
 from pydantic import ValidationError
 
 from phy124.boundaries import Sphere
 from phy124.errors import InputError
 from phy124.forces import Wind
-from phy124.materials import AnyMaterial
 from phy124.scene import PRESETS, Scene, parse_value, preset_names, summary
 from phy124.tracks import Sine
+from reference.material_point import KINDS
 
 EXPECTED = {
     "bounce", "drop", "foam", "jelly", "metal", "press", "push_away", "push_right",
@@ -121,27 +119,21 @@ def test_an_unknown_preset_names_the_nearest():
         Scene.named("pres")
 
 
-LAWS = {
-    material.model_fields["law"].default: material
-    for material in get_args(get_args(AnyMaterial)[0])
-}
-
-
-@pytest.mark.parametrize("law", sorted(LAWS))
+@pytest.mark.parametrize("law", sorted(KINDS))
 def test_a_new_law_takes_its_own_defaults(law):
     """Whatever the preset's law was given means nothing to another one."""
     for name in preset_names():
         scene = Scene.named(name)
         if scene.material.law != law:
-            assert scene.replaced({"material.law": law}).material == LAWS[law]()
+            assert scene.replaced({"material.law": law}).material == KINDS[law]()
 
 
 def test_only_what_is_set_beside_a_new_law_stays():
     made = Scene.named("press").replaced({"material.nu": 0.1, "material.law": "metal"}).material
-    assert made == LAWS["metal"](nu=0.1)
+    assert made == KINDS["metal"](nu=0.1)
     part = {"region": {"upper": [0, 0, 0]}, "material": {"law": "sand", "E": 3e4}}
     scene = Scene(parts=[part]).replaced({"parts.0.material.law": "foam"})
-    assert scene.parts[0].material == LAWS["foam"]()
+    assert scene.parts[0].material == KINDS["foam"]()
     assert scene.parts[0].region.upper == (0, 0, 0)
 
 

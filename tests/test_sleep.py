@@ -13,7 +13,7 @@ from phy124.monitor.sleep import STILL, Sleep, next_change
 from phy124.scene import Scene
 from phy124.simulation import Simulation
 from phy124.tracks import Constant, Keyframes, Ramp, Sine, Track
-from support.shapes import ball
+from support.shapes import ball, lattice
 
 UP = (0.0, 0.0, 1.0)
 BLOW = {"kind": "impulse", "p": [0, 200.0, 0], "start": 0.25, "duration": 0.02}
@@ -28,8 +28,7 @@ def scene(**changes) -> Scene:
 
 def cube() -> Gaussians:
     """A solid cube of ten round Gaussians a side."""
-    line = (np.arange(10) + 0.5) / 10
-    x = np.stack(np.meshgrid(line, line, line, indexing="ij"), -1).reshape(-1, 3)
+    x = lattice(10, 10, 10, spacing=0.1)
     n = len(x)
     quats, scales = np.tile([1, 0, 0, 0], (n, 1)), np.full((n, 3), 0.04)
     return Gaussians.from_rgb(x, quats, scales, np.full(n, 0.95), x)

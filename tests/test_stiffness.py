@@ -13,7 +13,7 @@ from phy124.region import Region
 from phy124.scene import Scene
 from phy124.simulation import Simulation
 from phy124.stiffness import Gradient, Listed, Picture
-from support.shapes import ball
+from support.shapes import ball, lattice
 
 DX = 1 / 16
 E = 1e5
@@ -26,9 +26,7 @@ AT = np.array([0.25, 0.75])
 
 def bar() -> np.ndarray:
     """A bar of length 1 m along z, two particles per cell and axis."""
-    line = (np.arange(8) + 0.5) * DX / 2
-    along = (np.arange(32) + 0.5) * DX / 2
-    return np.stack(np.meshgrid(line, line, along, indexing="ij"), -1).reshape(-1, 3)
+    return lattice(8, 8, 32, spacing=DX / 2)
 
 
 def pulled(share: np.ndarray | None) -> np.ndarray:

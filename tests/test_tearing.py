@@ -6,6 +6,7 @@ import pytest
 from phy124.materials import NeoHookean, Sand
 from phy124.monitor.tearing import APART, Tearing
 from phy124.mpm import Solver
+from support.shapes import lattice
 
 CELLS = 16
 
@@ -15,8 +16,7 @@ def pulled(
 ) -> tuple[Solver, Tearing]:
     """A bar of 1 m whose ends fly apart at `speed` m/s each; looked at in every frame."""
     h = 1 / cells / ppc
-    sides = [np.arange(round(n / h)) * h + h / 2 for n in (0.25, 0.25, 1.0)]
-    x = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
+    x = lattice(*[round(side / h) for side in (0.25, 0.25, 1.0)], spacing=h)
     rate = np.zeros((len(x), 3, 3))
     rate[:, 2, 2] = 2 * speed
     v = np.einsum("pij,pj->pi", rate, x - 0.5)
@@ -77,12 +77,9 @@ def test_a_thin_stem_that_parts_is_reported():
 def dumb_bell(speed: float) -> Solver:
     """Blocks of 10 cells, a rod of one cell and 6 long; they fly apart at `speed` m/s each."""
     dx, h = 0.05, 0.025
-    line = (np.arange(20) + 0.5) * h
-    block = np.stack(np.meshgrid(line, line, line, indexing="ij"), -1).reshape(-1, 3)
-    rod = np.stack(
-        np.meshgrid(*[[0.2375, 0.2625]] * 2, (np.arange(12) + 0.5) * h, indexing="ij"), -1
-    )
-    x = np.concatenate([block, rod.reshape(-1, 3) + [0, 0, 0.5], block + [0, 0, 0.8]])
+    block = lattice(20, 20, 20, spacing=h)
+    rod = lattice(2, 2, 12, spacing=h, corner=(0.225, 0.225, 0.5))
+    x = np.concatenate([block, rod, block + [0, 0, 0.8]])
     v = np.zeros_like(x)
     v[:, 2] = speed * np.clip((x[:, 2] - 0.65) / 0.15, -1, 1)
     return Solver(x, np.full(len(x), h**3), [NeoHookean(E=1e4)], dx=dx, v=v, threads=1)

@@ -16,35 +16,18 @@ from phy124.io import video
 from phy124.io.video import write_animation, write_mp4
 from phy124.rendering.camera import Camera
 from phy124.rendering.render import render_frames
+from support.videos import ffmpeg, read_video, stream
 
 
 def plain(colour, size=(64, 48)) -> np.ndarray:
     return np.full((size[1], size[0], 3), colour, np.uint8)
 
 
-def ffmpeg(*arguments, check=True) -> subprocess.CompletedProcess:
-    command = [imageio_ffmpeg.get_ffmpeg_exe(), *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, check=check)
-
-
-def stream(path) -> str:
-    """What ffmpeg says of the video stream."""
-    told = ffmpeg("-i", path, check=False).stderr.decode()  # it complains of no output file
-    return next(line for line in told.splitlines() if "Video:" in line)
-
-
-def read(path) -> np.ndarray:
-    """All frames [T,H,W,3], decoded as the file's tags say."""
-    width, height = map(int, re.search(r", (\d+)x(\d+)", stream(path)).groups())
-    raw = ffmpeg("-v", "error", "-i", path, "-pix_fmt", "rgb24", "-f", "rawvideo", "-").stdout
-    return np.frombuffer(raw, np.uint8).reshape(-1, height, width, 3)
-
-
 @pytest.mark.parametrize("fps", [24, 29.97, 12.5])
 def test_count_rate_and_format_read_back(tmp_path, fps):
     path = tmp_path / "a.mp4"
     assert write_mp4(path, (plain((10 * i, 0, 0)) for i in range(11)), fps=fps) == 11
-    assert read(path).shape == (11, 48, 64, 3)
+    assert read_video(path).shape == (11, 48, 64, 3)
     about = stream(path)
     assert float(re.search(r"([\d.]+) fps", about)[1]) == fps
     assert "h264 (High)" in about and "yuv420p(tv, bt709, progressive)" in about
@@ -56,7 +39,7 @@ def test_count_rate_and_format_read_back(tmp_path, fps):
 def test_colours_survive(tmp_path):
     colours = [(255, 0, 0), (0, 255, 0), (0, 0, 255), (255, 255, 255), (0, 0, 0), (200, 120, 40)]
     write_mp4(tmp_path / "a.mp4", [plain(c) for c in colours for _ in range(3)], fps=24)
-    frames = read(tmp_path / "a.mp4")
+    frames = read_video(tmp_path / "a.mp4")
     for i, colour in enumerate(colours):
         error = np.abs(frames[3 * i + 1].astype(int) - colour)
         assert error.max() <= 3
@@ -72,12 +55,12 @@ def test_odd_sizes_are_padded_with_the_edge(tmp_path, rng):
     picture = np.zeros((33, 47, 3), np.uint8)
     picture[:, -1], picture[-1] = (255, 255, 255), (255, 255, 255)
     write_mp4(tmp_path / "a.mp4", [picture] * 3, fps=24)
-    frames = read(tmp_path / "a.mp4")
+    frames = read_video(tmp_path / "a.mp4")
     assert frames.shape == (3, 34, 48, 3)
     assert frames[1][:, 46:].min() > 200 and frames[1][32:].min() > 200
     assert frames[1][:30, :44].max() < 40  # not rescaled: the white stays at the edge
     write_mp4(tmp_path / "b.mp4", [plain((255, 0, 0), (1, 1))], fps=24)
-    assert read(tmp_path / "b.mp4").shape == (1, 2, 2, 3)
+    assert read_video(tmp_path / "b.mp4").shape == (1, 2, 2, 3)
 
 
 @pytest.fixture

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from phy124.gaussians import Gaussians, quaternions
+from phy124.harmonics import spread_directions
 
 FLATNESS = 0.15
 """Thickness of the discs on its surface, in their widths."""
@@ -12,16 +13,14 @@ FLATNESS = 0.15
 
 def ball(count: int = 6000, diameter: float = 1.0) -> Gaussians:
     """A closed shell of flat Gaussians, evenly spread (Fibonacci lattice), facing +x."""
-    i = np.arange(count) + 0.5
-    z, turn = 1 - 2 * i / count, np.pi * (1 + 5**0.5) * i
-    ring = np.sqrt(1 - z * z)
-    normals = np.stack([ring * np.cos(turn), ring * np.sin(turn), z], axis=1)
+    normals = spread_directions(count)
     helper = np.where(np.abs(normals[:, 2:]) < 0.7, [[0.0, 0, 1]], [[1.0, 0, 0]])
     along = np.cross(helper, normals)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     axes = np.stack([along, np.cross(normals, along), normals], axis=2)
     width = 0.7 * diameter / 2 * np.sqrt(4 * np.pi / count)
-    squares = np.floor(np.arctan2(normals[:, 1], normals[:, 0]) * 4 / np.pi) + np.floor(4 * z)
+    longitude = np.arctan2(normals[:, 1], normals[:, 0])
+    squares = np.floor(longitude * 4 / np.pi) + np.floor(4 * normals[:, 2])
     rgb = np.where((squares % 2 == 0)[:, None], [[0.85, 0.2, 0.15]], [[0.95, 0.9, 0.8]])
     return Gaussians.from_rgb(
         (normals * diameter / 2).astype(np.float32),

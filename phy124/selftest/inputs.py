@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from phy124.deform import Deformer
 from phy124.gaussians import Gaussians, quaternions
+from phy124.harmonics import spread_directions
 from phy124.io.ply import raw_table, read_ply
 from phy124.particles import clean, make_particles, solid, to_size
 from phy124.scene import Scene
@@ -25,10 +26,7 @@ FIELDS = ("means", "quats", "scales", "opacities", "sh")
 
 def shell(count: int = 300, radius: float = 0.5) -> Gaussians:
     """Flat Gaussians on a sphere."""
-    i = np.arange(count) + 0.5
-    z, angle = 1 - 2 * i / count, np.pi * (1 + 5**0.5) * i
-    r = np.sqrt(1 - z * z)
-    normals = np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
+    normals = spread_directions(count)
     helper = np.where(np.abs(normals[:, :1]) < 0.7, [[1.0, 0, 0]], [[0, 1.0, 0]])
     along = np.cross(normals, helper)
     along /= np.linalg.norm(along, axis=1, keepdims=True)

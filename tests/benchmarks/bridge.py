@@ -35,7 +35,7 @@ from bridge.options import Options  # noqa: E402
 from bridge.player import Player  # noqa: E402
 from bridge.sinks.dds import DdsSink  # noqa: E402
 from bridge.sinks.mcap import McapSink  # noqa: E402
-from support.bridge_clips import random_clip  # noqa: E402
+from support.clips import random_clip  # noqa: E402
 from support.private_network import STOCK  # noqa: E402
 
 REVISION = 2

@@ -1,7 +1,7 @@
 """Drives a law over many states at once, without particles or a grid."""
 
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 import warp as wp
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from phy124.kernels.transfer import Law, types
 from phy124.materials import (
+    AnyMaterial,
     FixedCorotated,
     Fluid,
     Foam,
@@ -25,6 +26,10 @@ REALS = {"float32": wp.float32, "float64": wp.float64}
 
 
 EYE = np.eye(3)
+KINDS: dict[str, type[Material]] = {
+    kind.model_fields["law"].default: kind for kind in get_args(get_args(AnyMaterial)[0])
+}
+"""Every law a scene can name."""
 LAWS: list[Material] = [
     NeoHookean(),
     NeoHookean(damping=3.0),

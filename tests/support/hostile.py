@@ -14,8 +14,17 @@ def bomb(side: int) -> bytes:
     """A PNG of one colour: a few kilobytes however large it is."""
     packer = zlib.compressobj(9)
     rows = b"".join(packer.compress(b"\0" * (1 + side // 8)) for _ in range(side))
-    header = struct.pack(">IIBBBBB", side, side, 1, 0, 0, 0, 0)
-    chunks = ((b"IHDR", header), (b"IDAT", rows + packer.flush()), (b"IEND", b""))
+    return _png(side, side, rows + packer.flush())
+
+
+def png_claiming(width: int, height: int) -> bytes:
+    """A small PNG whose header claims another size."""
+    return _png(width, height, zlib.compress(bytes(64)))
+
+
+def _png(width: int, height: int, packed: bytes) -> bytes:
+    header = struct.pack(">IIBBBBB", width, height, 1, 0, 0, 0, 0)
+    chunks = ((b"IHDR", header), (b"IDAT", packed), (b"IEND", b""))
     return b"\x89PNG\r\n\x1a\n" + b"".join(_chunk(*chunk) for chunk in chunks)
 
 

@@ -55,7 +55,7 @@ def main(reach: str, *peers: str) -> None:
     os.environ |= {"ROS_AUTOMATIC_DISCOVERY_RANGE": reach, "ROS_DOMAIN_ID": "7"}
     from bridge.options import Options
     from bridge.sinks.dds import DdsSink
-    from support.bridge_clips import random_clip
+    from support.clips import random_clip
 
     with DdsSink(Options()) as sink:
         for frame in random_clip(count=100).frames():

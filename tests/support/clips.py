@@ -1,8 +1,13 @@
-"""Small random clips for the bridge's tests."""
+"""Small clips that no simulation made."""
 
 import numpy as np
 
 from phy124.clip import Clip
+from phy124.gaussians import Frame
+from support.shapes import ball
+
+AWAY = [(0, 0.2 * i, 0) for i in range(8)]
+"""To the right of the front camera."""
 
 
 def random_clip(
@@ -25,3 +30,12 @@ def random_clip(
         scene={"description": "random", "view": {"size": 512}},
         report={"complete": True, "frames": frames},
     )
+
+
+def flight(steps, *, count: int = 500) -> Clip:
+    """A ball of 1 m that is moved by so many metres in each frame [T,3]."""
+    rest = ball(count)
+    frames = [
+        Frame(i, i / 24, rest.moved(1.0, np.array(step, float))) for i, step in enumerate(steps)
+    ]
+    return Clip.from_frames(frames)
