@@ -3,7 +3,7 @@
 Phy124 (arXiv 2409.07179): Sigma_t = F Sigma_0 F^T with the total F, then Sigma = Q Lambda Q^T
 gives the rotation and the scale of the 4D representation. Here the axes come from
 A = F R_0 S_0 (Sigma = A A^T), once per frame and in float64, never from an integrated Sigma:
-that keeps thin axes and positive definiteness (`phy124.kernels.field`).
+that keeps thin axes and positive definiteness (`phy124.kernels.deform`).
 
 Orientations are continuous: of all labellings of the axes (24 proper signed permutations) the
 one nearest to the previous frame is taken, and q . q_previous >= 0. Axes of equal length stay
@@ -22,7 +22,7 @@ from scipy.spatial import KDTree
 from phy124.errors import InputError
 from phy124.gaussians import Array, Frame, Gaussians
 from phy124.harmonics import rotate_sh
-from phy124.kernels import field
+from phy124.kernels import deform as field
 
 CARRIERS = 8
 """How many particles carry a Gaussian of the binding `field`."""

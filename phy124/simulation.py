@@ -28,8 +28,8 @@ from phy124.errors import Cancelled, Remedy
 from phy124.gaussians import Frame, Gaussians
 from phy124.imaging.painted import WHOLE, Crop
 from phy124.limits import refuse_hopeless, stiffest_part
-from phy124.monitor import culprit
-from phy124.monitor.ledger import Ledger
+from phy124.monitor import diagnosis
+from phy124.monitor.external_work import ExternalWork
 from phy124.monitor.sleep import Sleep
 from phy124.monitor.watchdog import Violation, Watchdog
 from phy124.mpm import Solver, Unstable
@@ -120,9 +120,9 @@ class Simulation:
             shares = stiffnesses(self.particles, self.gaussians.means[own], scene, crop)
             self.demand = refuse_hopeless(self.gaussians, self.particles, scene, device, keep=keep)
         with self.watch.stage("compile"):
-            ledger = Ledger()
-            self.solver = _solver(self.particles, shares, scene, device, threads, ledger)
-            self.watchdog = Watchdog(self.solver, ledger, balance=scene.checks.balance)
+            external = ExternalWork()
+            self.solver = _solver(self.particles, shares, scene, device, threads, external)
+            self.watchdog = Watchdog(self.solver, external, balance=scene.checks.balance)
             flows = any(m.device_law.project is not None for m in scene.materials)
             self.deformer = Deformer(
                 self.scenery.moving,
@@ -276,7 +276,7 @@ class Simulation:
         """One try at a frame; what is wrong with it, or None. The state is then as before."""
         solver, watchdog = self.solver, self.watchdog
         watchdog.before()
-        state, books = solver.snapshot(), watchdog.ledger.snapshot()
+        state, books = solver.snapshot(), watchdog.external.snapshot()
         try:
             solver.advance(until, after=self._follower(index))
             problem = watchdog.after()
@@ -293,7 +293,7 @@ class Simulation:
     def _restore(self, state: dict[str, Any], books: dict[str, NDArray]) -> None:
         """Go back to before a frame."""
         self.solver.restore(state)
-        self.watchdog.ledger.restore(books)
+        self.watchdog.external.restore(books)
 
     def _follower(self, index: int) -> Callable[[], None]:
         """What to do after each substep: report, and keep the books of forces that vary."""
@@ -309,7 +309,7 @@ class Simulation:
             if spent > 2 * patience:
                 raise Stopped(
                     f"frame {index} was reached in {spent:.0f} s, twice time.patience: "
-                    f"{culprit.pace(self.solver)}.",
+                    f"{diagnosis.substep(self.solver)}.",
                     hurry(self.scene, self.solver.substep().limiter, self._share_done()),
                 )
             report()
@@ -331,7 +331,7 @@ class Simulation:
             "asked": asked,
             "split": asked is not None and mean < 0.99 * asked,
             "shares": {name: count / taken for name, count in solver.limiters.items()},
-            "rejected": solver.caution.rejected,
+            "rejected": solver.rejection.rejected,
             "retried": self.retried,
         }
 
@@ -351,7 +351,7 @@ def _solver(
     scene: Scene,
     device: str,
     threads: int | None,
-    ledger: Ledger,
+    external: ExternalWork,
 ) -> Solver:
     x = particles.x.astype(np.float64)
     v, C = _motion(x, particles.mass, scene)
@@ -367,8 +367,8 @@ def _solver(
         stiffness=stiffness,
         v=v,
         C=C,
-        forces=ledger.forces(scene.acting) if balance else scene.acting,
-        boundaries=ledger.boundaries(scene.boundaries) if balance else scene.boundaries,
+        forces=external.forces(scene.acting) if balance else scene.acting,
+        boundaries=external.boundaries(scene.boundaries) if balance else scene.boundaries,
         origin=(0.0, 0.0, (floors[0] if floors else 0.0) - FLOOR_NODE * scene.dx),
         precision=scene.resolution.precision,
         device=device,

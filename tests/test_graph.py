@@ -119,7 +119,7 @@ def test_every_preset_moves_the_same_by_the_device_alone(name, monkeypatch):
     host, device = (run.solver for run in runs)
     assert_same(host, device)
     # What may push suddenly is tried substep by substep, by the host.
-    assert "graph" in device.timings or device.caution.sudden
+    assert "graph" in device.timings or device.rejection.sudden
     assert runs[0].watchdog.energy_gain == runs[1].watchdog.energy_gain
 
 
@@ -132,6 +132,6 @@ def test_cuda_moves_as_the_cpu_does(name):
     cpu, cuda = (Simulation(ball(500), scene, device=device) for device in ("cpu", "cuda:0"))
     cpu.run()
     cuda.run()
-    assert "graph" in cuda.solver.timings or cuda.solver.caution.sudden
+    assert "graph" in cuda.solver.timings or cuda.solver.rejection.sudden
     apart = cuda.frames[-1].gaussians.means - cpu.frames[-1].gaussians.means
     assert np.abs(apart).max() < 1e-3

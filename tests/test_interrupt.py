@@ -23,7 +23,7 @@ from phy124.commands.bars import Bars
 from phy124.errors import Cancelled, InputError
 from phy124.io.files import staged
 from phy124.io.ply import write_ply
-from phy124.mpm.lanes import Meeting
+from phy124.mpm.workers import Barrier
 from phy124.scene import Scene
 from support.shapes import ball
 
@@ -221,7 +221,7 @@ def test_a_log_gets_lines_and_no_carriage_returns(capsys):
 
 def test_ctrl_c_anywhere_in_a_substep_of_two_threads_does_not_hang():
     """The second thread waits for a meeting that the first, interrupted, never comes to."""
-    meeting = Meeting(2)
+    meeting = Barrier(2)
     waiting = threading.Thread(target=lambda: results.append(meeting.wait(1)), daemon=True)
     results: list[bool] = []
     waiting.start()

@@ -6,7 +6,7 @@ import re
 import pytest
 import warp as wp
 
-from phy124.kernels import collide, grid, pace, push, transfer
+from phy124.kernels import collide, grid, push, timestep, transfer
 from phy124.materials import FixedCorotated, NeoHookean, Sand
 from phy124.scene import Scene, preset_names
 from phy124.simulation import Simulation
@@ -40,7 +40,7 @@ def test_grid_and_pushes_compile_for_cuda(tmp_path):
         "update": grid.make_update(wp.float32),
         "merge": grid.make_merge(wp.float32),
         "measure": transfer.make_measure(NeoHookean().device_law, wp.float32),
-        "pace": pace.make_pace(wp.float32),
+        "timestep": timestep.make_timestep(wp.float32),
         "accelerate": push.make_accelerate(wp.float32, True),
         "contact": collide.make_contact("box", "separate", True, wp.float32),
     }

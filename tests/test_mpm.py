@@ -14,7 +14,7 @@ from phy124.kernels import simd, transfer
 from phy124.kernels.spline import spline
 from phy124.materials import FixedCorotated, NeoHookean
 from phy124.mpm import Solver, Unstable
-from phy124.mpm.lanes import Meeting
+from phy124.mpm.workers import Barrier
 from phy124.region import Region
 from support import shapes
 
@@ -144,7 +144,7 @@ def test_simd_rows_and_plain_loops_are_one_algorithm(rng):
 
 
 def test_two_threads_do_as_one(rng):
-    """Two lanes add in another order; on threads or one after the other they agree bit for bit."""
+    """Two workers add in another order; together or one after the other they agree bit for bit."""
     x, v = block(16), rng.normal(size=(4096, 3))
 
     def run(threads: int, alone: bool = False) -> np.ndarray:
@@ -172,10 +172,10 @@ def test_each_thread_measures_its_own_particles(rng):
     for s in runs.values():
         s.ceiling = 2e-3
         s.advance(0.02)
-        assert all("measure" in lane.timings for lane in s.lanes)
+        assert all("measure" in worker.timings for worker in s.workers)
     one, two = (np.array(s.extremes) for s in runs.values())
     np.testing.assert_allclose(one, two, rtol=1e-4)
-    own = [lane.maxima.numpy() for lane in runs[2].lanes]
+    own = [worker.maxima.numpy() for worker in runs[2].workers]
     assert own[0][6] < own[1][6]
 
 
@@ -195,7 +195,7 @@ def test_the_second_thread_ends_with_the_frame():
 
 @pytest.mark.parametrize("late", [0.0, 0.05])
 def test_nobody_leaves_a_meeting_before_all_have_come(late):
-    meeting, came = Meeting(2), []
+    meeting, came = Barrier(2), []
 
     def other():
         for _ in range(3):
@@ -221,7 +221,7 @@ def test_a_fault_of_the_second_thread_is_raised_and_nothing_waits(monkeypatch):
 
     for _ in range(20):  # the threads part at another place each time
         with monkeypatch.context() as patched:
-            patched.setattr(s.lanes[1], "run", fail)
+            patched.setattr(s.workers[1], "run", fail)
             with pytest.raises(OSError, match="out of luck"):
                 s.advance(s.time + 0.01)
         assert threading.active_count() == before

@@ -183,7 +183,7 @@ def left_out(path, frames: int, acts: Track | None = None) -> list[int]:
     state = SimpleNamespace(x=SimpleNamespace(numpy=lambda: np.array([[at.x, 0.0, 0.0]])))
     values = SimpleNamespace(numpy=lambda: np.zeros((1, 4)))
     solver = SimpleNamespace(
-        dx=0.1, time=0.0, state=state, domain=SimpleNamespace(count=0),
+        dx=0.1, time=0.0, state=state, outliers=SimpleNamespace(count=0),
         extremes=SimpleNamespace(speed=0.0, gradient=0.0),
         tracks=SimpleNamespace(tracks=[acts or Track.constant(UP)], values=values),
     )  # fmt: skip

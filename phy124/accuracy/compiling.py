@@ -10,7 +10,7 @@ import warp as wp
 
 from phy124.boundaries import AnyBoundary, Container, Gripper, Press
 from phy124.boundaries.held import Clamp
-from phy124.kernels import diagnose, field, stretch, transfer, weigh
+from phy124.kernels import deform, diagnose, diagnostics, stretch, transfer
 from phy124.kernels.collide import make_collider, make_contact
 from phy124.kernels.grid import make_update
 from phy124.kernels.profile import make_sampler
@@ -49,12 +49,12 @@ def kernels(scene: Scene) -> Iterator[Costed]:
         (make_sampler(real), 0.65),
         (make_update(real), 0.15),
         (diagnose.make_reset(real), 0.2),
-        (field.deform_shapes, 1.5),
+        (deform.deform_shapes, 1.5),
     )
     laws = {material.device_law.name: material.device_law for material in scene.materials}
     for law in laws.values():
         yield transfer.make_measure(law, real), 2.4
-        yield weigh.make_weigh(law, real), 0.65
+        yield diagnostics.make_totals(law, real), 0.65
         yield transfer.make_p2g(law, real, form), 0.6
         yield transfer.make_g2p(law, real, form), 0.5
         if law.project is None:

@@ -259,7 +259,7 @@ def _probe(simulation: Simulation) -> tuple[Rates, int, float]:
     solver, watchdog = simulation.solver, simulation.watchdog
     watchdog.before()
     after = watchdog.follow()
-    start, books = solver.snapshot(), watchdog.ledger.snapshot()
+    start, books = solver.snapshot(), watchdog.external.snapshot()
     rounds: list[tuple[float, float, int]] = []
     spent = 0.0
     try:
@@ -269,7 +269,7 @@ def _probe(simulation: Simulation) -> tuple[Rates, int, float]:
         checks = min(_timed(lambda: _empty_frame(simulation)) for _ in range(TRIES))
     finally:
         solver.restore(start)
-        watchdog.ledger.restore(books)
+        watchdog.external.restore(books)
         _forget_timings(solver)
     seconds, share, nodes = sorted(rounds)[len(rounds) // 2]
     return _rates(seconds, share, len(solver.rest), nodes), nodes, checks
@@ -294,8 +294,8 @@ def _empty_frame(simulation: Simulation) -> None:
 
 
 def _forget_timings(solver: Solver) -> None:
-    for lane in solver.lanes:
-        lane.timings.clear()
+    for worker in solver.workers:
+        worker.timings.clear()
 
 
 def _rates(seconds: float, share: float, particles: int, nodes: int) -> Rates:
@@ -323,8 +323,8 @@ def _node_share(solver: Solver) -> float:
     """Share of the stages' time that goes with the nodes."""
     walls = {name for name, _ in solver.collisions}
     total = nodes = 0.0
-    for lane in solver.lanes:
-        for name, (seconds, _) in lane.timings.items():
+    for worker in solver.workers:
+        for name, (seconds, _) in worker.timings.items():
             if name != "wait":
                 total += seconds
                 nodes += seconds if name in NODE_STAGES or name in walls else 0.0

@@ -41,12 +41,12 @@ def save(
     if run.sleep.anchor is not None:
         tensors["sleep.anchor"] = run.sleep.anchor
     tensors |= _frames(run)
-    rejected, threads = solver.caution.rejected, solver.threads
+    rejected, threads = solver.rejection.rejected, solver.threads
     facts = {
         "scene": run.scene.data(),
         "solver": {**solver.memory(), "rejected": rejected, "threads": threads},
         "watchdog": run.watchdog.memory(),
-        "ledger": run.watchdog.ledger.memory(),
+        "external_work": run.watchdog.external.memory(),
         "sleep": run.sleep.memory(),
         "frames": {"count": run.count, "keep": run.keep, "retried": run.retried},
         "crop": run.crop,
@@ -105,8 +105,8 @@ def _put_solver(run: Simulation, metadata: dict[str, Any], tensors: Tensors) -> 
     for name, array in solver.state.arrays().items():
         array.assign(tensors[f"state.{name}"])
     if "watchdog" in metadata:
-        run.watchdog.recall(metadata["watchdog"], metadata["ledger"])
-    solver.caution.rejected = memory["rejected"]
+        run.watchdog.recall(metadata["watchdog"], metadata["external_work"])
+    solver.rejection.rejected = memory["rejected"]
     solver.recall({**solver.memory(), **memory})
 
 

@@ -1,7 +1,8 @@
 """Sums that tell whether a run is sound: impulse and work that forces and walls give.
 
 They are summed in float64 in every substep, because they depend on the path, and weighed against
-what the state gained (phy124/kernels/weigh.py). Also single states, speeds of nodes, and resets.
+what the state gained (phy124/kernels/diagnostics.py). Also single states, speeds of nodes, and
+resets.
 """
 
 from functools import cache
@@ -10,8 +11,8 @@ from typing import Any
 import warp as wp
 
 from phy124.kernels.build import kernel
+from phy124.kernels.diagnostics import add3, kinetic_energy, wide
 from phy124.kernels.transfer import Law, types
-from phy124.kernels.weigh import add3, kinetic_energy, wide
 
 GIVEN = 6
 """Impulse 3, work, and the sums of the sizes of all impulses and of all works."""

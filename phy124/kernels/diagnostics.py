@@ -49,7 +49,7 @@ def spin(C: Any, dx: Any):
 
 
 @cache
-def make_weigh(law: Law, real: Any):
+def make_totals(law: Law, real: Any):
     """Kernel: `SUMS` over the particles, -least and greatest J, and the unsound particles.
 
     The power is that of the elastic stress, V tau : C, with which kinetic energy goes into elastic.

@@ -39,7 +39,7 @@ def make_update(real: Any):
 def make_merge(real: Any):
     """Kernel: as `update`, first adding what two lanes scattered into nodes of their own.
 
-    Lane A covers the nodes first_a <= n < last_a of the shared window, lane B likewise.
+    Worker A covers the nodes first_a <= n < last_a of the shared window, worker B likewise.
     """
     t = types(real)
 

@@ -1,7 +1,7 @@
 """Pace: the length of the next substep chosen on the device, so that a frame needs no host.
 
 The same limits, in the same double precision and in the same order as phy124/mpm/timestep.py and
-phy124/mpm/caution.py: on one device both take the same substeps, bit for bit.
+phy124/mpm/rejection.py: on one device both take the same substeps, bit for bit.
 """
 
 from functools import cache
@@ -154,14 +154,14 @@ def violent(dt: wp.float64, s: Pace, given: Limits):
 
 
 @cache
-def make_pace(real: Any):
+def make_timestep(real: Any):
     """Kernel of one thread: finish a substep, choose the next, or end and say why.
 
     `look_out` tells whether the particles are to be measured after the next one.
     """
 
-    @kernel(f"phy124_pace_{real.__name__}")
-    def pace(
+    @kernel(f"phy124_timestep_{real.__name__}")
+    def timestep(
         # model
         limits: wp.array(dtype=Limits), window: wp.array(dtype=wp.vec3i),
         # state in
@@ -204,4 +204,4 @@ def make_pace(real: Any):
         on_out[0] = wp.where(s.reason == 0, 1, 0)
         look_out[0] = wp.where(s.since + 1 >= given.every, 1, 0)
 
-    return pace
+    return timestep

@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from phy124.kernels.weigh import make_energies
+from phy124.kernels.diagnostics import make_energies
 
 if TYPE_CHECKING:
     from phy124.mpm import Solver
@@ -70,7 +70,7 @@ def describe(solver: Solver, index: int) -> str:
     return words
 
 
-def pace(solver: Solver) -> str:
+def substep(solver: Solver) -> str:
     """How short a substep is at the moment, why, and the particle that moves fastest."""
     limit = solver.substep()
     fastest = describe(solver, int(speeds(solver).argmax()))

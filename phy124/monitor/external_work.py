@@ -1,4 +1,4 @@
-"""The ledger: impulse and work that forces and walls give a run, summed in every substep.
+"""External work: impulse and work that forces and walls give a run, summed in every substep.
 
 Forces on particles and walls are bracketed: velocities are kept before they act and compared
 after. A uniform acceleration gives M a dt and M a . dx, which needs no launch; where it varies in
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 BOOKS = "books"
-"""Name of the ledger's stages."""
+"""Name of the stages that sum it."""
 KINDS = ("push", "wall", "uniform")
 """What is summed apart: forces on particles, walls, and a uniform acceleration that varies."""
 _WALLS = (("wall", False), ("wall", True))
@@ -43,7 +43,7 @@ class Given(NamedTuple):
     """Sum of the sizes of all works, J."""
 
 
-class Ledger:
+class ExternalWork:
     """Books of one run; hand `forces` and `boundaries` to its solver."""
 
     def __init__(self) -> None:
@@ -73,7 +73,7 @@ class Ledger:
             )
             solver.closings.append((BOOKS, lambda: self._close(solver)))
         self._kicked = solver.time - solver.last_dt / 2
-        solver.caution.books = self
+        solver.rejection.books = self
 
     def mark(self) -> dict[Any, NDArray[Any]]:
         """The open sums; for a substep that may be taken back."""

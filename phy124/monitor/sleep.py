@@ -103,7 +103,7 @@ class Sleep:
 
     def _rests(self, index: int) -> bool:
         """Whether nothing visible would happen from a frame until something changes."""
-        if not self.speeds or self._solver.domain.count:
+        if not self.speeds or self._solver.outliers.count:
             return False
         until = self._quiet_until((index - 1) / self._fps)
         last = self._frames - 1

@@ -18,7 +18,7 @@ import numpy as np
 import warp as wp
 
 from phy124.kernels.stretch import make_apart
-from phy124.monitor import culprit
+from phy124.monitor import diagnosis
 from phy124.monitor.pieces import Pieces
 
 if TYPE_CHECKING:
@@ -114,7 +114,7 @@ class Tearing:
         return (
             f"{self.count} particles were stretched, up to {self.stretch:.1f} times, until they "
             f"lay more than {APART} cells apart, first "
-            f"{culprit.describe(self._solver, self.first)}. "
+            f"{diagnosis.describe(self._solver, self.first)}. "
             f"There the grid may tear what the material holds together. {REMEDY}"
         )
 

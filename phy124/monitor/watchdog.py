@@ -4,7 +4,7 @@ A violation is a sentence. What is checked, with the limits below: every number 
 more than a few particles are turned inside out; volume ratios stay in range; momentum changes by
 what forces and walls gave; energy does not grow beyond the work they did (explicit MPM only loses
 energy, so more means that the run is exploding). Which particle it is and what to change is
-looked for only then (phy124/monitor/culprit.py).
+looked for only then (phy124/monitor/diagnosis.py).
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ import warp as wp
 from numpy.typing import NDArray
 
 from phy124.kernels import diagnose
+from phy124.kernels.diagnostics import SUMS, make_totals
 from phy124.kernels.reduction import shared_out
-from phy124.kernels.weigh import SUMS, make_weigh
-from phy124.monitor import culprit
-from phy124.monitor.ledger import Ledger, total_mass
+from phy124.monitor import diagnosis
+from phy124.monitor.external_work import ExternalWork, total_mass
 from phy124.monitor.tearing import Tearing
 
 if TYPE_CHECKING:
@@ -152,7 +152,7 @@ def weigh(solver: Solver) -> Balance:
         history = s.history[part] if len(s.history) else s.history
         threads, *share = shared_out(group.stop - group.start, device)
         wp.launch(
-            make_weigh(group.law, solver.real),
+            make_totals(group.law, solver.real),
             threads,
             inputs=[
                 *share, group.theta, solver.mass[part], solver.volume[part], solver.dx, group.start,
@@ -180,10 +180,10 @@ def sound_speed(material: Any) -> float:
 
 
 class Watchdog:
-    """Follows one run, whose solver got its forces and boundaries through the `ledger`."""
+    """Follows one run, whose solver got its forces and boundaries through `external`."""
 
-    def __init__(self, solver: Solver, ledger: Ledger, *, balance: bool = True) -> None:
-        self.solver, self.ledger, self._balance = solver, ledger, balance
+    def __init__(self, solver: Solver, external: ExternalWork, *, balance: bool = True) -> None:
+        self.solver, self.external, self._balance = solver, external, balance
         self.first = self.last = weigh(solver)
         self.mass = total_mass(solver)
         self.tearing = Tearing(solver)
@@ -232,7 +232,7 @@ class Watchdog:
         self.turnover = max(self.first.energy, self._quiet())
         self.moved = math.sqrt(2 * self.mass * self.turnover)
         if self._balance:
-            self.ledger.open(self.solver)
+            self.external.open(self.solver)
         self._begun = True
 
     def memory(self) -> dict[str, Any]:
@@ -242,15 +242,15 @@ class Watchdog:
         return {**memory, **balances, "tearing": self.tearing.memory()}
 
     def recall(self, memory: dict[str, Any], books: dict[str, Any]) -> None:
-        """Go on as when `memory` was taken; `books` are the ledger's."""
+        """Go on as when `memory` was taken; `books` are the external work's."""
         for name in MEMORY:
             if name in memory:
                 setattr(self, name, memory[name])
         self.first, self.last = (Balance.from_data(memory[name]) for name in ("first", "last"))
         self.tearing.recall(memory["tearing"])
         if self._begun and self._balance:
-            self.ledger.open(self.solver)
-            self.ledger.recall(books)
+            self.external.open(self.solver)
+            self.external.recall(books)
 
     def after(self) -> Violation | None:
         """After a frame: what is wrong with it, or None."""
@@ -270,7 +270,7 @@ class Watchdog:
         """What to call after each substep of the next frame, or after some of them."""
         s = self.solver
         if self._balance:
-            self.ledger.begin(s, self.last.momentum)
+            self.external.begin(s, self.last.momentum)
         strain, seen = 0.0, s.time
 
         def after() -> None:
@@ -287,10 +287,10 @@ class Watchdog:
     def blame(self, problem: str) -> Violation:
         """The solver gave up: what it said, with the particle."""
         s = self.solver
-        index = culprit.first_broken(s)
+        index = diagnosis.first_broken(s)
         if index is not None:
             return Violation(f"{problem}, first {self._who(index)}", self._unstable())
-        index = int(culprit.speeds(s).argmax())
+        index = int(diagnosis.speeds(s).argmax())
         return Violation(f"{problem}; the fastest is {self._who(index)}", FAST)
 
     def notes(self) -> list[str]:
@@ -302,9 +302,9 @@ class Watchdog:
                 f"was given its shape at rest, first {self._who(self._first_reset)}. A gentler "
                 "push or a stiffer material would keep it whole."
             )
-        if s.domain.most:
+        if s.outliers.most:
             notes.append(
-                f"{s.domain.most} particles flew out of the simulated space and went on along "
+                f"{s.outliers.most} particles flew out of the simulated space and went on along "
                 "their parabolas, without contact."
             )
         laws = {m.device_law.name: m for m in s.materials}
@@ -335,7 +335,7 @@ class Watchdog:
             "greatest_J": self.greatest_J,
             "inside_out": self.last.inverted,
             "reset": self.reset,
-            "ballistic": self.solver.domain.most,
+            "ballistic": self.solver.outliers.most,
             "tearing": self.tearing.report(),
         }
 
@@ -349,7 +349,7 @@ class Watchdog:
 
     def _unbalanced(self, now: Balance) -> Violation | None:
         """Compare what is there with what was there at first and what was given since."""
-        given = self.ledger.total(self.solver, now.middle - self.first.middle)
+        given = self.external.total(self.solver, now.middle - self.first.middle)
         turnover = max(
             self.turnover, now.energy, abs(given.work), ROUNDING[self._precision] * given.turned
         )
@@ -371,7 +371,7 @@ class Watchdog:
         if energy <= ENERGY_GAIN * self._strained(min(faded, UNSEEN)):
             self._trembles = max(self._trembles, energy / turnover)
             return None
-        index = int(culprit.energies(self.solver).argmax())
+        index = int(diagnosis.energies(self.solver).argmax())
         who = f"most of all its energy is in {self._who(index)}"
         rounded = energy <= self._strained(faded)
         what = f"{energy / turnover:.0%} of its energy came from nowhere, {who}"
@@ -381,7 +381,7 @@ class Watchdog:
         """Momentum from nowhere."""
         if share <= MOMENTUM_GAIN[self._precision]:
             return None
-        index = int(culprit.speeds(self.solver).argmax())
+        index = int(diagnosis.speeds(self.solver).argmax())
         what = f"{share:.2%} of its momentum came from nowhere, the fastest is {self._who(index)}"
         return Violation(what, ROUNDED if self._precision == "float32" else self._unstable())
 
@@ -410,4 +410,4 @@ class Watchdog:
 
     def _who(self, index: int) -> str:
         """A particle in words."""
-        return culprit.describe(self.solver, index)
+        return diagnosis.describe(self.solver, index)

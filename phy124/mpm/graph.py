@@ -1,9 +1,9 @@
 """Graph: all substeps of a frame as one graph on the device, without the host in between.
 
 On CUDA a launch from Python costs more than many a kernel. Here one substep is captured as the
-body of a loop on the device; its last kernel (phy124/kernels/pace.py) chooses the next substep and
-ends the loop when the time has come, or when only the host can go on: the window must follow the
-particles, or the next substep may have to be taken back (phy124/mpm/caution.py).
+body of a loop on the device; its last kernel (phy124/kernels/timestep.py) chooses the next substep
+and ends the loop when the time has come, or when only the host can go on: the window must follow
+the particles, or the next substep may have to be taken back (phy124/mpm/rejection.py).
 The same graph runs on the CPU, where the tests compare it with the host's loop bit for bit.
 """
 
@@ -15,10 +15,10 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from phy124.kernels import pace
+from phy124.kernels import timestep
 from phy124.mpm.grid import MARGIN
-from phy124.mpm.lanes import timed
 from phy124.mpm.timestep import CELLS_PER_STEP, MEMORY, STRAIN_PER_STEP, Extremes
+from phy124.mpm.workers import timed
 
 if TYPE_CHECKING:
     from phy124.mpm.solver import Solver
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 STAGE = "graph"
 """Name of all this in the list of stages."""
 LIMITERS = ("elastic", "speed", "gradient", "viscous", "user")
-"""In the order of phy124/kernels/pace.py."""
+"""In the order of phy124/kernels/timestep.py."""
 STRAIN = 1.0
 """Sum of |C| dt after which the host has another look, so that broken particles can be mended."""
 
@@ -37,8 +37,8 @@ class Graph:
     def __init__(self, solver: Solver, *, every: int) -> None:
         self._solver, self._every = solver, every
         device = solver.device
-        self._limits = wp.zeros(1, dtype=cast("type", pace.Limits), device=device)
-        self._pace = wp.zeros(1, dtype=cast("type", pace.Pace), device=device)
+        self._limits = wp.zeros(1, dtype=cast("type", timestep.Limits), device=device)
+        self._pace = wp.zeros(1, dtype=cast("type", timestep.Pace), device=device)
         self._limiters = wp.zeros(len(LIMITERS), dtype=int, device=device)
         self._on, self._look = (wp.zeros(1, dtype=int, device=device) for _ in range(2))
         self._captured: Any = None
@@ -52,7 +52,7 @@ class Graph:
     def fits(self) -> bool:
         """Whether the next substeps can do without the host."""
         s = self._solver
-        return len(s.lanes) == 1 and not s.domain.bounded and not s.caution.sudden
+        return len(s.workers) == 1 and not s.outliers.bounded and not s.rejection.sudden
 
     def run(self, until: float) -> bool:
         """Substeps up to a time [s], as many as the device can take alone.
@@ -65,7 +65,7 @@ class Graph:
         timings, taken = self._solver.timings, self._solver.substeps
         timed(timings, STAGE, self._launch)
         timings[STAGE][1] += (self._solver.substeps - taken) * self._per_substep - 1
-        return self._reason != pace.CAREFUL
+        return self._reason != timestep.CAREFUL
 
     def _launch(self) -> None:
         """Run and wait for the end."""
@@ -74,9 +74,9 @@ class Graph:
 
     def _capture(self) -> Any:
         s = self._solver
-        inputs = [self._limits, s.grid.window, s.lanes[0].maxima, s.stray]
+        inputs = [self._limits, s.grid.window, s.workers[0].maxima, s.stray]
         outputs = [self._pace, s.clock, self._limiters, self._on, self._look]
-        choose = s.record(pace.make_pace(s.real), 1, inputs, outputs)
+        choose = s.record(timestep.make_timestep(s.real), 1, inputs, outputs)
         assert choose is not None
 
         launches = list(s.launches())
@@ -85,7 +85,7 @@ class Graph:
         def substep() -> None:
             for launch in launches:
                 launch()
-            wp.capture_if(self._look, lambda: s.measure_lane(s.lanes[0]))
+            wp.capture_if(self._look, lambda: s.measure_lane(s.workers[0]))
             choose.launch()
 
         with wp.ScopedCapture(device=s.device) as capture:
@@ -103,8 +103,8 @@ class Graph:
             "turn": STRAIN_PER_STEP,
             "viscous": s.viscous,
             "ceiling": s.ceiling,
-            "wall": s.caution.wall,
-            "acceleration": s.caution.acceleration,
+            "wall": s.rejection.wall,
+            "acceleration": s.rejection.acceleration,
             "memory": MEMORY,
             "strain": STRAIN,
             "origin": s.grid.origin,

@@ -1,4 +1,4 @@
-"""Domain: where particles meet the grid. Those that fly beyond are kept on their parabolas.
+"""Outliers: where particles meet the grid. Those that fly beyond are kept on their parabolas.
 
 The window grows with the particles, but a single one that leaves at speed must not make it grow
 without bound. Once the particles spread over more than `LARGEST` nodes, or `GROWTH` times the
@@ -19,8 +19,8 @@ from phy124.kernels.transfer import types
 from phy124.mpm.grid import MARGIN
 
 if TYPE_CHECKING:
-    from phy124.mpm.lanes import Lane, Recorded
     from phy124.mpm.solver import Solver
+    from phy124.mpm.workers import Recorded, Worker
 
 LARGEST = 2**25
 """Nodes a window may have at most."""
@@ -32,7 +32,7 @@ EVERYWHERE = 1e30
 """Beyond any position [m], and a number in float32."""
 
 
-class Domain:
+class Outliers:
     """A box, or all of space as long as the particles stay together."""
 
     def __init__(self, solver: Solver) -> None:
@@ -83,17 +83,17 @@ class Domain:
         self._centre(x[np.abs(x - np.median(x, axis=0)).max(axis=1).argmin()])
         return True
 
-    def around(self, lane: Lane, gather: list[Recorded]) -> list[Recorded]:
-        """The gather of a lane, between hiding and moving its ballistic particles, if any."""
+    def around(self, worker: Worker, gather: list[Recorded]) -> list[Recorded]:
+        """The gather of a worker, between hiding and moving its ballistic particles, if any."""
         out = self.outside.numpy()
-        mine = [out[(out >= start) & (out < stop)] for start, stop in lane.runs]
+        mine = [out[(out >= start) & (out < stop)] for start, stop in worker.runs]
         s, state, count = self._solver, self._solver.state, sum(map(len, mine))
         if not count:
             return gather
         chosen = wp.array(np.concatenate(mine), dtype=int, device=s.device)
         kept = wp.empty(count, dtype=state.x.dtype, device=s.device)
         away = wp.empty(count, dtype=int, device=s.device)
-        inputs = [chosen, s.grid.lattice, lane.nodes.window, s.grid.window]
+        inputs = [chosen, s.grid.lattice, worker.nodes.window, s.grid.window]
         hide = s.record(make_hide(s.real), count, inputs, [state.x, kept, away])
         inputs = [chosen, s.clock, s.tracks.values, kept, away]
         fly = s.record(make_fly(s.real), count, inputs, [state.x, state.residue, state.v])

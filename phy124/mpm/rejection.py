@@ -1,4 +1,4 @@
-"""Caution: a substep that may turn out too long is tried first, and repeated shorter if it was.
+"""Step rejection: a substep that may be too long is tried first, and repeated shorter if it was.
 
 Nothing but pushed velocities changes before the gather, so a substep can be taken back after the
 grid update at the price of one scatter. Only substeps in which something violent may happen are
@@ -47,7 +47,7 @@ class Books(Protocol):
         ...
 
 
-class Caution:
+class StepRejection:
     """Decides which substeps are tried, and tries them."""
 
     def __init__(self, solver: Solver) -> None:

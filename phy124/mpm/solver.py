@@ -1,7 +1,7 @@
 """Solver: explicit MLS-MPM substeps of stable length.
 
 What a substep does is recorded (phy124/mpm/substep.py) and repeated by one thread, by two that
-have half of the particles each (phy124/mpm/lanes.py), or by a CUDA device alone
+have half of the particles each (phy124/mpm/workers.py), or by a CUDA device alone
 (phy124/mpm/graph.py).
 """
 
@@ -20,15 +20,15 @@ from numpy.typing import NDArray
 
 from phy124.kernels.transfer import types
 from phy124.materials import Material
-from phy124.mpm import lanes as company
-from phy124.mpm.caution import CHECK_EVERY, Caution
-from phy124.mpm.domain import Domain
+from phy124.mpm import workers as company
 from phy124.mpm.graph import Graph, usable
 from phy124.mpm.grid import Grid, Unstable
-from phy124.mpm.lanes import Lane, Meeting, Named, Timings, cut, timed
+from phy124.mpm.outliers import Outliers
+from phy124.mpm.rejection import CHECK_EVERY, StepRejection
 from phy124.mpm.state import Group, State, parameters
 from phy124.mpm.substep import record_looks, record_phases, record_pushes
 from phy124.mpm.timestep import CFL, Extremes, Substep, beside_elastic, stable_substep
+from phy124.mpm.workers import Barrier, Named, Timings, Worker, cut, timed
 from phy124.tracks import Tracks
 
 Stage = tuple[str, Callable[[], wp.Launch | None]]
@@ -103,18 +103,18 @@ class Solver:
         self.time, self.substeps, self.last_dt = 0.0, 0, 0.0
         self.limiters: dict[str, int] = {}
         self.threads = self._thread_count(threads)
-        self.domain = Domain(self)
-        self.lanes = self._build_lanes()
-        self.timings: Timings = self.lanes[0].timings
+        self.outliers = Outliers(self)
+        self.workers = self._build_lanes()
+        self.timings: Timings = self.workers[0].timings
         self._tracks_launch = self.tracks.record()
         self._tracks_launch.launch()
         self._pushes: list[Named] = []
-        self._meeting: Meeting | None = None
+        self._meeting: Barrier | None = None
         self._agenda: list[int | None] = []
         self._fault: Exception | None = None
         self.between = self.since_check = min(check_every, CHECK_EVERY)
         self.extremes = Extremes(0.0, 0.0, 0.0)
-        self.caution = Caution(self)
+        self.rejection = StepRejection(self)
         self.graph = Graph(self, every=self.between)
         self.alone = usable(device) if graph is None else graph
 
@@ -171,57 +171,57 @@ class Solver:
             return 1
         return company.usable_threads(len(self.rest)) if wanted is None else wanted
 
-    def _build_lanes(self) -> list[Lane]:
-        """One lane that scatters to the shared grid, or two with nodes of their own."""
+    def _build_lanes(self) -> list[Worker]:
+        """One worker that scatters to the shared grid, or two with nodes of their own."""
         runs = cut([(group.start, group.stop) for group in self.groups], self.threads)
-        lanes = []
+        workers = []
         for part in runs:
             nodes = self.grid
             if self.threads > 1:
                 nodes = Grid(self.grid.origin.tolist(), self.dx, real=self.real, device=self.device)
             maxima = wp.zeros(9, dtype=self.real, device=self.device)
-            lanes.append(Lane(part, nodes, maxima))
-            lanes[-1].looks = record_looks(self, lanes[-1])
-        return lanes
+            workers.append(Worker(part, nodes, maxima))
+            workers[-1].looks = record_looks(self, workers[-1])
+        return workers
 
     def _measure(self) -> None:
         """Read the stability limits and make the windows fit; raises Unstable."""
         maxima = self._maxima()
         greatest = maxima.max(axis=0)
-        if self.domain.confine(-greatest[3:6], greatest[6:9]):
+        if self.outliers.confine(-greatest[3:6], greatest[6:9]):
             maxima = self._maxima()
             greatest = maxima.max(axis=0)
         self.extremes = Extremes(*greatest[:3].tolist()).after(self.extremes)
         # A particle that comes back to the domain may be beyond the window.
-        self.grid.stale |= self.domain.changed
+        self.grid.stale |= self.outliers.changed
         changed = self.grid.fit(-greatest[3:6], greatest[6:9])
-        for lane, own in zip(self.lanes, maxima, strict=True):
-            if lane.nodes is not self.grid:
+        for worker, own in zip(self.workers, maxima, strict=True):
+            if worker.nodes is not self.grid:
                 own = np.where(np.isfinite(own), own, greatest)
                 changed |= company.fit_part(
-                    lane.nodes, self.grid, -own[3:6], own[6:9], force=changed
+                    worker.nodes, self.grid, -own[3:6], own[6:9], force=changed
                 )
         if changed:
             self._record_substep()
-        self.between, self.since_check = self.caution.pause(self.check_every), 0
+        self.between, self.since_check = self.rejection.pause(self.check_every), 0
 
     def _maxima(self) -> NDArray[np.float64]:
-        """What limits each lane [L,9]; raises Unstable."""
+        """What limits each worker [L,9]; raises Unstable."""
         if self._meeting:
             self._agree(MEASURE)
-        for lane in self.lanes[: 1 if self._meeting else None]:
-            self.measure_lane(lane)
+        for worker in self.workers[: 1 if self._meeting else None]:
+            self.measure_lane(worker)
         if self._meeting:
             self._agree(None)
         lost = int(self.stray.numpy()[0])
         if lost:
             raise Unstable(f"{lost} particles are no longer numbers")
-        return np.array([lane.maxima.numpy() for lane in self.lanes], dtype=np.float64)
+        return np.array([worker.maxima.numpy() for worker in self.workers], dtype=np.float64)
 
-    def measure_lane(self, lane: Lane) -> None:
-        """Find what limits the substep among a lane's particles, and where they are."""
-        lane.maxima.fill_(-np.inf)
-        for launch in lane.looks:
+    def measure_lane(self, worker: Worker) -> None:
+        """Find what limits the substep among a worker's particles, and where they are."""
+        worker.maxima.fill_(-np.inf)
+        for launch in worker.looks:
             launch.launch()
 
     def _record_substep(self) -> None:
@@ -242,8 +242,8 @@ class Solver:
         """Phases of a substep: scatter 0, update 1, gather 2; by both threads if there are two."""
         for phase in phases:
             self._meet(phase)
-            for lane in self.lanes[: 1 if self._meeting else None]:
-                lane.run(phase)
+            for worker in self.workers[: 1 if self._meeting else None]:
+                worker.run(phase)
         self._meet(None)
 
     def begin(self, kick: float, drift: float) -> None:
@@ -277,16 +277,16 @@ class Solver:
 
     @contextmanager
     def _company(self) -> Iterator[None]:
-        """While inside, the second lane runs on a thread of its own."""
-        if len(self.lanes) == 1:
+        """While inside, the second worker runs on a thread of its own."""
+        if len(self.workers) == 1:
             yield
             return
         # Kernels must be loaded before two threads use them: loading is not safe in Warp.
         if self.since_check >= self.between:
             timed(self.timings, "measure", self._measure)
         # A fault may be left of the last time: nobody asks for one after another was raised.
-        self._meeting, self._agenda, self._fault = Meeting(2), [], None
-        follow, args = self._follow, (self.lanes[1], self._meeting)
+        self._meeting, self._agenda, self._fault = Barrier(2), [], None
+        follow, args = self._follow, (self.workers[1], self._meeting)
         helper = threading.Thread(target=follow, args=args, daemon=True)
         helper.start()
         try:
@@ -297,7 +297,7 @@ class Solver:
             helper.join()
             self._meeting = None
 
-    def _follow(self, lane: Lane, meeting: Meeting) -> None:
+    def _follow(self, worker: Worker, meeting: Barrier) -> None:
         """The second thread: phases as they come, until there are no more meetings."""
         for meetings in itertools.count():
             if not meeting.wait(1):
@@ -305,9 +305,9 @@ class Solver:
             phase = self._agenda[meetings]
             try:
                 if phase == MEASURE:
-                    timed(lane.timings, "measure", lambda: self.measure_lane(lane))
+                    timed(worker.timings, "measure", lambda: self.measure_lane(worker))
                 elif phase is not None:
-                    lane.run(phase)
+                    worker.run(phase)
             except Exception as fault:  # The first thread waits here, and raises it.
                 self._fault = fault
 
@@ -325,10 +325,10 @@ class Solver:
             timed(self.timings, "measure", self._measure)
 
     def launches(self) -> Iterator[Callable[[], Any]]:
-        """What one substep of a single lane launches, in order."""
+        """What one substep of a single worker launches, in order."""
         if self.tracks.vary:
             yield self._tracks_launch.launch
-        for _, launch in itertools.chain(self._pushes, *self.lanes[0].phases):
+        for _, launch in itertools.chain(self._pushes, *self.workers[0].phases):
             yield launch
 
     def _run_graph(self, until: float) -> bool:
@@ -346,8 +346,8 @@ class Solver:
         limit = self.substep()
         rest = until - self.time
         dt = rest / max(1, math.ceil(rest / limit.dt - 1e-9))
-        if self.caution.called_for(dt):
-            dt = self.caution.step(dt)
+        if self.rejection.called_for(dt):
+            dt = self.rejection.step(dt)
         else:
             self.step((self.last_dt + dt) / 2, dt)
         if dt == rest:
@@ -369,7 +369,7 @@ class Solver:
         return {
             **{name: getattr(self, name) for name in CLOCK},
             "limiters": dict(self.limiters),
-            "domain": self.domain.memory(),
+            "domain": self.outliers.memory(),
             "windows": [(g.low.tolist(), g.size.tolist()) for g in company.grids(self)],
         }
 
@@ -378,9 +378,9 @@ class Solver:
         for name in CLOCK:
             setattr(self, name, memory[name])
         self.extremes = Extremes(*memory["extremes"])
-        self.between = self.caution.pause(self.check_every)
+        self.between = self.rejection.pause(self.check_every)
         self.limiters = dict(memory["limiters"])
-        self.domain.recall(memory["domain"])
+        self.outliers.recall(memory["domain"])
         self.stray.zero_()
         for grid, (low, size) in zip(company.grids(self), memory["windows"], strict=True):
             grid.rebase(np.array(low), np.array(size))

@@ -1,6 +1,6 @@
 """Lanes: the particles' shares of two CPU threads, each with nodes of its own to scatter to.
 
-Particles are sorted along x, so each half touches a slab of layers. A lane scatters its half into
+Particles are sorted along x, so each half touches a slab of layers. A worker scatters its half into
 private nodes, then brings its part of the shared grid up to date from both, then gathers. Between
 these phases the threads meet. Warp's CPU kernels release Python's lock.
 """
@@ -34,7 +34,7 @@ Recorded = tuple[str, "wp.Launch | None"]
 
 
 @dataclass
-class Lane:
+class Worker:
     """One thread's share."""
 
     runs: list[tuple[int, int]]
@@ -56,7 +56,7 @@ class Lane:
             timed(self.timings, name, launch)
 
 
-class Meeting:
+class Barrier:
     """A barrier for a number of threads."""
 
     def __init__(self, parties: int) -> None:
@@ -124,14 +124,14 @@ def _others_running() -> int:
     return max(0, min(counts))
 
 
-def cut(runs: list[tuple[int, int]], lanes: int) -> list[list[tuple[int, int]]]:
-    """Each run of particles cut evenly: for each lane its part of every run."""
-    edges = [np.linspace(start, stop, lanes + 1).astype(int).tolist() for start, stop in runs]
-    return [[(edge[i], edge[i + 1]) for edge in edges] for i in range(lanes)]
+def cut(runs: list[tuple[int, int]], workers: int) -> list[list[tuple[int, int]]]:
+    """Each run of particles cut evenly: for each worker its part of every run."""
+    edges = [np.linspace(start, stop, workers + 1).astype(int).tolist() for start, stop in runs]
+    return [[(edge[i], edge[i + 1]) for edge in edges] for i in range(workers)]
 
 
 def fit_part(part: Grid, whole: Grid, lower: NDArray, upper: NDArray, *, force: bool) -> bool:
-    """Make private nodes cover a lane's particles, whole layers of the shared window.
+    """Make private nodes cover a worker's particles, whole layers of the shared window.
 
     True if they changed; `force` if the shared window did.
     """
@@ -149,8 +149,8 @@ def fit_part(part: Grid, whole: Grid, lower: NDArray, upper: NDArray, *, force: 
 
 
 def grids(solver: Solver) -> list[Grid]:
-    """The shared grid, and the private ones of lanes that have them."""
-    private = [lane.nodes for lane in solver.lanes if lane.nodes is not solver.grid]
+    """The shared grid, and the private ones of workers that have them."""
+    private = [worker.nodes for worker in solver.workers if worker.nodes is not solver.grid]
     return [solver.grid, *private]
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from phy124.materials import Fluid, Hencky, Material, Metal, NeoHookean, Sand
-from phy124.monitor.ledger import Ledger
+from phy124.monitor.external_work import ExternalWork
 from phy124.monitor.watchdog import Watchdog
 from phy124.selftest.bodies import assign, block, body, finite, host, volume_ratios
 from phy124.selftest.case import Check, Setting, at_least, at_most, equal
@@ -42,7 +42,7 @@ def _one_bad_particle(
     deformations = host(s.state.F)
     deformations[21] = F
     assign(s, "F", deformations)
-    watch = Watchdog(s, Ledger())
+    watch = Watchdog(s, ExternalWork())
     watch.before()
     s.advance(1 / 24, after=watch.follow())
     problem = watch.after()

@@ -28,7 +28,7 @@ def astray(setting: Setting) -> list[Check]:
     wanted = np.array([[0, 0, -fall], [0, 0, -fall], [600.0, 0, -fall]])
     return [
         equal("finite", finite(s)),
-        equal("all far particles counted", s.domain.count >= 3),
+        equal("all far particles counted", s.outliers.count >= 3),
         at_most("window in cells", float(s.grid.count), 5e6),
         at_most("off their parabolas [m]", np.abs(moved[-3:] - wanted).max(), 0.13),
         at_most("centre of the rest [m]", np.abs(moved[:-3].mean(axis=0)[:2]).max(), 0.5),

@@ -16,7 +16,7 @@ import numpy as np
 from phy124.boundaries import Ground
 from phy124.forces import Gravity
 from phy124.materials import FixedCorotated, Material, NeoHookean, Sand, Snow
-from phy124.monitor.ledger import Ledger
+from phy124.monitor.external_work import ExternalWork
 from phy124.monitor.watchdog import Watchdog, sound_speed, weigh
 from phy124.mpm import Solver
 from phy124.selftest import Setting
@@ -45,13 +45,13 @@ def cube(per_axis: int = 8, height: float = 0.3) -> Array:
 
 def watched(x: Array, material: Material = JELLY, **options: Any) -> tuple[Solver, Watchdog]:
     """A solver with its watchdog, as a simulation has it."""
-    ledger, count = Ledger(), options.pop("filled", len(x))
+    external, count = ExternalWork(), options.pop("filled", len(x))
     s = Solver(
         x, np.full(len(x), SIZE**3 / count), [material], dx=2 * SIZE / round(count ** (1 / 3)),
-        forces=ledger.forces(options.pop("forces", ())),
-        boundaries=ledger.boundaries(options.pop("boundaries", ())), **options,
+        forces=external.forces(options.pop("forces", ())),
+        boundaries=external.boundaries(options.pop("boundaries", ())), **options,
     )  # fmt: skip
-    return s, Watchdog(s, ledger)
+    return s, Watchdog(s, external)
 
 
 def go(s: Solver, watch: Watchdog, seconds: float, frames: int = 1) -> str:

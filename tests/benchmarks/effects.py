@@ -32,7 +32,7 @@ from phy124.kernels import damping, elastic, fluid, granular, hencky, plastic, t
 from phy124.kernels.transfer import Law
 from phy124.materials import FixedCorotated, NeoHookean
 from phy124.metrics import psnr
-from phy124.monitor.ledger import Ledger
+from phy124.monitor.external_work import ExternalWork
 from phy124.mpm import Solver
 from phy124.region import Region
 from phy124.rendering.camera import Camera
@@ -188,9 +188,9 @@ def costs() -> None:
     share = np.random.default_rng(1).random(count) / 2 + 0.5
 
     def made(*forces: Acceleration, laws=None, **options) -> Solver:
-        ledger = Ledger()
+        external = ExternalWork()
         volume, v = np.full(count, 0.125 / count), np.random.default_rng(2).normal(size=x.shape)
-        bracketed = ledger.forces(forces)
+        bracketed = external.forces(forces)
         s = Solver(
             x,
             volume,
@@ -201,7 +201,7 @@ def costs() -> None:
             threads=1,
             **options,
         )
-        ledger.open(s)
+        external.open(s)
         return s
 
     runs = {

@@ -15,7 +15,10 @@ from phy124.scene.scene import preset_names
 from phy124.simulation import Simulation
 
 LAWS = ("fixed_corotated", "hencky", "plasticine", "foam", "fluid", "rigid")
-WALLS = [{"kind": "sphere", "centre": [0, 0.1, 0.1], "motion": {"kind": "swing"}}, {"kind": "ground"}]
+WALLS = [
+    {"kind": "sphere", "centre": [0, 0.1, 0.1], "motion": {"kind": "swing"}},
+    {"kind": "ground"},
+]
 VARIANTS = {
     **{f"drop {law}": ("drop", {"material.law": law}) for law in LAWS},
     "press float64": ("press", {"accuracy.precision": "float64"}),
@@ -36,7 +39,9 @@ def body(count: int = 3000) -> Gaussians:
     quats = rng.normal(size=(count, 4))
     quats /= np.linalg.norm(quats, axis=1, keepdims=True)
     scales = rng.uniform(0.01, 0.03, (count, 3))
-    return Gaussians.from_rgb(means, quats, scales, np.full(count, 0.9), rng.uniform(size=(count, 3)))
+    return Gaussians.from_rgb(
+        means, quats, scales, np.full(count, 0.9), rng.uniform(size=(count, 3))
+    )
 
 
 def fingerprint(scene: Scene, threads: int) -> str:

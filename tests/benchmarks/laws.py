@@ -77,7 +77,7 @@ def solver(material: Material, strain: float, *, simd: bool = True) -> Solver:
 def look(made: Solver) -> float:
     """CPU nanoseconds per particle of measuring what limits the substep."""
     begin = time.thread_time()
-    made.measure_lane(made.lanes[0])
+    made.measure_lane(made.workers[0])
     return (time.thread_time() - begin) / len(made.rest) * 1e9
 
 
@@ -85,7 +85,7 @@ def cost(made: Solver, start: dict[str, wp.array]) -> tuple[float, float]:
     """CPU nanoseconds per particle of scatter and gather, from the same state each time."""
     made.state.restore(start)
     spent = []
-    for name, work in (stage for phase in made.lanes[0].phases for stage in phase):
+    for name, work in (stage for phase in made.workers[0].phases for stage in phase):
         begin = time.thread_time()
         work()
         if name.startswith(("p2g", "g2p")):

@@ -17,7 +17,7 @@ def test_the_window_forgets_a_particle_that_flew_off():
     v[-1] = [0, 600, 1000]
     s = Solver(x, np.full(len(x), 1e-4), [NeoHookean(E=1e4)], dx=0.125, v=v)
     s.advance(0.02)
-    assert s.domain.outside.numpy().tolist() == [216]
+    assert s.outliers.outside.numpy().tolist() == [216]
     assert s.grid.count < 5000
     fallen = s.state.x.numpy()[-1] - x[-1]
     np.testing.assert_allclose(fallen, [0, 12, 20], atol=2e-3)
@@ -39,7 +39,7 @@ def test_who_crosses_the_edge_of_the_domain_falls_once_per_substep(rng, threads)
     crossed = set()
     for frame in range(1, 13):
         s.advance(0.01 * frame)
-        crossed.add(tuple(s.domain.outside.numpy().tolist()))
+        crossed.add(tuple(s.outliers.outside.numpy().tolist()))
     assert len(crossed) > 5
     given = mass @ s.state.v.numpy() - before
     fallen = mass.sum() * np.array([0, 0, -9.81]) * (s.time - s.last_dt / 2)
