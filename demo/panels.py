@@ -1,4 +1,4 @@
-"""The page's own panels: gr.HTML components whose scripts lie in static/ and viewer/."""
+"""The page's own panels: gr.HTML components; scripts lie in static/ and phy124/io/viewer/."""
 
 from __future__ import annotations
 

@@ -20,6 +20,7 @@ from starlette.staticfiles import StaticFiles
 from demo.guard import BodyLimit, Doorkeeper, Headed, Patient, allow_connections, own_names
 from demo.identity import cookie_of
 from demo.uploads import upload_route
+from phy124.io.export.html import VIEWER
 
 if TYPE_CHECKING:
     from demo.jobs import Studio
@@ -93,7 +94,7 @@ def routes(studio: Studio) -> list[Route | Mount]:
         Route("/phy124/catalogue.json", scenes),
         Mount("/phy124/examples", Assets(directory=FOLDER / "examples")),
         Mount("/phy124/previews", Assets(directory=FOLDER / "previews")),
-        Mount("/phy124/viewer", Assets(directory=FOLDER / "viewer")),
+        Mount("/phy124/viewer", Assets(directory=VIEWER)),
         Mount("/phy124/static", Assets(directory=FOLDER / "static")),
     ]
 

@@ -33,8 +33,8 @@ from phy124.gaussians import SH_C0
 from phy124.io.files import replacing
 from phy124.rendering.camera import Camera
 
-VIEWER = Path(__file__).parents[3] / "demo" / "viewer"
-"""Where the player's scripts lie, beside this package."""
+VIEWER = Path(__file__).parents[1] / "viewer"
+"""Where the player's scripts lie; the page serves them from there, too."""
 SCRIPTS = ("vendor/playcanvas.min.js", "pack.js", "player.js")
 STYLE = "player.css"
 LICENCE = "vendor/LICENSE-playcanvas.txt"
