@@ -10,7 +10,7 @@ from .layout import Profile
 
 LIVE_PROFILE: Profile = "viz"
 LIVE_POINTS = 32_768
-"""Gaussians per frame that a subscriber with stock buffers receives at 30 Hz (docs/bridge.md)."""
+"""Gaussians per frame that stock subscribers receive at 30 Hz (docs/guide/bridge.md)."""
 LAST_SECOND = 2**31 - 1
 """`builtin_interfaces/msg/Time` counts seconds in an int32."""
 

@@ -20,7 +20,7 @@ from phy124.scene import Scene
 READ = 0.2
 """Longer than it takes to read Gaussians that were made before, s."""
 DOUBLE = 1.7
-"""How much longer a substep takes in float64 (docs/accuracy.md)."""
+"""How much longer a substep takes in float64 (docs/results/accuracy.md)."""
 SPREAD = 3.0
 """Learned costs stay within this factor of those measured at the start, either way."""
 WINDOW = 5

@@ -87,7 +87,7 @@ def grids(scene: Scene) -> tuple[int, ...]:
 
 
 def on_grid(scene: Scene, cells: int) -> Scene:
-    """The scene on another grid; digits do not change its error (docs/accuracy.md)."""
+    """The scene on another grid; digits do not change its error (docs/results/accuracy.md)."""
     accuracy = scene.resolution.model_copy(update={"cells": cells, "precision": "float32"})
     return scene.model_copy(update={"accuracy": accuracy})
 

@@ -3,7 +3,7 @@
 Every command also takes --quiet (print nothing but problems) and --verbose (print what the
 libraries say, and where in the code a problem arose). `phy124 --version` names this version.
 `phy124 --tyro-print-completion bash` (zsh, fish) prints what completes commands and options with
-the Tab key; see docs/commands.md.
+the Tab key; see docs/guide/commands.md.
 
 Exit status: 0 done, 1 the machine refused (disk full, ...), 2 bad input, 3 the simulation stopped
 early and kept its good frames, 130 interrupted. No traceback for what a user can mend.

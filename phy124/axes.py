@@ -1,7 +1,8 @@
 """Axes: how the directions of a file become ours, and Gaussians turned by any rotation.
 
-Ours are z up, the object facing +x (docs/conventions.md). A file is turned by `rotate` first, if
-that is given; then `up` and `front`, or its dialect, say which of its directions are which.
+Ours are z up, the object facing +x (docs/reference/conventions.md). A file is turned by `rotate`
+first, if that is given; then `up` and `front`, or its dialect, say which of its directions are
+which.
 """
 
 from __future__ import annotations

@@ -27,8 +27,9 @@ PARTICLE_COSTS = {
     "double precision": 48,
     "singular values in substeps": 337,
 }
-"""What effects would cost, nanoseconds per particle and substep on one core (docs/benchmarks.md).
+"""What effects would cost, nanoseconds per particle and substep on one core.
 
+Measured in docs/results/benchmarks.md.
 Damped stress against plain; metal's G2P against an elastic one; every particle asked for its law;
 a force on a region with its books; float64 against float32; Warp's svd3.
 """

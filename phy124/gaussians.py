@@ -1,6 +1,6 @@
 """Gaussians and frames: what every stage of the pipeline passes on.
 
-Conventions: world right-handed, metres, z up, the object faces +x (docs/conventions.md);
+Conventions: world right-handed, metres, z up, the object faces +x (docs/reference/conventions.md);
 quaternions are wxyz; values are post-activation (opacity 0..1, scales in metres).
 The field names are gsplat's.
 """

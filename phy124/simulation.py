@@ -192,7 +192,7 @@ class Simulation:
         )  # fmt: skip
 
     def report(self) -> dict[str, Any]:
-        """What the run did; the keys are documented in docs/report.md."""
+        """What the run did; the keys are documented in docs/reference/report.md."""
         solver = self.solver
         effects = Effects.of(
             self.scene,

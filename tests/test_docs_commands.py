@@ -21,7 +21,7 @@ from phy124.arguments.repeats import gathered
 from phy124.errors import InputError
 
 ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), ROOT / "CONTRIBUTING.md"]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")), ROOT / "CONTRIBUTING.md"]
 NOT_RUN = {"ros2", "own", "network", "long", "server"}
 """Why a block is only parsed: it needs ROS 2, the reader's files, the network, hours, or Ctrl-C."""
 BLOCK = re.compile(r"^```([^\n]*)\n(.*?)^```", re.M | re.S)

@@ -141,8 +141,8 @@ def blocks(page: str) -> list[str]:
 
 
 def test_the_generator_of_the_documentation_runs(monkeypatch):
-    """docs/extending.md: 15 lines are a generator, used by name and as an object."""
-    (code,) = (b for b in blocks("extending.md") if "GENERATORS" in b)
+    """docs/guide/extending.md: 15 lines are a generator, used by name and as an object."""
+    (code,) = (b for b in blocks("guide/extending.md") if "GENERATORS" in b)
     assert 5 <= len([line for line in code.splitlines() if line.strip()]) <= 15
     monkeypatch.setitem(GENERATORS, "ball", None)  # so that it is taken out again
     exec(code, {})
@@ -154,8 +154,8 @@ def test_the_generator_of_the_documentation_runs(monkeypatch):
 
 
 def test_the_table_of_dialects_is_the_reader_s(tmp_path):
-    """docs/plugins.md names every dialect with the axes that `read_ply` takes for it."""
-    page = (Path(__file__).parents[1] / "docs/plugins.md").read_text("utf-8")
+    """docs/guide/plugins.md names every dialect with the axes that `read_ply` takes for it."""
+    page = (Path(__file__).parents[1] / "docs/guide/plugins.md").read_text("utf-8")
     cells = [
         [c.strip() for c in line.split("|")[1:5]]
         for line in page.splitlines()

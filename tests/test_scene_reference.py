@@ -10,11 +10,11 @@ from phy124.scene import Scene
 from phy124.scene.reference import EXAMPLE, reference, schema
 from support.declared import leaves
 
-PAGE = Path(__file__).parents[1] / "docs" / "scene.md"
+PAGE = Path(__file__).parents[1] / "docs/reference/scene.md"
 
 
 def test_the_page_is_the_declaration_s():
-    told = "run `phy124 scenes --reference > docs/scene.md`"
+    told = "run `phy124 scenes --reference > docs/reference/scene.md`"
     assert PAGE.read_text("utf-8") == reference(), told
 
 

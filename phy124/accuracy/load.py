@@ -15,7 +15,7 @@ SPIN, LOOKS = 0.1, 5
 ALONE = 0.93
 """Share of a core from which nobody else has it."""
 LEAST, MOST = 0.8, 1.5
-"""What runs took, in forecasts, where nothing else was at work (docs/accuracy.md)."""
+"""What runs took, in forecasts, where nothing else was at work (docs/results/accuracy.md)."""
 BUSY = 1.2
 """How much wider the range is beside others: they come and go within a run."""
 

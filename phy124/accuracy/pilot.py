@@ -2,9 +2,9 @@
 
 It tells what a probe at rest cannot: how the stable substep shrinks as the material strains and
 moves. The strain at its worst place grows with resolution, so the substeps in excess of those at
-rest are extrapolated as cells^1.8 (docs/accuracy.md has the measurements); those at rest and
-those limited by speed go with the cells, those limited by a ceiling do not change. Inner friction
-needs at least so many in a frame as go with the cells' square.
+rest are extrapolated as cells^1.8 (measured in docs/results/accuracy.md); those at rest and those
+limited by speed go with the cells, those limited by a ceiling do not change. Inner friction needs
+at least so many in a frame as go with the cells' square.
 """
 
 from __future__ import annotations

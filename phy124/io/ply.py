@@ -3,8 +3,8 @@
 The layout is that of Kerbl et al. 2023, "3D Gaussian Splatting": one element `vertex` whose
 properties are found by name; colours are spherical harmonics, `f_rest` all red first, then green,
 then blue. Such files have x right, y down, z into the picture; ours is z up with the object facing
-+x, so axes are renamed on the way in and out (docs/conventions.md). The axes change is a signed
-permutation, hence exact: what was written is read back bit for bit, but for log and logit.
++x, so axes are renamed on the way in and out (docs/reference/conventions.md). The axes change is a
+signed permutation, hence exact: what was written is read back bit for bit, but for log and logit.
 """
 
 from __future__ import annotations

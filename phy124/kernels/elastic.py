@@ -1,7 +1,8 @@
 """Elastic laws: Kirchhoff stress tau [Pa] of a deformation gradient F.
 
 Every law has a stress, an energy per rest volume whose derivative it is, and a modulus: an upper
-bound of the largest eigenvalue of d tau / d ln sigma, which limits the substep (docs/physics.md).
+bound of the largest eigenvalue of d tau / d ln sigma, which limits the substep
+(docs/reference/physics.md).
 `theta` holds the law's parameters, `h` its history (unused here), `C` the velocity gradient.
 """
 

@@ -1,7 +1,7 @@
 """Constitutive laws a scene can name, each with its own parameters in SI units and their bounds.
 
 A material is its own section of the scene file; its device functions are in phy124/kernels, its
-formulae with their sources in docs/physics.md.
+formulae with their sources in docs/reference/physics.md.
 """
 
 from typing import Annotated

@@ -3,8 +3,8 @@
 The grid knows nothing of neighbours. Particles hold together because they share nodes, and where
 stretching has carried them more than about a cell apart they no longer do: the material parts
 though no law said so (numerical fracture). A bar pulled apart holds up to a mean spacing of about
-one cell, at which its worst places reach `APART` (docs/stability.md). A finer grid does not help,
-since it resolves sharper corners, which are stretched more; more particles per cell do.
+one cell, at which its worst places reach `APART` (docs/results/stability.md). A finer grid does not
+help, since it resolves sharper corners, which are stretched more; more particles per cell do.
 
 Two signs are looked for: particles that are stretched so far, and pieces that came off. The first
 warns of a tear and misses that of a thin stem, the second is a tear.

@@ -2,7 +2,7 @@
 
 dt = min(k dx sqrt(rho0 / A), 0.5 dx / |v|, 0.4 / |C|): A the largest eigenvalue of
 d tau / d ln sigma (an isolated particle is a harmonic oscillator of omega^2 = 4 A / (rho0 dx^2)),
-|v| the greatest speed, |C| the greatest velocity gradient. See docs/physics.md.
+|v| the greatest speed, |C| the greatest velocity gradient. See docs/reference/physics.md.
 
 A substep that follows A up and down in step with a vibration feeds it, as a swing is fed, so A is
 forgotten only slowly: leapfrog with substeps of one length conserves what it should.

@@ -29,7 +29,7 @@ PRESETS = {
     "standard": Accuracy(cells=32),
     "fine": Accuracy(cells=48, precision="float64"),
 }
-"""Named accuracies (docs/accuracy.md)."""
+"""Named accuracies (docs/results/accuracy.md)."""
 
 
 GOOD_FOR = {

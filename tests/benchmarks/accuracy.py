@@ -1,4 +1,4 @@
-"""The measurements of docs/accuracy.md: known answers, studies, goals, the cost of each part.
+"""The measurements of docs/results/accuracy.md: known answers, studies, goals, costs of parts.
 
 With `--docs` its tables and plots are renewed (`make accuracy`). About a quarter of an hour, most
 of it for the goals and the finer runs that check them; parts by name (verify, duck-press,
@@ -241,8 +241,8 @@ def studies(parts: list[str], *, docs: bool) -> dict[str, str]:
         made[name] = study_table(report)
         print(f"{name}: {time.process_time() - start:.0f} CPU seconds\n{made[name]}", flush=True)
         if docs:
-            (DOCS / "accuracy").mkdir(exist_ok=True)
-            save_picture(report, DOCS / "accuracy" / f"{name}.png", title=name)
+            (DOCS / "images/accuracy").mkdir(exist_ok=True)
+            save_picture(report, DOCS / "images/accuracy" / f"{name}.png", title=name)
     return made
 
 
@@ -269,7 +269,7 @@ def main(parts: list[str], *, docs: bool) -> None:
     for name, text in made.items():
         print(text, flush=True)
         if docs:
-            renew(DOCS / "accuracy.md", name, text)
+            renew(DOCS / "results/accuracy.md", name, text)
 
 
 def wants(parts: list[str], name: str) -> bool:

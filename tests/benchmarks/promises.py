@@ -132,7 +132,7 @@ def main(laws: list[str]) -> None:
         for kind, group in groupby(found, key=lambda row: row["kind"]):
             kinds[kind] = worst(list(group))
         about = {"machine": machine(), "date": date.today().isoformat(), "object": f"the {OBJECT}"}
-        renew(DOCS / "accuracy.md", "promises", table(kinds))
+        renew(DOCS / "results/accuracy.md", "promises", table(kinds))
         text = json.dumps({**about, "scenes": dict(sorted(kinds.items()))}, indent=1)
         FILE.write_text(text + "\n")
 

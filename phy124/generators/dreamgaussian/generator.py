@@ -2,7 +2,7 @@
 
 Tang et al. 2024, "DreamGaussian: Generative Gaussian Splatting for Efficient 3D Content Creation".
 It optimises instead of predicting, so it is made for a GPU; results of the original program enter
-as PLY (docs/plugins.md).
+as PLY (docs/guide/plugins.md).
 """
 
 from __future__ import annotations

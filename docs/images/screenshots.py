@@ -1,6 +1,6 @@
 """Makes the pictures of the page in docs/: light, dark and phone, after a run of the duck.
 
-    make test && .venv/bin/python docs/screenshots.py
+    make test && .venv/bin/python docs/images/screenshots.py
 
 Needs Debian's chromium, and what the tests need.
 """
@@ -16,8 +16,9 @@ from pathlib import Path
 from PIL import Image
 from playwright.sync_api import Browser, Page, sync_playwright
 
-DOCS = Path(__file__).parent
-sys.path[:0] = [str(DOCS.parent), str(DOCS.parent / "tests")]
+HERE = Path(__file__).parent
+ROOT = HERE.parents[1]
+sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
 
 from support.served import serving  # noqa: E402
 
@@ -59,12 +60,12 @@ def _take(browser: Browser, url: str, name: str, look: dict) -> None:
     page.wait_for_selector(".film video", timeout=SECONDS)
     page.wait_for_selector("#go:not([disabled])", timeout=SECONDS)
     _pose(page)
-    _save(page.screenshot(full_page=name == "phone"), DOCS / f"web-{name}.jpg")
+    _save(page.screenshot(full_page=name == "phone"), HERE / f"web-{name}.jpg")
     if name == "light":
         page.get_by_role("tab", name="Report").click()
         page.wait_for_timeout(1000)
         page.locator("#report").scroll_into_view_if_needed()
-        _save(page.screenshot(), DOCS / "web-report.jpg")
+        _save(page.screenshot(), HERE / "web-report.jpg")
     context.close()
 
 

@@ -1,9 +1,9 @@
-"""Make docs/sheets/*.jpg and docs/duck-press.webp: every preset on the example pictures.
+"""Make sheets/*.jpg and duck-press.webp beside this file: every preset on the example pictures.
 
 Rows are presets, columns every second frame from the front; the last row of each sheet shows the
-orbit of the first preset. docs/sheets/substances.jpg has the presets that are about a substance,
-each on a picture that suits it, at draft. Run it as `python docs/contact_sheets.py [PICTURE ...]`;
-the word `substances` makes that one alone.
+orbit of the first preset. sheets/substances.jpg has the presets that are about a substance, each on
+a picture that suits it, at draft. Run `python docs/images/contact_sheets.py [PICTURE ...]`; the
+word `substances` makes that one alone.
 """
 
 import sys
@@ -65,7 +65,7 @@ def substances() -> np.ndarray:
 
 def example(name: str) -> Path:
     """An example picture."""
-    return HERE / f"../demo/examples/{name}.png"
+    return HERE.parents[1] / f"demo/examples/{name}.png"
 
 
 def made_of(picture: Path) -> Gaussians:
