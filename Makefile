@@ -1,11 +1,11 @@
-# make demo | app | bridge | test | test-browser | bench | accuracy | lint | clean
+# make demo | app | bridge | test | test-browser | bench | accuracy | dist | lint | clean
 # Everything is installed into .venv; a stamp per set of packages says that it is there.
 
 PYTHON ?= python3
 BIN := .venv/bin
 INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: demo app bridge test test-slow test-browser bench accuracy lint clean chromium
+.PHONY: demo app bridge test test-slow test-browser bench accuracy dist lint clean chromium
 
 demo: .venv/base
 	$(BIN)/phy124 generate demo/examples/duck.png --scene press --out out/duck-press
@@ -36,6 +36,11 @@ accuracy: .venv/test
 	$(BIN)/python tests/benchmarks/forecast.py --docs
 	$(BIN)/python tests/benchmarks/promises.py
 	$(BIN)/python tests/benchmarks/accuracy.py --docs
+
+dist: .venv/base
+	$(INSTALL) build
+	rm -rf dist
+	$(BIN)/python -m build
 
 lint: .venv/lint
 	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/pre-commit run --all-files --show-diff-on-failure

@@ -1,4 +1,4 @@
-"""The command line: `python -m bridge record|play|info|recover|doctor ...`.
+"""The bridge: record, play, inspect and repair moving Gaussians as ROS 2 messages.
 
 Exit status: 0 done, 1 the machine refused, 2 bad input, 3 the simulation stopped early and kept
 its good frames, 130 interrupted. No traceback for what a user can mend.

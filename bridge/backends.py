@@ -8,6 +8,7 @@ from typing import Literal
 from phy124.errors import InputError
 from phy124.runtime.installation import install_command
 
+from . import PROGRAM
 from .options import Options
 from .sinks import LiveSink
 from .sinks.dds import DdsSink, require_cyclonedds
@@ -45,7 +46,7 @@ def choose(backend: Backend) -> str:
             return candidate
     limit = "Neither rclpy nor cyclonedds is here, so only MCAP files are possible."
     remedy = (
-        "Record one with `python -m bridge record`, source ROS 2, "
+        f"Record one with `{PROGRAM} record`, source ROS 2, "
         f"run `{install_command('dds')}`, or choose --backend foxglove."
     )
     raise InputError("backend", "auto", limit, remedy)

@@ -1,4 +1,4 @@
-"""The command line behind `python -m bridge`: which command, with which options, and its log."""
+"""The command line: which command, with which options, and its log."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from pydantic import ValidationError
 from phy124.arguments.parsing import parsed
 from phy124.errors import InputError
 
+from . import PROGRAM
 from .commands import COMMANDS, Play
 from .options import Options
 
-PROGRAM = "python -m bridge"
 MAY_BE_EMPTY = ("--parent-frame",)
 
 

@@ -1,4 +1,4 @@
-"""One class per command of `python -m bridge`: its fields are its options, `run` does the work."""
+"""One class per command of the command line: its fields are its options, `run` does the work."""
 
 from __future__ import annotations
 

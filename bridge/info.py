@@ -13,7 +13,7 @@ import numpy as np
 from phy124.clip import Clip
 from phy124.errors import InputError
 
-from . import bag
+from . import PROGRAM, bag
 from .backends import AUTOMATIC, REQUIREMENTS, missing
 from .layout import FULL, SMALL, VIZ
 from .recover import records
@@ -82,7 +82,7 @@ def describe_recording(path: Path, file: Path) -> list[str]:
         if channel.topic == POINTS.name and number in times:
             seconds = np.ptp(times[number]) / 1e9
             lines.append(f"duration: {seconds:.3f} s")
-    state = "whole" if whole else f"not finished or damaged; run `python -m bridge recover {path}`"
+    state = "whole" if whole else f"not finished or damaged; run `{PROGRAM} recover {path}`"
     return [*lines, f"state: {state}"]
 
 

@@ -18,6 +18,8 @@ from phy124.io.export.html import write_html
 from phy124.rendering.film import cameras
 from phy124.scene import View
 
+BRIDGE = __name__.partition("demo")[0] + "bridge"
+"""The bridge's program: `bridge` in a checkout, `phy124_bridge` beside `phy124_demo`."""
 TAIL = 60.0
 """Longest time that the bridge may take, s."""
 
@@ -60,9 +62,11 @@ def _ply(done: Done, path: Path) -> None:
 
 def _mcap(done: Done, path: Path) -> None:
     """Through the bridge's command line: page and bridge do not know each other."""
-    command = [sys.executable, "-m", "bridge", "record", str(done.clip / "clip.safetensors")]
+    clip = (done.clip / "clip.safetensors").resolve()
+    command = [sys.executable, "-m", BRIDGE, "record", str(clip), str(path.resolve())]
+    beside = Path(__file__).parents[1]
     try:
-        subprocess.run([*command, str(path)], check=True, timeout=TAIL, capture_output=True)
+        subprocess.run(command, cwd=beside, check=True, timeout=TAIL, capture_output=True)
     except (subprocess.SubprocessError, OSError) as error:
         raise InputError(
             "format", "mcap", "The bridge could not write it.", "Take clip.safetensors instead."
@@ -70,7 +74,7 @@ def _mcap(done: Done, path: Path) -> None:
 
 
 def _bridge() -> bool:
-    return all(find_spec(name) is not None for name in ("bridge", "mcap"))
+    return all(find_spec(name) is not None for name in (BRIDGE, "mcap"))
 
 
 EXPORTS = {

@@ -17,7 +17,7 @@ from phy124.errors import InputError
 from phy124.gaussians import Frame
 from phy124.runtime.installation import install_command
 
-from .. import bag
+from .. import PROGRAM, bag
 from ..encoder import FrameEncoder
 from ..options import Options
 from ..topics import Message
@@ -170,7 +170,7 @@ class McapSink:
             # Closing flushes once more and meets the same full disk; the file is closed then.
             assert self._stream.closed
         limit = f"Writing stopped ({error.strerror}); {self.frames} frames are safe in {self.file}."
-        remedy = f"Make room and run `python -m bridge recover {self.path}`."
+        remedy = f"Make room and run `{PROGRAM} recover {self.path}`."
         return InputError("recording", self.path, limit, remedy)
 
 

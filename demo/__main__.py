@@ -1,0 +1,59 @@
+"""The hosted page: `python app.py` or `python -m demo` in a checkout, else `phy124-demo`."""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+from argparse import ArgumentParser
+from collections.abc import Sequence
+
+from phy124.errors import InputError
+
+from .settings import PREFIX, Settings
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Serve the page until interrupted; returns the exit status."""
+    try:
+        serve(Settings.from_environment({**os.environ, **asked_for(arguments)}))
+    except InputError as error:
+        print(error, file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 130
+    return 0
+
+
+def serve(settings: Settings) -> None:
+    """Serve the page until interrupted."""
+    from .folder import own_folder
+    from .server import end_on_signals, launch, prepare
+
+    end_on_signals()
+    with own_folder(settings.folder) as root:
+        prepare(settings, root)
+        from .ui import STYLE, build, open_studio, theme
+
+        studio = open_studio(settings, root)
+        threading.Thread(target=studio.warm_up, name="warm-up", daemon=True).start()
+        launch(build(studio), studio, theme=theme(), head=STYLE)
+
+
+def asked_for(arguments: Sequence[str] | None) -> dict[str, str]:
+    """What the command line asks for, as environment variables: --port 80 is PHY124_PORT=80."""
+    parser = ArgumentParser(
+        prog="phy124-demo",
+        usage="%(prog)s [--port 7860] [--max-frames 72] ...",
+        description="Serve the web page. Every option is an environment variable as well.",
+    )
+    for name, field in Settings.model_fields.items():
+        variable = PREFIX + name.upper()
+        default = "none" if field.default == "" else field.default
+        told = f"{field.description} Default: {default}. {variable}"
+        parser.add_argument(f"--{name.replace('_', '-')}", dest=variable, metavar="", help=told)
+    return {name: value for name, value in vars(parser.parse_args(arguments)).items() if value}
+
+
+if __name__ == "__main__":
+    sys.exit(main())
