@@ -18,8 +18,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         serve(Settings.from_environment({**os.environ, **asked_for(arguments)}))
     except InputError as error:
-        print(error, file=sys.stderr)
-        return 1
+        print(f"phy124-demo: {error}", file=sys.stderr)
+        return 2
     except KeyboardInterrupt:
         return 130
     return 0
@@ -52,7 +52,8 @@ def asked_for(arguments: Sequence[str] | None) -> dict[str, str]:
         default = "none" if field.default == "" else field.default
         told = f"{field.description} Default: {default}. {variable}"
         parser.add_argument(f"--{name.replace('_', '-')}", dest=variable, metavar="", help=told)
-    return {name: value for name, value in vars(parser.parse_args(arguments)).items() if value}
+    given = vars(parser.parse_args(arguments))
+    return {variable: value for variable, value in given.items() if value is not None}
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ from typing import get_args
 import pytest
 from PIL import Image
 
+from demo.__main__ import asked_for, main
 from demo.catalogue import FOLDER, catalogue, check_time, files_named, scene_of
 from demo.forecast import Forecaster, count_substeps, measured, stops_table
 from demo.jobs import Studio
@@ -30,6 +31,20 @@ def quiet(monkeypatch):
 def test_settings_come_from_the_environment():
     settings = Settings.from_environment({"PHY124_MAX_FRAMES": "30", "OTHER": "x"})
     assert settings.max_frames == 30 and settings.port == 7860
+
+
+def test_every_setting_is_an_option_as_well(capsys):
+    assert asked_for(["--max-frames", "30", "--hosts", ""]) == {
+        "PHY124_MAX_FRAMES": "30",
+        "PHY124_HOSTS": "",
+    }
+    with pytest.raises(SystemExit):
+        asked_for(["--help"])
+    told = capsys.readouterr().out
+    for name, field in Settings.model_fields.items():
+        assert f"PHY124_{name.upper()}" in told and (field.description or "").split()[0] in told
+    assert main(["--port", "0"]) == 2
+    assert "PHY124_PORT = 0: it must be a whole number" in capsys.readouterr().err
 
 
 def test_a_space_listens_to_the_outside_and_a_desk_does_not():

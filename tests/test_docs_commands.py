@@ -25,8 +25,8 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")), ROOT / "CON
 NOT_RUN = {"ros2", "own", "network", "long", "server"}
 """Why a block is only parsed: it needs ROS 2, the reader's files, the network, hours, or Ctrl-C."""
 BLOCK = re.compile(r"^```([^\n]*)\n(.*?)^```", re.M | re.S)
-INLINE = re.compile(r"`((?:\.venv/bin/[^\s`]+|phy124|python -m bridge|make) [^`]*)`")
-FOREIGN = ("ros2", "rviz2", "colcon", "pip", "mkdir", "ln", "cd", ".", "source")
+INLINE = re.compile(r"`((?:\.venv/bin/[^\s`]+|phy124|phy124-bridge|python -m bridge|make) [^`]*)`")
+FOREIGN = ("git", "ros2", "rviz2", "colcon", "pip", "mkdir", "ln", "cd", ".", "source")
 """Programs that are not of this repository."""
 
 
@@ -70,13 +70,19 @@ def parse(words: list[str]) -> None:
     elif program in ("phy124", ".venv/bin/phy124"):
         parse_phy124(rest)
     elif rest[:2] == ["-m", "bridge"]:
-        tyro.extras.subcommand_cli_from_dict(BRIDGE, args=gathered(rest[2:], BRIDGE))
+        parse_bridge(rest[2:])
+    elif program == "phy124-bridge":
+        parse_bridge(rest)
     elif program == "python3" and rest[:2] == ["-m", "venv"]:
         assert "--system-site-packages" in rest, "our own is made by make"
     elif program in ("python", ".venv/bin/python"):
         assert (ROOT / rest[0]).is_file(), rest
     else:
         assert program in FOREIGN or program == ".venv/bin/pip", f"what is {program}?"
+
+
+def parse_bridge(rest: list[str]) -> None:
+    tyro.extras.subcommand_cli_from_dict(BRIDGE, args=gathered(rest, BRIDGE))
 
 
 def parse_phy124(rest: list[str]) -> None:

@@ -12,7 +12,7 @@ import subprocess
 import sys
 import time
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
@@ -72,7 +72,13 @@ class Server:
 
 
 @contextlib.contextmanager
-def serving(folder: Path, *, files: int | None = None, **settings: object) -> Iterator[Server]:
+def serving(
+    folder: Path,
+    command: Sequence[str | Path] = (sys.executable, ROOT / "app.py"),
+    *,
+    files: int | None = None,
+    **settings: object,
+) -> Iterator[Server]:
     """Serve until the block ends; settings are those of demo.settings.Settings.
 
     `files` is how many files and connections the server may have open.
@@ -84,9 +90,7 @@ def serving(folder: Path, *, files: int | None = None, **settings: object) -> It
     root, written = folder / "files", folder / "log.txt"
     environment = {**os.environ, "PHY124_PORT": str(port), "PHY124_FOLDER": str(root), **given}
     with open(written, "wb") as log:
-        process = subprocess.Popen(
-            [sys.executable, "app.py"], cwd=ROOT, env=environment, stdout=log, stderr=log
-        )
+        process = subprocess.Popen(command, cwd=folder, env=environment, stdout=log, stderr=log)
     if files:
         resource.prlimit(process.pid, resource.RLIMIT_NOFILE, (files, files))
     server = Server(port, root, written, process)

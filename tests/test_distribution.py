@@ -1,0 +1,130 @@
+"""What `make dist` builds, installed into a fresh environment and tried outside the checkout."""
+
+import os
+import subprocess
+import sys
+import sysconfig
+import venv
+import zipfile
+from pathlib import Path
+
+import pytest
+from ruamel.yaml import YAML
+from setuptools import find_packages
+
+import phy124
+from bridge import PROGRAM
+from demo import exports
+from phy124.io.ply import write_ply
+from support.served import serving
+from support.shapes import ball
+
+ROOT = Path(__file__).parents[1]
+FOLDERS = {"phy124": "phy124", "phy124_demo": "demo", "phy124_bridge": "bridge"}
+"""Installed package -> folder of the checkout."""
+
+
+def run(*command: object, cwd: Path = ROOT, fails: bool = False) -> str:
+    """What a command prints that nobody has told where the checkout is."""
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    done = subprocess.run(
+        [*map(str, command)], cwd=cwd, env=environment, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode != 0) == fails, f"{command}\n{done.stdout}\n{done.stderr}"
+    return done.stdout + done.stderr
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("dist")
+    run(sys.executable, "-m", "build", "--no-isolation", "--outdir", folder, ROOT)
+    assert len(list(folder.glob("*.tar.gz"))) == 1
+    (found,) = folder.glob("*.whl")
+    return found
+
+
+@pytest.fixture(scope="module")
+def programs(wheel, tmp_path_factory) -> Path:
+    """Folder of the programs of a fresh environment that holds the wheel.
+
+    What phy124 needs is taken from the environment of the tests, whose own phy124 is left out: a
+    folder named in a .pth file does not have its own .pth files read.
+    """
+    folder = tmp_path_factory.mktemp("elsewhere") / "venv"
+    venv.create(folder, symlinks=True)
+    paths = sysconfig.get_paths("venv", vars={"base": str(folder), "platbase": str(folder)})
+    python = Path(paths["scripts"], "python")
+    run(sys.executable, "-m", "pip", "--python", python, "install", "-q", "--no-deps", wheel)
+    Path(paths["purelib"], "needed.pth").write_text(sysconfig.get_path("purelib"))
+    return python.parent
+
+
+@pytest.mark.slow
+def test_the_wheel_holds_our_packages_and_what_they_read(wheel):
+    names = zipfile.ZipFile(wheel).namelist()
+    top = {name.split("/")[0] for name in names}
+    assert {name for name in top if not name.endswith(".dist-info")} == FOLDERS.keys()
+    inside = {str(Path(name).parent).replace("/", ".") for name in names if name.endswith(".py")}
+    for name, folder in FOLDERS.items():
+        packages = find_packages(str(ROOT), include=[folder, f"{folder}.*"])
+        assert {package.replace(folder, name, 1) for package in packages} <= inside
+    data = [*(ROOT / "phy124/presets").iterdir(), *(ROOT / "demo/static").iterdir()]
+    data += [*(ROOT / "demo/previews").iterdir(), *(ROOT / "demo/examples").iterdir()]
+    for path in data:
+        assert str(path.relative_to(ROOT)).replace("demo/", "phy124_demo/") in names
+    assert {"phy124/py.typed", "phy124/accuracy/measured.json"} <= set(names)
+    assert "phy124_bridge/setup.py" not in names, "it builds the ROS 2 package, here it is nothing"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["demo", "bridge", "app", "tests", "setup"])
+def test_common_names_are_left_to_others(programs, tmp_path, name):
+    assert "No module named" in run(
+        programs / "python", "-c", f"import {name}", cwd=tmp_path, fails=True
+    )
+
+
+@pytest.mark.slow
+def test_the_command_line(programs, tmp_path):
+    assert run(programs / "phy124", "--version").split() == ["phy124", phy124.__version__]
+    write_ply(tmp_path / "ball.ply", ball(300))
+    quick = ["--scene", "drop", "--set", "accuracy={cells=8}", "--frames", "2", "--device", "cpu"]
+    film = ["--views", "front", "--size", "32", "--out", "out"]
+    said = run(programs / "phy124", "simulate", "ball.ply", *quick, *film, cwd=tmp_path)
+    assert "out/clip.safetensors" in said and str(ROOT) not in said
+    clip = tmp_path / "out/clip.safetensors"
+    assert "2 frames in" in run(programs / "phy124-bridge", "record", clip, "bag", cwd=tmp_path)
+    assert "messages" in run(programs / "phy124-bridge", "info", "bag", cwd=tmp_path)
+
+
+@pytest.mark.slow
+def test_the_player_is_in_it(programs, tmp_path):
+    code = "from phy124.io.export.html import *; print([(VIEWER / s).is_file() for s in SCRIPTS])"
+    assert "False" not in run(programs / "python", "-c", code, cwd=tmp_path)
+
+
+@pytest.mark.slow
+def test_the_bridge_says_its_own_name(programs, tmp_path):
+    assert "mcap: ready" in run(programs / "phy124-bridge", "doctor", cwd=tmp_path)
+    for way in ([programs / "phy124-bridge"], [programs / "python", "-m", "phy124_bridge"]):
+        assert run(*way, "--help", cwd=tmp_path).startswith("usage: phy124-bridge")
+        said = run(*way, "pley", cwd=tmp_path, fails=True)
+        assert "Did you mean play?" in said
+
+
+@pytest.mark.slow
+def test_the_page(programs, tmp_path, monkeypatch):
+    monkeypatch.delenv("PYTHONPATH", raising=False)
+    assert "--max-frames" in run(programs / "phy124-demo", "--help", cwd=tmp_path)
+    with serving(tmp_path, [programs / "phy124-demo"]) as server:
+        assert server.health()["status"] == "ok"
+
+
+def test_who_cites_it_names_this_version():
+    cited = YAML(typ="safe").load(ROOT / "CITATION.cff")
+    assert cited["version"] == phy124.__version__
+    assert "arXiv:2409.07179" in str(cited["references"])
+
+
+def test_in_a_checkout_the_folders_have_their_own_names():
+    assert (PROGRAM, exports.BRIDGE) == ("python -m bridge", "bridge")
