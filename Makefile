@@ -1,11 +1,11 @@
-# make demo | app | bridge | test | test-browser | bench | accuracy | dist | lint | clean
+# make demo | app | bridge | test | test-browser | bench | accuracy | docs | dist | lint | clean
 # Everything is installed into .venv; a stamp per set of packages says that it is there.
 
 PYTHON ?= python3
 BIN := .venv/bin
 INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: demo app bridge test test-slow test-browser bench accuracy dist lint clean chromium
+.PHONY: demo app bridge test test-slow test-browser bench accuracy docs dist lint clean chromium
 
 demo: .venv/base
 	$(BIN)/phy124 generate demo/examples/duck.png --scene press --out out/duck-press
@@ -36,6 +36,9 @@ accuracy: .venv/test
 	$(BIN)/python tests/benchmarks/forecast.py --docs
 	$(BIN)/python tests/benchmarks/promises.py
 	$(BIN)/python tests/benchmarks/accuracy.py --docs
+
+docs: .venv/docs
+	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going --jobs 2 docs out/docs
 
 dist: .venv/base
 	$(INSTALL) build
@@ -68,6 +71,10 @@ clean:
 .venv/test: .venv/python pyproject.toml
 	$(INSTALL) --editable ".[test]"
 	touch $@ .venv/base .venv/demo .venv/bridge
+
+.venv/docs: .venv/python pyproject.toml
+	$(INSTALL) --editable ".[docs]"
+	touch $@ .venv/base
 
 .venv/lint: .venv/python pyproject.toml
 	$(INSTALL) --editable ".[test,lint]"

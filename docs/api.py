@@ -1,0 +1,146 @@
+"""The API reference: a page per room of phy124, written from its docstrings before Sphinx reads.
+
+griffe reads the sources and imports nothing: neither torch nor Warp need be there. What begins with
+an underscore is left out, and what is in `LEFT_OUT`. A page is a hundred times cheaper this way
+than as objects of Sphinx's Python domain, which resolves every annotation of every signature.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from logging import Handler, LogRecord, getLogger
+from pathlib import Path
+
+import griffe
+from sphinx.application import Sphinx
+from sphinx.util import logging
+
+HERE = Path(__file__).parent
+PAGES = HERE / "reference/api"
+LEFT_OUT = {"arguments", "commands", "kernels", "runtime", "selftest"}
+"""Device code, the command line, and what only the program itself calls."""
+WIDTH = 90
+"""Letters of a signature's longest line."""
+CODE = re.compile(r"(`[^`]*`)")
+SPECIAL = re.compile(r"([*_<>\[\]])")
+
+
+class _Warnings(Handler):
+    """What griffe finds wrong with docstrings are warnings of Sphinx."""
+
+    def emit(self, record: LogRecord) -> None:
+        logging.getLogger(__name__).warning(record.getMessage())
+
+
+def write_pages(app: Sphinx | None = None) -> None:
+    """Write a page for each module and folder right under `phy124/`."""
+    package = griffe.load(
+        "phy124", search_paths=[HERE.parent], docstring_parser="google", allow_inspection=False
+    )
+    getLogger("griffe").handlers = [_Warnings("WARNING")]
+    PAGES.mkdir(exist_ok=True)
+    rooms = [room for room in _inside(package) if room.name not in LEFT_OUT]
+    for page in PAGES.glob("*.md"):
+        page.unlink()
+    for room in rooms:
+        (PAGES / f"{room.name}.md").write_text("\n".join(_module(room, "#")), "utf-8")
+    (PAGES / "index.md").write_text("\n".join(_contents(package, rooms)), "utf-8")
+
+
+def _contents(package: griffe.Module, rooms: list[griffe.Module]) -> Iterator[str]:
+    yield from ["# API", "", _text(package), "", "| room | what it is |", "|---|---|"]
+    for room in rooms:
+        yield f"| [{room.path}]({room.name}.md) | {_text(room).split('. ')[0].splitlines()[0]} |"
+    yield from ["", "```{toctree}", ":hidden:", ":glob:", "", "*", "```", ""]
+
+
+def _module(module: griffe.Module, level: str) -> Iterator[str]:
+    yield from [f"{level} {module.path}", "", _text(module), ""]
+    given = [name for name, member in module.members.items() if member.is_alias]
+    if names := [name for name in module.exports or () if str(name) in given]:
+        yield from ["Gives " + ", ".join(f"`{name}`" for name in names) + ".", ""]
+    for member in _public(module):
+        yield from _member(member, level + "#")
+    for inner in _inside(module):
+        yield from _module(inner, "##")  # folders in folders stand beside one another
+
+
+def _inside(module: griffe.Module) -> list[griffe.Module]:
+    """Public modules right under one, by name."""
+    found = [inner for inner in module.modules.values() if not inner.name.startswith("_")]
+    return sorted(found, key=lambda inner: inner.name)
+
+
+def _public(owner: griffe.Module | griffe.Class) -> list[griffe.Object]:
+    """What an owner defines for others, in the order of the source."""
+    own = [member for member in owner.members.values() if not member.is_alias]
+    shown = [m for m in own if not m.name.startswith("_") and not m.is_module and m.has_docstring]
+    return sorted(shown, key=lambda member: member.lineno or 0)
+
+
+def _member(member: griffe.Object, level: str) -> Iterator[str]:
+    if member.is_attribute:
+        yield from _attribute(member)
+        return
+    owner = f"{member.parent.name}." if member.parent.is_class else ""
+    yield from [f"{level} {owner}{member.name}", "", "```python", _signature(member), "```", ""]
+    yield from [_text(member), ""]
+    if member.is_class:
+        for inner in _public(member):
+            yield from _member(inner, level + "#")
+
+
+def _attribute(attribute: griffe.Attribute) -> Iterator[str]:
+    kind = f": `{attribute.annotation}`" if attribute.annotation else ""
+    lines = _text(attribute).splitlines()
+    yield from [f"- **`{attribute.name}`**{kind}", ""]
+    yield from [*(f"  {line}".rstrip() for line in lines), ""]
+
+
+def _signature(member: griffe.Object) -> str:
+    if member.is_class:
+        bases = ", ".join(str(base) for base in member.bases)
+        return f"class {member.name}({bases})" if bases else f"class {member.name}"
+    line = f"def {member.signature()}"
+    if len(line) <= WIDTH:
+        return line
+    head, inner, tail = re.fullmatch(r"([^(]*\()(.*)(\)(?: -> .*)?)", line, re.S).groups()
+    given = re.split(r", (?=\*{0,2}\w+[:=,]|\*,|/,|\*{0,2}\w+$)", inner)
+    return "\n".join([head, *(f"    {one}," for one in given), tail])
+
+
+def _text(documented: griffe.Object) -> str:
+    """A docstring as Markdown."""
+    if documented.docstring is None:
+        return ""
+    return "\n\n".join(_section(section) for section in documented.docstring.parsed)
+
+
+def _section(section: griffe.DocstringSection) -> str:
+    if section.kind is griffe.DocstringSectionKind.text:
+        return _escaped(section.value)
+    if section.kind is griffe.DocstringSectionKind.admonition:
+        return f"{section.title}: {_escaped(section.value.contents)}"
+    rows = [f"**{section.kind.value.capitalize()}**", ""]
+    for row in section.value:
+        name = getattr(row, "name", "") or row.annotation
+        rows.append(f"- `{name}`: " + _escaped(row.description).replace("\n", " "))
+    return "\n".join(rows)
+
+
+def _escaped(text: str) -> str:
+    """Without letters that Markdown takes for more, but for `code` and indented formulae."""
+    lines = []
+    for line in text.splitlines():
+        parts = CODE.split(line)
+        if not line.startswith("    "):
+            parts[::2] = [SPECIAL.sub(r"\\\1", part) for part in parts[::2]]
+        lines.append("".join(parts))
+    return "\n".join(lines)
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Let Sphinx write the pages when it begins."""
+    app.connect("builder-inited", write_pages)
+    return {"parallel_read_safe": True}

@@ -1,0 +1,12 @@
+"""How Sphinx builds the documentation: `make docs`, every warning an error."""
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))  # api.py
+
+project = "phy124"
+html_title = "phy124"
+html_theme = "furo"
+extensions = ["myst_parser", "api"]
+myst_heading_anchors = 4
