@@ -1,28 +1,98 @@
-"""phy124: one photograph in, a physically moving 3D object out."""
+"""phy124: one photograph in, a physically moving 3D object out.
+
+    import phy124
+
+    result = phy124.generate("duck.png", phy124.Scene.named("press"), "out")
+    clip = phy124.Clip.load(result.folder / "clip.safetensors")
+
+What `__all__` names is the public face, with versions as CONTRIBUTING.md says. It is imported when
+it is first asked for, so that this package itself is light.
+"""
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from phy124.boundaries import Boundary
     from phy124.clip import Clip
     from phy124.errors import Cancelled, InputError
+    from phy124.forces import Force
     from phy124.gaussians import Frame, Gaussians
+    from phy124.generators import Generator
+    from phy124.imaging.cutout import cut_out
+    from phy124.io.export.html import write_html
+    from phy124.io.ply import read_ply, write_ply
+    from phy124.io.video import write_mp4
+    from phy124.materials import Material
+    from phy124.metrics.comparison import compare
+    from phy124.pipeline import Result, generate, simulate
     from phy124.rendering.camera import Camera
+    from phy124.rendering.film import film
+    from phy124.rendering.render import Renderer, render, render_frames
+    from phy124.scene import Scene, preset_names
+    from phy124.simulation import Simulation, Stopped
 
 __version__ = "0.1.0"
-__all__ = ["Camera", "Cancelled", "Clip", "Frame", "Gaussians", "InputError"]
-_HOMES = {
-    "Camera": "rendering.camera",
-    "Clip": "clip",
-    "Cancelled": "errors",
-    "InputError": "errors",
-    "Frame": "gaussians",
-    "Gaussians": "gaussians",
+__all__ = [
+    "Boundary",
+    "Camera",
+    "Cancelled",
+    "Clip",
+    "Force",
+    "Frame",
+    "Gaussians",
+    "Generator",
+    "InputError",
+    "Material",
+    "Renderer",
+    "Result",
+    "Scene",
+    "Simulation",
+    "Stopped",
+    "compare",
+    "cut_out",
+    "film",
+    "generate",
+    "preset_names",
+    "read_ply",
+    "render",
+    "render_frames",
+    "simulate",
+    "write_html",
+    "write_mp4",
+    "write_ply",
+]
+_MODULES = {
+    "boundaries": ["Boundary"],
+    "clip": ["Clip"],
+    "errors": ["Cancelled", "InputError"],
+    "forces": ["Force"],
+    "gaussians": ["Frame", "Gaussians"],
+    "generators": ["Generator"],
+    "imaging.cutout": ["cut_out"],
+    "io.export.html": ["write_html"],
+    "io.ply": ["read_ply", "write_ply"],
+    "io.video": ["write_mp4"],
+    "materials": ["Material"],
+    "metrics.comparison": ["compare"],
+    "pipeline": ["Result", "generate", "simulate"],
+    "rendering.camera": ["Camera"],
+    "rendering.film": ["film"],
+    "rendering.render": ["Renderer", "render", "render_frames"],
+    "scene": ["Scene", "preset_names"],
+    "simulation": ["Simulation", "Stopped"],
 }
+_HOMES = {name: module for module, names in _MODULES.items() for name in names}
 
 
-def __getattr__(name: str) -> Any:
-    """Import a public name when it is first asked for, so that the package itself is light."""
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+if not TYPE_CHECKING:  # Type checkers would take any name for one of ours.
+
+    def __getattr__(name: str) -> Any:
+        """Import a public name when it is first asked for."""
+        if name not in _HOMES:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

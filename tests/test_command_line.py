@@ -128,21 +128,6 @@ def test_a_reader_that_has_read_enough_is_no_error(monkeypatch, capfd):
     assert capfd.readouterr().err == ""
 
 
-def test_the_package_itself_is_light_so_that_ctrl_c_is_clean_from_the_start():
-    code = "import sys, phy124, phy124.__main__; print(*sys.modules)"
-    run = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
-    assert {"numpy", "warp", "tyro", "pydantic"} & set(run.stdout.split()) == set()
-
-
-def test_the_names_of_the_package_are_there_when_asked_for():
-    import phy124
-
-    for name in phy124.__all__:
-        assert getattr(phy124, name).__name__ == name
-    with pytest.raises(AttributeError, match="no attribute 'dance'"):
-        getattr(phy124, "dance")  # noqa: B009
-
-
 def test_ctrl_c_while_modules_are_imported(monkeypatch, capsys):
     def interrupted(*_, **__):
         raise KeyboardInterrupt

@@ -193,6 +193,18 @@ class Renderer:
         return known[2]
 
 
+def render(
+    gaussians: Gaussians,
+    camera: Camera,
+    background: Colour = WHITE,
+    *,
+    alpha: bool = False,
+    device: str | None = None,
+) -> Array:
+    """One image, as `Renderer` draws it; keep one of those, or use `render_frames`, for many."""
+    return Renderer(device=device)(gaussians, camera, background, alpha=alpha)
+
+
 def render_frames(
     frames: Iterable[Frame],
     cameras: Camera | Iterable[Camera],
