@@ -23,7 +23,7 @@ from phy124.pipeline import cameras
 from phy124.progress import silent
 from phy124.rendering.framing import departures
 from phy124.rendering.render import render_frames
-from phy124.scene import Scene, preset_names
+from phy124.scene import Scene, View, preset_names
 from phy124.simulation import Simulation
 
 FOLDER = Path(__file__).parent
@@ -32,6 +32,10 @@ OBJECTS = {
     "snow": "teddy", "water": "pear", "jelly": "cupcake", "wind": "sunflower", "foam": "mushroom",
 }  # fmt: skip
 """Which example suits a preset; all others take the duck."""
+FRAMES = {"water": 11}
+"""Frames of a material that would spread far beyond its card, where that are fewer."""
+AROUND = 1.12
+"""How much farther the camera goes where it must see a whole motion: Gaussians have a size, too."""
 SIZE, CHIP = 200, 96
 """Sides of a preset's picture and of a material's, pixels."""
 
@@ -42,15 +46,18 @@ def main() -> None:
     materials = [f"material_{name}" for name in SUBSTANCES]
     parser.add_argument("names", nargs="*", default=[*preset_names(), *materials])
     for name in parser.parse_args().names:
-        substance = None
+        path = FOLDER / "previews" / f"{name}.webp"
         if name in materials:
-            substance = SUBSTANCES[name.removeprefix("material_")]
-        scene = Scene.named("drop" if substance else name).replaced({"accuracy": "draft"})
-        size = SIZE
-        if substance:
-            scene, size = scene.replaced({"material": substance}), CHIP
-        picture = "duck" if substance else OBJECTS.get(name, "duck")
-        make_preview(scene, picture, FOLDER / "previews" / f"{name}.webp", size)
+            make_preview(substance_scene(name.removeprefix("material_")), "duck", path, CHIP)
+        else:
+            scene = Scene.named(name).replaced({"accuracy": "draft"})
+            make_preview(scene, OBJECTS.get(name, "duck"), path, SIZE)
+
+
+def substance_scene(name: str) -> Scene:
+    """What a material's chip shows: it falls to the ground."""
+    drop = Scene.named("drop").replaced({"accuracy": "draft", "material": SUBSTANCES[name]})
+    return drop.replaced({"time.frames": FRAMES.get(name, drop.time.frames)})
 
 
 def make_preview(scene: Scene, example: str, path: Path, size: int) -> None:
@@ -58,9 +65,7 @@ def make_preview(scene: Scene, example: str, path: Path, size: int) -> None:
     cutout = cut_out(FOLDER / "examples" / f"{example}.png").picture
     clip = Simulation(make("relief")(cutout, seed=0, progress=silent), scene).run()
     path.parent.mkdir(exist_ok=True)
-    closer = scene.view.model_copy(update={"distance": scene.view.distance - 0.2})
-    view = whole_in_view(clip, scene.view) if departures(clip, closer) else closer
-    view = view.model_copy(update={"size": (size, size)})
+    view = _framed(clip, scene.view).model_copy(update={"size": (size, size)})
     camera = cameras(clip, view, "front")[0]
     black, white = (
         list(render_frames(_there_and_back(clip), camera, background=(g, g, g), device="cpu"))
@@ -72,6 +77,15 @@ def make_preview(scene: Scene, example: str, path: Path, size: int) -> None:
         path, save_all=True, append_images=images[1:], duration=duration, loop=0,
         quality=75, alpha_quality=60, method=4,
     )  # fmt: skip
+
+
+def _framed(clip: Clip, view: View) -> View:
+    """Somewhat closer than usual, or from so far that the whole motion is seen."""
+    closer = view.model_copy(update={"distance": view.distance - 0.2})
+    if not departures(clip, closer):
+        return closer
+    whole = whole_in_view(clip, view)
+    return whole.model_copy(update={"distance": AROUND * whole.distance})
 
 
 def _clear(on_black: NDArray, on_white: NDArray) -> Image.Image:
