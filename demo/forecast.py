@@ -7,8 +7,9 @@ filling; what a particle-substep, a drawn pixel and so on cost is in demo/rates.
 from __future__ import annotations
 
 import math
+import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from typing import Any
@@ -18,7 +19,7 @@ from demo.studies import Measurement, on_grid
 from phy124.accuracy import Forecaster as Probe
 from phy124.accuracy.forecast import GUESS, QUIET, pixels_per_size
 from phy124.accuracy.load import Load, spoken
-from phy124.accuracy.promises import Promise, promise
+from phy124.accuracy.promises import Promise, promise, why_broken
 from phy124.gaussians import Gaussians
 from phy124.limits import duration
 from phy124.mpm.timestep import CELLS_PER_STEP, beside_elastic
@@ -67,7 +68,8 @@ class Forecast:
         text = f"About {spoken(self.span)}{beside}: {self.substeps:,} substeps of "
         text += f"{round(self.particles, -3):,} particles. {promised(self.promise)}"
         if self.load.busy:
-            text += f" Others here make it {self.load.now:.1f} times as long, as things are;"
+            slower = f"{self.load.simulation:.1f} times as long"
+            text += f" Others here make its motion take {slower}, as things are;"
             text += " who ends or begins meanwhile is not foreseen."
         if self.compiling > 0:
             text += f" The first run of this kind compiles for about {duration(self.compiling)}."
@@ -92,9 +94,11 @@ class Stop:
 class Forecaster:
     """Predicts runs and learns from the reports of finished ones."""
 
-    def __init__(self) -> None:
+    def __init__(self, occupied: Callable[[], bool] = lambda: False) -> None:
         self.learned = Learned()
+        self._occupied = occupied
         self._load, self._looked = QUIET, -math.inf
+        self._looking = threading.Lock()
 
     @property
     def rates(self) -> Rates:
@@ -115,17 +119,16 @@ class Forecaster:
 
         `compiling` are the seconds, alone on this machine, until the kernels are there.
         """
-        work = work_of(scene, gaussians)
-        costs = self.rates.seconds(work)
-        seconds = 0.0 if filmed else self.rates.rest + costs["film"]
-        if not simulated:
-            seconds += costs["simulate"] + costs["deform"]
-            seconds += compiling + (0 if generated else costs["generate"])
-        particles, load = count_particles(scene, gaussians), self.load()
-        seconds *= load.now
+        work, load = work_of(scene, gaussians), self.load()
+        costs = self.rates.seconds(work) | {"rest": self.rates.rest, "compile": compiling}
+        done = {
+            "generate": generated or simulated, "simulate": simulated, "deform": simulated,
+            "compile": simulated, "film": filmed, "rest": filmed,
+        }  # fmt: skip
+        seconds = {name: cost * load.of(name) for name, cost in costs.items() if not done[name]}
         return Forecast(
-            seconds, round(work.substeps), particles, promise(scene), load=load,
-            compiling=0.0 if simulated else compiling * load.now,
+            sum(seconds.values()), round(work.substeps), count_particles(scene, gaussians),
+            promise(scene), load=load, compiling=seconds.get("compile", 0.0),
         )  # fmt: skip
 
     def study(
@@ -139,25 +142,40 @@ class Forecaster:
     ) -> float:
         """Seconds of measuring a scene's error on these grids."""
         costs = [self.rates.seconds(work_of(on_grid(scene, n), gaussians)) for n in levels]
-        seconds = sum(cost["simulate"] + cost["deform"] for cost in costs)
-        seconds += len(levels) * self.rates.rest * SET_UP + compiling
-        return (seconds + (0 if generated else self.rates.generate)) * self.load().now
+        simulate, deform = (sum(cost[name] for cost in costs) for name in ("simulate", "deform"))
+        rest = len(levels) * self.rates.rest * SET_UP + compiling
+        generate, load = 0.0 if generated else self.rates.generate, self.load()
+        return simulate * load.simulation + (deform + rest + generate) * load.thread
 
     def load(self) -> Load:
-        """What others do on this machine, looked at anew every few seconds."""
-        if time.monotonic() > self._looked + FRESH:
-            self._load, self._looked = Load.measured(), time.monotonic()
+        """What others do on this machine, looked at anew every few seconds.
+
+        While a run of our own is in hand they cannot be told from it: the last look counts.
+        """
+        if time.monotonic() > self._looked + FRESH and not self._occupied():
+            self.look()
         return self._load
 
-    def calibrate(self, small: Measured, usual: Measured) -> None:
-        """Measure the rates by two runs, less what others made them take longer."""
-        slower = self.load().now
-        alone = [(_alone(report, slower), scene) for report, scene in (small, usual)]
-        self.learned.calibrate(*alone)
+    def look(self) -> Load:
+        """What others do on this machine now."""
+        with self._looking:  # Two at once would take each other for others.
+            self._load = Load.measured()
+            self._looked = time.monotonic()
+            return self._load
 
-    def learn(self, report: dict[str, Any], scene: Scene) -> None:
-        """Correct the rates by a finished run, less what others made it take longer."""
-        self.learned.learn(_alone(report, self.load().now), scene)
+    def calibrate(self, small: Callable[[], Measured], usual: Callable[[], Measured]) -> None:
+        """Measure the rates by two runs, less what others made them take longer."""
+        self.learned.calibrate(self._alone(small), self._alone(usual))
+
+    def _alone(self, run: Callable[[], Measured]) -> Measured:
+        """A run done now, as it would have been without others."""
+        before = self.look()
+        report, scene = run()
+        return _alone(report, before.mean(self.look())), scene
+
+    def learn(self, report: dict[str, Any], scene: Scene, before: Load) -> None:
+        """Correct the rates by a run just finished, less what others made it take longer."""
+        self.learned.learn(_alone(report, before.mean(self.look())), scene)
 
     def least(self, scene: Scene, *, gaussians: int = GAUSSIANS) -> float:
         """Seconds of computing, were this machine as quick as it was ever known to be."""
@@ -193,9 +211,12 @@ class Forecaster:
         return found
 
 
-def _alone(report: dict[str, Any], slower: float) -> dict[str, Any]:
-    """The report as it would be if others had not made it so many times slower."""
-    stages = [{**stage, "seconds": stage["seconds"] / slower} for stage in report["stages"]]
+def _alone(report: dict[str, Any], load: Load) -> dict[str, Any]:
+    """The report as it would be without a load."""
+    stages = [
+        {**stage, "seconds": stage["seconds"] / load.of(stage["name"])}
+        for stage in report["stages"]
+    ]
     return {**report, "stages": stages}
 
 
@@ -209,9 +230,16 @@ def measured(gaussians: Gaussians, scene: Scene, device: str, rest: float) -> Fo
     )  # fmt: skip
 
 
-def promise_of(scene: Scene, study: Measurement | None) -> Promise:
-    """What may be promised of a scene: what was measured on it, else on such scenes."""
-    return promise(scene) if study is None else study.promise(scene.resolution.cells)
+def promise_of(
+    scene: Scene, study: Measurement | None, report: Mapping[str, Any] | None = None
+) -> Promise:
+    """What may be promised of a scene: what was measured on it, else on such scenes.
+
+    With the report of its run, what may still be said.
+    """
+    if study is None or why_broken(report or {}):
+        return promise(scene, report)
+    return study.promise(scene.resolution.cells)
 
 
 def promised(promise: Promise) -> str:

@@ -10,6 +10,7 @@ import json
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -73,7 +74,7 @@ class Studio:
 
     settings: Settings
     visitors: Visitors
-    forecaster: Forecaster = field(default_factory=Forecaster)
+    forecaster: Forecaster = field(default_factory=lambda: Forecaster(DEVICE.locked))
     work: Callable[[Order], Iterator[Any]] = steps
     """What runs an order; on ZeroGPU it is wrapped by `spaces.GPU`."""
     warm: threading.Event = field(default_factory=threading.Event)
@@ -241,7 +242,7 @@ class Studio:
         return job
 
     def _run(self, visitor: Visitor, order: Order, job: Job) -> None:
-        events = self.work(order)
+        load, events = self.forecaster.load(), self.work(order)
         try:
             for event in events:
                 job.tell(event)
@@ -250,7 +251,7 @@ class Studio:
             visitor.trim(self.visitors.room)
         done = job.progress.result
         if isinstance(done, Done) and "simulate" not in job.progress.reused:
-            self.forecaster.learn(read_report(done), order.scene)
+            self.forecaster.learn(read_report(done), order.scene, load)
 
     def warm_up(self) -> None:
         """Load all kernels and measure this machine with a small run; at the start, in a thread."""
@@ -260,7 +261,7 @@ class Studio:
             with DEVICE:
                 warm_up(self.settings.device)
                 device = self.settings.device
-                self.forecaster.calibrate(tiny_run(device), example_run(device))
+                self.forecaster.calibrate(partial(tiny_run, device), partial(example_run, device))
         self.warm.set()
 
 

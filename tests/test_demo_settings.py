@@ -10,7 +10,7 @@ from PIL import Image
 
 from demo.__main__ import asked_for, main
 from demo.catalogue import FOLDER, catalogue, check_time, files_named, scene_of
-from demo.forecast import Forecaster, count_substeps, measured, stops_table
+from demo.forecast import Forecaster, count_substeps, measured, stops_table, work_of
 from demo.jobs import Studio
 from demo.settings import Settings, table
 from demo.visitors import Visitors
@@ -25,7 +25,7 @@ from phy124.scene import Scene, preset_names
 @pytest.fixture(autouse=True)
 def quiet(monkeypatch):
     """Nobody else is at work."""
-    monkeypatch.setattr("demo.forecast.Load.measured", lambda *_: Load(1.0))
+    monkeypatch.setattr("demo.forecast.Load.measured", lambda *_: Load())
 
 
 def test_settings_come_from_the_environment():
@@ -223,15 +223,37 @@ def test_what_is_there_already_takes_no_time_and_others_take_theirs(monkeypatch)
     moved = forecaster(scene, generated=True, simulated=True).seconds
     assert whole > made > moved > 0
     assert forecaster(scene, generated=True, simulated=True, filmed=True).seconds == 0
-    monkeypatch.setattr("demo.forecast.Load.measured", lambda *_: Load(2.0))
+    monkeypatch.setattr("demo.forecast.Load.measured", lambda *_: Load(2.0, 3.0))
     busy = Forecaster()(scene)
-    assert busy.seconds == pytest.approx(2 * whole)
+    motion = forecaster.rates.seconds(work_of(scene))["simulate"]
+    assert busy.seconds == pytest.approx(2 * whole + motion)
     assert "beside what else this machine does" in busy.sentence
-    assert "make it 2.0 times as long" in busy.sentence
+    assert "make its motion take 3.0 times as long" in busy.sentence
+
+
+def test_a_run_of_our_own_is_not_taken_for_others(monkeypatch):
+    occupied = True
+    forecaster = Forecaster(lambda: occupied)
+    monkeypatch.setattr("demo.forecast.Load.measured", lambda *_: Load(2.0, 3.0))
+    assert not forecaster.load().busy
+    occupied = False
+    assert forecaster.load().busy
+
+
+def test_two_looks_do_not_take_each_other_for_others(monkeypatch):
+    forecaster, at_once = Forecaster(), []
+
+    def look(*_):
+        at_once.append(forecaster._looking.locked())
+        return Load()
+
+    monkeypatch.setattr("demo.forecast.Load.measured", look)
+    forecaster.look()
+    assert at_once == [True] and not forecaster._looking.locked()
 
 
 def test_kernels_that_are_not_there_take_time_and_it_is_said(monkeypatch):
-    monkeypatch.setattr("demo.forecast.Load.measured", lambda *_: Load(2.0))
+    monkeypatch.setattr("demo.forecast.Load.measured", lambda *_: Load(2.0, 3.0))
     scene, forecaster = Scene.named("press"), Forecaster()
     warm, cold = forecaster(scene), forecaster(scene, compiling=5.0)
     assert cold.seconds == pytest.approx(warm.seconds + 10.0)
@@ -245,12 +267,13 @@ def test_rates_are_measured_less_what_others_took(monkeypatch):
     report = {"stages": [{"name": "simulate", "seconds": 4.0}], "substeps": 100, "frames": 2,
               "particles": 1000}  # fmt: skip
     scene, found = Scene.named("press"), []
-    for now in (1.0, 2.0):
-        monkeypatch.setattr("demo.forecast.Load.measured", lambda *_, now=now: Load(now))
+    for before, after in ((1.0, 1.0), (2.0, 2.0), (3.0, 1.0)):
+        looks = iter([Load(before, before), Load(after, after)] * 2)
+        monkeypatch.setattr("demo.forecast.Load.measured", lambda *_, looks=looks: next(looks))
         forecaster = Forecaster()
-        forecaster.calibrate((report, scene), (report, scene))
+        forecaster.calibrate(lambda: (report, scene), lambda: (report, scene))
         found.append(forecaster.rates.substep)
-    assert found[1] == pytest.approx(found[0] / 2)
+    assert found[1] == found[2] == pytest.approx(found[0] / 2)
 
 
 def test_a_forecast_can_be_measured_on_the_object_itself(three_gaussians):

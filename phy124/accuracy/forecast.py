@@ -44,7 +44,7 @@ UNSURE = 0.1
 """Share of substeps limited by motion rather than stiffness from which nothing is promised."""
 GUESS = 1.14
 """How much wider the range is where the seconds are a guess."""
-QUIET = Load(1.0)
+QUIET = Load()
 REMEMBERED = 32
 """Forecasts and measurements that are kept; the oldest goes."""
 NODE_STAGES = ("clear", "grid")

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import os
-import statistics
 import time
+import zlib
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from pathlib import Path
 
-THREADS = 2
-"""Threads of a run on the CPU."""
-SPIN, LOOKS = 0.1, 5
-"""Seconds that are spun to see how much of a core one gets, and how often others are counted."""
+SPIN = 0.3
+"""Seconds for which threads spin to see how much of a core each gets."""
+BLOCK = bytes(1 << 18)
+"""What a spinning thread reads, without Python's lock."""
 ALONE = 0.93
-"""Share of a core from which nobody else has it."""
+"""Fraction of a core from which nobody else has it."""
+SECOND_THREAD = 1.5
+"""How much longer a simulation takes without the second thread, which it has if a core is free."""
 LEAST, MOST = 0.8, 1.5
 """What runs took, in forecasts, where nothing else was at work (docs/results/accuracy.md)."""
 BUSY = 1.2
@@ -22,31 +24,41 @@ BUSY = 1.2
 
 @dataclass(frozen=True)
 class Load:
-    """What others do on this machine."""
+    """How many times longer things take here than on a quiet machine, because of others."""
 
-    now: float
-    """How many times longer a run takes than on a quiet machine, as things are."""
+    thread: float = 1.0
+    """What one thread does."""
+    simulation: float = 1.0
+    """A simulation."""
 
     @classmethod
     def measured(cls, device: str = "cpu") -> Load:
-        """From a spin of 0.1 s; a run on a GPU hardly notices others.
+        """From what threads of our own get of the cores for a moment.
 
-        Three views of how many others want a core, of which the median counts: what is left of a
-        core knows their priorities, but not of a core that they leave free; a count of what runs
-        knows the moment only; the load average knows the last minute, and our own work in it.
+        That knows the priorities of others, the limits of a container and how a system shares its
+        cores, and nothing of the past. What this very process computes meanwhile counts as others.
+        A run on a GPU hardly notices them.
         """
         if device != "cpu":
-            return cls(1.0)
-        cores, (share, counted) = _cores(), _spun()
-        squeezed = 0.0 if share > ALONE else max(cores / share - 1, 0.0)
-        lately = os.getloadavg()[0] if hasattr(os, "getloadavg") else squeezed
-        views = [squeezed, lately, squeezed if counted is None else counted]
-        return cls(_slower(statistics.median(views), cores))
+            return cls()
+        one = _received(1)
+        thread = 1.0 if one > ALONE else 1 / one
+        free = one > ALONE and (_cores() == 1 or _received(2) > ALONE)
+        return cls(thread, thread if free else SECOND_THREAD * thread)
+
+    def of(self, stage: str) -> float:
+        """How many times longer a stage of a run takes."""
+        return self.simulation if stage == "simulate" else self.thread
+
+    def mean(self, other: Load) -> Load:
+        """Half way to another load, for what lay between two looks."""
+        thread = (self.thread + other.thread) / 2
+        return Load(thread, (self.simulation + other.simulation) / 2)
 
     @property
     def busy(self) -> bool:
         """Whether others are at work now."""
-        return self.now > 1
+        return self.simulation > 1
 
     def span(self, seconds: float, *, unsure: float = 1.0) -> tuple[float, float]:
         """Between what times a run lies that takes `seconds` as things are.
@@ -68,39 +80,19 @@ def spoken(span: tuple[float, float]) -> str:
     return f"{low / 3600:.1f} to {high / 3600:.1f} h"
 
 
-def _spun() -> tuple[float, float | None]:
-    """Share of a core that one thread gets, and how many others run meanwhile; None: unknown."""
-    begun, own, counts = time.perf_counter(), time.thread_time(), []
-    for look in range(LOOKS):
-        while time.perf_counter() - begun < SPIN * (look + 1) / LOOKS:
-            pass
-        counts.append(_others())
-    share = max((time.thread_time() - own) / (time.perf_counter() - begun), 0.02)
-    known = [count for count in counts if count is not None]
-    return share, statistics.mean(known) if known else None
+def _received(threads: int) -> float:
+    """Mean fraction of a core that threads get which all want one."""
+    with ThreadPoolExecutor(threads) as pool:
+        fractions = list(pool.map(_spun, [SPIN] * threads))
+    return max(sum(fractions) / threads, 0.02)
 
 
-def _others() -> int | None:
-    """Threads of others that run or wait for a core now; None where the system does not say."""
-    try:
-        stat = Path("/proc/stat").read_text()
-        mine = sum(_runs(task) for task in Path("/proc/self/task").iterdir())
-    except OSError:
-        return None
-    line = next((line for line in stat.splitlines() if line.startswith("procs_running")), None)
-    return None if line is None else max(int(line.split()[1]) - mine, 0)
-
-
-def _runs(task: Path) -> bool:
-    try:
-        return (task / "stat").read_text().rpartition(")")[2].split()[0] == "R"
-    except OSError:
-        return False  # The thread has ended.
-
-
-def _slower(others: float, cores: int) -> float:
-    """How many times longer a run takes beside others that want so many cores."""
-    return max(1.0, (others + min(THREADS, cores)) / cores)
+def _spun(seconds: float) -> float:
+    """Fraction of a core that this thread gets, from a spin of so many seconds."""
+    begun, own = time.perf_counter(), time.thread_time()
+    while time.perf_counter() - begun < seconds:
+        zlib.crc32(BLOCK)
+    return (time.thread_time() - own) / (time.perf_counter() - begun)
 
 
 def _cores() -> int:

@@ -59,7 +59,7 @@ class Promise:
 
 def promise(scene: Scene, report: Mapping[str, Any] | None = None) -> Promise:
     """What may be promised of a scene; with the report of its run, what may still be said."""
-    broken = _broken(report or {})
+    broken = why_broken(report or {})
     if broken:
         return Promise(None, f"none can be promised: {broken}")
     laws, motion = sorted({section.law for section in scene.materials}), motion_of(scene)
@@ -136,8 +136,8 @@ def _unknown(what: str) -> Promise:
     return Promise(None, f"not measured for {what}; `{STUDY}` measures it.", unmeasured=what)
 
 
-def _broken(report: Mapping[str, Any]) -> str:
-    """Why a run keeps no promise, whatever was measured elsewhere."""
+def why_broken(report: Mapping[str, Any]) -> str:
+    """Why a run keeps no promise, whatever was measured elsewhere; empty if it keeps it."""
     if report.get("balance", {}).get("tearing", {}).get("likely"):
         return "the grid may have torn the material (see the notes)."
     if report.get("complete") is False:

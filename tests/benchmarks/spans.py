@@ -3,7 +3,8 @@
 Forecasts and true times beside 0, 1, 2 and 4 busy loops: a new picture, another motion of a picture
 that is there, another camera, what was probed on the object itself, and kernels that must be
 compiled. With `--docs` the table of docs/results/accuracy.md is renewed. It prints a line per run,
-asserts nothing, and takes a quarter of an hour on a busy machine; numbers of loops do only these.
+asserts nothing, and takes a quarter of an hour on a busy machine; numbers of loops do only these,
+one round for each.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ ROOT = Path(__file__).parents[2]
 LOOPS = (0, 1, 2, 4)
 PICTURES = ("duck", "teddy", "pear", "cupcake")
 COLD = ("hencky", "fixed_corotated", "plasticine", "snow")
-"""Laws whose kernels are taken out of the cache, one for each number of loops."""
+"""Laws whose kernels are taken out of the cache, one for each round."""
 SETTLE = 20.0
 """Seconds for which the loops have run before anything is foretold."""
 
@@ -107,13 +108,13 @@ class Page:
         return {
             "took s": round(took, 2), "foretold s": round(told.seconds, 2), "low s": round(low, 2),
             "high s": round(high, 2), "within": low <= took <= high, "probed": told.measured,
-            "compiling s": round(told.compiling, 2), "slower": round(told.load.now, 2),
+            "compiling s": round(told.compiling, 2), "slower": round(told.load.simulation, 2),
             "load": round(load, 1), "end": job.progress.state,
         }  # fmt: skip
 
 
-def runs(page: Page, loops: int, number: int) -> Iterator[tuple[str, dict[str, Any]]]:
-    """The kinds of runs beside some loops."""
+def runs(page: Page, number: int) -> Iterator[tuple[str, dict[str, Any]]]:
+    """The kinds of runs of one of the pictures."""
     press = Scene.named("press").replaced({"accuracy": "draft"})
     cutout = page.cut(PICTURES[number])
     yield "new picture", page.run(cutout, press)
@@ -150,9 +151,9 @@ def main(loops: list[int], *, docs: bool) -> None:
     with tempfile.TemporaryDirectory() as folder:
         kernels_without(COLD, Path(folder) / "kernels")
         page = Page(Path(folder) / "visitors")
-        for count in loops:
+        for number, count in enumerate(loops):
             with busy(count):
-                for kind, row in runs(page, count, LOOPS.index(count)):
+                for kind, row in runs(page, number % len(PICTURES)):
                     rows.append({"loops": count, "kind": kind, **row})
                     print(json.dumps(rows[-1]), flush=True)
     print(summary(rows))
