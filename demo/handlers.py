@@ -17,7 +17,7 @@ from demo.catalogue import scene_of
 from demo.exports import EXPORTS, export
 from demo.forecast import promise_of, stops_table
 from demo.identity import visitor_of
-from demo.jobs import Cutout, Studio, read_report, sentence
+from demo.jobs import Cutout, Studio, read_report, read_study, sentence
 from demo.line import Job
 from demo.progress import Progress
 from demo.report import as_html
@@ -36,6 +36,8 @@ from phy124.scene import Scene
 Handler = Callable[..., Any]
 NOT_SHOWN = [gr.skip()] * 5
 """For the panels that `results` fills."""
+REPORT = 2
+"""Place of the report among them."""
 EXAMPLES = Path(__file__).parent / "examples"
 FILES = {
     "clip.safetensors": ("Moving Gaussians", "The clip itself, for phy124"),
@@ -257,18 +259,27 @@ def finisher(studio: Studio) -> Handler:
     """A run that has come to an end -> everything there is to see; a study -> the forecast."""
 
     def finish(
-        cutout: Any, scene: Any, event: gr.EventData, request: gr.Request
+        cutout: Any, scene: Any, shown: Any, event: gr.EventData, request: gr.Request
     ) -> tuple[Any, ...]:
         name, job = visitor_of(request), _job(studio, request, event)
         if job is not None and isinstance(job.progress.result, Measured) and cutout and scene:
             text = studio.forecast(name, cutout.path, scene)
             told = with_stops(studio, name, cutout.path, scene, text, opened=True)
-            return told, gr.skip(), *rested(), *NOT_SHOWN
+            return told, gr.skip(), *rested(), *_with_report(studio, name, shown)
         if job is None or not job.over or not _is_there(job.progress.result):
             return gr.skip(), gr.skip(), *rested(), *NOT_SHOWN
         return gr.skip(), job.progress.result, *rested(), *results(studio, name, job)
 
     return finish
+
+
+def _with_report(studio: Studio, name: str, shown: Any) -> list[Any]:
+    """The result panels, of which only the report is new: that of the run which is shown."""
+    panels, visitor = list(NOT_SHOWN), studio.visitors.known(name)
+    if visitor is not None and _is_there(shown):
+        jobs = [job for job in visitor.jobs.values() if job.progress.result == shown]
+        panels[REPORT] = report_of(studio, jobs[-1]) if jobs else gr.skip()
+    return panels
 
 
 def _is_there(done: Any) -> bool:
@@ -317,18 +328,26 @@ def _found_run(studio: Studio, name: str, run: Job | None) -> tuple[Any, ...]:
 def results(studio: Studio, name: str, job: Job) -> list[Any]:
     """Values of the viewer, the videos, the report, the take-away panel and the history."""
     done: Done = job.progress.result
-    report = read_report(done)
     clip = Clip.load(done.clip / "clip.safetensors")
-    stops = studio.forecaster.stops(Scene.from_data(clip.scene), gaussians=report["gaussians"])
     films = [{"name": path.stem, "file": _file(path)} for path in _films(done)]
     length = float(clip.times[-1] - clip.times[0])
     return [
         {"pack": _file(done.films / "clip.pack")},
         {"films": films, "length": length},
-        as_html(report, clip.scene, job.progress.expected, stops),
+        report_of(studio, job),
         _takeaway(done),
         {"runs": _earlier(studio, name, job)},
     ]
+
+
+def report_of(studio: Studio, job: Job) -> str:
+    """The report of a finished run, with what was measured on its scene before or after it."""
+    done: Done = job.progress.result
+    report, study = read_report(done), read_study(done.study)
+    data = Clip.load(done.clip / "clip.safetensors").scene
+    scene, count = Scene.from_data(data), report["gaussians"]
+    stops = studio.forecaster.stops(scene, gaussians=count, study=study)
+    return as_html(report, data, job.progress.expected, stops, study)
 
 
 def _earlier(studio: Studio, name: str, shown: Job) -> list[dict[str, Any]]:

@@ -7,33 +7,42 @@ from collections.abc import Sequence
 from html import escape
 from typing import Any
 
-from demo.forecast import Stop, promised
-from phy124.accuracy.promises import promise
+from demo.forecast import Stop, promise_of, promised
+from demo.studies import Measurement
+from phy124.accuracy.promises import Promise
 from phy124.scene import Scene
 
 WIDTH, HEIGHT, TALL, MARGIN = 280, 84, 130, 4
 
 
 def as_html(
-    report: dict[str, Any], scene: dict[str, Any], predicted: float, stops: Sequence[Stop] = ()
+    report: dict[str, Any],
+    scene: dict[str, Any],
+    predicted: float,
+    stops: Sequence[Stop] = (),
+    study: Measurement | None = None,
 ) -> str:
-    """The report for the page; every word of it is escaped. `stops` are the other accuracies."""
-    parts = []
+    """The report for the page; every word of it is escaped.
+
+    `stops` are the other accuracies, `study` is what was measured on this very scene.
+    """
+    said, parts = promise_of(Scene.from_data(scene), study, report), []
     if report.get("stopped"):
         parts.append(f'<p class="notice">Stopped early: {escape(str(report["stopped"]))}</p>')
     parts += [f'<p class="note">{escape(str(note))}</p>' for note in report.get("notes", [])]
-    parts += [_accuracy(report, scene, predicted), _pareto(report, scene, stops)]
+    parts += [_accuracy(report, scene, predicted, said), _pareto(report, said, stops)]
     parts += [_cut_out(report), _stages(report), _motion(report)]
     parts += [_effects(report), _left_out(report)]
     return f'<div class="report">{"".join(parts)}</div>'
 
 
-def _accuracy(report: dict[str, Any], scene: dict[str, Any], predicted: float) -> str:
+def _accuracy(
+    report: dict[str, Any], scene: dict[str, Any], predicted: float, said: Promise
+) -> str:
     name = scene.get("accuracy")
-    said = promise(Scene.from_data(scene), report)
     rows = [
         ("Setting", name if isinstance(name, str) else "own settings"),
-        ("Error promised", promised(said).removeprefix("Expected error: ")),
+        ("Error measured" if said.own else "Error promised", promised(said).partition(": ")[2]),
         ("Time predicted", f"{predicted:.1f} s"),
         ("Time spent", f"{report['seconds']:.1f} s"),
         ("Gaussians", f"{report['gaussians']:,}"),
@@ -44,9 +53,9 @@ def _accuracy(report: dict[str, Any], scene: dict[str, Any], predicted: float) -
     return _section("Accuracy and cost", _table(rows))
 
 
-def _pareto(report: dict[str, Any], scene: dict[str, Any], stops: Sequence[Stop]) -> str:
+def _pareto(report: dict[str, Any], said: Promise, stops: Sequence[Stop]) -> str:
     """Error over seconds: the stops of the accuracy slider, and the point this run reached."""
-    reached = promise(Scene.from_data(scene), report).error
+    reached = said.error
     known = [(stop, stop.error) for stop in stops if stop.error]
     if not known or not reached:
         return ""
@@ -62,7 +71,8 @@ def _pareto(report: dict[str, Any], scene: dict[str, Any], stops: Sequence[Stop]
     ]
     line = " ".join(f"{x(a):.1f},{y(b):.1f}" for a, b in points)
     here = f'<circle class="reached" cx="{x(run[0]):.1f}" cy="{y(run[1]):.1f}" r="5.5"/>'
-    label = f"this run: {run[0]:.1f} s, error at most about {run[1]:.1%} of the size"
+    how = "about" if said.own else "at most about"
+    label = f"this run: {run[0]:.1f} s, error {how} {run[1]:.1%} of the size"
     return _section(
         "Accuracy over time",
         f'<svg viewBox="0 0 {WIDTH} {TALL}" role="img" aria-label="{escape(label)}">'

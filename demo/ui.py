@@ -146,5 +146,5 @@ def _wire_run(
     forecast.measure(handlers.measurer(studio), [cutout, scene], started, **QUIET)
     cancel.click(handlers.stopper(studio), None, None, **QUIET)
     finish, shown = handlers.finisher(studio), [forecast, done, go, cancel, *results]
-    progress.finished(finish, [cutout, scene], shown, **QUIET)
-    results[-1].show(finish, [cutout, scene], shown, **QUIET)
+    progress.finished(finish, [cutout, scene, done], shown, **QUIET)
+    results[-1].show(finish, [cutout, scene, done], shown, **QUIET)

@@ -34,7 +34,7 @@ def done(tmp_path, three_gaussians) -> Done:
     made = Clip.from_frames(frames)
     scene = Scene.named("press").data()
     Clip(**{**vars(made), "scene": scene}).save(tmp_path / "clip" / "clip.safetensors")
-    return Done(tmp_path / "clip", tmp_path / "films")
+    return Done(tmp_path / "clip", tmp_path / "films", tmp_path / "study.json")
 
 
 def test_a_sequence_of_ply_files_is_made_once(done):

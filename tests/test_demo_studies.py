@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import gradio as gr
 import pytest
 
 from demo import handlers
 from demo.forecast import promise_of
-from demo.jobs import Studio, read_study
+from demo.jobs import Cutout, Studio, read_study
+from demo.line import Job
 from demo.settings import Settings
 from demo.studies import GRIDS, Level, Measurement, grids
 from demo.visitors import Visitors
@@ -137,6 +139,27 @@ def test_measuring_is_offered_where_nothing_was_measured_and_then_told(visit):
     assert "data-measure" not in after and "Measured: about" in after
     assert all(f"<td>D/{cells}</td>" in after for cells in GRIDS)
     assert "error not measured" not in after
+
+
+def test_the_report_of_a_run_tells_what_was_measured_on_its_scene_later(visit, monkeypatch):
+    monkeypatch.setattr(handlers, "visitor_of", lambda _: "a")
+    studio, cutout, data = visit
+    data = {**data, "accuracy": "draft", "view": {**data["view"], "size": [32, 32]}}
+    run = studio.run("a", cutout, data)
+    assert run.wait(300) and run.progress.state == "done", run.progress.message
+    shown = run.progress.result
+    assert "Error promised</td><td>not measured for hencky" in handlers.report_of(studio, run)
+    study = Job("measure", studio.visitors.get("a").new_stop_file())
+    studio.visitors.get("a").remember(study)
+    shown.study.write_text(_found(0.08, 0.06, 0.04).model_dump_json(), "utf-8")
+    study.end("done", result=Measured(shown.study))
+    event = gr.EventData(None, {"job": study.name})
+    finished = handlers.finisher(studio)(Cutout(cutout, ""), data, shown, event, None)
+    assert finished[1] == gr.skip(), "the same run is shown"
+    assert "Error measured</td><td>about 6.0%" in finished[-5 + handlers.REPORT]
+    again = studio.run("a", cutout, {**data, "view": {**data["view"], "elevation": 40.0}})
+    assert again.wait(300) and again.progress.result.films != shown.films
+    assert "Error measured</td><td>about 6.0%" in handlers.report_of(studio, again)
 
 
 def test_kernels_to_compile_are_foretold_and_no_probe_compiles_them(visit, monkeypatch):

@@ -107,4 +107,4 @@ def _produce(order: Order, limits: Limits) -> Done:
         film(order, clips, films, limits)
     clips.touch()
     films.touch()
-    return Done(clips, films)
+    return Done(clips, films, study_file(order))

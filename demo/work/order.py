@@ -77,6 +77,8 @@ class Done:
     """Folder of the clip, its Gaussians and its scene."""
     films: Path
     """Folder of the videos, the player's pack and the report."""
+    study: Path
+    """Where the error of this very scene lies once it has been measured."""
 
 
 @dataclass(frozen=True)

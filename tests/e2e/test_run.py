@@ -138,6 +138,8 @@ def test_the_error_of_a_scene_is_measured_on_request(browser, server):
     assert page.locator("[data-measure]").count() == 0
     visit.generate()
     visit.finished()
+    page.get_by_role("tab", name="Report").click()
+    page.locator("#report").get_by_text("Error measured").wait_for(timeout=LONG)
     assert visit.complaints == []
     visit.context.close()
 
