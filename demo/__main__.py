@@ -7,8 +7,10 @@ import sys
 import threading
 from argparse import ArgumentParser
 from collections.abc import Sequence
+from importlib.util import find_spec
 
 from phy124.errors import InputError
+from phy124.runtime.installation import install_command
 
 from .settings import PREFIX, Settings
 
@@ -26,7 +28,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def serve(settings: Settings) -> None:
-    """Serve the page until interrupted."""
+    """Serve the page until interrupted; raises InputError."""
+    if find_spec("gradio") is None:
+        limit = "The page needs the package gradio, which is not installed."
+        raise InputError("page", "gradio", limit, f"Run `{install_command('demo')}`.")
     from .folder import own_folder
     from .server import end_on_signals, launch, prepare
 

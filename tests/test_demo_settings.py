@@ -19,6 +19,7 @@ from phy124.boundaries import AnyBoundary
 from phy124.errors import InputError
 from phy124.forces import AnyForce
 from phy124.materials import AnyMaterial
+from phy124.runtime.installation import install_command
 from phy124.scene import Scene, preset_names
 
 
@@ -45,6 +46,13 @@ def test_every_setting_is_an_option_as_well(capsys):
         assert f"PHY124_{name.upper()}" in told and (field.description or "").split()[0] in told
     assert main(["--port", "0"]) == 2
     assert "PHY124_PORT = 0: it must be a whole number" in capsys.readouterr().err
+
+
+def test_a_page_without_gradio_says_how_to_get_it(monkeypatch, capsys):
+    monkeypatch.setattr("demo.__main__.find_spec", lambda name: None)
+    assert main([]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("phy124-demo: page = gradio: ") and install_command("demo") in said
 
 
 def test_a_space_listens_to_the_outside_and_a_desk_does_not():

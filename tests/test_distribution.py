@@ -116,6 +116,8 @@ def test_the_bridge_says_its_own_name(programs, tmp_path):
 def test_the_page(programs, tmp_path, monkeypatch):
     monkeypatch.delenv("PYTHONPATH", raising=False)
     assert "--max-frames" in run(programs / "phy124-demo", "--help", cwd=tmp_path)
+    code = "from phy124_demo import exports; print(exports.EXPORTS['mcap'].available())"
+    assert "True" in run(programs / "python", "-c", code, cwd=tmp_path)
     with serving(tmp_path, [programs / "phy124-demo"]) as server:
         assert server.health()["status"] == "ok"
 
