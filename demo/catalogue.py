@@ -14,14 +14,15 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from demo.forecast import count_particles
-from demo.pictures import check_picture
-from demo.settings import Settings
-from demo.substances import chips
-from demo.visitors import is_plain_file
 from phy124.errors import InputError
 from phy124.materials import Elastic
 from phy124.scene import GOOD_FOR, PRESETS, Scene, preset_names
+
+from .forecast import count_particles
+from .pictures import check_picture
+from .settings import Settings
+from .substances import chips
+from .visitors import is_plain_file
 
 FOLDER = Path(__file__).parent
 FIRST = (

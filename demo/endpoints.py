@@ -7,16 +7,17 @@ from typing import Any
 
 import gradio as gr
 
-from demo.exports import EXPORTS, export
-from demo.handlers import Handler
-from demo.identity import visitor_of
-from demo.jobs import Studio, complaint, read_report, read_study
-from demo.line import Job
-from demo.photo import photo, refusal
-from demo.visitors import Visitor
-from demo.work import BEAT, Done
 from phy124.errors import InputError
 from phy124.scene import PRESETS, Scene, preset_names
+
+from .exports import EXPORTS, export
+from .handlers import Handler
+from .identity import visitor_of
+from .jobs import Studio, complaint, read_report, read_study
+from .line import Job
+from .photo import photo, refusal
+from .visitors import Visitor
+from .work import BEAT, Done
 
 NOTHING_YET = "run: There is no run in this session yet. Call /generate first."
 

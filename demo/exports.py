@@ -10,13 +10,14 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
-from demo.work import Done, whole_in_view
 from phy124.clip import Clip
 from phy124.errors import InputError
 from phy124.io.export import write_ply_sequence
 from phy124.io.export.html import write_html
 from phy124.rendering.film import cameras
 from phy124.scene import View
+
+from .work import Done, whole_in_view
 
 BRIDGE = __name__.partition("demo")[0] + "bridge"
 """The bridge's program: `bridge` in a checkout, `phy124_bridge` beside `phy124_demo`."""

@@ -14,8 +14,6 @@ from dataclasses import dataclass
 from html import escape
 from typing import Any
 
-from demo.rates import Learned, Rates, Work
-from demo.studies import Measurement, on_grid
 from phy124.accuracy import Forecaster as Probe
 from phy124.accuracy.forecast import GUESS, QUIET, pixels_per_size
 from phy124.accuracy.load import Load, spoken
@@ -24,6 +22,9 @@ from phy124.gaussians import Gaussians
 from phy124.limits import duration
 from phy124.mpm.timestep import CELLS_PER_STEP, beside_elastic
 from phy124.scene import PRESETS, Scene
+
+from .rates import Learned, Rates, Work
+from .studies import Measurement, on_grid
 
 GAUSSIANS = 50_000
 """What `relief` makes of a picture."""

@@ -13,18 +13,6 @@ from typing import Any
 import gradio as gr
 from gradio import FileData
 
-from demo.catalogue import scene_of
-from demo.exports import EXPORTS, export
-from demo.forecast import promise_of, stops_table
-from demo.identity import visitor_of
-from demo.jobs import Cutout, Studio, read_report, read_study, sentence
-from demo.line import Job
-from demo.progress import Progress
-from demo.report import as_html
-from demo.strokes import strokes_of
-from demo.studies import Measurement
-from demo.visitors import Visitor, key
-from demo.work import Done, Measured
 from phy124.accuracy.forecast import GUESS
 from phy124.accuracy.load import spoken
 from phy124.clip import Clip
@@ -32,6 +20,19 @@ from phy124.errors import InputError
 from phy124.imaging.heic import is_heic
 from phy124.rendering.camera import VIEWS
 from phy124.scene import Scene
+
+from .catalogue import scene_of
+from .exports import EXPORTS, export
+from .forecast import promise_of, stops_table
+from .identity import visitor_of
+from .jobs import Cutout, Studio, read_report, read_study, sentence
+from .line import Job
+from .progress import Progress
+from .report import as_html
+from .strokes import strokes_of
+from .studies import Measurement
+from .visitors import Visitor, key
+from .work import Done, Measured
 
 Handler = Callable[..., Any]
 NOT_SHOWN = [gr.skip()] * 5

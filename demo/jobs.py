@@ -14,16 +14,22 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from demo.catalogue import check_limits, check_time, scene_of
-from demo.forecast import Forecast, Forecaster, measured, promise_of
-from demo.line import Job, Line
-from demo.pictures import check_picture, corrected, cut_out, viewable
-from demo.progress import MEASURING
-from demo.settings import Settings
-from demo.strokes import Stroke
-from demo.studies import Measurement, grids, on_grid
-from demo.visitors import Visitor, Visitors, key
-from demo.work import (
+from phy124.accuracy.compiling import seconds_to_compile
+from phy124.clip import Clip
+from phy124.errors import Cancelled, InputError
+from phy124.runtime.isolated import Deadline
+from phy124.scene import Scene
+
+from .catalogue import check_limits, check_time, scene_of
+from .forecast import Forecast, Forecaster, measured, promise_of
+from .line import Job, Line
+from .pictures import check_picture, corrected, cut_out, viewable
+from .progress import MEASURING
+from .settings import Settings
+from .strokes import Stroke
+from .studies import Measurement, grids, on_grid
+from .visitors import Visitor, Visitors, key
+from .work import (
     DEVICE,
     Done,
     Order,
@@ -33,11 +39,6 @@ from demo.work import (
     steps,
     study_file,
 )
-from phy124.accuracy.compiling import seconds_to_compile
-from phy124.clip import Clip
-from phy124.errors import Cancelled, InputError
-from phy124.runtime.isolated import Deadline
-from phy124.scene import Scene
 
 STOPPED = "Stopped. Nothing was changed."
 CUTTERS = 2
@@ -255,7 +256,7 @@ class Studio:
 
     def warm_up(self) -> None:
         """Load all kernels and measure this machine with a small run; at the start, in a thread."""
-        from demo.warm import example_run, tiny_run, warm_up
+        from .warm import example_run, tiny_run, warm_up
 
         if not self.forks:
             with DEVICE:

@@ -13,8 +13,9 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from demo.progress import STAGES, Progress
 from phy124.errors import Cancelled, InputError
+
+from .progress import STAGES, Progress
 
 FAILED = "Something went wrong here, not with you; it is in the log. Try again or change the scene."
 LOG = logging.getLogger("phy124.web")

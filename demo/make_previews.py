@@ -13,8 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from demo.substances import SUBSTANCES
-from demo.work.films import whole_in_view
 from phy124.clip import Clip
 from phy124.gaussians import Frame
 from phy124.generators import make
@@ -25,6 +23,9 @@ from phy124.rendering.framing import departures
 from phy124.rendering.render import render_frames
 from phy124.scene import Scene, View, preset_names
 from phy124.simulation import Simulation
+
+from .substances import SUBSTANCES
+from .work.films import whole_in_view
 
 FOLDER = Path(__file__).parent
 OBJECTS = {

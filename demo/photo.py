@@ -16,7 +16,7 @@ import gradio as gr
 from phy124.errors import InputError
 
 if TYPE_CHECKING:
-    from demo.jobs import Studio
+    from .jobs import Studio
 
 BROKEN = "image: The picture's data: URL is broken. Send the file itself."
 

@@ -13,8 +13,6 @@ import numpy as np
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
-from demo.settings import Settings
-from demo.strokes import Stroke, painted
 from phy124.errors import InputError
 from phy124.imaging import heic
 from phy124.imaging.cutout import Cutout, foreground, has_alpha, looked_at
@@ -23,6 +21,9 @@ from phy124.imaging.image import FORMATS, open_image
 from phy124.io.files import replacing
 from phy124.runtime import isolated
 from phy124.runtime.isolated import PATIENT, Deadline, Unfinished
+
+from .settings import Settings
+from .strokes import Stroke, painted
 
 HOW = "cutout"
 """Name of the PNG's text that says how it was cut out."""

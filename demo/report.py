@@ -7,10 +7,11 @@ from collections.abc import Sequence
 from html import escape
 from typing import Any
 
-from demo.forecast import Stop, promise_of, promised
-from demo.studies import Measurement
 from phy124.accuracy.promises import Promise
 from phy124.scene import Scene
+
+from .forecast import Stop, promise_of, promised
+from .studies import Measurement
 
 WIDTH, HEIGHT, TALL, MARGIN = 280, 84, 130, 4
 

@@ -17,14 +17,15 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
-from demo.guard import BodyLimit, Doorkeeper, Headed, Patient, allow_connections, own_names
-from demo.identity import cookie_of
-from demo.uploads import upload_route
 from phy124.io.export.html import VIEWER
 
+from .guard import BodyLimit, Doorkeeper, Headed, Patient, allow_connections, own_names
+from .identity import cookie_of
+from .uploads import upload_route
+
 if TYPE_CHECKING:
-    from demo.jobs import Studio
-    from demo.settings import Settings
+    from .jobs import Studio
+    from .settings import Settings
 
 FOLDER = Path(__file__).parent
 LOG = logging.getLogger("phy124.web")
@@ -59,7 +60,7 @@ class Assets(StaticFiles):
 
 def routes(studio: Studio) -> list[Route | Mount]:
     """Our own addresses: uploads, jobs, scripts, pictures, the catalogue of scenes, health."""
-    from demo.catalogue import catalogue
+    from .catalogue import catalogue
 
     offered = json.dumps(catalogue(studio.settings)).encode()
 

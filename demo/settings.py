@@ -10,9 +10,10 @@ from collections.abc import Mapping
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from demo.visitors import Room
 from phy124.errors import InputError
 from phy124.scene.refusals import refusal
+
+from .visitors import Room
 
 PREFIX = "PHY124_"
 ALIASES = (("host", "GRADIO_SERVER_NAME"), ("port", "GRADIO_SERVER_PORT"))

@@ -9,13 +9,13 @@ from typing import Any
 import gradio as gr
 from gradio import themes
 
-from demo import handlers, panels
-from demo.endpoints import endpoints
-from demo.jobs import Studio
-from demo.photo import fetch_nothing
-from demo.settings import Settings
-from demo.visitors import Visitors
-from demo.work import steps
+from . import handlers, panels
+from .endpoints import endpoints
+from .jobs import Studio
+from .photo import fetch_nothing
+from .settings import Settings
+from .visitors import Visitors
+from .work import steps
 
 FOLDER = Path(__file__).parent
 STYLE = '<link rel="stylesheet" href="phy124/static/page.css">'

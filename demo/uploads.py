@@ -15,11 +15,12 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, PlainTextResponse, Response
 from starlette.routing import Route
 
-from demo.identity import cookie_of
 from phy124.errors import InputError
 
+from .identity import cookie_of
+
 if TYPE_CHECKING:
-    from demo.jobs import Studio
+    from .jobs import Studio
 
 ADDRESS = "/gradio_api/upload"
 SUFFIXES = {".png", ".jpg", ".jpeg", ".webp", ".heic", ".heif"}

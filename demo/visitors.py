@@ -32,7 +32,7 @@ from typing import TYPE_CHECKING, Any
 from phy124.errors import InputError
 
 if TYPE_CHECKING:
-    from demo.line import Job
+    from .line import Job
 
 STAGES = ("cutouts", "gaussians", "clips", "films", "studies")
 UPLOADS = 8

@@ -10,13 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from demo.work import device_named
 from phy124 import pipeline
 from phy124.gaussians import Gaussians
 from phy124.rendering.camera import Camera
 from phy124.rendering.render import Renderer
 from phy124.scene import Scene, preset_names
 from phy124.simulation import Simulation
+
+from .work import device_named
 
 COUNT = 500
 EXAMPLE = Path(__file__).parent / "examples/duck.png"

@@ -16,12 +16,14 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
-from demo.visitors import STAGES
-from demo.work.device import BEAT, DEVICE, device_named, held
-from demo.work.films import film, whole_in_view
-from demo.work.limits import Limits, easier
-from demo.work.motion import gaussians_of, simulate
-from demo.work.order import (
+from phy124.runtime.stopwatch import Stopwatch
+
+from ..visitors import STAGES
+from .device import BEAT, DEVICE, device_named, held
+from .films import film, whole_in_view
+from .limits import Limits, easier
+from .motion import gaussians_of, simulate
+from .order import (
     Done,
     Event,
     Glimpse,
@@ -35,8 +37,7 @@ from demo.work.order import (
     made_gaussians,
     study_file,
 )
-from demo.work.study import measure
-from phy124.runtime.stopwatch import Stopwatch
+from .study import measure
 
 __all__ = [
     "BEAT", "DEVICE", "Done", "Event", "Glimpse", "Limits", "Live", "Measured", "Order",

@@ -6,8 +6,9 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from demo.work.order import Order
 from phy124.errors import Cancelled
+
+from .order import Order
 
 DEVICE = threading.Lock()
 """Held by whoever computes: one piece of work at a time in this process."""

@@ -5,9 +5,6 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from demo.work.limits import FILMING, Limits
-from demo.work.motion import write_json
-from demo.work.order import Order, Step
 from phy124 import pipeline
 from phy124.clip import Clip
 from phy124.io.export.html import pack
@@ -16,6 +13,10 @@ from phy124.rendering.framing import departures
 from phy124.rendering.render import render_frames
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import View
+
+from .limits import FILMING, Limits
+from .motion import write_json
+from .order import Order, Step
 
 MOVING = 320
 """Side of the animated WebP, pixels."""

@@ -5,10 +5,11 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from demo.work.order import Event, Order
 from phy124.errors import Cancelled, InputError
 from phy124.scene import Scene
 from phy124.simulation import Stopped
+
+from .order import Event, Order
 
 SIMULATING, FILMING, HOPELESS = 0.7, 0.85, 3.0
 """Shares of a run's time: no frame is simulated after the first, no video begun after the second;

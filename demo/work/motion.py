@@ -10,10 +10,6 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from demo.pictures import HOW, how_cut
-from demo.work.limits import Limits, easier
-from demo.work.order import Order, Reused, Step, Tell
-from demo.work.shows import glimpses, lives
 from phy124 import pipeline
 from phy124.clip import Clip
 from phy124.errors import InputError
@@ -23,6 +19,11 @@ from phy124.io.ply import write_ply
 from phy124.parts import crop_of
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.simulation import Simulation, Stopped
+
+from ..pictures import HOW, how_cut
+from .limits import Limits, easier
+from .order import Order, Reused, Step, Tell
+from .shows import glimpses, lives
 
 
 def gaussians_of(order: Order, path: Path, tell: Tell) -> Gaussians:

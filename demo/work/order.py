@@ -6,9 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from demo.forecast import GAUSSIANS
-from demo.visitors import key
 from phy124.scene import Scene
+
+from ..forecast import GAUSSIANS
+from ..visitors import key
 
 VIEWED = ("view", "accuracy", "description")
 """What the error of a scene's motion does not depend on, or what it is told for."""

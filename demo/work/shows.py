@@ -9,7 +9,6 @@ from collections.abc import Callable
 import numpy as np
 from PIL import Image
 
-from demo.work.order import Glimpse, Live, Order, Tell
 from phy124 import pipeline
 from phy124.clip import Clip
 from phy124.errors import Cancelled
@@ -18,6 +17,8 @@ from phy124.io.export.html import pack
 from phy124.rendering.camera import Camera
 from phy124.rendering.render import Renderer, to_bytes
 from phy124.scene import Scene
+
+from .order import Glimpse, Live, Order, Tell
 
 GLIMPSE = 224
 """Side of the pictures shown while the simulation runs, pixels."""

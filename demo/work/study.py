@@ -6,14 +6,15 @@ from pathlib import Path
 
 from PIL import Image
 
-from demo.studies import Measurement, on_grid
-from demo.work.limits import SIMULATING, Limits, easier
-from demo.work.motion import gaussians_of
-from demo.work.order import Measured, Order, Reused, Step, made_gaussians, study_file
 from phy124.accuracy.study import Study
 from phy124.errors import InputError
 from phy124.io.files import replacing
 from phy124.parts import crop_of
+
+from ..studies import Measurement, on_grid
+from .limits import SIMULATING, Limits, easier
+from .motion import gaussians_of
+from .order import Measured, Order, Reused, Step, made_gaussians, study_file
 
 
 def measure(order: Order, limits: Limits) -> Measured:
