@@ -14,6 +14,7 @@ import pytest
 from PIL import Image
 
 from support.hostile import bomb
+from support.pages import blocks
 from support.served import PATIENCE, ROOT, Server, serving
 
 DUCK = ROOT / "demo" / "examples" / "duck.png"
@@ -123,6 +124,18 @@ def test_generate_then_render_then_evaluate(client):
     assert again["substeps"] == report["substeps"]
     figures = client.predict(api_name="/evaluate")
     assert len(figures["motion"]["smallest_J"]) == 2
+
+
+@pytest.mark.slow
+def test_the_program_of_the_documentation_runs(server, monkeypatch, capsys):
+    """docs/guide/web.md: a run, another film of it, its figures, its error."""
+    (program,) = (b.text for b in blocks() if b.page.name == "web.md" and b.words[0] == "python")
+    monkeypatch.chdir(ROOT)
+    names = {}
+    exec(program.replace("http://127.0.0.1:7860", server.url), names)
+    names["client"].close()
+    printed = capsys.readouterr().out
+    assert "orbit.mp4" in printed and "D/24" in printed
 
 
 def test_the_error_of_a_scene_is_measured_by_name(client):

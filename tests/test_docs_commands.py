@@ -10,7 +10,6 @@ import shlex
 import signal
 import subprocess
 from pathlib import Path
-from typing import NamedTuple
 
 import pytest
 import tyro
@@ -19,38 +18,23 @@ from bridge.commands import COMMANDS as BRIDGE
 from phy124.__main__ import _parsed
 from phy124.arguments.repeats import gathered
 from phy124.errors import InputError
+from support.pages import BLOCK, PAGES, ROOT, blocks
 
-ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")), ROOT / "CONTRIBUTING.md"]
 NOT_RUN = {"ros2", "own", "network", "long", "server"}
 """Why a block is only parsed: it needs ROS 2, the reader's files, the network, hours, or Ctrl-C."""
-BLOCK = re.compile(r"^```([^\n]*)\n(.*?)^```", re.M | re.S)
 INLINE = re.compile(r"`((?:\.venv/bin/[^\s`]+|phy124|phy124-bridge|python -m bridge|make) [^`]*)`")
 FOREIGN = ("git", "ros2", "rviz2", "colcon", "pip", "mkdir", "ln", "cd", ".", "source")
 """Programs that are not of this repository."""
 
 
-class Block(NamedTuple):
-    page: Path
-    words: list[str]
-    text: str
-
-    @property
-    def lines(self) -> list[str]:
-        bare = (shlex.split(line, comments=True) for line in self.text.splitlines())
-        return [shlex.join(words) for words in bare if words]
-
-
-def blocks() -> list[Block]:
-    found = []
-    for page in PAGES:
-        for info, text in BLOCK.findall(page.read_text("utf-8")):
-            found.append(Block(page, info.split(), text))
-    return found
+def commands(text: str) -> list[str]:
+    """The lines of a block, without comments."""
+    bare = (shlex.split(line, comments=True) for line in text.splitlines())
+    return [shlex.join(words) for words in bare if words]
 
 
 SHELL = [block for block in blocks() if block.words[:1] == ["sh"]]
-COMMANDS = [(block, line) for block in SHELL for line in block.lines]
+COMMANDS = [(block, line) for block in SHELL for line in commands(block.text)]
 PROSE = [
     (page, command)
     for page in PAGES
@@ -172,7 +156,7 @@ def test_a_newcomer_can_type_it(clone, block):
 @pytest.mark.parametrize("block", [b for b in SHELL if "server" in b.words], ids=lambda b: b.text)
 def test_a_newcomer_can_start_it_and_stop_it(clone, block):
     run = subprocess.Popen(
-        ["bash", "-c", f"exec {block.lines[0]}"],
+        ["bash", "-c", f"exec {commands(block.text)[0]}"],
         cwd=clone,
         env=newcomer(),
         stdout=subprocess.PIPE,

@@ -17,6 +17,7 @@ from phy124.io.ply import write_ply
 from phy124.scene import Scene
 from phy124.simulation import Simulation
 from reference import formula
+from support.pages import blocks
 
 HALF = np.array([0.5, 0.3, 0.4])
 """Half sides of the box that every description below is of, m."""
@@ -134,15 +135,9 @@ class Nothing:
         return 0 * images.sum()
 
 
-def blocks(page: str) -> list[str]:
-    """The Python blocks of a page of docs/."""
-    text = (Path(__file__).parents[1] / "docs" / page).read_text("utf-8")
-    return [part.split("```")[0] for part in text.split("```python\n")[1:]]
-
-
 def test_the_generator_of_the_documentation_runs(monkeypatch):
     """docs/guide/extending.md: 15 lines are a generator, used by name and as an object."""
-    (code,) = (b for b in blocks("guide/extending.md") if "GENERATORS" in b)
+    (code,) = (block.text for block in blocks() if "GENERATORS" in block.text)
     assert 5 <= len([line for line in code.splitlines() if line.strip()]) <= 15
     monkeypatch.setitem(GENERATORS, "ball", None)  # so that it is taken out again
     exec(code, {})

@@ -1,0 +1,40 @@
+"""The pages of the documentation, and the paragraphs and blocks on them."""
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).parents[2]
+PAGES = [
+    ROOT / "README.md",
+    *(page for page in sorted((ROOT / "docs").rglob("*.md")) if "api" not in page.parts),
+    ROOT / "CONTRIBUTING.md",
+]
+"""Written by hand: the API reference is made from docstrings."""
+BLOCK = re.compile(r"^```([^\n]*)\n(.*?)^```", re.M | re.S)
+
+
+class Block(NamedTuple):
+    """Code on a page, and the words behind its fence."""
+
+    page: Path
+    words: list[str]
+    text: str
+
+
+def blocks() -> list[Block]:
+    """All of them, in the order of the pages."""
+    return [
+        Block(page, info.split(), text)
+        for page in PAGES
+        for info, text in BLOCK.findall(page.read_text("utf-8"))
+    ]
+
+
+def paragraphs(text: str) -> Iterator[str]:
+    """Paragraphs and items of lists of a page, each in one line; no tables, no code."""
+    for part in re.split(r"\n\s*\n|\n(?=\s*(?:[-*]|\d+\.) )", BLOCK.sub("\n", text)):
+        lines = part.strip().splitlines()
+        if lines and not lines[0].lstrip().startswith(("|", "#", "<!--", "---")):
+            yield " ".join(line.strip() for line in lines)
