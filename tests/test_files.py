@@ -1,0 +1,67 @@
+"""Output files appear whole or not at all."""
+
+import os
+
+import pytest
+
+from phy124.errors import InputError
+from phy124.io.files import replacing, staged, writable
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_a_staged_folder_s_files_appear_together(tmp_path):
+    with staged(tmp_path / "out") as folder:
+        (folder / "clip").write_text("new")
+        (folder / "report.json").touch()
+        assert not (tmp_path / "out" / "clip").exists()
+    assert names(tmp_path / "out") == ["clip", "report.json"]
+
+
+def test_pictures_of_an_older_run_do_not_mix_with_the_new_ones(tmp_path):
+    (tmp_path / "frames").mkdir()
+    (tmp_path / "frames" / "99.png").touch()
+    (tmp_path / "mine.txt").touch()
+    with staged(tmp_path) as folder:
+        (folder / "frames").mkdir()
+        (folder / "frames" / "00.png").touch()
+    assert names(tmp_path / "frames") == ["00.png"]
+    assert (tmp_path / "mine.txt").exists()
+
+
+@pytest.mark.parametrize("ending", [ValueError, KeyboardInterrupt])
+def test_an_older_file_stays_until_the_new_one_is_whole(tmp_path, ending):
+    path = tmp_path / "clip.mp4"
+    path.write_text("old")
+    with pytest.raises(ending), replacing(path) as part:
+        part.write_text("half")
+        raise ending
+    assert path.read_text() == "old" and names(tmp_path) == ["clip.mp4"]
+    with replacing(path) as part:
+        assert part.suffix == ".mp4", "writers go by the ending"
+        part.write_text("whole")
+    assert path.read_text() == "whole" and names(tmp_path) == ["clip.mp4"]
+    assert path.stat().st_mode & 0o777 == 0o644
+
+
+@pytest.mark.parametrize("name", ["missing/clip.mp4", "folder"])
+def test_what_cannot_be_written_is_refused(tmp_path, name):
+    (tmp_path / "folder").mkdir()
+    with (
+        pytest.raises(InputError, match="no file can be written there"),
+        replacing(tmp_path / name),
+    ):
+        pytest.fail("it began")
+    assert names(tmp_path) == ["folder"]
+
+
+def test_a_folder_is_writable_if_the_nearest_that_exists_is(tmp_path):
+    (tmp_path / "file").touch()
+    assert writable(tmp_path) and writable(tmp_path / "a" / "b")
+    assert not writable(tmp_path / "file") and not writable(tmp_path / "file" / "deeper")
+    if os.geteuid() != 0:  # root may write anywhere
+        tmp_path.chmod(0o500)
+        assert not writable(tmp_path / "a")
+        tmp_path.chmod(0o700)

@@ -1,0 +1,62 @@
+"""Signals that ask to end: all are handled while inside, and none is left changed."""
+
+import signal
+import subprocess
+import sys
+import threading
+
+import pytest
+
+from phy124.runtime.signals import NAMES, handled, interrupt
+
+NUMBERS = [getattr(signal, name) for name in NAMES if hasattr(signal, name)]
+
+
+def test_all_of_them_call_the_handler_and_are_as_before_afterwards():
+    before, heard = [signal.getsignal(n) for n in NUMBERS], []
+    with handled(lambda number, frame: heard.append(number)):
+        for number in NUMBERS:
+            signal.raise_signal(number)
+    assert heard == NUMBERS
+    assert [signal.getsignal(n) for n in NUMBERS] == before
+
+
+def test_what_breaks_inside_leaves_nothing_changed():
+    before = signal.getsignal(signal.SIGTERM)
+    with pytest.raises(KeyboardInterrupt), handled(interrupt):
+        signal.raise_signal(signal.SIGTERM)
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_what_nohup_ignores_stays_ignored():
+    usual = signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    try:
+        with handled(interrupt):
+            signal.raise_signal(signal.SIGTERM)
+        assert signal.getsignal(signal.SIGTERM) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGTERM, usual)
+
+
+def test_other_threads_change_nothing():
+    before, seen = signal.getsignal(signal.SIGTERM), []
+
+    def work() -> None:
+        with handled(interrupt):
+            seen.append(signal.getsignal(signal.SIGTERM))
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join(60)
+    assert seen == [before]
+
+
+def test_a_process_with_nothing_to_lose_ends_with_its_status_and_a_word():
+    code = (
+        "import signal; from phy124.runtime.signals import ending, handled\n"
+        "with handled(ending(130, 'bye')): signal.raise_signal(signal.SIGINT)"
+    )
+    run = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60
+    )
+    assert (run.returncode, run.stderr) == (130, "bye")

@@ -1,0 +1,45 @@
+"""What a mask tells of itself, on masks whose answer is known."""
+
+import numpy as np
+import pytest
+
+from phy124.imaging.silhouette import alike, pieces, touched, unseen
+
+Y, X = np.mgrid[:120, :160]
+DISK = np.hypot(X - 80, Y - 60) < 30
+
+
+def test_pieces_are_counted_without_crumbs():
+    two = DISK | (np.hypot(X - 140, Y - 20) < 8)
+    assert (pieces(DISK), pieces(two)) == (1, 2)
+    assert pieces(DISK | (np.hypot(X - 140, Y - 20) < 2)) == 1
+
+
+@pytest.mark.parametrize("edge", ["left", "top", "right", "bottom"])
+def test_edges_that_are_reached_are_named(edge):
+    beam = {"left": (Y == 60) & (X < 80), "right": (Y == 60) & (X > 80),
+            "top": (X == 80) & (Y < 60), "bottom": (X == 80) & (Y > 60)}[edge]  # fmt: skip
+    assert touched(DISK) == ()
+    assert touched(DISK | np.isin(Y, Y[beam]) & np.isin(X, X[beam])) == ()
+    thick = np.zeros_like(DISK)
+    for shift in range(-4, 5):
+        thick |= np.roll(beam, shift, axis=0 if edge in ("left", "right") else 1)
+    assert touched(DISK | thick) == (edge,)
+
+
+def test_an_outline_is_seen_where_colours_change():
+    grey = np.full((120, 160, 3), 120, np.uint8)
+    clear = np.where(DISK[..., None], np.uint8([200, 30, 30]), grey)
+    assert unseen(grey, DISK) == 1.0
+    assert unseen(clear, DISK) < 0.02
+    half = np.where(DISK[..., None] & (X[..., None] < 80), np.uint8([200, 30, 30]), grey)
+    assert unseen(half, DISK) == pytest.approx(0.5, abs=0.1)
+
+
+def test_surroundings_of_the_objects_colours_are_alike(rng):
+    red, blue = np.uint8([200, 30, 30]), np.uint8([30, 30, 200])
+    assert alike(np.where(DISK[..., None], red, blue), DISK) < 0.1
+    # A larger red thing whose middle alone was taken for the object, the rest of it around.
+    striped = np.where((DISK | (X > 80))[..., None], red, blue)
+    assert 0.3 < alike(striped, DISK) < 0.7
+    assert alike(np.full((120, 160, 3), 90, np.uint8), np.zeros_like(DISK)) == 0.0
