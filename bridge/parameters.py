@@ -17,6 +17,7 @@ from typing import Any
 
 from phy124.errors import InputError
 from phy124.generators.ply_file import Reading
+from phy124.runtime.device import CHOICES
 
 from .options import LIVE_POINTS, LIVE_PROFILE, Options
 from .player import RATES, SPEEDS
@@ -63,7 +64,7 @@ SIMULATED = {
     "scene": Parameter("press", "Preset (see `phy124 scenes`) or path of a .toml file."),
     "set": Parameter([""], "Other values of the scene, as KEY=VALUE."),
     "generator": Parameter("relief", "How a picture becomes Gaussians."),
-    "device": Parameter("auto", "auto, cpu or cuda:0."),
+    "device": Parameter("auto", CHOICES),
     **{
         # ROS parameters have no None.
         name: Parameter("" if field.default is None else field.default, field.description or "")

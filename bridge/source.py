@@ -47,8 +47,7 @@ class LiveOptions:
 
     def resolve(self) -> Scene:
         """The scene with all changes, velocities kept unless it says not; raises InputError."""
-        from phy124.commands.options import assignments
-        from phy124.scene import Scene
+        from phy124.scene import Scene, assignments
 
         return Scene.named(self.scene).replaced({"velocities": True, **assignments(self.set)})
 
@@ -88,14 +87,12 @@ class LiveRun:
     def _made(self) -> Simulation:
         import warp
 
-        from phy124.commands.options import pick_device
-        from phy124.runtime.startup import start
+        from phy124.runtime.device import pick_device
         from phy124.simulation import Simulation
 
-        start()
+        device = pick_device(self._options.device)
         # What Warp says while it compiles is no news to a user.
         warp.config.log_level = warp.LOG_ERROR
-        device = pick_device(self._options.device)
         made = make_object(self._source, self._options, self.scene, self._progress)
         self.scene = made.scene
         # The sinks have each frame; keeping it would limit the run to what memory holds.

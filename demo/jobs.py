@@ -17,6 +17,7 @@ from typing import Any
 from phy124.accuracy.compiling import seconds_to_compile
 from phy124.clip import Clip
 from phy124.errors import Cancelled, InputError
+from phy124.runtime.device import pick_device
 from phy124.runtime.isolated import Deadline
 from phy124.scene import Scene
 
@@ -33,7 +34,6 @@ from .work import (
     DEVICE,
     Done,
     Order,
-    device_named,
     made_already,
     made_gaussians,
     steps,
@@ -138,7 +138,7 @@ class Studio:
             scene = self._scene(visitor, data)
             order = self._order(visitor, Path(cutout), scene, visitor.folder / "never")
             ready = made_already(order)
-            device = device_named(self.settings.device)
+            device = pick_device(self.settings.device)
             if not ready["generated"] or ready["simulated"]:
                 return None
             if seconds_to_compile(scene, device):
@@ -220,7 +220,7 @@ class Studio:
         if self.forks or not DEVICE.acquire(blocking=False):
             return 0.0
         try:
-            return seconds_to_compile(scene, device_named(self.settings.device))
+            return seconds_to_compile(scene, pick_device(self.settings.device))
         finally:
             DEVICE.release()
 

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from phy124.errors import InputError
+from phy124.runtime.device import CHOICES
 from phy124.scene.refusals import refusal
 
 from .visitors import Room
@@ -27,7 +28,7 @@ class Settings(BaseModel):
 
     host: str = Field(default="127.0.0.1", description="Address to listen on.")
     port: int = Field(default=7860, ge=1, le=65535, description="Port to listen on.")
-    device: str = Field(default="auto", description="auto, cpu or cuda:0.")
+    device: str = Field(default="auto", description=CHOICES)
     folder: str = Field(default="", description="Where visitors' files lie; empty: a new one.")
     gaussians: int = Field(
         default=50_000, ge=1000, le=500_000, description="Gaussians made of a picture."

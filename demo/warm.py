@@ -14,10 +14,9 @@ from phy124 import pipeline
 from phy124.gaussians import Gaussians
 from phy124.rendering.camera import Camera
 from phy124.rendering.render import Renderer
+from phy124.runtime.device import pick_device
 from phy124.scene import Scene, preset_names
 from phy124.simulation import Simulation
-
-from .work import device_named
 
 COUNT = 500
 EXAMPLE = Path(__file__).parent / "examples/duck.png"
@@ -25,7 +24,7 @@ EXAMPLE = Path(__file__).parent / "examples/duck.png"
 
 def warm_up(device: str) -> None:
     """Simulate two frames of each preset with a small ball and draw it."""
-    device = device_named(device)
+    device = pick_device(device)
     ball = _ball()
     Renderer(device=device)(ball, Camera((3, 0, 0), (0, 0, 0), 64, 64))
     for name in preset_names():
@@ -39,7 +38,7 @@ def tiny_run(device: str) -> tuple[dict[str, Any], Scene]:
     few = {"accuracy": {"cells": 8, "ppc": 1.0}, "time.frames": 2}
     scene = Scene.named("press").replaced({**few, "view.size": 32, "view.views": ["front"]})
     with tempfile.TemporaryDirectory() as folder:
-        result = pipeline.simulate(_ball(), scene, folder, device=device_named(device))
+        result = pipeline.simulate(_ball(), scene, folder, device=pick_device(device))
     return result.report, scene
 
 
@@ -48,7 +47,7 @@ def example_run(device: str) -> tuple[dict[str, Any], Scene]:
     short = {"accuracy": "draft", "time.frames": 5, "view.views": ["front"]}
     scene = Scene.named("press").replaced(short)
     with tempfile.TemporaryDirectory() as folder:
-        result = pipeline.generate(EXAMPLE, scene, folder, device=device_named(device))
+        result = pipeline.generate(EXAMPLE, scene, folder, device=pick_device(device))
     return result.report, scene
 
 

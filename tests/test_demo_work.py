@@ -22,7 +22,6 @@ from demo.work import (
     Order,
     Reused,
     Step,
-    device_named,
     easier,
     steps,
     whole_in_view,
@@ -31,7 +30,6 @@ from phy124.clip import Clip
 from phy124.errors import Cancelled, InputError
 from phy124.gaussians import Frame
 from phy124.rendering.framing import departures
-from phy124.runtime import startup
 from phy124.scene import Scene, View
 from support.orders import small_order
 
@@ -64,13 +62,6 @@ def test_everything_is_made(order):
     }  # fmt: skip
     assert len(Clip.load(done.clip / "clip.safetensors")) == 3
     assert not order.stop.exists() and not DEVICE.locked()
-
-
-def test_looking_for_a_device_starts_warp_quietly(monkeypatch):
-    started = []
-    monkeypatch.setattr(startup, "start", lambda: started.append(True))
-    assert device_named("cpu") == "cpu" and len(started) == 1
-    assert device_named("auto") and len(started) == 2
 
 
 def test_the_report_says_how_the_object_was_cut_out(order):

@@ -16,10 +16,11 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
+from phy124.runtime.device import pick_device
 from phy124.runtime.stopwatch import Stopwatch
 
 from ..visitors import STAGES
-from .device import BEAT, DEVICE, device_named, held
+from .device import BEAT, DEVICE, held
 from .films import film, whole_in_view
 from .limits import Limits, easier
 from .motion import gaussians_of, simulate
@@ -41,7 +42,7 @@ from .study import measure
 
 __all__ = [
     "BEAT", "DEVICE", "Done", "Event", "Glimpse", "Limits", "Live", "Measured", "Order",
-    "Reused", "Step", "device_named", "easier", "folders", "made_already", "made_gaussians",
+    "Reused", "Step", "easier", "folders", "made_already", "made_gaussians",
     "steps", "study_file",
     "whole_in_view",
 ]  # fmt: skip
@@ -77,7 +78,7 @@ def steps(order: Order) -> Iterator[Event | None]:
 def _run(order: Order, events: queue.SimpleQueue[Any]) -> None:
     """The thread: whatever ends the work is the last event."""
     try:
-        order = replace(order, device=device_named(order.device))
+        order = replace(order, device=pick_device(order.device))
         with held(order):
             produce = measure if order.levels else _produce
             last = produce(order, Limits(order, events.put))

@@ -16,18 +16,6 @@ BEAT = 0.2
 """Longest silence between two events, s: so often can a generator be closed."""
 
 
-def device_named(name: str) -> str:
-    """Warp's name of a device; "auto" is CUDA where there is one."""
-    import warp as wp
-
-    from phy124.runtime.startup import start
-
-    start()
-    if name != "auto":
-        return name
-    return "cuda:0" if wp.is_cuda_available() else "cpu"
-
-
 @contextmanager
 def held(order: Order) -> Iterator[None]:
     """Hold the device; gives up if the work is to stop before its turn has come."""

@@ -12,13 +12,14 @@ import tyro
 
 from phy124.commands.bars import Bars
 from phy124.commands.cutout import doubt
-from phy124.commands.options import pick_device
+from phy124.commands.options import Device
 from phy124.errors import Cancelled, InputError
 from phy124.gaussians import Gaussians
 from phy124.generators.ply_file import Reading
 from phy124.imaging.cutout import Cutout
 from phy124.parts import WHOLE, Crop
 from phy124.progress import Progress
+from phy124.runtime.device import pick_device
 from phy124.scene import Scene
 
 DUCK = "demo/examples/duck.png"
@@ -42,8 +43,7 @@ class ShowAccuracy:
     generator: str = "relief"
     """How the picture becomes Gaussians."""
     reading: Annotated[Reading, tyro.conf.arg(name="")] = field(default_factory=Reading)
-    device: str = "auto"
-    """auto, cpu or cuda:0."""
+    device: Device = "auto"
     json: bool = False
     """Print as JSON and nothing else."""
 

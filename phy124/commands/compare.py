@@ -15,12 +15,13 @@ import tyro
 from phy124 import pipeline
 from phy124.clip import Clip
 from phy124.commands.bars import Bars
-from phy124.commands.options import CameraOptions, pick_device
+from phy124.commands.options import CameraOptions, Device
 from phy124.errors import Cancelled
 from phy124.io.video import Picture, write_mp4
 from phy124.metrics.comparison import Likeness, Pictures, check_comparable, compare
 from phy124.progress import Progress
 from phy124.rendering.render import render_frames
+from phy124.runtime.device import pick_device
 from phy124.scene import Scene, View
 
 
@@ -35,8 +36,7 @@ class Compare:
     view: Annotated[CameraOptions, tyro.conf.arg(name="")] = field(default_factory=CameraOptions)
     out: Path | None = None
     """Folder of comparison.json and the videos; default compare-B beside the first clip."""
-    device: str = "auto"
-    """auto, cpu or cuda:0."""
+    device: Device = "auto"
     json: bool = False
     """Print the figures as JSON and nothing else."""
 

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import tyro
 
-from phy124.commands.options import pick_device
+from phy124.commands.options import Device
 from phy124.effects import Effects
+from phy124.runtime.device import pick_device
 from phy124.scene import Scene
 
 
@@ -18,8 +19,7 @@ class ShowEffects:
 
     scene: tyro.conf.Positional[str]
     """Preset or .toml file."""
-    device: str = "auto"
-    """auto, cpu or cuda:0."""
+    device: Device = "auto"
     json: bool = False
     """Print as JSON."""
 

@@ -13,13 +13,14 @@ import tyro
 from phy124 import pipeline
 from phy124.clip import Clip
 from phy124.commands.bars import Bars
-from phy124.commands.options import pick_device
+from phy124.commands.options import Device
 from phy124.errors import InputError
 from phy124.io.files import replacing
 from phy124.metrics import Evaluation, evaluate, similarity
 from phy124.progress import Progress
 from phy124.rendering.camera import VIEWS
 from phy124.rendering.render import render_frames
+from phy124.runtime.device import pick_device
 from phy124.scene import Scene, View
 from phy124.weights.store import looking_in
 
@@ -42,8 +43,7 @@ class Evaluate:
     """Folder to look for weights in first."""
     out: Path | None = None
     """File of the figures; default evaluation.json beside the clip."""
-    device: str = "auto"
-    """auto, cpu or cuda:0."""
+    device: Device = "auto"
     json: bool = False
     """Print the figures as JSON and nothing else."""
 

@@ -17,7 +17,7 @@ from phy124.accuracy.promises import Promise
 from phy124.capture import Capture, capture, changed
 from phy124.commands.bars import Bars
 from phy124.commands.cutout import IF_WRONG, CutoutOptions, described, doubt
-from phy124.commands.options import SceneOptions, default_out, pick_device
+from phy124.commands.options import SceneOptions, default_out
 from phy124.commands.plan import PlanOptions, announce, foretell
 from phy124.generators import needs_image
 from phy124.generators.ply_file import PlyFile, Reading
@@ -25,6 +25,7 @@ from phy124.imaging.cutout import Cutout
 from phy124.imaging.painted import WHOLE
 from phy124.particles.thinning import check_count
 from phy124.progress import Progress, silent
+from phy124.runtime.device import pick_device
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
 from phy124.weights.store import looking_in

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import tyro
 
-from phy124.errors import InputError
-from phy124.scene import AccuracyName, Scene, Timing, View, parse_value
+from phy124.runtime.device import CHOICES
+from phy124.scene import AccuracyName, Scene, Timing, View, assignments, parse_value, together
 
-Device = Literal["auto", "cpu"] | str
+Device = Annotated[str, tyro.conf.arg(help=CHOICES)]
 
 
 def help_of(model: Any, name: str, *, example: str = "") -> Any:
@@ -79,8 +79,7 @@ class SceneOptions:
     seed: Annotated[int | None, help_of(Scene, "seed")] = None
     set: tuple[str, ...] = field(default_factory=tuple)
     """Any other value of the scene, as KEY=VALUE: material.E=2e4, boundaries.0.friction=0.1."""
-    device: str = "auto"
-    """auto, cpu or cuda:0."""
+    device: Device = "auto"
     json: bool = False
     """Print the report as JSON and nothing else."""
 
@@ -94,40 +93,6 @@ class SceneOptions:
         changes = {path: value for path, value in chosen.items() if value is not None}
         changes |= self.view.changes()
         return Scene.named(self.scene).replaced(together(changes, assignments(self.set)))
-
-
-def assignments(texts: tuple[str, ...]) -> dict[str, Any]:
-    """KEY=VALUE texts as a dict; raises InputError."""
-    pairs: dict[str, Any] = {}
-    for text in texts:
-        key, equals, value = text.partition("=")
-        if not equals or not key:
-            raise InputError("set", text, "it is not KEY=VALUE.", "Write material.E=2e4, say.")
-        pairs = together(pairs, {key.strip(): parse_value(value.strip())})
-    return pairs
-
-
-def together(some: dict[str, Any], others: dict[str, Any]) -> dict[str, Any]:
-    """Two sets of changes as one; raises InputError if they do not agree about a value."""
-    for path in some.keys() & others.keys():
-        if some[path] != others[path]:
-            limit = f"it is also asked to be {some[path]}."
-            raise InputError(path, others[path], limit, "Give one of the two.")
-    return {**some, **others}
-
-
-def pick_device(name: str) -> str:
-    """The device meant: auto is CUDA where there is one; raises InputError."""
-    import warp as wp
-
-    if name == "auto":
-        return "cuda:0" if wp.is_cuda_available() else "cpu"
-    known = [str(device) for device in wp.get_devices()]
-    if name not in known:
-        raise InputError(
-            "device", name, "this machine has no such device.", f"Choose {' or '.join(known)}."
-        )
-    return name
 
 
 def default_out(name: str, scene: str) -> Path:

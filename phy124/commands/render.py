@@ -13,10 +13,11 @@ import tyro
 from phy124 import pipeline
 from phy124.clip import Clip
 from phy124.commands.bars import Bars
-from phy124.commands.options import ViewOptions, assignments, pick_device, together
+from phy124.commands.options import Device, ViewOptions
 from phy124.errors import Cancelled
 from phy124.rendering.framing import framing
-from phy124.scene import Scene
+from phy124.runtime.device import pick_device
+from phy124.scene import Scene, assignments, together
 
 
 @dataclass(frozen=True)
@@ -30,8 +31,7 @@ class Render:
     """Any other value of the view, as KEY=VALUE: elevation=30, background=[0,0,0]."""
     out: Path | None = None
     """Folder of the files; default beside the clip."""
-    device: str = "auto"
-    """auto, cpu or cuda:0."""
+    device: Device = "auto"
     json: bool = False
     """Print the files as JSON and nothing else."""
 

@@ -1,7 +1,7 @@
 """Everything a user can choose: the scene, its sections, its presets."""
 
 from phy124.scene.accuracies import GOOD_FOR, PRESETS, Accuracy, AccuracyName
-from phy124.scene.changes import parse_value
+from phy124.scene.changes import assignments, parse_value, together
 from phy124.scene.scene import Scene, preset_names
 from phy124.scene.section import Section
 from phy124.scene.sections import Checks, Object, Part, Timing
@@ -22,7 +22,9 @@ __all__ = [
     "Timing",
     "View",
     "ViewName",
+    "assignments",
     "parse_value",
     "preset_names",
     "summary",
+    "together",
 ]

@@ -37,6 +37,26 @@ def parse_value(text: str) -> Any:
     return found["value"] if len(found) == 1 else text
 
 
+def assignments(texts: tuple[str, ...]) -> dict[str, Any]:
+    """KEY=VALUE texts as a dict; raises InputError."""
+    pairs: dict[str, Any] = {}
+    for text in texts:
+        key, equals, value = text.partition("=")
+        if not equals or not key:
+            raise InputError("set", text, "it is not KEY=VALUE.", "Write material.E=2e4, say.")
+        pairs = together(pairs, {key.strip(): parse_value(value.strip())})
+    return pairs
+
+
+def together(some: dict[str, Any], others: dict[str, Any]) -> dict[str, Any]:
+    """Two sets of changes as one; raises InputError if they do not agree about a value."""
+    for path in some.keys() & others.keys():
+        if some[path] != others[path]:
+            limit = f"it is also asked to be {some[path]}."
+            raise InputError(path, others[path], limit, "Give one of the two.")
+    return {**some, **others}
+
+
 def _outer_first(path: str) -> tuple[int, bool]:
     keys = path.split(".")
     return len(keys), keys[-1] not in TAGS
