@@ -3,10 +3,10 @@
 from phy124.scene.accuracies import GOOD_FOR, PRESETS, Accuracy, AccuracyName
 from phy124.scene.changes import assignments, parse_value, together
 from phy124.scene.scene import Scene, preset_names
-from phy124.scene.section import Section
 from phy124.scene.sections import Checks, Object, Part, Timing
 from phy124.scene.summary import summary
 from phy124.scene.view import Format, View, ViewName
+from phy124.section import Section
 
 __all__ = [
     "GOOD_FOR",

@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from phy124.scene.section import Section
+from phy124.section import Section
 
 
 class Accuracy(Section):

@@ -24,9 +24,9 @@ from phy124.materials import AnyMaterial, NeoHookean
 from phy124.scene.accuracies import PRESETS, Accuracy, AccuracyName
 from phy124.scene.changes import apply
 from phy124.scene.refusals import refusal
-from phy124.scene.section import Section
 from phy124.scene.sections import Checks, Object, Part, Timing
 from phy124.scene.view import View
+from phy124.section import Section
 from phy124.stiffness import AnyStiffness
 
 if sys.version_info >= (3, 11):

@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 from phy124.bounds import FileName, Velocity
 from phy124.materials import AnyMaterial, NeoHookean
 from phy124.region import PartRegion
-from phy124.scene.section import Section
+from phy124.section import Section
 
 Number = Annotated[int, Field(ge=0, le=10_000_000)]
 """The number of a Gaussian."""
