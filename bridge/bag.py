@@ -13,6 +13,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from phy124.io.files import replacing
+
 from . import messages
 from .topics import Topic
 
@@ -71,12 +73,10 @@ def register(writer: Writer, topic: Topic) -> int:
 
 def write_metadata(folder: Path, file: str, counts: Counts) -> None:
     """Write metadata.yaml; it appears whole or not at all, and makes the folder a bag."""
-    temporary = folder / f"{METADATA}.part"
-    with open(temporary, "w") as stream:
+    with replacing(folder / METADATA) as temporary, temporary.open("w") as stream:
         stream.write(metadata_yaml(file, counts))
         stream.flush()
         os.fsync(stream.fileno())
-    os.replace(temporary, folder / METADATA)
 
 
 def metadata_yaml(file: str, counts: Counts) -> str:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
+
+from phy124.section import Section
 
 from .layout import Profile
 
@@ -15,10 +17,8 @@ LAST_SECOND = 2**31 - 1
 """`builtin_interfaces/msg/Time` counts seconds in an int32."""
 
 
-class Options(BaseModel):
+class Options(Section):
     """How frames become messages."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     profile: Profile | None = Field(
         default=None,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -14,6 +13,7 @@ from phy124.clip import Clip
 from phy124.errors import InputError
 from phy124.io.export import write_ply_sequence
 from phy124.io.export.html import write_html
+from phy124.io.files import staged
 from phy124.rendering.film import cameras
 from phy124.scene import View
 
@@ -31,12 +31,8 @@ def export(kind: str, done: Done) -> Path:
         raise InputError("format", kind, "This format is not offered here.", "Choose another one.")
     path = done.films / EXPORTS[kind].file
     if not path.exists():
-        making = path.with_name(f"making-{path.name}")
-        try:
-            EXPORTS[kind].write(done, making)
-            os.replace(making, path)
-        finally:
-            making.unlink(missing_ok=True)
+        with staged(done.films) as folder:
+            EXPORTS[kind].write(done, folder / path.name)
     return path
 
 

@@ -8,11 +8,12 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from phy124.errors import InputError
 from phy124.runtime.device import CHOICES
 from phy124.scene.refusals import refusal
+from phy124.section import Section
 
 from .visitors import Room
 
@@ -21,10 +22,8 @@ ALIASES = (("host", "GRADIO_SERVER_NAME"), ("port", "GRADIO_SERVER_PORT"))
 """Gradio's own variables; ours come before them."""
 
 
-class Settings(BaseModel):
+class Settings(Section):
     """Limits of one visitor's request, and where the page listens."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     host: str = Field(default="127.0.0.1", description="Address to listen on.")
     port: int = Field(default=7860, ge=1, le=65535, description="Port to listen on.")

@@ -5,17 +5,16 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 from PIL import Image, ImageDraw
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import Field, TypeAdapter, ValidationError
 
 from phy124.errors import InputError
+from phy124.section import Section
 
 Share = Annotated[float, Field(ge=-0.5, le=1.5, allow_inf_nan=False)]
 
 
-class Stroke(BaseModel):
+class Stroke(Section):
     """A line painted over the picture; lengths in shares of its longer side."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     keep: bool
     """Whether what is under it belongs to the object."""

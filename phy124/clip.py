@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import os
-import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -21,6 +20,7 @@ from safetensors.numpy import save_file
 from phy124.errors import InputError
 from phy124.gaussians import Array, Frame, Gaussians
 from phy124.harmonics import rotate_sh
+from phy124.io.files import replacing
 
 FORMAT = "phy124-clip"
 VERSION = "1"
@@ -156,7 +156,6 @@ class Clip:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write one safetensors file; it appears whole or not at all."""
-        path = Path(path)
         names = REQUIRED + tuple(n for n in OPTIONAL if getattr(self, n) is not None)
         tensors = {name: np.ascontiguousarray(getattr(self, name)) for name in names}
         metadata = {
@@ -165,15 +164,8 @@ class Clip:
             "scene": json.dumps(self.scene),
             "report": json.dumps(self.report),
         }
-        descriptor, temporary = tempfile.mkstemp(suffix=".part", dir=path.parent)
-        os.close(descriptor)
-        try:
+        with replacing(path) as temporary:
             save_file(tensors, temporary, metadata)
-            os.chmod(temporary, 0o644)
-            os.replace(temporary, path)
-        except BaseException:
-            os.unlink(temporary)
-            raise
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Clip:

@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import warp as wp
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from phy124.bounds import LONGEST, SHORTEST, Position, Push, Velocity
 from phy124.errors import InputError
 from phy124.kernels import push
 from phy124.kernels.transfer import types
 from phy124.region import Region, Vector, cylinder
+from phy124.section import Section
 from phy124.tracks import FOREVER, AnyProfile, Constant, Track
 
 if TYPE_CHECKING:
@@ -28,10 +29,8 @@ UNIT: Vector = (1.0, 0.0, 0.0)
 """Value of a track that holds only the profile."""
 
 
-class Force(BaseModel):
+class Force(Section):
     """What all forces have: a time profile in a window of time, and a region of the body."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     start: float = Field(default=0.0, ge=0, le=LONGEST, description="Acts from here on [s].")
     end: float | None = Field(

@@ -6,9 +6,10 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from phy124.gaussians import rotation_matrices
+from phy124.section import Section
 
 Vector = tuple[float, float, float]
 EVERYWHERE = 1e9
@@ -21,10 +22,8 @@ _Corner = tuple[_Side, _Side, _Side]
 AxisName = Literal["x", "y", "z"]
 
 
-class Region(BaseModel):
+class Region(Section):
     """An axis-aligned box [m], or the cylinder that fits it; sides left out are open."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     lower: _Corner = Field(
         default=(-EVERYWHERE, -EVERYWHERE, -EVERYWHERE), description="Lowest corner [m]."

@@ -12,22 +12,21 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from scipy.spatial import KDTree
 
 from phy124.bounds import FileName
 from phy124.errors import InputError
 from phy124.imaging.painted import Crop, brightness
+from phy124.section import Section
 
 LEAST = 1e-4
 """Smallest share: a hundred times slower waves."""
 Share = Annotated[float, Field(ge=LEAST, le=1)]
 
 
-class _Field(BaseModel):
+class _Field(Section):
     """What all fields of stiffness have."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     def shares(self, x: NDArray, means: NDArray, crop: Crop) -> NDArray[np.float64]:
         """Share of E at each particle [P].

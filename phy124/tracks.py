@@ -14,12 +14,13 @@ from typing import Annotated, Literal, cast
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from phy124.bounds import LONGEST, SHORTEST, Factor, Instant
 from phy124.kernels.profile import JOINS, MEAN, make_sampler
 from phy124.kernels.transfer import types
 from phy124.region import Vector
+from phy124.section import Section
 
 SEGMENTS = 64
 """Straight pieces per turn of a sine: its greatest error is 0.12 % of the amplitude."""
@@ -29,10 +30,8 @@ Key = tuple[float, Vector]
 """Time [s] and value."""
 
 
-class Table(BaseModel):
+class Table(Section):
     """What all time profiles have: a table of times [s] and factors, once or over and over."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     def table(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Times since the start [s] and the factors then, straight in between."""

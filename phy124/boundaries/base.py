@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from phy124.boundaries.motion import AnyMotion
 from phy124.errors import InputError
 from phy124.kernels.collide import make_collider, make_contact
 from phy124.kernels.transfer import types
 from phy124.region import Vector
+from phy124.section import Section
 from phy124.tracks import Track
 
 if TYPE_CHECKING:
@@ -36,10 +37,8 @@ THINNEST = 1.0
 Corners = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
-class Boundary(BaseModel):
+class Boundary(Section):
     """What all boundaries have: how they answer to what touches them."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     shape: ClassVar[str]
     thing: ClassVar[str] = "it"

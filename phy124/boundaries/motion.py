@@ -7,19 +7,18 @@ import math
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from phy124.bounds import LONGEST, Instant, Position
+from phy124.section import Section
 from phy124.tracks import Key, Sine, Track, check_times
 
 EASE = 16
 """Straight pieces per leg of a path with smooth ends."""
 
 
-class Motion(BaseModel):
+class Motion(Section):
     """What all motions have: a displacement over time."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     start: float = Field(default=0.0, ge=0, le=LONGEST, description="Begins to move [s].")
 

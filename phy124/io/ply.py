@@ -10,7 +10,6 @@ signed permutation, hence exact: what was written is read back bit for bit, but 
 from __future__ import annotations
 
 import os
-import tempfile
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,6 +19,7 @@ from numpy.typing import NDArray
 from phy124.axes import orientation, turned
 from phy124.errors import InputError
 from phy124.gaussians import SH_COEFFICIENTS, Gaussians
+from phy124.io.files import replacing
 from phy124.io.plyheader import Header, read_header, refusal
 
 MAX_GAUSSIANS = 10_000_000
@@ -72,21 +72,13 @@ def read_ply(
 
 def write_ply(path: str | os.PathLike[str], gaussians: Gaussians) -> None:
     """Write the Inria layout, binary little-endian float32; it appears whole or not at all."""
-    path = Path(path)
     table = raw_table(turned(gaussians, orientation().T))
     names = table.dtype.names or ()
     lines = ["ply", "format binary_little_endian 1.0", f"comment {COMMENT}"]
     lines += [f"element vertex {len(table)}", *(f"property float {name}" for name in names)]
-    descriptor, temporary = tempfile.mkstemp(suffix=".part", dir=path.parent)
-    try:
-        with os.fdopen(descriptor, "wb") as file:
-            file.write("\n".join([*lines, "end_header\n"]).encode("ascii"))
-            file.write(table.tobytes())
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except BaseException:
-        os.unlink(temporary)
-        raise
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        file.write("\n".join([*lines, "end_header\n"]).encode("ascii"))
+        file.write(table.tobytes())
 
 
 def _read_table(path: Path) -> tuple[Header, NDArray[Any]]:

@@ -5,15 +5,14 @@ from __future__ import annotations
 import math
 from typing import ClassVar
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from phy124.kernels.transfer import Law
+from phy124.section import Section
 
 
-class Material(BaseModel):
+class Material(Section):
     """What all materials have: a density and a law on the device."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     device_law: ClassVar[Law]
     scaled: ClassVar[int] = 0
