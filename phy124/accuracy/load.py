@@ -10,6 +10,8 @@ from dataclasses import dataclass
 
 SPIN = 0.3
 """Seconds for which threads spin to see how much of a core each gets."""
+ENOUGH, LONGEST = 0.2, 4.0
+"""Share of these that it must get for that to tell something, and how often as long it may take."""
 BLOCK = bytes(1 << 18)
 """What a spinning thread reads, without Python's lock."""
 ALONE = 0.93
@@ -83,16 +85,19 @@ def spoken(span: tuple[float, float]) -> str:
 def _received(threads: int) -> float:
     """Mean fraction of a core that threads get which all want one."""
     with ThreadPoolExecutor(threads) as pool:
-        fractions = list(pool.map(_spun, [SPIN] * threads))
-    return max(sum(fractions) / threads, 0.02)
+        return sum(pool.map(_spun, [SPIN] * threads)) / threads
 
 
 def _spun(seconds: float) -> float:
-    """Fraction of a core that this thread gets, from a spin of so many seconds."""
-    begun, own = time.perf_counter(), time.thread_time()
-    while time.perf_counter() - begun < seconds:
+    """Fraction of a core that this thread gets, from a spin of so many seconds.
+
+    One that hardly had its turn in that time goes on until it had.
+    """
+    begun, own, passed, got = time.perf_counter(), time.thread_time(), 0.0, 0.0
+    while passed < seconds or (got < ENOUGH * seconds and passed < LONGEST * seconds):
         zlib.crc32(BLOCK)
-    return (time.thread_time() - own) / (time.perf_counter() - begun)
+        passed, got = time.perf_counter() - begun, time.thread_time() - own
+    return max(got, 1e-3) / passed
 
 
 def _cores() -> int:
