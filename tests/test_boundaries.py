@@ -374,7 +374,7 @@ def stages(*walls) -> list[str]:
     s = solver(block(), *walls)
     s.step(1e-4, 1e-4)
     known = {"clear", "grid", "p2g neo_hookean", "g2p neo_hookean"}
-    return [name for phase in s.lanes[0].phases for name, _ in phase if name not in known]
+    return [name for phase in s.workers[0].phases for name, _ in phase if name not in known]
 
 
 def test_each_boundary_launches_its_number_and_an_absent_one_nothing():
