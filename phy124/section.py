@@ -1,9 +1,9 @@
-"""What all declarations of options have in common: a scene's, the page's and the bridge's."""
+"""Base class of all declared options: those of a scene, of the page and of the bridge."""
 
 from pydantic import BaseModel, ConfigDict
 
 
 class Section(BaseModel):
-    """Frozen, and it knows all its keys."""
+    """A frozen group of options; unknown keys are errors."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)

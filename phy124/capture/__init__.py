@@ -1,7 +1,8 @@
-"""A capture: a 3DGS file of a real place becomes an object standing on the floor it was found on.
+"""Turns a 3DGS capture of a real place into an object that stands on the floor found in it.
 
-The floor is scenery: it is seen and never moves; what the object touches is the scene's ground at
-the same height. The object's longest side is the scene's `object.size`, whatever the file's unit.
+The floor is scenery: it is visible and never moves. What the object touches is the scene's ground,
+at the same height. The object's longest side is the scene's `object.size`, whatever the file's
+unit.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from phy124.region import EVERYWHERE, PartRegion
 from phy124.scene import Part, Scene
 
 VISIBLE = 0.1
-"""Opacity from which a Gaussian says where the floor is."""
+"""Opacity from which a Gaussian is used to find the floor."""
 NEIGHBOURS = 8
 USUAL, OWN = 6.0, 3.0
 """Whose 8th neighbour is so many times farther off than is usual, and than it is long itself, is
@@ -35,24 +36,31 @@ a floater."""
 
 @dataclass(frozen=True)
 class Capture:
-    """Gaussians ready to be simulated, and the scene that is meant for them."""
+    """Gaussians ready to be simulated, and the scene to simulate them in."""
 
     gaussians: Gaussians
-    """Those of the object, then those of the floor."""
+    """The Gaussians of the object, followed by those of the floor."""
     scene: Scene
-    """With the floor as a static part and all regions in metres."""
+    """The scene with the floor as a static part and all regions in metres."""
     cleaning: list[str]
-    """What was left out of the file."""
+    """What was left out of the file, as sentences."""
     about: dict[str, Any]
-    """For the report: how the file was turned and what floor was found."""
+    """How the file was rotated and what floor was found, for the report."""
 
 
 def capture(
     file: PlyFile, scene: Scene, *, count: int | None = None, progress: Progress = silent
 ) -> Capture:
-    """Read a file for a scene; if its `reading` says so, find the floor and stand the object on it.
+    """Read a file for a scene; stand the object on its floor if its `reading` asks for that.
 
-    With `count` at most so many of its Gaussians are kept. Raises InputError.
+    Args:
+        file: The file and how to read it.
+        scene: The scene to prepare.
+        count: Largest number of Gaussians to keep; None for all.
+        progress: Called as in `phy124.progress`.
+
+    Raises:
+        InputError: If the file cannot be read, or no floor is found.
     """
     opened = file.open(progress)
     opened = opened._replace(gaussians=thinned(opened.gaussians, count, seed=scene.seed))
@@ -63,24 +71,28 @@ def capture(
 
 
 def changed(file: PlyFile, scene: Scene, *, count: int | None = None) -> Scene:
-    """The scene as `capture` makes it; the file is read only if that matters. Raises InputError."""
+    """The scene as `capture` makes it; the file is read only if the scene depends on it.
+
+    Raises:
+        InputError: If the file cannot be read, or no floor is found.
+    """
     if file.reading.floor or in_file_units(scene):
         return capture(file, scene, count=count).scene
     return scene
 
 
 def in_file_units(scene: Scene) -> bool:
-    """Whether a part's region is told in the units of the object's file."""
+    """Whether the region of some part is given in the units of the object's file."""
     return any(part.region and part.region.units == "file" for part in scene.parts)
 
 
 @dataclass(frozen=True)
 class _Read:
-    """Gaussians in the default place and size, x = scale * rotation @ (file's x) + offset."""
+    """Gaussians in the default place and size: x = scale * rotation @ (file's x) + offset."""
 
     gaussians: Gaussians
     own: int
-    """How many, from the first, are the object."""
+    """Number of Gaussians, from the first, that are the object."""
     rotation: NDArray[np.float64]
     scale: float
     offset: NDArray[np.float64]
@@ -128,7 +140,7 @@ def _on_floor(opened: Opened, *, told: bool) -> _Read:
 
 
 def isolated(gaussians: Gaussians) -> NDArray[np.bool_]:
-    """Floaters: Gaussians with few others near, however large they are themselves [N]."""
+    """Floaters [N]: Gaussians with few others near them, however large they are."""
     few = min(NEIGHBOURS, len(gaussians) - 1)
     means = gaussians.means.astype(np.float64)
     near = KDTree(means).query(means, few + 1)[0].reshape(len(means), -1)[:, -1]
@@ -154,7 +166,7 @@ def _said(floor: Floor, opened: Opened, lies: NDArray[np.bool_]) -> dict[str, An
 
 
 def _with_floor(scene: Scene, read: _Read) -> Scene:
-    """With the Gaussians after the object's as a static part that does not count for its size."""
+    """The scene with the Gaussians after the object's as a static part that is no part of it."""
     if read.own == len(read.gaussians):
         return scene
     floor = Part(static=True, surroundings=True, gaussians=(read.own, len(read.gaussians)))
@@ -162,7 +174,7 @@ def _with_floor(scene: Scene, read: _Read) -> Scene:
 
 
 def _in_metres(scene: Scene, read: _Read) -> Scene:
-    """With regions that were told in the file's units as turned boxes in metres."""
+    """The scene with regions given in the file's units as rotated boxes in metres."""
     if not in_file_units(scene):
         return scene
     kept, cleaned = clean(read.gaussians)
@@ -187,7 +199,7 @@ def _region_in_metres(
     offset: NDArray[np.float64],
     number: int,
 ) -> PartRegion:
-    """The box or cylinder of a part turned with the file's axes and shifted along them."""
+    """The box or cylinder of a part, rotated with the file's axes and shifted along them."""
     # What `told` is turned by itself comes first: rotation @ (scale * own @ box) + offset.
     both = rotation @ rotation_matrices(np.array([told.turn]))[0]
     corners = scale * np.array([told.lower, told.upper]) + both.T @ offset

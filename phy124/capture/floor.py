@@ -1,8 +1,8 @@
-"""Floor: the plane that most of a captured scene lies on, found by random samples (RANSAC).
+"""The floor: the plane that most of a captured scene lies on, found by random sampling (RANSAC).
 
-Fischler and Bolles 1981, "Random sample consensus": planes through three random points each, the
-one near most points wins; it is then fitted to its own points by least squares, whose scatter says
-how far off a point may be and still belong to it.
+Fischler and Bolles 1981, "Random sample consensus": of planes through three random points each, the
+one near most points wins. It is then fitted to its own points by least squares; their scatter
+decides how far off a point may be and still belong to it.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from numpy.typing import NDArray
 from phy124.errors import InputError
 
 TRIALS = 2000
-"""Planes tried: enough for a floor that holds a fifth of all points (odds of missing it 1e-7)."""
+"""Number of planes tried: a floor with a fifth of all points is missed with odds of 1e-7."""
 SAMPLE = 4000
-"""Points that planes are tried on."""
+"""Number of points that planes are tested on."""
 THICKNESS = 0.02
-"""How far from a plane its points may be at first, in spreads of the scene."""
+"""Initial tolerance around a plane, in spreads of the scene."""
 SIGMAS = 3.0
-"""How far in the end, in standard deviations of the floor's own points."""
+"""Final tolerance, in standard deviations of the floor's own points."""
 LEAST_SHARE = 0.1
-"""A floor holds at least this share of the points."""
+"""Smallest share of the points that a floor must contain."""
 NEAR = 0.7071
-"""Cosine of the greatest angle between the floor's normal and the direction said to be up."""
+"""Cosine of the largest angle between the floor's normal and the given up direction."""
 
 Vectors = NDArray[np.float64]
 
@@ -37,12 +37,12 @@ class Floor:
     normal: Vectors
     """Unit vector that points up [3]."""
     offset: float
-    """In the file's units."""
+    """Distance from the origin along the normal, in the file's units."""
     tolerance: float
-    """Points nearer than this are on it, in the file's units."""
+    """Points closer than this are on the floor, in the file's units."""
 
     def heights(self, points: NDArray) -> Vectors:
-        """How far above the floor points [N,3] are, negative below [N]."""
+        """Signed heights [N] of points [N,3] above the floor."""
         return points.astype(np.float64) @ self.normal - self.offset
 
     def holds(self, points: NDArray) -> NDArray[np.bool_]:
@@ -51,16 +51,16 @@ class Floor:
 
 
 def find_floor(points: NDArray, up: Vectors | None = None, *, seed: int = 0) -> Floor:
-    """The floor of a scene [N,3] in any units and orientation.
+    """The floor of a scene, in any units and orientation.
 
     Args:
-        points: Centres of the visible Gaussians.
-        up: Roughly up, if that is known: steeper planes, such as walls, are not tried. If not, up
-            is the side on which more points are.
+        points: Centres of the visible Gaussians [N,3].
+        up: The approximate up direction, if known: steeper planes, such as walls, are not tried. If
+            None, up is the side on which more points are.
         seed: Of the random samples.
 
     Raises:
-        InputError: No plane holds enough points, or none reaches farther than what stands on it.
+        InputError: If no plane contains enough points, or none extends beyond what stands on it.
     """
     x = np.asarray(points, np.float64)
     middle = np.median(x, axis=0)
@@ -107,7 +107,7 @@ def _near(x: Vectors, normal: Vectors, offset: float, tolerance: float) -> int:
 
 
 def _fitted(x: Vectors, normal: Vectors, offset: float) -> tuple[Vectors, float, float]:
-    """The plane of least squares through its own points, and how near those are."""
+    """The least-squares plane through its own points, and its tolerance."""
     tolerance = THICKNESS
     for _ in range(12):
         on = x[np.abs(x @ normal - offset) <= tolerance]
@@ -134,7 +134,7 @@ def _check(x: Vectors, floor: Floor) -> None:
 
 
 def _spread(x: Vectors) -> float:
-    """Median distance from the middle, 0 of nothing; single points far off do not count."""
+    """Median distance from the middle, 0 for no points; insensitive to outliers."""
     return float(np.median(np.linalg.norm(x, axis=1))) if len(x) else 0.0
 
 

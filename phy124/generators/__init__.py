@@ -1,10 +1,10 @@
-"""Generators: one picture in, static Gaussians out. The table of all of them.
+"""Generators turn one picture into static Gaussians; this is the table of all of them.
 
-A generator is any callable `(image_rgba, *, seed, progress) -> Gaussians`, where `image_rgba` is a
-PIL picture or an array [H,W,4] of uint8 with the object cut out, `seed` an integer and `progress`
-as in `phy124.progress`. Its Gaussians are in the world's axes (z up, the object faces +x), centred
-on the origin, the longest side 1 m. To add one, write a factory that imports it and add one line
-to `GENERATORS`; an object may also be passed wherever a name is accepted.
+A generator is any callable `(image_rgba, *, seed, progress) -> Gaussians`. `image_rgba` is a PIL
+picture or an array [H,W,4] of uint8 with the object cut out, `seed` an integer, and `progress` as
+in `phy124.progress`. The Gaussians are in the world's axes (z up, the object faces +x), centred on
+the origin, with a longest side of 1 m. To add a generator, write a factory that imports it and add
+a line to `GENERATORS`; an object may also be passed wherever a name is accepted.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ if TYPE_CHECKING:
 
 
 class Generator(Protocol):
-    """What makes Gaussians of a picture."""
+    """Makes Gaussians from a picture."""
 
     def __call__(
         self, image_rgba: Image.Image | NDArray[np.uint8], *, seed: int, progress: Progress
     ) -> Gaussians:
-        """Gaussians of the opaque part of the picture; the same seed gives the same ones."""
+        """Gaussians of the opaque part of the picture; equal seeds give equal Gaussians."""
         ...
 
 
@@ -65,19 +65,19 @@ GENERATORS: dict[str, Callable[[], Generator]] = {
     "lgm-aligned": _lgm_aligned,
     "dreamgaussian": _dreamgaussian,
 }
-"""Name to factory; each imports its generator only when called."""
+"""Name -> factory; each imports its generator only when it is called."""
 
 
 def make(chosen: str | Generator, reading: Reading | None = None) -> Generator:
-    """The generator of a name in `GENERATORS`, of the path of a .ply file, or of itself.
+    """The generator for a name in `GENERATORS`, the path of a .ply file, or a generator itself.
 
     Args:
         chosen: Name, path or generator.
-        reading: How the .ply file is meant; None: as its dialect says.
+        reading: How to interpret the .ply file; None for the conventions of its dialect.
 
     Raises:
-        InputError: No generator has that name, what it needs is not installed, or `reading` is
-            given without a file.
+        InputError: If no generator has that name, something it needs is not installed, or `reading`
+            is given without a file.
     """
     if isinstance(chosen, str) and chosen.lower().endswith(".ply"):
         from phy124.generators.ply_file import PlyFile

@@ -22,7 +22,7 @@ TO_WORLD = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
 
 def orbit(elevation: float, azimuth: float, radius: float) -> NDArray[np.float64]:
-    """Camera to world [4,4]: columns right, up, back, position; angles in degrees."""
+    """Camera-to-world transform [4,4]: columns right, up, back, position; angles in degrees."""
     e, a = math.radians(elevation), math.radians(azimuth)
     back = np.array([math.cos(e) * math.sin(a), -math.sin(e), math.cos(e) * math.cos(a)])
     # Straight above or below there is no horizon: the limit of cameras of the same azimuth.
@@ -34,15 +34,15 @@ def orbit(elevation: float, azimuth: float, radius: float) -> NDArray[np.float64
 
 
 def to_opencv(camera_to_world: NDArray) -> NDArray[np.float64]:
-    """World to camera [4,4] with x right, y down, z forward, from an OpenGL camera to world."""
+    """World to camera [4,4], x right, y down, z forward, from OpenGL's camera to world."""
     return np.linalg.inv(camera_to_world @ np.diag([1.0, -1.0, -1.0, 1.0]))
 
 
 def focal(height: int, fov_y: float = FOV_Y) -> float:
-    """Focal length in pixels of an image of `height` pixels."""
+    """Focal length, pixels, for an image of `height` pixels."""
     return 0.5 * height / math.tan(0.5 * math.radians(fov_y))
 
 
 def to_world(gaussians: Gaussians) -> Gaussians:
-    """Gaussians of the networks' world (y up, front +z) in ours: (x, y, z) = theirs (z, x, y)."""
+    """The networks' Gaussians (y up, front +z) in our world: (x, y, z) = their (z, x, y)."""
     return turned(gaussians, TO_WORLD)

@@ -1,4 +1,4 @@
-"""PATH.ply: Gaussians that another program made, brought to the default place and size."""
+"""Reads Gaussians that another program made, and brings them to the default place and size."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ if TYPE_CHECKING:
     from PIL import Image
 
 MIN_OPACITY = 0.005
-"""Fainter Gaussians are left out, as LGM does when it saves."""
+"""Fainter Gaussians are dropped, as LGM does when it saves."""
 TAIL = 0.005
-"""Share of the opacity that may lie off either end before outliers are told from the object."""
+"""Share of the opacity that may lie beyond either end when the core of the object is found."""
 MARGIN = 0.5
-"""How far from that core, in its sizes, a Gaussian still belongs to the object."""
+"""Distance from that core, in its sizes, up to which a Gaussian belongs to the object."""
 
 
 class Reading(BaseModel):
-    """How a .ply file of Gaussians is meant."""
+    """How to interpret a .ply file of Gaussians."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -60,7 +60,11 @@ class Reading(BaseModel):
     )
 
     def refuse(self, name: str, source: object) -> None:
-        """Raise InputError if anything is told of a file although `source` is none."""
+        """Check that options for reading a file are not given without a file.
+
+        Raises:
+            InputError: If any option is set although `source` is no file.
+        """
         told = [f"--{option}" for option in self.model_dump(exclude_defaults=True)]
         if told:
             limit = f"{' and '.join(told)} {'is' if len(told) == 1 else 'are'} for a .ply file."
@@ -68,21 +72,21 @@ class Reading(BaseModel):
 
 
 class Opened(NamedTuple):
-    """What a file holds."""
+    """The contents of a file."""
 
     gaussians: Gaussians
-    """The visible ones in our axes, in the file's units."""
+    """The visible Gaussians in our axes, in the file's units."""
     rotation: NDArray[np.float64]
     """From the file's axes to ours [3,3]."""
     cleaning: list[str]
-    """A sentence for each reason for which some were left out."""
+    """A sentence for each reason why some were dropped."""
 
 
 @dataclass(frozen=True)
 class PlyFile:
     """The generator that reads a file instead of looking at the picture.
 
-    Where its floor is found and what stands on it is told by `phy124.capture`, which has a scene.
+    Finding the floor and what stands on it is done by `phy124.capture`, which knows the scene.
     """
 
     path: str
@@ -95,16 +99,20 @@ class PlyFile:
         seed: int = 0,
         progress: Progress = silent,
     ) -> Gaussians:
-        """The file's Gaussians, longest side 1 m; neither picture nor seed matter.
+        """The file's Gaussians with a longest side of 1 m; picture and seed are ignored.
 
         Raises:
-            InputError: As `read_ply`, or all Gaussians are nearly transparent or in one point.
+            InputError: As `read_ply`, or if all Gaussians are nearly transparent or at one point.
         """
         del image_rgba, seed
         return self.read(progress)[0]
 
     def read(self, progress: Progress = silent) -> tuple[Gaussians, list[str]]:
-        """The same, and a sentence for each reason for which some were left out."""
+        """The file's Gaussians as `__call__` returns them, and why some were dropped.
+
+        Raises:
+            InputError: As `__call__`.
+        """
         if self.reading.floor:
             limit = "A floor is part of a scene, and there is none here."
             raise InputError("floor", "wanted", limit, "Call phy124.capture.capture instead.")
@@ -112,7 +120,12 @@ class PlyFile:
         return normalised(opened.gaussians, self.path), opened.cleaning
 
     def open(self, progress: Progress = silent) -> Opened:
-        """The file's visible Gaussians, turned upright and cropped; raises InputError."""
+        """The file's visible Gaussians, rotated upright and cropped.
+
+        Raises:
+            InputError: As `read_ply`, or if the options contradict each other or leave no
+                Gaussians.
+        """
         progress("read", 0, 1)
         told = self.reading
         rotation = orientation(told.up, told.front, told.dialect, told.rotate)
@@ -167,10 +180,10 @@ class PlyFile:
 
 
 def normalised(gaussians: Gaussians, name: str = "") -> Gaussians:
-    """Centred on the origin, the longest side 1 m; single Gaussians far off do not count.
+    """Gaussians centred on the origin with a longest side of 1 m; outliers do not count.
 
     Raises:
-        InputError: All centres lie in one point.
+        InputError: If all centres lie in one point.
     """
     low, high = robust_bounds(gaussians)
     size = float((high - low).max())
@@ -183,8 +196,8 @@ def normalised(gaussians: Gaussians, name: str = "") -> Gaussians:
 def robust_bounds(gaussians: Gaussians) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Lowest and highest centre along each axis [3], m, without outliers.
 
-    The core holds all but `TAIL` of the opacity at either end; the bounds are those of all
-    Gaussians within `MARGIN` core sizes of it, so that a clean object loses nothing.
+    The core contains all but a share `TAIL` of the opacity at either end; the bounds are those of
+    all Gaussians within `MARGIN` core sizes of it, so that a clean object loses nothing.
     """
     means = gaussians.means.astype(np.float64)
     core = np.stack([_quantiles(axis, gaussians.opacities) for axis in means.T], axis=1)

@@ -1,9 +1,9 @@
-"""A differentiable rasterizer of 3D Gaussians for fitting them to pictures.
+"""A differentiable rasterizer of 3D Gaussians, for fitting them to pictures.
 
 Kerbl et al. 2023, "3D Gaussian Splatting", and Zwicker et al. 2002 (EWA) for the projection. The
-reference here is plain torch, tile by tile: right for small pictures and for gradients on the CPU.
-On CUDA gsplat (Apache-2.0) does the same if it is installed. `phy124.rendering.render` draws
-final pictures.
+reference here is plain torch, tile by tile: suitable for small pictures and for gradients on the
+CPU. On CUDA gsplat (Apache-2.0) is used instead if it is installed. Final pictures are drawn by
+`phy124.rendering.render`.
 """
 
 from __future__ import annotations
@@ -23,38 +23,38 @@ BLUR = 0.3
 NEAR = 0.01
 ALPHA_MIN, ALPHA_MAX = 1 / 255, 0.99
 STOP = 1e-4
-"""A pixel is finished once less light than this passes."""
+"""A pixel is finished once less light than this passes through."""
 GUARD = 1.3
-"""The Jacobian is held at this multiple of the field of view; further out it explodes."""
+"""The Jacobian is evaluated at most this far out, in fields of view; beyond, it would explode."""
 
 
 @dataclass(frozen=True)
 class View:
-    """A pinhole camera with square pixels and its axis in the middle."""
+    """A pinhole camera with square pixels and its axis in the middle of the picture."""
 
     matrix: Tensor
-    """World to camera [4,4]; x right, y down, z forward."""
+    """World-to-camera transform [4,4]; x right, y down, z forward."""
     focal: float
-    """Pixels."""
+    """Focal length, pixels."""
     width: int
     height: int
 
 
 @dataclass(frozen=True)
 class Rendering:
-    """A picture, and what densification needs of it."""
+    """A picture, and what densification needs to know about it."""
 
     rgb: Tensor
-    """[H,W,3], over the background."""
+    """Colours [H,W,3] over the background."""
     alpha: Tensor
     """Coverage [H,W], 0..1."""
     centres: Tensor
-    """Projected centres [N,2], pixels; their gradient is kept on backward."""
+    """Projected centres [N,2], pixels; their gradient is kept by the backward pass."""
     radii: Tensor
-    """Radius of three standard deviations [N], pixels; 0 where a Gaussian is not seen."""
+    """Radius of three standard deviations [N], pixels; 0 where a Gaussian is not visible."""
 
     def screen_gradients(self) -> Tensor:
-        """Gradients of the loss by the centres [N,2], per half image side (3DGS's unit)."""
+        """Gradients of the loss by the centres [N,2], per half image side (the unit of 3DGS)."""
         height, width = self.alpha.shape
         gradient = self.centres.grad
         if gradient is None:
@@ -71,9 +71,16 @@ def rasterize(
     view: View,
     background: Tensor,
 ) -> Rendering:
-    """Draw `means [N,3]`, `quats [N,4]` wxyz of any length, `scales [N,3]`, `opacities [N]`.
+    """Draw Gaussians so that gradients flow back to all of their parameters.
 
-    `colors [N,3]` and `background [3]` are linear in the loss; all values are post-activation.
+    Args:
+        means: Centres [N,3].
+        quats: Rotations wxyz [N,4] of any length.
+        scales: Standard deviations [N,3].
+        opacities: [N], 0..1.
+        colors: [N,3].
+        view: The camera.
+        background: Colour [3] behind the Gaussians.
     """
     if means.is_cuda and importlib.util.find_spec("gsplat"):
         return _with_gsplat(means, quats, scales, opacities, colors, view, background)
@@ -91,7 +98,7 @@ def rasterize(
 
 
 def rotation_matrices(quats: Tensor) -> Tensor:
-    """Rotations [N,3,3] of quaternions wxyz [N,4], which are normalised first."""
+    """Rotation matrices [N,3,3] of quaternions wxyz [N,4], which are normalised first."""
     w, x, y, z = torch.nn.functional.normalize(quats, dim=-1).unbind(-1)
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
@@ -104,7 +111,17 @@ def rotation_matrices(quats: Tensor) -> Tensor:
 def project(
     means: Tensor, quats: Tensor, scales: Tensor, view: View
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Centres [N,2] in pixels, depths [N], covariances on screen [N,2,2] in pixels^2."""
+    """Project Gaussians onto the screen.
+
+    Args:
+        means: Centres [N,3].
+        quats: Rotations wxyz [N,4].
+        scales: Standard deviations [N,3].
+        view: The camera.
+
+    Returns:
+        Centres [N,2] in pixels, depths [N], covariances on screen [N,2,2] in pixels^2.
+    """
     rotation = view.matrix[:3, :3].to(means)
     x, y, z = (means @ rotation.T + view.matrix[:3, 3].to(means)).unbind(-1)
     depth = z.clamp(min=NEAR)
@@ -126,7 +143,7 @@ def project(
 
 
 def _conics(covariances: Tensor, depths: Tensor) -> tuple[Tensor, Tensor]:
-    """Inverse covariances as (xx, xy, yy) [N,3], and radii of three deviations [N]."""
+    """Inverse covariances as (xx, xy, yy) [N,3], and radii of three standard deviations [N]."""
     a, b, c = covariances[:, 0, 0], covariances[:, 0, 1], covariances[:, 1, 1]
     determinant = a * c - b * b
     conics = torch.stack([c, -b, a], dim=-1) / determinant[:, None]
@@ -138,14 +155,14 @@ def _conics(covariances: Tensor, depths: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _on_screen(centres: Tensor, radii: Tensor, view: View) -> Tensor:
-    """Whether the square of each Gaussian's radius touches the picture [N]."""
+    """Whether the square around each Gaussian touches the picture [N]."""
     size = centres.new_tensor([view.width, view.height])
     low, high = centres - radii[:, None], centres + radii[:, None]
     return ((high > 0) & (low < size)).all(dim=1)
 
 
 def _reach(covariances: Tensor, opacities: Tensor) -> Tensor:
-    """Half sides [N] of the squares outside of which a Gaussian's alpha is below ALPHA_MIN."""
+    """Half sides [N] of the squares outside which a Gaussian's alpha is below ALPHA_MIN."""
     variance = covariances.diagonal(dim1=1, dim2=2).amax(dim=1)
     return (2 * torch.log((opacities / ALPHA_MIN).clamp(min=1)) * variance).sqrt()
 
@@ -159,7 +176,7 @@ def _tiles(
     order: Tensor,
     view: View,
 ) -> tuple[Tensor, Tensor]:
-    """Picture over black [H,W,3] and coverage [H,W]; `order` runs from near to far."""
+    """Picture over black [H,W,3] and coverage [H,W]; `order` lists Gaussians from near to far."""
     rows = []
     low, high = (
         (centres.detach() - reach[:, None])[order],
@@ -236,6 +253,13 @@ def _with_gsplat(
 
 
 def orbit_view(elevation: float, azimuth: float, radius: float, size: int) -> View:
-    """A square picture from the generators' orbit (see `phy124.generators.orbit`)."""
+    """A square picture from the generators' orbit (see `phy124.generators.orbit`).
+
+    Args:
+        elevation: Degrees; positive is below the object.
+        azimuth: Degrees.
+        radius: Distance from the origin.
+        size: Side of the picture, pixels.
+    """
     matrix = torch.from_numpy(to_opencv(orbit(elevation, azimuth, radius))).float()
     return View(matrix, focal(size), size, size)

@@ -1,1 +1,1 @@
-"""Pictures: opened within limits, their object cut out, what is painted on it."""
+"""Pictures: opened within limits, their object cut out, values painted on them."""

@@ -1,4 +1,4 @@
-"""The object of a picture: found or given by a mask, and looked at whether it can be right."""
+"""Cuts the object out of a picture and warns if the result looks wrong."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from phy124.runtime import isolated
 
 Alpha = NDArray[np.uint8]
 REAL_ALPHA = 0.005
-"""Share of pixels that must be opaque, and as many transparent, for an alpha to mean something."""
+"""Least share of opaque pixels, and of transparent ones, for an alpha to be meaningful."""
 LEAST, MOST = 0.003, 0.97
-"""Smallest and largest share of the picture that an object can take."""
+"""Smallest and largest share of the picture that an object may cover."""
 TINY, MUCH = 0.02, 0.85
-"""Shares below and above which something else was probably taken for the object."""
+"""Shares below and above which something else was probably found instead of the object."""
 SIDES = 3
-"""So many touched edges of the picture are suspicious: a table in front touches three."""
+"""Number of touched picture edges that is suspicious: a table in the foreground touches three."""
 PIECES = 4
-"""So many pieces are suspicious."""
+"""Number of separate pieces that is suspicious."""
 UNSEEN = 0.12
-"""Share of the outline without an edge in the picture that is suspicious: right ones have 0.05."""
+"""Suspicious share of outline without an edge in the picture; correct cut-outs have 0.05."""
 ALIKE = 0.1
-"""Share of the surroundings in the object's colours that is suspicious: right ones have 0.09."""
+"""Suspicious share of surroundings in the object's colours; correct cut-outs have 0.09."""
 REMEDY = (
     "Use a picture with one object on a plain background, all of it visible, give a mask (white "
     "where the object is), or save the cut-out object as PNG with transparency."
@@ -40,38 +40,38 @@ REMEDY = (
 
 
 class Method(NamedTuple):
-    """A way to find the object."""
+    """A way to find the object in a picture."""
 
     applies: Callable[[Image.Image], bool]
-    """Whether "auto" may choose it for a picture."""
+    """Whether "auto" may choose this method for a picture."""
     find: Callable[[Image.Image, isolated.Deadline], Alpha]
-    """The alpha [H,W] of a picture; native code of others runs in `phy124.runtime.isolated`."""
+    """Computes the alpha [H,W]; native code of others runs in `phy124.runtime.isolated`."""
 
 
 @dataclass(frozen=True)
 class Cutout:
-    """A picture whose alpha is its object."""
+    """A picture whose alpha channel is its object, with measures of how plausible it is."""
 
     picture: Image.Image
     """RGBA, not premultiplied."""
     method: str
-    """Key of `METHODS`, "mask", or "brush" where a person corrected it."""
+    """Key of `METHODS`, or "mask", or "brush" if a person corrected it."""
     coverage: float
     """Share of the picture that is object."""
     pieces: int
-    """Parts of the object that hang together."""
+    """Number of connected pieces of the object."""
     touches: tuple[str, ...]
-    """Edges of the picture that the object reaches, or nearly: left, top, right, bottom."""
+    """Picture edges that the object reaches or nearly reaches: left, top, right, bottom."""
     unseen: float
     """Share of the outline where the picture shows no edge."""
     alike: float
-    """Share of the surroundings whose colours are commoner in the object than around it."""
+    """Share of the surroundings whose colours are more common in the object than around it."""
     frames: int = 1
-    """Of the file, if it is an animation: only the first was looked at."""
+    """Number of frames if the file is an animation; only the first was used."""
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What makes it likely that this is not the object that was meant."""
+        """Reasons to doubt that this is the intended object, as sentences."""
         given, found = self.method in ("alpha", "mask", "brush"), []
         if self.frames > 1:
             found.append(f"The picture is an animation of {self.frames} frames; the first is used.")
@@ -98,11 +98,11 @@ class Cutout:
         return tuple(found)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the picture as PNG or WebP, every pixel as it is."""
+        """Write the picture as PNG or WebP without loss."""
         self.picture.save(path, compress_level=1, lossless=True, exact=True)
 
     def data(self) -> dict[str, Any]:
-        """All but the pixels."""
+        """All fields except the pixels, as plain data."""
         return {
             "method": self.method,
             "coverage": round(self.coverage, 4),
@@ -122,7 +122,17 @@ def cut_out(
     mask: str | os.PathLike[str] | None = None,
     deadline: isolated.Deadline = isolated.PATIENT,
 ) -> Cutout:
-    """Open a picture file and cut its object out; for the arguments and errors see `foreground`."""
+    """Open a picture file and cut its object out.
+
+    Args:
+        picture: Path of the picture.
+        method: Key of `METHODS`, or "auto" for the first that applies.
+        mask: Path of a mask to use instead of a method; see `foreground`.
+        deadline: Time limit of the search, and who may cancel it.
+
+    Raises:
+        InputError: If a file cannot be used, or for the reasons given at `foreground`.
+    """
     image = open_image(picture)
     if mask is None:
         return foreground(image, method, deadline=deadline)
@@ -141,14 +151,14 @@ def foreground(
 
     Args:
         image: A picture in any mode.
-        method: Key of `METHODS`, or "auto" for the first of them that applies.
-        mask: Instead of a method: a picture of the same size, white where the object is; if it
-            has transparency, opaque where the object is.
-        deadline: How long the search may take, and who may call it off.
+        method: Key of `METHODS`, or "auto" for the first that applies.
+        mask: A picture of the same size to use instead of a method: white where the object is or,
+            if it has transparency, opaque where the object is.
+        deadline: Time limit of the search, and who may cancel it.
 
     Raises:
-        InputError: The method is unknown, finds no object or nothing but object, or its time is
-            up; the mask has another size, or a method is given as well.
+        InputError: If the method is unknown, finds no object or nothing but object, or runs out of
+            time; if the mask has another size, or both a mask and a method are given.
     """
     frames, image = image.info.get("frames", 1), image.convert("RGBA")
     if mask is not None:
@@ -166,7 +176,7 @@ def foreground(
 
 
 def looked_at(picture: Image.Image, method: str, frames: int = 1) -> Cutout:
-    """A picture that was cut out somehow, with what can be told of its object."""
+    """Wrap a picture that has been cut out, with the measures of its plausibility."""
     rgb, alpha = np.split(np.asarray(picture), (3,), axis=2)
     solid = alpha[..., 0] > 127
     looks = pieces(solid), touched(solid), unseen(rgb, solid), alike(rgb, solid)
@@ -174,7 +184,7 @@ def looked_at(picture: Image.Image, method: str, frames: int = 1) -> Cutout:
 
 
 def has_alpha(image: Image.Image) -> bool:
-    """Whether the alpha separates an object: some pixels opaque, some transparent."""
+    """Whether the alpha channel separates an object: some pixels opaque, some transparent."""
     solid = float(np.mean(np.asarray(image.convert("RGBA").getchannel("A")) > 127))
     return REAL_ALPHA <= solid <= 1 - REAL_ALPHA
 
@@ -189,7 +199,7 @@ def _chosen(image: Image.Image, method: str) -> str:
 
 
 def _given(image: Image.Image, mask: Image.Image, method: str) -> Alpha:
-    """The alpha that a mask gives; what was transparent in the picture stays so."""
+    """The alpha given by a mask; what was transparent in the picture stays transparent."""
     if method not in ("auto", "mask"):
         limit = "A mask is given as well, which says where the object is."
         raise InputError("foreground", method, limit, "Give one of the two.")

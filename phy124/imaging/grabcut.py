@@ -1,7 +1,8 @@
-"""The object of a photograph without weights: GrabCut (Rother et al. 2004) with a careful start.
+"""The object of a photograph, without trained weights: GrabCut (Rother et al. 2004).
 
-The start combines how unlike the picture's border a colour is with how near the middle a pixel
-lies; afterwards stray pieces go, pin holes close and the edge is softened along the picture.
+The start combines how much a colour differs from the picture's border with how central a pixel is.
+Afterwards stray pieces are removed, pinholes are closed, and the edge is softened along the edges
+of the picture.
 """
 
 from __future__ import annotations
@@ -12,26 +13,26 @@ from numpy.typing import NDArray
 
 Field = NDArray[np.float32]
 SIDE = 320
-"""Longest side while cutting, pixels."""
+"""Longest side at which the picture is cut, pixels."""
 FAINT = 3
-"""A picture whose grey levels differ by less shows nothing."""
+"""Range of grey levels below which a picture shows nothing."""
 ROUNDS = 4
 RING = 0.03
-"""Width of the border taken for background, in shorter sides."""
+"""Width of the border taken for background, in shorter sides of the picture."""
 COLOURS = 6
-"""Colours that describe the border."""
+"""Number of colours that describe the border."""
 KEEP = 0.12
-"""Smallest piece kept, in largest pieces."""
+"""Smallest piece kept, relative to the largest piece."""
 PINHOLE = 0.004
-"""Largest hole closed, in objects; larger ones, as in a handle, stay."""
+"""Largest hole closed, relative to the object; larger ones, as in a handle, stay open."""
 SOFTNESS = 4
-"""Radius of the guided softening of the edge, pixels."""
+"""Radius of the guided filter that softens the edge, pixels."""
 HINT_REACH = 0.06
-"""How far from a person's mark the outline may move, in longest sides."""
+"""How far from a person's mark the outline may move, in longest sides of the picture."""
 
 
 def grabcut(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Alpha [H,W] of the object in a picture [H,W,3]; the same picture gives the same alpha."""
+    """Alpha [H,W] of the object in a picture [H,W,3]. Deterministic."""
     height, width = rgb.shape[:2]
     scale = min(1.0, SIDE / max(height, width))
     size = (max(8, round(width * scale)), max(8, round(height * scale)))
@@ -50,7 +51,7 @@ def grabcut(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def _cut(rgb: NDArray, labels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """GrabCut from these labels: 0/1 mask [H,W], empty if it had nothing to start from."""
+    """GrabCut from the given labels: a 0/1 mask [H,W], empty if there was nothing to start from."""
     if not (labels & 1).any() or (labels & 1).all():
         return np.zeros_like(labels)
     models = np.zeros((1, 65)), np.zeros((1, 65))
@@ -62,7 +63,7 @@ def _cut(rgb: NDArray, labels: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def _starts(rgb: NDArray) -> list[NDArray[np.uint8]]:
-    """Labels [H,W] to try: border background, and three guesses of what else may be object."""
+    """Label maps [H,W] to try: background at the border, three guesses of the object."""
     height, width = rgb.shape[:2]
     ring = max(1, round(RING * min(height, width)))
     border = np.ones((height, width), bool)
@@ -101,7 +102,7 @@ def _plausibility(mask: NDArray[np.uint8], rgb: NDArray) -> float:
 
 
 def _unlikeness(rgb: NDArray, border: NDArray[np.bool_]) -> Field:
-    """Distance of each colour from the border's colours [H,W], in Lab, saturating at 1."""
+    """Distance of each colour from the colours of the border [H,W], in CIE Lab, saturating at 1."""
     lab = cv2.cvtColor(rgb.astype(np.float32) / 255, cv2.COLOR_RGB2Lab)
     # Lightness varies with shadows on the very background.
     lab[..., 0] *= 0.6
@@ -116,14 +117,14 @@ def _unlikeness(rgb: NDArray, border: NDArray[np.bool_]) -> Field:
 
 
 def _centrality(height: int, width: int) -> Field:
-    """1 in the middle, falling to about one third at the sides [H,W]."""
+    """Weight [H,W]: 1 in the middle, falling to about one third at the sides."""
     y, x = np.mgrid[:height, :width].astype(np.float32)
     square = ((2 * x + 1) / width - 1) ** 2 + ((2 * y + 1) / height - 1) ** 2
     return np.exp(-square)
 
 
 def _tidy(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """The largest pieces of a 0/1 mask [H,W], pin holes closed."""
+    """The largest pieces of a 0/1 mask [H,W], with pinholes closed."""
     _, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
     areas = stats[:, cv2.CC_STAT_AREA].copy()
     areas[0] = 0
@@ -137,7 +138,7 @@ def _tidy(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def _guided(mask: Field, rgb: NDArray) -> Field:
-    """The mask with an edge that follows the picture's (guided filter, He et al. 2013)."""
+    """The mask with its edge fitted to the edges of the picture (guided filter, He et al. 2013)."""
     window = (2 * SOFTNESS + 1,) * 2
     guide = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY).astype(np.float32) / 255
 
@@ -155,7 +156,7 @@ def _guided(mask: Field, rgb: NDArray) -> Field:
 
 
 def hinted(rgb: NDArray[np.uint8], alpha: NDArray[np.uint8], marks: NDArray) -> NDArray[np.uint8]:
-    """An alpha [H,W] corrected near what a person has marked [H,W]: 1 not object, 2 object."""
+    """An alpha [H,W] corrected near a person's marks [H,W]: 1 means not object, 2 means object."""
     height, width = rgb.shape[:2]
     scale = min(1.0, SIDE / max(height, width))
     size = (max(8, round(width * scale)), max(8, round(height * scale)))

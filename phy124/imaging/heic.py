@@ -1,7 +1,7 @@
-"""Photographs in HEIC, as phones take them.
+"""Photographs in HEIC, the format of many phones.
 
-They are decoded by libheif (package pi-heif, extra `heic`) in a process of its own: it is native
-code on a stranger's data, and a fault or an endless loop in it costs no more than one picture.
+They are decoded by libheif (package pi-heif, extra `heic`) in a separate process: it is native code
+that reads untrusted data, so that a crash or an endless loop affects one picture only.
 """
 
 from __future__ import annotations
@@ -17,32 +17,32 @@ from PIL import Image, ImageOps
 from phy124.runtime import isolated
 
 BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"hevm", b"hevs", b"mif1", b"msf1")
-"""How such files call themselves, in bytes 8 to 11."""
+"""Brands that identify such files, in bytes 8 to 11."""
 EXTENT = re.compile(rb"ispe\0{4}(.{8})", re.DOTALL)
-"""Width and height of one of the pictures in the file; what it decodes to must not be larger."""
+"""Width and height of a picture in the file; the decoded picture must not be larger."""
 DEADLINE = isolated.Deadline(30.0)
-"""A photograph of 12 million pixels takes one second."""
+"""Time limit of decoding, s; a photograph of 12 million pixels takes one second."""
 MEMORY = 2 << 30
-"""Most memory for decoding, bytes."""
+"""Memory limit of decoding, bytes."""
 
 
 def is_heic(path: str | os.PathLike[str]) -> bool:
-    """Whether a file says in its first bytes that it is one."""
+    """Whether the first bytes of a file say that it is HEIC."""
     with open(path, "rb") as file:
         head = file.read(12)
     return head[4:8] == b"ftyp" and head[8:] in BRANDS
 
 
 def is_readable() -> bool:
-    """Whether the package that reads them is installed."""
+    """Whether the package that reads HEIC is installed."""
     return find_spec("pi_heif") is not None
 
 
 def size_of(path: str | os.PathLike[str]) -> tuple[int, int]:
-    """Width and height of the largest picture that the header names; nothing is decoded.
+    """Width and height of the largest picture named in the header; nothing is decoded.
 
     Raises:
-        ValueError: It names none.
+        ValueError: If the header names no picture.
     """
     with open(path, "rb") as file:
         named = [struct.unpack(">II", found[1]) for found in EXTENT.finditer(file.read())]
@@ -52,12 +52,12 @@ def size_of(path: str | os.PathLike[str]) -> tuple[int, int]:
 
 
 def decode(path: str | os.PathLike[str], side: int) -> tuple[Image.Image, tuple[int, int]]:
-    """The upright picture in RGBA, no longer than `side`, and the size that it had.
+    """The upright picture in RGBA, no longer than `side`, and its original size.
 
-    Whoever calls it has looked at `size_of`.
+    The caller must have checked `size_of` first.
 
     Raises:
-        ValueError: The file cannot be decoded.
+        ValueError: If the file cannot be decoded.
     """
     try:
         return isolated.run(_decoded, os.fspath(path), side, deadline=DEADLINE)
@@ -66,7 +66,7 @@ def decode(path: str | os.PathLike[str], side: int) -> tuple[Image.Image, tuple[
 
 
 def _decoded(path: str, side: int) -> tuple[Image.Image, tuple[int, int]]:
-    """In the process of its own."""
+    """The part of `decode` that runs in the separate process."""
     import pi_heif
 
     with suppress(ImportError, OSError, ValueError):  # not on every platform

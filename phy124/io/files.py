@@ -18,15 +18,15 @@ except ImportError:  # Windows
 
 PathLike = str | os.PathLike[str]
 MAKING = ".making-"
-"""How the names of folders begin that are being filled."""
+"""Prefix of folders that are still being filled."""
 
 
 @contextmanager
 def staged(out: PathLike) -> Iterator[Path]:
-    """A folder to fill; its files move into `out` only if all went well.
+    """A temporary folder whose files are moved into `out` if all goes well.
 
-    Otherwise the folders that had to be made for it go again, unless somebody else uses them. What
-    a killed process has left in `out` goes, too.
+    If something fails, folders that were created for it are removed again, unless somebody else
+    uses them by then. Leftovers of killed processes in `out` are removed as well.
 
     Raises:
         InputError: If `out` cannot be a folder.
@@ -56,7 +56,7 @@ def staged(out: PathLike) -> Iterator[Path]:
 
 
 def _sweep(out: Path) -> None:
-    """Remove the folders of processes that are gone: their locks went with them."""
+    """Remove the folders of processes that have ended: their locks ended with them."""
     for folder in out.glob(f"{MAKING}*"):
         lock = _lock(folder)
         if lock is not None:
@@ -66,7 +66,7 @@ def _sweep(out: Path) -> None:
 
 @contextmanager
 def _locked(folder: Path) -> Iterator[None]:
-    """While one process sweeps a folder no other makes anything in it."""
+    """Hold a lock under which one process at a time cleans up a folder or adds to it."""
     lock = _lock(folder, wait=True)
     try:
         yield
@@ -75,7 +75,7 @@ def _locked(folder: Path) -> Iterator[None]:
 
 
 def _lock(folder: Path, *, wait: bool = False) -> int | None:
-    """A lock that ends with this process; None if another holds it or there are no locks here."""
+    """A lock that ends with this process; None if another holds it or locks are unavailable."""
     if fcntl is None:
         return None
     with suppress(OSError):
@@ -94,7 +94,7 @@ def _unlock(lock: int | None) -> None:
 
 
 def writable(folder: Path) -> bool:
-    """Whether files can be written in a folder, or it can be made."""
+    """Whether files can be written into a folder, which may still have to be created."""
     for path in (folder, *folder.parents):
         if os.path.lexists(path):
             return path.is_dir() and os.access(path, os.W_OK | os.X_OK)
@@ -102,7 +102,7 @@ def writable(folder: Path) -> bool:
 
 
 def _remove_empty(folders: list[Path]) -> None:
-    """Remove folders, the innermost first, as long as they are empty."""
+    """Remove folders, innermost first, as long as they are empty."""
     with suppress(OSError):
         for folder in folders:
             folder.rmdir()
@@ -110,13 +110,13 @@ def _remove_empty(folders: list[Path]) -> None:
 
 @contextmanager
 def replacing(path: PathLike) -> Iterator[Path]:
-    """A temporary name beside `path` to write to; it becomes `path` when all went well.
+    """A temporary name beside `path` to write to; the file is renamed to `path` if all goes well.
 
-    Whatever ends the block early, an interrupt too, the temporary file goes and an older file
-    under that name stays.
+    If the block ends early for any reason, including an interrupt, the temporary file is removed
+    and an older file at `path` is left as it was.
 
     Raises:
-        InputError: If the folder is missing or nothing can be written there.
+        InputError: If the folder is missing or the file cannot be written.
     """
     path = Path(path)
     try:

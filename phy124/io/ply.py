@@ -1,10 +1,11 @@
-"""3DGS PLY files in and out: the only place that knows log scales and logit opacities.
+"""Reads and writes 3DGS PLY files: the only place that knows log scales and logit opacities.
 
 The layout is that of Kerbl et al. 2023, "3D Gaussian Splatting": one element `vertex` whose
-properties are found by name; colours are spherical harmonics, `f_rest` all red first, then green,
-then blue. Such files have x right, y down, z into the picture; ours is z up with the object facing
-+x, so axes are renamed on the way in and out (docs/reference/conventions.md). The axes change is a
-signed permutation, hence exact: what was written is read back bit for bit, but for log and logit.
+properties are found by name; colours are spherical harmonics, with all red `f_rest` first, then
+green, then blue. Such files have x right, y down, z into the picture; ours is z up with the object
+facing +x, so the axes are renamed on reading and writing (docs/reference/conventions.md). This
+change of axes is a signed permutation and hence exact: values read back bit for bit, except for the
+rounding of log and logit.
 """
 
 from __future__ import annotations
@@ -23,22 +24,22 @@ from phy124.io.files import replacing
 from phy124.io.plyheader import Header, read_header, refusal
 
 MAX_GAUSSIANS = 10_000_000
-"""Files with more are refused before they are read."""
+"""Files with more Gaussians are refused before they are read."""
 SCALE_FLOOR = 1e-12
-"""Smallest scale written, m: a perfectly flat Gaussian has no logarithm."""
+"""Smallest scale written, m, since a perfectly flat Gaussian has no logarithm."""
 OPACITY_MARGIN = 1e-7
-"""Opacities are written this far from 0 and 1, whose logits are infinite."""
+"""Opacities are kept this far from 0 and 1, whose logits are infinite."""
 COMMENT = "phy124: x right, y down, z into the picture; the world's (x, y, z) is (-z, x, -y) here"
 SPLATS = ("scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3", "opacity")
 
 
 class Ply(NamedTuple):
-    """What a file held."""
+    """What a file contained."""
 
     gaussians: Gaussians
-    """The Gaussians in our world, m as far as the file's unit is one."""
+    """The Gaussians in our world, in metres if that is the file's unit."""
     dropped: int
-    """Rows left out because a value was NaN or infinite."""
+    """Number of rows left out because a value was NaN or infinite."""
 
 
 def read_ply(
@@ -52,13 +53,13 @@ def read_ply(
 
     Args:
         path: The file.
-        up: Direction of the file that points up, as `phy124.axes.orientation` takes it.
-        front: Direction that the object's front faces.
-        dialect: Program that wrote it, used where `up` is not given. The default reads what
-            viewers show upright and what `write_ply` wrote.
+        up: Direction in the file that points up, as `phy124.axes.orientation` takes it.
+        front: Direction in the file that the object's front faces.
+        dialect: The program that wrote the file, used where `up` is not given. The default reads
+            what viewers show upright and what `write_ply` wrote.
 
     Raises:
-        InputError: The file is missing, cut short, not a PLY, or holds no Gaussians.
+        InputError: If the file is missing, cut short, not a PLY, or contains no Gaussians.
     """
     path = Path(path)
     rotation = orientation(up, front, dialect)
@@ -141,7 +142,7 @@ def _check_names(path: Path, header: Header) -> None:
 
 
 def _columns(path: Path, header: Header, table: NDArray[Any]) -> dict[str, NDArray[np.float32]]:
-    """Raw values by group, float32, still as logarithms and logits; `sh` is [N,K,3]."""
+    """Raw values by group, float32, still logarithms and logits; `sh` is [N,K,3]."""
     names = header.row.names or ()
     rest = sum(name.startswith("f_rest_") for name in names)
     if rest not in [3 * (k - 1) for k in SH_COEFFICIENTS] or any(
@@ -173,7 +174,7 @@ def _columns(path: Path, header: Header, table: NDArray[Any]) -> dict[str, NDArr
 
 
 def _activated(raw: dict[str, NDArray[np.float32]]) -> tuple[Gaussians, int]:
-    """Gaussians of raw columns without the rows that are not finite, and how many those were."""
+    """Gaussians from raw columns, without the rows that are not finite, and the number of those."""
     with np.errstate(over="ignore"):
         raw["scales"] = np.exp(raw["scales"], dtype=np.float32)
         opacities = 1 / (1 + np.exp(-raw["opacities"].astype(np.float64)))
@@ -192,7 +193,7 @@ def _activated(raw: dict[str, NDArray[np.float32]]) -> tuple[Gaussians, int]:
 
 
 def raw_table(gaussians: Gaussians) -> NDArray[Any]:
-    """Rows of the Inria layout: raw values (logits, log scales), in the axes the Gaussians have."""
+    """Rows of the Inria layout: raw values (logits, log scales) in the Gaussians' own axes."""
     opacity = np.clip(gaussians.opacities.astype(np.float64), OPACITY_MARGIN, 1 - OPACITY_MARGIN)
     rest = gaussians.sh[:, 1:].transpose(0, 2, 1).reshape(len(gaussians), -1)
     groups = {

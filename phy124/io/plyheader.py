@@ -1,4 +1,4 @@
-"""The header of a PLY file (Turk 1994): what is in it, where it starts, how a row is laid out."""
+"""The header of a PLY file (Turk 1994): what the file contains and how a row is laid out."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from phy124.errors import InputError
 
 MAX_BYTES = 65536
-"""Longest header read; a standard one has about 1500 bytes."""
+"""Length of the longest header that is read; a standard one has about 1500 bytes."""
 TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1",
     "short": "i2", "int16": "i2", "ushort": "u2", "uint16": "u2",
@@ -31,17 +31,17 @@ CONVERT = "Convert it with `npx @playcanvas/splat-transform IN OUT.ply` and give
 
 @dataclass(frozen=True)
 class Header:
-    """Where the rows of element `vertex` lie and what they hold."""
+    """Where the rows of element `vertex` are and what they contain."""
 
     ascii: bool
     count: int
-    """Rows of `vertex`."""
+    """Number of rows of `vertex`."""
     row: np.dtype[Any]
-    """One row of `vertex`, packed, in the file's byte order."""
+    """Data type of one row of `vertex`, packed, in the file's byte order."""
     start: int
-    """Bytes before the first row (binary), or before the data (ascii)."""
+    """Number of bytes before the first row (binary) or before the data (ascii)."""
     skip_lines: int
-    """Lines of other elements before `vertex` (ascii)."""
+    """Number of lines of other elements before `vertex` (ascii)."""
     elements: tuple[str, ...]
 
 
@@ -57,7 +57,7 @@ def read_header(path: Path) -> Header:
     """Parse the header of `path`.
 
     Raises:
-        InputError: There is no file, it is another format, or its header breaks the rules.
+        InputError: If there is no file, it has another format, or its header is invalid.
     """
     text, start = _header_text(path)
     lines = [line.split() for line in text.splitlines()]
@@ -90,12 +90,12 @@ def read_header(path: Path) -> Header:
 
 
 def refusal(path: Path, limit: str, remedy: str) -> InputError:
-    """The error for an unusable PLY file; `limit` starts with a small letter."""
+    """The error for an unusable PLY file; `limit` starts with a lower-case letter."""
     return InputError("PLY file", path, limit[0].upper() + limit[1:], remedy)
 
 
 def _header_text(path: Path) -> tuple[str, int]:
-    """The header as text and the number of its bytes."""
+    """The header as text, and its length in bytes."""
     if not path.is_file():
         raise refusal(path, "there is no such file.", "Check the path.")
     if path.suffix.lower() in FOREIGN:

@@ -1,4 +1,4 @@
-"""Save a paused simulation as one safetensors file and take it up again, bit for bit."""
+"""Saves a paused simulation as one safetensors file and continues it later, bit for bit."""
 
 from __future__ import annotations
 
@@ -30,9 +30,10 @@ Tensors = dict[str, NDArray]
 def save(
     run: Simulation, path: str | os.PathLike[str], *, about: dict[str, Any] | None = None
 ) -> None:
-    """Write a paused run, as it was after its last frame; `about` is for `read_about`.
+    """Write a paused run, as it was after its last frame; `about` is returned by `read_about`.
 
-    Raises InputError if the place cannot be written.
+    Raises:
+        InputError: If the file cannot be written.
     """
     solver = run.solver
     tensors: Tensors = {f"given.{name}": getattr(run.given, name) for name in GAUSSIANS}
@@ -65,9 +66,16 @@ def load(
     progress: Progress = silent,
     watch: Stopwatch | None = None,
 ) -> Simulation:
-    """The saved run, ready to be iterated on; the seconds spent before count in `watch`.
+    """A saved run, ready to be iterated on.
 
-    Raises InputError if the file is missing, cut short or not a paused run.
+    Args:
+        path: The file.
+        device: Warp's name of the device.
+        progress: Called as ("simulate", frames done, frames in all).
+        watch: A stopwatch to which the seconds spent before the pause are added.
+
+    Raises:
+        InputError: If the file is missing, cut short or not a paused run.
     """
     metadata, tensors = _read(Path(path))
     given = Gaussians(*(tensors[f"given.{name}"] for name in GAUSSIANS))
@@ -95,7 +103,7 @@ def load(
 
 
 def read_about(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """What was saved about a run: its `scene`, `frames` so far, and what the caller added."""
+    """What was saved about a run: its `scene`, the `frames` so far, and what the caller added."""
     metadata, _ = _read(Path(path), tensors=False)
     return {**metadata["about"], "scene": metadata["scene"], "frames": metadata["frames"]["count"]}
 
@@ -139,7 +147,7 @@ def _put_frames(run: Simulation, tensors: Tensors) -> None:
 
 
 def _turn_last(run: Simulation) -> None:
-    """Colours of the last frame turned with the material, for it is shown again if all rests."""
+    """Rotate the colours of the last frame with the material: it is shown again if all rests."""
     if run.frames and run.rotations:
         last = run.frames[-1]
         turned = replace(last.gaussians, sh=rotate_sh(last.gaussians.sh, run.rotations[-1]))
@@ -147,7 +155,7 @@ def _turn_last(run: Simulation) -> None:
 
 
 def _read(path: Path, *, tensors: bool = True) -> tuple[dict[str, Any], Tensors]:
-    """What a file says, and its arrays."""
+    """The facts and the arrays of a file."""
     remedy = "Give a file written by phy124.io.resume.save."
     if not path.is_file():
         raise InputError("paused run", path, "there is no such file.", remedy)
@@ -166,7 +174,7 @@ def _read(path: Path, *, tensors: bool = True) -> tuple[dict[str, Any], Tensors]
 
 
 def _of_earlier_build(facts: dict[str, Any]) -> dict[str, Any]:
-    """Earlier builds kept the clock alone: windows, balance and times begin anew."""
+    """Facts of earlier builds, which saved the clock only; windows, balance, times start anew."""
     solver = {**facts["clock"], "limiters": facts["limiters"], "rejected": 0}
     frames = {**facts["frames"], "retried": []}
     spent = {"stages": {}, "total": 0.0}

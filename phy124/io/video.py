@@ -1,8 +1,9 @@
-"""Videos: H.264 in MP4 for everybody's player, GIF or animated WebP for a message, PNGs for a tool.
+"""Videos: H.264 in MP4 for every player, GIF or animated WebP for messages, PNGs for other tools.
 
-Pictures stream into the encoder while they are drawn. MP4s are yuv420p, converted with and tagged
-as ITU-R BT.709 limited range (what players assume of untagged HD video but not of small ones), and
-carry their index in front, so that a browser can start before it has everything.
+Pictures are streamed into the encoder while they are drawn. MP4s are yuv420p, converted with and
+tagged as ITU-R BT.709 limited range (which players assume of untagged HD video, but not of small
+videos). Their index is at the front, so that a browser can start playing before it has the whole
+file.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from phy124.io.files import replacing
 Picture = NDArray[np.uint8]
 FPS_RANGE = (0.1, 240.0)
 STUCK = 120.0
-"""So long an encoder may take for one picture, or to end, before it is killed, s."""
+"""Time after which an encoder that takes no picture, or does not end, is killed, s."""
 ENCODER = ("-preset", "veryfast", "-crf", "18", "-movflags", "+faststart", "-f", "mp4")
 """CRF 18 is visually lossless; slower presets save few bytes here."""
 BT709 = (
@@ -40,23 +41,23 @@ BT709 = (
 """Filters that convert RGB to limited-range BT.709 and tag it so."""
 ANIMATIONS = {".gif": "GIF", ".webp": "WEBP"}
 OPAQUE = 128
-"""Coverage from which a pixel of a GIF, which knows no half, is drawn."""
+"""Coverage from which a GIF's pixel, which cannot be half transparent, is drawn."""
 CLEAR = 255
-"""Index of the colour of a GIF that is not drawn."""
+"""Index of the GIF colour that is not drawn."""
 PNG_EFFORT = 3
-"""Level of compression, 0 to 9; higher ones take twice as long for a few per cent."""
+"""Compression level, 0 to 9; higher ones take twice as long and save a few per cent."""
 
 
 def write_mp4(path: str | os.PathLike[str], frames: Iterable[Picture], *, fps: float) -> int:
-    """Write pictures [H,W,3] uint8 as one MP4 and return how many there were.
+    """Write pictures [H,W,3] uint8 as one MP4 and return their number.
 
-    H.264 wants even sizes: where width or height is odd, the last column or row is doubled.
-    The file appears whole or not at all. If `frames` is a generator it is closed in any case.
+    H.264 needs even sizes: if the width or height is odd, the last column or row is repeated. The
+    file appears whole or not at all. If `frames` is a generator, it is closed in any case.
 
     Raises:
-        InputError: If there are no pictures, the rate is unusable, the place cannot be written,
-            or the encoder did not finish.
-        ValueError: If a picture is not uint8 [H,W,3] of the first one's size.
+        InputError: If there are no pictures, the rate is unusable, the file cannot be written, or
+            the encoder did not finish.
+        ValueError: If a picture is not uint8 [H,W,3] of the first picture's size.
     """
     with _closing(frames), replacing(path) as temporary:
         _check_rate(fps)
@@ -68,16 +69,17 @@ def write_mp4(path: str | os.PathLike[str], frames: Iterable[Picture], *, fps: f
 
 
 def write_animation(path: str | os.PathLike[str], frames: Iterable[Picture], *, fps: float) -> int:
-    """Write pictures [H,W,3 or 4] uint8 as an endless .gif or .webp; returns how many there were.
+    """Write pictures [H,W,3 or 4] uint8 as an endless .gif or .webp and return their number.
 
-    WebP counts in milliseconds, GIF in hundredths of a second: each frame ends at the nearest,
-    so the total is right. GIF has 256 colours per frame and draws a pixel or not; prefer WebP.
-    All pictures are held in memory until the last has come.
+    WebP times are in milliseconds, GIF times in hundredths of a second: each frame ends at the
+    nearest multiple, so that the total is right. GIF has 256 colours per frame and no
+    half-transparent pixels; prefer WebP. All pictures are held in memory until the last one has
+    arrived.
 
     Raises:
-        InputError: If the ending is neither, there are no pictures, the rate is unusable, or the
-            place cannot be written.
-        ValueError: If a picture is not uint8 [H,W,3 or 4] of the first one's size.
+        InputError: If the name ends in neither, there are no pictures, the rate is unusable, or the
+            file cannot be written.
+        ValueError: If a picture is not uint8 [H,W,3 or 4] of the first picture's size.
     """
     kind = ANIMATIONS.get(Path(path).suffix.lower())
     if kind is None:
@@ -108,13 +110,13 @@ def write_animation(path: str | os.PathLike[str], frames: Iterable[Picture], *, 
 def write_pictures(
     folder: str | os.PathLike[str], frames: Iterable[Picture], *, name: str = "frame"
 ) -> int:
-    """Write pictures [H,W,3 or 4] uint8 as PNGs numbered from 1 and return how many there were.
+    """Write pictures [H,W,3 or 4] uint8 as PNGs numbered from 1 and return their number.
 
-    They go into a folder that exists: `name_0001.png` and so on, as film tools read them.
+    They are written into an existing folder as `name_0001.png` and so on, as film tools read them.
 
     Raises:
-        InputError: If there are no pictures or the place cannot be written.
-        ValueError: If a picture is not uint8 [H,W,3 or 4] of the first one's size.
+        InputError: If there are no pictures or the files cannot be written.
+        ValueError: If a picture is not uint8 [H,W,3 or 4] of the first picture's size.
     """
     count = 0
     with _closing(frames):
@@ -125,7 +127,7 @@ def write_pictures(
 
 
 def _gif_frame(picture: Picture) -> Image.Image:
-    """A picture for a GIF: as it is, or with coverage as 255 colours and one that is none."""
+    """A picture for a GIF: unchanged, or with its coverage as 255 colours and a transparent one."""
     if picture.shape[2] == 3:
         return Image.fromarray(picture)
     image = Image.fromarray(picture[..., :3]).quantize(CLEAR)
@@ -134,9 +136,9 @@ def _gif_frame(picture: Picture) -> Image.Image:
 
 
 def _encode(temporary: Path, path: object, pictures: Iterator[Picture], fps: float) -> int:
-    """Stream the pictures into ffmpeg; it has ended when this returns or raises.
+    """Stream the pictures into ffmpeg, which has ended when this returns or raises.
 
-    Not imageio's own writer: that one neither sees ffmpeg's exit code nor its messages.
+    imageio's own writer is not used because it sees neither ffmpeg's exit code nor its messages.
     """
     first = next(pictures)
     height, width = first.shape[:2]
@@ -165,7 +167,7 @@ def _encode(temporary: Path, path: object, pictures: Iterator[Picture], fps: flo
 
 
 def _feed(encoder: subprocess.Popen[bytes], pictures: Iterator[Picture]) -> int:
-    """Send all pictures, wait for the end, and return how many the encoder took."""
+    """Send all pictures, wait for the end, and return how many the encoder accepted."""
     sent = 0
     for picture in pictures:
         try:
@@ -183,7 +185,7 @@ def _feed(encoder: subprocess.Popen[bytes], pictures: Iterator[Picture]) -> int:
 
 @contextmanager
 def _ended_if_stuck(encoder: subprocess.Popen[bytes]) -> Iterator[None]:
-    """While waiting for the encoder: kill it if that takes `STUCK` seconds."""
+    """While waiting for the encoder: kill it if that takes longer than `STUCK` seconds."""
     timer = threading.Timer(STUCK, encoder.kill)
     timer.daemon = True
     timer.start()
@@ -209,7 +211,7 @@ def _unfinished(path: object, sent: int, message: str) -> InputError:
 
 @contextmanager
 def _closing(frames: Iterable[Picture]) -> Iterator[None]:
-    """Close a generator of frames on the way out: its threads should not outlive the file."""
+    """Close a generator of frames on the way out, so that its threads do not outlive the file."""
     try:
         yield
     finally:
@@ -220,7 +222,7 @@ def _closing(frames: Iterable[Picture]) -> Iterator[None]:
 def _peeked(
     frames: Iterable[Picture], channels: tuple[int, ...] = (3,)
 ) -> tuple[Picture, Iterator[Picture]]:
-    """The first picture, and all of them, each checked as it passes."""
+    """The first picture, and an iterator over all of them that checks each one."""
     pictures = iter(frames)
     first = next(pictures, None)
     if first is None:
@@ -250,6 +252,6 @@ def _check_rate(fps: float) -> None:
 
 
 def _durations(count: int, fps: float, unit: int) -> list[int]:
-    """Whole milliseconds, multiples of `unit`, that each picture is shown."""
+    """How long each picture is shown, in whole milliseconds that are multiples of `unit`."""
     ends = np.rint(np.arange(count + 1) * 1000 / fps / unit).astype(int) * unit
     return np.diff(ends).tolist()

@@ -1,6 +1,6 @@
-"""How good a clip is: CLIP-T of the paper, and figures that need no trained weights.
+"""How good a clip is: CLIP-T as in the paper, and measures that need no trained weights.
 
-`evaluate` takes a clip and its pictures; `phy124 evaluate` draws them and prints the table.
+`evaluate` takes a clip and its pictures; `phy124 evaluate` draws the pictures and prints the table.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ __all__ = [
 
 @dataclass(frozen=True)
 class ViewFigures:
-    """Figures of the video from one side."""
+    """Measures of the video from one side."""
 
     view: str
     cosine: float | None
@@ -40,29 +40,29 @@ class ViewFigures:
     motion: float
     """Mean change of a colour value from frame to frame [%]; see `pictures.motion`."""
     flicker: float
-    """How much the mean colour jumps to and fro [%]; see `pictures.flicker`."""
+    """How much the mean colour oscillates [%]; see `pictures.flicker`."""
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """All figures of a clip."""
+    """All measures of a clip."""
 
     views: tuple[ViewFigures, ...]
     physics: Physics
     frames: int
     clip_model: str | None
-    """CLIP model of the CLIP-T figures."""
+    """The CLIP model behind the CLIP-T figures."""
     order: str | None
-    """Order of the channels it was given."""
+    """Order of the colour channels given to it."""
     missing: str | None = None
     """Why there are no CLIP-T figures."""
 
     def data(self) -> dict[str, Any]:
-        """As plain data, for evaluation.json."""
+        """Plain data, for evaluation.json."""
         return {**asdict(self), "formulas": similarity.FORMULAS}
 
     def table(self) -> str:
-        """As text; model and formula stand with the numbers."""
+        """Text that names model and formula beside the numbers."""
         lines = [
             f"{'view':<8}{'CLIP-T cos':>12}{'CLIP-T dist':>13}{'motion %':>10}{'flicker %':>11}"
         ]
@@ -91,9 +91,13 @@ def evaluate(
     model: similarity.ClipModel | None = None,
     missing: str | None = None,
 ) -> Evaluation:
-    """Figures of `clip` and of its `videos` (side -> [T,H,W,3]).
+    """Measure a clip and its videos.
 
-    Without `model` there is no CLIP-T, and `missing` should say why.
+    Args:
+        clip: The clip.
+        videos: Side -> pictures [T,H,W,3].
+        model: For CLIP-T; None for none.
+        missing: Why there is no model, for the table.
     """
     views = []
     for name, video in videos.items():

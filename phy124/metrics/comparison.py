@@ -1,4 +1,4 @@
-"""Two clips of the same Gaussians, compared: where they are, what colour, and as seen."""
+"""Compares two clips of the same Gaussians: positions, colours, and pictures."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from phy124.errors import InputError
 from phy124.metrics.pictures import psnr, ssim
 
 SAME_OBJECT = 0.1
-"""RMS distance of two objects at rest, in sizes, from which they are not the same one."""
+"""RMS distance at rest, in object sizes, from which two clips show different objects."""
 SAME_TIME = 1e-6
-"""Difference of two instants that does not count, s."""
+"""Difference of two instants that is ignored, s."""
 
 
 @dataclass(frozen=True)
 class Likeness:
-    """The pictures of two clips from one side."""
+    """How similar the pictures of two clips are from one side."""
 
     view: str
     psnr: float | None
-    """Of the whole videos [dB]; None if they are equal."""
+    """PSNR of the whole videos [dB]; None if they are equal."""
     ssim: float
-    """Mean over the frames, -1 to 1."""
+    """Mean SSIM over the frames, -1 to 1."""
 
 
 @dataclass(frozen=True)
@@ -41,20 +41,20 @@ class Comparison:
     position_rms: float
     """RMS distance of all Gaussians over all frames, in object sizes."""
     position_max: float
-    """Greatest distance of one Gaussian, in object sizes."""
+    """Largest distance of any Gaussian, in object sizes."""
     worst_frame: int
-    """The frame with the greatest RMS distance, from 0."""
+    """The frame with the largest RMS distance, from 0."""
     colour_rms: float
     """RMS difference of the channels of the Gaussians' colours, 0 to 1."""
     colour_max: float
     views: tuple[Likeness, ...] = ()
 
     def data(self) -> dict[str, Any]:
-        """As plain data."""
+        """Plain data."""
         return asdict(self)
 
     def table(self) -> str:
-        """As text."""
+        """Text."""
         lines = [
             f"{self.frames} frames, {self.gaussians:,} Gaussians, object of {self.size:.3g} m",
             f"positions  RMS {self.position_rms:.3g}, at most {self.position_max:.3g} "
@@ -70,7 +70,12 @@ class Comparison:
 
 
 def compare(a: Clip, b: Clip, views: tuple[Likeness, ...] = ()) -> Comparison:
-    """Distances of `b` from `a`, with the likeness of their pictures if it was measured.
+    """Compare clip `b` with clip `a`.
+
+    Args:
+        a: The reference.
+        b: The other clip.
+        views: How similar their pictures are, if that was measured.
 
     Raises:
         InputError: If they are not two motions of one object at the same instants.
@@ -94,7 +99,11 @@ def compare(a: Clip, b: Clip, views: tuple[Likeness, ...] = ()) -> Comparison:
 
 
 def check_comparable(a: Clip, b: Clip) -> None:
-    """Raise InputError, in words, for two clips that have no Gaussian by Gaussian difference."""
+    """Check that two clips can be compared Gaussian by Gaussian.
+
+    Raises:
+        InputError: If they are not two motions of one object at the same instants.
+    """
     if not len(a) or not a.opacities.size:
         raise _refusal("the first one is empty.", "Give clips with frames and Gaussians.")
     one, other = len(a.opacities), len(b.opacities)
@@ -124,18 +133,18 @@ def check_comparable(a: Clip, b: Clip) -> None:
 
 @dataclass
 class Pictures:
-    """Takes pairs of pictures one by one and keeps no more than sums."""
+    """Accumulates pairs of pictures one by one, keeping only sums."""
 
     errors: list[float] = field(default_factory=list)
     similarities: list[float] = field(default_factory=list)
 
     def add(self, a: NDArray[np.uint8], b: NDArray[np.uint8]) -> None:
-        """One more frame."""
+        """Add one frame of each clip."""
         self.errors.append(10 ** (-psnr(a, b) / 10))
         self.similarities.append(ssim(a, b))
 
     def likeness(self, view: str) -> Likeness:
-        """Of all frames so far."""
+        """The likeness of all frames added so far."""
         error = float(np.mean(self.errors))
         decibel = None if error == 0 else -10 * math.log10(error)
         return Likeness(view, decibel, float(np.mean(self.similarities)))

@@ -1,4 +1,4 @@
-"""Physical figures of a clip that need no trained weights: what its Gaussians do over time."""
+"""Physical measures of a clip that need no trained weights: what its Gaussians do over time."""
 
 from __future__ import annotations
 
@@ -12,29 +12,29 @@ from phy124.clip import Clip
 
 @dataclass(frozen=True)
 class Physics:
-    """Figures of one clip; None where the clip does not hold what is needed."""
+    """Measures of one clip; None where the clip lacks what is needed."""
 
     mass: float | None
-    """Of the particles, kg; conserved by construction, so one number."""
+    """Mass of the particles, kg; conserved by construction, hence a single number."""
     volume_lowest: float
-    """Least total volume of the Gaussians over time, relative to the first frame."""
+    """Smallest total volume of the Gaussians over time, relative to the first frame."""
     volume_highest: float
-    """Greatest, likewise."""
+    """Largest total volume, likewise."""
     momentum_residual: float | None
     """Mean momentum against the motion of the centre, relative to the mean speed.
 
-    |dx/dt - (v before + v after) / 2| of the mean of all Gaussians: exact up to the curvature of
-    the path between two frames, so a collision shows and a cheat (moved Gaussians whose
-    velocities say otherwise) shows more.
+    |dx/dt - (v before + v after) / 2| of the mean of all Gaussians. It is exact up to the curvature
+    of the path between two frames, so a collision shows; velocities that do not belong to the
+    motion show more.
     """
     travelled: float
-    """Path of the centre, in object sizes: 0 for a frozen clip."""
+    """Length of the centre's path, in object sizes: 0 for a frozen clip."""
     finite: bool
     """Whether every number of every frame is finite."""
 
 
 def physics(clip: Clip) -> Physics:
-    """The figures of `clip`; Gaussians count alike."""
+    """The physical measures of `clip`; all Gaussians have equal weight."""
     volumes = np.prod(np.asarray(clip.scales, dtype=np.float64), axis=2).sum(axis=1)
     ratio = volumes / volumes[0]
     centres = np.asarray(clip.means, dtype=np.float64).mean(axis=1)
@@ -63,9 +63,9 @@ def _momentum_residual(clip: Clip, centres: NDArray[np.float64]) -> float | None
 
 
 def centre_paths_differ(a: Clip, b: Clip) -> float:
-    """Greatest distance of two clips' centres at equal times, relative to the greater path.
+    """Largest distance of two clips' centres at equal times, relative to the longer path.
 
-    Both must have the same frames. The measure of "the same dynamics" of two generators.
+    Both must have the same frames. It measures whether two generators lead to "the same dynamics".
     """
     if len(a) != len(b):
         raise ValueError(f"the clips have {len(a)} and {len(b)} frames")

@@ -1,4 +1,4 @@
-"""Figures of pictures and videos that need no trained weights."""
+"""Measures of pictures and videos that need no trained weights."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 Video = NDArray
 """[T,H,W,3], uint8 or float in 0..1."""
 SIGMA = 1.5
-"""Width of SSIM's window, pixels."""
+"""Standard deviation of SSIM's window, pixels."""
 REACH = 5
-"""Half of SSIM's window, pixels: 11 x 11."""
+"""Half width of SSIM's window, pixels: 11 x 11."""
 K1, K2 = 0.01, 0.03
 
 
 def unit(images: NDArray) -> NDArray[np.float64]:
-    """Colours in 0..1 of uint8 or of float pictures."""
+    """Colours in 0..1, from uint8 or float pictures."""
     images = np.asarray(images)
     return images / 255.0 if images.dtype == np.uint8 else images.astype(np.float64)
 
@@ -52,18 +52,18 @@ def ssim(a: NDArray, b: NDArray) -> float:
 def motion(video: Video) -> float:
     """Mean change of a colour value from frame to frame, in per cent of its range.
 
-    Zero for a frozen video, whose CLIP-T is perfect: never read one without the other.
+    It is zero for a frozen video, whose CLIP-T is perfect: never read one without the other.
     """
     video = unit(video)
     return 100 * float(np.abs(np.diff(video, axis=0)).mean()) if len(video) > 1 else 0.0
 
 
 def flicker(video: Video) -> float:
-    """How much the mean colour of the picture jumps to and fro, in per cent of its range.
+    """How much the mean colour of the picture oscillates, in per cent of its range.
 
     Half the mean |second difference| in time of each channel's mean over the picture: 0 where it
     drifts steadily, 100 where it alternates between black and white. The mean hardly changes when
-    an object merely moves, so this is not motion.
+    an object merely moves, so this does not measure motion.
     """
     colours = unit(video).mean(axis=(1, 2))
     return 50 * float(np.abs(np.diff(colours, n=2, axis=0)).mean()) if len(colours) > 2 else 0.0

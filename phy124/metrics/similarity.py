@@ -1,7 +1,7 @@
-"""CLIP-T: how alike neighbouring frames look to CLIP, by both formulas in use.
+"""CLIP-T: how similar neighbouring frames look to CLIP, by both formulas in use.
 
 The paper's table (about 0.99, higher is better) is read as the mean cosine of consecutive frames,
-as in Gen-1 (Esser et al. 2023); it gives neither model nor formula. 4DGen (Yin et al. 2023,
+as in Gen-1 (Esser et al. 2023); the paper gives neither model nor formula. 4DGen (Yin et al. 2023,
 section 4.3) takes half the squared angle instead (about 0.01, lower is better). Both measure
 steadiness only: a frozen video is perfect by either.
 """
@@ -31,7 +31,7 @@ FORMULAS = {
 MEAN = (0.48145466, 0.4578275, 0.40821073)
 STD = (0.26862954, 0.26130258, 0.27577711)
 Order = Literal["rgb", "bgr"]
-"""Order of the channels given to CLIP; 4DGen's program gives BGR, which CLIP does not expect."""
+"""Channel order given to CLIP. 4DGen's program gives BGR, which CLIP was not trained on."""
 
 
 def cosine(embeddings: NDArray) -> float:
@@ -65,12 +65,13 @@ def _normalised(embeddings: NDArray) -> NDArray[np.float64]:
 
 
 class ClipModel:
-    """CLIP's picture tower: pictures to embeddings."""
+    """CLIP's image encoder: pictures to embeddings."""
 
     def __init__(self, model: str = MODEL, *, device: str = "cpu", order: Order = "rgb") -> None:
         """Load `model`, a folder or a name on huggingface.co that was fetched before.
 
-        Raises InputError if it is not there, not a CLIP model, or transformers is not installed.
+        Raises:
+            InputError: If it is missing or not a CLIP model, or transformers is not installed.
         """
         self.name = model
         self.order: Order = order

@@ -1,1 +1,1 @@
-"""Gaussians and cameras in, pictures out."""
+"""Cameras, the renderer, and the framing and filming of clips."""

@@ -1,8 +1,8 @@
-"""Camera: a pinhole with the pixel-centre rule, and the views the paper shows.
+"""A pinhole camera with the pixel-centre rule, and the views that the paper shows.
 
-The only place that knows how a camera looks at the world. Camera axes are OpenCV's: x right,
-y down, z forward; pixel (i, j) covers [i, i+1) x [j, j+1), so its centre is (i + 0.5, j + 0.5)
-and the optical axis meets the image at (width/2, height/2).
+This is the only place that knows how a camera looks at the world. Camera axes are OpenCV's: x
+right, y down, z forward; pixel (i, j) covers [i, i+1) x [j, j+1), so its centre is (i + 0.5, j +
+0.5), and the optical axis meets the image at (width/2, height/2).
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from numpy.typing import NDArray
 VIEWS = {"front": 0.0, "right": 90.0, "back": 180.0, "left": 270.0}
 """Azimuths of the paper's four views [degrees]: front is +x, right is +y."""
 FOV_Y = 49.1
-"""Default vertical field of view [degrees], LGM's."""
+"""Default vertical field of view [degrees], the same as LGM's."""
 
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera at `eye` looking at `target`, world z up."""
+    """A pinhole camera at `eye` that looks at `target`, with world z up."""
 
     eye: tuple[float, float, float]
     """Position, m."""
     target: tuple[float, float, float]
-    """Point in the middle of the image, m."""
+    """Point shown in the middle of the image, m."""
     width: int
     """Image width, pixels."""
     height: int
@@ -45,9 +45,15 @@ class Camera:
         target: tuple[float, float, float] = (0.0, 0.0, 0.0),
         fov_y: float = FOV_Y,
     ) -> Camera:
-        """On a sphere about `target` [degrees, m]; positive elevation looks down from above.
+        """A camera on a sphere around `target`.
 
-        `size` is the width and height in pixels, or one number for both.
+        Args:
+            azimuth: Degrees; 0 is the front (+x), 90 the right side (+y).
+            elevation: Degrees; positive values look down from above.
+            radius: Distance from the target, m.
+            size: Width and height in pixels, or one number for both.
+            target: Point to look at [3], m.
+            fov_y: Vertical field of view, degrees.
         """
         a, e = math.radians(azimuth), math.radians(elevation)
         away = (math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e))
@@ -57,12 +63,12 @@ class Camera:
 
     @property
     def focal(self) -> float:
-        """Focal length, pixels, the same along both axes."""
+        """Focal length in pixels, the same along both axes."""
         return 0.5 * self.height / math.tan(0.5 * math.radians(self.fov_y))
 
     @cached_property
     def view(self) -> NDArray[np.float64]:
-        """World to camera, [4,4]."""
+        """World-to-camera transform [4,4]."""
         eye, target = np.asarray(self.eye, float), np.asarray(self.target, float)
         forward = (target - eye) / np.linalg.norm(target - eye)
         # Straight up or down has no horizon: keep +x at the top of the image there.
@@ -76,7 +82,7 @@ class Camera:
 
     @property
     def intrinsics(self) -> NDArray[np.float64]:
-        """Camera to pixels, [3,3]."""
+        """Camera-to-pixel matrix [3,3]."""
         f = self.focal
         return np.array([[f, 0, self.width / 2], [0, f, self.height / 2], [0, 0, 1]])
 

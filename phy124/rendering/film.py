@@ -1,4 +1,4 @@
-"""Filming: a clip and a view in; videos, pictures and files for other programs out."""
+"""Filming: turns a clip and a view into videos, pictures and files for other programs."""
 
 from __future__ import annotations
 
@@ -28,9 +28,20 @@ def film(
     progress: Progress = silent,
     watch: Stopwatch | None = None,
 ) -> list[Path]:
-    """Every format of a view from each of its sides, written into a folder that exists.
+    """Write every format of a view, from each of its sides.
 
-    Each format draws its pictures afresh, so that none waits in memory for another's encoder.
+    Each format draws its own pictures, so that none has to wait in memory for another's encoder.
+
+    Args:
+        clip: What to film.
+        view: Sides, size, background and formats.
+        folder: An existing folder.
+        device: Warp's name of the device that draws.
+        progress: Called as ("render SIDE", pictures done, pictures in all) for each side.
+        watch: A stopwatch that counts drawing and encoding.
+
+    Returns:
+        The files and folders written.
     """
     folder, watch = Path(folder), watch or Stopwatch()
     made = []
@@ -97,9 +108,9 @@ Encoder = Callable[[Path, str, Iterator[Picture], float], Path]
 ENCODERS: dict[str, Encoder] = {
     "mp4": _mp4, "webp": _animation("webp"), "gif": _animation("gif"), "png": _png,
 }  # fmt: skip
-"""Formats made of the pictures of one side; each returns the file or folder it made."""
+"""Formats made from the pictures of one side; each returns the file or folder it made."""
 EXPORTS: dict[str, Callable[[Clip, Path, Progress], Path]] = {"usd": _usd, "ply": _ply}
-"""Formats made of the whole clip, likewise."""
+"""Formats made from the whole clip; each returns the file or folder it made."""
 
 
 def rate(clip: Clip) -> float:

@@ -1,4 +1,4 @@
-"""Framing: where the cameras of a clip stand, and whether they see all of what moves."""
+"""Framing: where the cameras of a clip stand, and whether they show everything that moves."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from phy124.rendering.camera import VIEWS, Camera
 from phy124.scene import View
 
 SAMPLE = 4096
-"""At most so many Gaussians, evenly picked, stand for all of them."""
+"""Number of Gaussians, evenly picked, that represent all of them."""
 VISIBLE = 0.1
 """Opacity from which a Gaussian counts as part of the object."""
 OUTSIDE = 0.01
-"""Share of the object that may be outside the picture before it is said to leave it."""
+"""Share of the object that may be outside the picture without a warning."""
 STEP = 0.1
 """Recommended distances are multiples of this, in object sizes."""
 FARTHEST = 100.0
-"""Greatest distance a view may have, in object sizes."""
+"""Largest distance a view may have, in object sizes."""
 
 
 def cameras(clip: Clip, view: View, side: str) -> list[Camera]:
-    """The camera of each frame of a side: still, once around for "orbit", or going along.
+    """The camera of each frame from one side: fixed, circling for "orbit", or following the object.
 
-    Portrait pictures are taken from farther away, so that the narrower side shows as much as a
-    square one does.
+    Portrait pictures are taken from farther away, so that their width shows as much as that of a
+    square picture.
     """
     count = len(clip)
     low, high = _box(clip, view)
@@ -48,17 +48,17 @@ def cameras(clip: Clip, view: View, side: str) -> list[Camera]:
 
 @dataclass(frozen=True)
 class Departure:
-    """A side whose pictures do not hold the whole object."""
+    """A side whose pictures do not show the whole object."""
 
     view: str
     frame: int
-    """The first frame in which it is not whole, from 0."""
+    """The first frame in which part of it is outside, from 0."""
     worst_frame: int
     """The frame in which most of it is outside."""
     outside: float
-    """Share of the object outside in that frame."""
+    """Share of the object that is outside in that frame."""
     distance: float
-    """Distance from which all of it would be seen, in object sizes."""
+    """Distance from which all of it would be visible, in object sizes."""
 
 
 def departures(clip: Clip, view: View) -> list[Departure]:
@@ -69,7 +69,7 @@ def departures(clip: Clip, view: View) -> list[Departure]:
 
 
 def framing(clip: Clip, view: View) -> dict[str, Any]:
-    """For the report: the `departures`, and a sentence about them or None."""
+    """The `departures`, and a sentence about them or None, for the report."""
     left = departures(clip, view)
     return {"departures": [asdict(one) for one in left], "note": _note(clip, view, left)}
 
@@ -110,7 +110,7 @@ def _departure(
 
 
 def _radius(points: NDArray[np.float64], camera: Camera) -> NDArray[np.float64]:
-    """How far from its target the camera must stand to see each of the points [S]."""
+    """Distance from its target at which the camera would see each of the points [S]."""
     across, down, ahead = ((points - camera.target) @ camera.view[:3, :3].T).T
     half_width, half_height = (0.5 * s / camera.focal for s in (camera.width, camera.height))
     return np.maximum(np.abs(across) / half_width, np.abs(down) / half_height) - ahead
@@ -121,7 +121,7 @@ def _azimuth(side: str) -> float:
 
 
 def _box(clip: Clip, view: View) -> tuple[NDArray, NDArray]:
-    """Corners of the object at rest, and of the ground under it if it will fall there."""
+    """Corners of the object at rest, and of the ground below if it will fall there."""
     rest = clip.means[0][clip.own]
     first = rest[np.isfinite(rest).all(axis=1)]
     if not len(first):
@@ -135,7 +135,7 @@ def _box(clip: Clip, view: View) -> tuple[NDArray, NDArray]:
 
 
 def _path(clip: Clip) -> NDArray[np.float64]:
-    """How far the middle of what moves is from where it began [T,3], m."""
+    """Displacement of the middle of what moves, relative to the first frame [T,3], m."""
     points = _sample(clip)
     finite = np.isfinite(points).all(axis=2, keepdims=True)
     middle = np.where(finite, points, 0).sum(axis=1) / np.maximum(finite.sum(axis=1), 1)
@@ -143,7 +143,7 @@ def _path(clip: Clip) -> NDArray[np.float64]:
 
 
 def _sample(clip: Clip) -> NDArray[np.float64]:
-    """Visible Gaussians that move, of all if none does [T,S,3], m."""
+    """Visible Gaussians that move, or all visible ones if none does [T,S,3], m."""
     own = clip.own
     visible = np.flatnonzero(own & (clip.opacities >= VISIBLE))
     chosen = visible if len(visible) else np.flatnonzero(own)

@@ -1,9 +1,9 @@
-"""Renderer: Gaussians and a camera in, an image out; the same kernels on CPU and CUDA.
+"""Renderer: draws Gaussians from a camera, with the same kernels on CPU and CUDA.
 
 EWA splatting (Zwicker et al. 2001) with the conventions of 3D Gaussian Splatting (Kerbl et al.
-2023): screen covariance plus 0.3 px^2, front-to-back blending in the order of the centres'
-depths, alpha at most 0.99, contributions below 1/255 skipped. Every splat is drawn exactly as
-far as it reaches 1/255, so no cut-off is visible.
+2023): screen covariance plus 0.3 px^2, front-to-back blending in the order of the centres' depths,
+alpha at most 0.99, contributions below 1/255 skipped. Every splat is drawn exactly as far as it
+reaches 1/255, so that no cut-off is visible.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ Colour = tuple[float, float, float]
 WHITE: Colour = (1.0, 1.0, 1.0)
 BLACK: Colour = (0.0, 0.0, 0.0)
 NEAR = 0.01
-"""Gaussians whose centres are nearer to the camera are not drawn, m."""
+"""Gaussians whose centres are closer to the camera are not drawn, m."""
 FRUSTUM_MARGIN = 1.3
-"""The projection is linearised at most this far out, in half images (Kerbl et al. 2023)."""
+"""How far out the projection is linearised, in half images (Kerbl et al. 2023)."""
 MAX_PIXELS = 1 << 26
-"""Largest image, pixels (8192 x 8192)."""
+"""Number of pixels of the largest image (8192 x 8192)."""
 MAX_PAIRS = 1 << 24
-"""Tile entries held at once; scenes that need more are blended in several runs of tiles."""
+"""Number of tile entries held at once; larger scenes are blended in several runs of tiles."""
 BLENDS = {
     "simd": blend_simd.blend_tiles_simd,
     "plain": blend.blend_tiles,
@@ -48,13 +48,13 @@ BLENDS = {
 """Forms of the last stage: a tile per thread in vectorised C++ (CPU only), the same in Warp,
 and a pixel per thread (what CUDA runs)."""
 LOOK_AHEAD = 2
-"""Frames `render_frames` may be ahead of its reader, per thread."""
+"""How many frames per thread `render_frames` may be ahead of its reader."""
 
 
 class Renderer:
-    """Draws Gaussians on one device, keeping its buffers from call to call.
+    """Draws Gaussians on one device and keeps its buffers from call to call.
 
-    One instance belongs to one thread at a time.
+    An instance must be used by one thread at a time.
     """
 
     def __init__(self, *, device: str | None = None, blend: str = "auto") -> None:
@@ -89,10 +89,16 @@ class Renderer:
         *,
         alpha: bool = False,
     ) -> Array:
-        """The image [H,W,3] float32 in 0..1; with `alpha` [H,W,4], the last channel the coverage.
+        """Draw one image [H,W,3] float32 in 0..1.
 
-        Colours are as stored (sRGB) and blended as such. Gaussians that are not finite, closer
+        Colours are used as stored (sRGB) and blended as such. Gaussians that are not finite, closer
         than `NEAR` or fainter than 1/255 are not drawn.
+
+        Args:
+            gaussians: What to draw.
+            camera: Where from, and in what size.
+            background: Colour behind the Gaussians, 0..1.
+            alpha: Whether to return [H,W,4], the last channel being the coverage.
 
         Raises:
             InputError: If the camera or the background cannot be used.
@@ -184,7 +190,7 @@ class Renderer:
         return wp.array(array, dtype=dtype, device=self.device, copy=False)
 
     def _constant(self, name: str, array: Array, dtype: Any) -> wp.array:
-        """As `_given`, but the same memory is taken over once: it does not change in a clip."""
+        """As `_given`, but uploaded once for the same memory, which is constant in a clip."""
         where = (array.ctypes.data, array.shape)
         known = self._constants.get(name)
         if known is None or known[0] != where:
@@ -201,7 +207,18 @@ def render(
     alpha: bool = False,
     device: str | None = None,
 ) -> Array:
-    """One image, as `Renderer` draws it; keep one of those, or use `render_frames`, for many."""
+    """Draw one image, as `Renderer` does; for many images keep a `Renderer` or use `render_frames`.
+
+    Args:
+        gaussians: What to draw.
+        camera: Where from, and in what size.
+        background: Colour behind the Gaussians, 0..1.
+        alpha: Whether to return [H,W,4], the last channel being the coverage.
+        device: Warp's name of the device; default: CUDA if there is one.
+
+    Raises:
+        InputError: If there is no such device, or the camera or the background cannot be used.
+    """
     return Renderer(device=device)(gaussians, camera, background, alpha=alpha)
 
 
@@ -217,18 +234,17 @@ def render_frames(
 ) -> Generator[NDArray[np.uint8], None, None]:
     """Images [H,W,3] uint8 of the frames, in order, until frames or cameras run out.
 
-    Without a background they are [H,W,4]: colours as they are, the last channel the coverage.
+    Without a background they are [H,W,4]: unblended colours, the last channel being the coverage.
+    Closing the iterator stops the threads; it never runs far ahead of its reader.
 
     Args:
-        frames: What to draw; a `Clip`'s `frames()`, or `itertools.repeat` of a still one.
+        frames: What to draw; a clip's `frames()`, or `itertools.repeat` of a still one.
         cameras: One camera for all frames, or one each.
         size: Width and height in pixels, or one number for both, instead of the cameras' own.
         background: Colour behind the Gaussians, 0..1; None for none.
         device: Warp's name of the device; default: CUDA if there is one.
-        threads: Frames drawn at once on a CPU (kernels there use one core each).
+        threads: Number of frames drawn at once on a CPU (kernels there use one core each).
         progress: Called as ("render", frames done, frames in all or 0 if unknown).
-
-    Closing the iterator stops the threads; it never runs far ahead of its reader.
 
     Raises:
         InputError: If there is no such device, or a camera or the background cannot be used.
@@ -262,7 +278,7 @@ def render_frames(
 def _picture(
     renderer: Renderer, gaussians: Gaussians, camera: Camera, background: Colour | None
 ) -> NDArray[np.uint8]:
-    """One image as bytes, with coverage and colours not multiplied by it if on no background."""
+    """One image as bytes; without a background, with coverage and unmultiplied colours."""
     if background is not None:
         return to_bytes(renderer(gaussians, camera, background))
     image = renderer(gaussians, camera, BLACK, alpha=True)
@@ -276,7 +292,7 @@ def to_bytes(image: Array) -> NDArray[np.uint8]:
 
 
 def _in_order(tasks: Iterator[Future], ahead: int) -> Iterator[Any]:
-    """Results of tasks in order, with at most `ahead` of them started beyond the one given out."""
+    """Results of tasks in order; at most `ahead` tasks are started beyond the one returned."""
     waiting = deque(itertools.islice(tasks, ahead))
     while waiting:
         result = waiting.popleft().result()
@@ -302,7 +318,7 @@ def _resized(camera: Camera, size: int | tuple[int, int] | None) -> Camera:
 
 
 def _view(camera: Camera) -> Any:
-    """The camera as the kernels want it, a `screen.View`."""
+    """The camera as the kernels expect it, a `screen.View`."""
     width, height = camera.width, camera.height
     if min(width, height) < 1 or width * height > MAX_PIXELS:
         raise InputError(

@@ -1,4 +1,4 @@
-"""What buys accuracy, its named settings, and what each of them promises."""
+"""Accuracy settings: the values behind `draft`, `standard`, `fine`, and what each promises."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from phy124.section import Section
 
 
 class Accuracy(Section):
-    """What buys accuracy: cells across the object and particles in them."""
+    """Settings that trade accuracy against time: cells across the object, particles in them."""
 
     cells: int = Field(default=32, ge=4, le=256, description="Grid cells across the longest side.")
     ppc: float = Field(
@@ -29,7 +29,7 @@ PRESETS = {
     "standard": Accuracy(cells=32),
     "fine": Accuracy(cells=48, precision="float64"),
 }
-"""Named accuracies (docs/results/accuracy.md)."""
+"""The named accuracies (measured in docs/results/accuracy.md)."""
 
 
 GOOD_FOR = {
@@ -40,5 +40,5 @@ GOOD_FOR = {
     "fine": "what shall be right: cells a third as wide, at least two particles per cell and axis "
     "so that they are used, and double precision so that rounding is no question",
 }
-"""What each is for; errors are in phy124/accuracy/measured.json, by law and kind of motion."""
+"""What each is good for; measured.json has the errors by law and kind of motion."""
 AccuracyName = Literal["draft", "standard", "fine"]

@@ -1,4 +1,4 @@
-"""Changes to a scene's plain data at dotted paths, such as material.E=2e4."""
+"""Changes to a scene's plain data at dotted paths, such as `material.E=2e4`."""
 
 from __future__ import annotations
 
@@ -14,22 +14,26 @@ else:
     import tomli as tomllib
 
 TAGS = ("law", "kind")
-"""Keys that say which of several sections one is."""
+"""Keys that say which of several kinds a section is."""
 REFERENCE = "`phy124 scenes --reference` lists all there is."
 
 
 def apply(data: dict[str, Any], changes: dict[str, Any]) -> None:
-    """Set values at dotted paths, outer ones first; raises InputError.
+    """Set values at dotted paths, outer paths first.
 
-    A section that becomes another kind, a material of another law say, begins from that kind's own
-    defaults: the former's values mean nothing to it. What is set beside it stays.
+    When a section changes its kind, for instance to a material of another law, it starts from the
+    defaults of the new kind, because the old values would mean something else. Values set beside
+    the new kind are kept.
+
+    Raises:
+        InputError: If a path does not exist in the data.
     """
     for path in sorted(changes, key=_outer_first):
         _put(data, path, changes[path])
 
 
 def parse_value(text: str) -> Any:
-    """A value as TOML writes it; bare words are text."""
+    """Parse a value the way TOML writes it; bare words are taken as text."""
     try:
         found = tomllib.loads(f"value = {text}")
     except (ValueError, RecursionError):
@@ -38,7 +42,11 @@ def parse_value(text: str) -> Any:
 
 
 def assignments(texts: tuple[str, ...]) -> dict[str, Any]:
-    """KEY=VALUE texts as a dict; raises InputError."""
+    """Texts such as `material.E=2e4` as a dict of paths and values.
+
+    Raises:
+        InputError: If a text is no assignment.
+    """
     pairs: dict[str, Any] = {}
     for text in texts:
         key, equals, value = text.partition("=")
@@ -49,7 +57,11 @@ def assignments(texts: tuple[str, ...]) -> dict[str, Any]:
 
 
 def together(some: dict[str, Any], others: dict[str, Any]) -> dict[str, Any]:
-    """Two sets of changes as one; raises InputError if they do not agree about a value."""
+    """Two sets of changes as one.
+
+    Raises:
+        InputError: If they disagree about a value.
+    """
     for path in some.keys() & others.keys():
         if some[path] != others[path]:
             limit = f"it is also asked to be {some[path]}."
@@ -63,7 +75,7 @@ def _outer_first(path: str) -> tuple[int, bool]:
 
 
 def _put(data: dict[str, Any], path: str, value: Any) -> None:
-    """Set one value in nested dicts and lists; items go by number, one past the last is added."""
+    """Set one value in nested dicts and lists; an item's number one past the end appends."""
     *parents, last = path.split(".")
     section: Any = data
     for key in parents:
@@ -78,9 +90,9 @@ def _put(data: dict[str, Any], path: str, value: Any) -> None:
 
 
 def _item(section: Any, key: str, path: str, value: Any) -> Any:
-    """What lies in a dict or list under a key, made where there is nothing yet.
+    """The dict or list under a key, created if it does not exist yet.
 
-    A named accuracy becomes its table, so that a part of it can be set.
+    A named accuracy is replaced by its table of values, so that one of them can be changed.
     """
     if isinstance(section, dict):
         inner = section.setdefault(key, {})

@@ -1,4 +1,4 @@
-"""What a section declares of each field: read from its JSON schema, told in words."""
+"""The fields a section declares, read from its JSON schema and described in words."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ COUNTS = {2: "two", 3: "three", 4: "four"}
 
 
 class Declaration:
-    """The schema of a section and of all sections in it."""
+    """The JSON schema of a section and of all sections inside it."""
 
     def __init__(self, root: type[BaseModel]) -> None:
         self.schema: Node = root.model_json_schema()
 
     def resolved(self, node: Node) -> Node:
-        """What a reference stands for, and what a field is that may be left out."""
+        """The schema that a reference points to; for an optional field, the schema of its value."""
         while True:
             if "$ref" in node:
                 inner = self.schema["$defs"][node["$ref"].rsplit("/", 1)[-1]]
@@ -32,17 +32,17 @@ class Declaration:
             node = {**inner, **{k: v for k, v in node.items() if k not in ("$ref", "anyOf")}}
 
     def kinds(self, node: Node) -> dict[str, Node]:
-        """The sections that a field may be one of, by their law or kind."""
+        """The sections a field may hold, by their law or kind."""
         mapping = self.resolved(node).get("discriminator", {}).get("mapping", {})
         return {name: self.resolved({"$ref": ref}) for name, ref in mapping.items()}
 
     def choices(self, node: Node) -> list[Node]:
-        """What a field may be one of."""
+        """The alternatives a field accepts."""
         node = self.resolved(node)
         return [self.resolved(one) for one in node.get("anyOf", [])] or [node]
 
     def wanted(self, node: Node) -> str:
-        """What a field must be: "a number from 1 to 1e13", say."""
+        """What a field accepts, in words: "a number from 1 to 1e13", for example."""
         return " or ".join(self._one(choice) for choice in self.choices(node))
 
     def _one(self, node: Node) -> str:
@@ -70,7 +70,7 @@ class Declaration:
 
 @cache
 def declaration(root: type[BaseModel]) -> Declaration:
-    """What a section declares; it takes a fifth of a second to find out, and never changes."""
+    """The declaration of a section class; it takes a fifth of a second and is cached."""
     return Declaration(root)
 
 
@@ -87,13 +87,13 @@ def span(node: Node) -> str:
 
 
 def _either(inside: float | None, beyond: float | None) -> str:
-    """The one of two bounds that is there; empty if none is."""
+    """Whichever of two bounds exists, in words; empty if neither does."""
     bound = beyond if inside is None else inside
     return "" if bound is None else number(bound)
 
 
 def number(value: float) -> str:
-    """A number as one would type it."""
+    """A number as a person would type it."""
     if isinstance(value, int) and abs(value) < 1e12:
         return str(value)
     return f"{value:g}".replace("e+0", "e").replace("e+", "e").replace("e-0", "e-")

@@ -1,4 +1,4 @@
-"""The reference of a scene: every field with what it may be, its default and what it is."""
+"""The reference page of a scene: every field with what it accepts, its default and its meaning."""
 
 from __future__ import annotations
 
@@ -70,11 +70,11 @@ frames = 24
 views = ["front", "orbit"]
 background = "whitesmoke"
 """
-"""A whole scene file with a part, stiffness, forces, a profile, boundaries and a motion."""
+"""A complete scene file with a part, stiffness, forces, a profile, boundaries and a motion."""
 
 
 def reference() -> str:
-    """The page in Markdown."""
+    """The reference page in Markdown."""
     declared, written = declaration(Scene), set[str]()
     parts = [HEAD.format(example=EXAMPLE)]
     parts += _page(declared, "Scene", declared.schema, "", written)
@@ -82,7 +82,7 @@ def reference() -> str:
 
 
 def schema() -> str:
-    """The JSON schema, for editors."""
+    """The JSON schema of a scene, for editors."""
     told = {"$schema": "https://json-schema.org/draft/2020-12/schema", **declaration(Scene).schema}
     return json.dumps(told, indent=1) + "\n"
 
@@ -90,7 +90,7 @@ def schema() -> str:
 def _page(
     declared: Declaration, title: str, node: Node, path: str, written: set[str]
 ) -> Iterator[str]:
-    """A section's table, then those of the sections in it that have not been told yet."""
+    """The table of a section, then those of the sections in it that are not written yet."""
     yield f"## {title}\n\n{_sentence(node)}\n"
     yield "\n".join(_table(declared, node)) + "\n"
     for name, inner in node["properties"].items():
@@ -104,7 +104,7 @@ def _page(
 
 
 def _sections(declared: Declaration, node: Node) -> Iterator[tuple[str, Node]]:
-    """The sections that a field may hold, with the name of their law or kind."""
+    """The sections a field may hold, each with the name of its law or kind."""
     node = declared.resolved(node)
     if "items" in node:
         yield from _sections(declared, node["items"])

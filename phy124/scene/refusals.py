@@ -1,4 +1,4 @@
-"""Pydantic's complaints about a section as sentences of our own, from what the section declares."""
+"""Turns pydantic's validation errors into single sentences, using what the section declares."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from phy124.errors import InputError
 from phy124.scene.declaration import Declaration, Node, declaration, number
 
 LONGEST = 60
-"""Characters of a value that are repeated in a message."""
+"""Longest piece of a value that a message repeats, in characters."""
 
 
 def refusal(error: ValidationError, source: str, root: type[BaseModel]) -> InputError:
-    """The most deeply located complaint as one sentence with a remedy."""
+    """The most deeply nested validation error as one sentence with a remedy."""
     found: dict[str, Any] = {**max(error.errors(), key=lambda complaint: len(complaint["loc"]))}
     if found["type"] == "missing" and isinstance(found["loc"][-1], int):
         # A list that is too short: it is the list that is wrong.
@@ -31,7 +31,7 @@ def refusal(error: ValidationError, source: str, root: type[BaseModel]) -> Input
 
 
 def shortened(value: Any) -> str:
-    """A value in a message: numbers in full, long ones cut."""
+    """A value as a message shows it: numbers in full, long values shortened."""
     try:
         text = str(value)
     except ValueError:  # Python writes no integers of more than 4300 digits
@@ -40,16 +40,16 @@ def shortened(value: Any) -> str:
 
 
 class _Place(NamedTuple):
-    """Where a complaint lies."""
+    """Where in the scene an error lies."""
 
     keys: list[int | str]
-    """As a user would write it, without the names of kinds."""
+    """Its path as a user would write it, without the names of kinds."""
     node: Node
-    """What is declared there, or around it for a key that does not exist."""
+    """The schema at that place, or around it if the key does not exist."""
     around: Node
-    """The section that it is a key of."""
+    """The schema of the section that the key belongs to."""
     description: str
-    """What the nearest field is."""
+    """The description of the nearest field that has one."""
 
 
 def _place(declared: Declaration, location: tuple[int | str, ...]) -> _Place:
@@ -72,7 +72,7 @@ def _place(declared: Declaration, location: tuple[int | str, ...]) -> _Place:
 
 
 def _inner(declared: Declaration, node: Node, part: int | str) -> Node | None:
-    """What is declared under a key; {} if there is no such key, None if it is none."""
+    """The schema under a key; {} if the key does not exist, None if the part is no key."""
     choices = declared.choices(node)
     if isinstance(part, int):
         for choice in choices:
@@ -89,7 +89,7 @@ def _inner(declared: Declaration, node: Node, part: int | str) -> Node | None:
 
 
 def _said(declared: Declaration, place: _Place, found: Any) -> tuple[str, str]:
-    """Limit and remedy."""
+    """The limit and the remedy of the message."""
     kind, message = found["type"], found["msg"].removeprefix("Value error, ")
     if kind == "extra_forbidden":
         return _unknown(declared, place)
@@ -116,7 +116,7 @@ def _about(place: _Place) -> str:
 
 
 def _try(declared: Declaration, node: Node, value: Any) -> str:
-    """A legal value to try."""
+    """A legal value to suggest."""
     known = [str(name) for one in declared.choices(node) for name in one.get("enum", [])]
     if known:
         close = difflib.get_close_matches(str(value), known, 1)
@@ -131,7 +131,7 @@ def _try(declared: Declaration, node: Node, value: Any) -> str:
 
 
 def _unknown(declared: Declaration, place: _Place) -> tuple[str, str]:
-    """A key that does not exist there."""
+    """Limit and remedy for a key that does not exist."""
     key, known = str(place.keys[-1]), sorted(place.around.get("properties", {}))
     meant = _in_sections(declared, key) if len(place.keys) == 1 else []
     meant = meant or difflib.get_close_matches(key, known, 1)
@@ -148,7 +148,7 @@ def _unknown(declared: Declaration, place: _Place) -> tuple[str, str]:
 
 
 def _in_sections(declared: Declaration, key: str) -> list[str]:
-    """The sections of the whole that have a key, with it: "view.size"."""
+    """Paths of the sections that do have this key, such as "view.size"."""
     found = []
     for name, node in declared.schema["properties"].items():
         inner = [*declared.choices(node), *map(declared.resolved, declared.kinds(node).values())]
@@ -158,7 +158,7 @@ def _in_sections(declared: Declaration, key: str) -> list[str]:
 
 
 def _at_tag(place: _Place, found: dict[str, Any]) -> tuple[_Place, dict[str, Any]]:
-    """The complaint about a section's law or kind, at that key instead of the section."""
+    """The error moved from a section to the key that names its law or kind."""
     tag = place.node["discriminator"]["propertyName"]
     given = found["input"]
     given = given.get(tag) if isinstance(given, dict) else None
@@ -167,7 +167,7 @@ def _at_tag(place: _Place, found: dict[str, Any]) -> tuple[_Place, dict[str, Any
 
 
 def _no_such_kind(declared: Declaration, place: _Place, found: Any) -> tuple[str, str]:
-    """A section that does not say its law or kind, or one that does not exist."""
+    """Limit and remedy for a section whose law or kind is missing or unknown."""
     tag, known = place.keys[-1], list(declared.kinds(place.node))
     listed = f"Give one of {', '.join(known)}."
     if found["input"] is None:

@@ -1,7 +1,7 @@
-"""Scene: everything a user can choose, one frozen tree, read from and written to TOML.
+"""Scene: everything a user can choose, as one frozen tree that is read from and written to TOML.
 
-This is the only declaration of an option: its bounds and description serve validation, the
-command line's help and the web page's sliders alike.
+This is the only declaration of each option: its bounds and description serve validation, the
+command line's help and the web page alike.
 """
 
 from __future__ import annotations
@@ -72,17 +72,17 @@ class Scene(Section):
 
     @property
     def resolution(self) -> Accuracy:
-        """The accuracy settings, names looked up."""
+        """The accuracy settings; a named accuracy is looked up."""
         return PRESETS[self.accuracy] if isinstance(self.accuracy, str) else self.accuracy
 
     @property
     def acting(self) -> list[AnyForce]:
-        """The forces that push at all."""
+        """The forces whose strength is not zero."""
         return [force for force in self.forces if not force.idle]
 
     @property
     def materials(self) -> list[AnyMaterial]:
-        """The scene's material, then those of its parts that move."""
+        """The scene's material, followed by those of its moving parts."""
         return [self.material, *(part.material for part in self.parts if not part.static)]
 
     @property
@@ -92,7 +92,11 @@ class Scene(Section):
 
     @classmethod
     def from_data(cls, data: dict[str, Any], source: str = "scene") -> Scene:
-        """Validate plain data; raises InputError naming field, value, limit and remedy."""
+        """Validate plain data.
+
+        Raises:
+            InputError: If the data is not a scene; it names field, value, limit and remedy.
+        """
         try:
             return cls.model_validate(data)
         except ValidationError as error:
@@ -100,7 +104,11 @@ class Scene(Section):
 
     @classmethod
     def from_toml(cls, path: str | os.PathLike[str]) -> Scene:
-        """Read a scene file; raises InputError."""
+        """Read a scene file.
+
+        Raises:
+            InputError: If the file is missing, is not TOML, or is not a scene.
+        """
         try:
             data = tomllib.loads(Path(path).read_text("utf-8-sig"))
         except (OSError, UnicodeDecodeError) as error:
@@ -115,7 +123,11 @@ class Scene(Section):
 
     @classmethod
     def named(cls, name: str) -> Scene:
-        """A preset by name, or a scene file by path; raises InputError."""
+        """A preset by its name, or a scene file by its path.
+
+        Raises:
+            InputError: If there is neither a preset nor a file of that name.
+        """
         if name in preset_names():
             return cls.from_toml(preset_folder() / f"{name}.toml")
         if Path(name).suffix == ".toml":
@@ -128,7 +140,7 @@ class Scene(Section):
         )
 
     def data(self) -> dict[str, Any]:
-        """The whole tree as plain data; what is None is left out."""
+        """The whole tree as plain data, without the values that are None."""
         return self.model_dump(mode="json", exclude_none=True)
 
     def to_toml(self) -> str:
@@ -136,9 +148,13 @@ class Scene(Section):
         return tomli_w.dumps(self.data())
 
     def replaced(self, changes: dict[str, Any]) -> Scene:
-        """With other values at dotted paths, such as {"material.E": 2e4}; raises InputError.
+        """A copy with other values at dotted paths, such as `{"material.E": 2e4}`.
 
-        A material of another law, or a force or boundary of another kind, takes its own defaults.
+        A material of another law, or a force or boundary of another kind, starts from its own
+        defaults.
+
+        Raises:
+            InputError: If a path does not exist or a value is out of bounds.
         """
         data = self.data()
         apply(data, changes)
@@ -146,10 +162,10 @@ class Scene(Section):
 
 
 def preset_names() -> list[str]:
-    """Names of the packaged scenes, in alphabetical order."""
+    """Names of the presets, in alphabetical order."""
     return sorted(path.stem for path in preset_folder().glob("*.toml"))
 
 
 def preset_folder() -> Path:
-    """Where the packaged scenes lie."""
+    """The folder that holds the presets."""
     return Path(str(resources.files("phy124") / "presets"))

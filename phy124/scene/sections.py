@@ -1,4 +1,4 @@
-"""The sections of a scene but its view: the object, its parts, which instants are kept."""
+"""The sections of a scene other than its view: the object, its parts, the timing, the checks."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from phy124.region import PartRegion
 from phy124.section import Section
 
 Number = Annotated[int, Field(ge=0, le=10_000_000)]
-"""The number of a Gaussian."""
+"""The index of a Gaussian."""
 
 
 class Object(Section):
-    """The object made from the picture and how it stands in the world."""
+    """The object made from the picture, and how it is placed in the world."""
 
     size: float = Field(default=1.0, ge=1e-6, le=1e4, description="Longest side [m].")
     lift: float = Field(
@@ -29,7 +29,7 @@ class Object(Section):
 
 
 class Timing(Section):
-    """Which instants are kept."""
+    """Which instants are kept as frames, and how long a run may take."""
 
     frames: int = Field(default=14, ge=1, le=10_000, description="Number of frames.")
     fps: float = Field(default=24.0, ge=1, le=1000, description="Frames per second of motion.")
@@ -53,7 +53,7 @@ class Timing(Section):
 
 
 class Checks(Section):
-    """How closely a run is watched: each check costs time and guards against something."""
+    """How closely a run is watched. Each check costs time and guards against a kind of failure."""
 
     measure: int = Field(
         default=4,
@@ -108,7 +108,7 @@ class Part(Section):
         return self
 
     def data(self) -> dict[str, Any]:
-        """How it is picked, as plain data."""
+        """How the part is selected, as plain data."""
         return self.model_dump(
             mode="json", exclude_none=True, exclude={"material", "static", "surroundings"}
         )

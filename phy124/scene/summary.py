@@ -1,4 +1,4 @@
-"""A scene in one line: what will be computed, with every number that a law was given."""
+"""A scene in one line: what will be computed, with every number the law was given."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from phy124.scene.scene import Scene
 
 
 def summary(scene: Scene) -> str:
-    """Law with its values, forces, boundaries, grid and frames."""
+    """The law with its values, the forces, the boundaries, the grid and the frames, in one line."""
     said = [_material(scene.material)]
     if scene.parts:
         kinds = ("static" if part.static else _material(part.material) for part in scene.parts)

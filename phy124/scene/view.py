@@ -1,4 +1,4 @@
-"""View: from where, in what size and in which formats a clip is filmed."""
+"""View: where the camera stands, and the size and formats in which a clip is filmed."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Degrees = Annotated[float, Field(ge=-360, le=360)]
 
 
 def _named_colour(value: Any) -> Any:
-    """The channels of a colour that CSS has a name for, or that is written as #rrggbb."""
+    """The channels of a colour given as a CSS name or as #rrggbb."""
     if not isinstance(value, str):
         return value
     from PIL import ImageColor
@@ -40,11 +40,11 @@ def _named_colour(value: Any) -> Any:
 
 
 Background = Annotated[tuple[Colour, Colour, Colour], BeforeValidator(_named_colour)]
-"""Red, green and blue."""
+"""A colour as red, green and blue, 0 to 1."""
 
 
 def _width_and_height(size: Any) -> Any:
-    """512, "512", [640, 480] or "640x480" as two sides; what is neither is refused later."""
+    """Two sides from 512, "512", [640, 480] or "640x480"; anything else is refused later."""
     sides = size.lower().split("x") if isinstance(size, str) else size
     sides = sides if isinstance(sides, (tuple, list)) else [sides]
     return [*sides, *sides] if len(sides) == 1 else sides
@@ -60,11 +60,11 @@ Size = Annotated[
     BeforeValidator(_width_and_height, json_schema_input_type=Side | tuple[Side, Side]),
     PlainSerializer(_shortest),
 ]
-"""Width and height; one number, or text such as 640x480, is taken as well."""
+"""Width and height in pixels; one number or text such as 640x480 is accepted as well."""
 
 
 class View(Section):
-    """How the clip is filmed."""
+    """How a clip is filmed."""
 
     views: tuple[ViewName, ...] = Field(
         default=("front", "right", "back", "left", "orbit"),
@@ -127,5 +127,5 @@ class View(Section):
 
     @property
     def sides(self) -> tuple[str, ...]:
-        """Names of all sides: the views, then such as "azimuth-45"."""
+        """Names of all sides to film: the named views, then names such as "azimuth-45"."""
         return (*self.views, *(f"azimuth-{azimuth % 360:g}" for azimuth in self.azimuths))

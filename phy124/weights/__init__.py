@@ -1,1 +1,1 @@
-"""Trained weights: where they lie, whether they are whole, how a network is filled with them."""
+"""Trained weights: where they are, whether they are intact, how networks are filled."""

@@ -1,6 +1,6 @@
-"""Reading network weights safely and filling a network with them, every tensor or none.
+"""Reads network weights safely and fills networks with them, every tensor or none.
 
-Only safetensors and `torch.load(weights_only=True)` are ever used: neither runs code from the file.
+Only safetensors and `torch.load(weights_only=True)` are used: neither runs code from the file.
 """
 
 from __future__ import annotations
@@ -20,13 +20,14 @@ if TYPE_CHECKING:
 
 StateDict = Mapping[str, "Tensor"]
 SHOWN = 3
-"""How many differing tensors a refusal names."""
+"""How many differing tensors an error message names."""
 
 
 def read_tensors(path: str | os.PathLike[str]) -> dict[str, Tensor]:
     """All tensors of a .safetensors, .pth, .pt, .ckpt or .bin file, on the CPU.
 
-    Raises InputError if there is no such file, or it is cut short, or of another kind.
+    Raises:
+        InputError: If there is no such file, or it is cut short, or of another kind.
     """
     path = Path(path)
     if not path.is_file():
@@ -80,9 +81,15 @@ def without_prefix(tensors: StateDict, prefix: str) -> dict[str, Tensor]:
 
 
 def fill(module: nn.Module, tensors: StateDict, name: str) -> None:
-    """Give `module` (which may live on the meta device) exactly these tensors.
+    """Give `module` (which may be on the meta device) exactly these tensors.
 
-    Raises InputError naming what is missing, left over, or of another shape.
+    Args:
+        module: The network.
+        tensors: Values by the names of the network's state dict.
+        name: What the network is called in messages.
+
+    Raises:
+        InputError: If tensors are missing, left over, or of another shape; it names them.
     """
     wanted = {k: tuple(v.shape) for k, v in module.state_dict().items()}
     given = {k: tuple(v.shape) for k, v in tensors.items()}

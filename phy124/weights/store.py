@@ -1,6 +1,6 @@
-"""Trained weights: which files there are, where they lie, whether they are whole, how to get them.
+"""Trained weights: which files exist, where they are, whether they are intact, how to get them.
 
-Nothing is ever downloaded unless `fetch` is called. Files are looked for in a folder the user names
+Nothing is downloaded unless `fetch` is called. Files are searched for in a folder the user names
 (`--weights`), then in the folder PHY124_WEIGHTS, then in the Hugging Face cache.
 """
 
@@ -21,9 +21,9 @@ from phy124.progress import Progress, silent
 from phy124.runtime.installation import install_command
 
 Verdict = Literal["match", "differs", "unknown", "unchecked", "missing"]
-"""Of a file's size and sha256; "unknown": there is nothing to compare with."""
+"""Result of checking a file's size and sha256; "unknown" if there is nothing to compare with."""
 BLOCK = 1 << 22
-"""Bytes hashed at a time."""
+"""Number of bytes hashed at a time."""
 
 
 @dataclass(frozen=True)
@@ -35,9 +35,9 @@ class WeightFile:
     """Name inside the repository."""
     licence: str
     size: int | None = None
-    """Bytes; None where it is not known."""
+    """Size in bytes; None if it is not known."""
     sha256: str | None = None
-    """None where it is not known; `fetch` then compares with what the server states."""
+    """Checksum; if None, `fetch` compares with the one the server states."""
 
     @property
     def command(self) -> str:
@@ -62,7 +62,7 @@ class WeightStatus:
     looked: tuple[Path, ...]
     """Every place that was tried, in order."""
     size: int | None
-    """Bytes on disk."""
+    """Size on disk, bytes."""
     verdict: Verdict
 
 
@@ -142,7 +142,7 @@ KNOWN: dict[str, tuple[WeightFile, ...]] = {
         for path in ("config.json", "model.safetensors")
     ),
 }
-"""Sets of files by the name of the part that needs them."""
+"""Sets of files, by the name of the part that needs them."""
 
 
 _named: ContextVar[str | os.PathLike[str] | None] = ContextVar("_named", default=None)
@@ -150,7 +150,7 @@ _named: ContextVar[str | os.PathLike[str] | None] = ContextVar("_named", default
 
 @contextmanager
 def looking_in(folder: str | os.PathLike[str] | None) -> Iterator[None]:
-    """Within it, `folder` (the user's `--weights`) is looked in first wherever none is given."""
+    """Within this context, `folder` (the user's `--weights`) is searched first by default."""
     token = _named.set(folder)
     try:
         yield
@@ -159,13 +159,13 @@ def looking_in(folder: str | os.PathLike[str] | None) -> Iterator[None]:
 
 
 def hub_cache() -> Path:
-    """Folder of the Hugging Face cache, by its own environment variables."""
+    """Folder of the Hugging Face cache, from its own environment variables."""
     home = os.environ.get("HF_HOME", "~/.cache/huggingface")
     return Path(os.environ.get("HF_HUB_CACHE", os.path.join(home, "hub"))).expanduser()
 
 
 def places(file: WeightFile, folder: str | os.PathLike[str] | None = None) -> Iterator[Path]:
-    """Where `file` may lie, in order of preference.
+    """Where `file` may be, in order of preference.
 
     In a plain folder both `NAME` and `REPOSITORY/PATH` are tried, so that one folder can hold
     several repositories whose files have equal names.
@@ -187,12 +187,16 @@ def find(file: WeightFile, folder: str | os.PathLike[str] | None = None) -> Path
 
 
 def have(name: str, folder: str | os.PathLike[str] | None = None) -> bool:
-    """Whether all files of a set are there."""
+    """Whether all files of a set are present."""
     return all(find(file, folder) for file in files_of(name))
 
 
 def files_of(name: str) -> tuple[WeightFile, ...]:
-    """Files of a set; raises InputError if there is no set of that name."""
+    """The files of a set.
+
+    Raises:
+        InputError: If there is no set of that name.
+    """
     if name not in KNOWN:
         raise InputError(
             "weights", name, "there are no such weights.", f"Choose one of {', '.join(KNOWN)}."
@@ -203,8 +207,9 @@ def files_of(name: str) -> tuple[WeightFile, ...]:
 def require(name: str, folder: str | os.PathLike[str] | None = None) -> dict[str, Path]:
     """Paths of all files of a set, by their name in the repository.
 
-    Raises InputError if one is missing or has not the published size: it says what was expected,
-    how to fetch it, and which generator needs no weights.
+    Raises:
+        InputError: If one is missing or does not have the published size. The message says what was
+            expected, how to fetch it, and which generator needs no weights.
     """
     found = {}
     for file in files_of(name):
@@ -234,7 +239,7 @@ def _wrong(name: str, path: Path, what: str, file: WeightFile) -> InputError:
 
 
 def sha256_of(path: str | os.PathLike[str]) -> str:
-    """Checksum of a file, hexadecimal; an absent file is the caller's to refuse."""
+    """Checksum of an existing file, hexadecimal."""
     digest = hashlib.sha256()
     if Path(path).is_file():
         with open(path, "rb") as file:
@@ -246,7 +251,7 @@ def sha256_of(path: str | os.PathLike[str]) -> str:
 def status(
     folder: str | os.PathLike[str] | None = None, *, check: bool = True
 ) -> list[WeightStatus]:
-    """Every known file: where it was found and whether it is whole; for `phy124 doctor`.
+    """Every known file: where it was found and whether it is intact, for `phy124 doctor`.
 
     With `check` the checksum of each file found is computed (about a second per gigabyte).
     """
@@ -283,11 +288,17 @@ def fetch(
     progress: Progress = silent,
     endpoint: str | None = None,
 ) -> list[Path]:
-    """Download a set through huggingface_hub and check it; resumes what was cut short.
+    """Download a set through huggingface_hub and check it; interrupted downloads are resumed.
 
-    Files go to `folder`, else to PHY124_WEIGHTS, else to the Hugging Face cache; a bar per file
-    is drawn by huggingface_hub. Raises InputError if the name is unknown, the library is missing,
-    the server cannot be reached, or a file differs from the published one (it is then deleted).
+    Args:
+        name: Name of the set.
+        folder: Where the files go; None for PHY124_WEIGHTS or else the Hugging Face cache.
+        progress: Called as in `phy124.progress`; huggingface_hub also draws a bar per file.
+        endpoint: Address of the server, if not huggingface.co.
+
+    Raises:
+        InputError: If the name is unknown, the library is missing, the server cannot be reached, or
+            a file differs from the published one (it is then deleted).
     """
     files = files_of(name)
     target = folder or _named.get() or os.environ.get("PHY124_WEIGHTS")
@@ -302,7 +313,11 @@ def fetch(
 
 
 def _refuse_unwritable(folder: Path) -> None:
-    """Raise InputError if no files can be put there, before anything is downloaded."""
+    """Check that files can be written there, before anything is downloaded.
+
+    Raises:
+        InputError: If they cannot.
+    """
     if not writable(folder):
         limit = "it is no folder that files can be written to."
         raise InputError("weights", folder, limit, "Choose another folder.")

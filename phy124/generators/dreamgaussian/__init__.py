@@ -1,4 +1,4 @@
-"""DreamGaussian's first stage: optimisation against score distillation (Tang et al. 2024)."""
+"""The first stage of DreamGaussian: optimisation by score distillation (Tang et al. 2024)."""
 
 from phy124.generators.dreamgaussian.density import Density
 from phy124.generators.dreamgaussian.generator import (

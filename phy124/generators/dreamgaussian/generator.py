@@ -1,8 +1,8 @@
-"""DreamGaussian's first stage: Gaussians fitted to one picture and to a guidance's opinion.
+"""The first stage of DreamGaussian: Gaussians fitted to one picture and to a guidance model.
 
 Tang et al. 2024, "DreamGaussian: Generative Gaussian Splatting for Efficient 3D Content Creation".
-It optimises instead of predicting, so it is made for a GPU; results of the original program enter
-as PLY (docs/guide/plugins.md).
+It optimises instead of predicting, so it needs a GPU in practice; results of the original program
+can be read as PLY (docs/guide/plugins.md).
 """
 
 from __future__ import annotations
@@ -40,26 +40,26 @@ from phy124.weights.store import require
 
 @dataclass(frozen=True)
 class Settings:
-    """DreamGaussian's image.yaml."""
+    """The settings of DreamGaussian's image.yaml."""
 
     steps: int = 500
     points: int = 5000
     ball_radius: float = 0.5
     radius: float = 2.0
-    """Distance of the cameras; a result of radius 2 spans about +-0.9."""
+    """Distance of the cameras; with radius 2 the result spans about +-0.9."""
     known_size: int = 256
     """Side of the known view, pixels; 0 for no known view."""
     rgb_weight: float = 10_000.0
     alpha_weight: float = 1_000.0
     guidance_weight: float = 1.0
     elevations: tuple[int, int] = (-30, 30)
-    """Of the guided views, degrees; positive is below the object."""
+    """Range of the guided views, degrees; positive is below the object."""
     sizes: tuple[int, ...] = (128, 256, 512)
-    """Sides of the guided views, pixels: below 30 %, below 60 %, and after."""
+    """Sides of the guided views, pixels: below 30 % of the steps, below 60 %, and after."""
     rates: Rates = field(default_factory=Rates)
     density: Density = field(default_factory=Density)
     final_extent: float = 1.0
-    """Extent of the last pruning."""
+    """Extent used by the last pruning."""
 
     def guided_size(self, ratio: float) -> int:
         """Side of the guided views at `ratio` of the steps, pixels."""
@@ -73,17 +73,17 @@ WITH_IMAGEDREAM = Settings(
     rates=Rates(steps=300),
     density=Density(start=50, every=50),
 )
-"""DreamGaussian's imagedream.yaml, for the guidance `MultiView`.
+"""The settings of DreamGaussian's imagedream.yaml, for the guidance `MultiView`.
 
-There the guidance is silently off for an empty prompt, the only one used here: it is on.
+There the guidance is silently off for an empty prompt, the only prompt used here; here it is on.
 """
 
 
 class DreamGaussian:
-    """Image to Gaussians by optimisation.
+    """Turns an image into Gaussians by optimisation.
 
-    `guidance` makes the guidance of a picture [3,S,S] over white; without it Zero123's weights
-    are looked for as `phy124.weights.store` says.
+    `guidance` makes the guidance for a picture [3,S,S] over white; without it the weights of
+    Zero123 are searched for as `phy124.weights.store` describes.
     """
 
     def __init__(
@@ -105,10 +105,12 @@ class DreamGaussian:
         seed: int = 0,
         progress: Progress = silent,
     ) -> Gaussians:
-        """Gaussians of the cut-out `image_rgba [H,W,4]`, the longest side 1 m.
+        """Gaussians of the cut-out `image_rgba [H,W,4]` with a longest side of 1 m.
 
-        Raises InputError if weights are missing or the picture is no cut-out, and lets Cancelled
-        pass from `progress`, which is told before every step.
+        `progress` is called before every step; if it raises Cancelled, that passes through.
+
+        Raises:
+            InputError: If weights are missing or the picture is not a cut-out.
         """
         settings = self.settings
         pixels = torch.from_numpy(framed(np.asarray(image_rgba)).astype(np.float32) / 255)
@@ -136,7 +138,7 @@ class DreamGaussian:
 
 
 def start(settings: Settings, draw: torch.Generator, device: str = "cpu") -> Splats:
-    """Grey Gaussians spread in a ball, with a little colour noise as the original has."""
+    """Grey Gaussians spread in a ball, with a little colour noise as in the original."""
     points = ball(settings.points, settings.ball_radius, draw).to(device)
     colors = 0.5 + torch.rand(len(points), 3, generator=draw).to(device) / 255
     return Splats.from_points(points, colors, settings.rates)
@@ -153,7 +155,13 @@ def fit(
 ) -> None:
     """Optimise `splats` in place.
 
-    `known` is the picture over white [3,S,S] and its coverage [S,S], seen from the front.
+    Args:
+        splats: The Gaussians.
+        guidance: Judges new views.
+        settings: Steps, rates and weights.
+        draw: Source of normal samples.
+        known: The picture over white [3,S,S] and its coverage [S,S], seen from the front.
+        progress: Called before every step, as in `phy124.progress`.
     """
     pull = Pull(len(splats), splats.parameters["xyz"].device)
     samples, view = normal_draw(draw), settings.density
@@ -180,7 +188,7 @@ def fit(
 def _known_loss(
     splats: Splats, settings: Settings, ratio: float, known: tuple[Tensor, Tensor] | None
 ) -> Tensor:
-    """Difference from the picture, weighing more as time goes on."""
+    """Difference from the picture, with a weight that grows over time."""
     zero = splats.parameters["xyz"].new_zeros(())
     if known is None or not settings.known_size:
         return zero
@@ -197,7 +205,7 @@ def _known_loss(
 def _guided_loss(
     splats: Splats, guidance: Guidance, settings: Settings, ratio: float, draw: torch.Generator
 ) -> tuple[Tensor, list]:
-    """The guidance's loss of new views, and their renderings, the last of them last."""
+    """The guidance's loss for new views, and their renderings."""
     low, high = settings.elevations
     elevation = int(torch.randint(low, high + 1, (), generator=draw))
     azimuth = int(torch.randint(-180, 180, (), generator=draw))
@@ -221,8 +229,10 @@ def _view(pose: Pose, settings: Settings, size: int) -> View:
 def framed(image_rgba: NDArray[np.uint8], size: int = 256) -> NDArray[np.uint8]:
     """The cut-out [H,W,4] in the middle of a square [size,size,4], as process.py makes it.
 
-    Unlike LGM's it is resampled in 8 bits. Colours come multiplied by alpha from rembg. Raises
-    InputError if there is no alpha channel or nothing opaque.
+    Unlike LGM's it is resampled in 8 bits. rembg gives colours multiplied by alpha.
+
+    Raises:
+        InputError: If there is no alpha channel or nothing is opaque.
     """
     if image_rgba.ndim != 3 or image_rgba.shape[2] != 4:
         raise InputError(

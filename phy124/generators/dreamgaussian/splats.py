@@ -1,6 +1,6 @@
 """The Gaussians being optimised: parameters before activation, and their Adam optimiser.
 
-Kerbl et al. 2023, "3D Gaussian Splatting", section 5, with the rates of Tang et al. 2024,
+Kerbl et al. 2023, "3D Gaussian Splatting", section 5, with the learning rates of Tang et al. 2024,
 "DreamGaussian". Colours do not depend on the direction (spherical harmonics of degree 0).
 """
 
@@ -21,13 +21,13 @@ Parameters = dict[str, Tensor]
 """xyz [N,3]; f_dc [N,1,3] harmonics; opacity [N,1] logits; scaling [N,3] logs; rotation [N,4]."""
 NEIGHBOURS = 3
 SMALLEST = 1e-7
-"""Least mean squared distance to the neighbours, so that its logarithm is finite."""
+"""Lower bound of the mean squared distance to neighbours, so that its logarithm is finite."""
 START_OPACITY = 0.1
 
 
 @dataclass(frozen=True)
 class Rates:
-    """Learning rates of Adam; that of the centres falls from `xyz` to `xyz_last`."""
+    """Learning rates of Adam; the rate of the centres falls from `xyz` to `xyz_last`."""
 
     xyz: float = 0.01
     xyz_last: float = 0.0002
@@ -39,13 +39,13 @@ class Rates:
     """Steps until `xyz_last` is reached."""
 
     def position(self, step: int) -> float:
-        """Rate of the centres at a step: a straight line in the logarithm."""
+        """Rate of the centres at a step; its logarithm changes linearly."""
         t = min(1.0, step / self.steps)
         return math.exp((1 - t) * math.log(self.xyz) + t * math.log(self.xyz_last))
 
 
 class Splats:
-    """Gaussians that can be drawn, stepped, and grow or shrink in number."""
+    """Gaussians that can be drawn, optimised, and changed in number."""
 
     def __init__(self, parameters: Parameters, rates: Rates | None = None) -> None:
         self.rates = rates or Rates()
@@ -84,11 +84,11 @@ class Splats:
 
     @property
     def opacities(self) -> Tensor:
-        """[N], 0..1."""
+        """Opacities [N], 0..1."""
         return self.parameters["opacity"][:, 0].sigmoid()
 
     def render(self, view: View, background: Tensor) -> Rendering:
-        """A picture with gradients; colours are cut at 0 as 3DGS does."""
+        """A picture with gradients; negative colours are clipped as in 3DGS."""
         p = self.parameters
         colors = (0.5 + SH_C0 * p["f_dc"][:, 0]).clamp(min=0)
         return rasterize(
@@ -96,13 +96,13 @@ class Splats:
         )
 
     def set_step(self, step: int) -> None:
-        """Give the centres their rate of this step."""
+        """Set the centres' learning rate for this step."""
         for group in self.optimizer.param_groups:
             if group["name"] == "xyz":
                 group["lr"] = self.rates.position(step)
 
     def step(self) -> None:
-        """One step of Adam on the gradients there are, which are then dropped."""
+        """One step of Adam with the present gradients, which are then cleared."""
         self.optimizer.step()
         self.optimizer.zero_grad()
 
@@ -111,7 +111,7 @@ class Splats:
         self._replace({k: (v[mask], lambda m: m[mask]) for k, v in self.parameters.items()})
 
     def append(self, more: Parameters) -> None:
-        """Add Gaussians, whose momenta are zero."""
+        """Add Gaussians with zero momenta."""
         self._replace(
             {
                 name: (
@@ -123,11 +123,11 @@ class Splats:
         )
 
     def overwrite(self, name: str, value: Tensor) -> None:
-        """Replace one parameter and forget its momenta."""
+        """Replace one parameter and clear its momenta."""
         self._replace({name: (value, torch.zeros_like)})
 
     def _replace(self, changes: dict) -> None:
-        """Swap parameters inside Adam: name -> (value, what becomes of each momentum)."""
+        """Swap parameters inside Adam: name -> (value, function of each momentum)."""
         for group in self.optimizer.param_groups:
             if group["name"] not in changes:
                 continue
@@ -145,7 +145,7 @@ class Splats:
 
     @torch.no_grad()
     def gaussians(self) -> Gaussians:
-        """What it has become, in our world."""
+        """The result in our world."""
         p = self.parameters
         quats = torch.nn.functional.normalize(p["rotation"])
         parts = (p["xyz"], quats, self.scales, self.opacities, p["f_dc"])

@@ -57,13 +57,20 @@ class Upsample(nn.Module):
 
 
 class Stage(nn.ModuleList):
-    """Layers in a row, each given what it needs of embedding, context and frame count."""
+    """Layers in sequence, each given what it needs of embedding, context and frame count."""
 
     def __init__(self, *layers: nn.Module) -> None:
         super().__init__(layers)
 
     def forward(self, x: Tensor, embedding: Tensor, context: Tensor, num_frames: int) -> Tensor:
-        """[B*F,C,H,W] -> [B*F,C',H',W']."""
+        """[B*F,C,H,W] -> [B*F,C',H',W'].
+
+        Args:
+            x: Feature maps [B*F,C,H,W].
+            embedding: Time and camera [B*F,E].
+            context: Tokens of text and picture [B*F,M,D].
+            num_frames: F.
+        """
         for layer in self:
             if isinstance(layer, ResBlock):
                 x = layer(x, embedding)

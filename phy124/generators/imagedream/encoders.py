@@ -1,7 +1,7 @@
-"""The frozen networks around ImageDream's U-Net: text, picture and latents.
+"""The frozen networks around ImageDream's U-Net: text encoder, image encoder, autoencoder.
 
-Their architectures come from transformers (CLIP) and diffusers (VAE); sizes are those of Stable
-Diffusion 2.1 and CLIP ViT-H/14, written out so that only weight files are needed.
+Their architectures come from transformers (CLIP) and diffusers (VAE). Their sizes are those of
+Stable Diffusion 2.1 and CLIP ViT-H/14, written out so that only weight files are needed.
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ VISION: dict[str, Any] = {
     "patch_size": 14,
 }
 EMPTY_PROMPT = (49406, 49407, *([0] * 75))
-"""Tokens of the prompt '': start, end, padding. LGM uses no other, so no tokenizer is needed."""
+"""Tokens of the prompt '': start, end, padding. LGM uses no other; no tokenizer is needed."""
 SPARE = ("position_ids", "visual_projection.weight", "text_projection.weight", "logit_scale")
-"""Tensors some files carry for other uses of CLIP."""
+"""Tensors that some files contain for other uses of CLIP."""
 CLIP_SIZE = 224
 CLIP_MEAN = (0.48145466, 0.4578275, 0.40821073)
 CLIP_STD = (0.26862954, 0.26130258, 0.27577711)
@@ -65,15 +65,24 @@ def text_encoder(path: Path | None = None, **changes: Any) -> CLIPTextModel:
 
 
 def image_encoder(path: Path | None = None, **changes: Any) -> CLIPVisionModel:
-    """CLIP's picture encoder, ViT-H/14, filled from `path` if given."""
+    """CLIP's image encoder, ViT-H/14, filled from `path` if given."""
     config = CLIPVisionConfig(**{**VISION, **changes})
     return filled(lambda: CLIPVisionModel(config), path, "vision_model.", "the picture encoder")
 
 
 def filled(build: Callable[[], Any], path: Path | None, prefix: str, name: str) -> Any:
-    """Build the network called `name`; with a path, strictly from its tensors, in their precision.
+    """Build a network and, given a path, fill it strictly from that file, in the file's precision.
 
-    transformers 5 has no `prefix` in memory that the files carry; older releases keep it.
+    transformers 5 has no `prefix` in memory, although the files have it; older releases keep it.
+
+    Args:
+        build: Makes the network.
+        path: File of weights, or None.
+        prefix: What the names in the file start with.
+        name: What the network is called in messages.
+
+    Raises:
+        InputError: If the file cannot be read or does not fit the network.
     """
     if path is None:
         return build().eval().requires_grad_(False)
@@ -100,7 +109,7 @@ def empty_prompt(encoder: CLIPTextModel) -> Tensor:
 
 @torch.inference_mode()
 def picture_tokens(encoder: CLIPVisionModel, image: Tensor) -> Tensor:
-    """Tokens [1,257,1280] of `image [3,H,W]` in 0..1: the last layer but one, not normalised."""
+    """Tokens [1,257,1280] of `image [3,H,W]` in 0..1: the last layer but one, unnormalised."""
     pixels = clip_pixels(image)[None].to(encoder.device, encoder.dtype)
     return encoder(pixels, output_hidden_states=True).hidden_states[-2]
 

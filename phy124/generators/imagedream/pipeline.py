@@ -1,7 +1,7 @@
 """ImageDream's sampling: one picture to four views of its object.
 
-Wang & Shi 2023, "ImageDream"; classifier-free guidance (Ho & Salimans 2022) over DDIM (Song et
-al. 2021). A fifth frame carries the picture itself; it is denoised along and dropped by LGM.
+Wang & Shi 2023, "ImageDream"; classifier-free guidance (Ho & Salimans 2022) over DDIM (Song et al.
+2021). A fifth frame carries the picture itself; it is denoised as well, and LGM drops it.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from phy124.progress import Progress, silent
 from phy124.weights.store import require
 
 FRAMES = 5
-"""Four views and the picture."""
+"""Number of frames: four views and the picture."""
 SIZE = 256
-"""Side of each view, pixels; latents are an eighth."""
+"""Side of each view, pixels; latents are an eighth of it."""
 SCHEDULE: dict[str, Any] = {
     "beta_start": 0.00085,
     "beta_end": 0.012,
@@ -69,7 +69,7 @@ class Parts(Protocol):
 
 
 class TrainedParts:
-    """The public networks; both encoders are let go after use, which halves peak memory."""
+    """The public networks; both encoders are released after use, which halves peak memory."""
 
     def __init__(
         self, weights: str | os.PathLike[str] | None, device: str, dtype: torch.dtype
@@ -95,7 +95,7 @@ class TrainedParts:
 
 
 class ImageDream:
-    """Picture to four views; `parts` replaces the trained networks, for tests."""
+    """Turns a picture into four views; `parts` replaces the trained networks in tests."""
 
     def __init__(
         self,
@@ -116,8 +116,9 @@ class ImageDream:
     def __call__(self, image: Tensor, *, seed: int = 0, progress: Progress = silent) -> Tensor:
         """Views [5,3,256,256] in 0..1 of `image [3,H,W]` over white.
 
-        Azimuths 0, 90, 180, 270 degrees and the picture. The same seed gives the same views on
-        every device up to rounding. Progress is told before each step and may cancel.
+        They are at azimuths 0, 90, 180, 270 degrees, followed by the picture. Equal seeds give
+        equal views on every device up to rounding. `progress` is called before each step and may
+        cancel.
         """
         progress("imagedream", 0, self.steps)
         if self.parts is None:
@@ -135,7 +136,14 @@ class ImageDream:
 def look(
     parts: Parts, image: Tensor, draw: torch.Generator, *, elevation: float = 0.0
 ) -> Condition:
-    """What the networks see of `image [3,H,W]` in 0..1; both prompts are empty."""
+    """Encode `image [3,H,W]` in 0..1 for the networks; both prompts are empty.
+
+    Args:
+        parts: The networks.
+        image: The picture.
+        draw: Source of normal samples.
+        elevation: Of the picture, degrees; positive is below the object.
+    """
     place = next(parts.vae.parameters())
     return Condition(
         text=parts.text().expand(2, -1, -1).to(place),
@@ -146,7 +154,7 @@ def look(
 
 
 def encode(vae: Any, image: Tensor, draw: torch.Generator | None = None) -> Tensor:
-    """Latents [1,4,32,32] of `image [3,H,W]` in 0..1: a sample of the posterior, scaled."""
+    """Latents [1,4,32,32] of `image [3,H,W]` in 0..1: a scaled sample of the posterior."""
     square = interpolate(image[None], (SIZE, SIZE), mode="bilinear", align_corners=False)
     posterior = vae.encode(2 * square - 1).latent_dist
     noise = torch.randn(posterior.mean.shape, generator=draw).to(posterior.mean)
@@ -154,7 +162,7 @@ def encode(vae: Any, image: Tensor, draw: torch.Generator | None = None) -> Tens
 
 
 def decode(vae: Any, latents: Tensor) -> Tensor:
-    """Pictures [F,3,H,W] in 0..1 of latents [F,4,h,w], one at a time to spare memory."""
+    """Pictures [F,3,H,W] in 0..1 of latents [F,4,h,w], one at a time to save memory."""
     pictures = [vae.decode(z[None] / vae.config.scaling_factor).sample[0] for z in latents]
     return (torch.stack(pictures) / 2 + 0.5).clamp(0, 1)
 
@@ -162,7 +170,15 @@ def decode(vae: Any, latents: Tensor) -> Tensor:
 def denoise(
     unet: Any, latents: Tensor, condition: Condition, steps: int, guidance: float
 ) -> Iterator[Tensor]:
-    """Yield the latents [5,4,h,w] after each DDIM step, starting from noise `latents`."""
+    """Yield the latents [5,4,h,w] after each DDIM step.
+
+    Args:
+        unet: Predicts noise.
+        latents: Noise to start from [5,4,h,w].
+        condition: What the prediction depends on.
+        steps: Number of steps.
+        guidance: Scale of the classifier-free guidance.
+    """
     scheduler = DDIMScheduler(**SCHEDULE)
     scheduler.set_timesteps(steps)
     for t in scheduler.timesteps:
@@ -172,13 +188,28 @@ def denoise(
 
 
 def guided(unet: Any, latents: Tensor, t: Tensor, condition: Condition, guidance: float) -> Tensor:
-    """Noise [5,4,h,w] predicted with the picture, pushed away from that without."""
+    """Noise [5,4,h,w] predicted with the picture, pushed away from the prediction without it.
+
+    Args:
+        unet: Predicts noise.
+        latents: [5,4,h,w].
+        t: Noise level, 0 to 999.
+        condition: What the prediction depends on.
+        guidance: Scale of the classifier-free guidance.
+    """
     without, with_it = predict(unet, latents, t, condition).chunk(2)
     return without + guidance * (with_it - without)
 
 
 def predict(unet: Any, latents: Tensor, t: Tensor, condition: Condition) -> Tensor:
-    """Noise [10,4,h,w]: five frames without the picture, five with it."""
+    """Noise [10,4,h,w]: five frames without the picture, then five with it.
+
+    Args:
+        unet: Predicts noise.
+        latents: [5,4,h,w].
+        t: Noise level, 0 to 999.
+        condition: What the prediction depends on.
+    """
     frames = len(latents)
     tokens = condition.tokens.expand(frames, -1, -1)
     return unet(

@@ -1,4 +1,4 @@
-"""ImageDream's resampler: 257 tokens of a picture to 16 tokens of the context.
+"""ImageDream's resampler: condenses 257 picture tokens into 16 tokens of the context.
 
 A perceiver (Alayrac et al. 2022, "Flamingo"), as in IP-Adapter (Ye et al. 2023).
 """
@@ -12,7 +12,7 @@ HEADS, HEAD_WIDTH = 12, 64
 
 
 class PerceiverAttention(nn.Module):
-    """Attention from latents [B,K,C] to the picture's tokens and themselves."""
+    """Attention from latents [B,K,C] to the picture's tokens and to the latents themselves."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()
@@ -24,7 +24,7 @@ class PerceiverAttention(nn.Module):
         self.to_out = nn.Linear(inner, channels, bias=False)
 
     def forward(self, x: Tensor, latents: Tensor) -> Tensor:
-        """X [B,M,C], latents [B,K,C] -> [B,K,C]."""
+        """x [B,M,C], latents [B,K,C] -> [B,K,C]."""
         x, latents = self.norm1(x), self.norm2(latents)
         k, v = self.to_kv(torch.cat([x, latents], dim=1)).chunk(2, dim=-1)
         q, k, v = (t.unflatten(-1, (HEADS, -1)).transpose(1, 2) for t in (self.to_q(latents), k, v))
@@ -58,7 +58,7 @@ class Resampler(nn.Module):
         )
 
     def forward(self, x: Tensor) -> Tensor:
-        """Start from the learnt latents and look at the picture `depth` times."""
+        """Start from the learnt latents and attend to the picture `depth` times."""
         latents = self.latents.expand(len(x), -1, -1)
         x = self.proj_in(x)
         for layer in self.layers:

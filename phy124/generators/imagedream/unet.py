@@ -1,8 +1,8 @@
-"""The multi-view U-Net of ImageDream, and of MVDream where there is no picture.
+"""The multi-view U-Net of ImageDream, and of MVDream if there is no picture.
 
-A latent diffusion U-Net (Rombach et al. 2022) whose self-attention spans all views of an object
-and whose time embedding carries each view's camera. Wang & Shi 2023, "ImageDream"; Shi et al.
-2023, "MVDream".
+A latent diffusion U-Net (Rombach et al. 2022) whose self-attention spans all views of an object and
+whose time embedding carries each view's camera. Wang & Shi 2023, "ImageDream"; Shi et al. 2023,
+"MVDream".
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from phy124.weights.checkpoints import StateDict, fill, read_tensors, without_pr
 CLIP_WIDTH = 1280
 """Width of the picture's tokens: CLIP ViT-H/14."""
 ORIGINAL_PREFIX = "model.diffusion_model."
-"""Before every name in the checkpoint of ImageDream's authors."""
+"""Prefix of every name in the checkpoint of ImageDream's authors."""
 
 
 @dataclass(frozen=True)
 class Config:
-    """Sizes of the network; the defaults are ImageDream's, names are those of its config.json."""
+    """Sizes of the network; defaults are ImageDream's, names are those of its config.json."""
 
     in_channels: int = 4
     out_channels: int = 4
@@ -38,13 +38,13 @@ class Config:
     channel_mult: Sequence[int] = (1, 2, 4, 4)
     num_res_blocks: int = 2
     attention_resolutions: Sequence[int] = (4, 2, 1)
-    """Attention stands where the picture is smaller by one of these factors."""
+    """Attention is used where the picture is smaller by one of these factors."""
     num_head_channels: int = 64
     transformer_depth: int = 1
     context_dim: int = 1024
     camera_dim: int = 16
     ip_dim: int = 16
-    """Tokens of the picture; 0 is MVDream."""
+    """Number of picture tokens; 0 for MVDream."""
     ip_weight: float = 1.0
     image_size: int = 32
     """Side of the latents in training; has no effect."""
@@ -188,11 +188,19 @@ def load_unet(
     dtype: torch.dtype = torch.float32,
     **config: Any,
 ) -> MultiViewUNet:
-    """Build the network of `config` (fields of `Config`) and fill it strictly.
+    """Build the network and fill it strictly.
 
-    Accepts the names of the diffusers repository and of the authors' checkpoint; without a
-    picture's tensors it is MVDream. Raises InputError if a field is unknown or the tensors are not
-    those of this network.
+    Both the names of the diffusers repository and those of the authors' checkpoint are accepted;
+    without tensors for a picture it is MVDream.
+
+    Args:
+        state_dict_or_path: Tensors, or a file of them.
+        device: Where the network runs.
+        dtype: Its precision.
+        **config: Fields of `Config` that differ from ImageDream's.
+
+    Raises:
+        InputError: If a field is unknown or the tensors do not fit this network.
     """
     tensors = state_dict_or_path
     if isinstance(tensors, (str, os.PathLike)):

@@ -1,6 +1,6 @@
 """LGM as a generator: a cut-out, four views of it, Gaussians in this project's world.
 
-Tang et al. 2024, "LGM". The four views come from ImageDream, or from the user.
+Tang et al. 2024, "LGM". The four views come from ImageDream or from the user.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from phy124.progress import Progress, silent
 from phy124.weights.store import have, require
 
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
-"""ImageNet's colour statistics, with which the input is normalised."""
+"""ImageNet's colour statistics, by which the input is normalised."""
 OPACITY_MIN = 0.005
-"""Fainter Gaussians are dropped, as the original does on saving."""
+"""Fainter Gaussians are dropped, as the original does when saving."""
 VIEW_ORDER = (1, 2, 3, 0)
 """LGM's front is ImageDream's second view."""
 OLD_GENERATION = (
@@ -45,12 +45,12 @@ Views = Callable[..., Tensor]
 
 
 class Lgm:
-    """Image to Gaussians; weights are read on the first call and kept.
+    """Turns an image into Gaussians; weights are read on the first call and kept.
 
-    `model` and `multiview` may be given ready made, for tests and for other weights; otherwise
-    they are found as `phy124.weights.store` says. `align` turns the result to the picture
+    `model` and `multiview` may be passed in, for tests and for other weights; otherwise they are
+    found as `phy124.weights.store` describes. `align` rotates the result to match the picture
     (`lgm.align`), at the price of a small rendering every `align_step` degrees and a second pass.
-    `steps` is ImageDream's.
+    `steps` is ImageDream's number of steps.
     """
 
     def __init__(
@@ -80,10 +80,12 @@ class Lgm:
         seed: int = 0,
         progress: Progress = silent,
     ) -> Gaussians:
-        """Gaussians of the cut-out `image_rgba [H,W,4]`, the longest side 1 m.
+        """Gaussians of the cut-out `image_rgba [H,W,4]` with a longest side of 1 m.
 
-        Raises InputError if weights are missing or the picture is no cut-out, and lets Cancelled
-        pass from `progress`.
+        If `progress` raises Cancelled, that passes through.
+
+        Raises:
+            InputError: If weights are missing or the picture is not a cut-out.
         """
         image = over_white(framed(np.asarray(image_rgba)))
         self._prepare()
@@ -96,8 +98,11 @@ class Lgm:
     ) -> Gaussians:
         """Gaussians from `views [4,3,H,W]` over white in 0..1: front, then quarter turns.
 
-        The longest side is 1 m. `image [3,H,W]` is what alignment compares with; without it there
-        is none. Raises InputError if weights are missing.
+        The longest side is 1 m. Alignment compares with `image [3,H,W]`; without it nothing is
+        aligned.
+
+        Raises:
+            InputError: If weights are missing.
         """
         self._prepare_model()
         rows, views = self._reconstruct(views, progress)
@@ -145,9 +150,11 @@ class Lgm:
 def framed(image_rgba: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """The cut-out [H,W,4] in the middle of a square [S,S,4], as LGM's program makes it.
 
-    That program gets colours already multiplied by alpha and multiplies them again later, which
-    darkens soft edges; the network was used so, and it is kept. Raises InputError if there is no
-    alpha channel or nothing opaque.
+    That program receives colours already multiplied by alpha and multiplies them again later, which
+    darkens soft edges. The network was used that way, so this is kept.
+
+    Raises:
+        InputError: If there is no alpha channel or nothing is opaque.
     """
     if image_rgba.ndim != 3 or image_rgba.shape[2] != 4:
         raise InputError(
@@ -172,7 +179,7 @@ def network_input(views: Tensor) -> Tensor:
 
 
 def to_gaussians(rows: NDArray, *, opacity_min: float = OPACITY_MIN) -> Gaussians:
-    """Our Gaussians of LGM's rows [N,14]; those fainter than `opacity_min` are dropped."""
+    """Our Gaussians from LGM's rows [N,14], without those fainter than `opacity_min`."""
     rows = rows[rows[:, 3] >= opacity_min]
     return to_world(
         Gaussians.from_rgb(rows[:, 0:3], rows[:, 7:11], rows[:, 4:7], rows[:, 3], rows[:, 11:14])

@@ -21,7 +21,7 @@ from phy124.weights.store import sha256_of
 Rotations = Literal["each", "all"]
 """Over what quaternions are normalised: each Gaussian alone, or all Gaussians of an object.
 
-The first generation of the weights (before April 2024) was trained with a slip, "all", and drawn
+The first generation of the weights (before April 2024) was trained with a mistake, "all", and drawn
 without normalising again: its quaternions are tiny and mean "not rotated".
 """
 GENERATIONS: dict[str, Rotations] = {
@@ -29,7 +29,7 @@ GENERATIONS: dict[str, Rotations] = {
     "744d6324656342c64f871308e73db97f0eb51858d94329b30090e986a6d050ab": "each",  # ..._fixrot
     "186631d0736c4dd933676be5a47d492d4354f796e18526d174535b1ae96f1335": "each",  # model_fixrot
 }
-"""Public files by their sha256; shapes and names of both generations are the same."""
+"""Public files by their sha256; both generations have the same shapes and names."""
 CHANNELS = 14
 
 
@@ -61,14 +61,14 @@ OPTIONS = {
     ),
     "tiny": Option((32, 64, 128, 256, 512), _flags("00001"), (512, 256, 128), _flags("100")),
 }
-"""The four options of the original; only weights of `big` are public."""
+"""The four options of the original; only the weights of `big` are public."""
 
 
 class LgmModel(nn.Module):
     """U-Net and head; [B,4,9,H,W] -> [B,N,14], N = 4 * splat_size^2 at the input size.
 
-    The 14 numbers are position 3 (in [-1,1]^3, y up, front +z), opacity, scale 3, quaternion
-    wxyz 4, colour 3, all activated.
+    The 14 numbers are position 3 (in [-1,1]^3, y up, front +z), opacity, scale 3, quaternion wxyz
+    4, colour 3, all activated.
     """
 
     def __init__(self, option: Option, *, rotations: Rotations | None = None) -> None:
@@ -82,7 +82,7 @@ class LgmModel(nn.Module):
         self.conv = nn.Conv2d(CHANNELS, CHANNELS, 1)
 
     def forward(self, images: Tensor) -> Tensor:
-        """Gaussians of each object; the head always works in float32 or finer."""
+        """Gaussians of each object; the head always computes in float32 or better."""
         b, v, c, h, w = images.shape
         raw = self.conv(self.unet(images.reshape(b * v, c, h, w).to(self.conv.weight.dtype)))
         raw = raw.float() if raw.dtype in (torch.float16, torch.bfloat16) else raw
@@ -109,10 +109,18 @@ def load(
     device: str | torch.device = "cpu",
     dtype: torch.dtype = torch.float32,
 ) -> LgmModel:
-    """Build the network and fill it from a file or a state dict, strictly.
+    """Build the network and fill it strictly.
 
-    A file of the first generation, known by its sha256, keeps that generation's quaternions.
-    Raises InputError if the option is unknown or the tensors are not those of `option`.
+    A file of the first generation, recognised by its sha256, keeps that generation's quaternions.
+
+    Args:
+        path_or_state_dict: A file, or tensors.
+        option: Key of `OPTIONS`.
+        device: Where the network runs.
+        dtype: Its precision.
+
+    Raises:
+        InputError: If the option is unknown or the tensors do not fit it.
     """
     chosen = _option(option)
     rotations: Rotations | None = None

@@ -1,4 +1,4 @@
-"""What LGM is told of its cameras: the Pluecker coordinates of each pixel's ray."""
+"""The cameras given to LGM: Pluecker coordinates of each pixel's ray."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from phy124.generators.orbit import FOV_Y, focal, orbit
 RADIUS = 1.5
 """Distance of the four cameras from the origin."""
 AZIMUTHS = (0, 90, 180, 270)
-"""Front, and on counter-clockwise seen from above, degrees."""
+"""Azimuths of the views, degrees: the front, then counter-clockwise seen from above."""
 
 
 def pluecker(camera_to_world: NDArray, size: int, fov_y: float = FOV_Y) -> NDArray[np.float32]:

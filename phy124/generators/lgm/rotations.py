@@ -1,7 +1,8 @@
-"""What LGM's quaternions mean, where the file does not say.
+"""The meaning of LGM's quaternions, where the file does not say.
 
-Both generations of the weights have equal names and shapes. A file of unknown checksum is judged
-by what it makes: drawn into the four views it was given, the right reading fits them better.
+Both generations of the weights have the same names and shapes. A file with an unknown checksum is
+judged by its result: drawn into the four views it was given, the right interpretation fits them
+better.
 """
 
 from __future__ import annotations
@@ -15,13 +16,13 @@ from phy124.generators.splatting import orbit_view, rasterize
 
 NOT_ROTATED = (1.0, 0.0, 0.0, 0.0)
 SIDE = 128
-"""Side of the pictures compared, pixels."""
+"""Side of the pictures that are compared, pixels."""
 MARGIN = 0.98
-"""The old reading must fit better than this ratio: the present generation is the usual one."""
+"""Ratio of errors that the old interpretation must beat, since the new generation is usual."""
 
 
 def unrotated(rows: Tensor) -> Tensor:
-    """Gaussians [N,14] with all quaternions the identity: what the first generation drew."""
+    """Gaussians [N,14] with identity quaternions, as the first generation was drawn."""
     rows = rows.clone()
     rows[:, 7:11] = rows.new_tensor(NOT_ROTATED)
     return rows
@@ -42,7 +43,14 @@ def error(rows: Tensor, pictures: Tensor) -> float:
 
 @torch.no_grad()
 def draw(rows: Tensor, azimuth: float, size: int, *, elevation: float = 0.0) -> Tensor:
-    """Picture [3,S,S] over white of Gaussians [N,14] from LGM's orbit; angles in degrees."""
+    """Picture [3,S,S] over white of Gaussians seen from LGM's orbit.
+
+    Args:
+        rows: LGM's Gaussians [N,14].
+        azimuth: Degrees.
+        size: Side of the picture, pixels.
+        elevation: Degrees; positive is below the object.
+    """
     rows = rows.float()
     view = orbit_view(elevation, azimuth, RADIUS, size)
     parts = rows[:, 0:3], rows[:, 7:11], rows[:, 4:7], rows[:, 3], rows[:, 11:14]

@@ -17,7 +17,7 @@ VIEWS = 4
 HEADS = 16
 GROUPS = 32
 HALF_POWER = math.sqrt(0.5)
-"""Each sum of a branch and its shortcut is scaled by this, which keeps the variance."""
+"""Factor of each sum of a branch and its shortcut, which keeps the variance."""
 
 
 class ResnetBlock(nn.Module):
@@ -56,7 +56,7 @@ class Attention(nn.Module):
 
 
 class CrossViewAttention(nn.Module):
-    """Every pixel of the four views of an object sees every other; [B*4,C,H,W] -> the same."""
+    """Attention over all pixels of an object's four views; [B*4,C,H,W] -> the same."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()
@@ -86,7 +86,7 @@ class DownBlock(nn.Module):
         self.downsample = nn.Conv2d(outputs, outputs, 3, 2, 1) if downsample else None
 
     def forward(self, x: Tensor) -> tuple[Tensor, list[Tensor]]:
-        """Return the output and all intermediate maps, for the skips."""
+        """Return the output and all intermediate maps, which the skips use."""
         skips = []
         for i, net in enumerate(self.nets):
             x = net(x)
@@ -140,7 +140,8 @@ class UpBlock(nn.Module):
 class UNet(nn.Module):
     """[B*4,9,H,W] (colour and Pluecker ray) -> [B*4,14,h,w], h = H * 2^(ups - downs).
 
-    A map of fewer up than down blocks is smaller than its input; the first skips are then unused.
+    With fewer up than down blocks the output is smaller than the input and the first skips are
+    unused.
     """
 
     def __init__(
@@ -174,7 +175,7 @@ class UNet(nn.Module):
         self.conv_out = nn.Conv2d(channels, outputs, 3, padding=1)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Views of one object follow each other in the batch."""
+        """The views of an object follow each other in the batch."""
         x = self.conv_in(x)
         skips = [x]
         for block in self.down_blocks:

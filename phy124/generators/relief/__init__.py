@@ -1,7 +1,7 @@
-"""relief: a picture with alpha inflated into a closed shell of flat Gaussians, without weights.
+"""relief: inflates a picture with alpha into a closed shell of flat Gaussians, without weights.
 
-Not a reconstruction but an honest guess: the silhouette becomes a rounded solid (after Igarashi et
-al. 1999, "Teddy"), the front carries the picture, the back what the picture's rim suggests.
+It is a guess, not a reconstruction: the silhouette becomes a rounded solid (after Igarashi et al.
+1999, "Teddy"), the front shows the picture, and the back what the picture's rim suggests.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ from phy124.progress import Progress, silent
 
 Field = NDArray[np.float64]
 WORK = 248
-"""Longest side of the silhouette while working, pixels."""
+"""Longest side of the silhouette during the computation, pixels."""
 PADDING = 4
-"""Transparent pixels around it."""
+"""Width of the transparent border around it, pixels."""
 VIEW_DISTANCE = 2.0
 """Distance of the front camera that sees exactly the picture, in longest sides."""
 TANGENT = 0.58
 """Standard deviation along the surface, in spacings: neighbours overlap without holes."""
 BACK_REACH = 1.25
-"""The same on the back, over that on the front."""
+"""The same on the back, relative to the front."""
 NORMAL = 0.12
 """Standard deviation across the surface, in spacings: flat, so that the outline is crisp."""
 OPACITY = 0.97
 DRAWN_IN = 1.35
-"""How far below the surface the centres lie, pixels: edge-on Gaussians reach out by as much."""
+"""Depth of the centres below the surface, pixels: edge-on Gaussians extend as far outwards."""
 STAGES = 4
 
 
@@ -47,13 +47,19 @@ def relief(
     progress: Progress = silent,
     count: int = 50_000,
 ) -> Gaussians:
-    """Inflate the opaque part of a picture [H,W,4].
+    """Inflate the opaque part of a picture.
 
-    Returns about `count` Gaussians; the silhouette's longest side is 1 m, it lies about x = 0 and
-    faces +x. The same seed gives the same Gaussians.
+    The longest side of the silhouette is 1 m; the object faces +x with its middle near x = 0. Equal
+    seeds give equal Gaussians.
+
+    Args:
+        image_rgba: The picture [H,W,4].
+        seed: Of the random positions.
+        progress: Called as in `phy124.progress`.
+        count: Approximate number of Gaussians.
 
     Raises:
-        InputError: Nothing in the picture is opaque.
+        InputError: If nothing in the picture is opaque.
     """
     rng = np.random.default_rng(seed)
     progress("relief", 0, STAGES)
@@ -75,7 +81,7 @@ def relief(
 
 
 def _view(inside: NDArray[np.bool_], base: float) -> View:
-    """The front camera for the silhouette above the base."""
+    """The front camera for the part of the silhouette above the base."""
     y, x = np.nonzero(inside[: int(base) + 1])
     middle = np.array([x.min() + x.max(), y.min() + y.max(), 0.0]) / 2
     return View(middle, VIEW_DISTANCE * WORK)
@@ -100,7 +106,7 @@ def _points(
 
 
 def _work_picture(image: Image.Image | NDArray[np.uint8]) -> Field:
-    """The opaque part [H,W,4] in 0..1, its longest side `WORK` pixels, `PADDING` around it."""
+    """The opaque part [H,W,4] in 0..1, its longest side `WORK` pixels, padded by `PADDING`."""
     picture = Image.fromarray(np.asarray(image)) if not isinstance(image, Image.Image) else image
     picture = picture.convert("RGBA")
     rows, columns = np.nonzero(np.asarray(picture.getchannel("A")) > 127)
@@ -123,7 +129,7 @@ def _work_picture(image: Image.Image | NDArray[np.uint8]) -> Field:
 
 
 def _placed(points: Field, normals: Field, spacing: Field, rgb: Field) -> Gaussians:
-    """From pixels (x right, y down, z to the viewer) to metres in the world."""
+    """From pixels (x right, y down, z towards the viewer) to metres in the world."""
     # World x is towards the viewer, y to the right, z up.
     means = points[:, [2, 0, 1]] * [1, 1, -1] / WORK
     normals = normals[:, [2, 0, 1]] * [1, 1, -1]

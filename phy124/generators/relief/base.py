@@ -1,8 +1,8 @@
-"""The flat foot an object stands on.
+"""The flat foot that an object stands on.
 
-A picture shows the lowest line of an object as straight where it stands; closing it like any other
-rim would give a keel. So the silhouette is inflated together with its mirror image below that
-line, as if it went on, and then cut off flat.
+Where an object stands, its lowest line in the picture is straight; closing the solid there like at
+any other rim would give it a keel. So the silhouette is inflated together with its mirror image
+below that line, as if it continued, and then cut off flat.
 """
 
 from __future__ import annotations
@@ -16,17 +16,18 @@ from phy124.generators.relief.surface import Surface
 
 Field = NDArray[np.float64]
 REFLECTED = 0.25
-"""Height of the mirror image, in picture heights: the inflation above forgets what lies beyond."""
+"""Height of the mirror image, in picture heights; farther away it no longer affects the object."""
 FLAT = 0.2
-"""Share of the width that the lowest line needs; a ball has 0.12 of it within a pixel."""
+"""Share of the width that a flat lowest line must have; a ball has 0.12 within a pixel."""
 WIDEST = 0.02
-"""How much wider the back may be than the silhouette, as a share."""
+"""How much wider than the silhouette the back may be, as a share."""
 
 
 def reflected(rgba: Field, padding: int) -> tuple[Field, float]:
     """The picture [H,W,4] with its mirror image below, and the y of the line between, pixels.
 
-    Where the object does not end in a flat line the picture stays as it is, the line below it.
+    If the object does not end in a flat line, the picture stays unchanged and the line lies below
+    it.
     """
     solid = rgba[..., 3] > 0.5
     last = int(np.flatnonzero(solid.any(axis=1))[-1])
@@ -41,19 +42,19 @@ def reflected(rgba: Field, padding: int) -> tuple[Field, float]:
 
 @dataclass(frozen=True)
 class View:
-    """How the front camera draws the front in, so that it sees each point over its pixel.
+    """How the front camera contracts the front, so that it sees each point over its pixel.
 
-    x' = x k(z), y' = y k(z) about the middle, with k = 1 - z / distance; behind the rim k levels
+    x' = x k(z), y' = y k(z) around the middle, with k = 1 - z / distance. Behind the rim k levels
     off at once, so that the back is hardly wider and there is no edge at z = 0.
     """
 
     middle: Field
-    """Pixel the camera looks at [3], z = 0."""
+    """Pixel that the camera looks at [3], z = 0."""
     distance: float
     """Distance of the camera, pixels."""
 
     def k(self, z: Field) -> Field:
-        """Scale at depth z."""
+        """Scale factor at depth z."""
         behind = 1 + WIDEST * (1 - np.exp(np.minimum(z, 0) / (self.distance * WIDEST)))
         return np.where(z > 0, 1 - z / self.distance, behind)
 
@@ -62,7 +63,7 @@ class View:
         return -np.exp(np.minimum(z, 0) / (self.distance * WIDEST)) / self.distance
 
     def drawn(self, points: Field, normals: Field) -> tuple[Field, Field]:
-        """Points [N,3] relative to the middle and unit normals, both drawn in."""
+        """Points [N,3] relative to the middle, and unit normals, both contracted."""
         flat, z = (points - self.middle)[:, :2], points[:, 2:]
         k, slope = self.k(z), self.slope(z)
         across = normals[:, :2] / k
@@ -72,16 +73,25 @@ class View:
         return np.concatenate([flat * k, z], axis=1), turned
 
     def undrawn(self, points: Field) -> Field:
-        """The pixels [N,3] of drawn points [N,3]."""
+        """The pixels [N,3] of contracted points [N,3]."""
         flat, z = points[:, :2], points[:, 2:]
         return np.concatenate([flat / self.k(z), z], axis=1) + self.middle
 
 
 def foot(surface: Surface, view: View, base: float, pitch: float) -> tuple[Field, Field, float]:
-    """The flat underside: points [M,3], normals [M,3] in pixels, and its drawn y.
+    """The flat underside, at the height where the line meets the thickest part of the front.
 
-    It lies where the line meets the thickest part of the front, so that the front camera sees its
-    edge on the line; everything drawn lower is to be cut off.
+    The front camera thus sees its edge on the line; everything contracted to below it is to be cut
+    off.
+
+    Args:
+        surface: The inflated solid.
+        view: The front camera.
+        base: y of the line, pixels.
+        pitch: Spacing of the points, pixels.
+
+    Returns:
+        Points [M,3], normals [M,3] and the contracted y of the foot, pixels.
     """
     row = surface.w[min(int(base), len(surface.w) - 1)]
     thick = float(np.sqrt(max(row.max(), 0.0)))

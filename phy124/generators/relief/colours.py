@@ -1,4 +1,4 @@
-"""Colours of the inflated object: the picture in front, what its rim suggests behind."""
+"""Colours of the inflated object: the picture in front, what its rim suggests on the back."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ FRINGE = 2.0
 
 
 def clean_picture(rgba: Field) -> Field:
-    """Colours [H,W,3] without what shone through half transparent edge pixels.
+    """Colours [H,W,3] without the background that shines through half-transparent edge pixels.
 
-    Those and everything outside take the colour of the nearest opaque pixel.
+    Those pixels, and everything outside, take the colour of the nearest opaque pixel.
     """
     solid = rgba[..., 3] > 0.5
     clean = nearest_of(rgba[..., 3] <= 0.95)[0] > FRINGE
@@ -33,8 +33,8 @@ def clean_picture(rgba: Field) -> Field:
 def back_picture(picture: Field, silhouette: Silhouette, size: int) -> Field:
     """Colours of the back [H,W,3]: those just inside the rim, continued by Laplace's equation.
 
-    So nothing that lies within the silhouette (eyes, a beak) shows on the back a second time, and
-    small features of the rim fade within their own size.
+    So nothing inside the silhouette (eyes, a beak) appears a second time on the back, and small
+    features of the rim fade within their own size.
     """
     depth, _ = nearest_of(~silhouette.inside)
     ridge = ndi.maximum_filter(depth, size=2 * int(INSET * size) + 1)
@@ -45,7 +45,14 @@ def back_picture(picture: Field, silhouette: Silhouette, size: int) -> Field:
 
 
 def colour(points: Field, normals: Field, front: Field, back: Field) -> Field:
-    """Colours [N,3] of surface points: the front picture fading into the back past the rim."""
+    """Colours [N,3] of surface points: the front picture, fading into the back beyond the rim.
+
+    Args:
+        points: Positions [N,3], pixels.
+        normals: Outward unit normals [N,3].
+        front: Colours of the front [H,W,3].
+        back: Colours of the back [H,W,3].
+    """
     place = points[:, 1::-1].T
     pictures = [
         np.stack([ndi.map_coordinates(p[..., c], place, order=1, mode="nearest") for c in range(3)])

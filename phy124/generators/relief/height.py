@@ -1,9 +1,9 @@
 """Inflation: how thick the object is behind each pixel of its silhouette.
 
-The half thickness h comes from h^2 = u, -Laplace(u) = 4 within the silhouette, u = 0 on its rim
-(a disc becomes a ball), corrected to the thickness of the largest balls that fit inside, so that
-a stalk is as deep as it is wide and does not swell. Working with h^2 keeps everything smooth: it
-crosses zero at a constant slope where h itself is infinitely steep.
+The half thickness h follows from h^2 = u, -Laplace(u) = 4 within the silhouette, u = 0 on its rim
+(a disc becomes a ball). It is then corrected to the thickness of the largest balls that fit inside,
+so that a stalk is as deep as it is wide and does not swell. Working with h^2 keeps everything
+smooth: it crosses zero at a constant slope, where h itself is infinitely steep.
 """
 
 from __future__ import annotations
@@ -19,27 +19,27 @@ from numpy.typing import NDArray
 Field = NDArray[np.float64]
 NEIGHBOURS = ((0, 1), (0, -1), (1, 0), (-1, 0))
 THETA_MIN = 0.1
-"""Shortest rim distance used, pixels; keeps the matrix well conditioned."""
+"""Smallest rim distance used, pixels; keeps the matrix well conditioned."""
 DEPTH = 0.9
-"""Thickness over width of a small round part."""
+"""Ratio of thickness to width of a small round part."""
 FLATTEN = 0.42
-"""Half thickness, in picture sizes, at which large parts begin to flatten."""
+"""Half thickness, in picture sizes, from which parts become flatter."""
 SMOOTHING = 0.02
-"""Width of the smoothing of the correction, in picture sizes."""
+"""Width over which the correction is smoothed, in picture sizes."""
 
 
 @dataclass(frozen=True, eq=False)
 class Silhouette:
-    """A Laplace operator on the pixels inside, its rim placed within pixels by the alpha.
+    """A Laplace operator on the pixels inside, whose rim is located within pixels by the alpha.
 
-    The rim is where alpha is one half. A neighbour outside at rim distance theta counts 1/theta,
-    the symmetric second-order scheme of Gibou et al. 2002.
+    The rim is where alpha is one half. A neighbour outside at rim distance theta has weight
+    1/theta, the symmetric second-order scheme of Gibou et al. 2002.
     """
 
     inside: NDArray[np.bool_]
-    """Pixels whose centre is within [H,W]."""
+    """Pixels whose centre is inside [H,W]."""
     weights: Field
-    """Weight 1/theta of the rim towards each neighbour [4,H,W]; 0 where that is inside."""
+    """Weight 1/theta of the rim towards each neighbour [4,H,W]; 0 where that one is inside."""
     factors: spl.SuperLU
 
     @classmethod
@@ -56,7 +56,7 @@ class Silhouette:
         return u
 
     def harmonic(self, values: Field) -> Field:
-        """Continue `values` [H,W,C] of the pixels around the rim smoothly over the inside."""
+        """Continue `values` [H,W,C] of the pixels around the rim smoothly into the inside."""
         known = np.zeros_like(values)
         for weight, (dy, dx) in zip(self.weights, NEIGHBOURS, strict=True):
             known += weight[..., None] * np.roll(values, (-dy, -dx), (0, 1))
@@ -65,7 +65,7 @@ class Silhouette:
         return filled
 
     def extended(self, u: Field) -> Field:
-        """`u` continued linearly across the rim: negative outside, further out the lower."""
+        """`u` continued linearly across the rim: negative outside, lower farther out."""
         total, count = np.zeros_like(u), np.zeros_like(u)
         for weight, (dy, dx) in zip(self.weights, NEIGHBOURS, strict=True):
             mirrored = -u * np.maximum(weight - 1, 0.02)
@@ -79,7 +79,7 @@ class Silhouette:
 
 
 def squared_half_thickness(silhouette: Silhouette, size: int) -> Field:
-    """h^2 [H,W] in pixels^2, negative outside; the object is `size` pixels large."""
+    """h^2 [H,W], pixels^2, negative outside; the object is `size` pixels large."""
     u = silhouette.poisson(4.0)
     ratio = np.clip(_balls(silhouette.inside) / np.maximum(u, 1e-9), 0.3, 1.2)
     round_ = u * _smooth_within(ratio, silhouette.inside, max(1.0, SMOOTHING * size))
@@ -87,7 +87,7 @@ def squared_half_thickness(silhouette: Silhouette, size: int) -> Field:
 
 
 def nearest_of(wanted: NDArray[np.bool_]) -> tuple[Field, tuple[NDArray, NDArray]]:
-    """Distance from each pixel to the nearest wanted one, pixels, and where that is."""
+    """Distance from each pixel to the nearest wanted one, pixels, and where that one is."""
     distance, (y, x) = ndi.distance_transform_edt(~wanted, return_indices=True)  # pyright: ignore
     return distance, (y, x)
 
@@ -95,8 +95,8 @@ def nearest_of(wanted: NDArray[np.bool_]) -> tuple[Field, tuple[NDArray, NDArray
 def _balls(inside: NDArray[np.bool_]) -> Field:
     """Squared half thickness of the union of all balls that fit behind the silhouette.
 
-    That is max over centres m of D(m)^2 - |x - m|^2, D the distance to the rim: a separable
-    upper envelope of parabolas.
+    It is the maximum over centres m of D(m)^2 - |x - m|^2, with D the distance to the rim: a
+    separable upper envelope of parabolas.
     """
     # From the pixel's centre to the rim between it and the next pixel outside.
     squares = np.where(inside, (nearest_of(~inside)[0] - 0.5) ** 2, 0.0)
@@ -108,7 +108,7 @@ def _balls(inside: NDArray[np.bool_]) -> Field:
 
 
 def _smooth_within(values: Field, inside: NDArray[np.bool_], width: float) -> Field:
-    """Gaussian smoothing that looks only at pixels inside."""
+    """Gaussian smoothing restricted to the pixels inside."""
     share = ndi.gaussian_filter(inside.astype(np.float64), width)
     smooth = ndi.gaussian_filter(np.where(inside, values, 0.0), width)
     return np.where(inside, smooth / np.maximum(share, 1e-9), 0.0)

@@ -1,4 +1,4 @@
-"""The closed surface z^2 = w(x, y) and points spread evenly over it.
+"""The closed surface z^2 = w(x, y), and points spread evenly over it.
 
 Coordinates are pixels: x right, y down, z towards the viewer. As an implicit surface it has no
 seam: the rim is as regular as any other place.
@@ -16,11 +16,11 @@ from scipy.spatial import KDTree
 
 Field = NDArray[np.float64]
 BACK_PITCH = 1.5
-"""Spacing of points on the back, over that on the front: its colours are smooth."""
+"""Spacing of points on the back relative to the front; its colours are smooth."""
 OVERHANG = 5.0
-"""How far below the base points go on while they are spread, pixels."""
+"""How far below the base points continue while they are spread, pixels."""
 ROUNDS = 6
-"""Relaxation rounds; the spacing is even to about 10 % after five."""
+"""Number of relaxation rounds; the spacing is even to about 10 % after five."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,19 +53,19 @@ class Surface:
         return -gradient / np.maximum(np.linalg.norm(gradient, axis=1, keepdims=True), 1e-12)
 
     def section(self, y: float) -> float:
-        """Area of the horizontal cut through the object at y, pixels^2."""
+        """Area of the horizontal cross-section of the object at y, pixels^2."""
         row = self.w[min(int(y), len(self.w) - 1)]
         return float(2 * np.sqrt(np.maximum(row, 0)).sum())
 
     def inset(self, points: Field, depth: float) -> Field:
-        """`depth`, but no more than a third of the local radius [N,1], pixels."""
+        """`depth`, limited to a third of the local radius [N,1], pixels."""
         _, gradient = self.gradient(points)
         # On a ball F = r^2 - |x|^2, whose gradient is twice the radius.
         radius = 0.5 * np.linalg.norm(gradient, axis=1, keepdims=True)
         return np.minimum(depth, radius / 3)
 
     def project(self, points: Field, rounds: int = 2) -> Field:
-        """Points moved onto the surface by Newton steps, each of one pixel at most."""
+        """Points moved onto the surface by Newton steps of at most one pixel each."""
         for _ in range(rounds):
             value, gradient = self.gradient(points)
             step = -(value / np.maximum((gradient**2).sum(axis=1), 1e-9))[:, None] * gradient
@@ -75,7 +75,7 @@ class Surface:
 
 
 def pitch_factor(normals: Field) -> Field:
-    """Wanted spacing over that of the front [N]: 1 where seen from the front, then wider."""
+    """Wanted spacing relative to the front [N]: 1 where visible from the front, wider elsewhere."""
     return np.interp(-normals[:, 2], [0.0, 0.5], [1.0, BACK_PITCH])
 
 
@@ -86,11 +86,18 @@ def spread(
     rng: np.random.Generator,
     alive: Callable[[], None] = lambda: None,
 ) -> tuple[Field, Field, Field, float]:
-    """Points spread evenly over the part above y = base, so dense that foot and walls get `count`.
+    """Points spread evenly over the part above y = base.
 
-    Returns positions [N,3], unit normals [N,3], spacing [N] and the front's spacing, pixels; a few
-    points lie below the base, where the caller cuts. `alive` is called between rounds and may
-    raise.
+    Args:
+        surface: The surface.
+        base: y of the line on which the object stands, pixels.
+        count: Number of points that walls and foot together get, approximately.
+        rng: Random numbers.
+        alive: Called between rounds; may raise.
+
+    Returns:
+        Positions [N,3], unit normals [N,3], spacing [N] and the front's spacing, pixels. A few
+            points lie below the base, where the caller cuts.
     """
     trial = _scatter(surface, 1.0, rng)
     walls = np.count_nonzero(trial[:, 1] < base)
@@ -108,8 +115,8 @@ def spread(
 def _scatter(surface: Surface, pitch: float, rng: np.random.Generator) -> Field:
     """Random points, on average one per pitch^2 of the front's area.
 
-    One candidate in every cube that the surface passes through, then thinned: a plane of normal n
-    passes through |nx| + |ny| + |nz| cubes per square.
+    One candidate in every cube that the surface passes through is then thinned out, since a plane
+    of normal n passes through |nx| + |ny| + |nz| cubes per square.
     """
     corner, low, high = _columns(surface.w, pitch)
     first, last = np.floor(low / pitch).astype(int), np.floor(high / pitch).astype(int)

@@ -1,7 +1,7 @@
-"""Foreground by U2-Net: a mask of the salient object, by the original's or rembg's arithmetic.
+"""Foreground by U2-Net: a mask of the salient object, computed as the original or rembg does.
 
-Qin et al. 2020. Weights are a .onnx file (run by onnxruntime) or a .pth file (run by our own torch
-module); either is imported only when used.
+Qin et al. 2020. The weights are a .onnx file (run by onnxruntime) or a .pth file (run by our own
+torch module); either library is imported only when used.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 Network = Callable[[NDArray[np.float32]], NDArray[np.float32]]
 """Normalised picture [1,3,320,320] -> saliency [1,1,320,320] in 0..1."""
 Style = Literal["rembg", "original"]
-"""Whose resampling: rembg's Lanczos (the usual one), or the authors' bilinear."""
+"""Whose resampling is used: rembg's Lanczos (the default) or the authors' bilinear."""
 
 
 def weights_file(folder: str | os.PathLike[str] | None = None) -> Path | None:
-    """The best U2-Net file that is found (full before small, .onnx before .pth), or None."""
+    """The best U2-Net file found (full before small, .onnx before .pth), or None."""
     for name in ("u2net", "u2netp"):
         (onnx,) = KNOWN[name]
         pth = WeightFile(onnx.repo, f"{name}.pth", onnx.licence)
@@ -50,9 +50,10 @@ def available(image: Image.Image | None = None) -> bool:
 
 
 def alpha(image: Image.Image, deadline: isolated.Deadline = isolated.PATIENT) -> NDArray[np.uint8]:
-    """Mask [H,W], 0..255, of the salient object in a picture, by the weights that are found.
+    """Mask [H,W], 0..255, of the salient object in a picture, using the weights that are found.
 
-    Raises InputError if there are none, or their library is not installed.
+    Raises:
+        InputError: If there are no weights, or their library is not installed.
     """
     # `require` says where it was looked for and how to get it.
     path = weights_file() or require("u2net")["u2net.onnx"]
@@ -70,7 +71,8 @@ def _library(path: Path) -> str:
 def load(path: str | os.PathLike[str]) -> Network:
     """A network from a .onnx, .pth or .safetensors file.
 
-    Raises InputError if the file is unreadable, not a U2-Net, or its library is not installed.
+    Raises:
+        InputError: If the file is unreadable or not a U2-Net, or its library is not installed.
     """
     path = Path(path)
     try:
@@ -101,7 +103,8 @@ def rembg_input(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
 def original_input(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
     """[1,3,320,320] as the authors' program makes it: bilinear, blurred before shrinking.
 
-    Outside the picture it is black, as there: edge pixels are darkened a little.
+    As there, everything outside the picture is black, which darkens the pixels at its edges a
+    little.
     """
     from scipy.ndimage import gaussian_filter, zoom
 
@@ -146,7 +149,7 @@ STYLES = {
 
 
 def smoothed(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """A hard mask, 0 or 255, without specks: rembg's `post_process_mask`."""
+    """A hard mask, 0 or 255, with specks removed: rembg's `post_process_mask`."""
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (3, 3))
     opened = cv2.morphologyEx(mask, cv2.MORPH_OPEN, disc)
     blurred = cv2.GaussianBlur(opened, (7, 7), 2)
@@ -154,9 +157,9 @@ def smoothed(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def cut_out(image: NDArray[np.uint8], mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """[H,W,4] of `image [H,W,3 or 4]`, all channels multiplied by the mask, as rembg gives it.
+    """[H,W,4] of `image [H,W,3 or 4]` with all channels multiplied by the mask, as rembg gives it.
 
-    LGM was fed such pictures and multiplies once more, which darkens soft edges.
+    LGM was used with such pictures and multiplies once more, which darkens soft edges.
     """
     picture = Image.fromarray(image).convert("RGBA")
     clear = Image.new("RGBA", picture.size, 0)

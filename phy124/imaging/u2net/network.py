@@ -18,7 +18,7 @@ SIDES = 6
 
 
 class ConvBnRelu(nn.Module):
-    """3x3 convolution, batch normalisation, ReLU; the size stays."""
+    """3x3 convolution, batch normalisation, ReLU; the size is kept."""
 
     def __init__(self, inputs: int, outputs: int, dilation: int = 1) -> None:
         super().__init__()
@@ -39,9 +39,10 @@ def _resized(x: Tensor, like: Tensor) -> Tensor:
 
 
 class ResidualU(nn.Module):
-    """RSU-L: `levels` convolutions down, as many less one up, added to the input's convolution.
+    """RSU-L: `levels` convolutions down, one fewer up, added to the convolution of the input.
 
-    With `dilated` the size stays and dilations 1, 2, 4, 8 widen the view instead (RSU-4F).
+    With `dilated` the size is kept, and dilations 1, 2, 4, 8 widen the receptive field instead
+    (RSU-4F).
     """
 
     def __init__(
@@ -107,7 +108,7 @@ LEVELS = (7, 6, 5, 4, 4, 4)
 class U2Net(nn.Module):
     """Normalised pictures [B,3,H,W] -> saliency maps (d0, ..., d6), each [B,1,H,W] in 0..1.
 
-    d0 is the answer, the others are the side outputs it was joined from.
+    d0 is the result; the others are the side outputs it is fused from.
     """
 
     def __init__(self, widths: Widths) -> None:
@@ -122,7 +123,7 @@ class U2Net(nn.Module):
         self.outconv = nn.Conv2d(SIDES, 1, 1)
 
     def forward(self, x: Tensor) -> tuple[Tensor, ...]:
-        """The size may be odd."""
+        """Height and width may be odd."""
         skips = []
         for i in range(1, 7):
             x = self.get_submodule(f"stage{i}")(x if i == 1 else _pool(x))
@@ -144,7 +145,8 @@ class U2Net(nn.Module):
 def load(tensors: StateDict) -> U2Net:
     """The network these tensors belong to, filled strictly: U2-Net or the small U2-NetP.
 
-    Raises InputError if they belong to neither.
+    Raises:
+        InputError: If they belong to neither.
     """
     middle = tensors.get("stage1.rebnconv1.conv_s1.weight")
     small = middle is not None and middle.shape[0] == WIDTHS["u2netp"].down[0][1]

@@ -1,6 +1,6 @@
-"""Take a clip elsewhere: one file per format.
+"""Writes a clip for other programs, one module per format.
 
-`write_ply_sequence` for splat editors and viewers, `write_usd` for film and game tools.
+`write_ply_sequence` serves splat editors and viewers, `write_usd` film and game tools.
 """
 
 from phy124.io.export.ply_sequence import write_ply_sequence

@@ -34,18 +34,23 @@ from phy124.io.files import replacing
 from phy124.rendering.camera import Camera
 
 VIEWER = Path(__file__).parents[1] / "viewer"
-"""Where the player's scripts lie; the page serves them from there, too."""
+"""Folder of the player's scripts; the web page serves them from here too."""
 SCRIPTS = ("vendor/playcanvas.min.js", "pack.js", "player.js")
 STYLE = "player.css"
 LICENCE = "vendor/LICENSE-playcanvas.txt"
 TALLEST = 4.0
-"""Scales may shrink and grow by exp(4) = 55 times; more is clipped."""
+"""Log of the largest change of scale that is stored: exp(4) = 55 times; more is clipped."""
 PERCENTILES = (1, 99)
-"""Ends of the colour ramp of stretch: single Gaussians must not set it."""
+"""Ends of the colour ramp of stretch, as percentiles, so that single Gaussians do not set it."""
 
 
 def pack(clip: Clip, camera: Camera, *, background: tuple[float, ...] = (1.0, 1.0, 1.0)) -> bytes:
-    """The clip as the player reads it, seen from `camera` (its size does not matter) at first.
+    """The clip in the form the player reads.
+
+    Args:
+        clip: What to pack.
+        camera: The first view; its picture size does not matter.
+        background: Colour behind the Gaussians, 0..1.
 
     Raises:
         InputError: If the clip is empty.
@@ -90,11 +95,18 @@ def write_html(
     background: tuple[float, ...] = (1.0, 1.0, 1.0),
     viewer: Path = VIEWER,
 ) -> None:
-    """Write one file that any browser with WebGL 2 plays without a network.
+    """Write one HTML file that plays in any browser with WebGL 2, without a network.
+
+    Args:
+        path: Where to write it.
+        clip: What to show.
+        camera: The first view.
+        title: Title of the page.
+        background: Colour behind the Gaussians, 0..1.
+        viewer: Folder of the player's scripts.
 
     Raises:
-        InputError: If the clip is empty, the player is not installed or the place cannot be
-            written.
+        InputError: If the clip is empty, the player is not installed or the file cannot be written.
     """
     parts = {name: _asset(viewer / name) for name in (*SCRIPTS, STYLE, LICENCE)}
     data = base64.b64encode(pack(clip, camera, background=background)).decode()
@@ -144,7 +156,7 @@ def _asset(path: Path) -> str:
 
 
 def _view(camera: Camera) -> dict[str, Any]:
-    """A camera as an orbit about its target [degrees, m]."""
+    """A camera as an orbit around its target [degrees, m]."""
     away = np.subtract(camera.eye, camera.target)
     radius = float(np.linalg.norm(away))
     return {
@@ -162,24 +174,24 @@ def _colours(clip: Clip) -> NDArray[np.uint8]:
 
 
 def _centres(means: NDArray, low: NDArray, high: NDArray) -> NDArray[np.uint16]:
-    """Positions [T,3,N] in 65536 steps of the box, differences in time."""
+    """Positions [T,3,N] quantised to 65536 steps of the box, as differences in time."""
     width = np.maximum(high - low, 1e-12)
     steps = np.rint((means - low) / width * 65535).astype("<u2")
     return _differences(_planar(steps))
 
 
 def _split(values: NDArray[np.uint16]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Low bytes and high bytes."""
+    """The low bytes, then the high bytes."""
     return (values & 255).astype(np.uint8), (values >> 8).astype(np.uint8)
 
 
 def _planar(values: NDArray) -> NDArray:
-    """[T,N,C] to [T,C,N]."""
+    """Reorder [T,N,C] to [T,C,N]."""
     return np.ascontiguousarray(values.transpose(0, 2, 1))
 
 
 def _differences(values: NDArray) -> NDArray:
-    """Each frame less the one before, in the arithmetic of its type."""
+    """Each frame minus the one before, in the wrapping arithmetic of its type."""
     out = values.copy()
     out[1:] -= values[:-1]
     return out
@@ -190,13 +202,13 @@ def _quantized(values: NDArray, low: float, high: float) -> NDArray[np.uint8]:
 
 
 def _reach(ratios: NDArray) -> list[float]:
-    """Smallest and greatest log ratio that is kept apart."""
+    """Smallest and largest log ratio that can be stored."""
     least, most = float(ratios.min()), float(ratios.max())
     return [max(least, -TALLEST), min(most, TALLEST)]
 
 
 def _speeds(clip: Clip) -> NDArray:
-    """Speeds [T,N], m/s: the clip's own, else from its positions."""
+    """Speeds [T,N], m/s, from the clip's velocities if it has them, else from its positions."""
     if clip.velocities is not None:
         return np.linalg.norm(clip.velocities, axis=2)
     if len(clip) < 2:
@@ -205,7 +217,7 @@ def _speeds(clip: Clip) -> NDArray:
 
 
 def _stretches(scales: NDArray) -> list[float]:
-    """Ends of the ramp of longest axis over longest axis at rest, 1 in the middle."""
+    """Ends of the colour ramp: longest axis over longest axis at rest, with 1 in the middle."""
     longest = scales.max(axis=2)
     low, high = np.percentile(longest / np.maximum(longest[0], 1e-9), PERCENTILES).tolist()
     half = max(1 - low, high - 1, 0.01)

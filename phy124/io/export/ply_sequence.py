@@ -1,7 +1,8 @@
 """A sequence of 3DGS PLY files, one per frame.
 
-SuperSplat plays files named alike with a running number (`name_0001.ply`, ...) dropped into it
-together, and brush plays a zip of them. `phy124.io.ply` turns the axes to that world's y down.
+SuperSplat plays files whose names differ only by a running number (`name_0001.ply`, ...) when they
+are dropped into it together; brush plays a zip of them. `phy124.io.ply` converts the axes to the
+y-down world of these programs.
 """
 
 from __future__ import annotations
@@ -25,17 +26,17 @@ def write_ply_sequence(
 ) -> list[str]:
     """Write one PLY per frame, numbered from 1, and return the file names.
 
-    Folder or archive appear whole or not at all.
+    The folder or archive appears whole or not at all.
 
     Args:
-        path: A new or empty folder; or, ending in .zip, one archive (stored, not compressed:
-            floats hardly shrink).
+        path: A new or empty folder, or a name ending in .zip for one archive (stored, not
+            compressed, since floats hardly shrink).
         clip: What to write.
         name: What the file names start with.
         progress: Called as ("export", frames done, frames in all).
 
     Raises:
-        InputError: If the clip is empty, the name is unusable or the place cannot be written.
+        InputError: If the clip is empty, the name is unusable or the files cannot be written.
     """
     path = Path(path)
     if not len(clip):
@@ -59,7 +60,7 @@ def write_ply_sequence(
 
 
 def _numbered(folder: Path, clip: Clip, name: str, progress: Progress) -> Iterator[Path]:
-    """Write the frames one by one, giving out each file once it is there."""
+    """Write the frames one by one and yield each file once it is complete."""
     # As many digits for all: players sort the names as text.
     digits = max(4, len(str(len(clip))))
     for done, frame in enumerate(clip.frames(), 1):
@@ -71,7 +72,7 @@ def _numbered(folder: Path, clip: Clip, name: str, progress: Progress) -> Iterat
 
 @contextmanager
 def _new_folder(path: Path) -> Iterator[Path]:
-    """A temporary folder that becomes `path` when all went well."""
+    """A temporary folder that becomes `path` if all goes well."""
     try:
         if path.exists() and any(path.iterdir()):
             # Older frames would play among the new ones.

@@ -1,6 +1,6 @@
 """OpenUSD: the whole clip as one animated prim, ParticleField3DGaussianSplat (OpenUSD 26.03).
 
-The only open format that keeps moving Gaussians in a single file. Units and axes are the
+It is the only open format that keeps moving Gaussians in a single file. Units and axes are the
 project's own (metres, z up), which USD declares in its header; opacities and scales are linear.
 """
 
@@ -23,18 +23,18 @@ from phy124.runtime.installation import install_command
 ENDINGS = (".usdc", ".usda", ".usd")
 SCHEMA = "ParticleField3DGaussianSplat"
 REACH = 3.0
-"""Standard deviations of a Gaussian that its prim's extent has room for."""
+"""Extent of a Gaussian in the prim's bounding box, in standard deviations."""
 
 
 def write_usd(path: str | os.PathLike[str], clip: Clip, *, progress: Progress = silent) -> None:
     """Write a clip as .usdc (binary), .usda (text) or .usd; needs the extra `usd`.
 
-    Positions, orientations, scales and, where they turn with the material, harmonics are sampled
-    in time; a time code is a frame. The file appears whole or not at all.
+    Positions, orientations, scales and, where they rotate with the material, spherical harmonics
+    are sampled in time; one time code is one frame. The file appears whole or not at all.
 
     Raises:
-        InputError: If usd-core is not installed or too old, the clip is empty, or the place
-            cannot be written.
+        InputError: If usd-core is not installed or too old, the clip is empty, or the file cannot
+            be written.
     """
     pxr = _pxr()
     if Path(path).suffix.lower() not in ENDINGS:
@@ -71,7 +71,7 @@ def _pxr() -> Any:
 
 
 def _stage(pxr: Any, path: Path, clip: Clip) -> tuple[Any, Any]:
-    """A new stage with all that does not change in time, and its prim of splats."""
+    """A new stage with everything that does not change in time, and its prim of splats."""
     stage = pxr.Usd.Stage.CreateNew(os.fspath(path))
     pxr.UsdGeom.SetStageUpAxis(stage, pxr.UsdGeom.Tokens.z)
     pxr.UsdGeom.SetStageMetersPerUnit(stage, 1.0)
@@ -87,7 +87,7 @@ def _stage(pxr: Any, path: Path, clip: Clip) -> tuple[Any, Any]:
 
 
 def _sample(pxr: Any, splats: Any, gaussians: Gaussians, code: Any) -> None:
-    """Set what moves at one time code."""
+    """Set everything that moves, at one time code."""
     vectors = pxr.Vt.Vec3fArray.FromNumpy
     # In memory USD quaternions are (x, y, z, w).
     quats = np.ascontiguousarray(np.roll(gaussians.quats, -1, axis=1))
@@ -101,7 +101,7 @@ def _sample(pxr: Any, splats: Any, gaussians: Gaussians, code: Any) -> None:
 
 
 def _colour(pxr: Any, splats: Any, gaussians: Gaussians, code: Any) -> None:
-    """Set the harmonics at a time code, or for all times."""
+    """Set the spherical harmonics at one time code, or for all times."""
     flat = pxr.Vt.Vec3fArray.FromNumpy(gaussians.sh.reshape(-1, 3))
     attribute = splats.CreateRadianceSphericalHarmonicsCoefficientsAttr()
     attribute.Set(flat) if code is None else attribute.Set(flat, code)

@@ -1,6 +1,6 @@
-"""What tells DreamGaussian how unseen sides should look: score distillation by a diffusion model.
+"""Guidance for DreamGaussian: how unseen sides should look, by score distillation.
 
-Poole et al. 2023, "DreamFusion": pictures are noised, the model predicts the noise, and the
+Poole et al. 2023, "DreamFusion": pictures are noised, a diffusion model predicts the noise, and the
 difference is the gradient. A guidance is any callable of the shape of `Guidance`.
 """
 
@@ -15,7 +15,7 @@ from torch import Tensor
 STEPS = 1000
 T_MIN, T_MAX = 20, 980
 BETAS = (0.00085, 0.012)
-"""First and last beta of Stable Diffusion's schedule, linear in the square root."""
+"""First and last beta of Stable Diffusion's schedule, which is linear in the square root."""
 
 
 class Pose(NamedTuple):
@@ -29,7 +29,7 @@ class Pose(NamedTuple):
 
 
 class Guidance(Protocol):
-    """Judges pictures; `views` is how many it wants at once, in quarter turns if four."""
+    """Judges pictures. `views` is the number it takes at once; four are a quarter turn apart."""
 
     views: int
 
@@ -38,33 +38,43 @@ class Guidance(Protocol):
     ) -> Tensor:
         """Loss (a scalar) of `images [B,3,S,S]` in 0..1 seen from `poses`.
 
-        `ratio` in 0..1 is how far the optimisation is: less noise towards the end.
+        Args:
+            images: The pictures.
+            poses: Where they were taken from.
+            ratio: Progress of the optimisation, 0..1; there is less noise towards the end.
+            draw: Source of normal samples.
         """
         ...
 
 
 def timestep(ratio: float) -> int:
-    """Noise level of the guidance when the optimisation is at `ratio`."""
+    """Noise level of the guidance when the optimisation is at `ratio`, 0..1."""
     return min(max(round((1 - ratio) * STEPS), T_MIN), T_MAX)
 
 
 def alphas_cumprod() -> Tensor:
-    """Share of the picture left at each of the 1000 noise levels, float64 [1000]."""
+    """Share of the picture that remains at each of the 1000 noise levels, float64 [1000]."""
     first, last = (beta**0.5 for beta in BETAS)
     betas = torch.linspace(first, last, STEPS, dtype=torch.float64) ** 2
     return torch.cumprod(1 - betas, dim=0)
 
 
 def noised(latents: Tensor, noise: Tensor, level: int) -> Tensor:
-    """Latents with noise of a level, keeping unit variance."""
+    """Latents with noise of a level added, keeping unit variance."""
     alpha = float(alphas_cumprod()[level])
     return alpha**0.5 * latents + (1 - alpha) ** 0.5 * noise
 
 
 def sds(latents: Tensor, predicted: Tensor, noise: Tensor, weight: float) -> Tensor:
-    """Loss whose gradient by the latents is `weight * (predicted - noise)`; a scalar.
+    """Scalar loss whose gradient by the latents is `weight * (predicted - noise)`.
 
     .5 |z - stopgrad(z - w (eps - n))|^2, as DreamGaussian writes it, so that it has a value.
+
+    Args:
+        latents: What is optimised.
+        predicted: Noise that the model predicts.
+        noise: Noise that was added.
+        weight: Weight of the gradient.
     """
     gradient = torch.nan_to_num(weight * (predicted - noise))
     target = (latents - gradient).detach()

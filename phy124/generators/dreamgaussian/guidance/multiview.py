@@ -1,6 +1,6 @@
-"""Guidance by ImageDream: four views in quarter turns judged together.
+"""Guidance by ImageDream: four views a quarter turn apart, judged together.
 
-Wang & Shi 2023, "ImageDream". As in DreamGaussian the noise difference is not weighted and the
+Wang & Shi 2023, "ImageDream". As in DreamGaussian the noise difference is not weighted, and the
 loss is divided by the number of views.
 """
 

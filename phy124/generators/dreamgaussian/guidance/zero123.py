@@ -1,6 +1,6 @@
-"""Guidance by Zero123: a diffusion model that turns the picture by a given pose.
+"""Guidance by Zero123: a diffusion model that rotates the picture by a given pose.
 
-Liu et al. 2023, "Zero-1-to-3"; weights in diffusers' layout.
+Liu et al. 2023, "Zero-1-to-3"; weights in the layout of diffusers.
 """
 
 from __future__ import annotations
@@ -50,8 +50,8 @@ class CameraProjection(nn.Module):
 def pose_embedding(poses: Sequence[Pose], *, stable: bool = False, elevation: float = 0) -> Tensor:
     """Relative poses [B,1,4]: elevation, sine and cosine of the azimuth, radius.
 
-    Stable Zero123 wants the polar angle of the known view (at `elevation` degrees) instead of
-    the radius.
+    Stable Zero123 expects the polar angle of the known view (at `elevation` degrees) instead of the
+    radius.
     """
     rows = [
         (
@@ -66,7 +66,7 @@ def pose_embedding(poses: Sequence[Pose], *, stable: bool = False, elevation: fl
 
 
 class Zero123:
-    """Score distillation against one picture; networks may be given for tests."""
+    """Score distillation against one picture; networks may be passed in for tests."""
 
     views = 1
 
@@ -79,7 +79,15 @@ class Zero123:
         stable: bool = False,
         elevation: float = 0.0,
     ) -> None:
-        """Look at `image [3,H,W]` over white in 0..1; `networks` as `trained` gives them."""
+        """Encode the known picture.
+
+        Args:
+            image: The picture [3,H,W] over white, 0..1.
+            networks: As `trained` returns them.
+            guidance: Scale of the classifier-free guidance.
+            stable: Whether the networks are Stable Zero123.
+            elevation: Of the known view, degrees.
+        """
         self.unet, self.vae = networks["unet"], networks["vae"]
         self.projection = networks["projection"]
         self.guidance, self.stable, self.elevation = guidance, stable, elevation
@@ -109,7 +117,7 @@ class Zero123:
         return (posterior.mean + posterior.std * noise) * self.vae.config.scaling_factor
 
     def _noise(self, latents: Tensor, level: int, poses: Sequence[Pose]) -> Tensor:
-        """Guided noise: the batch holds the conditioned half first."""
+        """Guided noise; the conditioned half of the batch comes first."""
         count = len(latents)
         pose = pose_embedding(poses, stable=self.stable, elevation=self.elevation).to(self.place)
         context = self.projection(torch.cat([self.embedding.expand(count, -1, -1), pose], dim=-1))
@@ -142,7 +150,11 @@ def vision(path: Path | None = None, **changes: Any) -> CLIPVisionModelWithProje
 def trained(
     weights: str | os.PathLike[str] | None, device: str, dtype: torch.dtype
 ) -> dict[str, Any]:
-    """The public networks by the names `Zero123` wants; raises InputError if one is missing."""
+    """The public networks, by the names that `Zero123` expects.
+
+    Raises:
+        InputError: If one is missing.
+    """
     files = {path.split("/")[0]: found for path, found in require("zero123", weights).items()}
     networks = {
         "unet": unet(files["unet"]),

@@ -1,0 +1,75 @@
+"""Docstrings of public functions name their arguments and the errors a user may meet."""
+
+import ast
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+PACKAGE = Path(__file__).parents[1] / "phy124"
+ROOMS = [
+    "capture", "generators", "imaging", "io", "metrics", "rendering", "scene", "weights",
+]  # fmt: skip
+"""Folders of phy124 that are held to it."""
+MANY = 4
+"""Parameters from which each must be explained."""
+
+
+class Function(NamedTuple):
+    """One that others may call."""
+
+    name: str
+    node: ast.FunctionDef
+
+    @property
+    def docstring(self) -> str:
+        return ast.get_docstring(self.node) or ""
+
+    @property
+    def parameters(self) -> list[str]:
+        given = self.node.args
+        named = [*given.posonlyargs, *given.args, *given.kwonlyargs]
+        rest = [one for one in (given.vararg, given.kwarg) if one is not None]
+        return [one.arg for one in [*named, *rest] if one.arg not in ("self", "cls")]
+
+    def section(self, title: str) -> str:
+        found = re.search(rf"^{title}:\n((?:    .*\n?|\n)+)", self.docstring, re.M)
+        return found[1] if found else ""
+
+
+def functions(room: str) -> list[Function]:
+    """Public functions and methods of a folder; those of private classes are not."""
+    found = []
+    for path in sorted((PACKAGE / room).rglob("*.py")):
+        module = ast.parse(path.read_text("utf-8"))
+        for owner in [module, *(n for n in module.body if isinstance(n, ast.ClassDef))]:
+            if isinstance(owner, ast.ClassDef) and owner.name.startswith("_"):
+                continue
+            for node in owner.body:
+                if isinstance(node, ast.FunctionDef) and not node.name.startswith("_"):
+                    found.append(Function(f"{path.stem}.{node.name}", node))
+    return found
+
+
+def refuses(function: Function) -> bool:
+    """Whether it raises InputError itself."""
+    raised = [node.exc for node in ast.walk(function.node) if isinstance(node, ast.Raise)]
+    return any(exc is not None and "InputError" in ast.dump(exc) for exc in raised)
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_many_arguments_are_explained(room):
+    assert functions(room)
+    for function in functions(room):
+        explained = re.findall(r"^    \*{0,2}(\w+):", function.section("Args"), re.M)
+        if explained or len(function.parameters) >= MANY:
+            assert explained == function.parameters, function.name
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_refusals_are_told(room):
+    for function in functions(room):
+        if refuses(function):
+            assert "InputError:" in function.section("Raises"), function.name
+        assert "Raises InputError" not in function.docstring, f"{function.name}: a section of it"
