@@ -1,8 +1,8 @@
-"""Axes: how the directions of a file become ours, and Gaussians turned by any rotation.
+"""Axes: converts the directions of a file to ours, and rotates Gaussians.
 
-Ours are z up, the object facing +x (docs/reference/conventions.md). A file is turned by `rotate`
-first, if that is given; then `up` and `front`, or its dialect, say which of its directions are
-which.
+Our world is z up with the object facing +x (docs/reference/conventions.md). A file is first rotated
+by `rotate`, if that is given; then `up` and `front`, or its dialect, say which of its directions
+are which.
 """
 
 from __future__ import annotations
@@ -28,12 +28,13 @@ DIALECTS = {
 }
 """Axes of the file that point up and out of the object's front, by the program that wrote it.
 
-TRELLIS turns its z-up world to y down while saving; SAM 3D Objects, of the same make, saves z up.
+TRELLIS rotates its z-up world to y down while saving; SAM 3D Objects, made by the same people,
+saves z up.
 """
 FRONTS = {"y": "z", "-y": "-z", "z": "x", "-z": "-x", "x": "y", "-x": "-y"}
-"""The front of a file of which only the up axis is told."""
+"""The assumed front of a file for which only the up axis is given."""
 ACROSS = 0.02
-"""Least sine of the angle between front and up."""
+"""Smallest sine of the angle between front and up."""
 
 
 def orientation(
@@ -46,10 +47,10 @@ def orientation(
 
     Args:
         up: Direction that points up: "x", "-y", ..., or three numbers such as "0.1,-1,0.2".
-        front: Direction that the object faces, as far as it is level; default: `FRONTS`.
+        front: Direction that the object faces; only its level part counts; default: `FRONTS`.
         dialect: Key of `DIALECTS`, used where `up` is not given.
-        rotate: Turn of the file before that: angles about x, y and z [degrees], in this order
-            about the axes that stay, or a quaternion w,x,y,z.
+        rotate: Rotation applied to the file before: angles about x, y and z [degrees], in this
+            order about fixed axes, or a quaternion w,x,y,z.
 
     Raises:
         InputError: If one of them cannot be read or they contradict each other.
@@ -71,7 +72,11 @@ def orientation(
 
 
 def direction(field: str, text: str) -> NDArray[np.float64]:
-    """The unit vector of an axis's name or of three numbers; raises InputError."""
+    """The unit vector given by the name of an axis or by three numbers.
+
+    Raises:
+        InputError: If the text is neither, or the vector has no length.
+    """
     if text in FRONTS:
         vector = np.zeros(3)
         vector["xyz".index(text[-1])] = -1 if text.startswith("-") else 1
@@ -86,7 +91,11 @@ def direction(field: str, text: str) -> NDArray[np.float64]:
 
 
 def turn(text: str) -> NDArray[np.float64]:
-    """The rotation [3,3] of three angles [degrees] or of a quaternion wxyz; raises InputError."""
+    """The rotation [3,3] given by three angles [degrees] or by a quaternion wxyz.
+
+    Raises:
+        InputError: If the text is neither.
+    """
     angles, quaternion = numbers(text, 3), numbers(text, 4)
     if angles is not None:
         return euler(angles)
@@ -99,7 +108,7 @@ def turn(text: str) -> NDArray[np.float64]:
 
 
 def euler(degrees: Sequence[float] | NDArray) -> NDArray[np.float64]:
-    """Turn about x, then y, then z, all three fixed: Rz Ry Rx."""
+    """Rotation about x, then y, then z, all three fixed: Rz Ry Rx."""
     matrix = np.eye(3)
     for axis, angle in enumerate(np.radians(degrees).tolist()):
         c, s = math.cos(angle), math.sin(angle)
@@ -111,7 +120,7 @@ def euler(degrees: Sequence[float] | NDArray) -> NDArray[np.float64]:
 
 
 def upright(normal: NDArray) -> NDArray[np.float64]:
-    """The least rotation [3,3] that takes a unit vector to +z."""
+    """The smallest rotation [3,3] that takes a unit vector to +z."""
     x, y, z = np.asarray(normal, np.float64).tolist()
     if z < -1 + 1e-12:
         return np.diag([1.0, -1.0, -1.0])
@@ -121,7 +130,7 @@ def upright(normal: NDArray) -> NDArray[np.float64]:
 
 
 def numbers(text: str, count: int) -> NDArray[np.float64] | None:
-    """So many finite numbers with commas or spaces between them, or None."""
+    """Exactly `count` finite numbers separated by commas or spaces, or None."""
     try:
         values = np.array(text.replace(",", " ").split(), np.float64)
     except ValueError:
@@ -130,7 +139,7 @@ def numbers(text: str, count: int) -> NDArray[np.float64] | None:
 
 
 def turned(gaussians: Gaussians, rotation: NDArray[np.float64]) -> Gaussians:
-    """The Gaussians turned about the origin by `rotation [3,3]`: places, shapes and colours.
+    """The Gaussians rotated about the origin by `rotation [3,3]`: centres, shapes and colours.
 
     A signed permutation of the axes is exact: the quaternion's vector part and the scales are
     permuted like the centres, and only harmonics above degree 0 need arithmetic.
@@ -167,6 +176,6 @@ def _turned_sh(sh: NDArray, rotation: NDArray[np.float64]) -> NDArray:
 
 
 def _usual_front(z: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The front of the axis that is nearest to up."""
+    """The assumed front for the axis closest to up."""
     nearest = max(FRONTS, key=lambda axis: float(direction("up", axis) @ z))
     return direction("front", FRONTS[nearest])

@@ -1,6 +1,6 @@
-"""How far the numbers of a scene may go: what float32 and a grid of cells can still hold.
+"""Bounds of a scene's numbers: what float32 and a grid of cells can represent.
 
-Wider than any scene needs, narrow enough that no product of two of them overflows.
+They are wider than any scene needs and narrow enough that no product of two of them overflows.
 """
 
 from pathlib import Path
@@ -9,9 +9,9 @@ from typing import Annotated
 from pydantic import AfterValidator, Field
 
 LONGEST = 1e5
-"""A clip lasts at most 1e4 s; whatever begins later never does."""
+"""A clip lasts at most 1e4 s; anything that begins later never does."""
 SHORTEST = 1e-6
-"""Shorter than any substep of an object that one can see [s]."""
+"""Shorter than any substep of a visible object [s]."""
 
 FARTHEST = 1e5
 """No scene is wider [m]."""
@@ -28,9 +28,9 @@ Velocity = tuple[_Rate, _Rate, _Rate]
 Push = tuple[_Push, _Push, _Push]
 """An acceleration [m/s^2], a force [N] or a momentum [N s]."""
 Direction = tuple[_Direction, _Direction, _Direction]
-"""A vector whose length means nothing."""
+"""A vector whose length is ignored."""
 Factor = Annotated[float, Field(ge=-1e6, le=1e6)]
-"""What a time profile multiplies by."""
+"""The factor of a time profile."""
 Instant = Annotated[float, Field(ge=0, le=LONGEST)]
 """A time since the start [s]."""
 Colour = Annotated[float, Field(ge=0, le=1)]
@@ -47,9 +47,9 @@ def _writable(text: str) -> str:
 
 
 Text = Annotated[str, AfterValidator(_writable)]
-"""What is written into scene files as it is."""
+"""Text that is written into scene files as it is."""
 NAME_LENGTH = 4096
-"""Letters of the name of a file."""
+"""Length of a file name, characters."""
 
 
 def _nameable(path: Path) -> Path:
@@ -62,4 +62,4 @@ def _nameable(path: Path) -> Path:
 FileName = Annotated[
     Path, AfterValidator(_nameable), Field(json_schema_extra={"maxLength": NAME_LENGTH})
 ]
-"""A file that is read: the type by which the page refuses it in what comes from outside."""
+"""A file to be read; the page uses this type to refuse file names that come from outside."""

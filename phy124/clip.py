@@ -1,6 +1,6 @@
-"""Clip: the 4D representation, the Gaussians of every frame, saved as one safetensors file.
+"""Clip: the 4D representation, i.e. the Gaussians of every frame, saved as one safetensors file.
 
-Everything after simulation (videos, players, bags, measurements) works from a clip alone.
+Everything after the simulation (videos, players, bags, measurements) needs only a clip.
 """
 
 from __future__ import annotations
@@ -45,13 +45,13 @@ class Clip:
     times: NDArray[np.float64]
     """Instants [T], s."""
     rotations: Array | None = None
-    """Polar rotations of the material since rest [T,N,4] wxyz; only where sh has degree > 0."""
+    """Polar rotations of the material since rest [T,N,4] wxyz; only if sh has degree > 0."""
     velocities: Array | None = None
-    """Velocities of the centres [T,N,3], m/s, when asked for."""
+    """Velocities of the centres [T,N,3], m/s, if they were asked for."""
     scene: dict[str, Any] = field(default_factory=dict)
     """The resolved Scene as plain data."""
     report: dict[str, Any] = field(default_factory=dict)
-    """What the run did; `complete` is False if it stopped early."""
+    """The report of the run; `complete` is False if it stopped early."""
 
     def __post_init__(self) -> None:
         t, n = self.means.shape[:2]
@@ -76,7 +76,11 @@ class Clip:
 
     @classmethod
     def from_frames(cls, frames: list[Frame], rotations: Array | None = None) -> Clip:
-        """Stack frames of the same Gaussians; raises ValueError if there are none."""
+        """Stack frames of the same Gaussians.
+
+        Raises:
+            ValueError: If there are no frames.
+        """
         first = frames[0].gaussians
 
         def stack(name: str) -> Array:
@@ -104,9 +108,9 @@ class Clip:
         return own if own.any() else ~own
 
     def frame(self, index: int, *, velocities: bool = False) -> Frame:
-        """The Gaussians of one frame, colours turned with the material.
+        """The Gaussians of one frame, with their colours rotated with the material.
 
-        With `velocities` the frame has some even if none were kept: see `velocity`.
+        With `velocities` the frame always has velocities, even if none were kept: see `velocity`.
         """
         sh = self.sh
         if self.rotations is not None and sh.shape[1] > 1:
@@ -119,14 +123,15 @@ class Clip:
         return Frame(index, float(self.times[index]), gaussians, v)
 
     def frames(self, *, velocities: bool = False) -> Iterator[Frame]:
-        """All frames in order, one in memory at a time if the clip is memory-mapped."""
+        """All frames in order, with one in memory at a time if the clip is memory-mapped."""
         return (self.frame(index, velocities=velocities) for index in range(len(self)))
 
     def velocity(self, index: int) -> Array | None:
-        """Velocities of the centres at a frame [N,3], m/s; None if there is but one frame.
+        """Velocities of the centres at a frame [N,3], m/s; None if there is only one frame.
 
-        Those that the run kept (`velocities = true` in its scene), else what the neighbouring
-        frames say: (x_after - x_before) / (t_after - t_before), one-sided at both ends.
+        They are those the run kept (`velocities = true` in its scene), or else the difference
+        quotient of the neighbouring frames, (x_after - x_before) / (t_after - t_before), one-sided
+        at both ends.
         """
         if self.velocities is not None:
             return self.velocities[index]
@@ -137,7 +142,7 @@ class Clip:
         return (self.means[after] - self.means[before]) / seconds
 
     def flaws(self) -> list[str]:
-        """A sentence for each frame with Gaussians that are nowhere: no picture shows those."""
+        """A sentence for each frame with Gaussians at no finite place, which no picture shows."""
         found = []
         for index in range(len(self)):
             arrays = (self.means[index], self.quats[index], self.scales[index])
@@ -151,7 +156,7 @@ class Clip:
         return found
 
     def with_report(self, report: dict[str, Any]) -> Clip:
-        """The same clip carrying another report."""
+        """The same clip with another report."""
         return replace(self, report=report)
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -171,7 +176,8 @@ class Clip:
     def load(cls, path: str | os.PathLike[str]) -> Clip:
         """Open a saved clip; the arrays stay on disk until they are read.
 
-        Raises InputError if the file is missing, cut short, or not a clip of this version.
+        Raises:
+            InputError: If the file is missing, cut short, or not a clip of this version.
         """
         metadata = _read_metadata(Path(path))
         arrays = _map_tensors(Path(path))
@@ -210,7 +216,7 @@ def _read_metadata(path: Path) -> dict[str, str]:
 
 
 def _map_tensors(path: Path) -> dict[str, NDArray]:
-    """Memory-map each tensor; the header was validated by safetensors itself."""
+    """Memory-map each tensor; safetensors itself has validated the header."""
     with open(path, "rb") as file:
         length = int.from_bytes(file.read(8), "little")
         header = json.loads(file.read(length))

@@ -1,4 +1,4 @@
-"""The two ways a run ends early that are not bugs: bad input, and the user's wish."""
+"""The two ways a run ends early that are not bugs: bad input, and cancellation by the user."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ from typing import Any, NamedTuple
 
 
 class Remedy(NamedTuple):
-    """A change of the scene that helps."""
+    """A change of the scene that solves a problem."""
 
     words: str
-    """Such as "accuracy.cells = 24"."""
+    """The change in words, such as "accuracy.cells = 24"."""
     changes: dict[str, Any]
-    """Dotted field of the scene -> value, as `Scene.replaced` takes them."""
+    """Dotted path -> value, as `Scene.replaced` takes them."""
 
 
 class InputError(ValueError):
     """Something the user chose cannot be used; the message says what, why and what to do.
 
-    The command line and the web page print the message alone, never a traceback. `remedies` are
-    changes of the scene each of which helps by itself, where they are known.
+    The command line and the web page print only the message, never a traceback. `remedies` are
+    changes of the scene, each sufficient by itself, if any are known.
     """
 
     def __init__(
@@ -30,9 +30,9 @@ class InputError(ValueError):
         super().__init__(f"{field} = {value}: {limit} {remedy}".rstrip())
 
     def __reduce__(self) -> tuple[type, tuple[object, ...]]:
-        """For pickle, which would otherwise hand the whole message over as the field."""
+        """Supports pickle, which would otherwise pass the whole message as the field."""
         return type(self), (self.field, self.value, self.limit, self.remedy)
 
 
 class Cancelled(Exception):
-    """Raised from a progress callback to stop the work in hand at once."""
+    """Raised from a progress callback to stop the work at once."""

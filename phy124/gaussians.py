@@ -1,8 +1,8 @@
 """Gaussians and frames: what every stage of the pipeline passes on.
 
-Conventions: world right-handed, metres, z up, the object faces +x (docs/reference/conventions.md);
-quaternions are wxyz; values are post-activation (opacity 0..1, scales in metres).
-The field names are gsplat's.
+Conventions: the world is right-handed, in metres, z up, and the object faces +x
+(docs/reference/conventions.md); quaternions are wxyz; values are post-activation (opacity 0..1,
+scales in metres). The field names are gsplat's.
 """
 
 from __future__ import annotations
@@ -23,8 +23,11 @@ SH_COEFFICIENTS = (1, 4, 9, 16)
 class Gaussians:
     """N anisotropic 3D Gaussians, Sigma = R(q) diag(s)^2 R(q)^T.
 
-    Arrays are converted to C-contiguous float32. Raises ValueError if shapes disagree: that is
-    a programming error, bad files are refused by their readers.
+    Arrays are converted to C-contiguous float32.
+
+    Raises:
+        ValueError: If shapes disagree. That is a programming error; bad files are refused by their
+            readers.
     """
 
     means: Array
@@ -59,14 +62,22 @@ class Gaussians:
     def from_rgb(
         cls, means: NDArray, quats: NDArray, scales: NDArray, opacities: NDArray, rgb: NDArray
     ) -> Gaussians:
-        """Gaussians of plain colours `rgb [N,3]` in 0..1 (spherical harmonics of degree 0)."""
+        """Gaussians of plain colours (spherical harmonics of degree 0).
+
+        Args:
+            means: Centres [N,3], m.
+            quats: Orientations wxyz [N,4].
+            scales: Standard deviations along the local axes [N,3], m.
+            opacities: [N], 0..1.
+            rgb: Colours [N,3], 0..1.
+        """
         arrays = (means, quats, scales, opacities, ((rgb - 0.5) / SH_C0)[:, None, :])
         means, quats, scales, opacities, sh = (np.asarray(array, np.float32) for array in arrays)
         return cls(means, quats, scales, opacities, sh)
 
     @property
     def rgb(self) -> Array:
-        """Colours seen from anywhere [N,3] in 0..1: the degree-0 part."""
+        """Colours [N,3] in 0..1 without their dependence on the direction: the degree-0 part."""
         return np.clip(0.5 + SH_C0 * self.sh[:, 0], 0, 1)
 
     @property
@@ -75,7 +86,7 @@ class Gaussians:
         return SH_COEFFICIENTS.index(self.sh.shape[1])
 
     def select(self, which: NDArray) -> Gaussians:
-        """The Gaussians picked by a boolean mask or an index array."""
+        """The Gaussians selected by a boolean mask or an index array."""
         return Gaussians(
             self.means[which],
             self.quats[which],
@@ -85,7 +96,7 @@ class Gaussians:
         )
 
     def moved(self, scale: float, offset: NDArray) -> Gaussians:
-        """Scaled about the origin, then shifted by `offset [3]` m."""
+        """A copy scaled about the origin, then shifted by `offset [3]` m."""
         means = self.means * scale + np.asarray(offset)
         return replace(self, means=means, scales=self.scales * scale)
 
@@ -105,11 +116,11 @@ class Frame:
     """Time since the start, s."""
     gaussians: Gaussians
     velocities: Array | None = None
-    """Velocities of the centres [N,3], m/s, when asked for."""
+    """Velocities of the centres [N,3], m/s, if they were asked for."""
 
 
 def rotation_matrices(quats: NDArray) -> NDArray[np.float64]:
-    """Rotation matrices [N,3,3] of quaternions wxyz [N,4]; their length does not matter."""
+    """Rotation matrices [N,3,3] of quaternions wxyz [N,4] of any length."""
     q = np.asarray(quats, dtype=np.float64)
     w, x, y, z = (q / np.linalg.norm(q, axis=1, keepdims=True)).T
     rows = (

@@ -42,10 +42,14 @@ def sh_basis(directions: NDArray, count: int) -> NDArray[np.float64]:
 
 
 def rotate_sh(sh: NDArray, quats: NDArray) -> NDArray[np.float32]:
-    """Turn each colour function with its Gaussian: c'(d) = c(R^T d).
+    """Rotate each colour function with its Gaussian: c'(d) = c(R^T d).
 
-    `sh` is [N,K,3] and `quats` [N,4] wxyz. Each degree turns within itself; its matrix is found
-    by asking for equality in fixed well-spread directions, which is exact.
+    Each degree rotates within itself. Its matrix is found by requiring equality in fixed,
+    well-spread directions, which is exact.
+
+    Args:
+        sh: Coefficients [N,K,3].
+        quats: Rotations wxyz [N,4].
     """
     turned = np.array(sh, dtype=np.float64)
     rotations = rotation_matrices(quats)
@@ -61,7 +65,7 @@ def rotate_sh(sh: NDArray, quats: NDArray) -> NDArray[np.float32]:
 
 
 def spread_directions(count: int) -> NDArray[np.float64]:
-    """Unit vectors on a Fibonacci spiral [count, 3]."""
+    """Unit vectors spread evenly over the sphere (Fibonacci lattice) [count,3]."""
     i = np.arange(count) + 0.5
     z, angle = 1 - 2 * i / count, np.pi * (1 + 5**0.5) * i
     r = np.sqrt(1 - z * z)

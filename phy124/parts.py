@@ -1,8 +1,8 @@
-"""Parts: which material each particle is made of, where a scene names several.
+"""Parts: which material each particle is made of, if a scene names several.
 
-A part is picked by a box in space, by a segmentation mask of the picture, by the Gaussians it
-holds, or by several of these at once. Later parts win; what no part claims keeps the scene's
-material. Static parts are made of nothing: no particle is theirs.
+A part is selected by a box in space, by a segmentation mask of the picture, by the Gaussians it
+contains, or by several of these at once. Later parts win; whatever no part selects has the scene's
+material. Static parts have no particles.
 """
 
 from __future__ import annotations
@@ -41,17 +41,18 @@ def assign(
     crop: Crop = WHOLE,
     means: NDArray | None = None,
 ) -> NDArray[np.int32]:
-    """Number of the material of each particle [P]: 0 the scene's, i the i-th part's (from 1).
+    """Index of each particle's material [P]: 0 for the scene's, i for the i-th part's (from 1).
 
     Args:
-        x: Positions at rest [P,3], m, the object upright and facing +x.
-        gaussian: The Gaussian each particle is [P], or -1: it follows its nearest Gaussian.
+        x: Positions at rest [P,3], m; the object is upright and faces +x.
+        gaussian: Index of the Gaussian that each particle is [P], or -1: it follows its nearest
+            Gaussian.
         parts: The scene's parts.
         crop: Where the object is in the picture that masks were painted on.
         means: The Gaussians [N,3], m, for particles none of which is a Gaussian.
 
     Raises:
-        InputError: a mask cannot be read, or a part holds no particle.
+        InputError: If a mask cannot be read, or a part contains no particle.
     """
     chosen = np.zeros(len(x), np.int32)
     for number, part in enumerate(parts, 1):
@@ -89,11 +90,10 @@ def with_materials(
         crop: Where the object is in the picture that masks were painted on.
 
     Returns:
-        The particles that move, those of one law together; they know their Gaussian by its number
-        among those that move.
+        The particles that move, sorted by law. Their Gaussians are numbered among those that move.
 
     Raises:
-        InputError: a part holds nothing, or everything is static.
+        InputError: If a part contains nothing, or everything is static.
     """
     every = np.ones(len(means), bool)
     if not scene.parts:
@@ -134,7 +134,7 @@ def with_materials(
 def _held(
     x: NDArray, gaussian: NDArray, span: tuple[int, int], means: NDArray | None
 ) -> NDArray[np.bool_]:
-    """Particles of the Gaussians first <= i < last, fillers by their nearest Gaussian."""
+    """Particles of the Gaussians first <= i < last; fillers follow their nearest Gaussian."""
     owner = gaussian.copy()
     own, filler = gaussian >= 0, gaussian < 0
     if means is not None and not own.any():
@@ -148,10 +148,16 @@ def _held(
 def stiffnesses(
     particles: Particles, means: NDArray, scene: Scene, crop: Crop = WHOLE
 ) -> NDArray[np.float64] | None:
-    """Share of its material's E that each particle has [P]; None where all have the whole.
+    """Share of its material's E that each particle has [P]; None if all have the whole.
 
-    `means [N,3]` are the object's Gaussians. Raises InputError if no material of the scene has an
-    E that may vary, or cannot be as soft as is asked.
+    Args:
+        particles: The particles that move.
+        means: The object's Gaussians [N,3], m.
+        scene: Names the stiffness and the materials.
+        crop: Where the object is in its picture.
+
+    Raises:
+        InputError: If no material of the scene has an E that may vary, or none can be that soft.
     """
     if scene.stiffness is None:
         return None
@@ -169,7 +175,7 @@ def stiffnesses(
 
 
 def _refuse_too_soft(section: AnyMaterial, share: float) -> None:
-    """Refuse a share at which a material's own bounds do not hold."""
+    """Refuse a share for which a material's own bounds do not hold."""
     softened = {**section.model_dump(), "E": getattr(section, "E", 0.0) * share}
     try:
         type(section).model_validate(softened)

@@ -1,4 +1,4 @@
-"""Placing: the object brought to the scene's size and height, its surroundings with it."""
+"""Brings the object, and its surroundings with it, to the scene's size and height."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from phy124.scene import Scene
 
 
 def belongs(scene: Scene, count: int) -> NDArray[np.bool_]:
-    """Which of so many Gaussians are the object and not its surroundings [count]."""
+    """Which of `count` Gaussians are the object and not its surroundings [count]."""
     own = np.ones(count, bool)
     for part in scene.parts:
         if part.surroundings and part.gaussians is not None:
@@ -22,7 +22,7 @@ def belongs(scene: Scene, count: int) -> NDArray[np.bool_]:
 
 
 def place(gaussians: Gaussians, scene: Scene, own: NDArray[np.bool_]) -> Gaussians:
-    """Scaled to the scene's size, standing at its height over the origin; only `own` is lifted."""
+    """Gaussians scaled to the scene's size, over the origin at its height; only `own` is lifted."""
     standing = gaussians.moved(*placing(gaussians, scene, own))
     if scene.object.lift == 0:
         return standing
@@ -34,13 +34,13 @@ def place(gaussians: Gaussians, scene: Scene, own: NDArray[np.bool_]) -> Gaussia
 def placing(
     gaussians: Gaussians, scene: Scene, own: NDArray[np.bool_]
 ) -> tuple[float, NDArray[np.float64]]:
-    """Scale and then offset [3] m that bring the object to its size on z = 0, before its lift."""
+    """Scale and then offset [3] m that bring the object to its size on z = 0, before the lift."""
     object_ = gaussians if own.all() else gaussians.select(own)
     return sizing(object_, scene.object.size)
 
 
 def among_all(particles: Particles, own: NDArray[np.bool_]) -> Particles:
-    """Particles of the object's Gaussians, which know those by their numbers among all."""
+    """Particles of the object's Gaussians, with these numbered among all Gaussians."""
     if own.all():
         return particles
     gaussian = particles.gaussian
@@ -49,7 +49,7 @@ def among_all(particles: Particles, own: NDArray[np.bool_]) -> Particles:
 
 
 def renumbered(scene: Scene, survivors: NDArray[np.bool_] | None) -> Scene:
-    """With parts that name Gaussians by the numbers they have once some are dropped."""
+    """The scene with parts that refer to Gaussians by their numbers after some were dropped."""
     if survivors is None or survivors.all():
         return scene
     before = np.concatenate([[0], np.cumsum(survivors)])

@@ -1,7 +1,7 @@
-"""How long work says how far it is: a function called with stage, steps done, steps in all.
+"""How long work reports its progress: a function called with stage, steps done, steps in all.
 
-A progress function may raise `Cancelled`; whoever calls it lets that pass, so every loop that
-reports progress can also be stopped.
+A progress function may raise `Cancelled`; callers let that pass, so that every loop which reports
+progress can also be stopped.
 """
 
 from collections.abc import Callable
@@ -10,5 +10,5 @@ Progress = Callable[[str, int, int], None]
 
 
 def silent(stage: str, done: int, total: int) -> None:
-    """Report nothing; the default where a caller does not care."""
+    """Report nothing; the default."""
     del stage, done, total

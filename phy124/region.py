@@ -1,4 +1,4 @@
-"""Region: a box or cylinder in space: what a force, a boundary or a material acts on."""
+"""Region: a box or cylinder in space on which a force, a boundary or a material acts."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class Region(Section):
 def cylinder(lower: Vector, upper: Vector, along: AxisName) -> tuple[int, Vector, float]:
     """Axis, middle [m] and radius [m] of the cylinder that fits a box: as wide as its shorter side.
 
-    Along an axis that is open the middle means nothing.
+    Along an open axis the middle has no meaning.
     """
     axis = "xyz".index(along)
     x, y, z = ((low + high) / 2 for low, high in zip(lower, upper, strict=True))

@@ -1,4 +1,4 @@
-"""Scenery: Gaussians of static parts, which are in every frame and never in the solver."""
+"""Scenery: the Gaussians of static parts, which are in every frame and never in the solver."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from phy124.gaussians import Array, Frame, Gaussians
 
 IDENTITY = np.array([1, 0, 0, 0], np.float32)
-"""No turn, wxyz."""
+"""The identity rotation, wxyz."""
 
 
 @dataclass(frozen=True, eq=False)
 class Scenery:
-    """An object of which only some Gaussians move; frames of those become frames of all."""
+    """An object of which only some Gaussians move; completes frames of those to frames of all."""
 
     gaussians: Gaussians
     """All of them at rest, N."""
@@ -33,7 +33,7 @@ class Scenery:
         return self.gaussians.select(self.moves) if self.count else self.gaussians
 
     def whole(self, frame: Frame) -> Frame:
-        """A frame of those that move with the static ones in their places, bit for bit."""
+        """A frame of the moving Gaussians with the static ones added, unchanged bit for bit."""
         if not self.count:
             return frame
         rest, moved = self.gaussians, frame.gaussians

@@ -1,8 +1,8 @@
-"""Stiffness: how Young's modulus varies continuously inside one object.
+"""Stiffness: Young's modulus that varies continuously inside one object.
 
-Every law's first parameters are proportional to E, so a field of shares multiplies them particle
-by particle: E(x) = share(x) E, with E the material's. Kernels read a row of parameters per
-particle then; a scene without such a field has one row for all.
+Every law's first parameters are proportional to E, so a field of factors multiplies them particle
+by particle: E(x) = share(x) E, with E the material's. Kernels then read a row of parameters per
+particle; a scene without such a field has one row for all.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from phy124.imaging.painted import Crop, brightness
 from phy124.section import Section
 
 LEAST = 1e-4
-"""Smallest share: a hundred times slower waves."""
+"""Smallest factor; waves are then a hundred times slower."""
 Share = Annotated[float, Field(ge=LEAST, le=1)]
 
 
@@ -43,7 +43,7 @@ class _Field(Section):
 
 
 class Gradient(_Field):
-    """Straight from one end of the object to the other: grown wood, a tail, a root."""
+    """Linear from one end of the object to the other: grown wood, a tail, a root."""
 
     kind: Literal["gradient"] = "gradient"
     axis: Literal["x", "y", "z"] = Field(default="z", description="Direction in which it varies.")
@@ -57,7 +57,7 @@ class Gradient(_Field):
 
 
 class Picture(_Field):
-    """As a grey picture painted over the object's: white is stiff, black is soft."""
+    """Given by a grey picture painted over the object's picture: white is stiff, black is soft."""
 
     kind: Literal["picture"] = "picture"
     file: FileName = Field(
@@ -74,7 +74,7 @@ class Picture(_Field):
 
 
 class Listed(_Field):
-    """As a file says, a share for each Gaussian; what is between them follows the nearest."""
+    """Given by a file with a factor for each Gaussian; points between follow the nearest one."""
 
     kind: Literal["array"] = "array"
     file: FileName = Field(
@@ -83,7 +83,11 @@ class Listed(_Field):
     )
 
     def shares(self, x: NDArray, means: NDArray, crop: Crop) -> NDArray[np.float64]:
-        """That of the nearest Gaussian."""
+        """Factor of the nearest Gaussian.
+
+        Raises:
+            InputError: If the file cannot be read or does not fit the object.
+        """
         try:
             listed = np.load(os.fspath(self.file), allow_pickle=False)
             listed = np.asarray(listed, dtype=np.float64)

@@ -1,9 +1,10 @@
-"""Gaussians to material particles: cleaning, size, interior, volume, mass.
+"""Turns Gaussians into material particles: cleaning, size, interior, volume, mass.
 
-Two ways to bind them. `particles` is the paper's form (Phy124, arXiv 2409.07179): every Gaussian
-is an MPM particle, and the closed interior is filled with more (as PhysGaussian, arXiv
-2311.12198, does). `field`: a regular lattice through the solid carries the physics and the
-Gaussians ride on it (`phy124.deform`), so their number does not matter to the simulation.
+There are two ways to bind them. `particles` is the paper's form (Phy124, arXiv 2409.07179): every
+Gaussian is an MPM particle, and the closed interior is filled with more (as PhysGaussian, arXiv
+2311.12198, does). With `field` a regular lattice through the solid carries the physics, and the
+Gaussians are interpolated from it (`phy124.deform`), so that their number does not affect the
+simulation.
 """
 
 from phy124.particles.cleaning import Cleaning, bounds, clean, sizing, to_size

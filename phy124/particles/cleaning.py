@@ -1,17 +1,17 @@
-"""The guard before physics: which Gaussians stay, which are repaired, which are dropped.
+"""Cleaning before the physics: which Gaussians are kept, repaired or dropped.
 
-Every rule is relative to the object itself, so a micrometre and a kilometre are treated alike.
-Rules, in this order:
+Every rule is relative to the object itself, so that a micrometre and a kilometre are treated alike.
+The rules, in this order:
 
 1. not finite (NaN or inf in any field): dropped;
 2. repaired: a negative scale becomes positive (Sigma is the same), a zero scale becomes
    `THINNEST` of the Gaussian's longest axis, a zero quaternion becomes the identity, an opacity
-   above 1 becomes 1, any other quaternion is brought to length 1;
+   above 1 becomes 1, any other quaternion is normalised;
 3. invisible (opacity under one step of an 8-bit picture, or no extent at all): dropped;
 4. gigantic (longest axis over `GIGANTIC` of the object's longest side *and* 20 times the median
    longest axis): dropped;
-5. stray (in a group cut off from the rest by more than about `GAP` of the longest side, or the
-   usual distance of neighbours where that is more, that holds under `STRAY` of all): dropped.
+5. stray (in a group separated from the rest by more than about `GAP` of the longest side, or the
+   usual distance of neighbours if that is larger, that contains under `STRAY` of all): dropped.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ VISIBLE = 0.1
 
 @dataclass(frozen=True)
 class Cleaning:
-    """What `clean` did: numbers of Gaussians."""
+    """What `clean` did, as numbers of Gaussians."""
 
     given: int
     not_finite: int = 0
@@ -47,21 +47,21 @@ class Cleaning:
     repaired_quats: int = 0
     repaired_opacities: int = 0
     survivors: NDArray[np.bool_] | None = field(default=None, compare=False, repr=False)
-    """Which of those given stayed."""
+    """Which of the given Gaussians were kept."""
 
     @property
     def dropped(self) -> int:
-        """How many were left out."""
+        """How many were dropped."""
         return self.not_finite + self.invisible + self.gigantic + self.stray
 
     @property
     def kept(self) -> int:
-        """How many stayed."""
+        """How many were kept."""
         return self.given - self.dropped
 
     @property
     def sentences(self) -> list[str]:
-        """One sentence per rule that acted, for the report."""
+        """One sentence per rule that had an effect, for the report."""
         texts = {
             "not_finite": "had NaN or infinite values and were dropped",
             "invisible": "were invisible (opacity under 1/255 or no extent) and were dropped",
@@ -76,10 +76,12 @@ class Cleaning:
 
 
 def clean(gaussians: Gaussians) -> tuple[Gaussians, Cleaning]:
-    """Gaussians fit for physics and for rendering, and the count of what was done.
+    """Gaussians fit for physics and rendering, and a count of what was done.
 
-    The order of those that stay is kept; coincident Gaussians are fine. Raises InputError if
-    nothing visible is left.
+    The kept Gaussians stay in order; coincident ones are fine.
+
+    Raises:
+        InputError: If nothing visible is left.
     """
     given = len(gaussians)
     finite = _finite(gaussians)
@@ -111,10 +113,10 @@ def clean(gaussians: Gaussians) -> tuple[Gaussians, Cleaning]:
 
 
 def bounds(gaussians: Gaussians) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Corners [3], [3] m of the box of the object: one standard deviation around the centres.
+    """Corners [3], [3] m of the object's box: one standard deviation around the centres.
 
-    The outermost 0.1 % of the opacity on either side is left out, so that a few faint
-    Gaussians do not decide the size. Over 200,000 Gaussians, an even subset decides.
+    The outermost 0.1 % of the opacity on either side is left out, so that a few faint Gaussians do
+    not decide the size. Over 200,000 Gaussians, an even subset is used.
     """
     some = gaussians.select(np.arange(0, len(gaussians), 1 + len(gaussians) // 200_000))
     reach = np.sqrt(np.einsum("nii->ni", some.covariances()))
@@ -125,18 +127,20 @@ def bounds(gaussians: Gaussians) -> tuple[NDArray[np.float64], NDArray[np.float6
 
 
 def to_size(gaussians: Gaussians, size: float, *, ground: bool = True) -> Gaussians:
-    """The object brought to metres, by `sizing`."""
+    """The object scaled to metres, by `sizing`."""
     return gaussians.moved(*sizing(gaussians, size, ground=ground))
 
 
 def sizing(
     gaussians: Gaussians, size: float, *, ground: bool = True
 ) -> tuple[float, NDArray[np.float64]]:
-    """Scale and then offset [3] by which the longest side is `size` m, centred in x and y.
+    """Scale and then offset [3] that make the longest side `size` m, centred in x and y.
 
-    With `ground` its lowest visible point (one standard deviation below a centre of opacity 0.1
-    or more) is at z = 0, otherwise it is centred in z too. Raises InputError for a size that is
-    not positive.
+    With `ground` its lowest visible point (one standard deviation below a centre of opacity 0.1 or
+    more) is at z = 0, otherwise it is centred in z too.
+
+    Raises:
+        InputError: If the size is not positive.
     """
     if not (np.isfinite(size) and size > 0):
         raise InputError(
@@ -186,7 +190,7 @@ def _gigantic(gaussians: Gaussians) -> NDArray[np.bool_]:
 
 
 def _stray(gaussians: Gaussians) -> NDArray[np.bool_]:
-    """Groups of connected cells of a coarse grid that hold next to nothing."""
+    """Members of connected groups of cells of a coarse grid that contain next to nothing."""
     if len(gaussians) * STRAY < 1:
         return np.zeros(len(gaussians), bool)
     means = gaussians.means.astype(np.float64)
@@ -210,7 +214,7 @@ def _stray(gaussians: Gaussians) -> NDArray[np.bool_]:
 
 
 def _quantile(values: NDArray, weights: NDArray, share: float) -> NDArray[np.float64]:
-    """Per column of `values` [N,3]: the value below which `share` of the weight lies."""
+    """Per column of `values` [N,3], the value below which `share` of the weight lies."""
     values = np.asarray(values, dtype=np.float64)
     order = np.argsort(values, axis=0)
     total = np.cumsum(weights.astype(np.float64)[order], axis=0)

@@ -1,9 +1,9 @@
-"""Where the particles are put, and the volume each one stands for.
+"""Where the particles are placed, and the volume that each one represents.
 
-Volumes: the solid's volume in each lattice cell is shared evenly by the particles in it; cells
-without particles give theirs to the nearest one. The sum is the volume of the solid. A particle
-amid 500 surface Gaussians gets little, yet the MPM stays stable: its limit depends on stiffness
-and density, not on the volume.
+The solid's volume in each lattice cell is shared evenly by the particles in it; cells without
+particles give theirs to the nearest one. The sum is the volume of the solid. A particle among 500
+surface Gaussians gets little, yet the MPM stays stable: its limit depends on stiffness and density,
+not on the volume.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from phy124.particles.solid import Solid, solid
 BINDINGS = ("particles", "field")
 MAX_PARTICLES = 8_000_000
 SMALLEST = 0.01
-"""Least volume of a particle, as a part of the mean."""
+"""Smallest volume of a particle, relative to the mean."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,9 +35,9 @@ class Particles:
     density: NDArray[np.float64]
     """Densities [P], kg/m^3."""
     material: NDArray[np.int32]
-    """Index of the material [P]."""
+    """Index of each particle's material [P]."""
     gaussian: NDArray[np.int32]
-    """The Gaussian that this particle is [P]; -1: interior filler or lattice particle."""
+    """Index of the Gaussian that a particle is [P]; -1 for fillers and lattice particles."""
 
     def __len__(self) -> int:
         return len(self.x)
@@ -56,18 +56,18 @@ def make_particles(
     binding: str = "particles",
     material: int = 0,
 ) -> Particles:
-    """Particles for clean Gaussians in metres (`clean`, `to_size`).
+    """Particles for clean Gaussians in metres (see `clean`, `to_size`).
 
     Args:
         gaussians: The object, N Gaussians.
         density: Mass density, kg/m^3.
         spacing: Distance of neighbouring particles, m: grid spacing / particles per cell and axis.
-        binding: `particles`: each Gaussian and the fillers; `field`: the lattice alone.
+        binding: `particles` for each Gaussian and the fillers; `field` for the lattice alone.
         material: Index given to all particles.
 
     Raises:
-        InputError: a number is not positive, the binding is unknown, or the spacing so fine that
-            the object would take more than `MAX_PARTICLES` particles.
+        InputError: If a number is not positive, the binding is unknown, or the spacing is so fine
+            that the object would need more than `MAX_PARTICLES` particles.
     """
     _check(density, spacing, binding)
     shape = solid(gaussians, spacing)
@@ -98,7 +98,7 @@ def fill(gaussians: Gaussians, spacing: float) -> NDArray[np.float64]:
 
 
 def in_box(x: NDArray, low: NDArray, high: NDArray) -> NDArray[np.bool_]:
-    """Which points [P,3] lie in the box from `low` [3] to `high` [3], borders included, m."""
+    """Which points [P,3] are in the box from `low` [3] to `high` [3], borders included, m."""
     inside: NDArray[np.bool_] = (x >= np.asarray(low)) & (x <= np.asarray(high))
     return np.logical_and.reduce(inside, axis=1)
 
@@ -114,7 +114,7 @@ def _check(density: float, spacing: float, binding: str) -> None:
 
 
 def _lattice(shape: Solid, spacing: float) -> NDArray[np.float64]:
-    """Points (i + 1/2) * spacing inside the solid, found cell by cell where there is any of it."""
+    """Points (i + 1/2) * spacing inside the solid, found cell by cell where it has volume."""
     side = max(spacing, shape.voxel)
     cells, _ = _room_per_cell(shape, side)
     n = round(side / spacing)
@@ -156,7 +156,7 @@ def _carriers(gaussians: Gaussians, lattice: NDArray, spacing: float) -> NDArray
 
 
 def _by_cell(x: NDArray, side: float) -> NDArray[np.int64]:
-    """Order of the particles by cells of the given side, x slowest."""
+    """Order of the particles by cells of the given side; x varies slowest."""
     cells = np.floor((x - x.min(axis=0)) / side).astype(np.int64)
     return np.lexsort(cells.T[::-1])
 

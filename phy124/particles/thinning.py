@@ -14,18 +14,22 @@ from phy124.gaussians import Gaussians
 
 FEWEST, MOST = 100, 5_000_000
 BITS = 16
-"""Of a coordinate along the space-filling curve."""
+"""Bits per coordinate along the space-filling curve."""
 
 
 def check_count(count: int | None) -> None:
-    """Raise InputError if that is no number of Gaussians to ask for."""
+    """Check a number of Gaussians that somebody asks for.
+
+    Raises:
+        InputError: If it is not a positive number.
+    """
     if count is not None and not FEWEST <= count <= MOST:
         limit = f"it must be from {FEWEST} to {MOST:,}."
         raise InputError("gaussians", count, limit, "Write 20000, say.")
 
 
 def asked_for(make: Any, count: int | None) -> Any:
-    """A generator that makes about `count` Gaussians by itself, if it can be told to."""
+    """A generator that makes about `count` Gaussians by itself, if it has such an option."""
     check_count(count)
     if count is None or "count" not in inspect.signature(make).parameters:
         return make
@@ -33,10 +37,10 @@ def asked_for(make: Any, count: int | None) -> Any:
 
 
 def thinned(gaussians: Gaussians, count: int | None, *, seed: int = 0) -> Gaussians:
-    """At most `count` of the Gaussians; those that are left grow to cover the same area.
+    """At most `count` of the Gaussians, enlarged so that they cover the same area.
 
-    They are evenly spread: every so many along a curve that fills space, large and opaque ones
-    more often. The same seed keeps the same ones.
+    They are spread evenly: every n-th along a space-filling curve, large and opaque ones more
+    often. Equal seeds keep the same Gaussians.
     """
     if count is None or len(gaussians) <= count:
         return gaussians
@@ -51,7 +55,7 @@ def thinned(gaussians: Gaussians, count: int | None, *, seed: int = 0) -> Gaussi
 
 
 def _morton(points: NDArray[np.float32]) -> NDArray[np.int64]:
-    """Places [N] along the Morton curve, which visits neighbours in space one after the other."""
+    """Positions [N] along the Morton curve, on which neighbours in space follow each other."""
     low, size = points.min(axis=0), float(np.ptp(points, axis=0).max()) or 1.0
     cells = ((points - low) / size * (2**BITS - 1)).astype(np.int64)
     code = np.zeros(len(points), np.int64)
