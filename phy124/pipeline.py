@@ -25,7 +25,7 @@ from phy124.accuracy.promises import promise
 from phy124.capture import capture
 from phy124.clip import Clip
 from phy124.errors import Cancelled, InputError
-from phy124.gaussians import Gaussians
+from phy124.gaussians import Frame, Gaussians
 from phy124.generators import Generator, needs_image
 from phy124.generators import make as make_generator
 from phy124.generators.ply_file import PlyFile, Reading
@@ -203,15 +203,18 @@ def simulate(
     goal: Goal | None = None,
     forecaster: Forecaster | None = None,
     keep: bool = False,
+    films: bool = True,
+    each: Callable[[Simulation, Frame], object] = lambda run, frame: None,
 ) -> Result:
     """Gaussians become moving Gaussians, videos and a report in a folder.
 
     With a `forecaster` the report compares the seconds it foretold with those spent. With `keep`
     a run that `progress` cancels is filmed and kept as far as it came, and `go_on` goes on. A
-    `cutout` is saved beside the results.
+    `cutout` is saved beside the results. Without `films` there are no videos. `each` is called
+    with every frame as soon as it is there, but not of the grids that a `goal` tries.
     """
     watch = watch or Stopwatch()
-    making = _Making(Path(out), device, progress, watch, dict(about or {}), keep, cutout)
+    making = _Making(Path(out), device, progress, watch, dict(about or {}), keep, cutout, films)
 
     def moved() -> tuple[Simulation, Clip]:
         options: dict[str, Any] = {"device": device, "progress": progress, "watch": watch}
@@ -223,7 +226,7 @@ def simulate(
         if forecaster is not None:
             with watch.stage("forecast"):
                 making.foretold = forecaster.of(run)
-        return run, run.run()
+        return run, run.run(partial(each, run))
 
     return making.result(moved)
 
@@ -275,6 +278,8 @@ class _Making:
     keep: bool
     """Whether what there is survives when `progress` cancels."""
     cutout: Cutout | None = None
+    films: bool = True
+    """Whether videos are made."""
     foretold: Forecast | None = None
 
     def result(self, moved: Callable[[], tuple[Simulation, Clip]]) -> Result:
@@ -299,6 +304,8 @@ class _Making:
 
     def _film(self, clip: Clip, scene: Scene, folder: Path) -> bool:
         """All views; True if that was interrupted, the finished ones are then kept."""
+        if not self.films:
+            return False
         options: dict[str, Any] = {"device": self.device, "watch": self.watch}
         try:
             film(clip, scene.view, folder, progress=self.progress, **options)
@@ -319,7 +326,7 @@ class _Making:
         report = self._report(clip, run.scene.view, interrupted)
         with self.watch.stage("save"):
             clip.with_report(report).save(folder / "clip.safetensors")
-            _write_json(folder / "report.json", report)
+            write_json(folder / "report.json", report)
         return report
 
     def _report(self, clip: Clip, view: View, interrupted: bool) -> dict[str, Any]:
@@ -327,7 +334,8 @@ class _Making:
         if self.foretold is not None:
             about["forecast"] = self.foretold.compared(self.watch.seconds)
         cleaning = [*about.get("cleaning", []), *clip.report["cleaning"]]
-        report = {**about, **clip.report, "cleaning": cleaning, **framed(clip, view)}
+        report = {**about, **clip.report, "cleaning": cleaning}
+        report |= framed(clip, view) if self.films else {}
         report["promise"] = asdict(promise(Scene.from_data(clip.scene), report))
         report |= circumstances(self.device, self.watch)
         if interrupted:
@@ -388,5 +396,6 @@ def _name(generator: str | Generator) -> str:
     return generator if isinstance(generator, str) else type(generator).__name__
 
 
-def _write_json(path: Path, data: dict[str, Any]) -> None:
+def write_json(path: Path, data: dict[str, Any]) -> None:
+    """Write plain data into a file."""
     path.write_text(json.dumps(data, indent=2, allow_nan=False) + "\n", "utf-8")

@@ -164,14 +164,15 @@ class Simulation:
             self.progress("simulate", index + 1, timing.frames)
             yield frame
 
-    def run(self) -> Clip:
+    def run(self, each: Callable[[Frame], object] = lambda frame: None) -> Clip:
         """All frames as a clip; if it stops early the clip holds the good ones and says so.
 
-        Raises Interrupted if it is cancelled: the run is then as it was after its last frame.
+        `each` is called with every frame as soon as it is there. Raises Interrupted if it is
+        cancelled: the run is then as it was after its last frame.
         """
         try:
-            for _ in self:
-                pass
+            for frame in self:
+                each(frame)
         except Stopped as stop:
             self.stopped, self.remedies = str(stop), stop.remedies
         except Cancelled as wish:

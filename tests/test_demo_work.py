@@ -64,6 +64,13 @@ def test_everything_is_made(order):
     assert not order.stop.exists() and not DEVICE.locked()
 
 
+def test_what_is_promised_is_reported_as_the_command_line_does(order):
+    done, _ = _run(order)
+    report = json.loads((done.films / "report.json").read_text("utf-8"))
+    assert report["promise"]["error"] is None and report["versions"]["phy124"]
+    assert len(report["motion"]["smallest_J"]) == report["frames"] == 3
+
+
 def test_the_report_says_how_the_object_was_cut_out(order):
     cut_out(DUCK, order.cutout)
     done, _ = _run(order)

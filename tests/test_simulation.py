@@ -43,6 +43,12 @@ def test_the_first_frame_is_the_object_at_rest():
     assert np.allclose(first.quats, s.gaussians.quats, atol=1e-6)
 
 
+def test_each_frame_is_told_as_soon_as_it_is_there():
+    simulation, seen = Simulation(ball(), Scene.named("press").replaced(QUICK)), []
+    clip = simulation.run(lambda frame: seen.append((frame.index, simulation.count)))
+    assert seen == [(index, index + 1) for index in range(len(clip))]
+
+
 def test_the_papers_control_experiment():
     """f, 1.5 f and a third along another axis: ratio, direction and axis (Phy124, sec. 4)."""
     paths = {

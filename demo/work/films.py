@@ -15,7 +15,6 @@ from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import View
 
 from .limits import FILMING, Limits
-from .motion import write_json
 from .order import Order, Step
 
 MOVING = 320
@@ -55,7 +54,7 @@ def film(order: Order, clips: Path, out: Path, limits: Limits) -> None:
         if left_out:
             names = " and ".join(left_out)
             report["notes"] = [*report.get("notes", []), f"No time was left for {names}."]
-        write_json(folder / "report.json", report)
+        pipeline.write_json(folder / "report.json", report)
 
 
 def _videos(
