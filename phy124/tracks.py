@@ -1,6 +1,6 @@
-"""Tracks: quantities that follow time, evaluated on the device once per substep.
+"""Tracks: quantities that vary in time, evaluated on the device once per substep.
 
-Every time profile becomes a piecewise linear table, so kernels never ask what kind it is.
+Every time profile becomes a piecewise linear table, so that kernels need not know its kind.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from phy124.region import Vector
 from phy124.section import Section
 
 SEGMENTS = 64
-"""Straight pieces per turn of a sine: its greatest error is 0.12 % of the amplitude."""
+"""Straight pieces per period of a sine: its largest error is 0.12 % of the amplitude."""
 FOREVER = 1e30
 """Beyond any run [s]; finite, so that it survives float32."""
 Key = tuple[float, Vector]
@@ -31,20 +31,20 @@ Key = tuple[float, Vector]
 
 
 class Table(Section):
-    """What all time profiles have: a table of times [s] and factors, once or over and over."""
+    """Base class of time profiles: a table of times [s] and factors, used once or repeated."""
 
     def table(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Times since the start [s] and the factors then, straight in between."""
+        """Times since the start [s] and the factors at them, linear in between."""
         raise NotImplementedError
 
     @property
     def period(self) -> float:
-        """After this time it begins anew [s]; 0: never."""
+        """Time after which it repeats [s]; 0: never."""
         return 0.0
 
 
 class Constant(Table):
-    """The full value all the time."""
+    """The full value at all times."""
 
     kind: Literal["constant"] = "constant"
 
@@ -54,7 +54,7 @@ class Constant(Table):
 
 
 class Ramp(Table):
-    """From one factor to another in a straight line, then constant."""
+    """Linear from one factor to another, then constant."""
 
     kind: Literal["ramp"] = "ramp"
     duration: float = Field(default=0.5, ge=SHORTEST, le=LONGEST, description="Time it takes [s].")
@@ -76,18 +76,18 @@ class Sine(Table):
 
     @property
     def period(self) -> float:
-        """One turn [s]."""
+        """One period [s]."""
         return 1 / self.frequency
 
     def table(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """One turn."""
+        """One period."""
         parts = np.linspace(0, 1, SEGMENTS + 1)
         wave = np.sin(2 * math.pi * (parts + self.phase / 360))
         return parts / self.frequency, self.offset + wave
 
 
 class Keyframes(Table):
-    """Factors at given times, straight in between."""
+    """Factors at given times, linear in between."""
 
     kind: Literal["keyframes"] = "keyframes"
     times: tuple[Instant, ...] = Field(default=(0.0, 1.0), description="Times since the start [s].")
@@ -101,7 +101,7 @@ class Keyframes(Table):
 
     @property
     def period(self) -> float:
-        """The last time, if it repeats [s]."""
+        """The last time [s], if it repeats."""
         return self.times[-1] if self.repeat else 0.0
 
     def table(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -113,7 +113,11 @@ AnyProfile = Annotated[Constant | Ramp | Sine | Keyframes, Field(discriminator="
 
 
 def check_times(times: Sequence[float], values: int, name: str) -> None:
-    """Raise ValueError unless times begin at 0 or later, increase and match their values."""
+    """Check that times begin at 0 or later, increase and match their values.
+
+    Raises:
+        ValueError: If they do not.
+    """
     if len(times) != values or len(times) < 2:
         raise ValueError(
             f"{len(times)} times and {values} {name} do not match; give as many, at least two"
@@ -133,15 +137,15 @@ class Track:
     end: float = FOREVER
     """Active until here [s]."""
     origin: float = 0.0
-    """When the keys' time begins [s]."""
+    """Zero of the keys' times [s]."""
     period: float = 0.0
     """The keys repeat after this time [s]; 0: never."""
     mean: bool = False
-    """Averaged over each kick, zero while inactive; else sampled at the present."""
+    """Averaged over each kick and zero while inactive; else sampled at the present."""
 
     @classmethod
     def constant(cls, value: Sequence[float]) -> Track:
-        """The same value always."""
+        """A track with the same value at all times."""
         x, y, z = value
         return cls(((0.0, (x, y, z)),))
 
@@ -149,9 +153,17 @@ class Track:
     def scaled(
         cls, value: Sequence[float], profile: Table, start: float, end: float, *, mean: bool
     ) -> Track:
-        """A value times a profile that begins at `start`, active until `end` [s].
+        """A value times a profile.
 
-        What starts at time 0 counts as having acted before, too: the first kick is then whole.
+        A track that starts at time 0 counts as having acted before as well, so that the first kick
+        is whole.
+
+        Args:
+            value: The value at factor 1.
+            profile: Factors since the start.
+            start: When it becomes active [s].
+            end: Until when it is active [s].
+            mean: Whether it is averaged over each kick.
         """
         times, factors = profile.table()
         keys = np.multiply.outer(factors, np.asarray(value, float)).tolist()
@@ -162,7 +174,7 @@ class Track:
 
     @property
     def varies(self) -> bool:
-        """Whether it is not the same at all times."""
+        """Whether it changes in time."""
         return len(self.keys) > 1 or self.start > -FOREVER or self.end < FOREVER
 
 
@@ -175,11 +187,11 @@ class Tracks:
         self.real, self.device = real, device
 
     def add(self, track: Track) -> int:
-        """The slot of a new track."""
+        """Add a track and return its slot."""
         return self._append(track, MEAN if track.mean else 0)
 
     def accelerate(self, track: Track) -> None:
-        """Add a uniform acceleration [m/s^2] to slot 0, where the grid update finds it."""
+        """Add a uniform acceleration [m/s^2] to slot 0, where the grid update reads it."""
         self._append(track, MEAN | JOINS)
 
     def _append(self, track: Track, flag: int) -> int:
@@ -189,7 +201,7 @@ class Tracks:
 
     @property
     def vary(self) -> bool:
-        """Whether anything changes in time; if not, the tracks are sampled once."""
+        """Whether anything changes in time; if not, the tracks are sampled only once."""
         return any(track.varies for track in self.tracks)
 
     def upload(self, clock: wp.array) -> None:

@@ -9,9 +9,10 @@ import pytest
 
 PACKAGE = Path(__file__).parents[1] / "phy124"
 ROOMS = [
-    "capture", "generators", "imaging", "io", "metrics", "particles", "rendering", "scene",
-    "weights", "axes.py", "bounds.py", "clip.py", "errors.py", "gaussians.py", "harmonics.py",
-    "parts.py", "placing.py", "progress.py", "region.py", "scenery.py", "stiffness.py",
+    "arguments", "capture", "generators", "imaging", "io", "metrics", "particles", "rendering",
+    "runtime", "scene", "weights", "axes.py", "bounds.py", "clip.py", "errors.py", "gaussians.py",
+    "harmonics.py", "parts.py", "placing.py", "progress.py", "region.py", "scenery.py",
+    "stiffness.py", "tracks.py",
 ]  # fmt: skip
 """Folders and files of phy124 that are held to it."""
 MANY = 4

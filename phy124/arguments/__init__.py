@@ -1,1 +1,1 @@
-"""A command line as a command, and its refusals in plain sentences."""
+"""Parses command lines, and refuses bad ones in plain sentences."""

@@ -1,7 +1,7 @@
-"""Parsing: a command line as a command; what the parser refuses is said as everything else is.
+"""Parses a command line into a command; errors of the parser are worded like all others.
 
-The parser (tyro) tells a hook of its own why it gives up. Where it does not, because it is of
-another version, its own words are shown.
+The parser (tyro) passes the reason for giving up to a hook of ours. If another version of it does
+not, its own message is shown.
 """
 
 from __future__ import annotations
@@ -27,14 +27,17 @@ def parsed(
     description: str | None = None,
     empty: Container[str] = (),
 ) -> Any:
-    """The command with its options; raises InputError for what cannot be read.
+    """The command with its options.
 
     Args:
-        arguments: What was typed behind the program's name; nothing asks for help.
+        arguments: The words typed after the program's name; none asks for help.
         commands: Name -> class.
-        program: How it is called.
-        description: What `--help` says first.
+        program: The program's name.
+        description: The first paragraph of `--help`.
         empty: Names of options that may be empty.
+
+    Raises:
+        InputError: If the arguments cannot be understood.
     """
     import tyro
 
@@ -51,7 +54,7 @@ def parsed(
 
 @contextmanager
 def _plainly(arguments: Sequence[str], commands: Commands, program: str) -> Iterator[None]:
-    """Within it the parser's refusals are raised as InputError."""
+    """Within this context errors of the parser are raised as InputError."""
     try:
         from tyro._errors import on_parse_error
     except ImportError:
@@ -74,7 +77,7 @@ def _plainly(arguments: Sequence[str], commands: Commands, program: str) -> Iter
 
 
 class _Refused(Exception):
-    """Takes a refusal past the parser, which catches ValueError."""
+    """Carries an error past the parser, which catches ValueError."""
 
     def __init__(self, refusal: InputError) -> None:
         self.refusal = refusal
@@ -83,7 +86,7 @@ class _Refused(Exception):
 def _refuse(
     arguments: Sequence[str], commands: Commands, program: str, empty: Container[str]
 ) -> None:
-    """Raise InputError if the first argument is no command, or any is empty."""
+    """Raise InputError if the first argument is no command, or an argument is empty."""
     name = arguments[0]
     if name not in commands and not name.startswith(("-h", "--help", "--tyro-")):
         if name.startswith("-"):
@@ -108,7 +111,7 @@ def option_names(command: Any) -> list[str]:
 
 
 def meant(word: str, known: Sequence[str], *, otherwise: str = "Choose one of") -> str:
-    """Did you mean; or else what there is."""
+    """The sentence "Did you mean ..." if a known word is close, otherwise the fallback."""
     close = difflib.get_close_matches(word, known, 1)
     return f"Did you mean {close[0]}?" if close else f"{otherwise} {', '.join(known)}."
 
@@ -116,7 +119,7 @@ def meant(word: str, known: Sequence[str], *, otherwise: str = "Choose one of") 
 def _refusal(
     event: Any, arguments: Sequence[str], commands: Commands, program: str
 ) -> InputError | None:
-    """The refusal for an event of the parser; None if it is not known here."""
+    """The error for an event of the parser; None if the event is not known here."""
     name, command = type(event).__name__, arguments[0]
     if name == "UnrecognizedArgs":
         return _unknown(event.tokens, f"{program} {command}", option_names(commands[command]))

@@ -1,6 +1,6 @@
-"""Options given more than once: lists add up, anything else must agree with itself.
+"""Options given more than once: lists are joined, anything else must be consistent.
 
-argparse, which reads the command line, keeps the last and drops the others without a word.
+argparse, which reads the command line, silently keeps the last one only.
 """
 
 from __future__ import annotations
@@ -13,7 +13,11 @@ from phy124.errors import InputError
 
 
 def gathered(arguments: Sequence[str], commands: Mapping[str, type]) -> list[str]:
-    """The same arguments with each option once; raises InputError."""
+    """The same arguments with each option once.
+
+    Raises:
+        InputError: If an option is given twice with different values.
+    """
     if not arguments or arguments[0] not in commands:
         return list(arguments)
     lists = list_options(commands[arguments[0]])
@@ -48,7 +52,7 @@ def list_options(command: Any) -> set[str]:
 
 
 def members(kind: Any) -> dict[str, Any]:
-    """Name -> type of what a dataclass or a pydantic model holds; nothing for other types."""
+    """Name -> type of the fields of a dataclass or a pydantic model; empty for other types."""
     names = (
         [f.name for f in fields(kind)]
         if is_dataclass(kind)
@@ -59,12 +63,12 @@ def members(kind: Any) -> dict[str, Any]:
 
 
 def plain(annotation: Any) -> Any:
-    """The type within `Annotated`."""
+    """The type inside `Annotated`."""
     return plain(get_args(annotation)[0]) if get_origin(annotation) is Annotated else annotation
 
 
 def _options(arguments: Sequence[str]) -> list[tuple[str, list[str]]]:
-    """Each option with what follows it; first what comes before any, under no name."""
+    """Each option with the words after it; words before any option come first, without a name."""
     found: list[tuple[str, list[str]]] = [("", [])]
     for text in arguments:
         if not text.startswith("--"):

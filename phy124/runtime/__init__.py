@@ -1,1 +1,1 @@
-"""The process phy124 runs in: how Warp starts, signals, time spent, work that can be killed."""
+"""The process phy124 runs in: starting Warp, signals, timing, work that can be killed."""

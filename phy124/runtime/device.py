@@ -1,15 +1,19 @@
-"""The device that computes, by the name a user gives it."""
+"""The computing device, by the name a user gives it."""
 
 from __future__ import annotations
 
 from phy124.errors import InputError
 
 CHOICES = "auto, cpu or cuda:0."
-"""What a user may name, for every option that takes a device."""
+"""The names a user may give, for every option that takes a device."""
 
 
 def pick_device(name: str) -> str:
-    """Warp's name of the device meant: auto is CUDA where there is one; raises InputError."""
+    """Warp's name of the device; "auto" is CUDA if there is one.
+
+    Raises:
+        InputError: If there is no such device.
+    """
     import warp as wp
 
     from phy124.runtime import startup

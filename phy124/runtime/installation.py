@@ -1,4 +1,4 @@
-"""How this phy124 was installed, and so which command adds one of its optional parts."""
+"""How this phy124 was installed, and which command adds one of its optional parts."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ _OWN = re.compile(rf"{PACKAGE}\[([\w,\s-]+)\]")
 
 
 def install_command(extra: str) -> str:
-    """The command that adds an optional part of pyproject.toml to this very installation.
+    """The command that adds an optional part of pyproject.toml to this installation.
 
-    In a clone it is make, or pip with the clone's folder; elsewhere pip with the packages that
-    the part consists of, since no index need know phy124.
+    In a clone it is make, or pip with the clone's folder. Elsewhere it is pip with the packages
+    that the part consists of, since a package index need not know phy124.
     """
     root = clone()
     if root is None:
@@ -31,7 +31,7 @@ def install_command(extra: str) -> str:
 
 
 def clone() -> Path | None:
-    """The checked-out repository this code runs from, if it does."""
+    """The repository checkout this code runs from, or None."""
     root = Path(__file__).resolve().parents[2]
     return root if (root / "pyproject.toml").is_file() else None
 
@@ -53,7 +53,7 @@ def packages(extra: str) -> list[str]:
 
 
 def _pip() -> str:
-    """`pip install` for this interpreter; uv where the environment has no pip."""
+    """`pip install` for this interpreter; uv if the environment has no pip."""
     python, here = Path(sys.executable), Path.cwd()
     python = shlex.quote(str(python.relative_to(here) if python.is_relative_to(here) else python))
     if not _has("pip"):

@@ -1,4 +1,4 @@
-"""Signals that ask to end: Ctrl-C, a supervisor's SIGTERM, a terminal that closes."""
+"""Signals that ask a process to end: Ctrl-C, a supervisor's SIGTERM, a closed terminal."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ Handler = Callable[[int, FrameType | None], object]
 
 @contextmanager
 def handled(handler: Handler) -> Iterator[None]:
-    """While inside, all of them call `handler`; only the main thread may set that.
+    """Within this context all of them call `handler`; only the main thread may set that.
 
-    What whoever started this chose to ignore (nohup) stays ignored.
+    Signals that the parent process chose to ignore (nohup) stay ignored.
     """
     usual = {}
     if threading.current_thread() is threading.main_thread():
@@ -36,7 +36,7 @@ interrupt: Handler = signal.default_int_handler
 
 
 def ending(status: int, said: str = "") -> Handler:
-    """Ends the process at once, nothing flushed or closed, as long as there is nothing to lose."""
+    """A handler that ends the process at once without flushing, while there is nothing to lose."""
 
     def end(number: int, frame: FrameType | None) -> None:
         del number, frame

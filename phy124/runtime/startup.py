@@ -1,4 +1,4 @@
-"""Warp, started so that it disturbs nobody: its messages, its warnings, its folder of kernels."""
+"""Starts Warp without side effects: its messages, its warnings, its kernel folder."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from pathlib import Path
 import warp as wp
 
 NO_DRIVER = b"Could not find or load the NVIDIA CUDA driver"
-"""What Warp says on every machine without a GPU."""
+"""What Warp writes on every machine without a GPU."""
 
 
 def prepare() -> None:
-    """Before Warp is started: no lines on standard output, and a folder that can be written."""
+    """Before Warp starts: keep standard output free, and choose a writable kernel folder."""
     if wp.config.log_level == wp.LOG_INFO:
         wp.config.log_level = wp.LOG_WARNING
     usual = kernel_folder()
@@ -32,14 +32,14 @@ def prepare() -> None:
 
 
 def start() -> None:
-    """Start Warp; that there is no GPU is not worth a warning."""
+    """Start Warp, without its warning that there is no GPU."""
     prepare()
     with _without_line(NO_DRIVER):
         wp.init()
 
 
 def kernel_folder() -> Path | None:
-    """Where Warp keeps compiled kernels; None where only Warp knows."""
+    """Where Warp keeps compiled kernels; None if only Warp knows."""
     if "WARP_CACHE_PATH" in os.environ:
         return Path(os.environ["WARP_CACHE_PATH"])
     if not sys.platform.startswith("linux"):
@@ -49,7 +49,7 @@ def kernel_folder() -> Path | None:
 
 
 def temporary_folder() -> Path:
-    """A folder that later runs of the same user find again, and nobody else may write to."""
+    """A folder that later runs of the same user find again and nobody else may write to."""
     user = os.getuid() if hasattr(os, "getuid") else "user"
     folder = Path(tempfile.gettempdir()) / f"phy124-kernels-{user}"
     try:
@@ -64,7 +64,7 @@ def temporary_folder() -> Path:
 
 
 def _usable(folder: Path) -> bool:
-    """Whether files can be written in a folder, by trying: permissions do not tell it all."""
+    """Whether files can be written in a folder. It is tried, as permissions alone do not tell."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
@@ -75,7 +75,7 @@ def _usable(folder: Path) -> bool:
 
 @contextmanager
 def _without_line(unwanted: bytes) -> Iterator[None]:
-    """Leave a line out of what native code writes to standard error meanwhile."""
+    """Within this context, drop a line that native code writes to standard error."""
     sys.stderr.flush()
     usual = os.dup(2)
     with tempfile.TemporaryFile() as kept:

@@ -1,4 +1,4 @@
-"""Stopwatch: where a run's time went, by stage."""
+"""Stopwatch: how a run's time was spent, by stage."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Stopwatch:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Time spent inside counts for the stage."""
+        """Within this context, time counts for the stage."""
         start = time.perf_counter()
         try:
             yield
@@ -29,7 +29,7 @@ class Stopwatch:
             self.seconds[name] = self.seconds.get(name, 0.0) + spent
 
     def each(self, name: str, items: Iterable[T]) -> Iterator[T]:
-        """The items, the time to get each counted for the stage."""
+        """Yields the items; the time to produce each counts for the stage."""
         iterator = iter(items)
         try:
             while True:
@@ -44,18 +44,18 @@ class Stopwatch:
                 close()
 
     def add(self, seconds: dict[str, float], total: float) -> None:
-        """Count what was spent before this stopwatch was made."""
+        """Add time that was spent before this stopwatch was created."""
         for name, spent in seconds.items():
             self.seconds[name] = self.seconds.get(name, 0.0) + spent
         self.start -= total
 
     @property
     def total(self) -> float:
-        """Seconds since the stopwatch was made."""
+        """Seconds since the stopwatch was created."""
         return time.perf_counter() - self.start
 
     def data(self) -> list[dict[str, Any]]:
-        """Plain data: name, seconds and, where they were counted, launches of each stage."""
+        """Plain data: name, seconds and, if they were counted, launches of each stage."""
         return [
             {"name": name, "seconds": seconds, "launches": self.launches.get(name)}
             for name, seconds in self.seconds.items()

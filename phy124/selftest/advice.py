@@ -1,4 +1,4 @@
-"""Case 30: advice that is followed helps."""
+"""Case 30: following the advice of an error message helps."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ REFUSED: dict[str, dict[str, Any]] = {
     "ceiling": {"time": {**LONG, "substep": 1e-8}},
     "rigid": {"material": {"law": "rigid", "speed": 1000.0, "strain": 1e-4}, "time": LONG},
 }
-"""Scenes that would take longer than their patience."""
+"""Scenes that would take longer than their time limit."""
 TOO_LONG = 2.5
-"""A share of the stable substep that no scene can ask for: the run explodes."""
+"""A multiple of the stable substep that no scene can ask for: the run explodes."""
 
 
 def advice(setting: Setting) -> list[Check]:
-    """Every remedy of every stop and refusal, by itself."""
+    """Every remedy of every stop and refusal, applied by itself."""
     checks = []
     for name, changes in REFUSED.items():
         scene = Scene.from_data({**SMALL, **changes})
@@ -39,7 +39,7 @@ def advice(setting: Setting) -> list[Check]:
 
 
 def _accepted(name: str, scene: Scene, setting: Setting) -> Iterator[Check]:
-    """What a refusal advises is accepted."""
+    """Scenes changed as a refusal advises are accepted."""
     try:
         _run(scene, setting)
     except InputError as refusal:
@@ -59,7 +59,7 @@ def _starts(scene: Scene, remedy: Remedy, setting: Setting) -> bool:
 
 
 def _lasts(name: str, scene: Scene, setting: Setting) -> Iterator[Check]:
-    """What a stop advises goes on to the end, or at least further."""
+    """Scenes changed as a stop advises run to the end, or at least further."""
     stopped = _run(scene, setting)
     stopped.run()
     yield equal(f"{name}: it stops", stopped.stopped is not None)
@@ -72,7 +72,7 @@ def _lasts(name: str, scene: Scene, setting: Setting) -> Iterator[Check]:
 
 
 def _hurries(scene: Scene, setting: Setting) -> Iterator[Check]:
-    """What is advised to a run without patience makes it need fewer substeps, or ends it."""
+    """Advice to a run that is out of time makes it need fewer substeps, or lets it finish."""
     name, stopped = "outruns its patience", _run(scene, setting)
     stopped.run()
     yield equal(f"{name}: it stops", stopped.stopped is not None)
@@ -107,7 +107,7 @@ def _exploding(setting: Setting) -> Scene:
 
 
 def _violent(setting: Setting) -> Scene:
-    """Forecast by its stiffness, but so fast that its speed rules the substep."""
+    """A scene forecast by its stiffness, but so fast that its speed limits the substep."""
     accuracy = {**SMALL["accuracy"], "precision": setting.precision}
     return Scene.from_data({
         **SMALL, "accuracy": accuracy, "time": {"frames": 12, "fps": 24.0, "patience": 0.01},

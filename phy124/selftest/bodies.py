@@ -1,4 +1,4 @@
-"""Bodies and measures that the hard cases share."""
+"""Bodies and measurements that the hard cases share."""
 
 from __future__ import annotations
 
@@ -32,7 +32,15 @@ def block(per_axis: int = 6, size: float = 0.375, middle: Sequence[float] = (0, 
 def body(
     x: Array, setting: Setting, material: Material = JELLY, *, size: float = 0.375, **options: Any
 ) -> Solver:
-    """A solver whose particles share the volume of a cube evenly."""
+    """A solver whose particles share the volume of a cube evenly.
+
+    Args:
+        x: Positions [P,3], m.
+        setting: Device and precision.
+        material: Of all particles.
+        size: Side of the cube, m.
+        **options: Passed on to the solver.
+    """
     volume = options.pop("volume", np.full(len(x), size**3 / len(x)))
     options.setdefault("dx", DX)
     return Solver(x, volume, [material], **options, **setting.options)
@@ -85,7 +93,14 @@ def stable_dt(solver: Solver) -> float:
 
 
 def steps(solver: Solver, count: int, dt: float, each: Callable[[], None] | None = None) -> None:
-    """A number of substeps of fixed length, the first with half a kick."""
+    """Take substeps of fixed length, the first with half a kick.
+
+    Args:
+        solver: What to advance.
+        count: Number of substeps.
+        dt: Their length, s.
+        each: Called after each of them.
+    """
     for k in range(count):
         solver.step(dt / 2 if k == 0 and solver.last_dt == 0 else dt, dt)
         solver.last_dt = dt
@@ -103,9 +118,9 @@ def _scalar(solver: Solver) -> type:
 
 
 class Meter:
-    """Energy and momenta of a run, read now and then.
+    """Energy and momenta of a run, read occasionally.
 
-    Positions are half a substep ahead of velocities, so the kinetic energy that belongs to the
+    Positions are half a substep ahead of velocities, so that the kinetic energy belonging to the
     elastic one is the mean of those before and after it.
     """
 
@@ -119,7 +134,7 @@ class Meter:
         self.moved = float((mass * np.abs(host(solver.state.v))).sum())
 
     def read(self, dt: float) -> float:
-        """One substep of length `dt`, and the energy before it, as a share of the first."""
+        """Take one substep of length `dt`; return the energy before it, relative to the first."""
         before = weigh(self.solver)
         steps(self.solver, 1, dt)
         after = weigh(self.solver)
@@ -132,11 +147,11 @@ class Meter:
 
     @property
     def momentum_drift(self) -> float:
-        """Momentum from nowhere, as a share of all there is."""
+        """Spurious momentum, relative to all momentum present."""
         return float(np.linalg.norm(self.end.momentum - self.start.momentum) / self.moved)
 
     @property
     def angular_drift(self) -> float:
-        """Angular momentum from nowhere, as a share."""
+        """Spurious angular momentum, relative to all present."""
         change = np.linalg.norm(self.end.angular - self.start.angular)
         return float(change / np.linalg.norm(self.start.angular))

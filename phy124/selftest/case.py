@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, SupportsFloat
 
 
 class Setting(NamedTuple):
-    """Where and how precisely a case runs."""
+    """Where a case runs, and in what precision."""
 
     device: str = "cpu"
     precision: str = "float32"
@@ -22,7 +22,7 @@ class Setting(NamedTuple):
 
     @property
     def options(self) -> dict[str, Any]:
-        """What a Solver is told."""
+        """Options of a Solver."""
         return {"device": self.device, "precision": self.precision}
 
     def __str__(self) -> str:
@@ -31,17 +31,17 @@ class Setting(NamedTuple):
 
 
 class Check(NamedTuple):
-    """One bound and what was measured."""
+    """One bound and the measured value."""
 
     what: str
     measured: float
     limit: float
     least: bool = False
-    """The limit is a lower one."""
+    """Whether the limit is a lower one."""
 
     @property
     def holds(self) -> bool:
-        """Whether the bound holds; NaN never does."""
+        """Whether the bound holds; it never does for NaN."""
         return self.measured >= self.limit if self.least else self.measured <= self.limit
 
     @property
@@ -57,7 +57,7 @@ class Case(NamedTuple):
     name: str
     measure: Callable[[Setting], list[Check]]
     precise: bool = True
-    """Whether precision and device matter; if not it runs once."""
+    """Whether precision and device matter; if not, it runs once."""
 
 
 class Row(NamedTuple):
@@ -70,7 +70,7 @@ class Row(NamedTuple):
 
 
 def examine(case: Case, setting: Setting) -> tuple[Row, list[Check]]:
-    """Run a case; whatever it raises is a failure, not the end."""
+    """Run a case; an exception is a failure of the case and does not end the suite."""
     name = f"{case.number:>2} {case.name}"
     if case.precise:
         name += f" ({setting})"
@@ -98,7 +98,7 @@ def at_least(what: str, measured: SupportsFloat, limit: float) -> Check:
 
 
 def equal(what: str, holds: bool) -> Check:
-    """Something that is so or not."""
+    """A check that is simply true or false."""
     return Check(what, float(holds), 1.0, least=True)
 
 

@@ -13,7 +13,7 @@ from phy124.selftest.case import Check, Setting, at_most, equal
 
 
 def rest(setting: Setting) -> list[Check]:
-    """A body without forces must not move by one bit."""
+    """A body without forces must not move by a single bit."""
     checks = []
     for law in (NeoHookean, FixedCorotated):
         s = body(block(), setting, law(E=1e4))
@@ -25,7 +25,7 @@ def rest(setting: Setting) -> list[Check]:
 
 
 def units(setting: Setting) -> list[Check]:
-    """The same motion in units that are powers of two apart, bit for bit: no absolute epsilon."""
+    """The same motion in units that differ by powers of two, bit for bit: no absolute epsilon."""
     paths = []
     for L, M, T in ((1.0, 1.0, 1.0), (2.0**-17, 2.0**-60, 2.0**-8)):
         x = block(middle=(0, 0, 0.25)) * L
@@ -76,7 +76,7 @@ def spin(setting: Setting) -> list[Check]:
 
 
 def endurance(setting: Setting) -> list[Check]:
-    """Many substeps near the limit: energy never grows, momenta stay."""
+    """Many substeps near the limit: energy never grows, momenta are conserved."""
     count = 100_000 if setting.long else 2000
     checks = []
     for share in (0.5, 0.9):
@@ -111,7 +111,7 @@ def _endure(setting: Setting, share: float, count: int) -> Meter:
 
 
 def slow_drift(setting: Setting) -> list[Check]:
-    """A drift that float32 positions alone would round to nothing."""
+    """A drift so slow that float32 positions alone would round it to nothing."""
     x = block(2, 0.125, middle=(0.7, 0.7, 0.7))
     s = body(x, setting, size=0.125, v=np.tile([1e-3, 0, 0], (8, 1)))
     count = 100_000 if setting.long else 10_000

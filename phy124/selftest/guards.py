@@ -1,4 +1,4 @@
-"""Case 12: deformations no material has, and what the watchdog makes of them."""
+"""Case 12: deformations that no material has, and how the watchdog handles them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from phy124.selftest.case import Check, Setting, at_least, at_most, equal
 from phy124.selftest.laws import IMPOSSIBLE, every_deformation
 
 FRAMES = (NeoHookean(E=1e4), Hencky(E=1e4), Metal(E=1e4), Sand(), Fluid(bulk_modulus=1e4))
-"""Laws whose bodies get an impossible particle."""
+"""Laws whose bodies are given an impossible particle."""
 
 
 def impossible(setting: Setting) -> list[Check]:
@@ -36,7 +36,7 @@ def impossible(setting: Setting) -> list[Check]:
 def _one_bad_particle(
     material: Material, F: np.ndarray, setting: Setting
 ) -> tuple[float, float, bool]:
-    """Least J, greatest way as a share of the size, and whether all is sound after a frame."""
+    """Smallest J, largest displacement in sizes, and whether all is sound after a frame."""
     x = block(4, 0.25)
     s = body(x, setting, material, size=0.25)
     deformations = host(s.state.F)

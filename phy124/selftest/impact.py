@@ -25,18 +25,18 @@ from phy124.selftest.case import Check, Setting, at_least, at_most, equal
 
 
 class Impact(NamedTuple):
-    """How a cube fared that hit the floor."""
+    """What became of a cube that hit the floor."""
 
     least_J: float
     greatest_energy: float
     rebound: float
-    """Kinetic energy at the end, as a share of the first."""
+    """Kinetic energy at the end, relative to the start."""
     substeps: int
     limiters: dict[str, int]
 
 
 def hit(mach: float, material: Elastic, setting: Setting) -> Impact:
-    """A cube thrown flat on a slippery floor at `mach` times its speed of sound."""
+    """A cube thrown flat onto a slippery floor at `mach` times its speed of sound."""
     mu, lam = material.lame
     sound = math.sqrt((lam + 2 * mu) / material.density)
     x = block(middle=(0, 0, 0.21))
@@ -66,7 +66,7 @@ def hit(mach: float, material: Elastic, setting: Setting) -> Impact:
 
 
 def impacts(setting: Setting) -> list[Check]:
-    """A cube at up to five times the speed of sound: it rebounds and never turns inside out."""
+    """A cube at up to five times the speed of sound rebounds and never turns inside out."""
     checks = []
     for mach in (0.5, 1.0, 2.0, 5.0):
         for nu in (0.3, 0.45) if setting.long else (0.3,):
@@ -81,7 +81,7 @@ def impacts(setting: Setting) -> list[Check]:
 
 
 def released(setting: Setting) -> list[Check]:
-    """Stretched four times or squeezed to a twentieth, then let go: it finds its shape again."""
+    """Stretched four times or squeezed to a twentieth, then released, it recovers its shape."""
     checks = []
     for name, F in (("stretch 4", np.diag([1, 1, 4.0])), ("squeeze 0.05", np.diag([1, 1, 0.05]))):
         rest = block(8, 0.25)

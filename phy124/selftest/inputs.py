@@ -1,4 +1,4 @@
-"""Cases 14, 16-18: whatever a file may hold, and places where an index could go wrong."""
+"""Cases 14, 16-18: whatever a file may contain, and places where an index could be wrong."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ FIELDS = ("means", "quats", "scales", "opacities", "sh")
 
 
 def shell(count: int = 300, radius: float = 0.5) -> Gaussians:
-    """Flat Gaussians on a sphere."""
+    """Flat Gaussians on a sphere, coloured by direction."""
     normals = spread_directions(count)
     helper = np.where(np.abs(normals[:, :1]) < 0.7, [[1.0, 0, 0]], [[0, 1.0, 0]])
     along = np.cross(normals, helper)
@@ -46,7 +46,7 @@ def quick(setting: Setting, **changes: object) -> Scene:
 
 
 def broken_numbers(setting: Setting) -> list[Check]:
-    """NaN, infinity and huge numbers in each value of a PLY file: dropped and counted."""
+    """NaN, infinity and huge numbers in each value of a PLY file are dropped and counted."""
     table = raw_table(shell())
     names = [name for name in table.dtype.names or () if not name.startswith("n")]
     poisons = [(name, value) for name in names for value in (math.nan, math.inf, -math.inf, 1e38)]
@@ -64,7 +64,7 @@ def broken_numbers(setting: Setting) -> list[Check]:
 
 
 def _read(table: NDArray[Any], poisons: dict[int, tuple[str, float]]) -> tuple[Gaussians, int]:
-    """What a file with bad values at some rows is read as, cleaned, and how many went."""
+    """What a file with bad values in some rows is read as, and how many Gaussians were dropped."""
     table = table.copy()
     for row, (name, value) in poisons.items():
         table[name][row] = value
@@ -83,7 +83,7 @@ def _sound(gaussians: Gaussians) -> bool:
 
 
 def below_zero(setting: Setting) -> list[Check]:
-    """A body astride the origin of the grid moves as one far inside: floor, not truncation."""
+    """A body across the origin of the grid moves like one far inside: floor, not truncation."""
 
     def run(cells: int) -> Array:
         x = block(middle=(cells * DX - 0.05, cells * DX, cells * DX))
@@ -124,7 +124,7 @@ def sizes(setting: Setting) -> list[Check]:
 
 
 def odd_gaussians(setting: Setting) -> list[Check]:
-    """Opacity 0 and 1, all in one point, one alone, volumes of nothing: mass is what it was."""
+    """Opacity 0 and 1, all in one point, one alone, no volume: the mass is right."""
     whole = shell()
     opacities = whole.opacities.copy()
     opacities[:50], opacities[50:100] = 0, 1

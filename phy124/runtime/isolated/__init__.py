@@ -1,10 +1,10 @@
-"""Native code of others on a user's data: in a process of its own, which can be killed.
+"""Runs native third-party code on a user's data in a separate process, which can be killed.
 
-A C++ loop that never ends cannot be interrupted from Python, neither by Ctrl-C nor by a thread.
-The process is started from a file of ours, not by `multiprocessing`: a user's script needs no
-`if __name__ == "__main__"`, and it works from any thread and on every platform. It imports
-nothing but the function's own module. It ends when its time is up, when the wait is interrupted
-or called off, and when the process that waits for it dies.
+An endless C++ loop cannot be interrupted from Python, neither by Ctrl-C nor by a thread. The
+process is started from a file of this package, not by `multiprocessing`: a user's script needs no
+`if __name__ == "__main__"`, and it works from any thread and on every platform. The process imports
+nothing but the function's own module. It ends when its time is up, when the wait is interrupted or
+cancelled, and when the process that waits for it dies.
 """
 
 from __future__ import annotations
@@ -24,24 +24,24 @@ from typing import IO, Any, NamedTuple, TypeVar
 T = TypeVar("T")
 CHILD = Path(__file__).with_name("child.py")
 BEAT = 0.1
-"""Between two looks at the clock and at the wish to stop, s."""
+"""Interval between two checks of the clock and of cancellation, s."""
 NO_WINDOW: int = getattr(subprocess, "CREATE_NO_WINDOW", 0)
 
 
 class Deadline(NamedTuple):
-    """How long isolated code may take, and who may call it off."""
+    """How long isolated code may take, and who may cancel it."""
 
     seconds: float = 120.0
     beat: Callable[[], object] = lambda: None
-    """Called ten times a second; what it raises ends the wait and the process."""
+    """Called ten times a second; an exception it raises ends the wait and the process."""
 
 
 PATIENT = Deadline()
-"""Two minutes: a search takes half a second where nothing else runs."""
+"""Two minutes: a search takes half a second on an otherwise idle machine."""
 
 
 class Unfinished(Exception):
-    """The process took too long or broke down; the message is the second half of a sentence."""
+    """The process took too long or crashed; the message is the second half of a sentence."""
 
 
 class RemoteTraceback(Exception):
@@ -52,12 +52,12 @@ class RemoteTraceback(Exception):
 
 
 def run(function: Callable[..., T], *arguments: Any, deadline: Deadline = PATIENT) -> T:
-    """The answer of a function of a module, called in another process.
+    """The result of a module's function, called in another process.
 
-    Whatever it raises is raised here; it may be anything that can be pickled.
+    Whatever it raises is raised here. Arguments and result may be anything that can be pickled.
 
     Raises:
-        Unfinished: The time is up, or the process broke down.
+        Unfinished: If the time is up, or the process crashed.
     """
     if getattr(sys, "frozen", False) or not sys.executable:
         # There is no Python that could be started: the program would start itself.
@@ -87,7 +87,7 @@ def run(function: Callable[..., T], *arguments: Any, deadline: Deadline = PATIEN
 
 
 def _answer(child: subprocess.Popen[bytes], order: bytes, deadline: Deadline) -> bytes:
-    """What the process writes until it ends."""
+    """Everything the process writes until it ends."""
     answers: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     threading.Thread(target=_talk, args=(child, order, answers), daemon=True).start()
     end = time.monotonic() + deadline.seconds
@@ -101,7 +101,7 @@ def _answer(child: subprocess.Popen[bytes], order: bytes, deadline: Deadline) ->
 
 
 def _talk(child: subprocess.Popen[bytes], order: bytes, answers: queue.SimpleQueue[bytes]) -> None:
-    """Send the order and read the answer: both may block, so this is a thread's work."""
+    """Send the order and read the answer; both may block, so this runs in a thread."""
     assert child.stdin is not None and child.stdout is not None
     answer = b""
     with suppress(OSError), child.stdin as orders, child.stdout as said:

@@ -1,6 +1,6 @@
-"""The other side of `phy124.runtime.isolated.run`: calls one function and writes its answer.
+"""The other side of `phy124.runtime.isolated.run`: calls one function and writes its result.
 
-Run by its path, so that it starts with nothing of phy124 imported.
+It is run by its path, so that it starts without importing anything of phy124.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import traceback
 
 
 def main() -> None:
-    """Read an order from standard input, write the pickled answer to standard output."""
+    """Read an order from standard input, write the pickled result to standard output."""
     # Ctrl-C reaches the whole group of processes; whoever waits for this one decides.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     answers = os.fdopen(os.dup(1), "wb")
@@ -42,7 +42,7 @@ def _failed(error: Exception) -> bytes:
 
 
 def _end_with_parent() -> None:
-    """The end of standard input: whoever waited for the answer is gone."""
+    """Wait for the end of standard input: the process that waited for the result is gone."""
     # Not through sys.stdin: its lock would be held for ever.
     while os.read(0, 1):
         pass
