@@ -9,6 +9,7 @@ not on the volume.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,7 +72,8 @@ def make_particles(
     """
     _check(density, spacing, binding)
     shape = solid(gaussians, spacing)
-    lattice = _lattice(shape, spacing)
+    room = _room_per_cell(shape, spacing)
+    lattice = _lattice(shape, room, spacing)
     if binding == "particles":
         lattice = _apart(lattice, gaussians.means, 0.5 * spacing)
         x = np.concatenate([gaussians.means, lattice])
@@ -84,7 +86,7 @@ def make_particles(
     x, owner = x[order], owner[order]
     return Particles(
         x=x,
-        volume=_volumes(x, shape, spacing),
+        volume=_volumes(x, shape, room),
         density=np.full(len(x), float(density)),
         material=np.full(len(x), material, np.int32),
         gaussian=owner.astype(np.int32),
@@ -94,7 +96,8 @@ def make_particles(
 def fill(gaussians: Gaussians, spacing: float) -> NDArray[np.float64]:
     """Points [M,3] m of the lattice (i + 1/2) * spacing inside the closed shape; M may be 0."""
     _check(1.0, spacing, BINDINGS[0])
-    return _lattice(solid(gaussians, spacing), spacing)
+    shape = solid(gaussians, spacing)
+    return _lattice(shape, _room_per_cell(shape, spacing), spacing)
 
 
 def in_box(x: NDArray, low: NDArray, high: NDArray) -> NDArray[np.bool_]:
@@ -113,11 +116,9 @@ def _check(density: float, spacing: float, binding: str) -> None:
         raise InputError("binding", binding, limit, "Choose one of these.")
 
 
-def _lattice(shape: Solid, spacing: float) -> NDArray[np.float64]:
+def _lattice(shape: Solid, room: _Room, spacing: float) -> NDArray[np.float64]:
     """Points (i + 1/2) * spacing inside the solid, found cell by cell where it has volume."""
-    side = max(spacing, shape.voxel)
-    cells, _ = _room_per_cell(shape, side)
-    n = round(side / spacing)
+    cells, n = room.cells, round(room.side / spacing)
     if len(cells) * n**3 > MAX_PARTICLES:
         raise InputError(
             "spacing",
@@ -161,9 +162,8 @@ def _by_cell(x: NDArray, side: float) -> NDArray[np.int64]:
     return np.lexsort(cells.T[::-1])
 
 
-def _volumes(x: NDArray[np.float32], shape: Solid, spacing: float) -> NDArray[np.float64]:
-    side = max(spacing, shape.voxel)
-    cells, room = _room_per_cell(shape, side)
+def _volumes(x: NDArray[np.float32], shape: Solid, room: _Room) -> NDArray[np.float64]:
+    cells, side = room.cells, room.side
     own = np.floor(x / side + 1e-6).astype(np.int64)
     low = np.minimum(cells.min(axis=0), own.min(axis=0))
     size = np.maximum(cells.max(axis=0), own.max(axis=0)) - low + 1
@@ -175,16 +175,28 @@ def _volumes(x: NDArray[np.float32], shape: Solid, spacing: float) -> NDArray[np
     )
     place = np.minimum(np.searchsorted(keys, cell_key), len(keys) - 1)
     empty = keys[place] != cell_key
-    volume = np.bincount(place[~empty], room[~empty], minlength=len(keys))[which] / count[which]
+    inside = np.bincount(place[~empty], room.volume[~empty], minlength=len(keys))
+    volume = inside[which] / count[which]
     if empty.any():
         _, nearest = KDTree(x).query((cells[empty] + 0.5) * side, workers=-1)
-        volume += np.bincount(nearest, room[empty], minlength=len(x))
+        volume += np.bincount(nearest, room.volume[empty], minlength=len(x))
     volume = np.maximum(volume, SMALLEST * volume.mean())
     return volume * (shape.volume / volume.sum())
 
 
-def _room_per_cell(shape: Solid, side: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Lattice cells [L,3] and the volume of the solid in each [L], m^3."""
+class _Room(NamedTuple):
+    """How much of the solid is in the cells of a lattice."""
+
+    side: float
+    """Side of a cell, m."""
+    cells: NDArray[np.int64]
+    """Cells [L,3] that hold some of it."""
+    volume: NDArray[np.float64]
+    """Its volume in each [L], m^3."""
+
+
+def _room_per_cell(shape: Solid, spacing: float) -> _Room:
+    side = max(spacing, shape.voxel)
     inside = np.argwhere(shape.fraction > 0)
     per_cell = round(side / shape.voxel)
     cells = (inside + shape.first) // per_cell
@@ -192,6 +204,6 @@ def _room_per_cell(shape: Solid, side: float) -> tuple[NDArray[np.int64], NDArra
     low = cells.min(axis=0)
     size = tuple(cells.max(axis=0) - low + 1)
     flat = np.ravel_multi_index(tuple((cells - low).T), size)
-    keys, which = np.unique(flat, return_inverse=True)
+    keys = np.flatnonzero(np.bincount(flat))
     cells = np.stack(np.unravel_index(keys, size), axis=1) + low
-    return cells, np.bincount(which, part).astype(np.float64)
+    return _Room(side, cells, np.bincount(flat, part)[keys].astype(np.float64))

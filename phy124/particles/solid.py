@@ -243,7 +243,10 @@ def _trim_surface(
     at = grid.points.astype(np.int32)
     here = surface[tuple(at.T)]
     at, points = at[here], grid.points[here]
-    voxels, which = np.unique(np.ravel_multi_index(tuple(at.T), region.shape), return_inverse=True)
+    flat = np.ravel_multi_index(tuple(at.T), region.shape)
+    held = np.zeros(region.size, bool)
+    held[flat] = True
+    voxels, which = np.flatnonzero(held), (np.cumsum(held) - 1)[flat]
     centre = np.stack(np.unravel_index(voxels, region.shape), axis=1)
     normal, sheet = _normals(region, centre)
     height = ((points - at - 0.5) * normal[which]).sum(axis=1)
