@@ -25,6 +25,7 @@ from phy124.boundaries import (
 from phy124.errors import InputError
 from phy124.forces import Gravity
 from phy124.kernels import collide
+from phy124.kernels.build import kernel
 from phy124.materials import Fluid, Foam, NeoHookean, Plasticine, Sand, Snow
 from phy124.mpm import Solver
 from phy124.region import Region
@@ -58,7 +59,7 @@ def settle(s: Solver, time: float, rate: float = 20.0) -> None:
 def make_distances(shape: str):
     distance = collide.SHAPES[shape]
 
-    @wp.kernel(module=f"phy124_test_distance_{shape}", enable_backward=False)
+    @kernel(f"phy124_test_distance_{shape}")
     def distances(geometry: wp.mat33d, x: wp.array(dtype=wp.vec3d), out: wp.array(dtype=wp.vec4d)):
         out[wp.tid()] = distance(x[wp.tid()], geometry)
 
@@ -123,7 +124,7 @@ def test_a_sphere_and_a_capsule_have_a_normal_at_their_middle():
 def make_answers(response: str):
     answer = collide.RESPONSES[response]
 
-    @wp.kernel(module=f"phy124_test_answer_{response}", enable_backward=False)
+    @kernel(f"phy124_test_answer_{response}")
     def answers(
         v: wp.array(dtype=wp.vec3d), wall: wp.vec3d, n: wp.vec3d, friction: wp.float64,
         out: wp.array(dtype=wp.vec3d),

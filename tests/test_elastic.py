@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import warp as wp
 
+from phy124.kernels.build import kernel
 from phy124.kernels.elastic import log_volume
 
 NEAR = np.concatenate([np.linspace(0.79, 1.21, 20_001), [0.8, 1.2]])
@@ -14,7 +15,7 @@ FAR = np.concatenate([np.geomspace(1e-4, 1e4, 2001), np.linspace(-5, 1e-4, 101)]
 
 @cache
 def make_logs(real):
-    @wp.kernel(module=f"phy124_test_log_volume_{real.__name__}", enable_backward=False)
+    @kernel(f"phy124_test_log_volume_{real.__name__}")
     def logs(J: wp.array(dtype=real), out: wp.array(dtype=real)):
         out[wp.tid()] = log_volume(J[wp.tid()])
 

@@ -11,6 +11,7 @@ from phy124.boundaries import Ground, HalfSpace, Held
 from phy124.errors import Cancelled
 from phy124.forces import Acceleration, Gravity, ParticleForce, SetVelocity, TotalForce
 from phy124.kernels import simd, transfer
+from phy124.kernels.build import kernel
 from phy124.kernels.spline import spline
 from phy124.materials import FixedCorotated, NeoHookean
 from phy124.mpm import Solver, Unstable
@@ -107,7 +108,7 @@ def test_splines_are_a_partition_of_unity(real):
     f = np.linspace(0.5, 1.5, 101, endpoint=False)
     t = transfer.types(real)
 
-    @wp.kernel(module=f"test_spline_{real.__name__}", enable_backward=False)
+    @kernel(f"test_spline_{real.__name__}")
     def evaluate(f: wp.array(dtype=real), out: wp.array(dtype=t.vec3)):
         out[wp.tid()] = spline(f[wp.tid()])
 

@@ -8,6 +8,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from phy124.kernels import elastic, hencky, spectral, symmetric
+from phy124.kernels.build import kernel
 from phy124.kernels.transfer import types
 from reference.material_point import REALS
 from reference.oracle import from_axes, signed_svd
@@ -25,7 +26,7 @@ FUNCTIONS = {
 def make_map(name: str, precision: str):
     function, mat33 = FUNCTIONS[name], types(REALS[precision]).mat33
 
-    @wp.kernel(module=f"phy124_test_{name}_{precision}", enable_backward=False)
+    @kernel(f"phy124_test_{name}_{precision}")
     def apply(a: wp.array(dtype=mat33), out: wp.array(dtype=mat33)):
         out[wp.tid()] = function(a[wp.tid()])
 
@@ -109,7 +110,7 @@ def test_simple_functions(rng):
     np.testing.assert_allclose(mapped("deviator", a, "float64"), a - mean, atol=1e-14)
 
 
-@wp.kernel(module="phy124_test_eigenvalues", enable_backward=False)
+@kernel("phy124_test_eigenvalues")
 def eigenvalues(a: wp.array(dtype=wp.mat33d), out: wp.array(dtype=wp.vec3d)):
     out[wp.tid()] = spectral.eigenvalues(a[wp.tid()])
 

@@ -55,12 +55,14 @@ def probe(material: Material, F: Array, setting: Setting) -> tuple[Array, Array,
         whole = np.ascontiguousarray(values, dtype=np.dtype(setting.precision))
         return wp.array(whole, dtype=dtype, device=setting.device)
 
-    outputs = [wp.zeros(n, dtype=d, device=setting.device) for d in (t.mat33, real, t.mat33)]
+    kinds = (t.mat33, real, real, t.mat33, t.vec2)
+    outputs = [wp.zeros(n, dtype=kind, device=setting.device) for kind in kinds]
     theta = array([material.theta()], wp.types.vector(law.width, real))
     history = array(np.tile(material.history(), (n, 1)), t.vec2)
-    inputs = [theta, array(F, t.mat33), history, 1e-4]
+    at_rest = wp.zeros(n, dtype=t.mat33, device=setting.device)
+    inputs = [theta, array(F, t.mat33), at_rest, history, 1e-4]
     wp.launch(make_probe(law, real), n, inputs=inputs, outputs=outputs, device=setting.device)
-    stress, modulus, projected = (host(out) for out in outputs)
+    stress, modulus, _, projected, _ = (host(out) for out in outputs)
     return stress, modulus, projected
 
 

@@ -1,13 +1,13 @@
 """Drives a law over many states at once, without particles or a grid."""
 
-from functools import cache
 from typing import Any, NamedTuple, get_args
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from phy124.kernels.transfer import Law, types
+from phy124.kernels.diagnose import make_probe
+from phy124.kernels.transfer import types
 from phy124.materials import (
     AnyMaterial,
     FixedCorotated,
@@ -88,34 +88,6 @@ class Point(NamedTuple):
     """F after the return mapping [N,3,3]."""
     history: NDArray
     """History after the return mapping [N,2]."""
-
-
-@cache
-def make_probe(law: Law, real: Any):
-    """Kernel: everything a law says about one state."""
-    t = types(real)
-    theta_type = wp.types.vector(law.width, real)
-    stress, modulus, energy = law.stress, law.modulus, law.energy
-    plastic, project = law.project is not None, law.project
-
-    @wp.kernel(module=f"phy124_probe_{law.name}_{real.__name__}", enable_backward=False)
-    def probe(
-        theta: wp.array(dtype=theta_type), F: wp.array(dtype=t.mat33), C: wp.array(dtype=t.mat33),
-        h: wp.array(dtype=t.vec2), dt: real,
-        stress_out: wp.array(dtype=t.mat33), modulus_out: wp.array(dtype=real),
-        energy_out: wp.array(dtype=real), F_out: wp.array(dtype=t.mat33),
-        h_out: wp.array(dtype=t.vec2),
-    ):  # fmt: skip
-        p = wp.tid()
-        stress_out[p] = stress(F[p], C[p], h[p], theta[0])
-        modulus_out[p] = modulus(F[p], h[p], theta[0])
-        energy_out[p] = energy(F[p], h[p], theta[0])
-        if wp.static(plastic):
-            elastic, after = project(F[p], h[p], theta[0], dt)
-            F_out[p] = elastic
-            h_out[p] = after
-
-    return probe
 
 
 def evaluate(
