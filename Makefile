@@ -18,13 +18,13 @@ bridge: .venv/bridge
 
 test: .venv/test
 	$(BIN)/pytest -n 2 --dist loadfile -m "not slow and not browser"
-	if command -v chromium >/dev/null; then $(BIN)/pytest -m browser; fi
+	if command -v chromium >/dev/null; then $(BIN)/pytest -n 2 --dist loadfile -m browser tests/e2e; fi
 
 test-slow: .venv/test
 	$(BIN)/pytest -m "slow and not gpu and not weights and not ros"
 
 test-browser: .venv/test chromium
-	$(BIN)/pytest -m browser
+	$(BIN)/pytest -n 2 --dist loadfile -m browser tests/e2e
 
 chromium:
 	command -v chromium >/dev/null || (apt-get update -qq && apt-get install -y -qq chromium)

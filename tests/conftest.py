@@ -8,15 +8,33 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # two test processes share two cores
 
+import fcntl
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import warp as wp
 
 from phy124.gaussians import Gaussians
 
 ROOT = Path(__file__).parents[1]
 GOLDEN = Path(os.environ.get("PHY124_GOLDEN", ROOT / "../shared/golden"))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def each_module_is_compiled_once(tmp_path_factory) -> None:
+    """While one test process compiles a module, another that needs it waits for the result."""
+    locks = tmp_path_factory.getbasetemp().parent / "locks"
+    locks.mkdir(exist_ok=True)
+    compile_module = wp.Module._compile
+
+    def alone(module: wp.Module, *arguments: Any, **options: Any) -> bool:
+        with open(locks / module.name, "w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            return compile_module(module, *arguments, **options)
+
+    wp.Module._compile = alone
 
 
 @pytest.fixture(scope="session")

@@ -19,7 +19,7 @@ from support.served import PATIENCE, ROOT, Server, serving
 
 DUCK = ROOT / "demo" / "examples" / "duck.png"
 GIGABYTE = 1 << 30
-LEAVING = 8
+LEAVING = 6
 FEW = {"view.views": ["front"], "view.size": 64}
 # gradio_client leaves sockets of its streams to the garbage collector.
 pytestmark = [
@@ -271,6 +271,7 @@ def test_visitors_who_leave_in_the_middle_leave_nothing_behind(server):
     """More of them than may wait close their tab; tests/abuse has fifty who stay to the end."""
     with ThreadPoolExecutor(LEAVING) as pool:
         list(pool.map(lambda _: _leave_in_the_middle(server), range(LEAVING)))
+    assert server.health()["visitors"] > 0, "they had come"
     server.until_idle()
     server.until(lambda: server.health()["visitors"] == 0, "everybody's leaving")
     server.until(lambda: _folders(server) == set(), "an empty folder")
@@ -286,8 +287,10 @@ def _folders(server: Server) -> set[Path]:
 
 def _leave_in_the_middle(server: Server) -> None:
     from gradio_client import handle_file
+    from gradio_client.utils import Status
 
     with _client(server) as client:
-        client.submit(
-            handle_file(str(DUCK)), "press", "draft", 30, FEW, [], api_name="/generate"
+        sent = client.submit(
+            handle_file(str(DUCK)), "press", "draft", 6, FEW, [], api_name="/generate"
         )  # fmt: skip
+        server.until(lambda: sent.status().code != Status.STARTING, "an answer to the request")

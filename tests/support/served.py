@@ -77,11 +77,13 @@ def serving(
     command: Sequence[str | Path] = (sys.executable, ROOT / "app.py"),
     *,
     files: int | None = None,
+    warm: bool = True,
     **settings: object,
 ) -> Iterator[Server]:
     """Serve until the block ends; settings are those of demo.settings.Settings.
 
-    `files` is how many files and connections the server may have open.
+    `files` is how many files and connections the server may have open. A server that need not be
+    `warm` is used while it still loads kernels and measures the machine.
     """
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
@@ -95,7 +97,7 @@ def serving(
         resource.prlimit(process.pid, resource.RLIMIT_NOFILE, (files, files))
     server = Server(port, root, written, process)
     try:
-        server.until(lambda: _answers(server), "a server that is ready")
+        server.until(lambda: _answers(server, warm), "a server that is ready")
         yield server
     finally:
         process.terminate()
@@ -106,8 +108,8 @@ def serving(
             process.wait()
 
 
-def _answers(server: Server) -> bool:
+def _answers(server: Server, warm: bool) -> bool:
     try:
-        return server.health()["ready"]
+        return server.health()["ready"] or not warm
     except OSError:
         return False
