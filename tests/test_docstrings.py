@@ -8,13 +8,13 @@ from typing import NamedTuple
 import pytest
 
 PACKAGE = Path(__file__).parents[1] / "phy124"
-ROOMS = [
-    "arguments", "capture", "generators", "imaging", "io", "metrics", "particles", "rendering",
-    "runtime", "scene", "weights", "axes.py", "bounds.py", "clip.py", "errors.py", "gaussians.py",
-    "harmonics.py", "parts.py", "placing.py", "progress.py", "region.py", "scenery.py",
-    "stiffness.py", "tracks.py",
-]  # fmt: skip
-"""Folders and files of phy124 that are held to it."""
+OPEN = {
+    "accuracy", "boundaries", "commands", "deform.py", "effects.py", "forces.py", "kernels",
+    "limits.py", "materials", "monitor", "mpm", "pipeline.py", "presets", "remedies.py", "selftest",
+    "simulation.py",
+}  # fmt: skip
+"""Folders and files of phy124 that are not held to it yet; take out what has been read."""
+ROOMS = sorted(path.name for path in PACKAGE.glob("[!_]*") if path.name not in OPEN)
 MANY = 4
 """Parameters from which each must be explained."""
 
