@@ -14,11 +14,11 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from phy124.cost import count_particles
 from phy124.errors import InputError
 from phy124.materials import Elastic
 from phy124.scene import GOOD_FOR, PRESETS, Scene, preset_names
 
-from .forecast import count_particles
 from .pictures import check_picture
 from .settings import Settings
 from .substances import chips

@@ -1,7 +1,7 @@
 """How long a run will take and what its accuracy promises, said before it starts.
 
-Substeps follow from the stability limit (phy124.mpm.timestep), particles from the Gaussians and the
-filling; what a particle-substep, a drawn pixel and so on cost is in demo/rates.py.
+How much there is to do is in phy124/cost.py; what a particle-substep, a drawn pixel and so on
+cost on this machine is learned in demo/rates.py.
 """
 
 from __future__ import annotations
@@ -14,32 +14,28 @@ from dataclasses import dataclass
 from html import escape
 from typing import Any
 
-from phy124.accuracy import Forecaster as Probe
+from phy124.accuracy import Forecaster, Stop
 from phy124.accuracy.forecast import GUESS, QUIET, pixels_per_size
 from phy124.accuracy.load import Load, spoken
 from phy124.accuracy.promises import Promise, promise, why_broken
+from phy124.cost import GAUSSIANS, Rates, Work, count_particles
 from phy124.gaussians import Gaussians
 from phy124.limits import duration
-from phy124.mpm.timestep import CELLS_PER_STEP, beside_elastic
 from phy124.scene import PRESETS, Scene
 
-from .rates import Learned, Rates, Work
+from .rates import Learned
 from .studies import Measurement, on_grid
 
-GAUSSIANS = 50_000
-"""What `relief` makes of a picture."""
 Measured = tuple[dict[str, Any], Scene]
 """Report and scene of a finished run."""
 FRESH = 3.0
 """Seconds for which a look at what others do is good."""
 SET_UP = 0.4
 """Seconds to set up one grid of a study and compare its motion, in those of `rest`."""
-FILLED = 0.13
-"""Volume of a typical object, in cubes of its longest side: the filling's share of the grid."""
 
 
 @dataclass(frozen=True)
-class Forecast:
+class Estimate:
     """What a run is expected to be."""
 
     seconds: float
@@ -67,7 +63,7 @@ class Forecast:
         """For the visitor."""
         beside = " beside what else this machine does" if self.load.busy else ""
         text = f"About {spoken(self.span)}{beside}: {self.substeps:,} substeps of "
-        text += f"{round(self.particles, -3):,} particles. {promised(self.promise)}"
+        text += f"{round(self.particles, -3):,} particles. {self.promise.brief}"
         if self.load.busy:
             slower = f"{self.load.simulation:.1f} times as long"
             text += f" Others here make its motion take {slower}, as things are;"
@@ -77,22 +73,7 @@ class Forecast:
         return f"{text} {self.caveat}" if self.caveat else text
 
 
-@dataclass(frozen=True)
-class Stop:
-    """A named accuracy as it would be for one scene."""
-
-    name: str
-    seconds: float
-    error: float | None
-    """Promised, in object sizes; None if it was not measured for such a scene."""
-    pixels: float | None
-    """The same in the video."""
-    chosen: bool
-    own: bool = False
-    """Whether the error was measured on this very scene."""
-
-
-class Forecaster:
+class Estimator:
     """Predicts runs and learns from the reports of finished ones."""
 
     def __init__(self, occupied: Callable[[], bool] = lambda: False) -> None:
@@ -115,19 +96,19 @@ class Forecaster:
         simulated: bool = False,
         filmed: bool = False,
         compiling: float = 0.0,
-    ) -> Forecast:
+    ) -> Estimate:
         """The forecast of a run; `generated` and so on: these stages are there already.
 
         `compiling` are the seconds, alone on this machine, until the kernels are there.
         """
-        work, load = work_of(scene, gaussians), self.load()
+        work, load = Work.of(scene, gaussians), self.load()
         costs = self.rates.seconds(work) | {"rest": self.rates.rest, "compile": compiling}
         done = {
             "generate": generated or simulated, "simulate": simulated, "deform": simulated,
             "compile": simulated, "film": filmed, "rest": filmed,
         }  # fmt: skip
         seconds = {name: cost * load.of(name) for name, cost in costs.items() if not done[name]}
-        return Forecast(
+        return Estimate(
             sum(seconds.values()), round(work.substeps), count_particles(scene, gaussians),
             promise(scene), load=load, compiling=seconds.get("compile", 0.0),
         )  # fmt: skip
@@ -142,7 +123,7 @@ class Forecaster:
         compiling: float = 0.0,
     ) -> float:
         """Seconds of measuring a scene's error on these grids."""
-        costs = [self.rates.seconds(work_of(on_grid(scene, n), gaussians)) for n in levels]
+        costs = [self.rates.seconds(Work.of(on_grid(scene, n), gaussians)) for n in levels]
         simulate, deform = (sum(cost[name] for cost in costs) for name in ("simulate", "deform"))
         rest = len(levels) * self.rates.rest * SET_UP + compiling
         generate, load = 0.0 if generated else self.rates.generate, self.load()
@@ -180,13 +161,13 @@ class Forecaster:
 
     def least(self, scene: Scene, *, gaussians: int = GAUSSIANS) -> float:
         """Seconds of computing, were this machine as quick as it was ever known to be."""
-        return sum(self.learned.least.seconds(work_of(scene, gaussians)).values())
+        return sum(self.learned.least.seconds(Work.of(scene, gaussians)).values())
 
     def least_study(
         self, scene: Scene, levels: Sequence[int], *, gaussians: int = GAUSSIANS
     ) -> float:
         """Seconds of computing, at best, to measure a scene's error on these grids."""
-        works = [work_of(on_grid(scene, n), gaussians) for n in levels]
+        works = [Work.of(on_grid(scene, n), gaussians) for n in levels]
         return sum(self.learned.least.seconds(work)["simulate"] for work in works)
 
     def stops(
@@ -208,7 +189,7 @@ class Forecaster:
             took = scale * self(other, gaussians=gaussians).seconds
             said = promise_of(other, study)
             pixels = None if said.error is None else said.error * pixels_per_size(scene)
-            found.append(Stop(name, took, said.error, pixels, scene.accuracy == name, said.own))
+            found.append(Stop(name, took, said, pixels))
         return found
 
 
@@ -221,11 +202,11 @@ def _alone(report: dict[str, Any], load: Load) -> dict[str, Any]:
     return {**report, "stages": stages}
 
 
-def measured(gaussians: Gaussians, scene: Scene, device: str, rest: float) -> Forecast:
+def measured(gaussians: Gaussians, scene: Scene, device: str, rest: float) -> Estimate:
     """The forecast of `phy124.accuracy`, from a probe of this very object; takes half a second."""
-    found = Probe(device).forecast(gaussians, scene)
+    found = Forecaster(device).forecast(gaussians, scene)
     seconds = found.seconds + rest
-    return Forecast(
+    return Estimate(
         seconds, found.substeps, found.particles, promise(scene), found.caveat, found.load,
         measured=True,
     )  # fmt: skip
@@ -243,17 +224,11 @@ def promise_of(
     return study.promise(scene.resolution.cells)
 
 
-def promised(promise: Promise) -> str:
-    """A promise for somebody who has the page and no command line."""
-    if promise.unmeasured:
-        return f"Expected error: not measured for {promise.unmeasured}."
-    return promise.sentence
-
-
-def stops_table(stops: list[Stop]) -> str:
+def stops_table(stops: list[Stop], chosen: object) -> str:
     """What each stop of the accuracy slider would take and be off by, as HTML."""
+    mark = {chosen: " class=chosen"}
     rows = [
-        f"<tr{' class=chosen' if stop.chosen else ''}><td>{escape(stop.name.capitalize())}</td>"
+        f"<tr{mark.get(stop.name, '')}><td>{escape(stop.name.capitalize())}</td>"
         f"<td>about {_duration(stop.seconds)}</td>"
         f"<td>{_off(stop)}</td></tr>"
         for stop in stops
@@ -264,40 +239,8 @@ def stops_table(stops: list[Stop]) -> str:
 def _off(stop: Stop) -> str:
     if stop.error is None or stop.pixels is None:
         return "error not measured"
-    how = "about" if stop.own else "at most"
+    how = "about" if stop.promise.own else "at most"
     return f"off by {how} {stop.error:.1%} ({stop.pixels:.0f} px)"
-
-
-def work_of(scene: Scene, gaussians: int = GAUSSIANS) -> Work:
-    """What a run of a scene has to do."""
-    particles = count_particles(scene, gaussians)
-    return Work.of(scene, count_substeps(scene), particles, scene.time.frames)
-
-
-def count_substeps(scene: Scene) -> int:
-    """Substeps until the last frame, from the elastic, the viscous and the speed limit."""
-    length, cfl = (scene.time.frames - 1) / scene.time.fps, scene.resolution.cfl
-    elastic = cfl * scene.dx / max(scene.material.wave_speed(), 1e-9)
-    viscous = beside_elastic(cfl) * scene.material.viscous_limit(scene.dx)
-    speed = CELLS_PER_STEP * scene.dx / max(_greatest_speed(scene, length), 1e-9)
-    step = min(elastic, viscous, speed, scene.time.substep or math.inf)
-    # Whole substeps in every frame.
-    return (scene.time.frames - 1) * max(1, math.ceil(1 / scene.time.fps / step))
-
-
-def count_particles(scene: Scene, gaussians: int = GAUSSIANS) -> int:
-    """Gaussians and the particles that fill the inside."""
-    resolution = scene.resolution
-    filling = FILLED * (resolution.cells * resolution.ppc) ** 3
-    return round(filling + (gaussians if scene.binding == "particles" else 0))
-
-
-def _greatest_speed(scene: Scene, length: float) -> float:
-    """How fast the object may become [m/s]: its own motion and what pushes it."""
-    body = scene.object
-    own = math.hypot(*body.velocity) + math.hypot(*body.spin) * body.size / 2
-    pushes = [getattr(force, "g", None) or getattr(force, "a", None) for force in scene.forces]
-    return own + sum(math.hypot(*push) for push in pushes if push is not None) * min(length, 0.5)
 
 
 def _duration(seconds: float) -> str:

@@ -164,7 +164,7 @@ def with_stops(
     count = studio.settings.gaussians
     study = studio.study(name, cutout, scene)
     stops = studio.forecaster.stops(scene, gaussians=count, seconds=known, study=study)
-    table = stops_table(stops)
+    table = stops_table(stops, scene.accuracy)
     if study is not None:
         table += f"<p>What accuracy cost here, without pictures:</p>{study.table()}"
     brief, _, rest = text.partition(": ")

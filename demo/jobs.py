@@ -22,7 +22,7 @@ from phy124.runtime.isolated import Deadline
 from phy124.scene import Scene
 
 from .catalogue import check_limits, check_time, scene_of
-from .forecast import Forecast, Forecaster, measured, promise_of
+from .forecast import Estimate, Estimator, measured, promise_of
 from .line import Job, Line
 from .pictures import check_picture, corrected, cut_out, viewable
 from .progress import MEASURING
@@ -75,7 +75,7 @@ class Studio:
 
     settings: Settings
     visitors: Visitors
-    forecaster: Forecaster = field(default_factory=lambda: Forecaster(DEVICE.locked))
+    forecaster: Estimator = field(default_factory=lambda: Estimator(DEVICE.locked))
     work: Callable[[Order], Iterator[Any]] = steps
     """What runs an order; on ZeroGPU it is wrapped by `spaces.GPU`."""
     warm: threading.Event = field(default_factory=threading.Event)
@@ -152,7 +152,7 @@ class Studio:
             DEVICE.release()
         return self._said(forecast, name, cutout, scene)
 
-    def _said(self, told: Forecast, name: str, cutout: str | None, scene: Scene) -> str:
+    def _said(self, told: Estimate, name: str, cutout: str | None, scene: Scene) -> str:
         """A forecast in words, with what was measured on this very scene."""
         return replace(told, promise=promise_of(scene, self.study(name, cutout, scene))).sentence
 

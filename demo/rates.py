@@ -8,19 +8,17 @@ median of the last few counts, and it stays within a factor of what was measured
 
 from __future__ import annotations
 
-import math
 import statistics
 import threading
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
+from phy124.cost import Rates, Work
 from phy124.scene import Scene
 
 READ = 0.2
 """Longer than it takes to read Gaussians that were made before, s."""
-DOUBLE = 1.7
-"""How much longer a substep takes in float64 (docs/results/accuracy.md)."""
 SPREAD = 3.0
 """Learned costs stay within this factor of those measured at the start, either way."""
 WINDOW = 5
@@ -29,62 +27,6 @@ FIXED = 0.7
 """Largest share of the usual run's time that a fixed cost may explain, were the small run slow."""
 LEAST = 0.2
 """Share of the first measurement's work below which a run teaches nothing."""
-
-
-@dataclass(frozen=True)
-class Rates:
-    """What the stages cost on this machine."""
-
-    generate: float = 3.0
-    """Seconds to make Gaussians of a picture."""
-    substep: float = 1e-4
-    """Seconds per substep, however few particles there are."""
-    particle: float = 1.5e-7
-    """Seconds per particle and substep."""
-    frame: float = 0.06
-    """Seconds per simulated frame, besides its substeps."""
-    video: float = 0.15
-    """Seconds per video, however few pixels it has."""
-    pixel: float = 1.2e-7
-    """Seconds per drawn and encoded pixel."""
-    rest: float = 1.5
-    """Seconds for everything else."""
-
-    def seconds(self, work: Work) -> dict[str, float]:
-        """Seconds of each stage for an amount of work."""
-        return {
-            "generate": self.generate,
-            "simulate": self.substep * work.substeps + self.particle * work.particles,
-            "deform": self.frame * work.frames,
-            "film": self.video * work.videos + self.pixel * work.pixels,
-        }
-
-    def quickest(self, other: Rates) -> Rates:
-        """The smaller of each cost."""
-        return Rates(**{name: min(value, vars(other)[name]) for name, value in vars(self).items()})
-
-
-@dataclass(frozen=True)
-class Work:
-    """How much a run has to do."""
-
-    substeps: float
-    particles: float
-    """Particles times substeps, those in double precision counted for what they cost."""
-    frames: int
-    videos: int
-    pixels: float
-    """Pixels of all frames of all videos."""
-
-    @classmethod
-    def of(cls, scene: Scene, substeps: float, particles: float, frames: int) -> Work:
-        """The work of a scene of so many substeps, particles and frames."""
-        slower = DOUBLE if scene.resolution.precision == "float64" else 1.0
-        views = len(scene.view.sides)
-        return cls(
-            substeps, slower * particles * substeps, frames, views,
-            frames * views * math.prod(scene.view.size),
-        )  # fmt: skip
 
 
 class Learned:
@@ -147,7 +89,7 @@ def _observed(report: dict[str, Any], scene: Scene) -> tuple[Work, dict[str, flo
     spent["film"] = spent.get("render", 0.0) + spent.get("encode", 0.0)
     for name in ("generate", "simulate", "deform"):
         spent.setdefault(name, 0.0)
-    work = Work.of(scene, report["substeps"], report["particles"], report["frames"])
+    work = Work.done(scene, report["substeps"], report["particles"], report["frames"])
     return work, spent
 
 

@@ -7,10 +7,11 @@ from collections.abc import Sequence
 from html import escape
 from typing import Any
 
+from phy124.accuracy import Stop
 from phy124.accuracy.promises import Promise
 from phy124.scene import Scene
 
-from .forecast import Stop, promise_of, promised
+from .forecast import promise_of
 from .studies import Measurement
 
 WIDTH, HEIGHT, TALL, MARGIN = 280, 84, 130, 4
@@ -43,7 +44,7 @@ def _accuracy(
     name = scene.get("accuracy")
     rows = [
         ("Setting", name if isinstance(name, str) else "own settings"),
-        ("Error measured" if said.own else "Error promised", promised(said).partition(": ")[2]),
+        ("Error measured" if said.own else "Error promised", said.brief.partition(": ")[2]),
         ("Time predicted", f"{predicted:.1f} s"),
         ("Time spent", f"{report['seconds']:.1f} s"),
         ("Gaussians", f"{report['gaussians']:,}"),

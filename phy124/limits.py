@@ -1,7 +1,6 @@
 """Runs that would take hours or more memory than there is are refused before they start.
 
-The forecast is rough on purpose (a factor of two): substeps from the wave speed, 110 ns per
-particle and 1.1 ns per node of the window on one core. A refusal names a setting that would fit.
+What it would take is rough on purpose (phy124/cost.py). A refusal names a setting that would fit.
 """
 
 from __future__ import annotations
@@ -10,29 +9,17 @@ import math
 import os
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
+from phy124.cost import Demand, demand_of, rest_substeps
 from phy124.errors import InputError, Remedy
 from phy124.gaussians import Gaussians
 from phy124.materials import AnyMaterial
-from phy124.mpm.timestep import STRAIN_PER_STEP, beside_elastic
 from phy124.particles import Particles
 from phy124.remedies import accuracy, listed, plain
 from phy124.scene import Scene
 
-PER_PARTICLE = {"cpu": 110e-9, "cuda": 1.5e-9}
-"""Seconds per particle and substep."""
-PER_NODE = {"cpu": 1.1e-9, "cuda": 0.05e-9}
-"""Seconds per node and substep."""
-PER_SUBSTEP = 30e-6
-"""Seconds per substep for its launches."""
-BYTES_PER_PARTICLE = 400
-"""Of the state, its copy to go back to, and what preparing it takes."""
-BYTES_PER_NODE = 32
-BYTES_PER_GAUSSIAN = 40
-"""Of one frame of the clip."""
 MUCH_STIFFER = 3.0
 """Times the waves of one material are faster than those of all others when that is worth a word."""
 MEMORY_SHARE = 0.8
@@ -40,29 +27,6 @@ MEMORY_SHARE = 0.8
 
 FARTHEST_CELLS = 1e5
 """Cells from the origin up to which float32 knows a place to a hundredth of a cell."""
-
-
-class Demand(NamedTuple):
-    """What a run is forecast to need."""
-
-    substeps: float
-    seconds: float
-    memory: float
-    """Bytes."""
-
-
-def forecast(
-    gaussians: Gaussians, particles: Particles, scene: Scene, device: str, *, keep: bool = True
-) -> Demand:
-    """A rough estimate of what a simulation needs; `keep`: all its frames."""
-    substeps, kind = _substeps(scene), "cuda" if device.startswith("cuda") else "cpu"
-    nodes = float(np.prod(np.ptp(particles.x, axis=0) / scene.dx + 11))
-    each = PER_PARTICLE[kind] * len(particles) + PER_NODE[kind] * nodes + PER_SUBSTEP
-    double = 2 if scene.resolution.precision == "float64" else 1
-    memory = double * (
-        BYTES_PER_PARTICLE * len(particles) + BYTES_PER_NODE * nodes
-    ) + BYTES_PER_GAUSSIAN * len(gaussians) * (scene.time.frames if keep else 1)
-    return Demand(substeps, substeps * each, memory)
 
 
 def refuse_hopeless(
@@ -77,12 +41,12 @@ def refuse_hopeless(
     the object is so far up that float32 cannot tell places in a cell apart.
     """
     _refuse_far(scene)
-    demand = forecast(gaussians, particles, scene, device, keep=keep)
+    demand = demand_of(gaussians, particles, scene, device, keep=keep)
     patience = scene.time.patience
     if demand.seconds > patience:
 
         def fits(other: Scene) -> bool:
-            needed = forecast(gaussians, particles, other, device, keep=keep)
+            needed = demand_of(gaussians, particles, other, device, keep=keep)
             return needed.seconds <= other.time.patience
 
         found = _fitting(scene, demand.seconds / patience, fits)
@@ -144,30 +108,6 @@ def free_memory() -> float:
     return math.inf
 
 
-def _substeps(scene: Scene) -> float:
-    """How many substeps the elastic limit, the user's or the spin ask for."""
-    duration = (scene.time.frames - 1) / scene.time.fps
-    longest = min(_elastic(scene), _viscous(scene))
-    turning = math.sqrt(2) * math.hypot(*scene.object.spin)
-    if turning > 0:
-        longest = min(longest, STRAIN_PER_STEP / turning)
-    if scene.time.substep is not None:
-        longest = min(longest, scene.time.substep)
-    return duration / longest
-
-
-def _elastic(scene: Scene) -> float:
-    """Longest substep that stiffness allows at rest [s]."""
-    fastest = max(section.wave_speed() for section in scene.materials)
-    return scene.resolution.cfl * scene.dx / fastest
-
-
-def _viscous(scene: Scene) -> float:
-    """Longest substep that friction allows [s]."""
-    friction = min(section.viscous_limit(scene.dx) for section in scene.materials)
-    return beside_elastic(scene.resolution.cfl) * friction
-
-
 def _fitting(scene: Scene, excess: float, fits: Callable[[Scene], bool]) -> tuple[Remedy, ...]:
     """Settings each of which makes a run `excess` times cheaper, and was tried to be enough."""
     found = []
@@ -184,8 +124,8 @@ def _fitting(scene: Scene, excess: float, fits: Callable[[Scene], bool]) -> tupl
 def _cheaper(scene: Scene, excess: float) -> Iterator[Remedy]:
     """What may do: the cause of the many substeps first."""
     timing = scene.time.model_copy(update={"substep": None})
-    automatic = _substeps(scene.model_copy(update={"time": timing}))
-    if scene.time.substep is not None and automatic < _substeps(scene):
+    automatic = rest_substeps(scene.model_copy(update={"time": timing}))
+    if scene.time.substep is not None and automatic < rest_substeps(scene):
         yield plain("time.substep", _rounded(1.05 * scene.time.substep * excess))
     if not scene.parts:
         for name in ("damping", "viscosity"):
@@ -230,7 +170,7 @@ def stiffest_part(scene: Scene) -> str | None:
         part = field.removesuffix(".material")
         remedy += f", or {part}.static = true, if nothing rests on it,"
     return (
-        f"{field} ({section.law}) is so stiff that it alone asks for {_substeps(scene):,.0f} "
+        f"{field} ({section.law}) is so stiff that it alone asks for {rest_substeps(scene):,.0f} "
         f"substeps, {ratio:.0f} times as many as the rest: {remedy} makes the run as much faster."
     )
 

@@ -9,7 +9,7 @@ import pytest
 from phy124.__main__ import main
 from phy124.accuracy import Forecaster
 from phy124.accuracy import forecast as module
-from phy124.accuracy.forecast import Forecast, Rates, pixels_per_size
+from phy124.accuracy.forecast import Forecast, SubstepCost, pixels_per_size
 from phy124.accuracy.pilot import Pilot, fly
 from phy124.accuracy.promises import Promise
 from phy124.scene import PRESETS, Scene
@@ -105,7 +105,7 @@ def test_no_promise_where_speed_rules():
 
 def test_compared_counts_only_what_was_foretold():
     made = Forecast(
-        {"simulate": 2.0, "render": 1.0}, (), 10, 20, 30, {"elastic": 1.0}, Rates(1.0, 1.0)
+        {"simulate": 2.0, "render": 1.0}, (), 10, 20, 30, {"elastic": 1.0}, SubstepCost(1.0, 1.0)
     ).with_measured("generate", 5.0)
     assert made.seconds == 8.0
     report = made.compared({"generate": 50.0, "simulate": 3.0, "render": 1.0, "image": 9.0})

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from demo.exports import EXPORTS, export
-from demo.forecast import Forecaster
+from demo.forecast import Estimator
 from demo.pictures import corrected, cut_out
 from demo.report import as_html
 from demo.strokes import Stroke, painted, strokes_of
@@ -165,7 +165,7 @@ def test_the_report_says_how_the_object_was_cut_out():
 
 def test_the_report_shows_the_point_reached_among_the_stops():
     scene = Scene.named("press")
-    stops = Forecaster().stops(scene)
+    stops = Estimator().stops(scene)
     text = as_html(_report(), scene.data(), 4.0, stops)
     error = promise(scene).error
     assert f"this run: 3.0 s, error at most about {error:.1%} of the size" in text
@@ -178,14 +178,14 @@ def test_the_report_shows_the_point_reached_among_the_stops():
 def test_a_run_that_may_be_torn_has_no_error_and_no_point():
     scene = Scene.named("press")
     torn = {**_report(), "balance": {"tearing": {"likely": True}}}
-    text = as_html(torn, scene.data(), 4.0, Forecaster().stops(scene))
+    text = as_html(torn, scene.data(), 4.0, Estimator().stops(scene))
     assert "none can be promised: the grid may have torn the material" in text
     assert "at most" not in text and 'class="reached"' not in text
 
 
 def test_what_was_not_measured_has_no_error_and_no_point():
     scene = Scene.named("drop").replaced({"material.law": "fluid", "time.frames": 700})
-    text = as_html(_report(), scene.data(), 4.0, Forecaster().stops(scene))
+    text = as_html(_report(), scene.data(), 4.0, Estimator().stops(scene))
     assert "not measured for fluid" in text and 'class="reached"' not in text
 
 

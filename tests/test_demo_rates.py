@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from demo.forecast import Forecaster, work_of
+from demo.forecast import Estimator
 from demo.rates import SPREAD, Learned
+from phy124.cost import Work
 from phy124.scene import Scene
 
 FEW = {"view.size": 16, "view.views": ["front"], "time.frames": 2}
@@ -14,7 +15,7 @@ USUAL = Scene.named("press").replaced({"accuracy": "draft", "view.views": ["fron
 
 
 def _report(scene: Scene, **spent: float) -> dict:
-    work = work_of(scene)
+    work = Work.of(scene)
     stages = [{"name": name, "seconds": seconds} for name, seconds in spent.items()]
     return {
         "stages": stages, "substeps": work.substeps, "frames": work.frames,
@@ -25,14 +26,14 @@ def _report(scene: Scene, **spent: float) -> dict:
 @pytest.fixture
 def learned() -> Learned:
     made = Learned()
-    little = _report(TINY, simulate=1e-4 * work_of(TINY).substeps, render=0.01, encode=0.2)
+    little = _report(TINY, simulate=1e-4 * Work.of(TINY).substeps, render=0.01, encode=0.2)
     much = _report(USUAL, generate=0.8, simulate=1.0, deform=0.2, render=0.4, encode=0.4)
     made.calibrate((little, TINY), (much, USUAL))
     return made
 
 
 def test_a_run_measured_at_the_start_is_forecast_as_it_was(learned):
-    costs = learned.now.seconds(work_of(USUAL))
+    costs = learned.now.seconds(Work.of(USUAL))
     wanted = {"generate": 0.8, "simulate": 1.0, "deform": 0.2, "film": 0.8}
     assert costs == pytest.approx(wanted)
 
@@ -42,7 +43,7 @@ def test_a_small_run_at_a_slow_moment_does_not_explain_the_usual_one():
     little = _report(TINY, simulate=100.0, render=20.0, encode=20.0)
     much = _report(USUAL, generate=0.8, simulate=1.0, deform=0.2, render=0.4, encode=0.4)
     made.calibrate((little, TINY), (much, USUAL))
-    costs = made.now.seconds(work_of(USUAL))
+    costs = made.now.seconds(Work.of(USUAL))
     assert costs == pytest.approx({"generate": 0.8, "simulate": 1.0, "deform": 0.2, "film": 0.8})
     assert made.now.particle > 0 and made.now.pixel > 0
 
@@ -69,11 +70,11 @@ def test_a_machine_that_became_slower_is_believed(learned):
     twice = _report(USUAL, generate=1.6, simulate=2.0, deform=0.4, render=0.8, encode=0.8)
     for _ in range(4):
         learned.learn(twice, USUAL)
-    assert sum(learned.now.seconds(work_of(USUAL)).values()) == pytest.approx(5.6, rel=0.15)
+    assert sum(learned.now.seconds(Work.of(USUAL)).values()) == pytest.approx(5.6, rel=0.15)
 
 
 def test_nothing_is_refused_because_of_what_was_learned(learned):
-    forecaster = Forecaster()
+    forecaster = Estimator()
     forecaster.learned = learned
     before = forecaster.least(USUAL)
     for _ in range(10):

@@ -10,12 +10,13 @@ from PIL import Image
 
 from demo.__main__ import asked_for, main
 from demo.catalogue import FOLDER, catalogue, check_time, files_named, scene_of
-from demo.forecast import Forecaster, count_substeps, measured, stops_table, work_of
+from demo.forecast import Estimator, measured, stops_table
 from demo.jobs import Studio
 from demo.settings import Settings, table
 from demo.visitors import Visitors
 from phy124.accuracy.load import Load
 from phy124.boundaries import AnyBoundary
+from phy124.cost import Work, count_substeps
 from phy124.errors import InputError
 from phy124.forces import AnyForce
 from phy124.materials import AnyMaterial
@@ -175,7 +176,7 @@ def test_fractions_of_frames_are_refused_though_a_slider_would_send_them():
 def test_what_would_take_too_long_is_refused_before_it_starts():
     stiff = Scene.named("press").replaced({"material.E": 1e10})
     with pytest.raises(InputError, match="would take about"):
-        check_time(Forecaster().least(stiff), Settings())
+        check_time(Estimator().least(stiff), Settings())
 
 
 @pytest.mark.parametrize("damping", [0.0, 2e4])
@@ -202,38 +203,37 @@ def test_the_page_measures_this_machine_before_the_first_visitor(tmp_path):
 
 
 def test_stops_are_those_of_the_scene_and_follow_what_was_measured():
-    forecaster, scene = Forecaster(), Scene.named("press").replaced({"accuracy": "draft"})
+    forecaster, scene = Estimator(), Scene.named("press").replaced({"accuracy": "draft"})
     stops = forecaster.stops(scene)
     assert [stop.name for stop in stops] == ["draft", "standard", "fine"]
-    assert [stop.chosen for stop in stops] == [True, False, False]
     assert stops[0].seconds == forecaster(scene).seconds
     assert sorted(stop.seconds for stop in stops) == [stop.seconds for stop in stops]
     assert stops[0].pixels == pytest.approx(stops[0].error * 295, rel=0.01)
     twice = forecaster.stops(scene, seconds=2 * stops[0].seconds)
     assert [b.seconds / a.seconds for a, b in zip(stops, twice, strict=True)] == [2, 2, 2]
-    table = stops_table(stops)
+    table = stops_table(stops, scene.accuracy)
     assert table.count("<tr") == 3 and table.count("class=chosen") == 1
     assert f"off by at most {stops[0].error:.1%} ({stops[0].pixels:.0f} px)" in table
 
 
 def test_what_was_not_measured_is_not_promised():
     scene = Scene.named("drop").replaced({"material.law": "fluid", "time.frames": 100})
-    forecast = Forecaster()(scene)
+    forecast = Estimator()(scene)
     assert forecast.promise.error is None
     assert "Expected error: not measured for fluid" in forecast.sentence
-    assert stops_table(Forecaster().stops(scene)).count("error not measured") == 3
+    assert stops_table(Estimator().stops(scene), scene.accuracy).count("error not measured") == 3
 
 
 def test_what_is_there_already_takes_no_time_and_others_take_theirs(monkeypatch):
-    scene, forecaster = Scene.named("press"), Forecaster()
+    scene, forecaster = Scene.named("press"), Estimator()
     whole = forecaster(scene).seconds
     made = forecaster(scene, generated=True).seconds
     moved = forecaster(scene, generated=True, simulated=True).seconds
     assert whole > made > moved > 0
     assert forecaster(scene, generated=True, simulated=True, filmed=True).seconds == 0
     monkeypatch.setattr("demo.forecast.Load.measured", lambda *_: Load(2.0, 3.0))
-    busy = Forecaster()(scene)
-    motion = forecaster.rates.seconds(work_of(scene))["simulate"]
+    busy = Estimator()(scene)
+    motion = forecaster.rates.seconds(Work.of(scene))["simulate"]
     assert busy.seconds == pytest.approx(2 * whole + motion)
     assert "beside what else this machine does" in busy.sentence
     assert "make its motion take 3.0 times as long" in busy.sentence
@@ -241,7 +241,7 @@ def test_what_is_there_already_takes_no_time_and_others_take_theirs(monkeypatch)
 
 def test_a_run_of_our_own_is_not_taken_for_others(monkeypatch):
     occupied = True
-    forecaster = Forecaster(lambda: occupied)
+    forecaster = Estimator(lambda: occupied)
     monkeypatch.setattr("demo.forecast.Load.measured", lambda *_: Load(2.0, 3.0))
     assert not forecaster.load().busy
     occupied = False
@@ -249,7 +249,7 @@ def test_a_run_of_our_own_is_not_taken_for_others(monkeypatch):
 
 
 def test_two_looks_do_not_take_each_other_for_others(monkeypatch):
-    forecaster, at_once = Forecaster(), []
+    forecaster, at_once = Estimator(), []
 
     def look(*_):
         at_once.append(forecaster._looking.locked())
@@ -262,7 +262,7 @@ def test_two_looks_do_not_take_each_other_for_others(monkeypatch):
 
 def test_kernels_that_are_not_there_take_time_and_it_is_said(monkeypatch):
     monkeypatch.setattr("demo.forecast.Load.measured", lambda *_: Load(2.0, 3.0))
-    scene, forecaster = Scene.named("press"), Forecaster()
+    scene, forecaster = Scene.named("press"), Estimator()
     warm, cold = forecaster(scene), forecaster(scene, compiling=5.0)
     assert cold.seconds == pytest.approx(warm.seconds + 10.0)
     assert "compiles for about 10 s" in cold.sentence and "compiles" not in warm.sentence
@@ -278,7 +278,7 @@ def test_rates_are_measured_less_what_others_took(monkeypatch):
     for before, after in ((1.0, 1.0), (2.0, 2.0), (3.0, 1.0)):
         looks = iter([Load(before, before), Load(after, after)] * 2)
         monkeypatch.setattr("demo.forecast.Load.measured", lambda *_, looks=looks: next(looks))
-        forecaster = Forecaster()
+        forecaster = Estimator()
         forecaster.calibrate(lambda: (report, scene), lambda: (report, scene))
         found.append(forecaster.rates.substep)
     assert found[1] == found[2] == pytest.approx(found[0] / 2)

@@ -2,8 +2,9 @@
 
 import pytest
 
+from phy124.cost import demand_of
 from phy124.errors import InputError
-from phy124.limits import forecast, stiffest_part
+from phy124.limits import stiffest_part
 from phy124.particles import make_particles
 from phy124.scene import Scene
 from phy124.simulation import Simulation
@@ -53,7 +54,7 @@ def test_the_setting_that_would_fit_fits(hard):
     scene = Scene.named("push_right").replaced({**QUICK, **hard}).replaced(changes)
     gaussians = run().gaussians
     particles = make_particles(gaussians, density=1000, spacing=scene.dx / 2)
-    assert forecast(gaussians, particles, scene, "cpu").seconds <= 60
+    assert demand_of(gaussians, particles, scene, "cpu").seconds <= 60
 
 
 def test_what_is_too_far_up_for_float32_is_refused():

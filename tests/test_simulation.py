@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from phy124.clip import Clip
+from phy124.cost import demand_of
 from phy124.errors import Cancelled, InputError
 from phy124.io import resume
-from phy124.limits import forecast
 from phy124.mpm import Unstable
 from phy124.scene import Scene, preset_names
 from phy124.simulation import Simulation
@@ -206,5 +206,5 @@ def test_a_run_that_keeps_nothing_gives_the_same_frames_and_no_clip(tmp_path):
 def test_memory_for_frames_that_are_not_kept_is_not_asked_for():
     scene = Scene.named("press").replaced({**QUICK, "time.frames": 10_000})
     s = Simulation(ball(400), scene, keep=False)
-    kept = forecast(s.gaussians, s.particles, scene, "cpu")
+    kept = demand_of(s.gaussians, s.particles, scene, "cpu")
     assert kept.memory - s.demand.memory == pytest.approx(9_999 * 40 * 400)

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from phy124.cost import GAUSSIANS
 from phy124.scene import Scene
 
-from ..forecast import GAUSSIANS
 from ..visitors import key
 
 VIEWED = ("view", "accuracy", "description")

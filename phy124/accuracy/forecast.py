@@ -52,8 +52,8 @@ NODE_STAGES = ("clear", "grid")
 
 
 @dataclass(frozen=True)
-class Rates:
-    """How fast a solver is on this machine."""
+class SubstepCost:
+    """What a substep of a solver costs on this machine."""
 
     particle: float
     """Seconds per particle and substep."""
@@ -75,7 +75,7 @@ class Forecast:
     substeps: int
     limiters: dict[str, float]
     """Share of the substeps by what limits them."""
-    rates: Rates
+    rates: SubstepCost
     memory: float = 0.0
     """Bytes, roughly (`phy124.limits`)."""
     caveat: str | None = None
@@ -149,9 +149,10 @@ class Stop:
     """The error that was measured for such scenes, or why none is promised."""
     pixels: float | None
     """The promised error in pixels of the video."""
-    caveat: str | None
+    caveat: str | None = None
     """Why the seconds are no promise."""
-    forecast: Forecast
+    forecast: Forecast | None = None
+    """What they come from, if it was measured on the object itself."""
 
     @property
     def error(self) -> float | None:
@@ -251,8 +252,8 @@ def _caveat(pilot: Pilot, limiters: Mapping[str, float]) -> str | None:
     return None
 
 
-def _probe(simulation: Simulation) -> tuple[Rates, int, float]:
-    """Rates, grid nodes and seconds of checks per frame, from a few times 20 substeps.
+def _probe(simulation: Simulation) -> tuple[SubstepCost, int, float]:
+    """SubstepCost, grid nodes and seconds of checks per frame, from a few times 20 substeps.
 
     The simulation goes through what a frame goes through and is then put back to its start.
     """
@@ -298,9 +299,9 @@ def _forget_timings(solver: Solver) -> None:
         worker.timings.clear()
 
 
-def _rates(seconds: float, share: float, particles: int, nodes: int) -> Rates:
+def _rates(seconds: float, share: float, particles: int, nodes: int) -> SubstepCost:
     """Split the seconds of a substep by the share that goes with the nodes."""
-    return Rates(seconds * (1 - share) / particles, seconds * share / max(nodes, 1))
+    return SubstepCost(seconds * (1 - share) / particles, seconds * share / max(nodes, 1))
 
 
 def _timed(work: Callable[[], Any]) -> float:

@@ -56,6 +56,13 @@ class Promise:
             return f"Expected error: {self.why}"
         return f"Expected error: at most {self.error:.1%} of the object's size. {self.why}"
 
+    @property
+    def brief(self) -> str:
+        """For people who have no command line."""
+        if self.unmeasured:
+            return f"Expected error: not measured for {self.unmeasured}."
+        return self.sentence
+
 
 def promise(scene: Scene, report: Mapping[str, Any] | None = None) -> Promise:
     """What may be promised of a scene; with the report of its run, what may still be said."""

@@ -28,7 +28,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from tables import DOCS, markdown, renew
 
-from demo.forecast import Forecast
+from demo.forecast import Estimate
 from demo.jobs import Studio
 from demo.settings import Settings
 from demo.visitors import Visitors
@@ -73,10 +73,10 @@ class Page:
 
     def __init__(self, folder: Path) -> None:
         self.studio = Studio(Settings(device="cpu"), Visitors(folder))
-        self.told: Forecast | None = None
+        self.told: Estimate | None = None
         said = self.studio._said
 
-        def noted(told: Forecast, *arguments: Any) -> str:
+        def noted(told: Estimate, *arguments: Any) -> str:
             self.told = told
             return said(told, *arguments)
 

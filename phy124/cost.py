@@ -1,0 +1,175 @@
+"""What a run costs, in closed form: from the scene and a few counts, nothing is run.
+
+Substeps follow from the stability limit (phy124.mpm.timestep), particles from the Gaussians and the
+filling. `Rates` says what each unit of work costs on a machine, which the page learns from finished
+runs; `demand_of` is rough on purpose (a factor of two), for what is refused before it starts. What
+a run takes to a few percent is measured on the object itself: phy124/accuracy/forecast.py.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from phy124.gaussians import Gaussians
+from phy124.mpm.timestep import CELLS_PER_STEP, STRAIN_PER_STEP, beside_elastic
+from phy124.particles import Particles
+from phy124.scene import Scene
+
+GAUSSIANS = 50_000
+"""What `relief` makes of a picture."""
+FILLED = 0.13
+"""Volume of a typical object, in cubes of its longest side: the filling's share of the grid."""
+DOUBLE = 1.7
+"""How much longer a substep takes in float64 (docs/results/accuracy.md)."""
+PER_PARTICLE = {"cpu": 110e-9, "cuda": 1.5e-9}
+"""Seconds per particle and substep."""
+PER_NODE = {"cpu": 1.1e-9, "cuda": 0.05e-9}
+"""Seconds per node and substep."""
+PER_SUBSTEP = 30e-6
+"""Seconds per substep for its launches."""
+BYTES_PER_PARTICLE = 400
+"""Of the state, its copy to go back to, and what preparing it takes."""
+BYTES_PER_NODE = 32
+BYTES_PER_GAUSSIAN = 40
+"""Of one frame of the clip."""
+
+
+@dataclass(frozen=True)
+class Rates:
+    """What the stages cost on this machine."""
+
+    generate: float = 3.0
+    """Seconds to make Gaussians of a picture."""
+    substep: float = 1e-4
+    """Seconds per substep, however few particles there are."""
+    particle: float = 1.5e-7
+    """Seconds per particle and substep."""
+    frame: float = 0.06
+    """Seconds per simulated frame, besides its substeps."""
+    video: float = 0.15
+    """Seconds per video, however few pixels it has."""
+    pixel: float = 1.2e-7
+    """Seconds per drawn and encoded pixel."""
+    rest: float = 1.5
+    """Seconds for everything else."""
+
+    def seconds(self, work: Work) -> dict[str, float]:
+        """Seconds of each stage for an amount of work."""
+        return {
+            "generate": self.generate,
+            "simulate": self.substep * work.substeps + self.particle * work.particles,
+            "deform": self.frame * work.frames,
+            "film": self.video * work.videos + self.pixel * work.pixels,
+        }
+
+    def quickest(self, other: Rates) -> Rates:
+        """The smaller of each cost."""
+        return Rates(**{name: min(value, vars(other)[name]) for name, value in vars(self).items()})
+
+
+@dataclass(frozen=True)
+class Work:
+    """How much a run has to do."""
+
+    substeps: float
+    particles: float
+    """Particles times substeps, those in double precision counted for what they cost."""
+    frames: int
+    videos: int
+    pixels: float
+    """Pixels of all frames of all videos."""
+
+    @classmethod
+    def of(cls, scene: Scene, gaussians: int = GAUSSIANS) -> Work:
+        """What a run of a scene has to do."""
+        particles = count_particles(scene, gaussians)
+        return cls.done(scene, count_substeps(scene), particles, scene.time.frames)
+
+    @classmethod
+    def done(cls, scene: Scene, substeps: float, particles: float, frames: int) -> Work:
+        """The work of a run of so many substeps, particles and frames."""
+        slower = DOUBLE if scene.resolution.precision == "float64" else 1.0
+        views = len(scene.view.sides)
+        return cls(
+            substeps, slower * particles * substeps, frames, views,
+            frames * views * math.prod(scene.view.size),
+        )  # fmt: skip
+
+
+def count_substeps(scene: Scene) -> int:
+    """Substeps until the last frame, from what is known before the motion: its speed, too."""
+    length = (scene.time.frames - 1) / scene.time.fps
+    speed = CELLS_PER_STEP * scene.dx / max(_greatest_speed(scene, length), 1e-9)
+    step = min(longest_substep(scene), speed)
+    # Whole substeps in every frame.
+    return (scene.time.frames - 1) * max(1, math.ceil(1 / scene.time.fps / step))
+
+
+def count_particles(scene: Scene, gaussians: int = GAUSSIANS) -> int:
+    """Gaussians and the particles that fill the inside."""
+    resolution = scene.resolution
+    filling = FILLED * (resolution.cells * resolution.ppc) ** 3
+    return round(filling + (gaussians if scene.binding == "particles" else 0))
+
+
+def _greatest_speed(scene: Scene, length: float) -> float:
+    """How fast the object may become [m/s]: its own motion and what pushes it."""
+    body = scene.object
+    own = math.hypot(*body.velocity) + math.hypot(*body.spin) * body.size / 2
+    pushes = [getattr(force, "g", None) or getattr(force, "a", None) for force in scene.forces]
+    return own + sum(math.hypot(*push) for push in pushes if push is not None) * min(length, 0.5)
+
+
+def rest_substeps(scene: Scene) -> float:
+    """How many substeps a scene asks for whatever its motion does."""
+    return (scene.time.frames - 1) / scene.time.fps / longest_substep(scene)
+
+
+def longest_substep(scene: Scene) -> float:
+    """What stiffness, friction, spin and the user allow at rest [s]."""
+    longest = min(_elastic(scene), _viscous(scene))
+    turning = math.sqrt(2) * math.hypot(*scene.object.spin)
+    if turning > 0:
+        longest = min(longest, STRAIN_PER_STEP / turning)
+    if scene.time.substep is not None:
+        longest = min(longest, scene.time.substep)
+    return longest
+
+
+def _elastic(scene: Scene) -> float:
+    """Longest substep that stiffness allows at rest [s]."""
+    fastest = max(section.wave_speed() for section in scene.materials)
+    return scene.resolution.cfl * scene.dx / fastest
+
+
+def _viscous(scene: Scene) -> float:
+    """Longest substep that friction allows [s]."""
+    friction = min(section.viscous_limit(scene.dx) for section in scene.materials)
+    return beside_elastic(scene.resolution.cfl) * friction
+
+
+class Demand(NamedTuple):
+    """What a run is forecast to need."""
+
+    substeps: float
+    seconds: float
+    memory: float
+    """Bytes."""
+
+
+def demand_of(
+    gaussians: Gaussians, particles: Particles, scene: Scene, device: str, *, keep: bool = True
+) -> Demand:
+    """A rough estimate of what a simulation needs; `keep`: all its frames."""
+    substeps, kind = rest_substeps(scene), "cuda" if device.startswith("cuda") else "cpu"
+    nodes = float(np.prod(np.ptp(particles.x, axis=0) / scene.dx + 11))
+    each = PER_PARTICLE[kind] * len(particles) + PER_NODE[kind] * nodes + PER_SUBSTEP
+    double = 2 if scene.resolution.precision == "float64" else 1
+    memory = double * (
+        BYTES_PER_PARTICLE * len(particles) + BYTES_PER_NODE * nodes
+    ) + BYTES_PER_GAUSSIAN * len(gaussians) * (scene.time.frames if keep else 1)
+    return Demand(substeps, substeps * each, memory)
