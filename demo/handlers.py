@@ -276,7 +276,8 @@ def finisher(studio: Studio) -> Handler:
 
 def _with_report(studio: Studio, name: str, shown: Any) -> list[Any]:
     """The result panels, of which only the report is new: that of the run which is shown."""
-    panels, visitor = list(NOT_SHOWN), studio.visitors.known(name)
+    panels: list[Any] = list(NOT_SHOWN)
+    visitor = studio.visitors.known(name)
     if visitor is not None and _is_there(shown):
         jobs = [job for job in visitor.jobs.values() if job.progress.result == shown]
         panels[REPORT] = report_of(studio, jobs[-1]) if jobs else gr.skip()
