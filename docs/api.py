@@ -49,9 +49,12 @@ def write_pages(app: Sphinx | None = None) -> None:
 
 
 def _contents(package: griffe.Module, rooms: list[griffe.Module]) -> Iterator[str]:
-    yield from ["# API", "", _text(package), "", "| room | what it is |", "|---|---|"]
-    for room in rooms:
-        yield f"| [{room.path}]({room.name}.md) | {_text(room).split('. ')[0].splitlines()[0]} |"
+    yield from ["# API", "", _text(package), "", "| name | what it is |", "|---|---|"]
+    for name in package.exports or ():
+        room = package[name].target_path.split(".")[1]
+        yield f"| [phy124.{name}]({room}.md) | {_summary(package[name])} |"
+    yield from ["", "| module | what it is |", "|---|---|"]
+    yield from (f"| [{room.path}]({room.name}.md) | {_summary(room)} |" for room in rooms)
     yield from ["", "```{toctree}", ":hidden:", ":glob:", "", "*", "```", ""]
 
 
@@ -73,10 +76,10 @@ def _inside(module: griffe.Module) -> list[griffe.Module]:
 
 
 def _public(owner: griffe.Module | griffe.Class) -> list[griffe.Object]:
-    """What an owner defines for others, in the order of the source."""
+    """What an owner defines for others in the order of the source, values before functions."""
     own = [member for member in owner.members.values() if not member.is_alias]
     shown = [m for m in own if not m.name.startswith("_") and not m.is_module and m.has_docstring]
-    return sorted(shown, key=lambda member: member.lineno or 0)
+    return sorted(shown, key=lambda member: (not member.is_attribute, member.lineno or 0))
 
 
 def _member(member: griffe.Object, level: str) -> Iterator[str]:
@@ -108,6 +111,11 @@ def _signature(member: griffe.Object) -> str:
     head, inner, tail = re.fullmatch(r"([^(]*\()(.*)(\)(?: -> .*)?)", line, re.S).groups()
     given = re.split(r", (?=\*{0,2}\w+[:=,]|\*,|/,|\*{0,2}\w+$)", inner)
     return "\n".join([head, *(f"    {one}," for one in given), tail])
+
+
+def _summary(documented: griffe.Object | griffe.Alias) -> str:
+    """The first paragraph in one line, for a cell of a table."""
+    return _text(documented).split("\n\n")[0].replace("\n", " ").replace("|", r"\|")
 
 
 def _text(documented: griffe.Object) -> str:

@@ -1,4 +1,4 @@
-"""Clip: the 4D representation, i.e. the Gaussians of every frame, saved as one safetensors file.
+"""Clip: the 4D representation, the Gaussians of every frame, saved as one safetensors file.
 
 Everything after the simulation (videos, players, bags, measurements) needs only a clip.
 """

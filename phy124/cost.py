@@ -91,7 +91,14 @@ class Work:
 
     @classmethod
     def done(cls, scene: Scene, substeps: float, particles: float, frames: int) -> Work:
-        """The work of a run of so many substeps, particles and frames."""
+        """The work of a run whose counts are known.
+
+        Args:
+            scene: What is run.
+            substeps: Number of substeps in all.
+            particles: Number of particles.
+            frames: Number of frames.
+        """
         slower = DOUBLE if scene.resolution.precision == "float64" else 1.0
         views = len(scene.view.sides)
         return cls(
@@ -164,7 +171,15 @@ class Demand(NamedTuple):
 def demand_of(
     gaussians: Gaussians, particles: Particles, scene: Scene, device: str, *, keep: bool = True
 ) -> Demand:
-    """A rough estimate of what a simulation needs; `keep`: all its frames."""
+    """A rough estimate of what a simulation needs.
+
+    Args:
+        gaussians: Of the object.
+        particles: Of the object.
+        scene: What will be run.
+        device: Warp's name of the device.
+        keep: Whether all frames are kept in memory.
+    """
     substeps, kind = rest_substeps(scene), "cuda" if device.startswith("cuda") else "cpu"
     nodes = float(np.prod(np.ptp(particles.x, axis=0) / scene.dx + 11))
     each = PER_PARTICLE[kind] * len(particles) + PER_NODE[kind] * nodes + PER_SUBSTEP

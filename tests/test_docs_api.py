@@ -4,6 +4,7 @@ import importlib.util
 
 import pytest
 
+import phy124
 from support.pages import ROOT
 
 
@@ -27,6 +28,8 @@ def test_each_room_has_a_page_and_a_line_in_the_contents(pages):
     assert not {"kernels", "commands"} & set(pages)
     for name in set(pages) - {"index"}:
         assert f"({name}.md)" in pages["index"]
+    for name in phy124.__all__:
+        assert f"[phy124.{name}](" in pages["index"]
 
 
 def test_signature_arguments_and_refusals_are_on_the_page(pages):
