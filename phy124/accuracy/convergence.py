@@ -1,11 +1,11 @@
-"""Orders of convergence, and Richardson's estimate of what each level still lacks.
+"""Orders of convergence, and Richardson's estimate of each level's remaining error.
 
-The result at grid spacing h is taken as exact + h^p e + scatter h^p: one field e that shrinks with
-the grid, and what differs from grid to grid without any order. Two levels are then about
-C |h_i^p - h_j^p| apart, from which p follows (logarithms, all pairs); exact and e are fitted to all
-levels with weights h^-2p; the error of a level is h^p e and the scatter (Richardson 1911; Roache
-1998; a least-squares fit as in Eca, Hoekstra 2014). All of it follows from the distances between
-the levels alone.
+The result at grid spacing h is modelled as exact + h^p e + scatter h^p: one field e that shrinks
+with the grid, and a part that differs from grid to grid without any order. Two levels are then
+about C |h_i^p - h_j^p| apart, from which p follows (logarithms, all pairs); exact and e are fitted
+to all levels with weights h^-2p; the error of a level is h^p e and the scatter (Richardson 1911;
+Roache 1998; a least-squares fit as in Eca, Hoekstra 2014). All of this follows from the distances
+between the levels alone.
 """
 
 from __future__ import annotations
@@ -18,22 +18,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 ORDERS = (0.5, 3.0)
-"""Orders that are looked for."""
+"""Orders that are searched."""
 TRUSTED = (1.0, 2.0)
-"""Orders that errors are estimated with: free surfaces are of first order, the inside of second.
+"""Orders used to estimate errors: free surfaces are of first order, the inside of second.
 
-Levels that are too coarse to have any order show a lower one; with that every error is a guess.
+Levels that are too coarse to have any order show a lower one, with which every error would be a
+guess.
 """
 SAFETY = 1.25
-"""Factor on errors where the observed order is further than `NEAR` from these (Roache 1998)."""
+"""Factor on errors if the observed order is further than `NEAR` from these (Roache 1998)."""
 NEAR = 0.1
 AGREE = 1e-5
-"""Distance, in the unit of the results, below which levels agree within rounding."""
+"""Distance, in the unit of the results, below which levels are equal within rounding."""
 
 
 @dataclass(frozen=True)
 class Convergence:
-    """What three or more levels say about their own errors."""
+    """What three or more levels reveal about their own errors."""
 
     order: float | None
     """Observed order; None if the levels do not converge."""
@@ -42,13 +43,13 @@ class Convergence:
     why_not: str = ""
     """Why there is no number, in words."""
     note: str = ""
-    """Why the number is a rough one, in words."""
+    """Why the number is only rough, in words."""
     exact: tuple[float, ...] = ()
     """Weights of the levels in the extrapolated result; they sum to one."""
     inside: float = 0.0
     """Mean square distance of the levels from it, by these weights."""
     factor: float = 1.0
-    """Of safety."""
+    """Safety factor."""
 
     @property
     def error(self) -> float | None:
@@ -56,7 +57,7 @@ class Convergence:
         return self.errors[-1] if self.errors else None
 
     def error_of(self, apart: NDArray) -> float | None:
-        """Error of any result, from its distances to the levels [L]."""
+        """Error of any result, given its distances to the levels [L]."""
         if not self.exact:
             return None
         square = float(apart**2 @ np.array(self.exact)) - self.inside
@@ -64,7 +65,7 @@ class Convergence:
 
 
 def fitted_order(spacings: Sequence[float], errors: Sequence[float]) -> float:
-    """Slope of log error over log spacing, by least squares: where errors are known exactly."""
+    """Slope of log error over log spacing, by least squares, where errors are known exactly."""
     return float(np.polyfit(np.log(spacings), np.log(np.abs(errors)), 1)[0])
 
 
@@ -72,9 +73,9 @@ def richardson(spacings: Sequence[float], apart: NDArray, *, agree: float = AGRE
     """Order, and the error of each of three or more levels.
 
     Args:
-        spacings: From coarse to fine [L].
+        spacings: Grid spacings, from coarse to fine [L].
         apart: Distances between the levels' results [L,L].
-        agree: Levels closer than this agree, and their greatest distance is the error.
+        agree: Levels closer than this are equal; their largest distance is then the error.
     """
     h, levels = np.array(spacings), len(spacings)
     if levels < 3:
@@ -96,7 +97,7 @@ def richardson(spacings: Sequence[float], apart: NDArray, *, agree: float = AGRE
 
 
 def _order(h: NDArray, apart: NDArray) -> float:
-    """The p for which the distances of all pairs are most nearly C |h_i^p - h_j^p|."""
+    """The p for which the distances of all pairs are closest to C |h_i^p - h_j^p|."""
     orders, pairs = np.linspace(*ORDERS, 251), np.triu_indices(len(h), 1)
     power = h[:, None] ** orders
     ratio = np.log(apart[pairs][:, None] / (power[pairs[0]] - power[pairs[1]]))
@@ -104,7 +105,7 @@ def _order(h: NDArray, apart: NDArray) -> float:
 
 
 def _fit(h: NDArray, apart: NDArray, p: float) -> Convergence:
-    """exact + h^p e through the levels."""
+    """exact + h^p e fitted to the levels."""
     power = h**p
     columns = np.stack([np.ones(len(h)), power], axis=1)
     weighted = columns / power[:, None] ** 2

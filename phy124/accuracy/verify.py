@@ -1,7 +1,8 @@
-"""`phy124 accuracy --verify`: the solver against answers that are known, on this machine.
+"""`phy124 accuracy --verify`: compares the solver with known solutions, on this machine.
 
-Each check gives an error, the order at which it falls with the grid spacing, and the ranges both
-must lie in. The same code runs on coarse grids in every test run and on fine ones in the slow run.
+Each check gives an error, the order at which it falls with the grid spacing, and the ranges that
+both must be in. The same code runs on coarse grids in every test run and on fine ones in the slow
+run.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True)
 class Verdict:
-    """What one problem showed."""
+    """The result of one problem."""
 
     problem: str
     quantity: str
@@ -28,15 +29,15 @@ class Verdict:
     value: float
     """Error at the finest level, or of the only one."""
     limit: float
-    """Greatest value that passes."""
+    """Largest value that passes."""
     levels: tuple[int, ...] = ()
     """Cells across, from coarse to fine."""
     order: float | None = None
-    """Observed order of convergence; None where the answer is exact or none was observed."""
+    """Observed order of convergence; None if the solution is exact or no order was observed."""
     expected_order: Range | None = None
-    """Range the order must lie in; None where there is no order."""
+    """Range the order must be in; None if there is no order."""
     seconds: float = 0.0
-    """CPU seconds it took."""
+    """CPU seconds spent."""
 
     @property
     def passed(self) -> bool:
@@ -95,7 +96,7 @@ def vortex(fine: bool) -> Iterator[Verdict]:
 
 
 def hydrostatic_column(fine: bool) -> Iterator[Verdict]:
-    """The floor carries the weight: the mean pressure is right on any grid, and so is it inside."""
+    """The floor carries the weight: the pressure is right on any grid, in the mean and inside."""
     cells = (8, 16, 32) if fine else (6, 12, 24)
     columns = [problems.hydrostatic_column(n) for n in cells]
     for quantity, limit in (("mean", 1e-3), ("inside", 0.01)):
@@ -104,7 +105,7 @@ def hydrostatic_column(fine: bool) -> Iterator[Verdict]:
 
 
 def bouncing_ball(fine: bool) -> Iterator[Verdict]:
-    """Contact takes the order to between 1 and 2; judged by the series of grids alone."""
+    """Contact lowers the order to between 1 and 2; judged by the series of grids alone."""
     cells = (12, 18, 27) if fine else (8, 12, 16)
     runs = problems.bouncing_ball(cells)
     size = problems.Bounce().diameter
@@ -119,7 +120,7 @@ def bouncing_ball(fine: bool) -> Iterator[Verdict]:
 CHECKS: tuple[Callable[[bool], Iterator[Verdict]], ...] = (
     free_fall, rigid_spin, vibrating_bar, vortex, hydrostatic_column, bouncing_ball,
 )  # fmt: skip
-"""In the order in which they are shown."""
+"""All checks, in the order in which they are shown."""
 
 
 def _series(

@@ -1,4 +1,4 @@
-"""How a boundary moves: along a path or to and fro; it never turns."""
+"""How a boundary moves: along a path or to and fro; it never rotates."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from phy124.section import Section
 from phy124.tracks import Key, Sine, Track, check_times
 
 EASE = 16
-"""Straight pieces per leg of a path with smooth ends."""
+"""Number of straight pieces per leg of a smooth path."""
 
 
 class Motion(Section):
-    """What all motions have: a displacement over time."""
+    """Base class of all motions: a displacement over time."""
 
     start: float = Field(default=0.0, ge=0, le=LONGEST, description="Begins to move [s].")
 
@@ -28,7 +28,7 @@ class Motion(Section):
 
 
 class Path(Motion):
-    """From point to point."""
+    """A displacement from point to point."""
 
     kind: Literal["path"] = "path"
     times: tuple[Instant, ...] = Field(default=(0.0, 1.0), description="Times since the start [s].")
@@ -48,7 +48,7 @@ class Path(Motion):
         return self
 
     def track(self) -> Track:
-        """The points, with a cosine between them if smooth."""
+        """The points, with a cosine between them if the path is smooth."""
         times, points = np.array(self.times), np.array(self.points)
         if self.smooth:
             times, points = eased(times, points)
@@ -57,14 +57,14 @@ class Path(Motion):
 
 
 class Swing(Motion):
-    """To and fro as a sine: a shaking base."""
+    """A sinusoidal displacement: a shaking base."""
 
     kind: Literal["swing"] = "swing"
     amplitude: Position = Field(default=(0.0, 0.05, 0.0), description="Greatest displacement [m].")
     frequency: float = Field(default=2.0, ge=1e-5, le=1e4, description="Swings per second [Hz].")
 
     def track(self) -> Track:
-        """One swing, repeated; it begins at rest in the middle with its greatest speed."""
+        """One period, repeated; it begins in the middle with its largest speed."""
         sine = Sine(frequency=self.frequency)
         times, factors = sine.table()
         return Track(
@@ -83,7 +83,7 @@ def keyed(times: np.ndarray, points: np.ndarray) -> tuple[Key, ...]:
 
 
 def eased(times: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Each leg in `EASE` pieces that begin and end with no speed."""
+    """Each leg in `EASE` pieces that begin and end without speed."""
     parts = np.linspace(0, 1, EASE + 1)[1:]
     shares = (1 - np.cos(math.pi * parts)) / 2
     new_times, new_points = [times[0]], [points[0]]

@@ -14,10 +14,13 @@ from phy124.materials.base import Material, viscous_substep
 RINGING = 0.7
 """Share used of the bulk viscosity that needs no shorter substep."""
 SUDDEN = 0.3
-"""How much stiffer than K a fluid is against what is faster than its relaxation time."""
+"""How much stiffer than K a fluid is for changes faster than its relaxation time."""
 RELAXATION = 10.0
-"""That time, in those that sound takes to cross a cell: bodies are some tens of cells deep, and
-sound that takes so long to go up and down is what rings."""
+"""Relaxation time, in times that sound takes to cross a cell.
+
+Bodies are some tens of cells deep, and sound that takes that long to travel up and down is what
+rings.
+"""
 
 
 class Fluid(Material):
@@ -48,11 +51,11 @@ class Fluid(Material):
     )
 
     def theta(self) -> tuple[float, ...]:
-        """(K, gamma, eta) without what takes ringing away: zeta, K', 1 / relaxation time."""
+        """(K, gamma, eta) without the damping of sound: zeta, K', 1 / relaxation time."""
         return self.bulk_modulus, self.gamma, self.viscosity, 0.0, 0.0, 0.0
 
     def history(self) -> tuple[float, float]:
-        """J as it was."""
+        """The initial J, 1."""
         return 1.0, 0.0
 
     @property
@@ -61,11 +64,15 @@ class Fluid(Material):
         return math.sqrt(self.bulk_modulus / self.density)
 
     def theta_on(self, dx: float, cfl: float) -> tuple[float, ...]:
-        """The same with a bulk viscosity zeta and a relaxation that take ringing away.
+        """The same with a bulk viscosity zeta and a relaxation that damp sound.
 
-        The relaxation takes away what is slow, zeta what is fast. Of zeta = a rho c dx a substep of
-        `cfl` allows (2 cfl)^2 <= 4 - 2 (12 zeta / rho dx^2) dt, the rule of `beside_elastic`; at
-        J < 1 substeps are shorter than at rest.
+        The relaxation damps slow changes, zeta fast ones. With zeta = a rho c dx a substep of `cfl`
+        requires (2 cfl)^2 <= 4 - 2 (12 zeta / rho dx^2) dt, the rule of `beside_elastic`; for J < 1
+        substeps are shorter than at rest.
+
+        Args:
+            dx: Grid spacing, m.
+            cfl: Fraction of the stable substep.
         """
         most = (1 - cfl * cfl) / (2 * math.sqrt(3) * cfl)
         zeta = RINGING * most * math.sqrt(1 + SUDDEN) * self._sound * self.density * dx
@@ -77,5 +84,5 @@ class Fluid(Material):
         return math.sqrt(3 * (1 + SUDDEN)) * self._sound
 
     def viscous_limit(self, dx: float) -> float:
-        """Longest substep that friction allows [s]."""
+        """Longest substep that viscosity allows [s]."""
         return viscous_substep(self.density, self.viscosity, dx)

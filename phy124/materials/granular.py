@@ -1,4 +1,4 @@
-"""Grains and snow."""
+"""Granular materials: sand and snow."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from phy124.kernels.transfer import Law
 from phy124.materials.base import Elastic
 
 PACKING = 2 / 3
-"""Greatest product of snow's hardening and compression.
+"""Largest product of snow's hardening and compression.
 
-Squeezed evenly to 1 - c, snow holds psi = 3/2 (2 mu + 3 lambda) c^2; packing by d gives back
-3 (2 mu + 3 lambda) c d and stiffens psi by the share 3 xi d, which takes more once xi c > 2/3.
+Squeezed evenly to 1 - c, snow stores psi = 3/2 (2 mu + 3 lambda) c^2. Packing by d releases 3 (2 mu
++ 3 lambda) c d and stiffens psi by the share 3 xi d, which takes more once xi c > 2/3.
 """
 
 
@@ -84,5 +84,5 @@ class Snow(Elastic):
         return self
 
     def theta(self) -> tuple[float, ...]:
-        """(mu, lambda, least stretch, greatest stretch, hardening)."""
+        """(mu, lambda, smallest stretch, largest stretch, hardening)."""
         return *self.lame, 1 - self.compression, 1 + self.extension, self.hardening
