@@ -10,7 +10,7 @@ from phy124.runtime.installation import install_command
 
 from . import PROGRAM
 from .options import Options
-from .sinks import LiveSink
+from .sink import LiveSink
 from .sinks.dds import DdsSink, require_cyclonedds
 from .sinks.foxglove import PORT, FoxgloveSink, require_foxglove
 from .sinks.mcap import require_mcap

@@ -21,7 +21,7 @@ from .live import follow, play
 from .options import Options
 from .player import Player
 from .recover import recover
-from .sinks import LiveSink, Sink
+from .sink import LiveSink, Sink
 from .sinks.background import Background
 from .sinks.foxglove import PORT
 from .sinks.mcap import Compression, McapSink

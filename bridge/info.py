@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from phy124.clip import Clip
 from phy124.errors import InputError
+from phy124.io.clip import Clip
 
 from . import PROGRAM, bag
 from .backends import AUTOMATIC, REQUIREMENTS, missing

@@ -9,7 +9,7 @@ from __future__ import annotations
 import threading
 from types import TracebackType
 
-from .sinks import LONGEST_WAIT, LiveSink, Obey
+from .sink import LONGEST_WAIT, LiveSink, Obey
 
 
 class Listener:

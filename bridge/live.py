@@ -9,13 +9,13 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
-from phy124.clip import Clip
 from phy124.errors import InputError
 from phy124.gaussians import Frame
+from phy124.io.clip import Clip
 
 from .listener import Listener
 from .player import Player, checked_speed
-from .sinks import LONGEST_WAIT, LiveSink, Sink
+from .sink import LONGEST_WAIT, LiveSink, Sink
 
 Clock = Callable[[], float]
 REPORT_EVERY = 5.0

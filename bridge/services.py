@@ -8,7 +8,7 @@ from importlib import import_module
 from typing import Any
 
 from .cdr import NANO
-from .sinks import Playback
+from .playback import Playback
 
 TRIGGERS = ("play", "pause", "restart")
 log = logging.getLogger(__name__)

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from phy124.clip import Clip
 from phy124.errors import InputError
 from phy124.gaussians import Frame
 from phy124.generators.ply_file import Reading
+from phy124.io.clip import Clip
 from phy124.progress import Progress, silent
 
 if TYPE_CHECKING:

@@ -15,10 +15,10 @@ from gradio import FileData
 
 from phy124.accuracy.forecast import GUESS
 from phy124.accuracy.load import spoken
-from phy124.clip import Clip
+from phy124.camera import VIEWS
 from phy124.errors import InputError
 from phy124.imaging.heic import is_heic
-from phy124.rendering.camera import VIEWS
+from phy124.io.clip import Clip
 from phy124.scene import Scene
 
 from .catalogue import scene_of

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from phy124.accuracy.compiling import seconds_to_compile
-from phy124.clip import Clip
 from phy124.errors import Cancelled, InputError
+from phy124.io.clip import Clip
 from phy124.runtime.device import pick_device
 from phy124.runtime.isolated import Deadline
 from phy124.scene import Scene

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from phy124.clip import Clip
 from phy124.gaussians import Frame
 from phy124.generators import make
 from phy124.imaging.cutout import cut_out
+from phy124.io.clip import Clip
 from phy124.pipeline import cameras
 from phy124.progress import silent
 from phy124.rendering.framing import departures

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from phy124 import pipeline
+from phy124.camera import Camera
 from phy124.gaussians import Gaussians
-from phy124.rendering.camera import Camera
 from phy124.rendering.render import Renderer
 from phy124.runtime.device import pick_device
 from phy124.scene import Scene, preset_names

@@ -14,19 +14,19 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from phy124.boundaries import Boundary
-    from phy124.clip import Clip
+    from phy124.camera import Camera
     from phy124.errors import Cancelled, InputError
     from phy124.forces import Force
     from phy124.gaussians import Frame, Gaussians
     from phy124.generators import Generator
     from phy124.imaging.cutout import cut_out
+    from phy124.io.clip import Clip
     from phy124.io.export.html import write_html
     from phy124.io.ply import read_ply, write_ply
     from phy124.io.video import write_mp4
     from phy124.materials import Material
     from phy124.metrics.comparison import compare
     from phy124.pipeline import Result, generate, simulate
-    from phy124.rendering.camera import Camera
     from phy124.rendering.film import film
     from phy124.rendering.render import Renderer, render, render_frames
     from phy124.scene import Scene, preset_names
@@ -64,7 +64,8 @@ __all__ = [
 ]
 _MODULES = {
     "boundaries": ["Boundary"],
-    "clip": ["Clip"],
+    "camera": ["Camera"],
+    "io.clip": ["Clip"],
     "errors": ["Cancelled", "InputError"],
     "forces": ["Force"],
     "gaussians": ["Frame", "Gaussians"],
@@ -76,7 +77,6 @@ _MODULES = {
     "materials": ["Material"],
     "metrics.comparison": ["compare"],
     "pipeline": ["Result", "generate", "simulate"],
-    "rendering.camera": ["Camera"],
     "rendering.film": ["film"],
     "rendering.render": ["Renderer", "render", "render_frames"],
     "scene": ["Scene", "preset_names"],

@@ -120,14 +120,14 @@ class Deformer:
             velocities = self._interpolated(self._checked(_host(velocities), (3,)))
         return Frame(index, time, gaussians, velocities)
 
-    def memory(self) -> dict[str, NDArray]:
+    def snapshot(self) -> dict[str, NDArray]:
         """What the next frame's continuity depends on."""
         return {name: array.numpy().copy() for name, array in self._kept().items()}
 
-    def recall(self, memory: dict[str, NDArray]) -> None:
-        """Go on as after the frame that `memory` was taken at."""
+    def restore(self, snapshot: dict[str, NDArray]) -> None:
+        """Go on as after the frame that a snapshot was taken at."""
         for name, array in self._kept().items():
-            array.assign(memory[name])
+            array.assign(snapshot[name])
 
     def _kept(self) -> dict[str, wp.array]:
         arrays = (self._quats, self._scales, self._inner, self._turned)

@@ -11,13 +11,7 @@ from dataclasses import asdict, dataclass
 from math import isfinite
 from typing import Any
 
-from phy124.forces import AnyForce
 from phy124.scene import Scene
-
-UNIFORM = ("gravity", "acceleration", "force", "impulse")
-"""Kinds of force that join the grid update where they name no region."""
-MOVING = ("press", "gripper")
-"""Kinds of boundary that always move."""
 
 PARTICLE_COSTS = {
     "inner friction": 2,
@@ -31,9 +25,12 @@ PARTICLE_COSTS = {
 
 Measured in docs/results/benchmarks.md.
 Damped stress against plain; metal's G2P against an elastic one; every particle asked for its law;
-a force on a region with its books; float64 against float32; Warp's svd3.
+a force on a region and what it gave; float64 against float32; Warp's svd3.
 """
-CHECKS = {"measure": "limits of the substep measured", "books": "balance of momentum and energy"}
+CHECKS = {
+    "measure": "limits of the substep measured",
+    "external work": "balance of momentum and energy",
+}
 """Stages of a substep that only watch -> the effects they are; reports time each stage."""
 TABLE_COST = 30e3
 """Sampling the time tables, nanoseconds per substep."""
@@ -123,9 +120,9 @@ def _catalogue(
     laws = sorted({section.law for section in scene.materials})
     named = " and ".join(laws)
     plastic = any(section.device_law.project is not None for section in scene.materials)
-    pushes = [f for f in scene.acting if f.region is not None or f.kind not in UNIFORM]
-    timed = [f for f in scene.acting if _changes(f)]
-    moving = [b for b in scene.boundaries if b.kind in MOVING or getattr(b, "motion", None)]
+    pushes = [force for force in scene.acting if not force.uniform]
+    timed = [force for force in scene.acting if force.varies]
+    moving = [wall for wall in scene.boundaries if wall.moves]
     for law in laws:
         yield f"stress {law}", True, ""
     rubbing = any(isfinite(section.viscous_limit(scene.dx)) for section in scene.materials)
@@ -137,7 +134,7 @@ def _catalogue(
     yield "uniform acceleration", len(scene.acting) > len(pushes), "no force acts on the whole body"
     yield "particle forces", bool(pushes), "no force names single particles or a region"
     yield "time tables", bool(timed or moving), "no force or boundary changes in time"
-    every, balance = scene.checks.measure, CHECKS["books"]
+    every, balance = scene.checks.measure, CHECKS["external work"]
     yield f"{CHECKS['measure']} every {every} substeps or sooner", True, ""
     if scene.checks.balance:
         yield (
@@ -166,9 +163,3 @@ def _catalogue(
         "a window of cells follows the particles; a dense grid has 100^3 nodes",
     )
     yield "singular values in substeps", False, "shapes are decomposed once per frame"
-
-
-def _changes(force: AnyForce) -> bool:
-    """Whether a force follows time."""
-    windowed = force.start > 0 or force.end is not None or force.kind == "impulse"
-    return windowed or force.profile.kind != "constant"

@@ -1,12 +1,12 @@
 """Forces a scene can name: how each pushes particles or the whole body.
 
-A force is its own section of the scene file. `attach` adds what it needs to a solver: a track that
+A force is its own section of the scene file. `attach` adds what it needs to a run: a track that
 holds its strength over time and, if it acts on chosen particles, one stage of the substep.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import warp as wp
@@ -16,12 +16,10 @@ from phy124.bounds import LONGEST, SHORTEST, Position, Push, Velocity
 from phy124.errors import InputError
 from phy124.kernels import push
 from phy124.kernels.transfer import types
+from phy124.mpm import Grid, Model, Stage, State
 from phy124.region import Region, Vector, cylinder
 from phy124.section import Section
-from phy124.tracks import FOREVER, AnyProfile, Constant, Track
-
-if TYPE_CHECKING:
-    from phy124.mpm import Solver, Stage
+from phy124.tracks import FOREVER, AnyProfile, Constant, Track, Tracks
 
 STRENGTHS = ("g", "a", "f", "p")
 """Fields that say how hard a force pushes."""
@@ -31,6 +29,13 @@ UNIT: Vector = (1.0, 0.0, 0.0)
 
 class Force(Section):
     """What all forces have: a time profile in a window of time, and a region of the body."""
+
+    sudden: ClassVar[bool] = False
+    """Whether it may change a velocity at once, whatever its strength."""
+    in_newtons: ClassVar[bool] = False
+    """Whether its track is a force on each particle [N] and not an acceleration [m/s^2]."""
+    joins: ClassVar[bool] = False
+    """Whether it is a uniform acceleration of the whole body where it names no region."""
 
     start: float = Field(default=0.0, ge=0, le=LONGEST, description="Acts from here on [s].")
     end: float | None = Field(
@@ -61,18 +66,28 @@ class Force(Section):
         strengths = [getattr(self, name) for name in STRENGTHS if hasattr(self, name)]
         return bool(strengths) and not np.any(strengths)
 
+    @property
+    def uniform(self) -> bool:
+        """Whether it joins the grid update, which costs no launch of its own."""
+        return self.joins and self.region is None
+
+    @property
+    def varies(self) -> bool:
+        """Whether it follows time."""
+        return self.start > 0 or self.end is not None or self.profile.kind != "constant"
+
     def track(self, value: Vector, *, mean: bool = True) -> Track:
         """The value times the profile inside the window of time, nothing outside."""
         end = FOREVER if self.end is None else self.end
         return Track.scaled(value, self.profile, self.start, end, mean=mean)
 
-    def attach(self, solver: Solver) -> list[Stage]:
+    def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
         """The stages it needs in each substep, none if it joins the uniform acceleration."""
         raise NotImplementedError
 
-    def chosen(self, solver: Solver) -> wp.array:
+    def chosen(self, model: Model) -> wp.array:
         """Indices of the particles it acts on; raises InputError if the region is empty."""
-        x = solver.rest
+        x = model.rest
         inside = np.ones(len(x), bool) if self.region is None else self.region.contains(x)
         if not inside.any():
             raise InputError(
@@ -80,46 +95,50 @@ class Force(Section):
                 f"the region of {type(self).__name__} holds no particle.",
                 "Make it larger, or move it onto the object as it stands at the start.",
             )  # fmt: skip
-        return wp.array(np.flatnonzero(inside).astype(np.int32), device=solver.device)
+        return wp.array(np.flatnonzero(inside).astype(np.int32), device=model.device)
 
 
 class Gravity(Force):
     """The same acceleration everywhere, downwards by default."""
 
     kind: Literal["gravity"] = "gravity"
+    joins: ClassVar[bool] = True
     g: Push = Field(default=(0.0, 0.0, -9.81), description="Acceleration [m/s^2].")
 
-    def attach(self, solver: Solver) -> list[Stage]:
+    def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
         """Add to the uniform acceleration, or push chosen particles."""
-        return _accelerate(self, self.g, solver)
+        return _accelerate(self, self.g, model, state, tracks)
 
 
 class Acceleration(Force):
     """A push per mass: what presets use, since it does not depend on the particle count."""
 
     kind: Literal["acceleration"] = "acceleration"
+    joins: ClassVar[bool] = True
     a: Push = Field(default=(0.0, 1.0, 0.0), description="Acceleration [m/s^2].")
 
-    def attach(self, solver: Solver) -> list[Stage]:
+    def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
         """Add to the uniform acceleration, or push chosen particles."""
-        return _accelerate(self, self.a, solver)
+        return _accelerate(self, self.a, model, state, tracks)
 
 
 class TotalForce(Force):
     """A force in newtons on a region, spread over its particles by mass."""
 
     kind: Literal["force"] = "force"
+    joins: ClassVar[bool] = True
     f: Push = Field(default=(0.0, 1.0, 0.0), description="Total force [N].")
 
-    def attach(self, solver: Solver) -> list[Stage]:
+    def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
         """Accelerate the region by f over its mass."""
-        return _accelerate(self, _per_mass(self, self.f, solver), solver)
+        return _accelerate(self, _per_mass(self, self.f, model), model, state, tracks)
 
 
 class Impulse(Force):
     """A blow: a total momentum given to a region, whatever the substeps and the profile are."""
 
     kind: Literal["impulse"] = "impulse"
+    joins: ClassVar[bool] = True
     p: Push = Field(default=(0.0, 1.0, 0.0), description="Total momentum it gives [N s].")
     duration: float = Field(default=0.01, ge=SHORTEST, le=10, description="Time it takes [s].")
 
@@ -127,11 +146,16 @@ class Impulse(Force):
     def _whole(self) -> Impulse:
         if self.end is not None:
             raise ValueError("an impulse ends after its duration; leave end out")
-        if self.profile.period or self._share() <= 0:
+        if self.profile.period or self._mean() <= 0:
             raise ValueError(
                 "the profile of an impulse must not repeat and must push on the whole; use constant"
             )
         return self
+
+    @property
+    def varies(self) -> bool:
+        """It always ends."""
+        return True
 
     def track(self, value: Vector, *, mean: bool = True) -> Track:
         """The value over its duration, nothing outside."""
@@ -140,13 +164,13 @@ class Impulse(Force):
         # Unlike what always acts, a blow at time 0 has not acted before.
         return Track(track.keys, self.start, end, track.origin, track.period, mean)
 
-    def attach(self, solver: Solver) -> list[Stage]:
+    def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
         """Accelerate the region by p over its mass and the profile's duration."""
-        x, y, z = _per_mass(self, self.p, solver)
-        time = self.duration * self._share()
-        return _accelerate(self, (x / time, y / time, z / time), solver)
+        x, y, z = _per_mass(self, self.p, model)
+        time = self.duration * self._mean()
+        return _accelerate(self, (x / time, y / time, z / time), model, state, tracks)
 
-    def _share(self) -> float:
+    def _mean(self) -> float:
         """Mean of the profile over the duration."""
         times, factors = self.profile.table()
         inside = np.unique(np.clip(np.append(times, [0, self.duration]), 0, self.duration))
@@ -158,11 +182,12 @@ class ParticleForce(Force):
     """The paper's external force: newtons on each particle, a = f / m (Phy124, sec. 3.2)."""
 
     kind: Literal["particle_force"] = "particle_force"
+    in_newtons: ClassVar[bool] = True
     f: Push = Field(default=(0.0, 1e-3, 0.0), description="Force on each particle [N].")
 
-    def attach(self, solver: Solver) -> list[Stage]:
+    def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
         """Push each chosen particle."""
-        return _push(self, self.f, solver, per_mass=True)
+        return _push(self, self.f, model, state, tracks)
 
 
 class FieldForce(Force):
@@ -178,36 +203,39 @@ class FieldForce(Force):
             raise ValueError("a field acts on whatever is in its place; leave region out")
         return self
 
-    def attach(self, solver: Solver) -> list[Stage]:
+    def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
         """Push what is inside."""
-        t, tracks, state = types(solver.real), solver.tracks, solver.state
-        slot, kernel = tracks.add(self.track(self.a)), push.make_field(solver.real)
+        t = types(model.real)
+        slot, kernel = tracks.add(self.track(self.a)), push.make_field(model.real)
         place: list[Any] = [t.vec3(*self.place.lower), t.vec3(*self.place.upper), -1, 0.0]
         if self.place.cylinder:
             place[2], _, place[3] = cylinder(
                 self.place.lower, self.place.upper, self.place.cylinder
             )
 
-        def record() -> wp.Launch | None:
-            inputs = [*place, slot, state.x, solver.clock, tracks.values]
-            return solver.record(kernel, len(solver.rest), inputs, [state.v])
+        def record(grid: Grid) -> wp.Launch | None:
+            del grid
+            inputs = [*place, slot, state.x, tracks.clock, tracks.values]
+            return model.launch(kernel, len(model), inputs, [state.v])
 
-        return [("field", record)]
+        return [Stage("field", record)]
 
 
 class Wind(Force):
     """Air or water that streams past and drags along: a = rate (wind - v)."""
 
     kind: Literal["wind"] = "wind"
+    sudden: ClassVar[bool] = True
     v: Velocity = Field(default=(0.0, 3.0, 0.0), description="Velocity of the stream [m/s].")
     rate: float = Field(
         default=1.0, ge=1e-6, le=1e6, description="Share of the difference lost per second [1/s]."
     )
 
-    def attach(self, solver: Solver) -> list[Stage]:
+    def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
         """Draw the chosen particles along."""
         track = self.track(self.v, mean=False)
-        return _stage(self, "wind", push.make_drag(solver.real), track, [self.rate], solver)
+        kernel, inputs = push.make_drag(model.real), [self.rate]
+        return _stage(self, "wind", kernel, track, inputs, model, state, tracks)
 
 
 class Attraction(Force):
@@ -220,34 +248,36 @@ class Attraction(Force):
     )
     radius: float = Field(default=0.5, ge=1e-6, le=1e5, description="Distance of the maximum [m].")
 
-    def attach(self, solver: Solver) -> list[Stage]:
+    def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
         """Draw the chosen particles to the point."""
         track = self.track((self.g, 0.0, 0.0))
-        t, state = types(solver.real), solver.state
-        inputs = [t.vec3(*self.centre), self.radius, state.x]
-        return _stage(self, "attraction", push.make_attract(solver.real), track, inputs, solver)
+        inputs = [types(model.real).vec3(*self.centre), self.radius, state.x]
+        kernel = push.make_attract(model.real)
+        return _stage(self, "attraction", kernel, track, inputs, model, state, tracks)
 
 
 class SetVelocity(Force):
     """The paper's first kind of force: the velocity of particles is prescribed."""
 
     kind: Literal["set_velocity"] = "set_velocity"
+    sudden: ClassVar[bool] = True
     v: Velocity = Field(default=(0.0, 0.0, 0.0), description="Velocity [m/s].")
     spin: Velocity = Field(default=(0.0, 0.0, 0.0), description="Angular velocity [rad/s].")
     centre: Position = Field(default=(0.0, 0.0, 0.0), description="Point the spin is about [m].")
 
-    def attach(self, solver: Solver) -> list[Stage]:
+    def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
         """Overwrite v and C of the chosen particles while active."""
-        t, tracks, state = types(solver.real), solver.tracks, solver.state
-        slot, chosen = tracks.add(self.track(UNIT, mean=False)), self.chosen(solver)
-        kernel = push.make_set_velocity(solver.real)
+        t = types(model.real)
+        slot, chosen = tracks.add(self.track(UNIT, mean=False)), self.chosen(model)
+        kernel = push.make_set_velocity(model.real)
         motion = [t.vec3(*self.v), t.vec3(*self.centre), t.vec3(*self.spin)]
 
-        def record() -> wp.Launch | None:
+        def record(grid: Grid) -> wp.Launch | None:
+            del grid
             inputs = [chosen, slot, *motion, state.x, tracks.values]
-            return solver.record(kernel, len(chosen), inputs, [state.v, state.C])
+            return model.launch(kernel, len(chosen), inputs, [state.v, state.C])
 
-        return [("set_velocity", record)]
+        return [Stage("set_velocity", record, self.sudden)]
 
 
 AnyForce = Annotated[
@@ -264,36 +294,45 @@ AnyForce = Annotated[
 ]
 
 
-def _per_mass(force: Force, f: Vector, solver: Solver) -> Vector:
+def _per_mass(force: Force, f: Vector, model: Model) -> Vector:
     """A vector over the mass of the chosen particles."""
-    chosen = np.asarray(force.chosen(solver).numpy(), dtype=np.int64)
-    total = float(np.take(solver.mass.numpy(), chosen).sum(dtype=np.float64))
+    chosen = np.asarray(force.chosen(model).numpy(), dtype=np.int64)
+    total = float(np.take(model.mass.numpy(), chosen).sum(dtype=np.float64))
     return f[0] / total, f[1] / total, f[2] / total
 
 
-def _accelerate(force: Force, a: Vector, solver: Solver) -> list[Stage]:
+def _accelerate(force: Force, a: Vector, model: Model, state: State, tracks: Tracks) -> list[Stage]:
     """A uniform acceleration joins the grid update; one on a region needs its own launch."""
-    if force.region is None:
-        solver.tracks.accelerate(force.track(a))
+    if force.uniform:
+        tracks.accelerate(force.track(a))
         return []
-    return _push(force, a, solver, per_mass=False)
+    return _push(force, a, model, state, tracks)
 
 
-def _push(force: Force, value: Vector, solver: Solver, *, per_mass: bool) -> list[Stage]:
-    kernel = push.make_accelerate(solver.real, per_mass)
-    name = "particle_force" if per_mass else "region_force"
-    return _stage(force, name, kernel, force.track(value), [solver.mass], solver)
+def _push(force: Force, value: Vector, model: Model, state: State, tracks: Tracks) -> list[Stage]:
+    kernel = push.make_accelerate(model.real, force.in_newtons)
+    name = "particle_force" if force.in_newtons else "region_force"
+    track, inputs = force.track(value), [model.mass]
+    return _stage(force, name, kernel, track, inputs, model, state, tracks)
 
 
 def _stage(
-    force: Force, name: str, kernel: Any, track: Track, inputs: list, solver: Solver
+    force: Force,
+    name: str,
+    kernel: Any,
+    track: Track,
+    inputs: list,
+    model: Model,
+    state: State,
+    tracks: Tracks,
 ) -> list[Stage]:
     """One launch over the chosen particles that reads a track and changes velocities."""
-    tracks, chosen = solver.tracks, force.chosen(solver)
+    chosen = force.chosen(model)
     slot = tracks.add(track)
 
-    def record() -> wp.Launch | None:
-        read = [chosen, slot, *inputs, solver.clock, tracks.values]
-        return solver.record(kernel, len(chosen), read, [solver.state.v])
+    def record(grid: Grid) -> wp.Launch | None:
+        del grid
+        read = [chosen, slot, *inputs, tracks.clock, tracks.values]
+        return model.launch(kernel, len(chosen), read, [state.v])
 
-    return [(name, record)]
+    return [Stage(name, record, force.sudden, force.in_newtons)]

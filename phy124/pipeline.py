@@ -19,18 +19,18 @@ from typing import Any
 
 from PIL import Image
 
+from phy124 import resume
 from phy124.accuracy.choose import Goal, reach
 from phy124.accuracy.forecast import Forecast, Forecaster
 from phy124.accuracy.promises import promise
 from phy124.capture import capture
-from phy124.clip import Clip
 from phy124.errors import Cancelled, InputError
 from phy124.gaussians import Frame, Gaussians
 from phy124.generators import Generator, needs_image
 from phy124.generators import make as make_generator
 from phy124.generators.ply_file import PlyFile, Reading
 from phy124.imaging.cutout import Cutout, cut_out
-from phy124.io import resume
+from phy124.io.clip import Clip
 from phy124.io.files import staged as staged
 from phy124.io.ply import write_ply
 from phy124.particles.thinning import asked_for, thinned

@@ -21,18 +21,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.boundaries import Ground
-from phy124.clip import Clip
 from phy124.deform import Deformer
 from phy124.effects import Effects
 from phy124.errors import Cancelled, Remedy
 from phy124.gaussians import Frame, Gaussians
 from phy124.imaging.painted import WHOLE, Crop
+from phy124.io.clip import Clip
 from phy124.limits import refuse_hopeless, stiffest_part
 from phy124.monitor import diagnosis
 from phy124.monitor.external_work import ExternalWork
 from phy124.monitor.sleep import Sleep
 from phy124.monitor.watchdog import Violation, Watchdog
-from phy124.mpm import Solver, Unstable
+from phy124.mpm import Model, Solver, State, Unstable
 from phy124.particles import Particles, clean, make_particles
 from phy124.parts import stiffnesses, with_materials
 from phy124.placing import among_all, belongs, place, renumbered
@@ -60,7 +60,7 @@ class Stopped(RuntimeError):
 
 
 class Interrupted(Cancelled):
-    """A run was cancelled; its frames so far are good, and `phy124.io.resume` can save it."""
+    """A run was cancelled; its frames so far are good, and `phy124.resume` can save it."""
 
     def __init__(self, run: Simulation) -> None:
         self.run = run
@@ -70,7 +70,7 @@ class Interrupted(Cancelled):
 class Simulation:
     """One run; iterate over it to get its frames. Leave the loop to pause, iterate again to go on.
 
-    A paused run is saved and taken up again, bit for bit, by `phy124.io.resume`.
+    A paused run is saved and taken up again, bit for bit, by `phy124.resume`.
     """
 
     def __init__(
@@ -117,11 +117,11 @@ class Simulation:
             made = among_all(made, own)
             self.particles, moves = with_materials(made, self.gaussians.means, self.numbered, crop)
             self.scenery = Scenery(self.gaussians, moves)
-            shares = stiffnesses(self.particles, self.gaussians.means[own], scene, crop)
+            stiffness = stiffnesses(self.particles, self.gaussians.means[own], scene, crop)
             self.demand = refuse_hopeless(self.gaussians, self.particles, scene, device, keep=keep)
         with self.watch.stage("compile"):
             external = ExternalWork()
-            self.solver = _solver(self.particles, shares, scene, device, threads, external)
+            self.solver = _solver(self.particles, stiffness, scene, device, threads, external)
             self.watchdog = Watchdog(self.solver, external, balance=scene.checks.balance)
             flows = any(m.device_law.project is not None for m in scene.materials)
             self.deformer = Deformer(
@@ -131,9 +131,11 @@ class Simulation:
                 device=device,
             )
         timing = scene.time
+        solver = self.solver
         self.sleep = Sleep(
-            self.solver, size=scene.object.size, frames=timing.frames, fps=timing.fps
-        )
+            solver.model, solver.state, solver.clock, solver.tracks,
+            size=scene.object.size, frames=timing.frames, fps=timing.fps,
+        )  # fmt: skip
         self.keep, self.count = keep, 0
         """Whether all frames are kept, and how many there were."""
         self.frames: list[Frame] = []
@@ -151,7 +153,7 @@ class Simulation:
         timing = self.scene.time
         for index in range(self.count, timing.frames):
             at = index / timing.fps
-            asleep = index > 0 and timing.sleep and self.sleep.skip(index)
+            asleep = index > 0 and self._sleeps(index)
             if index and not asleep:
                 self._advance(index, at)
             with self.watch.stage("deform"):
@@ -163,6 +165,16 @@ class Simulation:
             self.count += 1
             self.progress("simulate", index + 1, timing.frames)
             yield frame
+
+    def _sleeps(self, index: int) -> bool:
+        """Whether a frame needs no substeps; time then goes on and nothing else."""
+        if not self.scene.time.sleep or self.solver.outliers.count:
+            return False
+        time = self.sleep.skip_to(index)
+        if time is None:
+            return False
+        self.solver.clock.time = time
+        return True
 
     def run(self, each: Callable[[Frame], object] = lambda frame: None) -> Clip:
         """All frames as a clip; if it stops early the clip holds the good ones and says so.
@@ -211,10 +223,10 @@ class Simulation:
             "mass": float(self.particles.mass.sum()),
             "cleaning": self.cleaning.sentences,
             "notes": self._notes(),
-            "grid": {"dx": solver.dx, "window": solver.grid.size.tolist()},
-            "substeps": solver.substeps,
-            "threads": solver.threads,
-            "limiters": solver.limiters,
+            "grid": {"dx": solver.model.dx, "window": solver.grid.size.tolist()},
+            "substeps": solver.clock.substeps,
+            "threads": len(solver.workers),
+            "limiters": solver.clock.limiters,
             "substep": self._substep(),
             "balance": self.watchdog.report(),
             "frames": self.count,
@@ -222,15 +234,38 @@ class Simulation:
             "sleep": self.sleep.report(),
             "effects": effects.data(
                 particles=len(self.particles),
-                substeps=solver.substeps,
+                substeps=solver.clock.substeps,
                 nodes=solver.grid.count,
-                threads=solver.threads,
+                threads=len(solver.workers),
             ),
             "substep_stages": [
                 {"name": name, "seconds": seconds, "launches": launches}
                 for name, (seconds, launches) in solver.timings.items()
             ],
         }
+
+    def snapshot(self) -> dict[str, Any]:
+        """What goes on from here besides the frames: arrays and plain data."""
+        return {
+            "count": self.count,
+            "retried": list(self.retried),
+            "rejected": self.solver.rejection.rejected,
+            "solver": self.solver.snapshot(),
+            "watchdog": self.watchdog.snapshot(),
+            "external": self.watchdog.external.snapshot(),
+            "sleep": self.sleep.snapshot(),
+            "deformer": self.deformer.snapshot(),
+        }
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Go on as when a snapshot was taken."""
+        self.count, self.retried = snapshot["count"], list(snapshot["retried"])
+        self.solver.rejection.rejected = snapshot["rejected"]
+        self.solver.restore(snapshot["solver"])
+        self.watchdog.restore(snapshot["watchdog"])
+        self.watchdog.external.restore(snapshot["external"])
+        self.sleep.restore(snapshot["sleep"])
+        self.deformer.restore(snapshot["deformer"])
 
     def _frame(self, index: int, time: float) -> Frame:
         state = self.solver.state
@@ -250,7 +285,7 @@ class Simulation:
 
     def _advance(self, index: int, until: float) -> None:
         """Substeps up to a frame's time, tried once more with half the substep."""
-        before = self.solver.substeps
+        before = self.solver.clock.substeps
         with self.watch.stage("simulate"):
             problem = self._try(index, until)
             if problem is not None:
@@ -261,78 +296,83 @@ class Simulation:
                 found = remedies(problem.causes, self.scene)
                 raise Stopped(f"frame {index} is not sound: {problem.what}.", found)
         if self.scene.time.sleep:
-            self.sleep.computed(index, self.solver.substeps - before)
+            self.sleep.computed(index, self.solver.clock.substeps - before)
 
     @contextmanager
     def _half_substep(self) -> Iterator[None]:
         """While inside, substeps are half as long as they were."""
-        solver, usual = self.solver, (self.solver.cfl, self.solver.ceiling)
-        solver.cfl, solver.ceiling = usual[0] / 2, min(usual[1], self._failed_dt) / 2
+        clock = self.solver.clock
+        usual = clock.cfl, clock.ceiling
+        clock.cfl, clock.ceiling = usual[0] / 2, min(usual[1], self._failed_dt) / 2
         try:
             yield
         finally:
-            solver.cfl, solver.ceiling = usual
+            clock.cfl, clock.ceiling = usual
 
     def _try(self, index: int, until: float) -> Violation | None:
         """One try at a frame; what is wrong with it, or None. The state is then as before."""
         solver, watchdog = self.solver, self.watchdog
         watchdog.before()
-        state, books = solver.snapshot(), watchdog.external.snapshot()
+        before = solver.snapshot(), watchdog.external.snapshot()
         try:
             solver.advance(until, after=self._follower(index))
             problem = watchdog.after()
         except Unstable as error:
-            problem = watchdog.blame(str(error))
+            problem = watchdog.diagnose(str(error))
         except Exception:
-            self._restore(state, books)
+            self._restore(*before)
             raise
         if problem is not None:
-            self._failed_dt = solver.last_dt or math.inf
-            self._restore(state, books)
+            self._failed_dt = solver.clock.last_dt or math.inf
+            self._restore(*before)
         return problem
 
-    def _restore(self, state: dict[str, Any], books: dict[str, NDArray]) -> None:
+    def _restore(self, solver: dict[str, Any], external: dict[str, Any]) -> None:
         """Go back to before a frame."""
-        self.solver.restore(state)
-        self.watchdog.external.restore(books)
+        self.solver.restore(solver)
+        self.watchdog.external.restore(external)
 
     def _follower(self, index: int) -> Callable[[], None]:
-        """What to do after each substep: report, and keep the books of forces that vary."""
-        report, books = self._reporter(index), self.watchdog.follow()
+        """What to do after each substep: report, watch, and end a run that takes too long."""
+        report, watch = self._reporter(index), self.watchdog.follow()
         patience, start = self.scene.time.patience, self.watch.seconds.get("simulate", 0.0)
         begun = time.perf_counter()
 
         def after() -> None:
-            if books is not None:
-                books()
+            watch()
             self.sleep.look()
             spent = start + time.perf_counter() - begun
             if spent > 2 * patience:
                 raise Stopped(
                     f"frame {index} was reached in {spent:.0f} s, twice time.patience: "
-                    f"{diagnosis.substep(self.solver)}.",
-                    hurry(self.scene, self.solver.substep().limiter, self._share_done()),
+                    f"{self._slowest()}.",
+                    hurry(self.scene, self.solver.clock.stable().limiter, self._fraction_done()),
                 )
             report()
 
         return after
 
-    def _share_done(self) -> float:
-        """Share of the scene's time that is over."""
+    def _slowest(self) -> str:
+        """Why substeps are so short, in words."""
+        solver = self.solver
+        return diagnosis.substep(solver.model, solver.state, solver.clock)
+
+    def _fraction_done(self) -> float:
+        """Fraction of the scene's time that is over."""
         timing = self.scene.time
-        return self.solver.time * timing.fps / max(timing.frames - 1, 1)
+        return self.solver.clock.time * timing.fps / max(timing.frames - 1, 1)
 
     def _substep(self) -> dict[str, Any]:
         """How long substeps were and what limited them."""
-        solver, asked = self.solver, self.scene.time.substep
-        taken = max(sum(solver.limiters.values()), 1)
-        mean = (solver.time - self.sleep.skipped / self.scene.time.fps) / taken
+        clock, asked = self.solver.clock, self.scene.time.substep
+        taken = max(sum(clock.limiters.values()), 1)
+        mean = (clock.time - self.sleep.skipped / self.scene.time.fps) / taken
         return {
             "mean": mean,
             "asked": asked,
             "split": asked is not None and mean < 0.99 * asked,
-            "shares": {name: count / taken for name, count in solver.limiters.items()},
-            "rejected": solver.rejection.rejected,
+            "shares": {name: count / taken for name, count in clock.limiters.items()},
+            "rejected": self.solver.rejection.rejected,
             "retried": self.retried,
         }
 
@@ -359,24 +399,27 @@ def _solver(
     floors = [b.height for b in scene.boundaries if isinstance(b, Ground)]
     balance = scene.checks.balance
     ceiling = math.inf if scene.time.substep is None else scene.time.substep
-    return Solver(
+    model = Model.of(
         x,
         particles.volume,
         scene.materials,
         dx=scene.dx,
         material=particles.material,
         stiffness=stiffness,
-        v=v,
-        C=C,
-        forces=external.forces(scene.acting) if balance else scene.acting,
-        boundaries=external.boundaries(scene.boundaries) if balance else scene.boundaries,
         origin=(0.0, 0.0, (floors[0] if floors else 0.0) - FLOOR_NODE * scene.dx),
+        cfl=scene.resolution.cfl,
         precision=scene.resolution.precision,
         device=device,
-        cfl=scene.resolution.cfl,
+    )
+    return Solver(
+        model,
+        State.of(model, v, C),
+        forces=external.forces(scene.acting) if balance else scene.acting,
+        boundaries=external.boundaries(scene.boundaries) if balance else scene.boundaries,
+        accumulators=[external] if balance else [],
         ceiling=ceiling,
         threads=threads,
-        check_every=scene.checks.measure,
+        measure_every=scene.checks.measure,
     )
 
 

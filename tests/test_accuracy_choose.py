@@ -87,7 +87,7 @@ def test_an_object_that_tears_is_given_more_particles(quick):
 
 def test_where_more_particles_are_too_many_what_was_whole_is_returned(quick, monkeypatch):
     """The second try is refused: nothing that was run is lost for it."""
-    monkeypatch.setattr(Tearing, "likely", property(lambda self: self._solver.dx < 1 / 13))
+    monkeypatch.setattr(Tearing, "likely", property(lambda self: self._model.dx < 1 / 13))
     plain = choose.Simulation
 
     def refusing(gaussians, scene, **options):
@@ -103,7 +103,7 @@ def test_where_more_particles_are_too_many_what_was_whole_is_returned(quick, mon
 
 
 def test_the_densest_object_is_not_tried_again(quick, monkeypatch):
-    monkeypatch.setattr(Tearing, "likely", property(lambda self: self._solver.dx < 1 / 13))
+    monkeypatch.setattr(Tearing, "likely", property(lambda self: self._model.dx < 1 / 13))
     most = quick.replaced({"accuracy": {"ppc": 4.0}})
     assert reach(Goal.error("0.1%"), ball(600), most).about["ppc"] == 4
 
@@ -116,7 +116,7 @@ def test_an_object_that_tears_all_the_same_meets_no_goal(quick):
 
 def test_a_grid_that_tears_the_object_is_not_taken(quick, monkeypatch):
     """What was whole is returned, and why nothing finer was."""
-    likely = property(lambda self: self._solver.dx < 1 / 13)
+    likely = property(lambda self: self._model.dx < 1 / 13)
     monkeypatch.setattr(Tearing, "likely", likely)
     about = reach(Goal.error("0.1%"), ball(600), quick).about
     assert about["cells"] == 12

@@ -32,8 +32,8 @@ def scene(name: str, cells: int = 16, **changes) -> Scene:
 def test_the_probe_leaves_the_simulation_as_it_was():
     plain, probed = (Simulation(OBJECT, scene("press")) for _ in range(2))
     made = Forecaster().of(probed)
-    assert probed.solver.substeps == 0
-    assert probed.solver.time == 0
+    assert probed.solver.clock.substeps == 0
+    assert probed.solver.clock.time == 0
     assert not probed.solver.timings
     a, b = plain.run(), probed.run()
     assert np.array_equal(a.means, b.means)
@@ -48,7 +48,7 @@ def test_substeps_are_foretold(name):
     simulation = Simulation(OBJECT, chosen)
     foretold = Forecaster().of(simulation, filming=False)
     simulation.run()
-    assert foretold.substeps == pytest.approx(simulation.solver.substeps, rel=0.06)
+    assert foretold.substeps == pytest.approx(simulation.solver.clock.substeps, rel=0.06)
     assert foretold.limiters == {"elastic": pytest.approx(1.0)}
     assert foretold.caveat is None
 
@@ -84,7 +84,7 @@ def test_substeps_of_a_body_with_friction_are_foretold():
     simulation = Simulation(OBJECT, rubbing)
     made = Forecaster().of(simulation, filming=False)
     simulation.run()
-    assert made.substeps == pytest.approx(simulation.solver.substeps, rel=0.06)
+    assert made.substeps == pytest.approx(simulation.solver.clock.substeps, rel=0.06)
     assert made.limiters.get("viscous", 0) > 0.5
 
 
@@ -99,7 +99,7 @@ def test_no_promise_where_speed_rules():
     assert made.caveat is not None
     assert "no promise" in made.caveat
     simulation.run()
-    limited = simulation.solver.limiters
+    limited = simulation.solver.clock.limiters
     assert limited.get("speed", 0) > 0.1 * sum(limited.values())
 
 

@@ -13,8 +13,8 @@ from phy124.accuracy.convergence import Convergence
 from phy124.accuracy.difference import difference
 from phy124.accuracy.promises import Promise
 from phy124.accuracy.study import Report, Row, Study, error_on, kept_promises, recommend
-from phy124.clip import Clip
 from phy124.errors import Cancelled
+from phy124.io.clip import Clip
 from phy124.monitor.tearing import Tearing
 from phy124.scene import Scene
 from phy124.simulation import Stopped
@@ -127,7 +127,7 @@ def test_a_level_that_may_be_torn_is_said():
 
 def test_a_torn_level_promises_nothing(monkeypatch, tmp_path):
     """However close two grids are: what both tear is not what the material does."""
-    likely = property(lambda self: self._solver.dx < 1 / 13)
+    likely = property(lambda self: self._model.dx < 1 / 13)
     monkeypatch.setattr(Tearing, "likely", likely)
     quick = {"time.frames": 2, "view.size": 32, "binding": "field"}
     report = Study(ball(300), Scene.named("drop").replaced(quick), levels=(8, 10, 12, 16)).run()
@@ -146,7 +146,7 @@ def test_a_torn_level_promises_nothing(monkeypatch, tmp_path):
 
 
 def test_too_few_whole_levels_have_no_order(monkeypatch):
-    monkeypatch.setattr(Tearing, "likely", property(lambda self: self._solver.dx < 1 / 9))
+    monkeypatch.setattr(Tearing, "likely", property(lambda self: self._model.dx < 1 / 9))
     quick = {"time.frames": 2, "view.size": 32, "binding": "field"}
     scene = Scene.named("drop").replaced(quick)
     report = Study(ball(300), scene, levels=(8, 10, 12)).run()

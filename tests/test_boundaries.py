@@ -30,6 +30,7 @@ from phy124.materials import Fluid, Foam, NeoHookean, Plasticine, Sand, Snow
 from phy124.mpm import Solver
 from phy124.region import Region
 from support.shapes import lattice
+from support.solvers import make_solver
 
 DX = 0.1
 EYE = np.eye(3)
@@ -45,13 +46,15 @@ def solver(x: np.ndarray, *walls, material=None, **options) -> Solver:
     options.setdefault("origin", (0.0, 0.0, 0.25 * DX))
     options.setdefault("forces", [Gravity()])
     volume = np.full(len(x), (DX / 2) ** 3)
-    return Solver(x, volume, [material or NeoHookean(E=5e4)], dx=DX, boundaries=walls, **options)
+    return make_solver(
+        x, volume, [material or NeoHookean(E=5e4)], dx=DX, boundaries=walls, **options
+    )
 
 
 def settle(s: Solver, time: float, rate: float = 20.0) -> None:
     """Run while something outside draws the motion away: velocities fade at a rate [1/s]."""
-    while s.time < time:
-        s.advance(s.time + 0.01)
+    while s.clock.time < time:
+        s.advance(s.clock.time + 0.01)
         s.state.v.assign(s.state.v.numpy() * np.exp(-rate * 0.01))
 
 
@@ -185,7 +188,7 @@ def test_a_light_body_does_not_sink_under_a_heavy_one():
     order = np.argsort(heavy, kind="stable")
     both = [NeoHookean(E=1e5, density=100.0), NeoHookean(E=1e5, density=1000.0)]
     volume = np.full(len(x), (DX / 2) ** 3)
-    s = Solver(
+    s = make_solver(
         x[order], volume, both, dx=DX, material=heavy[order], boundaries=[Ground()],
         forces=[Gravity()], origin=(0, 0, 0.25 * DX),
     )  # fmt: skip
@@ -225,8 +228,8 @@ def test_slip_keeps_the_tangential_velocity_and_sticky_does_not():
         if kept:
             np.testing.assert_allclose(s.state.v.numpy().mean(axis=0)[:2], [1.0, 0.5], rtol=1e-5)
         else:
-            bottom = s.rest[:, 2] < 0.05
-            assert np.abs(s.state.x.numpy()[bottom] - s.rest[bottom]).max() < 0.1
+            bottom = s.model.rest[:, 2] < 0.05
+            assert np.abs(s.state.x.numpy()[bottom] - s.model.rest[bottom]).max() < 0.1
 
 
 @pytest.mark.parametrize(("slope", "mu"), [(0.3, 0.5), (0.5, 0.3), (0.4, 0.0)])
@@ -246,7 +249,7 @@ def slide(s: Solver, along: np.ndarray) -> float:
     s.state.v.zero_()
     s.state.C.zero_()
     before = (s.state.x.numpy() @ along).mean()
-    s.advance(s.time + 0.25)
+    s.advance(s.clock.time + 0.25)
     return float((s.state.x.numpy() @ along).mean() - before)
 
 
@@ -319,8 +322,8 @@ def test_foot_and_held_hold_their_part(rng):
     for wall in (Foot(share=0.3), Held(lower=(-1, -1, -1), upper=(1, 1, 0.12))):
         s = solver(block(), wall, forces=[Gravity(g=(9.81, 0, 0))])
         s.advance(0.1)
-        moved = np.abs(s.state.x.numpy() - s.rest)[:, 0]
-        assert moved[s.rest[:, 2] < 0.05].max() < 0.1 * moved[s.rest[:, 2] > 0.35].min()
+        moved = np.abs(s.state.x.numpy() - s.model.rest)[:, 0]
+        assert moved[s.model.rest[:, 2] < 0.05].max() < 0.1 * moved[s.model.rest[:, 2] > 0.35].min()
 
 
 @pytest.mark.parametrize("axis", [0, 2])
@@ -336,12 +339,12 @@ def test_what_is_held_ends_where_it_should(axis, offset):
         origin=tuple(offset * DX * along),
     )  # fmt: skip
     settle(s, 1.0, rate=10.0)
-    wanted = 1000 * g / E * (free * s.rest[:, axis] - s.rest[:, axis] ** 2 / 2)
-    moved = (s.state.x.numpy() - s.rest)[:, axis]
+    wanted = 1000 * g / E * (free * s.model.rest[:, axis] - s.model.rest[:, axis] ** 2 / 2)
+    moved = (s.state.x.numpy() - s.model.rest)[:, axis]
     slope = 1000 * g * free / E
-    end = s.rest[:, axis] > free - DX
+    end = s.model.rest[:, axis] > free - DX
     assert abs((moved - wanted)[end].mean()) < 0.27 * DX * slope
-    assert np.abs(moved[s.rest[:, axis] < -DX]).max() < 0.08 * DX * slope
+    assert np.abs(moved[s.model.rest[:, axis] < -DX]).max() < 0.08 * DX * slope
 
 
 def test_a_clamp_lets_go_and_moves_what_it_holds():
@@ -349,9 +352,9 @@ def test_a_clamp_lets_go_and_moves_what_it_holds():
     disk = {"lower": (0.05, 0.05, -1.0), "upper": (0.35, 0.35, 1.0), "cylinder": "z"}
     up = Path(times=(0.0, 0.1), points=((0, 0, 0), (0, 0, 0.1)))
     s = solver(block(), Held(**disk, motion=up, end=0.15), material=NeoHookean(E=1e6))
-    held = np.hypot(*(s.rest[:, :2] - 0.2).T) < 0.05
+    held = np.hypot(*(s.model.rest[:, :2] - 0.2).T) < 0.05
     s.advance(0.15)
-    assert (s.state.x.numpy() - s.rest)[held, 2].mean() == pytest.approx(0.1, abs=0.005)
+    assert (s.state.x.numpy() - s.model.rest)[held, 2].mean() == pytest.approx(0.1, abs=0.005)
     s.advance(0.25)
     assert s.state.v.numpy()[:, 2].mean() == pytest.approx(-9.81 * 0.1, rel=0.2)
     with pytest.raises(ValidationError, match="swap them"):
@@ -432,9 +435,9 @@ def squeezed(axis: int, offset: float) -> float:
     s = solver(x, *walls, forces=[], material=NeoHookean(E=5e4, nu=0.0), origin=(0, 0, 0))
     s.advance(0.2)
     strains = []
-    while s.time < 0.35:
-        s.advance(s.time + 0.01)
-        inner = np.abs(s.rest[:, axis] - 0.413) < 0.2
+    while s.clock.time < 0.35:
+        s.advance(s.clock.time + 0.01)
+        inner = np.abs(s.model.rest[:, axis] - 0.413) < 0.2
         strains.append(s.state.F.numpy()[inner, axis, axis].mean())
     return (np.mean(strains) * 0.8 - (0.8 - depth)) / DX
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from phy124.rendering.camera import VIEWS, Camera
+from phy124.camera import VIEWS, Camera
 
 
 @pytest.mark.parametrize("view", list(VIEWS))

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from safetensors.numpy import save_file
 
-from phy124.clip import Clip
 from phy124.errors import InputError
 from phy124.gaussians import Frame, Gaussians
 from phy124.harmonics import rotate_sh
+from phy124.io.clip import Clip
 
 
 @pytest.fixture

@@ -18,10 +18,10 @@ from demo.report import as_html
 from demo.strokes import Stroke, painted, strokes_of
 from demo.work import Done
 from phy124.accuracy.promises import promise
-from phy124.clip import Clip
 from phy124.errors import InputError
 from phy124.gaussians import Frame
 from phy124.imaging.grabcut import hinted
+from phy124.io.clip import Clip
 from phy124.scene import Scene
 
 

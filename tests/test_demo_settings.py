@@ -187,7 +187,7 @@ def test_the_forecast_counts_the_substeps_of_a_run(three_gaussians, damping):
     scene = Scene.named("push_right").replaced(small)
     run = Simulation(three_gaussians, scene, device="cpu")
     run.run()
-    assert count_substeps(scene) == pytest.approx(run.solver.substeps, rel=0.25)
+    assert count_substeps(scene) == pytest.approx(run.solver.clock.substeps, rel=0.25)
 
 
 def test_the_page_measures_this_machine_before_the_first_visitor(tmp_path):

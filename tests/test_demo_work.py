@@ -26,9 +26,9 @@ from demo.work import (
     steps,
     whole_in_view,
 )
-from phy124.clip import Clip
 from phy124.errors import Cancelled, InputError
 from phy124.gaussians import Frame
+from phy124.io.clip import Clip
 from phy124.rendering.framing import departures
 from phy124.scene import Scene, View
 from support.orders import small_order

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from phy124.clip import Clip
 from phy124.errors import Cancelled, InputError
 from phy124.gaussians import Frame
+from phy124.io.clip import Clip
 from phy124.io.export import write_ply_sequence, write_usd
 from phy124.io.ply import read_ply
 

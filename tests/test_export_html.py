@@ -9,11 +9,11 @@ import re
 import numpy as np
 import pytest
 
-from phy124.clip import Clip
+from phy124.camera import Camera
 from phy124.errors import InputError
 from phy124.gaussians import Frame, Gaussians
+from phy124.io.clip import Clip
 from phy124.io.export.html import pack, write_html
-from phy124.rendering.camera import Camera
 
 CAMERA = Camera.orbit(30, 20, 2.5, 64, (0.1, 0.2, 0.3))
 

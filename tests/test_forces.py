@@ -21,6 +21,7 @@ from phy124.mpm import Solver
 from phy124.region import Region
 from phy124.tracks import Keyframes, Ramp, Sine
 from support.shapes import block
+from support.solvers import make_solver
 
 DX = 0.125
 LEFT = Region(upper=(0.0, 1e9, 1e9))
@@ -30,11 +31,11 @@ def solver(*forces, x: np.ndarray | None = None, **options) -> Solver:
     x = block() if x is None else x
     options.setdefault("precision", "float64")
     material = options.pop("material", NeoHookean(E=1e4))
-    return Solver(x, np.full(len(x), 1e-4), [material], dx=DX, forces=forces, **options)
+    return make_solver(x, np.full(len(x), 1e-4), [material], dx=DX, forces=forces, **options)
 
 
 def momentum(s: Solver) -> np.ndarray:
-    return (s.mass.numpy().astype(float)[:, None] * s.state.v.numpy()).sum(axis=0)
+    return (s.model.mass.numpy().astype(float)[:, None] * s.state.v.numpy()).sum(axis=0)
 
 
 def launches(s: Solver) -> set[str]:
@@ -80,7 +81,7 @@ def test_forces_follow_their_profile():
     push = Acceleration(a=(0.0, 2.0, 0.0), profile=Sine(frequency=4.0))
     s = solver(push, ceiling=1e-3)
     s.advance(0.3)
-    middle = 0.3 - s.last_dt / 2
+    middle = 0.3 - s.clock.last_dt / 2
     exact = 2.0 / (2 * np.pi * 4) * (1 - np.cos(2 * np.pi * 4 * middle))
     np.testing.assert_allclose(s.state.v.numpy()[:, 1], exact, rtol=5e-3)
 
@@ -96,7 +97,7 @@ def test_wind_draws_things_along_at_its_rate():
     wind = Wind(v=(0.0, 4.0, 0.0), rate=20.0)
     s = solver(wind)
     s.advance(0.05)
-    exact = 4.0 * (1 - np.exp(-20.0 * (0.05 - s.last_dt / 2)))
+    exact = 4.0 * (1 - np.exp(-20.0 * (0.05 - s.clock.last_dt / 2)))
     np.testing.assert_allclose(s.state.v.numpy()[:, 1], exact, rtol=1e-9)
     storm = solver(Wind(v=(0.0, 4.0, 0.0), rate=1e6))
     storm.advance(0.02)

@@ -220,7 +220,7 @@ def check(cloud: Cloud, scene: Scene) -> None:
     balance = report["balance"]
     assert balance["energy_gain"] <= ENERGY_GAIN
     assert balance["momentum_gain"] <= 1e-3
-    assert math.isclose(report["mass"], float(np.sum(run.solver.mass.numpy())), rel_tol=1e-4)
+    assert math.isclose(report["mass"], float(np.sum(run.solver.model.mass.numpy())), rel_tol=1e-4)
 
 
 COMMON = {

@@ -18,6 +18,7 @@ from phy124.region import Region
 from reference.material_point import evaluate
 from reference.oracle import TWINS
 from reference.physgaussian import MAPS, Original, Recording
+from support.solvers import make_solver
 
 EYE = np.eye(3)
 
@@ -75,7 +76,7 @@ def solver_of(recording: Recording, **options) -> Solver:
             else:
                 end = bc["end_time"]
                 forces.append(SetVelocity(v=bc["velocity"], region=region, end=end))
-    return Solver(
+    return make_solver(
         data["x0"], data["vol"], [material_of(params)], dx=dx, v=data["v0"], forces=forces,
         boundaries=walls, **options,
     )  # fmt: skip
@@ -266,9 +267,9 @@ def test_the_originals_slip_plane_is_sticky_and_ours_slips(golden):
     original.run(100)
     assert original.v[:, 0].mean() < 0.3
     solver = solver_of(recording)
-    slippery = Solver(
-        recording.data["x0"], recording.data["vol"], [solver.materials[0]], dx=solver.dx,
-        v=recording.data["v0"],
+    slippery = make_solver(
+        recording.data["x0"], recording.data["vol"], [solver.model.materials[0]],
+        dx=solver.model.dx, v=recording.data["v0"],
         boundaries=[Exact(point=recording.meta["bcs"][0]["point"], contact="slip")],
     )  # fmt: skip
     run(slippery, recording.meta["dt"], 100)

@@ -18,12 +18,12 @@ from phy124 import pipeline
 from phy124 import selftest as stress
 from phy124.__main__ import main
 from phy124.accuracy.choose import Goal
-from phy124.clip import Clip
 from phy124.commands.bars import Bars
 from phy124.errors import Cancelled, InputError
+from phy124.io.clip import Clip
 from phy124.io.files import staged
 from phy124.io.ply import write_ply
-from phy124.mpm.workers import Barrier
+from phy124.mpm.threads import Barrier
 from phy124.scene import Scene
 from support.shapes import ball
 
@@ -220,33 +220,34 @@ def test_a_log_gets_lines_and_no_carriage_returns(capsys):
 
 
 def test_ctrl_c_anywhere_in_a_substep_of_two_threads_does_not_hang():
-    """The second thread waits for a meeting that the first, interrupted, never comes to."""
-    meeting = Barrier(2)
-    waiting = threading.Thread(target=lambda: results.append(meeting.wait(1)), daemon=True)
+    """The second thread waits for a barrier that the first, interrupted, never comes to."""
+    barrier = Barrier(2)
+    waiting = threading.Thread(target=lambda: results.append(barrier.wait(1)), daemon=True)
     results: list[bool] = []
     waiting.start()
-    meeting.over = True
+    barrier.abandoned = True
     waiting.join(timeout=300)
     assert results == [False]
 
 
 @pytest.mark.parametrize("reports", [1, 5])
-def test_an_exception_between_two_meetings_ends_the_second_thread(reports):
+def test_an_exception_between_two_barriers_ends_the_second_thread(reports):
     from phy124.simulation import Simulation
 
     run = Simulation(ball(800), SCENE, threads=2)
     before = threading.active_count()
-    agree, calls = run.solver._agree, 0
+    second = run.solver._second
+    hand_over, calls = second._hand_over, 0
 
-    def interrupted(phase):
+    def interrupted(task):
         nonlocal calls
         calls += 1
         if calls == reports:
-            run.solver._agenda.append(phase)
+            second._queue.append(task)
             raise KeyboardInterrupt
-        agree(phase)
+        hand_over(task)
 
-    run.solver._agree = interrupted
+    second._hand_over = interrupted
     with pytest.raises(KeyboardInterrupt):
         run.run()
     assert threading.active_count() == before

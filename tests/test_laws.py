@@ -17,7 +17,6 @@ from phy124.materials import (
     Sand,
     Snow,
 )
-from phy124.mpm import Solver
 from reference.material_point import (
     EYE,
     PLASTIC,
@@ -30,6 +29,7 @@ from reference.material_point import (
     transposed,
 )
 from reference.oracle import TWINS
+from support.solvers import make_solver
 
 
 @pytest.mark.parametrize("material", [m for m in SOLIDS if isinstance(m, Elastic)], ids=name)
@@ -283,7 +283,7 @@ def test_viscosity_limits_the_substep(stretch):
     limit = material.viscous_limit(dx)
     assert Fluid().viscous_limit(dx) == np.inf
     for share, grows in ((1.0, False), (1.9, False), (2.1, True)):
-        solver = Solver(
+        solver = make_solver(
             np.array([[0.03, 0.02, 0.01]]), np.array([1e-3]), [material], dx=dx,
             C=np.diag([0.1, -0.1, 0.0])[None], precision="float64",
         )  # fmt: skip

@@ -14,9 +14,9 @@ import pytest
 from PIL import Image
 
 from phy124.__main__ import main
-from phy124.clip import Clip
+from phy124.camera import Camera
+from phy124.io.clip import Clip
 from phy124.io.ply import read_ply, write_ply
-from phy124.rendering.camera import Camera
 from phy124.rendering.render import Renderer
 from phy124.scene import Scene
 from support.shapes import ball

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
 from phy124.kernels import transfer
-from phy124.kernels.diagnose import make_probe
+from phy124.kernels.probe import make_probe
 from phy124.materials import (
     AnyMaterial,
     Fluid,
@@ -17,7 +17,6 @@ from phy124.materials import (
     Rigid,
     Sand,
 )
-from phy124.mpm import Solver
 from reference.material_point import (
     EYE,
     LAWS,
@@ -31,6 +30,7 @@ from reference.material_point import (
     transposed,
 )
 from reference.oracle import TWINS
+from support.solvers import make_solver
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -123,7 +123,7 @@ def test_every_compiled_variant_runs_its_own_law(rng):
         if name(material) in ("neo_hookean", "sand"):
             forms.append(("float32", False))
         for precision, simd in forms:
-            solver = Solver(
+            solver = make_solver(
                 x, np.full(count, 1e-3), [material], dx=dx, simd=simd, precision=precision
             )
             solver.state.F.assign(F.astype(precision))
@@ -131,7 +131,7 @@ def test_every_compiled_variant_runs_its_own_law(rng):
             solver.step(kick, 1e-9)
             gained = (solver.state.C.numpy() - C) * -material.density * dx**2 / (4 * kick)
             h = np.tile(material.history(), (count, 1))
-            theta = np.array(material.theta_on(dx, solver.cfl))
+            theta = np.array(material.theta_on(dx, solver.clock.cfl))
             tau = TWINS[name(material)].stress(F.astype(np.float64), C, h, theta)
             assert relative(gained, tau, 0.0) < 2e-4, name(material)
         seen.append(tau[0, 0, 0])

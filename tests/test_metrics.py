@@ -17,9 +17,9 @@ from transformers import (
     CLIPVisionModelWithProjection,
 )
 
-from phy124.clip import Clip
 from phy124.commands.evaluate import Evaluate
 from phy124.errors import InputError
+from phy124.io.clip import Clip
 from phy124.metrics import (
     centre_paths_differ,
     evaluate,

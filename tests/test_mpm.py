@@ -15,9 +15,10 @@ from phy124.kernels.build import kernel
 from phy124.kernels.spline import spline
 from phy124.materials import FixedCorotated, NeoHookean
 from phy124.mpm import Solver, Unstable
-from phy124.mpm.workers import Barrier
+from phy124.mpm.threads import Barrier
 from phy124.region import Region
 from support import shapes
+from support.solvers import make_solver
 
 DX = 1 / 8
 FORMS = [("float32", True), ("float32", False), ("float64", False)]
@@ -31,19 +32,19 @@ def block(per_axis: int = 8) -> np.ndarray:
 def solver(x: np.ndarray, material=None, size: float = 0.5, **options) -> Solver:
     volume = np.full(len(x), size**3 / len(x))
     options.setdefault("dx", DX)
-    return Solver(x, volume, [material or NeoHookean(E=1e4, nu=0.3)], **options)
+    return make_solver(x, volume, [material or NeoHookean(E=1e4, nu=0.3)], **options)
 
 
 def momentum(s: Solver) -> np.ndarray:
-    return (s.mass.numpy().astype(float)[:, None] * s.state.v.numpy()).sum(axis=0)
+    return (s.model.mass.numpy().astype(float)[:, None] * s.state.v.numpy()).sum(axis=0)
 
 
 def angular_momentum(s: Solver) -> np.ndarray:
     """With what APIC keeps in C: sum m (x cross v + dx^2/4 axial(C))."""
-    m, x = s.mass.numpy().astype(float)[:, None], s.state.x.numpy().astype(float)
+    m, x = s.model.mass.numpy().astype(float)[:, None], s.state.x.numpy().astype(float)
     v, C = s.state.v.numpy().astype(float), s.state.C.numpy().astype(float)
     axial = np.stack([C[:, 2, 1] - C[:, 1, 2], C[:, 0, 2] - C[:, 2, 0], C[:, 1, 0] - C[:, 0, 1]], 1)
-    return (m * (np.cross(x, v) + s.dx**2 / 4 * axial)).sum(axis=0)
+    return (m * (np.cross(x, v) + s.model.dx**2 / 4 * axial)).sum(axis=0)
 
 
 @pytest.mark.parametrize(("precision", "form"), FORMS)
@@ -52,7 +53,7 @@ def test_free_fall_is_exact(precision, form):
     s = solver(block(), forces=[Gravity()], precision=precision, simd=form)
     for until in (0.05, 0.11, 0.2):
         s.advance(until)
-    error = s.state.x.numpy() - (s.rest - [0, 0, 9.81 * 0.2**2 / 2])
+    error = s.state.x.numpy() - (s.model.rest - [0, 0, 9.81 * 0.2**2 / 2])
     assert np.abs(error).max() < (1e-12 if precision == "float64" else 5e-6)
 
 
@@ -81,9 +82,9 @@ def test_momentum_is_conserved_without_forces(rng, precision, form):
     x = block()
     s = solver(x, v=rng.normal(size=x.shape), precision=precision, simd=form)
     before = momentum(s)
-    scale = np.abs(s.mass.numpy()[:, None] * s.state.v.numpy()).sum()
+    scale = np.abs(s.model.mass.numpy()[:, None] * s.state.v.numpy()).sum()
     s.advance(0.3)
-    assert s.substeps > 10
+    assert s.clock.substeps > 10
     limit = 1e-14 if precision == "float64" else 1e-6
     assert np.abs(momentum(s) - before).max() < limit * scale
 
@@ -91,7 +92,7 @@ def test_momentum_is_conserved_without_forces(rng, precision, form):
 def test_at_rest_without_forces_nothing_moves_a_bit():
     s = solver(block())
     s.advance(0.5)
-    assert np.array_equal(s.state.x.numpy(), s.rest.astype(np.float32))
+    assert np.array_equal(s.state.x.numpy(), s.model.rest.astype(np.float32))
     assert not s.state.v.numpy().any()
 
 
@@ -139,7 +140,7 @@ def test_simd_rows_and_plain_loops_are_one_algorithm(rng):
         s = solver(x, v=v, forces=[Gravity()], boundaries=[Ground(height=0.7)], simd=form)
         s.advance(0.1)
         runs.append(s.state.x.numpy())
-    assert s.form == "plain"
+    assert s.model.form == "plain"
     assert np.abs(runs[0] - runs[1]).max() < 1e-5
     assert simd.scatter is not transfer.scatter
 
@@ -156,7 +157,7 @@ def test_two_threads_do_as_one(rng):
             for _ in range(40):
                 s.step(2e-3, 2e-3)
         else:
-            s.ceiling = 2e-3
+            s.clock.ceiling = 2e-3
             s.advance(0.08)
         return s.state.x.numpy()
 
@@ -171,10 +172,10 @@ def test_each_thread_measures_its_own_particles(rng):
     v = rng.normal(size=(4096, 3))
     runs = {threads: solver(block(16), v=v, dx=DX / 2, threads=threads) for threads in (1, 2)}
     for s in runs.values():
-        s.ceiling = 2e-3
+        s.clock.ceiling = 2e-3
         s.advance(0.02)
         assert all("measure" in worker.timings for worker in s.workers)
-    one, two = (np.array(s.extremes) for s in runs.values())
+    one, two = (np.array(s.clock.extremes) for s in runs.values())
     np.testing.assert_allclose(one, two, rtol=1e-4)
     own = [worker.maxima.numpy() for worker in runs[2].workers]
     assert own[0][6] < own[1][6]
@@ -196,18 +197,18 @@ def test_the_second_thread_ends_with_the_frame():
 
 @pytest.mark.parametrize("late", [0.0, 0.05])
 def test_nobody_leaves_a_meeting_before_all_have_come(late):
-    meeting, came = Barrier(2), []
+    barrier, came = Barrier(2), []
 
     def other():
         for _ in range(3):
             time.sleep(late)
             came.append("other")
-            meeting.wait(1)
+            barrier.wait(1)
 
     helper = threading.Thread(target=other)
     helper.start()
     for rounds in (1, 2, 3):
-        meeting.wait(0)
+        barrier.wait(0)
         assert len(came) >= rounds
     helper.join(timeout=5)
     assert not helper.is_alive()
@@ -224,9 +225,9 @@ def test_a_fault_of_the_second_thread_is_raised_and_nothing_waits(monkeypatch):
         with monkeypatch.context() as patched:
             patched.setattr(s.workers[1], "run", fail)
             with pytest.raises(OSError, match="out of luck"):
-                s.advance(s.time + 0.01)
+                s.advance(s.clock.time + 0.01)
         assert threading.active_count() == before
-        s.advance(s.time + 0.01)
+        s.advance(s.clock.time + 0.01)
 
 
 @pytest.mark.parametrize("law", [NeoHookean, FixedCorotated])
@@ -249,7 +250,7 @@ def test_golden_jelly_falls_as_physgaussian_has_it(golden):
         def reach(self, dx: float) -> float:
             return -1e-6
 
-    s = Solver(
+    s = make_solver(
         data["x0"],
         data["vol"],
         [FixedCorotated(E=1e5, nu=0.3, density=200)],
@@ -280,7 +281,7 @@ def test_total_force_does_not_depend_on_the_particle_count():
     for n in (4, 8):
         s = solver(block(n), forces=[TotalForce(f=(50.0, 0, 0))])
         s.advance(0.1)
-        moves.append((s.state.x.numpy() - s.rest).mean(axis=0))
+        moves.append((s.state.x.numpy() - s.model.rest).mean(axis=0))
     assert np.allclose(moves[0], [50 / 125 * 0.1**2 / 2, 0, 0], atol=1e-5)
     assert np.allclose(moves[0], moves[1], atol=1e-5)
 
@@ -299,13 +300,13 @@ def test_a_force_acts_only_in_its_window_of_time():
     s = solver(block(), forces=[Acceleration(a=(1.0, 0, 0), start=0.1, end=0.2)])
     s.advance(0.3)
     v = s.state.v.numpy()[:, 0]
-    assert np.abs(v - 0.1).max() < 2 * 0.02 * s.last_dt / 0.02
+    assert np.abs(v - 0.1).max() < 2 * 0.02 * s.clock.last_dt / 0.02
 
 
 def test_set_velocity_translates():
     s = solver(block(), forces=[SetVelocity(v=(0, 0.5, 0))])
     s.advance(0.2)
-    assert np.allclose(s.state.x.numpy() - s.rest, [0, 0.1, 0], atol=1e-4)
+    assert np.allclose(s.state.x.numpy() - s.model.rest, [0, 0.1, 0], atol=1e-4)
 
 
 def test_a_region_without_particles_is_a_clear_error():
@@ -326,7 +327,7 @@ def test_a_settled_block_touches_the_floor(contact):
         origin=(0, 0, -0.75 * DX),
     )
     for _ in range(20):
-        s.advance(s.time + 0.02)
+        s.advance(s.clock.time + 0.02)
         s.state.v.zero_()
         s.state.C.zero_()
     half_spacing = 0.5 / 8 / 2
@@ -345,15 +346,15 @@ def test_a_held_region_stays():
     held = Held(lower=(-9, -9, -9), upper=(9, 9, 0.9))
     s = solver(block(), forces=[Gravity(g=(3.0, 0, 0))], boundaries=[held])
     s.advance(0.2)
-    moved = np.linalg.norm(s.state.x.numpy() - s.rest, axis=1)
-    assert moved[s.rest[:, 2] < 0.8].max() < 2.5e-3
-    assert moved[s.rest[:, 2] > 1.2].min() > 1e-2
+    moved = np.linalg.norm(s.state.x.numpy() - s.model.rest, axis=1)
+    assert moved[s.model.rest[:, 2] < 0.8].max() < 2.5e-3
+    assert moved[s.model.rest[:, 2] > 1.2].min() > 1e-2
 
 
 def test_the_window_follows_the_particles():
     s = solver(block(), v=np.tile([30.0, 0, 0], (512, 1)))
     s.advance(0.2)
-    assert np.allclose(s.state.x.numpy() - s.rest, [6, 0, 0], atol=1e-4)
+    assert np.allclose(s.state.x.numpy() - s.model.rest, [6, 0, 0], atol=1e-4)
     assert s.grid.low[0] * DX > 4
     assert s.grid.count < 30**3
 
@@ -370,7 +371,7 @@ def test_launches_per_substep_are_those_the_scene_calls_for():
     bare.advance(0.05)
     counted = {name: count for name, (_, count) in bare.timings.items() if name != "measure"}
     assert set(counted) == {"clear", "p2g neo_hookean", "grid", "g2p neo_hookean"}
-    assert set(counted.values()) == {bare.substeps}
+    assert set(counted.values()) == {bare.clock.substeps}
     walled = solver(block(), forces=[Gravity()], boundaries=[Ground(height=0.7)])
     walled.advance(0.05)
     assert set(walled.timings) - set(bare.timings) == {"ground"}
@@ -399,4 +400,4 @@ def test_snapshot_and_restore_go_on_bit_for_bit(rng):
 def test_particles_must_be_sorted_by_law():
     laws, unsorted = [NeoHookean(), FixedCorotated()], np.arange(512)[::-1] % 2
     with pytest.raises(ValueError, match="sorted by law"):
-        Solver(block(), np.ones(512), laws, dx=DX, material=unsorted)
+        make_solver(block(), np.ones(512), laws, dx=DX, material=unsorted)

@@ -5,12 +5,12 @@ import pytest
 import scipy.ndimage as ndi
 from PIL import Image
 
+from phy124.camera import Camera
 from phy124.errors import Cancelled, InputError
 from phy124.gaussians import rotation_matrices
 from phy124.generators.relief import VIEW_DISTANCE, relief
 from phy124.generators.relief.height import Silhouette, squared_half_thickness
 from phy124.generators.relief.surface import Surface, spread
-from phy124.rendering.camera import Camera
 from phy124.rendering.render import Renderer
 
 SIZE = 192

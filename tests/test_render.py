@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import warp as wp
 
+from phy124.camera import Camera
 from phy124.errors import Cancelled, InputError
 from phy124.gaussians import Frame, Gaussians, quaternions, rotation_matrices
 from phy124.harmonics import rotate_sh, sh_basis
 from phy124.rendering import render
-from phy124.rendering.camera import Camera
 from phy124.rendering.render import Renderer, render_frames
 
 FORMS = ("simd", "plain", "pixel")

@@ -53,7 +53,7 @@ SABOTAGE = {
     2: Sabotage("nodes lighter than 1e-15 are left out, as PhysGaussian does", "kernels/grid.py",
                 "if m > real(0.0):", "if m > real(1.0e-15):"),
     3: Sabotage("the first kick is a whole one", "mpm/solver.py",
-                "self.step((self.last_dt + dt) / 2, dt)", "self.step(dt, dt)"),
+                "self.step((clock.last_dt + dt) / 2, dt)", "self.step(dt, dt)"),
     4: Sabotage("half of C is lost on the way to the grid", "kernels/transfer.py",
                 "affine = m * C[p] - (", "affine = real(0.5) * m * C[p] - ("),
     5: Sabotage("the limit uses the shear wave speed", "materials/base.py",
@@ -105,15 +105,15 @@ SABOTAGE = {
     26: Sabotage("y offsets are x offsets", "kernels/transfer.py",
                  "- f[1] * cy", "- f[0] * cy"),
     27: Sabotage("launches are not recorded anew when the window moves", "mpm/solver.py",
-                 "if changed:", "if not self.substeps:"),
-    28: Sabotage("the second lane overwrites the first", "kernels/grid.py",
+                 "if changed:", "if not self.clock.substeps:"),
+    28: Sabotage("the second worker overwrites the first", "kernels/grid.py",
                  "q += nodes_b[n - first_b]", "q = nodes_b[n - first_b]"),
     29: Sabotage("walls answer before the body has come to them", "kernels/collide.py",
                  "m[1] * covered(far) >= full", "m[0] > full"),
     30: Sabotage("what is too fast is told to be softer", "remedies.py",
                  '"speed": ("push",)', '"speed": ("softer",)'),
     31: Sabotage("what flows meets walls node by node", "boundaries/base.py",
-                 "return self.reach(solver.dx) is None", "return False"),
+                 "return self.reach(model.dx) is None", "return False"),
 }  # fmt: skip
 """One deliberate error per case, by its number."""
 

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from phy124.clip import Clip
+from phy124 import resume
 from phy124.cost import demand_of
 from phy124.errors import Cancelled, InputError
-from phy124.io import resume
+from phy124.io.clip import Clip
 from phy124.mpm import Unstable
 from phy124.scene import Scene, preset_names
 from phy124.simulation import Simulation
@@ -127,7 +127,7 @@ def test_progress_may_cancel_between_substeps():
     s = Simulation(ball(), Scene.named("press").replaced(QUICK), progress=stop)
     with pytest.raises(Cancelled):
         s.run()
-    assert s.solver.substeps < 10
+    assert s.solver.clock.substeps < 10
 
 
 def test_an_unstable_frame_is_tried_again_then_given_up(monkeypatch):
@@ -135,7 +135,7 @@ def test_an_unstable_frame_is_tried_again_then_given_up(monkeypatch):
     tried = []
 
     def fail(until, *, after=None):
-        tried.append(s.solver.cfl)
+        tried.append(s.solver.clock.cfl)
         raise Unstable("3 particles left the grid")
 
     frames = iter(s)

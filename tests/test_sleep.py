@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from phy124 import resume
 from phy124.gaussians import Gaussians
-from phy124.io import resume
 from phy124.monitor.sleep import STILL, Sleep, next_change
 from phy124.scene import Scene
 from phy124.simulation import Simulation
@@ -182,18 +182,16 @@ def left_out(path, frames: int, acts: Track | None = None) -> list[int]:
     at = SimpleNamespace(x=0.0)
     state = SimpleNamespace(x=SimpleNamespace(numpy=lambda: np.array([[at.x, 0.0, 0.0]])))
     values = SimpleNamespace(numpy=lambda: np.zeros((1, 4)))
-    solver = SimpleNamespace(
-        dx=0.1, time=0.0, state=state, outliers=SimpleNamespace(count=0),
-        extremes=SimpleNamespace(speed=0.0, gradient=0.0),
-        tracks=SimpleNamespace(tracks=[acts or Track.constant(UP)], values=values),
-    )  # fmt: skip
-    sleeper, slept = Sleep(solver, size=1.0, frames=frames, fps=fps), []
+    clock = SimpleNamespace(extremes=SimpleNamespace(speed=0.0, gradient=0.0))
+    tracks = SimpleNamespace(tracks=[acts or Track.constant(UP)], values=values)
+    run = (SimpleNamespace(dx=0.1), state, clock, tracks)
+    sleeper, slept = Sleep(*run, size=1.0, frames=frames, fps=fps), []
     for index in range(1, frames):
-        if sleeper.skip(index):
+        if sleeper.skip_to(index) is not None:
             slept.append(index)
             continue
         at.x = path(index)
-        solver.extremes.speed = abs(path(index) - path(index - 1)) * fps
+        clock.extremes.speed = abs(path(index) - path(index - 1)) * fps
         sleeper.computed(index, 1)
     return slept
 

@@ -8,12 +8,12 @@ from phy124.errors import InputError
 from phy124.forces import TotalForce, Wind
 from phy124.imaging.painted import WHOLE
 from phy124.materials import Fluid, NeoHookean, Plasticine, Rigid
-from phy124.mpm import Solver
 from phy124.region import Region
 from phy124.scene import Scene
 from phy124.simulation import Simulation
 from phy124.stiffness import Gradient, Listed, Picture
 from support.shapes import ball, lattice
+from support.solvers import make_solver
 
 DX = 1 / 16
 E = 1e5
@@ -38,7 +38,7 @@ def pulled(share: np.ndarray | None) -> np.ndarray:
     forces = [Wind(v=(0, 0, 0), rate=15.0), *pull]
     volume = np.full(len(x), (DX / 2) ** 3)
     law = [NeoHookean(E=E, nu=0.0)]
-    s = Solver(x, volume, law, dx=DX, forces=forces, stiffness=share, precision="float64")
+    s = make_solver(x, volume, law, dx=DX, forces=forces, stiffness=share, precision="float64")
     s.advance(1.5)
     assert np.abs(s.state.v.numpy()).max() < 1e-4
     layer = x[:, 2].reshape(-1, 32).mean(axis=0)
@@ -88,20 +88,22 @@ def test_a_linear_gradient_stretches_by_a_logarithm():
 def test_rows_are_per_particle_only_where_stiffness_varies():
     x = bar()
     volume = np.full(len(x), 1.0)
-    plain = Solver(x, volume, [NeoHookean(E=E)], dx=DX)
-    assert len(plain.groups[0].theta) == 1
+    plain = make_solver(x, volume, [NeoHookean(E=E)], dx=DX)
+    assert len(plain.model.groups[0].theta) == 1
     share = np.linspace(0.1, 1, len(x))
-    varied = Solver(x, volume, [NeoHookean(E=E)], dx=DX, stiffness=share)
-    rows = varied.groups[0].theta.numpy()
+    varied = make_solver(x, volume, [NeoHookean(E=E)], dx=DX, stiffness=share)
+    rows = varied.model.groups[0].theta.numpy()
     assert np.allclose(rows, np.outer(share, NeoHookean(E=E).theta()), rtol=1e-6)
-    stiff = Solver(x, volume, [Rigid()], dx=DX, stiffness=share)
-    assert len(stiff.groups[0].theta) == 1
+    stiff = make_solver(x, volume, [Rigid()], dx=DX, stiffness=share)
+    assert len(stiff.model.groups[0].theta) == 1
 
 
 def test_what_does_not_scale_with_e_stays():
     x, law = bar(), Plasticine()
     share = np.full(len(x), 0.5)
-    rows = Solver(x, np.ones(len(x)), [law], dx=DX, stiffness=share).groups[0].theta.numpy()
+    rows = (
+        make_solver(x, np.ones(len(x)), [law], dx=DX, stiffness=share).model.groups[0].theta.numpy()
+    )
     assert np.allclose(rows[0], np.array(law.theta()) * [0.5, 0.5, 1, 1, 1], rtol=1e-6)
 
 
@@ -109,8 +111,10 @@ def test_materials_of_one_law_and_stiffness_together():
     x = bar()
     material = (np.arange(len(x)) >= 1000).astype(int)
     laws = [Rigid(E=1e4, speed=1000.0), NeoHookean(E=E)]
-    s = Solver(x, np.ones(len(x)), laws, dx=DX, material=material, stiffness=np.full(len(x), 0.5))
-    rows = s.groups[0].theta.numpy()
+    s = make_solver(
+        x, np.ones(len(x)), laws, dx=DX, material=material, stiffness=np.full(len(x), 0.5)
+    )
+    rows = s.model.groups[0].theta.numpy()
     assert np.allclose(rows[:1000], laws[0].theta(), rtol=1e-6)
     assert np.allclose(rows[1000:], 0.5 * np.array(laws[1].theta()), rtol=1e-6)
 

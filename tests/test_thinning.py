@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from phy124.camera import Camera
 from phy124.errors import InputError
 from phy124.generators.ply_file import PlyFile
 from phy124.generators.relief import relief
 from phy124.particles.thinning import asked_for, check_count, thinned
-from phy124.rendering.camera import Camera
 from phy124.rendering.render import Renderer
 from support.shapes import ball
 

@@ -16,6 +16,7 @@ from phy124.mpm import Solver
 from phy124.region import Region
 from reference.material_point import KINDS, evaluate
 from support.shapes import lattice
+from support.solvers import make_solver
 
 G = 9.81
 MARTIN_MOYCE = {1.19: 1.44, 1.63: 1.89, 1.98: 2.33, 2.32: 2.78, 2.65: 3.22}
@@ -27,7 +28,7 @@ def channel(material: Material, width: float, height: float, dx: float, friction
     x = lattice(round(2 * width / dx), 8, round(2 * height / dx), spacing=dx / 2)
     sides = Region(lower=(0.0, 0.0, -1e9), upper=(1e9, 4 * dx, 1e9))
     walls = [Container(inside=sides, contact="slip"), Ground(friction=friction)]
-    return Solver(
+    return make_solver(
         x, np.full(len(x), (dx / 2) ** 3), [material], dx=dx, boundaries=walls, forces=[Gravity()],
         origin=(0.25 * dx, 0.25 * dx, 0.25 * dx),
     )  # fmt: skip
@@ -40,7 +41,7 @@ def front(solver: Solver) -> float:
 
 def slope(solver: Solver, width: float) -> float:
     """Angle of the free surface of a heap between the wall and its toe [degrees]."""
-    x, dx = solver.state.x.numpy(), solver.dx
+    x, dx = solver.state.x.numpy(), solver.model.dx
     edges = np.arange(0.3 * front(solver), 0.9 * front(solver), dx)
     tops = [x[(x[:, 0] >= a) & (x[:, 0] < a + dx), 2].max() for a in edges]
     return float(-np.degrees(np.arctan(np.polyfit(edges, tops, 1)[0])))
@@ -52,7 +53,7 @@ def run_out(friction_angle: float, cells: int) -> tuple[float, float]:
     s = channel(Sand(friction_angle=friction_angle), width, width, width / cells, friction=0.6)
     s.advance(1.0)
     x = s.state.x.numpy()
-    assert x[:, 2].min() > -0.2 * s.dx  # what docs/reference/physics.md promises
+    assert x[:, 2].min() > -0.2 * s.model.dx  # what docs/reference/physics.md promises
     assert np.quantile(np.abs(s.state.v.numpy()), 0.99) < 0.01
     return float(np.quantile(x[:, 0], 0.98)) / width - 1, slope(s, width)
 
@@ -102,14 +103,14 @@ def test_water_comes_to_its_hydrostatic_pressure():
     dx, height, water = 0.1, 0.4, Fluid()
     x = lattice(8, 8, 8, spacing=dx / 2)
     tank = Region(lower=(0.0, 0.0, 0.0), upper=(height, height, 1e4))
-    s = Solver(
+    s = make_solver(
         x, np.full(len(x), (dx / 2) ** 3), [water], dx=dx, forces=[Gravity()],
         boundaries=[Container(inside=tank, friction=0.0)], origin=(0.25 * dx,) * 3,
     )  # fmt: skip
     s.advance(1.0)
     off = []
     for _ in range(6):
-        s.advance(s.time + 0.03)
+        s.advance(s.clock.time + 0.03)
         z = s.state.x.numpy()[:, 2]
         J = np.linalg.det(s.state.F.numpy().astype(float))
         pressure = water.bulk_modulus / water.gamma * (J**-water.gamma - 1)
@@ -126,16 +127,16 @@ def sag(cells: int, height: float = 0.1, length: float = 0.5) -> float:
     clamped = 2 * cells
     x = lattice(round(2 * length / dx) + clamped, 2 * cells, 2 * cells, spacing=dx / 2)
     x[:, 0] -= clamped * dx / 2
-    s = Solver(
+    s = make_solver(
         x, np.full(len(x), (dx / 2) ** 3), [NeoHookean(E=E, nu=0.0)], dx=dx, forces=[Gravity()],
         boundaries=[Held(lower=(-1, -1, -1), upper=(1e-9, 1, 1))],
         origin=(0, 0.25 * dx, 0.25 * dx),
     )  # fmt: skip
-    while s.time < 0.4:
-        s.advance(s.time + 0.005)
+    while s.clock.time < 0.4:
+        s.advance(s.clock.time + 0.005)
         s.state.v.assign(s.state.v.numpy() * np.exp(-0.3))
-    tip = s.rest[:, 0] > length - dx
-    return float((s.rest - s.state.x.numpy())[tip, 2].mean()) / theory
+    tip = s.model.rest[:, 0] > length - dx
+    return float((s.model.rest - s.state.x.numpy())[tip, 2].mean()) / theory
 
 
 @pytest.mark.parametrize(
@@ -159,7 +160,7 @@ def test_loose_sand_flies_apart_without_a_force():
     C = np.tile(k * np.eye(3), (len(x), 1, 1))
     places = []
     for E in (1e6, 1.0):
-        s = Solver(
+        s = make_solver(
             x, np.full(len(x), (dx / 2) ** 3), [Sand(E=E)], dx=dx, v=v, C=C, forces=[Gravity()],
             precision="float64", ceiling=5e-4,
         )  # fmt: skip
@@ -179,14 +180,14 @@ def test_materials_side_by_side_each_obey_their_own_law():
     upper = (x[:, 2] > 0.2).astype(int)
     order = np.argsort(upper, kind="stable")
     soft, sand = NeoHookean(E=2e4, density=500.0), Sand(density=2000.0)
-    s = Solver(
+    s = make_solver(
         x[order], np.full(len(x), (dx / 2) ** 3), [soft, sand], dx=dx, material=upper[order],
         boundaries=[Ground()], forces=[Gravity()], origin=(0, 0, 0.25 * dx),
     )  # fmt: skip
     s.advance(0.2)
     below = upper[order] == 0
     assert s.state.x.numpy()[below, 2].mean() > 0.4 * dx
-    mass = s.mass.numpy()
+    mass = s.model.mass.numpy()
     assert mass[~below].sum() == pytest.approx(4 * mass[below].sum(), rel=1e-5)
     F, total = s.state.F.numpy(), s.state.deformation.numpy()
     np.testing.assert_array_equal(total[below], F[below])
@@ -200,7 +201,7 @@ def test_stiffness_from_place_to_place_is_the_same_on_two_threads():
     x = lattice(12, 6, 6, spacing=dx / 2)
     stiff = (x[:, 0] > 0.3).astype(int)
     for threads in (1, 2):
-        s = Solver(
+        s = make_solver(
             x, np.full(len(x), (dx / 2) ** 3), [NeoHookean(E=5e3), NeoHookean(E=3e5)], dx=dx,
             material=stiff, boundaries=[Ground()], forces=[Gravity()], threads=threads,
         )  # fmt: skip
@@ -219,10 +220,10 @@ def energy(s: Solver, material: Material) -> float:
     """Elastic, kinetic (with what APIC keeps in C) and potential energy [J]."""
     history = s.state.history.numpy() if len(s.state.history) else None
     elastic = evaluate(material, s.state.F.numpy().astype(np.float64), h=history).energy
-    mass, v, C = s.mass.numpy(), s.state.v.numpy(), s.state.C.numpy()
-    kinetic = mass * ((v**2).sum(1) + s.dx**2 / 4 * (C**2).sum((1, 2))) / 2
+    mass, v, C = s.model.mass.numpy(), s.state.v.numpy(), s.state.C.numpy()
+    kinetic = mass * ((v**2).sum(1) + s.model.dx**2 / 4 * (C**2).sum((1, 2))) / 2
     height = s.state.x.numpy()[:, 2]
-    return float((elastic * s.volume.numpy() + kinetic + mass * G * height).sum())
+    return float((elastic * s.model.volume.numpy() + kinetic + mass * G * height).sum())
 
 
 @pytest.mark.parametrize("mach", [0.3, 1.5])
@@ -236,7 +237,7 @@ def test_every_law_lands_hard_without_making_energy(material, mach):
     dx, sound = 0.1, material.wave_speed()
     x = lattice(8, 8, 8, spacing=dx / 2, corner=(0, 0, 0.05))
     v = np.tile([0, 0, -min(mach * sound, 60.0)], (len(x), 1))
-    s = Solver(
+    s = make_solver(
         x, np.full(len(x), (dx / 2) ** 3), [material], dx=dx, v=v, boundaries=[Ground()],
         forces=[Gravity()], origin=(0, 0, 0.25 * dx),
     )  # fmt: skip

@@ -13,7 +13,7 @@ from types import TracebackType
 
 from phy124.gaussians import Frame
 
-from . import Sink
+from ..sink import Sink
 
 log = logging.getLogger(__name__)
 

@@ -22,9 +22,10 @@ from ..discovery import Discovery
 from ..encoder import FrameEncoder
 from ..messages import HASHES
 from ..options import Options
+from ..playback import Playback
 from ..reports import Audience, Reports
+from ..sink import Obey
 from ..topics import COMMAND, POINTS, Message, Topic
-from . import Obey, Playback
 
 NAMESPACE, NODE = "/phy124", "player"
 DISCOVERY = Topic("ros_discovery_info", "rmw_dds_common/msg/ParticipantEntitiesInfo", depth=1)

@@ -17,8 +17,9 @@ from ..cdr import NANO
 from ..encoder import FrameEncoder
 from ..messages import definition
 from ..options import Options
+from ..playback import Playback
+from ..sink import Obey
 from ..topics import Message
-from . import Obey, Playback
 
 PORT = 8765
 """Port that Foxglove tries first."""

@@ -22,11 +22,12 @@ from ..delivery import Delivery
 from ..encoder import FrameEncoder
 from ..options import LIVE_POINTS, Options
 from ..parameters import RUNNING, Parameter, Running, declare
+from ..playback import Playback
 from ..reports import Audience, Reports
 from ..ros_node import NAMESPACE, NODE, ros_node
 from ..services import Services
+from ..sink import Obey
 from ..topics import COMMAND, POINTS, Message, Topic
-from . import Obey, Playback
 
 
 class RclpySink:

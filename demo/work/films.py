@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 from phy124 import pipeline
-from phy124.clip import Clip
+from phy124.io.clip import Clip
 from phy124.io.export.html import pack
 from phy124.io.video import write_animation
 from phy124.rendering.framing import departures

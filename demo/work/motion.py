@@ -8,10 +8,10 @@ import numpy as np
 from PIL import Image
 
 from phy124 import pipeline
-from phy124.clip import Clip
 from phy124.errors import InputError
 from phy124.gaussians import Frame, Gaussians
 from phy124.generators import make as make_generator
+from phy124.io.clip import Clip
 from phy124.io.files import replacing
 from phy124.particles.thinning import asked_for
 from phy124.parts import crop_of
@@ -82,7 +82,7 @@ class Watching:
 
     def see(self, run: Simulation, frame: Frame) -> None:
         """Show a frame, and measure the particles as they are now."""
-        self.note = f"{run.solver.substeps} substeps"
+        self.note = f"{run.solver.clock.substeps} substeps"
         if len(run.particles) > self.order.max_particles:
             raise InputError(
                 "accuracy",
@@ -106,7 +106,7 @@ def measured(run: Simulation, frame: Frame) -> dict[str, float]:
     state = run.solver.state
     v = state.v.numpy().astype(np.float64)
     volumes = np.linalg.det(state.deformation.numpy().astype(np.float64))
-    energy = 0.5 * (run.solver.mass.numpy() * (v**2).sum(axis=1)).sum()
+    energy = 0.5 * (run.solver.model.mass.numpy() * (v**2).sum(axis=1)).sum()
     return {
         "time": frame.time,
         "smallest_J": float(volumes.min()),

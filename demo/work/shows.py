@@ -10,11 +10,11 @@ import numpy as np
 from PIL import Image
 
 from phy124 import pipeline
-from phy124.clip import Clip
+from phy124.camera import Camera
 from phy124.errors import Cancelled
 from phy124.gaussians import Frame, Gaussians
+from phy124.io.clip import Clip
 from phy124.io.export.html import pack
-from phy124.rendering.camera import Camera
 from phy124.rendering.render import Renderer, to_bytes
 from phy124.scene import Scene
 

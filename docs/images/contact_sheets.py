@@ -14,10 +14,10 @@ import numpy as np
 from PIL import Image
 
 from phy124 import pipeline
-from phy124.clip import Clip
 from phy124.gaussians import Gaussians
 from phy124.generators import make
 from phy124.imaging.cutout import cut_out
+from phy124.io.clip import Clip
 from phy124.io.video import write_animation
 from phy124.rendering.render import render_frames
 from phy124.scene import Scene, preset_names

@@ -8,13 +8,13 @@ from typing import Any
 
 import warp as wp
 
-from phy124.boundaries import AnyBoundary, Container, Gripper, Press
+from phy124.boundaries import AnyBoundary, Container, Gripper
 from phy124.boundaries.held import Clamp
-from phy124.kernels import deform, diagnose, diagnostics, stretch, transfer
+from phy124.kernels import deform, diagnostics, external_work, soundness, stretch, transfer
 from phy124.kernels.collide import make_collider, make_contact
 from phy124.kernels.grid import make_update
 from phy124.kernels.profile import make_sampler
-from phy124.mpm.solver import PRECISIONS
+from phy124.mpm.model import PRECISIONS
 from phy124.scene import Scene
 
 Costed = tuple[Any, float]
@@ -48,7 +48,7 @@ def kernels(scene: Scene) -> Iterator[Costed]:
     yield from (
         (make_sampler(real), 0.65),
         (make_update(real), 0.15),
-        (diagnose.make_reset(real), 0.2),
+        (soundness.make_reset(real), 0.2),
         (deform.deform_shapes, 1.5),
     )
     laws = {material.device_law.name: material.device_law for material in scene.materials}
@@ -60,12 +60,12 @@ def kernels(scene: Scene) -> Iterator[Costed]:
         if law.project is None:
             yield stretch.make_apart(real), 0.2
         else:
-            yield diagnose.make_limit_total(real), 0.15
+            yield soundness.make_limit_total(real), 0.15
     for boundary in scene.boundaries:
         yield from ((_wall(part, real), 0.4) for part in _parts(boundary))
     if scene.boundaries and scene.checks.balance:
-        yield diagnose.make_wall_copy(real), 0.15
-        yield diagnose.make_wall_sums(real), 0.2
+        yield external_work.make_wall_copy(real), 0.15
+        yield external_work.make_wall_sums(real), 0.2
 
 
 def _parts(boundary: AnyBoundary) -> list[Any]:
@@ -77,8 +77,7 @@ def _parts(boundary: AnyBoundary) -> list[Any]:
 
 def _wall(wall: Any, real: Any) -> Any:
     """The kernel of a simple wall."""
-    moves = isinstance(wall, Press) or wall.motion is not None
-    moves = moves or getattr(wall, "end", None) is not None
+    moves = wall.moves or getattr(wall, "end", None) is not None
     met = wall.contact == "sticky" if isinstance(wall, Clamp) else True
     make = make_contact if met else make_collider
     return make(wall.outline(), wall.response(), moves, real)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from phy124.clip import Clip
+from phy124.io.clip import Clip
 from phy124.metrics import psnr, ssim
 from phy124.rendering.film import cameras
 from phy124.rendering.render import render_frames

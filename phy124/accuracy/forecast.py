@@ -21,9 +21,9 @@ import numpy as np
 from phy124.accuracy.load import Load, spoken
 from phy124.accuracy.pilot import Pilot, coarsened, fly
 from phy124.accuracy.promises import Promise, promise
-from phy124.clip import Clip
 from phy124.deform import Deformer
 from phy124.gaussians import Gaussians
+from phy124.io.clip import Clip
 from phy124.mpm import Solver
 from phy124.parts import WHOLE, Crop
 from phy124.rendering.film import film
@@ -260,7 +260,7 @@ def _probe(simulation: Simulation) -> tuple[SubstepCost, int, float]:
     solver, watchdog = simulation.solver, simulation.watchdog
     watchdog.before()
     after = watchdog.follow()
-    start, books = solver.snapshot(), watchdog.external.snapshot()
+    start, external = solver.snapshot(), watchdog.external.snapshot()
     rounds: list[tuple[float, float, int]] = []
     spent = 0.0
     try:
@@ -270,19 +270,19 @@ def _probe(simulation: Simulation) -> tuple[SubstepCost, int, float]:
         checks = min(_timed(lambda: _empty_frame(simulation)) for _ in range(TRIES))
     finally:
         solver.restore(start)
-        watchdog.external.restore(books)
+        watchdog.external.restore(external)
         _forget_timings(solver)
     seconds, share, nodes = sorted(rounds)[len(rounds) // 2]
-    return _rates(seconds, share, len(solver.rest), nodes), nodes, checks
+    return _rates(seconds, share, len(solver.model), nodes), nodes, checks
 
 
 def _pace(solver: Solver, after: Callable[[], None] | None) -> tuple[float, float, int]:
     """Seconds per substep, their share that goes with the nodes, and the number of nodes."""
     each = min(_timed(lambda: _advance(solver, 2, after)) / 2 for _ in range(2))
     _forget_timings(solver)
-    before, count = solver.substeps, int(np.clip(LONGEST_PROBE / each, LEAST_PROBE, PROBE))
+    before, count = solver.clock.substeps, int(np.clip(LONGEST_PROBE / each, LEAST_PROBE, PROBE))
     seconds = _timed(lambda: _advance(solver, count, after))
-    return seconds / (solver.substeps - before), _node_share(solver), solver.grid.count
+    return seconds / (solver.clock.substeps - before), _node_share(solver), solver.grid.count
 
 
 def _empty_frame(simulation: Simulation) -> None:
@@ -290,7 +290,7 @@ def _empty_frame(simulation: Simulation) -> None:
     solver, watchdog = simulation.solver, simulation.watchdog
     watchdog.before()
     solver.snapshot()
-    solver.advance(solver.time)
+    solver.advance(solver.clock.time)
     watchdog.after()
 
 
@@ -313,16 +313,16 @@ def _timed(work: Callable[[], Any]) -> float:
 
 def _advance(solver: Solver, substeps: int, after: Callable[[], None] | None) -> None:
     """About so many substeps of stable length."""
-    limit = solver.substep() if solver.extremes.stiffness > 0 else None
+    limit = solver.clock.stable() if solver.clock.extremes.stiffness > 0 else None
     if limit is None:
         solver.step(0.0, 0.0)
-        limit = solver.substep()
-    solver.advance(solver.time + substeps * limit.dt, after=after)
+        limit = solver.clock.stable()
+    solver.advance(solver.clock.time + substeps * limit.dt, after=after)
 
 
 def _node_share(solver: Solver) -> float:
     """Share of the stages' time that goes with the nodes."""
-    walls = {name for name, _ in solver.collisions}
+    walls = {stage.name for stage in solver.boundaries}
     total = nodes = 0.0
     for worker in solver.workers:
         for name, (seconds, _) in worker.timings.items():

@@ -81,18 +81,18 @@ def fly(gaussians: Gaussians, scene: Scene, *, device: str = "cpu", crop: Crop =
     nodes, rest, frame = [], 0.0, 0
 
     def after() -> None:
-        limit = solver.substep()
-        counts[limit.limiter][frame] += solver.last_dt / limit.dt
+        limit = solver.clock.stable()
+        counts[limit.limiter][frame] += solver.clock.last_dt / limit.dt
 
     stopped = False
     try:
         solver.step(0.0, 0.0)
-        stiffness = solver.extremes.stiffness
-        rest = math.sqrt(stiffness) / (solver.cfl * solver.dx) / timing.fps
+        stiffness = solver.clock.extremes.stiffness
+        rest = math.sqrt(stiffness) / (solver.clock.cfl * solver.model.dx) / timing.fps
         for frame in range(timing.frames - 1):
             solver.advance((frame + 1) / timing.fps, after=after)
             nodes.append(solver.grid.count)
     except Unstable:
         stopped = True
     growth = float(np.mean(nodes) / nodes[0]) if nodes else 1.0
-    return Pilot(cells, counts, rest, growth, stopped, 1 / (solver.viscous * timing.fps))
+    return Pilot(cells, counts, rest, growth, stopped, 1 / (solver.clock.viscous * timing.fps))

@@ -20,7 +20,8 @@ from phy124.forces import Gravity
 from phy124.kernels.manufactured import make_vortex
 from phy124.kernels.transfer import types
 from phy124.materials import Fluid, NeoHookean
-from phy124.mpm import Solver
+from phy124.mpm import Grid, Model, Solver, Stage, State
+from phy124.tracks import Tracks
 
 if TYPE_CHECKING:
     import warp as wp
@@ -42,12 +43,12 @@ def block(cells: float, dx: float, ppc: int = 2) -> Array:
 
 def angular_momentum(solver: Solver) -> Array:
     """Sum of m (x cross v + dx^2/4 axial(C)) [3], kg m^2/s: what APIC conserves exactly."""
-    m, x = solver.mass.numpy().astype(float)[:, None], solver.state.x.numpy().astype(float)
+    m, x = solver.model.mass.numpy().astype(float)[:, None], solver.state.x.numpy().astype(float)
     v, C = solver.state.v.numpy().astype(float), solver.state.C.numpy().astype(float)
     axial = np.stack(
         [C[:, 2, 1] - C[:, 1, 2], C[:, 0, 2] - C[:, 2, 0], C[:, 1, 0] - C[:, 0, 1]], axis=1
     )
-    return (m * (np.cross(x, v) + solver.dx**2 / 4 * axial)).sum(axis=0)
+    return (m * (np.cross(x, v) + solver.model.dx**2 / 4 * axial)).sum(axis=0)
 
 
 # --- free fall -----------------------------------------------------------------------------------
@@ -61,15 +62,9 @@ def fall(position: Array, velocity: Array, time: float) -> Array:
 def free_fall(*, precision: str = "float64", time: float = 0.2) -> float:
     """Thrown in an arc: greatest error of any particle, in units of the way it went."""
     x, v = block(4, 0.1) + np.array([0, 0, 1]), np.array([1.0, 0.5, 2.0])
-    solver = Solver(
-        x,
-        np.full(len(x), (0.1 / 2) ** 3),
-        [NeoHookean(E=1e4)],
-        dx=0.1,
-        v=np.tile(v, (len(x), 1)),
-        forces=[Gravity()],
-        precision=precision,
-    )
+    volume = np.full(len(x), (0.1 / 2) ** 3)
+    model = Model.of(x, volume, [NeoHookean(E=1e4)], dx=0.1, precision=precision)
+    solver = Solver(model, State.of(model, np.tile(v, (len(x), 1))), forces=[Gravity()])
     solver.advance(time)
     error = solver.state.x.numpy() - fall(x, v, time)
     return float(np.abs(error).max() / np.linalg.norm(fall(x, v, time) - x, axis=1).max())
@@ -94,7 +89,8 @@ def spin(turns: float, *, precision: str = "float64", omega: float = 9.0) -> Spi
     C = np.broadcast_to(gradient, (len(x), 3, 3))
     material = NeoHookean(E=2e5, nu=0.3)
     volume = np.full(len(x), (dx / 2) ** 3)
-    solver = Solver(x, volume, [material], dx=dx, v=x @ gradient.T, C=C, precision=precision)
+    model = Model.of(x, volume, [material], dx=dx, precision=precision)
+    solver = Solver(model, State.of(model, x @ gradient.T, C))
     momentum, energy = angular_momentum(solver), _kinetic(solver)
     solver.advance(turns * 2 * math.pi / omega)
     change = np.linalg.norm(angular_momentum(solver) - momentum) / np.linalg.norm(momentum)
@@ -103,9 +99,9 @@ def spin(turns: float, *, precision: str = "float64", omega: float = 9.0) -> Spi
 
 def _kinetic(solver: Solver) -> float:
     """Kinetic energy [J] with the part that APIC keeps in C."""
-    m, v = solver.mass.numpy().astype(float), solver.state.v.numpy().astype(float)
+    m, v = solver.model.mass.numpy().astype(float), solver.state.v.numpy().astype(float)
     C = solver.state.C.numpy().astype(float)
-    return float((m * ((v**2).sum(1) + solver.dx**2 / 4 * (C**2).sum((1, 2)))).sum() / 2)
+    return float((m * ((v**2).sum(1) + solver.model.dx**2 / 4 * (C**2).sum((1, 2)))).sum() / 2)
 
 
 # --- vibrating bar -------------------------------------------------------------------------------
@@ -129,11 +125,12 @@ def vibrating_bar(cells: int, *, strain: float = 1e-6, ppc: int = 2) -> float:
     C[:, 2, 2] = -strain * speed * wave * np.sin(wave * z)
     material = NeoHookean(E=E, nu=0.0, density=density)
     volume = np.full(len(x), dx**3 / ppc)
-    solver = Solver(x, volume, [material], dx=dx, v=v, C=C, precision="float64")
+    model = Model.of(x, volume, [material], dx=dx, precision="float64")
+    solver = Solver(model, State.of(model, v, C))
     period, times, modes = 2 * math.pi / exact, [0.0], [0.0]
 
     def record() -> None:
-        times.append(solver.time)
+        times.append(solver.clock.time)
         modes.append(float((np.cos(wave * z) * (solver.state.x.numpy()[:, 2] - z)).sum()))
 
     solver.advance(1.1 * period, after=record)
@@ -175,18 +172,19 @@ class Vortex:
         columns = (cosine * x[:, 0] - sine * x[:, 1], sine * x[:, 0] + cosine * x[:, 1], x[:, 2])
         return np.stack(columns, axis=1)
 
-    def attach(self, solver: Solver) -> list[Stage]:
+    def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
         """The body force that makes this motion exact."""
         stiffness = self.material.lame[0] / self.material.density
         middle, width = (self.inner + self.outer) / 2, self.outer - self.inner
-        ring = types(solver.real).vec4(middle, width, self.amplitude, stiffness)
-        kernel, state = make_vortex(solver.real), solver.state
+        ring = types(model.real).vec4(middle, width, self.amplitude, stiffness)
+        kernel = make_vortex(model.real)
 
-        def record() -> wp.Launch | None:
-            inputs = [ring, solver.clock, state.x]
-            return solver.record(kernel, len(solver.rest), inputs, [state.v])
+        def record(grid: Grid) -> wp.Launch | None:
+            del grid
+            inputs = [ring, tracks.clock, state.x]
+            return model.launch(kernel, len(model), inputs, [state.v])
 
-        return [("vortex", record)]
+        return [Stage("vortex", record)]
 
 
 def vortex(cells: int, *, time: float = 0.5, ppc: int = 4, problem: Vortex | None = None) -> float:
@@ -199,7 +197,8 @@ def vortex(cells: int, *, time: float = 0.5, ppc: int = 4, problem: Vortex | Non
     plane = plane[(radius > problem.inner) & (radius < problem.outer)]
     x = np.column_stack([plane, np.zeros(len(plane))])
     volume = np.full(len(x), (dx / ppc) ** 2 * dx)
-    solver = Solver(x, volume, [problem.material], dx=dx, forces=[problem], precision="float64")
+    model = Model.of(x, volume, [problem.material], dx=dx, precision="float64")
+    solver = Solver(model, forces=[problem])
     solver.advance(time)
     exact = problem.position(x, time)
     return float(_rms(solver.state.x.numpy() - exact) / _rms(exact - x))
@@ -239,16 +238,10 @@ def hydrostatic_column(cells: int, *, ppc: int = 2) -> Column:
         HalfSpace(point=(1e3, 0, 0), normal=(1.0, 0, 0), contact="slip"),
         HalfSpace(point=(0, 1e3, 0), normal=(0, 1.0, 0), contact="slip"),
     ]
-    solver = Solver(
-        np.stack([np.zeros_like(z), np.zeros_like(z), z], axis=1),
-        np.full(len(z), dx**3 / ppc),
-        [material],
-        dx=dx,
-        forces=[Gravity()],
-        boundaries=[Ground(contact="slip"), *walls],
-        origin=(0.0, 0.0, -FLOOR_NODE * dx),
-        precision="float64",
-    )
+    x, origin = np.stack([np.zeros_like(z), np.zeros_like(z), z], axis=1), (0, 0, -FLOOR_NODE * dx)
+    volume = np.full(len(z), dx**3 / ppc)
+    model = Model.of(x, volume, [material], dx=dx, origin=origin, precision="float64")
+    solver = Solver(model, forces=[Gravity()], boundaries=[Ground(contact="slip"), *walls])
     _settle(solver, height / material.wave_speed())
     J = np.linalg.det(np.asarray(solver.state.F.numpy(), float))
     pressure = material.bulk_modulus / material.gamma * (J**-material.gamma - 1)
@@ -261,7 +254,7 @@ def _settle(solver: Solver, crossing: float) -> None:
     """Stop the motion at each of its fastest moments, until twelve have passed."""
     stops, last = 0, 0.0
     while stops < 12:
-        solver.advance(solver.time + crossing / 20)
+        solver.advance(solver.clock.time + crossing / 20)
         now = _kinetic(solver)
         if now < last:
             solver.state.v.zero_()
@@ -294,15 +287,9 @@ class Bounce:
     def run(self, cells: int, spacing: float) -> Array:
         """Positions [T,P,3] of the same particles on a grid of diameter / cells."""
         x, dx = self.particles(spacing), self.diameter / cells
-        solver = Solver(
-            x,
-            np.full(len(x), spacing**3),
-            [self.material],
-            dx=dx,
-            forces=[Gravity()],
-            boundaries=[Ground(friction=0.0)],
-            origin=(0.0, 0.0, -FLOOR_NODE * dx),
-        )
+        volume, origin = np.full(len(x), spacing**3), (0, 0, -FLOOR_NODE * dx)
+        model = Model.of(x, volume, [self.material], dx=dx, origin=origin)
+        solver = Solver(model, forces=[Gravity()], boundaries=[Ground(friction=0.0)])
         frames = []
         for frame in range(1, self.frames + 1):
             solver.advance(self.seconds * frame / self.frames)

@@ -19,10 +19,10 @@ from phy124.accuracy.convergence import TRUSTED, Convergence, distances, richard
 from phy124.accuracy.difference import Difference, difference
 from phy124.accuracy.forecast import Forecaster, pixels_per_size
 from phy124.accuracy.promises import promise
-from phy124.clip import Clip
 from phy124.errors import Cancelled
 from phy124.gaussians import Gaussians
-from phy124.monitor.watchdog import Balance, weigh
+from phy124.io.clip import Clip
+from phy124.monitor.diagnostics import Diagnostics, diagnose
 from phy124.parts import WHOLE, Crop
 from phy124.progress import Progress, silent
 from phy124.scene import PRESETS, Accuracy, Scene
@@ -193,14 +193,14 @@ class Study:
                 f"{LEAST_PPC}, so a finer grid would be less accurate."
             )
         predicted = self._predicted(simulation) if self.thorough else None
-        before = weigh(simulation.solver)
+        before = diagnose(simulation.solver)
         clip = simulation.run()
         if not clip.report["complete"]:
             return None, f"{name} is left out: {clip.report['stopped']}"
         self.clips[name] = clip
         solver, accuracy = simulation.solver, scene.resolution
         seconds, torn = simulation.watch.seconds, simulation.watchdog.tearing.note() or ""
-        counts = solver.limiters
+        counts = solver.clock.limiters
         return Row(
             name=name,
             cells=accuracy.cells,
@@ -209,12 +209,12 @@ class Study:
             binding=scene.binding,
             particles=len(simulation.particles),
             ppc=ppc,
-            substeps=solver.substeps,
+            substeps=solver.clock.substeps,
             predicted=predicted,
             seconds=seconds["simulate"] + seconds["deform"],
             limiters={key: count / sum(counts.values()) for key, count in counts.items()},
             energy_lost=-clip.report["balance"]["energy_gain"],
-            angular_momentum_lost=_momentum_lost(scene, before, weigh(solver)),
+            angular_momentum_lost=_momentum_lost(scene, before, diagnose(solver)),
             torn=torn,
         ), f"{name}: {torn}" if torn else ""
 
@@ -338,12 +338,12 @@ def _kept(promised: float | None, error: float) -> str:
 
 def _particles_per_axis(simulation: Simulation) -> float:
     """Median number of particles in the cells that hold any, per axis."""
-    cells = np.floor(simulation.particles.x / simulation.solver.dx).astype(np.int64)
+    cells = np.floor(simulation.particles.x / simulation.solver.model.dx).astype(np.int64)
     _, counts = np.unique(cells, axis=0, return_counts=True)
     return float(np.median(counts) ** (1 / 3))
 
 
-def _momentum_lost(scene: Scene, before: Balance, after: Balance) -> float | None:
+def _momentum_lost(scene: Scene, before: Diagnostics, after: Diagnostics) -> float | None:
     """Relative change of angular momentum, where neither force nor wall may change it."""
     start = float(np.linalg.norm(before.angular))
     if scene.acting or scene.boundaries or start == 0:

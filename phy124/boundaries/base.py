@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 import warp as wp
@@ -15,12 +15,10 @@ from phy124.boundaries.motion import AnyMotion
 from phy124.errors import InputError
 from phy124.kernels.collide import make_collider, make_contact
 from phy124.kernels.transfer import types
+from phy124.mpm import Grid, Model, Stage, State
 from phy124.region import Vector
 from phy124.section import Section
-from phy124.tracks import Track
-
-if TYPE_CHECKING:
-    from phy124.mpm import Solver, Stage
+from phy124.tracks import Track, Tracks
 
 Contact = Literal["sticky", "slip", "separate"]
 REACH = -0.15
@@ -49,23 +47,28 @@ class Boundary(Section):
     )
     friction: float = Field(default=0.4, ge=0, le=10, description="Coulomb friction coefficient.")
 
-    def geometry(self, solver: Solver) -> tuple[Vector, Vector, Vector]:
+    def geometry(self, model: Model) -> tuple[Vector, Vector, Vector]:
         """Three vectors that the shape's distance function reads."""
         raise NotImplementedError
 
-    def extent(self, solver: Solver) -> Corners:
+    def extent(self, model: Model) -> Corners:
         """Corners of a box that holds the shape at rest [m]."""
         return np.full(3, -np.inf), np.full(3, np.inf)
 
-    def bounds(self, solver: Solver) -> Corners:
+    def bounds(self, model: Model) -> Corners:
         """Corners of a box that holds every node that may answer to the shape at rest [m]."""
-        low, high = self.extent(solver)
-        margin = MARGIN * solver.dx if self.met(solver) else 0.0
+        low, high = self.extent(model)
+        margin = MARGIN * model.dx if self.met(model) else 0.0
         return low - margin, high + margin
 
-    def met(self, solver: Solver) -> bool:
+    def met(self, model: Model) -> bool:
         """Whether the wall is met where it is, between the nodes; else node by node."""
-        return self.reach(solver.dx) is None
+        return self.reach(model.dx) is None
+
+    @property
+    def moves(self) -> bool:
+        """Whether it ever moves."""
+        return False
 
     def outline(self) -> str:
         """Name of its distance function."""
@@ -75,7 +78,7 @@ class Boundary(Section):
         """Name of how nodes answer to it."""
         return self.contact
 
-    def track(self, solver: Solver) -> Track | None:
+    def track(self, model: Model) -> Track | None:
         """Displacement over time [m]; None if it never moves."""
         return None
 
@@ -83,17 +86,18 @@ class Boundary(Section):
         """Least half thickness of the solid [m]."""
         return np.inf
 
-    def attach(self, solver: Solver) -> list[Stage]:
+    def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
         """One collider stage; raises InputError if the solid is too thin for the grid."""
-        self.refuse_thin(solver)
-        return [(type(self).__name__.lower(), self._recorder(solver))]
+        self.refuse_thin(model)
+        del state
+        return [Stage(type(self).__name__.lower(), self._recorder(model, tracks))]
 
-    def refuse_thin(self, solver: Solver) -> None:
+    def refuse_thin(self, model: Model) -> None:
         """Raise InputError if things would pass through the solid."""
-        if self.thickness() < THINNEST * solver.dx:
+        if self.thickness() < THINNEST * model.dx:
             raise InputError(
                 f"boundaries.{type(self).__name__.lower()}", f"{2 * self.thickness():g} m",
-                f"{self.thing} is thinner than two grid cells of {solver.dx:g} m, "
+                f"{self.thing} is thinner than two grid cells of {model.dx:g} m, "
                 "so things would pass it.",
                 "Make it thicker or the grid finer.",
             )  # fmt: skip
@@ -102,28 +106,27 @@ class Boundary(Section):
         """Signed distance below which a node answers [m]; None: as suits the material."""
         return None
 
-    def _recorder(self, solver: Solver) -> Callable[[], wp.Launch | None]:
-        t, track = types(solver.real), self.track(solver)
-        slot = 0 if track is None else solver.tracks.add(track)
-        bounds = self.bounds(solver)
+    def _recorder(self, model: Model, tracks: Tracks) -> Callable[[Grid], wp.Launch | None]:
+        t, track = types(model.real), self.track(model)
+        slot = 0 if track is None else tracks.add(track)
+        bounds = self.bounds(model)
         if track is not None:
             bounds = swept(bounds, track)
-        shape = t.mat33(*np.ravel(self.geometry(solver)))
-        met, reach = self.met(solver), self.reach(solver.dx)
+        shape = t.mat33(*np.ravel(self.geometry(model)))
+        met, reach = self.met(model), self.reach(model.dx)
         kernel = (make_contact if met else make_collider)(
-            self.outline(), self.response(), track is not None, solver.real
+            self.outline(), self.response(), track is not None, model.real
         )
 
-        def record() -> wp.Launch | None:
-            grid = solver.grid
+        def record(grid: Grid) -> wp.Launch | None:
             start, extent = grid.nodes_within(*bounds)
-            model = [shape, self.friction, REACH * grid.dx if reach is None else reach, slot]
-            model.append(wp.vec3i(*start.tolist()))
+            wall = [shape, self.friction, REACH * grid.dx if reach is None else reach, slot]
+            wall.append(wp.vec3i(*start.tolist()))
             if met:
-                model.append(wp.vec2i(*(grid.share or (0, int(grid.size[0])))))
-                model.append(lightest(solver))
-            inputs = [*model, grid.lattice, grid.window, solver.tracks.values, solver.tracks.rates]
-            return solver.record(kernel, tuple(extent), inputs, [grid.nodes])
+                wall.append(wp.vec2i(*(grid.layers or (0, int(grid.size[0])))))
+                wall.append(lightest(model))
+            inputs = [*wall, grid.lattice, grid.window, tracks.values, tracks.rates]
+            return model.launch(kernel, tuple(extent), inputs, [grid.nodes])
 
         return record
 
@@ -135,18 +138,23 @@ class Movable(Boundary):
         default=None, description="Its displacement over time: path or swing; absent: fixed."
     )
 
-    def track(self, solver: Solver) -> Track | None:
+    @property
+    def moves(self) -> bool:
+        """Whether it has a motion."""
+        return self.motion is not None
+
+    def track(self, model: Model) -> Track | None:
         """Displacement over time [m]; None if it never moves."""
         return None if self.motion is None else self.motion.track()
 
 
-def lightest(solver: Solver) -> float:
+def lightest(model: Model) -> float:
     """Mass of a node amid the lightest of several materials [kg]; infinite if all weigh the same.
 
     A cell of one material needs no such bound: squeezed, it is denser than it was made.
     """
-    densities = {section.density for section in solver.materials}
-    return min(densities) * solver.dx**3 if len(densities) > 1 else math.inf
+    densities = {section.density for section in model.materials}
+    return min(densities) * model.dx**3 if len(densities) > 1 else math.inf
 
 
 def vector(values: Iterable[float]) -> Vector:

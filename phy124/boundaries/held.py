@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from phy124.boundaries.base import Contact, Corners, Movable, box_of, half_bounds, vector
 from phy124.bounds import LONGEST, SHORTEST, Position
+from phy124.mpm import Model
 from phy124.region import AxisName, Vector, cylinder
 from phy124.tracks import Track
-
-if TYPE_CHECKING:
-    from phy124.mpm import Solver
 
 
 class Clamp(Movable):
@@ -28,16 +26,16 @@ class Clamp(Movable):
         description="Lets go then [s]; absent: never.",
     )
 
-    def track(self, solver: Solver) -> Track | None:
+    def track(self, model: Model) -> Track | None:
         """Displacement over time [m], active until it lets go; None if nothing ever changes."""
-        track = super().track(solver)
+        track = super().track(model)
         if self.end is None:
             return track
         if track is None:
             return Track(((0.0, (0.0, 0.0, 0.0)),), end=self.end)
         return Track(track.keys, track.start, self.end, track.origin, track.period, track.mean)
 
-    def met(self, solver: Solver) -> bool:
+    def met(self, model: Model) -> bool:
         """Sticky clamps end where their region does; others act on each node inside by itself."""
         return self.contact == "sticky"
 
@@ -72,7 +70,7 @@ class Held(Clamp):
         """A box, or a cylinder."""
         return "cylinder" if self.cylinder else "box"
 
-    def geometry(self, solver: Solver) -> tuple[Vector, Vector, Vector]:
+    def geometry(self, model: Model) -> tuple[Vector, Vector, Vector]:
         """Centre and half sizes; of a cylinder centre, axis, and (radius, half length)."""
         if self.cylinder is None:
             return box_of(self.lower, self.upper)
@@ -80,7 +78,7 @@ class Held(Clamp):
         half = (self.upper[axis] - self.lower[axis]) / 2
         return middle, vector(np.eye(3)[axis]), (radius, half, 0.0)
 
-    def extent(self, solver: Solver) -> Corners:
+    def extent(self, model: Model) -> Corners:
         """The box."""
         return np.array(self.lower), np.array(self.upper)
 
@@ -92,13 +90,13 @@ class Foot(Clamp):
     kind: Literal["foot"] = "foot"
     share: float = Field(default=0.15, ge=1e-6, le=1, description="Held share of its height.")
 
-    def geometry(self, solver: Solver) -> tuple[Vector, Vector, Vector]:
+    def geometry(self, model: Model) -> tuple[Vector, Vector, Vector]:
         """Point and normal of the plane below which material is held."""
-        z = solver.rest[:, 2]
+        z = model.rest[:, 2]
         top = float(z.min() + self.share * np.ptp(z))
         return (0.0, 0.0, top), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
 
-    def extent(self, solver: Solver) -> Corners:
+    def extent(self, model: Model) -> Corners:
         """Everything below."""
-        point, normal, _ = self.geometry(solver)
+        point, normal, _ = self.geometry(model)
         return half_bounds(point, normal)

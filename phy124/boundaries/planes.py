@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -11,11 +11,9 @@ from pydantic import Field, model_validator
 from phy124.boundaries.base import Boundary, Corners, Movable, half_bounds, vector
 from phy124.boundaries.motion import Path
 from phy124.bounds import FARTHEST, LONGEST, SHORTEST, Direction, Position
+from phy124.mpm import Model, Stage, State
 from phy124.region import Region, Vector
-from phy124.tracks import Track
-
-if TYPE_CHECKING:
-    from phy124.mpm import Solver, Stage
+from phy124.tracks import Track, Tracks
 
 
 class Plane(Boundary):
@@ -23,9 +21,9 @@ class Plane(Boundary):
 
     shape: ClassVar[str] = "half_space"
 
-    def extent(self, solver: Solver) -> Corners:
+    def extent(self, model: Model) -> Corners:
         """Half of space if the normal lies along an axis, else all of it."""
-        point, normal, _ = self.geometry(solver)
+        point, normal, _ = self.geometry(model)
         return half_bounds(point, normal)
 
 
@@ -42,7 +40,7 @@ class HalfSpace(Plane, Movable):
             raise ValueError("the normal is zero; give the direction out of the solid")
         return self
 
-    def geometry(self, solver: Solver) -> tuple[Vector, Vector, Vector]:
+    def geometry(self, model: Model) -> tuple[Vector, Vector, Vector]:
         """Point and unit normal."""
         length = math.hypot(*self.normal)
         x, y, z = (component / length for component in self.normal)
@@ -57,7 +55,7 @@ class Ground(Plane, Movable):
         default=0.0, ge=-FARTHEST, le=FARTHEST, description="Height of the floor [m]."
     )
 
-    def geometry(self, solver: Solver) -> tuple[Vector, Vector, Vector]:
+    def geometry(self, model: Model) -> tuple[Vector, Vector, Vector]:
         """Point and unit normal."""
         return (0.0, 0.0, self.height), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
 
@@ -81,14 +79,19 @@ class Press(Plane):
     hold: float = Field(default=0.05, ge=0, le=LONGEST, description="Time at the bottom [s].")
     up: float = Field(default=0.2, ge=SHORTEST, le=LONGEST, description="Time to go back [s].")
 
-    def geometry(self, solver: Solver) -> tuple[Vector, Vector, Vector]:
+    @property
+    def moves(self) -> bool:
+        """Always."""
+        return True
+
+    def geometry(self, model: Model) -> tuple[Vector, Vector, Vector]:
         """Point and unit normal, before displacement."""
-        height = solver.rest[:, 2].max() if self.top is None else self.top
+        height = model.rest[:, 2].max() if self.top is None else self.top
         return (0.0, 0.0, float(height)), (0.0, 0.0, -1.0), (0.0, 0.0, 0.0)
 
-    def track(self, solver: Solver) -> Track:
+    def track(self, model: Model) -> Track:
         """Down with smooth ends, hold, and up again."""
-        low = (0.0, 0.0, -self.depth * float(np.ptp(solver.rest[:, 2])))
+        low = (0.0, 0.0, -self.depth * float(np.ptp(model.rest[:, 2])))
         return there_and_back(low, self.start, self.down, self.hold, self.up)
 
 
@@ -125,10 +128,13 @@ class Container(Movable):
                     walls.append(wall.model_copy(update=moves))
         return walls
 
-    def attach(self, solver: Solver) -> list[Stage]:
+    def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
         """One stage per wall."""
-        stages = [stage for wall in self.sides() for stage in wall.attach(solver)]
-        return [("container", record) for _, record in stages]
+        return [
+            stage._replace(name="container")
+            for wall in self.sides()
+            for stage in wall.attach(model, state, tracks)
+        ]
 
 
 def there_and_back(to: Vector, start: float, go: float, stay: float, back: float) -> Track:

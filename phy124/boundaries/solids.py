@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -11,10 +11,9 @@ from pydantic import Field, model_validator
 from phy124.boundaries.base import Boundary, Corners, Movable, box_of, vector
 from phy124.boundaries.motion import Path
 from phy124.bounds import LONGEST, SHORTEST, Position
+from phy124.mpm import Model, Stage, State
 from phy124.region import Vector
-
-if TYPE_CHECKING:
-    from phy124.mpm import Solver, Stage
+from phy124.tracks import Tracks
 
 Axis = Literal["x", "y"]
 
@@ -33,11 +32,11 @@ class Box(Movable):
             raise ValueError(f"lower {self.lower} must be below upper {self.upper}; swap them")
         return self
 
-    def geometry(self, solver: Solver) -> tuple[Vector, Vector, Vector]:
+    def geometry(self, model: Model) -> tuple[Vector, Vector, Vector]:
         """Centre and half sizes."""
         return box_of(self.lower, self.upper)
 
-    def extent(self, solver: Solver) -> Corners:
+    def extent(self, model: Model) -> Corners:
         """The box."""
         return np.array(self.lower), np.array(self.upper)
 
@@ -54,11 +53,11 @@ class Sphere(Movable):
     centre: Position = Field(default=(0.0, 0.0, 0.2), description="Centre [m].")
     radius: float = Field(default=0.2, ge=1e-9, le=1e5, description="Radius [m].")
 
-    def geometry(self, solver: Solver) -> tuple[Vector, Vector, Vector]:
+    def geometry(self, model: Model) -> tuple[Vector, Vector, Vector]:
         """Centre and radius."""
         return self.centre, (self.radius, 0.0, 0.0), (0.0, 0.0, 0.0)
 
-    def extent(self, solver: Solver) -> Corners:
+    def extent(self, model: Model) -> Corners:
         """The box around it."""
         return np.array(self.centre) - self.radius, np.array(self.centre) + self.radius
 
@@ -82,11 +81,11 @@ class Capsule(Movable):
             raise ValueError("start and end are the same point; use a sphere")
         return self
 
-    def geometry(self, solver: Solver) -> tuple[Vector, Vector, Vector]:
+    def geometry(self, model: Model) -> tuple[Vector, Vector, Vector]:
         """Ends and radius."""
         return self.start, self.end, (self.radius, 0.0, 0.0)
 
-    def extent(self, solver: Solver) -> Corners:
+    def extent(self, model: Model) -> Corners:
         """The box around it."""
         ends = np.array([self.start, self.end])
         return ends.min(axis=0) - self.radius, ends.max(axis=0) + self.radius
@@ -121,6 +120,11 @@ class Gripper(Boundary):
             )
         return self
 
+    @property
+    def moves(self) -> bool:
+        """Always."""
+        return True
+
     def thickness(self) -> float:
         """Half of the pads' shorter side [m]."""
         return min(self.thick, self.width) / 2
@@ -143,8 +147,11 @@ class Gripper(Boundary):
             pads.append(pad.model_copy(update=answer))
         return pads
 
-    def attach(self, solver: Solver) -> list[Stage]:
+    def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
         """One stage per pad."""
-        self.refuse_thin(solver)
-        stages = [stage for pad in self.pads() for stage in pad.attach(solver)]
-        return [("gripper", record) for _, record in stages]
+        self.refuse_thin(model)
+        return [
+            stage._replace(name="gripper")
+            for pad in self.pads()
+            for stage in pad.attach(model, state, tracks)
+        ]

@@ -13,10 +13,10 @@ import numpy as np
 import tyro
 
 from phy124 import pipeline
-from phy124.clip import Clip
 from phy124.commands.bars import Bars
 from phy124.commands.options import CameraOptions, Device
 from phy124.errors import Cancelled
+from phy124.io.clip import Clip
 from phy124.io.video import Picture, write_mp4
 from phy124.metrics.comparison import Likeness, Pictures, check_comparable, compare
 from phy124.progress import Progress

@@ -11,14 +11,14 @@ import numpy as np
 import tyro
 
 from phy124 import pipeline
-from phy124.clip import Clip
+from phy124.camera import VIEWS
 from phy124.commands.bars import Bars
 from phy124.commands.options import Device
 from phy124.errors import InputError
+from phy124.io.clip import Clip
 from phy124.io.files import replacing
 from phy124.metrics import Evaluation, evaluate, similarity
 from phy124.progress import Progress
-from phy124.rendering.camera import VIEWS
 from phy124.rendering.render import render_frames
 from phy124.runtime.device import pick_device
 from phy124.scene import Scene, View

@@ -11,10 +11,10 @@ from typing import Annotated
 import tyro
 
 from phy124 import pipeline
-from phy124.clip import Clip
 from phy124.commands.bars import Bars
 from phy124.commands.options import Device, ViewOptions
 from phy124.errors import Cancelled
+from phy124.io.clip import Clip
 from phy124.rendering.framing import framing
 from phy124.runtime.device import pick_device
 from phy124.scene import Scene, assignments, together

@@ -1,7 +1,7 @@
 """Cameras of the generative networks: OpenGL axes, y up, the object's front at +z.
 
 LGM, ImageDream and DreamGaussian were all trained in this world. A *positive* elevation puts the
-camera *below* the object, the opposite of `phy124.rendering.camera`; an azimuth of 90 degrees looks
+camera *below* the object, the opposite of `phy124.camera`; an azimuth of 90 degrees looks
 at the object's left side (+x).
 """
 

@@ -62,8 +62,8 @@ def make_totals(law: Law, real: Any):
     exact, all_sums = (wp.types.vector(n, wp.float64) for n in (law.width, SUMS))
     has_history = law.project is not None
 
-    @kernel(f"phy124_weigh_{law.name}_{real.__name__}")
-    def weigh(
+    @kernel(f"phy124_totals_{law.name}_{real.__name__}")
+    def totals(
         # model
         first: int, each: int, stride: int,
         theta: wp.array(dtype=theta_type), mass: wp.array(dtype=real),
@@ -120,7 +120,7 @@ def make_totals(law: Law, real: Any):
         wp.atomic_max(range_out, 0, -least)
         wp.atomic_max(range_out, 1, greatest)
 
-    return weigh
+    return totals
 
 
 @cache

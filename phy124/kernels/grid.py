@@ -68,3 +68,22 @@ def make_merge(real: Any):
         grid_out[n] = q
 
     return merge
+
+
+@cache
+def make_grid_speed(real: Any):
+    """Kernel: the greatest squared speed of a node with mass; decides whether a step is taken."""
+    t = types(real)
+
+    @kernel(f"phy124_grid_speed_{real.__name__}")
+    def grid_speed(grid: wp.array(dtype=t.vec4), fastest_out: wp.array(dtype=real)):
+        q = grid[wp.tid()]
+        if q[3] > real(0.0):
+            square = q[0] * q[0] + q[1] * q[1] + q[2] * q[2]
+            # A comparison with NaN is false: it must not pass for slow.
+            if not wp.isfinite(square):
+                square = real(1.0e38)
+            if square > fastest_out[0]:
+                wp.atomic_max(fastest_out, 0, square)
+
+    return grid_speed

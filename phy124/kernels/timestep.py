@@ -1,4 +1,4 @@
-"""Pace: the length of the next substep chosen on the device, so that a frame needs no host.
+"""The length of the next substep, chosen on the device, so that a frame needs no host.
 
 The same limits, in the same double precision and in the same order as phy124/mpm/timestep.py and
 phy124/mpm/rejection.py: on one device both take the same substeps, bit for bit.
@@ -52,7 +52,7 @@ class Limits:
 
 
 @wp.struct
-class Pace:
+class Progress:
     """Where the substeps are."""
 
     time: wp.float64
@@ -86,7 +86,7 @@ def over(a: wp.float64, b: wp.float64):
 
 
 @wp.func
-def finish(s: Pace, given: Limits):
+def finish(s: Progress, given: Limits):
     """Count the substep that was taken, if any."""
     if s.next > wp.float64(0.0):
         rest = given.until - s.time
@@ -123,7 +123,7 @@ def roomy(low: wp.vec3d, high: wp.vec3d, window: wp.array(dtype=wp.vec3i), given
 
 
 @wp.func
-def limiter(s: Pace, given: Limits):
+def limiter(s: Progress, given: Limits):
     """The shortest of all limits [s] and which it is; the first of equals."""
     dt = over(given.reach, wp.sqrt(s.stiffness))
     which = int(wp.static(ELASTIC))
@@ -143,7 +143,7 @@ def limiter(s: Pace, given: Limits):
 
 
 @wp.func
-def violent(dt: wp.float64, s: Pace, given: Limits):
+def violent(dt: wp.float64, s: Progress, given: Limits):
     """Whether a substep may carry something further than a cell."""
     two = wp.float64(2.0)
     return (
@@ -167,12 +167,12 @@ def make_timestep(real: Any):
         # state in
         maxima: wp.array(dtype=real), stray: wp.array(dtype=int),
         # out
-        pace_out: wp.array(dtype=Pace), clock_out: wp.array(dtype=real),
+        progress_out: wp.array(dtype=Progress), clock_out: wp.array(dtype=real),
         limiters_out: wp.array(dtype=int), on_out: wp.array(dtype=int),
         look_out: wp.array(dtype=int),
     ):  # fmt: skip
         given = limits[0]
-        s = finish(pace_out[0], given)
+        s = finish(progress_out[0], given)
         s.reason = 0
         look = s.strain > given.strain
         if s.since >= given.every:
@@ -200,7 +200,7 @@ def make_timestep(real: Any):
                 clock_out[0] = real((s.last + dt) / wp.float64(2.0))
                 clock_out[1] = real(dt)
                 clock_out[2] = real(s.time)
-        pace_out[0] = s
+        progress_out[0] = s
         on_out[0] = wp.where(s.reason == 0, 1, 0)
         look_out[0] = wp.where(s.since + 1 >= given.every, 1, 0)
 

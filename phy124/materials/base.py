@@ -17,6 +17,8 @@ class Material(Section):
     device_law: ClassVar[Law]
     scaled: ClassVar[int] = 0
     """How many of the first parameters are proportional to E; 0: it has no E to vary."""
+    may_collapse: ClassVar[bool] = False
+    """Whether it may stay flat after an impact, since its energy at J = 0 is finite."""
 
     density: float = Field(default=1000.0, ge=1, le=1e5, description="Mass per volume [kg/m^3].")
 
@@ -36,6 +38,10 @@ class Material(Section):
     def wave_speed(self) -> float:
         """Speed that limits the substep at rest, sqrt(A / rho) [m/s]."""
         raise NotImplementedError
+
+    def sound_speed(self) -> float:
+        """Speed of a pressure wave at rest [m/s]."""
+        return self.wave_speed()
 
     def viscous_limit(self, dx: float) -> float:
         """Longest substep that viscosity allows on a grid of spacing `dx` [m], s."""
@@ -88,3 +94,8 @@ class Elastic(Material):
         """
         mu, lam = self.lame
         return math.sqrt((3 * max(lam, 0) + 2 * mu) / self.density)
+
+    def sound_speed(self) -> float:
+        """Speed of a pressure wave at rest, sqrt((lambda + 2 mu) / rho) [m/s]."""
+        mu, lam = self.lame
+        return math.sqrt((lam + 2 * mu) / self.density)

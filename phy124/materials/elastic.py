@@ -60,6 +60,7 @@ class FixedCorotated(Springy):
     """Fixed corotated solid (PhysGaussian's jelly); collapses silently in hard impacts."""
 
     law: Literal["fixed_corotated"] = "fixed_corotated"
+    may_collapse: ClassVar[bool] = True
     damped: ClassVar[Any] = staticmethod(damping.fixed_corotated_damped)
     lossless: ClassVar[Law] = Law(
         name="fixed_corotated",

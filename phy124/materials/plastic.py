@@ -58,6 +58,7 @@ class Plasticine(Elastic):
     """
 
     law: Literal["plasticine"] = "plasticine"
+    may_collapse: ClassVar[bool] = True
     device_law: ClassVar[Law] = Law(
         name="plasticine",
         stress=elastic.fixed_corotated,

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from phy124.clip import Clip
+from phy124.io.clip import Clip
 from phy124.metrics import similarity
 from phy124.metrics.physics import Physics, centre_paths_differ, physics
 from phy124.metrics.pictures import Video, flicker, motion, psnr, ssim

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from phy124.clip import Clip
+from phy124.io.clip import Clip
 
 
 @dataclass(frozen=True)

@@ -1,39 +1,39 @@
 """External work: impulse and work that forces and walls give a run, summed in every substep.
 
-Forces on particles and walls are bracketed: velocities are kept before they act and compared
-after. A uniform acceleration gives M a dt and M a . dx, which needs no launch; where it varies in
-time, a kernel of one thread closes each substep with its impulse and work.
+Forces on particles and walls are measured from both sides: velocities are kept before they act and
+compared after. A uniform acceleration gives M a dt and M a . dx, which needs no launch; where it
+varies in time, a kernel of one thread closes each substep with its impulse and work.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from phy124.boundaries import Boundary
 from phy124.boundaries.base import Corners, swept
-from phy124.kernels import diagnose
+from phy124.kernels import external_work as kernels
 from phy124.kernels.reduction import shared_out
+from phy124.mpm import Attachable, Clock, Grid, Model, Stage, State
+from phy124.tracks import Tracks
 
-if TYPE_CHECKING:
-    from phy124.mpm import Attachable, Solver, Stage
-
-
-BOOKS = "books"
+STAGE = "external work"
 """Name of the stages that sum it."""
-KINDS = ("push", "wall", "uniform")
-"""What is summed apart: forces on particles, walls, and a uniform acceleration that varies."""
-_WALLS = (("wall", False), ("wall", True))
-"""Pages of the walls, by lane."""
+PUSH, UNIFORM = "push", "uniform"
+WALLS = ("wall", "wall of the second worker")
+"""Accumulators: forces on particles, walls by worker, a uniform acceleration that varies."""
+ACCUMULATORS = (PUSH, *WALLS, UNIFORM)
+Sums = NDArray[np.float64]
 
 
 class Given(NamedTuple):
     """What came from outside since the start."""
 
-    impulse: NDArray[np.float64]
+    impulse: Sums
     """[3], N s."""
     work: float
     """J."""
@@ -44,174 +44,187 @@ class Given(NamedTuple):
 
 
 class ExternalWork:
-    """Books of one run; hand `forces` and `boundaries` to its solver."""
+    """The sums of one run.
+
+    Its solver gets the forces and boundaries through `forces` and `boundaries`, and it itself as an
+    accumulator. Call `open` before the first frame and `begin` before each.
+    """
 
     def __init__(self) -> None:
-        self._pages: dict[Any, wp.array] = {}
-        self._closed = {kind: np.zeros(diagnose.GIVEN) for kind in KINDS}
-        self._walls: Sequence[Any] = ()
-        self._begun = np.zeros(3)
-        self._kicked = 0.0
+        self._device: dict[str, wp.array] = {}
+        self._closed: dict[str, Sums] = {name: np.zeros(kernels.GIVEN) for name in ACCUMULATORS}
+        self._momentum, self._opened = np.zeros(3), 0.0
+        """Momentum of the object when the frame began without what was given, and when it opened:
+        the instant up to which velocities had been kicked [s]."""
 
     def forces(self, forces: Sequence[Attachable]) -> list[Attachable]:
-        """The forces, bracketed."""
-        return [_Bracket(self._push, -1), *forces, _Bracket(self._push, 1)] if forces else []
+        """The forces as one, measured from both sides."""
+        return [_Measured(forces, self._attach_push)] if forces else []
 
-    def boundaries(self, boundaries: Sequence[Attachable]) -> list[Attachable]:
-        """The boundaries, bracketed."""
+    def boundaries(self, boundaries: Sequence[Boundary]) -> list[Attachable]:
+        """The boundaries as one, measured from both sides."""
         if not boundaries:
             return []
-        self._walls = boundaries
-        return [_Bracket(self._wall, -1), *boundaries, _Bracket(self._wall, 1)]
+        return [_Measured(boundaries, lambda *run: self._attach_walls(boundaries, *run))]
 
-    def open(self, solver: Solver) -> None:
-        """Begin to count with the present state of the solver."""
-        self.restore({kind: np.zeros(diagnose.GIVEN) for kind in KINDS})
-        if solver.tracks.vary:
-            self._base, self._walls_before = (
-                wp.zeros(3, dtype=wp.float64, device=solver.device) for _ in range(2)
-            )
-            solver.closings.append((BOOKS, lambda: self._close(solver)))
-        self._kicked = solver.time - solver.last_dt / 2
-        solver.rejection.books = self
+    def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
+        """What closes each substep; with an acceleration that does not vary there is none."""
+        del state
+        self._model, self._tracks = model, tracks
+        self._base, self._walls_before = (
+            wp.zeros(3, dtype=wp.float64, device=model.device) for _ in range(2)
+        )
+        return [Stage(STAGE, self._record_uniform)] if tracks.vary else []
 
-    def mark(self) -> dict[Any, NDArray[Any]]:
-        """The open sums; for a substep that may be taken back."""
-        return {key: np.array(page.numpy()) for key, page in self._pages.items()}
+    def open(self, clock: Clock) -> None:
+        """Begin to count with the present state."""
+        for name in ACCUMULATORS:
+            self._closed[name] = np.zeros(kernels.GIVEN)
+        for sums in self._device.values():
+            sums.zero_()
+        self._opened = clock.time - clock.last_dt / 2
 
-    def undo(self, mark: dict[Any, NDArray[Any]]) -> None:
-        """Go back to the open sums of a mark."""
-        for key, page in self._pages.items():
-            page.assign(mark[key])
-
-    def total(self, solver: Solver, way: NDArray[np.float64]) -> Given:
-        """What was given so far; `way` is mass times position since the start [kg m]."""
-        given = self._all()
-        if not solver.tracks.vary:
-            a, mass = _acceleration(solver), total_mass(solver)
-            impulse = mass * a * (solver.time - solver.last_dt / 2 - self._kicked)
-            work = float(a @ way)
-            given = given + np.array([*impulse, work, np.linalg.norm(impulse), abs(work)])
-        return Given(given[:3], *given[3:].tolist())
-
-    def begin(self, solver: Solver, momentum: NDArray[np.float64]) -> None:
-        """A frame begins with this momentum: the work of what varies depends on it."""
-        if solver.tracks.vary:
-            self._begun = momentum - self._all()[:3]
+    def begin(self, momentum: Sums) -> None:
+        """A frame begins with this momentum [kg m/s]: the work of what varies depends on it."""
+        if self._tracks.vary:
+            self._momentum = momentum - self._total()[:3]
             self._set_base()
 
-    def snapshot(self) -> dict[str, NDArray]:
-        """What `restore` needs."""
-        return {kind: self._all(kind) for kind in KINDS}
+    def given(self, clock: Clock, way: Sums) -> Given:
+        """What was given so far; `way` is mass times position since the start [kg m]."""
+        total = self._total()
+        if not self._tracks.vary:
+            values: NDArray[Any] = self._tracks.values.numpy()
+            a = values[0, :3].astype(np.float64)
+            impulse = self._model.total_mass * a * (clock.time - clock.last_dt / 2 - self._opened)
+            work = float(a @ way)
+            total = total + np.array([*impulse, work, np.linalg.norm(impulse), abs(work)])
+        return Given(total[:3], *total[3:].tolist())
 
-    def restore(self, snapshot: dict[str, NDArray]) -> None:
+    def snapshot(self) -> dict[str, Any]:
+        """What goes on from here, as plain data."""
+        return {
+            "closed": {name: sums.tolist() for name, sums in self._closed.items()},
+            "open": {name: sums.numpy().tolist() for name, sums in self._device.items()},
+            "momentum": self._momentum.tolist(),
+            "opened": self._opened,
+        }
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
         """Go back to a snapshot."""
-        # Pauses of earlier builds know no sum of all works.
-        missing = {kind: (0, diagnose.GIVEN - len(sums)) for kind, sums in snapshot.items()}
-        self._closed = {kind: np.pad(sums, missing[kind]) for kind, sums in snapshot.items()}
-        for page in self._pages.values():
-            page.zero_()
+        self._closed = {name: np.array(sums) for name, sums in snapshot["closed"].items()}
+        for name, sums in snapshot["open"].items():
+            if name in self._device:
+                self._device[name].assign(sums)
+            else:
+                self._closed[name] += np.array(sums)
+        for name in self._device.keys() - snapshot["open"].keys():
+            self._device[name].zero_()
+        self._momentum, self._opened = np.array(snapshot["momentum"]), snapshot["opened"]
 
-    def memory(self) -> dict[str, Any]:
-        """What `recall` needs, as plain data."""
-        sums = {kind: sums.tolist() for kind, sums in self.snapshot().items()}
-        return {"sums": sums, "kicked": self._kicked, "begun": self._begun.tolist()}
-
-    def recall(self, memory: dict[str, Any]) -> None:
-        """Go on as when `memory` was taken, after `open`."""
-        self.restore({kind: np.array(sums) for kind, sums in memory["sums"].items()})
-        self._kicked, self._begun = memory["kicked"], np.array(memory["begun"])
-
-    def _all(self, *kinds: str) -> NDArray[np.float64]:
-        """All sums so far, or only those of pushes or of walls."""
-        total = np.zeros(diagnose.GIVEN)
-        for kind in kinds or KINDS:
-            total += self._closed[kind]
-        for key, page in self._pages.items():
-            if key[0] in (kinds or KINDS):
-                total += page.numpy()
+    def _total(self, *names: str) -> Sums:
+        """All sums so far, or some of them."""
+        total = np.zeros(kernels.GIVEN)
+        for name in names or ACCUMULATORS:
+            total += self._closed[name]
+            if name in self._device:
+                total += self._device[name].numpy()
         return total
 
-    def _page(self, key: tuple[Any, ...], solver: Solver) -> wp.array:
+    def _accumulator(self, name: str) -> wp.array:
         """Sums of one launch's own, so that two threads never add to the same."""
-        if key in self._pages:
-            self._closed[key[0]] = self._closed[key[0]] + self._pages[key].numpy()
-        self._pages[key] = wp.zeros(diagnose.GIVEN, dtype=wp.float64, device=solver.device)
-        return self._pages[key]
+        if name in self._device:
+            self._closed[name] = self._closed[name] + self._device[name].numpy()
+        self._device[name] = wp.zeros(kernels.GIVEN, dtype=wp.float64, device=self._model.device)
+        return self._device[name]
 
-    def _close(self, solver: Solver) -> wp.Launch | None:
-        """The launch that ends a substep with the books of the uniform acceleration."""
-        page = self._page(("uniform",), solver)
+    def _record_uniform(self, grid: Grid) -> wp.Launch | None:
+        """The launch that sums what the uniform acceleration gives, once all else has acted."""
+        del grid
+        model, tracks, own = self._model, self._tracks, self._accumulator(UNIFORM)
         self._set_base()
-        none = wp.zeros(diagnose.GIVEN, dtype=wp.float64, device=solver.device)
-        pages = [self._pages.get(key, none) for key in (("push",), *_WALLS)]
-        inputs = [total_mass(solver), solver.clock, solver.tracks.values, self._base, *pages]
-        kernel = diagnose.make_uniform_sums(solver.real)
-        return solver.record(kernel, 1, inputs, [self._walls_before, page])
+        none = wp.zeros(kernels.GIVEN, dtype=wp.float64, device=model.device)
+        others = [self._device.get(name, none) for name in (PUSH, *WALLS)]
+        inputs = [model.total_mass, tracks.clock, tracks.values, self._base, *others]
+        kernel = kernels.make_uniform_sums(model.real)
+        return model.launch(kernel, 1, inputs, [self._walls_before, own])
 
     def _set_base(self) -> None:
-        """Momentum without what the open pages hold; the walls' last impulse is on theirs."""
-        closed = sum(self._closed[kind][:3] for kind in KINDS)
-        self._base.assign(self._begun + closed)
-        walls = [self._pages[key].numpy()[:3] for key in _WALLS if key in self._pages]
+        """Momentum without what the open sums hold; the walls' last impulse is in theirs."""
+        self._base.assign(self._momentum + sum(sums[:3] for sums in self._closed.values()))
+        walls = [self._device[name].numpy()[:3] for name in WALLS if name in self._device]
         self._walls_before.assign(np.sum(walls, axis=0) if walls else np.zeros(3))
 
-    def _push(self, solver: Solver, sign: int) -> wp.Launch | None:
-        if all(name == BOOKS for name, _ in solver.pushes):
-            return None
-        state, count = solver.state, len(solver.rest)
-        if sign < 0:
-            self._kept = [wp.empty_like(state.v), wp.empty_like(state.C)]
-            kernel = diagnose.make_push_copy(solver.real)
-            return solver.record(kernel, count, [state.v, state.C], self._kept)
-        threads, *share = shared_out(count, solver.device)
-        inputs = [*share, solver.mass, solver.dx, state.v, state.C, *self._kept]
-        kernel = diagnose.make_push_sums(solver.real)
-        return solver.record(kernel, threads, inputs, [self._page(("push",), solver)])
+    def _attach_push(self, model: Model, state: State, tracks: Tracks) -> tuple[Stage, Stage]:
+        """What comes before and after forces on particles."""
+        del tracks
+        kept = [wp.empty_like(state.v), wp.empty_like(state.C)]
 
-    def _wall(self, solver: Solver, sign: int) -> wp.Launch | None:
-        grid, real = solver.grid, solver.real
-        if sign < 0:
-            start, extent = grid.nodes_within(*self._reach(solver))
+        def before(grid: Grid) -> wp.Launch | None:
+            del grid
+            kernel = kernels.make_push_copy(model.real)
+            return model.launch(kernel, len(model), [state.v, state.C], kept)
+
+        def after(grid: Grid) -> wp.Launch | None:
+            del grid
+            threads, *share = shared_out(len(model), model.device)
+            inputs = [*share, model.mass, model.dx, state.v, state.C, *kept]
+            kernel = kernels.make_push_sums(model.real)
+            return model.launch(kernel, threads, inputs, [self._accumulator(PUSH)])
+
+        return Stage(STAGE, before), Stage(STAGE, after)
+
+    def _attach_walls(
+        self, walls: Sequence[Boundary], model: Model, state: State, tracks: Tracks
+    ) -> tuple[Stage, Stage]:
+        """What comes before and after walls."""
+        del state, tracks
+        reach = _reach(walls, model)
+        rows: tuple[int, ...] = ()
+        read: list[wp.array] = []
+
+        def before(grid: Grid) -> wp.Launch | None:
+            nonlocal rows, read
+            start, extent = grid.nodes_within(*reach)
             corners = np.stack([start, extent]).astype(np.int32)
-            box = wp.array(corners, dtype=wp.vec3i, device=solver.device)
-            kept = wp.empty(int(np.prod(extent)), dtype=grid.vec4, device=solver.device)
-            self._copied = (box, kept, tuple(extent[:2].tolist()))
-        box, kept, rows = self._copied
-        read: list[Any] = [box, grid.window, grid.nodes]
-        if sign < 0:
-            return solver.record(diagnose.make_wall_copy(real), rows, read, [kept])
-        page = self._page(("wall", bool(grid.share and grid.share[0] > 0)), solver)
-        return solver.record(diagnose.make_wall_sums(real), rows, [*read, kept], [page])
+            box = wp.array(corners, dtype=wp.vec3i, device=model.device)
+            kept = wp.empty(int(np.prod(extent)), dtype=grid.vec4, device=model.device)
+            rows, read = tuple(extent[:2].tolist()), [box, grid.window, grid.nodes, kept]
+            return model.launch(kernels.make_wall_copy(model.real), rows, read[:3], read[3:])
 
-    def _reach(self, solver: Solver) -> Corners:
-        """A box that holds every node that a wall may touch [m]."""
-        lower, upper = np.full(3, np.inf), np.full(3, -np.inf)
-        for wall in self._walls:
-            corners, track = wall.bounds(solver), wall.track(solver)
-            if track is not None:
-                corners = swept(corners, track)
-            lower, upper = np.minimum(lower, corners[0]), np.maximum(upper, corners[1])
-        return lower, upper
+        def after(grid: Grid) -> wp.Launch | None:
+            second = bool(grid.layers and grid.layers[0] > 0)
+            own = self._accumulator(WALLS[second])
+            return model.launch(kernels.make_wall_sums(model.real), rows, read, [own])
+
+        return Stage(STAGE, before), Stage(STAGE, after)
 
 
-def total_mass(solver: Solver) -> float:
-    """Mass of all particles, kg."""
-    return float(np.sum(solver.mass.numpy(), dtype=np.float64))
+class _Measured:
+    """Forces or boundaries as one, with a stage before and one after theirs, if they have any."""
+
+    def __init__(
+        self,
+        inner: Sequence[Attachable],
+        attach: Callable[[Model, State, Tracks], tuple[Stage, Stage]],
+    ) -> None:
+        self._inner, self._attach = inner, attach
+
+    def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
+        """Their stages between the two."""
+        stages = [stage for one in self._inner for stage in one.attach(model, state, tracks)]
+        if not stages:
+            return []
+        before, after = self._attach(model, state, tracks)
+        return [before, *stages, after]
 
 
-def _acceleration(solver: Solver) -> NDArray[np.float64]:
-    """The uniform acceleration of the last substep [3], m/s^2."""
-    values: NDArray[Any] = solver.tracks.values.numpy()
-    return values[0, :3].astype(np.float64)
-
-
-class _Bracket:
-    """One side of a bracket, attached as if it were a force or a boundary."""
-
-    def __init__(self, record: Callable[[Solver, int], wp.Launch | None], sign: int) -> None:
-        self._record, self._sign = record, sign
-
-    def attach(self, solver: Solver) -> list[Stage]:
-        """One stage."""
-        return [(BOOKS, lambda: self._record(solver, self._sign))]
+def _reach(walls: Sequence[Boundary], model: Model) -> Corners:
+    """A box that holds every node that a wall may touch [m]."""
+    lower, upper = np.full(3, np.inf), np.full(3, -np.inf)
+    for wall in walls:
+        corners, track = wall.bounds(model), wall.track(model)
+        if track is not None:
+            corners = swept(corners, track)
+        lower, upper = np.minimum(lower, corners[0]), np.maximum(upper, corners[1])
+    return lower, upper

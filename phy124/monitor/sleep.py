@@ -13,15 +13,13 @@ from __future__ import annotations
 
 import itertools
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from phy124.tracks import FOREVER, Track
-
-if TYPE_CHECKING:
-    from phy124.mpm import Solver
+from phy124.mpm import Clock, Model, State
+from phy124.tracks import FOREVER, Track, Tracks
 
 STILL = 3e-4
 """How far sleeping could lead anything astray at worst, in object sizes: 0.1 of 300 pixels."""
@@ -34,8 +32,30 @@ HELD = 0.1
 class Sleep:
     """Decides for one run which frames need no substeps."""
 
-    def __init__(self, solver: Solver, *, size: float, frames: int, fps: float) -> None:
-        self._solver, self._frames, self._fps = solver, frames, fps
+    def __init__(
+        self,
+        model: Model,
+        state: State,
+        clock: Clock,
+        tracks: Tracks,
+        *,
+        size: float,
+        frames: int,
+        fps: float,
+    ) -> None:
+        """Bind to a run.
+
+        Args:
+            model: Whose grid spacing tells how fast a turning particle is.
+            state: Whose particles move or rest.
+            clock: Knows how fast they are.
+            tracks: Tell when forces and boundaries change.
+            size: Of the object [m].
+            frames: Of the clip.
+            fps: Frames per second of motion.
+        """
+        self._dx, self._state, self._clock, self._tracks = model.dx, state, clock, tracks
+        self._frames, self._fps = frames, fps
         self._far = STILL * size
         self.anchor: NDArray[np.float64] | None = None
         """Where the particles were when they were last seen to move [P,3], m."""
@@ -51,8 +71,8 @@ class Sleep:
 
     def look(self) -> None:
         """After a substep: note how fast the fastest particle is, turning included."""
-        extremes = self._solver.extremes
-        self._fastest = max(self._fastest, extremes.speed, extremes.gradient * self._solver.dx)
+        extremes = self._clock.extremes
+        self._fastest = max(self._fastest, extremes.speed, extremes.gradient * self._dx)
 
     def computed(self, index: int, substeps: int) -> None:
         """After a frame that took so many substeps."""
@@ -62,32 +82,40 @@ class Sleep:
         if changed or self._hidden(speed) > CALM * self._far:
             self.anchor, self.drift, self.speeds = None, 0.0, []
             return
-        x = self._solver.state.x.numpy().astype(np.float64)
+        x = self._state.x.numpy().astype(np.float64)
         if self.anchor is not None:
             self.drift = max(self.drift, float(np.abs(x - self.anchor).max()) * math.sqrt(3))
             self.speeds.append(speed)
         if self.anchor is None or self.drift > CALM * self._far:
             self.anchor, self.drift, self.speeds = x, 0.0, []
 
-    def skip(self, index: int) -> bool:
-        """Leave a frame out if it may be: the solver's time goes on and nothing else."""
+    def skip_to(self, index: int) -> float | None:
+        """The time of a frame that needs no substeps [s], and count it; None if it needs some."""
         if not self._rests(index):
-            return False
-        self._solver.time = index / self._fps
+            return None
         self.since = index if self.since is None else self.since
         self.skipped += 1
         self.saved += self._last
-        return True
+        return index / self._fps
 
-    def memory(self) -> dict[str, Any]:
-        """What `recall` needs besides the anchor."""
-        return {name: getattr(self, name) for name in MEMORY}
+    def snapshot(self) -> dict[str, Any]:
+        """What goes on from here: arrays and plain data."""
+        return {
+            "anchor": self.anchor,
+            "drift": self.drift,
+            "speeds": list(self.speeds),
+            "since": self.since,
+            "skipped": self.skipped,
+            "saved": self.saved,
+            "last": self._last,
+        }
 
-    def recall(self, memory: dict[str, Any], anchor: NDArray[np.float64] | None) -> None:
-        """Go on as after `memory` was taken."""
-        self.anchor = anchor
-        for name in MEMORY:
-            setattr(self, name, memory[name])
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Go back to a snapshot."""
+        self.anchor, self.drift = snapshot["anchor"], snapshot["drift"]
+        self.speeds, self.since = list(snapshot["speeds"]), snapshot["since"]
+        self.skipped, self.saved = snapshot["skipped"], snapshot["saved"]
+        self._last = snapshot["last"]
 
     def report(self) -> dict[str, int] | None:
         """From which frame on it slept first, how many frames, and what that saved."""
@@ -103,16 +131,16 @@ class Sleep:
 
     def _rests(self, index: int) -> bool:
         """Whether nothing visible would happen from a frame until something changes."""
-        if not self.speeds or self._solver.outliers.count:
+        if not self.speeds:
             return False
         until = self._quiet_until((index - 1) / self._fps)
         last = self._frames - 1
         if until < last / self._fps:
             last = math.floor(until * self._fps)
-        share = (last - index + 1) / len(self.speeds)
-        if share <= 0 or self._grows() or not self._held():
+        fraction = (last - index + 1) / len(self.speeds)
+        if fraction <= 0 or self._grows() or not self._held():
             return False
-        reach = 7 * self.drift * share * (1 + share)
+        reach = 7 * self.drift * fraction * (1 + fraction)
         return reach + self._hidden(max(self.speeds)) <= self._far
 
     def _hidden(self, speed: float) -> float:
@@ -121,7 +149,7 @@ class Sleep:
 
     def _held(self) -> bool:
         """Whether it stayed where it is though it is pulled: free, it would have gone a t^2 / 8."""
-        pull: NDArray[Any] = self._solver.tracks.values.numpy()
+        pull: NDArray[Any] = self._tracks.values.numpy()
         way = float(np.linalg.norm(pull[0, :3])) * (len(self.speeds) / self._fps) ** 2 / 8
         return way == 0 or self.drift <= HELD * way
 
@@ -131,12 +159,8 @@ class Sleep:
         return latest > max(before, default=0.0)
 
     def _quiet_until(self, time: float) -> float:
-        """From this time on all forces and boundaries stay as they are until the result [s]."""
-        return min(next_change(track, time) for track in self._solver.tracks.tracks)
-
-
-MEMORY = ("drift", "speeds", "since", "skipped", "saved", "_last")
-"""What a paused run keeps."""
+        """All forces and boundaries stay as they are from this time on until the result [s]."""
+        return min(next_change(track, time) for track in self._tracks.tracks)
 
 
 def next_change(track: Track, time: float) -> float:

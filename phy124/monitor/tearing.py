@@ -12,7 +12,7 @@ warns of a tear and misses that of a thin stem, the second is a tear.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -20,9 +20,7 @@ import warp as wp
 from phy124.kernels.stretch import make_apart
 from phy124.monitor import diagnosis
 from phy124.monitor.pieces import Pieces
-
-if TYPE_CHECKING:
-    from phy124.mpm import Solver
+from phy124.mpm import Model, State
 
 APART = 1.2
 """Spacing of particles [cells] from which they may part."""
@@ -34,8 +32,6 @@ at 6.7e-3 lost its head, another at 7.9e-3 did not.
 """
 REACH = 1.5
 """How far a particle's spline reaches [cells]; nothing holds across a wider empty layer."""
-MEMORY = ("count", "first", "stretch", "loose")
-"""What a paused run keeps."""
 LOOSE, FLAKE = 2e-3, 8
 """Share of the elastic particles, and their least number, that have to come off for a tear."""
 REMEDY = (
@@ -50,17 +46,17 @@ class Tearing:
     What flows (a law with a return mapping) parts and joins as it should and is not looked at.
     """
 
-    def __init__(self, solver: Solver) -> None:
-        self._solver = solver
-        self._elastic = [group for group in solver.groups if group.law.project is None]
+    def __init__(self, model: Model, state: State) -> None:
+        self._model, self._state = model, state
+        self._elastic = [group for group in model.groups if group.law.project is None]
         self.count, self.first, self.stretch = 0, 0, 1.0
         """Most particles at once beyond `APART`, the lowest of them, and the greatest stretch."""
         self.loose = 0
         """Most particles at once that were off the piece they belong to."""
-        self._chosen = np.zeros(len(solver.rest), bool)
+        self._chosen = np.zeros(len(model), bool)
         for group in self._elastic:
-            self._chosen[group.start : group.stop] = True
-        self._pieces = Pieces(solver.rest[self._chosen], REACH * solver.dx)
+            self._chosen[group.particles] = True
+        self._pieces = Pieces(model.rest[self._chosen], REACH * model.dx)
 
     @property
     def torn(self) -> bool:
@@ -70,34 +66,35 @@ class Tearing:
     @property
     def likely(self) -> bool:
         """Whether a piece came off, or enough particles lost their neighbours that one may."""
-        return self.torn or self.count > max(FEW, MANY * len(self._solver.rest) ** (2 / 3))
+        return self.torn or self.count > max(FEW, MANY * len(self._model) ** (2 / 3))
 
-    def memory(self) -> dict[str, Any]:
-        """What `recall` needs, as plain data."""
-        return {name: getattr(self, name) for name in MEMORY}
+    def snapshot(self) -> dict[str, Any]:
+        """What goes on from here, as plain data."""
+        return {
+            "count": self.count, "first": self.first, "stretch": self.stretch, "loose": self.loose
+        }  # fmt: skip
 
-    def recall(self, memory: dict[str, Any]) -> None:
-        """Go on as when `memory` was taken."""
-        for name in MEMORY:
-            setattr(self, name, memory[name])
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Go back to a snapshot."""
+        self.count, self.first = snapshot["count"], snapshot["first"]
+        self.stretch, self.loose = snapshot["stretch"], snapshot["loose"]
 
     def look(self) -> None:
         """At the end of a frame."""
-        s = self._solver
-        found = wp.array([0, len(s.rest)], dtype=int, device=s.device)
-        greatest = wp.zeros(1, dtype=s.real, device=s.device)
+        model, device = self._model, self._model.device
+        found = wp.array([0, len(model)], dtype=int, device=device)
+        greatest = wp.zeros(1, dtype=model.real, device=device)
         for group in self._elastic:
-            part = slice(group.start, group.stop)
-            inputs = [s.volume[part], APART * s.dx, group.start, s.state.F[part]]
-            count = group.stop - group.start
-            kernel, outputs = make_apart(s.real), [found, greatest]
-            wp.launch(kernel, count, inputs=inputs, outputs=outputs, device=s.device)
+            part = group.particles
+            inputs = [model.volume[part], APART * model.dx, group.start, self._state.F[part]]
+            kernel, outputs = make_apart(model.real), [found, greatest]
+            wp.launch(kernel, len(group), inputs=inputs, outputs=outputs, device=device)
         count, first = found.numpy().tolist()
         if count > self.count:
             stretch: Any = greatest.numpy()
             self.count, self.first = count, first
             self.stretch = max(self.stretch, float(np.asarray(stretch)[0]))
-        x: Any = s.state.x.numpy()
+        x: Any = self._state.x.numpy()
         whole = self._chosen.all()
         self.loose = max(self.loose, self._pieces.loose(x if whole else x[self._chosen]))
 
@@ -106,15 +103,15 @@ class Tearing:
         if not self.likely:
             return None
         if self.torn:
-            share = self.loose / self._chosen.sum()
+            fraction = self.loose / self._chosen.sum()
             return (
-                f"{self.loose} particles ({share:.1%}) came off the piece they belong to: the grid "
-                f"tore what the material holds together. {REMEDY}"
+                f"{self.loose} particles ({fraction:.1%}) came off the piece they belong to: the "
+                f"grid tore what the material holds together. {REMEDY}"
             )
         return (
             f"{self.count} particles were stretched, up to {self.stretch:.1f} times, until they "
             f"lay more than {APART} cells apart, first "
-            f"{diagnosis.describe(self._solver, self.first)}. "
+            f"{diagnosis.particle(self._model, self._state, self.first)}. "
             f"There the grid may tear what the material holds together. {REMEDY}"
         )
 

@@ -1,19 +1,26 @@
 """The material point method: explicit MLS-MPM with APIC transfers on a window of grid nodes.
 
-`State` changes every substep, `Grid` is scratch, `Solver` steps. A substep reads as
-push, clear, p2g, update, collide, g2p; only stages that the scene calls for exist.
+`Model` never changes, `State` changes every substep, `Clock` knows the time, `Grid` is scratch, and
+`Solver` puts the phases of a substep in order: push, clear, p2g, update, collide, g2p. Only stages
+that the scene calls for exist.
 """
 
-from phy124.mpm.grid import MARGIN, Grid
-from phy124.mpm.solver import CHECK_EVERY, Attachable, Solver, Stage, Unstable
-from phy124.mpm.state import Group, State
+from phy124.mpm.clock import MEASURE_EVERY, Clock
+from phy124.mpm.grid import MARGIN, Grid, Unstable
+from phy124.mpm.model import Group, Model
+from phy124.mpm.solver import Solver
+from phy124.mpm.stage import Accumulator, Attachable, Stage
+from phy124.mpm.state import State
 
 __all__ = [
-    "CHECK_EVERY",
     "MARGIN",
+    "MEASURE_EVERY",
+    "Accumulator",
     "Attachable",
+    "Clock",
     "Grid",
     "Group",
+    "Model",
     "Solver",
     "Stage",
     "State",

@@ -9,19 +9,20 @@ The same graph runs on the CPU, where the tests compare it with the host's loop 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, cast
+from collections.abc import Callable, Iterable
+from typing import Any, cast
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
 from phy124.kernels import timestep
-from phy124.mpm.grid import MARGIN
+from phy124.mpm.clock import Clock
+from phy124.mpm.grid import MARGIN, Grid
+from phy124.mpm.model import Model
+from phy124.mpm.rejection import StepRejection
 from phy124.mpm.timestep import CELLS_PER_STEP, MEMORY, STRAIN_PER_STEP, Extremes
-from phy124.mpm.workers import timed
-
-if TYPE_CHECKING:
-    from phy124.mpm.solver import Solver
+from phy124.mpm.workers import Worker, timed
 
 STAGE = "graph"
 """Name of all this in the list of stages."""
@@ -32,13 +33,24 @@ STRAIN = 1.0
 
 
 class Graph:
-    """The substeps of one solver on its device."""
+    """The substeps of one run on its device."""
 
-    def __init__(self, solver: Solver, *, every: int) -> None:
-        self._solver, self._every = solver, every
-        device = solver.device
+    def __init__(
+        self, model: Model, clock: Clock, grid: Grid, worker: Worker, stray: wp.array
+    ) -> None:
+        """Bind to a run.
+
+        Args:
+            model: What never changes.
+            clock: Told how far the device came.
+            grid: Whose window the particles may not leave.
+            worker: The only one; it measures.
+            stray: Count of particles that are no longer numbers [1].
+        """
+        self._model, self._clock, self._grid = model, clock, grid
+        self._worker, self._stray, device = worker, stray, model.device
         self._limits = wp.zeros(1, dtype=cast("type", timestep.Limits), device=device)
-        self._pace = wp.zeros(1, dtype=cast("type", timestep.Pace), device=device)
+        self._progress = wp.zeros(1, dtype=cast("type", timestep.Progress), device=device)
         self._limiters = wp.zeros(len(LIMITERS), dtype=int, device=device)
         self._on, self._look = (wp.zeros(1, dtype=int, device=device) for _ in range(2))
         self._captured: Any = None
@@ -48,23 +60,28 @@ class Graph:
         """The launches of a substep have changed: capture them anew."""
         self._captured = None
 
-    @property
-    def fits(self) -> bool:
-        """Whether the next substeps can do without the host."""
-        s = self._solver
-        return len(s.workers) == 1 and not s.outliers.bounded and not s.rejection.sudden
+    def run(
+        self, until: float, rejection: StepRejection, launches: Callable[[], Iterable[Callable]]
+    ) -> bool:
+        """Substeps up to a time, as many as the device can take alone.
 
-    def run(self, until: float) -> bool:
-        """Substeps up to a time [s], as many as the device can take alone.
+        Args:
+            until: The time [s].
+            rejection: Knows what may be violent.
+            launches: What one substep launches, in order.
 
-        False if the next one is for the host. Raises Unstable like the host's loop.
+        Returns:
+            False if the next substep is for the host.
+
+        Raises:
+            Unstable: as in the host's loop.
         """
-        self._upload(until)
+        self._upload(until, rejection)
         if self._captured is None:
-            self._captured = self._capture()
-        timings, taken = self._solver.timings, self._solver.substeps
+            self._captured = self._capture(list(launches()))
+        timings, taken = self._worker.timings, self._clock.substeps
         timed(timings, STAGE, self._launch)
-        timings[STAGE][1] += (self._solver.substeps - taken) * self._per_substep - 1
+        timings[STAGE][1] += (self._clock.substeps - taken) * self._per_substep - 1
         return self._reason != timestep.CAREFUL
 
     def _launch(self) -> None:
@@ -72,60 +89,59 @@ class Graph:
         wp.capture_launch(self._captured)
         self._reason = self._download()
 
-    def _capture(self) -> Any:
-        s = self._solver
-        inputs = [self._limits, s.grid.window, s.workers[0].maxima, s.stray]
-        outputs = [self._pace, s.clock, self._limiters, self._on, self._look]
-        choose = s.record(timestep.make_timestep(s.real), 1, inputs, outputs)
+    def _capture(self, launches: list[Callable]) -> Any:
+        model = self._model
+        inputs = [self._limits, self._grid.window, self._worker.maxima, self._stray]
+        outputs = [self._progress, self._clock.values, self._limiters, self._on, self._look]
+        choose = model.launch(timestep.make_timestep(model.real), 1, inputs, outputs)
         assert choose is not None
-
-        launches = list(s.launches())
         self._per_substep = len(launches) + 1
 
         def substep() -> None:
             for launch in launches:
                 launch()
-            wp.capture_if(self._look, lambda: s.measure_lane(s.workers[0]))
+            wp.capture_if(self._look, self._worker.measure)
             choose.launch()
 
-        with wp.ScopedCapture(device=s.device) as capture:
+        with wp.ScopedCapture(device=model.device) as capture:
             choose.launch()
             wp.capture_while(self._on, substep)
         return capture.graph
 
-    def _upload(self, until: float) -> None:
-        s = self._solver
+    def _upload(self, until: float, rejection: StepRejection) -> None:
+        clock, dx = self._clock, self._model.dx
         limits = {
             "until": until,
-            "dx": s.dx,
-            "reach": s.cfl * s.dx,
-            "stride": CELLS_PER_STEP * s.dx,
+            "dx": dx,
+            "reach": clock.cfl * dx,
+            "stride": CELLS_PER_STEP * dx,
             "turn": STRAIN_PER_STEP,
-            "viscous": s.viscous,
-            "ceiling": s.ceiling,
-            "wall": s.rejection.wall,
-            "acceleration": s.rejection.acceleration,
+            "viscous": clock.viscous,
+            "ceiling": clock.ceiling,
+            "wall": rejection.wall,
+            "acceleration": rejection.acceleration,
             "memory": MEMORY,
             "strain": STRAIN,
-            "origin": s.grid.origin,
+            "origin": self._grid.origin,
             "margin": MARGIN,
-            "every": self._every,
+            "every": clock.interval,
         }
         self._limits.assign(_row(self._limits, limits))
-        now = {"time": s.time, "last": s.last_dt, "since": s.since_check, **s.extremes._asdict()}
-        self._pace.assign(_row(self._pace, now))
+        extremes, since = clock.extremes._asdict(), clock.since_measured
+        now = {"time": clock.time, "last": clock.last_dt, "since": since, **extremes}
+        self._progress.assign(_row(self._progress, now))
         self._limiters.zero_()
 
     def _download(self) -> int:
-        """Tell the solver how far it came; returns why no further."""
-        s, state = self._solver, np.asarray(self._pace.numpy())[0]
-        s.time, s.last_dt = float(state["time"]), float(state["last"])
-        s.substeps += int(state["taken"])
-        s.since_check = int(state["since"])
-        s.extremes = Extremes(*(float(state[name]) for name in Extremes._fields))
+        """Tell the clock how far it came; returns why no further."""
+        clock, state = self._clock, np.asarray(self._progress.numpy())[0]
+        clock.time, clock.last_dt = float(state["time"]), float(state["last"])
+        clock.substeps += int(state["taken"])
+        clock.since_measured = int(state["since"])
+        clock.extremes = Extremes(*(float(state[name]) for name in Extremes._fields))
         for name, count in zip(LIMITERS, self._limiters.numpy().tolist(), strict=True):
             if count:
-                s.limiters[name] = s.limiters.get(name, 0) + count
+                clock.count(name, count)
         return int(state["reason"])
 
 

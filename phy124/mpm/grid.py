@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, cast
 
 import numpy as np
@@ -33,13 +34,22 @@ class Grid:
         self.nodes = wp.zeros(0, dtype=t.vec4, device=device)
         self.stale = True
         """Whether the window has nothing to do with where the particles are now."""
-        self.share: tuple[int, int] | None = None
+        self.layers: tuple[int, int] | None = None
         """Layers first <= i < last that launches being recorded may touch; None: all."""
 
     @property
     def count(self) -> int:
         """Nodes in the window."""
         return int(np.prod(self.size))
+
+    @contextmanager
+    def only(self, layers: tuple[int, int] | None) -> Iterator[None]:
+        """While inside, launches are recorded for these layers first <= i < last."""
+        self.layers = layers
+        try:
+            yield
+        finally:
+            self.layers = None
 
     def fit(self, lower: NDArray, upper: NDArray) -> bool:
         """Cover particles between two corners [m] with room to move; True if the window changed.
@@ -53,7 +63,9 @@ class Grid:
         below, above = low - self.low, self.low + self.size - high
         if not self.stale:
             if min(below.min(), above.min()) < 0:
-                raise Unstable("particles crossed more cells than they may between two looks")
+                raise Unstable(
+                    "particles crossed more cells than they may between two measurements"
+                )
             if _roomy(below) and _roomy(above):
                 return False
         self.rebase(low - MARGIN, high - low + 2 * MARGIN)
@@ -73,12 +85,12 @@ class Grid:
         return low, high
 
     def nodes_within(self, lower: NDArray, upper: NDArray) -> tuple[NDArray, NDArray]:
-        """First node (in the window) and extent of the nodes of the share between two corners."""
+        """First node (in the window) and extent of the nodes of `layers` in a box [m]."""
         low, size = self.low, self.size
         start = np.floor(np.clip((lower - self.origin) / self.dx - low, 0, size)).astype(int)
         stop = np.ceil(np.clip((upper - self.origin) / self.dx - low + 1, 0, size)).astype(int)
-        if self.share is not None:
-            start[0], stop[0] = max(start[0], self.share[0]), min(stop[0], self.share[1])
+        if self.layers is not None:
+            start[0], stop[0] = max(start[0], self.layers[0]), min(stop[0], self.layers[1])
         return start, np.maximum(stop - start, 0)
 
     def slab(self, first: int, last: int) -> wp.array:

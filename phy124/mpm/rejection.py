@@ -9,136 +9,141 @@ from __future__ import annotations
 
 import itertools
 import math
-from typing import TYPE_CHECKING, Any, Protocol
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import warp as wp
 
-from phy124.kernels.diagnose import make_grid_speed
+from phy124.kernels.grid import make_grid_speed
 from phy124.kernels.profile import JOINS
+from phy124.mpm.clock import MEASURE_EVERY, Clock
+from phy124.mpm.grid import Grid
+from phy124.mpm.model import Model
+from phy124.mpm.stage import Accumulator, Stage
+from phy124.mpm.state import State
 from phy124.mpm.timestep import CELLS_PER_STEP, STRAIN_PER_STEP
+from phy124.tracks import Tracks
 
-if TYPE_CHECKING:
-    from phy124.mpm.solver import Solver
-
-CHECK_EVERY = 4
-"""Substeps between two measurements of the stability limits."""
-CALM_WAY, CALM_STRAIN = 1.0, STRAIN_PER_STEP
+CALM_CELLS, CALM_STRAIN = 1.0, STRAIN_PER_STEP
 """Cells and strain that nothing may pass between two measurements that are further apart."""
 TRIES = 100
 """Each try is at most half as long as the one before."""
-SUDDEN = ("set_velocity", "wind")
-"""Stages that may change a velocity at once, whatever their strength."""
-PER_MASS = "particle_force"
-"""The stage whose strength is in newtons on each particle."""
 FIRST = 4
 """Substeps after which what always acts has shown its effect."""
-
-
-class Books(Protocol):
-    """Sums that grow in every substep."""
-
-    def mark(self) -> Any:
-        """What they are now."""
-        ...
-
-    def undo(self, mark: Any) -> None:
-        """Go back to what they were."""
-        ...
 
 
 class StepRejection:
     """Decides which substeps are tried, and tries them."""
 
-    def __init__(self, solver: Solver) -> None:
-        self._solver = solver
-        self._fastest = wp.zeros(1, dtype=solver.real, device=solver.device)
-        self.acceleration = _greatest_acceleration(solver)
+    def __init__(
+        self,
+        model: Model,
+        state: State,
+        tracks: Tracks,
+        pushes: Sequence[Stage],
+        accumulators: Sequence[Accumulator],
+    ) -> None:
+        """Bind to a run.
+
+        Args:
+            model: What never changes.
+            state: What a rejected substep gives back: v and C.
+            tracks: How strong forces are and how fast walls move, over time.
+            pushes: Stages of forces on particles.
+            accumulators: Sums that a rejected substep gives back.
+        """
+        self._model, self._tracks, self._accumulators = model, tracks, accumulators
+        self._pushed = [state.v, state.C] if pushes else []
+        self._fastest = wp.zeros(1, dtype=model.real, device=model.device)
+        self.acceleration = _max_acceleration(model, tracks, pushes)
         """What forces may do to a particle at most [m/s^2]."""
-        self.wall = _greatest_rate(solver)
+        self.wall = _max_rate(tracks)
         """How fast a wall moves at most [m/s]."""
-        self._pushy = any(name in SUDDEN for name, _ in solver.pushes)
+        self._pushy = any(stage.sudden for stage in pushes)
         self.rejected = 0
         """Substeps that were taken back."""
-        self.books: Books | None = None
-        """What counts during a substep and must be taken back with it."""
 
-    @property
-    def sudden(self) -> bool:
+    def sudden(self, clock: Clock) -> bool:
         """Whether a force may change velocities at once in the next substep."""
-        return self._pushy and (self._solver.tracks.vary or self._solver.substeps < FIRST)
+        return self._pushy and (self._tracks.vary or clock.substeps < FIRST)
 
-    def called_for(self, dt: float) -> bool:
-        """Whether a substep of length `dt` may carry something further than a cell."""
-        s, extremes = self._solver, self._solver.extremes
+    def must_try(self, clock: Clock, dt: float) -> bool:
+        """Whether a substep of length `dt` [s] may carry something further than a cell."""
+        extremes, dx = clock.extremes, self._model.dx
         return (
-            2 * max(extremes.speed, self.wall) * dt > CELLS_PER_STEP * s.dx
+            2 * max(extremes.speed, self.wall) * dt > CELLS_PER_STEP * dx
             or 2 * extremes.gradient * dt > STRAIN_PER_STEP
-            or self.acceleration * dt * dt > 0.1 * s.dx
-            or self.sudden
+            or self.acceleration * dt * dt > 0.1 * dx
+            or self.sudden(clock)
         )
 
-    def pause(self, every: int) -> int:
-        """Substeps until limits are measured again: `every`, if nothing gets far until then."""
-        s = self._solver
-        if every <= CHECK_EVERY or s.alone or not s.extremes.stiffness > 0:
-            return min(every, CHECK_EVERY)
-        speed, pulled = max(s.extremes.speed, self.wall), math.sqrt(self.acceleration)
-        each = s.substep().dt * max(
-            speed / (CALM_WAY * s.dx),
-            s.extremes.gradient / CALM_STRAIN,
-            pulled / math.sqrt(2 * CALM_WAY * s.dx),
+    def interval(self, clock: Clock) -> int:
+        """Substeps until limits must be measured: as the user asks, if nothing gets far by then."""
+        every, extremes, dx = clock.measure_every, clock.extremes, self._model.dx
+        if every <= MEASURE_EVERY or not extremes.stiffness > 0:
+            return min(every, MEASURE_EVERY)
+        speed, pulled = max(extremes.speed, self.wall), math.sqrt(self.acceleration)
+        each = clock.stable().dt * max(
+            speed / (CALM_CELLS * dx),
+            extremes.gradient / CALM_STRAIN,
+            pulled / math.sqrt(2 * CALM_CELLS * dx),
         )
-        return every if each * every <= 1 else max(CHECK_EVERY, int(1 / each))
+        return every if each * every <= 1 else max(MEASURE_EVERY, int(1 / each))
 
-    def step(self, dt: float) -> float:
-        """A substep of at most `dt`, so short that no node moves more than a cell; its length."""
-        s, cells = self._solver, 0.0
-        pushed = [s.state.v, s.state.C] if s.pushes else []
-        before = [wp.clone(array) for array in pushed]
-        page = self.books and self.books.mark()
+    def attempt(
+        self, dt: float, scatter: Callable[[float], None], grid: Grid
+    ) -> tuple[float, bool]:
+        """Scatter and update with ever shorter substeps until no node moves more than a cell.
+
+        Args:
+            dt: The length to try first [s].
+            scatter: Pushes, scatters and updates the grid for a substep of a length [s].
+            grid: The nodes whose speed decides.
+
+        Returns:
+            The length that was short enough [s], and whether it was violent.
+        """
+        before = [wp.clone(array) for array in self._pushed]
+        sums = [accumulator.snapshot() for accumulator in self._accumulators]
+        cells = 0.0
         for _ in range(TRIES):
-            s.begin((s.last_dt + dt) / 2, dt)
-            s.work((0, 1))
-            cells = self._speed() * dt / s.dx
+            scatter(dt)
+            cells = self._speed(grid) * dt / self._model.dx
             if cells <= 1:
                 break
             self.rejected += 1
-            for array, kept in zip(pushed, before, strict=True):
+            for array, kept in zip(self._pushed, before, strict=True):
                 wp.copy(array, kept)
-            if self.books:
-                self.books.undo(page)
+            for accumulator, kept in zip(self._accumulators, sums, strict=True):
+                accumulator.restore(kept)
             dt *= min(0.5, CELLS_PER_STEP / cells)
-        s.work((2,))
-        s.finish(dt, violent=2 * cells > CELLS_PER_STEP)
-        return dt
+        return dt, 2 * cells > CELLS_PER_STEP
 
-    def _speed(self) -> float:
+    def _speed(self, grid: Grid) -> float:
         """The greatest speed of a node [m/s]."""
-        s = self._solver
         self._fastest.zero_()
-        kernel = make_grid_speed(s.real)
-        wp.launch(kernel, s.grid.count, [s.grid.nodes], [self._fastest], device=s.device)
+        kernel, device = make_grid_speed(self._model.real), self._model.device
+        wp.launch(kernel, grid.count, [grid.nodes], [self._fastest], device=device)
         return math.sqrt(float(np.asarray(self._fastest.numpy())[0]))
 
 
-def _greatest_acceleration(solver: Solver) -> float:
+def _max_acceleration(model: Model, tracks: Tracks, pushes: Sequence[Stage]) -> float:
     """An upper bound of what forces may do to a particle at any time [m/s^2]."""
     joined, alone = 0.0, 0.0
-    for track, flag in zip(solver.tracks.tracks, solver.tracks.flags, strict=True):
+    for track, flag in zip(tracks.tracks, tracks.flags, strict=True):
         value = max(math.hypot(*value) for _, value in track.keys)
         joined, alone = (joined + value, alone) if flag & JOINS else (joined, alone + value)
-    if not solver.pushes:
+    if not pushes:
         return joined
-    if any(name == PER_MASS for name, _ in solver.pushes):
-        alone /= min(1.0, float(solver.mass.numpy().min()))
+    if any(stage.in_newtons for stage in pushes):
+        alone /= min(1.0, float(model.mass.numpy().min()))
     return joined + alone
 
 
-def _greatest_rate(solver: Solver) -> float:
+def _max_rate(tracks: Tracks) -> float:
     """How fast a wall moves at most [m/s]."""
     fastest = 0.0
-    for track, flag in zip(solver.tracks.tracks, solver.tracks.flags, strict=True):
+    for track, flag in zip(tracks.tracks, tracks.flags, strict=True):
         for (start, a), (end, b) in itertools.pairwise(track.keys) if not flag else ():
             if end > start:
                 fastest = max(fastest, math.dist(a, b) / (end - start))

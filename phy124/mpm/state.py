@@ -1,56 +1,16 @@
-"""State: what changes every substep, on the device; Group: a run of particles of one law."""
+"""State: what changes every substep, on the device."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from phy124.kernels.transfer import Law
-from phy124.materials import Material
-
-
-@dataclass(frozen=True)
-class Group:
-    """A run of particles of one law."""
-
-    law: Law
-    start: int
-    stop: int
-    theta: wp.array
-    """Parameters of the law, one row, or one row per particle."""
-
-    def rows(self, part: slice) -> wp.array:
-        """The parameters of a part of its particles, which a thread works on."""
-        if len(self.theta) == 1:
-            return self.theta
-        return cast("wp.array", self.theta[part.start - self.start : part.stop - self.start])
-
-
-def parameters(
-    materials: Sequence[Material],
-    material: NDArray,
-    share: NDArray | None,
-    *,
-    dx: float,
-    cfl: float,
-) -> NDArray[np.float64]:
-    """Parameters of particles of one law: one row if they are all alike, else one row each.
-
-    `material [P]` are indices into `materials`, `share [P]` multiplies what is proportional to E.
-    """
-    found = np.unique(material)
-    rows = np.array([materials[i].theta_on(dx, cfl) for i in found])
-    scaled = np.array([materials[i].scaled for i in found])
-    if share is None or not scaled.any():
-        return rows if len(found) == 1 else rows[np.searchsorted(found, material)]
-    own = np.searchsorted(found, material)
-    column = np.arange(rows.shape[1]) < scaled[own][:, None]
-    return rows[own] * np.where(column, share[:, None], 1.0)
+from phy124.kernels.transfer import types
+from phy124.mpm.model import Model
 
 
 @dataclass
@@ -72,6 +32,23 @@ class State:
     total: wp.array
     """Total deformation gradients [P,3,3]; empty unless a law is plastic."""
 
+    @classmethod
+    def of(cls, model: Model, v: NDArray | None = None, C: NDArray | None = None) -> State:
+        """Undeformed, at rest or moving with velocities `v` [P,3] m/s and gradients `C` [P,3,3]."""
+        t, count = types(model.real), len(model)
+        plastic = any(group.law.project is not None for group in model.groups)
+        kept = count if plastic else 0
+        identity = np.tile(np.eye(3), (count, 1, 1))
+        return cls(
+            x=model.array(model.rest, t.vec3),
+            residue=model.array(np.zeros((count, 3)), t.vec3),
+            v=model.array(np.zeros((count, 3)) if v is None else v, t.vec3),
+            C=model.array(np.zeros((count, 3, 3)) if C is None else C, t.mat33),
+            F=model.array(identity, t.mat33),
+            history=model.array(model.history[:kept], t.vec2),
+            total=model.array(identity[:kept], t.mat33),
+        )
+
     def arrays(self) -> dict[str, wp.array]:
         """All arrays by name."""
         return {f.name: getattr(self, f.name) for f in fields(self)}
@@ -81,14 +58,14 @@ class State:
         """What the Gaussians follow: F, or F_total where it differs."""
         return self.total if len(self.total) else self.F
 
-    def copy(self) -> dict[str, wp.array]:
-        """A snapshot to restore from."""
+    def snapshot(self) -> dict[str, Any]:
+        """A copy on the device, to go back to."""
         return {name: wp.clone(array) for name, array in self.arrays().items()}
 
-    def restore(self, snapshot: dict[str, wp.array]) -> None:
-        """Go back to a snapshot."""
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Go back to a snapshot, on the device or read from a file."""
         for name, array in self.arrays().items():
-            wp.copy(array, snapshot[name])
+            array.assign(snapshot[name])
 
 
 def part_of(array: wp.array, part: slice) -> wp.array:

@@ -1,143 +1,112 @@
-"""Lanes: the particles' shares of two CPU threads, each with nodes of its own to scatter to.
+"""Workers: each does a part of the particles, and scatters to nodes of its own.
 
-Particles are sorted along x, so each half touches a slab of layers. A worker scatters its half into
-private nodes, then brings its part of the shared grid up to date from both, then gathers. Between
-these phases the threads meet. Warp's CPU kernels release Python's lock.
+Particles are sorted along x, so each half touches a slab of layers. A worker scatters its part into
+private nodes, brings its layers of the shared grid up to date from all, and then gathers. One
+worker alone has all particles and scatters to the shared grid. How they run beside each other is
+in phy124/mpm/threads.py.
 """
 
 from __future__ import annotations
 
-import os
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from phy124.kernels.barrier import meet
 from phy124.mpm.grid import MARGIN, Grid
+from phy124.mpm.model import Group, Model
+from phy124.mpm.stage import Named
+from phy124.mpm.threads import free_cores
 
-if TYPE_CHECKING:
-    from phy124.mpm.solver import Solver
-
-LEAST_PARTICLES = 20_000
-"""Below this the meetings cost more than the second thread brings."""
-ROUNDS, NAP = 20, 5e-5
-"""Rounds of spinning at a meeting between which others may have the core, then sleep [s]."""
+MIN_PARTICLES = 20_000
+"""Below this the barriers cost more than the second thread brings."""
+EXTREMES = 9
+"""What is measured: speed, gradient, stiffness, and the particles' lowest and highest corner."""
+SCATTER, UPDATE, GATHER = range(3)
+"""The phases of a substep between which workers wait for each other."""
 Timings = dict[str, list[float]]
-Named = tuple[str, Callable[[], Any]]
-Recorded = tuple[str, "wp.Launch | None"]
+"""Seconds and launches by stage."""
 
 
 @dataclass
 class Worker:
-    """One thread's share."""
+    """A part of the particles, and the work on it."""
 
     runs: list[tuple[int, int]]
     """Its part of each group's particles, first and past the last."""
     nodes: Grid
     """Where it scatters to: the shared grid if it is alone, else private nodes."""
     maxima: wp.array
-    """What `measure` finds among its particles [9]."""
+    """What measuring its particles finds, `EXTREMES` numbers."""
     phases: list[list[Named]] = field(default_factory=list)
-    """Work between two meetings: scatter, update, gather."""
-    looks: list[wp.Launch] = field(default_factory=list)
-    """Measures what limits the substep."""
+    """Launches of scatter, update and gather."""
+    measures: list[wp.Launch] = field(default_factory=list)
+    """Launches that measure what limits the substep."""
     timings: Timings = field(default_factory=dict)
-    """Seconds and launches by stage."""
 
     def run(self, phase: int) -> None:
         """One phase of a substep."""
         for name, launch in self.phases[phase]:
             timed(self.timings, name, launch)
 
-
-class Barrier:
-    """A barrier for a number of threads."""
-
-    def __init__(self, parties: int) -> None:
-        self.counter = wp.zeros(32, dtype=int, device="cpu")
-        self.tickets = [wp.zeros(16, dtype=int, device="cpu") for _ in range(parties)]
-        self.views = [ticket.numpy() for ticket in self.tickets]
-        self.launches = [self._record(ticket, parties) for ticket in self.tickets]
-        self.over = False
-        """Whether nobody needs to wait any more."""
-
-    def _record(self, ticket: wp.array, parties: int) -> Any:
-        inputs = [self.counter, ticket, parties]
-        return wp.launch(meet, 1, inputs=inputs, device="cpu", record_cmd=True)
-
-    def wait(self, who: int) -> bool:
-        """Come back when all have arrived; False if they never will."""
-        launch, view = self.launches[who], self.views[who]
-        launch.launch()
-        spun = 0
-        while view[0]:
-            if self.over:
-                return False
-            spun += 1
-            give_way() if spun < ROUNDS else time.sleep(NAP)
+    def measure(self) -> None:
+        """Find what limits the substep among its particles, and where they are."""
+        self.maxima.fill_(-np.inf)
+        for launch in self.measures:
             launch.launch()
-        return True
+
+    def parts(self, groups: Sequence[Group]) -> Iterator[tuple[Group, slice]]:
+        """Its part of each group, where it has one."""
+        for group, (start, stop) in zip(groups, self.runs, strict=True):
+            if stop > start:
+                yield group, slice(start, stop)
 
 
-def give_way() -> None:
-    """Let another thread have the core, if one wants it; to sleep would cost more than a phase."""
-    os.sched_yield() if hasattr(os, "sched_yield") else time.sleep(0)
+def make_workers(model: Model, grid: Grid, count: int) -> list[Worker]:
+    """One worker that scatters to the shared grid, or several with nodes of their own."""
+    workers = []
+    for runs in cut([(group.start, group.stop) for group in model.groups], count):
+        nodes = grid
+        if count > 1:
+            nodes = Grid(model.origin, model.dx, real=model.real, device=model.device)
+        maxima = wp.zeros(EXTREMES, dtype=model.real, device=model.device)
+        workers.append(Worker(runs, nodes, maxima))
+    return workers
 
 
-def timed(timings: Timings, name: str, work: Callable[[], Any]) -> None:
-    """Do work and add its seconds to a stage."""
-    start = time.perf_counter()
-    work()
-    entry = timings.setdefault(name, [0.0, 0])
-    entry[0] += time.perf_counter() - start
-    entry[1] += 1
-
-
-def usable_threads(particles: int) -> int:
-    """Two if there are enough particles and a second core is free, else one."""
-    if particles < LEAST_PARTICLES:
+def usable_workers(model: Model) -> int:
+    """Two on the CPU if there are enough particles and a second core is free, else one."""
+    if model.device != "cpu" or len(model) < MIN_PARTICLES:
         return 1
-    cores = (
-        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    )
-    return 2 if cores - _others_running() >= 2 else 1
+    return 2 if free_cores() >= 2 else 1
 
 
-def _others_running() -> int:
-    """Threads of other programs that want a core right now; 0 where the system does not tell."""
-    counts = []
-    for _ in range(5):
-        try:
-            running = Path("/proc/loadavg").read_text().split()[3].partition("/")[0]
-            # Libraries leave threads of ours spinning for a moment; they are not others.
-            own = [path.read_text() for path in Path("/proc/self/task").glob("*/stat")]
-        except OSError:
-            return 0
-        counts.append(int(running) - sum(text.rpartition(")")[2].split()[0] == "R" for text in own))
-        time.sleep(0.002)
-    return max(0, min(counts))
-
-
-def cut(runs: list[tuple[int, int]], workers: int) -> list[list[tuple[int, int]]]:
+def cut(runs: list[tuple[int, int]], parts: int) -> list[list[tuple[int, int]]]:
     """Each run of particles cut evenly: for each worker its part of every run."""
-    edges = [np.linspace(start, stop, workers + 1).astype(int).tolist() for start, stop in runs]
-    return [[(edge[i], edge[i + 1]) for edge in edges] for i in range(workers)]
+    edges = [np.linspace(start, stop, parts + 1).astype(int).tolist() for start, stop in runs]
+    return [[(edge[i], edge[i + 1]) for edge in edges] for i in range(parts)]
 
 
 def fit_part(part: Grid, whole: Grid, lower: NDArray, upper: NDArray, *, force: bool) -> bool:
     """Make private nodes cover a worker's particles, whole layers of the shared window.
 
-    True if they changed; `force` if the shared window did.
+    Args:
+        part: The private nodes.
+        whole: The shared window.
+        lower: Lowest corner of the worker's particles [3], m.
+        upper: Highest corner [3], m.
+        force: Whether the shared window has changed.
+
+    Returns:
+        Whether the private nodes changed.
     """
     low, high = whole.reach(lower, upper)
-    least = MARGIN // 2
-    roomy = low[0] - part.low[0] >= least and part.low[0] + part.size[0] - high[0] >= least
+    spare = MARGIN // 2
+    roomy = low[0] - part.low[0] >= spare and part.low[0] + part.size[0] - high[0] >= spare
     if part.count and roomy and not force:
         return False
     first = max(int(low[0]) - MARGIN, int(whole.low[0]))
@@ -148,17 +117,21 @@ def fit_part(part: Grid, whole: Grid, lower: NDArray, upper: NDArray, *, force: 
     return True
 
 
-def grids(solver: Solver) -> list[Grid]:
-    """The shared grid, and the private ones of workers that have them."""
-    private = [worker.nodes for worker in solver.workers if worker.nodes is not solver.grid]
-    return [solver.grid, *private]
+def layers_of(workers: Sequence[Worker], grid: Grid) -> list[tuple[int, int] | None]:
+    """The layers of the shared grid that each worker brings up to date; None: all."""
+    if len(workers) == 1:
+        return [None]
+    low, layers = grid.low[0], int(grid.size[0])
+    first, second = (worker.nodes for worker in workers)
+    middle = int((first.low[0] + first.size[0] + second.low[0]) // 2 - low)
+    middle = min(max(middle, 0), layers)
+    return [(0, middle), (middle, layers)]
 
 
-def taken(records: Iterable[Recorded]) -> list[tuple[str, wp.Launch]]:
-    """Without the boundaries that are out of reach of the window: they have no launch."""
-    return [(name, launch) for name, launch in records if launch is not None]
-
-
-def work(records: Iterable[Recorded]) -> list[Named]:
-    """What to call for each record."""
-    return [(name, launch.launch) for name, launch in taken(records)]
+def timed(timings: Timings, name: str, work: Callable[[], Any]) -> None:
+    """Do work and add its seconds to a stage."""
+    start = time.perf_counter()
+    work()
+    entry = timings.setdefault(name, [0.0, 0])
+    entry[0] += time.perf_counter() - start
+    entry[1] += 1

@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 
-from phy124.clip import Clip
+from phy124.io.clip import Clip
 from phy124.io.export import write_ply_sequence, write_usd
 from phy124.io.files import staged
 from phy124.io.video import Picture, write_animation, write_mp4, write_pictures

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phy124.clip import Clip
+from phy124.camera import VIEWS, Camera
 from phy124.errors import InputError
-from phy124.rendering.camera import VIEWS, Camera
+from phy124.io.clip import Clip
 from phy124.scene import View
 
 SAMPLE = 4096

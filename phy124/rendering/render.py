@@ -22,12 +22,12 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from phy124.camera import Camera
 from phy124.errors import InputError
 from phy124.gaussians import Array, Frame, Gaussians
 from phy124.kernels.splat import bin as binning
 from phy124.kernels.splat import blend, blend_simd, project, screen
 from phy124.progress import Progress, silent
-from phy124.rendering.camera import Camera
 
 Colour = tuple[float, float, float]
 WHITE: Colour = (1.0, 1.0, 1.0)

@@ -15,7 +15,7 @@ from pydantic import (
 )
 
 from phy124.bounds import Colour
-from phy124.rendering.camera import FOV_Y
+from phy124.camera import FOV_Y
 from phy124.section import Section
 
 ViewName = Literal["front", "right", "back", "left", "orbit"]

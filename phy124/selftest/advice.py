@@ -93,7 +93,7 @@ def _hurries(scene: Scene, setting: Setting) -> Iterator[Check]:
 def _substeps(scene: Scene, setting: Setting) -> int:
     run = _run(scene, setting)
     run.run()
-    return run.solver.substeps
+    return run.solver.clock.substeps
 
 
 def _run(scene: Scene, setting: Setting) -> Simulation:

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from phy124.kernels.transfer import types
 from phy124.materials import Material, NeoHookean
-from phy124.monitor.watchdog import weigh
-from phy124.mpm import Solver
+from phy124.monitor.diagnostics import diagnose
+from phy124.mpm import Model, Solver, State
 from phy124.selftest.case import Setting
 
 Array = NDArray[np.float64]
@@ -42,8 +42,39 @@ def body(
         **options: Passed on to the solver.
     """
     volume = options.pop("volume", np.full(len(x), size**3 / len(x)))
-    options.setdefault("dx", DX)
-    return Solver(x, volume, [material], **options, **setting.options)
+    return solver(x, volume, [material], setting, **options)
+
+
+def solver(
+    x: Array,
+    volume: Array,
+    materials: Sequence[Material],
+    setting: Setting,
+    *,
+    dx: float = DX,
+    origin: Sequence[float] = (0.0, 0.0, 0.0),
+    material: Array | None = None,
+    v: Array | None = None,
+    C: Array | None = None,
+    **options: Any,
+) -> Solver:
+    """A solver of particles.
+
+    Args:
+        x: Positions [P,3], m.
+        volume: Volumes [P], m^3.
+        materials: What they are made of.
+        setting: Device and precision.
+        dx: Grid spacing [m].
+        origin: Where node (0, 0, 0) is [m].
+        material: Indices into `materials` [P]; None: the first.
+        v: Velocities at the start [P,3], m/s.
+        C: Their gradients [P,3,3], 1/s.
+        options: Of `Solver`.
+    """
+    where = {"dx": dx, "origin": origin, "material": material, **setting.options}
+    model = Model.of(x, volume, materials, **where)
+    return Solver(model, State.of(model, v, C), **options)
 
 
 def turning(x: Array, omega: Sequence[float]) -> dict[str, Any]:
@@ -76,8 +107,8 @@ def volume_ratios(solver: Solver) -> Array:
 
 def deform(solver: Solver, F: Array) -> None:
     """Set deformation gradients [P,3,3] or [3,3]."""
-    whole = np.broadcast_to(F, (len(solver.rest), 3, 3))
-    t = types(solver.real)
+    whole = np.broadcast_to(F, (len(solver.model.rest), 3, 3))
+    t = types(solver.model.real)
     solver.state.F.assign(wp.array(whole.astype(_scalar(solver)), dtype=t.mat33, device="cpu"))
 
 
@@ -89,7 +120,7 @@ def assign(solver: Solver, name: str, values: Array) -> None:
 
 def stable_dt(solver: Solver) -> float:
     """dx / sqrt(A / rho0) of the first material at rest: the limit of an isolated particle [s]."""
-    return solver.dx / solver.materials[0].wave_speed()
+    return solver.model.dx / solver.model.materials[0].wave_speed()
 
 
 def steps(solver: Solver, count: int, dt: float, each: Callable[[], None] | None = None) -> None:
@@ -102,8 +133,8 @@ def steps(solver: Solver, count: int, dt: float, each: Callable[[], None] | None
         each: Called after each of them.
     """
     for k in range(count):
-        solver.step(dt / 2 if k == 0 and solver.last_dt == 0 else dt, dt)
-        solver.last_dt = dt
+        solver.step(dt / 2 if k == 0 and solver.clock.last_dt == 0 else dt, dt)
+        solver.clock.last_dt = dt
         if each is not None:
             each()
 
@@ -114,7 +145,7 @@ def relative(value: Array, reference: Array) -> float:
 
 
 def _scalar(solver: Solver) -> type:
-    return np.float32 if solver.real is wp.float32 else np.float64
+    return np.float32 if solver.model.real is wp.float32 else np.float64
 
 
 class Meter:
@@ -126,22 +157,22 @@ class Meter:
 
     def __init__(self, solver: Solver) -> None:
         self.solver = solver
-        start = weigh(solver)
+        start = diagnose(solver)
         self.first = self.last = start.energy
         self.start, self.end = start, start
-        self.greatest, self.least_J = 1.0, start.least_J
-        mass = host(solver.mass)[:, None]
+        self.greatest, self.min_J = 1.0, start.min_J
+        mass = host(solver.model.mass)[:, None]
         self.moved = float((mass * np.abs(host(solver.state.v))).sum())
 
     def read(self, dt: float) -> float:
         """Take one substep of length `dt`; return the energy before it, relative to the first."""
-        before = weigh(self.solver)
+        before = diagnose(self.solver)
         steps(self.solver, 1, dt)
-        after = weigh(self.solver)
+        after = diagnose(self.solver)
         self.last = before.elastic + (before.kinetic + after.kinetic) / 2
         share = self.last / self.first if math.isfinite(self.last) else math.inf
         self.greatest = max(self.greatest, share)
-        self.least_J = min(self.least_J, after.least_J)
+        self.min_J = min(self.min_J, after.min_J)
         self.end = after
         return share
 

@@ -7,7 +7,7 @@ import numpy as np
 from phy124.boundaries import Ground
 from phy124.forces import Gravity
 from phy124.materials import FixedCorotated, NeoHookean
-from phy124.monitor.watchdog import weigh
+from phy124.monitor.diagnostics import diagnose
 from phy124.selftest.bodies import Meter, block, body, host, stable_dt, steps, turning, vibrating
 from phy124.selftest.case import Check, Setting, at_most, equal
 
@@ -41,7 +41,7 @@ def units(setting: Setting) -> list[Check]:
             boundaries=[Ground(contact="separate")],
         )
         s.advance(2.0**-6 * T)
-        paths.append((s.substeps, s.state.x.numpy() / L, s.state.F.numpy()))
+        paths.append((s.clock.substeps, s.state.x.numpy() / L, s.state.F.numpy()))
     (n, x, F), (m, y, G) = paths
     return [
         equal("equal substeps", n == m and n > 50),
@@ -65,9 +65,9 @@ def spin(setting: Setting) -> list[Check]:
     """Eight turns of a rigid rotation."""
     x = block()
     s = body(x, setting, NeoHookean(E=1e5), **turning(x, (0, 0, 2 * np.pi)))
-    start = weigh(s)
+    start = diagnose(s)
     s.advance(8.0)
-    end = weigh(s)
+    end = diagnose(s)
     drift = np.linalg.norm(end.angular - start.angular) / np.linalg.norm(start.angular)
     return [
         at_most("angular momentum drift", drift, 1e-12 if setting.double else 1e-4),

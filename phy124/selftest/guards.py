@@ -38,11 +38,12 @@ def _one_bad_particle(
 ) -> tuple[float, float, bool]:
     """Smallest J, largest displacement in sizes, and whether all is sound after a frame."""
     x = block(4, 0.25)
-    s = body(x, setting, material, size=0.25)
+    external = ExternalWork()
+    s = body(x, setting, material, size=0.25, accumulators=[external])
     deformations = host(s.state.F)
     deformations[21] = F
     assign(s, "F", deformations)
-    watch = Watchdog(s, ExternalWork())
+    watch = Watchdog(s, external)
     watch.before()
     s.advance(1 / 24, after=watch.follow())
     problem = watch.after()

@@ -10,7 +10,7 @@ import numpy as np
 from phy124.boundaries import Ground
 from phy124.forces import ParticleForce
 from phy124.materials import Elastic, NeoHookean
-from phy124.monitor.watchdog import weigh
+from phy124.monitor.diagnostics import diagnose
 from phy124.region import Region
 from phy124.selftest.bodies import (
     assign,
@@ -27,7 +27,7 @@ from phy124.selftest.case import Check, Setting, at_least, at_most, equal
 class Impact(NamedTuple):
     """What became of a cube that hit the floor."""
 
-    least_J: float
+    min_J: float
     greatest_energy: float
     rebound: float
     """Kinetic energy at the end, relative to the start."""
@@ -49,20 +49,21 @@ def hit(mach: float, material: Elastic, setting: Setting) -> Impact:
         boundaries=[Ground(contact="slip")],
         dx=0.0625,
     )
-    first = weigh(s).kinetic
-    least, greatest, before = 1.0, 1.0, weigh(s)
+    first = diagnose(s).kinetic
+    least, greatest, before = 1.0, 1.0, diagnose(s)
 
     def watch() -> None:
         nonlocal least, greatest, before
-        after = weigh(s)
+        after = diagnose(s)
         # Energies of one instant: see `Meter`.
         energy = before.elastic + (before.kinetic + after.kinetic) / 2
         greatest = max(greatest, energy / first if math.isfinite(energy) else math.inf)
-        least, before = min(least, after.least_J), after
+        least, before = min(least, after.min_J), after
 
     until = 0.375 * (3 / sound + 1.5 / speed)
     s.advance(until, after=watch)
-    return Impact(least, greatest, weigh(s).kinetic / first, s.substeps, dict(s.limiters))
+    rebound = diagnose(s).kinetic / first
+    return Impact(least, greatest, rebound, s.clock.substeps, dict(s.clock.limiters))
 
 
 def impacts(setting: Setting) -> list[Check]:
@@ -73,7 +74,7 @@ def impacts(setting: Setting) -> list[Check]:
             found = hit(mach, NeoHookean(E=1e4, nu=nu), setting)
             name = f"Mach {mach:g}" + (f" nu {nu}" if setting.long else "")
             checks += [
-                at_least(f"{name}: least J", found.least_J, 1e-9),
+                at_least(f"{name}: least J", found.min_J, 1e-9),
                 at_most(f"{name}: greatest / first energy", found.greatest_energy, 1.01),
                 at_least(f"{name}: rebound", found.rebound, 0.05),
             ]
@@ -113,12 +114,12 @@ def monstrous_push(setting: Setting) -> list[Check]:
     s = body(x, setting, forces=[ParticleForce(f=(1e6 * weight, 0, 0), region=region)])
     s.advance(1e-3)
     # Velocities are half a substep behind: they have had the impulse of that much less time.
-    impulse = 1e6 * weight * (s.time - s.last_dt / 2)
-    momentum = weigh(s).momentum
+    impulse = 1e6 * weight * (s.clock.time - s.clock.last_dt / 2)
+    momentum = diagnose(s).momentum
     return [
         equal("finite", finite(s)),
         at_most("momentum / impulse - 1", abs(momentum[0] / impulse - 1), 1e-5),
-        at_least("substeps limited by speed, force or gradient", _limited(s.limiters), 1),
+        at_least("substeps limited by speed, force or gradient", _limited(s.clock.limiters), 1),
     ]
 
 

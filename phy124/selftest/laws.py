@@ -9,7 +9,7 @@ import warp as wp
 
 from phy124.boundaries import Container, Ground
 from phy124.forces import Gravity
-from phy124.kernels.diagnose import make_probe
+from phy124.kernels.probe import make_probe
 from phy124.kernels.transfer import types
 from phy124.materials import (
     FixedCorotated,
@@ -24,9 +24,9 @@ from phy124.materials import (
     Snow,
 )
 from phy124.mpm import Solver
-from phy124.mpm.solver import PRECISIONS
+from phy124.mpm.model import PRECISIONS
 from phy124.region import Region
-from phy124.selftest.bodies import Array, block, body, host
+from phy124.selftest.bodies import Array, block, body, host, solver
 from phy124.selftest.case import Check, Setting, at_most, equal
 
 LAWS: tuple[Material, ...] = (
@@ -147,22 +147,21 @@ def cone(angle: float, steepness: float, cells: int, setting: Setting) -> Solver
     x = np.stack(np.meshgrid(along, along, up, indexing="ij"), axis=-1).reshape(-1, 3)
     x = x[x[:, 2] < height * (1 - np.hypot(x[:, 0], x[:, 1]) / HEAP)]
     walls = [Container(inside=Region(lower=(0, 0, -1e9)), contact="slip"), Ground(contact="sticky")]
-    return Solver(
-        x, np.full(len(x), (dx / 2) ** 3), [Sand(friction_angle=angle, E=3e5)], dx=dx,
+    return solver(
+        x, np.full(len(x), (dx / 2) ** 3), [Sand(friction_angle=angle, E=3e5)], setting, dx=dx,
         boundaries=walls, forces=[Gravity()], origin=(0.25 * dx, 0.25 * dx, -0.75 * dx),
-        **setting.options,
     )  # fmt: skip
 
 
-def slope(solver: Solver) -> float:
+def slope(heap: Solver) -> float:
     """Angle of the flank of a cone that was built with radius `HEAP` [degrees].
 
     The surface is where the three highest particles of each ring are; top and toe do not count.
     """
-    x = host(solver.state.x)
+    x = host(heap.state.x)
     r = np.hypot(x[:, 0], x[:, 1])
-    rings = np.arange(0.15 * HEAP, 0.8 * HEAP, solver.dx)
-    tops = [np.sort(x[(r >= a) & (r < a + solver.dx), 2])[-3:].mean() for a in rings]
+    rings = np.arange(0.15 * HEAP, 0.8 * HEAP, heap.model.dx)
+    tops = [np.sort(x[(r >= a) & (r < a + heap.model.dx), 2])[-3:].mean() for a in rings]
     return -math.degrees(math.atan(np.polyfit(rings, tops, 1)[0]))
 
 

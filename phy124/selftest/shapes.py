@@ -37,7 +37,7 @@ def covariances(setting: Setting) -> list[Check]:
     for index in range(1, 11):
         steps(s, 2000 if setting.long else 100, dt)
         F = host(s.state.F)
-        found = carry(host(s.state.x), F, index=index, time=s.time).gaussians
+        found = carry(host(s.state.x), F, index=index, time=s.clock.time).gaussians
         wanted = F @ flat.covariances() @ F.transpose(0, 2, 1)
         size = np.linalg.norm(wanted, axis=(1, 2))
         wrong = np.linalg.norm(found.covariances() - wanted, axis=(1, 2)) / size
@@ -55,7 +55,7 @@ def continuity(setting: Setting) -> list[Check]:
     last, least, jump = given, 1.0, 0.0
     for index in range(1, 301 if setting.long else 61):
         s.advance(index / 30)
-        frame = carry(host(s.state.x), host(s.state.F), index=index, time=s.time).gaussians
+        frame = carry(host(s.state.x), host(s.state.F), index=index, time=s.clock.time).gaussians
         dots = (frame.quats.astype(np.float64) * last.quats).sum(axis=1)
         least = min(least, float(dots.min()))
         clear = _distinct(frame) & _distinct(last)

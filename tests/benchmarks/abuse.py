@@ -16,8 +16,9 @@ import numpy as np
 from phy124.boundaries import Ground
 from phy124.forces import Gravity
 from phy124.materials import FixedCorotated, Material, NeoHookean, Sand, Snow
+from phy124.monitor.diagnostics import diagnose
 from phy124.monitor.external_work import ExternalWork
-from phy124.monitor.watchdog import Watchdog, sound_speed, weigh
+from phy124.monitor.watchdog import Watchdog
 from phy124.mpm import Solver
 from phy124.selftest import Setting
 from phy124.selftest.bodies import (
@@ -31,6 +32,7 @@ from phy124.selftest.bodies import (
 )
 from phy124.selftest.inputs import quick, shell
 from phy124.simulation import Simulation
+from support.solvers import make_solver
 
 SIZE = 0.5
 """Edge of the cubes [m]; 512 particles are two per cell and axis."""
@@ -46,10 +48,11 @@ def cube(per_axis: int = 8, height: float = 0.3) -> Array:
 def watched(x: Array, material: Material = JELLY, **options: Any) -> tuple[Solver, Watchdog]:
     """A solver with its watchdog, as a simulation has it."""
     external, count = ExternalWork(), options.pop("filled", len(x))
-    s = Solver(
+    s = make_solver(
         x, np.full(len(x), SIZE**3 / count), [material], dx=2 * SIZE / round(count ** (1 / 3)),
         forces=external.forces(options.pop("forces", ())),
-        boundaries=external.boundaries(options.pop("boundaries", ())), **options,
+        boundaries=external.boundaries(options.pop("boundaries", ())),
+        accumulators=[external], **options,
     )  # fmt: skip
     return s, Watchdog(s, external)
 
@@ -61,9 +64,9 @@ def go(s: Solver, watch: Watchdog, seconds: float, frames: int = 1) -> str:
         s.advance(seconds * k / frames, after=watch.follow())
         problem = watch.after()
         if problem or not finite(s):
-            return problem or "not finite"
-    resets = f", {watch.reset} reset" if watch.reset else ""
-    return f"sound, J >= {min(watch.least_J, 1.0):.2g}{resets}"
+            return problem.what if problem else "not finite"
+    resets = f", {watch.repair.count} reset" if watch.repair.count else ""
+    return f"sound, J >= {min(watch.min_J, 1.0):.2g}{resets}"
 
 
 def dropped(material: Material) -> str:
@@ -71,8 +74,10 @@ def dropped(material: Material) -> str:
     x = cube(height=0.26)
     v = np.tile([0, 0, -1.0], (len(x), 1))
     s, watch = watched(x, material, v=v, forces=[Gravity()], boundaries=[Ground()])
-    steps = 2000 * 0.6 * s.dx / material.wave_speed()
-    return go(s, watch, min(0.2, steps), 4) + f", {s.substeps} substeps in {s.time:.2g} s"
+    steps = 2000 * 0.6 * s.model.dx / material.wave_speed()
+    return (
+        go(s, watch, min(0.2, steps), 4) + f", {s.clock.substeps} substeps in {s.clock.time:.2g} s"
+    )
 
 
 def long_substep() -> str:
@@ -102,7 +107,7 @@ def far(place: float) -> str:
     s, watch = watched(x, forces=[Gravity()], filled=512)
     said = go(s, watch, 0.1)
     error = np.abs(host(s.state.x) - x + [0, 0, 9.81 * 0.1**2 / 2]).max()
-    return f"{said}, {s.domain.count} ballistic, off its parabola by {error:.1e} m"
+    return f"{said}, {s.outliers.count} ballistic, off its parabola by {error:.1e} m"
 
 
 def leaving() -> str:
@@ -118,13 +123,13 @@ def leaving() -> str:
 def impact(mach: float, law: type[NeoHookean] | type[FixedCorotated]) -> str:
     """A cube of 1,728 particles on a slippery floor."""
     material, x = law(E=1e5, nu=0.3), cube(12, 0.27)
-    speed = mach * sound_speed(material)
+    speed = mach * material.sound_speed()
     s, watch = watched(x, material, v=np.tile([0, 0, -speed], (len(x), 1)),
                        boundaries=[Ground(contact="slip")])  # fmt: skip
-    first = weigh(s).kinetic
-    said = go(s, watch, SIZE * (3 / sound_speed(material) + 1.5 / speed), 10)
+    first = diagnose(s).kinetic
+    said = go(s, watch, SIZE * (3 / material.sound_speed() + 1.5 / speed), 10)
     notes = "; noted" if watch.notes() else ""
-    return f"{said}, rebound {weigh(s).kinetic / first:.2%}{notes}"
+    return f"{said}, rebound {diagnose(s).kinetic / first:.2%}{notes}"
 
 
 def broken(F: Array, material: Material = JELLY) -> str:
@@ -152,29 +157,29 @@ def slippery() -> str:
                        boundaries=[Ground(contact="slip")],
                        origin=(0, 0, -0.75 * 0.125))  # fmt: skip
     said = go(s, watch, 0.1)
-    kept = weigh(s).momentum[0] / s.mass.numpy().sum()
+    kept = diagnose(s).momentum[0] / s.model.mass.numpy().sum()
     return f"{said}, {1 - kept:.1e} of the speed lost"
 
 
 def tiny() -> str:
     """An object of 10 micrometres falls for a millisecond."""
     x = cube() * (1e-5 / SIZE)
-    s = Solver(x, np.full(512, 1e-15 / 512), [JELLY], dx=2.5e-6, forces=[Gravity()])
+    s = make_solver(x, np.full(512, 1e-15 / 512), [JELLY], dx=2.5e-6, forces=[Gravity()])
     s.advance(1e-4)
     fallen = (x - host(s.state.x))[:, 2].mean()
-    return f"fell {fallen / (9.81 * 1e-8 / 2):.6f} of what it should, {s.substeps} substeps"
+    return f"fell {fallen / (9.81 * 1e-8 / 2):.6f} of what it should, {s.clock.substeps} substeps"
 
 
 def spinning() -> str:
     """Energy lost at once, and in eight turns."""
     x = cube()
     s, watch = watched(x, **turning(x, (0, 0, 2 * math.pi)))
-    first = weigh(s).energy
+    first = diagnose(s).energy
     s.step(1e-4, 1e-4)
-    at_once = 1 - weigh(s).energy / first
-    s.last_dt = 1e-4
+    at_once = 1 - diagnose(s).energy / first
+    s.clock.last_dt = 1e-4
     go(s, watch, 8.0)
-    return f"{at_once:.1e} at once, {1 - weigh(s).energy / first:.2%} in eight turns"
+    return f"{at_once:.1e} at once, {1 - diagnose(s).energy / first:.2%} in eight turns"
 
 
 def falling() -> str:
@@ -198,7 +203,7 @@ def no_volume() -> str:
     volume = np.full(512, SIZE**3 / 512)
     volume[3] = 0
     try:
-        Solver(cube(), volume, [JELLY], dx=0.125)
+        make_solver(cube(), volume, [JELLY], dx=0.125)
     except ValueError as error:
         return f"refused: {error}"
     return "accepted"

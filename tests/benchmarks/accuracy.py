@@ -24,9 +24,9 @@ from phy124.accuracy.difference import pixel_distance, video
 from phy124.accuracy.plots import save_picture
 from phy124.accuracy.study import Report, Row, Study
 from phy124.accuracy.verify import verify
-from phy124.clip import Clip
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
+from phy124.io.clip import Clip
 from phy124.io.ply import write_ply
 from phy124.metrics import psnr
 from phy124.scene import Scene, preset_names
@@ -163,7 +163,7 @@ def damping_table(gaussians: Gaussians) -> str:
         apart = [pixel_distance(a, b, scene.view) for a, b in pairwise(clips)]
         across = pixel_distance(clips[0], clips[-1], scene.view)
         cells = [*(f"{share:.0%}" for share in lost), *(f"{px:.1f}" for px in (*apart, across))]
-        rows.append([f"{damping:g}", *cells, str(run.solver.substeps)])
+        rows.append([f"{damping:g}", *cells, str(run.solver.clock.substeps)])
         print(json.dumps(rows[-1]), flush=True)
     pairs = [f"D/{a} to D/{b}, px" for a, b in pairwise(DAMPED_LEVELS)]
     pairs.append(f"D/{DAMPED_LEVELS[0]} to D/{DAMPED_LEVELS[-1]}")

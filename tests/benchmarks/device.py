@@ -46,11 +46,11 @@ def pace(s: Solver, substeps: int, turns: int = 5) -> float:
     """Least wall seconds per substep; the first turn compiles and captures."""
     best = np.inf
     for turn in range(turns + 1):
-        before, start = s.substeps, time.perf_counter()
-        s.advance(s.time + substeps * SUBSTEP)
+        before, start = s.clock.substeps, time.perf_counter()
+        s.advance(s.clock.time + substeps * SUBSTEP)
         wp.synchronize()
         if turn:
-            best = min(best, (time.perf_counter() - start) / (s.substeps - before))
+            best = min(best, (time.perf_counter() - start) / (s.clock.substeps - before))
     return float(best)
 
 
@@ -100,7 +100,7 @@ def clip(device: str, count: int) -> None:
             seconds = time.perf_counter() - start
         row = {
             "substeps_by": name, "gaussians": count, "particles": len(run.particles),
-            "substeps": run.solver.substeps, "seconds": seconds,
+            "substeps": run.solver.clock.substeps, "seconds": seconds,
             "simulate": run.watch.seconds["simulate"], "deform": run.watch.seconds["deform"],
         }  # fmt: skip
         show("clip", device, row)

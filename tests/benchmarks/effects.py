@@ -25,6 +25,7 @@ import numpy as np
 import warp as wp
 
 from phy124.boundaries import Ground
+from phy124.camera import Camera
 from phy124.forces import Acceleration, Gravity
 from phy124.generators import make
 from phy124.imaging.cutout import cut_out
@@ -35,11 +36,11 @@ from phy124.metrics import psnr
 from phy124.monitor.external_work import ExternalWork
 from phy124.mpm import Solver
 from phy124.region import Region
-from phy124.rendering.camera import Camera
 from phy124.rendering.render import Renderer
 from phy124.scene import Scene
 from phy124.simulation import Simulation
 from phy124.tracks import Sine
+from support.solvers import make_solver
 
 wp.config.log_level = wp.LOG_WARNING
 DUCK = Path(__file__).parents[2] / "demo/examples/duck.png"
@@ -134,7 +135,7 @@ def cube(count: int, cells: int) -> Solver:
     x = x[np.lexsort(np.floor(x * cells - 0.5).T[::-1])]
     volume = np.full(count, 0.3**3 / count)
     walls = [Ground(height=0.3)]
-    return Solver(
+    return make_solver(
         x, volume, [NeoHookean()], dx=1 / cells, forces=[Gravity()], boundaries=walls, threads=1
     )
 
@@ -144,7 +145,7 @@ def cost(s: Solver, substeps: int) -> float:
     begin = time.thread_time()
     for _ in range(substeps):
         s.step(1e-5, 1e-5)
-    return (time.thread_time() - begin) / substeps / len(s.rest) * 1e9
+    return (time.thread_time() - begin) / substeps / len(s.model.rest) * 1e9
 
 
 def paired(a: Solver, b: Solver, substeps: int, turns: int = 7) -> tuple[float, float]:
@@ -163,7 +164,7 @@ def switch(turns: int = 40) -> None:
         made = {name: laws.solver(law, 0.02, simd=simd) for name, law in kinds.items()}
         one_row_each(made["switch_ns"])
         one_row_each(made["lossless_switch_ns"])
-        starts = {name: s.state.copy() for name, s in made.items()}
+        starts = {name: s.state.snapshot() for name, s in made.items()}
         spent = [[laws.cost(s, starts[name]) for name, s in made.items()] for _ in range(turns)]
         row = dict(zip(kinds, np.min(spent, axis=0).sum(axis=1).tolist(), strict=True))
         row["alone_to_transfers"] = row["alone_ns"] / row["transfers_ns"]
@@ -173,11 +174,12 @@ def switch(turns: int = 40) -> None:
 
 def one_row_each(s: Solver) -> None:
     """Kind and parameters by particle: a kernel that asks cannot know that all are alike."""
-    for i, group in enumerate(s.groups):
+    groups = []
+    for group in s.model.groups:
         rows = np.tile(group.theta.numpy(), (group.stop - group.start, 1))
         theta = wp.array(rows, dtype=group.theta.dtype, device="cpu")
-        s.groups[i] = replace(group, theta=theta)
-    s._record_substep()
+        groups.append(replace(group, theta=theta))
+    s._record()
 
 
 def costs() -> None:
@@ -191,17 +193,18 @@ def costs() -> None:
         external = ExternalWork()
         volume, v = np.full(count, 0.125 / count), np.random.default_rng(2).normal(size=x.shape)
         bracketed = external.forces(forces)
-        s = Solver(
+        s = make_solver(
             x,
             volume,
             laws or [NeoHookean()],
             dx=1 / 40,
             v=v,
             forces=bracketed,
+            accumulators=[external],
             threads=1,
             **options,
         )
-        external.open(s)
+        external.open(s.clock)
         return s
 
     runs = {
@@ -250,7 +253,7 @@ def window() -> None:
     dense.step(1e-5, 1e-5)
     dense.grid.fit = lambda lower, upper: False  # from here on the window is the whole domain
     dense.grid.rebase(np.zeros(3, int), np.full(3, 128))
-    dense._record_substep()
+    dense._record()
     a, b = paired(near, dense, 16)
     show("window", {"window_ns": a, "dense_ns": b, "ratio": b / a})
 

@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 from typing import get_args
 
-from phy124.clip import Clip
+from phy124.io.clip import Clip
 from phy124.rendering.film import film
 from phy124.rendering.framing import framing
 from phy124.runtime.stopwatch import Stopwatch

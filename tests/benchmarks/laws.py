@@ -28,6 +28,7 @@ from phy124.materials import (
     Snow,
 )
 from phy124.mpm import Solver
+from support.solvers import make_solver
 
 SIDE = 51
 DX = 1 / 64
@@ -65,7 +66,7 @@ def solver(material: Material, strain: float, *, simd: bool = True) -> Solver:
     rng = np.random.default_rng(0)
     line = (np.arange(SIDE) + 0.5) * DX / 2
     x = np.stack(np.meshgrid(line, line, line, indexing="ij"), -1).reshape(-1, 3) + 0.3
-    made = Solver(x, np.full(len(x), (DX / 2) ** 3), [material], dx=DX, threads=1, simd=simd)
+    made = make_solver(x, np.full(len(x), (DX / 2) ** 3), [material], dx=DX, threads=1, simd=simd)
     F = np.eye(3) + strain * rng.standard_normal((len(x), 3, 3))
     if isinstance(material, Fluid):
         F = np.eye(3) * (1 + strain * rng.standard_normal((len(x), 1, 1)))
@@ -77,8 +78,8 @@ def solver(material: Material, strain: float, *, simd: bool = True) -> Solver:
 def look(made: Solver) -> float:
     """CPU nanoseconds per particle of measuring what limits the substep."""
     begin = time.thread_time()
-    made.measure_lane(made.workers[0])
-    return (time.thread_time() - begin) / len(made.rest) * 1e9
+    made.workers[0].measure()
+    return (time.thread_time() - begin) / len(made.model.rest) * 1e9
 
 
 def cost(made: Solver, start: dict[str, wp.array]) -> tuple[float, float]:
@@ -89,7 +90,7 @@ def cost(made: Solver, start: dict[str, wp.array]) -> tuple[float, float]:
         begin = time.thread_time()
         work()
         if name.startswith(("p2g", "g2p")):
-            spent.append((time.thread_time() - begin) / len(made.rest) * 1e9)
+            spent.append((time.thread_time() - begin) / len(made.model.rest) * 1e9)
     return spent[0], spent[1]
 
 
@@ -104,7 +105,7 @@ def main(repeats: int) -> None:
             if not isinstance(material, Fluid):
                 F = (np.eye(3) + strain * rng.standard_normal(F.shape)).astype(np.float32)
             made.state.F.assign(F)
-            cases[name, state] = made, made.state.copy(), []
+            cases[name, state] = made, made.state.snapshot(), []
     for _ in range(repeats):
         for made, start, spent in cases.values():
             spent.append((*cost(made, start), look(made)))

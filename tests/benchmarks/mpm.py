@@ -20,6 +20,7 @@ from phy124.boundaries import Ground
 from phy124.forces import Gravity
 from phy124.materials import FixedCorotated, NeoHookean
 from phy124.mpm import Solver
+from support.solvers import make_solver
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from reference.textbook import Textbook
@@ -33,7 +34,7 @@ def cube(count: int, cells: int, law: type, form: str, threads: int, device: str
     x = np.random.default_rng(0).random((count, 3)) + 0.5
     x = x[np.lexsort(np.floor(x * cells / 2 - 0.5).T[::-1])]
     precision, simd = FORMS[form]
-    return Solver(
+    return make_solver(
         x,
         np.full(count, 1 / count),
         [law(E=1e5, nu=0.3, density=200)],
@@ -58,13 +59,13 @@ def textbook(count: int, cells: int) -> Textbook:
 
 def round_of(s: Solver | Textbook, substeps: int) -> tuple[float, float]:
     """Wall and CPU seconds per substep."""
-    wall, cpu, before = time.perf_counter(), time.process_time(), s.substeps
+    wall, cpu, before = time.perf_counter(), time.process_time(), s.clock.substeps
     if isinstance(s, Textbook):
         for _ in range(substeps):
             s.step(1e-4)
     else:
-        s.advance(s.time + substeps * 1e-4)
-    count = s.substeps - before
+        s.advance(s.clock.time + substeps * 1e-4)
+    count = s.clock.substeps - before
     return (time.perf_counter() - wall) / count, (time.process_time() - cpu) / count
 
 

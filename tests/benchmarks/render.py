@@ -15,8 +15,8 @@ import time
 import numpy as np
 import warp as wp
 
+from phy124.camera import Camera
 from phy124.gaussians import Frame, Gaussians
-from phy124.rendering.camera import Camera
 from phy124.rendering.render import Renderer, render_frames
 
 REVISION = 1

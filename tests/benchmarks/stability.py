@@ -15,11 +15,12 @@ from typing import Any
 import numpy as np
 
 from phy124.materials import FixedCorotated, Material, NeoHookean
-from phy124.mpm import Solver, Unstable
+from phy124.mpm import Unstable
 from phy124.selftest import CASES, Setting, examine
 from phy124.selftest.bodies import DX, Array, block, body, host, steps
 from phy124.selftest.impact import hit
 from phy124.selftest.limits import heavy_on_light
+from support.solvers import make_solver
 
 SETTING = Setting()
 POISSON = (0.0, 0.1, 0.2, 0.3, 0.4, 0.45, 0.49)
@@ -128,12 +129,14 @@ def pull(ppc: int, speed: float, cells: int = 16) -> tuple[float, float]:
     rate = np.zeros((len(x), 3, 3))
     rate[:, 2, 2] = 2 * speed
     v = np.einsum("pij,pj->pi", rate, x - 0.5)
-    s = Solver(x, np.full(len(x), h**3), [NeoHookean(E=1e4)], dx=1 / cells, v=v, C=rate, threads=1)
+    s = make_solver(
+        x, np.full(len(x), h**3), [NeoHookean(E=1e4)], dx=1 / cells, v=v, C=rate, threads=1
+    )
     middle, stretch, gap = np.abs(x[:, 2] - 0.5) < 0.25, 1.0, 0.0
     for frame in range(60):
         s.advance((frame + 1) * 0.015)
         stretch = max(stretch, float(s.state.F.numpy()[middle, 2, 2].mean()))
-        gap = max(gap, float(np.diff(np.sort(s.state.x.numpy()[middle, 2])).max() / s.dx))
+        gap = max(gap, float(np.diff(np.sort(s.state.x.numpy()[middle, 2])).max() / s.model.dx))
     return stretch, gap
 
 

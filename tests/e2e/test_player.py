@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from visit import LONG, drawn, psnr
 
-from phy124.clip import Clip
+from phy124.camera import Camera
 from phy124.gaussians import Frame, Gaussians
+from phy124.io.clip import Clip
 from phy124.io.export.html import write_html
-from phy124.rendering.camera import Camera
 from phy124.rendering.render import Renderer
 
 pytestmark = pytest.mark.browser

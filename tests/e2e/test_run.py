@@ -100,7 +100,7 @@ def _download(page, link, path: Path) -> None:
 
 
 def _check_files(folder: Path) -> None:
-    from phy124.clip import Clip
+    from phy124.io.clip import Clip
     from phy124.io.ply import read_ply
     from phy124.scene import Scene
 

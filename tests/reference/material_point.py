@@ -6,7 +6,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from phy124.kernels.diagnose import make_probe
+from phy124.kernels.probe import make_probe
 from phy124.kernels.transfer import types
 from phy124.materials import (
     AnyMaterial,

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from phy124.clip import Clip
 from phy124.gaussians import Frame
+from phy124.io.clip import Clip
 from support.shapes import ball
 
 AWAY = [(0, 0.2 * i, 0) for i in range(8)]

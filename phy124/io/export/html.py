@@ -27,11 +27,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phy124.clip import Clip
+from phy124.camera import Camera
 from phy124.errors import InputError
 from phy124.gaussians import SH_C0
+from phy124.io.clip import Clip
 from phy124.io.files import replacing
-from phy124.rendering.camera import Camera
 
 VIEWER = Path(__file__).parents[1] / "viewer"
 """Folder of the player's scripts; the web page serves them from here too."""

@@ -14,8 +14,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from phy124.clip import Clip
 from phy124.errors import InputError
+from phy124.io.clip import Clip
 from phy124.io.files import replacing
 from phy124.io.ply import write_ply
 from phy124.progress import Progress, silent

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from phy124.clip import Clip
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
+from phy124.io.clip import Clip
 from phy124.io.files import replacing
 from phy124.progress import Progress, silent
 from phy124.runtime.installation import install_command

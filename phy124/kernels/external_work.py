@@ -1,8 +1,7 @@
-"""Sums that tell whether a run is sound: impulse and work that forces and walls give.
+"""Sums of the impulse and work that forces and walls give.
 
-They are summed in float64 in every substep, because they depend on the path, and weighed against
-what the state gained (phy124/kernels/diagnostics.py). Also single states, speeds of nodes, and
-resets.
+They are summed in float64 in every substep, because they depend on the path, and compared with
+what the state gained (phy124/kernels/diagnostics.py).
 """
 
 from functools import cache
@@ -12,7 +11,7 @@ import warp as wp
 
 from phy124.kernels.build import kernel
 from phy124.kernels.diagnostics import add3, kinetic_energy, wide
-from phy124.kernels.transfer import Law, types
+from phy124.kernels.transfer import types
 
 GIVEN = 6
 """Impulse 3, work, and the sums of the sizes of all impulses and of all works."""
@@ -159,7 +158,7 @@ def make_uniform_sums(real: Any):
     """Kernel of one thread: adds what the uniform acceleration gives in a substep.
 
     When it acts, forces on particles have acted in this substep and walls have not: `walls_out`
-    keeps what those had given before. `base` is the momentum without what the pages hold.
+    keeps what those had given before. `base` is the momentum without what the open sums hold.
     """
     t = types(real)
 
@@ -184,105 +183,3 @@ def make_uniform_sums(real: Any):
         add_given(given_out, J, work, wp.length(J), wp.abs(work))
 
     return uniform_sums
-
-
-@cache
-def make_grid_speed(real: Any):
-    """Kernel: the greatest squared speed of a node with mass; decides whether a step is taken."""
-    t = types(real)
-
-    @kernel(f"phy124_grid_speed_{real.__name__}")
-    def grid_speed(grid: wp.array(dtype=t.vec4), fastest_out: wp.array(dtype=real)):
-        q = grid[wp.tid()]
-        if q[3] > real(0.0):
-            square = q[0] * q[0] + q[1] * q[1] + q[2] * q[2]
-            # A comparison with NaN is false: it must not pass for slow.
-            if not wp.isfinite(square):
-                square = real(1.0e38)
-            if square > fastest_out[0]:
-                wp.atomic_max(fastest_out, 0, square)
-
-    return grid_speed
-
-
-@cache
-def make_limit_total(real: Any):
-    """Kernel: F_total of material that flows for ever is scaled down before it overflows."""
-    t = types(real)
-
-    @kernel(f"phy124_limit_total_{real.__name__}")
-    def limit_total(greatest: real, F: wp.array(dtype=t.mat33), total_out: wp.array(dtype=t.mat33)):
-        p = wp.tid()
-        size = wp.sqrt(wp.ddot(total_out[p], total_out[p]))
-        if not wp.isfinite(size):
-            total_out[p] = F[p]
-        elif size > greatest:
-            total_out[p] = (greatest / size) * total_out[p]
-
-    return limit_total
-
-
-@cache
-def make_probe(law: Law, real: Any):
-    """Kernel: everything a law says about single states, to examine it by itself."""
-    t = types(real)
-    theta_type = wp.types.vector(law.width, real)
-    stress, modulus, energy, project = law.stress, law.modulus, law.energy, law.project
-    plastic = project is not None
-
-    @kernel(f"phy124_probe_{law.name}_{real.__name__}")
-    def probe(
-        theta: wp.array(dtype=theta_type), F: wp.array(dtype=t.mat33), C: wp.array(dtype=t.mat33),
-        history: wp.array(dtype=t.vec2), dt: real,
-        stress_out: wp.array(dtype=t.mat33), modulus_out: wp.array(dtype=real),
-        energy_out: wp.array(dtype=real), projected_out: wp.array(dtype=t.mat33),
-        history_out: wp.array(dtype=t.vec2),
-    ):  # fmt: skip
-        p = wp.tid()
-        stress_out[p] = stress(F[p], C[p], history[p], theta[0])
-        modulus_out[p] = modulus(F[p], history[p], theta[0])
-        energy_out[p] = energy(F[p], history[p], theta[0])
-        projected_out[p] = F[p]
-        history_out[p] = history[p]
-        if wp.static(plastic):
-            elastic, after = project(F[p], history[p], theta[0], dt)
-            projected_out[p] = elastic
-            history_out[p] = after
-
-    return probe
-
-
-@cache
-def make_reset(real: Any):
-    """Kernel: deformations that no law can work with become the identity.
-
-    Sound are volume ratios between `least` and `most`, norms up to `greatest`, and a smallest
-    stretch of at least the share `narrowest` of the greatest: J / |cof F| against |F|.
-    `found_out` is how many are not and the lowest index of one.
-    """
-    t = types(real)
-
-    @kernel(f"phy124_reset_{real.__name__}")
-    def reset(
-        least: real, most: real, greatest: real, narrowest: real,
-        # state, updated in place
-        F_out: wp.array(dtype=t.mat33), C_out: wp.array(dtype=t.mat33),
-        # out
-        found_out: wp.array(dtype=int),
-    ):  # fmt: skip
-        p = wp.tid()
-        deformation = F_out[p]
-        a = wp.cross(deformation[1], deformation[2])
-        b = wp.cross(deformation[2], deformation[0])
-        c = wp.cross(deformation[0], deformation[1])
-        J = wp.dot(deformation[0], a)
-        size = wp.sqrt(wp.ddot(deformation, deformation))
-        cofactor = wp.sqrt(wp.dot(a, a) + wp.dot(b, b) + wp.dot(c, c))
-        # A comparison with NaN is false, so the test is for soundness.
-        if not (J >= least and J <= most and size <= greatest and J >= narrowest * size * cofactor):
-            F_out[p] = wp.identity(3, dtype=real)
-            C_out[p] = t.mat33()
-            wp.atomic_add(found_out, 0, 1)
-            wp.atomic_min(found_out, 1, p)
-
-    return reset

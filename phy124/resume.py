@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import warp as wp
 from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
@@ -22,9 +23,11 @@ from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
 from phy124.simulation import Simulation
 
-FORMAT = "phy124-pause"
+FORMAT = "phy124-pause-2"
 GAUSSIANS = ("means", "quats", "scales", "opacities", "sh")
 Tensors = dict[str, NDArray]
+ARRAY = "array"
+"""In place of an array, which is stored beside."""
 
 
 def save(
@@ -35,21 +38,13 @@ def save(
     Raises:
         InputError: If the file cannot be written.
     """
-    solver = run.solver
     tensors: Tensors = {f"given.{name}": getattr(run.given, name) for name in GAUSSIANS}
-    tensors |= {f"state.{name}": a.numpy() for name, a in solver.state.arrays().items()}
-    tensors |= {f"deformer.{name}": a for name, a in run.deformer.memory().items()}
-    if run.sleep.anchor is not None:
-        tensors["sleep.anchor"] = run.sleep.anchor
     tensors |= _frames(run)
-    rejected, threads = solver.rejection.rejected, solver.threads
     facts = {
+        "run": _plain(run.snapshot(), tensors, "run"),
         "scene": run.scene.data(),
-        "solver": {**solver.memory(), "rejected": rejected, "threads": threads},
-        "watchdog": run.watchdog.memory(),
-        "external_work": run.watchdog.external.memory(),
-        "sleep": run.sleep.memory(),
-        "frames": {"count": run.count, "keep": run.keep, "retried": run.retried},
+        "threads": len(run.solver.workers),
+        "frames": {"count": run.count, "keep": run.keep},
         "crop": run.crop,
         "about": about or {},
         "spent": {"stages": run.watch.seconds, "total": run.watch.total},
@@ -80,7 +75,7 @@ def load(
     metadata, tensors = _read(Path(path))
     given = Gaussians(*(tensors[f"given.{name}"] for name in GAUSSIANS))
     left, top, right, bottom = metadata["crop"]
-    frames, watch = metadata["frames"], watch or Stopwatch()
+    watch = watch or Stopwatch()
     run = Simulation(
         given,
         Scene.from_data(metadata["scene"], str(path)),
@@ -88,15 +83,11 @@ def load(
         progress=progress,
         watch=watch,
         crop=(left, top, right, bottom),
-        threads=metadata["solver"]["threads"],
-        keep=frames["keep"],
+        threads=metadata["threads"],
+        keep=metadata["frames"]["keep"],
     )
     watch.add(metadata["spent"]["stages"], metadata["spent"]["total"])
-    run.count, run.retried = frames["count"], frames["retried"]
-    run.sleep.recall(metadata["sleep"], tensors.get("sleep.anchor"))
-    _put_solver(run, metadata, tensors)
-    memory = {k.removeprefix("deformer."): v for k, v in tensors.items() if k.startswith("def")}
-    run.deformer.recall(memory)
+    run.restore(_whole(metadata["run"], tensors, "run"))
     _put_frames(run, tensors)
     _turn_last(run)
     return run
@@ -108,14 +99,23 @@ def read_about(path: str | os.PathLike[str]) -> dict[str, Any]:
     return {**metadata["about"], "scene": metadata["scene"], "frames": metadata["frames"]["count"]}
 
 
-def _put_solver(run: Simulation, metadata: dict[str, Any], tensors: Tensors) -> None:
-    solver, memory = run.solver, metadata["solver"]
-    for name, array in solver.state.arrays().items():
-        array.assign(tensors[f"state.{name}"])
-    if "watchdog" in metadata:
-        run.watchdog.recall(metadata["watchdog"], metadata["external_work"])
-    solver.rejection.rejected = memory["rejected"]
-    solver.recall({**solver.memory(), **memory})
+def _plain(tree: Any, tensors: Tensors, name: str) -> Any:
+    """A snapshot without its arrays, which go to `tensors` under their path."""
+    if isinstance(tree, dict):
+        return {key: _plain(value, tensors, f"{name}.{key}") for key, value in tree.items()}
+    if isinstance(tree, (np.ndarray, wp.array)):
+        tensors[name] = np.asarray(tree if isinstance(tree, np.ndarray) else tree.numpy())
+        return {ARRAY: True}
+    return tree
+
+
+def _whole(tree: Any, tensors: Tensors, name: str) -> Any:
+    """A snapshot with its arrays."""
+    if not isinstance(tree, dict):
+        return tree
+    if ARRAY in tree:
+        return tensors[name]
+    return {key: _whole(value, tensors, f"{name}.{key}") for key, value in tree.items()}
 
 
 def _frames(run: Simulation) -> Tensors:
@@ -156,7 +156,7 @@ def _turn_last(run: Simulation) -> None:
 
 def _read(path: Path, *, tensors: bool = True) -> tuple[dict[str, Any], Tensors]:
     """The facts and the arrays of a file."""
-    remedy = "Give a file written by phy124.io.resume.save."
+    remedy = "Give a file written by phy124.resume.save."
     if not path.is_file():
         raise InputError("paused run", path, "there is no such file.", remedy)
     try:
@@ -166,16 +166,10 @@ def _read(path: Path, *, tensors: bool = True) -> tuple[dict[str, Any], Tensors]
             arrays = {name: file.get_tensor(name) for name in names}
     except (SafetensorError, OSError) as error:
         raise InputError("paused run", path, f"it cannot be read ({error}).", remedy) from error
-    found = metadata.pop("format", None)
+    found = metadata.pop("format", "")
+    if found != FORMAT and found.startswith(FORMAT.rpartition("-")[0]):
+        limit = "another version of phy124 wrote it, which computes otherwise."
+        raise InputError("paused run", path, limit, "Run it anew, without --resume.")
     if found != FORMAT:
         raise InputError("paused run", path, "it is not a paused run.", remedy)
-    facts = {name: json.loads(text) for name, text in metadata.items()}
-    return (_of_earlier_build(facts) if "clock" in facts else facts), arrays
-
-
-def _of_earlier_build(facts: dict[str, Any]) -> dict[str, Any]:
-    """Facts of earlier builds, which saved the clock only; windows, balance, times start anew."""
-    solver = {**facts["clock"], "limiters": facts["limiters"], "rejected": 0}
-    frames = {**facts["frames"], "retried": []}
-    spent = {"stages": {}, "total": 0.0}
-    return {**facts, "solver": solver, "frames": frames, "spent": spent, "about": {}}
+    return {name: json.loads(text) for name, text in metadata.items()}, arrays

@@ -1,0 +1,62 @@
+"""Deformations that no law can work with are reset; F_total is held to a size."""
+
+from functools import cache
+from typing import Any
+
+import warp as wp
+
+from phy124.kernels.build import kernel
+from phy124.kernels.transfer import types
+
+
+@cache
+def make_reset(real: Any):
+    """Kernel: deformations that no law can work with become the identity.
+
+    Sound are volume ratios between `least` and `most`, norms up to `greatest`, and a smallest
+    stretch of at least the share `narrowest` of the greatest: J / |cof F| against |F|.
+    `found_out` is how many are not and the lowest index of one.
+    """
+    t = types(real)
+
+    @kernel(f"phy124_reset_{real.__name__}")
+    def reset(
+        least: real, most: real, greatest: real, narrowest: real,
+        # state, updated in place
+        F_out: wp.array(dtype=t.mat33), C_out: wp.array(dtype=t.mat33),
+        # out
+        found_out: wp.array(dtype=int),
+    ):  # fmt: skip
+        p = wp.tid()
+        deformation = F_out[p]
+        a = wp.cross(deformation[1], deformation[2])
+        b = wp.cross(deformation[2], deformation[0])
+        c = wp.cross(deformation[0], deformation[1])
+        J = wp.dot(deformation[0], a)
+        size = wp.sqrt(wp.ddot(deformation, deformation))
+        cofactor = wp.sqrt(wp.dot(a, a) + wp.dot(b, b) + wp.dot(c, c))
+        # A comparison with NaN is false, so the test is for soundness.
+        if not (J >= least and J <= most and size <= greatest and J >= narrowest * size * cofactor):
+            F_out[p] = wp.identity(3, dtype=real)
+            C_out[p] = t.mat33()
+            wp.atomic_add(found_out, 0, 1)
+            wp.atomic_min(found_out, 1, p)
+
+    return reset
+
+
+@cache
+def make_limit_total(real: Any):
+    """Kernel: F_total of material that flows for ever is scaled down before it overflows."""
+    t = types(real)
+
+    @kernel(f"phy124_limit_total_{real.__name__}")
+    def limit_total(greatest: real, F: wp.array(dtype=t.mat33), total_out: wp.array(dtype=t.mat33)):
+        p = wp.tid()
+        size = wp.sqrt(wp.ddot(total_out[p], total_out[p]))
+        if not wp.isfinite(size):
+            total_out[p] = F[p]
+        elif size > greatest:
+            total_out[p] = (greatest / size) * total_out[p]
+
+    return limit_total

@@ -1,0 +1,130 @@
+"""Diagnostics of a state: momentum, energy, volume ratios, and the particles that are unsound."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from phy124.kernels.diagnostics import SUMS, make_energies, make_totals
+from phy124.kernels.reduction import shared_out
+from phy124.mpm import Clock, Model, Solver, State
+from phy124.mpm.state import part_of
+
+NOBODY = 2**31 - 1
+"""An index beyond all particles."""
+VECTORS = ("momentum", "angular", "middle")
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnostics:
+    """What a state adds up to."""
+
+    momentum: NDArray[np.float64]
+    """[3], kg m/s."""
+    angular: NDArray[np.float64]
+    """Angular momentum about the origin [3], kg m^2/s."""
+    kinetic: float
+    """J, when the last substep kicked: half a substep before the positions."""
+    elastic: float
+    """J."""
+    lag: float
+    """What the kinetic energy will have changed by at the time of the elastic one, J."""
+    middle: NDArray[np.float64]
+    """Mass times position [3], kg m."""
+    min_J: float
+    """Least volume ratio."""
+    max_J: float
+    """Greatest volume ratio."""
+    broken: int
+    """Particles that are not finite."""
+    inverted: int
+    """Particles turned inside out."""
+    first_broken: int
+    """The lowest index of a broken particle."""
+    first_inverted: int
+    """The lowest index of an inverted particle."""
+
+    @classmethod
+    def of(cls, model: Model, state: State, clock: Clock) -> Diagnostics:
+        """Add up a state, in float64."""
+        device = model.device
+        sums = wp.zeros(SUMS, dtype=wp.float64, device=device)
+        spread = wp.array([-math.inf, -math.inf], dtype=wp.float64, device=device)
+        counts = wp.zeros(2, dtype=int, device=device)
+        first = wp.array([NOBODY, NOBODY], dtype=int, device=device)
+        for group in model.groups:
+            part = group.particles
+            threads, *share = shared_out(len(group), device)
+            wp.launch(
+                make_totals(group.law, model.real),
+                threads,
+                inputs=[
+                    *share, group.theta, model.mass[part], model.volume[part], model.dx,
+                    group.start, state.x[part], state.v[part], state.C[part], state.F[part],
+                    part_of(state.history, part),
+                ],
+                outputs=[sums, spread, counts, first],
+                device=device,
+            )  # fmt: skip
+        total: NDArray[Any] = sums.numpy()
+        ends, found, index = (np.asarray(array.numpy()) for array in (spread, counts, first))
+        return cls(
+            momentum=total[:3], angular=total[3:6], kinetic=float(total[6]),
+            elastic=float(total[7]), lag=-clock.last_dt / 2 * float(total[11]), middle=total[8:11],
+            min_J=-float(ends[0]), max_J=float(ends[1]), broken=int(found[0]),
+            inverted=int(found[1]), first_broken=int(index[0]), first_inverted=int(index[1]),
+        )  # fmt: skip
+
+    @property
+    def energy(self) -> float:
+        """Kinetic and elastic energy of one instant, J.
+
+        m/2 v(t - dt/2) . v(t + dt/2) + psi(t), which leapfrog conserves exactly in a vibration.
+        """
+        return self.kinetic + self.elastic + self.lag
+
+    def snapshot(self) -> dict[str, Any]:
+        """As plain data."""
+        return {**asdict(self), **{name: getattr(self, name).tolist() for name in VECTORS}}
+
+    @classmethod
+    def from_snapshot(cls, data: dict[str, Any]) -> Diagnostics:
+        """From plain data."""
+        return cls(**{**data, **{name: np.array(data[name]) for name in VECTORS}})
+
+
+def diagnose(solver: Solver) -> Diagnostics:
+    """What the state of a solver adds up to."""
+    return Diagnostics.of(solver.model, solver.state, solver.clock)
+
+
+def energies(model: Model, state: State) -> NDArray[np.float64]:
+    """Kinetic and elastic energy of each particle [P], J; infinite where it is not a number."""
+    found = wp.zeros(len(model), dtype=wp.float64, device=model.device)
+    for group in model.groups:
+        part = group.particles
+        read = [group.theta, model.mass[part], model.volume[part], model.dx]
+        own = [state.v[part], state.C[part], state.F[part], part_of(state.history, part)]
+        wp.launch(
+            make_energies(group.law, model.real),
+            len(group),
+            inputs=[*read, *own],
+            outputs=[found[part]],
+            device=model.device,
+        )
+    return _known(found.numpy())
+
+
+def speeds(state: State) -> NDArray[np.float64]:
+    """Speed of each particle [P], m/s; infinite where it is not a number."""
+    velocities: NDArray[Any] = state.v.numpy()
+    return _known(np.linalg.norm(velocities.astype(np.float64), axis=1))
+
+
+def _known(values: NDArray) -> NDArray[np.float64]:
+    return np.where(np.isfinite(values), values, np.inf)

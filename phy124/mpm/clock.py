@@ -1,0 +1,84 @@
+"""Clock: what time it is, how long the next substep may be, and what limits it."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from phy124.mpm.model import Model
+from phy124.mpm.timestep import Extremes, Substep, stable_substep
+
+MEASURE_EVERY = 4
+"""Substeps between two measurements of the stability limits."""
+
+
+class Clock:
+    """The time of one run, on the host and on its device."""
+
+    def __init__(
+        self, model: Model, *, ceiling: float = math.inf, measure_every: int = MEASURE_EVERY
+    ) -> None:
+        self.dx, self.viscous, self._device = model.dx, model.viscous, model.device
+        self.cfl, self.ceiling = model.cfl, ceiling
+        """Fraction of the elastic limit that is used, and the user's longest substep [s]."""
+        self.measure_every = measure_every
+        """Substeps between two measurements that the user asks for."""
+        self.time, self.substeps, self.last_dt = 0.0, 0, 0.0
+        """Time [s], substeps taken, length of the last one [s]."""
+        self.limiters: dict[str, int] = {}
+        """How many substeps each limit ruled."""
+        self.extremes = Extremes(0.0, 0.0, 0.0)
+        """What limits substeps, as it was measured last."""
+        self.interval = self.since_measured = min(measure_every, MEASURE_EVERY)
+        """Substeps between two measurements at the moment, and since the last one."""
+        self.values = wp.zeros(3, dtype=model.real, device=model.device)
+        """On the device: kick and drift of the present substep and the time before it [s]."""
+
+    @property
+    def due(self) -> bool:
+        """Whether the limits must be measured before the next substep."""
+        return self.since_measured >= self.interval
+
+    def stable(self) -> Substep:
+        """The longest stable substep at the present state."""
+        limits = {"cfl": self.cfl, "ceiling": self.ceiling, "viscous": self.viscous}
+        return stable_substep(self.extremes, self.dx, **limits)
+
+    def begin(self, kick: float, drift: float) -> None:
+        """Tell the device how long a substep is: velocities, then positions [s]."""
+        values = (kick, drift, self.time)
+        if self._device == "cpu":
+            self.values.numpy()[:] = values
+        else:
+            self.values.assign(np.array(values))
+
+    def finish(self, drift: float, *, violent: bool = False) -> None:
+        """Count a substep that was taken; after a violent one the limits are measured anew."""
+        self.time += drift
+        self.substeps += 1
+        self.since_measured += self.interval if violent else 1
+
+    def count(self, limiter: str, substeps: int = 1) -> None:
+        """Substeps that a limit ruled."""
+        self.limiters[limiter] = self.limiters.get(limiter, 0) + substeps
+
+    def snapshot(self) -> dict[str, Any]:
+        """All that goes on from here, as plain data."""
+        return {
+            "time": self.time,
+            "last_dt": self.last_dt,
+            "substeps": self.substeps,
+            "since_measured": self.since_measured,
+            "extremes": list(self.extremes),
+            "limiters": dict(self.limiters),
+        }
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Go back to a snapshot."""
+        self.time, self.last_dt = snapshot["time"], snapshot["last_dt"]
+        self.substeps, self.since_measured = snapshot["substeps"], snapshot["since_measured"]
+        self.extremes = Extremes(*snapshot["extremes"])
+        self.limiters = dict(snapshot["limiters"])

@@ -1,0 +1,211 @@
+"""Model: what a run never changes: particles at rest, what they are made of, the grid's spacing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from phy124.kernels.transfer import Law
+from phy124.materials import Material
+from phy124.mpm.timestep import CFL, beside_elastic
+
+PRECISIONS = {"float32": wp.float32, "float64": wp.float64}
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """A run of particles of one law."""
+
+    law: Law
+    start: int
+    stop: int
+    theta: wp.array
+    """Parameters of the law, one row, or one row per particle."""
+
+    def __len__(self) -> int:
+        """How many particles it has."""
+        return self.stop - self.start
+
+    @property
+    def particles(self) -> slice:
+        """Where they are among all."""
+        return slice(self.start, self.stop)
+
+    def rows(self, part: slice) -> wp.array:
+        """The parameters of a part of its particles, which a thread works on."""
+        if len(self.theta) == 1:
+            return self.theta
+        return cast("wp.array", self.theta[part.start - self.start : part.stop - self.start])
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """Particles of given materials on a grid of given spacing; `Model.of` builds one."""
+
+    rest: NDArray[np.float64]
+    """Positions at rest [P,3], m."""
+    mass: wp.array
+    """[P], kg."""
+    volume: wp.array
+    """At rest [P], m^3."""
+    history: NDArray[np.float64]
+    """History variables of the laws at the start [P,2]."""
+    groups: tuple[Group, ...]
+    """The particles, law by law."""
+    materials: tuple[Material, ...]
+    dx: float
+    """Grid spacing [m]."""
+    origin: tuple[float, float, float]
+    """Where node (0, 0, 0) of the grid is [m]."""
+    cfl: float
+    """Fraction of the elastic limit of the substep that the laws are made for."""
+    precision: str
+    """float32 or float64."""
+    device: str
+    """Warp device, "cpu" or "cuda:0"."""
+    form: str
+    """How transfers are written: "simd" rows for float32 on the CPU, else "plain"."""
+
+    @classmethod
+    def of(
+        cls,
+        x: NDArray,
+        volume: NDArray,
+        materials: Sequence[Material],
+        *,
+        dx: float,
+        material: NDArray | None = None,
+        stiffness: NDArray | None = None,
+        origin: Sequence[float] = (0.0, 0.0, 0.0),
+        cfl: float = CFL,
+        precision: str = "float32",
+        device: str = "cpu",
+        simd: bool = True,
+    ) -> Model:
+        """Put particles on the device.
+
+        Args:
+            x: Positions at rest [P,3], m.
+            volume: Volumes at rest [P], m^3.
+            materials: What they are made of.
+            dx: Grid spacing [m].
+            material: For each particle an index into `materials` [P]; particles of one law must
+                lie together. None: all are of the first.
+            stiffness: Factors on E [P]; None: 1.
+            origin: Where node (0, 0, 0) is [m].
+            cfl: Fraction of the elastic limit of the substep, in (0, 1).
+            precision: "float32" or "float64".
+            device: Warp device.
+            simd: Use SIMD rows where they exist.
+
+        Raises:
+            ValueError: particles are not sorted by law, or one has no volume.
+        """
+        real, count = PRECISIONS[precision], len(x)
+        if not np.all(np.asarray(volume) > 0):
+            raise ValueError("every particle needs a volume above zero")
+        material = np.zeros(count, int) if material is None else material
+        density = np.array([section.density for section in materials])[material]
+        history = np.array([section.history() for section in materials])[material]
+        found = []
+        for start, stop in _runs(materials, material):
+            part = slice(start, stop)
+            own = None if stiffness is None else stiffness[part]
+            theta = parameters(materials, material[part], own, dx=dx, cfl=cfl)
+            law = materials[material[start]].device_law
+            rows = _array(theta, wp.types.vector(law.width, real), precision, device)
+            found.append(Group(law, start, stop, rows))
+        px, py, pz = (float(c) for c in origin)
+        rows = simd and device == "cpu" and precision == "float32"
+        return cls(
+            rest=np.asarray(x, dtype=np.float64),
+            mass=_array(np.asarray(volume) * density, real, precision, device),
+            volume=_array(volume, real, precision, device),
+            history=history,
+            groups=tuple(found),
+            materials=tuple(materials),
+            dx=float(dx),
+            origin=(px, py, pz),
+            cfl=cfl,
+            precision=precision,
+            device=device,
+            form="simd" if rows else "plain",
+        )
+
+    def __len__(self) -> int:
+        """How many particles there are."""
+        return len(self.rest)
+
+    @property
+    def real(self) -> Any:
+        """Warp's type of a number."""
+        return PRECISIONS[self.precision]
+
+    @property
+    def viscous(self) -> float:
+        """Longest substep that viscosity allows [s]."""
+        slowest = min(section.viscous_limit(self.dx) for section in self.materials)
+        return beside_elastic(self.cfl) * slowest
+
+    @property
+    def total_mass(self) -> float:
+        """Mass of all particles, kg."""
+        return float(np.sum(self.mass.numpy(), dtype=np.float64))
+
+    def array(self, values: object, dtype: Any) -> wp.array:
+        """Values on the device in the model's precision."""
+        return _array(values, dtype, self.precision, self.device)
+
+    def launch(self, kernel: Any, dim: Any, inputs: list, outputs: list) -> wp.Launch | None:
+        """A recorded launch on the model's device, to be repeated; None if it has nothing to do."""
+        recorded = wp.launch(
+            kernel, dim, inputs=inputs, outputs=outputs, device=self.device, record_cmd=True
+        )
+        return cast("wp.Launch | None", recorded)
+
+
+def parameters(
+    materials: Sequence[Material],
+    material: NDArray,
+    stiffness: NDArray | None,
+    *,
+    dx: float,
+    cfl: float,
+) -> NDArray[np.float64]:
+    """Parameters of particles of one law: one row if they are all alike, else one row each.
+
+    Args:
+        materials: All materials.
+        material: Indices into them [P].
+        stiffness: Factors on what is proportional to E [P], or None.
+        dx: Grid spacing [m].
+        cfl: Fraction of the elastic limit of the substep.
+    """
+    found = np.unique(material)
+    rows = np.array([materials[i].theta_on(dx, cfl) for i in found])
+    scaled = np.array([materials[i].scaled for i in found])
+    if stiffness is None or not scaled.any():
+        return rows if len(found) == 1 else rows[np.searchsorted(found, material)]
+    own = np.searchsorted(found, material)
+    column = np.arange(rows.shape[1]) < scaled[own][:, None]
+    return rows[own] * np.where(column, stiffness[:, None], 1.0)
+
+
+def _runs(materials: Sequence[Material], material: NDArray) -> list[tuple[int, int]]:
+    """First and one past the last particle of each law; raises ValueError if they are mixed."""
+    laws = [section.device_law.name for section in materials]
+    law = np.array([laws.index(name) for name in laws])[material]
+    if np.any(np.diff(law) < 0):
+        raise ValueError("particles must be sorted by law")
+    runs = [np.searchsorted(law, [index, index + 1]).tolist() for index in np.unique(law)]
+    return [(start, stop) for start, stop in runs]
+
+
+def _array(values: object, dtype: Any, precision: str, device: str) -> wp.array:
+    scalar = np.float32 if precision == "float32" else np.float64
+    return wp.array(np.ascontiguousarray(values, dtype=scalar), dtype=dtype, device=device)

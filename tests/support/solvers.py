@@ -1,0 +1,27 @@
+"""A solver of particles, in one call."""
+
+from collections.abc import Sequence
+from inspect import signature
+from typing import Any
+
+from numpy.typing import NDArray
+
+from phy124.materials import Material
+from phy124.mpm import Model, Solver, State
+
+OF_MODEL = set(signature(Model.of).parameters)
+
+
+def make_solver(
+    x: NDArray,
+    volume: NDArray,
+    materials: Sequence[Material],
+    *,
+    v: NDArray | None = None,
+    C: NDArray | None = None,
+    **options: Any,
+) -> Solver:
+    """Particles that move with v [P,3] and C [P,3,3]; options of `Model.of` and of `Solver`."""
+    own = {name: options.pop(name) for name in OF_MODEL & options.keys()}
+    model = Model.of(x, volume, materials, **own)
+    return Solver(model, State.of(model, v, C), **options)
