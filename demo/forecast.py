@@ -15,7 +15,7 @@ from html import escape
 from typing import Any
 
 from phy124.accuracy import Forecaster, Stop
-from phy124.accuracy.forecast import GUESS, QUIET, pixels_per_size
+from phy124.accuracy.forecast import GUESS, QUIET
 from phy124.accuracy.load import Load, spoken
 from phy124.accuracy.promises import Promise, promise, why_broken
 from phy124.cost import GAUSSIANS, Rates, Work, count_particles
@@ -187,9 +187,7 @@ class Estimator:
         for name in PRESETS:
             other = scene.model_copy(update={"accuracy": name})
             took = scale * self(other, gaussians=gaussians).seconds
-            said = promise_of(other, study)
-            pixels = None if said.error is None else said.error * pixels_per_size(scene)
-            found.append(Stop(name, took, said, pixels))
+            found.append(Stop.of(other, took, promise_of(other, study)))
         return found
 
 

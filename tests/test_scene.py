@@ -1,10 +1,13 @@
+import importlib
+from typing import get_args
+
 import pytest
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from phy124.boundaries import Sphere
 from phy124.errors import InputError
 from phy124.forces import Wind
-from phy124.scene import PRESETS, Scene, parse_value, preset_names, summary
+from phy124.scene import PRESETS, AccuracyName, Scene, parse_value, preset_names, summary
 from phy124.tracks import Sine
 from reference.material_point import KINDS
 
@@ -245,3 +248,16 @@ def test_a_scene_is_said_in_one_line():
         "1 m over 32 cells, 2 particles per cell and axis, float32; 14 frames at 24/s"
     )
     assert "\n" not in said
+
+
+def test_all_options_are_declared_on_one_base():
+    for module in ("bridge.options", "demo.settings", "demo.strokes", "phy124.simulation"):
+        importlib.import_module(module)
+    packages = ("phy124", "demo", "bridge")
+    own = [m for m in BaseModel.__subclasses__() if m.__module__.partition(".")[0] in packages]
+    results = {"Level", "Measurement"}
+    assert {model.__name__ for model in own} - results == {"Section"}
+
+
+def test_each_named_accuracy_has_its_place_in_the_table():
+    assert get_args(AccuracyName) == tuple(PRESETS)

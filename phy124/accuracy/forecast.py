@@ -154,6 +154,15 @@ class Stop:
     forecast: Forecast | None = None
     """What they come from, if it was measured on the object itself."""
 
+    @classmethod
+    def of(
+        cls, scene: Scene, seconds: float, promise: Promise, forecast: Forecast | None = None
+    ) -> Stop:
+        """The stop that a scene with a named accuracy is at."""
+        pixels = None if promise.error is None else promise.error * pixels_per_size(scene)
+        caveat = forecast.caveat if forecast else None
+        return cls(str(scene.accuracy), seconds, promise, pixels, caveat, forecast)
+
     @property
     def error(self) -> float | None:
         """Promised error as a share of the object's size; None if it was not measured."""
@@ -204,9 +213,7 @@ class Forecaster:
         chosen = scene.model_copy(update={"accuracy": name})
         key = (id(gaussians), _physics(chosen), self.device)
         made: Forecast = self._remember(key, lambda: self.forecast(gaussians, chosen), gaussians)
-        promised = promise(chosen)
-        pixels = None if promised.error is None else promised.error * pixels_per_size(chosen)
-        return Stop(name, made.seconds, promised, pixels, made.caveat, made)
+        return Stop.of(chosen, made.seconds, promise(chosen), made)
 
     def _pilot(self, simulation: Simulation) -> Pilot:
         gaussians, scene, crop = simulation.gaussians, simulation.scene, simulation.crop

@@ -24,21 +24,27 @@ class Accuracy(Section):
     )
 
 
-PRESETS = {
-    "draft": Accuracy(cells=16),
-    "standard": Accuracy(cells=32),
-    "fine": Accuracy(cells=48, precision="float64"),
+NAMED = {
+    "draft": (
+        Accuracy(cells=16),
+        "looking at a motion before it is made well: thin places bend as if they were thicker "
+        "by a part of a cell, and a cell is 6 % of the object",
+    ),
+    "standard": (
+        Accuracy(cells=32),
+        "most: cells half as wide bend more truly; a smaller substep would not help, for what "
+        "transfers lose per step does not depend on it",
+    ),
+    "fine": (
+        Accuracy(cells=48, precision="float64"),
+        "what shall be right: cells a third as wide, at least two particles per cell and axis so "
+        "that they are used, and double precision so that rounding is no question",
+    ),
 }
-"""The named accuracies (measured in docs/results/accuracy.md)."""
+"""The named accuracies and what each is good for (measured in docs/results/accuracy.md).
 
-
-GOOD_FOR = {
-    "draft": "looking at a motion before it is made well: thin places bend as if they were thicker "
-    "by a part of a cell, and a cell is 6 % of the object",
-    "standard": "most: cells half as wide bend more truly; a smaller substep would not help, for "
-    "what transfers lose per step does not depend on it",
-    "fine": "what shall be right: cells a third as wide, at least two particles per cell and axis "
-    "so that they are used, and double precision so that rounding is no question",
-}
-"""What each is good for; measured.json has the errors by law and kind of motion."""
+measured.json has their errors by law and kind of motion.
+"""
+PRESETS = {name: accuracy for name, (accuracy, _) in NAMED.items()}
+GOOD_FOR = {name: use for name, (_, use) in NAMED.items()}
 AccuracyName = Literal["draft", "standard", "fine"]
