@@ -197,6 +197,18 @@ def test_a_light_body_does_not_sink_under_a_heavy_one():
 
 
 @pytest.mark.parametrize(
+    ("material", "deepest"), [(Sand(), 0.12), (Foam(), 0.05), (Plasticine(), 0.05)]
+)
+def test_what_flows_does_not_sink_where_its_particles_crowd(material, deepest):
+    """Two bodies in one place, as the middle of a heap has them, above a layer of one."""
+    x = block(size=(0.6, 0.6, 0.4))
+    crowd = x[x[:, 2] > 0.8 * DX] + [DX / 8, DX / 8, 0]
+    s = solver(np.concatenate([x, crowd]), Ground(friction=0.6), material=material)
+    s.advance(0.3)
+    assert np.quantile(s.state.x.numpy()[:, 2], 0.005) > -deepest * DX
+
+
+@pytest.mark.parametrize(
     "material", [Sand(E=2e5), Snow(), Foam(), Plasticine()], ids=lambda m: m.law
 )
 @pytest.mark.parametrize("layer", [0.25, 0.6])
