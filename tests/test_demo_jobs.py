@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ import pytest
 from PIL import Image
 
 from demo.jobs import UNFINISHED, Studio
-from demo.line import Job, Line
+from demo.line import Job
 from demo.pictures import how_cut
 from demo.settings import Settings
 from demo.strokes import Stroke
@@ -25,6 +25,7 @@ from phy124.imaging import cutout, heic
 from phy124.runtime import isolated
 from phy124.scene import Scene
 from support.hostile import PHONE, heic_claiming
+from support.waiting import until
 
 DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"
 
@@ -51,13 +52,6 @@ def stuck(monkeypatch) -> threading.Event:
     return begun
 
 
-def _until(condition: Callable[[], bool]) -> None:
-    end = time.monotonic() + 60
-    while not condition():
-        assert time.monotonic() < end, "it did not happen"
-        time.sleep(0.02)
-
-
 def _sent(studio: Studio, name: str) -> str:
     studio.visitors.get(name)
     return str(studio.visitors.store(name, DUCK.read_bytes(), ".png"))
@@ -80,14 +74,14 @@ def test_a_search_that_hangs_stops_nobody_else_and_ends_with_its_visitor(studio,
     else:
         studio.visitors.get("a").stop()
     assert hung.wait(60) and hung.progress.state == "stopped"
-    _until(lambda: not studio.busy)
+    until(lambda: not studio.busy)
 
 
 def test_a_search_that_hangs_is_refused_when_its_time_is_up(tmp_path, stuck):
     studio = Studio(Settings(max_cut_seconds=0.5), Visitors(tmp_path))
     hung = _cut(studio, "a")
     assert hung.wait(60) and "did not finish within 0.5 s" in hung.progress.message
-    _until(lambda: not studio.busy)
+    until(lambda: not studio.busy)
     assert list(tmp_path.glob("*/cutouts/*")) == []
 
 
@@ -175,61 +169,14 @@ def test_a_full_queue_of_runs_takes_cut_outs_all_the_same(tmp_path):
         assert job.wait(60) and job.progress.state == "done"
         made[name] = job.progress.result.path
     studio.run("a", made["a"], scene)
-    _until(lambda: studio.runs.running == 1)
+    until(lambda: studio.runs.running == 1)
     studio.run("b", made["b"], scene)
     with pytest.raises(InputError, match="queue is full"):
         studio.run("c", made["c"], scene)
     assert _cut(studio, "c").wait(60)
     over.set()
-    _until(lambda: studio.runs.running == 0)
+    until(lambda: studio.runs.running == 0)
     studio.visitors.close()
-
-
-def _line() -> tuple[Line, Job, list[str]]:
-    """A line whose only worker is held by a job."""
-    line, done = Line("test", workers=1, most=2), []
-    holding = Job("run", Path("/nowhere/stop"))
-
-    def hold(job: Job) -> None:
-        job.progress.begin()
-        _until(lambda: "let go" in done)
-        job.end("done")
-
-    line.submit(holding, hold)
-    _until(lambda: line.running == 1 and not len(line))
-    return line, holding, done
-
-
-def test_jobs_are_done_in_turn_and_know_their_place():
-    line, holding, done = _line()
-
-    def work(job: Job) -> None:
-        done.append(job.kind)
-        job.end("done")
-
-    one, two = (line.submit(Job(kind, Path("/nowhere/stop")), work) for kind in ("one", "two"))
-    assert (holding.place, one.place, two.place) == (0, 1, 2)
-    with pytest.raises(InputError, match="queue is full"):
-        line.submit(Job("three", Path("/nowhere/stop")), work)
-    done.append("let go")
-    assert two.wait(60) and done == ["let go", "one", "two"]
-
-
-def test_a_job_that_is_called_off_while_it_waits_never_starts():
-    line, holding, done = _line()
-    late = line.submit(Job("late", Path("/nowhere/stop")), lambda job: done.append("late"))
-    late.cancel()
-    assert late.over and late.progress.state == "stopped" and len(line) == 0
-    done.append("let go")
-    assert holding.wait(60) and "late" not in done
-
-
-def test_a_line_survives_work_that_breaks():
-    line = Line("test", workers=1, most=2)
-    broken = line.submit(Job("run", Path("/nowhere/stop")), lambda job: 1 / 0)
-    assert broken.wait(60) and broken.progress.state == "failed"
-    fine = line.submit(Job("run", Path("/nowhere/stop")), lambda job: job.end("done"))
-    assert fine.wait(60) and fine.progress.state == "done"
 
 
 def test_a_doubtful_cut_out_is_told_once_and_not_after_a_correction(studio, tmp_path, monkeypatch):

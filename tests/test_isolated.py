@@ -4,7 +4,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +12,7 @@ import pytest
 from phy124.errors import Cancelled, InputError
 from phy124.imaging.grabcut import _cut, _starts, grabcut
 from phy124.runtime.isolated import Deadline, RemoteTraceback, Unfinished, run
+from support.waiting import until
 
 NOTE_AND_SLEEP = "import os, time; open({!r}, 'w').write(str(os.getpid())); time.sleep(600)"
 
@@ -21,13 +21,6 @@ def appears(path: Path) -> str:
     """What is written to a file that comes into being."""
     until(lambda: path.exists() and path.read_text())
     return path.read_text()
-
-
-def until(condition) -> None:
-    end = time.monotonic() + 60
-    while not condition():
-        assert time.monotonic() < end, "it did not happen"
-        time.sleep(0.02)
 
 
 def is_alive(process: int) -> bool:
