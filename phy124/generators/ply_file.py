@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from phy124.axes import numbers, orientation, turned
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.io.ply import read_ply
 from phy124.progress import Progress, silent
+from phy124.section import Section
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -26,10 +27,8 @@ MARGIN = 0.5
 """Distance from that core, in its sizes, up to which a Gaussian belongs to the object."""
 
 
-class Reading(BaseModel):
+class Reading(Section):
     """How to interpret a .ply file of Gaussians."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     up: str | None = Field(
         default=None,
