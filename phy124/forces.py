@@ -10,19 +10,18 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import warp as wp
-from pydantic import Field, model_validator
+from pydantic import Field, SerializeAsAny, model_validator
 
 from phy124.bounds import LONGEST, SHORTEST, Position, Push, Velocity
 from phy124.errors import InputError
 from phy124.kernels import push
 from phy124.kernels.transfer import types
 from phy124.mpm import Grid, Model, Stage, State
+from phy124.plugins import open_to
 from phy124.region import Region, Vector, cylinder
 from phy124.section import Section
 from phy124.tracks import FOREVER, AnyProfile, Constant, Track, Tracks
 
-STRENGTHS = ("g", "a", "f", "p")
-"""Fields that say how hard a force pushes."""
 UNIT: Vector = (1.0, 0.0, 0.0)
 """Value of a track that holds only the profile."""
 
@@ -34,6 +33,8 @@ class Force(Section):
     """Whether it may change a velocity at once, whatever its strength."""
     in_newtons: ClassVar[bool] = False
     """Whether its track is a force on each particle [N] and not an acceleration [m/s^2]."""
+    strengths: ClassVar[tuple[str, ...]] = ()
+    """Its fields that say how hard it pushes."""
     joins: ClassVar[bool] = False
     """Whether it is a uniform acceleration of the whole body where it names no region."""
 
@@ -63,8 +64,16 @@ class Force(Section):
     @property
     def idle(self) -> bool:
         """Whether it never pushes, since its strength is zero; a stream at rest still drags."""
-        strengths = [getattr(self, name) for name in STRENGTHS if hasattr(self, name)]
+        strengths = [getattr(self, name) for name in self.strengths]
         return bool(strengths) and not np.any(strengths)
+
+    def gentler(self) -> dict[str, Any]:
+        """Its fields with values that push half as hard."""
+        values = {name: getattr(self, name) for name in self.strengths}
+        return {
+            name: [x / 2 for x in value] if isinstance(value, tuple) else value / 2
+            for name, value in values.items()
+        }
 
     @property
     def uniform(self) -> bool:
@@ -102,6 +111,7 @@ class Gravity(Force):
     """The same acceleration everywhere, downwards by default."""
 
     kind: Literal["gravity"] = "gravity"
+    strengths: ClassVar[tuple[str, ...]] = ("g",)
     joins: ClassVar[bool] = True
     g: Push = Field(default=(0.0, 0.0, -9.81), description="Acceleration [m/s^2].")
 
@@ -114,6 +124,7 @@ class Acceleration(Force):
     """A push per mass: what presets use, since it does not depend on the particle count."""
 
     kind: Literal["acceleration"] = "acceleration"
+    strengths: ClassVar[tuple[str, ...]] = ("a",)
     joins: ClassVar[bool] = True
     a: Push = Field(default=(0.0, 1.0, 0.0), description="Acceleration [m/s^2].")
 
@@ -126,6 +137,7 @@ class TotalForce(Force):
     """A force in newtons on a region, spread over its particles by mass."""
 
     kind: Literal["force"] = "force"
+    strengths: ClassVar[tuple[str, ...]] = ("f",)
     joins: ClassVar[bool] = True
     f: Push = Field(default=(0.0, 1.0, 0.0), description="Total force [N].")
 
@@ -138,6 +150,7 @@ class Impulse(Force):
     """A blow: a total momentum given to a region, whatever the substeps and the profile are."""
 
     kind: Literal["impulse"] = "impulse"
+    strengths: ClassVar[tuple[str, ...]] = ("p",)
     joins: ClassVar[bool] = True
     p: Push = Field(default=(0.0, 1.0, 0.0), description="Total momentum it gives [N s].")
     duration: float = Field(default=0.01, ge=SHORTEST, le=10, description="Time it takes [s].")
@@ -182,6 +195,7 @@ class ParticleForce(Force):
     """The paper's external force: newtons on each particle, a = f / m (Phy124, sec. 3.2)."""
 
     kind: Literal["particle_force"] = "particle_force"
+    strengths: ClassVar[tuple[str, ...]] = ("f",)
     in_newtons: ClassVar[bool] = True
     f: Push = Field(default=(0.0, 1e-3, 0.0), description="Force on each particle [N].")
 
@@ -194,6 +208,7 @@ class FieldForce(Force):
     """A push in a place: it acts on whatever is inside at the moment."""
 
     kind: Literal["field"] = "field"
+    strengths: ClassVar[tuple[str, ...]] = ("a",)
     place: Region = Field(default=Region(), description="Where in space it acts.")
     a: Push = Field(default=(0.0, 1.0, 0.0), description="Acceleration [m/s^2].")
 
@@ -242,6 +257,7 @@ class Attraction(Force):
     """A point that attracts, or repels if negative: linear inside its radius, 1 / d^2 outside."""
 
     kind: Literal["attraction"] = "attraction"
+    strengths: ClassVar[tuple[str, ...]] = ("g",)
     centre: Position = Field(default=(0.0, 0.0, 1.0), description="The point [m].")
     g: float = Field(
         default=10.0, ge=-1e9, le=1e9, description="Acceleration at the radius [m/s^2]."
@@ -280,7 +296,7 @@ class SetVelocity(Force):
         return [Stage("set_velocity", record, self.sudden)]
 
 
-AnyForce = Annotated[
+OwnForce = (
     Gravity
     | Acceleration
     | TotalForce
@@ -289,9 +305,13 @@ AnyForce = Annotated[
     | FieldForce
     | Wind
     | Attraction
-    | SetVelocity,
-    Field(discriminator="kind"),
+    | SetVelocity
+)
+"""The kinds of phy124's own."""
+AnyForce = SerializeAsAny[
+    Annotated[OwnForce, Field(discriminator="kind"), open_to(Force, "kind", "forces", OwnForce)]
 ]
+"""One of them, or one from outside (phy124/plugins.py)."""
 
 
 def _per_mass(force: Force, f: Vector, model: Model) -> Vector:

@@ -163,9 +163,7 @@ def stiffest_part(scene: Scene) -> str | None:
     ratio = section.wave_speed() / max(others[0][1].wave_speed(), 1e-9)
     if ratio < MUCH_STIFFER:
         return None
-    remedy = f"a smaller {field}.E"
-    if section.law == "rigid":
-        remedy = f"a smaller {field}.speed, if it hits nothing that fast"
+    remedy = section.cheaper(field)
     if field != "material":
         part = field.removesuffix(".material")
         remedy += f", or {part}.static = true, if nothing rests on it,"

@@ -13,8 +13,6 @@ from phy124.scene import Scene
 
 STRENGTHS = ("g", "a", "f", "p", "v")
 """Fields of forces that say how strong they are."""
-SPRINGY = ("fixed_corotated", "hencky")
-"""Elastic laws that neo_hookean can stand in for."""
 SOFTER = 16.0
 """Share of E: the substep is four times as long."""
 
@@ -56,12 +54,9 @@ def _gentler(scene: Scene) -> Remedy | None:
         if any(value):
             changes[f"object.{name}"] = _half(value)
     for index, force in enumerate(scene.forces):
-        for name in STRENGTHS:
-            if hasattr(force, name):
-                changes[f"forces.{index}.{name}"] = _half(getattr(force, name))
+        changes |= {f"forces.{index}.{name}": value for name, value in force.gentler().items()}
     for index, wall in enumerate(scene.boundaries):
-        if wall.kind == "press":
-            changes[f"boundaries.{index}.down"] = 2 * wall.down
+        changes |= {f"boundaries.{index}.{name}": value for name, value in wall.gentler().items()}
     return Remedy("a gentler push (half the speeds and forces)", changes) if changes else None
 
 
@@ -71,10 +66,11 @@ def _half(value: Any) -> Any:
 
 def _neo_hookean(scene: Scene) -> Remedy | None:
     material = scene.material
-    if material.law not in SPRINGY:
+    if material.sounder_law is None:
         return None
     kept = material.model_dump(exclude={"law"})
-    return Remedy("material.law = neo_hookean", {"material": {"law": "neo_hookean", **kept}})
+    law = material.sounder_law
+    return Remedy(f"material.law = {law}", {"material": {"law": law, **kept}})
 
 
 def _shorter(scene: Scene) -> Remedy:

@@ -8,7 +8,6 @@ from typing import Any
 
 import warp as wp
 
-from phy124.boundaries import AnyBoundary, Container, Gripper
 from phy124.boundaries.held import Clamp
 from phy124.kernels import deform, diagnostics, external_work, soundness, stretch, transfer
 from phy124.kernels.collide import make_collider, make_contact
@@ -62,17 +61,10 @@ def kernels(scene: Scene) -> Iterator[Costed]:
         else:
             yield soundness.make_limit_total(real), 0.15
     for boundary in scene.boundaries:
-        yield from ((_wall(part, real), 0.4) for part in _parts(boundary))
+        yield from ((_wall(part, real), 0.4) for part in boundary.parts())
     if scene.boundaries and scene.checks.balance:
         yield external_work.make_wall_copy(real), 0.15
         yield external_work.make_wall_sums(real), 0.2
-
-
-def _parts(boundary: AnyBoundary) -> list[Any]:
-    """The simple walls that a boundary consists of."""
-    if isinstance(boundary, Container):
-        return list(boundary.sides())
-    return list(boundary.pads()) if isinstance(boundary, Gripper) else [boundary]
 
 
 def _wall(wall: Any, real: Any) -> Any:

@@ -95,8 +95,8 @@ def promise(scene: Scene, report: Mapping[str, Any] | None = None) -> Promise:
 
 def motion_of(scene: Scene) -> Motion:
     """The kind of motion of a scene, by what it touches and how it starts."""
-    walls = [b for b in scene.boundaries if b.kind not in ("held", "foot")]
-    if any(b.kind in ("press", "gripper") or getattr(b, "motion", None) for b in scene.boundaries):
+    walls = [b for b in scene.boundaries if not b.holds]
+    if any(b.moves for b in scene.boundaries):
         return "squeezed"
     if len(walls) < len(scene.boundaries):
         return "held"

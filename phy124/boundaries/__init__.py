@@ -6,18 +6,21 @@ one per wall, a gripper two), launched over the nodes its shape can reach and no
 
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import Field, SerializeAsAny
 
 from phy124.boundaries.base import REACH, Boundary, Contact
 from phy124.boundaries.held import Foot, Held
 from phy124.boundaries.motion import Path, Swing
 from phy124.boundaries.planes import Container, Ground, HalfSpace, Press
 from phy124.boundaries.solids import Box, Capsule, Gripper, Sphere
+from phy124.plugins import open_to
 
-AnyBoundary = Annotated[
-    Ground | HalfSpace | Press | Container | Box | Sphere | Capsule | Gripper | Held | Foot,
-    Field(discriminator="kind"),
+Wall = Ground | HalfSpace | Press | Container | Box | Sphere | Capsule | Gripper | Held | Foot
+"""The kinds of phy124's own."""
+AnyBoundary = SerializeAsAny[
+    Annotated[Wall, Field(discriminator="kind"), open_to(Boundary, "kind", "boundaries", Wall)]
 ]
+"""One of them, or one from outside (phy124/plugins.py)."""
 
 __all__ = [
     "REACH",

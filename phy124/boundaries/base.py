@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import warp as wp
@@ -42,6 +42,9 @@ class Boundary(Section):
     thing: ClassVar[str] = "it"
     """What may be too thin."""
 
+    holds: ClassVar[bool] = False
+    """Whether it holds material in place instead of being in its way."""
+
     contact: Contact = Field(
         default="separate", description="sticky, slip, or separate (may leave, with friction)."
     )
@@ -69,6 +72,14 @@ class Boundary(Section):
     def moves(self) -> bool:
         """Whether it ever moves."""
         return False
+
+    def gentler(self) -> dict[str, Any]:
+        """Its fields with values that push half as hard."""
+        return {}
+
+    def parts(self) -> list[Any]:
+        """The simple walls that it consists of."""
+        return [self]
 
     def outline(self) -> str:
         """Name of its distance function."""

@@ -17,6 +17,8 @@ from phy124.tracks import Track
 class Clamp(Movable):
     """What holds material, for good or until it lets go."""
 
+    holds: ClassVar[bool] = True
+
     contact: Contact = Field(default="sticky", description="sticky holds all directions.")
     end: float | None = Field(
         default=None,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -84,6 +84,10 @@ class Press(Plane):
         """Always."""
         return True
 
+    def gentler(self) -> dict[str, Any]:
+        """It comes down in twice the time."""
+        return {"down": 2 * self.down}
+
     def geometry(self, model: Model) -> tuple[Vector, Vector, Vector]:
         """Point and unit normal, before displacement."""
         height = model.rest[:, 2].max() if self.top is None else self.top
@@ -112,6 +116,10 @@ class Container(Movable):
         if self.inside.cylinder:
             raise ValueError("the walls of a container are flat; leave inside.cylinder out")
         return self
+
+    def parts(self) -> list[HalfSpace]:
+        """Its walls."""
+        return self.sides()
 
     def sides(self) -> list[HalfSpace]:
         """Its walls; a side far beyond any scene is none."""

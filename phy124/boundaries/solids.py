@@ -129,6 +129,10 @@ class Gripper(Boundary):
         """Half of the pads' shorter side [m]."""
         return min(self.thick, self.width) / 2
 
+    def parts(self) -> list[Box]:
+        """Its pads."""
+        return self.pads()
+
     def pads(self) -> list[Box]:
         """The two pads as moving boxes."""
         along = {"x": 0, "y": 1}[self.axis]

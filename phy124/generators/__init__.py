@@ -13,6 +13,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Protocol
 
 from phy124.errors import InputError
+from phy124.plugins import names, registered
 from phy124.progress import Progress
 from phy124.runtime.installation import install_command
 
@@ -87,8 +88,10 @@ def make(chosen: str | Generator, reading: Reading | None = None) -> Generator:
         reading.refuse("generator", chosen)
     if not isinstance(chosen, str):
         return chosen
+    if chosen not in GENERATORS and (factory := registered("generators", chosen)) is not None:
+        return factory()
     if chosen not in GENERATORS:
-        known = ", ".join(GENERATORS)
+        known = ", ".join([*GENERATORS, *names("generators")])
         limit = "There is no such generator."
         raise InputError("generator", chosen, limit, f"Choose one of {known}, or a .ply file.")
     try:

@@ -6,18 +6,21 @@ formulae with their sources in docs/reference/physics.md.
 
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import Field, SerializeAsAny
 
 from phy124.materials.base import Elastic, Material
 from phy124.materials.elastic import FixedCorotated, Hencky, NeoHookean, Rigid
 from phy124.materials.fluid import Fluid
 from phy124.materials.granular import Sand, Snow
 from phy124.materials.plastic import Foam, Metal, Plasticine
+from phy124.plugins import open_to
 
-AnyMaterial = Annotated[
-    NeoHookean | FixedCorotated | Hencky | Rigid | Metal | Plasticine | Foam | Sand | Snow | Fluid,
-    Field(discriminator="law"),
+Law = NeoHookean | FixedCorotated | Hencky | Rigid | Metal | Plasticine | Foam | Sand | Snow | Fluid
+"""The kinds of phy124's own."""
+AnyMaterial = SerializeAsAny[
+    Annotated[Law, Field(discriminator="law"), open_to(Material, "law", "materials", Law)]
 ]
+"""One of them, or one from outside (phy124/plugins.py)."""
 
 __all__ = [
     "AnyMaterial",

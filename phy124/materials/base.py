@@ -20,6 +20,9 @@ class Material(Section):
     may_collapse: ClassVar[bool] = False
     """Whether it may stay flat after an impact, since its energy at J = 0 is finite."""
 
+    sounder_law: ClassVar[str | None] = None
+    """The law with the same fields that stays sound in harder impacts."""
+
     density: float = Field(default=1000.0, ge=1, le=1e5, description="Mass per volume [kg/m^3].")
 
     def theta(self) -> tuple[float, ...]:
@@ -47,6 +50,10 @@ class Material(Section):
         """Longest substep that viscosity allows on a grid of spacing `dx` [m], s."""
         del dx
         return math.inf
+
+    def cheaper(self, field: str) -> str:
+        """What makes a run of it faster, where a scene sets it as `field`."""
+        return f"a smaller {field}.E"
 
     def notes(self) -> list[str]:
         """What the user should know about how this material is simulated, in sentences."""

@@ -61,6 +61,7 @@ class FixedCorotated(Springy):
 
     law: Literal["fixed_corotated"] = "fixed_corotated"
     may_collapse: ClassVar[bool] = True
+    sounder_law: ClassVar[str | None] = "neo_hookean"
     damped: ClassVar[Any] = staticmethod(damping.fixed_corotated_damped)
     lossless: ClassVar[Law] = Law(
         name="fixed_corotated",
@@ -75,6 +76,7 @@ class Hencky(Springy):
     """St. Venant-Kirchhoff solid in Hencky strain: linear in log stretch, softens when pulled."""
 
     law: Literal["hencky"] = "hencky"
+    sounder_law: ClassVar[str | None] = "neo_hookean"
     damped: ClassVar[Any] = staticmethod(damping.hencky_damped)
     lossless: ClassVar[Law] = Law(
         name="hencky",
@@ -105,6 +107,10 @@ class Rigid(Elastic):
     strain: float = Field(
         default=0.005, ge=1e-4, le=0.1, description="Greatest strain at that impact."
     )
+
+    def cheaper(self, field: str) -> str:
+        """Its stiffness follows from the speed of its impacts."""
+        return f"a smaller {field}.speed, if it hits nothing that fast"
 
     @property
     def simulated_E(self) -> float:

@@ -11,16 +11,17 @@ import os
 import sys
 from importlib import resources
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import tomli_w
 from pydantic import Field, ValidationError
 
-from phy124.boundaries import AnyBoundary, Ground
+from phy124.boundaries import AnyBoundary, Ground, Wall
 from phy124.bounds import Text
 from phy124.errors import InputError
-from phy124.forces import AnyForce, Gravity
-from phy124.materials import AnyMaterial, NeoHookean
+from phy124.forces import AnyForce, Gravity, OwnForce
+from phy124.materials import AnyMaterial, Law, NeoHookean
+from phy124.plugins import has_name
 from phy124.scene.accuracies import PRESETS, Accuracy, AccuracyName
 from phy124.scene.changes import apply
 from phy124.scene.refusals import refusal
@@ -144,8 +145,26 @@ class Scene(Section):
         return self.model_dump(mode="json", exclude_none=True)
 
     def to_toml(self) -> str:
-        """The whole tree as TOML."""
+        """The whole tree as TOML.
+
+        Raises InputError if a class of the user's own has no name that a file could give.
+        """
+        self.refuse_nameless()
         return tomli_w.dumps(self.data())
+
+    def refuse_nameless(self) -> None:
+        """Raise InputError if a file cannot name what the scene is made of."""
+        kinds = [
+            ("law", "materials", Law, self.materials),
+            ("kind", "forces", OwnForce, self.forces),
+        ]
+        kinds.append(("kind", "boundaries", Wall, self.boundaries))
+        for tag, group, known, sections in kinds:
+            for section in sections:
+                if not has_name(section, tag, group, known):
+                    limit = "it is a class of your own, which a file cannot name."
+                    remedy = f"Register it by an entry point phy124.{group}, or stay in Python."
+                    raise InputError(group, type(section).__name__, limit, remedy)
 
     def replaced(self, changes: dict[str, Any]) -> Scene:
         """A copy with other values at dotted paths, such as `{"material.E": 2e4}`.
@@ -157,8 +176,18 @@ class Scene(Section):
             InputError: If a path does not exist or a value is out of bounds.
         """
         data = self.data()
+        data |= {"material": self.material} if self._foreign(self.material, Law) else {}
+        for name, known in (("forces", OwnForce), ("boundaries", Wall)):
+            for index, section in enumerate(getattr(self, name)):
+                if self._foreign(section, known):
+                    data[name][index] = section
         apply(data, changes)
         return Scene.from_data(data)
+
+    @staticmethod
+    def _foreign(section: Section, known: Any) -> bool:
+        """Whether a section is of a class from outside, which is kept as it is."""
+        return type(section) not in get_args(known)
 
 
 def preset_names() -> list[str]:
