@@ -23,7 +23,8 @@ GROUPS = ("materials", "forces", "boundaries", "generators")
 def registered(group: str, name: str) -> Any:
     """What a package has registered under a name in one of the `GROUPS`; None if nothing.
 
-    Raises InputError if it cannot be loaded.
+    Raises:
+        InputError: It cannot be loaded.
     """
     for found in entry_points(group=f"phy124.{group}", name=name):
         try:
@@ -71,6 +72,13 @@ def _own(known: Any) -> tuple[type[Section], ...]:
 
 
 def has_name(section: Section, tag: str, group: str, known: Any) -> bool:
-    """Whether a file can name the kind of a section: it is phy124's own, or registered."""
+    """Whether a file can name the kind of a section: it is phy124's own, or registered.
+
+    Args:
+        section: A material, force or boundary.
+        tag: The field that names its kind, "law" or "kind".
+        group: One of the `GROUPS`.
+        known: The union of phy124's own kinds.
+    """
     kind = type(section)
     return kind in _own(known) or registered(group, getattr(section, tag, "")) is kind

@@ -1,6 +1,8 @@
 """Materials, forces, boundaries and generators from outside, passed as instances or by name."""
 
+import re
 from importlib.metadata import EntryPoint, EntryPoints
+from pathlib import Path
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -12,7 +14,7 @@ from phy124 import generators, plugins
 from phy124.boundaries import Ground
 from phy124.effects import Effects
 from phy124.errors import InputError
-from phy124.forces import Force
+from phy124.forces import Force, Gravity
 from phy124.materials import FixedCorotated
 from phy124.mpm import Stage
 from phy124.scene import Scene
@@ -124,3 +126,17 @@ def test_one_that_cannot_be_loaded_says_so(monkeypatch):
     monkeypatch.setattr(plugins, "entry_points", points.select)
     with pytest.raises(InputError, match="cannot be loaded"):
         Scene.from_data({"material": {"law": "odd"}})
+
+
+def test_the_examples_of_the_docs_move():
+    """docs/guide/extending.md: a material, a force and a boundary of one's own."""
+    page = (Path(__file__).parents[1] / "docs/guide/extending.md").read_text()
+    names: dict = {}
+    for block in re.findall(r"```python\n(.*?)```", page[page.index("## A material") :], re.S):
+        exec(block, names)
+    parts = {"forces": (names["Quake"](), Gravity()), "boundaries": (names["Ramp"](),)}
+    scene = Scene(material=names["Rubber"](), **parts).replaced(QUICK)
+    clip = Simulation(ball(300), scene).run()
+    assert clip.report["complete"]
+    assert clip.means[-1, :, 0].mean() > clip.means[0, :, 0].mean()
+    assert {"stress rubber", "collider ramp (separate)"} <= set(clip.report["effects"]["ran"])

@@ -72,7 +72,7 @@ def test_the_solver_never_hears_of_them(pair, clip):
     counts = [{n: k for n, (_, k) in r.solver.timings.items()} for r in (pair, more)]
     assert counts[0] == counts[1]
     # The size of an object is a quantile's: 0.5 % apart here.
-    assert len(more.solver.model.rest) == pytest.approx(len(pair.solver.rest), rel=0.005)
+    assert len(more.solver.model) == pytest.approx(len(pair.solver.model), rel=0.005)
     everything = Simulation(two_balls(), drop(PAIR))
     everything.run()
     assert set(everything.solver.timings) == set(counts[0])

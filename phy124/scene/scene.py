@@ -147,13 +147,18 @@ class Scene(Section):
     def to_toml(self) -> str:
         """The whole tree as TOML.
 
-        Raises InputError if a class of the user's own has no name that a file could give.
+        Raises:
+            InputError: A class of the user's own has no name that a file could give.
         """
         self.refuse_nameless()
         return tomli_w.dumps(self.data())
 
     def refuse_nameless(self) -> None:
-        """Raise InputError if a file cannot name what the scene is made of."""
+        """Refuse a scene that a file cannot describe.
+
+        Raises:
+            InputError: A class of the user's own has no name that a file could give.
+        """
         kinds = [
             ("law", "materials", Law, self.materials),
             ("kind", "forces", OwnForce, self.forces),
