@@ -113,7 +113,7 @@ def test_a_registered_name_is_read_and_written(installed, tmp_path):
 def test_a_registered_generator_is_found_by_name(installed):
     assert len(generators.make("sphere")(None, seed=0, progress=None)) == 100
     with pytest.raises(InputError, match="sphere"):
-        generators.make("spere")
+        generators.make("sphee")
 
 
 def test_a_plugin_does_not_replace_what_is_there(installed, monkeypatch):
