@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from .work import Done, Glimpse, Live, Measured, Reused, Step
+from .events import Done, Glimpse, Live, Measured, Reused, Step
 
 STAGES = {"generate": "Picture to 3D", "simulate": "Physics", "render": "Videos", "save": "Files"}
 MEASURING = {"generate": "Picture to 3D", "measure": "Grids"}

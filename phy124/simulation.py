@@ -34,13 +34,13 @@ from phy124.monitor.sleep import Sleep
 from phy124.monitor.watchdog import Violation, Watchdog
 from phy124.mpm import Model, Solver, State, Unstable
 from phy124.particles import Particles, clean, make_particles
+from phy124.particles.scenery import Scenery
 from phy124.parts import stiffnesses, with_materials
 from phy124.placing import among_all, belongs, place, renumbered
 from phy124.progress import Progress, silent
 from phy124.remedies import advice, hurry, remedies
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
-from phy124.scenery import Scenery
 
 FLOOR_NODE = 0.75
 """A layer of nodes lies this many cells below the floor."""

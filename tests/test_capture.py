@@ -8,12 +8,12 @@ import pytest
 
 from phy124 import pipeline
 from phy124.__main__ import main
-from phy124.axes import orientation
 from phy124.capture import capture, isolated, joined
 from phy124.capture.floor import find_floor
 from phy124.errors import Cancelled, InputError
 from phy124.gaussians import rotation_matrices
 from phy124.generators.ply_file import PlyFile, Reading
+from phy124.io.axes import orientation
 from phy124.io.clip import Clip
 from phy124.io.ply import write_ply
 from phy124.region import PartRegion

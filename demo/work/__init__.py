@@ -19,25 +19,13 @@ from typing import Any
 from phy124.runtime.device import pick_device
 from phy124.runtime.stopwatch import Stopwatch
 
+from ..events import Done, Event, Glimpse, Live, Measured, Reused, Step
 from ..visitors import STAGES
 from .device import BEAT, DEVICE, held
 from .films import film, whole_in_view
 from .limits import Limits, easier
 from .motion import gaussians_of, simulate
-from .order import (
-    Done,
-    Event,
-    Glimpse,
-    Live,
-    Measured,
-    Order,
-    Reused,
-    Step,
-    folders,
-    made_already,
-    made_gaussians,
-    study_file,
-)
+from .order import Order, folders, made_already, made_gaussians, study_file
 from .study import measure
 
 __all__ = [

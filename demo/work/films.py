@@ -14,8 +14,9 @@ from phy124.rendering.render import render_frames
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import View
 
+from ..events import Step
 from .limits import FILMING, Limits
-from .order import Order, Step
+from .order import Order
 
 MOVING = 320
 """Side of the animated WebP, pixels."""

@@ -9,7 +9,8 @@ from phy124.errors import Cancelled, InputError
 from phy124.scene import Scene
 from phy124.simulation import Stopped
 
-from .order import Event, Order
+from ..events import Event
+from .order import Order
 
 SIMULATING, FILMING, HOPELESS = 0.7, 0.85, 3.0
 """Shares of a run's time: no frame is simulated after the first, no video begun after the second;

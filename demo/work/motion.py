@@ -18,9 +18,10 @@ from phy124.parts import crop_of
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.simulation import Simulation
 
+from ..events import Reused, Step, Tell
 from ..pictures import HOW, how_cut
 from .limits import Limits
-from .order import Order, Reused, Step, Tell
+from .order import Order
 from .shows import glimpses, lives
 
 

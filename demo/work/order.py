@@ -1,8 +1,7 @@
-"""What one click asks for, what is told meanwhile, and where it all lies."""
+"""What one click asks for, and where it all lies."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -37,61 +36,6 @@ class Order:
     """More for the report."""
     levels: tuple[int, ...] = ()
     """Grids on which to measure the scene's error instead of filming it."""
-
-
-@dataclass(frozen=True)
-class Step:
-    """How far a stage is."""
-
-    stage: str
-    done: int
-    total: int
-    note: str = ""
-
-
-@dataclass(frozen=True)
-class Glimpse:
-    """A small JPEG of the frame just simulated."""
-
-    picture: bytes
-
-
-@dataclass(frozen=True)
-class Live:
-    """A file with the frame just simulated, for the viewer."""
-
-    file: str
-
-
-@dataclass(frozen=True)
-class Reused:
-    """A stage that was not run again, since nothing it depends on has changed."""
-
-    stage: str
-
-
-@dataclass(frozen=True)
-class Done:
-    """Everything is there."""
-
-    clip: Path
-    """Folder of the clip, its Gaussians and its scene."""
-    films: Path
-    """Folder of the videos, the player's pack and the report."""
-    study: Path
-    """Where the error of this very scene lies once it has been measured."""
-
-
-@dataclass(frozen=True)
-class Measured:
-    """The error of the scene is known."""
-
-    study: Path
-    """File of a `demo.studies.Measurement`."""
-
-
-Event = Step | Glimpse | Live | Reused | Done | Measured
-Tell = Callable[[Event], None]
 
 
 def folders(order: Order) -> tuple[Path, Path]:

@@ -18,7 +18,8 @@ from phy124.io.export.html import pack
 from phy124.rendering.render import Renderer, to_bytes
 from phy124.scene import Scene
 
-from .order import Glimpse, Live, Order, Tell
+from ..events import Glimpse, Live, Tell
+from .order import Order
 
 GLIMPSE = 224
 """Side of the pictures shown while the simulation runs, pixels."""

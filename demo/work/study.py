@@ -11,10 +11,11 @@ from phy124.errors import InputError
 from phy124.io.files import replacing
 from phy124.parts import crop_of
 
+from ..events import Measured, Reused, Step
 from ..studies import Measurement, on_grid
 from .limits import SIMULATING, Limits, easier
 from .motion import gaussians_of
-from .order import Measured, Order, Reused, Step, made_gaussians, study_file
+from .order import Order, made_gaussians, study_file
 
 
 def measure(order: Order, limits: Limits) -> Measured:

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from phy124.axes import turned, upright
 from phy124.capture.floor import Floor, find_floor
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians, quaternions, rotation_matrices
 from phy124.generators.ply_file import Opened, PlyFile, normalised, robust_bounds
+from phy124.io.axes import turned, upright
 from phy124.particles import clean
 from phy124.particles.thinning import thinned
 from phy124.placing import placing

@@ -12,8 +12,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from phy124.axes import turned
 from phy124.gaussians import Gaussians
+from phy124.io.axes import turned
 
 FOV_Y = 49.1
 """Vertical field of view of all of them, degrees."""

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from phy124.axes import numbers, orientation, turned
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
+from phy124.io.axes import numbers, orientation, turned
 from phy124.io.ply import read_ply
 from phy124.progress import Progress, silent
 from phy124.section import Section

@@ -17,9 +17,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from phy124.axes import orientation, turned
 from phy124.errors import InputError
 from phy124.gaussians import SH_COEFFICIENTS, Gaussians
+from phy124.io.axes import orientation, turned
 from phy124.io.files import replacing
 from phy124.io.plyheader import Header, read_header, refusal
 
@@ -53,7 +53,7 @@ def read_ply(
 
     Args:
         path: The file.
-        up: Direction in the file that points up, as `phy124.axes.orientation` takes it.
+        up: Direction in the file that points up, as `phy124.io.axes.orientation` takes it.
         front: Direction in the file that the object's front faces.
         dialect: The program that wrote the file, used where `up` is not given. The default reads
             what viewers show upright and what `write_ply` wrote.

@@ -4,9 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from phy124.axes import orientation, turned
 from phy124.capture import joined
 from phy124.gaussians import Gaussians, rotation_matrices
+from phy124.io.axes import orientation, turned
 from support.shapes import ball
 
 
