@@ -3,7 +3,10 @@
 
 PYTHON ?= python3
 BIN := .venv/bin
-INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt
+# Python compiles what it imports by itself; to compile all that is installed takes two minutes.
+INSTALL := $(BIN)/pip install --quiet --no-compile --disable-pip-version-check --constraint constraints.txt
+# Tests of the page wait more than they compute, so three at a time keep two cores busy.
+TESTS = not slow$(if $(shell command -v chromium),, and not browser)
 
 .PHONY: demo app bridge test test-slow test-browser bench accuracy docs dist lint clean chromium
 
@@ -17,8 +20,7 @@ bridge: .venv/bridge
 	$(BIN)/python -m bridge doctor
 
 test: .venv/test
-	$(BIN)/pytest -n 2 --dist loadfile -m "not slow and not browser"
-	if command -v chromium >/dev/null; then $(BIN)/pytest -n 2 --dist loadfile -m browser tests/e2e; fi
+	$(BIN)/pytest -n 3 --dist loadfile -m "$(TESTS)"
 
 test-slow: .venv/test
 	$(BIN)/pytest -m "slow and not gpu and not weights and not ros"
@@ -77,5 +79,5 @@ clean:
 	touch $@ .venv/base
 
 .venv/lint: .venv/python pyproject.toml
-	$(INSTALL) --editable ".[test,lint]"
-	touch $@ .venv/base .venv/demo .venv/bridge .venv/test
+	$(INSTALL) --editable ".[test,lint,docs]"
+	touch $@ .venv/base .venv/demo .venv/bridge .venv/test .venv/docs
