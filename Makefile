@@ -5,10 +5,8 @@ PYTHON ?= python3
 BIN := .venv/bin
 # Python compiles what it imports by itself; to compile all that is installed takes two minutes.
 INSTALL := $(BIN)/pip install --quiet --no-compile --disable-pip-version-check --constraint constraints.txt
-# Tests of the page wait more than they compute, so three at a time keep two cores busy.
-TESTS = not slow$(if $(shell command -v chromium),, and not browser)
 
-.PHONY: demo app bridge test test-slow test-browser bench accuracy docs dist lint clean chromium
+.PHONY: demo app bridge test test-default test-page test-slow test-browser bench accuracy docs dist lint clean chromium
 
 demo: .venv/base
 	$(BIN)/phy124 generate demo/examples/duck.png --scene press --out out/duck-press
@@ -19,14 +17,18 @@ app: .venv/demo
 bridge: .venv/bridge
 	$(BIN)/python -m bridge doctor
 
-test: .venv/test
-	$(BIN)/pytest -n 3 --dist loadfile -m "$(TESTS)"
+test: test-default test-page
+
+test-default: .venv/test
+	$(BIN)/pytest -n 2 --dist loadfile -m "not slow and not browser"
+
+test-page: .venv/test
+	if command -v chromium >/dev/null; then $(BIN)/pytest -m browser tests/e2e; fi
 
 test-slow: .venv/test
 	$(BIN)/pytest -m "slow and not gpu and not weights and not ros"
 
-test-browser: .venv/test chromium
-	$(BIN)/pytest -n 2 --dist loadfile -m browser tests/e2e
+test-browser: chromium test-page
 
 chromium:
 	command -v chromium >/dev/null || (apt-get update -qq && apt-get install -y -qq chromium)
