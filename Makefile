@@ -3,7 +3,7 @@
 
 PYTHON ?= python3
 BIN := .venv/bin
-# Python compiles what it imports by itself; to compile all that is installed takes two minutes.
+# Python compiles what it imports by itself; most of what is installed never is.
 INSTALL := $(BIN)/pip install --quiet --no-compile --disable-pip-version-check --constraint constraints.txt
 
 .PHONY: demo app bridge test test-default test-page test-slow test-browser bench accuracy docs dist lint clean chromium

@@ -87,6 +87,7 @@ def generate(
 
     Raises InputError for what the user can mend, Cancelled if `progress` does.
     """
+    scene.refuse_nameless()
     watch = Stopwatch()
     with staged(out):  # Refused before any work, if at all.
         made = static(
@@ -213,6 +214,7 @@ def simulate(
     `cutout` is saved beside the results. Without `films` there are no videos. `each` is called
     with every frame as soon as it is there, but not of the grids that a `goal` tries.
     """
+    scene.refuse_nameless()
     watch = watch or Stopwatch()
     making = _Making(Path(out), device, progress, watch, dict(about or {}), keep, cutout, films)
 

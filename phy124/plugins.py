@@ -7,7 +7,6 @@ name that scene files and the command line know by an entry point of one of the 
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
 from importlib.metadata import entry_points
 from typing import Any, get_args
 
@@ -66,9 +65,9 @@ def open_to(base: type[Section], tag: str, group: str, known: Any) -> WrapValida
     return WrapValidator(accept)
 
 
-@cache
-def _own(known: Any) -> tuple[type[Section], ...]:
-    return get_args(known)
+def is_foreign(section: Section, known: Any) -> bool:
+    """Whether a section is of a class from outside the union of phy124's own kinds."""
+    return type(section) not in get_args(known)
 
 
 def has_name(section: Section, tag: str, group: str, known: Any) -> bool:
@@ -80,5 +79,6 @@ def has_name(section: Section, tag: str, group: str, known: Any) -> bool:
         group: One of the `GROUPS`.
         known: The union of phy124's own kinds.
     """
-    kind = type(section)
-    return kind in _own(known) or registered(group, getattr(section, tag, "")) is kind
+    if not is_foreign(section, known):
+        return True
+    return registered(group, getattr(section, tag, "")) is type(section)

@@ -38,6 +38,7 @@ def save(
     Raises:
         InputError: If the file cannot be written.
     """
+    run.scene.refuse_nameless()
     tensors: Tensors = {f"given.{name}": getattr(run.given, name) for name in GAUSSIANS}
     tensors |= _frames(run)
     facts = {

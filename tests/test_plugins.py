@@ -10,14 +10,14 @@ import pytest
 import warp as wp
 from pydantic import Field
 
-from phy124 import generators, plugins
+from phy124 import generators, pipeline, plugins
 from phy124.boundaries import Ground
 from phy124.effects import Effects
 from phy124.errors import InputError
 from phy124.forces import Force, Gravity
 from phy124.materials import FixedCorotated
 from phy124.mpm import Stage
-from phy124.scene import Scene
+from phy124.scene import Part, Scene
 from phy124.simulation import Simulation
 from support.shapes import ball
 
@@ -98,6 +98,17 @@ def test_a_scene_with_them_is_changed_but_not_written_without_a_name():
     assert isinstance(scene.material, Rubber) and scene.time.fps == 30
     with pytest.raises(InputError, match=r"Rubber.* which a file cannot name\. Register it"):
         scene.to_toml()
+
+
+def test_a_part_of_ones_own_material_is_kept_when_the_scene_is_changed():
+    scene = Scene(parts=(Part(gaussians=(0, 100), material=Rubber()),)).replaced(QUICK)
+    assert isinstance(scene.parts[0].material, Rubber)
+
+
+def test_a_run_whose_scene_cannot_be_written_is_refused_before_it_begins(tmp_path):
+    with pytest.raises(InputError, match="which a file cannot name"):
+        pipeline.simulate(ball(300), own(), tmp_path / "out", progress=pytest.fail)
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_registered_name_is_read_and_written(installed, tmp_path):

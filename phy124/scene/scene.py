@@ -11,7 +11,7 @@ import os
 import sys
 from importlib import resources
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import tomli_w
 from pydantic import Field, ValidationError
@@ -21,7 +21,7 @@ from phy124.bounds import Text
 from phy124.errors import InputError
 from phy124.forces import AnyForce, Gravity, OwnForce
 from phy124.materials import AnyMaterial, Law, NeoHookean
-from phy124.plugins import has_name
+from phy124.plugins import has_name, is_foreign
 from phy124.scene.accuracies import PRESETS, Accuracy, AccuracyName
 from phy124.scene.changes import apply
 from phy124.scene.refusals import refusal
@@ -159,12 +159,11 @@ class Scene(Section):
         Raises:
             InputError: A class of the user's own has no name that a file could give.
         """
-        kinds = [
+        for tag, group, known, sections in (
             ("law", "materials", Law, self.materials),
             ("kind", "forces", OwnForce, self.forces),
-        ]
-        kinds.append(("kind", "boundaries", Wall, self.boundaries))
-        for tag, group, known, sections in kinds:
+            ("kind", "boundaries", Wall, self.boundaries),
+        ):
             for section in sections:
                 if not has_name(section, tag, group, known):
                     limit = "it is a class of your own, which a file cannot name."
@@ -181,18 +180,18 @@ class Scene(Section):
             InputError: If a path does not exist or a value is out of bounds.
         """
         data = self.data()
-        data |= {"material": self.material} if self._foreign(self.material, Law) else {}
+        # Instances from outside stay as they are: plain data may not name their class.
+        if is_foreign(self.material, Law):
+            data["material"] = self.material
+        for part, plain in zip(self.parts, data["parts"], strict=True):
+            if is_foreign(part.material, Law):
+                plain["material"] = part.material
         for name, known in (("forces", OwnForce), ("boundaries", Wall)):
             for index, section in enumerate(getattr(self, name)):
-                if self._foreign(section, known):
+                if is_foreign(section, known):
                     data[name][index] = section
         apply(data, changes)
         return Scene.from_data(data)
-
-    @staticmethod
-    def _foreign(section: Section, known: Any) -> bool:
-        """Whether a section is of a class from outside, which is kept as it is."""
-        return type(section) not in get_args(known)
 
 
 def preset_names() -> list[str]:
