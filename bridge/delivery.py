@@ -10,7 +10,7 @@ import logging
 import time
 from collections.abc import Callable
 
-PATIENCE = 1.0
+LONGEST_WAIT = 1.0
 """Seconds a frame waits that would push out one somebody has not acknowledged."""
 FAREWELL = 2.0
 """Seconds a leaving publisher waits for subscribers to get the last frames."""
@@ -42,7 +42,7 @@ class Delivery:
     def before_frame(self) -> None:
         """Wait while a frame would be pushed out; a subscriber that hangs holds up one only."""
         full = self._open >= self._depth
-        if self._within(PATIENCE if full and not self._stuck else 0.0):
+        if self._within(LONGEST_WAIT if full and not self._stuck else 0.0):
             self._open, self._stuck = 0, False
         elif full:
             self._stuck = True

@@ -23,7 +23,7 @@ from .options import LIVE_POINTS, LIVE_PROFILE, Options
 from .player import RATES, SPEEDS
 
 POINTS = (0, 10_000_000)
-"""Fewest and most of `max_points`."""
+"""Smallest and largest value of `max_points`."""
 
 
 @dataclass(frozen=True)
@@ -113,13 +113,13 @@ def descriptor(parameter: Parameter) -> Any:
         dynamic_typing=True,
     )
     if parameter.limits:
-        least, most = parameter.limits
-        about.additional_constraints = f"from {least:g} to {most:g}"
+        minimum, maximum = parameter.limits
+        about.additional_constraints = f"from {minimum:g} to {maximum:g}"
         if isinstance(parameter.default, int):
-            about.integer_range = [IntegerRange(from_value=int(least), to_value=int(most))]
+            about.integer_range = [IntegerRange(from_value=int(minimum), to_value=int(maximum))]
         else:
             about.floating_point_range = [
-                FloatingPointRange(from_value=float(least), to_value=float(most))
+                FloatingPointRange(from_value=float(minimum), to_value=float(maximum))
             ]
     return about
 
@@ -132,9 +132,9 @@ def converted(name: str, value: Any, parameter: Parameter) -> Any:
         limit = f"It takes {kind}."
         remedy = f"For example `-p {name}:={_example(parameter.default)}`."
         raise InputError(name, value, limit, remedy)
-    least, most = parameter.limits or (-math.inf, math.inf)
-    if parameter.limits and not least <= wanted <= most:
-        limit = f"It must lie between {least:g} and {most:g}."
+    minimum, maximum = parameter.limits or (-math.inf, math.inf)
+    if parameter.limits and not minimum <= wanted <= maximum:
+        limit = f"It must lie between {minimum:g} and {maximum:g}."
         remedy = f"The default is {_example(parameter.default)}."
         raise InputError(name, value, limit, remedy)
     return wanted

@@ -17,7 +17,7 @@ SPEEDS = (0.01, 100.0)
 """Slowest and fastest playback."""
 RATES = (0.0, 1000.0)
 """Fewest and most frames per second; none at all means every frame."""
-PATIENCE = 0.15
+LATENESS = 0.15
 """Seconds a frame may be late. Frames that are less late catch up in a burst, which at 30 Hz is no
 longer than what subscribers keep (5)."""
 
@@ -45,7 +45,7 @@ class Player:
         loop: bool = False,
         rate: float | None = None,
         paused: bool = False,
-        patience: float = PATIENCE,
+        lateness: float = LATENESS,
     ) -> None:
         """Ready at the first frame, the clock starting with the first call of `due`.
 
@@ -55,7 +55,7 @@ class Player:
             loop: Begin again after the last frame.
             rate: At most so many frames per second are shown; None: all.
             paused: Start held at the first frame.
-            patience: Seconds a frame may be late before it is dropped.
+            lateness: Seconds a frame may be late before it is dropped.
 
         Raises:
             InputError: No frames, times that do not ascend, or a number out of range.
@@ -65,7 +65,7 @@ class Player:
             limit = "The frames' times must ascend, and there must be at least one."
             raise InputError("clip", f"{len(self.times)} frames", limit, "Simulate it again.")
         self.loop, self.paused, self.rate = loop, paused, _checked_rate(rate)
-        self.speed, self.patience = checked_speed(speed), patience
+        self.speed, self.lateness = checked_speed(speed), lateness
         self.shown = self.dropped = self.skipped = self.loops = 0
         """Frames shown, dropped because late, and left out on purpose by `rate`; loops begun."""
         self.finished = False
@@ -188,7 +188,7 @@ class Player:
         """Whether the next frame is too late and a newer one is due."""
         if self.paused or self._due_at(self._next + 1, now) > now:
             return False
-        return now - self._due_at(self._next, now) > self.patience
+        return now - self._due_at(self._next, now) > self.lateness
 
     def _too_soon(self, time: float) -> bool:
         # Half a percent of slack: 30 Hz of a 30 Hz clip must not lose frames to rounding.

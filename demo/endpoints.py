@@ -81,7 +81,7 @@ def _measure(studio: Studio) -> Handler:
         image: str | None, preset: str, accuracy: str, frames: int, changes: Any,
         request: gr.Request,
     ) -> Iterator[tuple[Any, ...]]:  # fmt: skip
-        """Measure the error of a scene as a share of the object's size, and what each grid took."""
+        """Measure the error of a scene as a fraction of its size, and what each grid took."""
         name = visitor_of(request)
         scene, cutting = _cut(studio, name, image, preset, accuracy, frames, changes)
         visitor = studio.visitors.get(name)

@@ -159,16 +159,16 @@ class Estimator:
         """Correct the rates by a run just finished, less what others made it take longer."""
         self.learned.learn(_alone(report, before.mean(self.look())), scene)
 
-    def least(self, scene: Scene, *, gaussians: int = GAUSSIANS) -> float:
+    def minimum(self, scene: Scene, *, gaussians: int = GAUSSIANS) -> float:
         """Seconds of computing, were this machine as quick as it was ever known to be."""
-        return sum(self.learned.least.seconds(Work.of(scene, gaussians)).values())
+        return sum(self.learned.minimum.seconds(Work.of(scene, gaussians)).values())
 
-    def least_study(
+    def min_study(
         self, scene: Scene, levels: Sequence[int], *, gaussians: int = GAUSSIANS
     ) -> float:
         """Seconds of computing, at best, to measure a scene's error on these grids."""
         works = [Work.of(on_grid(scene, n), gaussians) for n in levels]
-        return sum(self.learned.least.seconds(work)["simulate"] for work in works)
+        return sum(self.learned.minimum.seconds(work)["simulate"] for work in works)
 
     def stops(
         self,

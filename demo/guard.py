@@ -1,4 +1,4 @@
-"""What stands before the page: limits on requests, headers of answers, patience with sockets."""
+"""What stands before the page: limits on requests, headers of answers, time limits of sockets."""
 
 from __future__ import annotations
 
@@ -178,10 +178,10 @@ class _Answer:
 def allow_connections() -> int:
     """Raise the limit of open files as far as we may; how many connections that leaves: half."""
     now, most = resource.getrlimit(resource.RLIMIT_NOFILE)
-    least = FILES if most == resource.RLIM_INFINITY else min(FILES, most)
-    if now < least:
-        resource.setrlimit(resource.RLIMIT_NOFILE, (least, most))
-    return max(now, least) // 2
+    minimum = FILES if most == resource.RLIM_INFINITY else min(FILES, most)
+    if now < minimum:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (minimum, most))
+    return max(now, minimum) // 2
 
 
 class Patient(H11Protocol):
@@ -221,8 +221,8 @@ class Patient(H11Protocol):
         if missing != self.waiting_for:
             self._stop()
             self.waiting_for = missing
-            patience = HEAD if missing == "IDLE" else BODY
-            self.clock = self.loop.call_later(patience, self.transport.close)
+            seconds = HEAD if missing == "IDLE" else BODY
+            self.clock = self.loop.call_later(seconds, self.transport.close)
 
     def _make_room(self) -> None:
         waiting = [each for each in self.connections if isinstance(each, Patient) and each.clock]

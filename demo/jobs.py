@@ -176,7 +176,7 @@ class Studio:
         for cells in levels:
             check_limits(on_grid(scene, cells), self.settings)
         count = self.settings.gaussians
-        check_time(self.forecaster.least_study(scene, levels, gaussians=count), self.settings)
+        check_time(self.forecaster.min_study(scene, levels, gaussians=count), self.settings)
         expected = self.study_seconds(name, cutout, scene)
         job = Job("measure", visitor.new_stop_file(), expected, stages=MEASURING)
         order = replace(self._order(visitor, picture, scene, job.stop), levels=levels)
@@ -226,7 +226,7 @@ class Studio:
 
     def _check_time(self, scene: Scene) -> None:
         count = self.settings.gaussians
-        check_time(self.forecaster.least(scene, gaussians=count), self.settings)
+        check_time(self.forecaster.minimum(scene, gaussians=count), self.settings)
 
     def _order(self, visitor: Visitor, cutout: Path, scene: Scene, stop: Path) -> Order:
         limits = self.settings

@@ -24,9 +24,9 @@ SPREAD = 3.0
 WINDOW = 5
 """Runs whose median counts."""
 FIXED = 0.7
-"""Largest share of the usual run's time that a fixed cost may explain, were the small run slow."""
-LEAST = 0.2
-"""Share of the first measurement's work below which a run teaches nothing."""
+"""Largest fraction of a usual run's time that a fixed cost may explain, were the small run slow."""
+MINIMUM = 0.2
+"""Fraction of the first measurement's work below which a run teaches nothing."""
 
 
 class Learned:
@@ -66,9 +66,9 @@ class Learned:
             if self.measured is None or self._first is None:
                 return
             found = _variable(self.now, work, spent)
-            if work.particles < LEAST * self._first.particles:
+            if work.particles < MINIMUM * self._first.particles:
                 found.pop("particle", None)
-            if work.pixels < LEAST * self._first.pixels:
+            if work.pixels < MINIMUM * self._first.pixels:
                 found.pop("pixel", None)
             for name, value in found.items():
                 usual = vars(self.measured)[name]
@@ -78,7 +78,7 @@ class Learned:
             self.now = replace(self.now, **medians)
 
     @property
-    def least(self) -> Rates:
+    def minimum(self) -> Rates:
         """The quickest that this machine may be: of the rates written here and those measured."""
         return Rates().quickest(self.measured or self.now).quickest(self.now)
 
@@ -111,7 +111,7 @@ def _per(seconds: float, amount: float) -> float | None:
     return seconds / amount if amount > 0 and seconds > 0 else None
 
 
-def _at_most(share: float, seconds: float, amount: float, cost: float) -> float:
-    """A cost per unit, or what explains no more than a share of the seconds for an amount."""
+def _at_most(fraction: float, seconds: float, amount: float, cost: float) -> float:
+    """A cost per unit, or what explains no more than a fraction of the seconds for an amount."""
     usual = _per(seconds, amount)
-    return cost if usual is None else min(cost, share * usual)
+    return cost if usual is None else min(cost, fraction * usual)

@@ -111,7 +111,7 @@ def _cut_out(report: dict[str, Any]) -> str:
     cutout = report.get("cutout")
     if not cutout:
         return ""
-    rows = [("Method", cutout["method"]), ("Share of the picture", f"{cutout['coverage']:.1%}")]
+    rows = [("Method", cutout["method"]), ("Fraction of the picture", f"{cutout['coverage']:.1%}")]
     return _section("Cut-out", _table([*rows, *(("Doubt", d) for d in cutout["warnings"])]))
 
 
@@ -120,9 +120,9 @@ def _motion(report: dict[str, Any]) -> str:
     if not motion.get("time"):
         return ""
     rows = [
-        ("Smallest volume ratio J", f"{min(motion['smallest_J']):.3f}"),
-        ("Greatest speed", f"{max(motion['greatest_speed']):.2f} m/s"),
-        ("Greatest kinetic energy", f"{max(motion['kinetic_energy']):.3g} J"),
+        ("Smallest volume ratio J", f"{min(motion['min_J']):.3f}"),
+        ("Largest speed", f"{max(motion['max_speed']):.2f} m/s"),
+        ("Largest kinetic energy", f"{max(motion['kinetic_energy']):.3g} J"),
     ]
     balance = report.get("balance") or {}
     if balance.get("energy_gain") is not None:
@@ -132,7 +132,7 @@ def _motion(report: dict[str, Any]) -> str:
     if balance.get("momentum_gain") is not None:
         rows.append(("Momentum out of nothing", f"{balance['momentum_gain']:.2%}"))
     curve = _plot(motion["time"], motion["kinetic_energy"], "kinetic energy [J]")
-    volumes = _plot(motion["time"], motion["smallest_J"], "smallest J")
+    volumes = _plot(motion["time"], motion["min_J"], "smallest J")
     return _section("Stability", _table(rows) + curve + volumes)
 
 

@@ -10,16 +10,16 @@ from pydantic import Field, TypeAdapter, ValidationError
 from phy124.errors import InputError
 from phy124.section import Section
 
-Share = Annotated[float, Field(ge=-0.5, le=1.5, allow_inf_nan=False)]
+Fraction = Annotated[float, Field(ge=-0.5, le=1.5, allow_inf_nan=False)]
 
 
 class Stroke(Section):
-    """A line painted over the picture; lengths in shares of its longer side."""
+    """A line painted over the picture; lengths in fractions of its longer side."""
 
     keep: bool
     """Whether what is under it belongs to the object."""
     width: float = Field(gt=0, le=0.5)
-    points: tuple[tuple[Share, Share], ...] = Field(min_length=1, max_length=2000)
+    points: tuple[tuple[Fraction, Fraction], ...] = Field(min_length=1, max_length=2000)
 
 
 STROKES = TypeAdapter(Annotated[list[Stroke], Field(max_length=200)])

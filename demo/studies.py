@@ -24,7 +24,7 @@ class Level(BaseModel):
     seconds: float
     """Simulation and shapes."""
     error: float | None
-    """Share of the object's size; None where the grids do not converge or this one is torn."""
+    """Fraction of the object's size; None where the grids do not converge or this one is torn."""
     torn: bool
 
     @property

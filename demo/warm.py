@@ -28,14 +28,18 @@ def warm_up(device: str) -> None:
     ball = _ball()
     Renderer(device=device)(ball, Camera((3, 0, 0), (0, 0, 0), 64, 64))
     for name in preset_names():
-        few = {"accuracy": {"cells": 8, "ppc": 1.0}, "time.frames": 2, "time.fps": 240.0}
+        few = {
+            "accuracy": {"cells": 8, "particles_per_axis": 1.0},
+            "time.frames": 2,
+            "time.fps": 240.0,
+        }
         for _ in Simulation(ball, Scene.named(name).replaced(few), device=device):
             pass
 
 
 def tiny_run(device: str) -> tuple[dict[str, Any], Scene]:
     """Report and scene of a run of hardly any work: what substeps and videos cost at least."""
-    few = {"accuracy": {"cells": 8, "ppc": 1.0}, "time.frames": 2}
+    few = {"accuracy": {"cells": 8, "particles_per_axis": 1.0}, "time.frames": 2}
     scene = Scene.named("press").replaced({**few, "view.size": 32, "view.views": ["front"]})
     with tempfile.TemporaryDirectory() as folder:
         result = pipeline.simulate(_ball(), scene, folder, device=pick_device(device))

@@ -22,7 +22,7 @@ from phy124.scene import Scene
 GAUSSIANS = 50_000
 """What `relief` makes of a picture."""
 FILLED = 0.13
-"""Volume of a typical object, in cubes of its longest side: the filling's share of the grid."""
+"""Volume of a typical object, in cubes of its longest side: the filling's fraction of the grid."""
 DOUBLE = 1.7
 """How much longer a substep takes in float64 (docs/results/accuracy.md)."""
 PER_PARTICLE = {"cpu": 110e-9, "cuda": 1.5e-9}
@@ -110,7 +110,7 @@ class Work:
 def count_substeps(scene: Scene) -> int:
     """Substeps until the last frame, from what is known before the motion: its speed, too."""
     length = (scene.time.frames - 1) / scene.time.fps
-    speed = CELLS_PER_STEP * scene.dx / max(_greatest_speed(scene, length), 1e-9)
+    speed = CELLS_PER_STEP * scene.dx / max(_max_speed(scene, length), 1e-9)
     step = min(longest_substep(scene), speed)
     # Whole substeps in every frame.
     return (scene.time.frames - 1) * max(1, math.ceil(1 / scene.time.fps / step))
@@ -119,11 +119,11 @@ def count_substeps(scene: Scene) -> int:
 def count_particles(scene: Scene, gaussians: int = GAUSSIANS) -> int:
     """Gaussians and the particles that fill the inside."""
     resolution = scene.resolution
-    filling = FILLED * (resolution.cells * resolution.ppc) ** 3
+    filling = FILLED * (resolution.cells * resolution.particles_per_axis) ** 3
     return round(filling + (gaussians if scene.binding == "particles" else 0))
 
 
-def _greatest_speed(scene: Scene, length: float) -> float:
+def _max_speed(scene: Scene, length: float) -> float:
     """How fast the object may become [m/s]: its own motion and what pushes it."""
     body = scene.object
     own = math.hypot(*body.velocity) + math.hypot(*body.spin) * body.size / 2

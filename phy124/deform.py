@@ -25,7 +25,7 @@ from phy124.harmonics import rotate_sh
 from phy124.kernels import deform as field
 
 CARRIERS = 8
-"""How many particles carry a Gaussian of the binding `field`."""
+"""How many particles carry a Gaussian of the binding `lattice`."""
 
 
 class Bound(Protocol):
@@ -45,7 +45,7 @@ class Bound(Protocol):
 class Deformer:
     """Frames of one moving object; call it once per frame, in order of time.
 
-    With the binding `particles` each Gaussian moves with its own particle. With `field` it rides
+    With the binding `particles` each Gaussian moves with its own particle. With `lattice` it rides
     on its nearest lattice particles: x_g = sum w_i (x_i + F_i (X_g - X_i)), F_g = sum w_i F_i
     with smooth weights w that sum to one, which is exact for every affine motion.
     """
@@ -218,7 +218,7 @@ def carriers(points: NDArray, particles: NDArray) -> tuple[NDArray[np.int32], ND
 
 
 def _own_particles(count: int, particles: Bound | None) -> NDArray[np.int32] | None:
-    """For each Gaussian the particle that it is [N]; None: in order, or none is (`field`)."""
+    """For each Gaussian the particle that it is [N]; None: in order, or none is (`lattice`)."""
     if particles is None or (particles.gaussian < 0).all():
         return None
     bound = np.flatnonzero(particles.gaussian >= 0)

@@ -14,7 +14,7 @@ from typing import Any
 from phy124.scene import Scene
 
 PARTICLE_COSTS = {
-    "inner friction": 2,
+    "viscosity": 2,
     "return mapping": 70,
     "several materials": 13,
     "particle forces": 8,
@@ -126,7 +126,7 @@ def _catalogue(
     for law in laws:
         yield f"stress {law}", True, ""
     rubbing = any(isfinite(section.viscous_limit(scene.dx)) for section in scene.materials)
-    yield "inner friction", rubbing, "no material rubs inside"
+    yield "viscosity", rubbing, "no material rubs inside"
     yield "return mapping", plastic, f"{named} is elastic"
     yield "total F beside elastic F", plastic, f"{named} keeps all deformation in F"
     yield "several materials", len(scene.materials) > 1, "all that moves is of one"

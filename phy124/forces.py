@@ -204,24 +204,24 @@ class ParticleForce(Force):
         return _push(self, self.f, model, state, tracks)
 
 
-class FieldForce(Force):
+class ZoneForce(Force):
     """A push in a place: it acts on whatever is inside at the moment."""
 
-    kind: Literal["field"] = "field"
+    kind: Literal["zone"] = "zone"
     strengths: ClassVar[tuple[str, ...]] = ("a",)
     place: Region = Field(default=Region(), description="Where in space it acts.")
     a: Push = Field(default=(0.0, 1.0, 0.0), description="Acceleration [m/s^2].")
 
     @model_validator(mode="after")
-    def _everything(self) -> FieldForce:
+    def _everything(self) -> ZoneForce:
         if self.region is not None:
-            raise ValueError("a field acts on whatever is in its place; leave region out")
+            raise ValueError("a zone acts on whatever is in its place; leave region out")
         return self
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
         """Push what is inside."""
         t = types(model.real)
-        slot, kernel = tracks.add(self.track(self.a)), push.make_field(model.real)
+        slot, kernel = tracks.add(self.track(self.a)), push.make_zone(model.real)
         place: list[Any] = [t.vec3(*self.place.lower), t.vec3(*self.place.upper), -1, 0.0]
         if self.place.cylinder:
             place[2], _, place[3] = cylinder(
@@ -233,7 +233,7 @@ class FieldForce(Force):
             inputs = [*place, slot, state.x, tracks.clock, tracks.values]
             return model.launch(kernel, len(model), inputs, [state.v])
 
-        return [Stage("field", record)]
+        return [Stage("zone", record)]
 
 
 class Wind(Force):
@@ -243,7 +243,10 @@ class Wind(Force):
     sudden: ClassVar[bool] = True
     v: Velocity = Field(default=(0.0, 3.0, 0.0), description="Velocity of the stream [m/s].")
     rate: float = Field(
-        default=1.0, ge=1e-6, le=1e6, description="Share of the difference lost per second [1/s]."
+        default=1.0,
+        ge=1e-6,
+        le=1e6,
+        description="Fraction of the difference lost per second [1/s].",
     )
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
@@ -302,7 +305,7 @@ OwnForce = (
     | TotalForce
     | Impulse
     | ParticleForce
-    | FieldForce
+    | ZoneForce
     | Wind
     | Attraction
     | SetVelocity

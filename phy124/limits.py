@@ -22,8 +22,8 @@ from phy124.scene import Scene
 
 MUCH_STIFFER = 3.0
 """Times the waves of one material are faster than those of all others when that is worth a word."""
-MEMORY_SHARE = 0.8
-"""Share of the free memory a run may take."""
+MEMORY_FRACTION = 0.8
+"""Fraction of the free memory a run may take."""
 
 FARTHEST_CELLS = 1e5
 """Cells from the origin up to which float32 knows a place to a hundredth of a cell."""
@@ -37,30 +37,30 @@ def refuse_hopeless(
     *,
     keep: bool = True,
 ) -> Demand:
-    """What the run needs; raises InputError if that is more than its patience or the memory, or if
+    """What the run needs; raises InputError if it exceeds its time budget or the memory, or if
     the object is so far up that float32 cannot tell places in a cell apart.
     """
     _refuse_far(scene)
     demand = demand_of(gaussians, particles, scene, device, keep=keep)
-    patience = scene.time.patience
-    if demand.seconds > patience:
+    budget = scene.time.budget
+    if demand.seconds > budget:
 
         def fits(other: Scene) -> bool:
             needed = demand_of(gaussians, particles, other, device, keep=keep)
-            return needed.seconds <= other.time.patience
+            return needed.seconds <= other.time.budget
 
-        found = _fitting(scene, demand.seconds / patience, fits)
+        found = _fitting(scene, demand.seconds / budget, fits)
         raise InputError(
-            "time.patience",
-            f"{patience:g} s",
+            "time.budget",
+            f"{budget:g} s",
             f"the run is forecast to take {duration(demand.seconds)} "
             f"({demand.substeps:.2g} substeps of {len(particles):,} particles).",
             _would_fit(found),
             found,
         )
     free = free_memory()
-    if demand.memory > MEMORY_SHARE * free:
-        most = int(scene.time.frames * MEMORY_SHARE * free / demand.memory)
+    if demand.memory > MEMORY_FRACTION * free:
+        most = int(scene.time.frames * MEMORY_FRACTION * free / demand.memory)
         raise InputError(
             "time.frames",
             scene.time.frames,
@@ -139,7 +139,7 @@ def _cheaper(scene: Scene, excess: float) -> Iterator[Remedy]:
             yield plain(f"{field}.E", _rounded(0.95 * E / excess**2))
     yield plain("time.frames", max(1, int(0.95 * (scene.time.frames - 1) / excess) + 1))
     yield accuracy(scene, cells=max(4, int(0.95 * scene.resolution.cells / excess)))
-    yield plain("time.patience", _rounded(1.05 * scene.time.patience * excess))
+    yield plain("time.budget", _rounded(1.05 * scene.time.budget * excess))
 
 
 def _sections(scene: Scene) -> Iterator[tuple[str, AnyMaterial]]:

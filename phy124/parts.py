@@ -148,7 +148,7 @@ def _held(
 def stiffnesses(
     particles: Particles, means: NDArray, scene: Scene, crop: Crop = WHOLE
 ) -> NDArray[np.float64] | None:
-    """Share of its material's E that each particle has [P]; None if all have the whole.
+    """Fraction of its material's E that each particle has [P]; None if all have the whole.
 
     Args:
         particles: The particles that move.
@@ -168,21 +168,21 @@ def stiffnesses(
             f"the law {scene.material.law} has no Young's modulus that may vary.",
             "Use another law, or leave stiffness out.",
         )  # fmt: skip
-    shares = scene.stiffness.shares(particles.x, means, crop)
+    fractions = scene.stiffness.fractions(particles.x, means, crop)
     for section in varying:
-        _refuse_too_soft(section, float(shares.min()))
-    return shares
+        _refuse_too_soft(section, float(fractions.min()))
+    return fractions
 
 
-def _refuse_too_soft(section: AnyMaterial, share: float) -> None:
-    """Refuse a share for which a material's own bounds do not hold."""
-    softened = {**section.model_dump(), "E": getattr(section, "E", 0.0) * share}
+def _refuse_too_soft(section: AnyMaterial, fraction: float) -> None:
+    """Refuse a fraction for which a material's own bounds do not hold."""
+    softened = {**section.model_dump(), "E": getattr(section, "E", 0.0) * fraction}
     try:
         type(section).model_validate(softened)
     except ValidationError as error:
         wrong = refusal(error, "material", type(section))
         raise InputError(
-            "stiffness", f"{share:g} of E",
+            "stiffness", f"{fraction:g} of E",
             f"{section.law} cannot be so soft; of {wrong.field}, {wrong.limit}",
-            "Raise the least share, or the material's E.",
+            "Raise the least fraction, or the material's E.",
         ) from None  # fmt: skip

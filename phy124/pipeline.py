@@ -209,7 +209,7 @@ def simulate(
 ) -> Result:
     """Gaussians become moving Gaussians, videos and a report in a folder.
 
-    With a `forecaster` the report compares the seconds it foretold with those spent. With `keep`
+    With a `forecaster` the report compares the seconds it predicted with those spent. With `keep`
     a run that `progress` cancels is filmed and kept as far as it came, and `go_on` goes on. A
     `cutout` is saved beside the results. Without `films` there are no videos. `each` is called
     with every frame as soon as it is there, but not of the grids that a `goal` tries.
@@ -227,7 +227,7 @@ def simulate(
         run = Simulation(gaussians, scene, crop=crop, **options)
         if forecaster is not None:
             with watch.stage("forecast"):
-                making.foretold = forecaster.of(run)
+                making.predicted = forecaster.of(run)
         return run, run.run(partial(each, run))
 
     return making.result(moved)
@@ -282,7 +282,7 @@ class _Making:
     cutout: Cutout | None = None
     films: bool = True
     """Whether videos are made."""
-    foretold: Forecast | None = None
+    predicted: Forecast | None = None
 
     def result(self, moved: Callable[[], tuple[Simulation, Clip]]) -> Result:
         """Move, film and save; refuses a folder that cannot be written before anything else."""
@@ -333,8 +333,8 @@ class _Making:
 
     def _report(self, clip: Clip, view: View, interrupted: bool) -> dict[str, Any]:
         about = {"foreground": None, "cutout": None, "generator": None, **self.about}
-        if self.foretold is not None:
-            about["forecast"] = self.foretold.compared(self.watch.seconds)
+        if self.predicted is not None:
+            about["forecast"] = self.predicted.compared(self.watch.seconds)
         cleaning = [*about.get("cleaning", []), *clip.report["cleaning"]]
         report = {**about, **clip.report, "cleaning": cleaning}
         report |= framed(clip, view) if self.films else {}

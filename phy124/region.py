@@ -15,7 +15,7 @@ Vector = tuple[float, float, float]
 EVERYWHERE = 1e9
 """Beyond any scene [m]; finite, so that scenes can be written as JSON."""
 _Side = Annotated[float, Field(ge=-EVERYWHERE, le=EVERYWHERE)]
-_Share = Annotated[float, Field(ge=-1, le=1)]
+_Fraction = Annotated[float, Field(ge=-1, le=1)]
 _Corner = tuple[_Side, _Side, _Side]
 
 
@@ -81,7 +81,7 @@ class PartRegion(Region):
         default="metres",
         description="metres: of the object as placed; file: units and axes of its .ply file.",
     )
-    turn: tuple[_Share, _Share, _Share, _Share] = Field(
+    turn: tuple[_Fraction, _Fraction, _Fraction, _Fraction] = Field(
         default=(1.0, 0.0, 0.0, 0.0),
         description="Turn of the box about the origin, a unit quaternion w, x, y, z.",
     )

@@ -14,7 +14,7 @@ from phy124.scene import Scene
 STRENGTHS = ("g", "a", "f", "p", "v")
 """Fields of forces that say how strong they are."""
 SOFTER = 16.0
-"""Share of E: the substep is four times as long."""
+"""Fraction of E: the substep is four times as long."""
 
 
 def remedies(causes: Sequence[str], scene: Scene) -> tuple[Remedy, ...]:
@@ -94,13 +94,13 @@ def _softer(scene: Scene) -> Remedy | None:
 
 
 def hurry(scene: Scene, limiter: str, done: float) -> tuple[Remedy, ...]:
-    """What helps a run that took twice its patience for a share of its frames.
+    """What helps a run that took twice its time budget for a fraction of its frames.
 
     The remedies are those of what limits its substep; a motion that speeds up evenly takes time as
     the square of its length.
     """
-    needed = min(1e8, 4 * scene.time.patience / max(done, 1e-2) ** 2)
-    patient = plain("time.patience", float(f"{needed:.2g}"))
+    needed = min(1e8, 4 * scene.time.budget / max(done, 1e-2) ** 2)
+    patient = plain("time.budget", float(f"{needed:.2g}"))
     return (*remedies((*SLOW[limiter], "cells"), scene), patient)
 
 

@@ -111,7 +111,7 @@ class Simulation:
             made = make_particles(
                 self.gaussians.select(own),
                 density=scene.material.density,
-                spacing=scene.dx / scene.resolution.ppc,
+                spacing=scene.dx / scene.resolution.particles_per_axis,
                 binding=scene.binding,
             )
             made = among_all(made, own)
@@ -335,16 +335,16 @@ class Simulation:
     def _follower(self, index: int) -> Callable[[], None]:
         """What to do after each substep: report, watch, and end a run that takes too long."""
         report, watch = self._reporter(index), self.watchdog.follow()
-        patience, start = self.scene.time.patience, self.watch.seconds.get("simulate", 0.0)
+        budget, start = self.scene.time.budget, self.watch.seconds.get("simulate", 0.0)
         begun = time.perf_counter()
 
         def after() -> None:
             watch()
             self.sleep.look()
             spent = start + time.perf_counter() - begun
-            if spent > 2 * patience:
+            if spent > 2 * budget:
                 raise Stopped(
-                    f"frame {index} was reached in {spent:.0f} s, twice time.patience: "
+                    f"frame {index} was reached in {spent:.0f} s, twice time.budget: "
                     f"{self._slowest()}.",
                     hurry(self.scene, self.solver.clock.stable().limiter, self._fraction_done()),
                 )

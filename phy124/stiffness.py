@@ -20,16 +20,16 @@ from phy124.errors import InputError
 from phy124.imaging.painted import Crop, brightness
 from phy124.section import Section
 
-LEAST = 1e-4
+MINIMUM = 1e-4
 """Smallest factor; waves are then a hundred times slower."""
-Share = Annotated[float, Field(ge=LEAST, le=1)]
+Fraction = Annotated[float, Field(ge=MINIMUM, le=1)]
 
 
 class _Field(Section):
     """What all fields of stiffness have."""
 
-    def shares(self, x: NDArray, means: NDArray, crop: Crop) -> NDArray[np.float64]:
-        """Share of E at each particle [P].
+    def fractions(self, x: NDArray, means: NDArray, crop: Crop) -> NDArray[np.float64]:
+        """Fraction of E at each particle [P].
 
         Args:
             x: Particles at rest [P,3], m.
@@ -47,10 +47,10 @@ class Gradient(_Field):
 
     kind: Literal["gradient"] = "gradient"
     axis: Literal["x", "y", "z"] = Field(default="z", description="Direction in which it varies.")
-    first: Share = Field(default=1.0, description="Share of E at the lowest end of the axis.")
-    last: Share = Field(default=0.1, description="Share of E at the highest end of the axis.")
+    first: Fraction = Field(default=1.0, description="Fraction of E at the lowest end of the axis.")
+    last: Fraction = Field(default=0.1, description="Fraction of E at the highest end of the axis.")
 
-    def shares(self, x: NDArray, means: NDArray, crop: Crop) -> NDArray[np.float64]:
+    def fractions(self, x: NDArray, means: NDArray, crop: Crop) -> NDArray[np.float64]:
         """Linear between the object's ends."""
         along = np.asarray(x, dtype=np.float64)[:, "xyz".index(self.axis)]
         return np.interp(along, [along.min(), along.max()], [self.first, self.last])
@@ -64,10 +64,10 @@ class Picture(_Field):
         examples=["stiff.png"],
         description="Grey picture file, seen from the front.",
     )
-    black: Share = Field(default=0.1, description="Share of E where it is black.")
-    white: Share = Field(default=1.0, description="Share of E where it is white.")
+    black: Fraction = Field(default=0.1, description="Fraction of E where it is black.")
+    white: Fraction = Field(default=1.0, description="Fraction of E where it is white.")
 
-    def shares(self, x: NDArray, means: NDArray, crop: Crop) -> NDArray[np.float64]:
+    def fractions(self, x: NDArray, means: NDArray, crop: Crop) -> NDArray[np.float64]:
         """Linear in the grey value."""
         grey = brightness(x, self.file, crop, field="stiffness.file")
         return self.black + grey * (self.white - self.black)
@@ -79,10 +79,10 @@ class Listed(_Field):
     kind: Literal["array"] = "array"
     file: FileName = Field(
         examples=["shares.npy"],
-        description="NumPy file (.npy) of shares of E, one per Gaussian.",
+        description="NumPy file (.npy) of fractions of E, one per Gaussian.",
     )
 
-    def shares(self, x: NDArray, means: NDArray, crop: Crop) -> NDArray[np.float64]:
+    def fractions(self, x: NDArray, means: NDArray, crop: Crop) -> NDArray[np.float64]:
         """Factor of the nearest Gaussian.
 
         Raises:
@@ -100,12 +100,12 @@ class Listed(_Field):
             raise InputError(
                 "stiffness.file", self.file,
                 f"it holds an array {listed.shape}, the object has {len(means)} Gaussians.",
-                "Give one share per Gaussian of the gaussians.ply that a run writes.",
+                "Give one fraction per Gaussian of the gaussians.ply that a run writes.",
             )  # fmt: skip
-        if not ((listed >= LEAST) & (listed <= 1)).all():
+        if not ((listed >= MINIMUM) & (listed <= 1)).all():
             raise InputError(
-                "stiffness.file", self.file, f"a share is outside {LEAST:g} to 1.",
-                "Divide by the greatest value and give that to the material's E.",
+                "stiffness.file", self.file, f"a fraction is outside {MINIMUM:g} to 1.",
+                "Divide by the largest value and give that to the material's E.",
             )  # fmt: skip
         return listed[KDTree(means).query(x)[1]]
 

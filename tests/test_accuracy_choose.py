@@ -20,7 +20,7 @@ from support.shapes import ball
     ("text", "kind", "value"),
     [
         ("2px", "pixels", 2),
-        ("1%", "share", 0.01),
+        ("1%", "fraction", 0.01),
         ("3mm", "metres", 0.003),
         (" .5 cm", "metres", 0.005),
     ],
@@ -47,7 +47,7 @@ def quick(monkeypatch) -> Scene:
     monkeypatch.setattr(choose, "CHECK", 6)
     monkeypatch.setattr(choose, "CELLS", (8, 10, 12, 14, 16, 20, 24))
     return Scene.named("drop").replaced(
-        {"time.frames": 6, "object.lift": 0.05, "binding": "field", "view.size": 64}
+        {"time.frames": 6, "object.lift": 0.05, "binding": "lattice", "view.size": 64}
     )
 
 
@@ -74,13 +74,13 @@ def test_a_lax_goal_takes_a_cheap_level_and_checks_it_with_a_cheaper_one(quick):
 
 def soft(E: float) -> Scene:
     """A ball that spins itself to several times its width."""
-    quick = {"time.frames": 8, "binding": "field", "view.size": 64}
+    quick = {"time.frames": 8, "binding": "lattice", "view.size": 64}
     return Scene.named("spin").replaced({"material.E": E, **quick})
 
 
 def test_an_object_that_tears_is_given_more_particles(quick):
     about = reach(Goal.error("50%"), ball(600), soft(1000)).about
-    assert about["ppc"] == 3
+    assert about["particles_per_axis"] == 3
     assert about["met"] is True
     assert not about["torn"]
 
@@ -91,21 +91,21 @@ def test_where_more_particles_are_too_many_what_was_whole_is_returned(quick, mon
     plain = choose.Simulation
 
     def refusing(gaussians, scene, **options):
-        if scene.resolution.ppc > 2:
-            raise InputError("time.patience", "1 s", "it takes too long.", "Wait.")
+        if scene.resolution.particles_per_axis > 2:
+            raise InputError("time.budget", "1 s", "it takes too long.", "Wait.")
         return plain(gaussians, scene, **options)
 
     monkeypatch.setattr(choose, "Simulation", refusing)
     reached = reach(Goal.error("0.1%"), ball(600), quick)
     assert reached.about["cells"] == 12
-    assert reached.about["ppc"] == 2
+    assert reached.about["particles_per_axis"] == 2
     assert reached.about["met"] is False
 
 
 def test_the_densest_object_is_not_tried_again(quick, monkeypatch):
     monkeypatch.setattr(Tearing, "likely", property(lambda self: self._model.dx < 1 / 13))
-    most = quick.replaced({"accuracy": {"ppc": 4.0}})
-    assert reach(Goal.error("0.1%"), ball(600), most).about["ppc"] == 4
+    most = quick.replaced({"accuracy": {"particles_per_axis": 4.0}})
+    assert reach(Goal.error("0.1%"), ball(600), most).about["particles_per_axis"] == 4
 
 
 def test_an_object_that_tears_all_the_same_meets_no_goal(quick):

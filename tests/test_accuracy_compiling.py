@@ -11,7 +11,7 @@ from phy124.scene import Scene
 from phy124.simulation import Simulation
 from support.shapes import ball
 
-QUICK = {"accuracy": {"cells": 8, "ppc": 1.0}, "time.frames": 2, "time.fps": 240.0}
+QUICK = {"accuracy": {"cells": 8, "particles_per_axis": 1.0}, "time.frames": 2, "time.fps": 240.0}
 WALLS = {
     "container": {"kind": "container"},
     "gripper": {"kind": "gripper", "thick": 0.3},
@@ -26,7 +26,7 @@ WALLS = {
         ("sway", {}),
         ("spin", {}),
         ("drop", {"material": {"law": "sand"}}),
-        ("drop", {"accuracy": {"cells": 8, "ppc": 1.0, "precision": "float64"}}),
+        ("drop", {"accuracy": {"cells": 8, "particles_per_axis": 1.0, "precision": "float64"}}),
         *(("drop", {"boundaries": [wall]}) for wall in WALLS.values()),
     ],
 )

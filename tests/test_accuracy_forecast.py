@@ -42,15 +42,15 @@ def test_the_probe_leaves_the_simulation_as_it_was():
 
 
 @pytest.mark.parametrize("name", ["press", "push_right", "drop"])
-def test_substeps_are_foretold(name):
+def test_substeps_are_predicted(name):
     """Within what the promise of ten per cent leaves them."""
     chosen = scene(name)
     simulation = Simulation(OBJECT, chosen)
-    foretold = Forecaster().of(simulation, filming=False)
+    predicted = Forecaster().of(simulation, filming=False)
     simulation.run()
-    assert foretold.substeps == pytest.approx(simulation.solver.clock.substeps, rel=0.06)
-    assert foretold.limiters == {"elastic": pytest.approx(1.0)}
-    assert foretold.caveat is None
+    assert predicted.substeps == pytest.approx(simulation.solver.clock.substeps, rel=0.06)
+    assert predicted.limiters == {"elastic": pytest.approx(1.0)}
+    assert predicted.caveat is None
 
 
 def test_an_undeformed_object_needs_substeps_in_proportion_to_its_cells():
@@ -64,22 +64,22 @@ def test_an_undeformed_object_needs_substeps_in_proportion_to_its_cells():
 def test_excess_substeps_grow_faster_than_the_cells():
     nothing, frames = np.zeros(3), np.ones(3)
     counts = {"elastic": 10 * frames, "speed": 4 * frames, "gradient": frames, "user": nothing}
-    substeps, shares = Pilot(12, counts, 8.0, 1.0, False).substeps(24)
+    substeps, fractions = Pilot(12, counts, 8.0, 1.0, False).substeps(24)
     elastic = 8 * 2 + 2 * 2**1.8
     assert substeps == 3 * np.ceil(elastic + 4 * 2 + 1)
-    assert shares["speed"] == pytest.approx(8 / (elastic + 9))
-    assert "user" not in shares
+    assert fractions["speed"] == pytest.approx(8 / (elastic + 9))
+    assert "user" not in fractions
 
 
 def test_friction_asks_for_the_square_of_the_cells():
     counts = {"elastic": np.array([10.0, 100.0]), "speed": np.zeros(2)}
-    substeps, shares = Pilot(12, counts, 10.0, 1.0, False, viscous=15.0).substeps(24)
+    substeps, fractions = Pilot(12, counts, 10.0, 1.0, False, viscous=15.0).substeps(24)
     second = 2 * 10 + 90 * 2**1.8
     assert substeps == 60 + np.ceil(second), "friction rules the first frame only"
-    assert shares["viscous"] == pytest.approx(60 / (60 + second))
+    assert fractions["viscous"] == pytest.approx(60 / (60 + second))
 
 
-def test_substeps_of_a_body_with_friction_are_foretold():
+def test_substeps_of_a_body_with_friction_are_predicted():
     rubbing = scene("press", **{"material.damping": 400.0})
     simulation = Simulation(OBJECT, rubbing)
     made = Forecaster().of(simulation, filming=False)
@@ -103,7 +103,7 @@ def test_no_promise_where_speed_rules():
     assert limited.get("speed", 0) > 0.1 * sum(limited.values())
 
 
-def test_compared_counts_only_what_was_foretold():
+def test_compared_counts_only_what_was_predicted():
     made = Forecast(
         {"simulate": 2.0, "render": 1.0}, (), 10, 20, 30, {"elastic": 1.0}, SubstepCost(1.0, 1.0)
     ).with_measured("generate", 5.0)
@@ -138,7 +138,7 @@ def test_pixels_per_size_is_what_the_camera_sees():
     assert pixels_per_size(chosen) == pytest.approx(512 / (2 * half))
 
 
-def test_the_report_compares_what_was_foretold(tmp_path, capsys):
+def test_the_report_compares_what_was_predicted(tmp_path, capsys):
     arguments = ["generate", str(DUCK), *QUICK, "--json", "--out", str(tmp_path)]
     assert main([*arguments, "--forecast"]) == 0
     told = json.loads(capsys.readouterr().out)["forecast"]

@@ -48,7 +48,7 @@ def test_presets_are_promised_what_was_measured(name):
         ({"object.velocity": [0, 0, -30]}, "so violent, or so soft"),
         ({"time.frames": 200}, "for so long"),
         ({"accuracy": {"cells": 8}}, "on so coarse a grid"),
-        ({"accuracy": {"cells": 32, "ppc": 1.0}}, "fewer than 2 particles per cell"),
+        ({"accuracy": {"cells": 32, "particles_per_axis": 1.0}}, "fewer than 2 particles per cell"),
         ({"parts": [{"region": {}, "material": {"law": "sand"}}]}, "several materials"),
     ],
 )
@@ -60,7 +60,8 @@ def test_off_what_was_measured_nothing_is_promised(changes, why):
 
 
 def test_a_grid_between_two_is_promised_the_error_of_the_coarser(monkeypatch):
-    row = {"errors": {"16": 0.04, "32": 0.01, "48": None}, "violence": 1, "length": 9, "ppc": 2,
+    row = {"errors": {"16": 0.04, "32": 0.01, "48": None}, "violence": 1, "length": 9,
+        "particles_per_axis": 2,
            "from": ["drop"]}  # fmt: skip
     monkeypatch.setattr(
         promises, "table", lambda: {"object": "a duck", "scenes": {"neo_hookean landing": row}}

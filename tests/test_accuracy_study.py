@@ -36,7 +36,7 @@ def test_every_level_and_variation_is_run(study):
     names = [row.name for row in study[1].rows]
     assert names == [
         "D/8", "D/12", "D/16",
-        "half the substep at D/16", "float64 at D/16", "binding field at D/16",
+        "half the substep at D/16", "float64 at D/16", "binding lattice at D/16",
     ]  # fmt: skip
     assert not study[1].skipped
 
@@ -79,7 +79,12 @@ def test_a_free_spin_keeps_its_angular_momentum():
 
 def test_levels_with_too_few_particles_are_skipped_and_said():
     scene = Scene.named("spin").replaced(
-        {"accuracy": {"ppc": 1.0}, "time.frames": 2, "view.size": 32, "binding": "field"}
+        {
+            "accuracy": {"particles_per_axis": 1.0},
+            "time.frames": 2,
+            "view.size": 32,
+            "binding": "lattice",
+        }
     )
     report = Study(ball(300), scene, levels=(12,)).run()
     assert not report.rows
@@ -87,7 +92,7 @@ def test_levels_with_too_few_particles_are_skipped_and_said():
 
 
 def test_levels_alone_are_run_where_nothing_else_is_asked():
-    scene = Scene.named("drop").replaced({"time.frames": 3, "view.size": 32, "binding": "field"})
+    scene = Scene.named("drop").replaced({"time.frames": 3, "view.size": 32, "binding": "lattice"})
     told = []
     report = Study(
         ball(300), scene, levels=(8, 10), thorough=False, progress=lambda *at: told.append(at)
@@ -98,7 +103,7 @@ def test_levels_alone_are_run_where_nothing_else_is_asked():
 
 
 def test_a_level_that_is_stopped_is_left_out():
-    scene = Scene.named("drop").replaced({"time.frames": 3, "view.size": 32, "binding": "field"})
+    scene = Scene.named("drop").replaced({"time.frames": 3, "view.size": 32, "binding": "lattice"})
 
     def progress(_: str, done: int, total: int) -> None:
         if done == 1:
@@ -119,7 +124,7 @@ def test_the_error_on_any_grid_follows_from_those_that_were_run():
 
 
 def test_a_level_that_may_be_torn_is_said():
-    soft = {"material.E": 300, "time.frames": 8, "view.size": 32, "binding": "field"}
+    soft = {"material.E": 300, "time.frames": 8, "view.size": 32, "binding": "lattice"}
     report = Study(ball(300), Scene.named("spin").replaced(soft), levels=(8,)).run()
     assert report.rows[0].name == "D/8"
     assert re.match(r"D/8: \d+ particles were stretched, up to \d\.\d times", report.skipped[0])
@@ -129,7 +134,7 @@ def test_a_torn_level_promises_nothing(monkeypatch, tmp_path):
     """However close two grids are: what both tear is not what the material does."""
     likely = property(lambda self: self._model.dx < 1 / 13)
     monkeypatch.setattr(Tearing, "likely", likely)
-    quick = {"time.frames": 2, "view.size": 32, "binding": "field"}
+    quick = {"time.frames": 2, "view.size": 32, "binding": "lattice"}
     report = Study(ball(300), Scene.named("drop").replaced(quick), levels=(8, 10, 12, 16)).run()
     rows = {row.name: row for row in report.rows}
     assert all(rows[f"D/{cells}"].error is not None for cells in (8, 10, 12))
@@ -147,7 +152,7 @@ def test_a_torn_level_promises_nothing(monkeypatch, tmp_path):
 
 def test_too_few_whole_levels_have_no_order(monkeypatch):
     monkeypatch.setattr(Tearing, "likely", property(lambda self: self._model.dx < 1 / 9))
-    quick = {"time.frames": 2, "view.size": 32, "binding": "field"}
+    quick = {"time.frames": 2, "view.size": 32, "binding": "lattice"}
     scene = Scene.named("drop").replaced(quick)
     report = Study(ball(300), scene, levels=(8, 10, 12)).run()
     assert report.convergence.order is None

@@ -78,8 +78,8 @@ def distances(shape: str, geometry, x: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def segment_distance(x: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    share = np.clip((x - a) @ (b - a) / ((b - a) @ (b - a)), 0, 1)
-    return np.linalg.norm(x - a - share[:, None] * (b - a), axis=1)
+    fraction = np.clip((x - a) @ (b - a) / ((b - a) @ (b - a)), 0, 1)
+    return np.linalg.norm(x - a - fraction[:, None] * (b - a), axis=1)
 
 
 @pytest.mark.parametrize(
@@ -154,12 +154,12 @@ def test_walls_answer_as_their_contact_says(rng):
     leaving = speed >= 0
     np.testing.assert_array_equal(got["separate"][leaving], v[leaving])
     length = np.linalg.norm(along, axis=1, keepdims=True)
-    share = np.maximum(0, 1 + friction * speed[:, None] / length)
+    fraction = np.maximum(0, 1 + friction * speed[:, None] / length)
     np.testing.assert_allclose(
-        got["separate"][~leaving], (wall + share * along)[~leaving], atol=1e-14
+        got["separate"][~leaving], (wall + fraction * along)[~leaving], atol=1e-14
     )
-    assert np.any(share[~leaving] == 0)
-    assert np.any(share[~leaving] > 0)
+    assert np.any(fraction[~leaving] == 0)
+    assert np.any(fraction[~leaving] > 0)
 
 
 @pytest.mark.parametrize(
@@ -331,7 +331,7 @@ def test_a_container_keeps_a_fluid():
 
 
 def test_foot_and_held_hold_their_part(rng):
-    for wall in (Foot(share=0.3), Held(lower=(-1, -1, -1), upper=(1, 1, 0.12))):
+    for wall in (Foot(fraction=0.3), Held(lower=(-1, -1, -1), upper=(1, 1, 0.12))):
         s = solver(block(), wall, forces=[Gravity(g=(9.81, 0, 0))])
         s.advance(0.1)
         moved = np.abs(s.state.x.numpy() - s.model.rest)[:, 0]

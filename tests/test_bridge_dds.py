@@ -37,7 +37,7 @@ from phy124.errors import InputError
 SUBSCRIBER = Path(__file__).parent / "support/bridge_subscriber.py"
 EPOCH = 1_700_000_000
 DOMAINS = itertools.count(os.getpid())
-PATIENCE = 20.0
+TIMEOUT = 20.0
 
 
 @pytest.fixture
@@ -67,7 +67,7 @@ def received(process):
 
 
 def wait_until(condition):
-    deadline = time.monotonic() + PATIENCE
+    deadline = time.monotonic() + TIMEOUT
     while not condition():
         assert time.monotonic() < deadline, "nothing was discovered"
         time.sleep(0.02)
@@ -97,13 +97,13 @@ def check_every_frame_arrives(domain, frames, count, profile="full", **playing):
 
 def test_two_processes(domain):
     # Patient, so that a busy machine cannot make it fail.
-    check_every_frame_arrives(domain, frames=15, count=8192, patience=PATIENCE)
+    check_every_frame_arrives(domain, frames=15, count=8192, patience=TIMEOUT)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("attempt", range(3))
 def test_sixty_of_sixty_frames_of_the_live_defaults_at_30_hz(domain, attempt):
-    check_every_frame_arrives(domain, frames=60, count=LIVE_POINTS, profile=None, patience=PATIENCE)
+    check_every_frame_arrives(domain, frames=60, count=LIVE_POINTS, profile=None, patience=TIMEOUT)
 
 
 def test_a_subscriber_that_hangs_neither_ends_nor_stops_the_show(domain, monkeypatch):
@@ -134,7 +134,7 @@ def test_a_late_joiner_gets_the_last_five(domain):
 
 def test_a_string_command_pauses(domain):
     clip = random_clip(frames=60, count=256)
-    player, deadline = Player(clip.times, loop=True), time.monotonic() + PATIENCE
+    player, deadline = Player(clip.times, loop=True), time.monotonic() + TIMEOUT
 
     def obey(text):
         live.command(player, text, time.monotonic())

@@ -139,7 +139,7 @@ def test_records_get_what_is_shown():
     assert record.shown == sink.shown
 
 
-PATIENCE = 20.0
+TIMEOUT = 20.0
 """Seconds after which a test that waits gives up."""
 
 
@@ -161,7 +161,7 @@ class Asked:
     def ask(self, text):
         answers = queue.Queue()
         self.requests.put((text, answers))
-        return answers.get(timeout=PATIENCE)
+        return answers.get(timeout=TIMEOUT)
 
     def write(self, frame):
         self.shown.append(frame.index)
@@ -235,7 +235,7 @@ def test_pause_lets_the_simulation_rest_after_the_frame_in_hand():
     looking = threading.Thread(target=look_and_play, daemon=True)
     looking.start()
     live.follow(simulated(), sink)
-    looking.join(PATIENCE)
+    looking.join(TIMEOUT)
     assert seen == [([0, 1], [0])] * 3
     assert sink.shown == made == [0, 1, 2, 3]
 

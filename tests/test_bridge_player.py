@@ -35,7 +35,7 @@ def test_speed_scales_waiting_but_not_stamps():
 
 
 def test_slightly_late_frames_catch_up():
-    player = Player(TIMES, patience=0.15)
+    player = Player(TIMES, lateness=0.15)
     player.due(0.0)
     # Frame 1 is 0.24 s late, frame 2 only 0.14 s.
     assert [player.due(0.34).index for _ in range(2)] == [2, 3]
@@ -44,7 +44,7 @@ def test_slightly_late_frames_catch_up():
 
 
 def test_late_frames_are_dropped_and_counted():
-    player = Player(TIMES, patience=0)
+    player = Player(TIMES, lateness=0)
     player.due(0.0)
     tick = player.due(0.57)
     assert (tick.index, player.dropped) == (5, 4)
@@ -60,7 +60,7 @@ def test_loop_stamps_go_on_growing():
 
 
 def test_long_stall_is_not_raced_through():
-    player = Player(TIMES, loop=True, patience=0)
+    player = Player(TIMES, loop=True, lateness=0)
     player.due(0.0)
     assert player.due(1000.05).index == 9
     # 1000 rounds of ten frames: one shown at the start, one at the stall, one from now on.

@@ -24,7 +24,7 @@ from support.ros_double import POLICIES, Node
 JAZZY = get_typestore(Stores.ROS2_JAZZY)
 FOREVER = 1000
 """Spins after which a test's script gives up."""
-PATIENCE = 20.0
+TIMEOUT = 20.0
 """Seconds after which a test that waits gives up."""
 
 
@@ -483,7 +483,7 @@ def test_a_running_simulation_answers_while_it_computes(ros, monkeypatch):
     answers = []
 
     def wait_until(condition):
-        deadline = time.monotonic() + PATIENCE
+        deadline = time.monotonic() + TIMEOUT
         while not condition():
             assert time.monotonic() < deadline, "nobody answers while a frame is computed"
             time.sleep(0.001)

@@ -1,4 +1,4 @@
-"""Inner friction of elastic laws: the stress, a bar of known decay, stability at the limit."""
+"""Viscosity of elastic laws: the stress, a bar of known decay, stability at the limit."""
 
 import math
 
@@ -50,16 +50,16 @@ def test_without_friction_the_plain_law_runs():
     assert "damping" not in Rigid.model_fields
 
 
-def damped_bar(damping: float, *, cells: int = 24, ppc: int = 2) -> float:
+def damped_bar(damping: float, *, cells: int = 24, particles_per_axis: int = 2) -> float:
     """Rate [1/s] at which the first mode of a free bar dies away, over its first period."""
     E, density = 1e4, 1000.0
     dx, wave, speed = 1 / cells, math.pi, math.sqrt(E / density)
-    z = (np.arange(cells * ppc) + 0.5) * dx / ppc
+    z = (np.arange(cells * particles_per_axis) + 0.5) * dx / particles_per_axis
     x, v, C = (np.zeros((len(z), *shape)) for shape in ((3,), (3,), (3, 3)))
     x[:, 2], v[:, 2] = z, 1e-6 * np.cos(wave * z)
     C[:, 2, 2] = -1e-6 * wave * np.sin(wave * z)
     material = NeoHookean(E=E, nu=0.0, density=density, damping=damping)
-    volume = np.full(len(x), dx**3 / ppc)
+    volume = np.full(len(x), dx**3 / particles_per_axis)
     solver = make_solver(x, volume, [material], dx=dx, v=v, C=C, precision="float64")
     period = 2 / speed
     solver.advance(period)
@@ -95,8 +95,8 @@ def test_a_lone_particle_is_stable_beside_both_limits(rng):
     """The worst case: one particle, the boldest cfl, friction that alone would allow it."""
     dx, cfl = 0.1, 0.9
     speed = NeoHookean(E=2e4).wave_speed()
-    share = 2 - 2 * cfl**2
-    damping = 1.5 * share * 1000 * dx * speed / (8 * cfl)
+    fraction = 2 - 2 * cfl**2
+    damping = 1.5 * fraction * 1000 * dx * speed / (8 * cfl)
     C = rng.normal(scale=0.01, size=(1, 3, 3))
     material = NeoHookean(E=2e4, damping=damping)
     solver = make_solver(

@@ -207,7 +207,7 @@ def affine(rng):
     return IDENTITY + 0.4 * rng.normal(size=(3, 3)), np.array([0.1, -0.2, 0.3])
 
 
-@pytest.mark.parametrize("binding", ["particles", "field"])
+@pytest.mark.parametrize("binding", ["particles", "lattice"])
 def test_affine_motions_are_exact_for_both_bindings(binding, rng):
     centres = rng.random((600, 3)) * [1, 1, 0.2]
     gaussians = random_gaussians(600, rng)

@@ -142,8 +142,8 @@ def _report() -> dict:
         "substep_stages": [{"name": "p2g", "seconds": 1.5, "launches": 30}],
         "effects": {"left_out": [{"effect": "colliders", "why": "there are none"}]},
         "motion": {
-            "time": [0, 0.1], "smallest_J": [1, 0.7],
-            "greatest_speed": [0, 2], "kinetic_energy": [0, 5],
+            "time": [0, 0.1], "min_J": [1, 0.7],
+            "max_speed": [0, 2], "kinetic_energy": [0, 5],
         },
     }  # fmt: skip
 

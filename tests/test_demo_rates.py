@@ -76,8 +76,8 @@ def test_a_machine_that_became_slower_is_believed(learned):
 def test_nothing_is_refused_because_of_what_was_learned(learned):
     forecaster = Estimator()
     forecaster.learned = learned
-    before = forecaster.least(USUAL)
+    before = forecaster.minimum(USUAL)
     for _ in range(10):
         learned.learn(_report(USUAL, simulate=900.0, render=900.0), USUAL)
     assert forecaster(USUAL).seconds > 2 * before
-    assert forecaster.least(USUAL) == before
+    assert forecaster.minimum(USUAL) == before

@@ -15,7 +15,7 @@ from PIL import Image
 
 from support.hostile import bomb
 from support.pages import blocks
-from support.served import PATIENCE, ROOT, Server, serving
+from support.served import ROOT, TIMEOUT, Server, serving
 
 DUCK = ROOT / "demo" / "examples" / "duck.png"
 GIGABYTE = 1 << 30
@@ -46,7 +46,7 @@ def client(server):
 
 def _client(server: Server):
     gradio_client = pytest.importorskip("gradio_client", reason="the extra demo is not installed")
-    patient = {"timeout": PATIENCE}
+    patient = {"timeout": TIMEOUT}
     return _Closing(
         gradio_client.Client(
             server.url, verbose=False, analytics_enabled=False, httpx_kwargs=patient
@@ -77,7 +77,7 @@ def _generate(client, picture=DUCK, **options):
 
 def _get(url: str) -> tuple[int, bytes]:
     try:
-        with urllib.request.urlopen(url, timeout=PATIENCE) as answer:
+        with urllib.request.urlopen(url, timeout=TIMEOUT) as answer:
             return answer.status, answer.read()
     except urllib.error.HTTPError as error:
         with error:
@@ -86,7 +86,7 @@ def _get(url: str) -> tuple[int, bytes]:
 
 def _post(url: str, data: bytes) -> tuple[int, bytes]:
     try:
-        with urllib.request.urlopen(url, data, timeout=PATIENCE) as answer:
+        with urllib.request.urlopen(url, data, timeout=TIMEOUT) as answer:
             return answer.status, answer.read()
     except urllib.error.HTTPError as error:
         with error:
@@ -141,7 +141,7 @@ def test_the_program_of_the_documentation_runs(server, monkeypatch, capsys):
 def test_the_error_of_a_scene_is_measured_by_name(client):
     from gradio_client import handle_file
 
-    scene = {"preset": "drop", "accuracy": "fine", "frames": 2, "changes": {"binding": "field"}}
+    scene = {"preset": "drop", "accuracy": "fine", "frames": 2, "changes": {"binding": "lattice"}}
     error, said, levels = client.predict(handle_file(str(DUCK)), **scene, api_name="/measure")
     assert 0 < error < 1 and f"{error:.1%}" in said
     assert [level["cells"] for level in levels] == [12, 16, 24]

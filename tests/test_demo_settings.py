@@ -98,8 +98,8 @@ def test_every_preset_has_a_small_preview():
         assert path.exists(), f"python -m demo.make_previews {name}"
         assert path.stat().st_size < 100_000
         with Image.open(path) as picture:
-            least, _ = picture.convert("RGBA").getchannel("A").getextrema()
-        assert least == 0, f"{name} would be a white square on a dark page"
+            minimum, _ = picture.convert("RGBA").getchannel("A").getextrema()
+        assert minimum == 0, f"{name} would be a white square on a dark page"
         assert card["text"] and scene_of(card["scene"], Settings()).description == card["text"]
 
 
@@ -109,7 +109,7 @@ def test_every_preset_has_a_small_preview():
         ({"time.frames": 73}, "frames"),
         ({"accuracy": {"cells": 65}}, "cells"),
         ({"view.size": 1024}, "size"),
-        ({"accuracy": {"cells": 64, "ppc": 3.5}}, "particles"),
+        ({"accuracy": {"cells": 64, "particles_per_axis": 3.5}}, "particles"),
         ({"forces": [{"kind": "gravity"}] * 17}, "forces and boundaries"),
     ],
 )
@@ -176,14 +176,14 @@ def test_fractions_of_frames_are_refused_though_a_slider_would_send_them():
 def test_what_would_take_too_long_is_refused_before_it_starts():
     stiff = Scene.named("press").replaced({"material.E": 1e10})
     with pytest.raises(InputError, match="would take about"):
-        check_time(Estimator().least(stiff), Settings())
+        check_time(Estimator().minimum(stiff), Settings())
 
 
 @pytest.mark.parametrize("damping", [0.0, 2e4])
 def test_the_forecast_counts_the_substeps_of_a_run(three_gaussians, damping):
     from phy124.simulation import Simulation
 
-    small = {"accuracy": {"cells": 8, "ppc": 1.0}, "material.damping": damping}
+    small = {"accuracy": {"cells": 8, "particles_per_axis": 1.0}, "material.damping": damping}
     scene = Scene.named("push_right").replaced(small)
     run = Simulation(three_gaussians, scene, device="cpu")
     run.run()
@@ -285,7 +285,9 @@ def test_rates_are_measured_less_what_others_took(monkeypatch):
 
 
 def test_a_forecast_can_be_measured_on_the_object_itself(three_gaussians):
-    scene = Scene.named("drop").replaced({"accuracy": {"cells": 8, "ppc": 1.0}, "view.size": 32})
+    scene = Scene.named("drop").replaced(
+        {"accuracy": {"cells": 8, "particles_per_axis": 1.0}, "view.size": 32}
+    )
     forecast = measured(three_gaussians, scene, "cpu", rest=1.0)
     assert forecast.seconds > 1.0 and forecast.promise.error is None
     assert forecast.substeps > 0 and forecast.particles >= 3

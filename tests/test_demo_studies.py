@@ -22,7 +22,7 @@ from phy124.scene import Scene
 from support.orders import small_order
 
 DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"
-QUICK = {"time.frames": 3, "binding": "field", "accuracy": {"cells": 32}}
+QUICK = {"time.frames": 3, "binding": "lattice", "accuracy": {"cells": 32}}
 
 
 def _found(*errors: float | None, torn: int = 0, rate: float | None = 1.0) -> Measurement:
@@ -162,7 +162,7 @@ def test_the_report_of_a_run_tells_what_was_measured_on_its_scene_later(visit, m
     assert "Error measured</td><td>about 6.0%" in handlers.report_of(studio, again)
 
 
-def test_kernels_to_compile_are_foretold_and_no_probe_compiles_them(visit, monkeypatch):
+def test_kernels_to_compile_are_predicted_and_no_probe_compiles_them(visit, monkeypatch):
     studio, cutout, data = visit
     job = studio.run("a", cutout, data)
     assert job.wait(300) and job.progress.state == "done", job.progress.message

@@ -68,7 +68,7 @@ def test_what_is_promised_is_reported_as_the_command_line_does(order):
     done, _ = _run(order)
     report = json.loads((done.films / "report.json").read_text("utf-8"))
     assert report["promise"]["error"] is None and report["versions"]["phy124"]
-    assert len(report["motion"]["smallest_J"]) == report["frames"] == 3
+    assert len(report["motion"]["min_J"]) == report["frames"] == 3
 
 
 def test_the_report_says_how_the_object_was_cut_out(order):
@@ -206,5 +206,5 @@ def test_motion_is_reported_per_frame(order):
     motion = json.loads((done.films / "report.json").read_text())["motion"]
     assert motion["time"] == pytest.approx([0, 0.05, 0.1])
     # A ball in free fall: v = g t but for the half substep that velocities are behind.
-    assert motion["greatest_speed"] == pytest.approx([0, 9.81 * 0.05, 9.81 * 0.1], abs=0.04)
-    assert motion["smallest_J"] == pytest.approx([1, 1, 1], abs=1e-4)
+    assert motion["max_speed"] == pytest.approx([0, 9.81 * 0.05, 9.81 * 0.1], abs=0.04)
+    assert motion["min_J"] == pytest.approx([1, 1, 1], abs=1e-4)

@@ -145,7 +145,7 @@ def test_however_rarely_limits_are_measured_an_impact_stays_sound(every):
     scene = Scene.from_data({
         "object": {"lift": 0.1, "velocity": [0, 0, -20]}, "material": {"law": "neo_hookean"},
         "accuracy": {"cells": 8}, "time": {"frames": 4, "fps": 60},
-        "checks": {"measure": every}, "binding": "field",
+        "checks": {"measure": every}, "binding": "lattice",
     })  # fmt: skip
     report = Simulation(ball(100), scene).run().report
     assert report["complete"] and not report["balance"]["inside_out"]

@@ -55,8 +55,8 @@ def _unpacked(data: bytes) -> tuple[dict, dict[str, np.ndarray]]:
     out["means"] = (low[:, None] + (high - low)[:, None] * steps / 65535).transpose(0, 2, 1)
     out["quats"] = np.cumsum(take("i1", t, 4, n), axis=0, dtype="i1").transpose(0, 2, 1) / 127
     ratios = np.cumsum(take("u1", t, 3, n), axis=0, dtype="u1").transpose(0, 2, 1) / 255
-    least, most = head["ratio"]
-    out["scales"] = out["rest"] * np.exp(least + (most - least) * ratios)
+    minimum, most = head["ratio"]
+    out["scales"] = out["rest"] * np.exp(minimum + (most - minimum) * ratios)
     out["speed"] = np.cumsum(take("u1", t, n), axis=0, dtype="u1") / 255 * head["speed"]
     assert at == len(raw), "something is left over"
     return head, out

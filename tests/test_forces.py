@@ -8,13 +8,13 @@ from phy124.forces import (
     Acceleration,
     AnyForce,
     Attraction,
-    FieldForce,
     Gravity,
     Impulse,
     ParticleForce,
     SetVelocity,
     TotalForce,
     Wind,
+    ZoneForce,
 )
 from phy124.materials import NeoHookean
 from phy124.mpm import Solver
@@ -132,7 +132,7 @@ def test_a_body_attracted_swings_through_the_point():
 def test_a_field_acts_on_what_is_inside_at_the_moment(cylinder):
     """v^2 grows by 2 a d over a slab of thickness d; beside it nothing happens."""
     place = Region(lower=(0.4, -1.0, -1.0), upper=(0.6, 1.0, 1.0), cylinder=cylinder)
-    field = FieldForce(place=place, a=(3.0, 0.0, 0.0))
+    field = ZoneForce(place=place, a=(3.0, 0.0, 0.0))
     x = np.array([[0.0, 0.0, 0.0], [0.0, 0.9, 0.9] if cylinder else [0.0, 3.0, 0.0]])
     v = np.tile([2.0, 0.0, 0.0], (2, 1))
     s = solver(field, x=x, v=v, material=NeoHookean(E=10.0), ceiling=5e-4)
@@ -161,7 +161,7 @@ def test_what_acts_on_the_whole_body_costs_no_launch_and_the_rest_one_each():
         (Gravity(region=LEFT), "region_force"),
         (TotalForce(region=LEFT), "region_force"),
         (ParticleForce(), "particle_force"),
-        (FieldForce(), "field"),
+        (ZoneForce(), "zone"),
         (Wind(), "wind"),
         (Attraction(), "attraction"),
         (SetVelocity(), "set_velocity"),
@@ -171,7 +171,7 @@ def test_what_acts_on_the_whole_body_costs_no_launch_and_the_rest_one_each():
 
 def test_forces_are_named_by_their_kind_and_refuse_nonsense():
     adapter = TypeAdapter(AnyForce)
-    for force in (Impulse(), FieldForce(), Wind(), Attraction(), Gravity(profile=Sine())):
+    for force in (Impulse(), ZoneForce(), Wind(), Attraction(), Gravity(profile=Sine())):
         assert adapter.validate_python(force.model_dump()) == force
         assert adapter.validate_json(force.model_dump_json()) == force
     with pytest.raises(ValidationError, match="an impulse ends after its duration"):
@@ -179,6 +179,6 @@ def test_forces_are_named_by_their_kind_and_refuse_nonsense():
     with pytest.raises(ValidationError, match="must not repeat and must push on the whole"):
         Impulse(profile=Sine())
     with pytest.raises(ValidationError, match="leave region out"):
-        FieldForce(region=LEFT)
+        ZoneForce(region=LEFT)
     with pytest.raises(ValidationError, match="must be before end"):
         Gravity(start=2.0, end=1.0)

@@ -71,7 +71,7 @@ MATERIAL = st.one_of(
         for law, own in MATERIALS.items()
     ]
 )
-PATIENCE = r"^frame \d+ was reached in .*time\.patience: .*number \d+ of law .* Use "
+TIMEOUT = r"^frame \d+ was reached in .*time\.budget: .*number \d+ of law .* Use "
 PROFILE = st.sampled_from(
     [
         {"kind": "constant"},
@@ -96,7 +96,7 @@ FORCE = st.one_of(
     force("set_velocity", v=vectors(decades(1e-3, 30)), spin=vectors(decades(1e-3, 30))),
     force("wind", v=vectors(decades(1e-3, 100)), rate=decades(1e-3, 1e6)),
     force("attraction", g=decades(1e-2, 1e4), radius=decades(1e-3, 1e3)),
-    force("field", a=vectors(STRENGTH)),
+    force("zone", a=vectors(STRENGTH)),
 )
 CONTACT = {
     "contact": st.sampled_from(["sticky", "slip", "separate"]),
@@ -122,7 +122,7 @@ SIZES = decades(1e-2, 10)
 BOUNDARY = st.one_of(
     wall("ground"),
     wall("press", depth=st.floats(0.01, 0.9), down=decades(1e-3, 1)),
-    st.fixed_dictionaries({"kind": st.just("foot"), "share": st.floats(0.01, 1)}),
+    st.fixed_dictionaries({"kind": st.just("foot"), "fraction": st.floats(0.01, 1)}),
     wall("half_space", normal=st.sampled_from([(0, 0, 1), (1, 0, 2), (0, 1, 0)]), motion=MOTION),
     wall("sphere", centre=vectors(SIZES), radius=SIZES, motion=MOTION),
     wall("box", upper=st.builds(lambda s: (s, s, s), SIZES), motion=MOTION),
@@ -168,9 +168,9 @@ def scenes(draw: st.DrawFn) -> Scene:
         "material": draw(MATERIAL),
         "forces": draw(st.lists(FORCE, max_size=2)),
         "boundaries": draw(st.lists(BOUNDARY, max_size=2)),
-        "binding": draw(st.sampled_from(["particles", "field"])),
+        "binding": draw(st.sampled_from(["particles", "lattice"])),
         "accuracy": {
-            "cells": cells, "ppc": draw(st.floats(1, 2)), "cfl": cfl,
+            "cells": cells, "particles_per_axis": draw(st.floats(1, 2)), "cfl": cfl,
             "precision": draw(st.sampled_from(["float32", "float64"])),
         },
     }  # fmt: skip
@@ -189,7 +189,7 @@ def scenes(draw: st.DrawFn) -> Scene:
         "velocity": tuple(np.clip(mach * speed * np.array(direction), -1e5, 1e5).tolist()),
         "spin": draw(vectors(decades(1e-3, 1e2))),
     }
-    data["time"] = {"frames": 3, "fps": max(1.0, 1 / time), "patience": 1.0}
+    data["time"] = {"frames": 3, "fps": max(1.0, 1 / time), "budget": 1.0}
     return Scene.from_data(data)
 
 
@@ -206,9 +206,9 @@ def check(cloud: Cloud, scene: Scene) -> None:
     report = clip.report
     outcome = "complete"
     if not report["complete"]:
-        # No scene may break; one may outlast the test's patience, and its frames so far are good.
-        assert re.search(PATIENCE, report["stopped"]), report["stopped"]
-        outcome = "out of patience"
+        # No scene may break; one may outlast its time budget, and its frames so far are good.
+        assert re.search(TIMEOUT, report["stopped"]), report["stopped"]
+        outcome = "out of time"
     OUTCOMES[outcome] += 1
     event(f"{scene.material.law}: {outcome}")
     for name in ("means", "quats", "scales", "opacities", "times"):
@@ -234,7 +234,7 @@ OUTCOMES: Counter[str] = Counter()
 
 
 def most_are_complete() -> None:
-    """Refused or out of patience proves nothing, so most must run to their end."""
+    """Refused or out of time proves nothing, so most must run to their end."""
     assert OUTCOMES["complete"] >= 2 / 3 * sum(OUTCOMES.values()), OUTCOMES
 
 

@@ -174,7 +174,7 @@ CASES = {
     "f5_bounding_box_slip": (0.02, 0.05),
     "e2_plasticine": (0.01, 0.05),
 }
-"""Greatest difference of centre of mass [sizes] and of kinetic energy [greatest in the run]."""
+"""Largest difference of centre of mass [sizes] and of kinetic energy [largest in the run]."""
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -190,10 +190,12 @@ def test_runs_agree_within_the_discretisation(golden, case):
     kinetic = [(mass * recording.at("v", k) ** 2).sum() for k in recording.data["steps"]]
     assert abs((mass * v**2).sum() - kinetic[-1]) < energy * max(kinetic)
     if case[0] in "abf":
-        shares = [0.05, 0.25, 0.5, 0.75, 0.95]
+        fractions = [0.05, 0.25, 0.5, 0.75, 0.95]
         J = np.linalg.det(solver.state.deformation.numpy())
         theirs = np.linalg.det(recording.at("F_trial", steps))
-        np.testing.assert_allclose(np.quantile(J, shares), np.quantile(theirs, shares), atol=0.02)
+        np.testing.assert_allclose(
+            np.quantile(J, fractions), np.quantile(theirs, fractions), atol=0.02
+        )
 
 
 def assert_the_difference_is_the_gradient(recording, steps):

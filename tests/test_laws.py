@@ -176,7 +176,7 @@ def test_foam_given_time_returns_to_its_yield_surface(rng):
     np.testing.assert_allclose(mises, material.yield_stress, rtol=1e-3)
 
 
-def test_sand_carries_no_tension_and_only_its_share_of_shear(rng):
+def test_sand_carries_no_tension_and_only_its_fraction_of_shear(rng):
     material = Sand()
     mu, _, alpha = material.theta()
     after = evaluate(material, deformations(rng, 0.2))
@@ -282,14 +282,14 @@ def test_viscosity_limits_the_substep(stretch):
     material, dx = Fluid(viscosity=5.0, density=1000.0, bulk_modulus=1.0), 0.1
     limit = material.viscous_limit(dx)
     assert Fluid().viscous_limit(dx) == np.inf
-    for share, grows in ((1.0, False), (1.9, False), (2.1, True)):
+    for fraction, grows in ((1.0, False), (1.9, False), (2.1, True)):
         solver = make_solver(
             np.array([[0.03, 0.02, 0.01]]), np.array([1e-3]), [material], dx=dx,
             C=np.diag([0.1, -0.1, 0.0])[None], precision="float64",
         )  # fmt: skip
         solver.state.F.fill_(wp.mat33d(*(stretch * EYE).ravel()))
         for _ in range(40):
-            solver.step(share * limit, 1e-12)
+            solver.step(fraction * limit, 1e-12)
         C = solver.state.C.numpy()[0]
         assert (abs(C[0, 0] - C[1, 1]) > 0.2) == grows
 

@@ -22,7 +22,7 @@ def run(**changes) -> Simulation:
     [
         (
             {"material.E": 1e13, "time.frames": 10_000},
-            r"forecast to take .* days .* material.E = .* or time.patience = .* would fit",
+            r"forecast to take .* days .* material.E = .* or time.budget = .* would fit",
         ),
         (
             {"time.substep": 1e-9, "time.frames": 1000},
@@ -45,7 +45,7 @@ def test_runs_of_hours_are_refused_before_they_start(changes, message):
 )
 def test_the_setting_that_would_fit_fits(hard):
     """What is named is what makes the substeps short, and the value given runs in time."""
-    hard = {**hard, "time.frames": 200, "time.patience": 60.0}
+    hard = {**hard, "time.frames": 200, "time.budget": 60.0}
     with pytest.raises(InputError) as refusal:
         run(**hard)
     words, changes = refusal.value.remedies[0]

@@ -93,7 +93,7 @@ def test_volume_is_right_to_three_percent_at_every_resolution(name, cells, rng):
 def test_a_micrometre_and_a_kilometre_weigh_what_they_should(name, size, rng):
     make, volume = SHAPES[name]
     gaussians = make(3000, rng).moved(size, np.zeros(3))
-    for binding in ("particles", "field"):
+    for binding in ("particles", "lattice"):
         particles = make_particles(gaussians, density=700, spacing=size / 20, binding=binding)
         assert particles.mass.sum() == pytest.approx(700 * volume * size**3, rel=0.03)
         assert (particles.volume > 0).all()
@@ -183,7 +183,7 @@ def test_thin_parts_get_no_fillers_but_carriers(rng):
         *(np.concatenate([getattr(g, f) for g in (sheet, stem)])
           for f in ("means", "quats", "scales", "opacities", "sh"))
     )  # fmt: skip
-    particles = make_particles(both, density=1000, spacing=0.05, binding="field")
+    particles = make_particles(both, density=1000, spacing=0.05, binding="lattice")
     assert (particles.gaussian == -1).all()
     assert nearest(both.means, particles.x).max() <= math.sqrt(3) * 0.05
     assert 350 < len(particles) < 700
@@ -192,7 +192,7 @@ def test_thin_parts_get_no_fillers_but_carriers(rng):
 
 def test_a_field_has_one_particle_per_lattice_cell_and_leaves_nothing_out(rng):
     gaussians = ball(5000, rng)
-    particles = make_particles(gaussians, density=1000, spacing=0.05, binding="field")
+    particles = make_particles(gaussians, density=1000, spacing=0.05, binding="lattice")
     assert nearest(gaussians.means, particles.x).max() <= 0.05 + 1e-6
     assert len(np.unique(np.floor(particles.x / 0.05), axis=0)) == len(particles)
     assert np.ptp(particles.volume) < 2.5 * 0.05**3
@@ -212,7 +212,7 @@ def test_any_points_make_finite_positive_particles(n, rank, sigma, spacing, seed
     gaussians = dots(centres, 10.0**sigma)
     assume(10.0 ** (sigma - spacing) < 10)
     volume = solid(gaussians, 10.0**spacing).volume
-    for binding in ("particles", "field"):
+    for binding in ("particles", "lattice"):
         p = make_particles(gaussians, density=1, spacing=10.0**spacing, binding=binding)
         assert len(p) >= 1 and (p.volume > 0).all() and np.isfinite(p.mass).all()
         assert p.volume.sum() == pytest.approx(volume)

@@ -46,7 +46,7 @@ def test_gaussians_that_ride_along_pick_what_is_near_them():
     part = Part(gaussians=(1, 2), material=FixedCorotated(E=1e5))
     chosen = assign(GRID, NOBODY, [part], means=means)
     assert np.array_equal(chosen == 1, GRID[:, 0] > 0)
-    scene = Scene(parts=(part.model_copy(update={"gaussians": (0, 100)}),), binding="field")
+    scene = Scene(parts=(part.model_copy(update={"gaussians": (0, 100)}),), binding="lattice")
     coarse = scene.replaced({"accuracy": {"cells": 8}, "time.frames": 1})
     assert 0 < Simulation(ball(), coarse).particles.material.mean() < 1
 

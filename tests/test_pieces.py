@@ -16,7 +16,7 @@ def test_touching_cells_hang_together_and_an_empty_layer_parts():
     assert labels(np.array([[0.5, 0, 0], [1.5, 0, 0], [2.9, 0, 0]]), 1.0).max() == 0
     assert labels(np.array([[0.0, 0, 0], [2.0, 0, 0], [3.0, 0, 0]]), 1.0).tolist() == [0, 1, 1]
     corner = np.array([[0.0, 0, 0], [1.1, 1.1, 1.1]])
-    assert labels(corner, 1.0).max() == 0, "cells that share a corner touch"
+    assert labels(corner, 1.0).max() == 0, "cells that fraction a corner touch"
 
 
 @pytest.mark.parametrize("away", [3.0, 1.5 * FAR, 1e9])

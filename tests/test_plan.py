@@ -1,4 +1,4 @@
-"""What a run shall achieve and what is foretold of it: one declaration for both commands."""
+"""What a run shall achieve and what is predicted of it: one declaration for both commands."""
 
 import json
 
@@ -48,7 +48,7 @@ def test_a_dry_run_tells_the_grid_that_a_time_leads_to(file, tmp_path, capsys, m
     monkeypatch.setattr("phy124.accuracy.choose.CHEAP", (8, 10))
     arguments = ["simulate", str(file), "--out", str(tmp_path / "o"), *SMALL, "--dry-run"]
     assert main([*arguments, "--max-seconds", "1000"]) == 0
-    assert "wished at most 1000 s: D/" in capsys.readouterr().out
+    assert "asked for at most 1000 s: D/" in capsys.readouterr().out
     assert main([*arguments, "--max-error", "2%"]) == 2
     assert "Leave --dry-run out" in capsys.readouterr().err
 
@@ -58,10 +58,10 @@ def test_simulate_meets_a_time_and_compares_its_forecast(file, tmp_path, capsys,
     monkeypatch.setattr("phy124.accuracy.choose.CHEAP", (8, 10))
     arguments = ["simulate", str(file), "--out", str(tmp_path / "o"), *SMALL]
     assert main([*arguments, "--max-seconds", "1000"]) == 0
-    assert "wished at most 1000 s: D/" in capsys.readouterr().out
+    assert "asked for at most 1000 s: D/" in capsys.readouterr().out
     assert json.loads((tmp_path / "o/report.json").read_text())["goal"]["cells"] in (8, 10)
     assert main([*arguments, "--accuracy", "draft", "--forecast"]) == 0
-    assert "foretold " in capsys.readouterr().out
+    assert "predicted " in capsys.readouterr().out
 
 
 def test_a_time_that_cannot_be_met_says_what_can(file, tmp_path, capsys):

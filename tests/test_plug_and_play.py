@@ -29,15 +29,15 @@ def centre_path(gaussians: Gaussians, scene: Scene, mass: float) -> np.ndarray:
     weight = float(Simulation(gaussians, scene).particles.mass.sum())
     scene = scene.replaced({"material.density": scene.material.density * mass / weight})
     run, path = Simulation(gaussians, scene), []
-    share = run.particles.mass / run.particles.mass.sum()
+    fraction = run.particles.mass / run.particles.mass.sum()
     assert float(run.particles.mass.sum()) == pytest.approx(mass, rel=1e-4)
     for _ in run:
-        path.append(share @ run.solver.state.x.numpy())
+        path.append(fraction @ run.solver.state.x.numpy())
     return np.array(path)
 
 
 def apart(a: np.ndarray, b: np.ndarray) -> float:
-    """Greatest distance of two paths from a common start, relative to the longer reach."""
+    """Largest distance of two paths from a common start, relative to the longer reach."""
     a, b = a - a[0], b - b[0]
     reach = max(np.linalg.norm(path, axis=1).max() for path in (a, b))
     return np.linalg.norm(a - b, axis=1).max() / reach

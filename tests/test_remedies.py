@@ -49,8 +49,8 @@ def test_what_does_not_apply_is_left_out():
 def test_a_slow_run_may_always_be_given_more_time(limiter):
     scene = Scene.named("drop")
     last = hurry(scene, limiter, 0.5)[-1]
-    assert scene.replaced(last.changes).time.patience == pytest.approx(
-        16 * scene.time.patience, rel=0.05
+    assert scene.replaced(last.changes).time.budget == pytest.approx(
+        16 * scene.time.budget, rel=0.05
     )
 
 

@@ -17,8 +17,8 @@ SCENE = {"accuracy": {"cells": 10}, "time.frames": 6}
 
 @pytest.mark.parametrize(
     "changes",
-    [{"velocities": True}, {"binding": "field"}, {"material": {"law": "sand"}}],
-    ids=["particles", "field", "plastic"],
+    [{"velocities": True}, {"binding": "lattice"}, {"material": {"law": "sand"}}],
+    ids=["particles", "lattice", "plastic"],
 )
 def test_a_paused_run_goes_on_bit_for_bit(tmp_path, changes):
     scene = Scene.named("press").replaced({**SCENE, **changes})
@@ -75,12 +75,14 @@ FLYING = {"object.velocity": [0, 0, -30], "material": {"law": "sand"}}
     ],
     ids=["press", "two threads", "bounce", "flying sand", "snow"],
 )
-@pytest.mark.parametrize("share", [0.3, 0.8])
-def test_cancelled_within_a_frame_it_goes_on_bit_for_bit(tmp_path, preset, changes, options, share):
+@pytest.mark.parametrize("fraction", [0.3, 0.8])
+def test_cancelled_within_a_frame_it_goes_on_bit_for_bit(
+    tmp_path, preset, changes, options, fraction
+):
     """The half-made frame is taken back, and the books, the windows and the limits with it."""
     scene = Scene.named(preset).replaced({**SCENE, **changes})
     whole = Simulation(ball(800), scene, **options).run()
-    reports = int(share * whole.report["substeps"])
+    reports = int(fraction * whole.report["substeps"])
     clip = cut_short(ball(800), scene, reports, tmp_path / "pause", **options)
     for name in ("means", "quats", "scales", "times"):
         assert np.array_equal(getattr(clip, name), getattr(whole, name)), name

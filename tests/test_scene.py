@@ -163,8 +163,8 @@ def test_one_past_the_last_item_is_added():
 def test_a_part_of_a_named_accuracy_can_be_set():
     scene = Scene.named("press").replaced({"accuracy.cells": 24})
     assert scene.accuracy == PRESETS["standard"].model_copy(update={"cells": 24})
-    scene = Scene.named("press").replaced({"accuracy.ppc": 1, "accuracy": "fine"})
-    assert scene.accuracy == PRESETS["fine"].model_copy(update={"ppc": 1})
+    scene = Scene.named("press").replaced({"accuracy.particles_per_axis": 1, "accuracy": "fine"})
+    assert scene.accuracy == PRESETS["fine"].model_copy(update={"particles_per_axis": 1})
 
 
 @pytest.mark.parametrize("path", ["accuracy.cells.x", "material.E.x", "seed.x.y", "forces.x.kind"])

@@ -17,7 +17,10 @@ from phy124.simulation import Simulation
 from support.declared import Leaf, beyond, leaves, legal
 from support.shapes import ball
 
-TINY = {"accuracy": {"cells": 4, "ppc": 1}, "time": {"frames": 2, "fps": 240, "patience": 0.1}}
+TINY = {
+    "accuracy": {"cells": 4, "particles_per_axis": 1},
+    "time": {"frames": 2, "fps": 240, "budget": 0.1},
+}
 FOREIGN = re.compile(r"Input should|validation|pydantic|literal\[|Value error|type=|Traceback")
 """What only pydantic or Python says."""
 OBJECT = ball(30)

@@ -89,7 +89,7 @@ def test_effects_name_them_before_the_run():
     assert left_out["static Gaussians"] == "no part of the scene is static"
 
 
-@pytest.mark.parametrize("binding", ["particles", "field"])
+@pytest.mark.parametrize("binding", ["particles", "lattice"])
 def test_colours_of_static_gaussians_do_not_turn(rng, binding):
     """Degree 1, under a spin: streamed frames and those of the clip are alike."""
     given = two_balls()

@@ -29,38 +29,38 @@ def bar() -> np.ndarray:
     return lattice(8, 8, 32, spacing=DX / 2)
 
 
-def pulled(share: np.ndarray | None) -> np.ndarray:
+def pulled(fraction: np.ndarray | None) -> np.ndarray:
     """Where the marks are once both ends are pulled and all has come to rest [m]."""
     x = bar()
     ends = [Region(upper=(9, 9, 2 * DX)), Region(lower=(-9, -9, 1 - 2 * DX))]
     pull = [TotalForce(f=(0, 0, f), region=at) for f, at in zip((-PULL, PULL), ends, strict=True)]
-    # First what damps: it would take its share of a kick that was just given.
+    # First what damps: it would take its fraction of a kick that was just given.
     forces = [Wind(v=(0, 0, 0), rate=15.0), *pull]
     volume = np.full(len(x), (DX / 2) ** 3)
     law = [NeoHookean(E=E, nu=0.0)]
-    s = make_solver(x, volume, law, dx=DX, forces=forces, stiffness=share, precision="float64")
+    s = make_solver(x, volume, law, dx=DX, forces=forces, stiffness=fraction, precision="float64")
     s.advance(1.5)
     assert np.abs(s.state.v.numpy()).max() < 1e-4
     layer = x[:, 2].reshape(-1, 32).mean(axis=0)
     return np.interp(AT, layer, s.state.x.numpy()[:, 2].reshape(-1, 32).mean(axis=0))
 
 
-def stretch(share: np.ndarray) -> np.ndarray:
+def stretch(fraction: np.ndarray) -> np.ndarray:
     """mu (s - 1/s) = force over area, with mu = share E / 2 as nu is 0."""
-    load = PULL / WIDTH**2 / (share * E)
+    load = PULL / WIDTH**2 / (fraction * E)
     return load + np.sqrt(load**2 + 1)
 
 
-def length(share) -> float:
+def length(fraction) -> float:
     """Distance of the marks in equilibrium: the integral of the stretch."""
     z = np.linspace(*AT, 20_001)
-    s = stretch(share(z))
+    s = stretch(fraction(z))
     return float(((s[1:] + s[:-1]) / 2 * np.diff(z)).sum())
 
 
 def test_two_halves_in_series_stretch_by_the_sum_of_their_compliances():
-    share = np.where(bar()[:, 2] > 0.5, 0.25, 1.0)
-    first, last = pulled(share)
+    fraction = np.where(bar()[:, 2] > 0.5, 0.25, 1.0)
+    first, last = pulled(fraction)
     exact = 0.25 * stretch(np.array(1.0)) + 0.25 * stretch(np.array(0.25))
     assert (last - first - 0.5) == pytest.approx(float(exact) - 0.5, rel=0.02)
     even = np.subtract(*pulled(None)[::-1]) - 0.5
@@ -72,17 +72,17 @@ def test_two_halves_in_series_stretch_by_the_sum_of_their_compliances():
 def test_a_linear_gradient_stretches_by_a_logarithm():
     """Small strains: sigma L / (E (b - a)) log(b / a) for a stiffness from a E to b E."""
     field = Gradient(first=1.0, last=0.2)
-    first, last = pulled(field.shares(bar(), np.zeros((1, 3)), WHOLE))
+    first, last = pulled(field.fractions(bar(), np.zeros((1, 3)), WHOLE))
     # The shares are 1 and 0.2 at the outermost particles.
     inner = 1 - DX / 2
     slope = -0.8 / inner
 
-    def share(z):
+    def fraction(z):
         return 1.0 + slope * (z - DX / 4)
 
-    assert (last - first - 0.5) == pytest.approx(length(share) - 0.5, rel=0.01)
-    linear = PULL / WIDTH**2 / E / slope * np.log(share(AT[1]) / share(AT[0]))
-    assert length(share) - 0.5 == pytest.approx(linear, rel=0.02)
+    assert (last - first - 0.5) == pytest.approx(length(fraction) - 0.5, rel=0.01)
+    linear = PULL / WIDTH**2 / E / slope * np.log(fraction(AT[1]) / fraction(AT[0]))
+    assert length(fraction) - 0.5 == pytest.approx(linear, rel=0.02)
 
 
 def test_rows_are_per_particle_only_where_stiffness_varies():
@@ -90,19 +90,21 @@ def test_rows_are_per_particle_only_where_stiffness_varies():
     volume = np.full(len(x), 1.0)
     plain = make_solver(x, volume, [NeoHookean(E=E)], dx=DX)
     assert len(plain.model.groups[0].theta) == 1
-    share = np.linspace(0.1, 1, len(x))
-    varied = make_solver(x, volume, [NeoHookean(E=E)], dx=DX, stiffness=share)
+    fraction = np.linspace(0.1, 1, len(x))
+    varied = make_solver(x, volume, [NeoHookean(E=E)], dx=DX, stiffness=fraction)
     rows = varied.model.groups[0].theta.numpy()
-    assert np.allclose(rows, np.outer(share, NeoHookean(E=E).theta()), rtol=1e-6)
-    stiff = make_solver(x, volume, [Rigid()], dx=DX, stiffness=share)
+    assert np.allclose(rows, np.outer(fraction, NeoHookean(E=E).theta()), rtol=1e-6)
+    stiff = make_solver(x, volume, [Rigid()], dx=DX, stiffness=fraction)
     assert len(stiff.model.groups[0].theta) == 1
 
 
 def test_what_does_not_scale_with_e_stays():
     x, law = bar(), Plasticine()
-    share = np.full(len(x), 0.5)
+    fraction = np.full(len(x), 0.5)
     rows = (
-        make_solver(x, np.ones(len(x)), [law], dx=DX, stiffness=share).model.groups[0].theta.numpy()
+        make_solver(x, np.ones(len(x)), [law], dx=DX, stiffness=fraction)
+        .model.groups[0]
+        .theta.numpy()
     )
     assert np.allclose(rows[0], np.array(law.theta()) * [0.5, 0.5, 1, 1, 1], rtol=1e-6)
 
@@ -125,7 +127,7 @@ def test_a_picture_says_how_stiff(tmp_path):
     )
     x = np.stack([np.zeros(5), np.linspace(-1, 1, 5), [0, 1, 0, 1, 0]], axis=1)
     field = Picture(file=str(tmp_path / "grey.png"), black=0.2, white=1.0)
-    assert field.shares(x, x, WHOLE) == pytest.approx(np.linspace(0.2, 1, 5), abs=0.01)
+    assert field.fractions(x, x, WHOLE) == pytest.approx(np.linspace(0.2, 1, 5), abs=0.01)
 
 
 def test_a_file_says_how_stiff_each_gaussian_is(tmp_path):
@@ -133,15 +135,15 @@ def test_a_file_says_how_stiff_each_gaussian_is(tmp_path):
     np.save(tmp_path / "e.npy", [0.1, 0.5, 1.0])
     field = Listed(file=str(tmp_path / "e.npy"))
     x = np.array([[0.1, 0, 0], [1.4, 0, 0], [9, 0, 0]])
-    assert field.shares(x, means, WHOLE).tolist() == [0.1, 0.5, 1.0]
+    assert field.fractions(x, means, WHOLE).tolist() == [0.1, 0.5, 1.0]
     with pytest.raises(InputError, match="the object has 2 Gaussians"):
-        field.shares(x, means[:2], WHOLE)
+        field.fractions(x, means[:2], WHOLE)
     np.save(tmp_path / "e.npy", [0.1, np.nan, 1.0])
     with pytest.raises(InputError, match=r"outside 0\.0001 to 1"):
-        field.shares(x, means, WHOLE)
+        field.fractions(x, means, WHOLE)
     (tmp_path / "e.npy").write_text("hello")
     with pytest.raises(InputError, match="it cannot be read"):
-        field.shares(x, means, WHOLE)
+        field.fractions(x, means, WHOLE)
 
 
 def test_the_soft_end_gives_way_more_and_the_report_says_so():

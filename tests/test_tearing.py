@@ -13,10 +13,10 @@ CELLS = 16
 
 
 def pulled(
-    ppc: int, speed: float, law=NeoHookean, *, frames: int = 20, cells: int = CELLS
+    particles_per_axis: int, speed: float, law=NeoHookean, *, frames: int = 20, cells: int = CELLS
 ) -> tuple[Solver, Tearing]:
     """A bar of 1 m whose ends fly apart at `speed` m/s each; looked at in every frame."""
-    h = 1 / cells / ppc
+    h = 1 / cells / particles_per_axis
     x = lattice(*[round(side / h) for side in (0.25, 0.25, 1.0)], spacing=h)
     rate = np.zeros((len(x), 3, 3))
     rate[:, 2, 2] = 2 * speed
@@ -49,7 +49,7 @@ def test_a_bar_that_parts_is_reported_with_the_remedy():
     assert tearing.stretch > APART * 2
     assert tearing.torn
     note = tearing.note()
-    assert "accuracy.ppc" in note
+    assert "accuracy.particles_per_axis" in note
     assert f"{tearing.loose} particles" in note
     assert 0.1 < tearing.loose / len(s.model.rest) < 0.9
     assert tearing.briefly == "the grid tears the material"
@@ -106,7 +106,7 @@ def test_what_flows_may_part():
 
 
 @pytest.mark.parametrize("stretch", [1.0, 2.3, 2.5])
-def test_the_spacing_is_that_along_the_greatest_stretch(stretch):
+def test_the_spacing_is_that_along_the_largest_stretch(stretch):
     s, _ = pulled(2, 0.0, frames=0)
     turned = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
     F = turned @ np.diag([1 / np.sqrt(stretch)] * 2 + [stretch])

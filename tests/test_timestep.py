@@ -33,8 +33,8 @@ def test_viscosity_limits_under_its_own_name():
 def test_friction_leaves_room_for_stiffness():
     """omega dt = 2 cfl and gamma dt: stable while both roots stay in the unit circle."""
     for cfl in (0.3, 0.6, 0.8, 0.9):
-        share = beside_elastic(cfl)
-        for rate, stable in ((0.98 * share, True), (2 - 2 * cfl**2 + 0.02, False)):
+        fraction = beside_elastic(cfl)
+        for rate, stable in ((0.98 * fraction, True), (2 - 2 * cfl**2 + 0.02, False)):
             roots = np.roots([1, -(2 - rate - (2 * cfl) ** 2), 1 - rate])
             assert (np.abs(roots).max() <= 1 + 1e-9) == stable, (cfl, rate)
 

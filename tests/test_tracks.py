@@ -63,7 +63,7 @@ def test_rates_are_slopes_and_zero_outside():
 
 
 def test_a_force_is_its_mean_over_the_kick():
-    """The kick that straddles the edge of a window counts with its share."""
+    """The kick that straddles the edge of a window counts with its fraction."""
     track = scaled(Constant(), 0.2, 0.4, mean=True)
     assert sample(track, 0.3, 0.1, 0.1)[0] == pytest.approx(2.0)
     assert sample(track, 0.2, 0.1, 0.1)[0] == pytest.approx(1.0)

@@ -272,7 +272,7 @@ def test_a_stiff_body_that_turns_slowly_runs_through():
     scene = Scene.named("spin").replaced({
         "object.size": 0.05, "object.lift": 2.0, "object.spin": [0, 0, 1.0], "material.E": 7e7,
         "accuracy": {"cells": 8, "cfl": 0.1}, "time.frames": 3, "time.fps": 24.0,
-        "binding": "field",
+        "binding": "lattice",
     })  # fmt: skip
     clip = Simulation(ball(40), scene).run()
     assert clip.report["complete"]
@@ -402,10 +402,10 @@ def test_the_report_says_what_limited_the_substep():
 
 
 def test_a_run_that_turns_out_endless_stops_by_itself(monkeypatch):
-    s = run(**{"time.patience": 1e3})
+    s = run(**{"time.budget": 1e3})
     monkeypatch.setattr("phy124.simulation.time.perf_counter", iter(range(0, 10**9, 500)).__next__)
     clip = s.run()
     stopped = clip.report["stopped"]
-    assert re.search(r"time.patience: a substep is .+ s, limited by the stiffness of the", stopped)
+    assert re.search(r"time.budget: a substep is .+ s, limited by the stiffness of the", stopped)
     assert "fastest is number" in stopped
     assert len(clip) >= 1

@@ -1,4 +1,4 @@
-/* The brush over the picture: green keeps, red removes. Strokes are lines in shares of the picture's
+/* The brush over the picture: green keeps, red removes. Strokes are lines in fractions of the picture's
  * longer side; the server paints them. By keyboard: arrows move the brush, space holds it down. */
 'use strict';
 (() => {

@@ -170,11 +170,11 @@
   }
 
   const bar = (row) => {
-    const share = row.reused ? 1 : row.total ? row.done / row.total : 0;
-    return h('li', { class: row.reused ? 'stage reused' : share >= 1 ? 'stage full' : share ? 'stage going' : 'stage' },
+    const fraction = row.reused ? 1 : row.total ? row.done / row.total : 0;
+    return h('li', { class: row.reused ? 'stage reused' : fraction >= 1 ? 'stage full' : fraction ? 'stage going' : 'stage' },
       h('span', { class: 'stage-name' }, row.name),
       h('span', { class: 'stage-note' }, row.note || (row.total > 1 && row.done ? `${row.done} of ${row.total}` : '')),
-      h('progress', { max: 1, value: share, 'aria-label': row.name }));
+      h('progress', { max: 1, value: fraction, 'aria-label': row.name }));
   };
 
   /* ---- the 4D viewer ----------------------------------------------------------------------- */

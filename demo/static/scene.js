@@ -231,13 +231,13 @@
 
     held() {
       const foot = () => this.data.boundaries.find((b) => b.kind === 'foot'), output = h('output', {});
-      const say = () => { output.textContent = foot() ? `lowest ${Math.round(100 * foot().share)} %` : 'nothing'; };
-      const slider = h('input', { type: 'range', min: 0, max: 60, step: 1, value: foot() ? Math.round(100 * foot().share) : 0, 'aria-label': 'Held at the foot, share of its height in percent',
+      const say = () => { output.textContent = foot() ? `lowest ${Math.round(100 * foot().fraction)} %` : 'nothing'; };
+      const slider = h('input', { type: 'range', min: 0, max: 60, step: 1, value: foot() ? Math.round(100 * foot().fraction) : 0, 'aria-label': 'Held at the foot, share of its height in percent',
         oninput: (event) => {
-          const share = Number(event.target.value) / 100;
-          if (!share) this.data.boundaries = this.data.boundaries.filter((b) => b !== foot());
-          else if (foot()) foot().share = share;
-          else this.data.boundaries.push({ kind: 'foot', share });
+          const fraction = Number(event.target.value) / 100;
+          if (!fraction) this.data.boundaries = this.data.boundaries.filter((b) => b !== foot());
+          else if (foot()) foot().fraction = fraction;
+          else this.data.boundaries.push({ kind: 'foot', fraction });
           say(); this.turned();
         } });
       say();

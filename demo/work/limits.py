@@ -46,7 +46,7 @@ class Limits:
 
     @property
     def spent(self) -> float:
-        """Share of the time that is gone."""
+        """Fraction of the time that is gone."""
         return (time.monotonic() - self.start) / max(self.order.seconds, 1e-9)
 
 

@@ -72,7 +72,7 @@ class Watching:
         self.order, self.limits = order, limits
         self.shows = (glimpses(order, limits.tell), lives(order, limits.tell))
         self.note = "preparing"
-        names = ("time", "smallest_J", "greatest_speed", "kinetic_energy")
+        names = ("time", "min_J", "max_speed", "kinetic_energy")
         self.motion: dict[str, list[float]] = {name: [] for name in names}
         """Frame by frame what shows whether it stayed stable, in SI units."""
         limits.tell(Step("simulate", 0, order.scene.time.frames, self.note))
@@ -103,14 +103,14 @@ class Watching:
 
 
 def measured(run: Simulation, frame: Frame) -> dict[str, float]:
-    """Time [s], smallest J, greatest speed [m/s] and kinetic energy [J] of a frame."""
+    """Time [s], smallest J, largest speed [m/s] and kinetic energy [J] of a frame."""
     state = run.solver.state
     v = state.v.numpy().astype(np.float64)
     volumes = np.linalg.det(state.deformation.numpy().astype(np.float64))
     energy = 0.5 * (run.solver.model.mass.numpy() * (v**2).sum(axis=1)).sum()
     return {
         "time": frame.time,
-        "smallest_J": float(volumes.min()),
-        "greatest_speed": float(np.linalg.norm(v, axis=1).max()),
+        "min_J": float(volumes.min()),
+        "max_speed": float(np.linalg.norm(v, axis=1).max()),
         "kinetic_energy": float(energy),
     }

@@ -6,7 +6,7 @@ For the web page and other callers, three calls:
     stops = forecaster.stops(gaussians, scene)
     # {"draft": Stop, "standard": Stop, "fine": Stop}; each has
     #   .seconds   predicted seconds of particles, simulation, shapes, pictures, video, saving
-    #   .error     error measured for such scenes, as a share of the size; .pixels in the picture;
+    #   .error     error measured for such scenes, a fraction of the size; .pixels in the picture;
     #              None where it was not measured, .promise.why says so
     #   .caveat    None, or a sentence: why no seconds can be promised for this scene
     #   .forecast  the whole Forecast (seconds by stage, particles, substeps)

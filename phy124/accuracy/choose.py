@@ -55,7 +55,7 @@ FINER = 1.3
 DENSEST = 4.0
 """Most particles per cell and axis."""
 LAST_CHANCE = 0.85
-"""Share of the wished error that a refinement aims at: there is no second one."""
+"""Fraction of the target error that a refinement aims at: there is no second one."""
 
 
 @dataclass
@@ -65,7 +65,7 @@ class Reached:
     simulation: Simulation
     clip: Clip
     about: dict[str, Any]
-    """What was wished, chosen and achieved, for the report."""
+    """What was asked for, chosen and achieved, for the report."""
 
 
 def reach(
@@ -82,7 +82,7 @@ def reach(
 ) -> Reached:
     """Run a scene as accurately, or as fast, as the goal says; its own cells are ignored.
 
-    `elapsed` are the seconds already spent of a wished time; `options` go to `Simulation`.
+    `elapsed` are the seconds already spent of a target time; `options` go to `Simulation`.
     Raises InputError if no grid meets the goal, saying what the nearest would achieve.
     """
     forecaster = forecaster or Forecaster(device)
@@ -112,7 +112,9 @@ class _Runs:
     def simulation(self, cells: int) -> Simulation:
         """A run that has not begun."""
         base = self.scene.resolution
-        accuracy = base.model_copy(update={"cells": cells, "ppc": base.ppc + self.denser})
+        accuracy = base.model_copy(
+            update={"cells": cells, "particles_per_axis": base.particles_per_axis + self.denser}
+        )
         return Simulation(
             self.gaussians,
             self.scene.model_copy(update={"accuracy": accuracy}),
@@ -138,7 +140,7 @@ class _Runs:
 
     def _make_denser(self, cells: int) -> None:
         """A torn level again; where more particles are too many it stays torn."""
-        self.denser = self.scene.resolution.ppc + 1 <= DENSEST
+        self.denser = self.scene.resolution.particles_per_axis + 1 <= DENSEST
         if self.denser:
             with suppress(InputError):
                 self._make(cells)
@@ -235,13 +237,13 @@ def _about(
     runs: _Runs,
     refined: bool,
 ) -> dict[str, Any]:
-    """For the report: what was wished and what came of it, in the goal's unit."""
+    """For the report: what was asked for and what came of it, in the goal's unit."""
     levels, met = runs.whole, error is not None and error <= goal.value
     return {
-        "wished": goal.text, "unit": goal.kind, "cells": cells, "levels": levels,
+        "target": goal.text, "unit": goal.kind, "cells": cells, "levels": levels,
         "errors": list(found.errors), "seconds": [runs.spent[n] for n in levels],
         "order": found.order, "error": error, "refined": refined, "met": met, "torn": runs.torn,
-        "ppc": runs.done[cells][0].scene.resolution.ppc,
+        "particles_per_axis": runs.done[cells][0].scene.resolution.particles_per_axis,
         "why_not": _why_torn(runs) if runs.torn and not met else found.why_not,
     }  # fmt: skip
 
@@ -249,8 +251,8 @@ def _about(
 def _why_torn(runs: _Runs) -> str:
     why = runs.done[runs.torn[0]][0].watchdog.tearing.briefly
     return (
-        f"on D/{runs.torn[0]} {why}; a larger accuracy.ppc, more damping, a stiffer material or a "
-        "gentler motion helps"
+        f"on D/{runs.torn[0]} {why}; a larger accuracy.particles_per_axis, more damping, a stiffer "
+        "material or a gentler motion helps"
     )
 
 
@@ -279,7 +281,7 @@ def _gap(goal: Goal, one: Clip, other: Clip, scene: Scene) -> float:
     if goal.kind == "pixels":
         return pixel_distance(one, other, scene.view)
     metres = float(distances([one.means, other.means])[0, 1])
-    return metres / scene.object.size if goal.kind == "share" else metres
+    return metres / scene.object.size if goal.kind == "fraction" else metres
 
 
 def _coarsest(goal: Goal, known: int, error: float, order: float, *, above: int = 0) -> int | None:
@@ -333,7 +335,7 @@ def _in_time(goal: Goal, runs: _Runs, forecaster: Forecaster, elapsed: float) ->
     ready = runs.watch.total - start
     clip = simulation.run()
     about = {
-        "wished": goal.text, "unit": "seconds", "cells": cells, "levels": tried,
+        "target": goal.text, "unit": "seconds", "cells": cells, "levels": tried,
         "predicted": elapsed + forecast.seconds + ready, "caveat": forecast.caveat,
     }  # fmt: skip
     return Reached(simulation, clip, about)

@@ -21,13 +21,13 @@ class Difference:
     metres: float
     """RMS over all Gaussians and frames."""
     relative: float
-    """The same, as a share of the object's size at rest."""
+    """The same, as a fraction of the object's size at rest."""
     pixels: float
     """RMS in the picture of the first view."""
     worst_frame: int
     """The frame in which they differ most."""
     worst: float
-    """RMS of that frame, as a share of the size."""
+    """RMS of that frame, as a fraction of the size."""
     psnr: float
     """Of the two videos of the first view [dB]; infinite if they are equal."""
     ssim: float

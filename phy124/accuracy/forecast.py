@@ -31,7 +31,7 @@ from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import AccuracyName, Scene
 from phy124.simulation import Simulation
 
-PROBE, LEAST_PROBE = 20, 6
+PROBE, MIN_PROBE = 20, 6
 """Substeps of a probe, at most and at least."""
 LONGEST_PROBE, ROUNDS = 0.6, 5
 """Seconds that a probe may take, and how often it is repeated within them; the median counts.
@@ -41,7 +41,7 @@ Large objects are probed with fewer substeps.
 FILMED, TRIES = (1, 5), 2
 """Frames filmed to tell a video's start from its frames, and how often; the quickest counts."""
 UNSURE = 0.1
-"""Share of substeps limited by motion rather than stiffness from which nothing is promised."""
+"""Fraction of substeps limited by motion rather than stiffness from which nothing is promised."""
 GUESS = 1.14
 """How much wider the range is where the seconds are a guess."""
 QUIET = Load()
@@ -74,7 +74,7 @@ class Forecast:
     """Mean number of grid nodes."""
     substeps: int
     limiters: dict[str, float]
-    """Share of the substeps by what limits them."""
+    """Fraction of the substeps by what limits them."""
     rates: SubstepCost
     memory: float = 0.0
     """Bytes, roughly (`phy124.limits`)."""
@@ -105,7 +105,7 @@ class Forecast:
             f"  {name:<12}{seconds:8.2f} s{'  (measured)' if name in self.measured else ''}"
             for name, seconds in self.stages.items()
         ]
-        limited = ", ".join(f"{name} {share:.0%}" for name, share in self.limiters.items())
+        limited = ", ".join(f"{name} {fraction:.0%}" for name, fraction in self.limiters.items())
         beside = " beside what else this machine does" if self.load.busy else ""
         total = f"  {'total':<12}{self.seconds:8.2f} s, likely {spoken(self.span)}{beside}"
         about = (
@@ -165,7 +165,7 @@ class Stop:
 
     @property
     def error(self) -> float | None:
-        """Promised error as a share of the object's size; None if it was not measured."""
+        """Promised error as a fraction of the object's size; None if it was not measured."""
         return self.promise.error
 
 
@@ -279,17 +279,17 @@ def _probe(simulation: Simulation) -> tuple[SubstepCost, int, float]:
         solver.restore(start)
         watchdog.external.restore(external)
         _forget_timings(solver)
-    seconds, share, nodes = sorted(rounds)[len(rounds) // 2]
-    return _rates(seconds, share, len(solver.model), nodes), nodes, checks
+    seconds, fraction, nodes = sorted(rounds)[len(rounds) // 2]
+    return _rates(seconds, fraction, len(solver.model), nodes), nodes, checks
 
 
 def _pace(solver: Solver, after: Callable[[], None] | None) -> tuple[float, float, int]:
     """Seconds per substep, their share that goes with the nodes, and the number of nodes."""
     each = min(_timed(lambda: _advance(solver, 2, after)) / 2 for _ in range(2))
     _forget_timings(solver)
-    before, count = solver.clock.substeps, int(np.clip(LONGEST_PROBE / each, LEAST_PROBE, PROBE))
+    before, count = solver.clock.substeps, int(np.clip(LONGEST_PROBE / each, MIN_PROBE, PROBE))
     seconds = _timed(lambda: _advance(solver, count, after))
-    return seconds / (solver.clock.substeps - before), _node_share(solver), solver.grid.count
+    return seconds / (solver.clock.substeps - before), _node_fraction(solver), solver.grid.count
 
 
 def _empty_frame(simulation: Simulation) -> None:
@@ -306,9 +306,9 @@ def _forget_timings(solver: Solver) -> None:
         worker.timings.clear()
 
 
-def _rates(seconds: float, share: float, particles: int, nodes: int) -> SubstepCost:
-    """Split the seconds of a substep by the share that goes with the nodes."""
-    return SubstepCost(seconds * (1 - share) / particles, seconds * share / max(nodes, 1))
+def _rates(seconds: float, fraction: float, particles: int, nodes: int) -> SubstepCost:
+    """Split the seconds of a substep by the fraction that goes with the nodes."""
+    return SubstepCost(seconds * (1 - fraction) / particles, seconds * fraction / max(nodes, 1))
 
 
 def _timed(work: Callable[[], Any]) -> float:
@@ -327,8 +327,8 @@ def _advance(solver: Solver, substeps: int, after: Callable[[], None] | None) ->
     solver.advance(solver.clock.time + substeps * limit.dt, after=after)
 
 
-def _node_share(solver: Solver) -> float:
-    """Share of the stages' time that goes with the nodes."""
+def _node_fraction(solver: Solver) -> float:
+    """Fraction of the stages' time that goes with the nodes."""
     walls = {stage.name for stage in solver.boundaries}
     total = nodes = 0.0
     for worker in solver.workers:
@@ -365,16 +365,16 @@ def _time_film(gaussians: Gaussians, scene: Scene, device: str) -> dict[str, flo
     with tempfile.TemporaryDirectory() as folder:
         clip = _moving(gaussians, scene, more)
         saving = _timed(lambda: clip.save(Path(folder) / "clip.safetensors")) * frames / more
-    least = {n: min(seconds[n], key=lambda s: sum(s.values())) for n in FILMED}
-    each = max(least[more]["encode"] - least[few]["encode"], 0.0) / (more - few)
-    first = max(least[few]["encode"] - each * few, 0.0)
-    foretold = {
+    shortest = {n: min(seconds[n], key=lambda s: sum(s.values())) for n in FILMED}
+    each = max(shortest[more]["encode"] - shortest[few]["encode"], 0.0) / (more - few)
+    first = max(shortest[few]["encode"] - each * few, 0.0)
+    predicted = {
         "save": saving,
-        "render": views * frames * least[more]["render"] / more,
+        "render": views * frames * shortest[more]["render"] / more,
         "encode": views * (first + each * frames),
     }
-    exporting = least[more].get("export")
-    return foretold if exporting is None else foretold | {"export": exporting * frames / more}
+    exporting = shortest[more].get("export")
+    return predicted if exporting is None else predicted | {"export": exporting * frames / more}
 
 
 def _moving(gaussians: Gaussians, scene: Scene, count: int) -> Clip:

@@ -13,15 +13,15 @@ from phy124.errors import InputError, Remedy
 from phy124.remedies import plain
 from phy124.scene import Scene
 
-Kind = Literal["pixels", "share", "metres", "seconds"]
+Kind = Literal["pixels", "fraction", "metres", "seconds"]
 UNIT: dict[Kind, Callable[[Scene], float]] = {
     "pixels": pixels_per_size,
-    "share": lambda scene: 1.0,
+    "fraction": lambda scene: 1.0,
     "metres": lambda scene: scene.object.size,
 }
 """The object's size in the unit of a goal."""
 MARGIN = 0.95
-"""Share of the wished seconds that a forecast may fill: forecasts err by a few per cent."""
+"""Fraction of the target seconds that a forecast may fill: forecasts err by a few per cent."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Goal:
 
     kind: Kind
     value: float
-    """Pixels of the first view, share of the object's size, metres, or seconds."""
+    """Pixels of the first view, fraction of the object's size, metres, or seconds."""
     text: str
 
     @classmethod
@@ -38,7 +38,7 @@ class Goal:
         """From "2px", "1%" or "3mm"; raises InputError."""
         found = re.fullmatch(r"\s*([0-9]*\.?[0-9]+)\s*(px|%|mm|cm|m)\s*", text)
         units: dict[str, tuple[Kind, float]] = {
-            "px": ("pixels", 1.0), "%": ("share", 0.01),
+            "px": ("pixels", 1.0), "%": ("fraction", 0.01),
             "mm": ("metres", 1e-3), "cm": ("metres", 1e-2), "m": ("metres", 1.0),
         }  # fmt: skip
         if not found or float(found[1]) <= 0:
@@ -59,21 +59,21 @@ def said(kind: Kind, value: float) -> str:
     """A value in the unit of a goal."""
     if kind == "pixels":
         return f"{value:.1f}px"
-    return f"{value:.1%}" if kind == "share" else f"{value * 1000:.2g}mm"
+    return f"{value:.1%}" if kind == "fraction" else f"{value * 1000:.2g}mm"
 
 
 def too_long(goal: Goal, scene: Scene, cells: int, forecast: Forecast, ready: float) -> InputError:
     """What the coarsest grid takes, what of it most, and what makes that less."""
-    least = math.ceil((forecast.seconds + ready) / MARGIN)
+    minimum = math.ceil((forecast.seconds + ready) / MARGIN)
     stages = {"preparing": ready, **forecast.stages}
     most = max(stages, key=stages.__getitem__)
     limit = (
-        f"the coarsest grid, D/{cells}, takes about {least} s, most of it ({stages[most]:.0f} s) "
+        f"the coarsest grid, D/{cells}, takes about {minimum} s, most of it ({stages[most]:.0f} s) "
         f"for {STAGES[most]}."
     )
     remedies = list(_less(scene, most))
     less = f"; {' or '.join(remedy.words for remedy in remedies)} takes less" if remedies else ""
-    advice = f"Ask for --max-seconds {least}{less}."
+    advice = f"Ask for --max-seconds {minimum}{less}."
     return InputError("max_seconds", goal.text, limit, advice, remedies)
 
 

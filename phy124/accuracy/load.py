@@ -11,14 +11,14 @@ from dataclasses import dataclass
 SPIN = 0.3
 """Seconds for which threads spin to see how much of a core each gets."""
 ENOUGH, LONGEST = 0.2, 4.0
-"""Share of these that it must get for that to tell something, and how often as long it may take."""
+"""Fraction of these it must get for that to tell something, and how often as long it may take."""
 BLOCK = bytes(1 << 18)
 """What a spinning thread reads, without Python's lock."""
 ALONE = 0.93
 """Fraction of a core from which nobody else has it."""
 SECOND_THREAD = 1.5
 """How much longer a simulation takes without the second thread, which it has if a core is free."""
-LEAST, MOST = 0.8, 1.5
+MINIMUM, MAXIMUM = 0.8, 1.5
 """What runs took, in forecasts, where nothing else was at work (docs/results/accuracy.md)."""
 BUSY = 1.2
 """How much wider the range is beside others: they come and go within a run."""
@@ -68,7 +68,7 @@ class Load:
         Others who end or begin meanwhile are not foreseen.
         """
         wider = unsure * (BUSY if self.busy else 1.0)
-        return LEAST / wider * seconds, MOST * wider * seconds
+        return MINIMUM / wider * seconds, MAXIMUM * wider * seconds
 
 
 def spoken(span: tuple[float, float]) -> str:

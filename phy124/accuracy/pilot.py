@@ -3,7 +3,7 @@
 It tells what a probe at rest cannot: how the stable substep shrinks as the material strains and
 moves. The strain at its worst place grows with resolution, so the substeps in excess of those at
 rest are extrapolated as cells^1.8 (measured in docs/results/accuracy.md); those at rest and those
-limited by speed go with the cells, those limited by a ceiling do not change. Inner friction needs
+limited by speed go with the cells, those limited by a ceiling do not change. Viscosity needs
 at least so many in a frame as go with the cells' square.
 """
 
@@ -45,7 +45,7 @@ class Pilot:
     """Substeps that friction asks for in each frame at least."""
 
     def substeps(self, cells: int) -> tuple[int, dict[str, float]]:
-        """Substeps on another grid and the share of each limiter; a frame has a whole number."""
+        """Substeps on another grid and the fraction of each limiter; a frame has a whole number."""
         scale = cells / self.cells
         at_rest = np.minimum(self.counts["elastic"], self.rest)
         excess = self.counts["elastic"] - at_rest
@@ -60,15 +60,15 @@ class Pilot:
         grown["viscous"] = np.where(ruled, self.viscous * scale**2, 0.0)
         total = np.sum(list(grown.values()), axis=0)
         whole = float(total.sum()) or 1.0
-        shares = {name: float(n.sum()) / whole for name, n in grown.items() if n.any()}
-        return int(np.ceil(total - 1e-9).sum()), shares
+        fractions = {name: float(n.sum()) / whole for name, n in grown.items() if n.any()}
+        return int(np.ceil(total - 1e-9).sum()), fractions
 
 
 def coarsened(scene: Scene) -> Scene:
     """The scene as the pilot runs it: coarse, the Gaussians riding along."""
     cells = min(CELLS, scene.resolution.cells)
     accuracy = scene.resolution.model_copy(update={"cells": cells, "precision": "float32"})
-    return scene.model_copy(update={"accuracy": accuracy, "binding": "field"})
+    return scene.model_copy(update={"accuracy": accuracy, "binding": "lattice"})
 
 
 def fly(gaussians: Gaussians, scene: Scene, *, device: str = "cpu", crop: Crop = WHOLE) -> Pilot:

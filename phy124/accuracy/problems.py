@@ -34,10 +34,10 @@ FLOOR_NODE = 0.75
 """The lowest node plane lies this many cells below a floor, as in every simulation."""
 
 
-def block(cells: float, dx: float, ppc: int = 2) -> Array:
+def block(cells: float, dx: float, per_axis: int = 2) -> Array:
     """Centres [P,3] of a cube of particles around the origin, `cells` * dx m wide."""
-    n = round(cells * ppc)
-    line = (np.arange(n) + 0.5) * dx / ppc - cells * dx / 2
+    n = round(cells * per_axis)
+    line = (np.arange(n) + 0.5) * dx / per_axis - cells * dx / 2
     return np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
@@ -60,7 +60,7 @@ def fall(position: Array, velocity: Array, time: float) -> Array:
 
 
 def free_fall(*, precision: str = "float64", time: float = 0.2) -> float:
-    """Thrown in an arc: greatest error of any particle, in units of the way it went."""
+    """Thrown in an arc: largest error of any particle, in units of the way it went."""
     x, v = block(4, 0.1) + np.array([0, 0, 1]), np.array([1.0, 0.5, 2.0])
     volume = np.full(len(x), (0.1 / 2) ** 3)
     model = Model.of(x, volume, [NeoHookean(E=1e4)], dx=0.1, precision=precision)
@@ -112,11 +112,11 @@ def bar_frequency(E: float, density: float, length: float) -> float:
     return math.pi / length * math.sqrt(E / density)
 
 
-def vibrating_bar(cells: int, *, strain: float = 1e-6, ppc: int = 2) -> float:
+def vibrating_bar(cells: int, *, strain: float = 1e-6, per_axis: int = 2) -> float:
     """A free bar of `cells` cells, one period: relative error of its frequency (signed)."""
     E, density, length = 1e4, 1000.0, 1.0
     dx = length / cells
-    z = (np.arange(cells * ppc) + 0.5) * dx / ppc
+    z = (np.arange(cells * per_axis) + 0.5) * dx / per_axis
     x = np.stack([np.zeros_like(z), np.zeros_like(z), z], axis=1)
     wave = math.pi / length
     exact, speed = bar_frequency(E, density, length), math.sqrt(E / density)
@@ -124,7 +124,7 @@ def vibrating_bar(cells: int, *, strain: float = 1e-6, ppc: int = 2) -> float:
     v[:, 2] = strain * speed * np.cos(wave * z)
     C[:, 2, 2] = -strain * speed * wave * np.sin(wave * z)
     material = NeoHookean(E=E, nu=0.0, density=density)
-    volume = np.full(len(x), dx**3 / ppc)
+    volume = np.full(len(x), dx**3 / per_axis)
     model = Model.of(x, volume, [material], dx=dx, precision="float64")
     solver = Solver(model, State.of(model, v, C))
     period, times, modes = 2 * math.pi / exact, [0.0], [0.0]
@@ -187,16 +187,18 @@ class Vortex:
         return [Stage("vortex", record)]
 
 
-def vortex(cells: int, *, time: float = 0.5, ppc: int = 4, problem: Vortex | None = None) -> float:
+def vortex(
+    cells: int, *, time: float = 0.5, per_axis: int = 4, problem: Vortex | None = None
+) -> float:
     """The ring on `cells` cells across: RMS error of position over RMS displacement."""
     problem = problem or Vortex()
     dx = 2 * problem.outer / cells
-    line = (np.arange(cells * ppc) + 0.5) * dx / ppc - problem.outer
+    line = (np.arange(cells * per_axis) + 0.5) * dx / per_axis - problem.outer
     plane = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
     radius = np.hypot(plane[:, 0], plane[:, 1])
     plane = plane[(radius > problem.inner) & (radius < problem.outer)]
     x = np.column_stack([plane, np.zeros(len(plane))])
-    volume = np.full(len(x), (dx / ppc) ** 2 * dx)
+    volume = np.full(len(x), (dx / per_axis) ** 2 * dx)
     model = Model.of(x, volume, [problem.material], dx=dx, precision="float64")
     solver = Solver(model, forces=[problem])
     solver.advance(time)
@@ -226,20 +228,20 @@ class Column:
     """RMS error of the pressure more than three cells above the floor."""
 
 
-def hydrostatic_column(cells: int, *, ppc: int = 2) -> Column:
+def hydrostatic_column(cells: int, *, per_axis: int = 2) -> Column:
     """Liquid at rest, its sides held. The floor cuts the kernels of the particles on it.
 
     It settles by kinetic damping: whenever its motion is fastest, it is stopped.
     """
     height, material = 1.0, Fluid()
     dx = height / cells
-    z = (np.arange(cells * ppc) + 0.5) * dx / ppc
+    z = (np.arange(cells * per_axis) + 0.5) * dx / per_axis
     walls = [
         HalfSpace(point=(1e3, 0, 0), normal=(1.0, 0, 0), contact="slip"),
         HalfSpace(point=(0, 1e3, 0), normal=(0, 1.0, 0), contact="slip"),
     ]
     x, origin = np.stack([np.zeros_like(z), np.zeros_like(z), z], axis=1), (0, 0, -FLOOR_NODE * dx)
-    volume = np.full(len(z), dx**3 / ppc)
+    volume = np.full(len(z), dx**3 / per_axis)
     model = Model.of(x, volume, [material], dx=dx, origin=origin, precision="float64")
     solver = Solver(model, forces=[Gravity()], boundaries=[Ground(contact="slip"), *walls])
     _settle(solver, height / material.wave_speed())

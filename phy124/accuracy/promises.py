@@ -76,8 +76,10 @@ def promise(scene: Scene, report: Mapping[str, Any] | None = None) -> Promise:
     such = f"{laws[0]} {WORDS[motion]}"
     if found is None:
         return _unknown(such)
-    if scene.resolution.ppc < found["ppc"]:
-        return _unknown(f"{such} with fewer than {found['ppc']:g} particles per cell and axis")
+    if scene.resolution.particles_per_axis < found["particles_per_axis"]:
+        return _unknown(
+            f"{such} with fewer than {found['particles_per_axis']:g} particles per cell and axis"
+        )
     if violence(scene) > MARGIN * found["violence"]:
         return _unknown(f"{such} so violent, or so soft")
     if length(scene) > MARGIN * found["length"]:
@@ -109,7 +111,7 @@ def motion_of(scene: Scene) -> Motion:
 def violence(scene: Scene) -> float:
     """Energy that a scene brings against the stiffness that takes it: (v^2 + |a| L) / c^2.
 
-    v is the greatest speed it starts or lands with, a what pushes it, L its size, c the speed of
+    v is the largest speed it starts or lands with, a what pushes it, L its size, c the speed of
     the waves in its softest material.
     """
     body = scene.object

@@ -30,12 +30,12 @@ from phy124.simulation import Simulation, Stopped
 
 LEVELS = (16, 24, 32, 48)
 """Cells across the object, from coarse to fine; draft, standard and fine among them."""
-LEAST_PPC = 1.5
+MIN_PARTICLES_PER_AXIS = 1.5
 """Median particles per cell and axis below which a level is skipped."""
 VARIED = 24
 """The level whose other settings are varied one at a time."""
 GOOD = 0.04
-"""Share of the size that an error may be for a setting to be recommended as good enough."""
+"""Fraction of the size that an error may be for a setting to be recommended as good enough."""
 SIZE = 256
 """Width and height of the compared videos, pixels, at most."""
 
@@ -50,7 +50,7 @@ class Row:
     cfl: float
     binding: str
     particles: int
-    ppc: float
+    particles_per_axis: float
     """Median particles per cell and axis where there are any."""
     substeps: int
     predicted: float | None
@@ -58,15 +58,15 @@ class Row:
     seconds: float
     """Seconds of simulation and shapes as measured."""
     limiters: dict[str, float]
-    """Share of the substeps by what limited them."""
+    """Fraction of the substeps by what limited them."""
     energy_lost: float
-    """Energy lost beyond the work of forces and walls, as a share of all that was turned over."""
+    """Energy lost beyond the work of forces and walls, a fraction of all that was turned over."""
     angular_momentum_lost: float | None
     """Relative change; None if forces or walls change it."""
     from_finest: Difference | None = None
     """Distance to the finest level; None for that one."""
     error: float | None = None
-    """Estimated error as a share of the object's size; None where levels do not converge."""
+    """Estimated error as a fraction of the object's size; None where levels do not converge."""
     pixels: float | None = None
     """The same in pixels of the video."""
     torn: str = ""
@@ -172,7 +172,7 @@ class Study:
         )
         other = "float64" if middle.precision == "float32" else "float32"
         yield f"{other} {here}", self._with(middle.model_copy(update={"precision": other}))
-        binding = "field" if self.scene.binding == "particles" else "particles"
+        binding = "lattice" if self.scene.binding == "particles" else "particles"
         bound = self._with(middle).model_copy(update={"binding": binding})
         yield f"binding {binding} {here}", bound
 
@@ -186,11 +186,11 @@ class Study:
         simulation = Simulation(
             self.gaussians, scene, device=self.device, crop=self.crop, progress=progress
         )
-        ppc = _particles_per_axis(simulation)
-        if ppc < LEAST_PPC:
+        particles_per_axis = _particles_per_axis(simulation)
+        if particles_per_axis < MIN_PARTICLES_PER_AXIS:
             return None, (
-                f"{name} is skipped: {ppc:.1f} particles per cell and axis are fewer than "
-                f"{LEAST_PPC}, so a finer grid would be less accurate."
+                f"{name} is skipped: {particles_per_axis:.1f} particles per cell and axis are "
+                f"fewer than {MIN_PARTICLES_PER_AXIS}, so a finer grid would be less accurate."
             )
         predicted = self._predicted(simulation) if self.thorough else None
         before = diagnose(simulation.solver)
@@ -208,7 +208,7 @@ class Study:
             cfl=accuracy.cfl,
             binding=scene.binding,
             particles=len(simulation.particles),
-            ppc=ppc,
+            particles_per_axis=particles_per_axis,
             substeps=solver.clock.substeps,
             predicted=predicted,
             seconds=seconds["simulate"] + seconds["deform"],

@@ -90,12 +90,12 @@ class Foot(Clamp):
 
     shape: ClassVar[str] = "half_space"
     kind: Literal["foot"] = "foot"
-    share: float = Field(default=0.15, ge=1e-6, le=1, description="Held share of its height.")
+    fraction: float = Field(default=0.15, ge=1e-6, le=1, description="Held fraction of its height.")
 
     def geometry(self, model: Model) -> tuple[Vector, Vector, Vector]:
         """Point and normal of the plane below which material is held."""
         z = model.rest[:, 2]
-        top = float(z.min() + self.share * np.ptp(z))
+        top = float(z.min() + self.fraction * np.ptp(z))
         return (0.0, 0.0, top), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
 
     def extent(self, model: Model) -> Corners:

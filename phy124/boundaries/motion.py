@@ -60,7 +60,7 @@ class Swing(Motion):
     """A sinusoidal displacement: a shaking base."""
 
     kind: Literal["swing"] = "swing"
-    amplitude: Position = Field(default=(0.0, 0.05, 0.0), description="Greatest displacement [m].")
+    amplitude: Position = Field(default=(0.0, 0.05, 0.0), description="Largest displacement [m].")
     frequency: float = Field(default=2.0, ge=1e-5, le=1e4, description="Swings per second [Hz].")
 
     def track(self) -> Track:
@@ -85,9 +85,9 @@ def keyed(times: np.ndarray, points: np.ndarray) -> tuple[Key, ...]:
 def eased(times: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Each leg in `EASE` pieces that begin and end without speed."""
     parts = np.linspace(0, 1, EASE + 1)[1:]
-    shares = (1 - np.cos(math.pi * parts)) / 2
+    fractions = (1 - np.cos(math.pi * parts)) / 2
     new_times, new_points = [times[0]], [points[0]]
     for a, b in itertools.pairwise(range(len(times))):
         new_times += list(times[a] + parts * (times[b] - times[a]))
-        new_points += list(points[a] + shares[:, None] * (points[b] - points[a]))
+        new_points += list(points[a] + fractions[:, None] * (points[b] - points[a]))
     return np.array(new_times), np.array(new_points)

@@ -160,7 +160,7 @@ def _said(floor: Floor, opened: Opened, lies: NDArray[np.bool_]) -> dict[str, An
         "offset": floor.offset,
         "tolerance": floor.tolerance,
         "gaussians": int(lies.sum()),
-        "share": float(lies.mean()),
+        "fraction": float(lies.mean()),
         "tilt": float(np.degrees(np.arccos(np.clip(floor.normal[2], -1, 1)))),
     }
 

@@ -22,8 +22,8 @@ THICKNESS = 0.02
 """Initial tolerance around a plane, in spreads of the scene."""
 SIGMAS = 3.0
 """Final tolerance, in standard deviations of the floor's own points."""
-LEAST_SHARE = 0.1
-"""Smallest share of the points that a floor must contain."""
+MIN_FRACTION = 0.1
+"""Smallest fraction of the points that a floor must contain."""
 NEAR = 0.7071
 """Cosine of the largest angle between the floor's normal and the given up direction."""
 
@@ -125,7 +125,7 @@ def _check(x: Vectors, floor: Floor) -> None:
     """Refuse a plane that is no floor."""
     heights = floor.heights(x)
     on, above = np.abs(heights) <= floor.tolerance, heights > floor.tolerance
-    if on.mean() < LEAST_SHARE:
+    if on.mean() < MIN_FRACTION:
         raise _none(f"the best plane holds {on.mean():.0%} of the Gaussians.")
     flat = x - heights[:, None] * floor.normal
     reach = [_spread(flat[part] - np.median(flat[part], axis=0)) for part in (on, above)]

@@ -156,7 +156,8 @@ def _verdict_line(row: dict[str, Any]) -> str:
 def table(rows: list[dict[str, Any]]) -> str:
     """The rows of a study as aligned text."""
     heads = (
-        "setting", "cells", "ppc", "particles", "substeps", "predicted s", "measured s", "error %",
+        "setting", "cells", "per axis", "particles", "substeps", "predicted s", "measured s",
+        "error %",
         "pixels", "worst frame", "PSNR", "SSIM", "energy lost", "L lost", "limited by",
     )  # fmt: skip
     lines = [heads, *(_cells(row) for row in rows)]
@@ -175,9 +176,9 @@ def _cells(row: dict[str, Any]) -> tuple[str, ...]:
 
     worst = f"{apart['worst_frame']} ({apart['worst']:.1%})" if apart else "-"
     error = None if row["error"] is None else 100 * row["error"]
-    limited = ", ".join(f"{name} {share:.0%}" for name, share in row["limiters"].items())
+    limited = ", ".join(f"{name} {fraction:.0%}" for name, fraction in row["limiters"].items())
     return (
-        row["name"], str(row["cells"]), f"{row['ppc']:.1f}", str(row["particles"]),
+        row["name"], str(row["cells"]), f"{row['particles_per_axis']:.1f}", str(row["particles"]),
         str(row["substeps"]), f"{row['predicted']:.1f}", f"{row['seconds']:.1f}",
         number(error, ".2f"), number(row["pixels"], ".1f"), worst,
         number(apart.get("psnr"), ".1f"), number(apart.get("ssim"), ".4f"),

@@ -18,7 +18,7 @@ from phy124.capture import Capture, capture, changed
 from phy124.commands.bars import Bars
 from phy124.commands.cutout import IF_WRONG, CutoutOptions, described, doubt
 from phy124.commands.options import SceneOptions, default_out
-from phy124.commands.plan import PlanOptions, announce, foretell
+from phy124.commands.plan import PlanOptions, announce, predict
 from phy124.generators import needs_image
 from phy124.generators.ply_file import PlyFile, Reading
 from phy124.imaging.cutout import Cutout
@@ -62,7 +62,7 @@ class Generate:
         announce(scene, as_json=self.options.json)
         if self.plan.dry_run:
             with looking_in(self.cutting.weights):
-                return self._foretell(scene, device)
+                return self._predict(scene, device)
         with looking_in(self.cutting.weights), Bars(quiet=self.options.json, keeps=True) as bars:
             result = pipeline.generate(
                 self.image,
@@ -82,7 +82,7 @@ class Generate:
             )
         return show(result, as_json=self.options.json)
 
-    def _foretell(self, scene: Scene, device: str) -> int:
+    def _predict(self, scene: Scene, device: str) -> int:
         """Make the Gaussians and print how long the rest would take."""
         watch = Stopwatch()
         with Bars(quiet=self.options.json) as bars:
@@ -91,7 +91,7 @@ class Generate:
                 method=self.cutting.foreground, mask=self.cutting.mask,
                 looked=partial(self._look, bars), count=self.gaussians, progress=bars, watch=watch,
             )  # fmt: skip
-        return foretell(
+        return predict(
             made.gaussians, made.scene, self.plan, device, made.crop, watch,
             as_json=self.options.json,
         )  # fmt: skip
@@ -130,7 +130,7 @@ class Simulate:
         announce(scene, as_json=self.options.json)
         watch = Stopwatch()
         if self.plan.dry_run:
-            return self._foretell(file, scene, device)
+            return self._predict(file, scene, device)
         bars, place = Bars(quiet=self.options.json, keeps=True), pipeline.staged(out)
         with bars, place:  # The folder is refused before any work, if at all.
             with watch.stage("read"):
@@ -145,12 +145,12 @@ class Simulate:
     def _read(self, file: PlyFile, scene: Scene, progress: Progress = silent) -> Capture:
         return capture(file, scene, count=self.gaussians, progress=progress)
 
-    def _foretell(self, file: PlyFile, scene: Scene, device: str) -> int:
+    def _predict(self, file: PlyFile, scene: Scene, device: str) -> int:
         """Read the Gaussians and print how long the rest would take."""
         watch = Stopwatch()
         with Bars(quiet=self.options.json) as bars, watch.stage("read"):
             read = self._read(file, scene, bars)
-        return foretell(
+        return predict(
             read.gaussians, read.scene, self.plan, device, WHOLE, watch, as_json=self.options.json
         )
 
@@ -201,23 +201,23 @@ def floor_sentence(floor: dict[str, Any]) -> str:
     """What floor was found, in the file's axes and units."""
     up = ", ".join(f"{value:.3f}" for value in floor["normal"])
     return (
-        f"floor: {floor['gaussians']} Gaussians ({floor['share']:.0%}) within "
+        f"floor: {floor['gaussians']} Gaussians ({floor['fraction']:.0%}) within "
         f"{floor['tolerance']:.3g} of a plane or below it, up is ({up}), "
         f"{floor['tilt']:.1f} degrees from where the file was said to have it"
     )
 
 
 def print_forecast(report: dict[str, Any]) -> None:
-    """What was foretold or wished, and what came of it."""
+    """What was predicted or asked for, and what came of it."""
     told, goal = report.get("forecast"), report.get("goal")
     if told:
         print(
-            f"foretold {told['predicted']:.1f} s, took {told['spent']:.1f} s "
+            f"predicted {told['predicted']:.1f} s, took {told['spent']:.1f} s "
             f"(ratio {told['ratio']:.2f}){'; ' + told['caveat'] if told['caveat'] else ''}"
         )
     if goal and goal["unit"] == "seconds":
-        print(f"wished at most {goal['wished']}: D/{goal['cells']}, {report['seconds']:.1f} s")
+        print(f"asked for at most {goal['target']}: D/{goal['cells']}, {report['seconds']:.1f} s")
     elif goal:
         error = goal["why_not"] if goal["error"] is None else said(goal["unit"], goal["error"])
         met = "met" if goal["met"] else f"NOT met {goal['why_not']}".rstrip()
-        print(f"wished at most {goal['wished']}: D/{goal['cells']}, error {error}, {met}")
+        print(f"asked for at most {goal['target']}: D/{goal['cells']}, error {error}, {met}")

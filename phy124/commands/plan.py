@@ -19,7 +19,7 @@ from phy124.scene import Scene, summary
 
 @dataclass(frozen=True)
 class PlanOptions:
-    """What a run shall achieve, and whether it is only foretold."""
+    """What a run shall achieve, and whether it is only predicted."""
 
     forecast: bool = False
     """Foretell the seconds first and compare them in the report; takes about a second."""
@@ -33,9 +33,9 @@ class PlanOptions:
     """Go on with the run that was interrupted in the folder of the results, bit for bit."""
 
     def goal(self) -> Goal | None:
-        """What is wished, if anything; raises InputError."""
+        """What is asked for, if anything; raises InputError."""
         if self.max_error is not None and self.max_seconds is not None:
-            limit = "an error is wished as well."
+            limit = "an error is asked for as well."
             raise InputError("max_seconds", self.max_seconds, limit, "Give one of the two.")
         if self.max_error is not None and self.dry_run:
             limit = "which grid it takes shows only once coarse ones have run."
@@ -46,7 +46,7 @@ class PlanOptions:
         return None if self.max_seconds is None else Goal.time(self.max_seconds)
 
     def forecaster(self, device: str) -> Forecaster | None:
-        """What foretells the run, if it is to be compared in the report."""
+        """What predicts the run, if it is to be compared in the report."""
         return Forecaster(device) if self.forecast else None
 
 
@@ -60,7 +60,7 @@ def announce(scene: Scene, *, as_json: bool) -> None:
         print(f"note: {stiff}", flush=True)
 
 
-def foretell(
+def predict(
     gaussians: Gaussians, scene: Scene, plan: PlanOptions, device: str, crop: Crop,
     watch: Stopwatch, *, as_json: bool,
 ) -> int:  # fmt: skip
@@ -79,6 +79,6 @@ def foretell(
         print(json.dumps({**forecast.data(), **more}))
         return 0
     if goal is not None:
-        print(f"wished at most {goal.text}: D/{scene.resolution.cells}")
+        print(f"asked for at most {goal.text}: D/{scene.resolution.cells}")
     print("\n".join([*forecast.lines(), promised.sentence]))
     return 0

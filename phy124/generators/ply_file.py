@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 MIN_OPACITY = 0.005
 """Fainter Gaussians are dropped, as LGM does when it saves."""
 TAIL = 0.005
-"""Share of the opacity that may lie beyond either end when the core of the object is found."""
+"""Fraction of the opacity that may lie beyond either end when the core of the object is found."""
 MARGIN = 0.5
 """Distance from that core, in its sizes, up to which a Gaussian belongs to the object."""
 
@@ -195,7 +195,7 @@ def normalised(gaussians: Gaussians, name: str = "") -> Gaussians:
 def robust_bounds(gaussians: Gaussians) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Lowest and highest centre along each axis [3], m, without outliers.
 
-    The core contains all but a share `TAIL` of the opacity at either end; the bounds are those of
+    The core contains all but a fraction `TAIL` of the opacity at either end; bounds are those of
     all Gaussians within `MARGIN` core sizes of it, so that a clean object loses nothing.
     """
     means = gaussians.means.astype(np.float64)
@@ -207,6 +207,6 @@ def robust_bounds(gaussians: Gaussians) -> tuple[NDArray[np.float64], NDArray[np
 
 def _quantiles(values: NDArray[np.float64], weights: NDArray) -> NDArray[np.float64]:
     order = np.argsort(values, kind="stable")
-    share = np.cumsum(weights[order], dtype=np.float64)
-    ends = np.searchsorted(share, [TAIL * share[-1], (1 - TAIL) * share[-1]])
+    fraction = np.cumsum(weights[order], dtype=np.float64)
+    ends = np.searchsorted(fraction, [TAIL * fraction[-1], (1 - TAIL) * fraction[-1]])
     return values[order][np.minimum(ends, len(values) - 1)]

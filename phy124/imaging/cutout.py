@@ -20,9 +20,9 @@ from phy124.runtime import isolated
 
 Alpha = NDArray[np.uint8]
 REAL_ALPHA = 0.005
-"""Least share of opaque pixels, and of transparent ones, for an alpha to be meaningful."""
-LEAST, MOST = 0.003, 0.97
-"""Smallest and largest share of the picture that an object may cover."""
+"""Least fraction of opaque pixels, and of transparent ones, for an alpha to be meaningful."""
+MINIMUM, MAXIMUM = 0.003, 0.97
+"""Smallest and largest fraction of the picture that an object may cover."""
 TINY, MUCH = 0.02, 0.85
 """Shares below and above which something else was probably found instead of the object."""
 SIDES = 3
@@ -30,9 +30,9 @@ SIDES = 3
 PIECES = 4
 """Number of separate pieces that is suspicious."""
 UNSEEN = 0.12
-"""Suspicious share of outline without an edge in the picture; correct cut-outs have 0.05."""
+"""Suspicious fraction of outline without an edge in the picture; correct cut-outs have 0.05."""
 ALIKE = 0.1
-"""Suspicious share of surroundings in the object's colours; correct cut-outs have 0.09."""
+"""Suspicious fraction of surroundings in the object's colours; correct cut-outs have 0.09."""
 REMEDY = (
     "Use a picture with one object on a plain background, all of it visible, give a mask (white "
     "where the object is), or save the cut-out object as PNG with transparency."
@@ -57,15 +57,15 @@ class Cutout:
     method: str
     """Key of `METHODS`, or "mask", or "brush" if a person corrected it."""
     coverage: float
-    """Share of the picture that is object."""
+    """Fraction of the picture that is object."""
     pieces: int
     """Number of connected pieces of the object."""
     touches: tuple[str, ...]
     """Picture edges that the object reaches or nearly reaches: left, top, right, bottom."""
     unseen: float
-    """Share of the outline where the picture shows no edge."""
+    """Fraction of the outline where the picture shows no edge."""
     alike: float
-    """Share of the surroundings whose colours are more common in the object than around it."""
+    """Fraction of the surroundings whose colours are more common in the object than around it."""
     frames: int = 1
     """Number of frames if the file is an animation; only the first was used."""
 
@@ -170,7 +170,7 @@ def foreground(
         except isolated.Unfinished as error:
             limit = f"The search for the object by {method} {error}."
             raise InputError("foreground", method, limit, REMEDY) from error
-    _check_share(alpha, method, frames)
+    _check_fraction(alpha, method, frames)
     image.putalpha(Image.fromarray(alpha))
     return looked_at(image, method, frames)
 
@@ -211,16 +211,16 @@ def _given(image: Image.Image, mask: Image.Image, method: str) -> Alpha:
     return np.minimum(np.asarray(painted), np.asarray(image.getchannel("A")))
 
 
-def _check_share(alpha: Alpha, method: str, frames: int) -> None:
-    share = float(np.mean(alpha > 127))
-    if LEAST <= share <= MOST:
+def _check_fraction(alpha: Alpha, method: str, frames: int) -> None:
+    fraction = float(np.mean(alpha > 127))
+    if MINIMUM <= fraction <= MAXIMUM:
         return
     if method == "mask":
-        limit = f"{share:.0%} of the picture is white in it, which is no object."
+        limit = f"{fraction:.0%} of the picture is white in it, which is no object."
         raise InputError("mask", "given", limit, "Paint the object white, all else black.")
     limit = f"No object was found in the picture by {method}."
-    if share > MOST:
-        limit = f"Nearly the whole picture ({share:.0%}) was taken for the object by {method}."
+    if fraction > MAXIMUM:
+        limit = f"Nearly the whole picture ({fraction:.0%}) was taken for the object by {method}."
     if frames > 1:
         limit += f" Only the first of its {frames} frames was looked at."
     raise InputError("foreground", method, limit, REMEDY)

@@ -87,8 +87,8 @@ def _labels(guess: NDArray[np.bool_], border: NDArray[np.bool_]) -> NDArray[np.u
 
 def _plausibility(mask: NDArray[np.uint8], rgb: NDArray) -> float:
     """How much a mask looks like one object: edges on its outline, solid, clear of the border."""
-    share = float(mask.mean())
-    if not 0.01 < share < 0.9:
+    fraction = float(mask.mean())
+    if not 0.01 < fraction < 0.9:
         return 0.0
     outline = cv2.morphologyEx(mask, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)) > 0
     lab = cv2.cvtColor(rgb.astype(np.float32) / 255, cv2.COLOR_RGB2Lab)
@@ -98,7 +98,7 @@ def _plausibility(mask: NDArray[np.uint8], rgb: NDArray) -> float:
     points = cv2.findNonZero(mask)
     solidity = float(mask.sum()) / max(cv2.contourArea(cv2.convexHull(points)), 1.0)
     rim = np.concatenate([mask[0], mask[-1], mask[:, 0], mask[:, -1]])
-    return edge * solidity * (1 - float(rim.mean())) * share**0.25
+    return edge * solidity * (1 - float(rim.mean())) * fraction**0.25
 
 
 def _unlikeness(rgb: NDArray, border: NDArray[np.bool_]) -> Field:
@@ -110,8 +110,8 @@ def _unlikeness(rgb: NDArray, border: NDArray[np.bool_]) -> Field:
     count = min(COLOURS, len(samples))
     criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 20, 0.5)
     _, kinds, centres = cv2.kmeans(samples, count, None, criteria, 2, cv2.KMEANS_PP_CENTERS)  # pyright: ignore
-    share = np.bincount(kinds.ravel(), minlength=count) / len(samples)
-    centres = centres[share > 0.04]
+    fraction = np.bincount(kinds.ravel(), minlength=count) / len(samples)
+    centres = centres[fraction > 0.04]
     distance = np.linalg.norm(lab[..., None, :] - centres, axis=3).min(axis=2)
     return (1 - np.exp(-distance / 20)).astype(np.float32)
 

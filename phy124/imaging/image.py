@@ -52,7 +52,7 @@ def open_image(
     *,
     field: str = "image",
     formats: tuple[str, ...] = FORMATS,
-    least: int = MIN_SIDE,
+    minimum: int = MIN_SIDE,
 ) -> Image.Image:
     """Open a picture as upright RGBA with sides of at most `WORK_SIDE` pixels.
 
@@ -63,7 +63,7 @@ def open_image(
         path: The file.
         field: What the picture is for, used in error messages.
         formats: Names of the Pillow formats to accept.
-        least: Smallest allowed side, pixels.
+        minimum: Smallest allowed side, pixels.
 
     Raises:
         InputError: If the file is missing, too large, of another format, or broken.
@@ -75,9 +75,9 @@ def open_image(
         try:
             _check_file(path)
             if heic.is_heic(path):
-                return _from_heic(path, least)
+                return _from_heic(path, minimum)
             with Image.open(path, formats=formats) as opened:
-                _check_size(*opened.size, least)
+                _check_size(*opened.size, minimum)
                 if opened.format == "JPEG":
                     _check_scans(path.read_bytes())
                 return _upright_rgba(opened)
@@ -108,7 +108,7 @@ def recenter(image: NDArray, mask: NDArray, *, border_ratio: float = 0.2) -> NDA
     Args:
         image: [H,W,3] or [H,W,4], uint8 or float in 0..1.
         mask: [H,W]; every value other than zero counts.
-        border_ratio: Share of the side that stays free.
+        border_ratio: Fraction of the side that stays free.
 
     Returns:
         [S,S,C] of the same type, S = max(H, W); around the object it is white (C = 3) or
@@ -161,19 +161,19 @@ def _check_file(path: Path) -> None:
         raise _Unusable(limit, "Save it as JPEG or reduce it.")
 
 
-def _check_size(width: int, height: int, least: int) -> None:
+def _check_size(width: int, height: int, minimum: int) -> None:
     if width * height > MAX_PIXELS:
         raise _Unusable(*TOO_LARGE)
-    if min(width, height) < least:
-        limit = f"It has {width} x {height} pixels; each side needs {least} at least."
+    if min(width, height) < minimum:
+        limit = f"It has {width} x {height} pixels; each side needs {minimum} at least."
         raise _Unusable(limit, "Use a larger picture.")
 
 
-def _from_heic(path: Path, least: int) -> Image.Image:
+def _from_heic(path: Path, minimum: int) -> Image.Image:
     if not heic.is_readable():
         remedy = f"Install it ({install_command('heic')}), or save the picture as JPEG."
         raise _Unusable("It is a HEIC picture, which only the package pi-heif can read.", remedy)
-    _check_size(*heic.size_of(path), least)
+    _check_size(*heic.size_of(path), minimum)
     picture, size = heic.decode(path, WORK_SIDE)
     picture.info |= {"frames": 1, "size": size}
     return picture

@@ -15,7 +15,7 @@ CRUMB = 0.01
 NEAR = 0.035
 """Distance at which an edge counts as touched, in shorter sides; GrabCut keeps 0.03 clear."""
 REACH = 0.02
-"""Share of an edge that must be near the object."""
+"""Fraction of an edge that must be near the object."""
 SIDE = 320
 """Longest side at which the outline is examined, pixels."""
 FAINT = 2.0
@@ -24,7 +24,7 @@ AROUND = 0.125
 """How far the surroundings of an object extend, in longest sides."""
 BINS = (12, 24, 24)
 """Histogram bins of L, a and b."""
-LEAST, EXTENT = np.array([0, -100, -100]), np.array([100, 200, 200])
+MINIMUM, EXTENT = np.array([0, -100, -100]), np.array([100, 200, 200])
 """Lowest values of L, a and b, and the ranges that the bins cover."""
 
 
@@ -47,7 +47,7 @@ def touched(solid: Solid) -> tuple[str, ...]:
 
 
 def unseen(rgb: NDArray[np.uint8], solid: Solid) -> float:
-    """Share of the outline inside the picture [H,W,3] where the picture itself shows no edge."""
+    """Fraction of the outline inside the picture [H,W,3] where the picture itself shows no edge."""
     lab, inside = _small(rgb, solid)
     across, down = (cv2.Sobel(lab, cv2.CV_32F, *d, scale=1 / 8) for d in ((1, 0), (0, 1)))
     change = np.sqrt((across**2 + down**2).sum(axis=2))
@@ -58,19 +58,19 @@ def unseen(rgb: NDArray[np.uint8], solid: Solid) -> float:
 
 
 def alike(rgb: NDArray[np.uint8], solid: Solid) -> float:
-    """Share of the surroundings whose colours are more common in the object than around it."""
+    """Fraction of the surroundings whose colours are more common in the object than around it."""
     lab, inside = _small(rgb, solid)
     away = cv2.distanceTransform((~inside).astype(np.uint8), cv2.DIST_L2, 5)
     around = ~inside & (away <= AROUND * max(inside.shape))
     if not (inside.any() and around.any()):
         return 0.0
-    bins = ((lab - LEAST) / EXTENT * BINS).astype(int)
+    bins = ((lab - MINIMUM) / EXTENT * BINS).astype(int)
     kinds = np.asarray(np.ravel_multi_index(tuple(np.moveaxis(bins, 2, 0)), BINS, mode="clip"))
-    commoner = _shares(kinds[inside]) > _shares(kinds[around])
+    commoner = _fractions(kinds[inside]) > _fractions(kinds[around])
     return float(commoner[kinds[around]].mean())
 
 
-def _shares(kinds: NDArray[np.int_]) -> NDArray[np.float64]:
+def _fractions(kinds: NDArray[np.int_]) -> NDArray[np.float64]:
     """How common each colour is, given the bins of the pixels; similar colours count a little."""
     counts = np.bincount(kinds, minlength=math.prod(BINS)).reshape(BINS)
     return gaussian_filter(counts / len(kinds), 0.7, mode="constant").ravel()

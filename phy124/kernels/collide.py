@@ -69,7 +69,7 @@ def none_of_it(along: Any, pressed: Any, friction: Any):
 
 @wp.func
 def coulomb(along: Any, pressed: Any, friction: Any):
-    """Share of the impulse that would stop all motion along the wall that friction can give."""
+    """Fraction of the impulse that would stop all motion along the wall that friction can give."""
     wanted = wp.length(along)
     if wanted <= friction * pressed:
         return type(pressed)(1.0)
@@ -162,7 +162,7 @@ SHAPES = {
 
 @wp.func
 def covered(u: Any):
-    """Share of a quadratic B-spline on the far side of a plane u cells before its middle."""
+    """Fraction of a quadratic B-spline on the far side of a plane u cells before its middle."""
     one = type(u)(1.0)
     sixth = type(u)(1.0 / 6.0)
     reach = wp.max(type(u)(1.5) - wp.abs(u), type(u)(0.0))
@@ -225,7 +225,7 @@ def holds(size: wp.vec3i, span: wp.vec2i, node: wp.vec3i):
 
 
 FULL = wp.constant(0.8)
-"""Share of the mass of a body up to the wall from which it has come to it (0.15 cells of gap)."""
+"""Fraction of a body's mass up to the wall from which it has come to it (0.15 cells of gap)."""
 
 
 @wp.func

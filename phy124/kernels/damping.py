@@ -1,4 +1,4 @@
-"""Inner friction: a Newtonian stress beside the elastic one (Kelvin 1865, Voigt 1892).
+"""Viscosity: a Newtonian stress beside the elastic one (Kelvin 1865, Voigt 1892).
 
 The laws here are those of `elastic` and `hencky` with their parameters and eta [Pa s] after them.
 A material without friction uses the plain ones, which do not know of it.

@@ -50,7 +50,7 @@ def spin(C: Any, dx: Any):
 
 @cache
 def make_totals(law: Law, real: Any):
-    """Kernel: `SUMS` over the particles, -least and greatest J, and the unsound particles.
+    """Kernel: `SUMS` over the particles, -min J and max J, and the unsound particles.
 
     The power is that of the elastic stress, V tau : C, with which kinetic energy goes into elastic.
     `counts_out` is (not finite, inside out), `first_out` the lowest index of each. Each thread adds
@@ -76,8 +76,8 @@ def make_totals(law: Law, real: Any):
         counts_out: wp.array(dtype=int), first_out: wp.array(dtype=int),
     ):  # fmt: skip
         sums = all_sums()
-        least = wp.float64(wp.inf)
-        greatest = wp.float64(-wp.inf)
+        min_J = wp.float64(wp.inf)
+        max_J = wp.float64(-wp.inf)
         for k in range(each):
             p = wp.tid() * first + k * stride
             if p < x.shape[0]:
@@ -107,8 +107,8 @@ def make_totals(law: Law, real: Any):
                     sums[6] += kinetic
                     sums[7] += psi * wp.float64(volume[p])
                     sums[11] += power
-                    least = wp.min(least, J)
-                    greatest = wp.max(greatest, J)
+                    min_J = wp.min(min_J, J)
+                    max_J = wp.max(max_J, J)
                     if J <= wp.float64(0.0):
                         wp.atomic_add(counts_out, 1, 1)
                         wp.atomic_min(first_out, 1, start + p)
@@ -117,8 +117,8 @@ def make_totals(law: Law, real: Any):
                     wp.atomic_min(first_out, 0, start + p)
         for i in range(wp.static(SUMS)):
             wp.atomic_add(sums_out, i, sums[i])
-        wp.atomic_max(range_out, 0, -least)
-        wp.atomic_max(range_out, 1, greatest)
+        wp.atomic_max(range_out, 0, -min_J)
+        wp.atomic_max(range_out, 1, max_J)
 
     return totals
 

@@ -19,13 +19,13 @@ SMALLEST_J = wp.constant(1.0e-4)
 
 @wp.func
 def polar_miss(s: wp.float32):
-    """Greatest |R|^2 - 3 that passes in float32: R is then a rotation to 1e-6."""
+    """Largest |R|^2 - 3 that passes in float32: R is then a rotation to 1e-6."""
     return wp.float32(2.0e-6)
 
 
 @wp.func
 def polar_miss(s: wp.float64):  # noqa: F811
-    """Greatest |R|^2 - 3 that passes in float64."""
+    """Largest |R|^2 - 3 that passes in float64."""
     return wp.float64(1.0e-12)
 
 

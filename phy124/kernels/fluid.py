@@ -9,7 +9,7 @@ from typing import Any
 
 import warp as wp
 
-LEAST_J = wp.constant(1.0e-4)
+MIN_J = wp.constant(1.0e-4)
 """Volume ratio below which the pressure no longer rises."""
 TAIT_J = wp.constant(0.8)
 """Volume ratio below which J p rises only as log J: a few particles that are squeezed further, by
@@ -19,7 +19,7 @@ impacts faster than a quarter of the speed of sound, must not rule the substep o
 @wp.func
 def squeeze(F: Any):
     """J of Tait's pressure and the log of what it is squeezed beyond that."""
-    J = wp.max(wp.determinant(F), type(F[0, 0])(LEAST_J))
+    J = wp.max(wp.determinant(F), type(F[0, 0])(MIN_J))
     bounded = wp.max(J, type(J)(TAIT_J))
     return bounded, wp.log(J / bounded)
 
@@ -40,8 +40,8 @@ def hardness(J: Any, theta: Any):
 @wp.func
 def lag(F: Any, h: Any):
     """log of J over what it was about a relaxation time ago."""
-    J = wp.max(wp.determinant(F), type(F[0, 0])(LEAST_J))
-    return wp.log(J / wp.max(h[0], type(J)(LEAST_J)))
+    J = wp.max(wp.determinant(F), type(F[0, 0])(MIN_J))
+    return wp.log(J / wp.max(h[0], type(J)(MIN_J)))
 
 
 @wp.func
@@ -91,6 +91,6 @@ def isotropic(F: Any, h: Any, theta: Any, dt: Any):
     """
     one = type(dt)(1.0)
     j = wp.max(wp.trace(F) / type(dt)(3.0), type(dt)(0.0))
-    share = one - wp.exp(-dt * theta[5])
-    late = h[0] + share * (j * j * j - h[0])
+    fraction = one - wp.exp(-dt * theta[5])
+    late = h[0] + fraction * (j * j * j - h[0])
     return j * wp.identity(3, dtype=type(dt)), wp.vector(late, h[1])

@@ -14,7 +14,7 @@ from phy124.kernels.spectral import eigenvalues, from_double, to_double, with_va
 from phy124.kernels.symmetric import deviator, exponential, gram
 
 HARDEST = wp.constant(4.0)
-"""Greatest exponent of snow's hardening: at most e^4 = 55 times stiffer than fresh."""
+"""Largest exponent of snow's hardening: at most e^4 = 55 times stiffer than fresh."""
 LOOSEST = wp.constant(1.0e6)
 """Jp at which snow that flies apart stops counting, before it overflows."""
 
@@ -72,10 +72,12 @@ def snow_modulus(F: Any, h: Any, theta: Any):
 
 
 @wp.func
-def clamped(s: wp.vec3d, least: wp.float64, most: wp.float64) -> wp.vec3d:
+def clamped(s: wp.vec3d, minimum: wp.float64, maximum: wp.float64) -> wp.vec3d:
     """Stretches brought into their range."""
     return wp.vec3d(
-        wp.clamp(s[0], least, most), wp.clamp(s[1], least, most), wp.clamp(s[2], least, most)
+        wp.clamp(s[0], minimum, maximum),
+        wp.clamp(s[1], minimum, maximum),
+        wp.clamp(s[2], minimum, maximum),
     )
 
 

@@ -72,7 +72,7 @@ def make_merge(real: Any):
 
 @cache
 def make_grid_speed(real: Any):
-    """Kernel: the greatest squared speed of a node with mass; decides whether a step is taken."""
+    """Kernel: the largest squared speed of a node with mass; decides whether a step is taken."""
     t = types(real)
 
     @kernel(f"phy124_grid_speed_{real.__name__}")

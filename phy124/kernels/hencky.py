@@ -28,13 +28,13 @@ SMALLEST_STRETCH = wp.constant(1.0e-4)
 
 @wp.func
 def series_range(s: wp.float32):
-    """Greatest |Z|^2 of the series in float32; the first term left out is Z^13 / 13."""
+    """Largest |Z|^2 of the series in float32; the first term left out is Z^13 / 13."""
     return wp.float32(0.1)
 
 
 @wp.func
 def series_range(s: wp.float64):  # noqa: F811
-    """Greatest |Z|^2 of the series in float64."""
+    """Largest |Z|^2 of the series in float64."""
     return wp.float64(0.008)
 
 
@@ -81,8 +81,8 @@ def log_strain(F: Any):
     x = left_strain(F)
     squared = gram(x)
     i = invariants(x, squared)
-    share = type(s)(1.0) / (type(s)(8.0) + four * i[0] + two * i[1] + i[2])
-    z = quadratic(share * wp.vector(i[2], four + two * i[0], -two), x, squared)
+    fraction = type(s)(1.0) / (type(s)(8.0) + four * i[0] + two * i[1] + i[2])
+    z = quadratic(fraction * wp.vector(i[2], four + two * i[0], -two), x, squared)
     z_squared = gram(z)
     size = wp.trace(z_squared)
     if size < linear_range(s):

@@ -17,8 +17,8 @@ from phy124.kernels.symmetric import deviator, exponential
 def von_mises(F: Any, h: Any, theta: Any, dt: Any):
     """Radial return with linear hardening or softening (Simo and Hughes 1998, box 3.1).
 
-    theta = (mu, lam, limit, slope, least): the limit rises by `slope` per plastic strain, never
-    below `least`; h[0] is the plastic strain so far, the sum of |d e_p|.
+    theta = (mu, lam, limit, slope, minimum): the limit rises by `slope` per plastic strain, never
+    below `minimum`; h[0] is the plastic strain so far, the sum of |d e_p|.
     """
     zero = type(theta[0])(0.0)
     shear = type(theta[0])(2.0) * theta[0]
@@ -35,7 +35,7 @@ def von_mises(F: Any, h: Any, theta: Any, dt: Any):
 
 
 @wp.func
-def remaining_share(log_k: Any, m: Any):
+def remaining_fraction(log_k: Any, m: Any):
     """The root r in (0, 1] of r + k r^m = 1, k >= 0, m >= 1, by Newton from above."""
     one = type(log_k)(1.0)
     r = wp.exp(wp.min(-log_k / m, type(log_k)(0.0)))
@@ -65,5 +65,5 @@ def herschel_bulkley(F: Any, h: Any, theta: Any, dt: Any):
         return F, h
     m = one / theta[4]
     log_rate = wp.log(shear * dt / excess) + m * wp.log(excess / theta[3])
-    flow = excess * (one - remaining_share(log_rate, m)) / shear
+    flow = excess * (one - remaining_fraction(log_rate, m)) / shear
     return exponential((-flow / size) * dev) * F, wp.vector(h[0] + flow, h[1])

@@ -38,15 +38,15 @@ def make_accelerate(real: Any, per_mass: bool):
 
 
 @cache
-def make_field(real: Any):
+def make_zone(real: Any):
     """Kernel: v += kick a for particles that are inside a box at the moment.
 
     With an `axis` from 0 to 2, of the box only the cylinder along it about its middle.
     """
     t = types(real)
 
-    @kernel(f"phy124_field_{real.__name__}")
-    def field(
+    @kernel(f"phy124_zone_{real.__name__}")
+    def zone(
         # model
         lower: t.vec3, upper: t.vec3, axis: int, radius: real, slot: int, x: wp.array(dtype=t.vec3),
         clock: wp.array(dtype=real), values: wp.array(dtype=t.vec4),
@@ -67,7 +67,7 @@ def make_field(real: Any):
             a = values[slot]
             v_out[p] = v_out[p] + clock[0] * wp.vector(a[0], a[1], a[2])
 
-    return field
+    return zone
 
 
 @cache
@@ -86,8 +86,8 @@ def make_drag(real: Any):
         p = chosen[wp.tid()]
         u = values[slot]
         if u[3] > real(0.0):
-            share = real(1.0) - wp.exp(-rate * clock[0])
-            v_out[p] = v_out[p] + share * (wp.vector(u[0], u[1], u[2]) - v_out[p])
+            fraction = real(1.0) - wp.exp(-rate * clock[0])
+            v_out[p] = v_out[p] + fraction * (wp.vector(u[0], u[1], u[2]) - v_out[p])
 
     return drag
 

@@ -1,6 +1,6 @@
 """Many particles, few numbers: sums at the nodes of the grid, sums and maxima over all.
 
-Atomic operations on one address queue on a GPU, so a thread first adds up a share by itself. To
+Atomic operations on one address queue on a GPU, so a thread first adds up its part by itself. To
 nodes, from compute capability 9.0 on, a GPU adds four float32 in one transaction; older ones,
 float64 and the CPU add component by component.
 """

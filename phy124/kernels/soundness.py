@@ -13,15 +13,15 @@ from phy124.kernels.transfer import types
 def make_reset(real: Any):
     """Kernel: deformations that no law can work with become the identity.
 
-    Sound are volume ratios between `least` and `most`, norms up to `greatest`, and a smallest
-    stretch of at least the share `narrowest` of the greatest: J / |cof F| against |F|.
+    Sound are volume ratios between `min_J` and `max_J`, norms up to `max_norm`, and a smallest
+    stretch of at least the fraction `narrowest` of the largest: J / |cof F| against |F|.
     `found_out` is how many are not and the lowest index of one.
     """
     t = types(real)
 
     @kernel(f"phy124_reset_{real.__name__}")
     def reset(
-        least: real, most: real, greatest: real, narrowest: real,
+        min_J: real, max_J: real, max_norm: real, narrowest: real,
         # state, updated in place
         F_out: wp.array(dtype=t.mat33), C_out: wp.array(dtype=t.mat33),
         # out
@@ -36,7 +36,9 @@ def make_reset(real: Any):
         size = wp.sqrt(wp.ddot(deformation, deformation))
         cofactor = wp.sqrt(wp.dot(a, a) + wp.dot(b, b) + wp.dot(c, c))
         # A comparison with NaN is false, so the test is for soundness.
-        if not (J >= least and J <= most and size <= greatest and J >= narrowest * size * cofactor):
+        if not (
+            J >= min_J and J <= max_J and size <= max_norm and J >= narrowest * size * cofactor
+        ):
             F_out[p] = wp.identity(3, dtype=real)
             C_out[p] = t.mat33()
             wp.atomic_add(found_out, 0, 1)
@@ -51,12 +53,12 @@ def make_limit_total(real: Any):
     t = types(real)
 
     @kernel(f"phy124_limit_total_{real.__name__}")
-    def limit_total(greatest: real, F: wp.array(dtype=t.mat33), total_out: wp.array(dtype=t.mat33)):
+    def limit_total(max_norm: real, F: wp.array(dtype=t.mat33), total_out: wp.array(dtype=t.mat33)):
         p = wp.tid()
         size = wp.sqrt(wp.ddot(total_out[p], total_out[p]))
         if not wp.isfinite(size):
             total_out[p] = F[p]
-        elif size > greatest:
-            total_out[p] = (greatest / size) * total_out[p]
+        elif size > max_norm:
+            total_out[p] = (max_norm / size) * total_out[p]
 
     return limit_total

@@ -35,7 +35,7 @@ def from_double(m: wp.mat33d, like: Any):
 
 @wp.func
 def eigenvalues(b: wp.mat33d) -> wp.vec3d:
-    """The eigenvalues of a symmetric matrix, greatest first."""
+    """The eigenvalues of a symmetric matrix, largest first."""
     one = wp.float64(1.0)
     q = wp.trace(b) / wp.float64(3.0)
     d = b - q * wp.identity(3, dtype=wp.float64)
@@ -58,7 +58,7 @@ def slope(rise: wp.float64, run: wp.float64) -> wp.float64:
 
 @wp.func
 def with_values(b: wp.mat33d, at: wp.vec3d, f: wp.vec3d) -> wp.mat33d:
-    """The function of b that is f_i at its eigenvalues at_i (greatest first)."""
+    """The function of b that is f_i at its eigenvalues at_i (largest first)."""
     first = slope(f[0] - f[1], at[0] - at[1])
     second = slope(first - slope(f[1] - f[2], at[1] - at[2]), at[0] - at[2])
     one = wp.identity(3, dtype=wp.float64)
@@ -74,11 +74,11 @@ def signed_stretch(F: wp.mat33d) -> wp.mat33d:
     b = F * wp.transpose(F)
     at = eigenvalues(b)
     zero = wp.float64(0.0)
-    least = wp.sqrt(wp.max(at[2], zero))
+    smallest = wp.sqrt(wp.max(at[2], zero))
     if wp.determinant(F) < zero:
-        least = -least
+        smallest = -smallest
     return with_values(
-        b, at, wp.vec3d(wp.sqrt(wp.max(at[0], zero)), wp.sqrt(wp.max(at[1], zero)), least)
+        b, at, wp.vec3d(wp.sqrt(wp.max(at[0], zero)), wp.sqrt(wp.max(at[1], zero)), smallest)
     )
 
 
@@ -88,14 +88,14 @@ def floored_log(F: wp.mat33d, floor: wp.float64) -> wp.mat33d:
     b = F * wp.transpose(F)
     at = eigenvalues(b)
     half = wp.float64(0.5)
-    least = floor * floor
+    floor_squared = floor * floor
     return with_values(
         b,
         at,
         half
         * wp.vec3d(
-            wp.log(wp.max(at[0], least)),
-            wp.log(wp.max(at[1], least)),
-            wp.log(wp.max(at[2], least)),
+            wp.log(wp.max(at[0], floor_squared)),
+            wp.log(wp.max(at[1], floor_squared)),
+            wp.log(wp.max(at[2], floor_squared)),
         ),
     )

@@ -12,7 +12,7 @@ from phy124.kernels.transfer import types
 
 @wp.func
 def spacing(F: Any, volume: Any):
-    """Distance of neighbours along the greatest stretch [m]; at rest each has a cube of its own."""
+    """Distance of neighbours along the largest stretch [m]; at rest each has a cube of its own."""
     return wp.sqrt(largest_stretch_squared(F)) * wp.cbrt(volume)
 
 
@@ -20,7 +20,7 @@ def spacing(F: Any, volume: Any):
 def make_apart(real: Any):
     """Kernel: particles whose neighbours are further away than `limit` m.
 
-    `found_out` is their number and their lowest index, `greatest_out` the greatest stretch.
+    `found_out` is their number and their lowest index, `max_out` the largest stretch.
     """
     t = types(real)
 
@@ -31,12 +31,12 @@ def make_apart(real: Any):
         # state in
         F: wp.array(dtype=t.mat33),
         # out
-        found_out: wp.array(dtype=int), greatest_out: wp.array(dtype=real),
+        found_out: wp.array(dtype=int), max_out: wp.array(dtype=real),
     ):  # fmt: skip
         p = wp.tid()
         if spacing(F[p], volume[p]) > limit:
             wp.atomic_add(found_out, 0, 1)
             wp.atomic_min(found_out, 1, start + p)
-            wp.atomic_max(greatest_out, 0, wp.sqrt(largest_stretch_squared(F[p])))
+            wp.atomic_max(max_out, 0, wp.sqrt(largest_stretch_squared(F[p])))
 
     return apart

@@ -40,7 +40,7 @@ class Limits:
     acceleration: wp.float64
     """What forces may do to a particle at most [m/s^2]."""
     memory: wp.float64
-    """Share of the stiffness met before that still counts."""
+    """Fraction of the stiffness met before that still counts."""
     strain: wp.float64
     """Sum of |C| dt after which the host must look."""
     origin: wp.vec3d
@@ -62,11 +62,11 @@ class Progress:
     next: wp.float64
     """Length of the next one [s]; 0: none has been chosen."""
     speed: wp.float64
-    """Greatest |v| [m/s]."""
+    """Largest |v| [m/s]."""
     gradient: wp.float64
-    """Greatest |C| [1/s]."""
+    """Largest |C| [1/s]."""
     stiffness: wp.float64
-    """Greatest A / rho0 [m^2/s^2]."""
+    """Largest A / rho0 [m^2/s^2]."""
     strain: wp.float64
     """Sum of |C| dt so far."""
     taken: wp.int32
@@ -115,9 +115,9 @@ def roomy(low: wp.vec3d, high: wp.vec3d, window: wp.array(dtype=wp.vec3i), given
         first = window[0][axis]
         below = spare(low[axis], given.origin[axis], given.dx) - first
         above = first + window[1][axis] - spare(high[axis], given.origin[axis], given.dx) - 3
-        least = given.margin // 2
+        minimum = given.margin // 2
         most = 3 * given.margin
-        if below < least or above < least or below > most or above > most:
+        if below < minimum or above < minimum or below > most or above > most:
             fits = False
     return fits
 

@@ -70,7 +70,7 @@ def first_node(g: Any):
 def in_window(first: wp.vec3i, size: wp.vec3i):
     """Whether all 27 nodes are inside; those of a position that is NaN (on a CPU) are not.
 
-    Of what is far off devices make the least or the greatest integer: nothing is added to it.
+    Of what is far off devices make the least or the largest integer: nothing is added to it.
     """
     return (
         first[0] >= 0

@@ -30,7 +30,7 @@ class Material(Section):
         raise NotImplementedError
 
     def theta_on(self, dx: float, cfl: float) -> tuple[float, ...]:
-        """The same on a grid of spacing `dx` [m] with a share `cfl` of the stable substep."""
+        """The same on a grid of spacing `dx` [m] with a fraction `cfl` of the stable substep."""
         del dx, cfl
         return self.theta()
 

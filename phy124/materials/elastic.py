@@ -12,7 +12,7 @@ from phy124.materials.base import Elastic, viscous_substep
 
 
 class Springy(Elastic):
-    """Elastic solids that may lose energy by inner friction, as rubber does."""
+    """Elastic solids that may lose energy by viscosity, as rubber does."""
 
     lossless: ClassVar[Law]
     damped: ClassVar[Any]
@@ -22,7 +22,7 @@ class Springy(Elastic):
         default=0.0,
         ge=0,
         le=1e7,
-        description="Inner friction [Pa s]; loss tangent of a swing of w rad/s: w damping / mu.",
+        description="Viscosity [Pa s]; loss tangent of a swing of w rad/s: w damping / mu.",
     )
 
     @property
@@ -102,10 +102,10 @@ class Rigid(Elastic):
         default=1e10, ge=1, le=1e13, description="Young's modulus of the real body [Pa]."
     )
     speed: float = Field(
-        default=3.0, ge=1e-3, le=1000, description="Greatest speed it hits something at [m/s]."
+        default=3.0, ge=1e-3, le=1000, description="Largest speed it hits something at [m/s]."
     )
     strain: float = Field(
-        default=0.005, ge=1e-4, le=0.1, description="Greatest strain at that impact."
+        default=0.005, ge=1e-4, le=0.1, description="Largest strain at that impact."
     )
 
     def cheaper(self, field: str) -> str:

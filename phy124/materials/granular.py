@@ -15,7 +15,7 @@ PACKING = 2 / 3
 """Largest product of snow's hardening and compression.
 
 Squeezed evenly to 1 - c, snow stores psi = 3/2 (2 mu + 3 lambda) c^2. Packing by d releases 3 (2 mu
-+ 3 lambda) c d and stiffens psi by the share 3 xi d, which takes more once xi c > 2/3.
++ 3 lambda) c d and stiffens psi by the fraction 3 xi d, which takes more once xi c > 2/3.
 """
 
 

@@ -77,7 +77,7 @@ class Plasticine(Elastic):
         default=1e3, ge=0, le=1e12, description="Loss of yield stress per plastic strain [Pa]."
     )
     residual: float = Field(
-        default=0.3, ge=0.01, le=1, description="Share of the yield stress that is never lost."
+        default=0.3, ge=0.01, le=1, description="Fraction of the yield stress that is never lost."
     )
 
     @model_validator(mode="after")

@@ -39,7 +39,7 @@ class Diagnostics:
     min_J: float
     """Least volume ratio."""
     max_J: float
-    """Greatest volume ratio."""
+    """Largest volume ratio."""
     broken: int
     """Particles that are not finite."""
     inverted: int
@@ -59,12 +59,12 @@ class Diagnostics:
         first = wp.array([NOBODY, NOBODY], dtype=int, device=device)
         for group in model.groups:
             part = group.particles
-            threads, *share = shared_out(len(group), device)
+            threads, *fraction = shared_out(len(group), device)
             wp.launch(
                 make_totals(group.law, model.real),
                 threads,
                 inputs=[
-                    *share, group.theta, model.mass[part], model.volume[part], model.dx,
+                    *fraction, group.theta, model.mass[part], model.volume[part], model.dx,
                     group.start, state.x[part], state.v[part], state.C[part], state.F[part],
                     part_of(state.history, part),
                 ],

@@ -167,8 +167,8 @@ class ExternalWork:
 
         def after(grid: Grid) -> wp.Launch | None:
             del grid
-            threads, *share = shared_out(len(model), model.device)
-            inputs = [*share, model.mass, model.dx, state.v, state.C, *kept]
+            threads, *fraction = shared_out(len(model), model.device)
+            inputs = [*fraction, model.mass, model.dx, state.v, state.C, *kept]
             kernel = kernels.make_push_sums(model.real)
             return model.launch(kernel, threads, inputs, [self._accumulator(PUSH)])
 

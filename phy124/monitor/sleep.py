@@ -3,7 +3,7 @@
 An instant without speed is not rest: a thrown body has one at the top of its path. Rest is that in
 Q frames of T seconds no particle got further than D from where it was. Evenly accelerated it then
 goes at most 7 D m (1 + m) in the M = m Q frames to be left out (the worst: there, back and on); and
-a vibration in step with the frames, whose greatest speed is v, hides v T / 2 pi. The object
+a vibration in step with the frames, whose largest speed is v, hides v T / 2 pi. The object
 sleeps where the sum is invisible and its speed does not grow, until a force or a boundary changes,
 anywhere in the scene, or the clip ends. Under gravity it must also have stayed where a free body
 would have left, or a film of many frames per second would catch it resting in the air.
@@ -24,9 +24,9 @@ from phy124.tracks import FOREVER, Track, Tracks
 STILL = 3e-4
 """How far sleeping could lead anything astray at worst, in object sizes: 0.1 of 300 pixels."""
 CALM = 1 / 6
-"""Share of it that particles may move while they are said to rest."""
+"""Fraction of it that particles may move while they are said to rest."""
 HELD = 0.1
-"""Share of a free body's way that a body may move which something holds."""
+"""Fraction of a free body's way that a body may move which something holds."""
 
 
 class Sleep:
@@ -62,7 +62,7 @@ class Sleep:
         self.drift = 0.0
         """How far one has got from there [m]."""
         self.speeds: list[float] = []
-        """Greatest speed in each frame since then [m/s]."""
+        """Largest speed in each frame since then [m/s]."""
         self._fastest, self._last = 0.0, 0
         self.since: int | None = None
         """The first frame that was left out."""

@@ -33,9 +33,10 @@ at 6.7e-3 lost its head, another at 7.9e-3 did not.
 REACH = 1.5
 """How far a particle's spline reaches [cells]; nothing holds across a wider empty layer."""
 LOOSE, FLAKE = 2e-3, 8
-"""Share of the elastic particles, and their least number, that have to come off for a tear."""
+"""Fraction of the elastic particles, and their least number, that have to come off for a tear."""
 REMEDY = (
-    "A larger accuracy.ppc, a stiffer material, more material.damping or a gentler motion helps; "
+    "A larger accuracy.particles_per_axis, a stiffer material, more material.damping or a gentler "
+    "motion helps; "
     "a finer grid does not."
 )
 
@@ -50,7 +51,7 @@ class Tearing:
         self._model, self._state = model, state
         self._elastic = [group for group in model.groups if group.law.project is None]
         self.count, self.first, self.stretch = 0, 0, 1.0
-        """Most particles at once beyond `APART`, the lowest of them, and the greatest stretch."""
+        """Most particles at once beyond `APART`, the lowest of them, and the largest stretch."""
         self.loose = 0
         """Most particles at once that were off the piece they belong to."""
         self._chosen = np.zeros(len(model), bool)
@@ -83,15 +84,15 @@ class Tearing:
         """At the end of a frame."""
         model, device = self._model, self._model.device
         found = wp.array([0, len(model)], dtype=int, device=device)
-        greatest = wp.zeros(1, dtype=model.real, device=device)
+        max_stretch = wp.zeros(1, dtype=model.real, device=device)
         for group in self._elastic:
             part = group.particles
             inputs = [model.volume[part], APART * model.dx, group.start, self._state.F[part]]
-            kernel, outputs = make_apart(model.real), [found, greatest]
+            kernel, outputs = make_apart(model.real), [found, max_stretch]
             wp.launch(kernel, len(group), inputs=inputs, outputs=outputs, device=device)
         count, first = found.numpy().tolist()
         if count > self.count:
-            stretch: Any = greatest.numpy()
+            stretch: Any = max_stretch.numpy()
             self.count, self.first = count, first
             self.stretch = max(self.stretch, float(np.asarray(stretch)[0]))
         x: Any = self._state.x.numpy()

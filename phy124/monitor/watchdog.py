@@ -28,17 +28,17 @@ INSIDE_OUT = 0.01
 FEW = 2
 """So many are never too many; they are reset before the next frame, and counted."""
 ENERGY_GAIN = 0.25
-"""Energy from nowhere that is tolerated, as a share of the greatest energy turned over.
+"""Energy from nowhere that is tolerated, as a fraction of the largest energy turned over.
 
 Of 6,500 random scenes one in a hundred reached 0.7 %, the worst 13 % (two particles whose velocity
 is set in every substep); an unstable run passes any limit within a few frames.
 """
 MOMENTUM_GAIN = {"float32": 1e-3, "float64": 1e-6}
-"""Momentum from nowhere that is tolerated, as a share of all momentum moved."""
+"""Momentum from nowhere that is tolerated, as a fraction of all momentum moved."""
 ROUNDING = {"float32": 1e-5, "float64": 1e-12}
-"""Share of all work, given and taken, that rounding may lose."""
+"""Fraction of all work, given and taken, that rounding may lose."""
 QUIET = 1e-9
-"""Energies below this share of volume times stiffness are rounding."""
+"""Energies below this fraction of volume times stiffness are rounding."""
 COLLAPSE = 0.8
 """Speed of impact, in speeds of sound, from which fragile laws come close to J = 0."""
 UNSEEN = 3e-4
@@ -71,7 +71,7 @@ class Balance:
     """How energy and momentum of a run add up, frame by frame."""
 
     turnover: float = 0.0
-    """Greatest energy that was turned over [J]."""
+    """Largest energy that was turned over [J]."""
     moved: float = 0.0
     """All momentum that was moved [kg m/s]."""
     energy_gain: float = 0.0

@@ -48,7 +48,7 @@ class Outliers:
         first = self._nodes(*np.quantile(model.rest, (0.05, 0.95), axis=0))
         self._allowed = min(MAX_NODES, max(MIN_NODES, GROWTH * min(first, MAX_NODES)))
         self.most, self.changed = 0, False
-        """The greatest number so far, and whether the last measurement changed the list."""
+        """The largest number so far, and whether the last measurement changed the list."""
 
     @property
     def count(self) -> int:

@@ -120,7 +120,7 @@ class StepRejection:
         return dt, 2 * cells > CELLS_PER_STEP
 
     def _speed(self, grid: Grid) -> float:
-        """The greatest speed of a node [m/s]."""
+        """The largest speed of a node [m/s]."""
         self._fastest.zero_()
         kernel, device = make_grid_speed(self._model.real), self._model.device
         wp.launch(kernel, grid.count, [grid.nodes], [self._fastest], device=device)

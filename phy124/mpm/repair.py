@@ -1,7 +1,7 @@
 """Repair: particles whose deformation no law can work with get their shape at rest back.
 
 A few particles at a corner may be turned inside out where the rest of a run is sound. They are
-given F = I, and counted. F_total of what flows for ever is held to a greatest size.
+given F = I, and counted. F_total of what flows for ever is held to a largest size.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from phy124.mpm.state import State
 SOUND_J = (1e-5, 1e6)
 """Volume ratios that a law can work with; a particle beyond is reset and counted."""
 SOUND_F = 1e3
-"""Greatest norm of a sound deformation gradient."""
+"""Largest norm of a sound deformation gradient."""
 NARROWEST = 1e-5
-"""Least ratio of the smallest stretch to the greatest: beyond, rounding decides the sign of J."""
+"""Least ratio of the smallest stretch to the largest: beyond, rounding decides the sign of J."""
 MAX_TOTAL = 1e6
 """Norm of F_total that flowing material is held to; what is seen of it stops growing at 4."""
 AFTER_STRAIN = 1.0

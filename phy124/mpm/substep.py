@@ -57,11 +57,11 @@ class Recorder:
         """What measures the limits of the substep among a worker's particles."""
         model, s, found = self.model, self.state, []
         for group, part in worker.parts(model.groups):
-            threads, *share = shared_out(part.stop - part.start, model.device)
+            threads, *fraction = shared_out(part.stop - part.start, model.device)
             kernel = transfer.make_measure(group.law, model.real)
             read = [group.rows(part), model.mass[part], model.volume[part], self.outliers.corners]
             state = [s.x[part], s.v[part], s.C[part], s.F[part], part_of(s.history, part)]
-            inputs, outputs = [*share, *read, *state], [worker.maxima, stray]
+            inputs, outputs = [*fraction, *read, *state], [worker.maxima, stray]
             found.append(model.launch(kernel, threads, inputs, outputs))
         return [launch for launch in found if launch is not None]
 

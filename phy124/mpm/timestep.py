@@ -2,7 +2,7 @@
 
 dt = min(k dx sqrt(rho0 / A), 0.5 dx / |v|, 0.4 / |C|): A the largest eigenvalue of
 d tau / d ln sigma (an isolated particle is a harmonic oscillator of omega^2 = 4 A / (rho0 dx^2)),
-|v| the greatest speed, |C| the greatest velocity gradient. See docs/reference/physics.md.
+|v| the largest speed, |C| the largest velocity gradient. See docs/reference/physics.md.
 
 A substep that follows A up and down in step with a vibration feeds it, as a swing is fed, so A is
 forgotten only slowly: leapfrog with substeps of one length conserves what it should.
@@ -14,17 +14,17 @@ import math
 from typing import NamedTuple
 
 CFL = 0.6
-"""Share of the elastic limit that is used."""
+"""Fraction of the elastic limit that is used."""
 CELLS_PER_STEP = 0.5
-"""Greatest way of a particle in one substep, in cells."""
+"""Largest way of a particle in one substep, in cells."""
 STRAIN_PER_STEP = 0.4
-"""Greatest |C| dt; below 1 an element cannot turn inside out."""
+"""Largest |C| dt; below 1 an element cannot turn inside out."""
 MEMORY = 0.95
-"""Share of the stiffness met before that still counts at the next measurement."""
+"""Fraction of the stiffness met before that still counts at the next measurement."""
 
 
 class Extremes(NamedTuple):
-    """Greatest values over all particles that limit the substep."""
+    """Largest values over all particles that limit the substep."""
 
     speed: float
     """|v| [m/s]."""
@@ -68,7 +68,7 @@ def stable_substep(
 
 
 def beside_elastic(cfl: float) -> float:
-    """Share of the viscous limit that is stable together with `cfl` of the elastic one.
+    """Fraction of the viscous limit that is stable together with `cfl` of the elastic one.
 
     An oscillator of omega dt = 2 cfl with friction gamma dt = share, both taken explicitly, is
     stable while (omega dt)^2 <= 4 - 2 gamma dt.

@@ -2,7 +2,7 @@
 
 There are two ways to bind them. `particles` is the paper's form (Phy124, arXiv 2409.07179): every
 Gaussian is an MPM particle, and the closed interior is filled with more (as PhysGaussian, arXiv
-2311.12198, does). With `field` a regular lattice through the solid carries the physics, and the
+2311.12198, does). With `lattice` a regular lattice through the solid carries the physics, and the
 Gaussians are interpolated from it (`phy124.deform`), so that their number does not affect the
 simulation.
 """

@@ -213,12 +213,12 @@ def _stray(gaussians: Gaussians) -> NDArray[np.bool_]:
     return members[group] < STRAY * len(gaussians)
 
 
-def _quantile(values: NDArray, weights: NDArray, share: float) -> NDArray[np.float64]:
+def _quantile(values: NDArray, weights: NDArray, fraction: float) -> NDArray[np.float64]:
     """Per column of `values` [N,3], the value below which `share` of the weight lies."""
     values = np.asarray(values, dtype=np.float64)
     order = np.argsort(values, axis=0)
     total = np.cumsum(weights.astype(np.float64)[order], axis=0)
-    first = (total <= share * total[-1]).sum(axis=0)
+    first = (total <= fraction * total[-1]).sum(axis=0)
     return values[order[np.minimum(first, len(values) - 1), range(3)], range(3)]
 
 

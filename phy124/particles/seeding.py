@@ -19,7 +19,7 @@ from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.particles.solid import Solid, solid
 
-BINDINGS = ("particles", "field")
+BINDINGS = ("particles", "lattice")
 MAX_PARTICLES = 8_000_000
 SMALLEST = 0.01
 """Smallest volume of a particle, relative to the mean."""
@@ -63,7 +63,7 @@ def make_particles(
         gaussians: The object, N Gaussians.
         density: Mass density, kg/m^3.
         spacing: Distance of neighbouring particles, m: grid spacing / particles per cell and axis.
-        binding: `particles` for each Gaussian and the fillers; `field` for the lattice alone.
+        binding: `particles` for each Gaussian and the fillers; `lattice` for the lattice alone.
         material: Index given to all particles.
 
     Raises:

@@ -19,7 +19,7 @@ SAMPLE = 4096
 VISIBLE = 0.1
 """Opacity from which a Gaussian counts as part of the object."""
 OUTSIDE = 0.01
-"""Share of the object that may be outside the picture without a warning."""
+"""Fraction of the object that may be outside the picture without a warning."""
 STEP = 0.1
 """Recommended distances are multiples of this, in object sizes."""
 FARTHEST = 100.0
@@ -56,7 +56,7 @@ class Departure:
     worst_frame: int
     """The frame in which most of it is outside."""
     outside: float
-    """Share of the object that is outside in that frame."""
+    """Fraction of the object that is outside in that frame."""
     distance: float
     """Distance from which all of it would be visible, in object sizes."""
 

@@ -13,11 +13,11 @@ class Accuracy(Section):
     """Settings that trade accuracy against time: cells across the object, particles in them."""
 
     cells: int = Field(default=32, ge=4, le=256, description="Grid cells across the longest side.")
-    ppc: float = Field(
+    particles_per_axis: float = Field(
         default=2.0, ge=1, le=4, description="Particles per cell and axis inside the object."
     )
     cfl: float = Field(
-        default=0.6, ge=0.01, le=0.9, description="Share of the stable substep used."
+        default=0.6, ge=0.01, le=0.9, description="Fraction of the stable substep used."
     )
     precision: Literal["float32", "float64"] = Field(
         default="float32", description="Floating-point precision of the simulation."

@@ -7,6 +7,7 @@ from typing import Any
 
 from phy124.errors import InputError
 from phy124.scene.accuracies import PRESETS
+from phy124.scene.renamed import renewed_item
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -28,6 +29,7 @@ def apply(data: dict[str, Any], changes: dict[str, Any]) -> None:
     Raises:
         InputError: If a path does not exist in the data.
     """
+    changes = dict(renewed_item(path, value) for path, value in changes.items())
     for path in sorted(changes, key=_outer_first):
         _put(data, path, changes[path])
 

@@ -53,8 +53,8 @@ class Declaration:
             return f"one of {', '.join(map(str, node['enum']))}"
         if node.get("type") == "array":
             return self._array(node)
-        most = node.get("maxLength")
-        text = f"text of at most {most} characters" if most else "text"
+        maximum = node.get("maxLength")
+        text = f"text of at most {maximum} characters" if maximum else "text"
         plain = {"boolean": "true or false", "string": text, "object": "a table"}
         if node.get("type") in plain:
             return plain[node["type"]]
@@ -76,10 +76,10 @@ def declaration(root: type[BaseModel]) -> Declaration:
 
 def span(node: Node) -> str:
     """The bounds of a number in words; empty if it has none."""
-    least, above = node.get("minimum"), node.get("exclusiveMinimum")
-    most, below = node.get("maximum"), node.get("exclusiveMaximum")
-    low, high = (_either(inside, beyond) for inside, beyond in ((least, above), (most, below)))
-    if least is not None and most is not None:
+    minimum, above = node.get("minimum"), node.get("exclusiveMinimum")
+    maximum, below = node.get("maximum"), node.get("exclusiveMaximum")
+    low, high = (_either(inside, beyond) for inside, beyond in ((minimum, above), (maximum, below)))
+    if minimum is not None and maximum is not None:
         return f"from {low} to {high}"
     said = [f"above {low}" if above is not None else low and f"of at least {low}"]
     said.append(f"below {high}" if below is not None else high and f"at most {high}")

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import tomli_w
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, model_validator
 
 from phy124.boundaries import AnyBoundary, Ground, Wall
 from phy124.bounds import Text
@@ -25,6 +25,7 @@ from phy124.plugins import has_name, is_foreign
 from phy124.scene.accuracies import PRESETS, Accuracy, AccuracyName
 from phy124.scene.changes import apply
 from phy124.scene.refusals import refusal
+from phy124.scene.renamed import renewed
 from phy124.scene.sections import Checks, Object, Part, Timing
 from phy124.scene.view import View
 from phy124.section import Section
@@ -57,11 +58,11 @@ class Scene(Section):
     accuracy: AccuracyName | Accuracy = Field(
         default="standard",
         description="draft (16 cells across the object), standard (32), fine (48, float64), "
-        "or a table of cells, ppc, cfl and precision.",
+        "or a table of cells, particles_per_axis, cfl and precision.",
     )
-    binding: Literal["particles", "field"] = Field(
+    binding: Literal["particles", "lattice"] = Field(
         default="particles",
-        description="particles: every Gaussian is a particle (the paper); field: they ride along.",
+        description="particles: each Gaussian is a particle (the paper); lattice: they ride along.",
     )
     time: Timing = Field(default=Timing(), description="Which instants are kept.")
     checks: Checks = Field(default=Checks(), description="How closely the run is watched.")
@@ -70,6 +71,11 @@ class Scene(Section):
         description="Keep the velocity of each Gaussian; speeds also follow from the places.",
     )
     view: View = Field(default=View(), description="How the clip is filmed.")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _old_names(cls, data: Any) -> Any:
+        return renewed(data)
 
     @property
     def resolution(self) -> Accuracy:

@@ -44,11 +44,11 @@ class Timing(Section):
         default=True,
         description="Leave substeps out while the object rests; at most 3e-4 of its size astray.",
     )
-    patience: float = Field(
+    budget: float = Field(
         default=7200.0,
         ge=1e-3,
         le=1e8,
-        description="A simulation forecast to take longer is refused [s].",
+        description="Longest time of a simulation [s]; one predicted to take longer is refused.",
     )
 
 

@@ -21,7 +21,8 @@ def summary(scene: Scene) -> str:
     said += [_kinds(scene.forces, "no forces"), _kinds(scene.boundaries, "no boundaries")]
     accuracy, time = scene.resolution, scene.time
     said.append(
-        f"{number(scene.object.size)} m over {accuracy.cells} cells, {number(accuracy.ppc)} "
+        f"{number(scene.object.size)} m over {accuracy.cells} cells, "
+        f"{number(accuracy.particles_per_axis)} "
         f"particles per cell and axis, {accuracy.precision}"
     )
     return "; ".join([*said, f"{time.frames} frames at {number(time.fps)}/s"])

@@ -12,9 +12,10 @@ from phy124.selftest.inputs import shell
 from phy124.simulation import Simulation
 
 SMALL: dict[str, Any] = {
-    "accuracy": {"cells": 6, "ppc": 2.0}, "time": {"frames": 4, "fps": 24.0}, "binding": "field",
+    "accuracy": {"cells": 6, "particles_per_axis": 2.0},
+    "time": {"frames": 4, "fps": 24.0}, "binding": "lattice",
 }  # fmt: skip
-LONG: dict[str, Any] = {"frames": 400, "fps": 24.0, "patience": 60.0}
+LONG: dict[str, Any] = {"frames": 400, "fps": 24.0, "budget": 60.0}
 REFUSED: dict[str, dict[str, Any]] = {
     "stiff": {"material": {"law": "neo_hookean", "E": 1e12}, "time": LONG},
     "rubbing": {"material": {"law": "neo_hookean", "damping": 1e7}, "time": LONG},
@@ -73,21 +74,21 @@ def _lasts(name: str, scene: Scene, setting: Setting) -> Iterator[Check]:
 
 def _hurries(scene: Scene, setting: Setting) -> Iterator[Check]:
     """Advice to a run that is out of time makes it need fewer substeps, or lets it finish."""
-    name, stopped = "outruns its patience", _run(scene, setting)
+    name, stopped = "outruns its time budget", _run(scene, setting)
     stopped.run()
     yield equal(f"{name}: it stops", stopped.stopped is not None)
     yield at_least(f"{name}: remedies given", len(stopped.remedies), 2)
-    few = {"time.frames": 3, "time.patience": 1000.0}
+    few = {"time.frames": 3, "time.budget": 1000.0}
     usual = _substeps(scene.replaced(few), setting)
     for remedy in stopped.remedies:
         helped = scene.replaced(remedy.changes)
-        if "time.patience" in remedy.changes:
+        if "time.budget" in remedy.changes:
             patient = _run(helped, setting)
             patient.run()
             yield equal(f"{name}: {remedy.words} helps", patient.stopped is None)
         else:
-            share = _substeps(helped.replaced(few), setting) / usual
-            yield at_most(f"{name}: {remedy.words}: share of the substeps", share, 0.8)
+            fraction = _substeps(helped.replaced(few), setting) / usual
+            yield at_most(f"{name}: {remedy.words}: fraction of the substeps", fraction, 0.8)
 
 
 def _substeps(scene: Scene, setting: Setting) -> int:
@@ -110,7 +111,7 @@ def _violent(setting: Setting) -> Scene:
     """A scene forecast by its stiffness, but so fast that its speed limits the substep."""
     accuracy = {**SMALL["accuracy"], "precision": setting.precision}
     return Scene.from_data({
-        **SMALL, "accuracy": accuracy, "time": {"frames": 12, "fps": 24.0, "patience": 0.01},
+        **SMALL, "accuracy": accuracy, "time": {"frames": 12, "fps": 24.0, "budget": 0.01},
         "object": {"velocity": [0.0, 500.0, 0.0]}, "material": {"law": "neo_hookean", "E": 100.0},
         "forces": [], "boundaries": [],
     })  # fmt: skip

@@ -140,7 +140,7 @@ def steps(solver: Solver, count: int, dt: float, each: Callable[[], None] | None
 
 
 def relative(value: Array, reference: Array) -> float:
-    """Largest difference, as a share of the reference's largest entry."""
+    """Largest difference, as a fraction of the reference's largest entry."""
     return float(np.abs(value - reference).max() / max(np.abs(reference).max(), math.ulp(0.0)))
 
 
@@ -160,7 +160,7 @@ class Meter:
         start = diagnose(solver)
         self.first = self.last = start.energy
         self.start, self.end = start, start
-        self.greatest, self.min_J = 1.0, start.min_J
+        self.max_energy, self.min_J = 1.0, start.min_J
         mass = host(solver.model.mass)[:, None]
         self.moved = float((mass * np.abs(host(solver.state.v))).sum())
 
@@ -170,11 +170,11 @@ class Meter:
         steps(self.solver, 1, dt)
         after = diagnose(self.solver)
         self.last = before.elastic + (before.kinetic + after.kinetic) / 2
-        share = self.last / self.first if math.isfinite(self.last) else math.inf
-        self.greatest = max(self.greatest, share)
+        fraction = self.last / self.first if math.isfinite(self.last) else math.inf
+        self.max_energy = max(self.max_energy, fraction)
         self.min_J = min(self.min_J, after.min_J)
         self.end = after
-        return share
+        return fraction
 
     @property
     def momentum_drift(self) -> float:

@@ -36,18 +36,18 @@ class Check(NamedTuple):
     what: str
     measured: float
     limit: float
-    least: bool = False
+    at_least: bool = False
     """Whether the limit is a lower one."""
 
     @property
     def holds(self) -> bool:
         """Whether the bound holds; it never does for NaN."""
-        return self.measured >= self.limit if self.least else self.measured <= self.limit
+        return self.measured >= self.limit if self.at_least else self.measured <= self.limit
 
     @property
     def bound(self) -> str:
         """The bound in words."""
-        return f"{self.what} {'>=' if self.least else '<='} {self.limit:.4g}"
+        return f"{self.what} {'>=' if self.at_least else '<='} {self.limit:.4g}"
 
 
 class Case(NamedTuple):
@@ -94,12 +94,12 @@ def at_most(what: str, measured: SupportsFloat, limit: float) -> Check:
 
 def at_least(what: str, measured: SupportsFloat, limit: float) -> Check:
     """`measured` must reach `limit`."""
-    return Check(what, float(measured), limit, least=True)
+    return Check(what, float(measured), limit, at_least=True)
 
 
 def equal(what: str, holds: bool) -> Check:
     """A check that is simply true or false."""
-    return Check(what, float(holds), 1.0, least=True)
+    return Check(what, float(holds), 1.0, at_least=True)
 
 
 def _number(value: float) -> str:

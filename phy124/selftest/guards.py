@@ -19,16 +19,16 @@ def impossible(setting: Setting) -> list[Check]:
     """Every law has a finite stress for every F; in a body such a particle is reset and counted."""
     checks = every_deformation(setting)
     for material in FRAMES:
-        least, moved, sound = np.inf, 0.0, True
+        min_J, moved, sound = np.inf, 0.0, True
         for F in IMPOSSIBLE.values():
             found = _one_bad_particle(material, F, setting)
-            least, moved = min(least, found[0]), max(moved, found[1])
+            min_J, moved = min(min_J, found[0]), max(moved, found[1])
             sound &= found[2]
         name = material.device_law.name
         checks += [
             equal(f"{name}: finite and within its balance", sound),
-            at_least(f"{name}: least J after a frame", least, 1e-5),
-            at_most(f"{name}: greatest way of a neighbour / size", moved, 0.5),
+            at_least(f"{name}: least J after a frame", min_J, 1e-5),
+            at_most(f"{name}: largest way of a neighbour / size", moved, 0.5),
         ]
     return checks
 

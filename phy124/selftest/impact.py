@@ -28,7 +28,7 @@ class Impact(NamedTuple):
     """What became of a cube that hit the floor."""
 
     min_J: float
-    greatest_energy: float
+    max_energy: float
     rebound: float
     """Kinetic energy at the end, relative to the start."""
     substeps: int
@@ -50,20 +50,20 @@ def hit(mach: float, material: Elastic, setting: Setting) -> Impact:
         dx=0.0625,
     )
     first = diagnose(s).kinetic
-    least, greatest, before = 1.0, 1.0, diagnose(s)
+    min_J, max_energy, before = 1.0, 1.0, diagnose(s)
 
     def watch() -> None:
-        nonlocal least, greatest, before
+        nonlocal min_J, max_energy, before
         after = diagnose(s)
         # Energies of one instant: see `Meter`.
         energy = before.elastic + (before.kinetic + after.kinetic) / 2
-        greatest = max(greatest, energy / first if math.isfinite(energy) else math.inf)
-        least, before = min(least, after.min_J), after
+        max_energy = max(max_energy, energy / first if math.isfinite(energy) else math.inf)
+        min_J, before = min(min_J, after.min_J), after
 
     until = 0.375 * (3 / sound + 1.5 / speed)
     s.advance(until, after=watch)
     rebound = diagnose(s).kinetic / first
-    return Impact(least, greatest, rebound, s.clock.substeps, dict(s.clock.limiters))
+    return Impact(min_J, max_energy, rebound, s.clock.substeps, dict(s.clock.limiters))
 
 
 def impacts(setting: Setting) -> list[Check]:
@@ -75,7 +75,7 @@ def impacts(setting: Setting) -> list[Check]:
             name = f"Mach {mach:g}" + (f" nu {nu}" if setting.long else "")
             checks += [
                 at_least(f"{name}: least J", found.min_J, 1e-9),
-                at_most(f"{name}: greatest / first energy", found.greatest_energy, 1.01),
+                at_most(f"{name}: largest / first energy", found.max_energy, 1.01),
                 at_least(f"{name}: rebound", found.rebound, 0.05),
             ]
     return checks
@@ -89,17 +89,17 @@ def released(setting: Setting) -> list[Check]:
         s = body(rest, setting, NeoHookean(E=1e4, nu=0.3), size=0.25)
         assign(s, "x", rest @ F)
         deform(s, F)
-        least = math.inf
+        min_J = math.inf
         for k in range(1, 241):
             s.advance(0.01 * k)
-            least = min(least, float(volume_ratios(s).min()))
+            min_J = min(min_J, float(volume_ratios(s).min()))
             # Stilled again and again it comes to rest.
             s.state.v.zero_()
             s.state.C.zero_()
         size = np.ptp(host(s.state.x), axis=0) / np.ptp(rest, axis=0)
         checks += [
             equal(f"{name}: finite", finite(s)),
-            at_least(f"{name}: least J", least, 1e-9),
+            at_least(f"{name}: least J", min_J, 1e-9),
             at_most(f"{name}: shape error", np.abs(size - 1).max(), 0.05),
         ]
     return checks

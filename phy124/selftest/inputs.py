@@ -102,7 +102,7 @@ def sizes(setting: Setting) -> list[Check]:
     """Gaussians of a nanometre and a kilometre, needles 1:10,000, flat ones, at rest."""
     rng = np.random.default_rng(0)
     shapes = np.array([[1, 1, 1], [1, 1e-4, 1e-4], [1, 1, 1e-2], [1, 0.3, 1e-3]])
-    error, least, finite = 0.0, math.inf, True
+    error, minimum, finite = 0.0, math.inf, True
     for size in (1e-9, 1.0, 1e3):
         scales = size * shapes[rng.integers(0, 4, 400)]
         quats = rng.normal(size=(400, 4))
@@ -115,11 +115,11 @@ def sizes(setting: Setting) -> list[Check]:
         error = max(error, float(np.abs(found.scales / given.scales - 1).max()))
         covariances = found.covariances()
         finite &= bool(np.isfinite(covariances).all())
-        least = min(least, float(found.scales.min()))
+        minimum = min(minimum, float(found.scales.min()))
     return [
         at_most("relative error of scales at F = I", error, 1e-5),
         equal("finite", finite),
-        at_least("least standard deviation", least, 1e-14),
+        at_least("least standard deviation", minimum, 1e-14),
     ]
 
 

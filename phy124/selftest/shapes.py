@@ -33,7 +33,7 @@ def covariances(setting: Setting) -> list[Check]:
     """Sigma of flat Gaussians against F Sigma0 F^T in double precision, whatever the way here."""
     s, flat = _whirling(setting, FLAT)
     carry = Deformer(flat, device=setting.device)
-    dt, error, least = 0.6 * stable_dt(s), 0.0, np.inf
+    dt, error, minimum = 0.6 * stable_dt(s), 0.0, np.inf
     for index in range(1, 11):
         steps(s, 2000 if setting.long else 100, dt)
         F = host(s.state.F)
@@ -41,10 +41,10 @@ def covariances(setting: Setting) -> list[Check]:
         wanted = F @ flat.covariances() @ F.transpose(0, 2, 1)
         size = np.linalg.norm(wanted, axis=(1, 2))
         wrong = np.linalg.norm(found.covariances() - wanted, axis=(1, 2)) / size
-        error, least = max(error, float(wrong.max())), min(least, float(found.scales.min()))
+        error, minimum = max(error, float(wrong.max())), min(minimum, float(found.scales.min()))
     return [
         at_most("relative error of Sigma", error, 2e-5),
-        at_least("least standard deviation [m]", least, 1e-6),
+        at_least("least standard deviation [m]", minimum, 1e-6),
     ]
 
 
@@ -52,19 +52,19 @@ def continuity(setting: Setting) -> list[Check]:
     """Quaternions go on from frame to frame."""
     s, given = _whirling(setting, (0.01, 0.007, 0.003))
     carry = Deformer(given, device=setting.device)
-    last, least, jump = given, 1.0, 0.0
+    last, minimum, jump = given, 1.0, 0.0
     for index in range(1, 301 if setting.long else 61):
         s.advance(index / 30)
         frame = carry(host(s.state.x), host(s.state.F), index=index, time=s.clock.time).gaussians
         dots = (frame.quats.astype(np.float64) * last.quats).sum(axis=1)
-        least = min(least, float(dots.min()))
+        minimum = min(minimum, float(dots.min()))
         clear = _distinct(frame) & _distinct(last)
         if clear.any():
             jump = max(jump, float(_turn(frame, last)[clear].max()))
         last = frame
     return [
-        at_least("least q(t) . q(t + 1)", least, 0.0),
-        at_most("greatest turn between frames where axes differ [degrees]", jump, 90.0),
+        at_least("least q(t) . q(t + 1)", minimum, 0.0),
+        at_most("largest turn between frames where axes differ [degrees]", jump, 90.0),
     ]
 
 

@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterator
 from typing import Any
 
-from support.served import PATIENCE, Server
+from support.served import TIMEOUT, Server
 
 BOUNDARY = "boundary"
 
@@ -28,7 +28,7 @@ class Attacker:
         self, method: str, path: str, body: Any = None, headers: dict[str, str] | None = None
     ) -> tuple[int, str, dict[str, str]]:
         """Status, text and headers of an answer; the path goes out as it stands."""
-        connection = http.client.HTTPConnection("127.0.0.1", self.server.port, timeout=PATIENCE)
+        connection = http.client.HTTPConnection("127.0.0.1", self.server.port, timeout=TIMEOUT)
         sent = {"Cookie": self.cookie, **(headers or {})} if self.cookie else dict(headers or {})
         try:
             connection.request(method, path, body, sent)
@@ -92,7 +92,7 @@ class Attacker:
 
     def following(self, job: str) -> Iterator[dict[str, Any]]:
         """What is told of a piece of work until it has ended."""
-        end = time.monotonic() + PATIENCE
+        end = time.monotonic() + TIMEOUT
         while time.monotonic() < end:
             told = json.loads(self.get(f"/phy124/jobs/{job}")[1])
             yield told
@@ -114,7 +114,7 @@ class Attacker:
 
     def slow_socket(self, text: bytes = b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Slow: ") -> Any:
         """A connection that begins a request and never ends it."""
-        connection = socket.create_connection(("127.0.0.1", self.server.port), timeout=PATIENCE)
+        connection = socket.create_connection(("127.0.0.1", self.server.port), timeout=TIMEOUT)
         connection.sendall(text)
         return connection
 

@@ -8,7 +8,7 @@ import threading
 from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
-from support.served import PATIENCE, Server
+from support.served import TIMEOUT, Server
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -24,7 +24,7 @@ class _Handler(BaseHTTPRequestHandler):
         pass
 
     def _pass_on(self, body: bytes) -> None:
-        onward = http.client.HTTPConnection("127.0.0.1", self.behind.port, timeout=PATIENCE)
+        onward = http.client.HTTPConnection("127.0.0.1", self.behind.port, timeout=TIMEOUT)
         with contextlib.closing(onward):
             onward.request(self.command, self.path, body or None, dict(self.headers))
             answer = onward.getresponse()

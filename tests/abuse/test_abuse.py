@@ -24,7 +24,7 @@ from proxy import in_front_of
 
 from phy124.scene import Scene
 from support.hostile import PHONE, bomb, heic_claiming
-from support.served import PATIENCE, ROOT, serving
+from support.served import ROOT, TIMEOUT, serving
 
 DUCK = (ROOT / "demo/examples/duck.png").read_bytes()
 GIGABYTE = 1 << 30
@@ -153,7 +153,7 @@ def test_bodies_are_limited_however_they_come(server, attacker):
             "\r\nConnection: close\r\n\r\n".encode()
         )
         connection.close()
-    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=PATIENCE)
+    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=TIMEOUT)
     connection.putrequest("POST", "/gradio_api/queue/join")
     connection.putheader("Transfer-Encoding", "chunked")
     connection.endheaders()
@@ -259,7 +259,7 @@ def test_the_page_runs_no_script_but_its_own(attacker):
 
 
 def test_streams_are_not_held_back_by_proxies(server, attacker):
-    with socket.create_connection(("127.0.0.1", server.port), timeout=PATIENCE) as connection:
+    with socket.create_connection(("127.0.0.1", server.port), timeout=TIMEOUT) as connection:
         connection.sendall(b"GET /gradio_api/heartbeat/abc HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
         head = connection.recv(4000).decode().lower()
     assert "x-accel-buffering: no" in head and "nosniff" in head
@@ -319,8 +319,8 @@ def test_a_storm_of_cancels_stops_only_ones_own(server):
     with ThreadPoolExecutor(9) as pool:
         answer = pool.submit(good.generate, {"path": path})
         storm = [pool.submit(bad.press, "cancel", "click", []) for _ in range(40)]
-        assert answer.result(PATIENCE).startswith("complete")
-        assert all(isinstance(each.result(PATIENCE), list) for each in storm)
+        assert answer.result(TIMEOUT).startswith("complete")
+        assert all(isinstance(each.result(TIMEOUT), list) for each in storm)
 
 
 def test_fifty_visitors_at_once_do_not_silence_health(server):
@@ -356,7 +356,7 @@ def test_fifty_visitors_at_once_do_not_silence_health(server):
 
 def test_slow_sockets_are_given_up(server, slow_sockets):
     for connection in slow_sockets:
-        connection.settimeout(PATIENCE)
+        connection.settimeout(TIMEOUT)
         with contextlib.suppress(ConnectionResetError):
             while connection.recv(1000):
                 pass

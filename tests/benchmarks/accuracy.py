@@ -48,7 +48,7 @@ STUDIES = {
 }
 """Name -> picture (None: the chequered ball), preset, changes, levels."""
 DAMPED_LEVELS = (16, 24, 32, 48)
-"""Grids on which inner friction is varied."""
+"""Grids on which viscosity is varied."""
 FINER = (*CELLS, 144, 160)
 """Grids that goals are checked with."""
 
@@ -76,7 +76,8 @@ def known_answers() -> str:
 def study_table(report: Report) -> str:
     """The rows of a study and what it says."""
     heads = [
-        "setting", "particles", "ppc", "substeps", "foretold s", "measured s", "error %", "pixels",
+        "setting", "particles", "per axis", "substeps", "predicted s", "measured s", "error %",
+        "pixels",
         "worst frame", "PSNR", "SSIM", "energy lost", "limited by",
     ]  # fmt: skip
     found = report.convergence
@@ -94,13 +95,14 @@ def study_row(row: Row) -> list[str]:
     """One setting."""
     apart = row.from_finest
     return [
-        row.name, f"{row.particles:,}", f"{row.ppc:.1f}", str(row.substeps), f"{row.predicted:.1f}",
+        row.name, f"{row.particles:,}", f"{row.particles_per_axis:.1f}",
+        str(row.substeps), f"{row.predicted:.1f}",
         f"{row.seconds:.1f}", "" if row.error is None else f"{100 * row.error:.2f}",
         "" if row.pixels is None else f"{row.pixels:.1f}",
         f"{apart.worst_frame} ({apart.worst:.1%})" if apart else "reference",
         f"{apart.psnr:.1f}" if apart else "", f"{apart.ssim:.4f}" if apart else "",
         f"{row.energy_lost:.0%}",
-        ", ".join(f"{name} {share:.0%}" for name, share in row.limiters.items()),
+        ", ".join(f"{name} {fraction:.0%}" for name, fraction in row.limiters.items()),
     ]  # fmt: skip
 
 
@@ -119,7 +121,9 @@ def goal_rows(gaussians: Gaussians, wish: str) -> list[list[str]]:
         seconds, about = time.perf_counter() - start, reached.about
         cells = about["cells"]
         finer = FINER[FINER.index(cells) + 2]
-        accuracy = scene.resolution.model_copy(update={"cells": finer, "ppc": about["ppc"]})
+        accuracy = scene.resolution.model_copy(
+            update={"cells": finer, "particles_per_axis": about["particles_per_axis"]}
+        )
         check = Simulation(gaussians, scene.model_copy(update={"accuracy": accuracy}))
         truth, torn = check.run(), ", torn" if check.watchdog.tearing.likely else ""
         if goal.kind == "pixels":
@@ -137,7 +141,7 @@ def goal_rows(gaussians: Gaussians, wish: str) -> list[list[str]]:
 
 
 def time_rows(gaussians: Gaussians) -> list[list[str]]:
-    """Times wished and taken, from Gaussians to files."""
+    """Times asked for and taken, from Gaussians to files."""
     rows = []
     for name, wish in (("press", 6), ("press", 15), ("sway", 15)):
         with tempfile.TemporaryDirectory() as folder:
@@ -151,7 +155,7 @@ def time_rows(gaussians: Gaussians) -> list[list[str]]:
 
 
 def damping_table(gaussians: Gaussians) -> str:
-    """The duck bounced by grid, with more and more inner friction: what is lost, what changes."""
+    """The duck bounced by grid, with more and more viscosity: what is lost, what changes."""
     rows = []
     for damping in (0.0, 100.0, 200.0, 400.0):
         scene, clips, lost = Scene.named("bounce").replaced({"material.damping": damping}), [], []
@@ -162,7 +166,10 @@ def damping_table(gaussians: Gaussians) -> str:
             lost.append(-clips[-1].report["balance"]["energy_gain"])
         apart = [pixel_distance(a, b, scene.view) for a, b in pairwise(clips)]
         across = pixel_distance(clips[0], clips[-1], scene.view)
-        cells = [*(f"{share:.0%}" for share in lost), *(f"{px:.1f}" for px in (*apart, across))]
+        cells = [
+            *(f"{fraction:.0%}" for fraction in lost),
+            *(f"{px:.1f}" for px in (*apart, across)),
+        ]
         rows.append([f"{damping:g}", *cells, str(run.solver.clock.substeps)])
         print(json.dumps(rows[-1]), flush=True)
     pairs = [f"D/{a} to D/{b}, px" for a, b in pairwise(DAMPED_LEVELS)]
@@ -179,7 +186,7 @@ def cost_rows(gaussians: Gaussians) -> list[list[str]]:
     cases = [
         ("as it is", gaussians, {}),
         *((f"{n:,} Gaussians", few, {}) for n, few in thinned.items()),
-        ("binding field", gaussians, {"binding": "field"}),
+        ("binding lattice", gaussians, {"binding": "lattice"}),
         ("1 view", gaussians, {"view.views": ["front"]}),
         ("28 frames in the same time", gaussians, {"time.frames": 27, "time.fps": 48.0}),
         ("256 x 256 pixels", gaussians, {"view.size": 256}),
@@ -262,9 +269,9 @@ def main(parts: list[str], *, docs: bool) -> None:
             rows = generator_rows(Path(folder))
         made["generators"] = markdown(["generator", "Gaussians", "seconds"], rows)
     if wants(parts, "times"):
-        made["times"] = markdown(["scene", "wished", "grid", "took", "ratio"], time_rows(duck))
+        made["times"] = markdown(["scene", "target", "grid", "took", "ratio"], time_rows(duck))
     if wants(parts, "goals"):
-        heads = ["scene", "wished", "grid", "estimated", "off a finer run by", "s", ""]
+        heads = ["scene", "target", "grid", "estimated", "off a finer run by", "s", ""]
         made["goals"] = markdown(heads, goal_rows(duck, "2px"))
     for name, text in made.items():
         print(text, flush=True)

@@ -129,7 +129,7 @@ def recording(frames: int = 60) -> None:
             points=65_536,
             **figures,
             megabytes_per_second=round(rate),
-            file_share=round(size, 3),
+            file_fraction=round(size, 3),
         )
 
 

@@ -89,7 +89,7 @@ def clip(device: str, count: int) -> None:
     """The paper's fixed substep, then our own."""
     fps = 1 / (PER_FRAME * SUBSTEP)
     usual = {"time.fps": fps, "time.frames": FRAMES + 1, "material.law": "fixed_corotated"}
-    accuracy = {"cells": 32, "ppc": 1.0, "precision": "float32"}
+    accuracy = {"cells": 32, "particles_per_axis": 1.0, "precision": "float32"}
     for name, substep in (("fixed", SUBSTEP), ("adaptive", None)):
         given = {**usual, "accuracy": accuracy, "time.substep": substep}
         scene = Scene.named("bounce").replaced(given)

@@ -187,7 +187,7 @@ def costs() -> None:
     x = np.random.default_rng(0).random((count, 3)) * 0.5 + 0.2
     x = x[np.lexsort(np.floor(x * 40 - 0.5).T[::-1])]
     up, half = {"a": (0, 0, 1)}, (np.arange(count) >= count // 2).astype(int)
-    share = np.random.default_rng(1).random(count) / 2 + 0.5
+    fraction = np.random.default_rng(1).random(count) / 2 + 0.5
 
     def made(*forces: Acceleration, laws=None, **options) -> Solver:
         external = ExternalWork()
@@ -212,11 +212,11 @@ def costs() -> None:
         "force on a region": made(Acceleration(**up, region=Region(lower=(-9, -9, -9)))),
         "time tables": made(Acceleration(**up, profile=Sine())),
         "a second law": made(laws=(NeoHookean(), FixedCorotated()), material=half),
-        "stiffness per particle": made(stiffness=share),
+        "stiffness per particle": made(stiffness=fraction),
     }
     spent = [{name: cost(s, 12) for name, s in runs.items()} for _ in range(13)][1:]
-    least = {name: min(turn[name] for turn in spent) for name in runs}
-    show("costs", {name: ns - least["nothing"] for name, ns in least.items()})
+    minimum = {name: min(turn[name] for turn in spent) for name in runs}
+    show("costs", {name: ns - minimum["nothing"] for name, ns in minimum.items()})
 
 
 def registers() -> None:
@@ -262,7 +262,7 @@ def binding() -> None:
     cutout = cut_out(DUCK).picture
     gaussians = make("relief")(cutout, seed=0, progress=lambda *_: None)
     runs = {}
-    for kind in ("particles", "field"):
+    for kind in ("particles", "lattice"):
         begin = time.process_time()
         run = Simulation(gaussians, Scene.named("press").replaced({"binding": kind}))
         runs[kind] = run, run.run(), time.process_time() - begin

@@ -32,10 +32,10 @@ def measure(gaussians, name: str, accuracy: str) -> dict:
     simulate = told["stages"]["simulate"]
     return {
         "scene": name, "accuracy": accuracy, "particles": report["particles"],
-        "substeps foretold": told["substeps"], "substeps": report["substeps"],
-        "simulation foretold s": round(simulate["predicted"], 2),
+        "substeps predicted": told["substeps"], "substeps": report["substeps"],
+        "simulation predicted s": round(simulate["predicted"], 2),
         "simulation s": round(simulate["spent"], 2),
-        "foretold s": round(told["predicted"], 2), "spent s": round(told["spent"], 2),
+        "predicted s": round(told["predicted"], 2), "spent s": round(told["spent"], 2),
         "ratio": round(told["ratio"], 3), "promised": told["caveat"] is None,
     }  # fmt: skip
 
@@ -54,7 +54,7 @@ def main(scenes: list[str], *, docs: bool) -> None:
             print(json.dumps(rows[-1]), flush=True)
     promised = [row for row in rows if row["promised"]]
     within = sum(0.9 <= row["ratio"] <= 1.1 for row in promised)
-    said = f"{within} of {len(promised)} ratios of spent to foretold are between 0.9 and 1.1."
+    said = f"{within} of {len(promised)} ratios of spent to predicted are between 0.9 and 1.1."
     print(said)
     if docs:
         table = markdown(list(rows[0]), [list(row.values()) for row in rows])

@@ -59,14 +59,15 @@ def textbook(count: int, cells: int) -> Textbook:
 
 def round_of(s: Solver | Textbook, substeps: int) -> tuple[float, float]:
     """Wall and CPU seconds per substep."""
-    wall, cpu, before = time.perf_counter(), time.process_time(), s.clock.substeps
+    count = s if isinstance(s, Textbook) else s.clock
+    wall, cpu, before = time.perf_counter(), time.process_time(), count.substeps
     if isinstance(s, Textbook):
         for _ in range(substeps):
             s.step(1e-4)
     else:
         s.advance(s.clock.time + substeps * 1e-4)
-    count = s.clock.substeps - before
-    return (time.perf_counter() - wall) / count, (time.process_time() - cpu) / count
+    done = count.substeps - before
+    return (time.perf_counter() - wall) / done, (time.process_time() - cpu) / done
 
 
 def main() -> None:

@@ -57,7 +57,7 @@ def scene_of(preset: str, law: str, changes: dict[str, Any]) -> Scene:
 
 
 def measured(gaussians: Gaussians, scene: Scene) -> dict[str, float | None]:
-    """Error of each grid as a share of the size, None where there is none."""
+    """Error of each grid as a fraction of the size, None where there is none."""
     clips, whole = [], []
     for cells in LEVELS:
         accuracy = scene.resolution.model_copy(update={"cells": cells})
@@ -73,7 +73,7 @@ def measured(gaussians: Gaussians, scene: Scene) -> dict[str, float | None]:
 
 
 def worst(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """The row of a kind of scene: the least that was measured, the greatest error."""
+    """The row of a kind of scene: the least that was measured, the largest error."""
     grids = {cells for row in rows for cells in row["errors"]}
     errors = {}
     for cells in sorted(grids, key=int):
@@ -83,7 +83,7 @@ def worst(rows: list[dict[str, Any]]) -> dict[str, Any]:
         "errors": errors if all(row["errors"] for row in rows) else {},
         "violence": max(row["violence"] for row in rows),
         "length": max(row["length"] for row in rows),
-        "ppc": max(row["ppc"] for row in rows),
+        "particles_per_axis": max(row["particles_per_axis"] for row in rows),
         "from": [row["name"] for row in rows],
     }
 
@@ -95,7 +95,7 @@ def rows(gaussians: Gaussians, laws: list[str]) -> Iterator[dict[str, Any]]:
             continue
         scene = scene_of(preset, law, changes)
         try:
-            errors = measured(gaussians, scene.model_copy(update={"binding": "field"}))
+            errors = measured(gaussians, scene.model_copy(update={"binding": "lattice"}))
         except InputError as refusal:
             print(f"{name}: {refusal}", flush=True)
             errors = {}
@@ -103,7 +103,7 @@ def rows(gaussians: Gaussians, laws: list[str]) -> Iterator[dict[str, Any]]:
         row = {
             "kind": f"{law} {motion_of(scene)}", "name": name.removeprefix(f"{law} "),
             "errors": errors, "violence": violence(scene), "length": length(scene),
-            "ppc": scene.resolution.ppc,
+            "particles_per_axis": scene.resolution.particles_per_axis,
         }  # fmt: skip
         print(json.dumps(row), flush=True)
         yield row

@@ -1,4 +1,4 @@
-"""How often a run of the page lies within the span that was foretold, and how wide the span is.
+"""How often a run of the page lies within the span that was predicted, and how wide the span is.
 
 Forecasts and true times beside 0, 1, 2 and 4 busy loops: a new picture, another motion of a picture
 that is there, another camera, what was probed on the object itself, and kernels that must be
@@ -41,7 +41,7 @@ PICTURES = ("duck", "teddy", "pear", "cupcake")
 COLD = ("hencky", "fixed_corotated", "plasticine", "snow")
 """Laws whose kernels are taken out of the cache, one for each round."""
 SETTLE = 20.0
-"""Seconds for which the loops have run before anything is foretold."""
+"""Seconds for which the loops have run before anything is predicted."""
 
 
 @contextmanager
@@ -106,7 +106,7 @@ class Page:
         took = time.perf_counter() - start
         low, high = told.span
         return {
-            "took s": round(took, 2), "foretold s": round(told.seconds, 2), "low s": round(low, 2),
+            "took s": round(took, 2), "predicted s": round(told.seconds, 2), "low s": round(low, 2),
             "high s": round(high, 2), "within": low <= took <= high, "probed": told.measured,
             "compiling s": round(told.compiling, 2), "slower": round(told.load.simulation, 2),
             "load": round(load, 1), "end": job.progress.state,
@@ -139,7 +139,7 @@ def summary(rows: list[dict[str, Any]]) -> str:
             within = sum(row["within"] for row in some)
             width = np.median([row["high s"] / max(row["low s"], 0.01) for row in some])
             said.append(
-                f"{name}: {within} of {len(some)} true times were within the span foretold, whose "
+                f"{name}: {within} of {len(some)} true times were within the span predicted, whose "
                 f"ends are a factor of {width:.1f} apart (median)"
             )
     return ".\n".join(said) + "."

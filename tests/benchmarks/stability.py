@@ -103,27 +103,29 @@ def measure_long() -> list[dict[str, Any]]:
 
 
 def measure_tears() -> list[dict[str, Any]]:
-    """A bar pulled ever harder: the greatest stretch it came back from, and the least it did not.
+    """A bar pulled ever harder: the largest stretch it came back from, and the least it did not.
 
     The stretch is that of its middle half; it parted if a gap wider than three cells opened.
     """
     rows = []
-    for ppc in (2, 3, 4):
+    for per_axis in (2, 3, 4):
         held, parted = 1.0, math.inf
         for speed in np.arange(2.0, 12.0, 0.5):
-            stretch, gap = pull(ppc, float(speed))
+            stretch, gap = pull(per_axis, float(speed))
             if gap < 3:
                 held = max(held, stretch)
             else:
                 parted = min(parted, stretch)
                 break
-        rows.append({"ppc": ppc, "held": held, "parted": parted, "cells": held / ppc})
+        rows.append(
+            {"per_axis": per_axis, "held": held, "parted": parted, "cells": held / per_axis}
+        )
     return rows
 
 
-def pull(ppc: int, speed: float, cells: int = 16) -> tuple[float, float]:
-    """A bar of 1 m whose ends fly apart at `speed` m/s: greatest stretch, widest gap in cells."""
-    h = 1 / cells / ppc
+def pull(per_axis: int, speed: float, cells: int = 16) -> tuple[float, float]:
+    """A bar of 1 m whose ends fly apart at `speed` m/s: largest stretch, widest gap in cells."""
+    h = 1 / cells / per_axis
     sides = [np.arange(round(n / h)) * h + h / 2 for n in (0.375, 0.375, 1.0)]
     x = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
     rate = np.zeros((len(x), 3, 3))

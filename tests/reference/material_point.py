@@ -66,7 +66,7 @@ def transposed(a: NDArray) -> NDArray:
 
 
 def relative(a: NDArray, b: NDArray, floor: float) -> float:
-    """Greatest difference of N matrices over the size of the second, at least `floor`."""
+    """Largest difference of N matrices over the size of the second, at least `floor`."""
     size = np.maximum(np.abs(b).reshape(len(b), -1).max(1), floor)
     return float((np.abs(a - b).reshape(len(b), -1).max(1) / size).max())
 

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 EYE = np.eye(3)
 SMALLEST_J = 1e-4
 SMALLEST_STRETCH = 1e-4
-LEAST_J = 1e-4
+MIN_J = 1e-4
 HARDEST = 4.0
 LOOSEST = 1e6
 
@@ -107,17 +107,17 @@ def radial(F: Array, h: Array, flow_of: Callable[[float, float], float]) -> tupl
     dev = e - e.mean(1, keepdims=True)
     size = np.linalg.norm(dev, axis=1)
     flow = np.array([flow_of(n, k) for n, k in zip(size, h[:, 0], strict=True)])
-    share = np.divide(flow, size, out=np.zeros_like(size), where=size > 0)
-    new = e - share[:, None] * dev
+    fraction = np.divide(flow, size, out=np.zeros_like(size), where=size > 0)
+    new = e - fraction[:, None] * dev
     return spread(U, np.exp(new), Vt), np.column_stack([h[:, 0] + flow, h[:, 1]])
 
 
 def von_mises(F: Array, h: Array, t: Array, dt: float) -> tuple[Array, Array]:
-    mu, _, limit, slope, least = t
+    mu, _, limit, slope, minimum = t
 
     def flow(size: float, past: float) -> float:
         def excess(f: float) -> float:
-            return 2 * mu * (size - f) - max(limit + slope * (past + f), least)
+            return 2 * mu * (size - f) - max(limit + slope * (past + f), minimum)
 
         return 0.0 if excess(0.0) <= 0 else brentq(excess, 0, size, xtol=1e-15, rtol=1e-14)
 
@@ -146,8 +146,8 @@ def drucker_prager(F: Array, h: Array, t: Array, dt: float) -> tuple[Array, Arra
     dev = e - e.mean(1, keepdims=True)
     size = np.linalg.norm(dev, axis=1)
     flow = np.maximum(size + (3 * lam + 2 * mu) / (2 * mu) * trace * alpha, 0)
-    share = np.divide(flow, size, out=np.zeros_like(size), where=size > 0)
-    new = np.where(trace[:, None] >= 0, 0, corrected - share[:, None] * dev)
+    fraction = np.divide(flow, size, out=np.zeros_like(size), where=size > 0)
+    new = np.where(trace[:, None] >= 0, 0, corrected - fraction[:, None] * dev)
     volume = h[:, 0] + e.sum(1) - new.sum(1)
     return spread(U, np.exp(new), Vt), np.column_stack([volume, h[:, 1]])
 
@@ -179,13 +179,13 @@ def snow_return(F: Array, h: Array, t: Array, dt: float) -> tuple[Array, Array]:
 
 def squeezed(F: Array) -> tuple[Array, Array]:
     """J down to 0.8, and the log of what it is squeezed beyond."""
-    J = np.maximum(np.linalg.det(F), LEAST_J)
+    J = np.maximum(np.linalg.det(F), MIN_J)
     return np.maximum(J, 0.8), np.log(np.minimum(J / 0.8, 1))
 
 
 def lag(F: Array, h: Array) -> Array:
     """log of J over what it was about a relaxation time ago."""
-    return np.log(np.maximum(np.linalg.det(F), LEAST_J) / np.maximum(h[:, 0], LEAST_J))
+    return np.log(np.maximum(np.linalg.det(F), MIN_J) / np.maximum(h[:, 0], MIN_J))
 
 
 def tait_energy(F: Array, h: Array, t: Array) -> Array:

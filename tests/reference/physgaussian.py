@@ -41,9 +41,9 @@ class Recording:
         return self.data[key][index % len(self.data[key])].astype(np.float64)
 
 
-def strains(F: Array, least: float) -> tuple[Array, Array, Array]:
+def strains(F: Array, minimum: float) -> tuple[Array, Array, Array]:
     U, s, Vt = signed_svd(F)
-    return U, np.log(np.maximum(s, least)), Vt
+    return U, np.log(np.maximum(s, minimum)), Vt
 
 
 def yields(e: Array, mu: Array, limit: Array) -> tuple[Array, Array, Array]:
@@ -56,8 +56,8 @@ def yields(e: Array, mu: Array, limit: Array) -> tuple[Array, Array, Array]:
 def metal_map(s: Original, F: Array) -> Array:
     U, e, Vt = strains(F, 0.01)
     flows, dev, norm = yields(e, s.mu, s.limit)
-    share = (norm - s.limit / (2 * s.mu)) / norm
-    return np.where(flows[:, None, None], spread(U, np.exp(e - share[:, None] * dev), Vt), F)
+    fraction = (norm - s.limit / (2 * s.mu)) / norm
+    return np.where(flows[:, None, None], spread(U, np.exp(e - fraction[:, None] * dev), Vt), F)
 
 
 def sand_map(s: Original, F: Array) -> Array:
@@ -68,8 +68,8 @@ def sand_map(s: Original, F: Array) -> Array:
     sine = np.sin(np.radians(s.params["friction_angle"]))
     alpha = np.sqrt(2 / 3) * 2 * sine / (3 - sine)
     flow = size + (3 * s.lam + 2 * s.mu) / (2 * s.mu) * trace * alpha
-    share = np.divide(flow, size, out=np.zeros_like(size), where=size > 0)
-    pressed = spread(U, np.exp(e - share[:, None] * dev), Vt)
+    fraction = np.divide(flow, size, out=np.zeros_like(size), where=size > 0)
+    pressed = spread(U, np.exp(e - fraction[:, None] * dev), Vt)
     loose = np.where((trace > 0)[:, None, None], U @ Vt, pressed)
     return np.where((flow <= 0)[:, None, None], F, loose)
 
@@ -78,9 +78,9 @@ def plasticine_map(s: Original, F: Array) -> Array:
     U, e, Vt = strains(F, 0.01)
     flows, dev, norm = yields(e, np.maximum(s.mu, 1e-30), s.limit)
     flows &= s.limit > 0
-    share = (norm - s.limit / (2 * np.maximum(s.mu, 1e-30))) / norm
-    new = np.where(flows[:, None, None], spread(U, np.exp(e - share[:, None] * dev), Vt), F)
-    lost = s.params["softening"] * np.linalg.norm(share[:, None] * dev, axis=1)
+    fraction = (norm - s.limit / (2 * np.maximum(s.mu, 1e-30))) / norm
+    new = np.where(flows[:, None, None], spread(U, np.exp(e - fraction[:, None] * dev), Vt), F)
+    lost = s.params["softening"] * np.linalg.norm(fraction[:, None] * dev, axis=1)
     s.limit = s.limit - np.where(flows, lost, 0)
     broken = flows & (s.limit <= 0)
     s.mu, s.lam = np.where(broken, 0, s.mu), np.where(broken, 0, s.lam)

@@ -54,10 +54,10 @@ def p2g(
         for j in range(3):
             for k in range(3):
                 d = (wp.vec3(float(i), float(j), float(k)) - f) * dx
-                share = w[0, i] * w[1, j] * w[2, k]
+                fraction = w[0, i] * w[1, j] * w[2, k]
                 a, b, c = base[0] + i, base[1] + j, base[2] + k
-                wp.atomic_add(momentum, a, b, c, share * (mass * v[p] + affine * d))
-                wp.atomic_add(weight, a, b, c, share * mass)
+                wp.atomic_add(momentum, a, b, c, fraction * (mass * v[p] + affine * d))
+                wp.atomic_add(weight, a, b, c, fraction * mass)
 
 
 @wp.kernel(enable_backward=False)

@@ -10,7 +10,7 @@ from phy124.io.ply import write_ply
 from phy124.scene import Scene
 from support.shapes import ball
 
-FEW = {"accuracy": {"cells": 8, "ppc": 1.0}, "time.frames": 3, "view.size": 48}
+FEW = {"accuracy": {"cells": 8, "particles_per_axis": 1.0}, "time.frames": 3, "view.size": 48}
 
 
 def small_order(folder: Path) -> Order:

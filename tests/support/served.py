@@ -16,7 +16,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-PATIENCE = 600
+TIMEOUT = 600
 """Longest wait for a condition, s: for a machine that does ten other things, too."""
 TAIL = 4000
 """Letters of the server's log that a failure shows."""
@@ -30,7 +30,7 @@ class Server:
         self.url = f"http://127.0.0.1:{port}"
 
     def health(self) -> dict:
-        with urllib.request.urlopen(f"{self.url}/health", timeout=PATIENCE) as answer:
+        with urllib.request.urlopen(f"{self.url}/health", timeout=TIMEOUT) as answer:
             return json.load(answer)
 
     def threads(self) -> int:
@@ -42,7 +42,7 @@ class Server:
         return sum(name.startswith(("work", "render")) for name in names)
 
     def peak_memory(self) -> int:
-        """Greatest resident size so far, bytes."""
+        """Largest resident size so far, bytes."""
         return self._status("VmHWM")
 
     def _status(self, name: str) -> int:
@@ -61,10 +61,10 @@ class Server:
 
     def until(self, condition, what: str = "it") -> None:
         """Wait for something to become true; a failure shows what the server said meanwhile."""
-        end = time.monotonic() + PATIENCE
+        end = time.monotonic() + TIMEOUT
         while not condition():
             assert self.process.poll() is None, f"the server has ended:\n{self.said()}"
-            assert time.monotonic() < end, f"{what} did not happen in {PATIENCE} s:\n{self.said()}"
+            assert time.monotonic() < end, f"{what} did not happen in {TIMEOUT} s:\n{self.said()}"
             time.sleep(0.2)
 
     def until_idle(self) -> None:
@@ -102,7 +102,7 @@ def serving(
     finally:
         process.terminate()
         try:
-            process.wait(PATIENCE)
+            process.wait(TIMEOUT)
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()

@@ -18,9 +18,9 @@ Field = NDArray[np.float64]
 REFLECTED = 0.25
 """Height of the mirror image, in picture heights; farther away it no longer affects the object."""
 FLAT = 0.2
-"""Share of the width that a flat lowest line must have; a ball has 0.12 within a pixel."""
+"""Fraction of the width that a flat lowest line must have; a ball has 0.12 within a pixel."""
 WIDEST = 0.02
-"""How much wider than the silhouette the back may be, as a share."""
+"""How much wider than the silhouette the back may be, as a fraction."""
 
 
 def reflected(rgba: Field, padding: int) -> tuple[Field, float]:

@@ -58,6 +58,6 @@ def colour(points: Field, normals: Field, front: Field, back: Field) -> Field:
         np.stack([ndi.map_coordinates(p[..., c], place, order=1, mode="nearest") for c in range(3)])
         for p in (front, back)
     ]
-    share = np.clip((0.3 - normals[:, 2]) / 0.6, 0, 1)
-    share = share * share * (3 - 2 * share)
-    return (pictures[0] * (1 - share) + pictures[1] * share).T
+    fraction = np.clip((0.3 - normals[:, 2]) / 0.6, 0, 1)
+    fraction = fraction * fraction * (3 - 2 * fraction)
+    return (pictures[0] * (1 - fraction) + pictures[1] * fraction).T

@@ -109,9 +109,9 @@ def _balls(inside: NDArray[np.bool_]) -> Field:
 
 def _smooth_within(values: Field, inside: NDArray[np.bool_], width: float) -> Field:
     """Gaussian smoothing restricted to the pixels inside."""
-    share = ndi.gaussian_filter(inside.astype(np.float64), width)
+    fraction = ndi.gaussian_filter(inside.astype(np.float64), width)
     smooth = ndi.gaussian_filter(np.where(inside, values, 0.0), width)
-    return np.where(inside, smooth / np.maximum(share, 1e-9), 0.0)
+    return np.where(inside, smooth / np.maximum(fraction, 1e-9), 0.0)
 
 
 def _rim_weight(alpha: Field, inside: NDArray[np.bool_], shift: tuple[int, int]) -> Field:

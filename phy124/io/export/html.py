@@ -9,7 +9,7 @@ range, which is what lets gzip shrink them:
     centre    [T,3,N]   uint16   over the box of all frames; all low bytes, then all high bytes
     rotation  [T,4,N]   int8     wxyz, 127 is 1
     ratio     [T,3,N]   uint8    log of scale over scale at rest
-    speed     [T,N]     uint8    255 is the greatest speed
+    speed     [T,N]     uint8    255 is the largest speed
 
 14 bytes per Gaussian and frame before gzip; centres are exact to 1/65535 of the box.
 """
@@ -203,8 +203,8 @@ def _quantized(values: NDArray, low: float, high: float) -> NDArray[np.uint8]:
 
 def _reach(ratios: NDArray) -> list[float]:
     """Smallest and largest log ratio that can be stored."""
-    least, most = float(ratios.min()), float(ratios.max())
-    return [max(least, -TALLEST), min(most, TALLEST)]
+    minimum, maximum = float(ratios.min()), float(ratios.max())
+    return [max(minimum, -TALLEST), min(maximum, TALLEST)]
 
 
 def _speeds(clip: Clip) -> NDArray:

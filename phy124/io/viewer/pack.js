@@ -80,7 +80,7 @@ globalThis.Phy124Pack = (() => {
       }
     }
 
-    /** Speed of each splat as a share of the greatest one. */
+    /** Speed of each splat as a fraction of the largest one. */
     speed(frame, i) {
       const { n, t, speeds } = this.pack, k = Math.min(Math.round(frame), t - 1);
       return speeds[k * n + i] / 255;

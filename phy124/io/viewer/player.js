@@ -19,8 +19,8 @@ globalThis.Phy124Player = (() => {
   const icon = (name) =>
     `<svg viewBox="0 0 24 24" width="18" height="18" fill="currentColor" aria-hidden="true">${ICONS[name]}</svg>`;
 
-  function ramp(share) {
-    const x = Math.min(Math.max(share, 0), 1) * (RAMP.length - 1), k = Math.min(Math.floor(x), RAMP.length - 2);
+  function ramp(fraction) {
+    const x = Math.min(Math.max(fraction, 0), 1) * (RAMP.length - 1), k = Math.min(Math.floor(x), RAMP.length - 2);
     return RAMP[k].map((v, c) => v + (RAMP[k + 1][c] - v) * (x - k));
   }
 

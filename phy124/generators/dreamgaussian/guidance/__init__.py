@@ -53,7 +53,7 @@ def timestep(ratio: float) -> int:
 
 
 def alphas_cumprod() -> Tensor:
-    """Share of the picture that remains at each of the 1000 noise levels, float64 [1000]."""
+    """Fraction of the picture that remains at each of the 1000 noise levels, float64 [1000]."""
     first, last = (beta**0.5 for beta in BETAS)
     betas = torch.linspace(first, last, STEPS, dtype=torch.float64) ** 2
     return torch.cumprod(1 - betas, dim=0)

@@ -1,0 +1,34 @@
+"""Names of earlier versions for parts of a scene: old files, clips and commands are still read."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+KEYS = {"ppc": "particles_per_axis", "patience": "budget", "share": "fraction"}
+"""Keys of scenes of version 0.1 -> their names now."""
+VALUES = {("binding", "field"): "lattice", ("kind", "field"): "zone"}
+"""Keys with a value of version 0.1 -> the value's name now."""
+
+
+def renewed(data: Any) -> Any:
+    """Plain data of a scene, old names replaced by those of now; each gets a note (a warning)."""
+    if isinstance(data, dict):
+        return dict(renewed_item(key, value) for key, value in data.items())
+    return [renewed(item) for item in data] if isinstance(data, list) else data
+
+
+def renewed_item(key: str, value: Any) -> tuple[str, Any]:
+    """A key, or a dotted path, and its value by their names now."""
+    old = key.split(".")
+    path = ".".join(KEYS.get(name, name) for name in old)
+    now = VALUES.get((old[-1], value)) if isinstance(value, str) else None
+    if path != key:
+        _note(key, path)
+    if now:
+        _note(f"{key} = {value}", f"{path} = {now}")
+    return path, now or renewed(value)
+
+
+def _note(old: str, new: str) -> None:
+    warnings.warn(f"{old} is an old name: it is read as {new}.", FutureWarning, stacklevel=2)
