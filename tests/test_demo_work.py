@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from demo.pictures import cut_out
 from demo.visitors import STAGES
@@ -69,6 +70,17 @@ def test_what_is_promised_is_reported_as_the_command_line_does(order):
     report = json.loads((done.films / "report.json").read_text("utf-8"))
     assert report["promise"]["error"] is None and report["versions"]["phy124"]
     assert len(report["motion"]["min_J"]) == report["frames"] == 3
+
+
+def test_no_file_of_a_run_says_where_an_upload_lies(order):
+    mask = order.folder / "uploads" / "hat.png"
+    mask.parent.mkdir(exist_ok=True)
+    Image.fromarray(np.tile(np.uint8([[0], [255]]), (32, 64))).save(mask)
+    part = {"mask": str(mask), "material": {"law": "neo_hookean", "E": 2e5}}
+    done, _ = _run(replace(order, scene=order.scene.replaced({"parts": [part]})))
+    for path in [*done.clip.iterdir(), *done.films.iterdir()]:
+        assert str(order.folder).encode() not in path.read_bytes(), path.name
+    assert Clip.load(done.clip / "clip.safetensors").scene["parts"][0]["mask"] == "hat.png"
 
 
 def test_the_report_says_how_the_object_was_cut_out(order):

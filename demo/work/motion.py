@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -55,14 +57,20 @@ def simulate(
         watch=watch, about=about, crop=crop, films=False, each=watching.see,
     )  # fmt: skip
     watching.end()
-    _without_places(out / "scene.toml", order)
+    _without_places(out, order)
 
 
-def _without_places(scene: Path, order: Order) -> None:
-    """Name uploads without the place where they lie."""
-    text = scene.read_text("utf-8").replace(f"{order.folder / 'uploads'}/", "")
+def _without_places(out: Path, order: Order) -> None:
+    """Name uploads without the folder of this server where they lie."""
+    place, scene = f"{order.folder / 'uploads'}/", out / "scene.toml"
+    text = scene.read_text("utf-8")
+    if place not in text:
+        return
     with replacing(scene) as temporary:
-        temporary.write_text(text, "utf-8")
+        temporary.write_text(text.replace(place, ""), "utf-8")
+    clip = Clip.load(out / "clip.safetensors")
+    named = json.loads(json.dumps(clip.scene).replace(place, ""))
+    replace(clip, scene=named).save(out / "clip.safetensors")
 
 
 class Watching:
