@@ -1,11 +1,16 @@
-"""Which way frames go out live: rclpy on a ROS 2 machine, else DDS, else nothing but files."""
+"""Backends: the way frames are published live. rclpy where ROS 2 is, otherwise DDS; also Foxglove.
+
+A package adds one with an entry point `phy124.sinks` (docs/guide/extending.md).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Literal
+from typing import Any
 
+from phy124.arguments.parsing import meant
 from phy124.errors import InputError
+from phy124.plugins import names, registered
 from phy124.runtime.installation import install_command
 
 from . import PROGRAM
@@ -16,35 +21,48 @@ from .sinks.foxglove import PORT, FoxgloveSink, require_foxglove
 from .sinks.mcap import require_mcap
 from .sinks.rclpy import RclpySink, require_rclpy
 
-Backend = Literal["auto", "rclpy", "dds", "foxglove"]
+OWN = ("rclpy", "dds", "foxglove")
+"""The backends that come with the bridge."""
 REQUIREMENTS: dict[str, Callable[[], None]] = {
     "rclpy": require_rclpy,
     "dds": require_cyclonedds,
     "foxglove": require_foxglove,
     "mcap": require_mcap,
 }
-"""Outlet -> raises InputError if its package is missing."""
+"""Outlet -> function that raises InputError if the package it needs is missing."""
 AUTOMATIC = ("rclpy", "dds")
 """Tried in this order by `auto`; never both at once, or each frame would arrive twice."""
+
+
+def known() -> list[str]:
+    """Names of all backends, those that packages have registered included."""
+    return [*OWN, *(name for name in names("sinks") if name not in OWN)]
 
 
 def missing(outlet: str) -> InputError | None:
     """Why an outlet cannot be used, or None if it can."""
     try:
-        REQUIREMENTS[outlet]()
+        REQUIREMENTS.get(outlet, lambda: registered("sinks", outlet))()
     except InputError as error:
         return error
     return None
 
 
-def choose(backend: Backend) -> str:
-    """The backend to use. Raises InputError if `auto` finds none."""
-    if backend != "auto":
+def choose(backend: str) -> str:
+    """The backend to use.
+
+    Raises:
+        InputError: There is no backend of that name, or `auto` finds none that works.
+    """
+    if backend in known():
         return backend
+    if backend != "auto":
+        limit = "there is no such choice."
+        raise InputError("backend", backend, limit, meant(backend, ["auto", *known()]))
     for candidate in AUTOMATIC:
         if missing(candidate) is None:
             return candidate
-    limit = "Neither rclpy nor cyclonedds is here, so only MCAP files are possible."
+    limit = "Neither rclpy nor cyclonedds is installed, so only MCAP files are possible."
     remedy = (
         f"Record one with `{PROGRAM} record`, source ROS 2, "
         f"run `{install_command('dds')}`, or choose --backend foxglove."
@@ -65,16 +83,32 @@ def open_sink(
     """The live sink of a chosen backend, not entered yet.
 
     Args:
-        backend: rclpy, dds or foxglove.
+        backend: rclpy, dds, foxglove, or the name of a registered sink.
         options: How frames become messages.
-        duration: Length of the clip, s; None for a running simulation.
-        network: DDS and Foxglove: reach other machines, too.
+        duration: Length of the clip [s]; None for a running simulation.
+        network: All but rclpy: also reach other machines.
         clock: rclpy: publish /clock.
-        port: Foxglove: the websocket's port.
-        ros_args: rclpy: `--ros-args` and what follows it.
+        port: Foxglove and registered sinks: the port to use.
+        ros_args: rclpy: `--ros-args` and the arguments after it.
+
+    Raises:
+        InputError: An option does not suit the backend, or a registered sink is broken.
     """
+    _refuse_unsuitable(backend, network, clock, ros_args)
+    if backend == "rclpy":
+        return RclpySink(options, clock=clock, args=[backend, *ros_args])
+    if backend == "dds":
+        return DdsSink(options, network=network)
+    if backend == "foxglove":
+        host = "0.0.0.0" if network else "127.0.0.1"
+        return FoxgloveSink(options, duration=duration, host=host, port=port)
+    return _registered_sink(backend, options, duration=duration, network=network, port=port)
+
+
+def _refuse_unsuitable(backend: str, network: bool, clock: bool, ros_args: Sequence[str]) -> None:
+    """Raise InputError for an option that only another backend has."""
     if network and backend == "rclpy":
-        limit = "How far a ROS 2 node reaches is said by ROS_AUTOMATIC_DISCOVERY_RANGE."
+        limit = "ROS_AUTOMATIC_DISCOVERY_RANGE sets how far a ROS 2 node reaches."
         raise InputError("network", network, limit, "Leave it out.")
     if ros_args and backend != "rclpy":
         limit = f"The backend {backend} is no ROS 2 node."
@@ -82,9 +116,21 @@ def open_sink(
     if clock and backend != "rclpy":
         limit = f"The backend {backend} does not publish /clock."
         raise InputError("clock", clock, limit, "Use rclpy, or leave it out.")
-    if backend == "rclpy":
-        return RclpySink(options, clock=clock, args=[backend, *ros_args])
-    if backend == "dds":
-        return DdsSink(options, network=network)
-    host = "0.0.0.0" if network else "127.0.0.1"
-    return FoxgloveSink(options, duration=duration, host=host, port=port)
+
+
+def _registered_sink(backend: str, options: Options, **how: Any) -> LiveSink:
+    """A sink that a package has registered; raises InputError if it is not one."""
+    remedy = f"Correct or remove the package that registers it, or use {', '.join(OWN)}."
+    try:
+        sink = registered("sinks", backend)(options, **how)
+    except InputError:
+        raise
+    except Exception as error:
+        # Whatever a stranger's code raises, the user can only change or leave that package.
+        limit = f"the sink registered under this name cannot be made ({error})."
+        raise InputError("backend", backend, limit, remedy) from error
+    needed = ("__enter__", "__exit__", "write", "monotonic", "listen", "show", "audience")
+    if absent := [name for name in needed if not hasattr(sink, name)]:
+        limit = f"the sink registered under this name has no {', '.join(absent)}."
+        raise InputError("backend", backend, limit, remedy)
+    return sink

@@ -15,7 +15,7 @@ from tqdm import tqdm
 from phy124.errors import InputError
 from phy124.gaussians import Frame
 
-from .backends import Backend, choose, open_sink
+from .backends import choose, known, open_sink
 from .info import describe, diagnose
 from .live import follow, play
 from .options import Options
@@ -33,6 +33,13 @@ log = logging.getLogger(__name__)
 Say = Callable[[str], None]
 """Takes one line of results; problems go to the log."""
 Messages = Annotated[Options, tyro.conf.arg(name="")]
+Backend = Annotated[
+    str,
+    tyro.conf.arg(
+        metavar="NAME",
+        help_behavior_hint=lambda given: f"(default: {given}; here: {', '.join(known())})",
+    ),
+]
 Simulated = Annotated[LiveOptions, tyro.conf.arg(name=""), tyro.conf.OmitArgPrefixes]
 
 
@@ -93,7 +100,8 @@ class Play:
     source: tyro.conf.Positional[Path]
     """A clip.safetensors; with --live a picture or a 3DGS .ply file."""
     backend: Backend = "auto"
-    """rclpy (needs ROS 2), dds (ROS 2 topics without ROS 2), foxglove; auto: rclpy, else dds."""
+    """rclpy (needs ROS 2), dds (ROS 2 topics without ROS 2), foxglove, or the name of a sink that a
+    package registers; auto: rclpy, otherwise dds."""
     speed: float = 1.0
     """Clip seconds per second."""
     rate: float | None = None
@@ -168,7 +176,7 @@ class Play:
                 ros_args=self.ros_args,
             )
             sink = stack.enter_context(sink)
-            say(f"Publishing through {backend}. {sink.audience()}")
+            say(f"Publishing through {backend}. {sink.audience()}".rstrip())
             yield sink, records
 
 

@@ -14,7 +14,7 @@ from phy124.errors import InputError
 from phy124.io.clip import Clip
 
 from . import PROGRAM, bag
-from .backends import AUTOMATIC, REQUIREMENTS, missing
+from .backends import AUTOMATIC, REQUIREMENTS, known, missing
 from .layout import FULL, SMALL, VIZ
 from .recover import records
 from .sinks.mcap import PART
@@ -89,7 +89,7 @@ def describe_recording(path: Path, file: Path) -> list[str]:
 def diagnose() -> list[str]:
     """Lines about what this machine can do and what would make it do more."""
     lines = [f"python: {sys.version.split()[0]} on {sys.platform}"]
-    for outlet in REQUIREMENTS:
+    for outlet in dict.fromkeys([*REQUIREMENTS, *known()]):
         error = missing(outlet)
         lines.append(f"{outlet}: {'ready' if error is None else f'{error.limit} {error.remedy}'}")
     live = next((name for name in AUTOMATIC if missing(name) is None), None)

@@ -1,11 +1,13 @@
-"""Sink: the contract of everything that frames go to, one file each in `bridge/sinks/`.
+"""Sink: what frames are written to; each kind has its own file in `bridge/sinks/`.
 
-A sink is a context manager with `write(frame)`. A live sink also listens: its users send the
-commands of `live.command`.
+A sink is a context manager with `write(frame)`. A live sink also listens: those who watch it send
+the commands of `live.command`. A sink of your own may inherit from `Sink` or `LiveSink`, whose
+methods do nothing; the bridge finds it by an entry point `phy124.sinks`.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from types import TracebackType
 from typing import TYPE_CHECKING, Protocol
@@ -19,15 +21,17 @@ if TYPE_CHECKING:
 
 
 Obey = Callable[[str], "str | None"]
-"""Does what a user asked for; returns why not, or None."""
+"""Carries out a command; returns why it was refused, or None."""
 LONGEST_WAIT = 0.2
-"""Seconds after which a waiting sink is asked again, so that Ctrl-C and the end are heard."""
+"""Longest time [s] that `listen` is asked to wait, so that Ctrl-C and the end are noticed."""
 
 
 class Sink(Protocol):
     """Takes frames one by one."""
 
-    def __enter__(self) -> Self: ...
+    def __enter__(self) -> Self:
+        """Open what frames are written to."""
+        return self
 
     def __exit__(
         self,
@@ -35,30 +39,30 @@ class Sink(Protocol):
         error: BaseException | None,
         trace: TracebackType | None,
         /,
-    ) -> None: ...
+    ) -> None:
+        """Close it."""
 
     def write(self, frame: Frame) -> None:
-        """Take one frame; its `time` is what subscribers see as time since the start."""
-        ...
+        """Take one frame; subscribers see its `time` [s] as the time since the start."""
 
 
 class LiveSink(Sink, Protocol):
-    """A sink with somebody at the other end."""
+    """A sink that somebody watches."""
 
-    monotonic: bool
-    """Whether time must only grow; otherwise loops and seeks jump back in it."""
+    monotonic: bool = True
+    """Whether time must only grow; otherwise it jumps back at each loop and seek."""
 
     def listen(self, seconds: float, obey: Obey) -> None:
-        """Wait until somebody asks for something, at most so many seconds, and let it be done.
+        """Wait for a command, at most so many seconds, and pass it to `obey`.
 
         May run on another thread than `write`; nothing else does.
         """
-        ...
+        del obey
+        time.sleep(seconds)
 
     def show(self, playback: Playback) -> None:
-        """Tell the other end how playback stands; called at the start and at each change."""
-        ...
+        """Publish the state of playback; called at the start and at each change."""
 
     def audience(self) -> str:
-        """Who hears it, and what they need, in one line."""
-        ...
+        """One line: who receives the frames, and what they need."""
+        return ""

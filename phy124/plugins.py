@@ -15,8 +15,8 @@ from pydantic import ValidationInfo, WrapValidator
 from phy124.errors import InputError
 from phy124.section import Section
 
-GROUPS = ("materials", "forces", "boundaries", "generators")
-"""Entry points are phy124.materials, phy124.forces and so on."""
+GROUPS = ("materials", "forces", "boundaries", "generators", "sinks")
+"""Entry points are phy124.materials, phy124.forces and so on; the bridge reads phy124.sinks."""
 
 
 def registered(group: str, name: str) -> Any:

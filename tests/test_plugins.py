@@ -1,6 +1,9 @@
-"""Materials, forces, boundaries and generators from outside, passed as instances or by name."""
+"""Materials, forces, boundaries, generators and sinks from outside, as instances or by name."""
 
+import json
 import re
+import socket
+import sys
 from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
 from typing import ClassVar, Literal
@@ -10,6 +13,11 @@ import pytest
 import warp as wp
 from pydantic import Field
 
+import bridge.sink
+from bridge.backends import choose, missing, open_sink
+from bridge.command_line import run as run_bridge
+from bridge.info import diagnose
+from bridge.options import Options
 from phy124 import generators, pipeline, plugins
 from phy124.boundaries import Ground
 from phy124.effects import Effects
@@ -19,6 +27,7 @@ from phy124.materials import FixedCorotated
 from phy124.mpm import Stage
 from phy124.scene import Part, Scene
 from phy124.simulation import Simulation
+from support.clips import random_clip
 from support.shapes import ball
 
 QUICK = {"accuracy": {"cells": 8}, "time.frames": 3}
@@ -53,14 +62,26 @@ class Table(Ground):
     kind: Literal["table"] = "table"
 
 
+class Lamp(bridge.sink.LiveSink):
+    """A sink that keeps what it is shown."""
+
+    def __init__(self, options, **how):
+        self.options, self.how, self.times = options, how, []
+
+    def write(self, frame):
+        self.times.append(frame.time)
+
+
 @pytest.fixture
 def installed(monkeypatch):
-    """A package with entry points for all of them."""
+    """A package with entry points for all of them, and for sinks that are broken."""
     points = EntryPoints(
         EntryPoint(name, f"test_plugins:{kind.__name__}", f"phy124.{group}")
         for name, kind, group in (
             ("rubber", Rubber, "materials"), ("freeze", Freeze, "forces"),
             ("table", Table, "boundaries"), ("sphere", round_thing, "generators"),
+            ("lamp", Lamp, "sinks"), ("none", Freeze, "sinks"), ("dds", Lamp, "sinks"),
+            ("clip", random_clip, "sinks"), ("gone", dict, "sinks"),
         )
     )  # fmt: skip
     monkeypatch.setattr(plugins, "entry_points", points.select)
@@ -139,15 +160,76 @@ def test_one_that_cannot_be_loaded_says_so(monkeypatch):
         Scene.from_data({"material": {"law": "odd"}})
 
 
-def test_the_examples_of_the_docs_move():
-    """docs/guide/extending.md: a material, a force and a boundary of one's own."""
+def test_a_registered_sink_is_chosen_by_name(installed):
+    assert choose("lamp") == "lamp" and missing("lamp") is None
+    assert "lamp: ready" in diagnose()
+    options = Options()
+    sink = open_sink("lamp", options, duration=2.0, network=True, port=9)
+    assert sink.options is options
+    assert sink.how == {"duration": 2.0, "network": True, "port": 9}
+    with sink:
+        sink.listen(0.0, pytest.fail)
+    with pytest.raises(InputError, match="lamp does not publish /clock"):
+        open_sink("lamp", options, clock=True)
+    assert not isinstance(open_sink("dds", options), Lamp), "the bridge's own names stay its own"
+
+
+@pytest.mark.parametrize(
+    ("name", "complaint"),
+    [
+        ("none", "cannot be made"),
+        ("clip", "cannot be made"),
+        ("gone", "cannot be loaded"),
+        ("lump", "Did you mean lamp"),
+    ],
+)
+def test_a_broken_sink_is_refused(installed, tmp_path, capsys, name, complaint):
+    random_clip().save(tmp_path / "clip.safetensors")
+    assert run_bridge(["play", str(tmp_path / "clip.safetensors"), "--backend", name], None) == 2
+    assert complaint in capsys.readouterr().err
+
+
+def test_what_a_sink_lacks_is_said(monkeypatch):
+    monkeypatch.setattr("bridge.backends.registered", lambda group, name: lambda *a, **b: object())
+    with pytest.raises(InputError, match="has no __enter__, __exit__, write, monotonic, listen"):
+        open_sink("lamp", Options())
+
+
+def examples(monkeypatch) -> dict:
+    """What the page docs/guide/extending.md defines from "A material" on."""
+    monkeypatch.setitem(sys.modules, "phy124_bridge", bridge)
+    monkeypatch.setitem(sys.modules, "phy124_bridge.sink", bridge.sink)
     page = (Path(__file__).parents[1] / "docs/guide/extending.md").read_text()
     names: dict = {}
     for block in re.findall(r"```python\n(.*?)```", page[page.index("## A material") :], re.S):
         exec(block, names)
+    return names
+
+
+def test_the_examples_of_the_docs_move(monkeypatch):
+    """docs/guide/extending.md: a material, a force and a boundary of one's own."""
+    names = examples(monkeypatch)
     parts = {"forces": (names["Quake"](), Gravity()), "boundaries": (names["Ramp"](),)}
     scene = Scene(material=names["Rubber"](), **parts).replaced(QUICK)
     clip = Simulation(ball(300), scene).run()
     assert clip.report["complete"]
     assert clip.means[-1, :, 0].mean() > clip.means[0, :, 0].mean()
     assert {"stress rubber", "collider ramp (separate)"} <= set(clip.report["effects"]["ran"])
+
+
+def test_the_sink_of_the_docs_sends_each_frame(monkeypatch, tmp_path):
+    sink = examples(monkeypatch)["PlotJuggler"]
+    points = EntryPoints([EntryPoint("plotjuggler", "docs:PlotJuggler", "phy124.sinks")])
+    monkeypatch.setattr(plugins, "entry_points", points.select)
+    monkeypatch.setattr(EntryPoint, "load", lambda self: sink)
+    clip = random_clip(frames=3, fps=100)
+    clip.save(tmp_path / "clip.safetensors")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as plotjuggler:
+        plotjuggler.bind(("127.0.0.1", 0))
+        plotjuggler.settimeout(60)
+        port = str(plotjuggler.getsockname()[1])
+        arguments = ["play", str(tmp_path / "clip.safetensors"), "--backend", "plotjuggler"]
+        assert run_bridge([*arguments, "--port", port], None) == 0
+        got = [json.loads(plotjuggler.recv(1000)) for _ in range(3)]
+    assert [one["timestamp"] for one in got] == pytest.approx(clip.times)
+    assert got[0]["centre"]["x"] == pytest.approx(clip.means[0, :, 0].mean(), abs=1e-6)
