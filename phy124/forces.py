@@ -17,7 +17,7 @@ from phy124.errors import InputError
 from phy124.kernels import push
 from phy124.kernels.transfer import types
 from phy124.mpm import Grid, Model, Stage, State
-from phy124.plugins import open_to
+from phy124.plugins import OpenTo
 from phy124.region import Region, Vector, cylinder
 from phy124.section import Section
 from phy124.tracks import FOREVER, AnyProfile, Constant, Track, Tracks
@@ -312,7 +312,7 @@ OwnForce = (
 )
 """The kinds of phy124's own."""
 AnyForce = SerializeAsAny[
-    Annotated[OwnForce, Field(discriminator="kind"), open_to(Force, "kind", "forces", OwnForce)]
+    Annotated[OwnForce, Field(discriminator="kind"), OpenTo(Force, "kind", "forces", OwnForce)]
 ]
 """One of them, or one from outside (phy124/plugins.py)."""
 

@@ -7,10 +7,12 @@ name that scene files and the command line know by an entry point of one of the 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
 from importlib.metadata import entry_points
 from typing import Any, get_args
 
-from pydantic import ValidationInfo, WrapValidator
+from pydantic_core import core_schema
 
 from phy124.errors import InputError
 from phy124.section import Section
@@ -40,29 +42,68 @@ def names(group: str) -> list[str]:
     return sorted(found.name for found in entry_points(group=f"phy124.{group}"))
 
 
-def open_to(base: type[Section], tag: str, group: str, known: Any) -> WrapValidator:
-    """Lets a field of several kinds take a kind from outside.
+def registered_kinds(group: str, base: type[Section]) -> dict[str, type[Section]]:
+    """The classes that packages have registered, by name; those that are broken are left out.
 
-    Args:
-        base: Class of all kinds.
-        tag: The field that names the kind, "law" or "kind".
-        group: One of the `GROUPS`.
-        known: The union of phy124's own kinds, which a plugin cannot replace.
+    They are refused when a scene names them, so that one broken package stops nothing else.
     """
-    own = frozenset(kind.model_fields[tag].default for kind in get_args(known))
-
-    def accept(value: Any, usual: Callable[[Any], Any], info: ValidationInfo) -> Any:
-        del info
-        if isinstance(value, base):
-            return value
-        name = value.get(tag) if isinstance(value, dict) else None
-        if isinstance(name, str) and name not in own:
+    found = {}
+    for name in names(group):
+        try:
             kind = registered(group, name)
-            if kind is not None:
-                return kind.model_validate(value)
-        return usual(value)
+        except InputError:
+            continue
+        if isinstance(kind, type) and issubclass(kind, base):
+            found[name] = kind
+    return found
 
-    return WrapValidator(accept)
+
+@dataclass(frozen=True)
+class OpenTo:
+    """Lets a field of several kinds take kinds from outside, and adds them to its JSON schema."""
+
+    base: type[Section]
+    """Class of all kinds."""
+    tag: str
+    """The field that names the kind, "law" or "kind"."""
+    group: str
+    """One of the `GROUPS`."""
+    known: Any
+    """The union of phy124's own kinds, which a plugin cannot replace."""
+
+    @cached_property
+    def own(self) -> frozenset[str]:
+        """Names of phy124's own kinds."""
+        return frozenset(kind.model_fields[self.tag].default for kind in get_args(self.known))
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        return core_schema.no_info_wrap_validator_function(self._accept, handler(source))
+
+    def __get_pydantic_json_schema__(self, core: Any, handler: Any) -> dict[str, Any]:
+        schema = handler(core)
+        for name, kind in registered_kinds(self.group, self.base).items():
+            if name not in self.own:
+                # As an item of a list a class gets an entry under "$defs" and a reference to it.
+                items = core_schema.list_schema(kind.__pydantic_core_schema__)
+                told = handler(items)["items"]
+                schema["oneOf"].append(told)
+                schema["discriminator"]["mapping"][name] = told["$ref"]
+        return schema
+
+    def _accept(self, value: Any, usual: Callable[[Any], Any]) -> Any:
+        if isinstance(value, self.base):
+            return value
+        name = value.get(self.tag) if isinstance(value, dict) else None
+        if not isinstance(name, str) or name in self.own:
+            return usual(value)
+        kind = registered(self.group, name)
+        if kind is None:
+            return usual(value)
+        if not (isinstance(kind, type) and issubclass(kind, self.base)):
+            limit = f"what is registered under this name is no subclass of {self.base.__name__}."
+            remedy = "Correct or remove the package that registers it."
+            raise InputError(f"phy124.{self.group}", name, limit, remedy)
+        return kind.model_validate(value)
 
 
 def is_foreign(section: Section, known: Any) -> bool:

@@ -18,7 +18,10 @@ from bridge.backends import choose, missing, open_sink
 from bridge.command_line import run as run_bridge
 from bridge.info import diagnose
 from bridge.options import Options
+from demo.catalogue import catalogue
+from demo.settings import Settings
 from phy124 import generators, pipeline, plugins
+from phy124.__main__ import main
 from phy124.boundaries import Ground
 from phy124.effects import Effects
 from phy124.errors import InputError
@@ -26,6 +29,8 @@ from phy124.forces import Force, Gravity
 from phy124.materials import FixedCorotated
 from phy124.mpm import Stage
 from phy124.scene import Part, Scene
+from phy124.scene.declaration import declaration
+from phy124.scene.reference import reference, schema
 from phy124.simulation import Simulation
 from support.clips import random_clip
 from support.shapes import ball
@@ -86,6 +91,9 @@ def installed(monkeypatch):
     )  # fmt: skip
     monkeypatch.setattr(plugins, "entry_points", points.select)
     monkeypatch.setattr(EntryPoint, "load", lambda self: globals()[self.value.partition(":")[2]])
+    declaration.cache_clear()
+    yield
+    declaration.cache_clear()
 
 
 def round_thing():
@@ -233,3 +241,37 @@ def test_the_sink_of_the_docs_sends_each_frame(monkeypatch, tmp_path):
         got = [json.loads(plotjuggler.recv(1000)) for _ in range(3)]
     assert [one["timestamp"] for one in got] == pytest.approx(clip.times)
     assert got[0]["centre"]["x"] == pytest.approx(clip.means[0, :, 0].mean(), abs=1e-6)
+
+
+def test_what_is_registered_stands_in_reference_schema_and_editor(installed):
+    page, told = reference(), json.loads(schema())
+    assert "## `material`: rubber\n\nA fixed corotated solid that keeps" in page
+    assert "rigid, rubber, sand" in page
+    assert "| `E` | a number from 1 to 1e9 |" in page
+    for field, name in (("forces", "freeze"), ("boundaries", "table")):
+        assert name in told["properties"][field]["items"]["discriminator"]["mapping"]
+    editor = catalogue(Settings())["schema"]["properties"]["material"]
+    assert "rubber" in editor["discriminator"]["mapping"]
+
+
+def test_help_lists_registered_generators_and_sinks(installed, capsys):
+    with pytest.raises(SystemExit):
+        main(["generate", "--help"])
+    assert "dreamgaussian, sphere)" in " ".join(capsys.readouterr().out.replace("│", "").split())
+    with pytest.raises(SystemExit):
+        run_bridge(["play", "--help"], None)
+    shown = " ".join(capsys.readouterr().out.replace("│", "").split())
+    assert "rclpy, dds, foxglove, clip, gone, lamp, none)" in shown
+
+
+def test_a_misspelt_name_is_told_of_what_is_registered(installed):
+    with pytest.raises(InputError, match="Did you mean rubber"):
+        Scene.from_data({"material": {"law": "ruber"}})
+
+
+def test_a_broken_kind_is_refused_but_stops_no_other(monkeypatch, installed):
+    monkeypatch.setitem(globals(), "Rubber", Table)
+    assert plugins.registered_kinds("materials", FixedCorotated) == {}
+    assert set(plugins.registered_kinds("forces", Force)) == {"freeze"}
+    with pytest.raises(InputError, match="no subclass of Material"):
+        Scene.from_data({"material": {"law": "rubber"}})

@@ -13,12 +13,12 @@ from phy124.boundaries.held import Foot, Held
 from phy124.boundaries.motion import Path, Swing
 from phy124.boundaries.planes import Container, Ground, HalfSpace, Press
 from phy124.boundaries.solids import Box, Capsule, Gripper, Sphere
-from phy124.plugins import open_to
+from phy124.plugins import OpenTo
 
 Wall = Ground | HalfSpace | Press | Container | Box | Sphere | Capsule | Gripper | Held | Foot
 """The kinds of phy124's own."""
 AnyBoundary = SerializeAsAny[
-    Annotated[Wall, Field(discriminator="kind"), open_to(Boundary, "kind", "boundaries", Wall)]
+    Annotated[Wall, Field(discriminator="kind"), OpenTo(Boundary, "kind", "boundaries", Wall)]
 ]
 """One of them, or one from outside (phy124/plugins.py)."""
 

@@ -12,7 +12,7 @@ import tyro
 
 from phy124.commands.bars import Bars
 from phy124.commands.cutout import doubt
-from phy124.commands.options import Device
+from phy124.commands.options import Device, GeneratorName
 from phy124.errors import Cancelled, InputError
 from phy124.gaussians import Gaussians
 from phy124.generators.ply_file import Reading
@@ -40,8 +40,7 @@ class ShowAccuracy:
     """Cells across the object to study, from coarse to fine."""
     out: Path | None = None
     """Folder of accuracy.json, .html and .png; default out/accuracy-SCENE."""
-    generator: str = "relief"
-    """How the picture becomes Gaussians."""
+    generator: GeneratorName = "relief"
     reading: Annotated[Reading, tyro.conf.arg(name="")] = field(default_factory=Reading)
     device: Device = "auto"
     json: bool = False

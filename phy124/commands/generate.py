@@ -17,7 +17,7 @@ from phy124.accuracy.promises import Promise
 from phy124.capture import Capture, capture, changed
 from phy124.commands.bars import Bars
 from phy124.commands.cutout import IF_WRONG, CutoutOptions, described, doubt
-from phy124.commands.options import SceneOptions, default_out
+from phy124.commands.options import GeneratorName, SceneOptions, default_out
 from phy124.commands.plan import PlanOptions, announce, predict
 from phy124.generators import needs_image
 from phy124.generators.ply_file import PlyFile, Reading
@@ -38,8 +38,7 @@ class Generate:
     image: tyro.conf.Positional[Path]
     """PNG, JPEG, WebP or HEIC picture of one object."""
     options: Annotated[SceneOptions, tyro.conf.arg(name="")] = field(default_factory=SceneOptions)
-    generator: str = "relief"
-    """What makes the Gaussians: relief, lgm, lgm-aligned, dreamgaussian, or a 3DGS .ply file."""
+    generator: GeneratorName = "relief"
     reading: Annotated[Reading, tyro.conf.arg(name="")] = field(default_factory=Reading)
     gaussians: int | None = None
     """About so many Gaussians (relief makes 50,000), or at most so many of what is made."""

@@ -8,10 +8,18 @@ from typing import Annotated, Any
 
 import tyro
 
+from phy124.generators import known
 from phy124.runtime.device import CHOICES
 from phy124.scene import AccuracyName, Scene, Timing, View, assignments, parse_value, together
 
 Device = Annotated[str, tyro.conf.arg(help=CHOICES)]
+GeneratorName = Annotated[
+    str,
+    tyro.conf.arg(
+        help="What makes the Gaussians: a generator's name, or a 3DGS .ply file.",
+        help_behavior_hint=lambda given: f"(default: {given}; here: {', '.join(known())})",
+    ),
+]
 
 
 def help_of(model: Any, name: str, *, example: str = "") -> Any:

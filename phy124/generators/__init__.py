@@ -69,6 +69,11 @@ GENERATORS: dict[str, Callable[[], Generator]] = {
 """Name -> factory; each imports its generator only when it is called."""
 
 
+def known() -> list[str]:
+    """Names of all generators, those that packages have registered included."""
+    return [*GENERATORS, *(name for name in names("generators") if name not in GENERATORS)]
+
+
 def make(chosen: str | Generator, reading: Reading | None = None) -> Generator:
     """The generator for a name in `GENERATORS`, the path of a .ply file, or a generator itself.
 
@@ -91,9 +96,9 @@ def make(chosen: str | Generator, reading: Reading | None = None) -> Generator:
     if chosen not in GENERATORS and (factory := registered("generators", chosen)) is not None:
         return factory()
     if chosen not in GENERATORS:
-        known = ", ".join([*GENERATORS, *names("generators")])
         limit = "There is no such generator."
-        raise InputError("generator", chosen, limit, f"Choose one of {known}, or a .ply file.")
+        remedy = f"Choose one of {', '.join(known())}, or a .ply file."
+        raise InputError("generator", chosen, limit, remedy)
     try:
         return GENERATORS[chosen]()
     except ModuleNotFoundError as error:

@@ -13,12 +13,12 @@ from phy124.materials.elastic import FixedCorotated, Hencky, NeoHookean, Rigid
 from phy124.materials.fluid import Fluid
 from phy124.materials.granular import Sand, Snow
 from phy124.materials.plastic import Foam, Metal, Plasticine
-from phy124.plugins import open_to
+from phy124.plugins import OpenTo
 
 Law = NeoHookean | FixedCorotated | Hencky | Rigid | Metal | Plasticine | Foam | Sand | Snow | Fluid
 """The kinds of phy124's own."""
 AnyMaterial = SerializeAsAny[
-    Annotated[Law, Field(discriminator="law"), open_to(Material, "law", "materials", Law)]
+    Annotated[Law, Field(discriminator="law"), OpenTo(Material, "law", "materials", Law)]
 ]
 """One of them, or one from outside (phy124/plugins.py)."""
 
