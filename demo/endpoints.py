@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, get_args
 
 import gradio as gr
+from gradio.components import Component
 
 from phy124.errors import InputError
-from phy124.scene import PRESETS, Scene, preset_names
+from phy124.scene import PRESETS, Scene, ViewName, preset_names
+from phy124.scene.refusals import shortened
 
 from .exports import EXPORTS, export
 from .handlers import Handler
@@ -19,6 +21,7 @@ from .photo import photo, refusal
 from .visitors import Visitor
 from .work import BEAT, Done
 
+VIEWS = list(get_args(ViewName))
 NOTHING_YET = "run: There is no run in this session yet. Call /generate first."
 
 
@@ -26,14 +29,14 @@ def endpoints(studio: Studio) -> None:
     """The named endpoints, with typed arguments."""
     with gr.Column(visible=False):
         picture = photo(studio, label="image")
-        preset = gr.Dropdown(preset_names(), value="press", label="preset")
-        accuracy = gr.Radio(list(PRESETS), value="standard", label="accuracy")
-        frames = gr.Number(14, label="frames", precision=0, minimum=1)
+        preset = _unread(gr.Dropdown(preset_names(), value="press", label="preset"))
+        accuracy = _unread(gr.Radio(list(PRESETS), value="standard", label="accuracy"))
+        frames = _unread(gr.Number(14, label="frames", precision=0, minimum=1))
         changes = gr.JSON({}, label="changes")
-        views = gr.CheckboxGroup(["front", "right", "back", "left", "orbit"], label="views")
-        size = gr.Number(512, label="size", precision=0, minimum=16)
-        elevation = gr.Number(10, label="elevation", minimum=-89, maximum=89)
-        formats = gr.CheckboxGroup(list(EXPORTS), value=[], label="formats")
+        views = _unread(gr.CheckboxGroup(VIEWS, label="views"))
+        size = _unread(gr.Number(512, label="size", precision=0, minimum=16))
+        elevation = _unread(gr.Number(10, label="elevation", minimum=-89, maximum=89))
+        formats = _unread(gr.CheckboxGroup(list(EXPORTS), value=[], label="formats"))
         run = gr.State(None)
         files, report = gr.File(file_count="multiple", label="files"), gr.JSON(label="report")
         # Each only follows a job, which waits for its turn in a line of our own.
@@ -54,6 +57,12 @@ def endpoints(studio: Studio) -> None:
         )  # fmt: skip
 
 
+def _unread(component: Component) -> Any:
+    """A component that hands its value over as it came: our own checks name the argument."""
+    component.preprocess = lambda payload: payload
+    return component
+
+
 def _generate(studio: Studio) -> Handler:
     def generate(
         image: str | None, preset: str, accuracy: str, frames: int, changes: Any, formats: Any,
@@ -61,6 +70,7 @@ def _generate(studio: Studio) -> Handler:
     ) -> Iterator[tuple[Any, ...]]:  # fmt: skip
         """Turn a picture into a moving object: its files and its report."""
         name = visitor_of(request)
+        kinds = _chosen("formats", formats or [], list(EXPORTS))
         scene, cutting = _cut(studio, name, image, preset, accuracy, frames, changes)
         visitor, data = studio.visitors.get(name), scene.data()
         for _ in _followed(cutting, visitor, "image"):
@@ -70,7 +80,7 @@ def _generate(studio: Studio) -> Handler:
         for _ in _followed(job, visitor, "run"):
             yield (gr.skip(),) * 3
         done = job.progress.result
-        made = [str(export(kind, done)) for kind in formats or ()]
+        made = [str(export(kind, done)) for kind in kinds]
         yield (done, cutout, data), _paths(done) + made, read_report(done)
 
     return generate
@@ -104,13 +114,24 @@ def _cut(
     changes: Any,
 ) -> tuple[Scene, Job]:  # fmt: skip
     """The scene that a program asks for, and the job that cuts its picture out."""
+    # A name of no preset could be that of a file.
+    _chosen("preset", [preset], preset_names())
+    _chosen("accuracy", [accuracy], list(PRESETS))
     try:
         scene = Scene.named(preset).replaced(
-            {"accuracy": accuracy, "time.frames": int(frames), **_changes(changes)}
+            {"accuracy": accuracy, "time.frames": frames, **_changes(changes)}
         )
         return scene, studio.cut(name, image)
     except InputError as error:
         raise refusal(complaint(error)) from None
+
+
+def _chosen(field: str, given: Any, known: list[str]) -> list[str]:
+    """What was chosen of what there is; raises gr.Error if it is anything else."""
+    unknown = [given] if not isinstance(given, list) else [x for x in given if x not in known]
+    if unknown:
+        raise refusal(f"{field}: There is no {shortened(unknown[0])}. Give {' or '.join(known)}.")
+    return given
 
 
 def _changes(given: Any) -> dict[str, Any]:
@@ -131,8 +152,8 @@ def _render(studio: Studio) -> Handler:
             raise refusal(NOTHING_YET)
         _, cutout, data = run
         name = visitor_of(request)
-        view = {**data["view"], "size": int(size), "elevation": elevation}
-        view["views"] = views or data["view"]["views"]
+        view = {**data["view"], "size": size, "elevation": elevation}
+        view["views"] = _chosen("views", views or [], VIEWS) or data["view"]["views"]
         job = _begun(studio.run, name, cutout, {**data, "view": view})
         for _ in _followed(job, studio.visitors.get(name), "run"):
             yield gr.skip(), gr.skip()

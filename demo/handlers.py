@@ -117,7 +117,7 @@ def _sent_example(studio: Studio, visitor: str, name: Any) -> str:
     """An example picture, as if the visitor had sent it."""
     path = EXAMPLES / f"{name}.png"
     if path not in EXAMPLES.glob("*.png"):
-        raise InputError("picture", "none", "There is no such example.", "Choose another one.")
+        raise InputError("image", "none", "There is no such example.", "Choose another one.")
     studio.visitors.get(visitor)
     return str(studio.visitors.store(visitor, path.read_bytes(), ".png"))
 

@@ -99,7 +99,7 @@ class Studio:
     def cut(self, name: str, picture: Any, strokes: Sequence[Stroke] = ()) -> Job:
         """Begin to cut the object out of an uploaded picture; raises InputError."""
         if not picture:
-            raise InputError("picture", "none", "There is no picture yet.", "Choose one first.")
+            raise InputError("image", "none", "There is no picture yet.", "Choose one first.")
         upload = self.visitors.own(name, picture)
         check_picture(upload, self.settings)
         visitor = self.visitors.get(name)
@@ -202,7 +202,7 @@ class Studio:
         """Who asks, the cut-out and the scene; raises InputError for what cannot be used."""
         visitor = self.visitors.known(name)
         if visitor is None or not cutout or not Path(cutout).exists():
-            raise InputError("picture", "none", "There is no picture yet.", "Choose one first.")
+            raise InputError("image", "none", "There is no picture yet.", "Choose one first.")
         return visitor, Path(cutout), self._scene(visitor, data)
 
     def _scene(self, visitor: Visitor | None, data: Any) -> Scene:

@@ -12,18 +12,35 @@ import binascii
 from typing import TYPE_CHECKING, Any
 
 import gradio as gr
+from gradio.data_classes import ImageData
+from pydantic import ValidationError
 
 from phy124.errors import InputError
 
 if TYPE_CHECKING:
     from .jobs import Studio
 
+NO_FILE = "image: This is no picture file. Send the file itself, by handle_file(PATH) in Python."
 BROKEN = "image: The picture's data: URL is broken. Send the file itself."
+
+
+class Sent(ImageData):
+    """What a program sends as a picture; anything but a file is refused in words."""
+
+    # Not as a validator: what one raises is wrapped, and a program would not be shown it.
+    @classmethod
+    def model_validate(cls, obj: Any, **options: Any) -> Sent:
+        """The picture; raises gr.Error if it is no file."""
+        try:
+            return super().model_validate(obj, **options)
+        except ValidationError:
+            raise refusal(NO_FILE) from None
 
 
 def photo(studio: Studio, **options: Any) -> gr.Image:
     """A `gr.Image` whose value is the path of the file as it was uploaded."""
     image = gr.Image(type="filepath", **options)
+    image.data_model = Sent
 
     def preprocess(payload: Any) -> str | None:
         """The file's path; raises gr.Error if a data: URL is broken or too large."""

@@ -33,7 +33,7 @@ def check_picture(path: Path, settings: Settings) -> None:
     """Size in bytes and pixels, from the header alone; raises InputError."""
     size = path.stat().st_size
     if size > settings.max_bytes:
-        raise InputError("picture", path.name, settings.too_large, settings.make_smaller)
+        raise InputError("image", path.name, settings.too_large, settings.make_smaller)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
@@ -45,7 +45,7 @@ def check_picture(path: Path, settings: Settings) -> None:
         raise
     if pixels > settings.max_megapixels * 1e6:
         limit = f"It has more than {settings.max_megapixels:g} million pixels."
-        raise InputError("picture", path.name, limit, "Reduce it to 2000 pixels, say.")
+        raise InputError("image", path.name, limit, "Reduce it to 2000 pixels, say.")
 
 
 def _pixels(path: Path) -> int:
@@ -109,7 +109,7 @@ def how_cut(picture: Image.Image) -> dict[str, Any] | None:
 
 def _save(cut: Cutout, path: Path) -> None:
     if not cut.coverage:
-        raise InputError("picture", "empty", "Nothing is left of it.", "Paint green what to keep.")
+        raise InputError("image", "empty", "Nothing is left of it.", "Paint green what to keep.")
     how = PngInfo()
     how.add_text(HOW, json.dumps(cut.data()))
     with replacing(path) as temporary:

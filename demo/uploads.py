@@ -49,7 +49,7 @@ def upload_route(studio: Studio) -> Route:
 async def _keep(studio: Studio, visitor: str | None, part: UploadFile) -> str:
     limits = studio.settings
     if (part.size or 0) > limits.max_bytes:
-        raise InputError("picture", "large", limits.too_large, limits.make_smaller)
+        raise InputError("image", "large", limits.too_large, limits.make_smaller)
     suffix = Path(part.filename or "").suffix.lower()
     data = await part.read()
     ending = suffix if suffix in SUFFIXES else ""

@@ -123,7 +123,7 @@ def test_generate_then_render_then_evaluate(client):
     assert {"back.mp4", "orbit.mp4"} <= {Path(path).name for path in films}
     assert again["substeps"] == report["substeps"]
     figures = client.predict(api_name="/evaluate")
-    assert len(figures["motion"]["smallest_J"]) == 2
+    assert len(figures["motion"]["min_J"]) == 2
 
 
 @pytest.mark.slow
@@ -243,15 +243,25 @@ def test_a_chunked_upload_without_a_length_is_cut_off(server):
     ("options", "message"),
     [
         ({"frames": 1000}, "allows at most 72"),
-        ({"preset": "explode"}, "not in the list of choices"),
+        ({"frames": "many"}, r"time\.frames: .*whole number"),
+        ({"frames": 2.5}, r"time\.frames: .*whole number"),
+        ({"frames": None}, r"time\.frames: "),
+        ({"preset": "explode"}, r"preset: There is no explode\. Give bounce or"),
+        ({"preset": "/etc/hostname.toml"}, r"preset: There is no /etc"),
+        ({"preset": 5}, r"preset: There is no 5"),
+        ({"accuracy": "fast"}, r"accuracy: There is no fast\. Give draft or standard or fine"),
         ({"changes": {"material.E": -5}}, "a number from 1 to 1e13"),
         ({"changes": {"material.E": 1e12}, "frames": 72}, "would take about"),
         ({"changes": {"colour": 3}}, "There is no such key"),
-        ({"formats": ["exe"]}, "not in the list of choices"),
+        ({"formats": ["exe"]}, r"formats: There is no exe\. Give "),
+        ({"formats": "gif"}, r"formats: There is no gif\. Give "),
         ({"changes": {"material.E": "stiff"}}, r"material\.E: "),
         ({"changes": [1, 2]}, r"changes: They must be an object"),
         ({"changes": "text"}, "changes|JSON"),
-        ({"picture": None}, "picture: There is no picture yet"),
+        ({"picture": None}, "image: There is no picture yet"),
+        ({"picture": "duck.png"}, "image: This is no picture file. Send the file itself"),
+        ({"picture": ["duck.png"]}, "image: This is no picture file"),
+        ({"picture": {"path": 5}}, "image: This is no picture file"),
     ],
 )
 def test_values_are_checked_on_the_server(client, options, message):
