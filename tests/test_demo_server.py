@@ -71,7 +71,7 @@ def _generate(client, picture=DUCK, **options):
     from gradio_client import handle_file
 
     given = {"preset": "drop", "accuracy": "draft", "frames": 2, "changes": FEW, "formats": []}
-    image = picture if picture is None or isinstance(picture, dict) else handle_file(str(picture))
+    image = handle_file(str(picture)) if isinstance(picture, Path) else picture
     return client.predict(image, *{**given, **options}.values(), api_name="/generate")
 
 
