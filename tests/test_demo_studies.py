@@ -124,7 +124,7 @@ def test_measuring_is_offered_where_nothing_was_measured_and_then_told(visit):
 
     def shown(data):
         text = studio.forecast("a", cutout, data)
-        return handlers.with_stops(studio, "a", cutout, data, text)
+        return handlers.run.with_stops(studio, "a", cutout, data, text)
 
     assert "data-measure" not in shown(Scene.named("drop").data())
     before = shown(data)
@@ -142,13 +142,16 @@ def test_measuring_is_offered_where_nothing_was_measured_and_then_told(visit):
 
 
 def test_the_report_of_a_run_tells_what_was_measured_on_its_scene_later(visit, monkeypatch):
-    monkeypatch.setattr(handlers, "visitor_of", lambda _: "a")
+    for module in (handlers.results, handlers.event):
+        monkeypatch.setattr(module, "visitor_of", lambda _: "a")
     studio, cutout, data = visit
     data = {**data, "accuracy": "draft", "view": {**data["view"], "size": [32, 32]}}
     run = studio.run("a", cutout, data)
     assert run.wait(300) and run.progress.state == "done", run.progress.message
     shown = run.progress.result
-    assert "Error promised</td><td>not measured for hencky" in handlers.report_of(studio, run)
+    assert "Error promised</td><td>not measured for hencky" in handlers.results.report_of(
+        studio, run
+    )
     study = Job("measure", studio.visitors.get("a").new_stop_file())
     studio.visitors.get("a").remember(study)
     shown.study.write_text(_found(0.08, 0.06, 0.04).model_dump_json(), "utf-8")
@@ -156,10 +159,10 @@ def test_the_report_of_a_run_tells_what_was_measured_on_its_scene_later(visit, m
     event = gr.EventData(None, {"job": study.name})
     finished = handlers.finisher(studio)(Cutout(cutout, ""), data, shown, event, None)
     assert finished[1] == gr.skip(), "the same run is shown"
-    assert "Error measured</td><td>about 6.0%" in finished[-5 + handlers.REPORT]
+    assert "Error measured</td><td>about 6.0%" in finished[-5 + handlers.results.REPORT]
     again = studio.run("a", cutout, {**data, "view": {**data["view"], "elevation": 40.0}})
     assert again.wait(300) and again.progress.result.films != shown.films
-    assert "Error measured</td><td>about 6.0%" in handlers.report_of(studio, again)
+    assert "Error measured</td><td>about 6.0%" in handlers.results.report_of(studio, again)
 
 
 def test_kernels_to_compile_are_predicted_and_no_probe_compiles_them(visit, monkeypatch):

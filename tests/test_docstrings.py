@@ -10,8 +10,8 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "phy124"
 OPEN = {
     "accuracy", "boundaries", "commands", "deform.py", "effects.py", "forces.py", "kernels",
-    "limits.py", "materials", "monitor", "mpm", "pipeline.py", "presets", "remedies.py", "selftest",
-    "simulation.py",
+    "limits.py", "materials", "monitor", "mpm", "pipeline", "presets", "remedies.py", "selftest",
+    "simulation",
 }  # fmt: skip
 """Folders and files of phy124 that are not held to it yet; take out what has been read."""
 ROOMS = sorted(path.name for path in PACKAGE.glob("[!_]*") if path.name not in OPEN)

@@ -396,14 +396,16 @@ def test_a_frame_that_fails_twice_stops_and_keeps_the_good_ones(tmp_path, monkey
 
 def test_the_report_says_what_limited_the_substep():
     report = run(**{"time.substep": 1.0}).run().report
-    assert report["substep"]["shares"] == {"elastic": 1.0}
+    assert report["substep"]["fractions"] == {"elastic": 1.0}
     assert report["substep"]["asked"] == 1.0 and report["substep"]["split"]
     assert set(report["balance"]) >= {"energy_gain", "momentum_gain", "min_J", "ballistic"}
 
 
 def test_a_run_that_turns_out_endless_stops_by_itself(monkeypatch):
     s = run(**{"time.budget": 1e3})
-    monkeypatch.setattr("phy124.simulation.time.perf_counter", iter(range(0, 10**9, 500)).__next__)
+    monkeypatch.setattr(
+        "phy124.simulation.run.time.perf_counter", iter(range(0, 10**9, 500)).__next__
+    )
     clip = s.run()
     stopped = clip.report["stopped"]
     assert re.search(r"time.budget: a substep is .+ s, limited by the stiffness of the", stopped)

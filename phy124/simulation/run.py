@@ -1,12 +1,4 @@
-"""Simulation: static Gaussians and a scene in, moving Gaussians out, frame by frame.
-
-    for frame in Simulation(gaussians, Scene.named("press")):
-        ...
-
-Frame 0 is the object at rest. A frame that goes wrong, by the solver's word or the watchdog's, is
-tried once more with half the substep; if that fails too, `Stopped` says why and the frames so far
-remain good. Runs of hours, or beyond the machine's memory, are refused before they start.
-"""
+"""A run: particles and a solver made of Gaussians and a scene, advanced from frame to frame."""
 
 from __future__ import annotations
 
@@ -20,7 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phy124.boundaries import Ground
 from phy124.deform import Deformer
 from phy124.effects import Effects
 from phy124.errors import Cancelled, Remedy
@@ -32,8 +23,8 @@ from phy124.monitor import diagnosis
 from phy124.monitor.external_work import ExternalWork
 from phy124.monitor.sleep import Sleep
 from phy124.monitor.watchdog import Violation, Watchdog
-from phy124.mpm import Model, Solver, State, Unstable
-from phy124.particles import Particles, clean, make_particles
+from phy124.mpm import Unstable
+from phy124.particles import clean, make_particles
 from phy124.particles.scenery import Scenery
 from phy124.parts import stiffnesses, with_materials
 from phy124.placing import among_all, belongs, place, renumbered
@@ -41,9 +32,8 @@ from phy124.progress import Progress, silent
 from phy124.remedies import advice, hurry, remedies
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
+from phy124.simulation.solver import solver_of
 
-FLOOR_NODE = 0.75
-"""A layer of nodes lies this many cells below the floor."""
 MAX_STRETCH = 4.0
 """Gaussians of material that flows grow at most this much: F_total itself has no bound."""
 
@@ -121,7 +111,7 @@ class Simulation:
             self.demand = refuse_hopeless(self.gaussians, self.particles, scene, device, keep=keep)
         with self.watch.stage("compile"):
             external = ExternalWork()
-            self.solver = _solver(self.particles, stiffness, scene, device, threads, external)
+            self.solver = solver_of(self.particles, stiffness, scene, device, threads, external)
             self.watchdog = Watchdog(self.solver, external, balance=scene.checks.balance)
             flows = any(m.device_law.project is not None for m in scene.materials)
             self.deformer = Deformer(
@@ -371,7 +361,7 @@ class Simulation:
             "mean": mean,
             "asked": asked,
             "split": asked is not None and mean < 0.99 * asked,
-            "shares": {name: count / taken for name, count in clock.limiters.items()},
+            "fractions": {name: count / taken for name, count in clock.limiters.items()},
             "rejected": self.solver.rejection.rejected,
             "retried": self.retried,
         }
@@ -384,49 +374,3 @@ class Simulation:
 
     def _reporter(self, index: int) -> Callable[[], None]:
         return lambda: self.progress("simulate", index, self.scene.time.frames)
-
-
-def _solver(
-    particles: Particles,
-    stiffness: NDArray | None,
-    scene: Scene,
-    device: str,
-    threads: int | None,
-    external: ExternalWork,
-) -> Solver:
-    x = particles.x.astype(np.float64)
-    v, C = _motion(x, particles.mass, scene)
-    floors = [b.height for b in scene.boundaries if isinstance(b, Ground)]
-    balance = scene.checks.balance
-    ceiling = math.inf if scene.time.substep is None else scene.time.substep
-    model = Model.of(
-        x,
-        particles.volume,
-        scene.materials,
-        dx=scene.dx,
-        material=particles.material,
-        stiffness=stiffness,
-        origin=(0.0, 0.0, (floors[0] if floors else 0.0) - FLOOR_NODE * scene.dx),
-        cfl=scene.resolution.cfl,
-        precision=scene.resolution.precision,
-        device=device,
-    )
-    return Solver(
-        model,
-        State.of(model, v, C),
-        forces=external.forces(scene.acting) if balance else scene.acting,
-        boundaries=external.boundaries(scene.boundaries) if balance else scene.boundaries,
-        accumulators=[external] if balance else [],
-        ceiling=ceiling,
-        threads=threads,
-        measure_every=scene.checks.measure,
-    )
-
-
-def _motion(x: NDArray, mass: NDArray, scene: Scene) -> tuple[NDArray, NDArray]:
-    """Velocities [P,3] and their gradient [P,3,3] of the rigid motion at the start."""
-    wx, wy, wz = scene.object.spin
-    gradient = np.array([[0, -wz, wy], [wz, 0, -wx], [-wy, wx, 0]])
-    middle = (mass[:, None] * x).sum(axis=0) / mass.sum()
-    v = np.array(scene.object.velocity) + (x - middle) @ gradient.T
-    return v, np.broadcast_to(gradient, (len(x), 3, 3))

@@ -7,13 +7,10 @@ asked to.
 
 from __future__ import annotations
 
-import json
 import os
-import platform
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -21,10 +18,9 @@ from PIL import Image
 
 from phy124 import resume
 from phy124.accuracy.choose import Goal, reach
-from phy124.accuracy.forecast import Forecast, Forecaster
-from phy124.accuracy.promises import promise
+from phy124.accuracy.forecast import Forecaster
 from phy124.capture import capture
-from phy124.errors import Cancelled, InputError
+from phy124.errors import InputError
 from phy124.gaussians import Frame, Gaussians
 from phy124.generators import Generator, needs_image
 from phy124.generators import make as make_generator
@@ -32,35 +28,23 @@ from phy124.generators.ply_file import PlyFile, Reading
 from phy124.imaging.cutout import Cutout, cut_out
 from phy124.io.clip import Clip
 from phy124.io.files import staged as staged
-from phy124.io.ply import write_ply
 from phy124.particles.thinning import asked_for, thinned
 from phy124.parts import WHOLE, Crop, crop_of
+from phy124.pipeline.making import PAUSE, Making
+from phy124.pipeline.making import Result as Result
+from phy124.pipeline.making import circumstances as circumstances
+from phy124.pipeline.making import framed as framed
+from phy124.pipeline.making import write_json as write_json
 from phy124.progress import Progress, silent
 from phy124.rendering.film import cameras as cameras
 from phy124.rendering.film import film as film
 from phy124.rendering.film import rate as rate
-from phy124.rendering.framing import framing
 from phy124.runtime.isolated import Deadline
 from phy124.runtime.stopwatch import Stopwatch
-from phy124.scene import Scene, View
-from phy124.simulation import Interrupted, Simulation
+from phy124.scene import Scene
+from phy124.simulation import Simulation
 
 PathLike = str | os.PathLike[str]
-PAUSE = "pause.safetensors"
-"""What an interrupted run leaves in its folder, for `go_on`."""
-INTERRUPTED = "it was interrupted; the same command with --resume goes on where it stopped"
-
-
-@dataclass(frozen=True)
-class Result:
-    """What a run made."""
-
-    folder: Path
-    """Where the files are."""
-    files: tuple[Path, ...]
-    """Every file made."""
-    report: dict[str, Any]
-    """The content of report.json."""
 
 
 def generate(
@@ -216,7 +200,7 @@ def simulate(
     """
     scene.refuse_nameless()
     watch = watch or Stopwatch()
-    making = _Making(Path(out), device, progress, watch, dict(about or {}), keep, cutout, films)
+    making = Making(Path(out), device, progress, watch, dict(about or {}), keep, cutout, films)
 
     def moved() -> tuple[Simulation, Clip]:
         options: dict[str, Any] = {"device": device, "progress": progress, "watch": watch}
@@ -258,91 +242,13 @@ def go_on(
             asked["accuracy"] = paused["accuracy"]
         _refuse_other(asked, paused, out)
     about = {name: value for name, value in about.items() if name not in ("scene", "frames")}
-    making = _Making(Path(out), device, progress, watch, about, keep)
+    making = Making(Path(out), device, progress, watch, about, keep)
 
     def moved() -> tuple[Simulation, Clip]:
         run = resume.load(path, device=device, progress=progress, watch=watch)
         return run, run.run()
 
     return making.result(moved)
-
-
-@dataclass
-class _Making:
-    """What is made in a folder, and how."""
-
-    out: Path
-    device: str
-    progress: Progress
-    watch: Stopwatch
-    about: dict[str, Any]
-    """What the report says besides the run itself."""
-    keep: bool
-    """Whether what there is survives when `progress` cancels."""
-    cutout: Cutout | None = None
-    films: bool = True
-    """Whether videos are made."""
-    predicted: Forecast | None = None
-
-    def result(self, moved: Callable[[], tuple[Simulation, Clip]]) -> Result:
-        """Move, film and save; refuses a folder that cannot be written before anything else."""
-        with staged(self.out) as folder:
-            interrupted = False
-            try:
-                run, clip = moved()
-            except Interrupted as cut:
-                if not self.keep:
-                    raise
-                run, clip, interrupted = cut.run, cut.run.clip(), True
-                # Filming may be interrupted, too.
-                with staged(self.out) as safe:
-                    self._save(safe, run, clip, interrupted)
-            interrupted |= self._film(clip, run.scene, folder)
-            report = self._save(folder, run, clip, interrupted)
-            made = sorted(path.name for path in folder.iterdir())
-        if not interrupted:
-            (self.out / PAUSE).unlink(missing_ok=True)
-        return Result(self.out, tuple(self.out / name for name in made), report)
-
-    def _film(self, clip: Clip, scene: Scene, folder: Path) -> bool:
-        """All views; True if that was interrupted, the finished ones are then kept."""
-        if not self.films:
-            return False
-        options: dict[str, Any] = {"device": self.device, "watch": self.watch}
-        try:
-            film(clip, scene.view, folder, progress=self.progress, **options)
-        except Cancelled:
-            if not self.keep:
-                raise
-            return True
-        return False
-
-    def _save(self, folder: Path, run: Simulation, clip: Clip, interrupted: bool) -> dict[str, Any]:
-        with self.watch.stage("save"):
-            write_ply(folder / "gaussians.ply", run.gaussians)
-            if self.cutout is not None:
-                self.cutout.save(folder / "cutout.png")
-            (folder / "scene.toml").write_text(run.numbered.to_toml(), "utf-8")
-            if interrupted:
-                resume.save(run, folder / PAUSE, about=self.about)
-        report = self._report(clip, run.scene.view, interrupted)
-        with self.watch.stage("save"):
-            clip.with_report(report).save(folder / "clip.safetensors")
-            write_json(folder / "report.json", report)
-        return report
-
-    def _report(self, clip: Clip, view: View, interrupted: bool) -> dict[str, Any]:
-        about = {"foreground": None, "cutout": None, "generator": None, **self.about}
-        if self.predicted is not None:
-            about["forecast"] = self.predicted.compared(self.watch.seconds)
-        cleaning = [*about.get("cleaning", []), *clip.report["cleaning"]]
-        report = {**about, **clip.report, "cleaning": cleaning}
-        report |= framed(clip, view) if self.films else {}
-        report["promise"] = asdict(promise(Scene.from_data(clip.scene), report))
-        report |= circumstances(self.device, self.watch)
-        if interrupted:
-            report["stopped"] = report["stopped"] or INTERRUPTED
-        return {**report, "interrupted": interrupted}
 
 
 def _refuse_other(scene: dict[str, Any], paused: dict[str, Any], out: PathLike) -> None:
@@ -369,35 +275,5 @@ def _flat(data: Any, name: str = "") -> dict[str, Any]:
     return flat
 
 
-def framed(clip: Clip, view: View) -> dict[str, Any]:
-    """What a report says of the pictures, with the run's notes and one where they miss some."""
-    seen = framing(clip, view)
-    notes = clip.report["notes"] + ([seen["note"]] if seen["note"] else [])
-    return {"departures": seen["departures"], "notes": notes}
-
-
-def circumstances(device: str, watch: Stopwatch) -> dict[str, Any]:
-    """Device, versions and stage times: what a report says besides the run itself."""
-    packages = ("phy124", "numpy", "warp-lang", "opencv-python-headless", "imageio-ffmpeg")
-    found = {}
-    for package in packages:
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            found[package] = "not installed as a package"
-    return {
-        "device": device,
-        "processor": platform.processor() or platform.machine(),
-        "versions": {"python": platform.python_version(), **found},
-        "seconds": watch.total,
-        "stages": watch.data(),
-    }
-
-
 def _name(generator: str | Generator) -> str:
     return generator if isinstance(generator, str) else type(generator).__name__
-
-
-def write_json(path: Path, data: dict[str, Any]) -> None:
-    """Write plain data into a file."""
-    path.write_text(json.dumps(data, indent=2, allow_nan=False) + "\n", "utf-8")

@@ -1,0 +1,24 @@
+"""Between Gradio and the jobs: the event handlers of the page.
+
+Handlers know the session and Gradio's types; everything they do is in demo.jobs.
+"""
+
+from .event import Handler
+from .picture import chooser, corrector, cut_shower
+from .results import finisher, greeter, prepare
+from .run import forecaster, measurer, refiner, starter, stopper
+
+__all__ = [
+    "Handler",
+    "chooser",
+    "corrector",
+    "cut_shower",
+    "finisher",
+    "forecaster",
+    "greeter",
+    "measurer",
+    "prepare",
+    "refiner",
+    "starter",
+    "stopper",
+]

@@ -1,0 +1,93 @@
+"""Events of the picture: it is chosen, corrected by the brush, and shown cut out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import gradio as gr
+
+from phy124.errors import InputError
+from phy124.imaging.heic import is_heic
+
+from ..identity import visitor_of
+from ..jobs import Cutout, Studio, sentence
+from ..line import Job
+from ..strokes import strokes_of
+from .event import Handler, data_of, file_of, job_of, path_of
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+
+
+def chooser(studio: Studio) -> Handler:
+    """A picture that was sent -> it is being cut out; what was chosen before is forgotten."""
+
+    def choose(event: gr.EventData, request: gr.Request) -> tuple[Any, Any]:
+        path, example = data_of(event).get("upload"), data_of(event).get("example")
+        if path is None and example is None:
+            return {}, None
+        try:
+            if example is not None:
+                path = _sent_example(studio, visitor_of(request), example)
+            job = studio.cut(visitor_of(request), path)
+        except InputError as error:
+            return _not_cut(error), None
+        return {"job": job.name, "picture": _picture(job)}, None
+
+    return choose
+
+
+def corrector(studio: Studio) -> Handler:
+    """Brush strokes -> the cut-out is being corrected."""
+
+    def correct(shown: Any, cutout: Any, event: gr.EventData, request: gr.Request) -> Any:
+        picture = path_of((shown or {}).get("picture")) if cutout is None else cutout.picture
+        try:
+            strokes = strokes_of(data_of(event).get("strokes"))
+            job = studio.cut(visitor_of(request), picture, strokes)
+        except InputError as error:
+            return {**(shown or {}), **_not_cut(error)}
+        return {**(shown or {}), "job": job.name}
+
+    return correct
+
+
+def cut_shower(studio: Studio) -> Handler:
+    """A finished cut-out -> its preview; one that failed leaves nothing to generate from."""
+
+    def show(shown: Any, cutout: Any, event: gr.EventData, request: gr.Request) -> tuple[Any, Any]:
+        job = job_of(studio, request, event)
+        if job is None or not job.over:
+            return gr.skip(), gr.skip()
+        made = job.progress.result
+        if made is None:
+            failed = {"job": None, "message": job.progress.message, "picture": _picture(job)}
+            return {**(shown or {}), **failed}, cutout
+        doubts = [*made.doubts, "If it is wrong, correct it with the brush."] if made.doubts else []
+        return {**shown_cutout(made), "doubts": " ".join(doubts)}, made
+
+    return show
+
+
+def shown_cutout(made: Cutout) -> dict[str, Any]:
+    """A picture and its cut-out, as the panel of the picture takes them."""
+    return {"picture": file_of(Path(made.picture)), "cutout": file_of(Path(made.path))}
+
+
+def _picture(job: Job) -> dict[str, Any] | None:
+    """The picture that is cut out, once there is one that browsers can show."""
+    path = Path(job.subject)
+    return file_of(path) if path.exists() and not is_heic(path) else None
+
+
+def _not_cut(error: InputError) -> dict[str, Any]:
+    return {"job": None, "message": sentence(error), "again": error.field == "queue"}
+
+
+def _sent_example(studio: Studio, visitor: str, name: Any) -> str:
+    """An example picture, as if the visitor had sent it."""
+    path = EXAMPLES / f"{name}.png"
+    if path not in EXAMPLES.glob("*.png"):
+        raise InputError("image", "none", "There is no such example.", "Choose another one.")
+    studio.visitors.get(visitor)
+    return str(studio.visitors.store(visitor, path.read_bytes(), ".png"))

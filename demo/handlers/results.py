@@ -1,0 +1,193 @@
+"""Events after a run: its results, what was there before, and what can be taken away."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import gradio as gr
+
+from phy124.camera import VIEWS
+from phy124.errors import InputError
+from phy124.io.clip import Clip
+from phy124.scene import Scene
+
+from ..exports import EXPORTS, export
+from ..identity import visitor_of
+from ..jobs import Studio, read_report, read_study, sentence
+from ..line import Job
+from ..report import as_html
+from ..visitors import Visitor
+from ..work import Done, Measured
+from .event import Handler, file_of, job_of
+from .picture import shown_cutout
+from .run import rested, shown_job, with_stops, working
+
+NOT_SHOWN = [gr.skip()] * 5
+"""For the panels that `results` fills."""
+REPORT = 2
+"""Place of the report among them."""
+FILES = {
+    "clip.safetensors": ("Moving Gaussians", "The clip itself, for phy124"),
+    "gaussians.ply": ("Gaussians at rest", "3DGS PLY"),
+    "orbit.webp": ("Orbit, animated WebP", "For a message"),
+    "scene.toml": ("Scene", "Every setting, to run again"),
+    "report.json": ("Report", "Times, effects, stability"),
+}
+
+
+def finisher(studio: Studio) -> Handler:
+    """A run that has come to an end -> everything there is to see; a study -> the forecast."""
+
+    def finish(
+        cutout: Any, scene: Any, shown: Any, event: gr.EventData, request: gr.Request
+    ) -> tuple[Any, ...]:
+        name, job = visitor_of(request), job_of(studio, request, event)
+        if job is not None and isinstance(job.progress.result, Measured) and cutout and scene:
+            text = studio.forecast(name, cutout.path, scene)
+            told = with_stops(studio, name, cutout.path, scene, text, opened=True)
+            return told, gr.skip(), *rested(), *_with_report(studio, name, shown)
+        if job is None or not job.over or not _is_there(job.progress.result):
+            return gr.skip(), gr.skip(), *rested(), *NOT_SHOWN
+        return gr.skip(), job.progress.result, *rested(), *results(studio, name, job)
+
+    return finish
+
+
+def _with_report(studio: Studio, name: str, shown: Any) -> list[Any]:
+    """The result panels, of which only the report is new: that of the run which is shown."""
+    panels: list[Any] = list(NOT_SHOWN)
+    visitor = studio.visitors.known(name)
+    if visitor is not None and _is_there(shown):
+        jobs = [job for job in visitor.jobs.values() if job.progress.result == shown]
+        panels[REPORT] = report_of(studio, jobs[-1]) if jobs else gr.skip()
+    return panels
+
+
+def _is_there(done: Any) -> bool:
+    return isinstance(done, Done) and (done.films / "report.json").exists()
+
+
+def greeter(studio: Studio) -> Handler:
+    """The page was opened, or opened again: whatever this visitor had is shown."""
+
+    def greet(request: gr.Request) -> tuple[Any, ...]:
+        visitor = studio.visitors.known(visitor_of(request))
+        if visitor is None:
+            return gr.skip(), None, gr.skip(), None, *rested(), *NOT_SHOWN
+        cut, run = visitor.latest("cut"), visitor.latest("run")
+        study = visitor.latest("measure")
+        if study is not None and not study.over and (run is None or run.over):
+            run = study
+        return *_found_picture(visitor, cut), *_found_run(studio, visitor_of(request), run)
+
+    return greet
+
+
+def _found_picture(visitor: Visitor, cut: Job | None) -> tuple[Any, Any]:
+    """The picture panel and the cut-out of a visitor who has come back."""
+    if cut is not None and not cut.over:
+        return {"job": cut.name}, None
+    made = next((j.progress.result for j in reversed(list(visitor.jobs.values()))
+                 if j.kind == "cut" and j.progress.result), None)  # fmt: skip
+    if made is None or not Path(made.path).exists() or not Path(made.picture).exists():
+        return gr.skip(), None
+    return shown_cutout(made), made
+
+
+def _found_run(studio: Studio, name: str, run: Job | None) -> tuple[Any, ...]:
+    """Progress, result, buttons and result panels of a visitor who has come back."""
+    if run is None:
+        return gr.skip(), None, *rested(), *NOT_SHOWN
+    if not run.over:
+        return shown_job(run), None, *working(), *NOT_SHOWN
+    done = run.progress.result
+    if not _is_there(done):
+        return gr.skip(), None, *rested(), *NOT_SHOWN
+    return gr.skip(), done, *rested(), *results(studio, name, run)
+
+
+def results(studio: Studio, name: str, job: Job) -> list[Any]:
+    """Values of the viewer, the videos, the report, the take-away panel and the history."""
+    done: Done = job.progress.result
+    clip = Clip.load(done.clip / "clip.safetensors")
+    films = [{"name": path.stem, "file": file_of(path)} for path in _films(done)]
+    length = float(clip.times[-1] - clip.times[0])
+    return [
+        {"pack": file_of(done.films / "clip.pack")},
+        {"films": films, "length": length},
+        report_of(studio, job),
+        _takeaway(done),
+        {"runs": _earlier(studio, name, job)},
+    ]
+
+
+def report_of(studio: Studio, job: Job) -> str:
+    """The report of a finished run, with what was measured on its scene before or after it."""
+    done: Done = job.progress.result
+    report, study = read_report(done), read_study(done.study)
+    data = Clip.load(done.clip / "clip.safetensors").scene
+    scene, count = Scene.from_data(data), report["gaussians"]
+    stops = studio.forecaster.stops(scene, gaussians=count, study=study)
+    return as_html(report, data, job.progress.expected, stops, study)
+
+
+def _earlier(studio: Studio, name: str, shown: Job) -> list[dict[str, Any]]:
+    """What a visitor has made so far, the newest first, each result once."""
+    visitor, seen, found = studio.visitors.known(name), set(), []
+    for job in reversed(list(visitor.jobs.values()) if visitor else []):
+        done = job.progress.result
+        if job.kind != "run" or not _is_there(done) or done.films in seen:
+            continue
+        seen.add(done.films)
+        scene = Clip.load(done.clip / "clip.safetensors").scene
+        found.append({
+            "job": job.name, "title": str(scene["material"]["law"]).replace("_", " ").capitalize(),
+            "detail": f"{scene['time']['frames']} frames, {scene['accuracy']}"
+            if isinstance(scene["accuracy"], str) else f"{scene['time']['frames']} frames",
+            "picture": file_of(done.films / "orbit.webp"),
+            "pack": file_of(done.films / "clip.pack"),
+            "current": done == shown.progress.result,
+        })  # fmt: skip
+    return found
+
+
+def _films(done: Done) -> list[Path]:
+    """The videos, the views of the paper first."""
+    order = [*VIEWS, "orbit"]
+    place = {name: number for number, name in enumerate(order)}
+    films = sorted(done.films.glob("*.mp4"))
+    return sorted(films, key=lambda path: place.get(path.stem, len(order)))
+
+
+def prepare(done: Done | None, shown: Any, event: gr.EventData) -> Any:
+    """Make a file on demand; the panel then offers it."""
+    kind = str(event._data.get("kind")) if event._data else ""
+    if done is None or not done.films.exists():
+        return {**(shown or {}), "message": "The result is no longer here. Generate it again."}
+    try:
+        path = export(kind, done)
+    except InputError as error:
+        return {**_takeaway(done), "message": sentence(error)}
+    return {**_takeaway(done), "made": kind, "file": path.name}
+
+
+def _takeaway(done: Done) -> dict[str, Any]:
+    files, offers = [], []
+    for path in _films(done):
+        files.append(_link(path, f"Video, {path.stem}", "MP4"))
+    for name, (label, hint) in FILES.items():
+        for folder in (done.films, done.clip):
+            if (folder / name).exists():
+                files.append(_link(folder / name, label, hint))
+                break
+    for kind, offer in EXPORTS.items():
+        if (done.films / offer.file).exists():
+            files.append(_link(done.films / offer.file, offer.label, offer.hint))
+        elif offer.available():
+            offers.append({"kind": kind, "label": offer.label, "hint": offer.hint})
+    return {"files": files, "offers": offers}
+
+
+def _link(path: Path, label: str, hint: str) -> dict[str, Any]:
+    return {"label": label, "hint": hint, "file": file_of(path)}

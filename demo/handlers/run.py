@@ -1,0 +1,143 @@
+"""Events of a run: what it would take, its start, its study and its stop."""
+
+from __future__ import annotations
+
+from html import escape
+from typing import Any
+
+import gradio as gr
+
+from phy124.accuracy.forecast import GUESS
+from phy124.accuracy.load import spoken
+from phy124.errors import InputError
+from phy124.scene import Scene
+
+from ..catalogue import scene_of
+from ..forecast import promise_of, stops_table
+from ..identity import visitor_of
+from ..jobs import Studio, sentence
+from ..line import Job
+from ..progress import Progress
+from ..studies import Measurement
+from ..visitors import key
+from .event import Handler
+
+
+def forecaster(studio: Studio) -> Handler:
+    """Scene -> what it will take."""
+
+    def forecast(cutout: Any, scene: Any, request: gr.Request) -> str:
+        if not scene:
+            return ""
+        name, path = visitor_of(request), cutout.path if cutout else None
+        return with_stops(studio, name, path, scene, studio.forecast(name, path, scene))
+
+    return forecast
+
+
+def with_stops(
+    studio: Studio, name: str, cutout: str | None, data: Any, text: str, *, opened: bool = False
+) -> str:
+    """A forecast in one line that opens: what each stop of the accuracy slider would be.
+
+    Below it stands what was measured on this very scene, or that it can be measured.
+    """
+    visitor = studio.visitors.known(name)
+    try:
+        scene = scene_of(data, studio.settings, visitor and visitor.folder / "uploads")
+    except InputError:
+        return f"<p>{escape(text)}</p>"
+    known = visitor.forecasts.get(key(scene.data())) if visitor else None
+    count = studio.settings.gaussians
+    study = studio.study(name, cutout, scene)
+    stops = studio.forecaster.stops(scene, gaussians=count, seconds=known, study=study)
+    table = stops_table(stops, scene.accuracy)
+    if study is not None:
+        table += f"<p>What accuracy cost here, without pictures:</p>{study.table()}"
+    brief, _, rest = text.partition(": ")
+    if not rest:
+        return f"<p>{escape(text)}</p>{table}"
+    return (
+        f"<details{' open' if opened else ''}><summary>{escape(brief)}</summary>"
+        f"<p>{escape(rest)}</p>{table}</details>{_error_line(studio, name, cutout, scene, study)}"
+    )
+
+
+def _error_line(
+    studio: Studio, name: str, cutout: str | None, scene: Scene, study: Measurement | None
+) -> str:
+    """What was measured on this very scene, or a button that measures it."""
+    said = promise_of(scene, study)
+    if study is not None:
+        about = "no error can be promised" if said.error is None else f"about {said.error:.1%} off"
+        return f'<p class="measured">Measured: {about}.</p>'
+    if not said.unmeasured:
+        return ""
+    seconds = studio.study_seconds(name, cutout, scene)
+    span = spoken(studio.forecaster.load().span(seconds, unsure=GUESS))
+    button = '<button type="button" class="quiet" data-measure>Measure</button>'
+    return f"<p>Error not measured; {button} takes {span}.</p>"
+
+
+def refiner(studio: Studio) -> Handler:
+    """The same, measured on the visitor's own object where that is quick."""
+
+    def refine(cutout: Any, scene: Any, request: gr.Request) -> Any:
+        name = visitor_of(request)
+        text = studio.refine(name, cutout.path, scene) if cutout and scene else None
+        return gr.skip() if text is None else with_stops(studio, name, cutout.path, scene, text)
+
+    return refine
+
+
+def starter(studio: Studio) -> Handler:
+    """Cut-out and scene -> a piece of work that the progress panel follows, or what is wrong."""
+
+    def start(cutout: Any, scene: Any, request: gr.Request) -> tuple[Any, ...]:
+        try:
+            job = studio.run(visitor_of(request), cutout.path if cutout else None, scene)
+        except InputError as error:
+            state = "full" if error.field == "queue" else "refused"
+            return Progress(state=state, message=sentence(error)).data(), *rested()
+        return shown_job(job), *working()
+
+    return start
+
+
+def measurer(studio: Studio) -> Handler:
+    """Cut-out and scene -> its error is being measured, or what is wrong."""
+
+    def start_study(cutout: Any, scene: Any, request: gr.Request) -> tuple[Any, ...]:
+        try:
+            job = studio.measure(visitor_of(request), cutout.path if cutout else None, scene)
+        except InputError as error:
+            return Progress(state="refused", message=sentence(error)).data(), *rested()
+        return shown_job(job), *working()
+
+    return start_study
+
+
+def shown_job(job: Job) -> dict[str, Any]:
+    """A piece of work for the progress panel, which follows it."""
+    return {**job.progress.data(), "job": job.name, "kind": job.kind}
+
+
+def rested() -> tuple[Any, Any]:
+    """The buttons when nothing runs: Generate can be pressed, Cancel is gone."""
+    return gr.update(interactive=True), gr.update(visible=False)
+
+
+def working() -> tuple[Any, Any]:
+    """The buttons while something runs."""
+    return gr.update(interactive=False), gr.update(visible=True)
+
+
+def stopper(studio: Studio) -> Handler:
+    """Stop this visitor's work; the progress panel, which follows it, hears of it there."""
+
+    def stop(request: gr.Request) -> None:
+        visitor = studio.visitors.known(visitor_of(request))
+        if visitor is not None:
+            visitor.stop()
+
+    return stop

@@ -1,0 +1,13 @@
+"""Simulation: static Gaussians and a scene in, moving Gaussians out, frame by frame.
+
+    for frame in Simulation(gaussians, Scene.named("press")):
+        ...
+
+Frame 0 is the object at rest. A frame that goes wrong, by the solver's word or the watchdog's, is
+tried once more with half the substep; if that fails too, `Stopped` says why and the frames so far
+remain good. Runs of hours, or beyond the machine's memory, are refused before they start.
+"""
+
+from phy124.simulation.run import Interrupted, Simulation, Stopped
+
+__all__ = ["Interrupted", "Simulation", "Stopped"]

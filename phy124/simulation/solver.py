@@ -1,0 +1,73 @@
+"""The solver of a scene: its particles with their materials, forces and walls, at the start."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.boundaries import Ground
+from phy124.monitor.external_work import ExternalWork
+from phy124.mpm import Model, Solver, State
+from phy124.particles import Particles
+from phy124.scene import Scene
+
+FLOOR_NODE = 0.75
+"""A layer of nodes lies this many cells below the floor."""
+
+
+def solver_of(
+    particles: Particles,
+    stiffness: NDArray | None,
+    scene: Scene,
+    device: str,
+    threads: int | None,
+    external: ExternalWork,
+) -> Solver:
+    """The solver at time 0.
+
+    Args:
+        particles: The particles that move, sorted by law.
+        stiffness: Fraction of its material's E that each particle has [P]; None: all of it.
+        scene: What happens to them.
+        device: Warp device, "cpu" or "cuda:0".
+        threads: CPU threads, 1 or 2; None: two if they pay and a core is free.
+        external: Adds up what forces and walls give, if the scene's balance is checked.
+    """
+    x = particles.x.astype(np.float64)
+    v, C = _motion(x, particles.mass, scene)
+    floors = [b.height for b in scene.boundaries if isinstance(b, Ground)]
+    balance = scene.checks.balance
+    ceiling = math.inf if scene.time.substep is None else scene.time.substep
+    model = Model.of(
+        x,
+        particles.volume,
+        scene.materials,
+        dx=scene.dx,
+        material=particles.material,
+        stiffness=stiffness,
+        origin=(0.0, 0.0, (floors[0] if floors else 0.0) - FLOOR_NODE * scene.dx),
+        cfl=scene.resolution.cfl,
+        precision=scene.resolution.precision,
+        device=device,
+    )
+    return Solver(
+        model,
+        State.of(model, v, C),
+        forces=external.forces(scene.acting) if balance else scene.acting,
+        boundaries=external.boundaries(scene.boundaries) if balance else scene.boundaries,
+        accumulators=[external] if balance else [],
+        ceiling=ceiling,
+        threads=threads,
+        measure_every=scene.checks.measure,
+    )
+
+
+def _motion(x: NDArray, mass: NDArray, scene: Scene) -> tuple[NDArray, NDArray]:
+    """Velocities [P,3] and their gradient [P,3,3] of the rigid motion at the start."""
+    wx, wy, wz = scene.object.spin
+    gradient = np.array([[0, -wz, wy], [wz, 0, -wx], [-wy, wx, 0]])
+    middle = (mass[:, None] * x).sum(axis=0) / mass.sum()
+    v = np.array(scene.object.velocity) + (x - middle) @ gradient.T
+    return v, np.broadcast_to(gradient, (len(x), 3, 3))
