@@ -24,7 +24,7 @@ from phy124.boundaries import (
 )
 from phy124.errors import InputError
 from phy124.forces import Gravity
-from phy124.kernels import collide
+from phy124.kernels import collide, distance
 from phy124.kernels.build import kernel
 from phy124.materials import Fluid, Foam, NeoHookean, Plasticine, Sand, Snow
 from phy124.mpm import Solver
@@ -60,11 +60,11 @@ def settle(s: Solver, time: float, rate: float = 20.0) -> None:
 
 @cache
 def make_distances(shape: str):
-    distance = collide.SHAPES[shape]
+    measured = distance.SHAPES[shape]
 
     @kernel(f"phy124_test_distance_{shape}")
     def distances(geometry: wp.mat33d, x: wp.array(dtype=wp.vec3d), out: wp.array(dtype=wp.vec4d)):
-        out[wp.tid()] = distance(x[wp.tid()], geometry)
+        out[wp.tid()] = measured(x[wp.tid()], geometry)
 
     return distances
 
