@@ -125,7 +125,7 @@ def test_a_sphere_and_a_capsule_have_a_normal_at_their_middle():
 
 @cache
 def make_answers(response: str):
-    answer = collide.RESPONSES[response]
+    answer = collide.RESPONSES[response].answer
 
     @kernel(f"phy124_test_answer_{response}")
     def answers(

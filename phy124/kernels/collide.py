@@ -20,7 +20,7 @@ ends, g = (1, -w0 / w1, 0) with the weights w of the nodes there.
 """
 
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import warp as wp
 
@@ -77,10 +77,6 @@ def coulomb(along: Any, pressed: Any, friction: Any):
     return friction * pressed / wanted
 
 
-RESPONSES = {"sticky": sticky, "slip": slip, "separate": separate, "held": sticky}
-HOLDS = {"sticky": all_of_it, "slip": none_of_it, "separate": coulomb, "held": all_of_it}
-
-
 @wp.func
 def covered(u: Any):
     """Fraction of a quadratic B-spline on the far side of a plane u cells before its middle."""
@@ -107,6 +103,14 @@ def steepest(n: Any):
 
 
 @wp.func
+def inward(s: Any, axis: int):
+    """The step along an axis from one node to the next, towards a wall at the distance s."""
+    step = wp.vec3i()
+    step[axis] = -int(wp.sign(s[axis]))
+    return step
+
+
+@wp.func
 def place(lattice: Any, node: wp.vec3i):
     """Where a node of the grid is."""
     dx = lattice[3]
@@ -124,16 +128,15 @@ def front(s: Any, axis: int, dx: Any):
 
 
 @wp.func
-def tied(v: Any, m: Any, g: Any):
-    """Change of velocities [node, axis] of masses m that makes them follow with ratios g."""
-    weight = wp.cw_mul(g, m)
-    return wp.outer(g, (wp.transpose(v) @ weight) / wp.dot(weight, g)) - v
+def xyz(q: Any):
+    """The velocity of a node, the normal of a distance, or the place in a track."""
+    return wp.vector(q[0], q[1], q[2])
 
 
 @wp.func
-def velocity(q: Any):
-    """The velocity of a node, or the normal of a distance."""
-    return wp.vector(q[0], q[1], q[2])
+def relative(q0: Any, q1: Any, q2: Any, wall: Any):
+    """The velocities of a column's nodes relative to a wall [node, axis]."""
+    return wp.matrix_from_rows(xyz(q0) - wall, xyz(q1) - wall, xyz(q2) - wall)
 
 
 @wp.func
@@ -143,6 +146,21 @@ def holds(size: wp.vec3i, span: wp.vec2i, node: wp.vec3i):
         node[0] >= span[0] and node[1] >= 0 and node[2] >= 0
         and node[0] < span[1] and node[1] < size[1] and node[2] < size[2]
     )  # fmt: skip
+
+
+@wp.func
+def strides(size: wp.vec3i):
+    """How far apart in memory neighbours along each axis are."""
+    return wp.vec3i(size[1] * size[2], size[2], 1)
+
+
+@wp.func
+def laden(grid: wp.array(dtype=Any), size: wp.vec3i, span: wp.vec2i, node: wp.vec3i):
+    """Whether a node is one that a launch may touch, and has mass."""
+    if not holds(size, span, node):
+        return False
+    q = grid[wp.dot(node, strides(size))]
+    return q[3] > type(q[3])(0.0)
 
 
 FULL = wp.constant(0.8)
@@ -164,18 +182,98 @@ def arrived(m: Any, near: Any, far: Any, lightest: Any):
     return m[1] > type(near)(0.0) and m[1] * covered(far) >= full
 
 
+@wp.func
+def joined(m: Any, near: Any, far: Any, lightest: Any):
+    """Whether the node next to the surface of a region that holds has mass."""
+    return not m[1] <= type(near)(0.0)
+
+
+@wp.func
+def linear(distances: Any, across: Any):
+    """Ratios g of a velocity that is linear in the distance and zero on the wall."""
+    return distances / distances[0]
+
+
+@wp.func
+def ending(distances: Any, across: Any):
+    """Ratios g of a velocity that is zero where the region ends; cells are `across` wide."""
+    one = type(across)(1.0)
+    w = spline(distances[0] / across)
+    return wp.vector(one, -w[0] / w[1], type(across)(0.0))
+
+
+@wp.func
+def tied(v: Any, m: Any, g: Any):
+    """Change of velocities [node, axis] of masses m that makes them follow with ratios g."""
+    weight = wp.cw_mul(g, m)
+    return wp.outer(g, (wp.transpose(v) @ weight) / wp.dot(weight, g)) - v
+
+
+@wp.func
+def along_wall(change: Any, normal: Any):
+    """The part of changes [node, axis] that is along a wall."""
+    return change - wp.outer(change * normal, normal)
+
+
+@wp.func
+def pressing(pressed: Any):
+    """Only what is pushed back answers: the wall lets go of what leaves."""
+    return pressed > type(pressed)(0.0)
+
+
+@wp.func
+def either_way(pressed: Any):
+    """What leaves answers, too: the wall does not let go."""
+    return True
+
+
+@wp.func
+def add_rows(grid: wp.array(dtype=Any), first: int, step: int, m: Any, change: Any):
+    """Add changes of velocity [node, axis] to a column's nodes, where there is mass."""
+    for row in range(3):
+        if m[row] > type(m[row])(0.0):
+            grid[first + row * step] += wp.vector(
+                change[row, 0], change[row, 1], change[row, 2], type(m[row])(0.0)
+            )
+
+
+class Response(NamedTuple):
+    """How nodes answer to a wall: one by one, or as a column of three that meets it."""
+
+    answer: Any
+    """`(v, wall, n, friction) -> v` of a node by itself."""
+    acts: Any
+    """`(m, near, far, lightest)`: whether the wall acts on a column yet."""
+    ratios: Any
+    """`(distances, across) -> g`, how the velocities of a column follow the first."""
+    pushes: Any
+    """`(pressed)`: whether it acts, by the impulse per mass along its normal."""
+    hold: Any
+    """`(along, pressed, friction)`: what fraction of the motion along the wall it takes."""
+
+
+RESPONSES = {
+    "sticky": Response(sticky, arrived, linear, either_way, all_of_it),
+    "slip": Response(slip, arrived, linear, either_way, none_of_it),
+    "separate": Response(separate, arrived, linear, pressing, coulomb),
+    "held": Response(sticky, joined, ending, either_way, all_of_it),
+}
+
+
 @cache
 def make_contact(shape: str, response: str, moving: bool, real: Any):
     """Kernel over the nodes of a sub-box: columns of three nodes at a wall answer to it.
 
-    Nodes further behind, or of columns without material in front, answer one by one below `reach`
-    m of signed distance; so do columns that leave `span`, the layers first <= i < last that this
-    launch may touch. A moving shape is displaced by the value of its track and its wall moves at
-    the track's rate, while the track is active. `lightest` is the mass of a node amid the lightest
-    of several materials [kg], or infinite.
+    The first node of a column does the work for all three. Nodes further behind, or of columns
+    without material in front, answer one by one below `reach` m of signed distance; so do columns
+    that leave `span`, the layers first <= i < last that this launch may touch. A moving shape is
+    displaced by the value of its track and its wall moves at the track's rate, while the track is
+    active. `lightest` is the mass of a node amid the lightest of several materials [kg], or
+    infinite.
     """
     t = types(real)
-    distance, answer, hold = SHAPES[shape], RESPONSES[response], HOLDS[response]
+    distance = SHAPES[shape]
+    answer, acts, ratios, pushes, hold = RESPONSES[response]
     name = f"phy124_contact_{shape}_{response}_{'moving' if moving else 'still'}_{real.__name__}"
 
     @kernel(name)
@@ -195,27 +293,28 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
         wall = t.vec3()
         active = real(1.0)
         if wp.static(moving):
-            moved = velocity(values[slot])
-            wall = velocity(rates[slot])
+            moved = xyz(values[slot])
+            wall = xyz(rates[slot])
             active = values[slot][3]
-        stride = wp.vec3i(size[1] * size[2], size[2], 1)
+        stride = strides(size)
         n = wp.dot(here, stride)
         if active <= real(0.0) or not holds(size, span, here):
             return
         if grid_out[n][3] <= real(0.0):
             return
+
+        # The first of three nodes at the wall leads; here may be that one, or one of those behind.
         low = window[0]
         dx = lattice[3]
         s = distance(place(lattice, low + here) - moved, geometry)
         axis = steepest(s)
-        back = wp.vec3i()
-        back[axis] = -int(wp.sign(s[axis]))
+        back = inward(s, axis)
         s1 = distance(place(lattice, low + here + back) - moved, geometry)
+        leads = front(s, axis, dx)
+        if leads and front(s1, axis, dx):
+            return
         lead = here
-        if front(s, axis, dx):
-            if front(s1, axis, dx):
-                return
-        else:
+        if not leads:
             lead = here - back
             if not front(distance(place(lattice, low + lead) - moved, geometry), axis, dx):
                 lead = lead - back
@@ -224,48 +323,34 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
         s0 = distance(place(lattice, low + lead) - moved, geometry)
         s2 = distance(place(lattice, low + end) - moved, geometry)
         column = front(s0, axis, dx) and s2[3] <= real(0.0)
-        if not (column and holds(size, span, lead) and holds(size, span, end)):
-            column = False
-        elif grid_out[wp.dot(lead, stride)][3] <= real(0.0):
-            column = False
-        if not column:
+
+        # A node without such a column answers by itself.
+        if not (column and laden(grid_out, size, span, lead) and holds(size, span, end)):
             if s[3] < reach:
-                u = answer(velocity(grid_out[n]), wall, velocity(s), friction)
-                grid_out[n] = wp.vector(u[0], u[1], u[2], grid_out[n][3])
+                v = answer(xyz(grid_out[n]), wall, xyz(s), friction)
+                grid_out[n] = wp.vector(v[0], v[1], v[2], grid_out[n][3])
             return
-        if not front(s, axis, dx):
+        if not leads:
             return
+
+        # The column follows the wall; masses are shares, for squares of momenta in small units
+        # would be nothing in float32.
         q0 = grid_out[n]
         q1 = grid_out[n + step]
         q2 = grid_out[n + 2 * step]
-        # Shares of the mass: squares of momenta in small units would be nothing in float32.
         mass = q0[3] + q1[3] + q2[3]
         m = wp.vector(q0[3], q1[3], q2[3]) / mass
-        normal = velocity(s0)
+        normal = xyz(s0)
         across = dx * wp.abs(normal[axis])
-        g = wp.vector(s0[3], s1[3], s2[3]) / s0[3]
-        if wp.static(response == "held"):
-            w = spline(s0[3] / across)
-            g = wp.vector(real(1.0), -w[0] / w[1], real(0.0))
-            if m[1] <= real(0.0):
-                return
-        elif not arrived(m, s1[3] / across, s0[3] / across, lightest / mass):
-            return
-        v = wp.matrix_from_rows(velocity(q0) - wall, velocity(q1) - wall, velocity(q2) - wall)
-        stop = tied(v, m, g) * normal
-        pressed = wp.dot(m, stop)
-        if wp.static(response == "separate"):
-            if pressed <= real(0.0):
-                return
-        drag = tied(v, m, g)
-        drag -= wp.outer(drag * normal, normal)
-        change = wp.outer(stop, normal) + drag * hold(wp.transpose(drag) * m, pressed, friction)
-        for row in range(3):
-            if m[row] > real(0.0):
-                node = n + row * step
-                grid_out[node] += wp.vector(
-                    change[row, 0], change[row, 1], change[row, 2], real(0.0)
-                )
+        g = ratios(wp.vector(s0[3], s1[3], s2[3]), across)
+        if acts(m, s1[3] / across, s0[3] / across, lightest / mass):
+            change = tied(relative(q0, q1, q2, wall), m, g)
+            stop = change * normal
+            pressed = wp.dot(m, stop)
+            drag = along_wall(change, normal)
+            if pushes(pressed):
+                taken = hold(wp.transpose(drag) * m, pressed, friction)
+                add_rows(grid_out, n, step, m, wp.outer(stop, normal) + drag * taken)
 
     return contact
 
@@ -278,7 +363,7 @@ def make_collider(shape: str, response: str, moving: bool, real: Any):
     value of its track and its wall moves at the track's rate, while the track is active.
     """
     t = types(real)
-    distance, answer = SHAPES[shape], RESPONSES[response]
+    distance, answer = SHAPES[shape], RESPONSES[response].answer
     name = f"phy124_collide_{shape}_{response}_{'moving' if moving else 'still'}_{real.__name__}"
 
     @kernel(name)
@@ -292,29 +377,20 @@ def make_collider(shape: str, response: str, moving: bool, real: Any):
     ):  # fmt: skip
         i, j, k = wp.tid()
         size = window[1]
-        i += start[0]
-        j += start[1]
-        k += start[2]
-        if i < size[0] and j < size[1] and k < size[2]:
-            n = (i * size[1] + j) * size[2] + k
+        node = wp.vec3i(i, j, k) + start
+        if node[0] < size[0] and node[1] < size[1] and node[2] < size[2]:
+            n = wp.dot(node, strides(size))
             q = grid_out[n]
-            low = window[0]
-            x = wp.vector(
-                lattice[0] + lattice[3] * real(low[0] + i),
-                lattice[1] + lattice[3] * real(low[1] + j),
-                lattice[2] + lattice[3] * real(low[2] + k),
-            )
+            x = place(lattice, window[0] + node)
             wall = t.vec3()
             active = real(1.0)
             if wp.static(moving):
-                here = values[slot]
-                rate = rates[slot]
-                x -= wp.vector(here[0], here[1], here[2])
-                wall = wp.vector(rate[0], rate[1], rate[2])
-                active = here[3]
+                x -= xyz(values[slot])
+                wall = xyz(rates[slot])
+                active = values[slot][3]
             s = distance(x, geometry)
             if active > real(0.0) and q[3] > real(0.0) and s[3] < reach:
-                v = answer(wp.vector(q[0], q[1], q[2]), wall, wp.vector(s[0], s[1], s[2]), friction)
+                v = answer(xyz(q), wall, xyz(s), friction)
                 grid_out[n] = wp.vector(v[0], v[1], v[2], q[3])
 
     return collide
