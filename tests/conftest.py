@@ -57,3 +57,13 @@ def three_gaussians() -> Gaussians:
     scales = np.array([[0.1, 0.05, 0.02], [0.08, 0.08, 0.01], [0.03, 0.06, 0.09]])
     means = np.array([[0, 0, 0], [0.2, 0.1, 0.3], [-0.1, 0.2, -0.2]])
     return Gaussians.from_rgb(means, quats, scales, np.array([0.9, 0.5, 0.7]), np.eye(3))
+
+
+@pytest.fixture
+def ros(monkeypatch):
+    """A double of rclpy; what it has seen."""
+    from support import ros_double
+
+    sigterm = signal.getsignal(signal.SIGTERM)
+    yield ros_double.install(monkeypatch)
+    signal.signal(signal.SIGTERM, sigterm)

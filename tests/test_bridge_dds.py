@@ -97,18 +97,18 @@ def check_every_frame_arrives(domain, frames, count, profile="full", **playing):
 
 def test_two_processes(domain):
     # Patient, so that a busy machine cannot make it fail.
-    check_every_frame_arrives(domain, frames=15, count=8192, patience=TIMEOUT)
+    check_every_frame_arrives(domain, frames=15, count=8192, lateness=TIMEOUT)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("attempt", range(3))
 def test_sixty_of_sixty_frames_of_the_live_defaults_at_30_hz(domain, attempt):
-    check_every_frame_arrives(domain, frames=60, count=LIVE_POINTS, profile=None, patience=TIMEOUT)
+    check_every_frame_arrives(domain, frames=60, count=LIVE_POINTS, profile=None, lateness=TIMEOUT)
 
 
 def test_a_subscriber_that_hangs_neither_ends_nor_stops_the_show(domain, monkeypatch):
     """cyclonedds stumbles over its own word for a timeout while it waits for acknowledgements."""
-    monkeypatch.setattr(delivery, "PATIENCE", 0.05)
+    monkeypatch.setattr(delivery, "LONGEST_WAIT", 0.05)
     monkeypatch.setattr(delivery, "FAREWELL", 0.05)
     with subscriber(domain, "--quiet", "30") as other:
         with DdsSink(Options(epoch=EPOCH)) as sink:

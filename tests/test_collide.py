@@ -1,0 +1,107 @@
+"""Walls on the grid: their distances and normals, and how they answer a velocity."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+import warp as wp
+
+from phy124.boundaries import (
+    Box,
+    Capsule,
+    Ground,
+    HalfSpace,
+    Held,
+    Sphere,
+)
+from phy124.kernels import collide
+from phy124.kernels.build import kernel
+from support.distances import distances
+
+DX = 0.1
+EYE = np.eye(3)
+
+
+def segment_distance(x: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    fraction = np.clip((x - a) @ (b - a) / ((b - a) @ (b - a)), 0, 1)
+    return np.linalg.norm(x - a - fraction[:, None] * (b - a), axis=1)
+
+
+@pytest.mark.parametrize(
+    ("wall", "exact"),
+    [
+        (Ground(height=0.3), lambda x: x[:, 2] - 0.3),
+        (HalfSpace(point=(1, 0, 0), normal=(0, 3, 4)), lambda x: (x - [1, 0, 0]) @ [0, 0.6, 0.8]),
+        (Sphere(centre=(0.1, 0, 0), radius=0.5),
+         lambda x: np.linalg.norm(x - [0.1, 0, 0], axis=1) - 0.5),
+        (Capsule(start=(0, 0, 0), end=(0.3, 0.4, 0), radius=0.2),
+         lambda x: segment_distance(x, np.zeros(3), np.array([0.3, 0.4, 0])) - 0.2),
+        (Held(lower=(-0.5, -0.4, -0.2), upper=(0.5, 0.4, 0.6), cylinder="z"),
+         lambda x: np.maximum(np.hypot(x[:, 0], x[:, 1]) - 0.4, np.abs(x[:, 2] - 0.2) - 0.4)),
+        (Box(lower=(-0.5, -0.2, 0), upper=(0.5, 0.2, 0.9)),
+         lambda x: np.max(np.abs(x - [0, 0, 0.45]) - [0.5, 0.2, 0.45], axis=1)),
+    ],
+    ids=lambda value: getattr(value, "kind", ""),
+)  # fmt: skip
+def test_shapes_know_their_distance_and_normal(wall, exact, rng):
+    x = rng.uniform(-1, 1, (500, 3))
+    geometry = wall.geometry(None)
+    normals, signed = distances(wall.outline(), geometry, x)
+    inside = signed < 0.5  # beyond its faces a box promises only the face's own distance
+    np.testing.assert_allclose(signed, exact(x), atol=1e-12)
+    for axis in range(3):
+        ahead, behind = (
+            distances(wall.outline(), geometry, x + s * 1e-6 * EYE[axis])[1] for s in (1, -1)
+        )
+        slope = (ahead - behind) / 2e-6
+        smooth = np.abs(slope - normals[:, axis]) < 1e-4
+        assert smooth[inside].mean() > 0.99
+
+
+def test_a_sphere_and_a_capsule_have_a_normal_at_their_middle():
+    for shape, geometry in (
+        ("sphere", [[0, 0, 0], [1, 0, 0], [0, 0, 0]]),
+        ("capsule", [[0, 0, 0], [1, 0, 0], [0.5, 0, 0]]),
+    ):
+        normal, signed = distances(shape, geometry, np.array([[0.0, 0, 0]]))
+        assert np.linalg.norm(normal) == 1
+        assert signed[0] == -geometry[1 if shape == "sphere" else 2][0]
+
+
+@cache
+def make_answers(response: str):
+    answer = collide.RESPONSES[response].answer
+
+    @kernel(f"phy124_test_answer_{response}")
+    def answers(
+        v: wp.array(dtype=wp.vec3d), wall: wp.vec3d, n: wp.vec3d, friction: wp.float64,
+        out: wp.array(dtype=wp.vec3d),
+    ):  # fmt: skip
+        out[wp.tid()] = answer(v[wp.tid()], wall, n, friction)
+
+    return answers
+
+
+def test_walls_answer_as_their_contact_says(rng):
+    v, wall = rng.standard_normal((300, 3)), np.array([0.3, -0.2, 0.1])
+    n, friction = np.array([0.6, 0.0, 0.8]), 0.3
+    got = {}
+    for response in ("sticky", "slip", "separate"):
+        out = wp.zeros(300, dtype=wp.vec3d)
+        inputs = [wp.array(v, dtype=wp.vec3d), wp.vec3d(*wall), wp.vec3d(*n), friction]
+        wp.launch(make_answers(response), 300, inputs=inputs, outputs=[out])
+        got[response] = out.numpy()
+    relative = v - wall
+    speed = relative @ n
+    along = relative - speed[:, None] * n
+    np.testing.assert_allclose(got["sticky"], np.tile(wall, (300, 1)))
+    np.testing.assert_allclose(got["slip"], wall + along, atol=1e-14)
+    leaving = speed >= 0
+    np.testing.assert_array_equal(got["separate"][leaving], v[leaving])
+    length = np.linalg.norm(along, axis=1, keepdims=True)
+    fraction = np.maximum(0, 1 + friction * speed[:, None] / length)
+    np.testing.assert_allclose(
+        got["separate"][~leaving], (wall + fraction * along)[~leaving], atol=1e-14
+    )
+    assert np.any(fraction[~leaving] == 0)
+    assert np.any(fraction[~leaving] > 0)
