@@ -14,8 +14,15 @@ from phy124.kernels.build import kernel
 from phy124.kernels.spectral import to_double
 from phy124.kernels.transfer import Law, types
 
-SUMS = 12
-"""Momentum 3, angular momentum 3, kinetic and elastic energy, mass times position 3, power."""
+MOMENTUM, ANGULAR, KINETIC, ELASTIC, MIDDLE, POWER, SUMS = 0, 3, 6, 7, 8, 11, 12
+"""Where each sum stands, vectors by their first, and how many sums there are.
+
+`MIDDLE` is mass times position; the power is that of the elastic stress, V tau : C.
+"""
+LEAST_J, LARGEST_J = 0, 1
+"""Where each end of the range of J stands; of the least one it is -J that is greatest."""
+BROKEN, INVERTED = 0, 1
+"""Where each kind of unsound particle stands: not finite, inside out."""
 
 
 @wp.func
@@ -50,11 +57,11 @@ def spin(C: Any, dx: Any):
 
 @cache
 def make_totals(law: Law, real: Any):
-    """Kernel: `SUMS` over the particles, -min J and max J, and the unsound particles.
+    """Kernel: `SUMS` over the particles, the range of J, and the unsound particles.
 
-    The power is that of the elastic stress, V tau : C, with which kinetic energy goes into elastic.
-    `counts_out` is (not finite, inside out), `first_out` the lowest index of each. Each thread adds
-    up `each` particles before it writes, as in `make_measure`.
+    The power is that with which kinetic energy goes into elastic. `counts_out` is how many unsound
+    particles of each kind there are, `first_out` the lowest index of each. Each thread adds up
+    `each` particles before it writes, as in `make_measure`.
     """
     t = types(real)
     theta_type = wp.types.vector(law.width, real)
@@ -101,24 +108,24 @@ def make_totals(law: Law, real: Any):
                     power = wp.ddot(tau, to_double(C[p])) * wp.float64(volume[p])
                     turning = wp.cross(here, moving) + spin(C[p], dx)
                     for i in range(3):
-                        sums[i] += m * moving[i]
-                        sums[3 + i] += m * turning[i]
-                        sums[8 + i] += m * here[i]
-                    sums[6] += kinetic
-                    sums[7] += psi * wp.float64(volume[p])
-                    sums[11] += power
+                        sums[MOMENTUM + i] += m * moving[i]
+                        sums[ANGULAR + i] += m * turning[i]
+                        sums[MIDDLE + i] += m * here[i]
+                    sums[KINETIC] += kinetic
+                    sums[ELASTIC] += psi * wp.float64(volume[p])
+                    sums[POWER] += power
                     min_J = wp.min(min_J, J)
                     max_J = wp.max(max_J, J)
                     if J <= wp.float64(0.0):
-                        wp.atomic_add(counts_out, 1, 1)
-                        wp.atomic_min(first_out, 1, start + p)
+                        wp.atomic_add(counts_out, INVERTED, 1)
+                        wp.atomic_min(first_out, INVERTED, start + p)
                 else:
-                    wp.atomic_add(counts_out, 0, 1)
-                    wp.atomic_min(first_out, 0, start + p)
+                    wp.atomic_add(counts_out, BROKEN, 1)
+                    wp.atomic_min(first_out, BROKEN, start + p)
         for i in range(wp.static(SUMS)):
             wp.atomic_add(sums_out, i, sums[i])
-        wp.atomic_max(range_out, 0, -min_J)
-        wp.atomic_max(range_out, 1, max_J)
+        wp.atomic_max(range_out, LEAST_J, -min_J)
+        wp.atomic_max(range_out, LARGEST_J, max_J)
 
     return totals
 

@@ -13,8 +13,11 @@ from phy124.kernels.build import kernel
 from phy124.kernels.diagnostics import add3, kinetic_energy, wide
 from phy124.kernels.transfer import types
 
-GIVEN = 6
-"""Impulse 3, work, and the sums of the sizes of all impulses and of all works."""
+IMPULSE, WORK, MOVED, TURNED, GIVEN = 0, 3, 4, 5, 6
+"""Where each sum stands, the impulse by its first, and how many sums there are.
+
+`MOVED` and `TURNED` are the sums of the sizes of all impulses and of all works.
+"""
 
 
 @wp.func
@@ -23,10 +26,10 @@ def add_given(
     turned: wp.float64,
 ):  # fmt: skip
     """Add to `GIVEN` sums."""
-    add3(given, 0, impulse)
-    wp.atomic_add(given, 3, work)
-    wp.atomic_add(given, 4, moved)
-    wp.atomic_add(given, 5, turned)
+    add3(given, IMPULSE, impulse)
+    wp.atomic_add(given, WORK, work)
+    wp.atomic_add(given, MOVED, moved)
+    wp.atomic_add(given, TURNED, turned)
 
 
 @cache

@@ -9,6 +9,7 @@ from typing import Any
 
 import warp as wp
 
+from phy124.kernels import maxima as at
 from phy124.kernels.build import kernel
 
 DONE, LOOK, CAREFUL = 1, 2, 3
@@ -108,6 +109,12 @@ def spare(x: wp.float64, origin: wp.float64, dx: wp.float64):
 
 
 @wp.func
+def corner(maxima: wp.array(dtype=Any), i: int):
+    """Three of the numbers as a vector in float64, from the i-th on."""
+    return wp.vec3d(wp.float64(maxima[i]), wp.float64(maxima[i + 1]), wp.float64(maxima[i + 2]))
+
+
+@wp.func
 def roomy(low: wp.vec3d, high: wp.vec3d, window: wp.array(dtype=wp.vec3i), given: Limits):
     """Whether the window leaves room to move beyond the particles, and not far too much."""
     fits = bool(True)
@@ -176,11 +183,13 @@ def make_timestep(real: Any):
         s.reason = 0
         look = s.strain > given.strain
         if s.since >= given.every:
-            s.speed = wp.float64(maxima[0])
-            s.gradient = wp.float64(maxima[1])
-            s.stiffness = wp.max(wp.float64(maxima[2]), given.memory * s.stiffness)
-            low = -wp.vec3d(wp.float64(maxima[3]), wp.float64(maxima[4]), wp.float64(maxima[5]))
-            high = wp.vec3d(wp.float64(maxima[6]), wp.float64(maxima[7]), wp.float64(maxima[8]))
+            s.speed = wp.float64(maxima[wp.static(at.SPEED)])
+            s.gradient = wp.float64(maxima[wp.static(at.GRADIENT)])
+            s.stiffness = wp.max(
+                wp.float64(maxima[wp.static(at.STIFFNESS)]), given.memory * s.stiffness
+            )
+            low = -corner(maxima, wp.static(at.LOW))
+            high = corner(maxima, wp.static(at.HIGH))
             look = look or stray[0] > 0 or not roomy(low, high, window, given)
             if not look:
                 s.since = 0

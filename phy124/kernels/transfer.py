@@ -17,6 +17,7 @@ import warp as wp
 
 from phy124.kernels import simd
 from phy124.kernels.build import kernel
+from phy124.kernels.maxima import GRADIENT, HIGH, LOW, SPEED, STIFFNESS
 from phy124.kernels.reduction import add, finite, greater, raise_to
 from phy124.kernels.spline import offsets, spline
 
@@ -270,9 +271,9 @@ def make_g2p(law: Law, real: Any, form: str):
 def make_measure(law: Law, real: Any):
     """Kernel: what limits the substep and where the particles are, every few substeps.
 
-    Nine maxima: |v| [m/s], |C| [1/s], A / rho0 [m^2/s^2], then -x, -y, -z, x, y, z [m], of the
-    particles inside the domain. Those that are not finite are counted as stray. Each thread looks
-    at `each` particles, `stride` apart, the first of them `first` times its number.
+    The maxima (phy124/kernels/maxima.py) are of the particles inside the domain. Those that are not
+    finite are counted as stray. Each thread looks at `each` particles, `stride` apart, the first of
+    them `first` times its number.
     """
     t = types(real)
     theta_type = wp.types.vector(law.width, real)
@@ -315,11 +316,11 @@ def make_measure(law: Law, real: Any):
                     for axis in range(3):
                         low[axis] = greater(low[axis], -here[axis])
                         high[axis] = greater(high[axis], here[axis])
-        raise_to(maxima_out, 0, speed)
-        raise_to(maxima_out, 1, gradient)
-        raise_to(maxima_out, 2, stiffness)
+        raise_to(maxima_out, SPEED, speed)
+        raise_to(maxima_out, GRADIENT, gradient)
+        raise_to(maxima_out, STIFFNESS, stiffness)
         for axis in range(3):
-            raise_to(maxima_out, 3 + axis, low[axis])
-            raise_to(maxima_out, 6 + axis, high[axis])
+            raise_to(maxima_out, LOW + axis, low[axis])
+            raise_to(maxima_out, HIGH + axis, high[axis])
 
     return measure

@@ -10,7 +10,8 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from phy124.kernels.diagnostics import SUMS, make_energies, make_totals
+from phy124.kernels import diagnostics as at
+from phy124.kernels.diagnostics import make_energies, make_totals
 from phy124.kernels.reduction import shared_out
 from phy124.mpm import Clock, Model, Solver, State
 from phy124.mpm.state import part_of
@@ -53,7 +54,7 @@ class Diagnostics:
     def of(cls, model: Model, state: State, clock: Clock) -> Diagnostics:
         """Add up a state, in float64."""
         device = model.device
-        sums = wp.zeros(SUMS, dtype=wp.float64, device=device)
+        sums = wp.zeros(at.SUMS, dtype=wp.float64, device=device)
         spread = wp.array([-math.inf, -math.inf], dtype=wp.float64, device=device)
         counts = wp.zeros(2, dtype=int, device=device)
         first = wp.array([NOBODY, NOBODY], dtype=int, device=device)
@@ -74,11 +75,19 @@ class Diagnostics:
         total: NDArray[Any] = sums.numpy()
         ends, found, index = (np.asarray(array.numpy()) for array in (spread, counts, first))
         return cls(
-            momentum=total[:3], angular=total[3:6], kinetic=float(total[6]),
-            elastic=float(total[7]), lag=-clock.last_dt / 2 * float(total[11]), middle=total[8:11],
-            min_J=-float(ends[0]), max_J=float(ends[1]), broken=int(found[0]),
-            inverted=int(found[1]), first_broken=int(index[0]), first_inverted=int(index[1]),
-        )  # fmt: skip
+            momentum=total[at.MOMENTUM : at.MOMENTUM + 3],
+            angular=total[at.ANGULAR : at.ANGULAR + 3],
+            kinetic=float(total[at.KINETIC]),
+            elastic=float(total[at.ELASTIC]),
+            lag=-clock.last_dt / 2 * float(total[at.POWER]),
+            middle=total[at.MIDDLE : at.MIDDLE + 3],
+            min_J=-float(ends[at.LEAST_J]),
+            max_J=float(ends[at.LARGEST_J]),
+            broken=int(found[at.BROKEN]),
+            inverted=int(found[at.INVERTED]),
+            first_broken=int(index[at.BROKEN]),
+            first_inverted=int(index[at.INVERTED]),
+        )
 
     @property
     def energy(self) -> float:

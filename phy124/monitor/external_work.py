@@ -27,6 +27,8 @@ PUSH, UNIFORM = "push", "uniform"
 WALLS = ("wall", "wall of the second worker")
 """Accumulators: forces on particles, walls by worker, a uniform acceleration that varies."""
 ACCUMULATORS = (PUSH, *WALLS, UNIFORM)
+IMPULSES = slice(kernels.IMPULSE, kernels.IMPULSE + 3)
+"""Where the impulse stands among the sums."""
 Sums = NDArray[np.float64]
 
 
@@ -87,7 +89,7 @@ class ExternalWork:
     def begin(self, momentum: Sums) -> None:
         """A frame begins with this momentum [kg m/s]: the work of what varies depends on it."""
         if self._tracks.vary:
-            self._momentum = momentum - self._total()[:3]
+            self._momentum = momentum - self._total()[IMPULSES]
             self._set_base()
 
     def given(self, clock: Clock, way: Sums) -> Given:
@@ -99,7 +101,8 @@ class ExternalWork:
             impulse = self._model.total_mass * a * (clock.time - clock.last_dt / 2 - self._opened)
             work = float(a @ way)
             total = total + np.array([*impulse, work, np.linalg.norm(impulse), abs(work)])
-        return Given(total[:3], *total[3:].tolist())
+        work, moved, turned = total[[kernels.WORK, kernels.MOVED, kernels.TURNED]].tolist()
+        return Given(total[IMPULSES], work, moved, turned)
 
     def snapshot(self) -> dict[str, Any]:
         """What goes on from here, as plain data."""
@@ -151,8 +154,8 @@ class ExternalWork:
 
     def _set_base(self) -> None:
         """Momentum without what the open sums hold; the walls' last impulse is in theirs."""
-        self._base.assign(self._momentum + sum(sums[:3] for sums in self._closed.values()))
-        walls = [self._device[name].numpy()[:3] for name in WALLS if name in self._device]
+        self._base.assign(self._momentum + sum(sums[IMPULSES] for sums in self._closed.values()))
+        walls = [self._device[name].numpy()[IMPULSES] for name in WALLS if name in self._device]
         self._walls_before.assign(np.sum(walls, axis=0) if walls else np.zeros(3))
 
     def _attach_push(self, model: Model, state: State, tracks: Tracks) -> tuple[Stage, Stage]:

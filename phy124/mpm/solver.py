@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from phy124.mpm.clock import MEASURE_EVERY, Clock
 from phy124.mpm.graph import Graph, usable
 from phy124.mpm.grid import Grid, Unstable
+from phy124.mpm.maxima import Maxima
 from phy124.mpm.model import Model
 from phy124.mpm.outliers import Outliers
 from phy124.mpm.rejection import StepRejection
@@ -27,7 +28,6 @@ from phy124.mpm.stage import Accumulator, Attachable, Named
 from phy124.mpm.state import State
 from phy124.mpm.substep import Recorder
 from phy124.mpm.threads import SecondThread
-from phy124.mpm.timestep import Extremes
 from phy124.mpm.workers import (
     GATHER,
     SCATTER,
@@ -246,13 +246,14 @@ class Solver:
     def _measure(self) -> None:
         """Read the stability limits and make the windows fit; raises Unstable."""
         found = self._maxima()
-        if self.outliers.confine(*_corners(found.max(axis=0))):
+        if self.outliers.confine(*Maxima.of(found.max(axis=0)).corners):
             found = self._maxima()
         overall = found.max(axis=0)
-        self.clock.extremes = Extremes(*overall[:3].tolist()).after(self.clock.extremes)
+        measured = Maxima.of(overall)
+        self.clock.extremes = measured.extremes.after(self.clock.extremes)
         # A particle that comes back to the others may be beyond the window.
         self.grid.stale |= self.outliers.changed
-        changed = self.grid.fit(*_corners(overall))
+        changed = self.grid.fit(*measured.corners)
         for worker, own in zip(self.workers, found, strict=True):
             changed |= self._fit(worker, np.where(np.isfinite(own), own, overall), changed)
         if changed:
@@ -264,10 +265,10 @@ class Solver:
         """Make a worker's private nodes fit; whether they changed."""
         if worker.nodes is self.grid:
             return False
-        return fit_part(worker.nodes, self.grid, *_corners(own), force=force)
+        return fit_part(worker.nodes, self.grid, *Maxima.of(own).corners, force=force)
 
     def _maxima(self) -> NDArray[np.float64]:
-        """What limits each worker [W,9]; raises Unstable."""
+        """What each worker measures, one row each [W,9]; raises Unstable."""
         if self._second.alive:
             self._second.put(MEASURE)
             self.workers[0].measure()
@@ -295,8 +296,3 @@ class Solver:
         """The shared grid, and the private ones of workers that have them."""
         private = [worker.nodes for worker in self.workers if worker.nodes is not self.grid]
         return [self.grid, *private]
-
-
-def _corners(maxima: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Lowest and highest corner [3] of what was measured: the lowest is measured as -x."""
-    return -maxima[3:6], maxima[6:9]

@@ -17,6 +17,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from phy124.kernels.maxima import COUNT
 from phy124.mpm.grid import MARGIN, Grid
 from phy124.mpm.model import Group, Model
 from phy124.mpm.stage import Named
@@ -24,8 +25,6 @@ from phy124.mpm.threads import free_cores
 
 MIN_PARTICLES = 20_000
 """Below this the barriers cost more than the second thread brings."""
-EXTREMES = 9
-"""What is measured: speed, gradient, stiffness, and the particles' lowest and highest corner."""
 SCATTER, UPDATE, GATHER = range(3)
 """The phases of a substep between which workers wait for each other."""
 Timings = dict[str, list[float]]
@@ -41,7 +40,7 @@ class Worker:
     nodes: Grid
     """Where it scatters to: the shared grid if it is alone, else private nodes."""
     maxima: wp.array
-    """What measuring its particles finds, `EXTREMES` numbers."""
+    """What measuring its particles finds (phy124/kernels/maxima.py)."""
     phases: list[list[Named]] = field(default_factory=list)
     """Launches of scatter, update and gather."""
     measures: list[wp.Launch] = field(default_factory=list)
@@ -73,7 +72,7 @@ def make_workers(model: Model, grid: Grid, count: int) -> list[Worker]:
         nodes = grid
         if count > 1:
             nodes = Grid(model.origin, model.dx, real=model.real, device=model.device)
-        maxima = wp.zeros(EXTREMES, dtype=model.real, device=model.device)
+        maxima = wp.zeros(COUNT, dtype=model.real, device=model.device)
         workers.append(Worker(runs, nodes, maxima))
     return workers
 
