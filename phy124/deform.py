@@ -111,8 +111,9 @@ class Deformer:
         """
         x, F = self._checked(_host(x), (3,)), self._checked(_host(F), (3, 3))
         means, deformation = self._carried(x, F)
-        rest = [self._carrier, self._quats0, self._scales0, deformation, self._max_stretch]
-        self._launch(field.deform_shapes, [*rest, self._inner, self._quats, self._scales])
+        rest = [self._carrier, self._quats0, self._scales0, self._max_stretch]
+        frame = [self._inner, self._quats, self._scales]
+        self._launch(field.deform_shapes, [*rest, deformation, *frame])
         sh = self._colours(deformation)
         quats, scales = _host(self._quats).copy(), _host(self._scales).copy()
         gaussians = Gaussians(means, quats, scales, self.gaussians.opacities, sh)

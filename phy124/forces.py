@@ -6,6 +6,7 @@ holds its strength over time and, if it acts on chosen particles, one stage of t
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -230,7 +231,7 @@ class ZoneForce(Force):
 
         def record(grid: Grid) -> wp.Launch | None:
             del grid
-            inputs = [*place, slot, state.x, tracks.clock, tracks.values]
+            inputs = [*place, slot, tracks.clock, tracks.values, state.x]
             return model.launch(kernel, len(model), inputs, [state.v])
 
         return [Stage("zone", record)]
@@ -270,9 +271,9 @@ class Attraction(Force):
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
         """Draw the chosen particles to the point."""
         track = self.track((self.g, 0.0, 0.0))
-        inputs = [types(model.real).vec3(*self.centre), self.radius, state.x]
-        kernel = push.make_attract(model.real)
-        return _stage(self, "attraction", kernel, track, inputs, model, state, tracks)
+        inputs = [types(model.real).vec3(*self.centre), self.radius]
+        kernel, read = push.make_attract(model.real), [state.x]
+        return _stage(self, "attraction", kernel, track, inputs, model, state, tracks, read=read)
 
 
 class SetVelocity(Force):
@@ -293,7 +294,7 @@ class SetVelocity(Force):
 
         def record(grid: Grid) -> wp.Launch | None:
             del grid
-            inputs = [chosen, slot, *motion, state.x, tracks.values]
+            inputs = [chosen, slot, *motion, tracks.values, state.x]
             return model.launch(kernel, len(chosen), inputs, [state.v, state.C])
 
         return [Stage("set_velocity", record, self.sudden)]
@@ -348,14 +349,19 @@ def _stage(
     model: Model,
     state: State,
     tracks: Tracks,
+    *,
+    read: Sequence[wp.array] = (),
 ) -> list[Stage]:
-    """One launch over the chosen particles that reads a track and changes velocities."""
+    """One launch over the chosen particles that reads a track and changes velocities.
+
+    `inputs` of the kernel are constant, `read` is of the state.
+    """
     chosen = force.chosen(model)
     slot = tracks.add(track)
 
     def record(grid: Grid) -> wp.Launch | None:
         del grid
-        read = [chosen, slot, *inputs, tracks.clock, tracks.values]
-        return model.launch(kernel, len(chosen), read, [state.v])
+        given = [chosen, slot, *inputs, tracks.clock, tracks.values, *read]
+        return model.launch(kernel, len(chosen), given, [state.v])
 
     return [Stage(name, record, force.sudden, force.in_newtons)]

@@ -26,7 +26,7 @@ def make_hide(real: Any):
         # model
         chosen: wp.array(dtype=int), lattice: t.vec4, scattered: wp.array(dtype=wp.vec3i),
         gathered: wp.array(dtype=wp.vec3i),
-        # state, updated in place
+        # in place
         x_out: wp.array(dtype=t.vec3),
         # out
         kept_out: wp.array(dtype=t.vec3), away_out: wp.array(dtype=int),
@@ -54,9 +54,9 @@ def make_fly(real: Any):
     def fly(
         # model
         chosen: wp.array(dtype=int), clock: wp.array(dtype=real), values: wp.array(dtype=t.vec4),
-        # in
+        # state in
         kept: wp.array(dtype=t.vec3), away: wp.array(dtype=int),
-        # state, updated in place
+        # in place
         x_out: wp.array(dtype=t.vec3), residue_out: wp.array(dtype=t.vec3),
         v_out: wp.array(dtype=t.vec3),
     ):  # fmt: skip

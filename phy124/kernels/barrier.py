@@ -36,6 +36,11 @@ def meet_native(counter: wp.array(dtype=int), ticket: wp.array(dtype=int), parti
 
 
 @kernel("phy124_barrier")
-def meet(counter: wp.array(dtype=int), ticket: wp.array(dtype=int), parties: int):
-    """One thread's attempt to pass; `ticket[0]` is zero once it has."""
-    meet_native(counter, ticket, parties)
+def meet(
+    # model
+    parties: int,
+    # out
+    counter_out: wp.array(dtype=int), ticket_out: wp.array(dtype=int),
+):  # fmt: skip
+    """One thread's attempt to pass; `ticket_out[0]` is zero once it has."""
+    meet_native(counter_out, ticket_out, parties)

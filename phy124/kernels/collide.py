@@ -283,7 +283,7 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
         lightest: real,
         lattice: t.vec4, window: wp.array(dtype=wp.vec3i),
         values: wp.array(dtype=t.vec4), rates: wp.array(dtype=t.vec4),
-        # out
+        # in place
         grid_out: wp.array(dtype=t.vec4),
     ):  # fmt: skip
         i, j, k = wp.tid()
@@ -372,7 +372,7 @@ def make_collider(shape: str, response: str, moving: bool, real: Any):
         geometry: t.mat33, friction: real, reach: real, slot: int, start: wp.vec3i,
         lattice: t.vec4, window: wp.array(dtype=wp.vec3i),
         values: wp.array(dtype=t.vec4), rates: wp.array(dtype=t.vec4),
-        # out
+        # in place
         grid_out: wp.array(dtype=t.vec4),
     ):  # fmt: skip
         i, j, k = wp.tid()

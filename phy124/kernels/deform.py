@@ -207,25 +207,25 @@ def nearest_labels(u: wp.mat33d, previous: wp.mat33d) -> wp.mat33d:
 
 @kernel(MODULE)
 def deform_shapes(
-    # rest
+    # model
     carrier: wp.array(dtype=wp.int32),
     quats0: wp.array(dtype=wp.vec4f),
     scales0: wp.array(dtype=wp.vec3f),
+    max_stretch: wp.float64,
     # state in
     deformation: wp.array(dtype=wp.mat33d),
-    # scalars
-    max_stretch: wp.float64,
-    # previous frame in, this frame out
-    inner: wp.array(dtype=wp.vec4f),
-    quats: wp.array(dtype=wp.vec4f),
-    scales: wp.array(dtype=wp.vec3f),
+    # in place: the previous frame becomes this one
+    inner_out: wp.array(dtype=wp.vec4f),
+    quats_out: wp.array(dtype=wp.vec4f),
+    # out
+    scales_out: wp.array(dtype=wp.vec3f),
 ):
     """One frame: Sigma_t = F Sigma0 F^T as quaternion and scales."""
     i = wp.tid()
     s0 = wp.vec3d(scales0[i])
-    last = wp.vec4d(quats[i])
+    last = wp.vec4d(quats_out[i])
     previous = matrix_of(last)
-    v = matrix_of(wp.vec4d(inner[i]))
+    v = matrix_of(wp.vec4d(inner_out[i]))
     a = deformation[carrier[i]] * matrix_of(wp.vec4d(quats0[i])) * wp.diag(s0) * v
     a, v = orthogonal_columns(a, v, TOLERANCE)
     lengths = wp.vec3d(wp.length(column(a, 0)), wp.length(column(a, 1)), wp.length(column(a, 2)))
@@ -239,35 +239,35 @@ def deform_shapes(
     s = wp.vec3f()
     for k in range(3):
         s[k] = wp.float32(wp.min(wp.abs(lengths[k]), limit))
-    inner[i] = wp.vec4f(quaternion_of(v * labels))
-    quats[i] = wp.vec4f(q)
-    scales[i] = s
+    inner_out[i] = wp.vec4f(quaternion_of(v * labels))
+    quats_out[i] = wp.vec4f(q)
+    scales_out[i] = s
 
 
 @kernel(MODULE)
 def turn_of_material(
-    # rest
+    # model
     carrier: wp.array(dtype=wp.int32),
     # state in
     deformation: wp.array(dtype=wp.mat33d),
-    # previous frame in, this frame out
-    rotations: wp.array(dtype=wp.vec4f),
+    # in place: the previous frame becomes this one
+    rotations_out: wp.array(dtype=wp.vec4f),
 ):
     """Rotation nearest to F (its polar part where det F > 0)."""
     i = wp.tid()
-    last = wp.vec4d(rotations[i])
+    last = wp.vec4d(rotations_out[i])
     a, v = orthogonal_columns(deformation[carrier[i]], wp.identity(n=3, dtype=wp.float64), EXACT)
     lengths = wp.vec3d(wp.length(column(a, 0)), wp.length(column(a, 1)), wp.length(column(a, 2)))
     u = orientation(a, lengths, matrix_of(last) * v)
     q = quaternion_of(u * wp.transpose(v))
     if wp.dot(q, last) < wp.float64(0.0):
         q = -q
-    rotations[i] = wp.vec4f(q)
+    rotations_out[i] = wp.vec4f(q)
 
 
 @kernel(MODULE)
 def carry(
-    # rest
+    # model
     neighbours: wp.array2d(dtype=wp.int32),
     weights: wp.array2d(dtype=wp.float32),
     means0: wp.array(dtype=wp.vec3f),

@@ -95,7 +95,7 @@ def make_wall_copy(real: Any):
     def wall_copy(
         # model
         box: wp.array(dtype=wp.vec3i), window: wp.array(dtype=wp.vec3i),
-        # grid in
+        # state in
         grid: wp.array(dtype=t.vec4),
         # out
         kept_out: wp.array(dtype=t.vec4),
@@ -125,7 +125,7 @@ def make_wall_sums(real: Any):
     def wall_sums(
         # model
         box: wp.array(dtype=wp.vec3i), window: wp.array(dtype=wp.vec3i),
-        # grid in
+        # state in
         grid: wp.array(dtype=t.vec4), kept: wp.array(dtype=t.vec4),
         # out
         given_out: wp.array(dtype=wp.float64),
@@ -167,9 +167,9 @@ def make_uniform_sums(real: Any):
 
     @kernel(f"phy124_uniform_sums_{real.__name__}")
     def uniform_sums(
-        # scalars
+        # model
         mass: wp.float64, clock: wp.array(dtype=real), values: wp.array(dtype=t.vec4),
-        # in
+        # state in
         base: wp.array(dtype=wp.float64), push: wp.array(dtype=wp.float64),
         wall_a: wp.array(dtype=wp.float64), wall_b: wp.array(dtype=wp.float64),
         # out

@@ -16,9 +16,9 @@ def make_update(real: Any):
 
     @kernel(f"phy124_grid_{real.__name__}")
     def update(
-        # scalars
+        # model
         clock: wp.array(dtype=real), values: wp.array(dtype=t.vec4),
-        # out
+        # in place
         grid_out: wp.array(dtype=t.vec4),
     ):  # fmt: skip
         n = wp.tid()
@@ -47,9 +47,8 @@ def make_merge(real: Any):
     def merge(
         # model
         start: int, first_a: int, last_a: int, first_b: int, last_b: int,
-        # scalars
         clock: wp.array(dtype=real), values: wp.array(dtype=t.vec4),
-        # grid in
+        # state in
         nodes_a: wp.array(dtype=t.vec4), nodes_b: wp.array(dtype=t.vec4),
         # out
         grid_out: wp.array(dtype=t.vec4),
@@ -76,7 +75,12 @@ def make_grid_speed(real: Any):
     t = types(real)
 
     @kernel(f"phy124_grid_speed_{real.__name__}")
-    def grid_speed(grid: wp.array(dtype=t.vec4), fastest_out: wp.array(dtype=real)):
+    def grid_speed(
+        # state in
+        grid: wp.array(dtype=t.vec4),
+        # out
+        fastest_out: wp.array(dtype=real),
+    ):  # fmt: skip
         q = grid[wp.tid()]
         if q[3] > real(0.0):
             square = q[0] * q[0] + q[1] * q[1] + q[2] * q[2]

@@ -19,8 +19,11 @@ def make_probe(law: Law, real: Any):
 
     @kernel(f"phy124_probe_{law.name}_{real.__name__}")
     def probe(
-        theta: wp.array(dtype=theta_type), F: wp.array(dtype=t.mat33), C: wp.array(dtype=t.mat33),
-        history: wp.array(dtype=t.vec2), dt: real,
+        # model
+        theta: wp.array(dtype=theta_type), dt: real,
+        # state in
+        F: wp.array(dtype=t.mat33), C: wp.array(dtype=t.mat33), history: wp.array(dtype=t.vec2),
+        # out
         stress_out: wp.array(dtype=t.mat33), modulus_out: wp.array(dtype=real),
         energy_out: wp.array(dtype=real), projected_out: wp.array(dtype=t.mat33),
         history_out: wp.array(dtype=t.vec2),

@@ -24,7 +24,7 @@ def make_accelerate(real: Any, per_mass: bool):
         # model
         chosen: wp.array(dtype=int), slot: int, mass: wp.array(dtype=real),
         clock: wp.array(dtype=real), values: wp.array(dtype=t.vec4),
-        # out
+        # in place
         v_out: wp.array(dtype=t.vec3),
     ):  # fmt: skip
         p = chosen[wp.tid()]
@@ -48,9 +48,11 @@ def make_zone(real: Any):
     @kernel(f"phy124_zone_{real.__name__}")
     def zone(
         # model
-        lower: t.vec3, upper: t.vec3, axis: int, radius: real, slot: int, x: wp.array(dtype=t.vec3),
+        lower: t.vec3, upper: t.vec3, axis: int, radius: real, slot: int,
         clock: wp.array(dtype=real), values: wp.array(dtype=t.vec4),
-        # out
+        # state in
+        x: wp.array(dtype=t.vec3),
+        # in place
         v_out: wp.array(dtype=t.vec3),
     ):  # fmt: skip
         p = wp.tid()
@@ -80,7 +82,7 @@ def make_drag(real: Any):
         # model
         chosen: wp.array(dtype=int), slot: int, rate: real,
         clock: wp.array(dtype=real), values: wp.array(dtype=t.vec4),
-        # out
+        # in place
         v_out: wp.array(dtype=t.vec3),
     ):  # fmt: skip
         p = chosen[wp.tid()]
@@ -101,8 +103,10 @@ def make_attract(real: Any):
     def attract(
         # model
         chosen: wp.array(dtype=int), slot: int, centre: t.vec3, radius: real,
-        x: wp.array(dtype=t.vec3), clock: wp.array(dtype=real), values: wp.array(dtype=t.vec4),
-        # out
+        clock: wp.array(dtype=real), values: wp.array(dtype=t.vec4),
+        # state in
+        x: wp.array(dtype=t.vec3),
+        # in place
         v_out: wp.array(dtype=t.vec3),
     ):  # fmt: skip
         p = chosen[wp.tid()]
@@ -122,7 +126,9 @@ def make_set_velocity(real: Any):
     def set_velocity(
         # model
         chosen: wp.array(dtype=int), slot: int, u: t.vec3, centre: t.vec3, omega: t.vec3,
-        x: wp.array(dtype=t.vec3), values: wp.array(dtype=t.vec4),
+        values: wp.array(dtype=t.vec4),
+        # state in
+        x: wp.array(dtype=t.vec3),
         # out
         v_out: wp.array(dtype=t.vec3), C_out: wp.array(dtype=t.mat33),
     ):  # fmt: skip

@@ -21,8 +21,9 @@ def make_reset(real: Any):
 
     @kernel(f"phy124_reset_{real.__name__}")
     def reset(
+        # model
         min_J: real, max_J: real, max_norm: real, narrowest: real,
-        # state, updated in place
+        # in place
         F_out: wp.array(dtype=t.mat33), C_out: wp.array(dtype=t.mat33),
         # out
         found_out: wp.array(dtype=int),
@@ -53,7 +54,14 @@ def make_limit_total(real: Any):
     t = types(real)
 
     @kernel(f"phy124_limit_total_{real.__name__}")
-    def limit_total(max_norm: real, F: wp.array(dtype=t.mat33), total_out: wp.array(dtype=t.mat33)):
+    def limit_total(
+        # model
+        max_norm: real,
+        # state in
+        F: wp.array(dtype=t.mat33),
+        # in place
+        total_out: wp.array(dtype=t.mat33),
+    ):  # fmt: skip
         p = wp.tid()
         size = wp.sqrt(wp.ddot(total_out[p], total_out[p]))
         if not wp.isfinite(size):

@@ -219,9 +219,9 @@ def make_g2p(law: Law, real: Any, form: str):
         # model
         theta: wp.array(dtype=theta_type), lattice: t.vec4, window: wp.array(dtype=wp.vec3i),
         clock: wp.array(dtype=real),
-        # grid in
+        # state in
         grid: wp.array(dtype=t.vec4),
-        # state, updated in place
+        # in place
         x_out: wp.array(dtype=t.vec3), residue_out: wp.array(dtype=t.vec3),
         v_out: wp.array(dtype=t.vec3), C_out: wp.array(dtype=t.mat33),
         F_out: wp.array(dtype=t.mat33), history_out: wp.array(dtype=t.vec2),

@@ -101,8 +101,8 @@ class Barrier:
         """Whether nobody needs to wait any more."""
 
     def _record(self, ticket: wp.array, parties: int) -> Any:
-        inputs = [self._counter, ticket, parties]
-        return wp.launch(meet, 1, inputs=inputs, device="cpu", record_cmd=True)
+        outputs = [self._counter, ticket]
+        return wp.launch(meet, 1, inputs=[parties], outputs=outputs, device="cpu", record_cmd=True)
 
     def wait(self, party: int) -> bool:
         """Come back when all have arrived; False if they never will."""

@@ -113,7 +113,7 @@ class Renderer:
             wp.launch(
                 self._blend,
                 dim=(last - first) * (screen.TILE**2 if self._per_pixel else 1),
-                inputs=[*lists, self._buffers["splats"], view, colour, first],
+                inputs=[view, colour, first, *lists, self._buffers["splats"]],
                 outputs=[image, coverage],
                 device=self.device,
             )
@@ -162,14 +162,14 @@ class Renderer:
         order, splats = self._buffers["order"], self._buffers["splats"]
         if not self._per_pixel:
             lists = self._buffer("lists", total, wp.int32)
-            inputs = [order, splats, n, view.columns, first, last]
+            inputs = [n, view.columns, first, last, order, splats]
             wp.launch(
                 binning.bin_serial, 1, inputs=inputs, outputs=[ends, lists], device=self.device
             )
             return starts, ends, lists
         ranks = self._buffer("ranks", 2 * total, wp.int32)
         lists = self._buffer("lists", 2 * total, wp.int32)
-        inputs = [order, splats, view.columns, first, last]
+        inputs = [view.columns, first, last, order, splats]
         wp.launch(
             binning.bin_parallel, n, inputs=inputs, outputs=[ends, ranks, lists], device=self.device
         )

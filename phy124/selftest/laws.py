@@ -60,7 +60,7 @@ def probe(material: Material, F: Array, setting: Setting) -> tuple[Array, Array,
     theta = array([material.theta()], wp.types.vector(law.width, real))
     history = array(np.tile(material.history(), (n, 1)), t.vec2)
     at_rest = wp.zeros(n, dtype=t.mat33, device=setting.device)
-    inputs = [theta, array(F, t.mat33), at_rest, history, 1e-4]
+    inputs = [theta, 1e-4, array(F, t.mat33), at_rest, history]
     wp.launch(make_probe(law, real), n, inputs=inputs, outputs=outputs, device=setting.device)
     stress, modulus, _, projected, _ = (host(out) for out in outputs)
     return stress, modulus, projected

@@ -8,13 +8,15 @@ from phy124.kernels.splat.screen import Splat, tiles_of
 
 @kernel("phy124_bin")
 def bin_serial(
-    order: wp.array(dtype=int),
-    splats: wp.array(dtype=Splat),
+    # model
     count: int,
     columns: int,
     first: int,
     last: int,
-    # in and out: start of each tile's list, then its end
+    # state in
+    order: wp.array(dtype=int),
+    splats: wp.array(dtype=Splat),
+    # in place: start of each tile's list, then its end
     ends_out: wp.array(dtype=int),
     # out
     pairs_out: wp.array(dtype=int),
@@ -34,12 +36,14 @@ def bin_serial(
 
 @kernel("phy124_bin")
 def bin_parallel(
-    order: wp.array(dtype=int),
-    splats: wp.array(dtype=Splat),
+    # model
     columns: int,
     first: int,
     last: int,
-    # in and out: start of each tile's list, then its end
+    # state in
+    order: wp.array(dtype=int),
+    splats: wp.array(dtype=Splat),
+    # in place: start of each tile's list, then its end
     ends_out: wp.array(dtype=int),
     # out
     ranks_out: wp.array(dtype=int),

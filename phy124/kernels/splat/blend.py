@@ -11,13 +11,15 @@ PIXELS = wp.constant(256)
 
 @kernel("phy124_blend")
 def blend_pixels(
+    # model
+    view: View,
+    background: wp.vec3,
+    first: int,
+    # state in
     starts: wp.array(dtype=int),
     ends: wp.array(dtype=int),
     pairs: wp.array(dtype=int),
     splats: wp.array(dtype=Splat),
-    view: View,
-    background: wp.vec3,
-    first: int,
     # out
     image_out: wp.array(dtype=wp.vec3),
     alpha_out: wp.array(dtype=float),
@@ -47,13 +49,15 @@ def blend_pixels(
 
 @kernel("phy124_blend")
 def blend_tiles(
+    # model
+    view: View,
+    background: wp.vec3,
+    first: int,
+    # state in
     starts: wp.array(dtype=int),
     ends: wp.array(dtype=int),
     pairs: wp.array(dtype=int),
     splats: wp.array(dtype=Splat),
-    view: View,
-    background: wp.vec3,
-    first: int,
     # out
     image_out: wp.array(dtype=wp.vec3),
     alpha_out: wp.array(dtype=float),

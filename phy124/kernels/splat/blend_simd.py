@@ -104,13 +104,15 @@ def blend_tile(
 
 @kernel("phy124_blend_simd")
 def blend_tiles_simd(
+    # model
+    view: View,
+    background: wp.vec3,
+    first: int,
+    # state in
     starts: wp.array(dtype=int),
     ends: wp.array(dtype=int),
     pairs: wp.array(dtype=int),
     splats: wp.array(dtype=Splat),
-    view: View,
-    background: wp.vec3,
-    first: int,
     # out
     image_out: wp.array(dtype=wp.vec3),
     alpha_out: wp.array(dtype=float),
