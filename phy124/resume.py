@@ -23,7 +23,7 @@ from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
 from phy124.simulation import Simulation
 
-FORMAT = "phy124-pause-2"
+FORMAT = "phy124-pause-3"
 GAUSSIANS = ("means", "quats", "scales", "opacities", "sh")
 Tensors = dict[str, NDArray]
 ARRAY = "array"

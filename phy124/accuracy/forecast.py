@@ -265,6 +265,7 @@ def _probe(simulation: Simulation) -> tuple[SubstepCost, int, float]:
     The simulation goes through what a frame goes through and is then put back to its start.
     """
     solver, watchdog = simulation.solver, simulation.watchdog
+    solver.repair.begin(solver.clock)
     watchdog.before()
     after = watchdog.follow()
     start, external = solver.snapshot(), watchdog.external.snapshot()
@@ -295,10 +296,12 @@ def _pace(solver: Solver, after: Callable[[], None] | None) -> tuple[float, floa
 def _empty_frame(simulation: Simulation) -> None:
     """What a frame takes besides its substeps."""
     solver, watchdog = simulation.solver, simulation.watchdog
+    solver.repair.begin(solver.clock)
     watchdog.before()
     solver.snapshot()
     solver.advance(solver.clock.time)
     watchdog.after()
+    solver.repair.end()
 
 
 def _forget_timings(solver: Solver) -> None:

@@ -4,7 +4,8 @@ A violation is a sentence. What is checked, with the limits below: every number 
 more than a few particles are turned inside out; volume ratios stay in range; momentum changes by
 what forces and walls gave; energy does not grow beyond the work they did (explicit MPM only loses
 energy, so more means that the run is exploding). Which particle it is and what to change is
-looked for only then (phy124/monitor/diagnosis.py).
+looked for only then (phy124/monitor/diagnosis.py). The watchdog reads the run and writes nothing of
+it: what no law can work with is mended by the solver's own repair (phy124/mpm/repair.py).
 """
 
 from __future__ import annotations
@@ -21,7 +22,6 @@ from phy124.monitor.diagnostics import Diagnostics, energies, speeds
 from phy124.monitor.external_work import ExternalWork
 from phy124.monitor.tearing import Tearing
 from phy124.mpm import Solver
-from phy124.mpm.repair import Repair
 
 INSIDE_OUT = 0.01
 """Fraction of particles turned inside out from which the result is wrong."""
@@ -87,8 +87,8 @@ class Watchdog:
 
     def __init__(self, solver: Solver, external: ExternalWork, *, balance: bool = True) -> None:
         self.model, self.state, self.clock = solver.model, solver.state, solver.clock
-        self._outliers, self._balanced = solver.outliers, balance
-        self.external, self.repair = external, Repair(solver.model, solver.state)
+        self._outliers, self._repair = solver.outliers, solver.repair
+        self.external, self._balanced = external, balance
         self.tearing = Tearing(solver.model, solver.state)
         self.first = self.last = self._look()
         self.balance = Balance()
@@ -96,8 +96,7 @@ class Watchdog:
         self._fastest, self._begun = 0.0, False
 
     def before(self) -> None:
-        """Before a frame: mend deformations that no law can work with."""
-        self.repair.begin(self.clock)
+        """Before a frame, whose broken deformations have been mended."""
         if not self._begun:
             self._begin()
 
@@ -120,7 +119,6 @@ class Watchdog:
             "first": self.first.snapshot(),
             "last": self.last.snapshot(),
             "balance": asdict(self.balance),
-            "repair": self.repair.snapshot(),
             "tearing": self.tearing.snapshot(),
         }
 
@@ -130,7 +128,6 @@ class Watchdog:
         self.min_J, self.max_J = snapshot["min_J"], snapshot["max_J"]
         self.first, self.last = (Diagnostics.from_snapshot(snapshot[k]) for k in ("first", "last"))
         self.balance = Balance(**snapshot["balance"])
-        self.repair.restore(snapshot["repair"])
         self.tearing.restore(snapshot["tearing"])
 
     def after(self) -> Violation | None:
@@ -138,7 +135,6 @@ class Watchdog:
         now = self._look()
         problem = self._unsound(now) or (self._unbalanced(now) if self._balanced else None)
         if problem is None:
-            self.repair.end()
             self.tearing.look()
             self.last = now
             self.min_J, self.max_J = min(self.min_J, now.min_J), max(self.max_J, now.max_J)
@@ -151,7 +147,6 @@ class Watchdog:
 
         def after() -> None:
             self._fastest = max(self._fastest, self.clock.extremes.speed)
-            self.repair.substep(self.clock)
 
         return after
 
@@ -166,10 +161,11 @@ class Watchdog:
     def notes(self) -> list[str]:
         """What the user should know about how the run went."""
         notes = []
-        if self.repair.count:
+        if self._repair.count:
+            first = self._who(self._repair.first)
             notes.append(
-                f"{self.repair.count} times a particle was deformed beyond what a law can describe "
-                f"and was given its shape at rest, first {self._who(self.repair.first)}. A gentler "
+                f"{self._repair.count} times a particle was deformed beyond what a law can "
+                f"describe and was given its shape at rest, first {first}. A gentler "
                 "push or a stiffer material would keep it whole."
             )
         if self._outliers.most:
@@ -204,7 +200,7 @@ class Watchdog:
             "min_J": self.min_J,
             "max_J": self.max_J,
             "inside_out": self.last.inverted,
-            "reset": self.repair.count,
+            "reset": self._repair.count,
             "ballistic": self._outliers.most,
             "tearing": self.tearing.report(),
         }

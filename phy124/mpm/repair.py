@@ -29,7 +29,10 @@ NOBODY = 2**31 - 1
 
 
 class Repair:
-    """Mends the deformations of one run; call `begin`, `substep` and `end` of each frame."""
+    """Mends the deformations of one run, from the first `begin` on.
+
+    Call `begin` and `end` of each frame; the solver calls `substep`.
+    """
 
     def __init__(self, model: Model, state: State) -> None:
         self.count, self.first = 0, NOBODY
@@ -40,17 +43,19 @@ class Repair:
         self._reset = model.launch(make_reset(real), len(model), limits, outputs)
         inputs, flowing = [MAX_TOTAL, state.F], len(state.total)
         self._limit = model.launch(make_limit_total(real), flowing, inputs, [state.total])
-        self._strain, self._seen = 0.0, 0.0
+        self._begun, self._strain, self._seen = False, 0.0, 0.0
 
     def begin(self, clock: Clock) -> None:
         """Before a frame, or before it is tried again."""
         self._found.assign([self.count, self.first])
         self._launch(self._reset)
         self.count, self.first = self._found.numpy().tolist()
-        self._strain, self._seen = 0.0, clock.time
+        self._begun, self._strain, self._seen = True, 0.0, clock.time
 
     def substep(self, clock: Clock) -> None:
         """After a substep: mend again once the material has strained by `AFTER_STRAIN`."""
+        if not self._begun:
+            return
         self._strain += clock.extremes.gradient * (clock.time - self._seen)
         self._seen = clock.time
         if self._strain > AFTER_STRAIN:

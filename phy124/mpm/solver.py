@@ -24,6 +24,7 @@ from phy124.mpm.maxima import Maxima
 from phy124.mpm.model import Model
 from phy124.mpm.outliers import Outliers
 from phy124.mpm.rejection import StepRejection
+from phy124.mpm.repair import Repair
 from phy124.mpm.stage import Accumulator, Attachable, Named
 from phy124.mpm.state import State
 from phy124.mpm.substep import Recorder
@@ -88,6 +89,7 @@ class Solver:
         )
         self.tracks.upload(self.clock.values)
         self.outliers = Outliers(model, self.state)
+        self.repair = Repair(model, self.state)
         count = usable_workers(model) if threads is None else threads
         self.workers = make_workers(model, self.grid, count)
         self._recorder = Recorder(
@@ -119,6 +121,7 @@ class Solver:
             while self.clock.time < until:
                 if not self._run_graph(until):
                     self._stable_step(until)
+                self.repair.substep(self.clock)
                 if after is not None:
                     after()
             timed(self.timings, "measure", self._measure)
@@ -137,6 +140,7 @@ class Solver:
             "state": self.state.snapshot(),
             "clock": self.clock.snapshot(),
             "outliers": self.outliers.snapshot(),
+            "repair": self.repair.snapshot(),
             "windows": [[g.low.tolist(), g.size.tolist()] for g in self._grids()],
         }
 
@@ -146,6 +150,7 @@ class Solver:
         self.clock.restore(snapshot["clock"])
         self._set_interval()
         self.outliers.restore(snapshot["outliers"])
+        self.repair.restore(snapshot["repair"])
         self._stray.zero_()
         for grid, (low, size) in zip(self._grids(), snapshot["windows"], strict=True):
             grid.rebase(np.array(low), np.array(size))

@@ -44,6 +44,7 @@ def _one_bad_particle(
     deformations[21] = F
     assign(s, "F", deformations)
     watch = Watchdog(s, external)
+    s.repair.begin(s.clock)
     watch.before()
     s.advance(1 / 24, after=watch.follow())
     problem = watch.after()

@@ -302,6 +302,7 @@ class Simulation:
     def _try(self, index: int, until: float) -> Violation | None:
         """One try at a frame; what is wrong with it, or None. The state is then as before."""
         solver, watchdog = self.solver, self.watchdog
+        solver.repair.begin(solver.clock)
         watchdog.before()
         before = solver.snapshot(), watchdog.external.snapshot()
         try:
@@ -312,7 +313,9 @@ class Simulation:
         except Exception:
             self._restore(*before)
             raise
-        if problem is not None:
+        if problem is None:
+            solver.repair.end()
+        else:
             self._failed_dt = solver.clock.last_dt or math.inf
             self._restore(*before)
         return problem

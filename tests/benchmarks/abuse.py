@@ -60,12 +60,14 @@ def watched(x: Array, material: Material = JELLY, **options: Any) -> tuple[Solve
 def go(s: Solver, watch: Watchdog, seconds: float, frames: int = 1) -> str:
     """Run frames as a simulation does; what is wrong, or least J and how often one was reset."""
     for k in range(1, frames + 1):
+        s.repair.begin(s.clock)
         watch.before()
         s.advance(seconds * k / frames, after=watch.follow())
         problem = watch.after()
         if problem or not finite(s):
             return problem.what if problem else "not finite"
-    resets = f", {watch.repair.count} reset" if watch.repair.count else ""
+        s.repair.end()
+    resets = f", {s.repair.count} reset" if s.repair.count else ""
     return f"sound, J >= {min(watch.min_J, 1.0):.2g}{resets}"
 
 
