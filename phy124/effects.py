@@ -6,11 +6,12 @@ is not compiled, not allocated and not launched.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from math import isfinite
 from typing import Any
 
+from phy124.materials import AnyMaterial
 from phy124.scene import Scene
 
 PARTICLE_COSTS = {
@@ -64,11 +65,12 @@ class Effects:
         device: str = "cpu",
         static: int | None = None,
         slept: str | None = "",
+        materials: Sequence[AnyMaterial] = (),
     ) -> Effects:
         """The effects a scene calls for.
 
         After a run `static` is the number of static Gaussians and `slept` how it slept, None if
-        it did not.
+        it did not; `materials` are those that a file gave its particles.
         """
         ran, left_out = [], []
         found = {}
@@ -76,7 +78,9 @@ class Effects:
             found["static Gaussians"] = f": {static} never enter the solver"
         if slept:
             found["sleep while all rests"] = f": {slept}"
-        for effect, called_for, why in _catalogue(scene, sh_degree, device, slept is not None):
+        for effect, called_for, why in _catalogue(
+            scene, sh_degree, device, slept is not None, materials or scene.materials
+        ):
             if called_for:
                 ran.append(effect + found.get(effect, ""))
             else:
@@ -114,23 +118,24 @@ def _cost(effect: str, particles: int, nodes: int) -> float:
 
 
 def _catalogue(
-    scene: Scene, sh_degree: int, device: str, rested: bool
+    scene: Scene, sh_degree: int, device: str, rested: bool, materials: Sequence[AnyMaterial]
 ) -> Iterator[tuple[str, bool, str]]:
     """Every effect: name, whether the scene calls for it, why not if it does not."""
-    laws = sorted({section.law for section in scene.materials})
+    laws = sorted({section.law for section in materials})
     named = " and ".join(laws)
-    plastic = any(section.device_law.project is not None for section in scene.materials)
+    plastic = any(section.device_law.project is not None for section in materials)
     pushes = [force for force in scene.acting if not force.uniform]
     timed = [force for force in scene.acting if force.varies]
     moving = [wall for wall in scene.boundaries if wall.moves]
     for law in laws:
         yield f"stress {law}", True, ""
-    rubbing = any(isfinite(section.viscous_limit(scene.dx)) for section in scene.materials)
+    rubbing = any(isfinite(section.viscous_limit(scene.dx)) for section in materials)
     yield "viscosity", rubbing, "no material rubs inside"
     yield "return mapping", plastic, f"{named} is elastic"
     yield "total F beside elastic F", plastic, f"{named} keeps all deformation in F"
-    yield "several materials", len(scene.materials) > 1, "all that moves is of one"
-    yield "stiffness per particle", scene.stiffness is not None, "E is the same everywhere"
+    yield "several materials", len(laws) > 1 or len(scene.materials) > 1, "all that moves is of one"
+    varies = scene.stiffness is not None or len(materials) > len(scene.materials)
+    yield "stiffness per particle", varies, "E is the same everywhere"
     yield "uniform acceleration", len(scene.acting) > len(pushes), "no force acts on the whole body"
     yield "particle forces", bool(pushes), "no force names single particles or a region"
     yield "time tables", bool(timed or moving), "no force or boundary changes in time"

@@ -127,7 +127,9 @@ def _cheaper(scene: Scene, excess: float) -> Iterator[Remedy]:
     automatic = rest_substeps(scene.model_copy(update={"time": timing}))
     if scene.time.substep is not None and automatic < rest_substeps(scene):
         yield plain("time.substep", _rounded(1.05 * scene.time.substep * excess))
-    if not scene.parts:
+    # What a file says of the material, the scene's own fields do not change.
+    by_file = scene.properties is not None
+    if not scene.parts and not by_file:
         for name in ("damping", "viscosity"):
             if getattr(scene.material, name, 0) > 0:
                 yield plain(
@@ -135,7 +137,7 @@ def _cheaper(scene: Scene, excess: float) -> Iterator[Remedy]:
                 )
     for field, section in _sections(scene):
         E = getattr(section, "simulated_E", getattr(section, "E", None))
-        if E is not None:
+        if E is not None and not by_file:
             yield plain(f"{field}.E", _rounded(0.95 * E / excess**2))
     yield plain("time.frames", max(1, int(0.95 * (scene.time.frames - 1) / excess) + 1))
     yield accuracy(scene, cells=max(4, int(0.95 * scene.resolution.cells / excess)))

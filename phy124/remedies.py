@@ -66,7 +66,7 @@ def _half(value: Any) -> Any:
 
 def _neo_hookean(scene: Scene) -> Remedy | None:
     material = scene.material
-    if material.sounder_law is None:
+    if material.sounder_law is None or scene.properties is not None:
         return None
     kept = material.model_dump(exclude={"law"})
     law = material.sounder_law
@@ -90,7 +90,8 @@ def _coarser(scene: Scene) -> Remedy | None:
 
 def _softer(scene: Scene) -> Remedy | None:
     E = getattr(scene.material, "E", None)
-    return None if E is None or scene.parts else plain("material.E", max(1.0, E / SOFTER))
+    varies = scene.parts or scene.properties is not None
+    return None if E is None or varies else plain("material.E", max(1.0, E / SOFTER))
 
 
 def hurry(scene: Scene, limiter: str, done: float) -> tuple[Remedy, ...]:
@@ -115,6 +116,8 @@ SLOW = {
 
 
 def _thinner(scene: Scene) -> Remedy | None:
+    if scene.properties is not None:
+        return None
     for name in ("damping", "viscosity"):
         if getattr(scene.material, name, 0) > 0:
             return plain(f"material.{name}", getattr(scene.material, name) / 4)

@@ -72,6 +72,8 @@ def promise(scene: Scene, report: Mapping[str, Any] | None = None) -> Promise:
     laws, motion = sorted({section.law for section in scene.materials}), motion_of(scene)
     if len(laws) > 1:
         return _unknown("scenes of several materials")
+    if scene.stiffness is not None or scene.properties is not None:
+        return _unknown("materials that vary from point to point")
     found = table()["scenes"].get(f"{laws[0]} {motion}")
     such = f"{laws[0]} {WORDS[motion]}"
     if found is None:

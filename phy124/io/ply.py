@@ -82,19 +82,33 @@ def write_ply(path: str | os.PathLike[str], gaussians: Gaussians) -> None:
         file.write(table.tobytes())
 
 
-def _read_table(path: Path) -> tuple[Header, NDArray[Any]]:
-    """The rows of element `vertex` as a structured array."""
+def read_rows(path: Path) -> NDArray[Any]:
+    """The rows of element `vertex` of any PLY file, as a structured array.
+
+    Raises:
+        InputError: If the file is missing, is no PLY file, is too large or cut short.
+    """
     header = read_header(path)
+    return _rows(path, header)
+
+
+def _read_table(path: Path) -> tuple[Header, NDArray[Any]]:
+    """The rows of Gaussians."""
+    header = read_header(path)
+    _check_names(path, header)
+    return header, _rows(path, header)
+
+
+def _rows(path: Path, header: Header) -> NDArray[Any]:
     if header.count > MAX_GAUSSIANS:
         limit = f"it announces {header.count:,} Gaussians; the limit is {MAX_GAUSSIANS:,}."
         raise refusal(path, limit, "Reduce it in a splat editor, for example SuperSplat.")
-    _check_names(path, header)
     if header.ascii:
-        return header, _read_ascii(path, header)
+        return _read_ascii(path, header)
     available = (path.stat().st_size - header.start) // header.row.itemsize
     if available < header.count:
         raise _cut_short(path, max(available, 0), header.count)
-    return header, np.fromfile(path, header.row, header.count, offset=header.start)
+    return np.fromfile(path, header.row, header.count, offset=header.start)
 
 
 def _read_ascii(path: Path, header: Header) -> NDArray[Any]:

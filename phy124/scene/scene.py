@@ -22,6 +22,7 @@ from phy124.errors import InputError
 from phy124.forces import AnyForce, Gravity, OwnForce
 from phy124.materials import AnyMaterial, Law, NeoHookean
 from phy124.plugins import has_name, is_foreign
+from phy124.properties import Properties
 from phy124.scene.accuracies import PRESETS, Accuracy, AccuracyName
 from phy124.scene.changes import apply
 from phy124.scene.refusals import refusal
@@ -52,6 +53,9 @@ class Scene(Section):
     parts: tuple[Part, ...] = Field(default=(), description="Parts of other materials.")
     stiffness: AnyStiffness | None = Field(
         default=None, description="How E varies inside the object; absent: not at all."
+    )
+    properties: Properties | None = Field(
+        default=None, description="Material point by point, from a file; absent: as given above."
     )
     forces: tuple[AnyForce, ...] = Field(default=(Gravity(),), description="What pushes.")
     boundaries: tuple[AnyBoundary, ...] = Field(default=(Ground(),), description="What is solid.")

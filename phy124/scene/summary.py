@@ -18,6 +18,8 @@ def summary(scene: Scene) -> str:
         said.append(f"parts {', '.join(kinds)}")
     if scene.stiffness is not None:
         said.append(f"stiffness {scene.stiffness.kind}")
+    if scene.properties is not None:
+        said.append(f"properties from {scene.properties.file.name}")
     said += [_kinds(scene.forces, "no forces"), _kinds(scene.boundaries, "no boundaries")]
     accuracy, time = scene.resolution, scene.time
     said.append(

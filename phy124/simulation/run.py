@@ -19,6 +19,7 @@ from phy124.gaussians import Frame, Gaussians
 from phy124.imaging.painted import WHOLE, Crop
 from phy124.io.clip import Clip
 from phy124.limits import refuse_hopeless, stiffest_part
+from phy124.materials import AnyMaterial
 from phy124.monitor import diagnosis
 from phy124.monitor.external_work import ExternalWork
 from phy124.monitor.sleep import Sleep
@@ -26,13 +27,13 @@ from phy124.monitor.watchdog import Violation, Watchdog
 from phy124.mpm import Unstable
 from phy124.particles import clean, make_particles
 from phy124.particles.scenery import Scenery
-from phy124.parts import stiffnesses, with_materials
+from phy124.parts import stiffnesses, with_materials, with_properties
 from phy124.placing import among_all, belongs, place, renumbered
 from phy124.progress import Progress, silent
 from phy124.remedies import advice, hurry, remedies
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
-from phy124.simulation.solver import solver_of
+from phy124.simulation.solver import judged_as, solver_of
 
 MAX_STRETCH = 4.0
 """Gaussians of material that flows grow at most this much: F_total itself has no bound."""
@@ -107,13 +108,23 @@ class Simulation:
             made = among_all(made, own)
             self.particles, moves = with_materials(made, self.gaussians.means, self.numbered, crop)
             self.scenery = Scenery(self.gaussians, moves)
+            self.materials: Sequence[AnyMaterial] = scene.materials
+            if scene.properties is not None:
+                means, survivors = self.gaussians.means, self.cleaning.survivors
+                columns = scene.properties.columns(self.particles.x, means, survivors)
+                self.particles, self.materials = with_properties(
+                    self.particles, columns, scene.materials
+                )
             stiffness = stiffnesses(self.particles, self.gaussians.means[own], scene, crop)
-            self.demand = refuse_hopeless(self.gaussians, self.particles, scene, device, keep=keep)
+            judged = judged_as(scene, self.materials)
+            self.demand = refuse_hopeless(self.gaussians, self.particles, judged, device, keep=keep)
         with self.watch.stage("compile"):
             external = ExternalWork()
-            self.solver = solver_of(self.particles, stiffness, scene, device, threads, external)
+            self.solver = solver_of(
+                self.particles, self.materials, stiffness, scene, device, threads, external
+            )
             self.watchdog = Watchdog(self.solver, external, balance=scene.checks.balance)
-            flows = any(m.device_law.project is not None for m in scene.materials)
+            flows = any(m.device_law.project is not None for m in self.materials)
             self.deformer = Deformer(
                 self.scenery.moving,
                 self.particles,
@@ -203,6 +214,7 @@ class Simulation:
             device=self.device,
             static=self.scenery.count,
             slept=self.sleep.sentence(),
+            materials=self.materials,
         )
         return {
             "complete": self.stopped is None and self.count == self.scene.time.frames,

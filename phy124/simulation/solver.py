@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from phy124.boundaries import Ground
+from phy124.materials import AnyMaterial
 from phy124.monitor.external_work import ExternalWork
 from phy124.mpm import Model, Solver, State
 from phy124.particles import Particles
@@ -19,6 +21,7 @@ FLOOR_NODE = 0.75
 
 def solver_of(
     particles: Particles,
+    materials: Sequence[AnyMaterial],
     stiffness: NDArray | None,
     scene: Scene,
     device: str,
@@ -29,6 +32,7 @@ def solver_of(
 
     Args:
         particles: The particles that move, sorted by law.
+        materials: What they are made of.
         stiffness: Fraction of its material's E that each particle has [P]; None: all of it.
         scene: What happens to them.
         device: Warp device, "cpu" or "cuda:0".
@@ -43,7 +47,7 @@ def solver_of(
     model = Model.of(
         x,
         particles.volume,
-        scene.materials,
+        materials,
         dx=scene.dx,
         material=particles.material,
         stiffness=stiffness,
@@ -71,3 +75,11 @@ def _motion(x: NDArray, mass: NDArray, scene: Scene) -> tuple[NDArray, NDArray]:
     middle = (mass[:, None] * x).sum(axis=0) / mass.sum()
     v = np.array(scene.object.velocity) + (x - middle) @ gradient.T
     return v, np.broadcast_to(gradient, (len(x), 3, 3))
+
+
+def judged_as(scene: Scene, materials: Sequence[AnyMaterial]) -> Scene:
+    """The scene whose cost is forecast: of properties from a file, the material that costs most."""
+    if scene.properties is None:
+        return scene
+    fastest = max(materials, key=lambda section: section.wave_speed())
+    return scene.model_copy(update={"material": fastest, "parts": ()})

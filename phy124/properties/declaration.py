@@ -1,0 +1,89 @@
+"""The section `[properties]` of a scene, and its values at the particles."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from phy124.bounds import FileName
+from phy124.errors import InputError
+from phy124.io.axes import orientation
+from phy124.properties.sampling import nearest, trilinear
+from phy124.properties.table import Table, read_table
+from phy124.section import Section
+
+Axis = Literal["x", "-x", "y", "-y", "z", "-z"]
+ALIKE = 0.2
+"""How far a side of the points' box may be off that of the object, as a fraction of its longest."""
+
+
+class Properties(Section):
+    """E, nu, density, damping and law of each point of the object, from a file."""
+
+    file: FileName = Field(
+        examples=["materials.npz"],
+        description="Points with columns (.ply), or arrays per Gaussian, point or voxel (.npz).",
+    )
+    sampling: Literal["nearest", "trilinear"] = Field(
+        default="nearest", description="How values between points follow; trilinear needs voxels."
+    )
+    up: Axis = Field(default="z", description="Axis of the file's points that points up.")
+    front: Axis | None = Field(
+        default=None, description="Axis that the object faces; absent: as for a .ply of that up."
+    )
+
+    def columns(
+        self, x: NDArray, means: NDArray, survivors: NDArray[np.bool_] | None
+    ) -> dict[str, NDArray[Any]]:
+        """What the file says of each particle: E, nu, density, damping [P], names of laws [P].
+
+        Args:
+            x: Particles at rest [P,3], m.
+            means: The object's Gaussians at rest [N,3], m.
+            survivors: Which of the Gaussians that were given are among them; None: all.
+
+        Raises:
+            InputError: If the file cannot be read or does not fit the object.
+        """
+        table = read_table(self.file)
+        count = len(means) if survivors is None else len(survivors)
+        if len(table) == count and survivors is not None and not survivors.all():
+            values = {name: column[survivors] for name, column in table.columns.items()}
+            return nearest(x, means, values)
+        if len(table) == len(means) and self.sampling == "nearest":
+            return nearest(x, means, table.columns)
+        points = self._fitted(table, means)
+        if self.sampling == "nearest":
+            return nearest(x, points, table.columns)
+        return trilinear(x, points, table.columns)
+
+    def _fitted(self, table: Table, means: NDArray) -> NDArray[np.float64]:
+        """The file's points laid over the object [K,3], m: their boxes have one middle and size."""
+        if table.points is None:
+            raise InputError(
+                "properties.file", self.file,
+                f"it holds {len(table):,} values without places, the object has {len(means):,} "
+                "Gaussians.",
+                "Give x, y, z beside them, or one value per Gaussian of the gaussians.ply that a "
+                "run writes.",
+            )  # fmt: skip
+        points = table.points @ orientation(self.up, self.front).T
+        low, high = points.min(axis=0), points.max(axis=0)
+        first, last = means.min(axis=0).astype(np.float64), means.max(axis=0).astype(np.float64)
+        longest = (last - first).max()
+        scale = longest / max((high - low).max(), 1e-12)
+        if np.abs(scale * (high - low) - (last - first)).max() > ALIKE * longest:
+            raise InputError(
+                "properties.file", self.file,
+                f"its points fill a box of {_sides(scale * (high - low))} m, the object one of "
+                f"{_sides(last - first)} m.",
+                "Say by properties.up and properties.front how its axes lie.",
+            )  # fmt: skip
+        return (points - (low + high) / 2) * scale + (first + last) / 2
+
+
+def _sides(sides: NDArray) -> str:
+    return " x ".join(f"{side:.2g}" for side in sides)

@@ -1,0 +1,78 @@
+"""Values at places between points: those of the nearest, or trilinear between voxels."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.spatial import KDTree
+
+from phy124.errors import InputError
+
+REGULAR = 0.05
+"""How far a point may be off a voxel's middle, in voxels."""
+FINEST = 512
+"""Most voxels along an axis."""
+
+
+def nearest(
+    x: NDArray, points: NDArray, columns: dict[str, NDArray[Any]]
+) -> dict[str, NDArray[Any]]:
+    """The columns [K] of the points [K,3] nearest to places [P,3], each [P]."""
+    at = KDTree(points).query(x)[1]
+    return {name: column[at] for name, column in columns.items()}
+
+
+def trilinear(
+    x: NDArray, points: NDArray, columns: dict[str, NDArray[Any]]
+) -> dict[str, NDArray[Any]]:
+    """The columns [K] between the middles of voxels [K,3] at places [P,3], each [P].
+
+    Empty voxels count for nothing; a place that has no full one beside it, and every name of a
+    law, follows the nearest.
+
+    Raises:
+        InputError: If the points lie on no regular grid.
+    """
+    index, spacing, low = _lattice(points)
+    shape = tuple(index.max(axis=0) + 1)
+    at = ((x - low) / spacing).T
+    weight = _between(np.ones(len(points)), index, shape, at)
+    found = nearest(x, points, columns)
+    beside = weight > 1e-6
+    for name, column in columns.items():
+        if name != "law":
+            total = _between(column - column.min(), index, shape, at)
+            # From the least value up, so that where all are alike the value is exactly theirs.
+            found[name] = np.where(
+                beside, column.min() + total / np.maximum(weight, 1e-6), found[name]
+            )
+    return found
+
+
+def _between(values: NDArray, index: NDArray, shape: tuple[int, ...], at: NDArray) -> NDArray:
+    grid = np.zeros(shape)
+    grid[tuple(index.T)] = values
+    return ndimage.map_coordinates(grid, at, order=1, mode="nearest")
+
+
+def _lattice(points: NDArray) -> tuple[NDArray[np.int_], NDArray[np.float64], NDArray[np.float64]]:
+    """Index of each point [K,3], spacing [3] and first middle [3] of the grid they lie on."""
+    low = points.min(axis=0)
+    spacing = np.array([_step(points[:, axis]) for axis in range(3)])
+    index = np.rint((points - low) / spacing).astype(int)
+    if np.abs((points - low) / spacing - index).max() > REGULAR or index.max() >= FINEST:
+        raise InputError(
+            "properties.sampling", "trilinear", "the file's points lie on no regular grid.",
+            "Use nearest.",
+        )  # fmt: skip
+    return index, spacing, low
+
+
+def _step(along: NDArray) -> float:
+    """The usual distance between neighbouring middles along an axis."""
+    apart = np.diff(np.unique(along))
+    apart = apart[apart > 1e-4 * max(np.ptp(along), 1e-12)]
+    return float(np.median(apart)) if len(apart) else 1.0

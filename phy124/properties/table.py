@@ -1,0 +1,149 @@
+"""Reads a file of material properties into columns of one value per point."""
+
+from __future__ import annotations
+
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.errors import InputError
+from phy124.io.ply import read_rows
+
+COLUMNS = ("E", "nu", "density", "damping")
+"""What a file may say of each point besides its law: fields of a material [Pa, 1, kg/m^3, Pa s]."""
+NAMES = {
+    "youngs_modulus": "E", "poissons_ratio": "nu", "poisson_ratio": "nu", "rho": "density",
+    "material_id": "law", "voxel_coords_world": "points", "query_coords_world": "points",
+}  # fmt: skip
+"""What VoMP, Pixie and others call them."""
+LAWS = {
+    0: "neo_hookean", 1: "metal", 2: "sand", 3: "foam", 4: "fluid", 5: "snow", 6: "rigid",
+}  # fmt: skip
+"""Numbers that PhysGaussian and Pixie give to laws; 6 stands still there and is rigid here."""
+MAX_POINTS = 5_000_000
+FORMS = "Give .ply with columns, or .npz with arrays of E, nu, density, damping or law."
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """K points, or voxels that hold something, and what is known of each."""
+
+    columns: dict[str, NDArray[Any]]
+    """E, nu, density, damping [K], float64, and the names of laws [K], as far as they are given."""
+    points: NDArray[np.float64] | None
+    """Places in the file's own frame and units [K,3]; None: in the order of the Gaussians."""
+
+    def __len__(self) -> int:
+        return len(next(iter(self.columns.values())))
+
+
+def read_table(path: Path) -> Table:
+    """A file's points and their properties.
+
+    Raises:
+        InputError: If it cannot be read, names no property, or a number in it is none.
+    """
+    given = _renamed(_columns_of(path))
+    points = _places(path, given)
+    if points is None and any(np.ndim(value) == 3 for value in given.values()):
+        given, points = _voxels(path, given)
+    columns = {name: given[name] for name in (*COLUMNS, "law") if name in given}
+    if not columns:
+        raise _refusal(path, "it holds none of E, nu, density, damping and law.", FORMS)
+    sizes = {np.shape(value) for value in (*columns.values(), *_first(points))}
+    if len(sizes) > 1 or len(size := sizes.pop()) != 1:
+        raise _refusal(path, "its columns are not equally long.", "Write one value per point.")
+    (count,) = size
+    if not 0 < count <= MAX_POINTS:
+        raise _refusal(path, f"it holds {count:,} points; 1 to {MAX_POINTS:,} can be used.", "")
+    checked = {
+        n: _laws(path, c) if n == "law" else _numbers(path, n, c) for n, c in columns.items()
+    }
+    return Table(checked, points)
+
+
+def _columns_of(path: Path) -> dict[str, NDArray[Any]]:
+    if path.suffix.lower() == ".ply":
+        rows = read_rows(path)
+        return {name: rows[name] for name in rows.dtype.names or ()}
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            found = {name: archive[name] for name in archive.files}
+    except (OSError, ValueError, EOFError, KeyError, TypeError, zipfile.BadZipFile) as error:
+        raise _refusal(path, f"it cannot be read ({error}).", FORMS) from None
+    for name, rows in list(found.items()):
+        if rows.dtype.names:
+            del found[name]
+            found |= {column: rows[column] for column in rows.dtype.names}
+    return found
+
+
+def _renamed(columns: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    return {NAMES.get(name, name): value for name, value in columns.items()}
+
+
+def _places(path: Path, given: dict[str, NDArray[Any]]) -> NDArray[np.float64] | None:
+    """Where the points are [K,3], as x, y, z or as one array."""
+    if "points" in given:
+        points = given["points"]
+    elif {"x", "y", "z"} <= given.keys():
+        points = np.stack([given[axis] for axis in "xyz"], axis=-1)
+    else:
+        return None
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise _refusal(path, f"its points are an array {points.shape}.", "Give points [K,3].")
+    return _numbers(path, "points", points)
+
+
+def _voxels(path: Path, given: dict[str, Any]) -> tuple[dict[str, Any], NDArray[np.float64]]:
+    """Columns and middles of the voxels of dense arrays [X,Y,Z]; empty ones are NaN."""
+    dense = {name: given[name] for name in (*COLUMNS, "law") if name in given}
+    shape = next(iter(dense.values())).shape
+    if len(shape) != 3 or any(np.shape(value) != shape for value in dense.values()):
+        raise _refusal(path, "its voxels have different shapes.", "Give arrays [X,Y,Z] alike.")
+    lower = np.broadcast_to(given.get("lower", 0.0), 3)
+    upper = np.broadcast_to(given.get("upper", np.array(shape) - 1.0), 3)
+    lines = [np.linspace(a, b, n) for a, b, n in zip(lower, upper, shape, strict=True)]
+    middles = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3)
+    full = np.ones(shape, bool)
+    for name, value in dense.items():
+        if name != "law" and np.issubdtype(value.dtype, np.floating):
+            full &= ~np.isnan(value)
+    return {name: value[full] for name, value in dense.items()}, middles[full.ravel()]
+
+
+def _first(points: NDArray | None) -> list[NDArray]:
+    """The points' first coordinates, if there are points."""
+    return [] if points is None else [points[:, 0]]
+
+
+def _numbers(path: Path, name: str, values: NDArray[Any]) -> NDArray[np.float64]:
+    try:
+        found = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise _refusal(path, f"its {name} are no numbers.", FORMS) from None
+    if not np.isfinite(found).all():
+        bad = int((~np.isfinite(found)).sum())
+        raise _refusal(path, f"{bad:,} values of {name} are not finite.", "Leave those points out.")
+    return found
+
+
+def _laws(path: Path, values: NDArray[Any]) -> NDArray[np.str_]:
+    """Names of laws, given as such or by number."""
+    if values.dtype.kind in "US":
+        return values.astype(str)
+    numbers = np.unique(values)
+    unknown = [value for value in numbers.tolist() if value not in LAWS]
+    if unknown:
+        listed = ", ".join(f"{number} {name}" for number, name in LAWS.items())
+        raise _refusal(path, f"law {unknown[0]} is not known.", f"There are {listed}, or names.")
+    named = np.array([LAWS[int(number)] for number in numbers])
+    return named[np.searchsorted(numbers, values)]
+
+
+def _refusal(path: Path, limit: str, remedy: str) -> InputError:
+    return InputError("properties.file", path, limit, remedy)

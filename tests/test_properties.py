@@ -1,0 +1,213 @@
+"""Material properties from a file: what is read, where it lies, and what a bar of layers does."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from phy124.errors import InputError
+from phy124.io.ply import write_ply
+from phy124.materials import Fluid, NeoHookean, Sand
+from phy124.particles import Particles
+from phy124.parts import with_properties
+from phy124.properties import Properties, read_table
+from phy124.scene import Scene
+from phy124.simulation import Simulation
+from support.shapes import ball, lattice
+from support.solvers import make_solver
+from test_stiffness import AT, E, bar, length, pulled
+
+VOMP = [
+    ("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("youngs_modulus", "<f4"),
+    ("poissons_ratio", "<f4"), ("density", "<f4"), ("segment_id", "<U32"),
+]  # fmt: skip
+"""How VoMP lays out the array voxel_data of its .npz files."""
+PIXIE = [
+    ("x", "f4"), ("y", "f4"), ("z", "f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1"),
+    ("alpha", "u1"), ("part_label", "i4"), ("density", "f4"), ("E", "f4"), ("nu", "f4"),
+    ("material_id", "i4"), ("conf", "f4"),
+]  # fmt: skip
+"""How Pixie lays out the vertices of its .ply files."""
+QUICK = {"accuracy": {"cells": 12}, "time.frames": 4}
+
+
+def ply(path: Path, rows: np.ndarray) -> Path:
+    """A binary PLY file of a structured array."""
+    kinds = {"f4": "float", "i4": "int", "u1": "uchar"}
+    lines = [f"property {kinds[rows.dtype[name].str[1:]]} {name}" for name in rows.dtype.names]
+    head = ["ply", "format binary_little_endian 1.0", f"element vertex {len(rows)}", *lines]
+    path.write_bytes("\n".join([*head, "end_header\n"]).encode() + rows.tobytes())
+    return path
+
+
+def voxels(x: np.ndarray, **columns) -> np.ndarray:
+    rows = np.zeros(len(x), VOMP)
+    for axis, values in zip("xyz", x.T, strict=True):
+        rows[axis] = values
+    for name, values in columns.items():
+        rows[name] = values
+    return rows
+
+
+def saved(path: Path, **arrays) -> Path:
+    np.savez(path, **arrays)
+    return path
+
+
+def particles(x: np.ndarray) -> Particles:
+    count = len(x)
+    return Particles(
+        x.astype(np.float32), np.ones(count), np.full(count, 1000.0),
+        np.zeros(count, np.int32), np.arange(count, dtype=np.int32),
+    )  # fmt: skip
+
+
+def test_voxels_of_vomp_lie_where_the_object_does(tmp_path):
+    """In another place, size and frame (y up): stiff where the object's z is high."""
+    x = lattice(5, 5, 9, spacing=0.125)
+    theirs = (np.stack([x[:, 1], x[:, 2], x[:, 0]], axis=1) - 0.3) * 0.5
+    rows = voxels(theirs, youngs_modulus=np.where(x[:, 2] > 0.5, 1e6, 1e5), density=700)
+    file = saved(tmp_path / "materials.npz", voxel_data=rows)
+    found = Properties(file=file, up="y").columns(x + 0.01, x, None)
+    assert set(found) == {"E", "nu", "density"}
+    assert (found["E"] == np.where(x[:, 2] > 0.5, 1e6, 1e5)).all()
+    assert (found["density"] == 700).all()
+    with pytest.raises(InputError, match=r"fill a box of .* Say by properties\.up"):
+        Properties(file=file, up="z").columns(x, x[:-1], None)
+
+
+def test_points_of_pixie_give_laws_by_number(tmp_path, rng):
+    x = rng.uniform(0, 1, (200, 3))
+    rows = np.zeros(150, PIXIE)
+    for axis, values in zip("xyz", x[:150].T, strict=True):
+        rows[axis] = values
+    rows["E"], rows["nu"], rows["density"] = 2e5, 0.25, 400
+    rows["material_id"] = np.where(rows["z"] > 0.5, 2, 0)
+    found = Properties(file=ply(tmp_path / "p.ply", rows)).columns(x[:150], x, None)
+    assert (found["law"] == np.where(rows["z"] > 0.5, "sand", "neo_hookean")).all()
+    made, materials = with_properties(particles(x[:150]), found, [NeoHookean()])
+    laws = [materials[i].law for i in made.material]
+    assert laws == sorted(laws) and laws.count("sand") == (rows["z"] > 0.5).sum()
+    assert {m.E for m in materials} == {2e5} and (made.density == 400).all()
+    assert isinstance(materials[made.material[-1]], Sand)
+
+
+def test_between_voxels_values_are_trilinear_and_empty_ones_count_for_nothing(tmp_path, rng):
+    grid = np.stack(np.meshgrid(*[np.arange(6) / 5] * 3, indexing="ij"), axis=-1)
+    linear = 1e5 * (1 + grid @ [1.0, 2.0, 3.0])
+    means = np.array([[0, 0, 0], [1, 1, 1], [0.5, 0.5, 0.5]])
+    x = rng.uniform(0, 1, (100, 3))
+    file = saved(tmp_path / "grid.npz", E=linear, lower=np.zeros(3), upper=np.ones(3))
+    found = Properties(file=file, sampling="trilinear").columns(x, means, None)["E"]
+    assert found == pytest.approx(1e5 * (1 + x @ [1.0, 2.0, 3.0]), rel=1e-9)
+    holes = linear.copy()
+    holes[1:5, 2, 3] = np.nan
+    found = Properties(file=saved(tmp_path / "holes.npz", E=holes), sampling="trilinear")
+    found = found.columns(x, means, None)["E"]
+    assert np.isfinite(found).all() and found.min() >= 1e5 and found.max() <= 7e5
+    assert found == pytest.approx(1e5 * (1 + x @ [1.0, 2.0, 3.0]), rel=0.4)
+
+
+def test_a_uniform_file_is_the_scalar_bit_for_bit(tmp_path):
+    gaussians, scene = ball(300), Scene.named("drop").replaced(QUICK)
+    plain = Simulation(gaussians, scene).run()
+    law = scene.material
+    alike = {"E": law.E, "nu": law.nu, "density": law.density, "damping": law.damping}
+    per_gaussian = {name: np.full(300, value) for name, value in alike.items()}
+    dense = {name: np.full((4, 4, 4), value) for name, value in alike.items()}
+    for name, arrays, sampling in (
+        ("one", per_gaussian, "nearest"), ("grid", dense, "trilinear"),
+    ):  # fmt: skip
+        file = saved(tmp_path / f"{name}.npz", **arrays)
+        given = scene.replaced({"properties": {"file": str(file), "sampling": sampling}})
+        assert (Simulation(gaussians, given).run().means == plain.means).all()
+
+
+def test_a_bar_of_layers_stretches_by_the_sum_of_their_compliances(tmp_path, monkeypatch):
+    """Three layers, of E, half and a quarter of it, against the closed form of test_stiffness."""
+    x = bar()
+
+    def layers(z):
+        return np.where(z < 0.375, 1.0, np.where(z < 0.625, 0.5, 0.25))
+
+    file = saved(tmp_path / "bar.npz", voxel_data=voxels(x, youngs_modulus=E * layers(x[:, 2]),
+                                                          density=1000))  # fmt: skip
+    columns = Properties(file=file).columns(x, x[1:], None)
+    made, materials = with_properties(particles(x), {"E": columns["E"]}, [NeoHookean(E=E, nu=0.0)])
+    assert len(materials) == 3
+
+    def solver(x, volume, law, **options):
+        del law, options["stiffness"]
+        return make_solver(x, volume, materials, material=made.material, **options)
+
+    monkeypatch.setattr("test_stiffness.make_solver", solver)
+    first, last = pulled(None)
+    exact = length(layers) - (AT[1] - AT[0])
+    assert last - first - (AT[1] - AT[0]) == pytest.approx(exact, rel=0.03)
+
+
+def test_columns_of_the_gaussians_own_file(tmp_path):
+    """The PLY that is simulated may hold them; Gaussians that are dropped take theirs along."""
+    gaussians = ball(200)
+    write_ply(tmp_path / "g.ply", gaussians)
+    raw = (tmp_path / "g.ply").read_bytes()
+    head, _, body = raw.partition(b"end_header\n")
+    rows = np.frombuffer(body, np.uint8).reshape(200, -1)
+    stiff = np.where(gaussians.means[:, 2] > 0, 4e5, 1e5).astype("<f4")
+    rows = np.concatenate([rows, stiff.view(np.uint8).reshape(200, 4)], axis=1)
+    (tmp_path / "g.ply").write_bytes(head + b"property float E\nend_header\n" + rows.tobytes())
+    means = gaussians.means.copy()
+    means[7] = np.nan
+    scene = Scene.named("drop").replaced({**QUICK, "properties.file": str(tmp_path / "g.ply")})
+    run = Simulation(replace(gaussians, means=means), scene)
+    own = run.particles.gaussian >= 0
+    which = np.delete(np.arange(200), 7)[run.particles.gaussian[own]]
+    found = np.array([m.E for m in run.materials])[run.particles.material[own]]
+    assert (found == stiff[which]).all() and 7 not in which
+    report = run.run().report
+    assert "stiffness per particle" in report["effects"]["ran"]
+
+
+@pytest.mark.parametrize(
+    ("arrays", "limit"),
+    [
+        ({"E": np.ones(5)}, "without places, the object has 10 Gaussians"),
+        ({"E": np.full(10, np.nan)}, "10 values of E are not finite"),
+        ({"E": np.full(10, 1e20)}, "E = 1e.20: it must be a number from 1 to 1e13"),
+        ({"nu": np.linspace(0.1, 0.7, 10)}, r"nu = 0\.7: it must be"),
+        ({"E": np.ones((2, 5))}, "columns are not equally long"),
+        ({"colour": np.ones(10)}, "none of E, nu, density, damping and law"),
+        ({"law": np.full(10, "jam")}, "law jam: there is no such law"),
+        ({"law": np.full(10, 17)}, "law 17 is not known"),
+        ({"law": np.full(10, 4), "E": np.ones(10)}, "law fluid has no E"),
+        ({"E": np.array(["a"] * 10)}, "its E are no numbers"),
+    ],
+)
+def test_what_does_not_fit_is_refused_in_words(tmp_path, arrays, limit):
+    file, x = saved(tmp_path / "bad.npz", **arrays), lattice(1, 2, 5, spacing=0.1)
+    with pytest.raises(InputError, match=limit):
+        with_properties(particles(x), Properties(file=file).columns(x, x, None), [NeoHookean()])
+
+
+def test_files_that_are_none_are_refused(tmp_path):
+    (tmp_path / "a.npz").write_bytes(b"PK nothing")
+    (tmp_path / "b.ply").write_bytes(b"ply\nformat ascii 1.0\n")
+    for name in ("a.npz", "b.ply", "c.npz"):
+        with pytest.raises(InputError):
+            read_table(tmp_path / name)
+
+
+def test_irregular_points_are_not_interpolated(tmp_path, rng):
+    x = rng.uniform(0, 1, (50, 3))
+    file = saved(tmp_path / "p.npz", points=x, E=np.full(50, 1e5))
+    with pytest.raises(InputError, match="no regular grid"):
+        Properties(file=file, sampling="trilinear").columns(x, x[1:], None)
+
+
+def test_what_has_no_field_of_that_name_keeps_its_own():
+    x = lattice(1, 1, 4, spacing=0.1)
+    base = replace(particles(x), material=np.array([0, 0, 1, 1], np.int32))
+    columns = {"E": np.array([1e5, 2e5, 3e5, 4e5])}
+    made, materials = with_properties(base, columns, [NeoHookean(), Fluid()])
+    assert [getattr(materials[i], "E", None) for i in made.material] == [1e5, 2e5, None, None]
