@@ -8,16 +8,14 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
-
-from pydantic import BaseModel
 
 from phy124.cost import count_particles
 from phy124.errors import InputError
 from phy124.materials import Elastic
 from phy124.scene import GOOD_FOR, PRESETS, Scene, preset_names
+from phy124.scene.files import files_named
 
 from .pictures import check_picture
 from .settings import Settings
@@ -101,19 +99,6 @@ def scene_of(data: Any, settings: Settings, uploads: Path | None = None) -> Scen
         _check_upload(field, path, settings, uploads)
     check_limits(scene, settings)
     return scene
-
-
-def files_named(section: Any, field: str = "") -> Iterator[tuple[str, Path]]:
-    """Every file that a scene names and the field that names it, whichever section it is in."""
-    if isinstance(section, Path):
-        yield field, section
-    elif isinstance(section, BaseModel):
-        for name in type(section).model_fields:
-            yield from files_named(getattr(section, name), f"{field}.{name}".strip("."))
-    elif isinstance(section, dict | list | tuple):
-        items = section.items() if isinstance(section, dict) else enumerate(section)
-        for name, value in items:
-            yield from files_named(value, f"{field}.{name}")
 
 
 def _check_upload(field: str, path: Path, settings: Settings, uploads: Path | None) -> None:

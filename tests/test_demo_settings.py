@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from demo.__main__ import asked_for, main
-from demo.catalogue import FOLDER, catalogue, check_time, files_named, scene_of
+from demo.catalogue import FOLDER, catalogue, check_time, scene_of
 from demo.forecast import Estimator, measured, stops_table
 from demo.jobs import Studio
 from demo.settings import Settings, table
@@ -22,6 +22,7 @@ from phy124.forces import AnyForce
 from phy124.materials import AnyMaterial
 from phy124.runtime.installation import install_command
 from phy124.scene import Scene, preset_names
+from phy124.scene.files import files_named
 
 
 @pytest.fixture(autouse=True)

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from phy124.__main__ import main
 from phy124.errors import InputError
 from phy124.io.ply import write_ply
 from phy124.materials import Fluid, NeoHookean, Sand
@@ -29,6 +30,7 @@ PIXIE = [
     ("material_id", "i4"), ("conf", "f4"),
 ]  # fmt: skip
 """How Pixie lays out the vertices of its .ply files."""
+DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"
 QUICK = {"accuracy": {"cells": 12}, "time.frames": 4}
 
 
@@ -97,16 +99,29 @@ def test_between_voxels_values_are_trilinear_and_empty_ones_count_for_nothing(tm
     grid = np.stack(np.meshgrid(*[np.arange(6) / 5] * 3, indexing="ij"), axis=-1)
     linear = 1e5 * (1 + grid @ [1.0, 2.0, 3.0])
     means = np.array([[0, 0, 0], [1, 1, 1], [0.5, 0.5, 0.5]])
-    x = rng.uniform(0, 1, (100, 3))
-    file = saved(tmp_path / "grid.npz", E=linear, lower=np.zeros(3), upper=np.ones(3))
+    x, bounds = rng.uniform(0, 1, (100, 3)), {"lower": np.zeros(3), "upper": np.ones(3)}
+    file = saved(tmp_path / "grid.npz", E=linear, **bounds)
     found = Properties(file=file, sampling="trilinear").columns(x, means, None)["E"]
     assert found == pytest.approx(1e5 * (1 + x @ [1.0, 2.0, 3.0]), rel=1e-9)
     holes = linear.copy()
     holes[1:5, 2, 3] = np.nan
-    found = Properties(file=saved(tmp_path / "holes.npz", E=holes), sampling="trilinear")
+    found = Properties(file=saved(tmp_path / "holes.npz", E=holes, **bounds), sampling="trilinear")
     found = found.columns(x, means, None)["E"]
     assert np.isfinite(found).all() and found.min() >= 1e5 and found.max() <= 7e5
     assert found == pytest.approx(1e5 * (1 + x @ [1.0, 2.0, 3.0]), rel=0.4)
+
+
+def test_voxels_without_bounds_fill_the_box_of_the_object(tmp_path):
+    """Whatever its sides are; here y is up in the file, and x is to the front."""
+    means = np.array([[-1.0, 0, 0], [1.0, 4, 0.5]])
+    values = np.full((2, 2, 2), 1e5)
+    values[:, 1, :] = 9e5
+    file = saved(tmp_path / "box.npz", E=values)
+    x = np.array([[-0.5, 1, 0.1], [-0.5, 3, 0.4], [0.7, 1, 0.4]])
+    found = Properties(file=file, up="y", front="x").columns(x, means, None)["E"]
+    assert found.tolist() == [1e5, 9e5, 9e5]
+    found = Properties(file=file, up="-y", front="x").columns(x, means, None)["E"]
+    assert found.tolist() == [9e5, 1e5, 1e5]
 
 
 def test_a_uniform_file_is_the_scalar_bit_for_bit(tmp_path):
@@ -211,3 +226,12 @@ def test_what_has_no_field_of_that_name_keeps_its_own():
     columns = {"E": np.array([1e5, 2e5, 3e5, 4e5])}
     made, materials = with_properties(base, columns, [NeoHookean(), Fluid()])
     assert [getattr(materials[i], "E", None) for i in made.material] == [1e5, 2e5, None, None]
+
+
+def test_a_file_that_is_missing_is_refused_before_any_work(tmp_path, capsys):
+    arguments = ["generate", str(DUCK), "--out", str(tmp_path / "made"), "--set"]
+    for field in ("properties.file", "parts.0.mask"):
+        assert main([*arguments, f"{field}={tmp_path / 'none.png'}"]) == 2
+        said = capsys.readouterr()
+        assert f"{field} = " in said.err and "there is no such file" in said.err
+        assert "relief" not in said.err and not (tmp_path / "made").exists()

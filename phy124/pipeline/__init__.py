@@ -42,6 +42,7 @@ from phy124.rendering.film import rate as rate
 from phy124.runtime.isolated import Deadline
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
+from phy124.scene.files import refuse_missing
 from phy124.simulation import Simulation
 
 PathLike = str | os.PathLike[str]
@@ -72,6 +73,7 @@ def generate(
     Raises InputError for what the user can mend, Cancelled if `progress` does.
     """
     scene.refuse_nameless()
+    refuse_missing(scene)
     watch = Stopwatch()
     with staged(out):  # Refused before any work, if at all.
         made = static(
@@ -199,6 +201,7 @@ def simulate(
     with every frame as soon as it is there, but not of the grids that a `goal` tries.
     """
     scene.refuse_nameless()
+    refuse_missing(scene)
     watch = watch or Stopwatch()
     making = Making(Path(out), device, progress, watch, dict(about or {}), keep, cutout, films)
 

@@ -70,9 +70,13 @@ class Properties(Section):
                 "Give x, y, z beside them, or one value per Gaussian of the gaussians.ply that a "
                 "run writes.",
             )  # fmt: skip
-        points = table.points @ orientation(self.up, self.front).T
+        turned = orientation(self.up, self.front).T
+        points = table.points @ turned
         low, high = points.min(axis=0), points.max(axis=0)
         first, last = means.min(axis=0).astype(np.float64), means.max(axis=0).astype(np.float64)
+        if table.whole:
+            points = points - np.minimum(np.ones(3) @ turned, 0)
+            return first + points * (last - first)
         longest = (last - first).max()
         scale = longest / max((high - low).max(), 1e-12)
         if np.abs(scale * (high - low) - (last - first)).max() > ALIKE * longest:

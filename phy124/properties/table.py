@@ -36,6 +36,8 @@ class Table:
     """E, nu, density, damping [K], float64, and the names of laws [K], as far as they are given."""
     points: NDArray[np.float64] | None
     """Places in the file's own frame and units [K,3]; None: in the order of the Gaussians."""
+    whole: bool = False
+    """Whether the places are fractions of the object's box: of voxels that say no bounds."""
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values())))
@@ -48,8 +50,9 @@ def read_table(path: Path) -> Table:
         InputError: If it cannot be read, names no property, or a number in it is none.
     """
     given = _renamed(_columns_of(path))
-    points = _places(path, given)
+    points, whole = _places(path, given), False
     if points is None and any(np.ndim(value) == 3 for value in given.values()):
+        whole = not {"lower", "upper"} <= given.keys()
         given, points = _voxels(path, given)
     columns = {name: given[name] for name in (*COLUMNS, "law") if name in given}
     if not columns:
@@ -63,7 +66,7 @@ def read_table(path: Path) -> Table:
     checked = {
         n: _laws(path, c) if n == "law" else _numbers(path, n, c) for n, c in columns.items()
     }
-    return Table(checked, points)
+    return Table(checked, points, whole)
 
 
 def _columns_of(path: Path) -> dict[str, NDArray[Any]]:
@@ -100,14 +103,19 @@ def _places(path: Path, given: dict[str, NDArray[Any]]) -> NDArray[np.float64] |
 
 
 def _voxels(path: Path, given: dict[str, Any]) -> tuple[dict[str, Any], NDArray[np.float64]]:
-    """Columns and middles of the voxels of dense arrays [X,Y,Z]; empty ones are NaN."""
+    """Columns and middles of the voxels of dense arrays [X,Y,Z]; empty ones are NaN.
+
+    Without `lower` and `upper`, the first and last middle, the voxels fill a box of side 1.
+    """
     dense = {name: given[name] for name in (*COLUMNS, "law") if name in given}
     shape = next(iter(dense.values())).shape
     if len(shape) != 3 or any(np.shape(value) != shape for value in dense.values()):
         raise _refusal(path, "its voxels have different shapes.", "Give arrays [X,Y,Z] alike.")
-    lower = np.broadcast_to(given.get("lower", 0.0), 3)
-    upper = np.broadcast_to(given.get("upper", np.array(shape) - 1.0), 3)
-    lines = [np.linspace(a, b, n) for a, b, n in zip(lower, upper, shape, strict=True)]
+    half = 0.5 / np.array(shape)
+    lower, upper = given.get("lower", half), given.get("upper", 1 - half)
+    lines = [
+        np.linspace(a, b, n) for a, b, n in zip(*_bounds(path, lower, upper), shape, strict=True)
+    ]
     middles = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3)
     full = np.ones(shape, bool)
     for name, value in dense.items():
@@ -119,6 +127,13 @@ def _voxels(path: Path, given: dict[str, Any]) -> tuple[dict[str, Any], NDArray[
 def _first(points: NDArray | None) -> list[NDArray]:
     """The points' first coordinates, if there are points."""
     return [] if points is None else [points[:, 0]]
+
+
+def _bounds(path: Path, *ends: Any) -> list[NDArray[np.float64]]:
+    """First and last middle of the voxels [3]."""
+    if any(np.shape(end) != (3,) for end in ends):
+        raise _refusal(path, "lower and upper are no places.", "Give three numbers each.")
+    return [_numbers(path, "bounds", end) for end in ends]
 
 
 def _numbers(path: Path, name: str, values: NDArray[Any]) -> NDArray[np.float64]:

@@ -1,0 +1,35 @@
+"""The files that a scene names: pictures of parts, stiffness and properties."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel
+
+from phy124.errors import InputError
+
+
+def files_named(section: Any, field: str = "") -> Iterator[tuple[str, Path]]:
+    """Every file that a scene names and the field that names it, whichever section it is in."""
+    if isinstance(section, Path):
+        yield field, section
+    elif isinstance(section, BaseModel):
+        for name in type(section).model_fields:
+            yield from files_named(getattr(section, name), f"{field}.{name}".strip("."))
+    elif isinstance(section, dict | list | tuple):
+        items = section.items() if isinstance(section, dict) else enumerate(section)
+        for name, value in items:
+            yield from files_named(value, f"{field}.{name}")
+
+
+def refuse_missing(section: BaseModel) -> None:
+    """Make sure that the files a scene names are there, before any work is done for it.
+
+    Raises:
+        InputError: One of them is not.
+    """
+    for field, path in files_named(section):
+        if not path.is_file():
+            raise InputError(field, path, "there is no such file.", "Correct its name.")
