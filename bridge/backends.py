@@ -8,8 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from phy124.arguments.parsing import meant
-from phy124.errors import InputError
+from phy124.errors import InputError, meant
 from phy124.plugins import names, registered
 from phy124.runtime.installation import install_command
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import difflib
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 
@@ -36,3 +37,14 @@ class InputError(ValueError):
 
 class Cancelled(Exception):
     """Raised from a progress callback to stop the work at once."""
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """The sentence "Did you mean ...?" if a known word is close, else nothing."""
+    close = difflib.get_close_matches(word, [*known], 1)
+    return f"Did you mean {close[0]}?" if close else ""
+
+
+def meant(word: str, known: Sequence[str], *, otherwise: str = "Choose one of") -> str:
+    """The sentence "Did you mean ...?" if a known word is close, else the known words."""
+    return did_you_mean(word, known) or f"{otherwise} {', '.join(known)}."

@@ -6,14 +6,13 @@ not, its own message is shown.
 
 from __future__ import annotations
 
-import difflib
 import itertools
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
 from phy124.arguments.repeats import gathered, members
-from phy124.errors import InputError
+from phy124.errors import InputError, did_you_mean, meant
 
 KINDS = {"INT": "a whole number", "FLOAT": "a number"}
 Commands = Mapping[str, type]
@@ -110,12 +109,6 @@ def option_names(command: Any) -> list[str]:
     return found
 
 
-def meant(word: str, known: Sequence[str], *, otherwise: str = "Choose one of") -> str:
-    """The sentence "Did you mean ..." if a known word is close, otherwise the fallback."""
-    close = difflib.get_close_matches(word, known, 1)
-    return f"Did you mean {close[0]}?" if close else f"{otherwise} {', '.join(known)}."
-
-
 def _refusal(
     event: Any, arguments: Sequence[str], commands: Commands, program: str
 ) -> InputError | None:
@@ -175,8 +168,7 @@ def _unknown(tokens: Sequence[str], command: str, options: Sequence[str]) -> Inp
         limit = f"`{command}` takes no more values."
         return InputError("argument", tokens[0], limit, f"See `{command} --help`.")
     name = strange[0].partition("=")[0]
-    close = difflib.get_close_matches(name, options, 1)
-    hint = f"Did you mean {close[0]}?" if close else f"See `{command} --help`."
+    hint = did_you_mean(name, options) or f"See `{command} --help`."
     return InputError("option", name, f"`{command}` has no such option.", hint)
 
 

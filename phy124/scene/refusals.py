@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from pydantic import BaseModel, ValidationError
 
-from phy124.errors import InputError
+from phy124.errors import InputError, did_you_mean
 from phy124.scene.declaration import Declaration, Node, declaration, number
 
 LONGEST = 60
@@ -119,8 +119,7 @@ def _try(declared: Declaration, node: Node, value: Any) -> str:
     """A legal value to suggest."""
     known = [str(name) for one in declared.choices(node) for name in one.get("enum", [])]
     if known:
-        close = difflib.get_close_matches(str(value), known, 1)
-        return f"Did you mean {close[0]}?" if close else ""
+        return did_you_mean(str(value), known)
     legal = node.get("default")
     numbers = legal if isinstance(legal, list) else [legal]
     if legal in (None, []) or any(
@@ -172,5 +171,5 @@ def _no_such_kind(declared: Declaration, place: _Place, found: Any) -> tuple[str
     listed = f"Give one of {', '.join(known)}."
     if found["input"] is None:
         return f"it must say its {tag}.", listed
-    close = difflib.get_close_matches(str(found["input"]), known, 1)
-    return f"there is no such {tag}.", f"Did you mean {close[0]}? {listed}" if close else listed
+    hint = did_you_mean(str(found["input"]), known)
+    return f"there is no such {tag}.", f"{hint} {listed}".strip()

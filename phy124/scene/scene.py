@@ -6,7 +6,6 @@ command line's help and the web page alike.
 
 from __future__ import annotations
 
-import difflib
 import os
 import sys
 from importlib import resources
@@ -18,7 +17,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from phy124.boundaries import AnyBoundary, Ground, Wall
 from phy124.bounds import Text
-from phy124.errors import InputError
+from phy124.errors import InputError, did_you_mean
 from phy124.forces import AnyForce, Gravity, OwnForce
 from phy124.materials import AnyMaterial, Law, NeoHookean
 from phy124.plugins import has_name, is_foreign
@@ -143,12 +142,9 @@ class Scene(Section):
             return cls.from_toml(preset_folder() / f"{name}.toml")
         if Path(name).suffix == ".toml":
             return cls.from_toml(name)
-        close = difflib.get_close_matches(name, preset_names(), 1)
-        hint = f"Did you mean {close[0]}? " if close else ""
-        known = ", ".join(preset_names())
-        raise InputError(
-            "scene", name, "no preset has that name.", f"{hint}Give a .toml file or one of {known}."
-        )
+        given = f"Give a .toml file or one of {', '.join(preset_names())}."
+        hint = did_you_mean(name, preset_names())
+        raise InputError("scene", name, "no preset has that name.", f"{hint} {given}".strip())
 
     def data(self) -> dict[str, Any]:
         """The whole tree as plain data, without the values that are None."""
