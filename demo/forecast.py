@@ -228,17 +228,10 @@ def stops_table(stops: list[Stop], chosen: object) -> str:
     rows = [
         f"<tr{mark.get(stop.name, '')}><td>{escape(stop.name.capitalize())}</td>"
         f"<td>about {_duration(stop.seconds)}</td>"
-        f"<td>{_off(stop)}</td></tr>"
+        f"<td>{stop.promise.off(stop.pixels)}</td></tr>"
         for stop in stops
     ]
     return f'<table class="stops">{"".join(rows)}</table>'
-
-
-def _off(stop: Stop) -> str:
-    if stop.error is None or stop.pixels is None:
-        return "error not measured"
-    how = "about" if stop.promise.own else "at most"
-    return f"off by {how} {stop.error:.1%} ({stop.pixels:.0f} px)"
 
 
 def _duration(seconds: float) -> str:

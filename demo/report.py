@@ -44,7 +44,7 @@ def _accuracy(
     name = scene.get("accuracy")
     rows = [
         ("Setting", name if isinstance(name, str) else "own settings"),
-        ("Error measured" if said.own else "Error promised", said.brief.partition(": ")[2]),
+        said.row,
         ("Time predicted", f"{predicted:.1f} s"),
         ("Time spent", f"{report['seconds']:.1f} s"),
         ("Gaussians", f"{report['gaussians']:,}"),

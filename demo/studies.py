@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from html import escape
-
 from pydantic import BaseModel, ConfigDict
 
+from phy124.accuracy import promises
 from phy124.accuracy.promises import Promise
 from phy124.accuracy.study import Report, error_on
 from phy124.scene import Scene
@@ -58,19 +56,19 @@ class Measurement(BaseModel):
         """The error on some grid; nothing is promised where any grid may be torn."""
         torn = [level.name for level in self.levels if level.torn]
         if torn:
-            on = _listed(torn)
-            return Promise(None, f"none can be promised: on {on} the grid may tear the material.")
+            return promises.none(f"{promises.torn(torn)}.")
         errors = {level.cells: level.error for level in self.levels if level.error is not None}
         error = error_on(cells, errors, self.order)
         if error is None:
             why = ". ".join([self.why_not or "no grid so coarse was measured", *self.skipped])
-            return Promise(None, f"none can be promised: {why.rstrip('.')}.")
-        return Promise(error, _origin(cells, sorted(errors)), own=True)
+            return promises.none(f"{why.rstrip('.')}.")
+        return promises.measured(error, cells, sorted(errors))
 
     def table(self) -> str:
         """Grid, seconds and error, as HTML."""
         rows = [
-            f"<tr><td>{level.name}</td><td>{level.seconds:.1f} s</td><td>{_off(level)}</td></tr>"
+            f"<tr><td>{level.name}</td><td>{level.seconds:.1f} s</td>"
+            f"<td>{promises.off(level.error, torn=level.torn)}</td></tr>"
             for level in self.levels
         ]
         return f'<table class="stops">{"".join(rows)}</table>'
@@ -90,22 +88,3 @@ def on_grid(scene: Scene, cells: int) -> Scene:
     """The scene on another grid; digits do not change its error (docs/results/accuracy.md)."""
     accuracy = scene.resolution.model_copy(update={"cells": cells, "precision": "float32"})
     return scene.model_copy(update={"accuracy": accuracy})
-
-
-def _origin(cells: int, known: Sequence[int]) -> str:
-    measured = _listed([f"D/{n}" for n in known])
-    if cells > known[-1]:
-        return f"Extrapolated to D/{cells} from {measured}."
-    nearest = max(n for n in known if n <= cells)
-    return f"Measured on {measured}." if nearest == cells else f"Measured on D/{nearest}."
-
-
-def _off(level: Level) -> str:
-    if level.torn:
-        return "may be torn"
-    return "no error" if level.error is None else f"off by about {level.error:.1%}"
-
-
-def _listed(names: Sequence[str]) -> str:
-    first, last = names[:-1], names[-1]
-    return escape(f"{', '.join(first)} and {last}" if first else last)

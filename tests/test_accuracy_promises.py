@@ -1,6 +1,7 @@
 """Promises: only what was measured for such a scene, and nothing of a run that may be torn."""
 
 import json
+from pathlib import Path
 
 import pytest
 
@@ -165,3 +166,15 @@ def test_simulate_prints_what_is_promised(tmp_path, capsys):
     assert main([*arguments, "--scene", "press", "--device", "cpu"]) == 0
     said = promise(Scene.named("press").replaced({"accuracy": "draft"})).sentence
     assert said in capsys.readouterr().out
+
+
+def test_no_one_else_words_a_promise():
+    """What is said of promised and measured errors stands in one file only."""
+    root = Path(promises.__file__).parents[2]
+    words = ("can be promised", "Expected error", "Error promised", "error not measured")
+    sources = [
+        path for part in ("phy124", "demo", "bridge")
+        for kind in ("py", "js") for path in (root / part).rglob(f"*.{kind}")
+    ]  # fmt: skip
+    found = {p.name for p in sources if any(word in p.read_text("utf-8") for word in words)}
+    assert found == {"promises.py"}

@@ -9,6 +9,7 @@ import gradio as gr
 
 from phy124.accuracy.forecast import GUESS
 from phy124.accuracy.load import spoken
+from phy124.accuracy.promises import UNMEASURED
 from phy124.errors import InputError
 from phy124.scene import Scene
 
@@ -69,14 +70,13 @@ def _error_line(
     """What was measured on this very scene, or a button that measures it."""
     said = promise_of(scene, study)
     if study is not None:
-        about = "no error can be promised" if said.error is None else f"about {said.error:.1%} off"
-        return f'<p class="measured">Measured: {about}.</p>'
+        return f'<p class="measured">{said.measured}</p>'
     if not said.unmeasured:
         return ""
     seconds = studio.study_seconds(name, cutout, scene)
     span = spoken(studio.forecaster.load().span(seconds, unsure=GUESS))
     button = '<button type="button" class="quiet" data-measure>Measure</button>'
-    return f"<p>Error not measured; {button} takes {span}.</p>"
+    return f"<p>{UNMEASURED.capitalize()}; {button} takes {span}.</p>"
 
 
 def refiner(studio: Studio) -> Handler:

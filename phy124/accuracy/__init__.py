@@ -8,7 +8,7 @@ For the web page and other callers, three calls:
     #   .seconds   predicted seconds of particles, simulation, shapes, pictures, video, saving
     #   .error     error measured for such scenes, a fraction of the size; .pixels in the picture;
     #              None where it was not measured, .promise.why says so
-    #   .caveat    None, or a sentence: why no seconds can be promised for this scene
+    #   .caveat    None, or a sentence: why the seconds are a guess
     #   .forecast  the whole Forecast (seconds by stage, particles, substeps)
 
     forecast = forecaster.forecast(gaussians, scene)   # one setting, scene.accuracy

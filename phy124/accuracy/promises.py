@@ -5,13 +5,15 @@ to measured.json: the error of each grid and how violent and how long the scenes
 promised the error of its law and kind of motion, on a grid as coarse as its own or coarser, if it
 is no more violent and not much longer. Else nothing is promised: the error is "not measured", and
 a study of the scene itself (`phy124 accuracy`) tells.
+
+All that the command line and the page say of errors is worded here.
 """
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
@@ -30,6 +32,7 @@ WORDS: dict[Motion, str] = {
 """Kinds of motion, in words."""
 MARGIN = 1.25
 """How much longer or more violent than what was measured a scene may be; errors grow as much."""
+UNMEASURED = "error not measured"
 STUDY = "phy124 accuracy SCENE --image PICTURE"
 """The command that measures a scene of one's own."""
 
@@ -63,12 +66,29 @@ class Promise:
             return f"Expected error: not measured for {self.unmeasured}."
         return self.sentence
 
+    @property
+    def row(self) -> tuple[str, str]:
+        """What it is and what it says, as a row of a table."""
+        return "Error measured" if self.own else "Error promised", self.brief.partition(": ")[2]
+
+    @property
+    def measured(self) -> str:
+        """What measuring this very scene found, in a few words."""
+        off = "no error can be promised" if self.error is None else f"about {self.error:.1%} off"
+        return f"Measured: {off}."
+
+    def off(self, pixels: float | None) -> str:
+        """How far a run will be off, in a few words; `pixels` of the video are the same error."""
+        if self.error is None or pixels is None:
+            return UNMEASURED
+        return f"off by {'about' if self.own else 'at most'} {self.error:.1%} ({pixels:.0f} px)"
+
 
 def promise(scene: Scene, report: Mapping[str, Any] | None = None) -> Promise:
     """What may be promised of a scene; with the report of its run, what may still be said."""
     broken = why_broken(report or {})
     if broken:
-        return Promise(None, f"none can be promised: {broken}")
+        return none(broken)
     laws, motion = sorted({section.law for section in scene.materials}), motion_of(scene)
     if len(laws) > 1:
         return _unknown("scenes of several materials")
@@ -141,6 +161,53 @@ def _vector(force: Any) -> tuple[float, ...]:
     """The acceleration a force gives, where it is one."""
     value = next((getattr(force, name) for name in ("g", "a") if hasattr(force, name)), 0.0)
     return tuple(value) if isinstance(value, tuple) else (float(value),)
+
+
+def none(why: str) -> Promise:
+    """No promise, and why not."""
+    return Promise(None, f"none can be promised: {why}")
+
+
+def measured(error: float, cells: int, grids: Sequence[int]) -> Promise:
+    """The error that was found for a scene itself.
+
+    Args:
+        error: In object sizes.
+        cells: Across the object, of its grid.
+        grids: Cells of the grids that were measured, from coarse to fine.
+    """
+    if cells > grids[-1]:
+        origin = f"Extrapolated to D/{cells} from {_listed([f'D/{n}' for n in grids])}."
+    else:
+        nearest = max(n for n in grids if n <= cells)
+        all_of_them = _listed([f"D/{n}" for n in grids])
+        origin = f"Measured on {all_of_them if nearest == cells else f'D/{nearest}'}."
+    return Promise(error, origin, own=True)
+
+
+def torn(grids: Sequence[str]) -> str:
+    """Why nothing is promised where a study's grids may be torn; `grids` are named D/16 and so."""
+    return f"on {_listed(grids)} the grid may tear the material"
+
+
+def off(error: float | None, *, torn: bool = False) -> str:
+    """What a grid of a study found, in a few words."""
+    if torn:
+        return "may be torn"
+    return "no error" if error is None else f"off by about {error:.1%}"
+
+
+def kept(promised: float | None, error: float) -> str:
+    """Whether what was promised of such scenes holds where it was measured."""
+    if promised is None:
+        return f"none was made for such a scene; measured here: {error:.1%}"
+    verdict = "holds" if error <= promised else "DOES NOT HOLD"
+    return f"{verdict}: {error:.1%} of at most {promised:.1%}"
+
+
+def _listed(names: Sequence[str]) -> str:
+    first, last = names[:-1], names[-1]
+    return f"{', '.join(first)} and {last}" if first else last
 
 
 def _unknown(what: str) -> Promise:

@@ -18,7 +18,7 @@ import numpy as np
 from phy124.accuracy.convergence import TRUSTED, Convergence, distances, richardson
 from phy124.accuracy.difference import Difference, difference
 from phy124.accuracy.forecast import Forecaster, pixels_per_size
-from phy124.accuracy.promises import promise
+from phy124.accuracy.promises import kept, promise, torn
 from phy124.errors import Cancelled
 from phy124.gaussians import Gaussians
 from phy124.io.clip import Clip
@@ -319,21 +319,13 @@ def kept_promises(scene: Scene, rows: tuple[Row, ...], found: Convergence) -> di
         if row is None:
             said[name] = "not tried"
         elif row.torn:
-            said[name] = f"none: on {row.name} the grid may tear the material"
+            said[name] = f"none: {torn([row.name])}"
         elif found.error is None or row.error is None:
             said[name] = f"cannot be judged: {found.why_not}"
         else:
-            said[name] = _kept(
-                promise(scene.model_copy(update={"accuracy": name})).error, row.error
-            )
+            promised = promise(scene.model_copy(update={"accuracy": name}))
+            said[name] = kept(promised.error, row.error)
     return said
-
-
-def _kept(promised: float | None, error: float) -> str:
-    if promised is None:
-        return f"none was made for such a scene; measured here: {error:.1%}"
-    verdict = "holds" if error <= promised else "DOES NOT HOLD"
-    return f"{verdict}: {error:.1%} of at most {promised:.1%}"
 
 
 def _particles_per_axis(simulation: Simulation) -> float:
