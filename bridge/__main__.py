@@ -1,7 +1,7 @@
 """The bridge: record, play, inspect and repair moving Gaussians as ROS 2 messages.
 
 Exit status: 0 done, 1 the machine refused, 2 bad input, 3 the simulation stopped early and kept
-its good frames, 130 interrupted. No traceback for what a user can mend.
+its good frames, 130 interrupted. Errors that a user can correct show no traceback.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import os
 import sys
 from collections.abc import Sequence
 
-# See `start` for what may not be imported here.
+# `start` explains what must not be imported here.
 STOPPED = "bridge: stopped\n"
 
 
@@ -26,11 +26,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
             from .command_line import run
         with handled(interrupt):
             return run(given, __doc__)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, SystemError) as error:
+        # Ctrl-C while a library's native code calls Python arrives as the cause of a SystemError.
+        if not isinstance(error.__cause__ or error, KeyboardInterrupt):
+            raise
         sys.stderr.write(STOPPED)
         return 130
     except BrokenPipeError:
-        # `... | head` has read enough; nothing may be written when Python ends.
+        # As in `... | head`: the reader has closed the pipe, and nothing may be written at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except OSError as error:

@@ -28,29 +28,29 @@ ENCODING = "cdr"
 RECORD = "phy124"
 """Name of the MCAP metadata record with the scene, the report and the stream's settings."""
 OWN_RECORD = "rosbag2"
-"""Name of the record in which rosbag2 keeps its metadata, the ROS distribution among them."""
+"""Name of the record in which rosbag2 keeps its metadata, including the ROS distribution."""
 FOREVER = "\n    sec: 9223372036\n    nsec: 854775807"
 
 
 @dataclass
 class Counts:
-    """What a bag holds, gathered while it is written."""
+    """The contents of a bag, counted while it is written."""
 
     topics: dict[str, Topic] = field(default_factory=dict)
     messages: dict[str, int] = field(default_factory=dict)
-    """Messages by topic name."""
+    """Topic name -> number of messages."""
     start: int | None = None
     end: int = 0
-    """Times of the first and last message, ns since 1970."""
+    """Times of the first and last message [ns since 1970]."""
 
     def announce(self, topics: list[Topic]) -> None:
-        """List topics of which there may be no message yet."""
+        """Add topics, which may have no messages yet."""
         for topic in topics:
             self.topics[topic.name] = topic
             self.messages[topic.name] = 0
 
     def add(self, topic: Topic, stamp: int) -> None:
-        """Count one message of an announced topic."""
+        """Count one message of an announced topic; `stamp` in ns since 1970."""
         self.messages[topic.name] += 1
         self.start = stamp if self.start is None else min(self.start, stamp)
         self.end = max(self.end, stamp)
@@ -72,7 +72,7 @@ def register(writer: Writer, topic: Topic) -> int:
 
 
 def write_metadata(folder: Path, file: str, counts: Counts) -> None:
-    """Write metadata.yaml; it appears whole or not at all, and makes the folder a bag."""
+    """Write metadata.yaml, completely or not at all; it makes the folder a bag."""
     with replacing(folder / METADATA) as temporary, temporary.open("w") as stream:
         stream.write(metadata_yaml(file, counts))
         stream.flush()
@@ -85,7 +85,7 @@ def metadata_yaml(file: str, counts: Counts) -> str:
 
 
 def describe(writer: Writer, file: str, counts: Counts) -> None:
-    """Keep the same in the file itself: where there is no metadata.yaml, ROS 2 looks there."""
+    """Write the same into the .mcap file itself, which ROS 2 reads if there is no metadata.yaml."""
     writer.add_metadata(OWN_RECORD, {"serialized_metadata": _information(file, counts)})
 
 
@@ -120,7 +120,7 @@ def _topic_entry(topic: Topic, count: int) -> str:
 
 
 def _qos(topic: Topic, *, numbers: bool) -> str:
-    """A YAML list of one profile; channels hold numbers, metadata.yaml words, as rosbag2 does."""
+    """A YAML list of one profile; as in rosbag2, channels hold numbers and metadata.yaml words."""
     form = 0 if numbers else 1
     reliability = (1, "reliable") if topic.reliable else (2, "best_effort")
     durability = (1, "transient_local") if topic.transient_local else (2, "volatile")

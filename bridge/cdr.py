@@ -1,8 +1,9 @@
 """CDR: the bytes of ROS 2 messages, little-endian XCDR version 1 (OMG DDS-XTypes 1.3, 7.4.1).
 
-One encoder for every outlet, driven by the definitions in `messages`. A message is a mapping
-from member names to values; absent members are zero, empty or false, as in ROS. Messages whose
-members are all of one primitive (points, quaternions, colours) may be given as plain sequences.
+There is one encoder for every outlet, driven by the definitions in `messages`. A message is a
+mapping from member names to values; absent members are zero, empty or false, as in ROS. Messages
+whose members all have the same primitive type (points, quaternions, colours) may be given as plain
+sequences.
 """
 
 from __future__ import annotations
@@ -37,11 +38,14 @@ NANO = 1_000_000_000
 
 
 def encode(name: str, message: Mapping[str, Any]) -> bytes:
-    """The CDR payload of one message of type `package/msg/Name`, encapsulation included.
+    """The CDR payload of one message of type `package/msg/Name`, including the encapsulation.
 
-    Large `uint8[]` members may be bytes, a memoryview or a contiguous array; they are copied
-    once. Raises KeyError for a member the type does not have, struct.error for a number out of
-    range and ValueError for an array of the wrong length.
+    Large `uint8[]` members may be bytes, a memoryview or a contiguous array; they are copied once.
+
+    Raises:
+        KeyError: The type has no such member.
+        struct.error: A number is out of range.
+        ValueError: An array has the wrong length.
     """
     body = _Body()
     _encoder(name)(body, message)
@@ -49,13 +53,13 @@ def encode(name: str, message: Mapping[str, Any]) -> bytes:
 
 
 def time(nanoseconds: int) -> dict[str, int]:
-    """A `builtin_interfaces/msg/Time` or Duration of so many nanoseconds."""
+    """A `builtin_interfaces/msg/Time` or `Duration` from nanoseconds."""
     seconds, rest = divmod(nanoseconds, NANO)
     return {"sec": seconds, "nanosec": rest}
 
 
 class _Body:
-    """The payload so far: parts to be joined, so that bulk data is copied only once."""
+    """The payload so far, as parts to be joined, so that bulk data is copied only once."""
 
     def __init__(self) -> None:
         self.parts: list[Any] = []
@@ -152,7 +156,7 @@ def _sequence(member: Field) -> Encoder:
 
 
 def _count(body: _Body, member: Field, count: int) -> None:
-    """Sequences carry their length, arrays must have it."""
+    """Append the length of a sequence; check that of an array."""
     if member.length == 0:
         body.pack(_LENGTH, 4, count)
     elif count != member.length:
@@ -168,7 +172,7 @@ def _zero(member: Field) -> Any:
 
 
 def _flat(name: str) -> list[str]:
-    """The primitives of a message in wire order, or nothing if it holds anything else."""
+    """The primitives of a message in wire order; empty if it contains anything else."""
     found: list[str] = []
     for member in fields(name):
         inner = [member.base] if member.base in PRIMITIVES else []

@@ -1,4 +1,4 @@
-"""The command line: which command, with which options, and its log."""
+"""The command line: parses the arguments, runs the command, sets up its log."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def _command(arguments: list[str], description: str | None) -> Any:
 
 
 def split_ros_arguments(arguments: list[str]) -> tuple[list[str], list[str]]:
-    """The arguments of the program, and those between `--ros-args` and `--` or the end."""
+    """The program's own arguments, and those from `--ros-args` to `--` or the end."""
     own: list[str] = []
     ros: list[str] = []
     target = own
@@ -72,5 +72,5 @@ def _say(line: str) -> None:
 
 
 def _note(message: Warning | str, *_: object) -> None:
-    """A warning as one line, without the place in the code."""
+    """Log a warning as one line, without its place in the code."""
     logging.getLogger(__name__).warning(str(message))

@@ -50,10 +50,10 @@ class Record:
     source: tyro.conf.Positional[Path]
     """A clip.safetensors; with --live a picture or a 3DGS .ply file."""
     output: tyro.conf.Positional[Path | None] = None
-    """Bag folder, or a file if it ends in .mcap; default: SOURCE without its suffix, and -bag."""
+    """Bag folder, or a file if it ends in .mcap; default: SOURCE without its suffix, with -bag."""
     messages: Messages = field(default_factory=Options)
     compression: Compression = "none"
-    """Of the chunks; moving Gaussians hardly shrink."""
+    """Compression of the chunks; moving Gaussians hardly shrink."""
     overwrite: bool = False
     """Replace an older recording."""
     simulated: Simulated = field(default_factory=LiveOptions)
@@ -107,15 +107,15 @@ class Play:
     rate: float | None = None
     """At most so many frames per second; absent: every frame."""
     loop: bool = False
-    """Begin again after the last frame; time stamps go on growing."""
+    """Start again after the last frame; time stamps continue to grow."""
     paused: bool = False
     """Show the first frame and wait for the command `play`."""
     stay: bool = False
-    """Go on listening to commands after the last frame."""
+    """Continue to listen to commands after the last frame."""
     record: Path | None = None
-    """Also record what is shown, to this bag folder or .mcap file."""
+    """Also record the frames shown to this bag folder or .mcap file."""
     network: bool = False
-    """Reach other machines, too; otherwise only this one."""
+    """Also reach other machines; otherwise only this one."""
     clock: bool = False
     """rclpy: publish /clock for nodes with use_sim_time."""
     port: int = PORT
@@ -123,7 +123,7 @@ class Play:
     messages: Messages = field(default_factory=Options)
     simulated: Simulated = field(default_factory=LiveOptions)
     ros_args: tyro.conf.Suppress[tuple[str, ...]] = ()
-    """rclpy: what stood behind --ros-args on the command line."""
+    """rclpy: the arguments from --ros-args on."""
 
     def run(self, say: Say) -> int:
         """Play until the end or Ctrl-C."""
@@ -145,7 +145,7 @@ class Play:
     def _follow(self, say: Say) -> int:
         asked = [name for name in ("loop", "rate", "paused", "stay") if getattr(self, name)]
         if asked:
-            limit = "There is no such choice while the simulation runs."
+            limit = "A running simulation has no such option."
             raise InputError(asked[0], getattr(self, asked[0]), limit, "Leave it out.")
         run = LiveRun(self.source, self.simulated)
         run.prepare()
@@ -159,7 +159,7 @@ class Play:
     def _outlets(
         self, say: Say, duration: float | None, **about: Any
     ) -> Iterator[tuple[LiveSink, list[Sink]]]:
-        """The live sink, and the recording beside it that keeps `about`; both entered."""
+        """The live sink and the recordings, entered; the recording stores `about`."""
         backend = choose(self.backend)
         with ExitStack() as stack:
             records: list[Sink] = []
@@ -182,13 +182,13 @@ class Play:
 
 @dataclass(frozen=True)
 class Info:
-    """Say what a clip or a recording holds."""
+    """Describe the contents of a clip or a recording."""
 
     path: tyro.conf.Positional[Path]
     """A clip.safetensors, a bag folder or an .mcap file."""
 
     def run(self, say: Say) -> int:
-        """Print."""
+        """Print the description."""
         for line in describe(self.path):
             say(line)
         return 0
@@ -196,7 +196,7 @@ class Info:
 
 @dataclass(frozen=True)
 class Recover:
-    """Make a recording whole whose writer was killed or whose disk was full."""
+    """Repair a recording whose writer was killed or whose disk was full."""
 
     path: tyro.conf.Positional[Path]
     """The bag folder or the .mcap file."""
@@ -204,19 +204,19 @@ class Recover:
     """Write the repaired copy here and leave the damaged one as it is."""
 
     def run(self, say: Say) -> int:
-        """Repair; prints how many frames came back."""
+        """Repair; prints how many frames were recovered."""
         found = recover(self.path, self.output)
-        state = "repaired" if found.repaired else "whole already"
+        state = "repaired" if found.repaired else "complete already"
         say(f"{found.path}: {state}, {found.frames} frames")
         return 0
 
 
 @dataclass(frozen=True)
 class Doctor:
-    """Say which outlets this machine has, and what would give it more."""
+    """List the outlets that work on this machine, and what the others need."""
 
     def run(self, say: Say) -> int:
-        """Print."""
+        """Print the list."""
         for line in diagnose():
             say(line)
         return 0

@@ -1,7 +1,8 @@
-"""Delivery: frames leave no faster than subscribers acknowledge them, and the last are waited for.
+"""Delivery: sends frames no faster than subscribers acknowledge them, and waits for the last ones.
 
-Writers keep the last few frames. A frame that pushes an older one out before every subscriber has
-acknowledged it is lost for somebody; so is what is still open when the publisher ends.
+Writers keep the last few frames. If a frame displaces an older one before every subscriber has
+acknowledged it, some subscriber loses that one; the same holds for frames that are not acknowledged
+when the publisher ends.
 """
 
 from __future__ import annotations
@@ -11,16 +12,16 @@ import time
 from collections.abc import Callable
 
 LONGEST_WAIT = 1.0
-"""Seconds a frame waits that would push out one somebody has not acknowledged."""
+"""Longest time a frame waits that would displace an unacknowledged one [s]."""
 FAREWELL = 2.0
-"""Seconds a leaving publisher waits for subscribers to get the last frames."""
+"""Longest time a publisher that ends waits for subscribers to get the last frames [s]."""
 STEP = 0.02
-"""Seconds it waits at a stretch; in between the clock ticks on, and Ctrl-C is heard."""
+"""Time it waits without interruption [s]; in between, the clock is published and Ctrl-C noticed."""
 log = logging.getLogger(__name__)
 
 
 class Delivery:
-    """Counts what reliable subscribers have not acknowledged."""
+    """Counts the frames that reliable subscribers have not acknowledged."""
 
     def __init__(
         self, acknowledged: Callable[[float], bool], depth: int, meanwhile: Callable[[], None]
@@ -28,19 +29,19 @@ class Delivery:
         """Nothing sent yet.
 
         Args:
-            acknowledged: Waits at most so many seconds; whether all is acknowledged. At once true
-                without subscribers or where they are best effort.
-            depth: How many of the last frames the writer keeps.
-            meanwhile: Called again and again while it waits.
+            acknowledged: Waits at most so many seconds and returns whether all is acknowledged;
+                true at once if there are no subscribers or they are best effort.
+            depth: Number of frames that the writer keeps.
+            meanwhile: Called repeatedly during waiting.
         """
         self.lost = 0
-        """Frames that somebody may not have got."""
+        """Number of frames that some subscriber may not have received."""
         self._acknowledged, self._depth, self._meanwhile = acknowledged, depth, meanwhile
         self._open = 0  # frames sent since all were acknowledged
         self._stuck = False
 
     def before_frame(self) -> None:
-        """Wait while a frame would be pushed out; a subscriber that hangs holds up one only."""
+        """Wait while a frame would be displaced; a subscriber that hangs delays only one frame."""
         full = self._open >= self._depth
         if self._within(LONGEST_WAIT if full and not self._stuck else 0.0):
             self._open, self._stuck = 0, False
@@ -50,7 +51,7 @@ class Delivery:
         self._open += 1
 
     def farewell(self) -> None:
-        """Wait until the last frames have arrived, but not for ever, and say what has not."""
+        """Wait until the last frames have arrived, at most `FAREWELL`, and log what has not."""
         if not self._open or self._within(FAREWELL):
             return
         missing = min(self._open, self._depth)
@@ -62,7 +63,7 @@ class Delivery:
         )
 
     def _within(self, seconds: float) -> bool:
-        """Whether all is acknowledged after so many seconds at most."""
+        """Wait at most so many seconds; returns whether all is acknowledged."""
         until = time.monotonic() + seconds
         while not self._acknowledged(min(seconds, STEP)):
             if time.monotonic() >= until:

@@ -1,8 +1,8 @@
 """Which DDS participants find each other: ROS 2's environment variables as Cyclone DDS settings.
 
-ROS_AUTOMATIC_DISCOVERY_RANGE, ROS_STATIC_PEERS, ROS_LOCALHOST_ONLY and ROS_DOMAIN_ID mean what
-they mean to a ROS 2 node (REP-2000s' "improved dynamic discovery", ROS 2 Iron and later). Within
-SUBNET the publisher is stricter than a node: without `network` it stays on this machine.
+ROS_AUTOMATIC_DISCOVERY_RANGE, ROS_STATIC_PEERS, ROS_LOCALHOST_ONLY and ROS_DOMAIN_ID have the same
+meaning as for a ROS 2 node ("improved dynamic discovery", ROS 2 Iron and later). With SUBNET the
+publisher is stricter than a node: without `network` it stays on this machine.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ BUFFERS = (
     "<HeartbeatInterval>10 ms</HeartbeatInterval></Internal>"
 )
 LOOPBACK = '<NetworkInterface address="127.0.0.1" multicast="false"/>'
-# Stock nodes announce themselves on the default interface and may not listen on loopback at all.
+# ROS 2's own nodes announce themselves on the default interface and may not listen on loopback.
 INTERFACES = f'<Interfaces>{LOOPBACK}<NetworkInterface autodetermine="true"/></Interfaces>'
 ON_THIS_MACHINE = (
     "<AllowMulticast>spdp</AllowMulticast><MulticastTimeToLive>0</MulticastTimeToLive>"
 )
 NO_MULTICAST = "<AllowMulticast>false</AllowMulticast>"
-# The same two numbers as rmw_cyclonedds_cpp: so many processes find each other on one machine.
+# The same two numbers as rmw_cyclonedds_cpp: the number of processes that can find each other.
 INDEX = (
     "<ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>"
 )
@@ -46,18 +46,22 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Discovery:
-    """Whom a participant looks for."""
+    """The participants that a publisher looks for."""
 
     range: Range = "SUBNET"
     peers: tuple[str, ...] = ()
-    """Further machines to look for, by name or address."""
+    """Other machines to look for, by name or address."""
     domain: int = 0
     network: bool = False
-    """Within SUBNET: other machines, too."""
+    """With SUBNET: also reach other machines."""
 
     @classmethod
     def from_environment(cls, *, network: bool = False) -> Discovery:
-        """What ROS 2's variables say. Raises InputError if `network` contradicts them."""
+        """The settings of ROS 2's variables.
+
+        Raises:
+            InputError: `network` contradicts them, or a variable is wrong.
+        """
         reach, peers = _range(), _peers()
         if os.environ.get(LOCALHOST_ONLY) == "1":
             reach, peers = "LOCALHOST", ()
@@ -71,11 +75,11 @@ class Discovery:
         return cls(reach, peers, domain_id(), network)
 
     def configurations(self) -> tuple[str, ...]:
-        """Cyclone's XML, and what to try next where there is no interface but loopback."""
+        """Cyclone's XML, followed by what to try if loopback is the only interface."""
         if self.range == "SYSTEM_DEFAULT":
             return (_xml(BUFFERS),)
         if self.range == "OFF":
-            # A tag nobody else has: no participant outside this process answers.
+            # With a unique tag, no participant outside this process answers.
             alone = f"<ParticipantIndex>none</ParticipantIndex><Tag>phy124_{os.getpid()}</Tag>"
             return (_xml(self._general(NO_MULTICAST) + self._discovery(alone)),)
         if self.network:
@@ -88,7 +92,7 @@ class Discovery:
         )
 
     def audience(self) -> str:
-        """Who hears it, and what the other side needs, in one line."""
+        """One line: who receives the frames, and what they need."""
         who = {
             "SUBNET": "nodes on this machine and network"
             if self.network
@@ -102,7 +106,7 @@ class Discovery:
         return f"Discovery range {self.range}, domain {self.domain}: heard by {who}{also}{need}."
 
     def export(self) -> str:
-        """The shell line for the other side."""
+        """The shell command for the receiving side."""
         return f"export {DOMAIN}={self.domain} {RANGE}={self.range}"
 
     def _general(self, inner: str) -> str:
@@ -114,7 +118,11 @@ class Discovery:
 
 
 def domain_id() -> int:
-    """The domain of ROS_DOMAIN_ID, else 0. Raises InputError if it is no domain."""
+    """The domain given by ROS_DOMAIN_ID, otherwise 0.
+
+    Raises:
+        InputError: It is not a domain.
+    """
     text = os.environ.get(DOMAIN) or "0"
     if not text.isdecimal() or int(text) > LAST_DOMAIN:
         limit = f"A domain is a whole number from 0 to {LAST_DOMAIN}."

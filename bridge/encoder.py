@@ -1,4 +1,4 @@
-"""FrameEncoder: frames in, encoded messages out; the part all sinks share."""
+"""FrameEncoder: frames in, encoded messages out; shared by all sinks."""
 
 from __future__ import annotations
 
@@ -19,29 +19,29 @@ from .topics import ELLIPSOIDS, POINTS, TF_STATIC, Message, Topic
 SPHERE = 2
 """`visualization_msgs/msg/Marker.SPHERE`."""
 THINNEST = 1e-6
-"""Smallest marker diameter, m: RViz refuses zero."""
+"""Smallest diameter of a marker [m], since RViz rejects zero."""
 log = logging.getLogger(__name__)
 
 
 class FrameEncoder:
-    """Turns frames into messages as `options` say; announces once what it leaves out."""
+    """Turns frames into messages according to `options`; logs once what it leaves out."""
 
     def __init__(self, options: Options) -> None:
         self.options = options.recorded()
         seconds = options.epoch
         self.epoch = time.time_ns() if seconds is None else round(seconds * cdr.NANO)
-        """Time of the clip's start, ns since 1970."""
+        """Time of the clip's start [ns since 1970]."""
         self._profile: Profile = self.options.profile or "full"
         self._announced: set[str] = set()
 
     @property
     def topics(self) -> list[Topic]:
-        """What will be published, the static transform first."""
+        """The topics that will be published, the static transform first."""
         static = [TF_STATIC] if self.options.parent_frame else []
         return [*static, POINTS, *([ELLIPSOIDS] if self.options.ellipsoids else [])]
 
     def stamp(self, seconds: float) -> int:
-        """Time of an instant of the clip, ns since 1970."""
+        """Time stamp [ns since 1970] of an instant of the clip [s]."""
         return self.epoch + round(seconds * cdr.NANO)
 
     def limit(self, points: int | None) -> None:

@@ -28,7 +28,7 @@ SCALARS: dict[str, Any] = {
 
 @cache
 def idl_type(name: str) -> type[IdlStruct]:
-    """The final, keyless DDS type of a ROS message, under the name ROS 2 gives it."""
+    """The final, keyless DDS type of a ROS message, with the name that ROS 2 uses."""
     package, _, base = name.split("/")
     mangled = f"{package}::msg::dds_::{base}_"
     members = {member.name: _member(member) for member in fields(name)}
@@ -37,7 +37,7 @@ def idl_type(name: str) -> type[IdlStruct]:
 
 @cache
 def encoded_type(name: str) -> type[IdlStruct]:
-    """The same type for writers whose samples are CDR payloads already, see `sample`."""
+    """The same type for writers whose samples are CDR payloads already; see `sample`."""
     kind = idl_type.__wrapped__(name)
     # DataWriter.write calls serialize(); this skips the field-by-field encoder, which is slow.
     setattr(kind, "serialize", _payload)  # noqa: B010

@@ -1,4 +1,4 @@
-"""What a clip or a recording holds, and what this machine can do, in lines of plain text."""
+"""Describes a clip, a recording, or what this machine can do, in lines of plain text."""
 
 from __future__ import annotations
 
@@ -21,20 +21,24 @@ from .sinks.mcap import PART
 from .topics import POINTS
 
 WANTED_BUFFER = 4 << 20
-"""Receive buffer that takes a frame of 65,536 points of 60 bytes, bytes."""
+"""Receive buffer for a frame of 65,536 points of 60 bytes [bytes]."""
 SHARED = (("NumPy", "numpy", 1), ("OpenCV", "cv2", 4))
-"""What phy124 and ROS 2's own Python packages both use: name, module, newest they bear (Jazzy)."""
+"""Packages that phy124 and ROS 2 share: name, module, newest major version Jazzy accepts."""
 BUFFERS = Path("/proc/sys/net/core")
 SHORT = {
     "rmem_max": "too small for 65,536 points per frame",
     "rmem_default": "which is all that Fast DDS takes: too small for 32,768 points per frame on a "
     "busy machine",
 }
-"""Receive buffers of the system, and what it means if one is smaller than `WANTED_BUFFER`."""
+"""Receive buffer of the system -> what it means if it is smaller than `WANTED_BUFFER`."""
 
 
 def describe(path: Path) -> list[str]:
-    """Lines about a clip or a recording. Raises InputError if it is neither."""
+    """Lines about a clip or a recording.
+
+    Raises:
+        InputError: It is neither.
+    """
     file = bag.mcap_file(path)
     if path.is_dir() or path.suffix in (bag.SUFFIX, PART):
         part = path if path.suffix == PART else file.with_name(file.name + PART)
@@ -43,11 +47,11 @@ def describe(path: Path) -> list[str]:
 
 
 def describe_clip(clip: Clip) -> list[str]:
-    """Frames, points, and what a frame costs on the wire."""
+    """Lines about a clip: frames, points, and the size of a message."""
     count = clip.means.shape[1]
     seconds = float(clip.times[-1] - clip.times[0])
     rate = (len(clip) - 1) / seconds if seconds else 0.0
-    velocities = "kept" if clip.velocities is not None else "from the places of the frames beside"
+    velocities = "stored" if clip.velocities is not None else "from the positions in other frames"
     lines = [
         f"clip: {len(clip)} frames of {count:,} Gaussians, {seconds:.3f} s at {rate:.4g} frames/s",
         f"velocities: {velocities if len(clip) > 1 else 'no (vx, vy, vz will be NaN)'}",
@@ -59,7 +63,15 @@ def describe_clip(clip: Clip) -> list[str]:
 
 
 def describe_recording(path: Path, file: Path) -> list[str]:
-    """Topics and counts of a recording, and whether it is whole."""
+    """Lines about a recording: topics, numbers of messages, and whether it is complete.
+
+    Args:
+        path: The bag folder or the .mcap file, as given.
+        file: The .mcap file.
+
+    Raises:
+        InputError: There is no such file.
+    """
     if not file.is_file():
         limit = f"There is no recording: {file} does not exist."
         raise InputError("path", path, limit, "Give a clip, a bag folder or an .mcap file.")
@@ -82,12 +94,12 @@ def describe_recording(path: Path, file: Path) -> list[str]:
         if channel.topic == POINTS.name and number in times:
             seconds = np.ptp(times[number]) / 1e9
             lines.append(f"duration: {seconds:.3f} s")
-    state = "whole" if whole else f"not finished or damaged; run `{PROGRAM} recover {path}`"
+    state = "complete" if whole else f"not finished or damaged; run `{PROGRAM} recover {path}`"
     return [*lines, f"state: {state}"]
 
 
 def diagnose() -> list[str]:
-    """Lines about what this machine can do and what would make it do more."""
+    """Lines about what this machine can do, and what the rest needs."""
     lines = [f"python: {sys.version.split()[0]} on {sys.platform}"]
     for outlet in dict.fromkeys([*REQUIREMENTS, *known()]):
         error = missing(outlet)
@@ -101,7 +113,7 @@ def diagnose() -> list[str]:
 
 
 def _beside_ros(name: str, module: str, newest: int) -> str:
-    """Which version a node would get, and whether ROS's own packages bear it."""
+    """The version that a node would import, and whether ROS 2's packages accept it."""
     found = find_spec(module)
     if found is None or found.origin is None:
         return f"{name}: not installed"

@@ -1,17 +1,17 @@
-"""Field profiles: which numbers of a Gaussian stand in one point of a PointCloud2, and where.
+"""Profiles of a PointCloud2: which numbers of a Gaussian a point holds, and where.
 
-All fields are little-endian float32; `rgb` holds 0x00RRGGBB in its 32 bits, as RViz and Foxglove
-expect. The world is REP-103 already (metres, x forward, y left, z up), so nothing is turned.
-Only `small` has other numbers.
+All fields are little-endian float32, except in `small`. `rgb` holds 0x00RRGGBB in its 32 bits, as
+RViz and Foxglove expect. The world follows REP-103 already (metres, x forward, y left, z up), so
+nothing is rotated.
 
 - `viz`, 16 bytes: x y z rgb.
-- `full`, 60 bytes: and alpha 0..1, standard deviations sx sy sz [m], the orientation qw qx qy qz,
-  the velocity vx vy vz [m/s].
-- `small`, 10 bytes: x y z as int16 steps, r g b a as uint8. 16 bytes behind the last point (the
-  row is so much longer than its points) hold four float32: the centre x y z [m] and the step [m].
-  A place is centre + step * (x, y, z); -32768 stands for what is no number.
-- `ply`, 68 bytes and more: the names and raw values of a 3DGS PLY (Kerbl et al. 2023), which
-  splat viewers read: colours as harmonics, opacity as logit, scales as logarithm, rot_0 = w.
+- `full`, 60 bytes: the same, then alpha 0..1, standard deviations sx sy sz [m], the orientation
+  qw qx qy qz, and the velocity vx vy vz [m/s].
+- `small`, 10 bytes: x y z as int16 steps, r g b a as uint8. The row has 16 bytes after its last
+  point: four float32, the centre x y z [m] and the step [m]. A position is centre + step * (x, y,
+  z); -32768 stands for NaN.
+- `ply`, 68 bytes or more: the names and raw values of a 3DGS PLY (Kerbl et al. 2023), which splat
+  viewers read: colours as harmonics, opacity as logit, scales as logarithm, rot_0 = w.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ Profile = Literal["viz", "full", "small", "ply"]
 FLOAT32 = 7
 """`sensor_msgs/msg/PointField.FLOAT32`."""
 DATATYPES = {"<f4": FLOAT32, "<i2": 3, "|u1": 2}
-"""NumPy's names -> `sensor_msgs/msg/PointField`'s."""
+"""NumPy's type -> that of `sensor_msgs/msg/PointField`."""
 VIZ = ("x", "y", "z", "rgb")
 SMALL = np.dtype([*((axis, "<i2") for axis in "xyz"), *((colour, "u1") for colour in "rgba")])
 LARGEST_STEP = 32767
-"""int16 goes as far as this on both sides; -32768 is set apart."""
+"""Largest step in int16, positive or negative; -32768 has a meaning of its own."""
 FULL = (*VIZ, "alpha", "sx", "sy", "sz", "qw", "qx", "qy", "qz", "vx", "vy", "vz")
 
 
 def cloud(frame: Frame, profile: Profile, header: dict[str, Any]) -> dict[str, Any]:
     """The PointCloud2 of a frame, ready for `cdr.encode`.
 
-    Velocities the frame does not have are NaN; the message says so by `is_dense` false.
+    Without velocities in the frame, theirs are NaN and `is_dense` is false.
     """
     table, tail = small_points(frame) if profile == "small" else (points(frame, profile), b"")
     known = profile != "full" or frame.velocities is not None
@@ -57,14 +57,14 @@ def cloud(frame: Frame, profile: Profile, header: dict[str, Any]) -> dict[str, A
 
 
 def points(frame: Frame, profile: Profile) -> NDArray[Any]:
-    """One structured row per Gaussian [N], all members float32; not for `small`."""
+    """A structured row per Gaussian [N] with float32 members, for all profiles but `small`."""
     gaussians = frame.gaussians
     if profile == "ply":
         return raw_table(gaussians)
     names = FULL if profile == "full" else VIZ
     table = np.empty((len(gaussians), len(names)), "<f4")
     table[:, :3] = gaussians.means
-    # As integers: a float copy may change the bits of what looks like a NaN.
+    # Copied as integers, since copying floats may change the bits of a NaN.
     table.view("<u4")[:, 3] = packed_rgb(gaussians)
     if profile == "full":
         table[:, 4] = gaussians.opacities
@@ -75,10 +75,10 @@ def points(frame: Frame, profile: Profile) -> NDArray[Any]:
 
 
 def small_points(frame: Frame) -> tuple[NDArray[Any], bytes]:
-    """Rows of `small` [N], and the 16 bytes that say where they are.
+    """Rows of `small` [N], and the 16 bytes with centre and step.
 
-    A place is at most half a step off in each axis, and the step is the longest side of the
-    frame's bounding box over 65,534.
+    A position is wrong by at most half a step along each axis; the step is the longest side of the
+    frame's bounding box divided by 65,534.
     """
     gaussians = frame.gaussians
     means = gaussians.means.astype(np.float64)
@@ -103,15 +103,15 @@ def _field(dtype: Any, name: str) -> dict[str, Any]:
 
 
 def packed_rgb(gaussians: Gaussians) -> NDArray[np.uint32]:
-    """Colours 0x00RRGGBB [N]."""
+    """Colours as 0x00RRGGBB [N]."""
     red, green, blue = np.rint(gaussians.rgb * 255).astype(np.uint32).T
     return red << 16 | green << 8 | blue
 
 
 def evenly(count: int, limit: int | None) -> NDArray[np.intp] | None:
-    """Which of `count` Gaussians to keep so that at most `limit` remain; None: all of them.
+    """Indices of the Gaussians to keep, so that at most `limit` of `count` remain; None: all.
 
-    Evenly spaced, so the choice is the same in every frame and every run.
+    They are evenly spaced, so the choice is the same in every frame and every run.
     """
     if limit is None or count <= limit:
         return None

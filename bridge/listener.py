@@ -1,7 +1,7 @@
-"""Listener: answers the other end from a thread of its own, while the main thread computes.
+"""Listener: listens to a sink in a thread of its own while the main thread computes.
 
-The simulation stays on the main thread, where Ctrl-C reaches it. Warp lets go of the interpreter
-while its kernels run, so that is when the listener gets its turns.
+The simulation stays on the main thread, where Ctrl-C reaches it. Warp releases Python's global lock
+while its kernels run, so the listener can run then.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from .sink import LONGEST_WAIT, LiveSink, Obey
 
 
 class Listener:
-    """Within it `sink` is listened to; what is asked goes to `obey`, on the listener's thread."""
+    """Within its context `sink` is listened to; `obey` gets commands, on the listener's thread."""
 
     def __init__(self, sink: LiveSink, obey: Obey) -> None:
         self._sink, self._obey = sink, obey
@@ -31,24 +31,24 @@ class Listener:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Stop listening; raises what ended it before, if nothing else failed."""
+        """Stop listening; raises the error that ended it before, if nothing else failed."""
         self._over.set()
         self._thread.join()
         if error is None:
             self.check()
 
     def wait(self, seconds: float) -> None:
-        """Wait until somebody has asked for something, at most so many seconds.
+        """Wait until a command has come, at most so many seconds.
 
-        Raises what has ended the listening, such as the KeyboardInterrupt of a sink whose other
-        end is gone.
+        Raises the error that has ended the listening, such as the KeyboardInterrupt of a sink whose
+        other end has gone.
         """
         self._heard.wait(min(seconds, LONGEST_WAIT))
         self._heard.clear()
         self.check()
 
     def check(self) -> None:
-        """Raise what has ended the listening."""
+        """Raise the error that has ended the listening, if any."""
         if self._error is not None:
             raise self._error
 
@@ -57,7 +57,7 @@ class Listener:
             while not self._over.is_set():
                 self._sink.listen(LONGEST_WAIT, self._asked)
         except BaseException as error:
-            # It is raised on the main thread, which may be waiting for somebody to ask.
+            # It is raised on the main thread, which may be waiting for a command.
             self._error = error
             self._heard.set()
 

@@ -19,13 +19,13 @@ from .sink import LONGEST_WAIT, LiveSink, Sink
 
 Clock = Callable[[], float]
 REPORT_EVERY = 5.0
-"""Seconds between two warnings about dropped frames."""
+"""Time between two warnings about dropped frames [s]."""
 SLOW = (
     "%d frames dropped so far: sending is slower than playback. Fewer points (max_points), the "
     "profile small or a lower rate help."
 )
 WORDS = ("play", "pause", "toggle", "next", "restart")
-"""Commands without a value; each is a method of Player."""
+"""Commands without a value; each is a method of `Player`."""
 log = logging.getLogger(__name__)
 
 
@@ -38,9 +38,15 @@ def play(
     clock: Clock = time.monotonic,
     stay: bool = False,
 ) -> None:
-    """Play `clip` until it ends; with `stay` go on listening after that.
+    """Play a clip until it ends.
 
-    `records` get each frame that is shown, too.
+    Args:
+        clip: The clip.
+        sink: Where it is shown, and from where commands come.
+        player: Decides which frame is due.
+        records: Other sinks that get each frame that is shown.
+        clock: Current time [s].
+        stay: Continue to listen after the last frame.
     """
 
     def obey(text: str) -> str | None:
@@ -72,11 +78,18 @@ def follow(
     speed: float = 1.0,
     clock: Clock = time.monotonic,
 ) -> None:
-    """Send each frame of a running simulation as soon as it is computed, never too early.
+    """Send each frame of a running simulation as soon as it is computed, but not too early.
 
-    A simulation faster than `speed` is held to it. While paused no frame is asked for, so the
-    simulation itself rests; a frame that is being computed is finished before. The sink is
-    listened to all the time. Seeking and restarting need a finished clip and are refused.
+    A simulation faster than `speed` is slowed down to it. While paused no frame is asked for, so
+    the simulation pauses too, after the frame that is being computed. The sink is listened to all
+    the time. Seeking and restarting need a finished clip and are refused.
+
+    Args:
+        frames: The frames as they are computed.
+        sink: Where they are shown, and from where commands come.
+        records: Other sinks that get each frame.
+        speed: Seconds of the clip per second, at most.
+        clock: Current time [s].
     """
     pacer = Pacer(speed, clock)
 
@@ -99,7 +112,16 @@ def follow(
 
 
 def command(player: Player, text: str, now: float) -> None:
-    """Do what a user asked for; raises InputError for what is no command."""
+    """Carry out a command.
+
+    Args:
+        player: The player.
+        text: The command, such as "seek 0.5".
+        now: Current time [s].
+
+    Raises:
+        InputError: There is no such command, or it cannot be carried out.
+    """
     word, *values = text.split() or [""]
     if word in WORDS and not values:
         getattr(player, word)(now)
@@ -116,11 +138,11 @@ def command(player: Player, text: str, now: float) -> None:
 
 
 class Pacer:
-    """When a frame of a running simulation may be shown; commands may come from any thread."""
+    """Decides when a frame of a running simulation may be shown; thread-safe."""
 
     rate: float | None = None
     loop, dropped = False, 0
-    """A running simulation shows each frame once."""
+    """A running simulation shows each frame once and drops none."""
 
     def __init__(self, speed: float, clock: Clock) -> None:
         self.speed = checked_speed(speed)
@@ -137,27 +159,31 @@ class Pacer:
 
     def _wait(self, time: float, now: float) -> float:
         if self.paused:
-            # The next frame is due at once when playing goes on.
+            # When playing continues, the next frame is due at once.
             self._anchor = None
             return math.inf
         start, first = self._anchor = self._anchor or (now, time)
         ahead = (time - first) / self.speed - (now - start)
         if ahead < 0:
-            # The simulation is slower than playback: wait for it, do not rush afterwards.
+            # The simulation is slower than playback, which waits and does not catch up afterwards.
             self._anchor = now, time
         return max(ahead, 0.0)
 
     def note(self, frame: Frame) -> None:
-        """Count a frame that is shown now."""
+        """Count a frame that is being shown."""
         self.shown, self.position = self.shown + 1, frame.time
 
     def stamp_at(self, now: float) -> float:
-        """Time of the newest frame: of what is not computed yet there is no time, either."""
+        """Time of the newest frame [s], since later times have not been computed."""
         del now
         return self.position
 
     def command(self, text: str) -> None:
-        """Pause, play or change the speed; anything else is refused."""
+        """Pause, play or change the speed.
+
+        Raises:
+            InputError: It is another command.
+        """
         word, *values = text.split() or [""]
         if word in ("play", "pause", "toggle") and not values:
             self.paused = not self.paused if word == "toggle" else word == "pause"
@@ -171,7 +197,7 @@ class Pacer:
 
 
 class _DropAnnouncer:
-    """Says that frames are dropped, but not for each of them."""
+    """Logs that frames are dropped, but not for each of them."""
 
     def __init__(self, player: Player, clock: Clock) -> None:
         self._player, self._clock = player, clock
@@ -185,7 +211,7 @@ class _DropAnnouncer:
 
 
 def _attempt(action: Callable[[], None]) -> str | None:
-    """A wrong command must not end the show: it is refused, and the log says why."""
+    """Try a command; if it is wrong, playback goes on, and the reason is logged and returned."""
     try:
         action()
     except InputError as error:

@@ -1,7 +1,7 @@
-"""The ROS 2 messages the bridge speaks: definitions and RIHS01 type hashes of ROS 2 Jazzy.
+"""The ROS 2 messages that the bridge uses: definitions and RIHS01 type hashes of ROS 2 Jazzy.
 
 Constants are left out of the definitions, as they are not part of the wire format. The tests
-compare every definition and hash with those that rosbags carries.
+compare every definition and hash with those of rosbags.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ DEFINITIONS: dict[str, str] = {
         "rmw_dds_common/Gid gid\nrmw_dds_common/NodeEntitiesInfo[] node_entities_info_seq"
     ),
 }
-"""Type name -> its own lines; messages inside it are named `package/Name`."""
+"""Type name -> its own lines, in which inner messages are named `package/Name`."""
 
 HASHES: dict[str, str] = {
     "diagnostic_msgs/msg/DiagnosticArray": (
@@ -95,7 +95,7 @@ HASHES: dict[str, str] = {
         "RIHS01_91a0593bacdcc50ea9bdcf849a938b128412cc1ea821245c663bcd26f83c295e"
     ),
 }
-"""Hash of each type that is a topic's type (REP-2011)."""
+"""Type of a topic -> its hash (REP-2011)."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ class Field:
     length: int | None
     """None: one value; 0: a sequence of any length; otherwise an array of that many values."""
     bound: int | None = None
-    """Longest string allowed, in bytes."""
+    """Longest string allowed [bytes]."""
 
 
 _LINE = re.compile(
@@ -123,7 +123,7 @@ def fields(name: str) -> tuple[Field, ...]:
 
 
 def definition(name: str) -> str:
-    """The `ros2msg` text of a message with all messages inside it, as MCAP schemas hold it."""
+    """The `ros2msg` text of a message and all its inner messages, as in MCAP schemas."""
     blocks = [DEFINITIONS[name]]
     blocks += [f"MSG: {_short(inner)}\n{DEFINITIONS[inner]}" for inner in _inner(name)]
     return f"\n{SEPARATOR}\n".join(blocks) + "\n"

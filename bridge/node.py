@@ -1,6 +1,6 @@
-"""The ROS 2 nodes `player` and `live`: what they do from their first parameter to their end.
+"""The ROS 2 nodes `player` and `live`, from reading their parameters to their end.
 
-`start` imports this, so that Ctrl-C is clean meanwhile.
+`start` imports this module, so that Ctrl-C ends the process cleanly meanwhile.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def live(args: list[str] | None = None) -> None:
 
 
 def play_clip(node: Any) -> None:
-    """Play the clip the parameters name until ROS shuts down."""
+    """Play the clip that the parameters name until ROS shuts down."""
     chosen = declare(node, {**CLIP, **RUNNING, **message_options()})
     path, clock, rate, speed, loop = _taken(chosen, "clip", "clock", "rate", "speed", "loop")
     options = _options(chosen)
@@ -55,7 +55,7 @@ def play_clip(node: Any) -> None:
 
 
 def simulate(node: Any) -> None:
-    """Simulate what the parameters name, showing each frame as soon as it is there."""
+    """Simulate what the parameters name, showing each frame as soon as it is computed."""
     chosen = declare(node, {**SIMULATED, **RUNNING_LIVE, **message_options()})
     source, clock, speed = _taken(chosen, "source", "clock", "speed")
     scene, changes, generator, device = _taken(chosen, "scene", "set", "generator", "device")
@@ -74,17 +74,17 @@ def simulate(node: Any) -> None:
 
 
 def _live_through(args: list[str] | None, work: Callable[[Any], None]) -> None:
-    """Run a node to its end; what a user can mend is one line at FATAL and exit status 1."""
+    """Run a node to its end; what a user can correct is one FATAL line and exit status 1."""
     refused = None
     try:
         # `ros2 launch` and supervisors end a node with SIGTERM when SIGINT does not.
         with handled(interrupt), ros_node(args) as node:
             refused = _attempt(node, work)
     except KeyboardInterrupt:
-        # This is how a node is ended.
+        # The usual end of a node.
         return
     except (ValueError, ImportError) as error:
-        # There is no node to say it, so far.
+        # There is no node yet that could log it.
         refused = _one_line(error)
         sys.stderr.write(f"[FATAL] [{NODE}]: {refused}\n")
     if refused is not None:
@@ -92,11 +92,11 @@ def _live_through(args: list[str] | None, work: Callable[[Any], None]) -> None:
 
 
 def _attempt(node: Any, work: Callable[[Any], None]) -> str | None:
-    """Do the work; returns what was refused, which is logged, or None."""
+    """Do the work; returns why it was refused, which is logged, or None."""
     try:
         work(node)
     except (ValueError, OSError) as error:
-        # InputError and pydantic's errors say what to do; a traceback would bury it.
+        # InputError and pydantic's errors say what to do; a traceback would only hide it.
         refused = _one_line(error)
         node.get_logger().fatal(refused)
         return refused
@@ -115,6 +115,6 @@ def _taken(chosen: dict[str, Any], *names: str) -> list[Any]:
 
 
 def _options(chosen: dict[str, Any]) -> Options:
-    """Options of the messages; 0 stands for what has no other value."""
+    """Options of the messages; a parameter of 0 stands for None."""
     optional = {name: chosen.get(name) or None for name in ("max_points", "epoch")}
     return Options(**{**chosen, **optional})

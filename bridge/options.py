@@ -1,4 +1,4 @@
-"""What a user may choose about the messages, each declared once for code, command line and ROS."""
+"""Options of the messages, each declared once for code, command line and ROS."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .layout import Profile
 
 LIVE_PROFILE: Profile = "viz"
 LIVE_POINTS = 32_768
-"""Gaussians per frame that stock subscribers receive at 30 Hz (docs/guide/bridge.md)."""
+"""Gaussians per frame that ordinary subscribers receive at 30 Hz (docs/guide/bridge.md)."""
 LAST_SECOND = 2**31 - 1
 """`builtin_interfaces/msg/Time` counts seconds in an int32."""
 
@@ -22,8 +22,8 @@ class Options(Section):
 
     profile: Profile | None = Field(
         default=None,
-        description="Numbers per point: viz (x y z rgb), full (and opacity, scales, orientation, "
-        "velocity), small (10 bytes: int16 places, 8-bit colours) or ply (raw 3DGS values for "
+        description="Numbers per point: viz (x y z rgb), full (also opacity, scales, orientation, "
+        "velocity), small (10 bytes: int16 positions, 8-bit colours) or ply (raw 3DGS values for "
         "splat viewers). Default: full in files, viz live.",
     )
     frame_id: str = Field(
@@ -31,7 +31,7 @@ class Options(Section):
     )
     parent_frame: str = Field(
         default="map",
-        description="Frame the static transform hangs the world on; empty: send no transform.",
+        description="Parent frame of the static transform; empty: send no transform.",
     )
     translation: tuple[float, float, float] = Field(
         default=(0.0, 0.0, 0.0), description="Origin of the world in the parent frame [m]."
@@ -44,11 +44,11 @@ class Options(Section):
     max_points: int | None = Field(
         default=None,
         ge=1,
-        description=f"At most so many Gaussians, evenly picked. Live the default is {LIVE_POINTS}, "
-        "in files all.",
+        description=f"Largest number of Gaussians, evenly picked. Default: {LIVE_POINTS} live, "
+        "all in files.",
     )
     ellipsoids: int = Field(
-        default=0, ge=0, le=10_000, description="Show so many covariance ellipsoids as markers."
+        default=0, ge=0, le=10_000, description="Number of covariance ellipsoids sent as markers."
     )
     ellipsoid_radius: float = Field(
         default=2.0, gt=0, description="Semi-axes of the ellipsoids in standard deviations."
@@ -92,13 +92,13 @@ class Options(Section):
     def _frames_differ(self) -> Options:
         if self.parent_frame == self.frame_id:
             raise ValueError(
-                f"The parent frame and the frame are both {self.frame_id!r}; a frame cannot hang "
-                "on itself. Rename one, or leave the parent empty to send no transform."
+                f"The parent frame and the frame are both {self.frame_id!r}; a frame cannot be its "
+                "own parent. Rename one, or leave the parent empty to send no transform."
             )
         return self
 
     def live(self) -> Options:
-        """The same with what arrives whole at 30 Hz where nothing else was chosen."""
+        """The same, with defaults for which all frames arrive at 30 Hz."""
         chosen = {
             "max_points": self.max_points or LIVE_POINTS,
             "profile": self.profile or LIVE_PROFILE,
@@ -106,12 +106,12 @@ class Options(Section):
         return self.model_copy(update=chosen)
 
     def recorded(self) -> Options:
-        """The same with everything where nothing else was chosen."""
+        """The same, with defaults that keep everything."""
         return self.model_copy(update={"profile": self.profile or "full"})
 
 
 def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
-    """The quaternion x y z w of turns about the fixed axes x, y and z, in this order [rad]."""
+    """The quaternion x y z w of rotations [rad] about the fixed axes x, y and z, in this order."""
     (cr, sr), (cp, sp), (cy, sy) = (
         (math.cos(angle / 2), math.sin(angle / 2)) for angle in (roll, pitch, yaw)
     )
@@ -124,7 +124,14 @@ def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, flo
 
 
 def angles(x: float, y: float, z: float, w: float) -> tuple[float, float, float]:
-    """Roll, pitch and yaw [rad] of a unit quaternion."""
+    """Roll, pitch and yaw [rad] of a unit quaternion.
+
+    Args:
+        x: Its imaginary part along x.
+        y: Its imaginary part along y.
+        z: Its imaginary part along z.
+        w: Its real part.
+    """
     pitch = math.asin(max(-1.0, min(1.0, 2 * (w * y - z * x))))
     roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
     yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))

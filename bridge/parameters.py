@@ -1,7 +1,7 @@
-"""ROS parameters: each option once more, for a node; four of them can be set while it runs.
+"""The options as ROS parameters of a node; four of them can be set while it runs.
 
-All are declared with dynamic typing, since `-p speed:=2` is an integer to ROS and a float to us.
-What is wrong with a value is said in one sentence, whether at the start or from `ros2 param set`.
+All are declared with dynamic typing, since `-p speed:=2` is an integer to ROS and a float here. A
+wrong value is refused with one sentence, both at the start and by `ros2 param set`.
 """
 
 # rclpy comes with ROS 2 and is on no package index, so type checkers do not find it.
@@ -31,7 +31,7 @@ class Parameter:
     """One parameter of a node."""
 
     default: Any
-    """Its type is the parameter's; a list holds texts or floats."""
+    """Its type is that of the parameter; a list holds strings, a tuple floats."""
     description: str
     limits: tuple[float, float] | None = None
     while_running: bool = False
@@ -46,7 +46,7 @@ RUNNING = {
         (0.0, RATES[1]),
         while_running=True,
     ),
-    "loop": Parameter(True, "Begin again after the last frame.", while_running=True),
+    "loop": Parameter(True, "Start again after the last frame.", while_running=True),
     "max_points": Parameter(
         LIVE_POINTS,
         "At most so many points per frame, evenly picked; 0: the default.",
@@ -54,10 +54,10 @@ RUNNING = {
         while_running=True,
     ),
 }
-"""What can be set while the node runs, and is obeyed at once."""
+"""Parameters that can be set while the node runs, and take effect at once."""
 RUNNING_LIVE = {name: RUNNING[name] for name in ("speed", "max_points")}
-"""The same of a simulation that is running."""
-CLOCK = {"clock": Parameter(False, "Publish /clock, at 40 Hz; nobody else may then.")}
+"""Those of a running simulation."""
+CLOCK = {"clock": Parameter(False, "Publish /clock at 40 Hz; nothing else must publish it then.")}
 CLIP = {"clip": Parameter("", "A clip.safetensors made by phy124."), **CLOCK}
 SIMULATED = {
     "source": Parameter("", "A picture or a 3DGS .ply file."),
@@ -75,7 +75,7 @@ SIMULATED = {
 
 
 def message_options() -> dict[str, Parameter]:
-    """The parameters that are the options of the messages; max_points is among `RUNNING`."""
+    """The parameters for the options of the messages, except max_points, which is in `RUNNING`."""
     absent = {"epoch": 0.0, "profile": LIVE_PROFILE}
     fields = {n: field for n, field in Options.model_fields.items() if n not in RUNNING}
     return {
@@ -89,14 +89,14 @@ def message_options() -> dict[str, Parameter]:
 
 
 def declare(node: Any, parameters: Mapping[str, Parameter]) -> dict[str, Any]:
-    """Declare parameters and read them; raises InputError for a value that cannot be used."""
+    """Declare parameters and read them; raises InputError for a wrong value."""
     from rcl_interfaces.msg import ParameterDescriptor
 
     values = {}
     for name, parameter in parameters.items():
         default = parameter.default
         start = list(default) if isinstance(default, tuple) else default
-        # The limits come afterwards, so that it is us who say what is wrong with a value.
+        # The limits are set afterwards, so that a wrong value gets our own message.
         given = node.declare_parameter(name, start, ParameterDescriptor(dynamic_typing=True)).value
         values[name] = converted(name, given, parameter)
         node.set_descriptor(name, descriptor(parameter))
@@ -125,7 +125,16 @@ def descriptor(parameter: Parameter) -> Any:
 
 
 def converted(name: str, value: Any, parameter: Parameter) -> Any:
-    """The value in the parameter's own type; raises InputError if it is of another kind."""
+    """The value in the parameter's own type.
+
+    Args:
+        name: Name of the parameter.
+        value: The value as ROS has it.
+        parameter: The parameter.
+
+    Raises:
+        InputError: It is of another kind, or out of range.
+    """
     kind, convert = KINDS[type(parameter.default)]
     wanted = convert(value)
     if wanted is None:
@@ -141,7 +150,7 @@ def converted(name: str, value: Any, parameter: Parameter) -> Any:
 
 
 class Running:
-    """Parameters that can be set while the node plays, and say how it plays."""
+    """Parameters that can be set while the node plays, and that show how it plays."""
 
     def __init__(
         self, node: Any, parameters: Mapping[str, Parameter], apply: Callable[[str, Any], None]
@@ -152,7 +161,7 @@ class Running:
         node.add_post_set_parameters_callback(self._carry_out)
 
     def follow(self, values: Mapping[str, Any]) -> None:
-        """Let the parameters say what was changed by other means."""
+        """Update the parameters after changes by other means."""
         from rclpy.parameter import Parameter as RosParameter
 
         for name in values.keys() & self._parameters.keys():
@@ -189,7 +198,7 @@ def _whole(value: Any) -> int | None:
 
 
 def _numbers(value: Any) -> tuple[float, ...] | None:
-    # rclpy has arrays where a list of numbers was given.
+    # rclpy gives arrays for lists of numbers.
     listed = isinstance(value, (list, tuple, array))
     return tuple(map(float, value)) if listed and all(map(_is_number, value)) else None
 
@@ -207,7 +216,7 @@ KINDS: dict[type, tuple[str, Callable[[Any], Any]]] = {
     tuple: ("a list of numbers", _numbers),
     list: ("a list of texts", _texts),
 }
-"""Type of the default -> what is said of it, and the conversion (None: it is of another kind)."""
+"""Type of the default -> its name in messages, and the conversion (None: it is of another kind)."""
 
 
 def _example(default: Any) -> str:

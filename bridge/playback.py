@@ -1,4 +1,4 @@
-"""Playback: how a show stands, as sinks and reports see it."""
+"""Playback: the state of playback, as sinks and reports see it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Protocol
 
 
 class Playback(Protocol):
-    """How a show stands: a `Player`, or a simulation that is running."""
+    """The state of playback: a `Player`, or a running simulation."""
 
     paused: bool
     finished: bool
@@ -16,10 +16,10 @@ class Playback(Protocol):
     loop: bool
     shown: int
     dropped: int
-    """Frames shown, and dropped because they were late."""
+    """Number of frames shown, and of those dropped because they were late."""
     position: float
-    """Clip time of the frame shown last, s."""
+    """Time in the clip of the frame shown last [s]."""
 
     def stamp_at(self, now: float) -> float:
-        """Clip seconds played at a reading of the clock; only grows."""
+        """Seconds of the clip played when the clock reads `now` [s]; never decreases."""
         ...

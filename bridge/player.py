@@ -1,6 +1,7 @@
-"""Player: which frame is due when; a clock apart from all input and output.
+"""Player: decides which frame is due when, without any input or output.
 
-Time is handed in [s, of any monotonic clock], so the player can be tested without waiting.
+The current time is an argument [s, of any monotonic clock], so the player can be tested without
+waiting.
 """
 
 from __future__ import annotations
@@ -16,10 +17,10 @@ from phy124.errors import InputError
 SPEEDS = (0.01, 100.0)
 """Slowest and fastest playback."""
 RATES = (0.0, 1000.0)
-"""Fewest and most frames per second; none at all means every frame."""
+"""Smallest and largest number of frames per second; 0 or None means every frame."""
 LATENESS = 0.15
-"""Seconds a frame may be late. Frames that are less late catch up in a burst, which at 30 Hz is no
-longer than what subscribers keep (5)."""
+"""Time by which a frame may be late [s]. Frames that are less late are sent in a burst, which at
+30 Hz is no longer than the 5 frames that subscribers keep."""
 
 
 @dataclass(frozen=True)
@@ -29,13 +30,13 @@ class Tick:
     index: int
     """Number of the frame in the clip."""
     time: float
-    """Its time in the clip, s."""
+    """Its time in the clip [s]."""
     stamp: float
-    """Clip seconds played so far; only grows, through loops and seeks alike."""
+    """Seconds of the clip played so far; always grows, also at loops and seeks."""
 
 
 class Player:
-    """Plays instants `times [T]` s in order; frames that are too late are dropped and counted."""
+    """Plays the frames at `times [T]` [s] in order; frames too late are dropped and counted."""
 
     def __init__(
         self,
@@ -52,22 +53,22 @@ class Player:
         Args:
             times: Ascending instants [T], s.
             speed: Clip seconds per second.
-            loop: Begin again after the last frame.
-            rate: At most so many frames per second are shown; None: all.
-            paused: Start held at the first frame.
-            lateness: Seconds a frame may be late before it is dropped.
+            loop: Start again after the last frame.
+            rate: Largest number of frames shown per second; None: all.
+            paused: Start paused at the first frame.
+            lateness: Time by which a frame may be late before it is dropped [s].
 
         Raises:
             InputError: No frames, times that do not ascend, or a number out of range.
         """
         self.times = np.asarray(times, dtype=np.float64)
         if not len(self.times) or not (np.diff(self.times) > 0).all():
-            limit = "The frames' times must ascend, and there must be at least one."
+            limit = "The times of the frames must ascend, and there must be at least one."
             raise InputError("clip", f"{len(self.times)} frames", limit, "Simulate it again.")
         self.loop, self.paused, self.rate = loop, paused, _checked_rate(rate)
         self.speed, self.lateness = checked_speed(speed), lateness
         self.shown = self.dropped = self.skipped = self.loops = 0
-        """Frames shown, dropped because late, and left out on purpose by `rate`; loops begun."""
+        """Frames shown, dropped because late, and skipped on purpose by `rate`; loops started."""
         self.finished = False
         self._next = 0
         self._peek = True  # show the next frame although paused
@@ -76,13 +77,13 @@ class Player:
         self._offset = -self._anchor  # stamp minus clip time
         self._shown_at = -math.inf  # clip time of the last frame shown since a jump
         self.position = self._anchor
-        """Clip time of the frame shown last, s."""
-        self._stamp: float | None = None  # the last stamp given out
+        """Time in the clip of the frame shown last [s]."""
+        self._stamp: float | None = None  # the last stamp used
         self._clock = 0.0  # the last answer of `stamp_at`
 
     @property
     def interval(self) -> float:
-        """Mean time between frames, s: what passes between the last frame and the first again."""
+        """Mean time between frames [s], also from the last frame to the first in a loop."""
         if len(self.times) == 1:
             return 1.0
         return float(self.times[-1] - self.times[0]) / (len(self.times) - 1)
@@ -113,7 +114,7 @@ class Player:
         return tick
 
     def play(self, now: float) -> None:
-        """Go on from where it stands; a finished clip starts over."""
+        """Continue from the current position; a finished clip starts over."""
         if self.finished:
             self.restart(now)
         elif self.paused:
@@ -121,19 +122,23 @@ class Player:
             self._rebase(float(self.times[self._next]), now)
 
     def pause(self, now: float) -> None:
-        """Hold after the frame shown last."""
+        """Pause after the frame shown last."""
         del now
         self.paused = True
 
     def toggle(self, now: float) -> None:
-        """Play if it is held or over, else pause."""
+        """Play if paused or finished, otherwise pause."""
         if self.paused or self.finished:
             self.play(now)
         else:
             self.pause(now)
 
     def next(self, now: float) -> None:
-        """Show one frame more; raises InputError unless paused before the end."""
+        """Show one more frame.
+
+        Raises:
+            InputError: It is not paused, or finished.
+        """
         del now
         if not self.paused or self.finished:
             limit = "Single frames are shown only while playback is paused, up to the last one."
@@ -146,7 +151,11 @@ class Player:
         self.seek(float(self.times[0]), now)
 
     def seek(self, time: float, now: float) -> None:
-        """Go to the first frame at or after `time` s; raises InputError outside the clip."""
+        """Go to the first frame at or after `time` [s] in the clip.
+
+        Raises:
+            InputError: The time is outside the clip.
+        """
         first, last = float(self.times[0]), float(self.times[-1])
         if not first <= time <= last:
             limit = f"The clip runs from {first:g} s to {last:g} s."
@@ -157,7 +166,7 @@ class Player:
         self._rebase(float(self.times[target]), now)
 
     def set_speed(self, speed: float, now: float) -> None:
-        """Change the speed without a jump; raises InputError outside `SPEEDS`."""
+        """Change the speed without a jump; raises InputError if it is outside `SPEEDS`."""
         speed = checked_speed(speed)
         if self._start is not None:
             here = self._anchor + (now - self._start) * self.speed
@@ -165,11 +174,15 @@ class Player:
         self.speed = speed
 
     def set_rate(self, rate: float | None) -> None:
-        """Show at most so many frames per second, None: all; raises InputError if not positive."""
+        """Limit the frames shown per second; None: no limit.
+
+        Raises:
+            InputError: The rate is not positive.
+        """
         self.rate = _checked_rate(rate)
 
     def stamp_at(self, now: float) -> float:
-        """Clip seconds played by `now`: between two frames it runs on, held it stands still."""
+        """Seconds of the clip played by `now`: runs on between two frames, stops while paused."""
         self._clock = max(self._clock, self._stamp or 0.0)
         if not self.paused and not self.finished and self._start is not None:
             next_one = float(self.times[self._next])
@@ -178,11 +191,9 @@ class Player:
         return self._clock
 
     def report(self) -> str:
-        """What was shown and what was not, in one sentence."""
+        """A sentence about the frames that were shown and those that were not."""
         text = f"{self.shown} frames shown, {self.dropped} dropped because late"
-        return text + (
-            f", {self.skipped} left out to keep to {self.rate:g} Hz" if self.rate else ""
-        )
+        return text + (f", {self.skipped} skipped to keep to {self.rate:g} Hz" if self.rate else "")
 
     def _is_stale(self, now: float) -> bool:
         """Whether the next frame is too late and a newer one is due."""
@@ -191,7 +202,7 @@ class Player:
         return now - self._due_at(self._next, now) > self.lateness
 
     def _too_soon(self, time: float) -> bool:
-        # Half a percent of slack: 30 Hz of a 30 Hz clip must not lose frames to rounding.
+        # Half a percent of slack, so that 30 Hz of a 30 Hz clip loses no frames by rounding.
         return self.rate is not None and time - self._shown_at < 0.995 * self.speed / self.rate
 
     def _show(self, index: int) -> Tick | None:
@@ -218,7 +229,7 @@ class Player:
         first, last = float(self.times[0]), float(self.times[-1])
         period = last - first + self.interval
         again = self._due_at(len(self.times) - 1, now) + self.interval / self.speed
-        # After a long stall whole rounds are over: they count as dropped and are not raced through.
+        # After a long stall, whole loops have passed; they count as dropped and are not caught up.
         missed = max(int((now - again) * self.speed // period), 0)
         self.dropped += missed * len(self.times)
         self.loops += 1 + missed
@@ -228,7 +239,7 @@ class Player:
         self._rebase(first, again + missed * period / self.speed)
 
     def _splice(self, time: float) -> None:
-        """Let stamps go on one interval after the last, wherever clip time jumps to."""
+        """Let stamps continue one interval after the last, wherever the time in the clip jumps."""
         if self._stamp is not None:
             self._offset = self._stamp + self.interval - time
         self._shown_at = -math.inf
@@ -244,7 +255,11 @@ class Player:
 
 
 def checked_speed(speed: float) -> float:
-    """The speed itself; raises InputError outside `SPEEDS`."""
+    """The speed itself.
+
+    Raises:
+        InputError: It is outside `SPEEDS`.
+    """
     slowest, fastest = SPEEDS
     if not slowest <= speed <= fastest:
         limit = f"The speed must lie between {slowest:g} and {fastest:g}."

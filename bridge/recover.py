@@ -1,7 +1,7 @@
-"""Recover: make a recording whole whose writer was killed or whose disk was full.
+"""Recover: repair a recording whose writer was killed or whose disk was full.
 
-Without its footer an MCAP file has no index and readers refuse it. All complete records are
-copied into a new file, which then takes the place of the old one.
+Without its footer an MCAP file has no index, and readers refuse it. All complete records are copied
+into a new file, which then replaces the old one.
 """
 
 from __future__ import annotations
@@ -28,22 +28,26 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Recovery:
-    """What was found and made."""
+    """What was recovered."""
 
     path: Path
-    """The bag folder or file that is whole now."""
+    """The bag folder or file that is complete now."""
     frames: int
-    """Frames in it."""
+    """Number of frames in it."""
     repaired: bool
-    """False: it was whole already and nothing was touched."""
+    """False if it was complete already and nothing was changed."""
 
 
 def recover(path: str | os.PathLike[str], output: str | os.PathLike[str] | None = None) -> Recovery:
-    """Make the recording `path` (a bag folder or an .mcap file) whole, in place or as `output`.
+    """Repair a recording.
+
+    Args:
+        path: The bag folder or the .mcap file.
+        output: Where to write the repaired copy; None: in place.
 
     Raises:
-        InputError: There is no recording, it was not made by the bridge, not even its beginning
-            is readable, or the disk is full; the damaged file stays as it was.
+        InputError: There is no recording, it was not made by the bridge, not even its beginning can
+            be read, or the disk is full; the damaged file stays as it was.
     """
     target = Path(output) if output else Path(path)
     source = _damaged_file(Path(path))
@@ -69,16 +73,16 @@ def recover(path: str | os.PathLike[str], output: str | os.PathLike[str] | None 
 
 
 def records(file: Path) -> Iterator[Any]:
-    """All complete records of an MCAP file in order, those in chunks taken out of them.
+    """All complete records of an MCAP file in order, including those inside chunks.
 
-    A damaged chunk gives None in the place of its records; a record that is cut short ends it.
+    A damaged chunk yields None instead of its records; a truncated record ends the iteration.
     """
     from mcap.exceptions import McapError
     from mcap.records import Chunk
     from mcap.stream_reader import StreamReader, breakup_chunk
     from zstandard import ZstdError
 
-    # RuntimeError is what lz4 raises, ValueError a wrong checksum.
+    # lz4 raises RuntimeError; ValueError is a wrong checksum.
     broken = (McapError, struct.error, ValueError, RuntimeError, ZstdError)
     with open(file, "rb") as stream:
         reader = iter(StreamReader(stream, emit_chunks=True).records)
@@ -98,7 +102,7 @@ def records(file: Path) -> Iterator[Any]:
 
 
 def _damaged_file(path: Path) -> Path:
-    """The file that holds the records of a recording, finished or not."""
+    """The file with the records of a recording, finished or not."""
     file = bag.mcap_file(path)
     part = file.with_name(file.name + PART)
     for candidate in (part, file):
@@ -115,7 +119,7 @@ def _is_finished(path: Path, source: Path) -> bool:
 
 
 def _inspect(file: Path) -> tuple[bool, int]:
-    """Whether the file has its footer and no damage, and how many frames."""
+    """Whether the file has its footer and no damage, and its number of frames."""
     from mcap.records import Channel, Footer, Header, Message
 
     footer, damaged, frames, points = False, 0, 0, None
@@ -135,7 +139,7 @@ def _inspect(file: Path) -> tuple[bool, int]:
             limit = "It is an MCAP file, but not a ROS 2 bag."
             raise InputError("recover", file, limit, "Use the mcap command-line tool for it.")
     if points is None:
-        limit = "Not even its first frame is complete, so there is nothing to bring back."
+        limit = "Not even its first frame is complete, so there is nothing to recover."
         raise InputError("recover", file, limit, "Delete it and record again.")
     if damaged:
         log.warning("%d damaged chunks of %s cannot be read.", damaged, file)
@@ -143,7 +147,7 @@ def _inspect(file: Path) -> tuple[bool, int]:
 
 
 def _copy(source: Path, destination: Path, name: str) -> bag.Counts:
-    """Copy what is complete into a new, finished file, to be called `name`."""
+    """Copy all complete records into a new, finished file, whose final name is `name`."""
     from mcap.writer import CompressionType, Writer
 
     with open(destination, "wb") as stream:
@@ -161,7 +165,7 @@ def _copy_records(source: Path, writer: Writer) -> bag.Counts:
     from mcap.records import Channel, Message, Metadata
 
     counts = bag.Counts()
-    # The summary of a finished file repeats the channels, should their first chunk be damaged.
+    # The summary of a finished file repeats the channels, in case their first chunk is damaged.
     found = {record.id: record.topic for record in records(source) if isinstance(record, Channel)}
     topics = {number: RECORDED[name] for number, name in found.items()}
     counts.announce(list(topics.values()))

@@ -1,4 +1,4 @@
-"""Reports: what a publisher says about itself: ~/status, /diagnostics and /clock."""
+"""Reports: what a publisher publishes about itself: ~/status, /diagnostics and /clock."""
 
 from __future__ import annotations
 
@@ -17,27 +17,27 @@ from .playback import Playback
 from .topics import CLOCK, DIAGNOSTICS, STATUS, Message, Topic
 
 CLOCK_RATE = 40.0
-"""Hz of /clock, also while paused; `ros2 bag play --clock` has the same."""
+"""Rate of /clock [Hz], also while paused; the same as `ros2 bag play --clock`."""
 DIAGNOSTICS_EVERY = 1.0
-"""Seconds between two messages on /diagnostics."""
+"""Time between two messages on /diagnostics [s]."""
 log = logging.getLogger(__name__)
 OK, WARN = 0, 1
-"""`diagnostic_msgs/msg/DiagnosticStatus`."""
+"""Levels of `diagnostic_msgs/msg/DiagnosticStatus`."""
 
 
 @dataclass(frozen=True)
 class Audience:
-    """How the other end does."""
+    """The subscribers, and what they may lack."""
 
     subscribers: int
     lost: int
-    """Frames somebody may not have got."""
+    """Number of frames that some subscriber may not have received."""
     namesakes: int = 0
-    """Other nodes of the same name."""
+    """Number of other nodes with the same name."""
 
 
 class Reports:
-    """Says how playback stands: at each change, once a second, and by the clock."""
+    """Publishes the state of playback: at each change, once a second, and as the clock."""
 
     def __init__(
         self,
@@ -52,12 +52,12 @@ class Reports:
         """Ready; nothing is due before the first `change`.
 
         Args:
-            encoder: Knows what time a stamp is.
+            encoder: Converts seconds of the clip to time stamps.
             send: Publishes a message.
-            audience: Asked once a second.
+            audience: Called once a second.
             node: Full name of the node.
             clock: Publish /clock.
-            now: The clock playback runs by.
+            now: The clock that playback uses [s].
         """
         self._encoder, self._send, self._audience = encoder, send, audience
         self._node, self._now = node, now
@@ -70,11 +70,11 @@ class Reports:
 
     @property
     def topics(self) -> list[Topic]:
-        """What is published."""
+        """The topics that are published."""
         return [STATUS, DIAGNOSTICS, *([CLOCK] if self._clock else [])]
 
     def change(self, playback: Playback) -> None:
-        """Send the status and what else is due; the first change begins the others."""
+        """Send the status and everything else that is due; the first call starts the others."""
         if self._playback is None:
             self._due["diagnostics"] = self._now()
             self._due["clock"] = self._now() if self._clock else math.inf
@@ -83,11 +83,11 @@ class Reports:
         self.send_due()
 
     def wait(self) -> float:
-        """Seconds until the next report is due."""
+        """Time until the next report is due [s]."""
         return max(min(self._due.values()) - self._now(), 0.0)
 
     def send_due(self) -> None:
-        """Send what is due; call it often, from any thread."""
+        """Send the reports that are due; call it often, from any thread."""
         with self._lock:
             self._send_due(self._now())
 

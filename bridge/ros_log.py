@@ -1,4 +1,4 @@
-"""Log lines of the program on /rosout and ROS's console, as long as a node lives."""
+"""Sends the program's log to /rosout and ROS's console as long as a node exists."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from typing import Any
 
 
 class RosHandler(logging.Handler):
-    """Hands records to the logger of a node, which publishes them on /rosout."""
+    """Passes records to the logger of a node, which publishes them on /rosout."""
 
     def __init__(self, logger: Any) -> None:
         super().__init__()
         self._logger = logger
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Log one line. Each level has a line of its own: rclpy ties a severity to its caller."""
+        """Log one record. Each level has its own call, since rclpy ties a severity to a caller."""
         text = self.format(record)
         if record.levelno >= logging.CRITICAL:
             self._logger.fatal(text)
@@ -32,7 +32,7 @@ class RosHandler(logging.Handler):
 
 @contextmanager
 def logged_by(node: Any) -> Iterator[None]:
-    """Send everything that is logged through the node instead of where it went before."""
+    """Within this context, everything logged goes through the node instead of elsewhere."""
     root = logging.getLogger()
     before, level = root.handlers[:], root.level
     root.handlers[:] = [RosHandler(node.get_logger())]

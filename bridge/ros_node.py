@@ -19,13 +19,13 @@ NAMESPACE, NODE = "phy124", "player"
 
 @contextmanager
 def ros_node(args: list[str] | None = None, name: str = NODE) -> Iterator[Any]:
-    """The node /phy124/player, from start to clean shutdown; InputError for bad arguments."""
+    """The node /phy124/player, from start to clean shutdown; raises InputError."""
     import rclpy
     from rclpy.node import Node
     from rclpy.signals import SignalHandlerOptions
 
     try:
-        # ROS's own handlers would end the context at once, before the last frames have arrived.
+        # ROS's own handlers would end its context at once, before the last frames have arrived.
         _accepted(lambda: rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO))
         node = _accepted(lambda: Node(name, namespace=NAMESPACE))
         try:
@@ -38,7 +38,7 @@ def ros_node(args: list[str] | None = None, name: str = NODE) -> Iterator[Any]:
 
 
 def _accepted(start: Callable[[], Any]) -> Any:
-    """What ROS makes of the arguments; its refusals become one sentence."""
+    """The result of `start`; if ROS rejects the arguments, raises InputError with one sentence."""
     try:
         return start()
     except (RuntimeError, ValueError) as error:

@@ -1,4 +1,4 @@
-"""The services of the node: those of rosbag2's player, and three triggers anybody can call."""
+"""The services of the node: those of rosbag2's player, and three triggers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ log = logging.getLogger(__name__)
 
 
 class Services:
-    """Offers services; what is asked goes to `ask(command)`, which returns why not, or None."""
+    """Offers services; requests go to `ask(command)`, which returns why it refuses, or None."""
 
     def __init__(
         self, node: Any, ask: Callable[[str], str | None], playback: Callable[[], Playback | None]
@@ -56,7 +56,7 @@ class Services:
         return response
 
     def _set_rate(self, request: Any, response: Any) -> Any:
-        # What rosbag2 calls the rate is the speed: clip seconds per second.
+        # What rosbag2 calls the rate is called speed here: clip seconds per second.
         response.success = self._ask(f"speed {request.rate!r}") is None
         return response
 

@@ -1,4 +1,4 @@
-"""The ROS 2 package phy124_bridge: this folder, as `colcon build` wants it.
+"""The ROS 2 package phy124_bridge: this folder, as `colcon build` expects it.
 
 The package phy124 itself is installed with pip (docs/guide/bridge.md).
 """
@@ -10,8 +10,8 @@ from setuptools.command.develop import develop
 from setuptools.command.install_scripts import install_scripts
 
 NAME = "phy124_bridge"
-# This folder is the package itself. `colcon build --symlink-install` cannot link ".", so it is
-# named from outside.
+# This folder is the package itself. `colcon build --symlink-install` cannot link ".", so the folder
+# is named from outside.
 HERE = f"../{Path(__file__).resolve().parent.name}"
 EXECUTABLES = {
     "player": (f"{NAME}.start", "player", 0),
@@ -32,7 +32,7 @@ except KeyboardInterrupt:
 def quick(command):
     """A command of setuptools that writes `SCRIPT` for our executables.
 
-    setuptools' own scripts look the package up first, and Ctrl-C meanwhile is a traceback.
+    setuptools' own scripts first look up the package, and Ctrl-C during that shows a traceback.
     """
 
     class Quick(command):
@@ -71,6 +71,6 @@ setup(
             f"{name} = {module}:{function}" for name, (module, function, _) in EXECUTABLES.items()
         ]
     },
-    # `colcon build` uses the one, `colcon build --symlink-install` the other.
+    # `colcon build` uses the first, `colcon build --symlink-install` the second.
     cmdclass={"install_scripts": quick(install_scripts), "develop": quick(develop)},
 )

@@ -1,4 +1,4 @@
-"""A simulation that is running right now, as a stream of frames."""
+"""A running simulation as a stream of frames."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class LiveOptions:
     """What to simulate with `--live`."""
 
     live: bool = False
-    """The source is a picture or a 3DGS .ply file: simulate it now, frame by frame."""
+    """The source is a picture or a 3DGS .ply file, to be simulated while it is shown."""
     scene: str = "press"
     """Preset (see `phy124 scenes`) or path of a .toml file."""
     set: tuple[str, ...] = field(default_factory=tuple)
@@ -40,23 +40,36 @@ class LiveOptions:
     reading: Reading = field(default_factory=Reading)
 
     def check(self) -> None:
-        """Raise InputError if something is asked that only `--live` does."""
+        """Check that nothing is given that needs `--live`.
+
+        Raises:
+            InputError: Something is.
+        """
         if not self.live and self != LiveOptions():
-            limit = "What to simulate was given, but a saved clip is only played."
-            raise InputError("live", self.live, limit, "Add --live, or leave the scene out.")
+            limit = "Options of a simulation were given, but a saved clip is only played."
+            raise InputError("live", self.live, limit, "Add --live, or leave them out.")
 
     def resolve(self) -> Scene:
-        """The scene with all changes, velocities kept unless it says not; raises InputError."""
+        """The scene with all changes; it keeps velocities by default; raises InputError."""
         from phy124.scene import Scene, assignments
 
         return Scene.named(self.scene).replaced({"velocities": True, **assignments(self.set)})
 
 
 class LiveRun:
-    """A simulation whose frames are not kept, so it may be longer than memory."""
+    """A simulation whose frames are not kept, so that they may exceed the memory."""
 
     def __init__(self, source: Path, options: LiveOptions, *, progress: Progress = silent) -> None:
-        """Ready to `prepare`; raises InputError for what can be seen at once."""
+        """Ready to `prepare`.
+
+        Args:
+            source: A picture or a 3DGS .ply file.
+            options: What to simulate.
+            progress: Called with (stage, done, total); may raise Cancelled.
+
+        Raises:
+            InputError: The source does not exist, or the scene cannot be used.
+        """
         self.scene = options.resolve()
         if not source.is_file():
             limit = "There is no such file."
@@ -64,13 +77,13 @@ class LiveRun:
         self._source, self._options, self._progress = source, options, progress
         self._simulation: Simulation | None = None
         self.stopped: str | None = None
-        """Why it ended early, once it did."""
+        """Why it ended early, if it did."""
 
     def __len__(self) -> int:
         return self.scene.time.frames
 
     def __iter__(self) -> Iterator[Frame]:
-        """The frames as they are computed; `stopped` says why if going on would be wrong."""
+        """The frames as they are computed; if they end early, `stopped` says why."""
         from phy124.simulation import Stopped
 
         try:
@@ -79,7 +92,7 @@ class LiveRun:
             self.stopped = str(stop)
 
     def prepare(self) -> Simulation:
-        """Make the object and its solver, unless they are there; raises InputError."""
+        """Make the object and its solver unless they exist; raises InputError."""
         if self._simulation is None:
             self._simulation = self._made()
         return self._simulation
@@ -91,23 +104,23 @@ class LiveRun:
         from phy124.simulation import Simulation
 
         device = pick_device(self._options.device)
-        # What Warp says while it compiles is no news to a user.
+        # A user need not see Warp's messages while it compiles.
         warp.config.log_level = warp.LOG_ERROR
         made = make_object(self._source, self._options, self.scene, self._progress)
         self.scene = made.scene
-        # The sinks have each frame; keeping it would limit the run to what memory holds.
+        # The sinks have each frame; keeping them would limit the run by memory.
         options: dict[str, Any] = {"device": device, "crop": made.crop, "keep": False}
         return Simulation(made.gaussians, made.scene, progress=self._progress, **options)
 
     def report(self) -> dict[str, Any]:
-        """What the run did."""
+        """The report of the run."""
         report = self.prepare().report()
         complete = report["complete"] and self.stopped is None
         return {**report, "complete": complete, "stopped": self.stopped}
 
 
 def opened(path: str | Path) -> Clip:
-    """A clip; the log says what of it cannot be shown."""
+    """Open a clip; logs which of its values cannot be shown."""
     clip = Clip.load(path)
     for flaw in clip.flaws():
         log.warning(flaw)
@@ -115,13 +128,20 @@ def opened(path: str | Path) -> Clip:
 
 
 def make_object(source: Path, options: LiveOptions, scene: Scene, progress: Progress) -> Static:
-    """A picture, or a 3DGS .ply file, as Gaussians and the scene for them; raises InputError."""
+    """Gaussians from a picture or a 3DGS .ply file, and the scene for them; raises InputError.
+
+    Args:
+        source: The picture or the file.
+        options: The generator, and how to interpret a file.
+        scene: The scene.
+        progress: Called with (stage, done, total); may raise Cancelled.
+    """
     from phy124.pipeline import static
 
     def look(cutout: Cutout) -> None:
         if cutout.warnings:
             see = f"Look at it with `phy124 cutout {source}`"
-            mend = "--mask there mends it, and what it writes can be given here."
+            mend = "--mask corrects it, and the file it writes can be given here."
             for sentence in (*cutout.warnings, f"{see}; {mend}"):
                 log.warning(sentence)
 

@@ -1,6 +1,6 @@
-"""Start: the executables of `ros2 run`, and how all of them import what takes long.
+"""Start: the executables of `ros2 run`, and a clean Ctrl-C during slow imports.
 
-Only what is light may be imported here: until `importing` has begun, Python itself answers Ctrl-C
+Only light modules may be imported here: until `importing` has been entered, Python answers Ctrl-C
 with a traceback.
 """
 
@@ -27,10 +27,14 @@ def live() -> None:
 
 @contextmanager
 def importing(status: int, said: str = "") -> Iterator[None]:
-    """Within it Ctrl-C and SIGTERM end the process at once: nothing is open that must be closed.
+    """Within this context, Ctrl-C and SIGTERM end the process at once; nothing must be closed yet.
 
-    A KeyboardInterrupt would not always come through: some of what runs during an import only
-    prints it.
+    A KeyboardInterrupt would not always come through, since some code that runs during an import
+    only prints it.
+
+    Args:
+        status: The exit status.
+        said: Text for standard error.
     """
     try:
         from phy124.runtime.signals import ending, handled

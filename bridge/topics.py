@@ -1,7 +1,7 @@
 """The topics of the bridge and their quality of service.
 
-Reliable and transient local, so that every kind of subscriber matches and a late one gets the
-last messages (REP-2003 asks publishers of sensor data to be reliable where they can).
+They are reliable and transient local, so that every kind of subscriber matches and a late one gets
+the last messages (REP-2003 asks publishers of sensor data to be reliable if they can).
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ from typing import NamedTuple
 
 @dataclass(frozen=True)
 class Topic:
-    """A topic, its message type and what its publisher offers."""
+    """A topic, its message type and the quality of service its publisher offers."""
 
     name: str
     type: str
     depth: int
-    """How many of the last messages are kept for late subscribers."""
+    """Number of the last messages that are kept for late subscribers."""
     reliable: bool = True
     transient_local: bool = True
 
@@ -27,21 +27,22 @@ class Message(NamedTuple):
 
     topic: Topic
     stamp: int
-    """Time of the message, ns since 1970."""
+    """Time of the message [ns since 1970]."""
     data: bytes
-    """CDR, see `cdr`."""
+    """The payload as CDR, see `cdr`."""
 
 
 POINTS = Topic("/phy124/points", "sensor_msgs/msg/PointCloud2", depth=5)
 ELLIPSOIDS = Topic("/phy124/ellipsoids", "visualization_msgs/msg/MarkerArray", depth=1)
 TF_STATIC = Topic("/tf_static", "tf2_msgs/msg/TFMessage", depth=1)
-# ROS offers the clock best effort and volatile, so that is what subscribers expect.
+# ROS publishes the clock as best effort and volatile, so that is what subscribers expect.
 CLOCK = Topic("/clock", "rosgraph_msgs/msg/Clock", depth=1, reliable=False, transient_local=False)
 STATUS = Topic("/phy124/player/status", "diagnostic_msgs/msg/DiagnosticStatus", depth=1)
 DIAGNOSTICS = Topic(
     "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", depth=10, transient_local=False
 )
 COMMAND = Topic("/phy124/command", "std_msgs/msg/String", depth=10, transient_local=False)
-"""Heard, not offered; the words are those of `live.command`."""
+"""Subscribed to, not published; the commands are those of `live.command`."""
 RECORDED = {topic.name: topic for topic in (TF_STATIC, POINTS, ELLIPSOIDS)}
-"""What recordings hold. No clock: it would fight `ros2 bag play --clock`."""
+"""Topics in recordings. The clock is not among them, as it would conflict with that of
+`ros2 bag play --clock`."""

@@ -1,4 +1,4 @@
-"""The hosted page: `python app.py` or `python -m demo` in a checkout, else `phy124-demo`."""
+"""The web page: `python app.py` or `python -m demo` in a checkout, otherwise `phy124-demo`."""
 
 from __future__ import annotations
 
@@ -28,7 +28,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def serve(settings: Settings) -> None:
-    """Serve the page until interrupted; raises InputError."""
+    """Serve the page until interrupted.
+
+    Raises:
+        InputError: gradio is not installed, or a setting cannot be used.
+    """
     if find_spec("gradio") is None:
         limit = "The page needs the package gradio, which is not installed."
         raise InputError("page", "gradio", limit, f"Run `{install_command('demo')}`.")
@@ -46,7 +50,7 @@ def serve(settings: Settings) -> None:
 
 
 def asked_for(arguments: Sequence[str] | None) -> dict[str, str]:
-    """What the command line asks for, as environment variables: --port 80 is PHY124_PORT=80."""
+    """The options of the command line as environment variables: --port 80 is PHY124_PORT=80."""
     parser = ArgumentParser(
         prog="phy124-demo",
         usage="%(prog)s [--port 7860] [--max-frames 72] ...",

@@ -1,7 +1,7 @@
-"""What the page offers: presets, knobs and limits, all drawn from the scene's own declarations.
+"""What the page offers: presets, controls and limits, all taken from the scene's declaration.
 
-The editor in the page (static/scene.js) builds its cards, sliders and forms from `catalogue`;
-laws, forces and boundaries that join their unions appear there by themselves.
+The editor in the page (static/scene.js) builds its cards, sliders and forms from `catalogue`. New
+laws, forces and boundaries appear there without further work, registered ones included.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ FIRST = (
 )  # fmt: skip
 """Presets shown first; all others follow in alphabetical order."""
 PUSHES = {"gravity": "g", "acceleration": "a"}
-"""Forces that the direction pad sets, and the field that it sets."""
+"""Forces that the direction pad sets -> the field that it sets."""
 WEIGHTS = {"foam": 50, "water": 1000, "stone": 2600, "iron": 7900}
-"""Densities of things one knows [kg/m^3]."""
+"""Densities of familiar materials [kg/m^3]."""
 
 
 def catalogue(settings: Settings) -> dict[str, Any]:
@@ -60,7 +60,7 @@ def catalogue(settings: Settings) -> dict[str, Any]:
 
 
 def _schema() -> dict[str, Any]:
-    """The scene's own schema without what the page decides: which files are made."""
+    """The JSON schema of a scene without the fields that the page decides: which files to make."""
     schema = Scene.model_json_schema()
     for name in ("formats", "transparent"):
         del schema["$defs"]["View"]["properties"][name]
@@ -80,15 +80,22 @@ def _card(name: str) -> dict[str, Any]:
 
 
 def _anchors() -> dict[str, float]:
-    """Named stiffnesses, as the field's own description lists them."""
+    """Named stiffnesses [Pa], read from the description of the field E."""
     text = Elastic.model_fields["E"].description or ""
     return {name: float(value) for name, value in re.findall(r"(\w+) (\d\.?\d*e\d+)", text)}
 
 
 def scene_of(data: Any, settings: Settings, uploads: Path | None = None) -> Scene:
-    """The scene a visitor chose, within the page's limits; raises InputError.
+    """The scene a visitor chose, within the page's limits.
 
-    Fields that name files may name pictures in `uploads`, and nothing else on this machine.
+    Args:
+        data: The scene as plain data.
+        settings: The page's limits.
+        uploads: Folder of the visitor's pictures. A field that names a file may name one of these
+            and nothing else on this machine.
+
+    Raises:
+        InputError: It is not a scene, it is too large for the page, or it names another file.
     """
     if not isinstance(data, dict):
         raise InputError("scene", data, "no scene is chosen.", "Choose one of the cards.")
@@ -102,15 +109,19 @@ def scene_of(data: Any, settings: Settings, uploads: Path | None = None) -> Scen
 
 
 def _check_upload(field: str, path: Path, settings: Settings, uploads: Path | None) -> None:
-    # The path is compared as text: what lies at any other place must not even be looked at.
+    # The path is compared as text, since other places must not even be examined.
     if uploads is None or str(path) != str(uploads / path.name) or not is_plain_file(path):
-        limit = "A scene may name no file here but a picture that you have sent."
+        limit = "Here a scene may name no file except a picture that you have sent."
         raise InputError(field, "a file", limit, "Leave it out, or choose a picture for it.")
     check_picture(path, settings)
 
 
 def check_limits(scene: Scene, settings: Settings) -> None:
-    """Raise InputError if a scene is larger than the page allows."""
+    """Check that a scene is within the page's limits.
+
+    Raises:
+        InputError: It is larger than the page allows.
+    """
     limits = {
         "frames": (scene.time.frames, settings.max_frames),
         "cells": (scene.resolution.cells, settings.max_cells),
@@ -127,7 +138,11 @@ def check_limits(scene: Scene, settings: Settings) -> None:
 
 
 def check_time(seconds: float, settings: Settings) -> None:
-    """Refuse before it starts what could not end in time on any day; raises InputError."""
+    """Check that a run of so many seconds could end in time on an idle machine.
+
+    Raises:
+        InputError: It could not.
+    """
     if seconds > settings.max_seconds:
         raise InputError(
             "time",

@@ -26,7 +26,7 @@ NOTHING_YET = "run: There is no run in this session yet. Call /generate first."
 
 
 def endpoints(studio: Studio) -> None:
-    """The named endpoints, with typed arguments."""
+    """Add the named endpoints, with typed arguments."""
     with gr.Column(visible=False):
         picture = photo(studio, label="image")
         preset = _unread(gr.Dropdown(preset_names(), value="press", label="preset"))
@@ -39,7 +39,7 @@ def endpoints(studio: Studio) -> None:
         formats = _unread(gr.CheckboxGroup(list(EXPORTS), value=[], label="formats"))
         run = gr.State(None)
         files, report = gr.File(file_count="multiple", label="files"), gr.JSON(label="report")
-        # Each only follows a job, which waits for its turn in a line of our own.
+        # Each of these only follows a job, which waits for its turn in our own queue.
         shared = {"concurrency_id": "programs", "concurrency_limit": studio.settings.max_queue}
         gr.Button().click(
             _generate(studio), [picture, preset, accuracy, frames, changes, formats],
@@ -91,7 +91,7 @@ def _measure(studio: Studio) -> Handler:
         image: str | None, preset: str, accuracy: str, frames: int, changes: Any,
         request: gr.Request,
     ) -> Iterator[tuple[Any, ...]]:  # fmt: skip
-        """Measure the error of a scene as a fraction of its size, and what each grid took."""
+        """Measure the error of a scene as a fraction of its size, and the seconds of each grid."""
         name = visitor_of(request)
         scene, cutting = _cut(studio, name, image, preset, accuracy, frames, changes)
         visitor = studio.visitors.get(name)
@@ -102,7 +102,7 @@ def _measure(studio: Studio) -> Handler:
             yield (gr.skip(),) * 3
         study = read_study(job.progress.result.study)
         if study is None:
-            raise refusal("measure: It is no longer kept here. Call /measure again.")
+            raise refusal("measure: The result is no longer stored. Call /measure again.")
         said = study.promise(scene.resolution.cells)
         yield said.error, said.sentence, study.rows()
 
@@ -113,7 +113,7 @@ def _cut(
     studio: Studio, name: str, image: str | None, preset: str, accuracy: str, frames: int,
     changes: Any,
 ) -> tuple[Scene, Job]:  # fmt: skip
-    """The scene that a program asks for, and the job that cuts its picture out."""
+    """The scene that a program asks for, and the job that cuts out its picture."""
     # A name of no preset could be that of a file.
     _chosen("preset", [preset], preset_names())
     _chosen("accuracy", [accuracy], list(PRESETS))
@@ -139,7 +139,7 @@ def _changes(given: Any) -> dict[str, Any]:
         return given or {}
     raise InputError(
         "changes", type(given).__name__, "They must be an object of values by dotted path.",
-        'Give {"material.E": 20000}, say.',
+        'Give {"material.E": 20000}, for example.',
     )  # fmt: skip
 
 
@@ -170,7 +170,7 @@ def _begun(begin: Callable[..., Job], name: str, cutout: str, data: dict[str, An
 
 
 def _followed(job: Job, visitor: Visitor, field: str) -> Iterator[None]:
-    """Wait for a job, which is called off if the program hangs up; raises gr.Error if it fails."""
+    """Wait for a job; it is cancelled if the program disconnects; raises gr.Error if it fails."""
     try:
         while not job.wait(BEAT):
             visitor.touch()
@@ -183,17 +183,17 @@ def _followed(job: Job, visitor: Visitor, field: str) -> Iterator[None]:
 
 
 def _evaluate(run: Any) -> dict[str, Any]:
-    """How this session's last run moved: stability figures per frame, effects, times."""
+    """How this session's last run moved: measures of stability per frame, effects, durations."""
     if run is None:
         raise refusal(NOTHING_YET)
     try:
         return read_report(run[0])
     except OSError:
-        raise refusal("run: It is no longer kept here. Call /generate again.") from None
+        raise refusal("run: It is no longer stored here. Call /generate again.") from None
 
 
 def _paths(done: Done) -> list[str]:
     wanted = [*done.films.iterdir(), *done.clip.iterdir()]
-    # Both folders have a report; the films' one is complete.
+    # Both folders have a report; the one beside the films is complete.
     chosen = {path.name: str(path) for path in reversed(wanted) if path.name != "clip.pack"}
     return [chosen[name] for name in sorted(chosen)]

@@ -1,4 +1,4 @@
-"""What is told of a piece of work while it goes on."""
+"""Events of a job, sent while it runs."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class Step:
-    """How far a stage is."""
+    """The progress of a stage."""
 
     stage: str
     done: int
@@ -40,19 +40,19 @@ class Reused:
 
 @dataclass(frozen=True)
 class Done:
-    """Everything is there."""
+    """Everything is finished."""
 
     clip: Path
     """Folder of the clip, its Gaussians and its scene."""
     films: Path
     """Folder of the videos, the player's pack and the report."""
     study: Path
-    """Where the error of this very scene lies once it has been measured."""
+    """The file with the error of this scene, once it has been measured."""
 
 
 @dataclass(frozen=True)
 class Measured:
-    """The error of the scene is known."""
+    """The error of the scene has been measured."""
 
     study: Path
     """File of a `demo.studies.Measurement`."""

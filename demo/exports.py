@@ -1,4 +1,4 @@
-"""Formats that are made when somebody asks for them."""
+"""Formats that are made on demand."""
 
 from __future__ import annotations
 
@@ -20,13 +20,17 @@ from phy124.scene import View
 from .work import Done, whole_in_view
 
 BRIDGE = __name__.partition("demo")[0] + "bridge"
-"""The bridge's program: `bridge` in a checkout, `phy124_bridge` beside `phy124_demo`."""
+"""Name of the bridge's package: `bridge` in a checkout, `phy124_bridge` if installed."""
 TAIL = 60.0
-"""Longest time that the bridge may take, s."""
+"""Longest time that the bridge may take [s]."""
 
 
 def export(kind: str, done: Done) -> Path:
-    """Make one of `EXPORTS` of a finished run, once; raises InputError."""
+    """The file of one of `EXPORTS` for a finished run, made if it is not there yet.
+
+    Raises:
+        InputError: There is no such format, or it cannot be made.
+    """
     if kind not in EXPORTS or not EXPORTS[kind].available():
         raise InputError("format", kind, "This format is not offered here.", "Choose another one.")
     path = done.films / EXPORTS[kind].file
@@ -58,7 +62,7 @@ def _ply(done: Done, path: Path) -> None:
 
 
 def _mcap(done: Done, path: Path) -> None:
-    """Through the bridge's command line: page and bridge do not know each other."""
+    """Uses the bridge's command line, since page and bridge do not import each other."""
     clip = (done.clip / "clip.safetensors").resolve()
     command = [sys.executable, "-m", BRIDGE, "record", str(clip), str(path.resolve())]
     beside = Path(__file__).parents[1]
@@ -66,7 +70,7 @@ def _mcap(done: Done, path: Path) -> None:
         subprocess.run(command, cwd=beside, check=True, timeout=TAIL, capture_output=True)
     except (subprocess.SubprocessError, OSError) as error:
         raise InputError(
-            "format", "mcap", "The bridge could not write it.", "Take clip.safetensors instead."
+            "format", "mcap", "The bridge could not write it.", "Use clip.safetensors instead."
         ) from error
 
 

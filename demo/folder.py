@@ -1,7 +1,7 @@
-"""The folder that holds visitors' files while the page runs, and nothing afterwards.
+"""The folder that holds visitors' files while the page runs.
 
-It goes when the page ends. What a page that was killed has left behind goes when the next one
-starts: a lock, which dies with its process, tells the living from the dead.
+It is removed when the page ends. If a page was killed, the next one removes its folder on starting:
+a lock, which ends with its process, shows which folders are still in use.
 """
 
 from __future__ import annotations
@@ -22,7 +22,14 @@ LOCK = "lock"
 
 @contextmanager
 def own_folder(wanted: str = "") -> Iterator[Path]:
-    """A folder of our own, emptied before and removed after; raises InputError if it is in use."""
+    """A folder for this page, emptied at first and removed at the end.
+
+    Args:
+        wanted: The folder; empty: a new one in the system's temporary folder.
+
+    Raises:
+        InputError: Another page uses it, or it holds other files.
+    """
     if not wanted:
         _sweep(Path(tempfile.gettempdir()))
     root = Path(wanted or tempfile.mkdtemp(prefix=PREFIX)).absolute()
@@ -47,7 +54,7 @@ def own_folder(wanted: str = "") -> Iterator[Path]:
 
 
 def _sweep(folder: Path) -> None:
-    """Remove the folders of pages that run no more."""
+    """Remove the folders of pages that no longer run."""
     for left in folder.glob(f"{PREFIX}*"):
         if left.is_symlink() or not left.is_dir() or left.stat().st_uid != os.getuid():
             continue
@@ -72,12 +79,12 @@ def _locked(folder: Path) -> int | None:
 
 
 def _refuse(root: Path, strangers: list[str]) -> None:
-    """A folder given by a person may hold what must not be deleted."""
+    """Refuse a folder that holds files of somebody else, which must not be deleted."""
     if strangers:
         (root / LOCK).unlink(missing_ok=True)
         raise InputError(
             "PHY124_FOLDER", root, f"it holds other files, such as {strangers[0]}.",
-            "Give an empty folder: the page removes what lies in its own.",
+            "Give an empty folder, since the page deletes everything in it.",
         )  # fmt: skip
 
 

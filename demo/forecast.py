@@ -1,7 +1,7 @@
-"""How long a run will take and what its accuracy promises, said before it starts.
+"""How long a run will take and what error is promised, told before it starts.
 
-How much there is to do is in phy124/cost.py; what a particle-substep, a drawn pixel and so on
-cost on this machine is learned in demo/rates.py.
+phy124/cost.py says how much work a run is; demo/rates.py learns what a particle and substep, a
+drawn pixel and so on cost on this machine.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from .studies import Measurement, on_grid
 Measured = tuple[dict[str, Any], Scene]
 """Report and scene of a finished run."""
 FRESH = 3.0
-"""Seconds for which a look at what others do is good."""
+"""Time for which a measurement of the machine's load is valid [s]."""
 SET_UP = 0.4
-"""Seconds to set up one grid of a study and compare its motion, in those of `rest`."""
+"""Time to set up one grid of a study and to compare its motion, relative to that of `rest`."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """What a run is expected to be."""
+    """What a run is expected to take, and the error it promises."""
 
     seconds: float
     substeps: int
@@ -44,30 +44,30 @@ class Estimate:
     promise: Promise
     """The error that was measured for such scenes, or why none is promised."""
     caveat: str | None = None
-    """Why the seconds are no promise."""
+    """Why the seconds are uncertain."""
     load: Load = QUIET
-    """What others do on this machine at the moment."""
+    """How busy other programs keep this machine."""
     measured: bool = False
-    """Whether it comes from a probe of this very object."""
+    """Whether it comes from a probe of this object."""
     compiling: float = 0.0
-    """Seconds of these until the kernels are compiled, which is done once."""
+    """The part of the seconds in which kernels are compiled, which is done once."""
 
     @property
     def span(self) -> tuple[float, float]:
-        """Between what seconds the run will lie."""
+        """Shortest and longest time expected for the run [s]."""
         unsure = 1.0 if self.measured and not self.caveat else GUESS
         return self.load.span(self.seconds, unsure=unsure)
 
     @property
     def sentence(self) -> str:
-        """For the visitor."""
-        beside = " beside what else this machine does" if self.load.busy else ""
+        """The estimate in words, for the visitor."""
+        beside = " while this machine is busy" if self.load.busy else ""
         text = f"About {spoken(self.span)}{beside}: {self.substeps:,} substeps of "
         text += f"{round(self.particles, -3):,} particles. {self.promise.brief}"
         if self.load.busy:
             slower = f"{self.load.simulation:.1f} times as long"
-            text += f" Others here make its motion take {slower}, as things are;"
-            text += " who ends or begins meanwhile is not foreseen."
+            text += f" Other work on this machine makes the motion take {slower} at present;"
+            text += " what ends or starts meanwhile is not predicted."
         if self.compiling > 0:
             text += f" The first run of this kind compiles for about {duration(self.compiling)}."
         return f"{text} {self.caveat}" if self.caveat else text
@@ -84,7 +84,7 @@ class Estimator:
 
     @property
     def rates(self) -> Rates:
-        """What the stages cost now."""
+        """The current costs of the stages."""
         return self.learned.now
 
     def __call__(
@@ -97,9 +97,15 @@ class Estimator:
         filmed: bool = False,
         compiling: float = 0.0,
     ) -> Estimate:
-        """The forecast of a run; `generated` and so on: these stages are there already.
+        """The forecast of a run.
 
-        `compiling` are the seconds, alone on this machine, until the kernels are there.
+        Args:
+            scene: The scene.
+            gaussians: Number of Gaussians.
+            generated: Whether the Gaussians exist already.
+            simulated: Whether the clip exists already.
+            filmed: Whether the films exist already.
+            compiling: Time until the kernels are compiled if nothing else runs [s].
         """
         work, load = Work.of(scene, gaussians), self.load()
         costs = self.rates.seconds(work) | {"rest": self.rates.rest, "compile": compiling}
@@ -122,7 +128,15 @@ class Estimator:
         generated: bool = False,
         compiling: float = 0.0,
     ) -> float:
-        """Seconds of measuring a scene's error on these grids."""
+        """Time to measure a scene's error on some grids [s].
+
+        Args:
+            scene: The scene.
+            levels: Cells across the object of each grid.
+            gaussians: Number of Gaussians.
+            generated: Whether the Gaussians exist already.
+            compiling: Time until the kernels are compiled if nothing else runs [s].
+        """
         costs = [self.rates.seconds(Work.of(on_grid(scene, n), gaussians)) for n in levels]
         simulate, deform = (sum(cost[name] for cost in costs) for name in ("simulate", "deform"))
         rest = len(levels) * self.rates.rest * SET_UP + compiling
@@ -130,43 +144,44 @@ class Estimator:
         return simulate * load.simulation + (deform + rest + generate) * load.thread
 
     def load(self) -> Load:
-        """What others do on this machine, looked at anew every few seconds.
+        """The load by other programs on this machine, measured again every few seconds.
 
-        While a run of our own is in hand they cannot be told from it: the last look counts.
+        While a run of this page is in progress it cannot be told from others, so the last
+        measurement is used.
         """
         if time.monotonic() > self._looked + FRESH and not self._occupied():
             self.look()
         return self._load
 
     def look(self) -> Load:
-        """What others do on this machine now."""
-        with self._looking:  # Two at once would take each other for others.
+        """Measure the load by other programs on this machine."""
+        with self._looking:  # two measurements at once would see each other as load
             self._load = Load.measured()
             self._looked = time.monotonic()
             return self._load
 
     def calibrate(self, small: Callable[[], Measured], usual: Callable[[], Measured]) -> None:
-        """Measure the rates by two runs, less what others made them take longer."""
+        """Measure the rates by two runs, corrected for the load by other programs."""
         self.learned.calibrate(self._alone(small), self._alone(usual))
 
     def _alone(self, run: Callable[[], Measured]) -> Measured:
-        """A run done now, as it would have been without others."""
+        """A run done now, with its times as they would be without other programs."""
         before = self.look()
         report, scene = run()
         return _alone(report, before.mean(self.look())), scene
 
     def learn(self, report: dict[str, Any], scene: Scene, before: Load) -> None:
-        """Correct the rates by a run just finished, less what others made it take longer."""
+        """Correct the rates by a run just finished, which had the load `before`."""
         self.learned.learn(_alone(report, before.mean(self.look())), scene)
 
     def minimum(self, scene: Scene, *, gaussians: int = GAUSSIANS) -> float:
-        """Seconds of computing, were this machine as quick as it was ever known to be."""
+        """Time of a run [s] if this machine is as fast as it has ever been."""
         return sum(self.learned.minimum.seconds(Work.of(scene, gaussians)).values())
 
     def min_study(
         self, scene: Scene, levels: Sequence[int], *, gaussians: int = GAUSSIANS
     ) -> float:
-        """Seconds of computing, at best, to measure a scene's error on these grids."""
+        """Time to measure a scene's error on these grids [s] if this machine is at its fastest."""
         works = [Work.of(on_grid(scene, n), gaussians) for n in levels]
         return sum(self.learned.minimum.seconds(work)["simulate"] for work in works)
 
@@ -178,9 +193,13 @@ class Estimator:
         seconds: float | None = None,
         study: Measurement | None = None,
     ) -> list[Stop]:
-        """All named accuracies for a scene.
+        """Time and error of all named accuracies for a scene.
 
-        `seconds` were measured for the one it has, `study` on this very scene.
+        Args:
+            scene: The scene.
+            gaussians: Number of Gaussians.
+            seconds: Time measured for the scene's own accuracy [s], if it was.
+            study: The errors measured on this scene, if they were.
         """
         scale = 1.0 if seconds is None else seconds / self(scene, gaussians=gaussians).seconds
         found = []
@@ -192,7 +211,7 @@ class Estimator:
 
 
 def _alone(report: dict[str, Any], load: Load) -> dict[str, Any]:
-    """The report as it would be without a load."""
+    """The report with its times as they would be without the load."""
     stages = [
         {**stage, "seconds": stage["seconds"] / load.of(stage["name"])}
         for stage in report["stages"]
@@ -201,7 +220,14 @@ def _alone(report: dict[str, Any], load: Load) -> dict[str, Any]:
 
 
 def measured(gaussians: Gaussians, scene: Scene, device: str, rest: float) -> Estimate:
-    """The forecast of `phy124.accuracy`, from a probe of this very object; takes half a second."""
+    """The forecast of `phy124.accuracy`, from a probe of this object; takes half a second.
+
+    Args:
+        gaussians: The object.
+        scene: The scene.
+        device: Warp device.
+        rest: Time of all other stages [s].
+    """
     found = Forecaster(device).forecast(gaussians, scene)
     seconds = found.seconds + rest
     return Estimate(
@@ -213,9 +239,12 @@ def measured(gaussians: Gaussians, scene: Scene, device: str, rest: float) -> Es
 def promise_of(
     scene: Scene, study: Measurement | None, report: Mapping[str, Any] | None = None
 ) -> Promise:
-    """What may be promised of a scene: what was measured on it, else on such scenes.
+    """The error that may be promised for a scene.
 
-    With the report of its run, what may still be said.
+    Args:
+        scene: The scene.
+        study: The errors measured on this scene; None: those measured on such scenes are used.
+        report: The report of its run, which may rule a promise out.
     """
     if study is None or why_broken(report or {}):
         return promise(scene, report)
@@ -223,7 +252,7 @@ def promise_of(
 
 
 def stops_table(stops: list[Stop], chosen: object) -> str:
-    """What each stop of the accuracy slider would take and be off by, as HTML."""
+    """Time and error of each stop of the accuracy slider, as an HTML table."""
     mark = {chosen: " class=chosen"}
     rows = [
         f"<tr{mark.get(stop.name, '')}><td>{escape(stop.name.capitalize())}</td>"

@@ -1,4 +1,4 @@
-"""What stands before the page: limits on requests, headers of answers, time limits of sockets."""
+"""Protection of the page: limits on requests, headers of responses, time limits of connections."""
 
 from __future__ import annotations
 
@@ -20,26 +20,26 @@ if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 DRAIN = 1 << 28
-"""Bytes of a refused request that are read before the connection is closed."""
+"""Largest part of a refused request that is read before the connection is closed [bytes]."""
 HEAD, BODY = 20.0, 120.0
-"""Time for the head of a request and for its body [s]."""
+"""Longest time for the head of a request and for its body [s]."""
 FILES = 16_384
-"""Files and connections that the page may have open, if the system lets it."""
+"""Number of files and connections that the page may have open, if the system allows it."""
 FETCHES = re.compile(r"/gradio_api/(?:file=|proxy=)(?:https?:|ftp:|//)", re.IGNORECASE)
 """Addresses at which Gradio would fetch something from elsewhere."""
 POLICY = (
-    # Gradio makes functions of the panels' calls; scripts written into the page do not run.
+    # Gradio makes functions of the panels' scripts; a script injected into the page does not run.
     "default-src 'self'; script-src 'self' 'nonce-{nonce}' 'unsafe-eval'; "
     "style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; media-src 'self' blob:; "
     "font-src 'self' data:; connect-src 'self'; worker-src 'self' blob:; object-src 'none'; "
     "base-uri 'self'; form-action 'self'; frame-ancestors {frames}"
 )
 INERT = "default-src 'none'; style-src 'unsafe-inline'; sandbox"
-"""For whatever is not the page itself, should it be opened as one."""
+"""Policy for everything except the page itself, in case it is opened as a page."""
 
 
 class BodyLimit:
-    """Refuses requests that are larger than an upload may be, however they say their size."""
+    """Refuses requests that are larger than an upload may be, whatever size they declare."""
 
     def __init__(self, app: ASGIApp, most: int, message: str) -> None:
         self.app, self.most, self.message = app, most, message
@@ -58,14 +58,14 @@ class BodyLimit:
             message = await receive()
             read += len(message.get("body", b""))
             if read > self.most:
-                # To the application it looks as if the client had gone.
+                # To the application it looks as if the client had disconnected.
                 return {"type": "http.disconnect"}
             return message
 
         await self.app(scope, counted, send)
 
     async def _refuse(self, scope: Scope, receive: Receive, send: Send) -> None:
-        # Read to the end, keeping nothing: a client that is still sending hears no answer.
+        # Read and discard the rest: a client that is still sending would not read an answer.
         read, more = 0, True
         while more and read < DRAIN:
             message = await receive()
@@ -75,7 +75,7 @@ class BodyLimit:
 
 
 class Doorkeeper:
-    """Refuses requests under other names than the page's, and those that would fetch for others."""
+    """Refuses requests under other host names, and those that would fetch from other sites."""
 
     def __init__(self, app: ASGIApp, hosts: frozenset[str]) -> None:
         self.app, self.hosts = app, hosts
@@ -90,21 +90,24 @@ class Doorkeeper:
 
     def _refusal(self, scope: Scope) -> PlainTextResponse | None:
         if not is_own_name(Headers(scope=scope).get("host", ""), self.hosts):
-            return PlainTextResponse("This page does not go by that name (PHY124_HOSTS).", 421)
+            return PlainTextResponse("This page has another host name (PHY124_HOSTS).", 421)
         if FETCHES.search(scope["path"]):
             return PlainTextResponse("This page fetches nothing from elsewhere.", 403)
         return None
 
 
 def own_names(more: str, space: str = "") -> frozenset[str]:
-    """Names the page answers to besides plain addresses."""
+    """Host names the page answers to, besides IP addresses."""
     here = socket.gethostname().lower()
     given = [name.strip().lower() for name in f"{more},{space}".split(",")]
     return frozenset({"localhost", here, f"{here}.local", *filter(None, given)})
 
 
 def is_own_name(host: str, names: frozenset[str]) -> bool:
-    """Whether a Host header names this page; no foreign name can be made to point at a number."""
+    """Whether a Host header names this page.
+
+    IP addresses always do: DNS rebinding needs a name.
+    """
     name = re.sub(r":\d+$", "", host.lower()).strip("[]")
     if name in names or "*" in names:
         return True
@@ -116,7 +119,7 @@ def is_own_name(host: str, names: frozenset[str]) -> bool:
 
 
 class Headed:
-    """Gives answers the headers that a public page should have, and each visitor a name."""
+    """Adds the headers that a public page should have, and gives each visitor a name."""
 
     def __init__(self, app: ASGIApp, embedded: bool = False) -> None:
         self.app = app
@@ -125,14 +128,14 @@ class Headed:
         self.manner = "SameSite=None; Secure; Partitioned" if embedded else "SameSite=Lax"
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass the request on and look at the answer."""
+        """Pass the request on and complete the response."""
         if scope["type"] != "http":
             return await self.app(scope, receive, send)
         await self.app(scope, receive, _Answer(self, scope, send))
 
 
 class _Answer:
-    """One answer on its way out; a page is held back until it is complete."""
+    """A response that is being sent; a page is held back until it is complete."""
 
     def __init__(self, rules: Headed, scope: Scope, send: Send) -> None:
         self.rules, self.scope, self.send = rules, scope, send
@@ -176,7 +179,7 @@ class _Answer:
 
 
 def allow_connections() -> int:
-    """Raise the limit of open files as far as we may; how many connections that leaves: half."""
+    """Raise the limit of open files as far as allowed; returns half of it, for connections."""
     now, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     minimum = FILES if most == resource.RLIM_INFINITY else min(FILES, most)
     if now < minimum:
@@ -185,9 +188,9 @@ def allow_connections() -> int:
 
 
 class Patient(H11Protocol):
-    """A connection that is closed if a request does not arrive in time, however slowly it drips.
+    """A connection that is closed if a request does not arrive in time, however slowly it trickles.
 
-    Where there are too many of them, the one that has kept us waiting longest makes room.
+    If there are too many connections, the one that has been waited for longest is closed.
     """
 
     clock: TimerHandle | None = None
@@ -198,19 +201,19 @@ class Patient(H11Protocol):
         self.most = most
 
     def connection_made(self, transport: Any) -> None:
-        """Start the clock at once: silence counts, too."""
+        """Start the clock at once, since silence counts as well."""
         super().connection_made(transport)
         self._watch()
         if len(self.connections) > self.most:
             self._make_room()
 
     def data_received(self, data: bytes) -> None:
-        """Take what came, and see what is still missing."""
+        """Process what has arrived, and set the time for what is missing."""
         super().data_received(data)
         self._watch()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Nothing is waited for any more."""
+        """Stop waiting."""
         self._stop()
         super().connection_lost(exc)
 

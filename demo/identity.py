@@ -1,6 +1,6 @@
-"""Whose request it is: a random name in a cookie, so that a reload changes nothing.
+"""Visitors are identified by a random name in a cookie, so that reloading the page loses nothing.
 
-Programs that keep no cookies are known by their session instead.
+Programs that keep no cookies are identified by their session.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ def new_name() -> str:
 
 
 def cookie_of(request: Any) -> str | None:
-    """The visitor's name in a request's cookie, if it has one that could be ours."""
+    """The visitor's name in a request's cookie, if it has the form of such a name."""
     cookies = getattr(request, "cookies", None) or {}
     name = cookies.get(COOKIE) if hasattr(cookies, "get") else getattr(cookies, COOKIE, None)
     return f"cookie {name}" if isinstance(name, str) and NAME.fullmatch(name) else None
 
 
 def visitor_of(request: Any) -> str:
-    """Whose request it is; one without cookie and session belongs to nobody else."""
+    """The visitor's name of a request; without cookie and session, a new one."""
     session = getattr(request, "session_hash", None)
     return cookie_of(request) or f"session {session or new_name()}"

@@ -1,7 +1,8 @@
-"""What happens behind the page's buttons: jobs that outlive a lost connection, and their limits.
+"""The work behind the page's buttons: jobs that survive a lost connection, and their limits.
 
-Nothing here knows the layout. Whatever takes long is a job in a line (demo.line): one line for the
-device, one for cutting pictures out, so that neither waits for the other.
+Nothing here depends on the layout. Everything that takes long is a job in a queue (demo.line).
+There is one queue for the device and one for cutting out pictures, so that neither waits for the
+other.
 """
 
 from __future__ import annotations
@@ -42,19 +43,19 @@ from .work import (
 
 STOPPED = "Stopped. Nothing was changed."
 CUTTERS = 2
-"""Pictures cut out at once."""
+"""Number of pictures that are cut out at the same time."""
 UNFINISHED = 3
-"""Pieces of work that one visitor may have in hand or waiting."""
+"""Largest number of unfinished jobs of one visitor."""
 
 
 def sentence(error: InputError) -> str:
-    """An error for the visitor: no server paths in it."""
+    """An error for the visitor, without paths of the server."""
     text = f"{error.limit} {error.remedy}"
     return text[:1].upper() + text[1:]
 
 
 def complaint(error: InputError) -> str:
-    """An error for a program: the field first."""
+    """An error for a program, beginning with the field."""
     return f"{error.field}: {sentence(error)}"
 
 
@@ -64,20 +65,20 @@ class Cutout:
 
     path: str
     picture: str
-    """What was uploaded, as browsers can show it."""
+    """The uploaded picture in a format that browsers can show."""
     doubts: tuple[str, ...] = ()
-    """What makes it likely that another object was meant; told once."""
+    """Reasons to doubt that the right object was found; shown once."""
 
 
 @dataclass
 class Studio:
-    """Everything visitors share: limits, folders, forecasts, lines of work."""
+    """Everything that visitors share: limits, folders, forecasts, queues."""
 
     settings: Settings
     visitors: Visitors
     forecaster: Estimator = field(default_factory=lambda: Estimator(DEVICE.locked))
     work: Callable[[Order], Iterator[Any]] = steps
-    """What runs an order; on ZeroGPU it is wrapped by `spaces.GPU`."""
+    """The function that runs an order; on ZeroGPU it is wrapped by `spaces.GPU`."""
     warm: threading.Event = field(default_factory=threading.Event)
     """Set once all kernels are loaded."""
 
@@ -88,16 +89,25 @@ class Studio:
 
     @property
     def busy(self) -> bool:
-        """Whether anybody's work is in hand."""
+        """Whether a job is running."""
         return DEVICE.locked() or self.runs.running > 0 or self.cuts.running > 0
 
     @property
     def forks(self) -> bool:
-        """Whether the work runs in a forked process: Warp must not be started in this one."""
+        """Whether jobs run in a forked process, so that Warp must not be started in this one."""
         return self.work is not steps
 
     def cut(self, name: str, picture: Any, strokes: Sequence[Stroke] = ()) -> Job:
-        """Begin to cut the object out of an uploaded picture; raises InputError."""
+        """Start to cut the object out of an uploaded picture.
+
+        Args:
+            name: The visitor's name.
+            picture: The path of the upload, as the request gives it.
+            strokes: Brush strokes that correct the cut-out.
+
+        Raises:
+            InputError: It is not an upload of this visitor, or the queue is full.
+        """
         if not picture:
             raise InputError("image", "none", "There is no picture yet.", "Choose one first.")
         upload = self.visitors.own(name, picture)
@@ -115,7 +125,7 @@ class Studio:
         return self._submit(visitor, job, self.cuts, work)
 
     def forecast(self, name: str, cutout: str | None, data: Any) -> str:
-        """What a run would take; a complaint if it is not allowed."""
+        """The forecast of a run in words, or why it is not allowed."""
         visitor = self.visitors.known(name)
         try:
             scene = self._scene(visitor, data)
@@ -128,7 +138,7 @@ class Studio:
         return self._said(told, name, cutout, scene)
 
     def refine(self, name: str, cutout: str | None, data: Any) -> str | None:
-        """The same from a probe, if the Gaussians are there and the device is free, else None."""
+        """The forecast by a probe; None unless the Gaussians exist and the device is free."""
         visitor = self.visitors.known(name)
         if self.forks or visitor is None or not cutout or not Path(cutout).exists():
             return None
@@ -153,11 +163,20 @@ class Studio:
         return self._said(forecast, name, cutout, scene)
 
     def _said(self, told: Estimate, name: str, cutout: str | None, scene: Scene) -> str:
-        """A forecast in words, with what was measured on this very scene."""
+        """A forecast in words, with the error measured on this scene if there is one."""
         return replace(told, promise=promise_of(scene, self.study(name, cutout, scene))).sentence
 
     def run(self, name: str, cutout: str | None, data: Any) -> Job:
-        """Begin the whole chain; raises InputError for what cannot be used."""
+        """Start the whole chain.
+
+        Args:
+            name: The visitor's name.
+            cutout: Path of the cut-out.
+            data: The scene as plain data.
+
+        Raises:
+            InputError: Something in the request cannot be used.
+        """
         visitor, picture, scene = self._asked(name, cutout, data)
         self._check_time(scene)
         ready = self._ready(visitor, cutout, scene)
@@ -170,7 +189,16 @@ class Studio:
         return self._submit(visitor, job, self.runs, lambda job: self._run(visitor, order, job))
 
     def measure(self, name: str, cutout: str | None, data: Any) -> Job:
-        """Begin to measure the error of a scene; raises InputError for what cannot be used."""
+        """Start to measure the error of a scene.
+
+        Args:
+            name: The visitor's name.
+            cutout: Path of the cut-out.
+            data: The scene as plain data.
+
+        Raises:
+            InputError: Something in the request cannot be used.
+        """
         visitor, picture, scene = self._asked(name, cutout, data)
         levels = grids(scene)
         for cells in levels:
@@ -183,14 +211,14 @@ class Studio:
         return self._submit(visitor, job, self.runs, lambda job: self._run(visitor, order, job))
 
     def study(self, name: str, cutout: str | None, scene: Scene) -> Measurement | None:
-        """What was measured on this visitor's object in this scene, if anything was."""
+        """The errors measured for this visitor's object in this scene, if they were."""
         visitor = self.visitors.known(name)
         if visitor is None or not cutout or not Path(cutout).exists():
             return None
         return read_study(study_file(self._order(visitor, Path(cutout), scene, visitor.folder)))
 
     def study_seconds(self, name: str, cutout: str | None, scene: Scene) -> float:
-        """How long it would take to measure that."""
+        """Time it would take to measure them [s]."""
         ready = self._ready(self.visitors.known(name), cutout, scene)
         return self.forecaster.study(
             scene, grids(scene), gaussians=self.settings.gaussians,
@@ -199,14 +227,14 @@ class Studio:
         )  # fmt: skip
 
     def _asked(self, name: str, cutout: str | None, data: Any) -> tuple[Visitor, Path, Scene]:
-        """Who asks, the cut-out and the scene; raises InputError for what cannot be used."""
+        """The visitor, the cut-out and the scene of a request; raises InputError."""
         visitor = self.visitors.known(name)
         if visitor is None or not cutout or not Path(cutout).exists():
             raise InputError("image", "none", "There is no picture yet.", "Choose one first.")
         return visitor, Path(cutout), self._scene(visitor, data)
 
     def _scene(self, visitor: Visitor | None, data: Any) -> Scene:
-        """The scene that was chosen; it may name the visitor's own uploads and no other file."""
+        """The scene that was chosen; it may name the visitor's own uploads and no other files."""
         return scene_of(data, self.settings, visitor and visitor.folder / "uploads")
 
     def _ready(self, visitor: Visitor | None, cutout: str | None, scene: Scene) -> dict[str, bool]:
@@ -216,7 +244,7 @@ class Studio:
         return made_already(self._order(visitor, Path(cutout), scene, visitor.folder / "never"))
 
     def _compiling(self, scene: Scene) -> float:
-        """Seconds until a scene's kernels are compiled; 0 while a run may be making them."""
+        """Time until a scene's kernels are compiled [s]; 0 while a run may be compiling them."""
         if self.forks or not DEVICE.acquire(blocking=False):
             return 0.0
         try:
@@ -255,7 +283,7 @@ class Studio:
             self.forecaster.learn(read_report(done), order.scene, load)
 
     def warm_up(self) -> None:
-        """Load all kernels and measure this machine with a small run; at the start, in a thread."""
+        """Load all kernels and measure this machine with small runs; started in a thread."""
         from .warm import example_run, tiny_run, warm_up
 
         if not self.forks:
@@ -267,7 +295,7 @@ class Studio:
 
 
 def _guarded(job: Job, work: Callable[[Job], None]) -> None:
-    """Do a job; a refusal or a wish to stop is its end, in words."""
+    """Do a job; if it is refused or cancelled, end it with a sentence."""
     job.progress.begin()
     try:
         job.check()
@@ -283,7 +311,7 @@ def _guarded(job: Job, work: Callable[[Job], None]) -> None:
 def _cut(
     visitor: Visitor, upload: Path, strokes: Sequence[Stroke], deadline: Deadline
 ) -> tuple[Path, tuple[str, ...]]:
-    """The cut-out of an upload and doubts about it; made once, and corrected by strokes."""
+    """The cut-out of an upload and doubts about it; made once, then corrected by strokes."""
     folder, picture = visitor.folder / "cutouts", upload.read_bytes()
     first = folder / f"{key(picture)}.png"
     if not strokes:
@@ -295,14 +323,14 @@ def _cut(
 
 
 def close_now(events: Iterator[Any]) -> None:
-    """Close the work's generator now, not when it is collected."""
+    """Close the generator of a job's events now, not when it is garbage collected."""
     close = getattr(events, "close", None)
     if close is not None:
         close()
 
 
 def read_study(path: Path) -> Measurement | None:
-    """What was measured on a scene, if anything was."""
+    """The errors measured on a scene, if they were."""
     try:
         return Measurement.model_validate_json(path.read_text("utf-8"))
     except FileNotFoundError:

@@ -1,6 +1,7 @@
-"""Work that waits for its turn: first come, first served, whether or not anybody looks on.
+"""A queue of jobs: first come, first served, whether or not their visitors stay connected.
 
-A visitor's connection may come and go; a job is found again by its name, which cannot be guessed.
+A visitor's connection may be lost and made again; a job is found by its name, which cannot be
+guessed.
 """
 
 from __future__ import annotations
@@ -17,12 +18,12 @@ from phy124.errors import Cancelled, InputError
 
 from .progress import STAGES, Progress
 
-FAILED = "Something went wrong here, not with you; it is in the log. Try again or change the scene."
+FAILED = "An error of this server, which is in its log. Try again, or change the scene."
 LOG = logging.getLogger("phy124.web")
 
 
 class Job:
-    """One piece of work for a visitor: its progress, its end, and the wish to stop it."""
+    """A job for a visitor: its progress, its end, and whether it is to stop."""
 
     def __init__(
         self,
@@ -34,27 +35,33 @@ class Job:
     ) -> None:
         self.kind = kind
         self.subject = subject
-        """The file that it is about."""
+        """The file that it works on."""
         self.name = secrets.token_urlsafe(18)
         self.stop = stop
-        """A file that, once it exists, asks the work to stop."""
+        """A file whose existence asks the job to stop."""
         self.progress = Progress(expected=expected, names=stages)
         self.line: Line | None = None
         self._changed = threading.Condition()
 
     @property
     def over(self) -> bool:
-        """Whether it has come to an end of any kind."""
+        """Whether it has ended in any way."""
         return self.progress.state not in ("waiting", "running")
 
     def tell(self, event: object) -> None:
-        """Take an event of the work into account."""
+        """Process an event of the job."""
         with self._changed:
             self.progress.take(event)
             self._changed.notify_all()
 
     def end(self, state: str, message: str = "", result: object = None) -> None:
-        """The work has come to an end; the first word counts."""
+        """End the job; only the first call counts.
+
+        Args:
+            state: done, stopped, refused, full or failed.
+            message: A sentence for the visitor.
+            result: What the job has made.
+        """
         with self._changed:
             if not self.over:
                 self.progress.state, self.progress.message = state, message
@@ -62,31 +69,31 @@ class Job:
             self._changed.notify_all()
 
     def wait(self, seconds: float) -> bool:
-        """Wait for an end, or for so long; returns whether it is over."""
+        """Wait for the end, at most so many seconds; returns whether it is over."""
         with self._changed:
             self._changed.wait_for(lambda: self.over, seconds)
             return self.over
 
     def cancel(self) -> None:
-        """Call it off if it waits, ask it to stop if it runs."""
+        """Remove it from the queue if it waits, ask it to stop if it runs."""
         if self.line is not None and self.line.drop(self):
             self.end("stopped", "Stopped. Nothing was changed.")
         elif not self.over and self.stop.parent.is_dir():
             self.stop.touch()
 
     def check(self) -> None:
-        """Raise Cancelled if the work is to stop."""
+        """Raise Cancelled if the job is to stop."""
         if self.stop.exists():
             raise Cancelled
 
     @property
     def place(self) -> int:
-        """How many jobs come before this one; 0 if it is its turn."""
+        """Number of jobs before this one; 0 if it is its turn."""
         return 0 if self.line is None else self.line.place(self)
 
 
 class Line:
-    """Jobs that wait, and the threads that do them."""
+    """A queue of jobs, and the threads that do them."""
 
     def __init__(self, name: str, *, workers: int, most: int) -> None:
         self.name, self.workers, self.most = name, workers, most
@@ -100,11 +107,15 @@ class Line:
 
     @property
     def running(self) -> int:
-        """Jobs in hand."""
+        """Number of jobs that are running."""
         return len(self._running)
 
     def submit(self, job: Job, work: Callable[[Job], None]) -> Job:
-        """Put a job at the end of the line; raises InputError if too many wait."""
+        """Put a job at the end of the queue.
+
+        Raises:
+            InputError: Too many jobs are waiting.
+        """
         context = contextvars.copy_context()
         with self._changed:
             if len(self._waiting) >= self.most:
@@ -118,13 +129,13 @@ class Line:
         return job
 
     def place(self, job: Job) -> int:
-        """How many jobs must be begun before this one; 0 once it has begun."""
+        """Number of jobs to be started before this one; 0 once it has started."""
         with self._changed:
             names = [waiting.name for waiting, _ in self._waiting]
         return names.index(job.name) + self.running if job.name in names else 0
 
     def drop(self, job: Job) -> bool:
-        """Take a job out of the line; returns False if its turn had come."""
+        """Remove a job from the queue; returns False if it has been started."""
         with self._changed:
             entry = next((entry for entry in self._waiting if entry[0] is job), None)
             if entry is None:
@@ -147,7 +158,7 @@ class Line:
             try:
                 work()
             except Exception:
-                # Whatever one job breaks on, this thread has to do the next ones.
+                # Whatever error a job raises, this thread has to do the next ones.
                 LOG.exception("a piece of work broke")
             job.end("failed", FAILED)
             with self._changed:

@@ -32,17 +32,17 @@ OBJECTS = {
     "sway": "potted_plant", "drop": "pear", "bounce": "chick", "spin": "cupcake", "sand": "cupcake",
     "snow": "teddy", "water": "pear", "jelly": "cupcake", "wind": "sunflower", "foam": "mushroom",
 }  # fmt: skip
-"""Which example suits a preset; all others take the duck."""
+"""Preset -> the example picture that suits it; all others use the duck."""
 FRAMES = {"water": 11}
-"""Frames of a material that would spread far beyond its card, where that are fewer."""
+"""Number of frames of materials that would otherwise spread far beyond their card."""
 AROUND = 1.12
-"""How much farther the camera goes where it must see a whole motion: Gaussians have a size, too."""
+"""How much farther away the camera is to see a whole motion, since Gaussians have a size."""
 SIZE, CHIP = 200, 96
-"""Sides of a preset's picture and of a material's, pixels."""
+"""Sides of a preset's picture and of a material's [pixels]."""
 
 
 def main() -> None:
-    """Make the previews of the presets and materials named, or of all."""
+    """Make the previews of the presets and materials that are named, or of all."""
     parser = argparse.ArgumentParser(description=__doc__)
     materials = [f"material_{name}" for name in SUBSTANCES]
     parser.add_argument("names", nargs="*", default=[*preset_names(), *materials])
@@ -56,13 +56,20 @@ def main() -> None:
 
 
 def substance_scene(name: str) -> Scene:
-    """What a material's chip shows: it falls to the ground."""
+    """The scene of a material's chip, in which it falls to the ground."""
     drop = Scene.named("drop").replaced({"accuracy": "draft", "material": SUBSTANCES[name]})
     return drop.replaced({"time.frames": FRAMES.get(name, drop.time.frames)})
 
 
 def make_preview(scene: Scene, example: str, path: Path, size: int) -> None:
-    """Simulate a scene and film it from the front and slightly above."""
+    """Simulate a scene and film it from the front and slightly above.
+
+    Args:
+        scene: The scene.
+        example: Name of the example picture.
+        path: The file to write.
+        size: Side of the picture [pixels].
+    """
     cutout = cut_out(FOLDER / "examples" / f"{example}.png").picture
     clip = Simulation(make("relief")(cutout, seed=0, progress=silent), scene).run()
     path.parent.mkdir(exist_ok=True)
@@ -81,7 +88,7 @@ def make_preview(scene: Scene, example: str, path: Path, size: int) -> None:
 
 
 def _framed(clip: Clip, view: View) -> View:
-    """Somewhat closer than usual, or from so far that the whole motion is seen."""
+    """The view from closer than usual, or from far enough to see the whole motion."""
     closer = view.model_copy(update={"distance": view.distance - 0.2})
     if not departures(clip, closer):
         return closer
@@ -90,7 +97,7 @@ def _framed(clip: Clip, view: View) -> View:
 
 
 def _clear(on_black: NDArray, on_white: NDArray) -> Image.Image:
-    """A picture with transparency, from the same one before black and before white."""
+    """A picture with transparency, from the same one on black and on white."""
     dark, light = on_black.astype(np.float32), on_white.astype(np.float32)
     alpha = 255 - (light - dark).mean(axis=2, keepdims=True).clip(0, 255)
     colour = np.where(alpha > 0, dark * 255 / np.maximum(alpha, 1), 0).clip(0, 255)
@@ -98,7 +105,7 @@ def _clear(on_black: NDArray, on_white: NDArray) -> Image.Image:
 
 
 def _telling(images: list[Image.Image]) -> list[Image.Image]:
-    """The loop, begun where it is least like its beginning: that is what a still shows of it."""
+    """The loop, starting with the frame that differs most from the first, which a still shows."""
     pixels = np.array([np.asarray(image, np.int16) for image in images])
     changed = np.abs(pixels - pixels[0]).sum(axis=(1, 2, 3))
     start = int(changed.argmax())
@@ -106,7 +113,7 @@ def _telling(images: list[Image.Image]) -> list[Image.Image]:
 
 
 def _there_and_back(clip: Clip) -> list[Frame]:
-    """The frames, held at the end for a moment, so that the loop has a rhythm."""
+    """The frames forwards and backwards, with a short pause at the end."""
     frames = list(clip.frames())
     return [*frames, *[frames[-1]] * 4]
 

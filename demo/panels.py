@@ -1,4 +1,4 @@
-"""The page's own panels: gr.HTML components; scripts lie in static/ and phy124/io/viewer/."""
+"""The page's own panels: gr.HTML components; their scripts are in static/ and phy124/io/viewer/."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ PLAYER = (
 
 
 def scene() -> gr.HTML:
-    """The scene editor; its value is a scene as plain data, "change" tells of a new one."""
+    """The scene editor; its value is a scene as plain data. "change" reports a new one."""
     return _panel("scene", EDITOR, events="'change'")
 
 
 def picture() -> gr.HTML:
-    """The picture, its cut-out, the brush and pictures to begin with.
+    """The picture, its cut-out, the brush, and examples to start with.
 
-    "choose" names a file that was sent or an example, "correct" brings brush strokes, "cut" tells
-    that the cutting has come to an end.
+    Events: "choose" names a file that was sent or an example, "correct" carries brush strokes,
+    "cut" reports that cutting out has ended.
     """
     return _panel("picture", PICTURE, events="'choose' 'correct' 'cut'")
 
 
 def progress() -> gr.HTML:
-    """Stages with bars, and the run so far; "finished" and "again" tell of its end."""
+    """Stages with bars, and the run so far; the events "finished" and "again" report its end."""
     return _panel("progress", HEAD, events="'finished' 'again'")
 
 
@@ -44,7 +44,7 @@ def viewer() -> gr.HTML:
 
 
 def forecast() -> gr.HTML:
-    """What a run will take, as HTML; "measure" asks for the error of the scene."""
+    """The forecast as HTML; the event "measure" asks for the error of the scene."""
     return gr.HTML(
         "",
         js_on_load="Phy124.forecast(element, trigger); // 'measure'",
@@ -55,7 +55,7 @@ def forecast() -> gr.HTML:
 
 
 def history() -> gr.HTML:
-    """Earlier results; "show" asks for one of them."""
+    """Earlier results; the event "show" asks for one of them."""
     return _panel("history", HEAD, events="'show'")
 
 
@@ -65,15 +65,15 @@ def videos() -> gr.HTML:
 
 
 def takeaway() -> gr.HTML:
-    """Links to files, and buttons for those made on demand ("prepare")."""
+    """Links to files, and buttons for those made on demand (the event "prepare")."""
     return _panel("takeaway", HEAD, events="'prepare'")
 
 
 def _panel(name: str, head: str, events: str = "") -> gr.HTML:
-    """A panel drawn by the function of that name in `Phy124`."""
+    """A panel drawn by the function of that name in the script object `Phy124`."""
     call = f"Phy124.{name}(element, props, watch, trigger);"
     value: Any = None
-    # Gradio reads the names of events from the script's text.
+    # Gradio finds the names of events in the text of the script.
     return gr.HTML(
         value,
         html_template="",

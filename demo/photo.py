@@ -1,8 +1,8 @@
-"""The picture input for programs: hands over the uploaded file undecoded, so that our own limits
-come first.
+"""The picture input for programs: passes the uploaded file on undecoded, so that the page's limits
+are checked first.
 
-Gradio would decode a picture before any limit of ours, fetch it from anywhere, and take a data: URL
-in an API call past its `max_file_size`.
+Gradio would decode a picture before any check, fetch it from anywhere, and accept a data: URL in an
+API call beyond its `max_file_size`.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Sent(ImageData):
 
 
 def photo(studio: Studio, **options: Any) -> gr.Image:
-    """A `gr.Image` whose value is the path of the file as it was uploaded."""
+    """A `gr.Image` whose value is the path of the uploaded file, undecoded."""
     image = gr.Image(type="filepath", **options)
     image.data_model = Sent
 
@@ -55,12 +55,12 @@ def photo(studio: Studio, **options: Any) -> gr.Image:
 
 
 def refusal(text: str) -> gr.Error:
-    """What a program is told; it is no fault of ours, so the log has none of it."""
+    """An error for a program; it is not logged, since it is not the server's fault."""
     return gr.Error(text, print_exception=False)
 
 
 def fetch_nothing(page: gr.Blocks) -> None:
-    """Let no component download what a request names by its address."""
+    """Prevent all components from downloading what a request names by its URL."""
     for block in page.blocks.values():
         moved = block.async_move_resource_to_block_cache
 

@@ -1,4 +1,4 @@
-"""Pictures of visitors: looked at before they are decoded, cut out, corrected by brush."""
+"""Pictures of visitors: checked before they are decoded, cut out, corrected by brush."""
 
 from __future__ import annotations
 
@@ -26,11 +26,15 @@ from .settings import Settings
 from .strokes import Stroke, painted
 
 HOW = "cutout"
-"""Name of the PNG's text that says how it was cut out."""
+"""Key of the text in a PNG that says how it was cut out."""
 
 
 def check_picture(path: Path, settings: Settings) -> None:
-    """Size in bytes and pixels, from the header alone; raises InputError."""
+    """Check a picture's size in bytes and pixels, from its header alone.
+
+    Raises:
+        InputError: It is too large, or it is not a picture.
+    """
     size = path.stat().st_size
     if size > settings.max_bytes:
         raise InputError("image", path.name, settings.too_large, settings.make_smaller)
@@ -41,11 +45,11 @@ def check_picture(path: Path, settings: Settings) -> None:
     except Image.DecompressionBombError:
         pixels = 10**9
     except (OSError, SyntaxError, ValueError):
-        open_image(path)  # says what is wrong with it
+        open_image(path)  # raises an error that says what is wrong
         raise
     if pixels > settings.max_megapixels * 1e6:
         limit = f"It has more than {settings.max_megapixels:g} million pixels."
-        raise InputError("image", path.name, limit, "Reduce it to 2000 pixels, say.")
+        raise InputError("image", path.name, limit, "Reduce it to 2000 pixels, for example.")
 
 
 def _pixels(path: Path) -> int:
@@ -57,7 +61,7 @@ def _pixels(path: Path) -> int:
 
 
 def viewable(picture: Path) -> Path:
-    """The picture, or what browsers can show in its place, which then lies beside it."""
+    """The picture, or a copy beside it in a format that browsers can show."""
     if not heic.is_heic(picture):
         return picture
     shown = picture.with_name(f"{picture.stem}-shown.webp")
@@ -69,7 +73,16 @@ def viewable(picture: Path) -> Path:
 
 
 def cut_out(picture: Path, path: Path, deadline: Deadline = PATIENT) -> tuple[str, ...]:
-    """Write the cut-out of a picture and return what makes it doubtful; raises InputError."""
+    """Write the cut-out of a picture; returns reasons to doubt it.
+
+    Args:
+        picture: The picture.
+        path: The PNG to write.
+        deadline: When to give up.
+
+    Raises:
+        InputError: No object can be found in it.
+    """
     found = foreground(open_image(picture), deadline=deadline)
     _save(found, path)
     return found.warnings
@@ -79,10 +92,17 @@ def corrected(
     picture: Path, first: Path | None, strokes: Sequence[Stroke], path: Path,
     deadline: Deadline = PATIENT,
 ) -> None:  # fmt: skip
-    """Write the cut-out that brush strokes ask for, starting from the first one if there is one.
+    """Write the cut-out as corrected by brush strokes.
 
-    Strokes say for certain what is object and what is not; near them the outline follows the
-    picture's own edges.
+    Strokes say for certain what is object and what is not; near them the outline follows the edges
+    of the picture.
+
+    Args:
+        picture: The picture.
+        first: The cut-out to start from, if there is one.
+        strokes: The brush strokes.
+        path: The PNG to write.
+        deadline: When to give up.
     """
     image = open_image(picture)
     marks = np.asarray(painted(tuple(strokes), image.size))
@@ -91,7 +111,7 @@ def corrected(
         with Image.open(first) as cut:
             alpha = np.array(cut.getchannel("A"))
     if not has_alpha(image):
-        # Without an answer in time the strokes still count where they are.
+        # If the outline is not found in time, the strokes themselves still count.
         with suppress(Unfinished):
             rgb = np.asarray(image.convert("RGB"))
             alpha = np.array(isolated.run(hinted, rgb, alpha, marks, deadline=deadline))
@@ -102,7 +122,7 @@ def corrected(
 
 
 def how_cut(picture: Image.Image) -> dict[str, Any] | None:
-    """What is known of how a picture was cut out, if `cut_out` or `corrected` wrote it."""
+    """How a picture was cut out, if `cut_out` or `corrected` wrote it."""
     said = picture.info.get(HOW)
     return said and json.loads(said)
 

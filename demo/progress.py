@@ -1,4 +1,4 @@
-"""How far a piece of work is, as the page shows it."""
+"""The progress of a job, as the page shows it."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ class Progress:
     """What the progress panel shows."""
 
     state: str = "waiting"
-    """waiting, running, and then done, stopped, refused, full or failed."""
+    """waiting or running, then done, stopped, refused, full or failed."""
     message: str = ""
     expected: float = 0.0
     names: Mapping[str, str] = field(default_factory=lambda: STAGES)
-    """The stages to come, and what they are called."""
+    """The stages to come, and their titles."""
     start: float = field(default_factory=time.monotonic)
     stages: dict[str, Step] = field(default_factory=dict)
     reused: list[str] = field(default_factory=list)
@@ -32,10 +32,10 @@ class Progress:
     live: list[str] = field(default_factory=list)
     """Files of all frames so far, for the viewer."""
     result: Any = None
-    """What the work has made."""
+    """What the job has made."""
 
     def take(self, event: Any) -> None:
-        """Take an event of the work into account; None only lets time pass."""
+        """Process an event of the job; None means that only time has passed."""
         if isinstance(event, Step):
             self.stages[event.stage] = event
         elif isinstance(event, Reused):
@@ -48,11 +48,11 @@ class Progress:
             self.result, self.state = event, "done"
 
     def begin(self) -> None:
-        """Its turn has come."""
+        """The job has started."""
         self.state, self.start = "running", time.monotonic()
 
     def data(self, seen: int = 0) -> dict[str, Any]:
-        """Plain data for the page, the pictures from the one numbered `seen` on."""
+        """Plain data for the page, with the pictures from number `seen` on."""
         return {
             "state": self.state,
             "message": self.message,

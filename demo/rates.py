@@ -1,9 +1,9 @@
-"""What the stages of a run cost on this machine: measured at the start, corrected by finished runs.
+"""What the stages of a run cost on this machine: measured at start, corrected by finished runs.
 
-A substep, a frame and a video each have a fixed cost, and one per particle or pixel on top. Both
-are measured before the first visitor. Afterwards a finished run corrects the costs per particle and
-pixel, but no single visitor can spoil them: runs too small to show such a cost teach nothing, the
-median of the last few counts, and it stays within a factor of what was measured at the start.
+A substep, a frame and a video each have a fixed cost and a cost per particle or pixel. Both are
+measured before the first visitor comes. After that, finished runs correct the costs per particle
+and pixel. No single visitor can spoil them: runs too small to show a cost are ignored, the median
+of the last few is used, and it stays within a factor of what was measured at start.
 """
 
 from __future__ import annotations
@@ -18,24 +18,24 @@ from phy124.cost import Rates, Work
 from phy124.scene import Scene
 
 READ = 0.2
-"""Longer than it takes to read Gaussians that were made before, s."""
+"""Upper bound of the time to read Gaussians that were made before [s]."""
 SPREAD = 3.0
-"""Learned costs stay within this factor of those measured at the start, either way."""
+"""Learned costs stay within this factor of those measured at start, up or down."""
 WINDOW = 5
-"""Runs whose median counts."""
+"""Number of runs whose median is used."""
 FIXED = 0.7
-"""Largest fraction of a usual run's time that a fixed cost may explain, were the small run slow."""
+"""Largest fraction of a usual run's time that fixed costs may explain if the small run was slow."""
 MINIMUM = 0.2
-"""Fraction of the first measurement's work below which a run teaches nothing."""
+"""Fraction of the first measurement's work below which a run is ignored."""
 
 
 class Learned:
-    """Rates that follow finished runs; safe to use from several threads."""
+    """Rates that are corrected by finished runs; thread-safe."""
 
     def __init__(self) -> None:
         self.now = Rates()
         self.measured: Rates | None = None
-        """What the first measurement found; None before it."""
+        """The rates of the first measurement; None before it."""
         self._first: Work | None = None
         self._seen: dict[str, deque[float]] = {}
         self._lock = threading.Lock()
@@ -56,7 +56,7 @@ class Learned:
         with self._lock:
             self.now = self.measured = replace(fixed, **found)
             self._first = much
-            # Twice, so that the first run alone decides nothing.
+            # Twice, so that the first run alone does not decide.
             self._seen = {name: deque([value] * 2, WINDOW) for name, value in found.items()}
 
     def learn(self, report: dict[str, Any], scene: Scene) -> None:
@@ -79,7 +79,7 @@ class Learned:
 
     @property
     def minimum(self) -> Rates:
-        """The quickest that this machine may be: of the rates written here and those measured."""
+        """Rates at which this machine is fastest: the smaller of the built-in and measured ones."""
         return Rates().quickest(self.measured or self.now).quickest(self.now)
 
 
@@ -94,10 +94,10 @@ def _observed(report: dict[str, Any], scene: Scene) -> tuple[Work, dict[str, flo
 
 
 def _variable(rates: Rates, work: Work, spent: dict[str, float]) -> dict[str, float]:
-    """The costs that a run shows, the fixed ones taken off."""
+    """The variable costs of a run, without the fixed ones."""
     fixed = {"particle": rates.substep * work.substeps, "pixel": rates.video * work.videos}
     found = {
-        # A file that was there already is read in no time.
+        # A file that existed already is read in no time.
         "generate": spent["generate"] if spent["generate"] > READ else None,
         "particle": _per(spent["simulate"] - fixed["particle"], work.particles),
         "frame": _per(spent["deform"], work.frames),
@@ -107,11 +107,18 @@ def _variable(rates: Rates, work: Work, spent: dict[str, float]) -> dict[str, fl
 
 
 def _per(seconds: float, amount: float) -> float | None:
-    """Seconds per unit, or None where that cannot be said."""
+    """Seconds per unit, or None if that cannot be determined."""
     return seconds / amount if amount > 0 and seconds > 0 else None
 
 
 def _at_most(fraction: float, seconds: float, amount: float, cost: float) -> float:
-    """A cost per unit, or what explains no more than a fraction of the seconds for an amount."""
+    """A cost per unit, reduced so that it explains at most a fraction of the seconds.
+
+    Args:
+        fraction: The largest fraction.
+        seconds: Time taken [s].
+        amount: Number of units.
+        cost: The cost per unit [s].
+    """
     usual = _per(seconds, amount)
     return cost if usual is None else min(cost, fraction * usual)

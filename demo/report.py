@@ -1,4 +1,4 @@
-"""A run's report as HTML: where the time went, what ran and what did not, how stable it was."""
+"""A run's report as HTML: durations, the effects that ran and those left out, and stability."""
 
 from __future__ import annotations
 
@@ -24,9 +24,14 @@ def as_html(
     stops: Sequence[Stop] = (),
     study: Measurement | None = None,
 ) -> str:
-    """The report for the page; every word of it is escaped.
+    """The report for the page; all of its text is escaped.
 
-    `stops` are the other accuracies, `study` is what was measured on this very scene.
+    Args:
+        report: The content of report.json.
+        scene: The scene as plain data.
+        predicted: Time that was predicted [s].
+        stops: Time and error of the other accuracies.
+        study: The errors measured on this scene, if they were.
     """
     said, parts = promise_of(Scene.from_data(scene), study, report), []
     if report.get("stopped"):
@@ -56,7 +61,7 @@ def _accuracy(
 
 
 def _pareto(report: dict[str, Any], said: Promise, stops: Sequence[Stop]) -> str:
-    """Error over seconds: the stops of the accuracy slider, and the point this run reached."""
+    """Plot of error over time: the stops of the accuracy slider, and this run."""
     reached = said.error
     known = [(stop, stop.error) for stop in stops if stop.error]
     if not known or not reached:
@@ -85,14 +90,14 @@ def _pareto(report: dict[str, Any], said: Promise, stops: Sequence[Stop]) -> str
 
 
 def _scale(values: Sequence[float], start: float, end: float) -> Any:
-    """Values to places on a logarithmic axis."""
+    """A function from values to positions on a logarithmic axis."""
     low, high = math.log(min(values)), math.log(max(values))
     span = (high - low) or 1.0
     return lambda value: start + (end - start) * (math.log(value) - low) / span
 
 
 def _anchor(x: float) -> str:
-    """Labels stay inside the picture."""
+    """The text anchor with which a label at `x` stays inside the plot."""
     return "start" if x < WIDTH / 3 else "end" if x > 2 * WIDTH / 3 else "middle"
 
 
@@ -107,7 +112,7 @@ def _stages(report: dict[str, Any]) -> str:
 
 
 def _cut_out(report: dict[str, Any]) -> str:
-    """How the object was found in its picture, and what makes that doubtful."""
+    """How the object was found in its picture, and reasons to doubt it."""
     cutout = report.get("cutout")
     if not cutout:
         return ""
@@ -127,17 +132,17 @@ def _motion(report: dict[str, Any]) -> str:
     balance = report.get("balance") or {}
     if balance.get("energy_gain") is not None:
         gain = balance["energy_gain"]
-        label = "Energy out of nothing" if gain > 0 else "Energy lost beside the walls' work"
+        label = "Spurious energy" if gain > 0 else "Energy lost in addition to the walls' work"
         rows.append((label, f"{abs(gain):.2%}"))
     if balance.get("momentum_gain") is not None:
-        rows.append(("Momentum out of nothing", f"{balance['momentum_gain']:.2%}"))
+        rows.append(("Spurious momentum", f"{balance['momentum_gain']:.2%}"))
     curve = _plot(motion["time"], motion["kinetic_energy"], "kinetic energy [J]")
     volumes = _plot(motion["time"], motion["min_J"], "smallest J")
     return _section("Stability", _table(rows) + curve + volumes)
 
 
 def _effects(report: dict[str, Any]) -> str:
-    """What ran, with the time of each stage of a substep."""
+    """The effects that ran, with the time of each stage of a substep."""
     rows = [
         (stage["name"], f"{stage['seconds']:.2f} s in {stage['launches']:,}")
         for stage in report.get("substep_stages", [])
@@ -154,7 +159,7 @@ def _left_out(report: dict[str, Any]) -> str:
 
 
 def _saved(omission: dict[str, Any]) -> str:
-    """Why an effect was left out, and what that saved if it was measured."""
+    """Why an effect was left out, and the time saved if that is known."""
     saved = omission.get("saved_seconds")
     return str(omission["why"]) + (f", saved {saved:.2f} s" if saved else "")
 
@@ -169,7 +174,7 @@ def _table(rows: Sequence[tuple[str, Any]]) -> str:
 
 
 def _plot(x: Sequence[float], y: Sequence[float], label: str) -> str:
-    """A small curve with its extremes named."""
+    """A small plot labelled with its extremes."""
     low, high, span = min(y), max(y), (x[-1] - x[0]) or 1.0
     height = (high - low) or 1.0
     top, bottom = 16, HEIGHT - 14

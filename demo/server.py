@@ -1,4 +1,4 @@
-"""How the page is started: our own addresses, what stands before it, and how it ends."""
+"""Starts the page: its own routes, the middleware in front of it, and how it ends."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ if TYPE_CHECKING:
 FOLDER = Path(__file__).parent
 LOG = logging.getLogger("phy124.web")
 SLACK = 64_000
-"""Bytes of a request beside the upload itself."""
+"""Size of a request in addition to the upload itself [bytes]."""
 SWEEP = 5.0
-"""Time between two looks for visitors who have gone, s."""
+"""Time between two searches for visitors who have left [s]."""
 
 
 def prepare(settings: Settings, root: Path) -> None:
-    """Set what must be set before Gradio is imported."""
+    """Set the environment variables that Gradio reads when it is imported."""
     os.environ["GRADIO_ANALYTICS_ENABLED"] = "False"
     os.environ.setdefault("HF_HUB_DISABLE_TELEMETRY", "1")
     os.environ.pop("GRADIO_VIBE_MODE", None)
@@ -52,14 +52,14 @@ class Assets(StaticFiles):
     """Static files a browser may keep for an hour."""
 
     def file_response(self, *arguments: Any, **options: Any) -> Response:
-        """As StaticFiles, with an age."""
+        """The response of StaticFiles, with a maximum age."""
         answer = super().file_response(*arguments, **options)
         answer.headers["cache-control"] = "public, max-age=3600"
         return answer
 
 
 def routes(studio: Studio) -> list[Route | Mount]:
-    """Our own addresses: uploads, jobs, scripts, pictures, the catalogue of scenes, health."""
+    """The page's own routes: uploads, jobs, scripts, pictures, the catalogue of scenes, health."""
     from .catalogue import catalogue
 
     offered = json.dumps(catalogue(studio.settings)).encode()
@@ -74,7 +74,7 @@ def routes(studio: Studio) -> list[Route | Mount]:
         )
 
     async def job(request: Request) -> Response:
-        """How far a piece of work is; also a sign of life."""
+        """The progress of a job; also counts as a sign of life."""
         found = studio.visitors.job(request.path_params["name"])
         if found is None:
             return JSONResponse({"state": "gone"}, 404)
@@ -83,7 +83,7 @@ def routes(studio: Studio) -> list[Route | Mount]:
         return JSONResponse({**told, "place": found.place}, headers={"cache-control": "no-store"})
 
     async def here(request: Request) -> Response:
-        """An open page says every minute that it is still there."""
+        """An open page reports every minute that it is still open."""
         known = studio.visitors.known(cookie_of(request) or "") is not None
         return JSONResponse({"known": known}, headers={"cache-control": "no-store"})
 
@@ -101,7 +101,7 @@ def routes(studio: Studio) -> list[Route | Mount]:
 
 
 def launch(page: Any, studio: Studio, **options: Any) -> None:
-    """Serve the page with everything a public server needs, until the process is to end."""
+    """Serve the page with everything that a public server needs, until the process is to end."""
     settings = studio.settings
     page.queue(max_size=settings.max_queue, default_concurrency_limit=1, api_open=False)
     space = os.environ.get("SPACE_HOST", "")
@@ -132,7 +132,7 @@ def launch(page: Any, studio: Studio, **options: Any) -> None:
         },
         **options,
     )
-    # Looked up for each new connection.
+    # uvicorn looks this up for each new connection.
     page.server.config.http_protocol_class = partial(Patient, most=allow_connections())
     try:
         while page.server.thread.is_alive():
@@ -147,12 +147,12 @@ def _sweep(studio: Studio) -> None:
     try:
         studio.visitors.sweep()
     except OSError:
-        # No reason to end the page: it is tried again in some seconds.
-        LOG.exception("silent visitors were not swept out")
+        # The page goes on, and this is tried again some seconds later.
+        LOG.exception("silent visitors could not be removed")
 
 
 def end_on_signals() -> None:
-    """Let SIGTERM end the page as an interrupt does, so that nothing is left behind."""
+    """Let SIGTERM end the page as Ctrl-C does, so that nothing is left behind."""
     import signal
 
     def end(number: int, _: Any) -> None:

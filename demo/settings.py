@@ -23,7 +23,7 @@ ALIASES = (("host", "GRADIO_SERVER_NAME"), ("port", "GRADIO_SERVER_PORT"))
 
 
 class Settings(Section):
-    """Limits of one visitor's request, and where the page listens."""
+    """Limits for visitors, and where the page listens."""
 
     host: str = Field(default="127.0.0.1", description="Address to listen on.")
     port: int = Field(default=7860, ge=1, le=65535, description="Port to listen on.")
@@ -57,7 +57,11 @@ class Settings(Section):
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str] | None = None) -> Settings:
-        """Read `PHY124_MAX_FRAMES` and so on; raises InputError naming the variable."""
+        """The settings of the variables `PHY124_MAX_FRAMES` and so on.
+
+        Raises:
+            InputError: A variable has an invalid value; it names the variable.
+        """
         environment = os.environ if environment is None else environment
         given = {
             name: environment[variable] for name, variable in ALIASES if variable in environment
@@ -81,22 +85,22 @@ class Settings(Section):
 
     @property
     def max_bytes(self) -> int:
-        """Largest upload, bytes."""
+        """Largest upload [bytes]."""
         return int(self.max_upload_mb * 1e6)
 
     @property
     def too_large(self) -> str:
-        """What is said of a larger upload, wherever it is found out."""
+        """The limit stated for a larger upload."""
         return f"The picture is larger than the {self.max_upload_mb:g} MB that this page takes."
 
     @property
     def make_smaller(self) -> str:
-        """What to do about it."""
+        """The remedy for a larger upload."""
         return "Save it as JPEG or reduce it to 2000 pixels."
 
     @property
     def room(self) -> Room:
-        """How much of visitors' files is kept, and for how long."""
+        """How many of the visitors' files are kept, and for how long."""
         return Room(
             visitors=self.max_visitors, clips=self.max_clips, grace=60 * self.grace_minutes,
             each=1e6 * self.max_visitor_mb, all=1e6 * self.max_total_mb,

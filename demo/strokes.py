@@ -1,4 +1,4 @@
-"""Brush strokes as they come from the page: lines, not pictures, so that they stay small."""
+"""Brush strokes as the page sends them: lines instead of pictures, so that they are small."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ Fraction = Annotated[float, Field(ge=-0.5, le=1.5, allow_inf_nan=False)]
 
 
 class Stroke(Section):
-    """A line painted over the picture; lengths in fractions of its longer side."""
+    """A line painted on the picture; lengths are fractions of its longer side."""
 
     keep: bool
-    """Whether what is under it belongs to the object."""
+    """Whether the area under it belongs to the object."""
     width: float = Field(gt=0, le=0.5)
     points: tuple[tuple[Fraction, Fraction], ...] = Field(min_length=1, max_length=2000)
 
@@ -26,7 +26,11 @@ STROKES = TypeAdapter(Annotated[list[Stroke], Field(max_length=200)])
 
 
 def strokes_of(data: Any) -> list[Stroke]:
-    """Strokes from plain data; raises InputError."""
+    """Strokes from plain data.
+
+    Raises:
+        InputError: The data cannot be read.
+    """
     try:
         return STROKES.validate_python(data)
     except ValidationError:
@@ -36,7 +40,7 @@ def strokes_of(data: Any) -> list[Stroke]:
 
 
 def painted(strokes: list[Stroke] | tuple[Stroke, ...], size: tuple[int, int]) -> Image.Image:
-    """A picture of the strokes: 0 nothing, 1 remove, 2 keep; a later stroke covers an earlier."""
+    """A picture of the strokes: 0 nothing, 1 remove, 2 keep; later strokes cover earlier ones."""
     marks = Image.new("L", size)
     draw, side = ImageDraw.Draw(marks), max(size)
     for stroke in strokes:

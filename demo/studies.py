@@ -1,4 +1,4 @@
-"""What was measured on a visitor's own scene: the error of each grid, and what it took."""
+"""Measurements on a visitor's own scene: the error of each grid, and its time."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from phy124.accuracy.study import Report, error_on
 from phy124.scene import Scene
 
 GRIDS = (12, 16, 24)
-"""Cells across the object of the grids that are run."""
+"""The grids that are run [cells across the object]."""
 
 
 class Level(BaseModel):
@@ -20,19 +20,20 @@ class Level(BaseModel):
 
     cells: int
     seconds: float
-    """Simulation and shapes."""
+    """Time of the simulation and of the Gaussians' shapes [s]."""
     error: float | None
-    """Fraction of the object's size; None where the grids do not converge or this one is torn."""
+    """Error as a fraction of the object's size; None if the grids do not converge, or this one
+    is torn."""
     torn: bool
 
     @property
     def name(self) -> str:
-        """As the table has it."""
+        """Its name in the table."""
         return f"D/{self.cells}"
 
 
 class Measurement(BaseModel):
-    """What the grids say about a scene, whatever its own grid is."""
+    """The errors of several grids for a scene, whatever its own grid is."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -44,7 +45,7 @@ class Measurement(BaseModel):
 
     @classmethod
     def of(cls, report: Report) -> Measurement:
-        """What is kept of a study."""
+        """The part of a study that is stored."""
         levels = tuple(
             Level(cells=row.cells, seconds=row.seconds, error=row.error, torn=bool(row.torn))
             for row in report.rows
@@ -53,14 +54,14 @@ class Measurement(BaseModel):
         return cls(levels=levels, order=found.order, why_not=found.why_not, skipped=report.skipped)
 
     def promise(self, cells: int) -> Promise:
-        """The error on some grid; nothing is promised where any grid may be torn."""
+        """The error on a grid of so many cells; none is promised if any grid may be torn."""
         torn = [level.name for level in self.levels if level.torn]
         if torn:
             return promises.none(f"{promises.torn(torn)}.")
         errors = {level.cells: level.error for level in self.levels if level.error is not None}
         error = error_on(cells, errors, self.order)
         if error is None:
-            why = ". ".join([self.why_not or "no grid so coarse was measured", *self.skipped])
+            why = ". ".join([self.why_not or "no grid this coarse was measured", *self.skipped])
             return promises.none(f"{why.rstrip('.')}.")
         return promises.measured(error, cells, sorted(errors))
 
@@ -79,12 +80,14 @@ class Measurement(BaseModel):
 
 
 def grids(scene: Scene) -> tuple[int, ...]:
-    """The grids to run for a scene: its own is among them if it is no finer than the others."""
+    """The grids to run for a scene, including its own if that is no finer than the others."""
     own = scene.resolution.cells
     return tuple(sorted({*GRIDS, own} if own < GRIDS[-1] else GRIDS))
 
 
 def on_grid(scene: Scene, cells: int) -> Scene:
-    """The scene on another grid; digits do not change its error (docs/results/accuracy.md)."""
+    """The scene on another grid, in single precision, which does not change its error
+    (docs/results/accuracy.md).
+    """
     accuracy = scene.resolution.model_copy(update={"cells": cells, "precision": "float32"})
     return scene.model_copy(update={"accuracy": accuracy})

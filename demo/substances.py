@@ -1,4 +1,4 @@
-"""Materials by the names people have for them, for the chips of the scene editor."""
+"""Materials by their everyday names, for the chips of the scene editor."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ SUBSTANCES: dict[str, dict[str, Any]] = {
     "water": {"law": "fluid", "viscosity": 0.5},
     "metal": {"law": "metal", "E": 1e6, "yield_stress": 2e4, "density": 2700},
 }
-"""Soft metal: what a real one does at the size of a toy cannot be seen."""
+"""Everyday name -> material. The metal is soft, since a real one of a toy's size hardly deforms."""
 PREVIEWS = Path(__file__).parent / "previews"
 
 
 def chips() -> list[dict[str, Any]]:
-    """Name, material with all its values, and a preview of each substance."""
+    """The name, the material with all its values, and a preview of each substance."""
     from pydantic import TypeAdapter
 
     from phy124.materials import AnyMaterial

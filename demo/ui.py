@@ -1,4 +1,4 @@
-"""The page's layout: picture, scene and Generate on the left, what came of it on the right."""
+"""The page's layout: picture, scene and Generate on the left, the results on the right."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ STYLE = '<link rel="stylesheet" href="phy124/static/page.css">'
 QUIET: dict[str, Any] = {
     "queue": False, "show_progress": "hidden", "api_visibility": "private",
 }  # fmt: skip
-"""For what answers at once."""
+"""Options of events that answer at once."""
 MASTHEAD = """<div id="masthead"><svg width="42" height="42" viewBox="0 0 42 42" aria-hidden="true">
 <g fill="none" stroke="#0f766e" stroke-width="2.4"><ellipse cx="15" cy="27" rx="11" ry="9"/>
 <ellipse cx="22" cy="20" rx="12" ry="7.5" transform="rotate(-32 22 20)" opacity=".6"/>
@@ -32,7 +32,7 @@ MASTHEAD = """<div id="masthead"><svg width="42" height="42" viewBox="0 0 42 42"
 
 
 def open_studio(settings: Settings, root: Path) -> Studio:
-    """What all visitors share; on ZeroGPU the work is wrapped so that it gets a GPU."""
+    """What all visitors share; on ZeroGPU jobs are wrapped so that they get a GPU."""
     work = steps
     if find_spec("spaces") is not None:
         import spaces  # pyright: ignore[reportMissingImports]
@@ -75,7 +75,7 @@ def build(studio: Studio) -> gr.Blocks:
 
 
 def theme() -> themes.Base:
-    """Only fonts that are there already: nothing is fetched."""
+    """A theme with fonts of the system only, so that nothing is downloaded."""
     return themes.Base(
         primary_hue="teal",
         neutral_hue="slate",

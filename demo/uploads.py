@@ -1,6 +1,6 @@
-"""The address that takes pictures: straight into the folder of the visitor who sends them.
+"""The route that receives pictures and stores them in the folder of the visitor who sends them.
 
-It stands in for Gradio's own, which keeps uploads in folders that belong to nobody.
+It replaces Gradio's own, which keeps uploads in folders that belong to nobody.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ if TYPE_CHECKING:
 
 ADDRESS = "/gradio_api/upload"
 SUFFIXES = {".png", ".jpg", ".jpeg", ".webp", ".heic", ".heif"}
-"""Endings that uploads keep; others have none."""
+"""Suffixes that uploads keep; others are removed."""
 MOST = 4
-"""Files in one request."""
+"""Largest number of files in one request."""
 
 
 def upload_route(studio: Studio) -> Route:
-    """Where the page and programs send pictures; answers with their paths."""
+    """The route to which the page and programs send pictures; it answers with their paths."""
 
     async def receive(request: Request) -> Response:
         try:

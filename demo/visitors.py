@@ -1,7 +1,7 @@
-"""What each visitor has on disk: one folder with an unguessable name, a cache by content inside.
+"""The files of each visitor: one folder with a name that cannot be guessed, and caches inside.
 
-A stage's result lies under a key made of everything it depends on, so a stage runs again exactly
-when something it depends on has changed:
+The result of a stage is stored under a key made of everything it depends on, so a stage runs again
+exactly when something it depends on has changed:
 
     uploads/NAME                  pictures as they were sent
     cutouts/KEY.png               picture, brush strokes
@@ -11,7 +11,7 @@ when something it depends on has changed:
     studies/KEY.json              Gaussians and the scene without its view and grid
 
 A folder is kept while its visitor gives signs of life, which an open page does every minute, and
-for a time of grace after the last one. It then goes with everything that is in it.
+for a grace period after the last one. It is then removed with everything in it.
 """
 
 from __future__ import annotations
@@ -36,27 +36,27 @@ if TYPE_CHECKING:
 
 STAGES = ("cutouts", "gaussians", "clips", "films", "studies")
 UPLOADS = 8
-"""Pictures kept of one visitor."""
+"""Number of pictures kept for one visitor."""
 AWAY = 150.0
-"""Silence after which a page is taken to be closed, s: an open one speaks up every minute."""
+"""Silence after which a page counts as closed [s]; an open one reports every minute."""
 ARRIVED = 600.0
-"""For so long an upload may wait for the request that uses it, s."""
+"""Longest time between an upload and the request that uses it [s]."""
 FULL = "Too many visitors are here at once."
 
 
 @dataclass(frozen=True)
 class Room:
-    """How much may be kept, and for how long."""
+    """How many files may be kept, and for how long."""
 
     visitors: int = 64
     clips: int = 3
-    """Results of one visitor."""
+    """Number of results of one visitor."""
     grace: float = 900.0
-    """Time for which silent visitors are kept, s."""
+    """Time for which silent visitors are kept [s]."""
     each: float = 1e9
-    """Bytes of one visitor."""
+    """Files of one visitor [bytes]."""
     all: float = 8e9
-    """Bytes of all visitors."""
+    """Files of all visitors [bytes]."""
 
 
 class Visitor:
@@ -66,15 +66,15 @@ class Visitor:
         self.folder = folder
         self.seen = time.time()
         self.forecasts: dict[str, float] = {}
-        """Seconds that a probe has found, by scene."""
+        """Key of a scene -> time predicted by a probe [s]."""
         self.jobs: dict[str, Job] = {}
-        """The newest pieces of work by name, oldest first."""
+        """The newest jobs by name, the oldest of them first."""
         for stage in ("uploads", *STAGES):
             (folder / stage).mkdir(parents=True, exist_ok=True)
 
     @property
     def busy(self) -> bool:
-        """Whether work is in hand or waits for its turn."""
+        """Whether a job is running or waiting."""
         return any(not job.over for job in list(self.jobs.values()))
 
     @property
@@ -84,44 +84,44 @@ class Visitor:
 
     @property
     def silence(self) -> float:
-        """Seconds since the last sign of life."""
+        """Time since the last sign of life [s]."""
         return time.time() - self.seen
 
     def remember(self, job: Job, most: int = 8) -> None:
-        """Keep a piece of work so that the page finds it again, and forget the oldest."""
+        """Keep a job so that the page can find it, and forget the oldest beyond `most`."""
         self.jobs[job.name] = job
         for name in [n for n, j in self.jobs.items() if j.over][: max(0, len(self.jobs) - most)]:
             del self.jobs[name]
 
     def latest(self, kind: str) -> Job | None:
-        """The newest piece of work of a kind."""
+        """The newest job of a kind."""
         return next((j for j in reversed(list(self.jobs.values())) if j.kind == kind), None)
 
     def stop(self) -> None:
-        """Call off whatever is in hand or waits."""
+        """Cancel all jobs that are running or waiting."""
         for job in list(self.jobs.values()):
             job.cancel()
 
     def touch(self) -> None:
-        """Take note of a sign of life."""
+        """Note a sign of life."""
         self.seen = time.time()
 
     def new_stop_file(self) -> Path:
-        """A file that, once it exists, asks a piece of work to stop.
+        """The path of a file whose existence asks a job to stop.
 
-        A file, because the work may run in another process (ZeroGPU forks one).
+        It is a file because the job may run in another process (ZeroGPU forks one).
         """
         return self.folder / f"stop-{secrets.token_hex(8)}"
 
     def size(self) -> int:
-        """Bytes on disk."""
+        """Size of the folder [bytes]."""
         return sum(_sizes(self.folder))
 
     def trim(self, room: Room) -> None:
-        """Forget all but the newest results of each stage, and more of them for want of room."""
+        """Remove all but the newest results of each stage, and more if there is too little room."""
         for stage in ("uploads", *STAGES):
             entries = _newest_first(self.folder / stage)
-            # A clip has films of several views, and the pictures behind them are small.
+            # There may be films of several views for a clip, and cut-outs and uploads are small.
             keep = {"uploads": UPLOADS, "clips": room.clips}.get(stage, 3 * room.clips)
             for entry in entries[keep:]:
                 _remove(entry)
@@ -133,23 +133,23 @@ class Visitor:
 
 
 class Visitors:
-    """All visitors by name; safe to use from several threads."""
+    """All visitors by name; thread-safe."""
 
     def __init__(self, root: Path, room: Room | None = None) -> None:
         self.root, self.room = root, room or Room()
-        # Uploads of programs that have not said yet who they are.
+        # Uploads of programs whose session is not known yet.
         self.arrivals = root / "arrivals"
         self.arrivals.mkdir(parents=True, exist_ok=True)
         self._lock = threading.RLock()
         self._known: dict[str, Visitor] = {}
         self._leaving: list[Visitor] = []
-        """Removed, but for the files that ask their work to stop."""
+        """Visitors who are removed except for the files that ask their jobs to stop."""
 
     def __len__(self) -> int:
         return len(self._known)
 
     def known(self, name: str) -> Visitor | None:
-        """The visitor of that name if there is one; it counts as a sign of life."""
+        """The visitor of that name if there is one; this counts as a sign of life."""
         with self._lock:
             visitor = self._known.get(name)
             if visitor is not None:
@@ -157,7 +157,7 @@ class Visitors:
             return visitor
 
     def job(self, name: str) -> Job | None:
-        """Anybody's piece of work by its name, which cannot be guessed; a sign of life, too."""
+        """The job of that name, which cannot be guessed; this counts as a sign of life."""
         with self._lock:
             visitor = next((v for v in self._known.values() if name in v.jobs), None)
             if visitor is None:
@@ -166,7 +166,11 @@ class Visitors:
             return visitor.jobs[name]
 
     def get(self, name: str) -> Visitor:
-        """The visitor of a name, new if it was not known; raises InputError if all is taken."""
+        """The visitor of that name, a new one if it is not known.
+
+        Raises:
+            InputError: There are too many visitors.
+        """
         with self._lock:
             visitor = self.known(name)
             if visitor is None:
@@ -176,7 +180,16 @@ class Visitors:
             return visitor
 
     def store(self, name: str | None, data: bytes, suffix: str) -> Path:
-        """Keep an upload, of nobody yet if no name is given; raises InputError for want of room."""
+        """Store an upload.
+
+        Args:
+            name: The visitor's name; None: it belongs to nobody yet.
+            data: The content.
+            suffix: The suffix of the file's name.
+
+        Raises:
+            InputError: There is no room for it.
+        """
         with self._lock:
             while sum(_sizes(self.root)) + len(data) > self.room.all:
                 self._make_room()
@@ -187,7 +200,7 @@ class Visitors:
             visitor.trim(self.room)
             if visitor.size() + len(data) > self.room.each:
                 raise InputError(
-                    "picture", "full", "Your pictures fill the room here.", "Send a smaller one."
+                    "picture", "full", "Your files take all the room here.", "Send a smaller one."
                 )
             folder = visitor.folder / "uploads"
         path = folder / f"{secrets.token_urlsafe(18)}{suffix}"
@@ -195,9 +208,10 @@ class Visitors:
         return path
 
     def own(self, name: str, given: Any) -> Path:
-        """The visitor's own upload that a request names; raises InputError for anything else.
+        """The visitor's own upload that a request names.
 
-        The answer is the same whether such a file exists or not.
+        Raises:
+            InputError: It names anything else; the message is the same whether that exists or not.
         """
         folder = self.get(name).folder / "uploads"
         path = folder / Path(str(given)).name
@@ -215,7 +229,7 @@ class Visitors:
         return path
 
     def remove(self, name: str) -> None:
-        """Stop a visitor's work and remove the folder."""
+        """Stop a visitor's jobs and remove the folder."""
         with self._lock:
             visitor = self._known.pop(name, None)
         if visitor is not None:
@@ -227,7 +241,7 @@ class Visitors:
             self._clear()
 
     def _clear(self) -> None:
-        """Remove the folders of those who have left, once no work looks for a stop file there."""
+        """Remove the folders of those who have left, once no job looks for a stop file there."""
         with self._lock:
             ended = [visitor for visitor in self._leaving if not visitor.busy]
             self._leaving = [visitor for visitor in self._leaving if visitor.busy]
@@ -235,7 +249,7 @@ class Visitors:
             _remove(visitor.folder)
 
     def sweep(self) -> None:
-        """Remove who has been silent for too long, and what is nobody's."""
+        """Remove visitors who have been silent for too long, and uploads that belong to nobody."""
         with self._lock:
             silent = [n for n, v in self._known.items() if v.silence > self.room.grace]
         for name in silent:
@@ -252,13 +266,13 @@ class Visitors:
                 _remove(path)
 
     def close(self) -> None:
-        """Stop all work and remove everything."""
+        """Stop all jobs and remove everything."""
         for name in list(self._known):
             self.remove(name)
         _remove(self.root)
 
     def _make_room(self) -> None:
-        """Remove whoever loses least by it: never the results of a page that is open."""
+        """Remove the visitor who loses least, never one with results and an open page."""
         idle = [(n, v) for n, v in self._known.items() if not v.busy and v.silence > 1]
         empty = [(n, v) for n, v in idle if not v.has_results]
         away = [(n, v) for n, v in idle if v.silence > AWAY]
@@ -269,7 +283,7 @@ class Visitors:
 
 
 def key(*parts: Any) -> str:
-    """A name for whatever depends on these parts alone: bytes, or JSON-like data."""
+    """A name for something that depends only on these parts, which are bytes or JSON-like data."""
     digest = hashlib.sha256()
     for part in parts:
         data = part if isinstance(part, bytes) else json.dumps(part, sort_keys=True).encode()
@@ -278,7 +292,7 @@ def key(*parts: Any) -> str:
 
 
 def is_plain_file(path: Path) -> bool:
-    """Whether a regular file lies there itself, not a link to one."""
+    """Whether the path is a regular file and not a link to one."""
     try:
         return stat.S_ISREG(os.lstat(path).st_mode)
     except (OSError, ValueError):

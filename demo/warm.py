@@ -1,5 +1,5 @@
 """Warm up: load every kernel that the presets use, so that the first visitor does not wait, and
-measure this machine, so that the first forecast is one.
+measure this machine, so that the first forecast is right.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ EXAMPLE = Path(__file__).parent / "examples/duck.png"
 
 
 def warm_up(device: str) -> None:
-    """Simulate two frames of each preset with a small ball and draw it."""
+    """Simulate and draw two frames of each preset with a small ball."""
     device = pick_device(device)
     ball = _ball()
     Renderer(device=device)(ball, Camera((3, 0, 0), (0, 0, 0), 64, 64))
@@ -38,7 +38,7 @@ def warm_up(device: str) -> None:
 
 
 def tiny_run(device: str) -> tuple[dict[str, Any], Scene]:
-    """Report and scene of a run of hardly any work: what substeps and videos cost at least."""
+    """Report and scene of a run of hardly any work, which shows fixed costs."""
     few = {"accuracy": {"cells": 8, "particles_per_axis": 1.0}, "time.frames": 2}
     scene = Scene.named("press").replaced({**few, "view.size": 32, "view.views": ["front"]})
     with tempfile.TemporaryDirectory() as folder:
@@ -47,7 +47,7 @@ def tiny_run(device: str) -> tuple[dict[str, Any], Scene]:
 
 
 def example_run(device: str) -> tuple[dict[str, Any], Scene]:
-    """Report and scene of a short clip of an example: what things cost on this machine."""
+    """Report and scene of a short clip of an example, which shows costs per particle and pixel."""
     short = {"accuracy": "draft", "time.frames": 5, "view.views": ["front"]}
     scene = Scene.named("press").replaced(short)
     with tempfile.TemporaryDirectory() as folder:

@@ -5,8 +5,8 @@
     result = phy124.generate("duck.png", phy124.Scene.named("press"), "out")
     clip = phy124.Clip.load(result.folder / "clip.safetensors")
 
-What `__all__` names is the public face, with versions as CONTRIBUTING.md says. It is imported when
-it is first asked for, so that this package itself is light.
+The names in `__all__` are the public interface, versioned as CONTRIBUTING.md says. Each is imported
+when it is first used, so that importing this package is fast.
 """
 
 from importlib import import_module
@@ -85,10 +85,10 @@ _MODULES = {
 _HOMES = {name: module for module, names in _MODULES.items() for name in names}
 
 
-if not TYPE_CHECKING:  # Type checkers would take any name for one of ours.
+if not TYPE_CHECKING:  # otherwise type checkers would accept any name
 
     def __getattr__(name: str) -> Any:
-        """Import a public name when it is first asked for."""
+        """Import a public name when it is first used."""
         if name not in _HOMES:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
         return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)

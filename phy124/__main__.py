@@ -1,12 +1,12 @@
 """The command line: `phy124 COMMAND ...`, or `python -m phy124`.
 
 Every command also takes --quiet (print nothing but problems) and --verbose (print what the
-libraries say, and where in the code a problem arose). `phy124 --version` names this version.
-`phy124 --tyro-print-completion bash` (zsh, fish) prints what completes commands and options with
-the Tab key; see docs/guide/commands.md.
+libraries say, and where in the code a problem arose). `phy124 --version` prints this version.
+`phy124 --tyro-print-completion bash` (zsh, fish) prints a script that completes commands and
+options with the Tab key; see docs/guide/commands.md.
 
 Exit status: 0 done, 1 the machine refused (disk full, ...), 2 bad input, 3 the simulation stopped
-early and kept its good frames, 130 interrupted. No traceback for what a user can mend.
+early and kept its good frames, 130 interrupted. Errors that a user can correct show no traceback.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             sys.stdout.flush()
             return status
     except BrokenPipeError:
-        # `... | head` has read enough; nothing may be written when Python ends.
+        # As in `... | head`: the reader has closed the pipe, and nothing may be written at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except (InputError, KeyboardInterrupt, Cancelled, OSError) as problem:
@@ -51,7 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: list[str], *, quiet: bool, verbose: bool) -> int:
-    """Read the command line and run what it asks for."""
+    """Parse the command line and run the command."""
     if arguments == ["--version"]:
         print(f"phy124 {__version__}")
         return 0
@@ -85,21 +85,21 @@ def _parsed(arguments: list[str]) -> Any:
 
 
 def _judged(problem: BaseException) -> tuple[int, str]:
-    """Exit status and sentence of what ended a command."""
+    """Exit status and sentence for the exception that ended a command."""
     if isinstance(problem, InputError):
         return 2, str(problem)
     if isinstance(problem, OSError):
         return 1, f"the machine refused: {problem}"
-    return 130, "stopped; nothing half-written was left behind"
+    return 130, "stopped; no incomplete file was left behind"
 
 
 def _note(message: Warning | str, *_: object) -> None:
-    """A warning as one line, without the place in the code."""
+    """Log a warning as one line, without its place in the code."""
     print(f"phy124: {message}", file=sys.stderr)
 
 
 def _complain(sentence: str, *, as_json: bool) -> None:
-    """One sentence, no traceback; as JSON on standard output for scripts."""
+    """Print one sentence without a traceback; as JSON on standard output for scripts."""
     if as_json:
         print(json.dumps({"error": sentence}))
     print(f"phy124: {sentence}", file=sys.stderr)

@@ -1,13 +1,13 @@
-"""The moved material carries its Gaussians: particle state + rest Gaussians -> Frame.
+"""Moves the Gaussians with the material: particle state + rest Gaussians -> Frame.
 
-Phy124 (arXiv 2409.07179): Sigma_t = F Sigma_0 F^T with the total F, then Sigma = Q Lambda Q^T
-gives the rotation and the scale of the 4D representation. Here the axes come from
-A = F R_0 S_0 (Sigma = A A^T), once per frame and in float64, never from an integrated Sigma:
-that keeps thin axes and positive definiteness (`phy124.kernels.deform`).
+Phy124 (arXiv 2409.07179): Sigma_t = F Sigma_0 F^T with the total F; then Sigma = Q Lambda Q^T
+gives the rotation and the scales of the 4D representation. Here the axes come from
+A = F R_0 S_0 (Sigma = A A^T), once per frame and in float64, never from an integrated Sigma. This
+preserves thin axes and positive definiteness (`phy124.kernels.deform`).
 
-Orientations are continuous: of all labellings of the axes (24 proper signed permutations) the
-one nearest to the previous frame is taken, and q . q_previous >= 0. Axes of equal length stay
-with the material, within 1e-5 of the covariance.
+Orientations are continuous: among all labellings of the axes (24 proper signed permutations) the
+one closest to the previous frame is chosen, with q . q_previous >= 0. Axes of equal length move
+with the material, to within 1e-5 of the covariance.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from phy124.harmonics import rotate_sh
 from phy124.kernels import deform as field
 
 CARRIERS = 8
-"""How many particles carry a Gaussian of the binding `lattice`."""
+"""Number of particles that carry each Gaussian with the binding `lattice`."""
 
 
 class Bound(Protocol):
-    """What is needed of `phy124.particles.Particles`."""
+    """The part of `phy124.particles.Particles` that is needed here."""
 
     @property
     def x(self) -> NDArray[np.float32]:
@@ -38,16 +38,16 @@ class Bound(Protocol):
 
     @property
     def gaussian(self) -> NDArray[np.int32]:
-        """The Gaussian that each particle is [P], or -1."""
+        """Index of the Gaussian that each particle represents [P], or -1."""
         ...
 
 
 class Deformer:
     """Frames of one moving object; call it once per frame, in order of time.
 
-    With the binding `particles` each Gaussian moves with its own particle. With `lattice` it rides
-    on its nearest lattice particles: x_g = sum w_i (x_i + F_i (X_g - X_i)), F_g = sum w_i F_i
-    with smooth weights w that sum to one, which is exact for every affine motion.
+    With the binding `particles` each Gaussian moves with its own particle. With `lattice` the
+    nearest particles of the lattice carry it: x_g = sum w_i (x_i + F_i (X_g - X_i)) and
+    F_g = sum w_i F_i, with smooth weights w that sum to 1. This is exact for every affine motion.
     """
 
     def __init__(
@@ -62,17 +62,18 @@ class Deformer:
 
         Args:
             gaussians: The object at rest, N Gaussians.
-            particles: What `make_particles` made of it; None: one particle per Gaussian, in order.
-            max_stretch: Longest axis allowed, in longest axes at rest. For liquids and plastic
-                flow, whose F grows without bound into spikes; None (elastic): no limit.
+            particles: The particles that `make_particles` made of it; None: one particle per
+                Gaussian, in order.
+            max_stretch: Longest axis allowed, relative to the longest axis at rest. For liquids and
+                plastic flow, whose F grows without bound; None (elastic): no limit.
             device: Warp device that computes.
 
         Raises:
-            InputError: `max_stretch` is under 1.
-            ValueError: the particles belong to other Gaussians.
+            InputError: `max_stretch` is below 1.
+            ValueError: The particles belong to other Gaussians.
         """
         if max_stretch is not None and not max_stretch >= 1:
-            limit = "Gaussians must at least be allowed their size at rest."
+            limit = "Gaussians must be allowed at least their size at rest."
             raise InputError("max_stretch", max_stretch, limit, "Give 1 or more, or leave it out.")
         self.gaussians = gaussians
         self.rotations: Array | None = None
@@ -99,15 +100,15 @@ class Deformer:
         """The Gaussians at one instant.
 
         Args:
-            x: Positions of the particles [P,3], m; NumPy or Warp arrays.
+            x: Positions of the particles [P,3], m; a NumPy or Warp array.
             F: Their total deformation gradients [P,3,3].
             index: Number of the frame.
-            time: Time, s.
-            velocities: Velocities of the particles [P,3], m/s, if the frame shall have them.
+            time: Time [s].
+            velocities: Velocities of the particles [P,3], m/s, if the frame is to have them.
 
         Raises:
-            FloatingPointError: a position or F is not finite; says how many.
-            ValueError: the arrays do not have the particles' number.
+            FloatingPointError: A position or F is not finite; the message says how many.
+            ValueError: The arrays do not match the number of particles.
         """
         x, F = self._checked(_host(x), (3,)), self._checked(_host(F), (3, 3))
         means, deformation = self._carried(x, F)
@@ -122,11 +123,11 @@ class Deformer:
         return Frame(index, time, gaussians, velocities)
 
     def snapshot(self) -> dict[str, NDArray]:
-        """What the next frame's continuity depends on."""
+        """What the continuity of the next frame depends on."""
         return {name: array.numpy().copy() for name, array in self._kept().items()}
 
     def restore(self, snapshot: dict[str, NDArray]) -> None:
-        """Go on as after the frame that a snapshot was taken at."""
+        """Return to the state after the frame at which a snapshot was taken."""
         for name, array in self._kept().items():
             array.assign(snapshot[name])
 
@@ -147,7 +148,7 @@ class Deformer:
         return np.ascontiguousarray(values, dtype=np.float64)
 
     def _carried(self, x: NDArray[np.float64], F: NDArray[np.float64]) -> tuple[NDArray, wp.array]:
-        """Centres [N,3], and the deformation gradients that `_carrier` points into."""
+        """Centres [N,3], m, and the deformation gradients that `_carrier` points into."""
         deformation = wp.array(F, dtype=wp.mat33d, device=self._device)
         if self._field is not None:
             return self._field.carry(x, deformation)
@@ -170,7 +171,7 @@ class Deformer:
 
 
 class _Field:
-    """Gaussians riding on nearby particles: neighbours and weights, found once at rest."""
+    """Gaussians carried by nearby particles: neighbours and weights, found once at rest."""
 
     def __init__(self, gaussians: Gaussians, rest: NDArray[np.float32], device: str) -> None:
         self.neighbours, self.weights = carriers(gaussians.means, rest)
@@ -185,7 +186,7 @@ class _Field:
         self._deformation = wp.array(np.zeros((n, 3, 3)), dtype=wp.mat33d, device=device)
 
     def carry(self, x: NDArray[np.float64], deformation: wp.array) -> tuple[NDArray, wp.array]:
-        """Centres [N,3] and deformation gradients of the Gaussians."""
+        """Centres [N,3], m, and deformation gradients [N,3,3] of the Gaussians."""
         position = wp.array(x, dtype=wp.vec3d, device=self.device)
         inputs = [*self._rest, position, deformation, self._means, self._deformation]
         wp.launch(field.carry, dim=len(self._means), inputs=inputs, device=self.device)
@@ -202,34 +203,35 @@ class _Field:
 def carriers(points: NDArray, particles: NDArray) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """The nearest particles of each point [N,K] and their weights [N,K], which sum to 1.
 
-    w = (1 - (d / R)^2)^2, R the distance of the next particle (or twice the last one): they vary
-    smoothly over the points, since a particle enters and leaves with weight 0.
+    w = (1 - (d / R)^2)^2, where R is the distance of the next nearest particle, at most twice that
+    of the last one chosen. The weights vary smoothly over the points, since a particle enters and
+    leaves with weight 0.
     """
     count = min(CARRIERS, len(particles))
     distance, index = KDTree(particles).query(points, k=count + 1, workers=-1)
     distance, index = np.asarray(distance), np.asarray(index)
-    # Where there is no next particle its distance is infinite.
+    # If there is no next particle, its distance is infinite.
     reach = np.minimum(distance[:, -1:], 2 * distance[:, -2:-1])
     near = distance[:, :count]
     ratio = np.divide(near, reach, out=np.zeros_like(near), where=reach > 0).clip(0, 1)
-    # Particles all equally far would all weigh nothing.
+    # Particles that are all equally far would all have weight 0.
     weights = (1 - ratio**2) ** 2 + 1e-9
     weights /= weights.sum(axis=1, keepdims=True)
     return index[:, :count].astype(np.int32), weights.astype(np.float32)
 
 
 def _own_particles(count: int, particles: Bound | None) -> NDArray[np.int32] | None:
-    """For each Gaussian the particle that it is [N]; None: in order, or none is (`lattice`)."""
+    """The particle of each Gaussian [N]; None if they are in order, or none has one (`lattice`)."""
     if particles is None or (particles.gaussian < 0).all():
         return None
     bound = np.flatnonzero(particles.gaussian >= 0)
     if not np.array_equal(np.sort(particles.gaussian[bound]), np.arange(count)):
-        raise ValueError(f"the particles are not those of these {count} Gaussians")
+        raise ValueError(f"the particles were not made from these {count} Gaussians")
     own = np.empty(count, np.int32)
     own[particles.gaussian[bound]] = bound
     return own
 
 
 def _host(array: Any) -> NDArray:
-    """A NumPy view of a Warp array or whatever NumPy takes for one."""
+    """A NumPy view of a Warp array, or of anything that NumPy accepts as an array."""
     return np.asarray(array.numpy() if isinstance(array, wp.array) else array)

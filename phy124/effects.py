@@ -1,7 +1,7 @@
 """Effects: which physical and numerical effects a scene calls for, and which it does not.
 
-Derived from the scene alone; kernels are chosen by what the scene names, so what is left out here
-is not compiled, not allocated and not launched.
+They are derived from the scene alone. Kernels are chosen by what the scene names, so an effect that
+is left out is not compiled, allocated or launched.
 """
 
 from __future__ import annotations
@@ -22,23 +22,23 @@ PARTICLE_COSTS = {
     "double precision": 48,
     "singular values in substeps": 337,
 }
-"""What effects would cost, nanoseconds per particle and substep on one core.
+"""What effects would cost [ns per particle and substep, on one core].
 
-Measured in docs/results/benchmarks.md.
-Damped stress against plain; metal's G2P against an elastic one; every particle asked for its law;
-a force on a region and what it gave; float64 against float32; Warp's svd3.
+Measured in docs/results/benchmarks.md: damped stress against plain stress; metal's G2P against an
+elastic one; a lookup of each particle's law; a force on a region with its external work; float64
+against float32; Warp's svd3.
 """
 CHECKS = {
     "measure": "limits of the substep measured",
     "external work": "balance of momentum and energy",
 }
-"""Stages of a substep that only watch -> the effects they are; reports time each stage."""
+"""Stages of a substep that only observe -> the effects they belong to; reports time each stage."""
 TABLE_COST = 30e3
-"""Sampling the time tables, nanoseconds per substep."""
+"""Cost of sampling the time tables [ns per substep]."""
 NODE_COST = 1.8
-"""Clearing a node of the grid and bringing it up to date, nanoseconds."""
+"""Cost of clearing and updating one node of the grid [ns]."""
 DENSE = 100**3
-"""Nodes of the dense grid that a scene of PhysGaussian uses."""
+"""Number of nodes of the dense grid that PhysGaussian's scenes use."""
 
 
 @dataclass(frozen=True)
@@ -69,8 +69,13 @@ class Effects:
     ) -> Effects:
         """The effects a scene calls for.
 
-        After a run `static` is the number of static Gaussians and `slept` how it slept, None if
-        it did not; `materials` are those that a file gave its particles.
+        Args:
+            scene: The scene.
+            sh_degree: Degree of the Gaussians' spherical harmonics.
+            device: Warp device.
+            static: Number of static Gaussians of a finished run; None before a run.
+            slept: A sentence about how a finished run slept, None if it did not; "" before a run.
+            materials: The materials that a file gave the particles; empty: those of the scene.
         """
         ran, left_out = [], []
         found = {}
@@ -97,8 +102,14 @@ class Effects:
     ) -> dict[str, Any]:
         """Plain data for the report.
 
-        With the particles, substeps, nodes of the window and threads of a run, an omission whose
-        cost is known also says what it saved: an estimate from measured costs.
+        Given the numbers of a run, an omission whose cost is known also states the seconds it
+        saved, estimated from measured costs.
+
+        Args:
+            particles: Number of particles.
+            substeps: Number of substeps.
+            nodes: Number of nodes of the grid's window.
+            threads: Number of CPU threads.
         """
         left_out = [asdict(omission) for omission in self.left_out]
         for omission in left_out:
@@ -109,7 +120,7 @@ class Effects:
 
 
 def _cost(effect: str, particles: int, nodes: int) -> float:
-    """Nanoseconds per substep that an effect would cost one core; 0 if that is not known."""
+    """What an effect would cost one core [ns per substep]; 0 if that is not known."""
     if effect == "time tables":
         return TABLE_COST
     if effect == "dense grid":
@@ -120,7 +131,7 @@ def _cost(effect: str, particles: int, nodes: int) -> float:
 def _catalogue(
     scene: Scene, sh_degree: int, device: str, rested: bool, materials: Sequence[AnyMaterial]
 ) -> Iterator[tuple[str, bool, str]]:
-    """Every effect: name, whether the scene calls for it, why not if it does not."""
+    """Every effect: its name, whether the scene calls for it, and if not, why."""
     laws = sorted({section.law for section in materials})
     named = " and ".join(laws)
     plastic = any(section.device_law.project is not None for section in materials)
@@ -145,10 +156,10 @@ def _catalogue(
         yield (
             balance,
             bool(scene.boundaries or pushes or timed),
-            "what acts is steady: nothing has to be summed",
+            "all forces are steady: nothing has to be summed",
         )
     else:
-        yield balance, False, "checks.balance is off: an explosion is seen only when numbers break"
+        yield balance, False, "checks.balance is off: an explosion shows only once values are NaN"
     for wall in scene.boundaries:
         yield f"collider {wall.kind} ({wall.contact})", True, ""
     yield "colliders", bool(scene.boundaries), "the scene has no boundaries"
@@ -156,7 +167,7 @@ def _catalogue(
     yield "static Gaussians", static, "no part of the scene is static"
     restless = "it was never at rest for long enough" if scene.time.sleep else "time.sleep is off"
     yield "sleep while all rests", scene.time.sleep and rested, restless
-    yield "velocities", scene.velocities, "nobody asked for them; they follow from the places"
+    yield "velocities", scene.velocities, "not asked for; they follow from the positions"
     yield "spherical-harmonic rotation", sh_degree > 0, "colours do not depend on the direction"
     double = scene.resolution.precision == "float64"
     yield "double precision", double, "single precision is accurate enough: the grid limits it"

@@ -1,4 +1,4 @@
-"""Forces a scene can name: how each pushes particles or the whole body.
+"""Forces a scene can name: how each of them pushes particles or the whole body.
 
 A force is its own section of the scene file. `attach` adds what it needs to a run: a track that
 holds its strength over time and, if it acts on chosen particles, one stage of the substep.
@@ -24,20 +24,20 @@ from phy124.section import Section
 from phy124.tracks import FOREVER, AnyProfile, Constant, Track, Tracks
 
 UNIT: Vector = (1.0, 0.0, 0.0)
-"""Value of a track that holds only the profile."""
+"""Value of a track that holds nothing but the profile."""
 
 
 class Force(Section):
-    """What all forces have: a time profile in a window of time, and a region of the body."""
+    """Base class of all forces: a profile within a window of time, and a region of the body."""
 
     sudden: ClassVar[bool] = False
-    """Whether it may change a velocity at once, whatever its strength."""
+    """Whether it may change a velocity abruptly, whatever its strength."""
     in_newtons: ClassVar[bool] = False
     """Whether its track is a force on each particle [N] and not an acceleration [m/s^2]."""
     strengths: ClassVar[tuple[str, ...]] = ()
-    """Its fields that say how hard it pushes."""
+    """The fields that set its strength."""
     joins: ClassVar[bool] = False
-    """Whether it is a uniform acceleration of the whole body where it names no region."""
+    """Whether, without a region, it is a uniform acceleration of the whole body."""
 
     start: float = Field(default=0.0, ge=0, le=LONGEST, description="Acts from here on [s].")
     end: float | None = Field(
@@ -45,10 +45,10 @@ class Force(Section):
         gt=0,
         le=LONGEST,
         examples=[0.5],
-        description="Acts until here [s]; absent: always.",
+        description="Time at which it stops acting [s]; absent: never.",
     )
     region: Region | None = Field(
-        default=None, description="Particles it acts on, by their place at rest; all if absent."
+        default=None, description="Particles it acts on, by rest position; all if absent."
     )
     profile: AnyProfile = Field(
         default=Constant(), description="Its strength over time: constant, ramp, sine, keyframes."
@@ -64,7 +64,7 @@ class Force(Section):
 
     @property
     def idle(self) -> bool:
-        """Whether it never pushes, since its strength is zero; a stream at rest still drags."""
+        """Whether its strength is zero, so that it never pushes; wind of zero speed still drags."""
         strengths = [getattr(self, name) for name in self.strengths]
         return bool(strengths) and not np.any(strengths)
 
@@ -83,20 +83,35 @@ class Force(Section):
 
     @property
     def varies(self) -> bool:
-        """Whether it follows time."""
+        """Whether its strength changes over time."""
         return self.start > 0 or self.end is not None or self.profile.kind != "constant"
 
     def track(self, value: Vector, *, mean: bool = True) -> Track:
-        """The value times the profile inside the window of time, nothing outside."""
+        """The value times the profile inside the window of time, zero outside.
+
+        Args:
+            value: The force at full strength, in its own units.
+            mean: Whether each substep reads the mean over its duration instead of one instant.
+        """
         end = FOREVER if self.end is None else self.end
         return Track.scaled(value, self.profile, self.start, end, mean=mean)
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """The stages it needs in each substep, none if it joins the uniform acceleration."""
+        """The stages it needs in each substep; none if it joins the uniform acceleration.
+
+        Args:
+            model: What stays the same during the run.
+            state: The particles' positions, velocities and so on, which its launches change.
+            tracks: Where it registers what changes over time.
+        """
         raise NotImplementedError
 
     def chosen(self, model: Model) -> wp.array:
-        """Indices of the particles it acts on; raises InputError if the region is empty."""
+        """Indices of the particles it acts on.
+
+        Raises:
+            InputError: The region holds no particle.
+        """
         x = model.rest
         inside = np.ones(len(x), bool) if self.region is None else self.region.contains(x)
         if not inside.any():
@@ -122,7 +137,7 @@ class Gravity(Force):
 
 
 class Acceleration(Force):
-    """A push per mass: what presets use, since it does not depend on the particle count."""
+    """An acceleration; the presets use it, since it does not depend on the particle count."""
 
     kind: Literal["acceleration"] = "acceleration"
     strengths: ClassVar[tuple[str, ...]] = ("a",)
@@ -143,12 +158,12 @@ class TotalForce(Force):
     f: Push = Field(default=(0.0, 1.0, 0.0), description="Total force [N].")
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Accelerate the region by f over its mass."""
+        """Accelerate the region by f divided by its mass."""
         return _accelerate(self, _per_mass(self, self.f, model), model, state, tracks)
 
 
 class Impulse(Force):
-    """A blow: a total momentum given to a region, whatever the substeps and the profile are."""
+    """A blow: gives a region a total momentum, whatever the substeps and the profile are."""
 
     kind: Literal["impulse"] = "impulse"
     strengths: ClassVar[tuple[str, ...]] = ("p",)
@@ -162,24 +177,25 @@ class Impulse(Force):
             raise ValueError("an impulse ends after its duration; leave end out")
         if self.profile.period or self._mean() <= 0:
             raise ValueError(
-                "the profile of an impulse must not repeat and must push on the whole; use constant"
+                "the profile of an impulse must not repeat, and its mean must be positive; "
+                "use constant"
             )
         return self
 
     @property
     def varies(self) -> bool:
-        """It always ends."""
+        """Always true, since it ends."""
         return True
 
     def track(self, value: Vector, *, mean: bool = True) -> Track:
-        """The value over its duration, nothing outside."""
+        """The value times the profile over its duration, zero outside."""
         end = self.start + self.duration
         track = Track.scaled(value, self.profile, self.start, end, mean=mean)
-        # Unlike what always acts, a blow at time 0 has not acted before.
+        # A force that starts at time 0 counts as having acted before; a blow at time 0 does not.
         return Track(track.keys, self.start, end, track.origin, track.period, mean)
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Accelerate the region by p over its mass and the profile's duration."""
+        """Accelerate the region by p divided by its mass and by the profile's integral."""
         x, y, z = _per_mass(self, self.p, model)
         time = self.duration * self._mean()
         return _accelerate(self, (x / time, y / time, z / time), model, state, tracks)
@@ -206,7 +222,7 @@ class ParticleForce(Force):
 
 
 class ZoneForce(Force):
-    """A push in a place: it acts on whatever is inside at the moment."""
+    """A push in a zone of space: it acts on whatever is inside at the moment."""
 
     kind: Literal["zone"] = "zone"
     strengths: ClassVar[tuple[str, ...]] = ("a",)
@@ -216,7 +232,7 @@ class ZoneForce(Force):
     @model_validator(mode="after")
     def _everything(self) -> ZoneForce:
         if self.region is not None:
-            raise ValueError("a zone acts on whatever is in its place; leave region out")
+            raise ValueError("a zone acts on whatever is inside it; leave region out")
         return self
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
@@ -238,7 +254,7 @@ class ZoneForce(Force):
 
 
 class Wind(Force):
-    """Air or water that streams past and drags along: a = rate (wind - v)."""
+    """Air or water that streams past and drags particles along: a = rate (wind - v)."""
 
     kind: Literal["wind"] = "wind"
     sudden: ClassVar[bool] = True
@@ -251,7 +267,7 @@ class Wind(Force):
     )
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Draw the chosen particles along."""
+        """Drag the chosen particles along."""
         track = self.track(self.v, mean=False)
         kernel, inputs = push.make_drag(model.real), [self.rate]
         return _stage(self, "wind", kernel, track, inputs, model, state, tracks)
@@ -269,7 +285,7 @@ class Attraction(Force):
     radius: float = Field(default=0.5, ge=1e-6, le=1e5, description="Distance of the maximum [m].")
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Draw the chosen particles to the point."""
+        """Pull the chosen particles towards the point."""
         track = self.track((self.g, 0.0, 0.0))
         inputs = [types(model.real).vec3(*self.centre), self.radius]
         kernel, read = push.make_attract(model.real), [state.x]
@@ -311,7 +327,7 @@ OwnForce = (
     | Attraction
     | SetVelocity
 )
-"""The kinds of phy124's own."""
+"""The forces that phy124 has."""
 AnyForce = SerializeAsAny[
     Annotated[OwnForce, Field(discriminator="kind"), OpenTo(Force, "kind", "forces", OwnForce)]
 ]
@@ -319,7 +335,7 @@ AnyForce = SerializeAsAny[
 
 
 def _per_mass(force: Force, f: Vector, model: Model) -> Vector:
-    """A vector over the mass of the chosen particles."""
+    """A vector divided by the total mass of the chosen particles."""
     chosen = np.asarray(force.chosen(model).numpy(), dtype=np.int64)
     total = float(np.take(model.mass.numpy(), chosen).sum(dtype=np.float64))
     return f[0] / total, f[1] / total, f[2] / total

@@ -1,6 +1,6 @@
-"""Runs that would take hours or more memory than there is are refused before they start.
+"""Refuses runs that would take hours, or more memory than there is, before they start.
 
-What it would take is rough on purpose (phy124/cost.py). A refusal names a setting that would fit.
+The estimate is rough on purpose (phy124/cost.py). A refusal names a setting that would fit.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from phy124.remedies import accuracy, listed, plain
 from phy124.scene import Scene
 
 MUCH_STIFFER = 3.0
-"""Times the waves of one material are faster than those of all others when that is worth a word."""
+"""A material whose waves are this many times faster than those of all others gets a note."""
 MEMORY_FRACTION = 0.8
-"""Fraction of the free memory a run may take."""
+"""Largest fraction of the free memory that a run may take."""
 
 FARTHEST_CELLS = 1e5
-"""Cells from the origin up to which float32 knows a place to a hundredth of a cell."""
+"""Distance from the origin [cells] up to which float32 resolves a hundredth of a cell."""
 
 
 def refuse_hopeless(
@@ -37,8 +37,18 @@ def refuse_hopeless(
     *,
     keep: bool = True,
 ) -> Demand:
-    """What the run needs; raises InputError if it exceeds its time budget or the memory, or if
-    the object is so far up that float32 cannot tell places in a cell apart.
+    """What the run needs, if it can be done.
+
+    Args:
+        gaussians: The object as placed in the scene.
+        particles: The particles made from it.
+        scene: The scene.
+        device: Warp device.
+        keep: Whether all frames stay in memory.
+
+    Raises:
+        InputError: It would exceed its time budget or the free memory, or the object is so high up
+            that float32 cannot tell positions within a cell apart.
     """
     _refuse_far(scene)
     demand = demand_of(gaussians, particles, scene, device, keep=keep)
@@ -81,9 +91,9 @@ def _refuse_far(scene: Scene) -> None:
     raise InputError(
         "object.lift",
         f"{lift:g} m",
-        f"Gaussians are float32, which knows places there to {np.spacing(np.float32(lift)):.2g} m, "
+        f"Gaussians are float32, which resolves {np.spacing(np.float32(lift)):.2g} m there, "
         f"and a cell has {scene.dx:.2g} m.",
-        f"Use at most {most:g} m, and bring what it falls on as much nearer to the origin.",
+        f"Use at most {most:g} m, and move what it falls on by the same distance.",
         [plain("object.lift", most)],
     )
 
@@ -91,12 +101,12 @@ def _refuse_far(scene: Scene) -> None:
 def _would_fit(found: Sequence[Remedy]) -> str:
     """What would fit, as a sentence."""
     if not found:
-        return "Nothing alone would fit: use fewer frames and a coarser accuracy."
+        return "No single change would fit: use fewer frames and a coarser accuracy."
     return f"{listed([remedy.words for remedy in found])} would fit."
 
 
 def free_memory() -> float:
-    """Bytes that programs may still take; infinity where the system does not tell."""
+    """Memory that programs may still take [bytes]; infinity where the system does not tell."""
     try:
         for line in Path("/proc/meminfo").read_text().splitlines():
             if line.startswith("MemAvailable:"):
@@ -109,7 +119,7 @@ def free_memory() -> float:
 
 
 def _fitting(scene: Scene, excess: float, fits: Callable[[Scene], bool]) -> tuple[Remedy, ...]:
-    """Settings each of which makes a run `excess` times cheaper, and was tried to be enough."""
+    """Settings of which each makes a run `excess` times cheaper and passes `fits`."""
     found = []
     for remedy in _cheaper(scene, excess):
         try:
@@ -122,7 +132,7 @@ def _fitting(scene: Scene, excess: float, fits: Callable[[Scene], bool]) -> tupl
 
 
 def _cheaper(scene: Scene, excess: float) -> Iterator[Remedy]:
-    """What may do: the cause of the many substeps first."""
+    """Settings that may be enough; the one that causes the many substeps comes first."""
     timing = scene.time.model_copy(update={"substep": None})
     automatic = rest_substeps(scene.model_copy(update={"time": timing}))
     if scene.time.substep is not None and automatic < rest_substeps(scene):
@@ -145,19 +155,19 @@ def _cheaper(scene: Scene, excess: float) -> Iterator[Remedy]:
 
 
 def _sections(scene: Scene) -> Iterator[tuple[str, AnyMaterial]]:
-    """The materials that move, with the fields they are set by, the fastest waves first."""
+    """The moving materials and the fields that set them, those with the fastest waves first."""
     parts = [(f"parts.{i}.material", p.material) for i, p in enumerate(scene.parts) if not p.static]
     every = [("material", scene.material), *parts]
     yield from sorted(every, key=lambda item: -item[1].wave_speed())
 
 
 def _rounded(value: float) -> float:
-    """Two digits are enough to type."""
+    """A value rounded to two digits, which is enough to type."""
     return float(f"{value:.2g}")
 
 
 def stiffest_part(scene: Scene) -> str | None:
-    """A sentence if one material takes many more substeps than all others would."""
+    """A sentence if one material needs many more substeps than all others would; otherwise None."""
     fastest, *others = _sections(scene)
     if not others:
         return None
@@ -170,8 +180,8 @@ def stiffest_part(scene: Scene) -> str | None:
         part = field.removesuffix(".material")
         remedy += f", or {part}.static = true, if nothing rests on it,"
     return (
-        f"{field} ({section.law}) is so stiff that it alone asks for {rest_substeps(scene):,.0f} "
-        f"substeps, {ratio:.0f} times as many as the rest: {remedy} makes the run as much faster."
+        f"{field} ({section.law}) is so stiff that it alone needs {rest_substeps(scene):,.0f} "
+        f"substeps, {ratio:.0f} times as many as the others: {remedy} makes the run as much faster."
     )
 
 

@@ -1,6 +1,6 @@
 """Remedies: what to change in a scene when its run stops or is refused, as fields and values.
 
-Each is a change that helps by itself. `phy124 stress` follows every one that is given.
+Each is a change that helps by itself. `phy124 stress` tries out every one that is given.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ from phy124.errors import Remedy
 from phy124.scene import Scene
 
 STRENGTHS = ("g", "a", "f", "p", "v")
-"""Fields of forces that say how strong they are."""
+"""The fields that set the strength of a force."""
 SOFTER = 16.0
-"""Fraction of E: the substep is four times as long."""
+"""Factor by which E is lowered: the substep becomes four times as long."""
 
 
 def remedies(causes: Sequence[str], scene: Scene) -> tuple[Remedy, ...]:
-    """What helps against these causes in this scene; those that do not apply are left out."""
+    """The changes that help against these causes in this scene; what does not apply is left out."""
     found = (KNOWN[cause](scene) for cause in causes)
     return tuple(remedy for remedy in found if remedy is not None)
 
@@ -35,7 +35,7 @@ def listed(words: Sequence[str]) -> str:
 
 
 def accuracy(scene: Scene, **values: Any) -> Remedy:
-    """Another value of the accuracy's table, whose name no longer fits then."""
+    """Other values in the table of the accuracy, which then has no name."""
     changed = scene.resolution.model_copy(update=values).model_dump()
     words = ", ".join(f"accuracy.{name} = {_said(value)}" for name, value in values.items())
     return Remedy(words, {"accuracy": changed})
@@ -47,7 +47,7 @@ def plain(field: str, value: Any) -> Remedy:
 
 
 def _gentler(scene: Scene) -> Remedy | None:
-    """All speeds and forces halved; gravity, too."""
+    """All speeds and forces halved, gravity included."""
     changes: dict[str, Any] = {}
     for name in ("velocity", "spin"):
         value = getattr(scene.object, name)
@@ -95,10 +95,15 @@ def _softer(scene: Scene) -> Remedy | None:
 
 
 def hurry(scene: Scene, limiter: str, done: float) -> tuple[Remedy, ...]:
-    """What helps a run that took twice its time budget for a fraction of its frames.
+    """What helps a run that has taken twice its time budget.
 
-    The remedies are those of what limits its substep; a motion that speeds up evenly takes time as
-    the square of its length.
+    The remedies lengthen the substep or shorten the clip. Where the motion gets faster and faster,
+    the time taken grows as the square of the clip's length.
+
+    Args:
+        scene: The scene.
+        limiter: What limits the substep, a key of `SLOW`.
+        done: Fraction of the scene's time that has been simulated.
     """
     needed = min(1e8, 4 * scene.time.budget / max(done, 1e-2) ** 2)
     patient = plain("time.budget", float(f"{needed:.2g}"))
@@ -139,7 +144,7 @@ KNOWN: dict[str, Callable[[Scene], Remedy | None]] = {
     "friction": _thinner,
     "ceiling": _ceiling,
 }
-"""What may be at fault -> what to change."""
+"""Cause -> the change that helps against it."""
 
 
 def _said(value: Any) -> str:

@@ -47,7 +47,7 @@ def test_record_info_and_recover(clip, capsys):
     assert main(["info", str(bag)]) == 0
     lines = capsys.readouterr().out
     assert "/phy124/points: 6 messages" in lines
-    assert "state: whole" in lines
+    assert "state: complete" in lines
     (bag / "metadata.yaml").unlink()
     assert main(["info", str(bag)]) == 0
     assert (
@@ -56,7 +56,7 @@ def test_record_info_and_recover(clip, capsys):
     assert main(["recover", str(bag)]) == 0
     assert "repaired, 6 frames" in capsys.readouterr().out
     assert main(["recover", str(bag)]) == 0
-    assert "whole already, 6 frames" in capsys.readouterr().out
+    assert "complete already, 6 frames" in capsys.readouterr().out
 
 
 def test_recording_keeps_scene_and_report(clip):
@@ -72,13 +72,13 @@ def test_info_of_a_clip(clip, capsys):
     assert main(["info", str(clip)]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "clip: 6 frames of 50 Gaussians, 0.083 s at 60 frames/s"
-    assert lines[1] == "velocities: kept"
+    assert lines[1] == "velocities: stored"
     assert lines[2].startswith("profile small: ")
     assert lines[4] == "profile full: 0.00 MB per frame, 0.2 MB/s"
 
 
 def test_info_says_where_velocities_come_from():
-    assert "from the places" in describe_clip(random_clip(velocities=False))[1]
+    assert "from the positions" in describe_clip(random_clip(velocities=False))[1]
     one = random_clip(frames=1, velocities=False)
     assert "no (vx, vy, vz will be NaN)" in describe_clip(one)[1]
 
@@ -102,7 +102,7 @@ def test_play_and_record_beside(clip, monkeypatch, capsys):
     [
         (["record", "none.safetensors"], "there is no such file"),
         (["record", "CLIP", "--frame-id", "/a"], "frame_id = /a: tf2 refuses"),
-        (["record", "CLIP", "--parent-frame", "phy124"], "cannot hang on itself"),
+        (["record", "CLIP", "--parent-frame", "phy124"], "cannot be its own parent"),
         (["play", "CLIP", "--speed", "0"], "speed = 0.0: The speed must lie between"),
         (["play", "CLIP", "--clock", "--backend", "dds"], "does not publish /clock"),
         (["play", "CLIP", "--backend", "dds", "--ros-args", "-p", "a:=1"], "is no ROS 2 node"),
@@ -111,11 +111,11 @@ def test_play_and_record_beside(clip, monkeypatch, capsys):
         (["info", "."], "There is no recording"),
         (["recover", "none"], "There is no recording"),
         (["record", "none.png", "--live"], "There is no such file"),
-        (["record", "CLIP", "--scene", "drop"], "Add --live, or leave the scene out"),
+        (["record", "CLIP", "--scene", "drop"], "Add --live, or leave them out"),
         (["play", "CLIP", "--set", "seed=1"], "Add --live"),
         (["record", "CLIP", "--floor"], "Add --live"),
         (["record", "PNG", "--live", "--up", "z"], "generator = relief: --up is for a .ply file"),
-        (["play", "none.png", "--live", "--loop"], "no such choice while the simulation runs"),
+        (["play", "none.png", "--live", "--loop"], "A running simulation has no such option"),
         (["pley", "CLIP"], "command = pley: there is no such command. Did you mean play?"),
         (["--speed", "2", "play", "CLIP"], "Write `python -m bridge COMMAND ... --speed`"),
         (["play"], "source = nothing: it is needed. It is: A clip.safetensors"),

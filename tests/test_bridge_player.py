@@ -136,7 +136,7 @@ def test_rate_leaves_frames_out_on_purpose():
     shown = run(player, 2.1, step=0.001)
     assert [index for _, index, _ in shown] == list(range(0, 60, 3))
     assert (player.skipped, player.dropped) == (40, 0)
-    assert "40 left out to keep to 10 Hz" in player.report()
+    assert "40 skipped to keep to 10 Hz" in player.report()
 
 
 def test_rate_of_the_clip_itself_leaves_nothing_out():

@@ -71,6 +71,15 @@ def test_the_command_line(clip, command, moment):
     check(status, said, moment, (130, ["bridge: stopped"]))
 
 
+def test_an_interrupt_that_native_code_wraps_is_one(monkeypatch, capsys):
+    def run(given, description):
+        raise SystemError("returned a result with an exception set") from KeyboardInterrupt()
+
+    monkeypatch.setattr("bridge.command_line.run", run)
+    assert main(["doctor"]) == 130
+    assert capsys.readouterr().err == "bridge: stopped\n"
+
+
 def check(status, said, moment, expected):
     if moment == EXEC and status != expected[0]:
         # Nothing of ours had begun.

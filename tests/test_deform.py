@@ -284,7 +284,7 @@ def test_the_order_of_the_gaussians_does_not_matter(gaussians, rng):
 def test_refusals_say_what_is_wrong(gaussians, three_gaussians):
     with pytest.raises(InputError, match=r"max_stretch = 0.5: .* size at rest"):
         Deformer(gaussians, max_stretch=0.5)
-    with pytest.raises(ValueError, match="not those of these 2000 Gaussians"):
+    with pytest.raises(ValueError, match="not made from these 2000 Gaussians"):
         Deformer(gaussians, make_particles(three_gaussians, density=1, spacing=0.1))
     deformer = Deformer(three_gaussians)
     F = np.tile(IDENTITY, (3, 1, 1))

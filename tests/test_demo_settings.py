@@ -139,7 +139,7 @@ def test_scenes_from_outside_name_no_file_of_the_server(change, tmp_path):
     """The answer tells nobody whether there is such a file."""
     data = {**Scene.named("press").data(), **change}
     for uploads in (None, tmp_path):
-        with pytest.raises(InputError, match="may name no file here but a picture"):
+        with pytest.raises(InputError, match="may name no file except a picture"):
             scene_of(data, Settings(), uploads)
 
 
@@ -236,8 +236,8 @@ def test_what_is_there_already_takes_no_time_and_others_take_theirs(monkeypatch)
     busy = Estimator()(scene)
     motion = forecaster.rates.seconds(Work.of(scene))["simulate"]
     assert busy.seconds == pytest.approx(2 * whole + motion)
-    assert "beside what else this machine does" in busy.sentence
-    assert "make its motion take 3.0 times as long" in busy.sentence
+    assert "while this machine is busy" in busy.sentence
+    assert "makes the motion take 3.0 times as long" in busy.sentence
 
 
 def test_a_run_of_our_own_is_not_taken_for_others(monkeypatch):

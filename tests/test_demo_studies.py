@@ -44,7 +44,7 @@ def test_the_error_is_told_for_the_chosen_grid():
         said = found.promise(cells)
         assert said.error == pytest.approx(error) and said.why == why
     assert found.promise(16).sentence.startswith("Error of this very scene: about 6.0% of its size")
-    assert "no grid so coarse was measured" in found.promise(8).sentence
+    assert "no grid this coarse was measured" in found.promise(8).sentence
 
 
 def test_nothing_is_promised_where_a_grid_is_torn_or_none_come_closer():
@@ -95,7 +95,7 @@ def test_a_study_is_stopped_in_the_middle_of_a_grid(study):
 
 def test_a_study_whose_time_is_up_says_so_and_keeps_nothing(study, monkeypatch):
     monkeypatch.setattr(Limits, "spent", property(lambda limits: 0.9))
-    with pytest.raises(InputError, match="before all grids were measured"):
+    with pytest.raises(InputError, match="before enough grids had been run"):
         list(steps(study))
     assert not study_file(study).exists()
 

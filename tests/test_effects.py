@@ -63,7 +63,7 @@ def test_velocities_are_computed_only_for_who_asks():
     scene = Scene.named("push_right").replaced(QUICK)
     bare = Simulation(ball(300), scene).run()
     assert bare.velocities is None
-    assert "follow from the places" in whys(Effects.of(scene))["velocities"]
+    assert "follow from the positions" in whys(Effects.of(scene))["velocities"]
     asked = scene.replaced({"velocities": True})
     full = Simulation(ball(300), asked).run()
     assert "velocities" in Effects.of(asked).ran
@@ -159,4 +159,4 @@ def test_without_a_balance_broken_numbers_still_stop_a_run():
     v = run.solver.state.v.numpy().copy()
     v[3] = np.nan
     run.solver.state.v.assign(v)
-    assert "no longer numbers" in run.run().report["stopped"]
+    assert "NaN or infinite" in run.run().report["stopped"]

@@ -176,7 +176,7 @@ def test_forces_are_named_by_their_kind_and_refuse_nonsense():
         assert adapter.validate_json(force.model_dump_json()) == force
     with pytest.raises(ValidationError, match="an impulse ends after its duration"):
         Impulse(end=1.0)
-    with pytest.raises(ValidationError, match="must not repeat and must push on the whole"):
+    with pytest.raises(ValidationError, match="must not repeat, and its mean must be positive"):
         Impulse(profile=Sine())
     with pytest.raises(ValidationError, match="leave region out"):
         ZoneForce(region=LEFT)

@@ -159,7 +159,7 @@ def test_ctrl_c_while_nothing_moves_yet_leaves_nothing(tmp_path):
         run.send_signal(signal.SIGINT)
         _, errors = run.communicate()
     assert run.returncode == 130
-    assert "stopped; nothing half-written was left behind" in errors
+    assert "stopped; no incomplete file was left behind" in errors
     assert "Traceback" not in errors
     assert list(tmp_path.iterdir()) == []
 
@@ -173,7 +173,7 @@ def test_sigterm_keeps_the_good_frames(tmp_path):
         run.send_signal(signal.SIGTERM)
         _, errors = run.communicate()
     assert run.returncode == 130, errors
-    assert "what there is will be kept" in errors
+    assert "results so far will be kept" in errors
     assert "stopped early: it was interrupted" in errors
     assert 0 < json.loads((tmp_path / "out/report.json").read_text())["frames"] < 3000
     assert (tmp_path / "out" / pipeline.PAUSE).exists()
@@ -207,7 +207,7 @@ def test_each_wish_to_end_is_told_once_and_two_at_once_end_it_at_once(capsys):
         signal.raise_signal(signal.SIGINT)
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
-    assert capsys.readouterr().err.count("Ctrl-C again leaves at once") == 2
+    assert capsys.readouterr().err.count("Ctrl-C again quits at once") == 2
 
 
 def test_a_log_gets_lines_and_no_carriage_returns(capsys):

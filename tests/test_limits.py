@@ -75,7 +75,7 @@ def test_a_part_that_rules_the_substep_is_named():
     base = {"region": {"upper": [9, 9, 0.2]}, "material": {"law": "rigid", "speed": 3.0}}
     scene = Scene.named("push_right").replaced({"parts": [base], "material.E": 1e4})
     said = stiffest_part(scene)
-    assert said and said.startswith("parts.0.material (rigid) is so stiff that it alone asks for")
+    assert said and said.startswith("parts.0.material (rigid) is so stiff that it alone needs")
     assert "parts.0.static = true" in said
     notes = Simulation(ball(300), scene.replaced(QUICK)).report()["notes"]
     assert any(note.startswith("parts.0.material (rigid)") for note in notes)

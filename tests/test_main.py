@@ -235,7 +235,7 @@ sys.exit(main(["generate", {str(DUCK)!r}, "--out", {str(tmp_path / "out")!r}]))
     run.send_signal(signal.SIGINT)
     _, errors = run.communicate(timeout=60)
     assert run.returncode == 130
-    assert "stopped; nothing half-written" in errors and "Traceback" not in errors
+    assert "stopped; no incomplete file" in errors and "Traceback" not in errors
     with pytest.raises(ProcessLookupError):
         os.kill(int(note.read_text()), 0)
 

@@ -26,9 +26,9 @@ PARAMETERS = {
     "frame_id": (str, "Coordinate frame of the object's world."),
     "speed": (float, "Clip seconds per second."),
     "rate": (float, "At most so many frames per second; 0: every frame."),
-    "loop": (bool, "Begin again after the last frame."),
+    "loop": (bool, "Start again after the last frame."),
 }
-"""Name -> type and description; what is left empty is as the parameter file says."""
+"""Name -> type and description; an empty value leaves that of the parameter file."""
 PLAYER = ("clip", "profile", "frame_id", "speed", "rate", "loop")
 LIVE = ("source", "scene", "profile", "frame_id", "speed")
 
@@ -46,10 +46,10 @@ def generate_launch_description():
             DeclareLaunchArgument(
                 "namespace",
                 default_value="phy124",
-                description="Of the node and its topics; RViz follows it.",
+                description="Namespace of the node and its topics; RViz follows it.",
             ),
             DeclareLaunchArgument(
-                "rviz", default_value="true", description="Open RViz, too, if it is installed."
+                "rviz", default_value="true", description="Also open RViz if it is installed."
             ),
             OpaqueFunction(function=_nodes),
         ]
@@ -57,7 +57,7 @@ def generate_launch_description():
 
 
 def _nodes(context):
-    """The node for what was given, and RViz where there is one."""
+    """The node for the arguments given, and RViz if it is installed."""
     given = {name: LaunchConfiguration(name).perform(context) for name in PARAMETERS}
     if bool(given["clip"]) == bool(given["source"]):
         said = "Give clip:=/path/clip.safetensors, or source:=/path/photo.png."
@@ -76,7 +76,7 @@ def _nodes(context):
         namespace=namespace,
         parameters=[LaunchConfiguration("config"), parameters],
         output="screen",
-        # A node that has ended leaves nothing to look at, and RViz alone would stay for ever.
+        # When the node ends there is nothing to look at, and RViz alone would stay for ever.
         on_exit=EmitEvent(event=Shutdown(reason="the player has ended")),
     )
     return [node, *_rviz(namespace)]

@@ -1,1 +1,1 @@
-"""Where frames go: one file per outlet, each fulfils `bridge.sink.Sink`."""
+"""The sinks: one file per outlet, each implementing `bridge.sink.Sink`."""

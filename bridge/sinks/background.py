@@ -1,7 +1,7 @@
-"""Background: another sink's work in a thread of its own, so that recording never holds playback.
+"""Background: runs another sink in a thread of its own, so that recording never delays playback.
 
 Frames wait in a short queue. If the sink falls behind by more than that, frames are dropped from
-it, counted and reported; playback goes on either way.
+the recording, counted and reported; playback continues.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ log = logging.getLogger(__name__)
 
 
 class Background:
-    """Writes to `sink` from a thread; `write` returns at once."""
+    """Writes to `sink` in a thread; `write` returns at once."""
 
     def __init__(self, sink: Sink, *, depth: int = 16) -> None:
-        """At most `depth` frames wait."""
+        """Prepare the thread; at most `depth` frames wait."""
         self.sink = sink
         self.dropped = 0
-        """Frames the sink did not get because it was too slow or had failed."""
+        """Number of frames the sink did not get because it was too slow or had failed."""
         self._queue: queue.Queue[Frame | None] = queue.Queue(depth)
         self._thread = threading.Thread(target=self._work, name="recording", daemon=True)
         self._error: Exception | None = None
@@ -36,7 +36,7 @@ class Background:
         return self
 
     def write(self, frame: Frame) -> None:
-        """Hand over one frame without waiting."""
+        """Pass on one frame without waiting."""
         try:
             self._queue.put_nowait(frame)
         except queue.Full:
@@ -48,7 +48,7 @@ class Background:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Wait until all is written; raises what the sink raised, if nothing else failed."""
+        """Wait until all is written; raises the sink's error if nothing else failed."""
         self._queue.put(None)
         self._thread.join()
         self.sink.__exit__(kind, error, trace)
@@ -65,7 +65,7 @@ class Background:
             try:
                 self.sink.write(frame)
             except Exception as error:
-                # It is raised when the sink is left; playback must not stop for it.
+                # It is raised when the sink is closed; playback must not stop.
                 log.error("Recording failed, playback goes on. %s", error)
                 self._error = error
 

@@ -1,8 +1,8 @@
 """DdsSink: ROS 2 topics without ROS 2, through the pip package cyclonedds.
 
-What makes real ROS 2 nodes accept it: mangled topic and type names, XCDR version 1, the type hash
-in the endpoints' user data, and a sample on `ros_discovery_info` that names the node (Jazzy's
-rmw_dds_common). Services are not offered: their headers differ from one middleware to the next.
+ROS 2 nodes accept it because of its mangled topic and type names, XCDR version 1, the type hash in
+the endpoints' user data, and a sample on `ros_discovery_info` that names the node (Jazzy's
+rmw_dds_common). Services are not offered, since their headers differ between middlewares.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from ..topics import COMMAND, POINTS, Message, Topic
 NAMESPACE, NODE = "/phy124", "player"
 DISCOVERY = Topic("ros_discovery_info", "rmw_dds_common/msg/ParticipantEntitiesInfo", depth=1)
 MANY = 1000
-"""Participants whose nodes are looked at."""
+"""Largest number of participants whose nodes are examined."""
 URI = "CYCLONEDDS_URI"
 log = logging.getLogger(__name__)
 
@@ -41,11 +41,14 @@ class DdsSink:
     monotonic = True
 
     def __init__(self, options: Options | None = None, *, network: bool = False) -> None:
-        """Ready to enter. Raises InputError if cyclonedds is missing or ROS's variables are wrong.
+        """Ready to enter.
 
         Args:
             options: How frames become messages.
             network: Reach other machines. A CYCLONEDDS_URI overrides this and ROS's variables.
+
+        Raises:
+            InputError: cyclonedds is missing, or ROS's variables are wrong.
         """
         require_cyclonedds()
         self._encoder = FrameEncoder((options or Options()).live())
@@ -75,12 +78,12 @@ class DdsSink:
         try:
             self._delivery.farewell()
         finally:
-            # DDS entities end with their last reference, children before parents.
+            # DDS entities are deleted with their last reference, children before parents.
             self._writers.clear()
             del self._waitset, self._commands, self._nodes, self._participant, self._domain
 
     def audience(self) -> str:
-        """Who hears it, and the line that the other side needs."""
+        """One line: who receives the frames, and the command they need."""
         if URI in os.environ:
             return f"Domain {self._discovery.domain}; {URI} decides who hears it."
         return self._discovery.audience()
@@ -93,13 +96,13 @@ class DdsSink:
             self._send(message)
 
     def listen(self, seconds: float, obey: Obey) -> None:
-        """Obey messages on /phy124/command."""
+        """Wait for messages on /phy124/command and carry them out."""
         self._reports.send_due()
         wait = min(seconds, self._reports.wait())
         if wait > 0:
             self._waitset.wait(int(wait * 1e9))
         for sample in self._commands.take(16):
-            # A sample without data says that a publisher has left.
+            # A sample without data means that a publisher has left.
             if hasattr(sample, "data"):
                 obey(sample.data)
 
@@ -108,14 +111,14 @@ class DdsSink:
         self._reports.change(playback)
 
     def subscribers(self) -> int:
-        """How many readers the points have now."""
+        """Number of current readers of the points."""
         return len(self._writers[POINTS.name].get_matched_subscriptions())
 
     def _acknowledged(self, seconds: float) -> bool:
         try:
             return self._writers[POINTS.name].wait_for_acks(int(seconds * 1e9))
         except AttributeError:
-            # cyclonedds 11.0.1 means to return False for a timeout, and stumbles over its name.
+            # cyclonedds 11.0.1 should return False for a timeout, but raises a NameError instead.
             return False
 
     def _audience(self) -> Audience:
@@ -131,7 +134,7 @@ class DdsSink:
         topics = [*self._encoder.topics, *self._reports.topics]
         self._writers = {topic.name: self._writer(topic) for topic in topics}
         self._commands = self._reader(COMMAND)
-        # All nodes write to this topic, and it has no key to keep them apart by.
+        # All nodes write to this topic, and it has no key to distinguish them.
         self._nodes = self._reader(replace(DISCOVERY, depth=MANY))
         self._waitset = WaitSet(self._participant)
         unread = SampleState.NotRead | ViewState.Any | InstanceState.Any
@@ -158,7 +161,7 @@ class DdsSink:
         return DataReader(self._participant, dds_topic, qos=quality(topic))
 
     def _introduce(self) -> None:
-        """Tell ROS 2 the node's name; else it shows as _CREATED_BY_BARE_DDS_APP_."""
+        """Tell ROS 2 the node's name; otherwise it shows as _CREATED_BY_BARE_DDS_APP_."""
         gids = [_gid(writer) for writer in self._writers.values()]
         node = {
             "node_namespace": NAMESPACE,
@@ -171,14 +174,14 @@ class DdsSink:
         self._send(Message(DISCOVERY, 0, encode(DISCOVERY.type, info)))
 
     def _namesakes(self) -> int:
-        """How many other participants have a node of this name."""
+        """Number of other participants with a node of this name."""
         own = self._participant.guid.bytes
         for sample in self._nodes.take(MANY):
             if hasattr(sample, "gid") and bytes(sample.gid.data) != own:
                 names = {(n.node_namespace, n.node_name) for n in sample.node_entities_info_seq}
                 writer = sample.sample_info.publication_handle
                 self._others[writer] = (NAMESPACE, NODE) in names
-        # cyclonedds has these handles with a sign, and those without.
+        # cyclonedds gives the one kind of handles signed and the other unsigned.
         here = {handle % 2**64 for handle in self._nodes.get_matched_publications()}
         return sum(named for writer, named in self._others.items() if writer in here)
 
@@ -189,7 +192,7 @@ class DdsSink:
 
 
 def quality(topic: Topic) -> Any:
-    """The DDS quality of service of a topic, type hash included."""
+    """The DDS quality of service of a topic, including the type hash."""
     from cyclonedds.qos import Policy, Qos
     from cyclonedds.util import duration
 
@@ -207,7 +210,11 @@ def quality(topic: Topic) -> Any:
 
 
 def require_cyclonedds() -> None:
-    """Raise InputError if cyclonedds cannot be imported."""
+    """Check that cyclonedds can be imported.
+
+    Raises:
+        InputError: It cannot.
+    """
     try:
         import cyclonedds.domain  # noqa: F401
     except ImportError as error:
@@ -217,7 +224,7 @@ def require_cyclonedds() -> None:
 
 
 def _domain(domain: int, discovery: Discovery) -> Any:
-    """The DDS domain, configured; the last configuration needs the least of the machine."""
+    """The configured DDS domain; the last configuration makes the fewest demands on the machine."""
     from cyclonedds.core import DDSException
     from cyclonedds.domain import Domain
 

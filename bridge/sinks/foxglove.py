@@ -1,6 +1,6 @@
 """FoxgloveSink: a websocket that Foxglove and Lichtblick open directly, with playback control.
 
-The same CDR messages and ros2msg schemas as everywhere else; the package is foxglove-sdk.
+It sends the same CDR messages and ros2msg schemas as the other sinks; the package is foxglove-sdk.
 """
 
 from __future__ import annotations
@@ -36,14 +36,17 @@ class FoxgloveSink:
         host: str = "127.0.0.1",
         port: int = PORT,
     ) -> None:
-        """Ready to enter. Raises InputError if foxglove-sdk is missing.
+        """Ready to enter.
 
         Args:
             options: How frames become messages.
-            duration: Length of the clip, s, which gives viewers play, pause, seek and speed;
+            duration: Length of the clip [s], with which viewers show play, pause, seek and speed;
                 None for a running simulation.
             host: Address to listen on; the default is this machine only.
             port: Port to listen on; 0 picks a free one.
+
+        Raises:
+            InputError: foxglove-sdk is missing.
         """
         require_foxglove()
         self.monotonic = duration is None
@@ -78,18 +81,18 @@ class FoxgloveSink:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Disconnect everybody."""
+        """Disconnect all viewers."""
         for channel in self._channels.values():
             channel.close()
         self._server.stop()
 
     def write(self, frame: Frame) -> None:
-        """Send one frame to those who look."""
+        """Send one frame to all viewers."""
         self._latest = self._encoder.encode(frame)
         self._log(self._latest)
 
     def listen(self, seconds: float, obey: Obey) -> None:
-        """Obey the viewers' controls; newcomers get the transform and the latest frame."""
+        """Carry out the viewers' commands; new viewers get the transform and the latest frame."""
         try:
             orders = self._requests.get(timeout=seconds) if seconds else self._requests.get_nowait()
         except queue.Empty:
@@ -100,7 +103,7 @@ class FoxgloveSink:
             obey(order)
 
     def show(self, playback: Playback) -> None:
-        """Tell the viewers where playback stands."""
+        """Send the state of playback to the viewers."""
         from foxglove.websocket import PlaybackState, PlaybackStatus
 
         if self._duration is None:
@@ -114,22 +117,22 @@ class FoxgloveSink:
         self._server.broadcast_playback_state(state)
 
     def audience(self) -> str:
-        """Where to open it."""
+        """One line: the address to open."""
         there = self._host if self._host != "0.0.0.0" else "this machine's name"
         return f"Open ws://{there}:{self.port} in Foxglove."
 
     def newcomer(self) -> None:
-        """Called by the server's thread when somebody begins to look."""
+        """Called by the server's thread when a viewer subscribes."""
         self._requests.put([])
 
     def control(self, playing: bool, speed: float, seek: int | None, request: str) -> None:
-        """Called by the server's thread when somebody moves the playback controls.
+        """Called by the server's thread when a viewer uses the playback controls.
 
         Args:
-            playing: Play or pause.
+            playing: Whether to play or to pause.
             speed: Clip seconds per second.
-            seek: Time to go to, ns since 1970; None to stay.
-            request: What the next state has to answer.
+            seek: Time to go to [ns since 1970]; None: stay.
+            request: Identifier that the next state has to carry.
         """
         orders = [f"speed {speed!r}"]
         if seek is not None:
@@ -156,7 +159,7 @@ class FoxgloveSink:
 
 
 def _listener(sink: FoxgloveSink) -> Any:
-    """What the server calls, from its own thread; the base class answers everything else."""
+    """The listener that the server calls from its own thread; its base class does the rest."""
     from foxglove.websocket import PlaybackCommand, ServerListener
 
     class Listener(ServerListener):
@@ -173,7 +176,11 @@ def _listener(sink: FoxgloveSink) -> Any:
 
 
 def require_foxglove() -> None:
-    """Raise InputError if foxglove-sdk cannot be imported."""
+    """Check that foxglove-sdk can be imported.
+
+    Raises:
+        InputError: It cannot.
+    """
     try:
         import foxglove  # noqa: F401
     except ImportError as error:

@@ -1,7 +1,7 @@
 """McapSink: frames to an MCAP file that ROS 2 plays as a bag.
 
 Each frame is flushed to the system when `write` returns, so a killed process loses at most the
-frame being written; `recover` makes such a file whole. metadata.yaml comes last.
+frame being written; `recover` repairs such a file. metadata.yaml is written last.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from ..topics import Message
 
 Compression = Literal["none", "lz4", "zstd"]
 CHUNK = 1 << 20
-"""Chunk size, bytes: a large frame closes its own chunk."""
+"""Size of a chunk [bytes]; a large frame is a chunk of its own."""
 PART = ".part"
 log = logging.getLogger(__name__)
 
@@ -47,10 +47,11 @@ class McapSink:
         Args:
             path: The folder or the .mcap file to make.
             options: How frames become messages.
-            compression: Of the chunks. Moving Gaussians hardly shrink, and `none` is quickest.
-            scene: The resolved scene as plain data, kept in the file.
-            report: Asked at the end what the run did, which is kept in the file, too.
-            overwrite: Replace a bag that is there already.
+            compression: Compression of the chunks. Moving Gaussians hardly shrink, and `none` is
+                fastest.
+            scene: The resolved scene as plain data, to be stored in the file.
+            report: Called at the end; the report it returns is stored in the file.
+            overwrite: Replace an existing bag.
 
         Raises:
             InputError: The package `mcap` is missing.
@@ -58,20 +59,20 @@ class McapSink:
         require_mcap()
         self.path = Path(path)
         self.frames = 0
-        """Frames that are safely in the file."""
+        """Number of frames that are safely in the file."""
         self._encoder = FrameEncoder(options or Options())
         self._compression = compression
         self._scene, self._report = scene or {}, report
         self._overwrite = overwrite
         self._counts = bag.Counts()
         self._single = self.path.suffix == bag.SUFFIX
-        # One file appears whole under its name; a bag is whole once it has metadata.yaml.
+        # A single file gets its name when it is complete; a bag is complete with metadata.yaml.
         self.file = (
             self.path.with_name(self.path.name + PART) if self._single else bag.mcap_file(self.path)
         )
 
     def __enter__(self) -> McapSink:
-        """Make the file. Raises InputError if it exists or cannot be made."""
+        """Make the file; raises InputError if it exists or cannot be made."""
         self._refuse_existing()
         try:
             self.file.parent.mkdir(parents=True, exist_ok=True)
@@ -86,7 +87,7 @@ class McapSink:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        """Complete the file; after an error of the disk it stays as `write` left it."""
+        """Complete the file; after a disk error it stays as `write` left it."""
         if self._stream.closed:
             return
         try:
@@ -95,11 +96,15 @@ class McapSink:
             failure = self._failure(error)
             if kind is None:
                 raise failure from error
-            # Something else went wrong before; that is what is raised.
+            # Another error came first, and that is the one to raise.
             log.error(str(failure))
 
     def write(self, frame: Frame) -> None:
-        """Append one frame. Raises InputError if the disk is full or gone."""
+        """Append one frame.
+
+        Raises:
+            InputError: The disk is full or gone.
+        """
         try:
             for message in self._encoder.encode(frame):
                 self._add(message)
@@ -112,7 +117,7 @@ class McapSink:
         metadata = self.path / bag.METADATA
         for existing in (self.path if self._single else metadata, self.file):
             if existing.exists() and not self._overwrite:
-                limit = f"{existing.name} is there already."
+                limit = f"{existing.name} exists already."
                 raise InputError("recording", self.path, limit, "Choose a new name or overwrite.")
         if not self._single and metadata.exists():
             # An old metadata.yaml must never describe a new file.
@@ -143,7 +148,7 @@ class McapSink:
         )
 
     def _write_record(self, report: dict[str, Any]) -> None:
-        """The settings, the scene and, at the end, the report."""
+        """Write the settings, the scene and, at the end, the report."""
         options = self._encoder.options.model_dump_json()
         parts = {"scene": self._scene, "report": report}
         about = {name: json.dumps(part) for name, part in parts.items() if part}
@@ -163,11 +168,11 @@ class McapSink:
             bag.write_metadata(self.path, self.file.name, self._counts)
 
     def _failure(self, error: OSError) -> InputError:
-        """Close the file as it is, with what the system took, and say how to go on."""
+        """Close the file with the data that the system has accepted; returns the error to raise."""
         try:
             self._stream.close()
         except OSError:
-            # Closing flushes once more and meets the same full disk; the file is closed then.
+            # Closing flushes once more and fails again, but the file is closed then.
             assert self._stream.closed
         limit = f"Writing stopped ({error.strerror}); {self.frames} frames are safe in {self.file}."
         remedy = f"Make room and run `{PROGRAM} recover {self.path}`."
@@ -175,7 +180,11 @@ class McapSink:
 
 
 def require_mcap() -> None:
-    """Raise InputError if mcap cannot be imported."""
+    """Check that mcap can be imported.
+
+    Raises:
+        InputError: It cannot.
+    """
     try:
         import mcap.writer  # noqa: F401
     except ImportError as error:

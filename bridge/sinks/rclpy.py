@@ -1,7 +1,7 @@
 """RclpySink: frames and services on a ROS 2 machine.
 
-Messages are published as the bytes they already are (`publisher.publish(bytes)`), which skips
-rclpy's slow Python fields. Names are relative to the namespace `phy124`, so they can be remapped.
+Messages are published as encoded bytes (`publisher.publish(bytes)`), which avoids rclpy's slow
+Python fields. Names are relative to the namespace `phy124`, so they can be remapped.
 """
 
 # rclpy comes with ROS 2 and is on no package index, so type checkers do not find it.
@@ -44,14 +44,17 @@ class RclpySink:
         args: list[str] | None = None,
         running: Mapping[str, Parameter] = RUNNING,
     ) -> None:
-        """Ready to enter. Raises InputError if rclpy cannot be imported.
+        """Ready to enter.
 
         Args:
             options: How frames become messages.
-            clock: Publish /clock; nobody else may.
+            clock: Publish /clock; nothing else must publish it then.
             node: The node to use; None makes one and ends it with the sink.
-            args: What stood behind --ros-args, for the node that is made.
+            args: The arguments from --ros-args on, for the node that is made.
             running: Parameters that can be set while it plays; declared unless they are already.
+
+        Raises:
+            InputError: rclpy cannot be imported.
         """
         require_rclpy()
         self._encoder = FrameEncoder((options or Options()).live())
@@ -59,8 +62,8 @@ class RclpySink:
         self._parameters, self._running = running, None
         self._playback: Playback | None = None
         self._obey: Obey = self._remember
-        self._values: dict[str, Any] = {}  # how it plays, as the parameters say it
-        self._wishes: list[str] = []  # commands from before anything plays
+        self._values: dict[str, Any] = {}  # the state of playback, as parameters
+        self._wishes: list[str] = []  # commands that came before playback started
 
     def __enter__(self) -> RclpySink:
         """Offer topics and services."""
@@ -94,7 +97,7 @@ class RclpySink:
         self._stack.close()
 
     def audience(self) -> str:
-        """Who hears it."""
+        """One line: the node, and who receives the frames."""
         return f"Node {self._name}, heard as ROS 2's own variables say (ros2 node list)."
 
     def write(self, frame: Frame) -> None:
@@ -106,7 +109,7 @@ class RclpySink:
             self._send(message)
 
     def listen(self, seconds: float, obey: Obey) -> None:
-        """Serve ROS for at most so many seconds; raises KeyboardInterrupt when ROS shuts down."""
+        """Spin the node for at most so many seconds; raises KeyboardInterrupt if ROS shuts down."""
         self._obey = obey
         while self._wishes:
             obey(self._wishes.pop(0))
@@ -115,7 +118,7 @@ class RclpySink:
             self._executor.spin_once(timeout_sec=min(seconds, self._reports.wait()))
 
     def show(self, playback: Playback) -> None:
-        """Publish the status, and let the parameters say how it plays."""
+        """Publish the status, and update the parameters."""
         self._playback = playback
         values = {"speed": playback.speed, "rate": playback.rate or 0.0, "loop": playback.loop}
         self._values = values
@@ -127,7 +130,7 @@ class RclpySink:
         self._reports.change(playback)
 
     def _declare(self, values: dict[str, Any]) -> None:
-        """Declare what no node has declared before; what --ros-args says otherwise is a wish."""
+        """Declare the parameters not declared yet; values given by --ros-args become commands."""
         new = {
             name: replace(parameter, default=values[name])
             for name, parameter in self._parameters.items()
@@ -137,7 +140,7 @@ class RclpySink:
             self._apply(name, value)
 
     def _apply(self, name: str, value: Any) -> None:
-        """Carry out a change of a parameter."""
+        """Carry out the change of a parameter."""
         if name == "max_points":
             self._encoder.limit(value or LIVE_POINTS)
         elif value != self._values[name]:
@@ -163,7 +166,7 @@ class RclpySink:
         return self._publishers[POINTS.name].wait_for_all_acked(Duration(seconds=seconds))
 
     def _say_goodbye(self) -> None:
-        """Nothing can be waited for if somebody else has shut ROS down."""
+        """Wait for the last frames, unless ROS has been shut down elsewhere."""
         if self._node.context.ok():
             self._delivery.farewell()
 
@@ -178,7 +181,7 @@ class RclpySink:
 
     @contextmanager
     def _until_shutdown(self) -> Iterator[None]:
-        """Ctrl-C ends ROS at any moment; what then fails is no error but the end."""
+        """Within this context, errors after ROS has shut down count as the end, not as errors."""
         try:
             yield
         finally:
@@ -190,7 +193,7 @@ class RclpySink:
         from rclpy.qos import QoSPolicyKind as Kind
         from rclpy.qos_overriding_options import QoSOverridingOptions
 
-        # The default would leave durability out of what users may override.
+        # By default users could not override durability.
         kinds = [Kind.HISTORY, Kind.DEPTH, Kind.RELIABILITY, Kind.DURABILITY]
         try:
             return self._node.create_publisher(
@@ -214,7 +217,7 @@ def message_class(name: str) -> Any:
 
 
 def relative(topic: Topic) -> str:
-    """Our own topics hang on the node or its namespace, the world's are absolute."""
+    """The bridge's own topics are relative to the node or its namespace; others are absolute."""
     own = f"/{NAMESPACE}/{NODE}/"
     if topic.name.startswith(own):
         return f"~/{topic.name.removeprefix(own)}"
@@ -222,7 +225,7 @@ def relative(topic: Topic) -> str:
 
 
 def quality(topic: Topic) -> Any:
-    """The quality of service of a topic as rclpy says it."""
+    """The quality of service of a topic, in rclpy's classes."""
     from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
     reliable = ReliabilityPolicy.RELIABLE if topic.reliable else ReliabilityPolicy.BEST_EFFORT
@@ -233,7 +236,11 @@ def quality(topic: Topic) -> Any:
 
 
 def require_rclpy() -> None:
-    """Raise InputError if rclpy cannot be imported."""
+    """Check that rclpy can be imported.
+
+    Raises:
+        InputError: It cannot.
+    """
     try:
         import rclpy  # noqa: F401
     except ImportError as error:

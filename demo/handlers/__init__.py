@@ -1,6 +1,6 @@
-"""Between Gradio and the jobs: the event handlers of the page.
+"""The event handlers of the page, between Gradio and the jobs.
 
-Handlers know the session and Gradio's types; everything they do is in demo.jobs.
+Handlers know the session and Gradio's types; the work itself is in demo.jobs.
 """
 
 from .event import Handler

@@ -22,7 +22,7 @@ def data_of(event: gr.EventData) -> dict[str, Any]:
 
 
 def job_of(studio: Studio, request: gr.Request, event: gr.EventData) -> Job | None:
-    """The visitor's own piece of work that an event names."""
+    """The visitor's own job that an event names."""
     visitor = studio.visitors.known(visitor_of(request))
     return visitor.jobs.get(str(data_of(event).get("job"))) if visitor else None
 
@@ -33,5 +33,5 @@ def path_of(file: Any) -> Any:
 
 
 def file_of(path: Path) -> dict[str, Any]:
-    """A file for the page; its folder's name cannot be guessed."""
+    """A link to a file for the page; the name of its folder cannot be guessed."""
     return FileData(path=str(path), orig_name=path.name, size=path.stat().st_size).model_dump()

@@ -20,7 +20,7 @@ EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
 def chooser(studio: Studio) -> Handler:
-    """A picture that was sent -> it is being cut out; what was chosen before is forgotten."""
+    """Handler: a picture was sent; starts to cut it out and forgets the one before."""
 
     def choose(event: gr.EventData, request: gr.Request) -> tuple[Any, Any]:
         path, example = data_of(event).get("upload"), data_of(event).get("example")
@@ -38,7 +38,7 @@ def chooser(studio: Studio) -> Handler:
 
 
 def corrector(studio: Studio) -> Handler:
-    """Brush strokes -> the cut-out is being corrected."""
+    """Handler: brush strokes were painted; starts to correct the cut-out."""
 
     def correct(shown: Any, cutout: Any, event: gr.EventData, request: gr.Request) -> Any:
         picture = path_of((shown or {}).get("picture")) if cutout is None else cutout.picture
@@ -53,7 +53,7 @@ def corrector(studio: Studio) -> Handler:
 
 
 def cut_shower(studio: Studio) -> Handler:
-    """A finished cut-out -> its preview; one that failed leaves nothing to generate from."""
+    """Handler: a cut-out has ended; shows it, or clears it if it failed."""
 
     def show(shown: Any, cutout: Any, event: gr.EventData, request: gr.Request) -> tuple[Any, Any]:
         job = job_of(studio, request, event)
@@ -75,7 +75,7 @@ def shown_cutout(made: Cutout) -> dict[str, Any]:
 
 
 def _picture(job: Job) -> dict[str, Any] | None:
-    """The picture that is cut out, once there is one that browsers can show."""
+    """The picture being cut out, as soon as there is one that browsers can show."""
     path = Path(job.subject)
     return file_of(path) if path.exists() and not is_heic(path) else None
 

@@ -24,9 +24,9 @@ from .picture import shown_cutout
 from .run import rested, shown_job, with_stops, working
 
 NOT_SHOWN = [gr.skip()] * 5
-"""For the panels that `results` fills."""
+"""Leaves the panels that `results` fills as they are."""
 REPORT = 2
-"""Place of the report among them."""
+"""Index of the report among these panels."""
 FILES = {
     "clip.safetensors": ("Moving Gaussians", "The clip itself, for phy124"),
     "gaussians.ply": ("Gaussians at rest", "3DGS PLY"),
@@ -37,7 +37,7 @@ FILES = {
 
 
 def finisher(studio: Studio) -> Handler:
-    """A run that has come to an end -> everything there is to see; a study -> the forecast."""
+    """Handler: a job has ended; shows the results of a run, or the forecast after a study."""
 
     def finish(
         cutout: Any, scene: Any, shown: Any, event: gr.EventData, request: gr.Request
@@ -55,7 +55,7 @@ def finisher(studio: Studio) -> Handler:
 
 
 def _with_report(studio: Studio, name: str, shown: Any) -> list[Any]:
-    """The result panels, of which only the report is new: that of the run which is shown."""
+    """The result panels with a new report of the run that is shown; the others stay."""
     panels: list[Any] = list(NOT_SHOWN)
     visitor = studio.visitors.known(name)
     if visitor is not None and _is_there(shown):
@@ -69,7 +69,7 @@ def _is_there(done: Any) -> bool:
 
 
 def greeter(studio: Studio) -> Handler:
-    """The page was opened, or opened again: whatever this visitor had is shown."""
+    """Handler: the page was opened or reloaded; shows everything this visitor has."""
 
     def greet(request: gr.Request) -> tuple[Any, ...]:
         visitor = studio.visitors.known(visitor_of(request))
@@ -85,7 +85,7 @@ def greeter(studio: Studio) -> Handler:
 
 
 def _found_picture(visitor: Visitor, cut: Job | None) -> tuple[Any, Any]:
-    """The picture panel and the cut-out of a visitor who has come back."""
+    """The picture panel and the cut-out of a visitor who has returned."""
     if cut is not None and not cut.over:
         return {"job": cut.name}, None
     made = next((j.progress.result for j in reversed(list(visitor.jobs.values()))
@@ -96,7 +96,7 @@ def _found_picture(visitor: Visitor, cut: Job | None) -> tuple[Any, Any]:
 
 
 def _found_run(studio: Studio, name: str, run: Job | None) -> tuple[Any, ...]:
-    """Progress, result, buttons and result panels of a visitor who has come back."""
+    """Progress, result, buttons and result panels of a visitor who has returned."""
     if run is None:
         return gr.skip(), None, *rested(), *NOT_SHOWN
     if not run.over:
@@ -123,7 +123,7 @@ def results(studio: Studio, name: str, job: Job) -> list[Any]:
 
 
 def report_of(studio: Studio, job: Job) -> str:
-    """The report of a finished run, with what was measured on its scene before or after it."""
+    """The report of a finished run, with the errors measured on its scene before or after it."""
     done: Done = job.progress.result
     report, study = read_report(done), read_study(done.study)
     data = Clip.load(done.clip / "clip.safetensors").scene
@@ -133,7 +133,7 @@ def report_of(studio: Studio, job: Job) -> str:
 
 
 def _earlier(studio: Studio, name: str, shown: Job) -> list[dict[str, Any]]:
-    """What a visitor has made so far, the newest first, each result once."""
+    """The results of a visitor so far, the newest first, each once."""
     visitor, seen, found = studio.visitors.known(name), set(), []
     for job in reversed(list(visitor.jobs.values()) if visitor else []):
         done = job.progress.result
@@ -153,7 +153,7 @@ def _earlier(studio: Studio, name: str, shown: Job) -> list[dict[str, Any]]:
 
 
 def _films(done: Done) -> list[Path]:
-    """The videos, the views of the paper first."""
+    """The videos, with the views of the paper first."""
     order = [*VIEWS, "orbit"]
     place = {name: number for number, name in enumerate(order)}
     films = sorted(done.films.glob("*.mp4"))
@@ -161,10 +161,10 @@ def _films(done: Done) -> list[Path]:
 
 
 def prepare(done: Done | None, shown: Any, event: gr.EventData) -> Any:
-    """Make a file on demand; the panel then offers it."""
+    """Handler: a format was asked for; makes the file, which the panel then offers."""
     kind = str(event._data.get("kind")) if event._data else ""
     if done is None or not done.films.exists():
-        return {**(shown or {}), "message": "The result is no longer here. Generate it again."}
+        return {**(shown or {}), "message": "The result is no longer stored. Generate it again."}
     try:
         path = export(kind, done)
     except InputError as error:

@@ -25,7 +25,7 @@ from .event import Handler
 
 
 def forecaster(studio: Studio) -> Handler:
-    """Scene -> what it will take."""
+    """Handler: the scene changed; returns its forecast."""
 
     def forecast(cutout: Any, scene: Any, request: gr.Request) -> str:
         if not scene:
@@ -39,9 +39,17 @@ def forecaster(studio: Studio) -> Handler:
 def with_stops(
     studio: Studio, name: str, cutout: str | None, data: Any, text: str, *, opened: bool = False
 ) -> str:
-    """A forecast in one line that opens: what each stop of the accuracy slider would be.
+    """A forecast as one line of HTML that opens to a table of all stops of the accuracy slider.
 
-    Below it stands what was measured on this very scene, or that it can be measured.
+    Below it stands the error measured on this scene, or a button that measures it.
+
+    Args:
+        studio: What all visitors share.
+        name: The visitor's name.
+        cutout: Path of the cut-out, if there is one.
+        data: The scene as plain data.
+        text: The forecast.
+        opened: Whether the line is open.
     """
     visitor = studio.visitors.known(name)
     try:
@@ -54,7 +62,7 @@ def with_stops(
     stops = studio.forecaster.stops(scene, gaussians=count, seconds=known, study=study)
     table = stops_table(stops, scene.accuracy)
     if study is not None:
-        table += f"<p>What accuracy cost here, without pictures:</p>{study.table()}"
+        table += f"<p>Measured on this scene, without drawing:</p>{study.table()}"
     brief, _, rest = text.partition(": ")
     if not rest:
         return f"<p>{escape(text)}</p>{table}"
@@ -67,7 +75,7 @@ def with_stops(
 def _error_line(
     studio: Studio, name: str, cutout: str | None, scene: Scene, study: Measurement | None
 ) -> str:
-    """What was measured on this very scene, or a button that measures it."""
+    """The error measured on this scene, or a button that measures it."""
     said = promise_of(scene, study)
     if study is not None:
         return f'<p class="measured">{said.measured}</p>'
@@ -80,7 +88,7 @@ def _error_line(
 
 
 def refiner(studio: Studio) -> Handler:
-    """The same, measured on the visitor's own object where that is quick."""
+    """Handler: the scene changed; returns a forecast by a probe of the object if that is quick."""
 
     def refine(cutout: Any, scene: Any, request: gr.Request) -> Any:
         name = visitor_of(request)
@@ -91,7 +99,7 @@ def refiner(studio: Studio) -> Handler:
 
 
 def starter(studio: Studio) -> Handler:
-    """Cut-out and scene -> a piece of work that the progress panel follows, or what is wrong."""
+    """Handler: Generate was pressed; starts a run that the progress panel follows, or refuses."""
 
     def start(cutout: Any, scene: Any, request: gr.Request) -> tuple[Any, ...]:
         try:
@@ -105,7 +113,7 @@ def starter(studio: Studio) -> Handler:
 
 
 def measurer(studio: Studio) -> Handler:
-    """Cut-out and scene -> its error is being measured, or what is wrong."""
+    """Handler: Measure was pressed; starts to measure the scene's error, or refuses."""
 
     def start_study(cutout: Any, scene: Any, request: gr.Request) -> tuple[Any, ...]:
         try:
@@ -118,12 +126,12 @@ def measurer(studio: Studio) -> Handler:
 
 
 def shown_job(job: Job) -> dict[str, Any]:
-    """A piece of work for the progress panel, which follows it."""
+    """A job for the progress panel, which follows it."""
     return {**job.progress.data(), "job": job.name, "kind": job.kind}
 
 
 def rested() -> tuple[Any, Any]:
-    """The buttons when nothing runs: Generate can be pressed, Cancel is gone."""
+    """The buttons while nothing runs: Generate can be pressed, Cancel is hidden."""
     return gr.update(interactive=True), gr.update(visible=False)
 
 
@@ -133,7 +141,7 @@ def working() -> tuple[Any, Any]:
 
 
 def stopper(studio: Studio) -> Handler:
-    """Stop this visitor's work; the progress panel, which follows it, hears of it there."""
+    """Handler: Cancel was pressed; stops this visitor's job, which the progress panel follows."""
 
     def stop(request: gr.Request) -> None:
         visitor = studio.visitors.known(visitor_of(request))

@@ -1,10 +1,10 @@
-"""The work behind one click: cut-out -> Gaussians -> clip -> films, each stage only if needed.
+"""The job of one click: cut-out -> Gaussians -> clip -> films, each stage only if needed.
 
-Or cut-out -> Gaussians -> the error of the scene, for an order that names grids.
+For an order that names grids it is: cut-out -> Gaussians -> the error of the scene.
 
-`steps` runs it in a thread and yields what happens; it ends early, with `Cancelled`, within one
-substep or drawn frame of the wish to stop. Everything in an `Order` and every event can be
-pickled, because on ZeroGPU all of this runs in a forked process.
+`steps` runs it in a thread and yields events. When asked to stop, it ends with `Cancelled` within
+one substep or drawn frame. Everything in an `Order` and every event can be pickled, because on
+ZeroGPU all of this runs in a forked process.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ __all__ = [
 
 
 def steps(order: Order) -> Iterator[Event | None]:
-    """Run an order; yields events, and None where nothing has happened for a moment.
+    """Run an order; yields events, and None if nothing has happened for a moment.
 
     Raises:
         Cancelled: The stop file appeared.
@@ -64,7 +64,7 @@ def steps(order: Order) -> Iterator[Event | None]:
 
 
 def _run(order: Order, events: queue.SimpleQueue[Any]) -> None:
-    """The thread: whatever ends the work is the last event."""
+    """The thread of the job; its last event is the result or the error."""
     try:
         order = replace(order, device=pick_device(order.device))
         with held(order):

@@ -1,4 +1,4 @@
-"""The device, which one piece of work at a time has."""
+"""The device, which one job at a time may use."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from phy124.errors import Cancelled
 from .order import Order
 
 DEVICE = threading.Lock()
-"""Held by whoever computes: one piece of work at a time in this process."""
+"""Held by the job that computes; one at a time in this process."""
 BEAT = 0.2
-"""Longest silence between two events, s: so often can a generator be closed."""
+"""Longest time between two events [s], at which a generator can be closed."""
 
 
 @contextmanager
 def held(order: Order) -> Iterator[None]:
-    """Hold the device; gives up if the work is to stop before its turn has come."""
+    """Hold the device; gives up if the job is to stop before its turn comes."""
     while not DEVICE.acquire(timeout=BEAT):
         if order.stop.exists():
             raise Cancelled

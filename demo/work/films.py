@@ -19,13 +19,20 @@ from .limits import FILMING, Limits
 from .order import Order
 
 MOVING = 320
-"""Side of the animated WebP, pixels."""
+"""Side of the animated WebP [pixels]."""
 FARTHEST = 3.0
-"""How much farther the camera goes to see a whole motion."""
+"""Largest factor by which the camera moves away to see a whole motion."""
 
 
 def film(order: Order, clips: Path, out: Path, limits: Limits) -> None:
-    """A folder with the videos, the player's pack, an animated picture and the report."""
+    """Make a folder with the videos, the player's pack, an animated picture and the report.
+
+    Args:
+        order: The order.
+        clips: Folder of the clip.
+        out: The folder to write.
+        limits: Time limit and events.
+    """
     clip, watch = Clip.load(clips / "clip.safetensors"), Stopwatch()
     # The page plays MP4s; other formats are made on demand (demo/exports.py).
     view = order.scene.view.model_copy(update={"formats": ("mp4",), "transparent": False})
@@ -84,7 +91,7 @@ def _only(view: View, side: str) -> View:
 
 
 def whole_in_view(clip: Clip, view: View) -> View:
-    """The view from so far away that all of the clip is seen, if nobody chose the distance."""
+    """The view from far enough away to see the whole clip, unless the distance was chosen."""
     left = departures(clip, view)
     if view.distance != View().distance or view.follow or not left:
         return view

@@ -1,4 +1,4 @@
-"""The wish to stop, and the time that one run may take."""
+"""Ends a job when it is asked to stop or its time is up."""
 
 from __future__ import annotations
 
@@ -13,21 +13,26 @@ from ..events import Event
 from .order import Order
 
 SIMULATING, FILMING, HOPELESS = 0.7, 0.85, 3.0
-"""Shares of a run's time: no frame is simulated after the first, no video begun after the second;
-after the third it is given up."""
+"""Fractions of a run's time: no frame is simulated after the first, no video started after the
+second; after the third the run is given up."""
 SOFT, FEW = 1e4, 8
-"""Stiffness [Pa] and frames that would hardly be changed for a quicker run."""
+"""Stiffness [Pa] and number of frames below which no smaller value is advised."""
 
 
 class Limits:
-    """The wish to stop, and the time that one run may take."""
+    """Ends a job when it is asked to stop or its time is up."""
 
     def __init__(self, order: Order, put: Callable[[Event], None]) -> None:
         self.order, self.put = order, put
         self.start = time.monotonic()
 
     def tell(self, event: Event) -> None:
-        """Pass an event on; raises Cancelled or InputError if the work is to end at once."""
+        """Pass an event on.
+
+        Raises:
+            Cancelled: The job was asked to stop.
+            InputError: It has taken far too long.
+        """
         if self.order.stop.exists():
             raise Cancelled
         if self.spent > HOPELESS:
@@ -36,7 +41,7 @@ class Limits:
         self.put(event)
 
     def simulated(self, event: Event) -> None:
-        """The same while simulating: what there is when the time is up is kept."""
+        """Pass an event on while simulating; raises Stopped when time is up, so frames are kept."""
         self.tell(event)
         if self.spent > SIMULATING:
             raise Stopped(
@@ -46,12 +51,12 @@ class Limits:
 
     @property
     def spent(self) -> float:
-        """Fraction of the time that is gone."""
+        """Fraction of the time that has been used."""
         return (time.monotonic() - self.start) / max(self.order.seconds, 1e-9)
 
 
 def easier(scene: Scene) -> str:
-    """What would make a scene quicker, of what can still be changed about it."""
+    """A sentence about what would make a scene faster to compute."""
     ways = [] if scene.accuracy == "draft" else ["draft accuracy"]
     ways += ["a softer material"] if getattr(scene.material, "E", 0) > SOFT else []
     ways += ["fewer frames"] if scene.time.frames > FEW else []

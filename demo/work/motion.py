@@ -28,7 +28,7 @@ from .shows import glimpses, lives
 
 
 def gaussians_of(order: Order, path: Path, tell: Tell) -> Gaussians:
-    """The Gaussians of an order, made if they are not there."""
+    """The Gaussians of an order, made if they do not exist yet."""
     if path.exists():
         tell(Reused("generate"))
         return Clip.load(path).frame(0).gaussians
@@ -47,7 +47,15 @@ def gaussians_of(order: Order, path: Path, tell: Tell) -> Gaussians:
 def simulate(
     gaussians: Gaussians, order: Order, out: Path, limits: Limits, watch: Stopwatch
 ) -> None:
-    """A folder with the clip, its Gaussians, its scene and what the run did."""
+    """Make a folder with the clip, its Gaussians, its scene and the report.
+
+    Args:
+        gaussians: The object.
+        order: The order.
+        out: The folder to write.
+        limits: Time limit and events.
+        watch: Where the durations of the stages are recorded.
+    """
     watching = Watching(order, limits)
     with Image.open(order.cutout) as cutout:
         crop = crop_of(cutout)
@@ -61,7 +69,7 @@ def simulate(
 
 
 def _without_places(out: Path, order: Order) -> None:
-    """Name uploads without the folder of this server where they lie."""
+    """Remove the server's folder from the paths of uploads in the scene file."""
     place, scene = f"{order.folder / 'uploads'}/", out / "scene.toml"
     text = scene.read_text("utf-8")
     if place not in text:
@@ -74,7 +82,7 @@ def _without_places(out: Path, order: Order) -> None:
 
 
 class Watching:
-    """What a visitor sees of a run, and what is looked at in each of its frames."""
+    """Shows a visitor the frames of a run, and measures each of them."""
 
     def __init__(self, order: Order, limits: Limits) -> None:
         self.order, self.limits = order, limits
@@ -82,15 +90,19 @@ class Watching:
         self.note = "preparing"
         names = ("time", "min_J", "max_speed", "kinetic_energy")
         self.motion: dict[str, list[float]] = {name: [] for name in names}
-        """Frame by frame what shows whether it stayed stable, in SI units."""
+        """Measures of stability for each frame, in SI units."""
         limits.tell(Step("simulate", 0, order.scene.time.frames, self.note))
 
     def progress(self, _: str, done: int, total: int) -> None:
-        """How far the run is; raises what ends it."""
+        """Report the progress of the run; raises the exception that ends it."""
         self.limits.simulated(Step("simulate", done, total, self.note))
 
     def see(self, run: Simulation, frame: Frame) -> None:
-        """Show a frame, and measure the particles as they are now."""
+        """Show a frame, and measure the particles in their current state.
+
+        Raises:
+            InputError: There are more particles than a run may have here.
+        """
         self.note = f"{run.solver.clock.substeps} substeps"
         if len(run.particles) > self.order.max_particles:
             raise InputError(
@@ -105,7 +117,7 @@ class Watching:
             show(frame)
 
     def end(self) -> None:
-        """The run is over, if only because its time was up."""
+        """Call when the run is over, also if its time was up."""
         frames = self.order.scene.time.frames
         self.limits.tell(Step("simulate", frames, frames, self.note))
 

@@ -1,4 +1,4 @@
-"""What one click asks for, and where it all lies."""
+"""What one click asks for, and the files it makes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from phy124.scene import Scene
 from ..visitors import key
 
 VIEWED = ("view", "accuracy", "description")
-"""What the error of a scene's motion does not depend on, or what it is told for."""
+"""Fields that the stored errors of a scene's motion do not depend on."""
 
 
 @dataclass(frozen=True)
@@ -21,25 +21,25 @@ class Order:
     folder: Path
     """The visitor's folder."""
     cutout: Path
-    """Picture with alpha."""
+    """The cut-out, a picture with alpha."""
     scene: Scene
     stop: Path
-    """Once this file exists the work stops."""
+    """The file whose existence asks the job to stop."""
     seconds: float
-    """Longest wall-clock time."""
+    """Longest wall-clock time [s]."""
     max_particles: int
     generator: str = "relief"
     gaussians: int = GAUSSIANS
-    """How many `relief` makes."""
+    """Number of Gaussians that `relief` makes."""
     device: str = "auto"
     about: tuple[tuple[str, str], ...] = ()
-    """More for the report."""
+    """Further entries of the report."""
     levels: tuple[int, ...] = ()
-    """Grids on which to measure the scene's error instead of filming it."""
+    """Grids on which the scene's error is to be measured; empty: the scene is filmed instead."""
 
 
 def folders(order: Order) -> tuple[Path, Path]:
-    """Where the clip and the films of an order lie once they have been made."""
+    """The folders of the clip and of the films of an order."""
     physics = {name: value for name, value in order.scene.data().items() if name != "view"}
     clips = order.folder / "clips" / key(made_gaussians(order).name, physics)
     view = order.scene.view.model_dump(mode="json")
@@ -47,19 +47,19 @@ def folders(order: Order) -> tuple[Path, Path]:
 
 
 def made_already(order: Order) -> dict[str, bool]:
-    """Which stages of an order would not be run again, as the forecast takes them."""
+    """Which stages of an order need not be run again, as arguments for the forecast."""
     clips, films = ((folder / "report.json").exists() for folder in folders(order))
     return {"generated": made_gaussians(order).exists(), "simulated": clips, "filmed": films}
 
 
 def made_gaussians(order: Order) -> Path:
-    """Where the Gaussians of an order lie once they have been made."""
+    """The file of the Gaussians of an order."""
     made = key(order.cutout.read_bytes(), order.generator, order.gaussians, order.scene.seed)
     return order.folder / "gaussians" / f"{made}.safetensors"
 
 
 def study_file(order: Order) -> Path:
-    """Where the error of an order's scene lies once it has been measured, for any grid."""
+    """The file of the errors of an order's scene, the same for every grid."""
     physics = {name: value for name, value in order.scene.data().items() if name not in VIEWED}
     kept = order.scene.resolution.model_dump(mode="json", exclude={"cells", "precision"})
     name = key(made_gaussians(order).name, physics, kept)

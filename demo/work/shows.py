@@ -1,4 +1,4 @@
-"""What is seen of a motion while it is computed: small pictures, and frames for the viewer."""
+"""What is shown of a motion while it is computed: small pictures, and frames for the viewer."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from ..events import Glimpse, Live, Tell
 from .order import Order
 
 GLIMPSE = 224
-"""Side of the pictures shown while the simulation runs, pixels."""
+"""Side of the pictures shown while the simulation runs [pixels]."""
 SHOWN = 12_000
-"""Gaussians that the viewer gets while the simulation runs."""
+"""Number of Gaussians that the viewer gets while the simulation runs."""
 
 
 def glimpses(order: Order, tell: Tell) -> Callable[[Frame], None]:
-    """Shows frames as small pictures while the run goes on."""
+    """A function that shows frames as small pictures during the run."""
     renderer, camera = Renderer(device=order.device), None
 
     def show(frame: Frame) -> None:
@@ -43,7 +43,7 @@ def glimpses(order: Order, tell: Tell) -> Callable[[Frame], None]:
 
 
 def lives(order: Order, tell: Tell) -> Callable[[Frame], None]:
-    """Hands frames to the viewer while the run goes on: some of the Gaussians, made larger."""
+    """A function that sends frames to the viewer during the run: some Gaussians, enlarged."""
     folder = order.folder / "live" / order.stop.name
     shutil.rmtree(folder.parent, ignore_errors=True)
     folder.mkdir(parents=True)
@@ -71,7 +71,7 @@ def lives(order: Order, tell: Tell) -> Callable[[Frame], None]:
 
 
 def _thinned(frame: Frame, chosen: np.ndarray) -> Frame:
-    """Some of a frame's Gaussians, enlarged so that they cover what all of them did."""
+    """Some of a frame's Gaussians, enlarged so that they cover what all of them cover."""
     g = frame.gaussians
     larger = g.scales[chosen] * (len(g) / len(chosen)) ** 0.5
     some = Gaussians(g.means[chosen], g.quats[chosen], larger, g.opacities[chosen], g.sh[chosen])

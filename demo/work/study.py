@@ -1,4 +1,4 @@
-"""From a cut-out to the error of its scene: the same motion on a few coarse grids."""
+"""From a cut-out to the error of its scene, by the same motion on a few coarse grids."""
 
 from __future__ import annotations
 
@@ -19,7 +19,11 @@ from .order import Order, made_gaussians, study_file
 
 
 def measure(order: Order, limits: Limits) -> Measured:
-    """Run a scene on the grids of an order; raises InputError if too few were run in time."""
+    """Run a scene on the grids of an order.
+
+    Raises:
+        InputError: Too few grids were finished in time.
+    """
     path = study_file(order)
     if path.exists():
         limits.tell(Reused("generate"))
@@ -54,6 +58,6 @@ def _too_late(order: Order) -> InputError:
     return InputError(
         "time",
         "over",
-        f"The {order.seconds:.0f} s of one run were nearly over before all grids were measured.",
+        f"The {order.seconds:.0f} s of one run were nearly over before enough grids had been run.",
         easier(order.scene.model_copy(update={"accuracy": "draft"})),
     )

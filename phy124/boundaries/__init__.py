@@ -1,7 +1,7 @@
-"""Boundaries a scene can name: shapes that answer to grid velocities.
+"""Boundaries a scene can name: shapes that change the grid velocities they meet.
 
 A boundary is its own section of the scene file. It becomes one stage of the substep (a container
-one per wall, a gripper two), launched over the nodes its shape can reach and nothing else.
+becomes one per wall, a gripper two), launched over the nodes its shape can reach and no others.
 """
 
 from typing import Annotated
@@ -16,7 +16,7 @@ from phy124.boundaries.solids import Box, Capsule, Gripper, Sphere
 from phy124.plugins import OpenTo
 
 Wall = Ground | HalfSpace | Press | Container | Box | Sphere | Capsule | Gripper | Held | Foot
-"""The kinds of phy124's own."""
+"""The boundaries that phy124 has."""
 AnyBoundary = SerializeAsAny[
     Annotated[Wall, Field(discriminator="kind"), OpenTo(Boundary, "kind", "boundaries", Wall)]
 ]

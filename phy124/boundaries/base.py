@@ -1,4 +1,4 @@
-"""What all boundaries have in common: a shape, and an answer to what touches it."""
+"""What all boundaries have in common: a shape, and a response to what touches it."""
 
 from __future__ import annotations
 
@@ -22,28 +22,29 @@ from phy124.tracks import Track, Tracks
 
 Contact = Literal["sticky", "slip", "separate"]
 REACH = -0.15
-"""A node that answers to a wall by itself does so below this signed distance, in cells.
+"""Signed distance [cells] below which a node that responds to a wall by itself does so.
 
-A solid rests 0.6 to 0.9 cells above the last node plane that moves freely, so on the average the
-plane that stops it must lie about 0.65 cells inside the wall for the body to touch it. What flows
-keeps no such distance and sinks to that plane, so this is only for nodes that no column holds.
+A solid rests 0.6 to 0.9 cells above the last plane of nodes that moves freely. On average, the
+plane that stops it must therefore lie about 0.65 cells inside the wall for the body to touch it.
+Flowing material keeps no such distance and sinks to that plane, so this applies only to nodes that
+belong to no column.
 """
 MARGIN = 2.0
-"""How far in front of a wall nodes may answer to it, in cells."""
+"""How far in front of a wall [cells] nodes may respond to it."""
 THINNEST = 1.0
-"""Least half thickness of a solid, in cells: nodes must lie inside it to stop anything."""
+"""Smallest half thickness of a solid [cells]: nodes must lie inside it to stop anything."""
 Corners = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
 class Boundary(Section):
-    """What all boundaries have: how they answer to what touches them."""
+    """Base class of all boundaries: how they respond to what touches them."""
 
     shape: ClassVar[str]
     thing: ClassVar[str] = "it"
-    """What may be too thin."""
+    """What messages call the part that may be too thin."""
 
     holds: ClassVar[bool] = False
-    """Whether it holds material in place instead of being in its way."""
+    """Whether it holds material in place instead of standing in its way."""
 
     contact: Contact = Field(
         default="separate", description="sticky, slip, or separate (may leave, with friction)."
@@ -51,21 +52,21 @@ class Boundary(Section):
     friction: float = Field(default=0.4, ge=0, le=10, description="Coulomb friction coefficient.")
 
     def geometry(self, model: Model) -> tuple[Vector, Vector, Vector]:
-        """Three vectors that the shape's distance function reads."""
+        """Three vectors that the shape's distance function reads [m]."""
         raise NotImplementedError
 
     def extent(self, model: Model) -> Corners:
-        """Corners of a box that holds the shape at rest [m]."""
+        """Corners of a box that contains the shape at rest [m]."""
         return np.full(3, -np.inf), np.full(3, np.inf)
 
     def bounds(self, model: Model) -> Corners:
-        """Corners of a box that holds every node that may answer to the shape at rest [m]."""
+        """Corners of a box that contains every node that may respond to the shape at rest [m]."""
         low, high = self.extent(model)
         margin = MARGIN * model.dx if self.met(model) else 0.0
         return low - margin, high + margin
 
     def met(self, model: Model) -> bool:
-        """Whether the wall is met where it is, between the nodes; else node by node."""
+        """Whether contact is at the surface, between the nodes; otherwise it is node by node."""
         return self.reach(model.dx) is None
 
     @property
@@ -86,7 +87,7 @@ class Boundary(Section):
         return self.shape
 
     def response(self) -> str:
-        """Name of how nodes answer to it."""
+        """Name of the way nodes respond to it."""
         return self.contact
 
     def track(self, model: Model) -> Track | None:
@@ -94,27 +95,40 @@ class Boundary(Section):
         return None
 
     def thickness(self) -> float:
-        """Least half thickness of the solid [m]."""
+        """Half thickness of the solid [m]."""
         return np.inf
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """One collider stage; raises InputError if the solid is too thin for the grid."""
+        """One collider stage.
+
+        Args:
+            model: What stays the same during the run.
+            state: Not used here.
+            tracks: Where its displacement over time is registered.
+
+        Raises:
+            InputError: The solid is too thin for the grid.
+        """
         self.refuse_thin(model)
         del state
         return [Stage(type(self).__name__.lower(), self._recorder(model, tracks))]
 
     def refuse_thin(self, model: Model) -> None:
-        """Raise InputError if things would pass through the solid."""
+        """Make sure that nothing passes through the solid.
+
+        Raises:
+            InputError: It is thinner than two cells.
+        """
         if self.thickness() < THINNEST * model.dx:
             raise InputError(
                 f"boundaries.{type(self).__name__.lower()}", f"{2 * self.thickness():g} m",
                 f"{self.thing} is thinner than two grid cells of {model.dx:g} m, "
-                "so things would pass it.",
+                "so things would pass through it.",
                 "Make it thicker or the grid finer.",
             )  # fmt: skip
 
     def reach(self, dx: float) -> float | None:
-        """Signed distance below which a node answers [m]; None: as suits the material."""
+        """Signed distance below which a node responds [m]; None: as suits the material."""
         return None
 
     def _recorder(self, model: Model, tracks: Tracks) -> Callable[[Grid], wp.Launch | None]:
@@ -143,7 +157,7 @@ class Boundary(Section):
 
 
 class Movable(Boundary):
-    """A boundary that may follow a path or swing."""
+    """A boundary that may follow a path, or swing."""
 
     motion: AnyMotion | None = Field(
         default=None, description="Its displacement over time: path or swing; absent: fixed."
@@ -160,10 +174,11 @@ class Movable(Boundary):
 
 
 def lightest(model: Model) -> float:
-    """Mass of a node amid the lightest material [kg]; infinite for one solid.
+    """Mass of a node inside the lightest material [kg]; infinite if all is one solid.
 
-    A solid needs no such bound: squeezed, it is denser than it was made. The particles of what
-    flows crowd in places, up to 1.6 times as many in a cell, and are no denser for that.
+    A solid needs no such bound: a cell that is heavier than at rest is one that is compressed. The
+    particles of flowing material crowd in places, up to 1.6 times as many in a cell, without being
+    compressed.
     """
     densities = {section.density for section in model.materials}
     flows = any(section.device_law.project is not None for section in model.materials)
@@ -177,13 +192,13 @@ def vector(values: Iterable[float]) -> Vector:
 
 
 def swept(corners: Corners, track: Track) -> Corners:
-    """A box that holds the moving box at all times."""
+    """Corners of a box that contains the moving box at all times [m]."""
     moves = np.array([key[1] for key in track.keys])
     return corners[0] + moves.min(axis=0), corners[1] + moves.max(axis=0)
 
 
 def half_bounds(point: Vector, normal: Vector) -> Corners:
-    """The solid side of a plane, if it lies along an axis, else all of space."""
+    """Corners around the solid side of a plane [m], if its normal is an axis; else all of space."""
     lower, upper = np.full(3, -np.inf), np.full(3, np.inf)
     across = np.flatnonzero(np.abs(normal) > 1e-9)
     if len(across) == 1:
@@ -193,6 +208,6 @@ def half_bounds(point: Vector, normal: Vector) -> Corners:
 
 
 def box_of(lower: Vector, upper: Vector) -> tuple[Vector, Vector, Vector]:
-    """Centre and half sizes."""
+    """Centre and half sizes of the box [m], and a third vector that is not used."""
     low, high = np.array(lower), np.array(upper)
     return vector((low + high) / 2), vector((high - low) / 2), (0.0, 0.0, 0.0)

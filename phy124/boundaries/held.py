@@ -1,4 +1,4 @@
-"""Regions in which the material is held, up to where they end between the nodes."""
+"""Regions in which the material is held; their surface may lie between the nodes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from phy124.tracks import Track
 
 
 class Clamp(Movable):
-    """What holds material, for good or until it lets go."""
+    """Holds material, for good or until it lets go."""
 
     holds: ClassVar[bool] = True
 
@@ -25,11 +25,11 @@ class Clamp(Movable):
         examples=[0.5],
         ge=SHORTEST,
         le=LONGEST,
-        description="Lets go then [s]; absent: never.",
+        description="Time at which it lets go [s]; absent: never.",
     )
 
     def track(self, model: Model) -> Track | None:
-        """Displacement over time [m], active until it lets go; None if nothing ever changes."""
+        """Displacement over time [m], active until it lets go; None if it never moves or ends."""
         track = super().track(model)
         if self.end is None:
             return track
@@ -38,15 +38,15 @@ class Clamp(Movable):
         return Track(track.keys, track.start, self.end, track.origin, track.period, track.mean)
 
     def met(self, model: Model) -> bool:
-        """Sticky clamps end where their region does; others act on each node inside by itself."""
+        """True for sticky clamps, which end at the surface of their region; others act by node."""
         return self.contact == "sticky"
 
     def response(self) -> str:
-        """Held up to the surface of the region."""
+        """Material is held up to the surface of the region."""
         return "held" if self.contact == "sticky" else self.contact
 
     def reach(self, dx: float) -> float | None:
-        """All nodes inside are held."""
+        """Zero: all nodes inside respond."""
         return 0.0
 
 
@@ -59,7 +59,7 @@ class Held(Clamp):
     upper: Position = Field(default=(10.0, 10.0, 0.1), description="Highest corner [m].")
     cylinder: AxisName | None = Field(
         default=None,
-        description="Axis of the cylinder that fits the box, to hold that alone; absent: the box.",
+        description="Axis of the cylinder inside the box, to hold only that; absent: the box.",
     )
 
     @model_validator(mode="after")
@@ -69,11 +69,11 @@ class Held(Clamp):
         return self
 
     def outline(self) -> str:
-        """A box, or a cylinder."""
+        """Name of the distance function of a box or a cylinder."""
         return "cylinder" if self.cylinder else "box"
 
     def geometry(self, model: Model) -> tuple[Vector, Vector, Vector]:
-        """Centre and half sizes; of a cylinder centre, axis, and (radius, half length)."""
+        """Centre and half sizes [m]; for a cylinder centre, axis, and (radius, half length)."""
         if self.cylinder is None:
             return box_of(self.lower, self.upper)
         axis, middle, radius = cylinder(self.lower, self.upper, self.cylinder)
@@ -81,7 +81,7 @@ class Held(Clamp):
         return middle, vector(np.eye(3)[axis]), (radius, half, 0.0)
 
     def extent(self, model: Model) -> Corners:
-        """The box."""
+        """Corners of the box [m]."""
         return np.array(self.lower), np.array(self.upper)
 
 
@@ -93,12 +93,12 @@ class Foot(Clamp):
     fraction: float = Field(default=0.15, ge=1e-6, le=1, description="Held fraction of its height.")
 
     def geometry(self, model: Model) -> tuple[Vector, Vector, Vector]:
-        """Point and normal of the plane below which material is held."""
+        """Point [m] and normal of the plane below which material is held."""
         z = model.rest[:, 2]
         top = float(z.min() + self.fraction * np.ptp(z))
         return (0.0, 0.0, top), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
 
     def extent(self, model: Model) -> Corners:
-        """Everything below."""
+        """Corners around everything below the plane [m]."""
         point, normal, _ = self.geometry(model)
         return half_bounds(point, normal)

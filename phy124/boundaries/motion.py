@@ -1,4 +1,4 @@
-"""How a boundary moves: along a path or to and fro; it never rotates."""
+"""How a boundary moves: along a path, or to and fro. It never rotates."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from phy124.section import Section
 from phy124.tracks import Key, Sine, Track, check_times
 
 EASE = 16
-"""Number of straight pieces per leg of a smooth path."""
+"""Number of straight pieces for each leg of a smooth path."""
 
 
 class Motion(Section):
@@ -36,7 +36,7 @@ class Path(Motion):
         default=((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), description="Displacements then [m]."
     )
     smooth: bool = Field(default=True, description="Stop gently at each point.")
-    repeat: bool = Field(default=False, description="Begin anew after the last point.")
+    repeat: bool = Field(default=False, description="Start again after the last point.")
 
     @model_validator(mode="after")
     def _fits(self) -> Path:
@@ -64,7 +64,7 @@ class Swing(Motion):
     frequency: float = Field(default=2.0, ge=1e-5, le=1e4, description="Swings per second [Hz].")
 
     def track(self) -> Track:
-        """One period, repeated; it begins in the middle with its largest speed."""
+        """One period, repeated; it begins in the middle, at its largest speed."""
         sine = Sine(frequency=self.frequency)
         times, factors = sine.table()
         return Track(
@@ -76,14 +76,14 @@ AnyMotion = Annotated[Path | Swing, Field(discriminator="kind")]
 
 
 def keyed(times: np.ndarray, points: np.ndarray) -> tuple[Key, ...]:
-    """Times [N] and points [N,3] as keys of a track."""
+    """Times [N] in s and points [N,3] in m as keys of a track."""
     return tuple(
         (t, (x, y, z)) for t, (x, y, z) in zip(times.tolist(), points.tolist(), strict=True)
     )
 
 
 def eased(times: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Each leg in `EASE` pieces that begin and end without speed."""
+    """Times and points with each leg divided into `EASE` pieces, at rest at both of its ends."""
     parts = np.linspace(0, 1, EASE + 1)[1:]
     fractions = (1 - np.cos(math.pi * parts)) / 2
     new_times, new_points = [times[0]], [points[0]]

@@ -1,4 +1,4 @@
-"""Walls without end: ground, half-space, press, container."""
+"""Infinite walls: ground, half-space, press, container."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from phy124.tracks import Track, Tracks
 
 
 class Plane(Boundary):
-    """A boundary whose solid side is all that lies behind a plane."""
+    """A boundary that is solid everywhere behind a plane."""
 
     shape: ClassVar[str] = "half_space"
 
     def extent(self, model: Model) -> Corners:
-        """Half of space if the normal lies along an axis, else all of it."""
+        """Corners of half of space if the normal is an axis, otherwise of all of it [m]."""
         point, normal, _ = self.geometry(model)
         return half_bounds(point, normal)
 
@@ -61,7 +61,7 @@ class Ground(Plane, Movable):
 
 
 class Press(Plane):
-    """A plate that comes down on the object, rests and goes back."""
+    """A plate that comes down on the object, rests there and goes back up."""
 
     kind: Literal["press"] = "press"
     top: float | None = Field(
@@ -81,28 +81,28 @@ class Press(Plane):
 
     @property
     def moves(self) -> bool:
-        """Always."""
+        """Always true."""
         return True
 
     def gentler(self) -> dict[str, Any]:
-        """It comes down in twice the time."""
+        """Twice the time to come down."""
         return {"down": 2 * self.down}
 
     def geometry(self, model: Model) -> tuple[Vector, Vector, Vector]:
-        """Point and unit normal, before displacement."""
+        """Point [m] and unit normal, before the displacement."""
         height = model.rest[:, 2].max() if self.top is None else self.top
         return (0.0, 0.0, float(height)), (0.0, 0.0, -1.0), (0.0, 0.0, 0.0)
 
     def track(self, model: Model) -> Track:
-        """Down with smooth ends, hold, and up again."""
+        """Displacement [m]: smoothly down, a rest, and up again."""
         low = (0.0, 0.0, -self.depth * float(np.ptp(model.rest[:, 2])))
         return there_and_back(low, self.start, self.down, self.hold, self.up)
 
 
 class Container(Movable):
-    """A box that keeps things inside: the walls of a tank, a tray, or of the whole domain.
+    """A box that keeps things inside: the walls of a tank, of a tray, or of the whole domain.
 
-    Each closed side is one stage; name the sides that are open.
+    Each closed side is one stage. Leave out the sides that are open.
     """
 
     kind: Literal["container"] = "container"
@@ -122,7 +122,7 @@ class Container(Movable):
         return self.sides()
 
     def sides(self) -> list[HalfSpace]:
-        """Its walls; a side far beyond any scene is none."""
+        """Its walls; a side far beyond any scene counts as open."""
         walls = []
         for axis in range(3):
             for corner, sign in ((self.inside.lower, 1.0), (self.inside.upper, -1.0)):
@@ -146,9 +146,17 @@ class Container(Movable):
 
 
 def there_and_back(to: Vector, start: float, go: float, stay: float, back: float) -> Track:
-    """Displacement to a place [m], a rest and the way back, with smooth ends; times in s."""
+    """A smooth displacement to a point, a rest, and a smooth way back.
+
+    Args:
+        to: Displacement during the rest [m].
+        start: Time at which it sets out [s].
+        go: Duration of the way there [s].
+        stay: Duration of the rest [s].
+        back: Duration of the way back [s].
+    """
     here = (0.0, 0.0, 0.0)
     times = [0.0, go, go + stay, go + stay + back] if stay > 0 else [0.0, go, go + back]
     points = (here, to, to, here) if stay > 0 else (here, to, here)
-    # Beyond what a user may give: each of the times is within bounds, their sum need not be.
+    # Built without validation: each time is within the bounds, but their sum need not be.
     return Path.model_construct(start=start, times=tuple(times), points=points).track()

@@ -33,11 +33,11 @@ class Box(Movable):
         return self
 
     def geometry(self, model: Model) -> tuple[Vector, Vector, Vector]:
-        """Centre and half sizes."""
+        """Centre and half sizes [m]."""
         return box_of(self.lower, self.upper)
 
     def extent(self, model: Model) -> Corners:
-        """The box."""
+        """Corners of the box [m]."""
         return np.array(self.lower), np.array(self.upper)
 
     def thickness(self) -> float:
@@ -54,7 +54,7 @@ class Sphere(Movable):
     radius: float = Field(default=0.2, ge=1e-9, le=1e5, description="Radius [m].")
 
     def geometry(self, model: Model) -> tuple[Vector, Vector, Vector]:
-        """Centre and radius."""
+        """Centre and radius [m]."""
         return self.centre, (self.radius, 0.0, 0.0), (0.0, 0.0, 0.0)
 
     def extent(self, model: Model) -> Corners:
@@ -82,7 +82,7 @@ class Capsule(Movable):
         return self
 
     def geometry(self, model: Model) -> tuple[Vector, Vector, Vector]:
-        """Ends and radius."""
+        """Both ends and the radius [m]."""
         return self.start, self.end, (self.radius, 0.0, 0.0)
 
     def extent(self, model: Model) -> Corners:
@@ -96,7 +96,7 @@ class Capsule(Movable):
 
 
 class Gripper(Boundary):
-    """Two pads that close on the object from both sides and lift it."""
+    """Two pads that close on the object from both sides, then lift it."""
 
     thing: ClassVar[str] = "each pad (thick, width)"
     kind: Literal["gripper"] = "gripper"
@@ -122,11 +122,11 @@ class Gripper(Boundary):
 
     @property
     def moves(self) -> bool:
-        """Always."""
+        """Always true."""
         return True
 
     def thickness(self) -> float:
-        """Half of the pads' shorter side [m]."""
+        """Half of the pads' shortest side [m]."""
         return min(self.thick, self.width) / 2
 
     def parts(self) -> list[Box]:

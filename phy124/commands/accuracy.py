@@ -23,7 +23,7 @@ from phy124.runtime.device import pick_device
 from phy124.scene import Scene
 
 DUCK = "demo/examples/duck.png"
-KEPT = "what is told is of the settings that were run"
+KEPT = "the results are those of the settings that were run"
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,11 @@ class ShowAccuracy:
     """Print as JSON and nothing else."""
 
     def run(self) -> int:
-        """Verify or study; status 1 if a known answer is missed."""
+        """Verify or study; returns status 1 if a known answer is missed.
+
+        Raises:
+            InputError: There is nothing to study, or scene, picture or levels cannot be used.
+        """
         if self.verify:
             return self._verify()
         if self.scene is None:
@@ -105,7 +109,7 @@ class ShowAccuracy:
         return bars.status(KEPT)
 
     def _sorted_levels(self, scene: Scene) -> tuple[int, ...]:
-        """The levels from coarse to fine; raises InputError for what the scene does not take."""
+        """The levels from coarse to fine; raises InputError for one that the scene rejects."""
         if not self.levels:
             raise InputError("levels", "none", "there is nothing to study.", "Give 16 24 32, say.")
         for cells in self.levels:
@@ -134,11 +138,11 @@ class ShowAccuracy:
     def _look(self, cutout: Cutout) -> None:
         if not self.json:
             see = f"Look at it with `phy124 cutout {self.image}`"
-            doubt(cutout, f"{see}; --mask there mends it, and what it writes can be studied.")
+            doubt(cutout, f"{see}; --mask corrects it, and the file it writes can be studied.")
 
 
 def _verdict_line(row: dict[str, Any]) -> str:
-    """One check as a line."""
+    """A check as a line of text."""
     order = ""
     if row["expected_order"]:
         low, high = row["expected_order"]

@@ -1,4 +1,4 @@
-"""How far the work is, on standard error, and a safe Ctrl-C."""
+"""Progress on standard error, and a safe Ctrl-C."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from phy124.runtime.signals import handled, interrupt
 
 _silent: ContextVar[bool] = ContextVar("_silent", default=False)
 BETWEEN_LINES = 10.0
-"""Seconds between two lines about the same stage, where no bar can be drawn."""
+"""Time between two lines about the same stage where no bar can be drawn [s]."""
 
 
 @contextmanager
 def silence() -> Iterator[None]:
-    """Within it no bars are drawn (`--quiet`)."""
+    """Within this context no bars are drawn (`--quiet`)."""
     token = _silent.set(True)
     try:
         yield
@@ -30,13 +30,13 @@ def silence() -> Iterator[None]:
 
 
 class Bars:
-    """A `Progress` that shows the stage in hand; use as a context manager.
+    """A `Progress` that shows the current stage; use it as a context manager.
 
-    On a terminal it is a bar, elsewhere, in a log say, a line now and then.
+    On a terminal it is a bar; elsewhere, for example in a log, it is a line now and then.
 
-    Inside, Ctrl-C is remembered and ends the work at the next report of progress, never in the
-    middle of a kernel, where it could take the process down. One more before that acts at once.
-    With `keeps` the caller keeps what there is, and the user is told that this takes a moment.
+    Within the context, Ctrl-C is remembered and ends the work at the next report of progress, never
+    in the middle of a kernel, where it could crash the process. A second Ctrl-C before that acts at
+    once. With `keeps` the caller keeps the results so far, and the user is told so.
     """
 
     def __init__(self, *, quiet: bool = False, keeps: bool = False) -> None:
@@ -57,12 +57,12 @@ class Bars:
         self._signals.__exit__(None, None, None)
 
     def __call__(self, stage: str, done: int, total: int) -> None:
-        """Show how far a stage is; raises Cancelled once after each Ctrl-C."""
+        """Show the progress of a stage; raises Cancelled once after each Ctrl-C."""
         if self.interrupted:
             self.interrupted, self.cancelled = False, True
             self.close()
             if self.keeps:
-                self._say("interrupted: what there is will be kept; Ctrl-C again leaves at once")
+                self._say("interrupted: results so far will be kept; Ctrl-C again quits at once")
             raise Cancelled
         if self.quiet:
             return
@@ -78,7 +78,7 @@ class Bars:
             self.bar = None
 
     def status(self, kept: str) -> int:
-        """The exit status of a command that keeps what it has finished; says what that is."""
+        """The exit status of a command that keeps its finished results; `kept` says which."""
         if not self.cancelled:
             return 0
         self._say(f"phy124: stopped; {kept}")
@@ -92,7 +92,7 @@ class Bars:
         self.bar.update(done - self.bar.n)
 
     def _report(self, stage: str, done: int, total: int) -> None:
-        """A line when a stage begins and ends, and now and then in between."""
+        """Print a line when a stage begins and ends, and now and then in between."""
         now, line = time.monotonic(), f"{stage}: {done} of {total}"
         due = stage != self._stage or done == total or now >= self._next_line
         if due and line != self._said:

@@ -1,4 +1,4 @@
-"""`phy124 compare`: how far two clips are apart, in figures and side by side."""
+"""`phy124 compare`: how much two clips differ, in figures and side by side."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from phy124.scene import Scene, View
 
 @dataclass(frozen=True)
 class Compare:
-    """Measure how far two clips of one object are apart, and film them side by side."""
+    """Measure how much two clips of one object differ, and film them side by side."""
 
     a: tyro.conf.Positional[Path]
-    """clip.safetensors, or the folder it is in; shown on the left, and its cameras film both."""
+    """clip.safetensors, or its folder; shown on the left, and its cameras film both."""
     b: tyro.conf.Positional[Path]
-    """The other one."""
+    """The other clip."""
     view: Annotated[CameraOptions, tyro.conf.arg(name="")] = field(default_factory=CameraOptions)
     out: Path | None = None
     """Folder of comparison.json and the videos; default compare-B beside the first clip."""
@@ -68,14 +68,14 @@ class Compare:
 
 
 def _name(path: Path) -> str:
-    """What tells a clip from others: its file's name or, if that is the usual one, its folder's."""
+    """A name for a clip: that of its file or, if that is the usual one, that of its folder."""
     return path.resolve().parent.name if path.stem == "clip" else path.stem
 
 
 def _filmed(
     a: Clip, b: Clip, view: View, side: str, folder: Path, device: str, progress: Progress
 ) -> Likeness:
-    """Film both from one side, one beside the other, and measure as the pictures pass."""
+    """Film both from one side, next to each other, and measure their difference meanwhile."""
     measured, seen = Pictures(), pipeline.cameras(a, view, side)
 
     def images(clip: Clip) -> Iterator[Picture]:

@@ -1,4 +1,4 @@
-"""`phy124 cutout`: only cut the object out of a picture, to look at it before anything else."""
+"""`phy124 cutout`: only cuts the object out of a picture, to look at it before anything else."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ class CutoutOptions:
         ),
     ] = "auto"
     mask: Path | None = None
-    """Picture of the same size that is white where the object is, instead of cutting it out."""
+    """Picture of the same size that is white where the object is; replaces cutting out."""
     weights: Path | None = None
     """Folder to look for trained weights in first (see `phy124 doctor`)."""
 
 
 @dataclass(frozen=True)
 class CutOut:
-    """Cut the object out of a picture, say how and whether it looks right, and save it."""
+    """Cut the object out of a picture, report how and whether it looks right, and save it."""
 
     image: tyro.conf.Positional[Path]
     """PNG, JPEG, WebP or HEIC picture of one object."""
@@ -55,7 +55,11 @@ class CutOut:
     """Print as JSON and nothing else."""
 
     def run(self) -> int:
-        """Cut out; prints method, coverage, warnings and the file."""
+        """Cut out; prints method, coverage, warnings and the file.
+
+        Raises:
+            InputError: The picture or the name of the file cannot be used.
+        """
         out = self.out or Path("out") / f"{self.image.stem}-cutout.png"
         if out.suffix.lower() not in KINDS:
             limit = "A cut-out needs a format with transparency."
@@ -83,12 +87,12 @@ class CutOut:
 
 
 def described(cutout: dict[str, Any]) -> str:
-    """How the object was cut out, and how large it is; takes `Cutout.data()`."""
+    """How the object was cut out and how large it is, in words; takes `Cutout.data()`."""
     return f"cut out by {cutout['method']}: {cutout['coverage']:.1%} of the picture"
 
 
 def doubt(cutout: Cutout, remedy: str) -> None:
-    """Say on standard error what makes the cut-out doubtful, and what to do."""
+    """Print on standard error what makes the cut-out doubtful, and what to do."""
     for warning in cutout.warnings:
         print(f"warning: {warning}", file=sys.stderr)
     if cutout.warnings:

@@ -27,7 +27,7 @@ EXTRAS = {
     "usd": ("pxr",),
     "plots": ("matplotlib",),
 }
-"""Optional parts and the modules each needs."""
+"""Optional part -> the modules it needs."""
 
 
 @dataclass(frozen=True)
@@ -37,12 +37,12 @@ class Doctor:
     weights: Path | None = None
     """Folder to look for weights in first."""
     all: bool = False
-    """Also every file of weights: where it was looked for, its checksum, how to fetch it."""
+    """Also list every file of weights: where it is looked for, its checksum, how to fetch it."""
     json: bool = False
     """Print as JSON."""
 
     def run(self) -> int:
-        """Print; status 1 if something needed is missing."""
+        """Print the findings; returns status 1 if a required part is missing."""
         found, files = examine(), status(self.weights, check=self.all or self.json)
         if self.json:
             print(json.dumps({**found, "weights": data(files)}))
@@ -77,7 +77,7 @@ def examine() -> dict[str, Any]:
 
 
 def _encoder() -> str | None:
-    """The ffmpeg program that writes MP4s."""
+    """The path of the ffmpeg program that writes MP4s, or None."""
     import imageio_ffmpeg
 
     try:

@@ -15,7 +15,7 @@ from phy124.scene import Scene
 
 @dataclass(frozen=True)
 class ShowEffects:
-    """Say, without running it, which effects a scene calls for and which are left out."""
+    """List, without running it, the effects a scene calls for and those that are left out."""
 
     scene: tyro.conf.Positional[str]
     """Preset or .toml file."""
@@ -24,7 +24,7 @@ class ShowEffects:
     """Print as JSON."""
 
     def run(self) -> int:
-        """Print."""
+        """Print the effects."""
         effects = Effects.of(Scene.named(self.scene), device=pick_device(self.device))
         if self.json:
             print(json.dumps(effects.data()))

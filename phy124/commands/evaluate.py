@@ -32,13 +32,13 @@ class Evaluate:
     clip: tyro.conf.Positional[Path]
     """clip.safetensors made by `phy124 generate`."""
     clip_model: str | None = None
-    """A CLIP model: a folder, or a name on huggingface.co fetched before; "none": no CLIP-T."""
+    """CLIP model: a folder, or a name on huggingface.co that was fetched; "none": no CLIP-T."""
     bgr: bool = False
-    """Give CLIP the channels in the order blue, green, red, as 4DGen's program does."""
+    """Pass CLIP the channels in the order blue, green, red, as 4DGen's program does."""
     size: int = 256
     """Width and height of the pictures measured."""
     elevation: float = 0.0
-    """Camera height angle [deg]."""
+    """Elevation angle of the camera [degrees]."""
     weights: Path | None = None
     """Folder to look for weights in first."""
     out: Path | None = None
@@ -52,7 +52,7 @@ class Evaluate:
         clip = Clip.load(self.clip)
         out = self.out or self.clip.parent / "evaluation.json"
         weights, bars = looking_in(self.weights), Bars(quiet=self.json)
-        with replacing(out) as path, weights, bars:  # A file that cannot be written is refused now.
+        with replacing(out) as path, weights, bars:  # refuses a file that cannot be written
             model, missing = self._model()
             videos = self._videos(clip, bars)
             result = evaluate(clip, videos, model=model, missing=missing)
@@ -63,7 +63,7 @@ class Evaluate:
         return 0
 
     def _model(self) -> tuple[similarity.ClipModel | None, str | None]:
-        """The CLIP model, or why there is none; a model asked for by name must be there."""
+        """The CLIP model, or why there is none; a model that is named must exist."""
         if self.clip_model == "none":
             return None, "it was left out with --clip-model none."
         try:

@@ -1,4 +1,4 @@
-"""`phy124 generate` and `phy124 simulate`: a picture, or ready Gaussians, to a moving object."""
+"""`phy124 generate` and `phy124 simulate`: make a picture, or given Gaussians, move."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ class Generate:
     generator: GeneratorName = "relief"
     reading: Annotated[Reading, tyro.conf.arg(name="")] = field(default_factory=Reading)
     gaussians: int | None = None
-    """About so many Gaussians (relief makes 50,000), or at most so many of what is made."""
+    """Number of Gaussians: about so many from relief (default 50,000), otherwise the maximum."""
     cutting: Annotated[CutoutOptions, tyro.conf.arg(name="")] = field(default_factory=CutoutOptions)
     out: Path | None = None
     """Folder of the results; default out/PICTURE-SCENE."""
     plan: Annotated[PlanOptions, tyro.conf.arg(name="")] = field(default_factory=PlanOptions)
 
     def run(self) -> int:
-        """Generate; prints files and times."""
+        """Generate; prints files and durations."""
         scene = self.options.resolve()
         device = pick_device(self.options.device)
         out = self.out or default_out(str(self.image), self.options.scene)
@@ -82,7 +82,7 @@ class Generate:
         return show(result, as_json=self.options.json)
 
     def _predict(self, scene: Scene, device: str) -> int:
-        """Make the Gaussians and print how long the rest would take."""
+        """Make the Gaussians and print how long the remaining stages would take."""
         watch = Stopwatch()
         with Bars(quiet=self.options.json) as bars:
             made = pipeline.static(
@@ -96,7 +96,7 @@ class Generate:
         )  # fmt: skip
 
     def _look(self, bars: Bars, cutout: Cutout) -> None:
-        """Say what is doubtful before the long work begins."""
+        """Print what is doubtful before the long work begins."""
         if not self.options.json:
             bars.close()  # a warning does not belong on the line of a bar
             doubt(cutout, f"Look at it with `phy124 cutout {self.image}`; {IF_WRONG}")
@@ -104,20 +104,20 @@ class Generate:
 
 @dataclass(frozen=True)
 class Simulate:
-    """Move ready 3D Gaussians (any standard 3DGS .ply) and film them."""
+    """Move existing 3D Gaussians (any standard 3DGS .ply) and film them."""
 
     file: tyro.conf.Positional[Path]
     """The .ply file."""
     options: Annotated[SceneOptions, tyro.conf.arg(name="")] = field(default_factory=SceneOptions)
     reading: Annotated[Reading, tyro.conf.arg(name="")] = field(default_factory=Reading)
     gaussians: int | None = None
-    """At most so many of its Gaussians; those that are left grow to cover the same area."""
+    """Largest number of its Gaussians to use; those kept grow to cover the same area."""
     out: Path | None = None
     """Folder of the results; default out/FILE-SCENE."""
     plan: Annotated[PlanOptions, tyro.conf.arg(name="")] = field(default_factory=PlanOptions)
 
     def run(self) -> int:
-        """Simulate; prints files and times."""
+        """Simulate; prints files and durations."""
         scene = self.options.resolve()
         device = pick_device(self.options.device)
         out = self.out or default_out(str(self.file), self.options.scene)
@@ -131,7 +131,7 @@ class Simulate:
         if self.plan.dry_run:
             return self._predict(file, scene, device)
         bars, place = Bars(quiet=self.options.json, keeps=True), pipeline.staged(out)
-        with bars, place:  # The folder is refused before any work, if at all.
+        with bars, place:  # a folder that cannot be used is refused before any work
             with watch.stage("read"):
                 read = self._read(file, scene, bars)
             about = {"generator": str(self.file), "cleaning": read.cleaning, **read.about}
@@ -145,7 +145,7 @@ class Simulate:
         return capture(file, scene, count=self.gaussians, progress=progress)
 
     def _predict(self, file: PlyFile, scene: Scene, device: str) -> int:
-        """Read the Gaussians and print how long the rest would take."""
+        """Read the Gaussians and print how long the remaining stages would take."""
         watch = Stopwatch()
         with Bars(quiet=self.options.json) as bars, watch.stage("read"):
             read = self._read(file, scene, bars)
@@ -155,7 +155,14 @@ class Simulate:
 
 
 def go_on(out: Path, options: SceneOptions, scene: Scene, goal: Goal | None = None) -> int:
-    """Take up the run of a scene that was interrupted in a folder; prints as it would have."""
+    """Continue the run that was interrupted in a folder; prints what it would have printed.
+
+    Args:
+        out: The folder of the interrupted run.
+        options: The options of the command.
+        scene: The scene that the run must have.
+        goal: The goal that the run must have had, if any.
+    """
     device = pick_device(options.device)
     with Bars(quiet=options.json, keeps=True) as bars:
         result = pipeline.go_on(
@@ -165,7 +172,7 @@ def go_on(out: Path, options: SceneOptions, scene: Scene, goal: Goal | None = No
 
 
 def show(result: pipeline.Result, *, as_json: bool) -> int:
-    """Print what a run made; the exit status."""
+    """Print what a run produced; returns the exit status."""
     report = result.report
     if as_json:
         print(json.dumps({**report, "files": [str(path) for path in result.files]}))
@@ -197,17 +204,17 @@ def show(result: pipeline.Result, *, as_json: bool) -> int:
 
 
 def floor_sentence(floor: dict[str, Any]) -> str:
-    """What floor was found, in the file's axes and units."""
+    """A sentence about the floor that was found, in the file's axes and units."""
     up = ", ".join(f"{value:.3f}" for value in floor["normal"])
     return (
         f"floor: {floor['gaussians']} Gaussians ({floor['fraction']:.0%}) within "
-        f"{floor['tolerance']:.3g} of a plane or below it, up is ({up}), "
-        f"{floor['tilt']:.1f} degrees from where the file was said to have it"
+        f"{floor['tolerance']:.3g} of a plane or below it; up is ({up}), "
+        f"{floor['tilt']:.1f} degrees from the direction assumed for the file"
     )
 
 
 def print_forecast(report: dict[str, Any]) -> None:
-    """What was predicted or asked for, and what came of it."""
+    """Print what was predicted or asked for, and the outcome."""
     told, goal = report.get("forecast"), report.get("goal")
     if told:
         print(

@@ -1,4 +1,4 @@
-"""What kind of file was given, and which command takes it."""
+"""Which kind of file was given, and which command takes it."""
 
 from __future__ import annotations
 
@@ -14,25 +14,29 @@ KINDS = {
     ".safetensors": "a clip",
     ".toml": "a scene",
 }
-"""What a file of each ending holds."""
+"""Ending of a file's name -> its content."""
 TAKES = {
     "generate": ("image", "a picture"),
     "simulate": ("file", "a file of Gaussians"),
     "render": ("clip", "a clip"),
     "evaluate": ("clip", "a clip"),
 }
-"""Which field of a command is which kind of file."""
+"""Command -> its field that is a file, and the kind of file it takes."""
 USES = {
     "a picture": "Use `phy124 generate {}`.",
     "a file of Gaussians": "Use `phy124 simulate {}`.",
     "a clip": "Use `phy124 render {}`.",
     "a scene": "Give it after --scene.",
 }
-"""What to do with each kind."""
+"""Kind of file -> the remedy that names the command for it."""
 
 
 def refuse_other_kind(name: str, command: Any) -> None:
-    """Raise InputError if a command was given a file that another one takes."""
+    """Refuse a file that is meant for another command.
+
+    Raises:
+        InputError: The file is of a kind that another command takes.
+    """
     if name not in TAKES:
         return
     field, wanted = TAKES[name]

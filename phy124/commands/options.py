@@ -29,7 +29,7 @@ def help_of(model: Any, name: str, *, example: str = "") -> Any:
 
 
 Listed = tuple[str, ...] | None
-"""Several values, with spaces or commas between them; the scene says which are allowed."""
+"""Several values, separated by spaces or commas; the scene says which are allowed."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Options of a run that say how accurate or how fast it shall be, and what is said before it."""
+"""Options that say how accurate or how fast a run is to be, and what is printed before it."""
 
 from __future__ import annotations
 
@@ -19,26 +19,30 @@ from phy124.scene import Scene, summary
 
 @dataclass(frozen=True)
 class PlanOptions:
-    """What a run shall achieve, and whether it is only predicted."""
+    """What a run is to achieve, and whether it is only predicted."""
 
     forecast: bool = False
-    """Foretell the seconds first and compare them in the report; takes about a second."""
+    """Predict the seconds first and compare them in the report; takes about a second."""
     dry_run: bool = False
-    """Write nothing: only say what would run, for how long, and what error is promised."""
+    """Write nothing: only print what would run, for how long, and what error is promised."""
     max_error: str | None = None
     """Choose the accuracy so that the error is at most this: 2px, 1% (of the size) or 3mm."""
     max_seconds: float | None = None
     """Choose the finest accuracy that takes at most so many seconds in all."""
     resume: bool = False
-    """Go on with the run that was interrupted in the folder of the results, bit for bit."""
+    """Continue the run that was interrupted in the folder of the results, bit for bit."""
 
     def goal(self) -> Goal | None:
-        """What is asked for, if anything; raises InputError."""
+        """The error or time asked for, if any.
+
+        Raises:
+            InputError: Both are given, or one that cannot be used.
+        """
         if self.max_error is not None and self.max_seconds is not None:
-            limit = "an error is asked for as well."
+            limit = "an error is given as well."
             raise InputError("max_seconds", self.max_seconds, limit, "Give one of the two.")
         if self.max_error is not None and self.dry_run:
-            limit = "which grid it takes shows only once coarse ones have run."
+            limit = "the grid it needs is known only after coarser ones have run."
             remedy = "Leave --dry-run out, or name an accuracy instead of the error."
             raise InputError("dry_run", f"with --max-error {self.max_error}", limit, remedy)
         if self.max_error is not None:
@@ -46,12 +50,12 @@ class PlanOptions:
         return None if self.max_seconds is None else Goal.time(self.max_seconds)
 
     def forecaster(self, device: str) -> Forecaster | None:
-        """What predicts the run, if it is to be compared in the report."""
+        """The forecaster, if the report is to compare its prediction."""
         return Forecaster(device) if self.forecast else None
 
 
 def announce(scene: Scene, *, as_json: bool) -> None:
-    """Say what will run, before it does, and what makes it slow."""
+    """Print what is about to run and what makes it slow."""
     if as_json:
         return
     print(f"scene: {summary(scene)}", flush=True)
@@ -64,7 +68,17 @@ def predict(
     gaussians: Gaussians, scene: Scene, plan: PlanOptions, device: str, crop: Crop,
     watch: Stopwatch, *, as_json: bool,
 ) -> int:  # fmt: skip
-    """Print how long a run would take, the grid a time leads to, and what is promised."""
+    """Print how long a run would take, the grid chosen for a given time, and the promised error.
+
+    Args:
+        gaussians: The object.
+        scene: The scene.
+        plan: The options of the command.
+        device: Warp device.
+        crop: Where the object is in the picture that the masks of parts were painted on.
+        watch: The durations of the stages so far.
+        as_json: Print JSON and nothing else.
+    """
     forecaster, goal = Forecaster(device), plan.goal()
     if goal is None:
         forecast = forecaster.forecast(gaussians, scene, crop=crop)

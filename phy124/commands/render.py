@@ -54,4 +54,4 @@ class Render:
             print(json.dumps({"files": files, "notes": notes}))
         else:
             print("\n".join([*files, *(f"note: {note}" for note in notes)]))
-        return bars.status("the files named are whole, the others were not made")
+        return bars.status("the files named are complete, the others were not made")

@@ -1,4 +1,4 @@
-"""`phy124 scenes`: what can be made to happen."""
+"""`phy124 scenes`: the preset scenes, and every field that a scene has."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ class Scenes:
     name: tyro.conf.Positional[str | None] = None
     """Preset to print in full."""
     reference: bool = False
-    """Print every field of a scene: what it may be, its default and what it is."""
+    """Print every field of a scene: which values it takes, its default and its meaning."""
     schema: bool = False
     """Print the JSON schema of scene files, for editors; the same as --reference --json."""
     json: bool = False
     """Print as JSON and nothing else."""
 
     def run(self) -> int:
-        """Print."""
+        """Print the list, the preset or the reference."""
         if self.reference or self.schema:
             print(schema() if self.schema or self.json else reference(), end="")
             return 0

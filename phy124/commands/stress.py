@@ -14,12 +14,12 @@ class Stress:
     """Run the hard cases on this machine's devices: case, bound, measured, verdict."""
 
     all: bool = False
-    """At full length: minutes instead of seconds."""
+    """Run at full length: minutes instead of seconds."""
     json: bool = False
     """Print as JSON."""
 
     def run(self) -> int:
-        """Print the table; status 1 if a case fails."""
+        """Print the table; returns status 1 if a case fails."""
         from phy124 import selftest as stress
         from phy124.commands.bars import Bars
 

@@ -1,4 +1,4 @@
-"""`phy124 weights`: which trained weights are here, and fetching them."""
+"""`phy124 weights`: lists trained weights, and fetches them."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from phy124.errors import InputError
 from phy124.weights.store import KNOWN, WeightStatus, fetch, status
 
 SENTENCES = {
-    "match": "whole: size and sha256 are the published ones",
-    "differs": "NOT the published file: delete and fetch it again",
-    "unknown": "found; its sha256 is not known here, nothing to compare with",
+    "match": "complete: size and sha256 are the published ones",
+    "differs": "NOT the published file: delete it and fetch it again",
+    "unknown": "found; the published sha256 is not known, so it cannot be checked",
     "unchecked": "found; not checked",
     "missing": "missing",
 }
-"""What each verdict means."""
+"""Verdict -> sentence."""
 OLDER = "(with huggingface_hub before 1.0 the command is `huggingface-cli download ...`)"
 
 
 @dataclass(frozen=True)
 class Weights:
-    """List the trained weights that are known and found, or fetch a set of them."""
+    """List the known trained weights and which are found, or fetch a set of them."""
 
     action: tyro.conf.Positional[Literal["list", "fetch"]] = "list"
     """What to do."""
@@ -38,7 +38,11 @@ class Weights:
     """Print as JSON."""
 
     def run(self) -> int:
-        """List or fetch; status 1 if a listed file differs from the published one."""
+        """List or fetch; returns status 1 if a listed file differs from the published one.
+
+        Raises:
+            InputError: The set is missing or unknown, or it cannot be fetched.
+        """
         if self.action == "list":
             return self._list()
         if self.name is None:
@@ -76,7 +80,7 @@ def data(found: list[WeightStatus]) -> list[dict[str, Any]]:
 
 
 def summary(found: list[WeightStatus]) -> str:
-    """Statuses in one line: which sets are whole, damaged or missing."""
+    """Statuses in one line: which sets are complete, damaged or missing."""
     sets: dict[str, list[WeightStatus]] = {}
     for s in found:
         sets.setdefault(s.weights, []).append(s)

@@ -1,7 +1,7 @@
 """Constitutive laws a scene can name, each with its own parameters in SI units and their bounds.
 
-A material is its own section of the scene file; its device functions are in phy124/kernels, its
-formulae with their sources in docs/reference/physics.md.
+A material is its own section of the scene file. Its device functions are in phy124/kernels; the
+formulae and their sources are in docs/reference/physics.md.
 """
 
 from typing import Annotated
@@ -16,7 +16,7 @@ from phy124.materials.plastic import Foam, Metal, Plasticine
 from phy124.plugins import OpenTo
 
 Law = NeoHookean | FixedCorotated | Hencky | Rigid | Metal | Plasticine | Foam | Sand | Snow | Fluid
-"""The kinds of phy124's own."""
+"""The laws that phy124 has."""
 AnyMaterial = SerializeAsAny[
     Annotated[Law, Field(discriminator="law"), OpenTo(Material, "law", "materials", Law)]
 ]

@@ -12,16 +12,16 @@ from phy124.section import Section
 
 
 class Material(Section):
-    """What all materials have: a density and a law on the device."""
+    """Base class of all materials: a density and a law on the device."""
 
     device_law: ClassVar[Law]
     scaled: ClassVar[int] = 0
-    """How many of the first parameters are proportional to E; 0: it has no E to vary."""
+    """How many of the first entries of `theta` are proportional to E; 0: it has no E to vary."""
     may_collapse: ClassVar[bool] = False
     """Whether it may stay flat after an impact, since its energy at J = 0 is finite."""
 
     sounder_law: ClassVar[str | None] = None
-    """The law with the same fields that stays sound in harder impacts."""
+    """A law with the same fields that stays sound in harder impacts."""
 
     density: float = Field(default=1000.0, ge=1, le=1e5, description="Mass per volume [kg/m^3].")
 
@@ -52,19 +52,24 @@ class Material(Section):
         return math.inf
 
     def cheaper(self, field: str) -> str:
-        """What makes a run of it faster, where a scene sets it as `field`."""
+        """What makes a run faster, in words; `field` is the field that sets this material."""
         return f"a smaller {field}.E"
 
     def notes(self) -> list[str]:
-        """What the user should know about how this material is simulated, in sentences."""
+        """Sentences that the user should know about how this material is simulated."""
         return []
 
 
 def viscous_substep(density: float, viscosity: float, dx: float) -> float:
-    """rho dx^2 / (8 eta), the substep in which friction stops an isolated particle's strain [s].
+    """rho dx^2 / (8 eta), the substep [s] in which viscosity stops an isolated particle's strain.
 
-    Twice as long would be unstable; see `timestep.beside_elastic` for what is left beside the
-    elastic limit.
+    Twice as long would be unstable. How this limit combines with the elastic one:
+    `timestep.beside_elastic`.
+
+    Args:
+        density: rho [kg/m^3].
+        viscosity: eta [Pa s].
+        dx: Grid spacing [m].
     """
     return density * dx * dx / (8 * viscosity) if viscosity else math.inf
 
@@ -86,7 +91,7 @@ class Elastic(Material):
 
     @property
     def lame(self) -> tuple[float, float]:
-        """Lame parameters mu, lambda [Pa]."""
+        """Lamé parameters mu, lambda [Pa]."""
         mu = self.E / (2 * (1 + self.nu))
         return mu, self.E * self.nu / ((1 + self.nu) * (1 - 2 * self.nu))
 

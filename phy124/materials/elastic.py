@@ -1,4 +1,4 @@
-"""Elastic solids: they spring back whatever was done to them."""
+"""Elastic solids: they return to their rest shape after any deformation."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from phy124.materials.base import Elastic, viscous_substep
 
 
 class Springy(Elastic):
-    """Elastic solids that may lose energy by viscosity, as rubber does."""
+    """Elastic solids that may dissipate energy by viscosity (Kelvin-Voigt), as rubber does."""
 
     lossless: ClassVar[Law]
     damped: ClassVar[Any]
-    """The same stress with friction; theta then ends with eta."""
+    """The same stress with viscosity; theta then ends with eta."""
 
     damping: float = Field(
         default=0.0,
@@ -27,23 +27,23 @@ class Springy(Elastic):
 
     @property
     def device_law(self) -> Law:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The law without friction, or one of its own with it."""
+        """The law with viscosity if there is damping, otherwise without."""
         plain = self.lossless
         if self.damping == 0:
             return plain
         return plain._replace(name=f"{plain.name}_damped", stress=self.damped, width=3)
 
     def theta(self) -> tuple[float, ...]:
-        """(mu, lambda), and the damping if there is one."""
+        """(mu, lambda), followed by the damping if there is any."""
         return (*self.lame, self.damping) if self.damping else self.lame
 
     def viscous_limit(self, dx: float) -> float:
-        """Longest substep that friction allows [s]."""
+        """Longest substep that viscosity allows on a grid of spacing `dx` [m], s."""
         return viscous_substep(self.density, self.damping, dx)
 
 
 class NeoHookean(Springy):
-    """Compressible neo-Hookean solid with log J: the default, stays sound in hard impacts."""
+    """Compressible neo-Hookean solid with log J: the default; stays sound in hard impacts."""
 
     law: Literal["neo_hookean"] = "neo_hookean"
     damped: ClassVar[Any] = staticmethod(damping.neo_hookean_damped)
@@ -73,7 +73,7 @@ class FixedCorotated(Springy):
 
 
 class Hencky(Springy):
-    """St. Venant-Kirchhoff solid in Hencky strain: linear in log stretch, softens when pulled."""
+    """St. Venant-Kirchhoff solid in Hencky strain: linear in log stretch; softens when pulled."""
 
     law: Literal["hencky"] = "hencky"
     sounder_law: ClassVar[str | None] = "neo_hookean"
@@ -88,10 +88,10 @@ class Hencky(Springy):
 
 
 class Rigid(Elastic):
-    """A hard body: as stiff as makes no visible difference, and no stiffer.
+    """A hard body: stiff enough that its deformation cannot be seen, and no stiffer.
 
-    An explicit simulation pays sqrt(E). At an impact of speed v the strain is v / c with
-    c = sqrt(E / rho), so E = rho (v / strain)^2 keeps it below `strain`; more is not visible.
+    The cost of an explicit simulation grows as sqrt(E). At an impact of speed v the strain is v / c
+    with c = sqrt(E / rho), so E = rho (v / strain)^2 keeps it below `strain`.
     """
 
     law: Literal["rigid"] = "rigid"
@@ -109,21 +109,21 @@ class Rigid(Elastic):
     )
 
     def cheaper(self, field: str) -> str:
-        """Its stiffness follows from the speed of its impacts."""
+        """A smaller `speed`: the stiffness follows from the speed of impacts."""
         return f"a smaller {field}.speed, if it hits nothing that fast"
 
     @property
     def simulated_E(self) -> float:
-        """Young's modulus that is simulated [Pa]."""
+        """Young's modulus used in the simulation [Pa]."""
         return max(1.0, min(self.E, self.density * (self.speed / self.strain) ** 2))
 
     @property
     def lame(self) -> tuple[float, float]:
-        """Lame parameters mu, lambda of the simulated stiffness [Pa]."""
+        """Lamé parameters mu, lambda of the simulated stiffness [Pa]."""
         return NeoHookean(E=self.simulated_E, nu=self.nu).lame
 
     def notes(self) -> list[str]:
-        """Says so if the stiffness is capped."""
+        """A sentence if the stiffness is capped."""
         if self.simulated_E == self.E:
             return []
         return [

@@ -12,22 +12,22 @@ from phy124.kernels.transfer import Law
 from phy124.materials.base import Material, viscous_substep
 
 RINGING = 0.7
-"""Share used of the bulk viscosity that needs no shorter substep."""
+"""Fraction used of the largest bulk viscosity that needs no shorter substep."""
 SUDDEN = 0.3
-"""How much stiffer than K a fluid is for changes faster than its relaxation time."""
+"""K' / K: how much stiffer a fluid is for changes faster than its relaxation time."""
 RELAXATION = 10.0
-"""Relaxation time, in times that sound takes to cross a cell.
+"""Relaxation time in units of the time that sound takes to cross a cell.
 
-Bodies are some tens of cells deep, and sound that takes that long to travel up and down is what
-rings.
+Bodies are some tens of cells deep, and the sound that rings is that which takes about this long to
+travel up and down.
 """
 
 
 class Fluid(Material):
     """Weakly compressible fluid: Tait pressure and Newtonian viscosity.
 
-    Real water is 2e9 Pa; a thousandth of a per cent or a few per cent of squeeze look the same,
-    so `bulk_modulus` is chosen for the scene: rho g h / K is the squeeze at depth h.
+    Real water has 2e9 Pa, but compression by a thousandth of a per cent looks the same as by a few
+    per cent, so `bulk_modulus` is chosen for the scene: at depth h the compression is rho g h / K.
     """
 
     law: Literal["fluid"] = "fluid"
@@ -41,7 +41,7 @@ class Fluid(Material):
     )
 
     bulk_modulus: float = Field(
-        default=2e5, ge=1, le=1e12, description="Stiffness against squeezing [Pa]."
+        default=2e5, ge=1, le=1e12, description="Stiffness against compression [Pa]."
     )
     gamma: float = Field(
         default=7.0, ge=1.05, le=10, description="Exponent of the Tait pressure; water 7."
@@ -51,7 +51,7 @@ class Fluid(Material):
     )
 
     def theta(self) -> tuple[float, ...]:
-        """(K, gamma, eta) without the damping of sound: zeta, K', 1 / relaxation time."""
+        """(K, gamma, eta, zeta, K', 1 / relaxation time), the last three zero: undamped sound."""
         return self.bulk_modulus, self.gamma, self.viscosity, 0.0, 0.0, 0.0
 
     def history(self) -> tuple[float, float]:
@@ -64,11 +64,11 @@ class Fluid(Material):
         return math.sqrt(self.bulk_modulus / self.density)
 
     def theta_on(self, dx: float, cfl: float) -> tuple[float, ...]:
-        """The same with a bulk viscosity zeta and a relaxation that damp sound.
+        """The same with a bulk viscosity zeta and a relaxation, which damp sound.
 
-        The relaxation damps slow changes, zeta fast ones. With zeta = a rho c dx a substep of `cfl`
-        requires (2 cfl)^2 <= 4 - 2 (12 zeta / rho dx^2) dt, the rule of `beside_elastic`; for J < 1
-        substeps are shorter than at rest.
+        The relaxation damps slow changes, zeta fast ones. With zeta = a rho c dx, a substep of
+        `cfl` requires (2 cfl)^2 <= 4 - 2 (12 zeta / rho dx^2) dt, the rule of `beside_elastic`;
+        where J < 1, substeps are shorter than at rest.
 
         Args:
             dx: Grid spacing, m.
@@ -84,5 +84,5 @@ class Fluid(Material):
         return math.sqrt(3 * (1 + SUDDEN)) * self._sound
 
     def viscous_limit(self, dx: float) -> float:
-        """Longest substep that viscosity allows [s]."""
+        """Longest substep that viscosity allows on a grid of spacing `dx` [m], s."""
         return viscous_substep(self.density, self.viscosity, dx)

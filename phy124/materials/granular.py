@@ -12,10 +12,11 @@ from phy124.kernels.transfer import Law
 from phy124.materials.base import Elastic
 
 PACKING = 2 / 3
-"""Largest product of snow's hardening and compression.
+"""Largest product of snow's hardening xi and critical compression c.
 
-Squeezed evenly to 1 - c, snow stores psi = 3/2 (2 mu + 3 lambda) c^2. Packing by d releases 3 (2 mu
-+ 3 lambda) c d and stiffens psi by the fraction 3 xi d, which takes more once xi c > 2/3.
+Squeezed evenly to 1 - c, snow stores psi = 3/2 (2 mu + 3 lambda) c^2. Packing by d releases the
+energy 3 (2 mu + 3 lambda) c d, while the stiffening raises psi by the fraction 3 xi d: that is more
+than is released once xi c > 2/3.
 """
 
 
@@ -64,13 +65,13 @@ class Snow(Elastic):
     E: float = Field(default=1.4e5, ge=1, le=1e13, description="Young's modulus, fresh [Pa].")
     nu: float = Field(default=0.2, ge=0, le=0.4999, description="Poisson's ratio.")
     compression: float = Field(
-        default=0.025, ge=1e-4, le=0.5, description="Squeeze at which it starts to pack."
+        default=0.025, ge=1e-4, le=0.5, description="Compression at which it starts to pack."
     )
     extension: float = Field(
         default=0.0075, ge=1e-4, le=0.5, description="Stretch at which it starts to break."
     )
     hardening: float = Field(
-        default=10.0, ge=0, le=20, description="How fast packing stiffens it; e^4 at most."
+        default=10.0, ge=0, le=20, description="How fast packing stiffens it, by at most e^4."
     )
 
     @model_validator(mode="after")
@@ -78,8 +79,8 @@ class Snow(Elastic):
         packing = self.hardening * self.compression
         if packing > PACKING:
             raise ValueError(
-                f"hardening x compression = {packing:.3g} must be at most {PACKING:.3g}, or snow "
-                "stores more energy by packing than the packing takes; lower one of them"
+                f"hardening x compression = {packing:.3g} must be at most {PACKING:.3g}, otherwise "
+                "packing creates energy; lower one of them"
             )
         return self
 

@@ -12,15 +12,16 @@ from phy124.kernels.transfer import Law
 from phy124.materials.base import Elastic
 
 NORM = math.sqrt(2 / 3)
-"""Norm of the deviatoric stress per uniaxial stress."""
+"""Norm of the deviatoric stress divided by the uniaxial stress."""
 
 
 class Metal(Elastic):
     """Von Mises metal in Hencky strain with linear isotropic hardening.
 
-    Aluminium's density and Poisson's ratio by default, but with softer numbers in their true order:
-    it yields at a strain of 1 %, less than a cell shows. Real ones (E 7e10, yield_stress 3e7) are
-    legal and cost sqrt(E) substeps; what a blow of speed v dents is decided by density v^2.
+    The defaults are aluminium's density and Poisson's ratio with a lower stiffness: it yields at a
+    strain of 1 %, less than a cell resolves. Real values (E 7e10, yield_stress 3e7) are allowed,
+    but the number of substeps grows as sqrt(E). A blow of speed v leaves a dent if density v^2 is
+    of the order of the yield stress.
     """
 
     law: Literal["metal"] = "metal"
@@ -46,7 +47,7 @@ class Metal(Elastic):
     )
 
     def theta(self) -> tuple[float, ...]:
-        """(mu, lambda, limit, slope, least limit)."""
+        """(mu, lambda, limit, slope, smallest limit)."""
         limit = NORM * self.yield_stress
         return *self.lame, limit, 2 / 3 * self.hardening, limit
 
@@ -54,7 +55,7 @@ class Metal(Elastic):
 class Plasticine(Elastic):
     """Clay: fixed corotated elasticity, yields by von Mises and weakens as it is worked.
 
-    Like fixed corotated it may stay squeezed by impacts near its speed of sound, unless it yields.
+    As with fixed corotated, impacts near its speed of sound may leave it flat, unless it yields.
     """
 
     law: Literal["plasticine"] = "plasticine"
@@ -91,13 +92,13 @@ class Plasticine(Elastic):
         return self
 
     def theta(self) -> tuple[float, ...]:
-        """(mu, lambda, limit, slope, least limit)."""
+        """(mu, lambda, limit, slope, smallest limit)."""
         limit = NORM * self.yield_stress
         return *self.lame, limit, -2 / 3 * self.softening, self.residual * limit
 
 
 class Foam(Elastic):
-    """Herschel-Bulkley viscoplastic: foam, cream, toothpaste; flows at a rate above yield."""
+    """Herschel-Bulkley viscoplastic solid, such as foam, cream or toothpaste: flows above yield."""
 
     law: Literal["foam"] = "foam"
     device_law: ClassVar[Law] = Law(

@@ -1,1 +1,1 @@
-"""What watches a run and changes nothing of it: balance, tearing, rest."""
+"""Monitors of a run, which change nothing in it: balance, tearing, rest."""

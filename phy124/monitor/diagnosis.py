@@ -1,4 +1,4 @@
-"""Diagnosis: which particle is behind what went wrong, in words; asked for only then."""
+"""Diagnosis: words for the particle that went wrong; looked for only after something has."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def law_of(model: Model, index: int) -> str:
 
 
 def particle(model: Model, state: State, index: int) -> str:
-    """A particle in words: its number, law and place, and how it moves."""
+    """A particle in words: its number, law, position and speed."""
     rest, now = _place(model.rest[index]), np.asarray(state.x.numpy())[index]
     words = f"number {index} of law {law_of(model, index)}, at {rest} m at rest"
     speed = speeds(state)[index]
@@ -44,7 +44,7 @@ def particle(model: Model, state: State, index: int) -> str:
 
 
 def substep(model: Model, state: State, clock: Clock) -> str:
-    """How short a substep is at the moment, why, and the particle that moves fastest."""
+    """How short substeps are now, why, and which particle moves fastest, in words."""
     limit = clock.stable()
     fastest = particle(model, state, int(speeds(state).argmax()))
     return (

@@ -1,4 +1,4 @@
-"""Diagnostics of a state: momentum, energy, volume ratios, and the particles that are unsound."""
+"""Diagnostics of a state: momentum, energy, volume ratios, and unsound particles."""
 
 from __future__ import annotations
 
@@ -17,34 +17,34 @@ from phy124.mpm import Clock, Model, Solver, State
 from phy124.mpm.state import part_of
 
 NOBODY = 2**31 - 1
-"""An index beyond all particles."""
+"""An index above those of all particles."""
 VECTORS = ("momentum", "angular", "middle")
 
 
 @dataclass(frozen=True, eq=False)
 class Diagnostics:
-    """What a state adds up to."""
+    """Sums and extremes over the particles of a state."""
 
     momentum: NDArray[np.float64]
-    """[3], kg m/s."""
+    """Momentum [3], kg m/s."""
     angular: NDArray[np.float64]
     """Angular momentum about the origin [3], kg m^2/s."""
     kinetic: float
-    """J, when the last substep kicked: half a substep before the positions."""
+    """Kinetic energy [J] after the last kick, half a substep before the time of the positions."""
     elastic: float
-    """J."""
+    """Elastic energy [J]."""
     lag: float
-    """What the kinetic energy will have changed by at the time of the elastic one, J."""
+    """Change of the kinetic energy [J] between its own time and that of the elastic energy."""
     middle: NDArray[np.float64]
     """Mass times position [3], kg m."""
     min_J: float
-    """Least volume ratio."""
+    """Smallest volume ratio."""
     max_J: float
     """Largest volume ratio."""
     broken: int
-    """Particles that are not finite."""
+    """Number of particles that are not finite."""
     inverted: int
-    """Particles turned inside out."""
+    """Number of particles turned inside out."""
     first_broken: int
     """The lowest index of a broken particle."""
     first_inverted: int
@@ -52,7 +52,7 @@ class Diagnostics:
 
     @classmethod
     def of(cls, model: Model, state: State, clock: Clock) -> Diagnostics:
-        """Add up a state, in float64."""
+        """The diagnostics of a state, summed in float64."""
         device = model.device
         sums = wp.zeros(at.SUMS, dtype=wp.float64, device=device)
         spread = wp.array([-math.inf, -math.inf], dtype=wp.float64, device=device)
@@ -91,29 +91,29 @@ class Diagnostics:
 
     @property
     def energy(self) -> float:
-        """Kinetic and elastic energy of one instant, J.
+        """Kinetic plus elastic energy at one instant [J].
 
         m/2 v(t - dt/2) . v(t + dt/2) + psi(t), which leapfrog conserves exactly in a vibration.
         """
         return self.kinetic + self.elastic + self.lag
 
     def snapshot(self) -> dict[str, Any]:
-        """As plain data."""
+        """The diagnostics as plain data."""
         return {**asdict(self), **{name: getattr(self, name).tolist() for name in VECTORS}}
 
     @classmethod
     def from_snapshot(cls, data: dict[str, Any]) -> Diagnostics:
-        """From plain data."""
+        """The diagnostics from plain data."""
         return cls(**{**data, **{name: np.array(data[name]) for name in VECTORS}})
 
 
 def diagnose(solver: Solver) -> Diagnostics:
-    """What the state of a solver adds up to."""
+    """The diagnostics of a solver's state."""
     return Diagnostics.of(solver.model, solver.state, solver.clock)
 
 
 def energies(model: Model, state: State) -> NDArray[np.float64]:
-    """Kinetic and elastic energy of each particle [P], J; infinite where it is not a number."""
+    """Kinetic plus elastic energy of each particle [P], J; infinite where it is not finite."""
     found = wp.zeros(len(model), dtype=wp.float64, device=model.device)
     for group in model.groups:
         part = group.particles
@@ -130,7 +130,7 @@ def energies(model: Model, state: State) -> NDArray[np.float64]:
 
 
 def speeds(state: State) -> NDArray[np.float64]:
-    """Speed of each particle [P], m/s; infinite where it is not a number."""
+    """Speed of each particle [P], m/s; infinite where it is not finite."""
     velocities: NDArray[Any] = state.v.numpy()
     return _known(np.linalg.norm(velocities.astype(np.float64), axis=1))
 

@@ -1,8 +1,8 @@
-"""External work: impulse and work that forces and walls give a run, summed in every substep.
+"""External work: impulse and work done on the object by forces and walls, summed in every substep.
 
-Forces on particles and walls are measured from both sides: velocities are kept before they act and
-compared after. A uniform acceleration gives M a dt and M a . dx, which needs no launch; where it
-varies in time, a kernel of one thread closes each substep with its impulse and work.
+For forces on particles and for walls, velocities are stored before they act and compared after. A
+uniform acceleration contributes M a dt and M a . dx, which needs no launch; if it varies in time, a
+kernel of one thread adds its impulse and work at the end of each substep.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from phy124.mpm import Attachable, Clock, Grid, Model, Stage, State
 from phy124.tracks import Tracks
 
 STAGE = "external work"
-"""Name of the stages that sum it."""
+"""Name of the stages that sum external work."""
 PUSH, UNIFORM = "push", "uniform"
 WALLS = ("wall", "wall of the second worker")
-"""Accumulators: forces on particles, walls by worker, a uniform acceleration that varies."""
+"""Accumulators: forces on particles, walls for each worker, a uniform acceleration that varies."""
 ACCUMULATORS = (PUSH, *WALLS, UNIFORM)
 IMPULSES = slice(kernels.IMPULSE, kernels.IMPULSE + 3)
 """Where the impulse stands among the sums."""
@@ -33,44 +33,44 @@ Sums = NDArray[np.float64]
 
 
 class Given(NamedTuple):
-    """What came from outside since the start."""
+    """External impulse and work since the start."""
 
     impulse: Sums
-    """[3], N s."""
+    """Impulse [3], N s."""
     work: float
-    """J."""
+    """Work [J]."""
     moved: float
-    """Sum of the sizes of all impulses, N s."""
+    """Sum of the norms of all impulses [N s]."""
     turned: float
-    """Sum of the sizes of all works, J."""
+    """Sum of the absolute values of all work [J]."""
 
 
 class ExternalWork:
     """The sums of one run.
 
-    Its solver gets the forces and boundaries through `forces` and `boundaries`, and it itself as an
-    accumulator. Call `open` before the first frame and `begin` before each.
+    Give the solver the results of `forces` and `boundaries`, and this object as an accumulator.
+    Call `open` before the first frame and `begin` before every frame.
     """
 
     def __init__(self) -> None:
         self._device: dict[str, wp.array] = {}
         self._closed: dict[str, Sums] = {name: np.zeros(kernels.GIVEN) for name in ACCUMULATORS}
         self._momentum, self._opened = np.zeros(3), 0.0
-        """Momentum of the object when the frame began without what was given, and when it opened:
-        the instant up to which velocities had been kicked [s]."""
+        """Momentum of the object at the start of the frame, without what the open sums hold
+        [kg m/s], and the time up to which velocities had been kicked when counting began [s]."""
 
     def forces(self, forces: Sequence[Attachable]) -> list[Attachable]:
-        """The forces as one, measured from both sides."""
+        """The forces as one, measured before and after they act."""
         return [_Measured(forces, self._attach_push)] if forces else []
 
     def boundaries(self, boundaries: Sequence[Boundary]) -> list[Attachable]:
-        """The boundaries as one, measured from both sides."""
+        """The boundaries as one, measured before and after they act."""
         if not boundaries:
             return []
         return [_Measured(boundaries, lambda *run: self._attach_walls(boundaries, *run))]
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """What closes each substep; with an acceleration that does not vary there is none."""
+        """The stage that ends each substep; none if the uniform acceleration does not vary."""
         del state
         self._model, self._tracks = model, tracks
         self._base, self._walls_before = (
@@ -79,7 +79,7 @@ class ExternalWork:
         return [Stage(STAGE, self._record_uniform)] if tracks.vary else []
 
     def open(self, clock: Clock) -> None:
-        """Begin to count with the present state."""
+        """Start counting from the current state."""
         for name in ACCUMULATORS:
             self._closed[name] = np.zeros(kernels.GIVEN)
         for sums in self._device.values():
@@ -87,13 +87,15 @@ class ExternalWork:
         self._opened = clock.time - clock.last_dt / 2
 
     def begin(self, momentum: Sums) -> None:
-        """A frame begins with this momentum [kg m/s]: the work of what varies depends on it."""
+        """Start a frame with this momentum [kg m/s]; the work of varying forces depends on it."""
         if self._tracks.vary:
             self._momentum = momentum - self._total()[IMPULSES]
             self._set_base()
 
     def given(self, clock: Clock, way: Sums) -> Given:
-        """What was given so far; `way` is mass times position since the start [kg m]."""
+        """Impulse and work so far; `way` is the sum of mass times displacement since the start
+        [kg m].
+        """
         total = self._total()
         if not self._tracks.vary:
             values: NDArray[Any] = self._tracks.values.numpy()
@@ -105,7 +107,7 @@ class ExternalWork:
         return Given(total[IMPULSES], work, moved, turned)
 
     def snapshot(self) -> dict[str, Any]:
-        """What goes on from here, as plain data."""
+        """The state to continue from, as plain data."""
         return {
             "closed": {name: sums.tolist() for name, sums in self._closed.items()},
             "open": {name: sums.numpy().tolist() for name, sums in self._device.items()},
@@ -114,7 +116,7 @@ class ExternalWork:
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Go back to a snapshot."""
+        """Return to a snapshot."""
         self._closed = {name: np.array(sums) for name, sums in snapshot["closed"].items()}
         for name, sums in snapshot["open"].items():
             if name in self._device:
@@ -126,7 +128,7 @@ class ExternalWork:
         self._momentum, self._opened = np.array(snapshot["momentum"]), snapshot["opened"]
 
     def _total(self, *names: str) -> Sums:
-        """All sums so far, or some of them."""
+        """Total of all sums so far, or of those named."""
         total = np.zeros(kernels.GIVEN)
         for name in names or ACCUMULATORS:
             total += self._closed[name]
@@ -135,14 +137,14 @@ class ExternalWork:
         return total
 
     def _accumulator(self, name: str) -> wp.array:
-        """Sums of one launch's own, so that two threads never add to the same."""
+        """Sums that belong to one launch, so that two threads never add to the same ones."""
         if name in self._device:
             self._closed[name] = self._closed[name] + self._device[name].numpy()
         self._device[name] = wp.zeros(kernels.GIVEN, dtype=wp.float64, device=self._model.device)
         return self._device[name]
 
     def _record_uniform(self, grid: Grid) -> wp.Launch | None:
-        """The launch that sums what the uniform acceleration gives, once all else has acted."""
+        """The launch that sums what the uniform acceleration adds, after everything else."""
         del grid
         model, tracks, own = self._model, self._tracks, self._accumulator(UNIFORM)
         self._set_base()
@@ -153,13 +155,13 @@ class ExternalWork:
         return model.launch(kernel, 1, inputs, [self._walls_before, own])
 
     def _set_base(self) -> None:
-        """Momentum without what the open sums hold; the walls' last impulse is in theirs."""
+        """Store the momentum without the open sums, which include the walls' last impulse."""
         self._base.assign(self._momentum + sum(sums[IMPULSES] for sums in self._closed.values()))
         walls = [self._device[name].numpy()[IMPULSES] for name in WALLS if name in self._device]
         self._walls_before.assign(np.sum(walls, axis=0) if walls else np.zeros(3))
 
     def _attach_push(self, model: Model, state: State, tracks: Tracks) -> tuple[Stage, Stage]:
-        """What comes before and after forces on particles."""
+        """The stages before and after forces on particles."""
         del tracks
         kept = [wp.empty_like(state.v), wp.empty_like(state.C)]
 
@@ -180,7 +182,7 @@ class ExternalWork:
     def _attach_walls(
         self, walls: Sequence[Boundary], model: Model, state: State, tracks: Tracks
     ) -> tuple[Stage, Stage]:
-        """What comes before and after walls."""
+        """The stages before and after walls."""
         del state, tracks
         reach = _reach(walls, model)
         rows: tuple[int, ...] = ()
@@ -204,7 +206,7 @@ class ExternalWork:
 
 
 class _Measured:
-    """Forces or boundaries as one, with a stage before and one after theirs, if they have any."""
+    """Forces or boundaries as one, with a stage before and one after theirs if they have any."""
 
     def __init__(
         self,
@@ -214,7 +216,7 @@ class _Measured:
         self._inner, self._attach = inner, attach
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Their stages between the two."""
+        """Their stages, between the two that measure."""
         stages = [stage for one in self._inner for stage in one.attach(model, state, tracks)]
         if not stages:
             return []
@@ -223,7 +225,7 @@ class _Measured:
 
 
 def _reach(walls: Sequence[Boundary], model: Model) -> Corners:
-    """A box that holds every node that a wall may touch [m]."""
+    """Corners of a box that contains every node a wall may touch [m]."""
     lower, upper = np.full(3, np.inf), np.full(3, -np.inf)
     for wall in walls:
         corners, track = wall.bounds(model), wall.track(model)

@@ -1,7 +1,7 @@
-"""Pieces: which particles still hang together with those they hung together with at rest.
+"""Pieces: which particles are still connected to those they were connected to at rest.
 
-Space is cut into cubes. Particles in the same cube, or in cubes that touch, hang together; an
-empty layer of cubes between two groups parts them.
+Space is divided into cubes. Particles in the same cube, or in cubes that touch, are connected; an
+empty layer of cubes separates two pieces.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 FAR = 4096
-"""Cubes between the outermost particles from which empty space is left out before labelling."""
+"""Number of cubes along an axis above which empty space is left out before labelling."""
 MOST = 50_000_000
-"""Cubes that are labelled at most; a cloud beyond has no shape left to speak of."""
+"""Largest number of cubes to label; particles more scattered than that form no pieces."""
 
 
 class Pieces:
@@ -28,7 +28,11 @@ class Pieces:
             self._sizes = np.bincount(self._body)
 
     def loose(self, x: NDArray) -> int:
-        """How many are off the largest piece of what they were part of; `x` [P,3] m, now."""
+        """Number of particles that are not in the largest part of the piece they belonged to.
+
+        Args:
+            x: Current positions [P,3], m.
+        """
         now = labels(x, self._side)
         if now is None or self._body is None or now.max() == 0:
             return 0
@@ -39,7 +43,12 @@ class Pieces:
 
 
 def labels(x: NDArray, side: float) -> NDArray[np.int64] | None:
-    """The number of the piece of each particle [P]; None if they are strewn too far."""
+    """The number of each particle's piece [P]; None if they are scattered too far.
+
+    Args:
+        x: Positions [P,3], m.
+        side: Side of a cube [m].
+    """
     if len(x) == 0 or not np.isfinite(x).all():
         return None
     columns = [_cubes(column, side) for column in x.T]
@@ -57,9 +66,9 @@ def labels(x: NDArray, side: float) -> NDArray[np.int64] | None:
 
 
 def _cubes(column: NDArray, side: float) -> NDArray[np.int64]:
-    """Cube of each particle along one axis, the first is 0.
+    """Index of each particle's cube along one axis, from 0.
 
-    Where they are strewn far, wider gaps are made two cubes wide: what is apart stays apart.
+    If they are scattered far, gaps are narrowed to two cubes, which keeps pieces apart.
     """
     places = (column - column.min()) / side
     if places.max() < FAR:

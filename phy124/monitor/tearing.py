@@ -1,13 +1,13 @@
-"""Tearing: material that its law keeps whole, stretched until its particles lose each other.
+"""Tearing: numerical fracture of material that its law would keep whole.
 
-The grid knows nothing of neighbours. Particles hold together because they share nodes, and where
-stretching has carried them more than about a cell apart they no longer do: the material parts
-though no law said so (numerical fracture). A bar pulled apart holds up to a mean spacing of about
-one cell, at which its worst places reach `APART` (docs/results/stability.md). A finer grid does not
-help, since it resolves sharper corners, which are stretched more; more particles per cell do.
+The grid knows no neighbours. Particles hold together because they share nodes; once stretching has
+moved them more than about a cell apart, they no longer do, and the material separates although no
+law says so. A bar that is pulled apart holds up to a mean spacing of about one cell, at which its
+worst places reach `APART` (docs/results/stability.md). A finer grid does not help, since it
+resolves sharper corners, which are stretched more; more particles per cell do help.
 
-Two signs are looked for: particles that are stretched so far, and pieces that came off. The first
-warns of a tear and misses that of a thin stem, the second is a tear.
+Two signs are checked: particles that are stretched this far, and pieces that came off. The first
+warns of a tear, but misses that of a thin stem; the second is a tear.
 """
 
 from __future__ import annotations
@@ -23,17 +23,18 @@ from phy124.monitor.pieces import Pieces
 from phy124.mpm import Model, State
 
 APART = 1.2
-"""Spacing of particles [cells] from which they may part."""
+"""Spacing of particles [cells] from which they may separate."""
 MANY, FEW = 5e-3, 3
-"""So many, in particles of a section through all (P^2/3), are a tear; a few part at any corner.
+"""How many such particles make a tear: a fraction of P^(2/3), the particles of a cross-section,
+and a smallest number, since a few separate at any corner.
 
-Of the pressed, dropped and bounced ducks that were looked at, those below 5.2e-3 were whole; one
-at 6.7e-3 lost its head, another at 7.9e-3 did not.
+Of the pressed, dropped and bounced ducks examined, those below 5.2e-3 were whole; one at 6.7e-3
+lost its head, another at 7.9e-3 did not.
 """
 REACH = 1.5
-"""How far a particle's spline reaches [cells]; nothing holds across a wider empty layer."""
+"""Reach of a particle's spline [cells]; nothing holds across a wider empty layer."""
 LOOSE, FLAKE = 2e-3, 8
-"""Fraction of the elastic particles, and their least number, that have to come off for a tear."""
+"""Smallest fraction of the elastic particles, and smallest number, that come off in a tear."""
 REMEDY = (
     "A larger accuracy.particles_per_axis, a stiffer material, more material.damping or a gentler "
     "motion helps; "
@@ -42,18 +43,20 @@ REMEDY = (
 
 
 class Tearing:
-    """Follows how far the particles of elastic materials are stretched apart, once per frame.
+    """Checks once per frame how far the particles of elastic materials are stretched apart.
 
-    What flows (a law with a return mapping) parts and joins as it should and is not looked at.
+    Flowing material (a law with a return mapping) separates and joins as it should and is not
+    checked.
     """
 
     def __init__(self, model: Model, state: State) -> None:
         self._model, self._state = model, state
         self._elastic = [group for group in model.groups if group.law.project is None]
         self.count, self.first, self.stretch = 0, 0, 1.0
-        """Most particles at once beyond `APART`, the lowest of them, and the largest stretch."""
+        """Largest number of particles beyond `APART` in a frame, the first of them, and the largest
+        stretch."""
         self.loose = 0
-        """Most particles at once that were off the piece they belong to."""
+        """Largest number of particles in a frame that were off the piece they belong to."""
         self._chosen = np.zeros(len(model), bool)
         for group in self._elastic:
             self._chosen[group.particles] = True
@@ -70,18 +73,18 @@ class Tearing:
         return self.torn or self.count > max(FEW, MANY * len(self._model) ** (2 / 3))
 
     def snapshot(self) -> dict[str, Any]:
-        """What goes on from here, as plain data."""
+        """The state to continue from, as plain data."""
         return {
             "count": self.count, "first": self.first, "stretch": self.stretch, "loose": self.loose
         }  # fmt: skip
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Go back to a snapshot."""
+        """Return to a snapshot."""
         self.count, self.first = snapshot["count"], snapshot["first"]
         self.stretch, self.loose = snapshot["stretch"], snapshot["loose"]
 
     def look(self) -> None:
-        """At the end of a frame."""
+        """Check the state; call at the end of a frame."""
         model, device = self._model, self._model.device
         found = wp.array([0, len(model)], dtype=int, device=device)
         max_stretch = wp.zeros(1, dtype=model.real, device=device)
@@ -100,7 +103,7 @@ class Tearing:
         self.loose = max(self.loose, self._pieces.loose(x if whole else x[self._chosen]))
 
     def note(self) -> str | None:
-        """What the user should know, or None."""
+        """A sentence that the user should know, or None."""
         if not self.likely:
             return None
         if self.torn:
@@ -118,13 +121,13 @@ class Tearing:
 
     @property
     def briefly(self) -> str:
-        """The same in a few words."""
+        """The note in a few words."""
         if self.torn:
             return "the grid tears the material"
         return f"the material is stretched {self.stretch:.1f} times and the grid may tear it"
 
     def report(self) -> dict[str, Any]:
-        """For the report of the run."""
+        """The findings as plain data, for the report of the run."""
         return {
             "apart": self.count,
             "stretch": self.stretch,

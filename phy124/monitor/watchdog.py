@@ -1,4 +1,4 @@
-"""The watchdog: once per frame, is the state sound and does the balance of the run add up?
+"""The watchdog: checks once per frame whether the state is sound and the balances add up.
 
 A violation is a sentence. What is checked, with the limits below: every number is finite; no
 more than a few particles are turned inside out; volume ratios stay in range; momentum changes by
@@ -24,66 +24,66 @@ from phy124.monitor.tearing import Tearing
 from phy124.mpm import Solver
 
 INSIDE_OUT = 0.01
-"""Fraction of particles turned inside out from which the result is wrong."""
+"""Largest fraction of particles turned inside out at which the result is still right."""
 FEW = 2
-"""So many are never too many; they are reset before the next frame, and counted."""
+"""This many are never too many; they are reset before the next frame, and counted."""
 ENERGY_GAIN = 0.25
-"""Energy from nowhere that is tolerated, as a fraction of the largest energy turned over.
+"""Tolerated spurious energy, as a fraction of the largest energy turned over.
 
 Of 6,500 random scenes one in a hundred reached 0.7 %, the worst 13 % (two particles whose velocity
 is set in every substep); an unstable run passes any limit within a few frames.
 """
 MOMENTUM_GAIN = {"float32": 1e-3, "float64": 1e-6}
-"""Momentum from nowhere that is tolerated, as a fraction of all momentum moved."""
+"""Tolerated spurious momentum, as a fraction of all momentum transferred."""
 ROUNDING = {"float32": 1e-5, "float64": 1e-12}
-"""Fraction of all work, given and taken, that rounding may lose."""
+"""Fraction of all work, positive and negative, that rounding may lose."""
 QUIET = 1e-9
 """Energies below this fraction of volume times stiffness are rounding."""
 COLLAPSE = 0.8
-"""Speed of impact, in speeds of sound, from which fragile laws come close to J = 0."""
+"""Speed of impact, in speeds of sound, above which laws that may collapse come close to J = 0."""
 UNSEEN = 3e-4
-"""Strain that no picture shows: 0.1 of 300 pixels."""
+"""Strain that no picture shows: a tenth of a pixel in 300."""
 FADING = {"float32": 2e-9, "float64": 4e-18}
 """Strain that rounding of F may leave per substep.
 
-F grows by dt C F; where a stiff body turns slowly that is less than the last digit of F, and what
-rounding leaves out strains it. Measured: 3e-10 per substep in float32, 7e-10 with half the
-`accuracy.cfl`, however far from the origin; energies are squares, of which a quarter is tolerated.
+F grows by dt C F. In a stiff body that turns slowly this is less than the last digit of F, and what
+rounding omits strains the body. Measured: 3e-10 per substep in float32, 7e-10 with half the
+`accuracy.cfl`, however far from the origin. Energies are its squares, and a quarter is tolerated.
 """
 FAST = ("push", "cells")
 ROUNDED = ("precision",)
 """Causes of violations (`phy124.remedies`): of a run too fast for its window, of rounding."""
 SQUEEZED = 0.5
-"""Volume ratio below which the law and the push may be to blame for what is unstable."""
+"""Volume ratio below which the law or the push may be the cause of an instability."""
 
 
 class Violation(NamedTuple):
     """What is wrong with a frame."""
 
     what: str
-    """Half a sentence."""
+    """A clause that says what is wrong."""
     causes: tuple[str, ...]
-    """What may be at fault, for `phy124.remedies`, the likeliest first."""
+    """Possible causes, for `phy124.remedies`, the likeliest first."""
 
 
 @dataclass
 class Balance:
-    """How energy and momentum of a run add up, frame by frame."""
+    """The balance of energy and momentum of a run, updated frame by frame."""
 
     turnover: float = 0.0
-    """Largest energy that was turned over [J]."""
+    """Largest energy turned over [J]."""
     moved: float = 0.0
-    """All momentum that was moved [kg m/s]."""
+    """All momentum transferred [kg m/s]."""
     energy_gain: float = 0.0
-    """Energy from nowhere, as a fraction of the turnover."""
+    """Spurious energy, as a fraction of the turnover."""
     momentum_gain: float = 0.0
-    """Momentum from nowhere, as a fraction of what was moved."""
+    """Spurious momentum, as a fraction of what was transferred."""
     trembles: float = 0.0
-    """Fraction of the energy that rounding made, if that was more than elsewhere is tolerated."""
+    """Fraction of the energy created by rounding, if that exceeds what is otherwise tolerated."""
 
 
 class Watchdog:
-    """Follows one run, whose solver got its forces and boundaries through `external`."""
+    """Watches one run, whose solver has its forces and boundaries from `external`."""
 
     def __init__(self, solver: Solver, external: ExternalWork, *, balance: bool = True) -> None:
         self.model, self.state, self.clock = solver.model, solver.state, solver.clock
@@ -101,7 +101,7 @@ class Watchdog:
             self._begin()
 
     def _begin(self) -> None:
-        """The balance begins with the first frame that is followed: a run may be a resumed one."""
+        """Start the balance with the first frame that is watched, since a run may be resumed."""
         self.first = self.last = self._look()
         turnover = max(self.first.energy, self._strained(math.sqrt(QUIET)))
         self.balance = Balance(turnover, math.sqrt(2 * self.model.total_mass * turnover))
@@ -110,7 +110,7 @@ class Watchdog:
         self._begun = True
 
     def snapshot(self) -> dict[str, Any]:
-        """What goes on from here, as plain data."""
+        """The state to continue from, as plain data."""
         return {
             "begun": self._begun,
             "fastest": self._fastest,
@@ -123,7 +123,7 @@ class Watchdog:
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Go back to a snapshot."""
+        """Return to a snapshot."""
         self._begun, self._fastest = snapshot["begun"], snapshot["fastest"]
         self.min_J, self.max_J = snapshot["min_J"], snapshot["max_J"]
         self.first, self.last = (Diagnostics.from_snapshot(snapshot[k]) for k in ("first", "last"))
@@ -131,7 +131,7 @@ class Watchdog:
         self.tearing.restore(snapshot["tearing"])
 
     def after(self) -> Violation | None:
-        """After a frame: what is wrong with it, or None."""
+        """Call after a frame: returns what is wrong with it, or None."""
         now = self._look()
         problem = self._unsound(now) or (self._unbalanced(now) if self._balanced else None)
         if problem is None:
@@ -141,7 +141,7 @@ class Watchdog:
         return problem
 
     def follow(self) -> Callable[[], None]:
-        """What to call after each substep of the next frame, or after some of them."""
+        """A function to call after each substep of the next frame, or after some of them."""
         if self._balanced:
             self.external.begin(self.last.momentum)
 
@@ -151,7 +151,7 @@ class Watchdog:
         return after
 
     def diagnose(self, problem: str) -> Violation:
-        """The solver gave up: what it said, with the particle."""
+        """The violation for a problem that made the solver give up, with the particle."""
         index = diagnosis.first_broken(self.state)
         if index is not None:
             return Violation(f"{problem}, first {self._who(index)}", self._unstable())
@@ -159,7 +159,7 @@ class Watchdog:
         return Violation(f"{problem}; the fastest is {self._who(index)}", FAST)
 
     def notes(self) -> list[str]:
-        """What the user should know about how the run went."""
+        """Sentences that the user should know about how the run went."""
         notes = []
         if self._repair.count:
             first = self._who(self._repair.first)
@@ -170,8 +170,8 @@ class Watchdog:
             )
         if self._outliers.most:
             notes.append(
-                f"{self._outliers.most} particles flew out of the simulated space and went on "
-                "along their parabolas, without contact."
+                f"{self._outliers.most} particles left the simulated space and continued on "
+                "parabolas, without contact."
             )
         fragile = {m.device_law.name: m for m in self.model.materials if m.may_collapse}
         for name, material in sorted(fragile.items()):
@@ -185,15 +185,15 @@ class Watchdog:
         trembles = self.balance.trembles
         if trembles:
             notes.append(
-                f"It moves so slowly for its stiffness that rounding made {trembles:.0%} of "
-                f"its energy: a trembling of less than {UNSEEN:g} of its size, which no picture "
-                "shows. With accuracy.precision = float64 there is none."
+                f"It moves so slowly for its stiffness that rounding created {trembles:.0%} of "
+                f"its energy: a tremor of less than {UNSEEN:g} of its size, which no picture "
+                "shows. accuracy.precision = float64 avoids it."
             )
         torn = self.tearing.note()
         return [*notes, torn] if torn else notes
 
     def report(self) -> dict[str, Any]:
-        """What was found, for the report of the run."""
+        """The findings as plain data, for the report of the run."""
         return {
             "energy_gain": self.balance.energy_gain if self._balanced else None,
             "momentum_gain": self.balance.momentum_gain if self._balanced else None,
@@ -208,13 +208,13 @@ class Watchdog:
     def _unsound(self, now: Diagnostics) -> Violation | None:
         what, index = "", 0
         if now.broken:
-            what, index = f"{now.broken} particles are no longer numbers", now.first_broken
+            what, index = f"{now.broken} particles are NaN or infinite", now.first_broken
         elif now.inverted > max(FEW, INSIDE_OUT * len(self.model)):
             what, index = f"{now.inverted} particles are turned inside out", now.first_inverted
         return Violation(f"{what}, first {self._who(index)}", self._unstable()) if what else None
 
     def _unbalanced(self, now: Diagnostics) -> Violation | None:
-        """Compare what is there with what was there at first and what was given since."""
+        """Compare energy and momentum with those at the start plus external work and impulse."""
         given = self.external.given(self.clock, now.middle - self.first.middle)
         turnover = max(
             self.balance.turnover,
@@ -233,7 +233,7 @@ class Watchdog:
         return problem
 
     def _gained(self, energy: float, turnover: float) -> Violation | None:
-        """Energy from nowhere; what rounding makes of a stiff body is none until it shows."""
+        """The violation for spurious energy; rounding in a stiff body counts only once it shows."""
         if energy <= ENERGY_GAIN * turnover:
             return None
         faded = FADING[self.model.precision] * self.clock.substeps
@@ -247,7 +247,7 @@ class Watchdog:
         return Violation(what, ROUNDED if rounded else self._unstable())
 
     def _drifted(self, fraction: float) -> Violation | None:
-        """Momentum from nowhere."""
+        """The violation for spurious momentum."""
         if fraction <= MOMENTUM_GAIN[self.model.precision]:
             return None
         index = int(speeds(self.state).argmax())
@@ -257,18 +257,18 @@ class Watchdog:
         return Violation(what, ROUNDED if self.model.precision == "float32" else self._unstable())
 
     def _unstable(self) -> tuple[str, ...]:
-        """Causes of an unstable run: the substep; where it was violent, also what made it so."""
+        """Causes of an unstable run: the substep, and if it was violent, also what made it so."""
         violent = self.min_J < SQUEEZED or self.clock.stable().limiter in ("speed", "gradient")
         return ("substep", "law", "push") if violent else ("substep",)
 
     def _strained(self, strain: float) -> float:
-        """Energy of the whole body strained so much [J]."""
+        """Elastic energy of the whole body at this strain [J]."""
         stiffest = max(m.density * m.wave_speed() ** 2 for m in self.model.materials)
         volume = float(np.sum(self.model.volume.numpy(), dtype=np.float64))
         return stiffest * volume * strain**2
 
     def _momentum_scale(self, now: Diagnostics) -> float:
-        """What all momenta would add up to if they pointed the same way [kg m/s]."""
+        """The sum of all momenta if they pointed the same way [kg m/s]."""
         return math.sqrt(2 * self.model.total_mass * now.kinetic)
 
     def _who(self, index: int) -> str:

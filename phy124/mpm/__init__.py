@@ -1,8 +1,8 @@
 """The material point method: explicit MLS-MPM with APIC transfers on a window of grid nodes.
 
-`Model` never changes, `State` changes every substep, `Clock` knows the time, `Grid` is scratch, and
-`Solver` puts the phases of a substep in order: push, clear, p2g, update, collide, g2p. Only stages
-that the scene calls for exist.
+`Model` never changes, `State` changes every substep, `Clock` keeps the time, `Grid` is scratch
+memory, and `Solver` puts the phases of a substep in order: push, clear, p2g, update, collide, g2p.
+Only the stages that the scene calls for exist.
 """
 
 from phy124.mpm.clock import MEASURE_EVERY, Clock

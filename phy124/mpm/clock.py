@@ -23,19 +23,19 @@ class Clock:
     ) -> None:
         self.dx, self.viscous, self._device = model.dx, model.viscous, model.device
         self.cfl, self.ceiling = model.cfl, ceiling
-        """Fraction of the elastic limit that is used, and the user's longest substep [s]."""
+        """Fraction of the elastic limit that is used, and the longest substep allowed [s]."""
         self.measure_every = measure_every
-        """Substeps between two measurements that the user asks for."""
+        """Substeps between two measurements, as chosen by the user."""
         self.time, self.substeps, self.last_dt = 0.0, 0, 0.0
         """Time [s], substeps taken, length of the last one [s]."""
         self.limiters: dict[str, int] = {}
-        """How many substeps each limit ruled."""
+        """Number of substeps that each limit determined."""
         self.extremes = Extremes(0.0, 0.0, 0.0)
-        """What limits substeps, as it was measured last."""
+        """The values that limit substeps, as measured last."""
         self.interval = self.since_measured = min(measure_every, MEASURE_EVERY)
-        """Substeps between two measurements at the moment, and since the last one."""
+        """Substeps between two measurements at present, and substeps since the last one."""
         self.values = wp.zeros(3, dtype=model.real, device=model.device)
-        """On the device: kick and drift of the present substep and the time before it [s]."""
+        """On the device: kick and drift of the current substep, and the time before it [s]."""
 
     @property
     def due(self) -> bool:
@@ -43,12 +43,17 @@ class Clock:
         return self.since_measured >= self.interval
 
     def stable(self) -> Substep:
-        """The longest stable substep at the present state."""
+        """The longest stable substep in the current state."""
         limits = {"cfl": self.cfl, "ceiling": self.ceiling, "viscous": self.viscous}
         return stable_substep(self.extremes, self.dx, **limits)
 
     def begin(self, kick: float, drift: float) -> None:
-        """Tell the device how long a substep is: velocities, then positions [s]."""
+        """Tell the device the length of a substep [s].
+
+        Args:
+            kick: For velocities.
+            drift: For positions and F.
+        """
         values = (kick, drift, self.time)
         if self._device == "cpu":
             self.values.numpy()[:] = values
@@ -56,17 +61,17 @@ class Clock:
             self.values.assign(np.array(values))
 
     def finish(self, drift: float, *, violent: bool = False) -> None:
-        """Count a substep that was taken; after a violent one the limits are measured anew."""
+        """Count a substep of length `drift` [s]; after a violent one the limits are remeasured."""
         self.time += drift
         self.substeps += 1
         self.since_measured += self.interval if violent else 1
 
     def count(self, limiter: str, substeps: int = 1) -> None:
-        """Substeps that a limit ruled."""
+        """Count substeps that a limit determined."""
         self.limiters[limiter] = self.limiters.get(limiter, 0) + substeps
 
     def snapshot(self) -> dict[str, Any]:
-        """All that goes on from here, as plain data."""
+        """The state to continue from, as plain data."""
         return {
             "time": self.time,
             "last_dt": self.last_dt,
@@ -77,7 +82,7 @@ class Clock:
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Go back to a snapshot."""
+        """Return to a snapshot."""
         self.time, self.last_dt = snapshot["time"], snapshot["last_dt"]
         self.substeps, self.since_measured = snapshot["substeps"], snapshot["since_measured"]
         self.extremes = Extremes(*snapshot["extremes"])

@@ -1,10 +1,11 @@
 """Graph: all substeps of a frame as one graph on the device, without the host in between.
 
-On CUDA a launch from Python costs more than many a kernel. Here one substep is captured as the
-body of a loop on the device; its last kernel (phy124/kernels/timestep.py) chooses the next substep
-and ends the loop when the time has come, or when only the host can go on: the window must follow
-the particles, or the next substep may have to be taken back (phy124/mpm/rejection.py).
-The same graph runs on the CPU, where the tests compare it with the host's loop bit for bit.
+On CUDA a launch from Python costs more than many of the kernels. Here one substep is captured as
+the body of a loop on the device. Its last kernel (phy124/kernels/timestep.py) chooses the next
+substep; it ends the loop when the frame is reached, or when only the host can continue: because the
+window must follow the particles, or because the next substep may have to be rejected
+(phy124/mpm/rejection.py). The same graph runs on the CPU, where the tests compare it with the
+host's loop bit for bit.
 """
 
 from __future__ import annotations
@@ -25,11 +26,11 @@ from phy124.mpm.timestep import CELLS_PER_STEP, MEMORY, STRAIN_PER_STEP, Extreme
 from phy124.mpm.workers import Worker, timed
 
 STAGE = "graph"
-"""Name of all this in the list of stages."""
+"""Name of the graph in the list of stages."""
 LIMITERS = ("elastic", "speed", "gradient", "viscous", "user")
-"""In the order of phy124/kernels/timestep.py."""
+"""The limits of a substep, in the order of phy124/kernels/timestep.py."""
 STRAIN = 1.0
-"""Sum of |C| dt after which the host has another look, so that broken particles can be mended."""
+"""Sum of |C| dt after which control returns to the host, so that broken particles are repaired."""
 
 
 class Graph:
@@ -42,10 +43,10 @@ class Graph:
 
         Args:
             model: What never changes.
-            clock: Told how far the device came.
-            grid: Whose window the particles may not leave.
-            worker: The only one; it measures.
-            stray: Count of particles that are no longer numbers [1].
+            clock: The clock, updated after each run.
+            grid: The grid whose window the particles may not leave.
+            worker: The only worker; its launches measure the limits.
+            stray: Number of particles that are no longer finite [1].
         """
         self._model, self._clock, self._grid = model, clock, grid
         self._worker, self._stray, device = worker, stray, model.device
@@ -57,24 +58,24 @@ class Graph:
         self._per_substep, self._reason = 0, 0
 
     def forget(self) -> None:
-        """The launches of a substep have changed: capture them anew."""
+        """Discard the captured graph, since the launches of a substep have changed."""
         self._captured = None
 
     def run(
         self, until: float, rejection: StepRejection, launches: Callable[[], Iterable[Callable]]
     ) -> bool:
-        """Substeps up to a time, as many as the device can take alone.
+        """Take substeps up to a time, as many as the device can take alone.
 
         Args:
             until: The time [s].
-            rejection: Knows what may be violent.
-            launches: What one substep launches, in order.
+            rejection: Decides which substeps may be violent.
+            launches: The launches of one substep, in order.
 
         Returns:
-            False if the next substep is for the host.
+            False if the host has to take the next substep.
 
         Raises:
-            Unstable: as in the host's loop.
+            Unstable: As in the host's loop.
         """
         self._upload(until, rejection)
         if self._captured is None:
@@ -85,7 +86,7 @@ class Graph:
         return self._reason != timestep.CAREFUL
 
     def _launch(self) -> None:
-        """Run and wait for the end."""
+        """Run the graph and wait for its end."""
         wp.capture_launch(self._captured)
         self._reason = self._download()
 
@@ -133,7 +134,7 @@ class Graph:
         self._limiters.zero_()
 
     def _download(self) -> int:
-        """Tell the clock how far it came; returns why no further."""
+        """Update the clock from the device; returns the code of the reason to stop."""
         clock, state = self._clock, np.asarray(self._progress.numpy())[0]
         clock.time, clock.last_dt = float(state["time"]), float(state["last"])
         clock.substeps += int(state["taken"])
@@ -146,7 +147,7 @@ class Graph:
 
 
 def _row(array: wp.array, values: dict[str, Any]) -> NDArray[Any]:
-    """One structure of an array's kind; fields that are not named are zero."""
+    """One structure of the array's type; fields that are not named are zero."""
     row: NDArray[Any] = np.zeros(1, array.numpy().dtype)
     for name, value in values.items():
         row[name] = value
@@ -154,5 +155,5 @@ def _row(array: wp.array, values: dict[str, Any]) -> NDArray[Any]:
 
 
 def usable(device: str) -> bool:
-    """Whether frames run as graphs by themselves: on CUDA, where the driver knows loops."""
+    """Whether frames run as graphs by default: on CUDA, if the driver supports loops."""
     return device != "cpu" and bool(wp.is_conditional_graph_supported())

@@ -1,4 +1,4 @@
-"""Grid: nodes in a window around the particles, re-based when they outgrow it."""
+"""Grid: nodes in a window around the particles, which is moved when they outgrow it."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from phy124.kernels.transfer import types
 
 MARGIN = 4
-"""Cells of window beyond the particles: more than they can cross between two measurements."""
+"""Margin of the window around the particles [cells]: more than they cross between measurements."""
 FARTHEST = 2**30
-"""Cells from the origin within which nodes have numbers on the device."""
+"""Distance from the origin [cells] within which the device can number nodes."""
 
 
 class Unstable(RuntimeError):
-    """Particles left the grid window or stopped being numbers; the state is not to be used."""
+    """Particles left the grid's window or are no longer finite; the state must not be used."""
 
 
 class Grid:
@@ -33,18 +33,18 @@ class Grid:
         self.low, self.size = np.zeros(3, int), np.zeros(3, int)
         self.nodes = wp.zeros(0, dtype=t.vec4, device=device)
         self.stale = True
-        """Whether the window has nothing to do with where the particles are now."""
+        """Whether the window does not belong to the current positions of the particles."""
         self.layers: tuple[int, int] | None = None
-        """Layers first <= i < last that launches being recorded may touch; None: all."""
+        """Layers first <= i < last that the launches being recorded may touch; None: all."""
 
     @property
     def count(self) -> int:
-        """Nodes in the window."""
+        """Number of nodes in the window."""
         return int(np.prod(self.size))
 
     @contextmanager
     def only(self, layers: tuple[int, int] | None) -> Iterator[None]:
-        """While inside, launches are recorded for these layers first <= i < last."""
+        """Within this context, launches are recorded for the layers first <= i < last."""
         self.layers = layers
         try:
             yield
@@ -52,10 +52,15 @@ class Grid:
             self.layers = None
 
     def fit(self, lower: NDArray, upper: NDArray) -> bool:
-        """Cover particles between two corners [m] with room to move; True if the window changed.
+        """Cover the particles with room to move; returns whether the window changed.
 
-        Raises Unstable if they are outside already, since the grid did not move them, or so far
-        that nodes cannot be numbered.
+        Args:
+            lower: Lowest corner of the particles [3], m.
+            upper: Highest corner of the particles [3], m.
+
+        Raises:
+            Unstable: They are outside the window already, so that the grid did not move them, or so
+                far away that the nodes cannot be numbered.
         """
         if not np.all(np.abs([lower, upper]) < FARTHEST * self.dx):
             raise Unstable(f"particles flew {FARTHEST:.0e} cells far")
@@ -72,14 +77,14 @@ class Grid:
         return True
 
     def rebase(self, low: NDArray, size: NDArray) -> None:
-        """Cover the nodes from `low` on, `size` along each axis; all nodes are cleared."""
+        """Cover `size` [3] nodes from the node `low` [3] on; all nodes are cleared."""
         self.low, self.size, self.stale = low, size, False
         self.window.assign(np.stack([low, size]).astype(np.int32))
-        # One node more than the window: the SIMD rows read four nodes at a time.
+        # One node more than the window, since the SIMD rows read four nodes at a time.
         self.nodes = wp.zeros(self.count + 1, dtype=self.vec4, device=self.device)
 
     def reach(self, lower: NDArray, upper: NDArray) -> tuple[NDArray, NDArray]:
-        """First node, and one past the last, that particles between two corners [m] touch."""
+        """First node, and one past the last, that particles between two corners [m] can touch."""
         low = np.floor((lower - self.origin) / self.dx - 0.5).astype(int)
         high = np.floor((upper - self.origin) / self.dx - 0.5).astype(int) + 3
         return low, high
@@ -94,11 +99,11 @@ class Grid:
         return start, np.maximum(stop - start, 0)
 
     def slab(self, first: int, last: int) -> wp.array:
-        """Nodes of the layers first <= i < last, which lie together in memory."""
+        """Nodes of the layers first <= i < last, which are contiguous in memory."""
         layer = int(self.size[1] * self.size[2])
         return cast("wp.array", self.nodes[first * layer : last * layer])
 
 
 def _roomy(spare: NDArray) -> bool:
-    """Whether cells to spare on one side of each axis leave room to move, and not far too much."""
+    """Whether the spare cells on one side of each axis [3] leave enough room, but not too much."""
     return bool(np.all(spare >= MARGIN // 2) and np.all(spare <= 3 * MARGIN))

@@ -1,4 +1,4 @@
-"""Model: what a run never changes: particles at rest, what they are made of, the grid's spacing."""
+"""Model: what a run never changes: the particles at rest, their materials, the grid's spacing."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ PRECISIONS = {"float32": wp.float32, "float64": wp.float64}
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """A run of particles of one law."""
+    """Consecutive particles of one law."""
 
     law: Law
     start: int
     stop: int
     theta: wp.array
-    """Parameters of the law, one row, or one row per particle."""
+    """Parameters of the law: one row for all, or one row per particle."""
 
     def __len__(self) -> int:
-        """How many particles it has."""
+        """Number of its particles."""
         return self.stop - self.start
 
     @property
     def particles(self) -> slice:
-        """Where they are among all."""
+        """Their place among all particles."""
         return slice(self.start, self.stop)
 
     def rows(self, part: slice) -> wp.array:
-        """The parameters of a part of its particles, which a thread works on."""
+        """The parameters of a part of its particles, the part one thread works on."""
         if len(self.theta) == 1:
             return self.theta
         return cast("wp.array", self.theta[part.start - self.start : part.stop - self.start])
@@ -61,15 +61,15 @@ class Model:
     dx: float
     """Grid spacing [m]."""
     origin: tuple[float, float, float]
-    """Where node (0, 0, 0) of the grid is [m]."""
+    """Position of node (0, 0, 0) of the grid [m]."""
     cfl: float
-    """Fraction of the elastic limit of the substep that the laws are made for."""
+    """Fraction of the elastic limit of the substep that the laws' parameters assume."""
     precision: str
     """float32 or float64."""
     device: str
     """Warp device, "cpu" or "cuda:0"."""
     form: str
-    """How transfers are written: "simd" rows for float32 on the CPU, else "plain"."""
+    """How transfers are written: "simd" rows for float32 on the CPU, otherwise "plain"."""
 
     @classmethod
     def of(
@@ -92,19 +92,19 @@ class Model:
         Args:
             x: Positions at rest [P,3], m.
             volume: Volumes at rest [P], m^3.
-            materials: What they are made of.
+            materials: The materials they are made of.
             dx: Grid spacing [m].
-            material: For each particle an index into `materials` [P]; particles of one law must
-                lie together. None: all are of the first.
+            material: Index into `materials` for each particle [P]; particles of one law must be
+                consecutive. None: all are of the first material.
             stiffness: Factors on E [P]; None: 1.
-            origin: Where node (0, 0, 0) is [m].
+            origin: Position of node (0, 0, 0) [m].
             cfl: Fraction of the elastic limit of the substep, in (0, 1).
             precision: "float32" or "float64".
             device: Warp device.
             simd: Use SIMD rows where they exist.
 
         Raises:
-            ValueError: particles are not sorted by law, or one has no volume.
+            ValueError: The particles are not sorted by law, or one has no volume.
         """
         real, count = PRECISIONS[precision], len(x)
         if not np.all(np.asarray(volume) > 0):
@@ -138,12 +138,12 @@ class Model:
         )
 
     def __len__(self) -> int:
-        """How many particles there are."""
+        """Number of particles."""
         return len(self.rest)
 
     @property
     def real(self) -> Any:
-        """Warp's type of a number."""
+        """Warp's floating point type."""
         return PRECISIONS[self.precision]
 
     @property
@@ -154,15 +154,22 @@ class Model:
 
     @property
     def total_mass(self) -> float:
-        """Mass of all particles, kg."""
+        """Mass of all particles [kg]."""
         return float(np.sum(self.mass.numpy(), dtype=np.float64))
 
     def array(self, values: object, dtype: Any) -> wp.array:
-        """Values on the device in the model's precision."""
+        """An array on the device, in the model's precision."""
         return _array(values, dtype, self.precision, self.device)
 
     def launch(self, kernel: Any, dim: Any, inputs: list, outputs: list) -> wp.Launch | None:
-        """A recorded launch on the model's device, to be repeated; None if it has nothing to do."""
+        """A recorded launch on the model's device, to be repeated; None if it has nothing to do.
+
+        Args:
+            kernel: The Warp kernel.
+            dim: Number of threads, or several along axes.
+            inputs: Arguments that it reads.
+            outputs: Arguments that it writes, after the inputs.
+        """
         recorded = wp.launch(
             kernel, dim, inputs=inputs, outputs=outputs, device=self.device, record_cmd=True
         )
@@ -177,12 +184,12 @@ def parameters(
     dx: float,
     cfl: float,
 ) -> NDArray[np.float64]:
-    """Parameters of particles of one law: one row if they are all alike, else one row each.
+    """Parameters of particles of one law: one row if they are all equal, otherwise one row each.
 
     Args:
         materials: All materials.
         material: Indices into them [P].
-        stiffness: Factors on what is proportional to E [P], or None.
+        stiffness: Factors on the parameters proportional to E [P], or None.
         dx: Grid spacing [m].
         cfl: Fraction of the elastic limit of the substep.
     """
@@ -197,7 +204,7 @@ def parameters(
 
 
 def _runs(materials: Sequence[Material], material: NDArray) -> list[tuple[int, int]]:
-    """First and one past the last particle of each law; raises ValueError if they are mixed."""
+    """First particle of each law and one past the last; raises ValueError if laws are mixed."""
     laws = [section.device_law.name for section in materials]
     law = np.array([laws.index(name) for name in laws])[material]
     if np.any(np.diff(law) < 0):

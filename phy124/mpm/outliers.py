@@ -1,9 +1,9 @@
-"""Outliers: particles far from all others, which fly on their parabolas without a grid.
+"""Outliers: particles far from all others, which follow parabolas without a grid.
 
-The window grows with the particles, but a single one that leaves at speed must not make it grow
-without bound. Once the particles spread over more than `MAX_NODES` nodes, or `GROWTH` times the
-first window, a box around their middle bounds the grid: what is outside is counted, feels the
-uniform acceleration and nothing else, and is part of the body again if it comes back.
+The window grows with the particles, but a single one that leaves at high speed must not make it
+grow without bound. Once the particles spread over more than `MAX_NODES` nodes, or over `GROWTH`
+times the first window, a box around their centre bounds the grid. Particles outside it are counted
+and feel nothing but the uniform acceleration; one that comes back is part of the body again.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from phy124.mpm.workers import Worker
 from phy124.tracks import Tracks
 
 MAX_NODES = 2**25
-"""Nodes a window may have at most."""
+"""Largest number of nodes of a window."""
 MIN_NODES = 2**20
-"""Nodes a window may always have."""
+"""Number of nodes that a window may always have."""
 GROWTH = 16
-"""How many times larger than at first a window may become."""
+"""Largest ratio of a window's nodes to those of the first window."""
 EVERYWHERE = 1e30
-"""Beyond any position [m], and a number in float32."""
+"""Beyond any position [m], yet finite in float32."""
 
 
 class Outliers:
-    """The box that bounds the grid, or all of space while the particles stay together."""
+    """The box that bounds the grid; all of space while the particles stay together."""
 
     def __init__(self, model: Model, state: State) -> None:
         self._model, self._state, self._half = model, state, np.zeros(3)
@@ -43,25 +43,25 @@ class Outliers:
         """Lowest and highest corner on the device [m]."""
         self.bounded = False
         self.indices = wp.zeros(0, dtype=int, device=model.device)
-        """The particles that are outside at the moment."""
-        # The bulk at rest; single particles far away do not count.
+        """Indices of the particles that are outside now."""
+        # The extent of the bulk at rest, without single particles far away.
         first = self._nodes(*np.quantile(model.rest, (0.05, 0.95), axis=0))
         self._allowed = min(MAX_NODES, max(MIN_NODES, GROWTH * min(first, MAX_NODES)))
         self.most, self.changed = 0, False
-        """The largest number so far, and whether the last measurement changed the list."""
+        """Largest number of outliers so far, and whether the last measurement changed the list."""
 
     @property
     def count(self) -> int:
-        """Particles that are ballistic at the moment."""
+        """Number of particles that are outside now."""
         return len(self.indices)
 
     def snapshot(self) -> dict[str, Any]:
-        """What `restore` needs, as plain data."""
+        """The state that `restore` needs, as plain data."""
         half = self._half.tolist() if self.bounded else None
         return {"corners": self.corners.numpy().tolist(), "half": half, "most": self.most}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Go back to a snapshot, once the particles are where they were then."""
+        """Return to a snapshot; the particles must have been restored before."""
         self.corners.assign(np.array(snapshot["corners"], self.corners.numpy().dtype))
         self.bounded, self.most, self.changed = (
             snapshot["half"] is not None,
@@ -74,7 +74,12 @@ class Outliers:
         self.indices = wp.array(out, dtype=int, device=self._model.device)
 
     def confine(self, lower: NDArray, upper: NDArray) -> bool:
-        """Follow the particles between two corners [m]; True if they must be measured again."""
+        """Adapt the box to the particles; returns whether they must be measured again.
+
+        Args:
+            lower: Lowest corner of the particles [3], m.
+            upper: Highest corner of the particles [3], m.
+        """
         if self.bounded and np.isfinite(lower).all():
             measured = self._beyond()
             self._centre((lower + upper) / 2)
@@ -84,20 +89,20 @@ class Outliers:
         x = self._state.x.numpy().astype(np.float64)
         side = self._model.dx * (self._allowed ** (1 / 3) - 3 * MARGIN)
         self._half, self.bounded = np.full(3, side / 2), True
-        # Around a particle, so that at least one is inside.
+        # The box is centred on a particle, so that at least one is inside.
         self._centre(x[np.abs(x - np.median(x, axis=0)).max(axis=1).argmin()])
         return True
 
     def around(
         self, worker: Worker, gather: list[Recorded], grid: Grid, tracks: Tracks
     ) -> list[Recorded]:
-        """The gather of a worker, between hiding and moving its outliers, if it has any.
+        """The gather of a worker; if it has outliers, with launches around it that move those.
 
         Args:
-            worker: Whose particles they are.
+            worker: The worker.
             gather: Its recorded gather.
             grid: The grid that it gathers from.
-            tracks: Where the uniform acceleration is found.
+            tracks: Holds the uniform acceleration.
         """
         out = self.indices.numpy()
         mine = [out[(out >= start) & (out < stop)] for start, stop in worker.runs]
@@ -123,10 +128,10 @@ class Outliers:
         self.most = max(self.most, len(out))
 
     def _beyond(self) -> NDArray[np.int32]:
-        """Indices of the particles beyond the corners, by the same comparison as on the device."""
+        """Indices of the particles beyond the corners, compared exactly as on the device."""
         (low, high), x = self.corners.numpy(), self._state.x.numpy()
         return np.flatnonzero(~np.all((x >= low) & (x <= high), axis=1)).astype(np.int32)
 
     def _nodes(self, lower: NDArray, upper: NDArray) -> float:
-        """Nodes of a window over a box; in floating point, for boxes beyond all integers."""
+        """Number of nodes of a window over a box; a float, since a box may exceed all integers."""
         return float(np.prod((upper - lower) / self._model.dx + 3 + 2 * MARGIN))

@@ -1,8 +1,9 @@
 """Step rejection: a substep that may be too long is tried first, and repeated shorter if it was.
 
-Nothing but pushed velocities changes before the gather, so a substep can be taken back after the
-grid update at the price of one scatter. Only substeps in which something violent may happen are
-tried: near the limits of speed and gradient, under forces on particles, or a huge acceleration.
+Before the gather nothing changes except the velocities of pushed particles, so a substep can be
+rejected after the grid update at the cost of one scatter. Only substeps in which something violent
+may happen are tried: near the limits of speed and gradient, under forces on particles, or under a
+huge acceleration.
 """
 
 from __future__ import annotations
@@ -25,11 +26,11 @@ from phy124.mpm.timestep import CELLS_PER_STEP, STRAIN_PER_STEP
 from phy124.tracks import Tracks
 
 CALM_CELLS, CALM_STRAIN = 1.0, STRAIN_PER_STEP
-"""Cells and strain that nothing may pass between two measurements that are further apart."""
+"""Largest travel [cells] and strain between two measurements if their interval is lengthened."""
 TRIES = 100
-"""Each try is at most half as long as the one before."""
+"""Largest number of tries; each is at most half as long as the one before."""
 FIRST = 4
-"""Substeps after which what always acts has shown its effect."""
+"""Number of substeps after which steady forces have shown their effect."""
 
 
 class StepRejection:
@@ -47,28 +48,28 @@ class StepRejection:
 
         Args:
             model: What never changes.
-            state: What a rejected substep gives back: v and C.
-            tracks: How strong forces are and how fast walls move, over time.
+            state: Its v and C are restored after a rejected substep.
+            tracks: Strengths of forces and speeds of walls over time.
             pushes: Stages of forces on particles.
-            accumulators: Sums that a rejected substep gives back.
+            accumulators: Sums that are restored after a rejected substep.
         """
         self._model, self._tracks, self._accumulators = model, tracks, accumulators
         self._pushed = [state.v, state.C] if pushes else []
         self._fastest = wp.zeros(1, dtype=model.real, device=model.device)
         self.acceleration = _max_acceleration(model, tracks, pushes)
-        """What forces may do to a particle at most [m/s^2]."""
+        """Upper bound of the acceleration of a particle by forces [m/s^2]."""
         self.wall = _max_rate(tracks)
-        """How fast a wall moves at most [m/s]."""
+        """Largest speed of a wall [m/s]."""
         self._pushy = any(stage.sudden for stage in pushes)
         self.rejected = 0
-        """Substeps that were taken back."""
+        """Number of substeps that were rejected."""
 
     def sudden(self, clock: Clock) -> bool:
-        """Whether a force may change velocities at once in the next substep."""
+        """Whether a force may change velocities abruptly in the next substep."""
         return self._pushy and (self._tracks.vary or clock.substeps < FIRST)
 
     def must_try(self, clock: Clock, dt: float) -> bool:
-        """Whether a substep of length `dt` [s] may carry something further than a cell."""
+        """Whether a substep of length `dt` [s] may move something by more than a cell."""
         extremes, dx = clock.extremes, self._model.dx
         return (
             2 * max(extremes.speed, self.wall) * dt > CELLS_PER_STEP * dx
@@ -78,7 +79,7 @@ class StepRejection:
         )
 
     def interval(self, clock: Clock) -> int:
-        """Substeps until limits must be measured: as the user asks, if nothing gets far by then."""
+        """Substeps until the limits must be measured: as chosen by the user, where that is safe."""
         every, extremes, dx = clock.measure_every, clock.extremes, self._model.dx
         if every <= MEASURE_EVERY or not extremes.stiffness > 0:
             return min(every, MEASURE_EVERY)
@@ -97,11 +98,11 @@ class StepRejection:
 
         Args:
             dt: The length to try first [s].
-            scatter: Pushes, scatters and updates the grid for a substep of a length [s].
-            grid: The nodes whose speed decides.
+            scatter: Pushes, scatters and updates the grid for a substep of the given length [s].
+            grid: The grid whose largest nodal speed decides.
 
         Returns:
-            The length that was short enough [s], and whether it was violent.
+            The length that was short enough [s], and whether the substep was violent.
         """
         before = [wp.clone(array) for array in self._pushed]
         sums = [accumulator.snapshot() for accumulator in self._accumulators]
@@ -128,7 +129,7 @@ class StepRejection:
 
 
 def _max_acceleration(model: Model, tracks: Tracks, pushes: Sequence[Stage]) -> float:
-    """An upper bound of what forces may do to a particle at any time [m/s^2]."""
+    """An upper bound of the acceleration of any particle by forces at any time [m/s^2]."""
     joined, alone = 0.0, 0.0
     for track, flag in zip(tracks.tracks, tracks.flags, strict=True):
         value = max(math.hypot(*value) for _, value in track.keys)

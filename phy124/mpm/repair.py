@@ -1,7 +1,7 @@
-"""Repair: particles whose deformation no law can work with get their shape at rest back.
+"""Repair: particles whose deformation no law can handle are given back their rest shape.
 
-A few particles at a corner may be turned inside out where the rest of a run is sound. They are
-given F = I, and counted. F_total of what flows for ever is held to a largest size.
+A few particles at a corner may be turned inside out while the rest of a run is sound. They are
+reset to F = I and counted. The F_total of flowing material, which grows for ever, is bounded.
 """
 
 from __future__ import annotations
@@ -16,27 +16,27 @@ from phy124.mpm.model import Model
 from phy124.mpm.state import State
 
 SOUND_J = (1e-5, 1e6)
-"""Volume ratios that a law can work with; a particle beyond is reset and counted."""
+"""Volume ratios that a law can handle; a particle beyond them is reset and counted."""
 SOUND_F = 1e3
 """Largest norm of a sound deformation gradient."""
 NARROWEST = 1e-5
-"""Least ratio of the smallest stretch to the largest: beyond, rounding decides the sign of J."""
+"""Smallest ratio of the stretches, min / max; below it, rounding decides the sign of J."""
 MAX_TOTAL = 1e6
-"""Norm of F_total that flowing material is held to; what is seen of it stops growing at 4."""
+"""Largest norm of F_total of flowing material; what is visible of it stops growing at 4."""
 AFTER_STRAIN = 1.0
-"""Strain after which deformations are looked at again: |C| dt, summed over the substeps."""
+"""Strain after which deformations are checked again: |C| dt, summed over the substeps."""
 NOBODY = 2**31 - 1
 
 
 class Repair:
-    """Mends the deformations of one run, from the first `begin` on.
+    """Repairs the deformations of one run, from the first `begin` on.
 
-    Call `begin` and `end` of each frame; the solver calls `substep`.
+    Call `begin` and `end` for each frame; the solver calls `substep`.
     """
 
     def __init__(self, model: Model, state: State) -> None:
         self.count, self.first = 0, NOBODY
-        """How often a particle was reset in frames that were kept, and the lowest index."""
+        """Number of resets in frames that were kept, and the lowest index of a reset particle."""
         self._found = wp.zeros(2, dtype=int, device=model.device)
         real, limits = model.real, [*SOUND_J, SOUND_F, NARROWEST]
         outputs = [state.F, state.C, self._found]
@@ -53,7 +53,7 @@ class Repair:
         self._begun, self._strain, self._seen = True, 0.0, clock.time
 
     def substep(self, clock: Clock) -> None:
-        """After a substep: mend again once the material has strained by `AFTER_STRAIN`."""
+        """After a substep: repair again once the material has strained by `AFTER_STRAIN`."""
         if not self._begun:
             return
         self._strain += clock.extremes.gradient * (clock.time - self._seen)
@@ -69,11 +69,11 @@ class Repair:
         self._launch(self._limit)
 
     def snapshot(self) -> dict[str, Any]:
-        """What goes on from here, as plain data."""
+        """The state to continue from, as plain data."""
         return {"count": self.count, "first": self.first}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Go back to a snapshot."""
+        """Return to a snapshot."""
         self.count, self.first = snapshot["count"], snapshot["first"]
 
     @staticmethod

@@ -1,7 +1,7 @@
 """Solver: explicit MLS-MPM substeps of stable length.
 
-What a substep launches is recorded (phy124/mpm/substep.py) and repeated by one thread, by two that
-have half of the particles each (phy124/mpm/workers.py), or by a CUDA device alone
+The launches of a substep are recorded (phy124/mpm/substep.py) and repeated by one thread, by two
+threads with half of the particles each (phy124/mpm/workers.py), or by a CUDA device alone
 (phy124/mpm/graph.py).
 """
 
@@ -43,11 +43,11 @@ from phy124.mpm.workers import (
 from phy124.tracks import Tracks
 
 MEASURE = 3
-"""Instead of a phase: the limits are measured."""
+"""Given instead of a phase to measure the limits."""
 
 
 class Solver:
-    """Takes a state through time, under forces and boundaries; puts the phases in order."""
+    """Advances a state in time under forces and boundaries; puts the phases in order."""
 
     def __init__(
         self,
@@ -66,17 +66,18 @@ class Solver:
 
         Args:
             model: What never changes.
-            state: Where it begins; None: undeformed and at rest.
-            forces: What pushes, in order.
-            boundaries: What is solid, in order.
-            accumulators: What sums up in every substep.
+            state: The initial state; None: undeformed and at rest.
+            forces: Forces, in the order in which they act.
+            boundaries: Boundaries, in the order in which they act.
+            accumulators: Sums that grow in every substep.
             ceiling: Longest substep allowed [s].
-            threads: CPU threads, 1 or 2; None: two if they pay and a core is free.
+            threads: CPU threads, 1 or 2; None: two if that is faster and a core is free.
             graph: Run frames as one graph on the device; None: on CUDA.
             measure_every: Substeps between two measurements of the limits, where that is safe.
 
         Raises:
-            InputError: a force holds no particle, or a boundary is too thin for the grid.
+            InputError: The region of a force holds no particle, or a boundary is too thin for the
+                grid.
         """
         self.model = model
         self.state = State.of(model) if state is None else state
@@ -109,13 +110,18 @@ class Solver:
 
     @property
     def timings(self) -> Timings:
-        """Seconds and launches by stage, of the first thread."""
+        """Seconds and launches of each stage, in the first thread."""
         return self.workers[0].timings
 
     def advance(self, until: float, *, after: Callable[[], None] | None = None) -> None:
-        """Substeps of stable length up to a time [s]; `after` is called after each.
+        """Take substeps of stable length.
 
-        Raises Unstable if a particle leaves the grid window or stops being a number.
+        Args:
+            until: The time at which to stop [s].
+            after: Called after each substep.
+
+        Raises:
+            Unstable: A particle left the grid's window or is no longer finite.
         """
         with self._second_thread():
             while self.clock.time < until:
@@ -135,7 +141,7 @@ class Solver:
         self.clock.finish(drift)
 
     def snapshot(self) -> dict[str, Any]:
-        """All that `restore` needs to go on from here bit for bit."""
+        """The state that `restore` needs to continue bit for bit."""
         return {
             "state": self.state.snapshot(),
             "clock": self.clock.snapshot(),
@@ -145,7 +151,7 @@ class Solver:
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Go back to a snapshot."""
+        """Return to a snapshot."""
         self.state.restore(snapshot["state"])
         self.clock.restore(snapshot["clock"])
         self._set_interval()
@@ -159,7 +165,7 @@ class Solver:
             self._record()
 
     def _stable_step(self, until: float) -> None:
-        """One substep, as long as is stable and divides the rest evenly."""
+        """One substep: of a stable length that divides the remaining time evenly."""
         self._measure_if_due()
         clock, limit = self.clock, self.clock.stable()
         rest = until - clock.time
@@ -174,7 +180,7 @@ class Solver:
         clock.count(limit.limiter)
 
     def _careful_step(self, dt: float) -> float:
-        """A substep of at most `dt`, so short that no node moves more than a cell; its length."""
+        """A substep of at most `dt` in which no node moves more than a cell; returns its length."""
 
         def scatter(dt: float) -> None:
             self._scatter((self.clock.last_dt + dt) / 2, dt)
@@ -197,7 +203,7 @@ class Solver:
         self._run(UPDATE)
 
     def _run(self, phase: int) -> None:
-        """A phase, by both threads if there are two, which wait for each other before."""
+        """Run a phase; two threads wait for each other before it."""
         if self._second.alive:
             timed(self.timings, "wait", lambda: self._second.put(phase))
             self.workers[0].run(phase)
@@ -206,12 +212,12 @@ class Solver:
                 worker.run(phase)
 
     def _join(self) -> None:
-        """Wait until the second thread has done its part."""
+        """Wait until the second thread has finished its part."""
         if self._second.alive:
             timed(self.timings, "wait", self._second.join)
 
     def _run_second(self, phase: int) -> None:
-        """What the second thread does."""
+        """Run a phase in the second thread."""
         worker = self.workers[1]
         if phase == MEASURE:
             timed(worker.timings, "measure", worker.measure)
@@ -220,17 +226,17 @@ class Solver:
 
     @contextmanager
     def _second_thread(self) -> Iterator[None]:
-        """While inside, the second worker runs on a thread of its own."""
+        """Within this context, the second worker runs on a thread of its own."""
         if len(self.workers) == 1:
             yield
             return
-        # Loads every kernel.
+        # This loads every kernel.
         self._measure_if_due()
         with self._second.running():
             yield
 
     def _run_graph(self, until: float) -> bool:
-        """Substeps by the device alone; False if the next is for the host."""
+        """Take substeps on the device alone; False if the host has to take the next one."""
         alone = self.on_device and len(self.workers) == 1 and not self.outliers.bounded
         if not alone or self.rejection.sudden(self.clock):
             return False
@@ -238,7 +244,7 @@ class Solver:
         return self._graph.run(until, self.rejection, self._launches)
 
     def _launches(self) -> Iterable[Callable[[], Any]]:
-        """What one substep of a single worker launches, in order."""
+        """The launches of one substep of a single worker, in order."""
         if self.tracks.vary:
             yield self._sample.launch
         for _, launch in itertools.chain(self._pushes, *self.workers[0].phases):
@@ -249,14 +255,14 @@ class Solver:
             timed(self.timings, "measure", self._measure)
 
     def _measure(self) -> None:
-        """Read the stability limits and make the windows fit; raises Unstable."""
+        """Read the stability limits and fit the windows to the particles; raises Unstable."""
         found = self._maxima()
         if self.outliers.confine(*Maxima.of(found.max(axis=0)).corners):
             found = self._maxima()
         overall = found.max(axis=0)
         measured = Maxima.of(overall)
         self.clock.extremes = measured.extremes.after(self.clock.extremes)
-        # A particle that comes back to the others may be beyond the window.
+        # A particle that has come back to the others may be outside the window.
         self.grid.stale |= self.outliers.changed
         changed = self.grid.fit(*measured.corners)
         for worker, own in zip(self.workers, found, strict=True):
@@ -267,7 +273,7 @@ class Solver:
         self.clock.since_measured = 0
 
     def _fit(self, worker: Worker, own: NDArray[np.float64], force: bool) -> bool:
-        """Make a worker's private nodes fit; whether they changed."""
+        """Fit a worker's private nodes to its particles; returns whether they changed."""
         if worker.nodes is self.grid:
             return False
         return fit_part(worker.nodes, self.grid, *Maxima.of(own).corners, force=force)
@@ -283,7 +289,7 @@ class Solver:
                 worker.measure()
         lost = int(self._stray.numpy()[0])
         if lost:
-            raise Unstable(f"{lost} particles are no longer numbers")
+            raise Unstable(f"{lost} particles are NaN or infinite")
         return np.array([worker.maxima.numpy() for worker in self.workers], dtype=np.float64)
 
     def _set_interval(self) -> None:
@@ -298,6 +304,6 @@ class Solver:
         self._graph.forget()
 
     def _grids(self) -> list[Grid]:
-        """The shared grid, and the private ones of workers that have them."""
+        """The shared grid, and the private grids of workers that have one."""
         private = [worker.nodes for worker in self.workers if worker.nodes is not self.grid]
         return [self.grid, *private]

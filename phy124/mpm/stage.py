@@ -17,11 +17,11 @@ class Stage(NamedTuple):
     """What a force, a boundary or an accumulator adds to a substep."""
 
     name: str
-    """Reports list its time under this name."""
+    """The name under which reports list its time."""
     record: Callable[[Grid], wp.Launch | None]
-    """Records its launch for the window of the moment; None if nothing is in reach."""
+    """Records its launch for the grid's current window; None if nothing is within reach."""
     sudden: bool = False
-    """Whether it may change a velocity at once, whatever its strength."""
+    """Whether it may change a velocity abruptly, whatever its strength."""
     in_newtons: bool = False
     """Whether its track is a force on each particle [N] and not an acceleration [m/s^2]."""
 
@@ -30,31 +30,37 @@ class Attachable(Protocol):
     """A force or a boundary."""
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """The stages it needs in each substep."""
+        """The stages it needs in each substep.
+
+        Args:
+            model: What stays the same during the run.
+            state: What its launches read and change.
+            tracks: Where it registers what changes over time.
+        """
         ...
 
 
 class Accumulator(Attachable, Protocol):
-    """Sums that grow in every substep and are taken back with a rejected one.
+    """Sums that grow in every substep and are restored after a rejected one.
 
-    Its stages come last in a substep, once the boundaries have acted.
+    Its stages come last in a substep, after the boundaries have acted.
     """
 
     def snapshot(self) -> dict[str, Any]:
-        """What the sums are now."""
+        """The sums as they are now."""
         ...
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Go back to what they were."""
+        """Set the sums back to a snapshot."""
         ...
 
 
 Named = tuple[str, Callable[[], Any]]
-"""A launch to repeat, under its name."""
+"""A name, and a launch to repeat."""
 Recorded = tuple[str, wp.Launch | None]
-"""A recorded launch under its name; None if there is nothing to do."""
+"""A name, and a recorded launch; None if there is nothing to do."""
 
 
 def launches(records: list[Recorded]) -> list[Named]:
-    """What to call for each record; what has nothing to do is left out."""
+    """A function to call for each recorded launch; those with nothing to do are left out."""
     return [(name, launch.launch) for name, launch in records if launch is not None]

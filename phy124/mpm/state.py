@@ -20,7 +20,7 @@ class State:
     x: wp.array
     """Positions [P,3], m."""
     residue: wp.array
-    """What rounding took from the positions [P,3], m."""
+    """Rounding errors of the positions [P,3], m, added again in the next substep."""
     v: wp.array
     """Velocities [P,3], m/s, half a substep behind the positions."""
     C: wp.array
@@ -34,7 +34,13 @@ class State:
 
     @classmethod
     def of(cls, model: Model, v: NDArray | None = None, C: NDArray | None = None) -> State:
-        """Undeformed, at rest or moving with velocities `v` [P,3] m/s and gradients `C` [P,3,3]."""
+        """An undeformed state.
+
+        Args:
+            model: The particles.
+            v: Their velocities [P,3], m/s; None: at rest.
+            C: Their velocity gradients [P,3,3], 1/s; None: zero.
+        """
         t, count = types(model.real), len(model)
         plastic = any(group.law.project is not None for group in model.groups)
         kept = count if plastic else 0
@@ -55,19 +61,19 @@ class State:
 
     @property
     def deformation(self) -> wp.array:
-        """What the Gaussians follow: F, or F_total where it differs."""
+        """The deformation gradients that the Gaussians follow: F, or F_total where it differs."""
         return self.total if len(self.total) else self.F
 
     def snapshot(self) -> dict[str, Any]:
-        """A copy on the device, to go back to."""
+        """A copy on the device, for `restore`."""
         return {name: wp.clone(array) for name, array in self.arrays().items()}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Go back to a snapshot, on the device or read from a file."""
+        """Return to a snapshot, on the device or read from a file."""
         for name, array in self.arrays().items():
             array.assign(snapshot[name])
 
 
 def part_of(array: wp.array, part: slice) -> wp.array:
-    """A slice of an array that may be empty because no law needs it."""
+    """A slice of an array, or the array itself if it is empty because no law needs it."""
     return cast("wp.array", array[part]) if len(array) else array

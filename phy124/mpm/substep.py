@@ -1,7 +1,7 @@
-"""The launches of one substep, recorded for the windows of the moment.
+"""The launches of one substep, recorded for the grid's current windows.
 
-A substep reads as push, clear, p2g, update, collide, g2p; each is one launch per law and worker.
-A recorded launch is repeated for a few microseconds.
+A substep consists of push, clear, p2g, update, collide and g2p; each is one launch per law and
+worker. Repeating a recorded launch takes a few microseconds.
 """
 
 from __future__ import annotations
@@ -36,11 +36,16 @@ class Recorder:
     workers: Sequence[Worker]
 
     def pushes(self, stages: Sequence[Stage]) -> list[Named]:
-        """What acts on particles before the scatter."""
+        """The launches that act on particles before the scatter."""
         return launches([(stage.name, stage.record(self.grid)) for stage in stages])
 
     def record(self, walls: Sequence[Stage], sums: Sequence[Stage]) -> None:
-        """Give every worker its scatter, update and gather; `sums` close the substep."""
+        """Give every worker its scatter, update and gather.
+
+        Args:
+            walls: Stages of boundaries, after the update.
+            sums: Stages that end the substep.
+        """
         for worker, layers in zip(self.workers, layers_of(self.workers, self.grid), strict=True):
             parts = list(worker.parts(self.model.groups))
             scatter = [self._p2g(group, part, worker.nodes) for group, part in parts]
@@ -54,7 +59,7 @@ class Recorder:
         self.workers[0].phases[2] += launches([(s.name, s.record(self.grid)) for s in sums])
 
     def measures(self, worker: Worker, stray: wp.array) -> list[wp.Launch]:
-        """What measures the limits of the substep among a worker's particles."""
+        """The launches that measure the limits of the substep among a worker's particles."""
         model, s, found = self.model, self.state, []
         for group, part in worker.parts(model.groups):
             threads, *fraction = shared_out(part.stop - part.start, model.device)

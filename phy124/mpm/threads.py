@@ -1,7 +1,8 @@
 """A second thread that works through a queue in step with the first, and their barrier.
 
-Warp's CPU kernels release Python's lock, so two threads run kernels at once. The barrier spins
-inside a kernel: to sleep and be woken would cost more than a phase of a substep.
+Warp's CPU kernels release Python's global lock, so two threads can run kernels at the same time.
+The barrier spins inside a kernel, since putting a thread to sleep and waking it would take longer
+than a phase of a substep.
 """
 
 from __future__ import annotations
@@ -20,14 +21,15 @@ import warp as wp
 from phy124.kernels.barrier import meet
 
 ROUNDS, NAP = 20, 5e-5
-"""Rounds of spinning at a barrier between which others may have the core, then sleep [s]."""
+"""Spins of a barrier that only yield the core, and how long it sleeps between further ones [s]."""
 Task = TypeVar("Task")
 
 
 class SecondThread(Generic[Task]):
-    """Runs `work` on tasks, one after another, beside the thread that puts them.
+    """Runs `work` on one task after another while the thread that puts them goes on.
 
-    Load every kernel that `work` launches before `running`: loading is not safe in two threads.
+    Load every kernel that `work` launches before entering `running`, since loading is not
+    thread-safe.
     """
 
     def __init__(self, work: Callable[[Task], None]) -> None:
@@ -43,32 +45,32 @@ class SecondThread(Generic[Task]):
 
     @contextmanager
     def running(self) -> Iterator[None]:
-        """While inside, tasks can be put."""
-        # An error may be left of the last time: nobody asks for one after another was raised.
+        """Within this context, tasks can be put."""
+        # An error may be left from the last time, if another one was raised before.
         self._barrier, self._queue, self._error = Barrier(2), [], None
         thread = threading.Thread(target=self._follow, args=(self._barrier,), daemon=True)
         thread.start()
         try:
             yield
         finally:
-            # Wherever the first thread was, Ctrl-C may have ended it between two barriers.
+            # Ctrl-C may have ended the first thread anywhere, also between two barriers.
             self._barrier.abandoned = True
             thread.join()
             self._barrier = None
 
     def put(self, task: Task) -> None:
-        """Wait until it has done the task before, and let it begin this one.
+        """Wait until it has finished its previous task, and let it start this one.
 
-        Raises what the task before raised.
+        Raises what the previous task raised.
         """
         self._hand_over(task)
 
     def join(self) -> None:
-        """Wait until it has done its task; raises what that raised."""
+        """Wait until it has finished its task; raises what that raised."""
         self._hand_over(None)
 
     def _hand_over(self, task: Task | None) -> None:
-        # A list, since the other thread may read late what is put here.
+        # A list, since the other thread may read it after the next task has been put.
         self._queue.append(task)
         if self._barrier:
             self._barrier.wait(0)
@@ -77,7 +79,7 @@ class SecondThread(Generic[Task]):
             raise error
 
     def _follow(self, barrier: Barrier) -> None:
-        """The thread: tasks as they come, until the barrier is abandoned."""
+        """The second thread: runs tasks as they come until the barrier is abandoned."""
         for count in itertools.count():
             if not barrier.wait(1):
                 return
@@ -85,12 +87,12 @@ class SecondThread(Generic[Task]):
             try:
                 if task is not None:
                     self._work(task)
-            except Exception as error:  # The first thread waits at the barrier, and raises it.
+            except Exception as error:  # The first thread raises it after the barrier.
                 self._error = error
 
 
 class Barrier:
-    """Where a number of threads wait for each other."""
+    """A barrier at which a number of threads wait for each other."""
 
     def __init__(self, parties: int) -> None:
         self._counter = wp.zeros(32, dtype=int, device="cpu")
@@ -98,14 +100,14 @@ class Barrier:
         self._views = [ticket.numpy() for ticket in self._tickets]
         self._launches = [self._record(ticket, parties) for ticket in self._tickets]
         self.abandoned = False
-        """Whether nobody needs to wait any more."""
+        """Whether threads need not wait any more."""
 
     def _record(self, ticket: wp.array, parties: int) -> Any:
         outputs = [self._counter, ticket]
         return wp.launch(meet, 1, inputs=[parties], outputs=outputs, device="cpu", record_cmd=True)
 
     def wait(self, party: int) -> bool:
-        """Come back when all have arrived; False if they never will."""
+        """Wait until all have arrived; False if the barrier was abandoned."""
         launch, view = self._launches[party], self._views[party]
         launch.launch()
         spun = 0
@@ -119,12 +121,12 @@ class Barrier:
 
 
 def give_way() -> None:
-    """Let another thread have the core, if one wants it."""
+    """Yield the core to another thread that wants it."""
     os.sched_yield() if hasattr(os, "sched_yield") else time.sleep(0)
 
 
 def free_cores() -> int:
-    """Cores of this process that no other program's threads want at the moment."""
+    """Number of this process's cores that no other program's thread wants right now."""
     cores = (
         len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     )
@@ -132,12 +134,12 @@ def free_cores() -> int:
 
 
 def _others_running() -> int:
-    """Threads of other programs that want a core right now; 0 where the system does not tell."""
+    """Number of other programs' threads that want a core; 0 where the system does not tell."""
     counts = []
     for _ in range(5):
         try:
             running = Path("/proc/loadavg").read_text().split()[3].partition("/")[0]
-            # Libraries leave threads of ours spinning for a moment; they are not others.
+            # Threads that libraries in this process leave spinning for a moment do not count.
             own = [path.read_text() for path in Path("/proc/self/task").glob("*/stat")]
         except OSError:
             return 0

@@ -4,8 +4,8 @@ dt = min(k dx sqrt(rho0 / A), 0.5 dx / |v|, 0.4 / |C|): A the largest eigenvalue
 d tau / d ln sigma (an isolated particle is a harmonic oscillator of omega^2 = 4 A / (rho0 dx^2)),
 |v| the largest speed, |C| the largest velocity gradient. See docs/reference/physics.md.
 
-A substep that follows A up and down in step with a vibration feeds it, as a swing is fed, so A is
-forgotten only slowly: leapfrog with substeps of one length conserves what it should.
+If the substep followed A up and down in phase with a vibration, it would pump energy into it. A is
+therefore forgotten only slowly: leapfrog with substeps of equal length conserves energy.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from typing import NamedTuple
 CFL = 0.6
 """Fraction of the elastic limit that is used."""
 CELLS_PER_STEP = 0.5
-"""Largest way of a particle in one substep, in cells."""
+"""Largest distance that a particle moves in one substep [cells]."""
 STRAIN_PER_STEP = 0.4
 """Largest |C| dt; below 1 an element cannot turn inside out."""
 MEMORY = 0.95
-"""Fraction of the stiffness met before that still counts at the next measurement."""
+"""Fraction of an earlier stiffness that still counts at the next measurement."""
 
 
 class Extremes(NamedTuple):
-    """Largest values over all particles that limit the substep."""
+    """The largest values over all particles, which limit the substep."""
 
     speed: float
     """|v| [m/s]."""
@@ -34,7 +34,7 @@ class Extremes(NamedTuple):
     """A / rho0 [m^2/s^2]."""
 
     def after(self, before: Extremes) -> Extremes:
-        """The same with a stiffness that still knows of the one before."""
+        """The same with a stiffness of at least `MEMORY` times the one before."""
         return self._replace(stiffness=max(self.stiffness, MEMORY * before.stiffness))
 
 
@@ -55,7 +55,15 @@ def stable_substep(
     ceiling: float = math.inf,
     viscous: float = math.inf,
 ) -> Substep:
-    """The longest stable substep; `ceiling` [s] is the user's, `viscous` [s] the materials'."""
+    """The longest stable substep.
+
+    Args:
+        extremes: The largest speed, gradient and stiffness of the particles.
+        dx: Grid spacing [m].
+        cfl: Fraction of the elastic limit to use.
+        ceiling: Longest substep that the user allows [s].
+        viscous: Longest substep that viscosity allows [s].
+    """
     limits = {
         "elastic": _divide(cfl * dx, math.sqrt(extremes.stiffness)),
         "speed": _divide(CELLS_PER_STEP * dx, extremes.speed),
@@ -70,8 +78,8 @@ def stable_substep(
 def beside_elastic(cfl: float) -> float:
     """Fraction of the viscous limit that is stable together with `cfl` of the elastic one.
 
-    An oscillator of omega dt = 2 cfl with friction gamma dt = share, both taken explicitly, is
-    stable while (omega dt)^2 <= 4 - 2 gamma dt.
+    An oscillator with omega dt = 2 cfl and damping gamma dt, both integrated explicitly, is stable
+    while (omega dt)^2 <= 4 - 2 gamma dt.
     """
     return min(1.0, 2 - 2 * cfl * cfl)
 

@@ -1,9 +1,9 @@
-"""Workers: each does a part of the particles, and scatters to nodes of its own.
+"""Workers: each processes a part of the particles and scatters to nodes of its own.
 
 Particles are sorted along x, so each half touches a slab of layers. A worker scatters its part into
-private nodes, brings its layers of the shared grid up to date from all, and then gathers. One
-worker alone has all particles and scatters to the shared grid. How they run beside each other is
-in phy124/mpm/threads.py.
+private nodes, updates its layers of the shared grid from all private nodes, and then gathers. A
+single worker has all particles and scatters to the shared grid. How workers run in parallel:
+phy124/mpm/threads.py.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ MIN_PARTICLES = 20_000
 SCATTER, UPDATE, GATHER = range(3)
 """The phases of a substep between which workers wait for each other."""
 Timings = dict[str, list[float]]
-"""Seconds and launches by stage."""
+"""Stage -> seconds and number of launches."""
 
 
 @dataclass
 class Worker:
-    """A part of the particles, and the work on it."""
+    """A part of the particles, and the launches for it."""
 
     runs: list[tuple[int, int]]
-    """Its part of each group's particles, first and past the last."""
+    """Its part of each group's particles: the first, and one past the last."""
     nodes: Grid
-    """Where it scatters to: the shared grid if it is alone, else private nodes."""
+    """The nodes it scatters to: the shared grid if it is alone, otherwise private nodes."""
     maxima: wp.array
     """What measuring its particles finds (phy124/kernels/maxima.py)."""
     phases: list[list[Named]] = field(default_factory=list)
@@ -48,18 +48,18 @@ class Worker:
     timings: Timings = field(default_factory=dict)
 
     def run(self, phase: int) -> None:
-        """One phase of a substep."""
+        """Run one phase of a substep."""
         for name, launch in self.phases[phase]:
             timed(self.timings, name, launch)
 
     def measure(self) -> None:
-        """Find what limits the substep among its particles, and where they are."""
+        """Measure the limits of the substep and the extent of its particles."""
         self.maxima.fill_(-np.inf)
         for launch in self.measures:
             launch.launch()
 
     def parts(self, groups: Sequence[Group]) -> Iterator[tuple[Group, slice]]:
-        """Its part of each group, where it has one."""
+        """The groups in which it has particles, each with its part."""
         for group, (start, stop) in zip(groups, self.runs, strict=True):
             if stop > start:
                 yield group, slice(start, stop)
@@ -78,20 +78,20 @@ def make_workers(model: Model, grid: Grid, count: int) -> list[Worker]:
 
 
 def usable_workers(model: Model) -> int:
-    """Two on the CPU if there are enough particles and a second core is free, else one."""
+    """Two on the CPU if there are enough particles and a second core is free, otherwise one."""
     if model.device != "cpu" or len(model) < MIN_PARTICLES:
         return 1
     return 2 if free_cores() >= 2 else 1
 
 
 def cut(runs: list[tuple[int, int]], parts: int) -> list[list[tuple[int, int]]]:
-    """Each run of particles cut evenly: for each worker its part of every run."""
+    """Cuts each run of particles evenly: for each worker, its part of every run."""
     edges = [np.linspace(start, stop, parts + 1).astype(int).tolist() for start, stop in runs]
     return [[(edge[i], edge[i + 1]) for edge in edges] for i in range(parts)]
 
 
 def fit_part(part: Grid, whole: Grid, lower: NDArray, upper: NDArray, *, force: bool) -> bool:
-    """Make private nodes cover a worker's particles, whole layers of the shared window.
+    """Make private nodes cover a worker's particles with whole layers of the shared window.
 
     Args:
         part: The private nodes.
@@ -117,7 +117,7 @@ def fit_part(part: Grid, whole: Grid, lower: NDArray, upper: NDArray, *, force: 
 
 
 def layers_of(workers: Sequence[Worker], grid: Grid) -> list[tuple[int, int] | None]:
-    """The layers of the shared grid that each worker brings up to date; None: all."""
+    """The layers of the shared grid that each worker updates; None: all."""
     if len(workers) == 1:
         return [None]
     low, layers = grid.low[0], int(grid.size[0])
@@ -128,7 +128,7 @@ def layers_of(workers: Sequence[Worker], grid: Grid) -> list[tuple[int, int] | N
 
 
 def timed(timings: Timings, name: str, work: Callable[[], Any]) -> None:
-    """Do work and add its seconds to a stage."""
+    """Run `work` and add its duration to a stage."""
     start = time.perf_counter()
     work()
     entry = timings.setdefault(name, [0.0, 0])

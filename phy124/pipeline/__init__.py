@@ -1,8 +1,8 @@
 """The whole chain: picture -> foreground -> Gaussians -> moving Gaussians -> files.
 
-Every function here reports progress and its stages' times; a run that is cancelled or fails
-leaves nothing behind, one that stops early keeps its good frames, and so does a cancelled one if
-asked to.
+Every function here reports progress and how long its stages take. A run that fails or is cancelled
+leaves nothing behind; one that stops early keeps its good frames, and so does a cancelled one if
+`keep` is set.
 """
 
 from __future__ import annotations
@@ -65,12 +65,27 @@ def generate(
     forecaster: Forecaster | None = None,
     keep: bool = False,
 ) -> Result:
-    """A picture becomes moving Gaussians, videos and a report in a folder.
+    """Turn a picture into moving Gaussians, videos and a report in a folder.
 
-    With a `goal` the accuracy is chosen to meet it (`phy124.accuracy.choose`). For `forecaster`
-    and `keep` see `simulate`, for the other options `static`.
+    Args:
+        image: The picture; a generator that is a .ply file does not look at it.
+        scene: What happens to the object.
+        out: The folder to write.
+        generator: Name, path of a .ply file, or a generator itself.
+        reading: How to interpret that .ply file, and whether to find its floor.
+        method: How the object is cut out, see `phy124.imaging.cutout.foreground`.
+        mask: Picture that is white where the object is.
+        looked: Called with the cut-out before the long work begins.
+        count: Largest number of Gaussians.
+        device: Warp device.
+        progress: Called with (stage, done, total); may raise Cancelled.
+        goal: An error or a time; the accuracy is chosen to meet it (`phy124.accuracy.choose`).
+        forecaster: Predicts the time of the run; the report compares it with the time taken.
+        keep: Whether a cancelled run keeps its frames, so that `go_on` can continue it.
 
-    Raises InputError for what the user can mend, Cancelled if `progress` does.
+    Raises:
+        InputError: The picture, the scene or the options cannot be used.
+        Cancelled: `progress` raised it.
     """
     scene.refuse_nameless()
     refuse_missing(scene)
@@ -110,13 +125,13 @@ class Static:
 
     gaussians: Gaussians
     scene: Scene
-    """The scene for it: of a capture with the floor that was found, and regions in metres."""
+    """The scene for it; for a capture with the floor that was found, and regions in metres."""
     crop: Crop
     """Where the object is in the picture."""
     cutout: Cutout | None
-    """None without a picture."""
+    """The cut-out; None without a picture."""
     about: dict[str, Any]
-    """How the object was cut out and what made the Gaussians."""
+    """How the object was cut out, and which generator made the Gaussians."""
 
 
 def static(
@@ -132,19 +147,22 @@ def static(
     progress: Progress = silent,
     watch: Stopwatch | None = None,
 ) -> Static:
-    """A picture becomes static Gaussians; raises InputError.
+    """Turn a picture into static Gaussians.
 
     Args:
         image: The picture; a generator that is a .ply file does not look at it.
-        scene: What will happen to them; None: the default one.
-        generator: Name, path of a .ply file, or object.
-        reading: How that .ply file is meant, and whether to find its floor.
+        scene: What will happen to them; None: the default scene.
+        generator: Name, path of a .ply file, or a generator itself.
+        reading: How to interpret that .ply file, and whether to find its floor.
         method: How the object is cut out, see `phy124.imaging.cutout.foreground`.
         mask: Picture that is white where the object is.
-        looked: Called with the cut-out before the long work.
-        count: Limits the number of Gaussians.
-        progress: Told how far it is; may raise Cancelled.
-        watch: Where the stages' times go.
+        looked: Called with the cut-out before the long work begins.
+        count: Largest number of Gaussians.
+        progress: Called with (stage, done, total); may raise Cancelled.
+        watch: Where the durations of the stages are recorded.
+
+    Raises:
+        InputError: The picture or the options cannot be used.
     """
     watch, scene = watch or Stopwatch(), scene or Scene()
     make, cutout = asked_for(make_generator(generator, reading), count), None
@@ -193,12 +211,29 @@ def simulate(
     films: bool = True,
     each: Callable[[Simulation, Frame], object] = lambda run, frame: None,
 ) -> Result:
-    """Gaussians become moving Gaussians, videos and a report in a folder.
+    """Turn static Gaussians into moving ones, videos and a report in a folder.
 
-    With a `forecaster` the report compares the seconds it predicted with those spent. With `keep`
-    a run that `progress` cancels is filmed and kept as far as it came, and `go_on` goes on. A
-    `cutout` is saved beside the results. Without `films` there are no videos. `each` is called
-    with every frame as soon as it is there, but not of the grids that a `goal` tries.
+    Args:
+        gaussians: The object at any size, standing upright, facing +x.
+        scene: What happens to it.
+        out: The folder to write.
+        device: Warp device.
+        progress: Called with (stage, done, total); may raise Cancelled.
+        watch: Where the durations of the stages are recorded.
+        about: What the report says about how the Gaussians were made.
+        crop: Where the object is in the picture that the masks of parts were painted on.
+        cutout: The cut-out, to be saved beside the results.
+        goal: An error or a time; the accuracy is chosen to meet it (`phy124.accuracy.choose`).
+        forecaster: Predicts the time of the run; the report compares it with the time taken.
+        keep: Whether a run that `progress` cancels is filmed and kept, so that `go_on` can
+            continue it.
+        films: Whether videos are made.
+        each: Called with the simulation and every frame as soon as it is computed, but not for the
+            grids that are tried to meet a `goal`.
+
+    Raises:
+        InputError: The Gaussians, the scene or the folder cannot be used.
+        Cancelled: `progress` raised it.
     """
     scene.refuse_nameless()
     refuse_missing(scene)
@@ -229,10 +264,18 @@ def go_on(
     progress: Progress = silent,
     keep: bool = False,
 ) -> Result:
-    """Take up the run whose pause lies in a folder, bit for bit as if it had not been interrupted.
+    """Continue the run that was interrupted in a folder, bit for bit as if it had not been.
 
-    Raises InputError if there is none, or if it is of another `scene`; with `any_accuracy` it may
-    be at another accuracy, as it is when the run had a goal.
+    Args:
+        out: The folder of the interrupted run.
+        scene: The scene that it must have; None: any.
+        any_accuracy: Whether its accuracy may differ from the scene's, as it does with a goal.
+        device: Warp device.
+        progress: Called with (stage, done, total); may raise Cancelled.
+        keep: Whether it is kept again if `progress` cancels it.
+
+    Raises:
+        InputError: There is no interrupted run, or it has another scene.
     """
     path, watch = Path(out) / PAUSE, Stopwatch()
     if not path.is_file():
@@ -255,18 +298,18 @@ def go_on(
 
 
 def _refuse_other(scene: dict[str, Any], paused: dict[str, Any], out: PathLike) -> None:
-    """Raise InputError if two scenes differ, naming where."""
+    """Raise InputError if two scenes differ; it names the field."""
     asked, found = _flat(scene), _flat(paused)
     for name in {**asked, **found}:
         if asked.get(name) != found.get(name):
             both = name in asked and name in found
             what = f"{name} = {found[name]}, not {asked[name]}" if both else f"different {name}"
-            remedy = "Give the options of that run, or leave --resume out to begin anew."
+            remedy = "Give the options of that run, or leave --resume out to start again."
             raise InputError("resume", out, f"the interrupted run has {what}.", remedy)
 
 
 def _flat(data: Any, name: str = "") -> dict[str, Any]:
-    """Nested data as one level: "time.frames" -> 14."""
+    """Nested data as a single level: "time.frames" -> 14."""
     parts = data.items() if isinstance(data, dict) else enumerate(data)
     flat: dict[str, Any] = {}
     for key, value in parts:

@@ -28,41 +28,41 @@ from phy124.scene import Scene, View
 from phy124.simulation import Interrupted, Simulation
 
 PAUSE = "pause.safetensors"
-"""What an interrupted run leaves in its folder, for `go_on`."""
-INTERRUPTED = "it was interrupted; the same command with --resume goes on where it stopped"
+"""Name of the file that an interrupted run leaves in its folder for `go_on`."""
+INTERRUPTED = "it was interrupted; the same command with --resume continues it"
 
 
 @dataclass(frozen=True)
 class Result:
-    """What a run made."""
+    """What a run produced."""
 
     folder: Path
     """Where the files are."""
     files: tuple[Path, ...]
-    """Every file made."""
+    """All files that were written."""
     report: dict[str, Any]
     """The content of report.json."""
 
 
 @dataclass
 class Making:
-    """What is made in a folder, and how."""
+    """One run that writes into a folder, and its options."""
 
     out: Path
     device: str
     progress: Progress
     watch: Stopwatch
     about: dict[str, Any]
-    """What the report says besides the run itself."""
+    """What the report says in addition to the run's own."""
     keep: bool
-    """Whether what there is survives when `progress` cancels."""
+    """Whether the frames so far are kept when `progress` cancels."""
     cutout: Cutout | None = None
     films: bool = True
     """Whether videos are made."""
     predicted: Forecast | None = None
 
     def result(self, moved: Callable[[], tuple[Simulation, Clip]]) -> Result:
-        """Move, film and save; refuses a folder that cannot be written before anything else."""
+        """Move, film and save; a folder that cannot be written is refused before anything else."""
         with staged(self.out) as folder:
             interrupted = False
             try:
@@ -82,7 +82,7 @@ class Making:
         return Result(self.out, tuple(self.out / name for name in made), report)
 
     def _film(self, clip: Clip, scene: Scene, folder: Path) -> bool:
-        """All views; True if that was interrupted, the finished ones are then kept."""
+        """Film all views; returns whether it was interrupted, in which case finished ones stay."""
         if not self.films:
             return False
         options: dict[str, Any] = {"device": self.device, "watch": self.watch}
@@ -123,14 +123,14 @@ class Making:
 
 
 def framed(clip: Clip, view: View) -> dict[str, Any]:
-    """What a report says of the pictures, with the run's notes and one where they miss some."""
+    """What a report says about the pictures: when Gaussians leave them, and all notes."""
     seen = framing(clip, view)
     notes = clip.report["notes"] + ([seen["note"]] if seen["note"] else [])
     return {"departures": seen["departures"], "notes": notes}
 
 
 def circumstances(device: str, watch: Stopwatch) -> dict[str, Any]:
-    """Device, versions and stage times: what a report says besides the run itself."""
+    """What a report says about the machine: device, versions, and durations of the stages."""
     packages = ("phy124", "numpy", "warp-lang", "opencv-python-headless", "imageio-ffmpeg")
     found = {}
     for package in packages:
@@ -148,5 +148,5 @@ def circumstances(device: str, watch: Stopwatch) -> dict[str, Any]:
 
 
 def write_json(path: Path, data: dict[str, Any]) -> None:
-    """Write plain data into a file."""
+    """Write plain data to a JSON file."""
     path.write_text(json.dumps(data, indent=2, allow_nan=False) + "\n", "utf-8")

@@ -1,4 +1,4 @@
-"""The hard-case suite: whatever a user may type, upload or draw, with bounds that must hold.
+"""The hard-case suite: anything that a user may type, upload or draw, with bounds that must hold.
 
 `phy124 stress` runs it on this machine's devices; the tests run the same cases. The bounds and the
 reasons for them are in docs/results/stability.md.
@@ -59,7 +59,7 @@ __all__ = ["CASES", "Case", "Check", "Row", "Setting", "examine", "run", "settin
 
 
 def settings(*, long: bool = False) -> list[Setting]:
-    """Both precisions on each device of this machine."""
+    """Both precisions on each device of this machine; `long` runs at full length."""
     import warp as wp
 
     devices = ["cpu", *(str(device) for device in wp.get_cuda_devices())]
@@ -67,7 +67,7 @@ def settings(*, long: bool = False) -> list[Setting]:
 
 
 def run(*, long: bool = False) -> Iterator[Row]:
-    """The rows of the table, as they are measured."""
+    """The rows of the table, as they are measured; `long` runs at full length."""
     for case in CASES:
         for setting in settings(long=long):
             yield examine(case, setting)[0]

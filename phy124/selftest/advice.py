@@ -23,13 +23,13 @@ REFUSED: dict[str, dict[str, Any]] = {
     "ceiling": {"time": {**LONG, "substep": 1e-8}},
     "rigid": {"material": {"law": "rigid", "speed": 1000.0, "strain": 1e-4}, "time": LONG},
 }
-"""Scenes that would take longer than their time limit."""
+"""Scenes that would take longer than their time budget."""
 TOO_LONG = 2.5
-"""A multiple of the stable substep that no scene can ask for: the run explodes."""
+"""A multiple of the stable substep, which no scene can ask for: the run explodes."""
 
 
 def advice(setting: Setting) -> list[Check]:
-    """Every remedy of every stop and refusal, applied by itself."""
+    """Every remedy of every stop and refusal, each applied by itself."""
     checks = []
     for name, changes in REFUSED.items():
         scene = Scene.from_data({**SMALL, **changes})
@@ -73,7 +73,7 @@ def _lasts(name: str, scene: Scene, setting: Setting) -> Iterator[Check]:
 
 
 def _hurries(scene: Scene, setting: Setting) -> Iterator[Check]:
-    """Advice to a run that is out of time makes it need fewer substeps, or lets it finish."""
+    """A run out of time that follows the advice needs fewer substeps, or finishes."""
     name, stopped = "outruns its time budget", _run(scene, setting)
     stopped.run()
     yield equal(f"{name}: it stops", stopped.stopped is not None)
@@ -108,7 +108,7 @@ def _exploding(setting: Setting) -> Scene:
 
 
 def _violent(setting: Setting) -> Scene:
-    """A scene forecast by its stiffness, but so fast that its speed limits the substep."""
+    """A scene whose forecast is based on its stiffness, but whose speed limits the substep."""
     accuracy = {**SMALL["accuracy"], "precision": setting.precision}
     return Scene.from_data({
         **SMALL, "accuracy": accuracy, "time": {"frames": 12, "fps": 24.0, "budget": 0.01},

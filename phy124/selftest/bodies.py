@@ -23,7 +23,13 @@ JELLY = NeoHookean(E=1e4, nu=0.3)
 
 
 def block(per_axis: int = 6, size: float = 0.375, middle: Sequence[float] = (0, 0, 0)) -> Array:
-    """Centres [P,3] of a cube of particles, m; two per cell and axis by default."""
+    """Positions [P,3], m, of a cube of particles; two per cell and axis by default.
+
+    Args:
+        per_axis: Number of particles along each axis.
+        size: Side of the cube [m].
+        middle: Centre of the cube [m].
+    """
     line = (np.arange(per_axis) + 0.5) / per_axis * size - size / 2
     grid = np.meshgrid(line, line, line, indexing="ij")
     return np.stack(grid, axis=-1).reshape(-1, 3) + np.asarray(middle, float)
@@ -32,14 +38,14 @@ def block(per_axis: int = 6, size: float = 0.375, middle: Sequence[float] = (0, 
 def body(
     x: Array, setting: Setting, material: Material = JELLY, *, size: float = 0.375, **options: Any
 ) -> Solver:
-    """A solver whose particles share the volume of a cube evenly.
+    """A solver whose particles divide the volume of a cube evenly.
 
     Args:
         x: Positions [P,3], m.
         setting: Device and precision.
-        material: Of all particles.
-        size: Side of the cube, m.
-        **options: Passed on to the solver.
+        material: Material of all particles.
+        size: Side of the cube [m].
+        **options: Options of `solver`.
     """
     volume = options.pop("volume", np.full(len(x), size**3 / len(x)))
     return solver(x, volume, [material], setting, **options)
@@ -63,14 +69,14 @@ def solver(
     Args:
         x: Positions [P,3], m.
         volume: Volumes [P], m^3.
-        materials: What they are made of.
+        materials: The materials they are made of.
         setting: Device and precision.
         dx: Grid spacing [m].
-        origin: Where node (0, 0, 0) is [m].
+        origin: Position of node (0, 0, 0) [m].
         material: Indices into `materials` [P]; None: the first.
         v: Velocities at the start [P,3], m/s.
         C: Their gradients [P,3,3], 1/s.
-        options: Of `Solver`.
+        **options: Options of `Solver`.
     """
     where = {"dx": dx, "origin": origin, "material": material, **setting.options}
     model = Model.of(x, volume, materials, **where)
@@ -78,14 +84,17 @@ def solver(
 
 
 def turning(x: Array, omega: Sequence[float]) -> dict[str, Any]:
-    """v [P,3] and C [P,3,3] of a rigid rotation about the middle, rad/s."""
+    """v [P,3] and C [P,3,3] of a rigid rotation about the centre; `omega` [3] in rad/s."""
     wx, wy, wz = omega
     C = np.array([[0, -wz, wy], [wz, 0, -wx], [-wy, wx, 0]], float)
     return {"v": (x - x.mean(axis=0)) @ C.T, "C": np.broadcast_to(C, (len(x), 3, 3)).copy()}
 
 
 def vibrating(x: Array, strain_rate: float) -> dict[str, Any]:
-    """v and C of a uniform stretching along x that squeezes across, 1/s."""
+    """v [P,3] and C [P,3,3] of a uniform stretching along x at `strain_rate` [1/s].
+
+    The body contracts in y and z.
+    """
     C = strain_rate * np.diag([1.0, -0.5, -0.5])
     return {"v": (x - x.mean(axis=0)) @ C.T, "C": np.broadcast_to(C, (len(x), 3, 3)).copy()}
 
@@ -127,9 +136,9 @@ def steps(solver: Solver, count: int, dt: float, each: Callable[[], None] | None
     """Take substeps of fixed length, the first with half a kick.
 
     Args:
-        solver: What to advance.
+        solver: The solver to advance.
         count: Number of substeps.
-        dt: Their length, s.
+        dt: Their length [s].
         each: Called after each of them.
     """
     for k in range(count):
@@ -149,9 +158,9 @@ def _scalar(solver: Solver) -> type:
 
 
 class Meter:
-    """Energy and momenta of a run, read occasionally.
+    """Energy and momenta of a run, read now and then.
 
-    Positions are half a substep ahead of velocities, so that the kinetic energy belonging to the
+    Positions are half a substep ahead of velocities, so the kinetic energy at the time of the
     elastic one is the mean of those before and after it.
     """
 
@@ -165,7 +174,7 @@ class Meter:
         self.moved = float((mass * np.abs(host(solver.state.v))).sum())
 
     def read(self, dt: float) -> float:
-        """Take one substep of length `dt`; return the energy before it, relative to the first."""
+        """Take one substep of length `dt` [s]; returns the energy before it / the first one."""
         before = diagnose(self.solver)
         steps(self.solver, 1, dt)
         after = diagnose(self.solver)
@@ -178,11 +187,11 @@ class Meter:
 
     @property
     def momentum_drift(self) -> float:
-        """Spurious momentum, relative to all momentum present."""
+        """Spurious momentum, relative to the sum of all momenta."""
         return float(np.linalg.norm(self.end.momentum - self.start.momentum) / self.moved)
 
     @property
     def angular_drift(self) -> float:
-        """Spurious angular momentum, relative to all present."""
+        """Spurious angular momentum, relative to the sum of all angular momenta."""
         change = np.linalg.norm(self.end.angular - self.start.angular)
         return float(change / np.linalg.norm(self.start.angular))

@@ -1,4 +1,4 @@
-"""A hard case: what is done, what must hold, and what was measured."""
+"""A hard case: what is done, what must hold, and what is measured."""
 
 from __future__ import annotations
 
@@ -8,25 +8,25 @@ from typing import Any, NamedTuple, SupportsFloat
 
 
 class Setting(NamedTuple):
-    """Where a case runs, and in what precision."""
+    """The device and precision in which a case runs."""
 
     device: str = "cpu"
     precision: str = "float32"
     long: bool = False
-    """At full length: minutes instead of seconds."""
+    """Whether it runs at full length: minutes instead of seconds."""
 
     @property
     def double(self) -> bool:
-        """Whether this is float64."""
+        """Whether the precision is float64."""
         return self.precision == "float64"
 
     @property
     def options(self) -> dict[str, Any]:
-        """Options of a Solver."""
+        """Options of `Model.of` for this setting."""
         return {"device": self.device, "precision": self.precision}
 
     def __str__(self) -> str:
-        """Such as "float32 on cpu"."""
+        """For example "float32 on cpu"."""
         return f"{self.precision} on {self.device}"
 
 
@@ -37,7 +37,7 @@ class Check(NamedTuple):
     measured: float
     limit: float
     at_least: bool = False
-    """Whether the limit is a lower one."""
+    """Whether the limit is a lower bound."""
 
     @property
     def holds(self) -> bool:
@@ -57,7 +57,7 @@ class Case(NamedTuple):
     name: str
     measure: Callable[[Setting], list[Check]]
     precise: bool = True
-    """Whether precision and device matter; if not, it runs once."""
+    """Whether precision and device matter; otherwise it runs once."""
 
 
 class Row(NamedTuple):
@@ -70,7 +70,7 @@ class Row(NamedTuple):
 
 
 def examine(case: Case, setting: Setting) -> tuple[Row, list[Check]]:
-    """Run a case; an exception is a failure of the case and does not end the suite."""
+    """Run a case; an exception counts as a failure of the case and does not end the suite."""
     name = f"{case.number:>2} {case.name}"
     if case.precise:
         name += f" ({setting})"
@@ -88,12 +88,12 @@ def examine(case: Case, setting: Setting) -> tuple[Row, list[Check]]:
 
 
 def at_most(what: str, measured: SupportsFloat, limit: float) -> Check:
-    """`measured` must not exceed `limit`."""
+    """A check that `measured` does not exceed `limit`."""
     return Check(what, float(measured), limit)
 
 
 def at_least(what: str, measured: SupportsFloat, limit: float) -> Check:
-    """`measured` must reach `limit`."""
+    """A check that `measured` reaches `limit`."""
     return Check(what, float(measured), limit, at_least=True)
 
 

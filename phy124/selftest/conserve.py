@@ -1,4 +1,4 @@
-"""Cases 1-5, 25: what must be conserved, and bodies that must not drift."""
+"""Cases 1 to 5 and 25: what must be conserved, and bodies that must not drift."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from phy124.selftest.case import Check, Setting, at_most, equal
 
 
 def rest(setting: Setting) -> list[Check]:
-    """A body without forces must not move by a single bit."""
+    """Without forces, a body does not move by a single bit."""
     checks = []
     for law in (NeoHookean, FixedCorotated):
         s = body(block(), setting, law(E=1e4))
@@ -25,7 +25,7 @@ def rest(setting: Setting) -> list[Check]:
 
 
 def units(setting: Setting) -> list[Check]:
-    """The same motion in units that differ by powers of two, bit for bit: no absolute epsilon."""
+    """The motion is bitwise the same in units that differ by powers of two: no absolute epsilon."""
     paths = []
     for L, M, T in ((1.0, 1.0, 1.0), (2.0**-17, 2.0**-60, 2.0**-8)):
         x = block(middle=(0, 0, 0.25)) * L
@@ -62,7 +62,7 @@ def free_fall(setting: Setting) -> list[Check]:
 
 
 def spin(setting: Setting) -> list[Check]:
-    """Eight turns of a rigid rotation."""
+    """A rigid rotation through eight turns."""
     x = block()
     s = body(x, setting, NeoHookean(E=1e5), **turning(x, (0, 0, 2 * np.pi)))
     start = diagnose(s)
@@ -84,7 +84,7 @@ def endurance(setting: Setting) -> list[Check]:
         meter = meters[0]
         checks += [
             at_most(f"k {fraction}: largest / first energy", meter.max_energy, 1.001),
-            at_most(f"k {fraction}: momentum from nowhere", meter.momentum_drift, 1e-5),
+            at_most(f"k {fraction}: spurious momentum", meter.momentum_drift, 1e-5),
             at_most(f"k {fraction}: angular momentum drift", meter.angular_drift, 1e-4),
         ]
         if len(meters) == 2:
@@ -111,7 +111,7 @@ def _endure(setting: Setting, fraction: float, count: int) -> Meter:
 
 
 def slow_drift(setting: Setting) -> list[Check]:
-    """A drift so slow that float32 positions alone would round it to nothing."""
+    """A drift so slow that rounding to float32 positions alone would stop it."""
     x = block(2, 0.125, middle=(0.7, 0.7, 0.7))
     s = body(x, setting, size=0.125, v=np.tile([1e-3, 0, 0], (8, 1)))
     count = 100_000 if setting.long else 10_000

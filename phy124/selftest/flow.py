@@ -1,4 +1,4 @@
-"""Case 31: flowing material meets its walls where they are."""
+"""Case 31: flowing material ends at the surface of its walls."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PRESS = Press(depth=0.6, down=0.2)
 
 
 def flow(setting: Setting) -> list[Check]:
-    """Heaps, puddles and pressed material end neither inside a wall nor above it."""
+    """Heaps, puddles and pressed material neither sink into a wall nor float above it."""
     checks = []
     for material in (Sand(E=2e5), Snow(), Fluid()):
         heap = host(_dropped(setting, material, 0.1, [Ground()]).state.x)[:, 2]
@@ -39,7 +39,7 @@ def flow(setting: Setting) -> list[Check]:
 def _dropped(
     setting: Setting, material: Material, lift: float, walls: list[Boundary], time: float = 0.8
 ) -> Solver:
-    """A cube of a material, some time after it was released at a height [m]."""
+    """A cube of a material, `time` [s] after it was released at the height `lift` [m]."""
     x = block(8, SIZE, (0.0, 0.0, SIZE / 2 + lift))
     origin = (0.0, 0.0, -0.75 * DX)
     s = body(x, setting, material, size=SIZE, forces=[Gravity()], boundaries=walls, origin=origin)
@@ -48,7 +48,7 @@ def _dropped(
 
 
 def _packed(setting: Setting) -> list[Check]:
-    """Sand that fell into a bin of its own width fills the volume it filled before."""
+    """Sand that falls into a bin of its own width keeps its volume."""
     side = Region(lower=(-SIZE / 2, -SIZE / 2, 0.0), upper=(SIZE / 2, SIZE / 2, 1e9))
     stiff = Sand(E=1e7)
     s = _dropped(setting, stiff, 0.1, [Container(inside=side, friction=0.0)])

@@ -1,4 +1,4 @@
-"""Case 12: deformations that no material has, and how the watchdog handles them."""
+"""Case 12: impossible deformations, and how the watchdog handles them."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ def impossible(setting: Setting) -> list[Check]:
         name = material.device_law.name
         checks += [
             equal(f"{name}: finite and within its balance", sound),
-            at_least(f"{name}: least J after a frame", min_J, 1e-5),
-            at_most(f"{name}: largest way of a neighbour / size", moved, 0.5),
+            at_least(f"{name}: smallest J after a frame", min_J, 1e-5),
+            at_most(f"{name}: largest displacement of a neighbour / size", moved, 0.5),
         ]
     return checks
 
@@ -36,7 +36,7 @@ def impossible(setting: Setting) -> list[Check]:
 def _one_bad_particle(
     material: Material, F: np.ndarray, setting: Setting
 ) -> tuple[float, float, bool]:
-    """Smallest J, largest displacement in sizes, and whether all is sound after a frame."""
+    """After a frame: smallest J, largest displacement in sizes, and whether all is sound."""
     x = block(4, 0.25)
     external = ExternalWork()
     s = body(x, setting, material, size=0.25, accumulators=[external])

@@ -1,4 +1,4 @@
-"""Cases 11-13, 20: impacts, impossible deformations, a monstrous push."""
+"""Cases 11, 13 and 20: impacts, release from a large strain, a monstrous push."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from phy124.selftest.case import Check, Setting, at_least, at_most, equal
 
 
 class Impact(NamedTuple):
-    """What became of a cube that hit the floor."""
+    """How a cube came off that hit the floor."""
 
     min_J: float
     max_energy: float
@@ -55,7 +55,7 @@ def hit(mach: float, material: Elastic, setting: Setting) -> Impact:
     def watch() -> None:
         nonlocal min_J, max_energy, before
         after = diagnose(s)
-        # Energies of one instant: see `Meter`.
+        # Both energies at the same instant, as in `Meter`.
         energy = before.elastic + (before.kinetic + after.kinetic) / 2
         max_energy = max(max_energy, energy / first if math.isfinite(energy) else math.inf)
         min_J, before = min(min_J, after.min_J), after
@@ -93,7 +93,7 @@ def released(setting: Setting) -> list[Check]:
         for k in range(1, 241):
             s.advance(0.01 * k)
             min_J = min(min_J, float(volume_ratios(s).min()))
-            # Stilled again and again it comes to rest.
+            # It comes to rest, since its velocities are set to zero again and again.
             s.state.v.zero_()
             s.state.C.zero_()
         size = np.ptp(host(s.state.x), axis=0) / np.ptp(rest, axis=0)
@@ -106,14 +106,14 @@ def released(setting: Setting) -> list[Check]:
 
 
 def monstrous_push(setting: Setting) -> list[Check]:
-    """A million times its weight on one particle: momentum is the impulse, nothing breaks."""
+    """A million times its weight on one particle: momentum equals the impulse, nothing breaks."""
     x = block()
     chosen = x[100]
     weight = 1000 * 0.375**3 / len(x) * 9.81
     region = Region(lower=tuple(chosen - 1e-3), upper=tuple(chosen + 1e-3))
     s = body(x, setting, forces=[ParticleForce(f=(1e6 * weight, 0, 0), region=region)])
     s.advance(1e-3)
-    # Velocities are half a substep behind: they have had the impulse of that much less time.
+    # Velocities are half a substep behind, and have received the impulse up to that time.
     impulse = 1e6 * weight * (s.clock.time - s.clock.last_dt / 2)
     momentum = diagnose(s).momentum
     return [

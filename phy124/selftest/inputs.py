@@ -1,4 +1,4 @@
-"""Cases 14, 16-18: whatever a file may contain, and places where an index could be wrong."""
+"""Cases 14 and 16 to 18: anything a file may contain, and places where an index could be wrong."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def broken_numbers(setting: Setting) -> list[Check]:
 
 
 def _read(table: NDArray[Any], poisons: dict[int, tuple[str, float]]) -> tuple[Gaussians, int]:
-    """What a file with bad values in some rows is read as, and how many Gaussians were dropped."""
+    """The Gaussians read from a file with bad values in some rows, and how many were dropped."""
     table = table.copy()
     for row, (name, value) in poisons.items():
         table[name][row] = value
@@ -83,7 +83,7 @@ def _sound(gaussians: Gaussians) -> bool:
 
 
 def below_zero(setting: Setting) -> list[Check]:
-    """A body across the origin of the grid moves like one far inside: floor, not truncation."""
+    """A body across the grid's origin moves like one far from it: floor, not truncation."""
 
     def run(cells: int) -> Array:
         x = block(middle=(cells * DX - 0.05, cells * DX, cells * DX))
@@ -99,7 +99,7 @@ def below_zero(setting: Setting) -> list[Check]:
 
 
 def sizes(setting: Setting) -> list[Check]:
-    """Gaussians of a nanometre and a kilometre, needles 1:10,000, flat ones, at rest."""
+    """Gaussians of a nanometre and of a kilometre, needles of 1:10,000, and flat ones, at rest."""
     rng = np.random.default_rng(0)
     shapes = np.array([[1, 1, 1], [1, 1e-4, 1e-4], [1, 1, 1e-2], [1, 0.3, 1e-3]])
     error, minimum, finite = 0.0, math.inf, True
@@ -124,7 +124,7 @@ def sizes(setting: Setting) -> list[Check]:
 
 
 def odd_gaussians(setting: Setting) -> list[Check]:
-    """Opacity 0 and 1, all in one point, one alone, no volume: the mass is right."""
+    """Opacity 0 and 1, all in one point, a single one, no volume: the mass is right."""
     whole = shell()
     opacities = whole.opacities.copy()
     opacities[:50], opacities[50:100] = 0, 1

@@ -1,4 +1,4 @@
-"""Cases 12, 21, 22: what the laws make of deformations no real material has seen; sand heaps."""
+"""Cases 12, 21 and 22: the laws under deformations that no real material reaches; sand heaps."""
 
 from __future__ import annotations
 
@@ -47,7 +47,13 @@ IMPOSSIBLE = {
 
 
 def probe(material: Material, F: Array, setting: Setting) -> tuple[Array, Array, Array]:
-    """Stress, modulus and the F that the law projects to, of states F [N,3,3]."""
+    """Stress, modulus and projected F of a law for deformation gradients F [N,3,3].
+
+    Args:
+        material: The material.
+        F: Deformation gradients [N,3,3].
+        setting: Device and precision.
+    """
     real, law = PRECISIONS[setting.precision], material.device_law
     t, n = types(real), len(F)
 
@@ -85,7 +91,7 @@ def sand(setting: Setting) -> list[Check]:
 
 
 def thrown_sand(setting: Setting) -> list[Check]:
-    """Sand flying apart carries no stress: every grain is on its own parabola."""
+    """Sand that flies apart carries no stress: every grain follows its own parabola."""
     x = block(middle=(0, 0, 1))
     spread = 0.1 * np.diag([1.0, 0.8, 1.2])
     v = (x - [0, 0, 1]) @ spread.T + [0.5, 0, 3.0]
@@ -109,12 +115,12 @@ HEAP = 0.4
 
 
 def heap(setting: Setting) -> list[Check]:
-    """Cones five degrees steeper than the angle of friction stay or slump until they stand.
+    """Cones five degrees steeper than the angle of friction stand, or slump until they do.
 
-    They may stand steeper than that angle: Drucker's and Prager's cone, fitted to triaxial
-    compression, lets an endless slope stand up to tan = M / sqrt(3), M = 6 sin phi / (3 - sin phi),
-    29.6 degrees for 25 and 39.3 for 35. A heap that is 20 degrees too steep collapses and ends
-    flatter, by inertia; if friction were 1.4 times what was asked, it would stand.
+    They may stand more steeply than that angle. The Drucker-Prager cone, fitted to triaxial
+    compression, lets an infinite slope stand up to tan = M / sqrt(3), M = 6 sin phi / (3 - sin
+    phi): 29.6 degrees for phi = 25 and 39.3 for 35. A heap that is 20 degrees too steep collapses
+    and, by inertia, ends flatter; with 1.4 times the friction it would stand.
     """
     checks = []
     for angle in (20.0, 25.0, 35.0) if setting.long else (25.0, 35.0):
@@ -134,13 +140,20 @@ def heap(setting: Setting) -> list[Check]:
 
 
 def endless(angle: float) -> float:
-    """Steepest endless slope of sand with an angle of friction [degrees]."""
+    """Angle of the steepest infinite slope of sand with an angle of friction [degrees]."""
     sine = math.sin(math.radians(angle))
     return math.degrees(math.atan(6 * sine / (3 - sine) / math.sqrt(3)))
 
 
 def cone(angle: float, steepness: float, cells: int, setting: Setting) -> Solver:
-    """A quarter of a cone on a rough floor, between two smooth walls; angles in degrees."""
+    """A quarter of a cone of sand on a rough floor, between two smooth walls.
+
+    Args:
+        angle: Angle of friction [degrees].
+        steepness: Angle of the flank [degrees].
+        cells: Grid cells across the cone's radius.
+        setting: Device and precision.
+    """
     dx, height = HEAP / cells, HEAP * math.tan(math.radians(steepness))
     along = (np.arange(2 * cells) + 0.5) * dx / 2
     up = (np.arange(int(2 * height / dx) + 1) + 0.5) * dx / 2
@@ -154,9 +167,9 @@ def cone(angle: float, steepness: float, cells: int, setting: Setting) -> Solver
 
 
 def slope(heap: Solver) -> float:
-    """Angle of the flank of a cone that was built with radius `HEAP` [degrees].
+    """Angle of the flank [degrees] of a cone that was built with radius `HEAP`.
 
-    The surface is where the three highest particles of each ring are; top and toe do not count.
+    The surface is that of the three highest particles of each ring, without top and toe.
     """
     x = host(heap.state.x)
     r = np.hypot(x[:, 0], x[:, 1])
@@ -166,13 +179,13 @@ def slope(heap: Solver) -> float:
 
 
 def friction_angle(setting: Setting) -> list[Check]:
-    """Sand pressed from above until it yields: the stresses must stand at the angle of friction."""
+    """In sand pressed from above until it yields, the stresses match the angle of friction."""
     checks = []
     for angle in (20.0, 35.0, 50.0):
         sand = Sand(friction_angle=angle)
         F = np.eye(3)[None].copy()
         for _ in range(400):
-            # Squeezed along z at constant volume, on top of an even pressure.
+            # Compressed along z at constant volume, in addition to an isotropic pressure.
             F = np.diag([1.0002, 1.0002, 1 / 1.0002**2]) @ F
             trial = F if _ else 0.99 * F
             _, _, F = probe(sand, trial, setting)
@@ -184,7 +197,7 @@ def friction_angle(setting: Setting) -> list[Check]:
 
 
 def series_strain(setting: Setting) -> list[Check]:
-    """Hencky stress without an SVD against NumPy's SVD, for strains up to 20 per cent."""
+    """Hencky stress without an SVD is that by NumPy's SVD, for strains up to 20 %."""
     rng = np.random.default_rng(0)
     material, n = Hencky(E=1.0, nu=0.2), 2000
     U, V = (np.linalg.qr(rng.normal(size=(n, 3, 3)))[0] for _ in range(2))

@@ -1,4 +1,4 @@
-"""Cases 6-10 and 19: the stability limit is neither wrong nor lax, whatever the parameters."""
+"""Cases 6 to 10 and 19: the stability limit is neither too high nor too low for any parameters."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ POISSON = (0.0, 0.3, 0.45, 0.49)
 
 
 def isolated(setting: Setting) -> list[Check]:
-    """One particle: stable at 0.95 dx / sqrt(A / rho), soon not a number at 1.10 of it."""
+    """One particle is stable at 0.95 dx / sqrt(A / rho), and soon NaN at 1.10 times it."""
     checks = []
     for nu in POISSON:
         points = np.array([[0.013, 0.021, 0.017]])
@@ -42,7 +42,7 @@ def isolated(setting: Setting) -> list[Check]:
 
 
 def coincident(setting: Setting) -> list[Check]:
-    """A hundred particles in one point."""
+    """A hundred particles in one point, at the limit and beyond."""
     points = np.tile([[0.013, 0.021, 0.017]], (100, 1))
     return _around_the_limit("100 in one point", points, 0.3, setting)
 
@@ -60,10 +60,17 @@ def _around_the_limit(name: str, x: Array, nu: float, setting: Setting) -> list[
 def disturbed(
     x: Array, nu: float, fraction: float, setting: Setting, count: int
 ) -> tuple[int, float]:
-    """How many substeps a slightly disturbed body lasts as numbers, and how the strain grows.
+    """Substeps for which a slightly disturbed body stays finite, and the growth of its strain.
 
-    The substep is `share` of the isolated limit; all modes are excited, the swelling one, which
-    is the stiffest, most of all. The growth is that from the first to the second half.
+    All modes are excited, the volumetric one, which is the stiffest, most of all. The growth is
+    that from the first half of the substeps to the second.
+
+    Args:
+        x: Positions [P,3], m.
+        nu: Poisson's ratio.
+        fraction: The substep as a fraction of the limit of an isolated particle.
+        setting: Device and precision.
+        count: Number of substeps.
     """
     material = NeoHookean(E=1e4, nu=nu)
     dt = fraction * DX * math.sqrt(material.density) / _stiffness(material)
@@ -92,7 +99,7 @@ def _stiffness(material: NeoHookean) -> float:
 
 
 def stiff(setting: Setting) -> list[Check]:
-    """E from 1e2 to 1e13: the substeps are those of the formula and nothing breaks."""
+    """For E from 1e2 to 1e13 the number of substeps is that of the formula, and nothing breaks."""
     checks = []
     for E in (1e2, 1e7, 1e9, 1e12, 1e13):
         x = block(4, 0.25)
@@ -109,7 +116,7 @@ def stiff(setting: Setting) -> list[Check]:
 
 
 def poisson(setting: Setting) -> list[Check]:
-    """Nearly incompressible runs; impossible ratios are refused with a sentence."""
+    """Nearly incompressible bodies run; impossible ratios are refused with a sentence."""
     checks = []
     for nu in (0.0, 0.3, 0.49, 0.4999):
         x = block(4, 0.25)
@@ -136,7 +143,7 @@ def _refused(nu: float) -> bool:
 
 
 def user_substep(setting: Setting) -> list[Check]:
-    """A user's substep beyond the limit is split: the result is that of the automatic one."""
+    """A user's substep beyond the limit is split; the result is that of the automatic substep."""
 
     def run(ceiling: float) -> tuple[Array, dict[str, int]]:
         x = block(middle=(0, 0, 0.2))
@@ -159,7 +166,7 @@ def user_substep(setting: Setting) -> list[Check]:
 
 
 class Stack(NamedTuple):
-    """How two blocks fared, one on the other."""
+    """What happened to two blocks, one on top of the other."""
 
     min_J: float
     max_J: float
@@ -167,7 +174,7 @@ class Stack(NamedTuple):
 
 
 def heavy_on_light(ratio: float, setting: Setting, until: float) -> Stack:
-    """A block resting on another that is `ratio` times lighter."""
+    """A block on another that is `ratio` times lighter, after `until` [s]."""
     low, high = block(4, 0.25, (0, 0, 0.125)), block(4, 0.25, (0, 0, 0.375))
     x = np.concatenate([low, high])
     materials = [NeoHookean(E=5e7, density=d) for d in (1e5 / ratio, 1e5)]
@@ -195,7 +202,7 @@ def mass_ratio(setting: Setting) -> list[Check]:
     for ratio in (1.0, 1e2, 1e4):
         stack = heavy_on_light(ratio, setting, 0.4 if setting.long else 0.02)
         checks += [
-            at_least(f"ratio {ratio:.0e}: least J", stack.min_J, 0.9),
+            at_least(f"ratio {ratio:.0e}: smallest J", stack.min_J, 0.9),
             at_most(f"ratio {ratio:.0e}: largest J", stack.max_J, 1.1),
         ]
     return checks

@@ -1,4 +1,4 @@
-"""Cases 23, 24: covariances and orientations over a long motion."""
+"""Cases 23 and 24: covariances and orientations over a long motion."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from phy124.selftest.bodies import Array, block, body, host, stable_dt, steps, t
 from phy124.selftest.case import Check, Setting, at_least, at_most
 
 FLAT = (0.01, 0.01, 1e-4)
-"""A flat Gaussian, 100:1 [m]."""
+"""Scales of a flat Gaussian, 100:1 [m]."""
 APART = 0.05
-"""Relative difference of axes from which their directions are well defined."""
+"""Relative difference of axes above which their directions are well defined."""
 
 
 def _whirling(setting: Setting, scales: tuple[float, float, float]) -> tuple[Solver, Gaussians]:
@@ -30,7 +30,7 @@ def _whirling(setting: Setting, scales: tuple[float, float, float]) -> tuple[Sol
 
 
 def covariances(setting: Setting) -> list[Check]:
-    """Sigma of flat Gaussians against F Sigma0 F^T in double precision, whatever the way here."""
+    """Sigma of flat Gaussians equals F Sigma0 F^T in double precision after a long motion."""
     s, flat = _whirling(setting, FLAT)
     carry = Deformer(flat, device=setting.device)
     dt, error, minimum = 0.6 * stable_dt(s), 0.0, np.inf
@@ -44,12 +44,12 @@ def covariances(setting: Setting) -> list[Check]:
         error, minimum = max(error, float(wrong.max())), min(minimum, float(found.scales.min()))
     return [
         at_most("relative error of Sigma", error, 2e-5),
-        at_least("least standard deviation [m]", minimum, 1e-6),
+        at_least("smallest standard deviation [m]", minimum, 1e-6),
     ]
 
 
 def continuity(setting: Setting) -> list[Check]:
-    """Quaternions go on from frame to frame."""
+    """Quaternions are continuous from frame to frame."""
     s, given = _whirling(setting, (0.01, 0.007, 0.003))
     carry = Deformer(given, device=setting.device)
     last, minimum, jump = given, 1.0, 0.0

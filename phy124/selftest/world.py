@@ -1,4 +1,4 @@
-"""Cases 15 and 26-29: the grid, its window, the order of things, threads, and the floor."""
+"""Cases 15 and 26 to 29: the grid, its window, order and orientation, threads, and the floor."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from phy124.selftest.case import Check, Setting, at_most, equal
 
 
 def astray(setting: Setting) -> list[Check]:
-    """Particles a thousand kilometres off, and some leaving at speed: flown on and counted."""
+    """Particles a thousand kilometres away, or leaving at high speed, fly on and are counted."""
     x = block()
     far = np.array([[1e6, 0, 0], [0, -1e6, 0], [3e5, 2e5, 1e6]])
     x, v = np.concatenate([x, far]), np.zeros((len(x) + 3, 3))
@@ -58,7 +58,7 @@ def permuted(setting: Setting) -> list[Check]:
 
 
 def window(setting: Setting) -> list[Check]:
-    """A window that follows the particles against one fixed grid that holds it all."""
+    """A window that follows the particles gives the result of one fixed grid around everything."""
     x = block()
     C = 1.0 * np.eye(3) + np.array([[0, -1.0, 0], [1, 0, 0], [0, 0, 0]])
     motion: dict[str, Any] = {

@@ -36,13 +36,13 @@ from phy124.scene import Scene
 from phy124.simulation.solver import judged_as, solver_of
 
 MAX_STRETCH = 4.0
-"""Gaussians of material that flows grow at most this much: F_total itself has no bound."""
+"""Largest growth of the Gaussians of flowing material, whose F_total has no bound."""
 
 
 class Stopped(RuntimeError):
-    """The simulation ended early because going on would be wrong; the message says why.
+    """The simulation ended early because its results would be wrong; the message says why.
 
-    `remedies` are changes of the scene each of which helps by itself.
+    `remedies` are changes to the scene, each of which helps by itself.
     """
 
     def __init__(self, why: str, remedies: Sequence[Remedy] = ()) -> None:
@@ -51,7 +51,7 @@ class Stopped(RuntimeError):
 
 
 class Interrupted(Cancelled):
-    """A run was cancelled; its frames so far are good, and `phy124.resume` can save it."""
+    """A run was cancelled; its frames so far are good, and `phy124.resume` can save its state."""
 
     def __init__(self, run: Simulation) -> None:
         self.run = run
@@ -61,7 +61,7 @@ class Interrupted(Cancelled):
 class Simulation:
     """One run; iterate over it to get its frames. Leave the loop to pause, iterate again to go on.
 
-    A paused run is saved and taken up again, bit for bit, by `phy124.resume`.
+    `phy124.resume` saves a paused run and continues it later, bit for bit.
     """
 
     def __init__(
@@ -79,17 +79,17 @@ class Simulation:
         """Place the object, make its particles and build the solver.
 
         Args:
-            gaussians: The object in any size, standing upright, facing +x.
+            gaussians: The object at any size, standing upright, facing +x.
             scene: What happens to it.
             device: Warp device, "cpu" or "cuda:0".
-            progress: Told ("simulate", frame, frames); may raise Cancelled.
-            watch: Where the stages' times go.
-            crop: Where the object is in the picture that masks of parts were painted on.
-            threads: CPU threads, 1 or 2; None: two if they pay and a core is free.
-            keep: Keep all frames for `clip`; if not, a run may be longer than memory.
+            progress: Called with ("simulate", frame, frames); may raise Cancelled.
+            watch: Where the durations of the stages are recorded.
+            crop: Where the object is in the picture that the masks of parts were painted on.
+            threads: CPU threads, 1 or 2; None: two if that is faster and a core is free.
+            keep: Keep all frames for `clip`; otherwise the frames may exceed the memory.
 
         Raises:
-            InputError: the Gaussians or the scene cannot be used.
+            InputError: The Gaussians or the scene cannot be used.
         """
         self.scene, self.device, self.progress = scene, device, progress
         self.given, self.crop = gaussians, crop
@@ -138,18 +138,20 @@ class Simulation:
             size=scene.object.size, frames=timing.frames, fps=timing.fps,
         )  # fmt: skip
         self.keep, self.count = keep, 0
-        """Whether all frames are kept, and how many there were."""
+        """Whether all frames are kept, and the number of frames so far."""
         self.frames: list[Frame] = []
         self.rotations: list[NDArray] = []
         self.retried: list[int] = []
         self.stopped: str | None = None
         self.remedies: tuple[Remedy, ...] = ()
-        """What would help, once it has stopped."""
+        """What would help, if it has stopped."""
 
     def __iter__(self) -> Iterator[Frame]:
-        """The frames in order, going on where an earlier loop left off.
+        """The frames in order, starting where an earlier loop left off.
 
-        Raises Stopped or Cancelled.
+        Raises:
+            Stopped: A frame is wrong, or the run has taken twice its time budget.
+            Cancelled: `progress` raised it.
         """
         timing = self.scene.time
         for index in range(self.count, timing.frames):
@@ -168,7 +170,7 @@ class Simulation:
             yield frame
 
     def _sleeps(self, index: int) -> bool:
-        """Whether a frame needs no substeps; time then goes on and nothing else."""
+        """Whether a frame needs no substeps; if so, only the time is advanced."""
         if not self.scene.time.sleep or self.solver.outliers.count:
             return False
         time = self.sleep.skip_to(index)
@@ -178,10 +180,13 @@ class Simulation:
         return True
 
     def run(self, each: Callable[[Frame], object] = lambda frame: None) -> Clip:
-        """All frames as a clip; if it stops early the clip holds the good ones and says so.
+        """All frames as a clip; if the run stops early, the clip holds the good ones and says so.
 
-        `each` is called with every frame as soon as it is there. Raises Interrupted if it is
-        cancelled: the run is then as it was after its last frame.
+        Args:
+            each: Called with every frame as soon as it is computed.
+
+        Raises:
+            Interrupted: The run was cancelled; its state is that after its last frame.
         """
         try:
             for frame in self:
@@ -195,7 +200,11 @@ class Simulation:
         return self.clip()
 
     def clip(self) -> Clip:
-        """The frames so far; raises ValueError if they were not kept."""
+        """The frames so far.
+
+        Raises:
+            ValueError: They were not kept.
+        """
         if not self.keep:
             raise ValueError("this run does not keep its frames")
         rotations = np.stack(self.rotations) if self.rotations else None
@@ -247,7 +256,7 @@ class Simulation:
         }
 
     def snapshot(self) -> dict[str, Any]:
-        """What goes on from here besides the frames: arrays and plain data."""
+        """The state from which the run can go on, without the frames: arrays and plain data."""
         return {
             "count": self.count,
             "retried": list(self.retried),
@@ -260,7 +269,7 @@ class Simulation:
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Go on as when a snapshot was taken."""
+        """Return to the state at which a snapshot was taken."""
         self.count, self.retried = snapshot["count"], list(snapshot["retried"])
         self.solver.rejection.rejected = snapshot["rejected"]
         self.solver.restore(snapshot["solver"])
@@ -286,7 +295,7 @@ class Simulation:
         return replace(self.frames[-1], index=index, time=time)
 
     def _advance(self, index: int, until: float) -> None:
-        """Substeps up to a frame's time, tried once more with half the substep."""
+        """Take substeps up to a frame's time; after a failure, once more with half the substep."""
         before = self.solver.clock.substeps
         with self.watch.stage("simulate"):
             problem = self._try(index, until)
@@ -302,7 +311,7 @@ class Simulation:
 
     @contextmanager
     def _half_substep(self) -> Iterator[None]:
-        """While inside, substeps are half as long as they were."""
+        """Within this context, substeps are half as long."""
         clock = self.solver.clock
         usual = clock.cfl, clock.ceiling
         clock.cfl, clock.ceiling = usual[0] / 2, min(usual[1], self._failed_dt) / 2
@@ -312,7 +321,7 @@ class Simulation:
             clock.cfl, clock.ceiling = usual
 
     def _try(self, index: int, until: float) -> Violation | None:
-        """One try at a frame; what is wrong with it, or None. The state is then as before."""
+        """Try a frame; returns what is wrong with it, or None. A failure resets the state."""
         solver, watchdog = self.solver, self.watchdog
         solver.repair.begin(solver.clock)
         watchdog.before()
@@ -333,12 +342,12 @@ class Simulation:
         return problem
 
     def _restore(self, solver: dict[str, Any], external: dict[str, Any]) -> None:
-        """Go back to before a frame."""
+        """Return to the state before a frame."""
         self.solver.restore(solver)
         self.watchdog.external.restore(external)
 
     def _follower(self, index: int) -> Callable[[], None]:
-        """What to do after each substep: report, watch, and end a run that takes too long."""
+        """A function to call after each substep: it reports, checks, and ends a run out of time."""
         report, watch = self._reporter(index), self.watchdog.follow()
         budget, start = self.scene.time.budget, self.watch.seconds.get("simulate", 0.0)
         begun = time.perf_counter()
@@ -358,17 +367,17 @@ class Simulation:
         return after
 
     def _slowest(self) -> str:
-        """Why substeps are so short, in words."""
+        """A phrase that says why substeps are so short."""
         solver = self.solver
         return diagnosis.substep(solver.model, solver.state, solver.clock)
 
     def _fraction_done(self) -> float:
-        """Fraction of the scene's time that is over."""
+        """Fraction of the scene's duration that has been simulated."""
         timing = self.scene.time
         return self.solver.clock.time * timing.fps / max(timing.frames - 1, 1)
 
     def _substep(self) -> dict[str, Any]:
-        """How long substeps were and what limited them."""
+        """How long the substeps were and what limited them."""
         clock, asked = self.solver.clock, self.scene.time.substep
         taken = max(sum(clock.limiters.values()), 1)
         mean = (clock.time - self.sleep.skipped / self.scene.time.fps) / taken
@@ -382,7 +391,7 @@ class Simulation:
         }
 
     def _notes(self) -> list[str]:
-        """What the user should know: of the materials, and of how the run went."""
+        """What the user should know about the materials and about how the run went."""
         notes = [note for section in self.scene.materials for note in section.notes()]
         stiff = stiffest_part(self.scene)
         return notes + ([stiff] if stiff else []) + self.watchdog.notes()

@@ -16,7 +16,7 @@ from phy124.particles import Particles
 from phy124.scene import Scene
 
 FLOOR_NODE = 0.75
-"""A layer of nodes lies this many cells below the floor."""
+"""Depth of a layer of nodes below the floor [cells]."""
 
 
 def solver_of(
@@ -36,7 +36,7 @@ def solver_of(
         stiffness: Fraction of its material's E that each particle has [P]; None: all of it.
         scene: What happens to them.
         device: Warp device, "cpu" or "cuda:0".
-        threads: CPU threads, 1 or 2; None: two if they pay and a core is free.
+        threads: CPU threads, 1 or 2; None: two if that is faster and a core is free.
         external: Adds up what forces and walls give, if the scene's balance is checked.
     """
     x = particles.x.astype(np.float64)
@@ -69,7 +69,7 @@ def solver_of(
 
 
 def _motion(x: NDArray, mass: NDArray, scene: Scene) -> tuple[NDArray, NDArray]:
-    """Velocities [P,3] and their gradient [P,3,3] of the rigid motion at the start."""
+    """Velocities [P,3], m/s, and their gradients [P,3,3], 1/s, of the rigid motion at the start."""
     wx, wy, wz = scene.object.spin
     gradient = np.array([[0, -wz, wy], [wz, 0, -wx], [-wy, wx, 0]])
     middle = (mass[:, None] * x).sum(axis=0) / mass.sum()

@@ -104,7 +104,7 @@ def test_nobody_reads_the_picture_of_somebody_else(server, attacker):
 def test_no_scene_names_a_file_of_the_server(attacker, changes):
     path = attacker.uploaded(DUCK)
     answer = attacker.generate({"path": path}, changes=changes)
-    assert "may name no file here but a picture that you have sent" in answer, answer
+    assert "may name no file except a picture that you have sent" in answer, answer
 
 
 @pytest.mark.parametrize(
