@@ -7,6 +7,7 @@ from phy124.commands.doctor import Doctor
 from phy124.commands.effects import ShowEffects
 from phy124.commands.evaluate import Evaluate
 from phy124.commands.generate import Generate, Simulate
+from phy124.commands.orient import Orient
 from phy124.commands.render import Render
 from phy124.commands.scenes import Scenes
 from phy124.commands.stress import Stress
@@ -16,6 +17,7 @@ COMMANDS = {
     "generate": Generate,
     "simulate": Simulate,
     "cutout": CutOut,
+    "orient": Orient,
     "render": Render,
     "scenes": Scenes,
     "stress": Stress,

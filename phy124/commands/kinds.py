@@ -18,6 +18,7 @@ KINDS = {
 TAKES = {
     "generate": ("image", "a picture"),
     "simulate": ("file", "a file of Gaussians"),
+    "orient": ("file", "a file of Gaussians"),
     "render": ("clip", "a clip"),
     "evaluate": ("clip", "a clip"),
 }

@@ -9,6 +9,7 @@ a line to `GENERATORS`; an object may also be passed wherever a name is accepted
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Protocol
 
@@ -75,11 +76,11 @@ def known() -> list[str]:
 
 
 def make(chosen: str | Generator, reading: Reading | None = None) -> Generator:
-    """The generator for a name in `GENERATORS`, the path of a .ply file, or a generator itself.
+    """The generator of a name, of a .ply file, of a command (`cmd: ...`), or itself.
 
     Args:
-        chosen: Name, path or generator.
-        reading: How to interpret the .ply file; None for the conventions of its dialect.
+        chosen: Name in `GENERATORS`, path, command or generator.
+        reading: How to interpret a .ply file; None for the conventions of its dialect.
 
     Raises:
         InputError: If no generator has that name, something it needs is not installed, or `reading`
@@ -89,6 +90,10 @@ def make(chosen: str | Generator, reading: Reading | None = None) -> Generator:
         from phy124.generators.ply_file import PlyFile
 
         return PlyFile(chosen, reading) if reading else PlyFile(chosen)
+    if is_command(chosen):
+        from phy124.generators.command import Command
+
+        return Command(str(chosen), reading) if reading else Command(str(chosen))
     if reading is not None:
         reading.refuse("generator", chosen)
     if not isinstance(chosen, str):
@@ -97,7 +102,9 @@ def make(chosen: str | Generator, reading: Reading | None = None) -> Generator:
         return factory()
     if chosen not in GENERATORS:
         limit = "There is no such generator."
-        remedy = f"Choose one of {', '.join(known())}, or a .ply file."
+        remedy = (
+            f'Choose one of {", ".join(known())}, a .ply file, or "cmd: PROGRAM {{image}} {{out}}".'
+        )
         raise InputError("generator", chosen, limit, remedy)
     try:
         return GENERATORS[chosen]()
@@ -108,6 +115,11 @@ def make(chosen: str | Generator, reading: Reading | None = None) -> Generator:
         extra = chosen.partition("-")[0]
         remedy = f"Run `{install_command(extra)}`, or choose relief."
         raise InputError("generator", chosen, limit, remedy) from error
+
+
+def is_command(chosen: str | Generator) -> bool:
+    """Whether a generator is a command of the user's (phy124/generators/command.py)."""
+    return isinstance(chosen, str) and re.match(r"\s*cmd[\s:]", chosen) is not None
 
 
 def needs_image(chosen: str | Generator) -> bool:

@@ -22,6 +22,7 @@ DIALECTS = {
     "phy124": ("-y", "-z"),
     "trellis": ("-y", "-z"),
     "sharp": ("-y", "-z"),
+    "triposplat": ("-y", "x"),
     "lgm": ("y", "z"),
     "dreamgaussian": ("y", "z"),
     "sam3d": ("z", "-y"),

@@ -1,0 +1,58 @@
+"""`phy124 orient`: the sheet of the ways up of a file."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from phy124.__main__ import main
+from phy124.commands.orient import SIZE, candidates
+from phy124.gaussians import Gaussians
+from phy124.io.axes import FRONTS
+from phy124.io.ply import write_ply
+
+
+@pytest.fixture
+def file(tmp_path):
+    """A red pole, upright in our world, with a blue end at the top."""
+    z = np.linspace(-0.5, 0.5, 60)
+    means = np.stack([0 * z, 0 * z, z], axis=1)
+    colours = np.where(z[:, None] > 0.3, [0.0, 0, 1], [1.0, 0, 0])
+    quats = np.tile([1.0, 0, 0, 0], (60, 1))
+    pole = Gaussians.from_rgb(means, quats, np.full((60, 3), 0.03), np.full(60, 0.99), colours)
+    write_ply(tmp_path / "pole.ply", pole)
+    return tmp_path / "pole.ply"
+
+
+def blue(tile: np.ndarray) -> np.ndarray:
+    """Middle of what is blue [row, column], from -1 to 1."""
+    tile = tile.astype(int)
+    at = np.argwhere((tile[..., 2] > 120) & (tile[..., 0] < 100))
+    return at.mean(axis=0) / SIZE * 2 - 1
+
+
+def test_only_the_way_up_that_is_right_has_the_blue_end_at_the_top(file, tmp_path, capsys):
+    out = tmp_path / "sheet.png"
+    assert main(["orient", str(file), "--out", str(out), "--device", "cpu"]) == 0
+    assert capsys.readouterr().out.strip() == str(out)
+    sheet = np.asarray(Image.open(out))
+    assert sheet.shape == (2 * SIZE, 3 * SIZE, 3)
+    tiles = [t for row in np.split(sheet, 2) for t in np.split(row, 3, axis=1)]
+    heights = {r.up: blue(tile)[0] for r, tile in zip(candidates(None), tiles, strict=True)}
+    assert heights["-y"] < -0.3 and heights["y"] > 0.3
+    assert all(abs(heights[axis]) < 0.45 for axis in ("x", "-x", "z", "-z"))
+
+
+def test_of_a_known_way_up_the_fronts_are_drawn(file, tmp_path):
+    out = tmp_path / "sheet.png"
+    assert main(["orient", str(file), "--up=-y", "--out", str(out), "--device", "cpu"]) == 0
+    assert np.asarray(Image.open(out)).shape == (2 * SIZE, 2 * SIZE, 3)
+    assert {reading.front for reading in candidates("-y")} == {"x", "-x", "z", "-z"}
+    assert {reading.up for reading in candidates(None)} == set(FRONTS)
+
+
+@pytest.mark.parametrize(
+    ("options", "limit"), [(["--up", "w"], "It is no axis"), (["--out", "a.jpg"], "no PNG file")]
+)
+def test_refusals(file, capsys, options, limit):
+    assert main(["orient", str(file), *options]) == 2
+    assert limit in capsys.readouterr().err
