@@ -42,7 +42,11 @@ class Orient:
     device: Device = "auto"
 
     def run(self) -> int:
-        """Draw the candidates; prints the file of the picture."""
+        """Draw the candidates; prints the file of the picture.
+
+        Raises:
+            InputError: If the file cannot be read, `up` is no axis, or `out` no PNG file.
+        """
         out = self.out or Path("out") / f"{self.file.stem}-orient.png"
         if out.suffix.lower() != ".png":
             raise InputError("out", out, "It is no PNG file.", "End the name in .png.")
