@@ -7,38 +7,44 @@ is left out is not compiled, allocated or launched.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from math import isfinite
-from typing import Any
+from typing import Any, NamedTuple
 
 from phy124.materials import AnyMaterial
 from phy124.scene import Scene
 
-PARTICLE_COSTS = {
-    "viscosity": 2,
-    "return mapping": 70,
-    "several materials": 13,
-    "particle forces": 8,
-    "double precision": 48,
-    "singular values in substeps": 337,
-}
-"""What effects would cost [ns per particle and substep, on one core].
 
-Measured in docs/results/benchmarks.md: damped stress against plain stress; metal's G2P against an
-elastic one; a lookup of each particle's law; a force on a region with its external work; float64
-against float32; Warp's svd3.
-"""
-CHECKS = {
-    "measure": "limits of the substep measured",
-    "external work": "balance of momentum and energy",
-}
-"""Stages of a substep that only observe -> the effects they belong to; reports time each stage."""
-TABLE_COST = 30e3
-"""Cost of sampling the time tables [ns per substep]."""
-NODE_COST = 1.8
+class Cost(NamedTuple):
+    """What an effect costs one core [ns per substep]; measured in docs/results/benchmarks.md."""
+
+    fixed: float = 0.0
+    particle: float = 0.0
+    """For each particle."""
+    node: float = 0.0
+    """For each node of the window."""
+
+    def of(self, particles: int, nodes: int) -> float:
+        """Of one substep [ns]."""
+        return self.fixed + self.particle * particles + self.node * nodes
+
+
+UNKNOWN = Cost()
+NODE = 1.8
 """Cost of clearing and updating one node of the grid [ns]."""
 DENSE = 100**3
 """Number of nodes of the dense grid that PhysGaussian's scenes use."""
+
+
+class Effect(NamedTuple):
+    """An effect, and what a scene says about it."""
+
+    name: str
+    called_for: bool = True
+    why: str = ""
+    """Why it is left out, if it is."""
+    cost: Cost = UNKNOWN
+    """What it would cost."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +53,7 @@ class Omission:
 
     effect: str
     why: str
+    cost: Cost = UNKNOWN
 
 
 @dataclass(frozen=True)
@@ -83,13 +90,13 @@ class Effects:
             found["static Gaussians"] = f": {static} never enter the solver"
         if slept:
             found["sleep while all rests"] = f": {slept}"
-        for effect, called_for, why in _catalogue(
+        for effect in _catalogue(
             scene, sh_degree, device, slept is not None, materials or scene.materials
         ):
-            if called_for:
-                ran.append(effect + found.get(effect, ""))
+            if effect.called_for:
+                ran.append(effect.name + found.get(effect.name, ""))
             else:
-                left_out.append(Omission(effect, why))
+                left_out.append(Omission(effect.name, effect.why, effect.cost))
         return cls(tuple(ran), tuple(left_out))
 
     def data(
@@ -111,71 +118,99 @@ class Effects:
             nodes: Number of nodes of the grid's window.
             threads: Number of CPU threads.
         """
-        left_out = [asdict(omission) for omission in self.left_out]
-        for omission in left_out:
-            cost = _cost(omission["effect"], particles, nodes) * substeps / threads * 1e-9
-            if cost > 0:
-                omission["saved_seconds"] = round(cost, 3)
+        left_out = []
+        for omission in self.left_out:
+            row: dict[str, Any] = {"effect": omission.effect, "why": omission.why}
+            saved = omission.cost.of(particles, nodes) * substeps / threads * 1e-9
+            if saved > 0:
+                row["saved_seconds"] = round(saved, 3)
+            left_out.append(row)
         return {"ran": list(self.ran), "left_out": left_out}
-
-
-def _cost(effect: str, particles: int, nodes: int) -> float:
-    """What an effect would cost one core [ns per substep]; 0 if that is not known."""
-    if effect == "time tables":
-        return TABLE_COST
-    if effect == "dense grid":
-        return NODE_COST * (DENSE - nodes)
-    return PARTICLE_COSTS.get(effect, 0) * particles
 
 
 def _catalogue(
     scene: Scene, sh_degree: int, device: str, rested: bool, materials: Sequence[AnyMaterial]
-) -> Iterator[tuple[str, bool, str]]:
-    """Every effect: its name, whether the scene calls for it, and if not, why."""
+) -> Iterator[Effect]:
+    """Every effect, in the order of the report."""
+    yield from _of_materials(scene, materials)
+    yield from _of_forces(scene)
+    yield from _of_checks(scene)
+    for wall in scene.boundaries:
+        yield Effect(f"collider {wall.kind} ({wall.contact})")
+    yield Effect("colliders", bool(scene.boundaries), "the scene has no boundaries")
+    yield from _of_rest(scene, rested)
+    yield from _of_frames(scene, sh_degree)
+    yield from _of_numerics(scene, device)
+
+
+def _of_materials(scene: Scene, materials: Sequence[AnyMaterial]) -> Iterator[Effect]:
+    """Viscosity: damped stress against plain; a return mapping: metal's G2P against an elastic one;
+    several materials: every particle asked for its law.
+    """
     laws = sorted({section.law for section in materials})
     named = " and ".join(laws)
     plastic = any(section.device_law.project is not None for section in materials)
-    pushes = [force for force in scene.acting if not force.uniform]
-    timed = [force for force in scene.acting if force.varies]
-    moving = [wall for wall in scene.boundaries if wall.moves]
-    for law in laws:
-        yield f"stress {law}", True, ""
     rubbing = any(isfinite(section.viscous_limit(scene.dx)) for section in materials)
-    yield "viscosity", rubbing, "no material rubs inside"
-    yield "return mapping", plastic, f"{named} is elastic"
-    yield "total F beside elastic F", plastic, f"{named} keeps all deformation in F"
-    yield "several materials", len(laws) > 1 or len(scene.materials) > 1, "all that moves is of one"
+    yield from (Effect(f"stress {law}") for law in laws)
+    yield Effect("viscosity", rubbing, "no material rubs inside", Cost(particle=2))
+    yield Effect("return mapping", plastic, f"{named} is elastic", Cost(particle=70))
+    yield Effect("total F beside elastic F", plastic, f"{named} keeps all deformation in F")
+    several = len(laws) > 1 or len(scene.materials) > 1
+    yield Effect("several materials", several, "all that moves is of one", Cost(particle=13))
     varies = scene.stiffness is not None or len(materials) > len(scene.materials)
-    yield "stiffness per particle", varies, "E is the same everywhere"
-    yield "uniform acceleration", len(scene.acting) > len(pushes), "no force acts on the whole body"
-    yield "particle forces", bool(pushes), "no force names single particles or a region"
-    yield "time tables", bool(timed or moving), "no force or boundary changes in time"
-    every, balance = scene.checks.measure, CHECKS["external work"]
-    yield f"{CHECKS['measure']} every {every} substeps or sooner", True, ""
-    if scene.checks.balance:
-        yield (
-            balance,
-            bool(scene.boundaries or pushes or timed),
-            "all forces are steady: nothing has to be summed",
-        )
-    else:
-        yield balance, False, "checks.balance is off: an explosion shows only once values are NaN"
-    for wall in scene.boundaries:
-        yield f"collider {wall.kind} ({wall.contact})", True, ""
-    yield "colliders", bool(scene.boundaries), "the scene has no boundaries"
-    static = any(part.static for part in scene.parts)
-    yield "static Gaussians", static, "no part of the scene is static"
-    restless = "it was never at rest for long enough" if scene.time.sleep else "time.sleep is off"
-    yield "sleep while all rests", scene.time.sleep and rested, restless
-    yield "velocities", scene.velocities, "not asked for; they follow from the positions"
-    yield "spherical-harmonic rotation", sh_degree > 0, "colours do not depend on the direction"
-    double = scene.resolution.precision == "float64"
-    yield "double precision", double, "single precision is accurate enough: the grid limits it"
-    native = device == "cpu" and not double
-    yield "SIMD rows", native, f"only for float32 on the CPU, this is {device}"
-    yield (
-        "dense grid",
-        False,
-        "a window of cells follows the particles; a dense grid has 100^3 nodes",
+    yield Effect("stiffness per particle", varies, "E is the same everywhere")
+
+
+def _of_forces(scene: Scene) -> Iterator[Effect]:
+    """Particle forces: a force on a region and what it gave; time tables: to sample them."""
+    pushes = [force for force in scene.acting if not force.uniform]
+    timed = any(force.varies for force in scene.acting)
+    moving = any(wall.moves for wall in scene.boundaries)
+    uniform = len(scene.acting) > len(pushes)
+    yield Effect("uniform acceleration", uniform, "no force acts on the whole body")
+    yield Effect(
+        "particle forces", bool(pushes), "no force names single particles or a region",
+        Cost(particle=8),
+    )  # fmt: skip
+    yield Effect(
+        "time tables", timed or moving, "no force or boundary changes in time", Cost(fixed=30e3)
     )
-    yield "singular values in substeps", False, "shapes are decomposed once per frame"
+
+
+def _of_checks(scene: Scene) -> Iterator[Effect]:
+    """Stages that only observe; reports time them as `measure` and `external work`."""
+    yield Effect(f"limits of the substep measured every {scene.checks.measure} substeps or sooner")
+    why = "checks.balance is off: an explosion shows only once values are NaN"
+    if scene.checks.balance:
+        why = "all forces are steady: nothing has to be summed"
+    unsteady = any(not force.uniform or force.varies for force in scene.acting)
+    summed = scene.checks.balance and (bool(scene.boundaries) or unsteady)
+    yield Effect("balance of momentum and energy", summed, why)
+
+
+def _of_rest(scene: Scene, rested: bool) -> Iterator[Effect]:
+    """What does not move is left out."""
+    static = any(part.static for part in scene.parts)
+    yield Effect("static Gaussians", static, "no part of the scene is static")
+    restless = "it was never at rest for long enough" if scene.time.sleep else "time.sleep is off"
+    yield Effect("sleep while all rests", scene.time.sleep and rested, restless)
+
+
+def _of_frames(scene: Scene, sh_degree: int) -> Iterator[Effect]:
+    """What frames hold besides places and shapes."""
+    yield Effect("velocities", scene.velocities, "not asked for; they follow from the positions")
+    turned = sh_degree > 0
+    yield Effect("spherical-harmonic rotation", turned, "colours do not depend on the direction")
+
+
+def _of_numerics(scene: Scene, device: str) -> Iterator[Effect]:
+    """Double precision: float64 against float32; singular values: Warp's svd3."""
+    double = scene.resolution.precision == "float64"
+    enough = "single precision is accurate enough: the grid limits it"
+    yield Effect("double precision", double, enough, Cost(particle=48))
+    rows = device == "cpu" and not double
+    yield Effect("SIMD rows", rows, f"only for float32 on the CPU, this is {device}")
+    window = "a window of cells follows the particles; a dense grid has 100^3 nodes"
+    yield Effect("dense grid", False, window, Cost(fixed=NODE * DENSE, node=-NODE))
+    once = "shapes are decomposed once per frame"
+    yield Effect("singular values in substeps", False, once, Cost(particle=337))
