@@ -95,7 +95,10 @@ def _observed(report: dict[str, Any], scene: Scene) -> tuple[Work, dict[str, flo
 
 def _variable(rates: Rates, work: Work, spent: dict[str, float]) -> dict[str, float]:
     """The variable costs of a run, without the fixed ones."""
-    fixed = {"particle": rates.substep * work.substeps, "pixel": rates.video * work.videos}
+    fixed = {
+        "particle": rates.substep * work.substeps + rates.node * work.nodes,
+        "pixel": rates.video * work.videos,
+    }
     found = {
         # A file that existed already is read in no time.
         "generate": spent["generate"] if spent["generate"] > READ else None,

@@ -1,9 +1,10 @@
 """What a run costs, in closed form: from the scene and a few counts, nothing is run.
 
 Substeps follow from the stability limit (phy124.mpm.timestep), particles from the Gaussians and the
-filling. `Rates` says what each unit of work costs on a machine, which the page learns from finished
-runs; `demand_of` is rough on purpose (a factor of two), for what is refused before it starts. What
-a run takes to a few percent is measured on the object itself: phy124/accuracy/forecast.py.
+filling. `Rates` says what each unit of `Work` costs on a machine: `USUAL` ones are written here,
+and the page learns its own from finished runs. It is rough on purpose (a factor of two):
+`demand_of` is for what is refused before it starts. What a run takes to a few percent is measured
+on the object itself: phy124/accuracy/forecast.py.
 """
 
 from __future__ import annotations
@@ -25,12 +26,8 @@ FILLED = 0.13
 """Volume of a typical object, in cubes of its longest side: the filling's fraction of the grid."""
 DOUBLE = 1.7
 """How much longer a substep takes in float64 (docs/results/accuracy.md)."""
-PER_PARTICLE = {"cpu": 110e-9, "cuda": 1.5e-9}
-"""Seconds per particle and substep."""
-PER_NODE = {"cpu": 1.1e-9, "cuda": 0.05e-9}
-"""Seconds per node and substep."""
-PER_SUBSTEP = 30e-6
-"""Seconds per substep for its launches."""
+WINDOW = 11
+"""Nodes by which the grid's window is wider than what is in it."""
 BYTES_PER_PARTICLE = 400
 """Of the state, its copy to go back to, and what preparing it takes."""
 BYTES_PER_NODE = 32
@@ -44,10 +41,12 @@ class Rates:
 
     generate: float = 3.0
     """Seconds to make Gaussians of a picture."""
-    substep: float = 1e-4
-    """Seconds per substep, however few particles there are."""
-    particle: float = 1.5e-7
+    substep: float = 3e-5
+    """Seconds per substep for its launches, however few particles there are."""
+    particle: float = 1.1e-7
     """Seconds per particle and substep."""
+    node: float = 1.1e-9
+    """Seconds per node of the grid and substep."""
     frame: float = 0.06
     """Seconds per simulated frame, besides its substeps."""
     video: float = 0.15
@@ -61,7 +60,9 @@ class Rates:
         """Seconds of each stage for an amount of work."""
         return {
             "generate": self.generate,
-            "simulate": self.substep * work.substeps + self.particle * work.particles,
+            "simulate": self.substep * work.substeps
+            + self.particle * work.particles
+            + self.node * work.nodes,
             "deform": self.frame * work.frames,
             "film": self.video * work.videos + self.pixel * work.pixels,
         }
@@ -71,6 +72,10 @@ class Rates:
         return Rates(**{name: min(value, vars(other)[name]) for name, value in vars(self).items()})
 
 
+USUAL = {"cpu": Rates(), "cuda": Rates(particle=1.5e-9, node=5e-11)}
+"""What the stages usually cost, by kind of device."""
+
+
 @dataclass(frozen=True)
 class Work:
     """How much a run has to do."""
@@ -78,6 +83,8 @@ class Work:
     substeps: float
     particles: float
     """Particles times substeps, those in double precision counted for what they cost."""
+    nodes: float
+    """Nodes of the grid times substeps, counted in the same way."""
     frames: int
     videos: int
     pixels: float
@@ -90,7 +97,15 @@ class Work:
         return cls.done(scene, count_substeps(scene), particles, scene.time.frames)
 
     @classmethod
-    def done(cls, scene: Scene, substeps: float, particles: float, frames: int) -> Work:
+    def done(
+        cls,
+        scene: Scene,
+        substeps: float,
+        particles: float,
+        frames: int,
+        *,
+        nodes: float | None = None,
+    ) -> Work:
         """The work of a run whose counts are known.
 
         Args:
@@ -98,13 +113,18 @@ class Work:
             substeps: Number of substeps in all.
             particles: Number of particles.
             frames: Number of frames.
+            nodes: Number of nodes of the grid; None: as if the object filled its cube.
         """
         slower = DOUBLE if scene.resolution.precision == "float64" else 1.0
-        views = len(scene.view.sides)
+        views, nodes = len(scene.view.sides), count_nodes(scene) if nodes is None else nodes
         return cls(
-            substeps, slower * particles * substeps, frames, views,
-            frames * views * math.prod(scene.view.size),
-        )  # fmt: skip
+            substeps=substeps,
+            particles=slower * particles * substeps,
+            nodes=slower * nodes * substeps,
+            frames=frames,
+            videos=views,
+            pixels=frames * views * math.prod(scene.view.size),
+        )
 
 
 def count_substeps(scene: Scene) -> int:
@@ -121,6 +141,11 @@ def count_particles(scene: Scene, gaussians: int = GAUSSIANS) -> int:
     resolution = scene.resolution
     filling = FILLED * (resolution.cells * resolution.particles_per_axis) ** 3
     return round(filling + (gaussians if scene.binding == "particles" else 0))
+
+
+def count_nodes(scene: Scene) -> int:
+    """Nodes of a window around the object at rest, as if it filled its cube."""
+    return (scene.resolution.cells + WINDOW) ** 3
 
 
 def _max_speed(scene: Scene, length: float) -> float:
@@ -180,11 +205,11 @@ def demand_of(
         device: Warp's name of the device.
         keep: Whether all frames are kept in memory.
     """
-    substeps, kind = rest_substeps(scene), "cuda" if device.startswith("cuda") else "cpu"
-    nodes = float(np.prod(np.ptp(particles.x, axis=0) / scene.dx + 11))
-    each = PER_PARTICLE[kind] * len(particles) + PER_NODE[kind] * nodes + PER_SUBSTEP
+    nodes = float(np.prod(np.ptp(particles.x, axis=0) / scene.dx + WINDOW))
+    work = Work.done(scene, rest_substeps(scene), len(particles), scene.time.frames, nodes=nodes)
+    rates = USUAL["cuda" if device.startswith("cuda") else "cpu"]
     double = 2 if scene.resolution.precision == "float64" else 1
     memory = double * (
         BYTES_PER_PARTICLE * len(particles) + BYTES_PER_NODE * nodes
     ) + BYTES_PER_GAUSSIAN * len(gaussians) * (scene.time.frames if keep else 1)
-    return Demand(substeps, substeps * each, memory)
+    return Demand(work.substeps, rates.seconds(work)["simulate"], memory)
