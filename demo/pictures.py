@@ -15,7 +15,7 @@ from PIL.PngImagePlugin import PngInfo
 
 from phy124.errors import InputError
 from phy124.imaging import heic
-from phy124.imaging.cutout import Cutout, foreground, has_alpha, looked_at
+from phy124.imaging.cutout import Cutout, cleaned, foreground, has_alpha, looked_at
 from phy124.imaging.grabcut import hinted
 from phy124.imaging.image import FORMATS, open_image
 from phy124.io.files import replacing
@@ -117,8 +117,7 @@ def corrected(
             alpha = np.array(isolated.run(hinted, rgb, alpha, marks, deadline=deadline))
     alpha[marks == 1] = 0
     alpha[marks == 2] = 255
-    image.putalpha(Image.fromarray(alpha))
-    _save(looked_at(image, "brush"), path)
+    _save(looked_at(cleaned(image, alpha), "brush"), path)
 
 
 def how_cut(picture: Image.Image) -> dict[str, Any] | None:

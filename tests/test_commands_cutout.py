@@ -29,7 +29,7 @@ def test_a_mask_says_where_the_object_is(dark, tmp_path, capsys):
     picture, mask = map(str, dark)
     arguments = ["generate", picture, *FEW, "--mask", mask]
     assert main([*arguments, "--out", str(tmp_path / "o")]) == 0
-    assert "cut out by mask: 34.8% of the picture" in capsys.readouterr().out
+    assert "cut out by the mask that was given: 34.8% of the picture" in capsys.readouterr().out
     cut = np.asarray(Image.open(tmp_path / "o/cutout.png"))[..., 3]
     np.testing.assert_array_equal(cut, np.asarray(Image.open(mask)))
     assert main(["generate", str(DUCK), *QUICK, "--mask", mask, "--out", str(tmp_path / "p")]) == 2
@@ -43,7 +43,7 @@ def test_a_picture_can_be_cut_out_alone(dark, tmp_path, capsys, monkeypatch):
     assert main(["cutout", picture, "--mask", mask]) == 0
     printed = capsys.readouterr()
     assert printed.out.splitlines() == [
-        "cut out by mask: 34.8% of the picture", str(Path("out/dark-cutout.png")),
+        "cut out by the mask that was given: 34.8% of the picture", str(Path("out/dark-cutout.png")),
     ]  # fmt: skip
     assert "warning" not in printed.err
     cut = np.asarray(Image.open("out/dark-cutout.png"))
@@ -65,7 +65,7 @@ def test_a_doubtful_cut_out_is_told_before_the_work(dark, tmp_path, capsys, monk
         assert main([command, str(picture), "--mask", "inverted.png", *more]) == 0
         told = capsys.readouterr().err
         assert "warning: The cut-out touches 4 edges of the picture" in told
-        assert "give --mask FILE (white where the object is)" in told
+        assert "--mask FILE (white where the object is)" in told
 
 
 @pytest.mark.parametrize(
@@ -74,7 +74,7 @@ def test_a_doubtful_cut_out_is_told_before_the_work(dark, tmp_path, capsys, monk
         (["none.png"], "image = none.png: There is no such file."),
         ([str(DUCK), "--out", "a.jpg"], "out = a.jpg: A cut-out needs a format with transparency."),
         ([str(DUCK), "--out", "no/a.png"], "no file can be written there"),
-        ([str(DUCK), "--method", "magic"], "Choose one of auto, alpha, u2net, grabcut."),
+        ([str(DUCK), "--method", "magic"], "Choose one of auto, alpha, u2net, u2netp, grabcut."),
     ],
 )
 def test_what_cannot_be_cut_out_leaves_nothing(arguments, sentence, tmp_path, capsys, monkeypatch):
@@ -82,3 +82,18 @@ def test_what_cannot_be_cut_out_leaves_nothing(arguments, sentence, tmp_path, ca
     assert main(["cutout", *arguments]) == 2
     assert sentence in capsys.readouterr().err
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
+
+
+def test_one_of_several_objects_is_picked(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    pixels = np.zeros((60, 90, 4), np.uint8)
+    pixels[20:50, 10:40] = pixels[30:50, 60:80] = (200, 40, 30, 255)
+    Image.fromarray(pixels).save("two.png")
+    assert main(["cutout", "two.png", "--pick", "0.75,0.7", "--out", "a.png"]) == 0
+    cut = np.asarray(Image.open("a.png"))[..., 3] > 0
+    assert cut[:, 60:80].any() and not cut[:, :60].any()
+    more = [*QUICK, "--dry-run", "--scene", "drop"]
+    assert main(["generate", "two.png", "--pick", "0.5,0.1", *more]) == 2
+    assert "pick = 0.5,0.1: No object was found" in capsys.readouterr().err
+    assert main(["cutout", "two.png", "--pick", "left"]) == 2
+    assert "pick = left: It is no place in the picture. Give two" in capsys.readouterr().err

@@ -33,20 +33,22 @@ def saved(folder, picture, name="it.png", **options):
 
 @pytest.fixture(autouse=True)
 def no_weights(monkeypatch):
-    """As on a machine without trained weights, whatever this one has."""
+    """As on a machine without the weights of the full network, whatever this one has."""
     monkeypatch.setattr(cutout.u2net, "weights_file", lambda: None)
 
 
-def test_alpha_is_used_when_it_separates(tmp_path):
+def test_alpha_is_used_when_it_separates(monkeypatch):
     picture, mask = disc()
     picture.putalpha(Image.fromarray(255 * mask.astype(np.uint8)))
     found = foreground(picture)
     assert found.method == "alpha"
     np.testing.assert_array_equal(np.asarray(found.picture), np.asarray(picture))
-    # One transparent pixel does not make an alpha.
+    # One transparent pixel does not make an alpha, but it stays transparent.
     picture.putalpha(255)
     picture.putpixel((0, 0), (0, 0, 0, 0))
-    assert foreground(picture).method == "grabcut"
+    monkeypatch.setitem(METHODS, "u2netp", found_as(np.ones_like(mask) & (np.arange(120) < 90)))
+    found = foreground(picture)
+    assert found.method == "u2netp" and alpha_of(found)[0, 0] == 0 < alpha_of(found)[0, 1]
     with pytest.raises(InputError, match=r'no transparency.*Choose "auto"'):
         foreground(picture, "alpha")
 
@@ -54,7 +56,7 @@ def test_alpha_is_used_when_it_separates(tmp_path):
 @pytest.mark.parametrize("noise", [0.0, 6.0, 20.0])
 def test_grabcut_finds_a_disc(noise):
     picture, mask = disc(noise=noise)
-    cut = foreground(picture)
+    cut = foreground(picture, "grabcut")
     alpha = alpha_of(cut)
     found = alpha > 127
     assert cut.method == "grabcut" and cut.warnings == ()
@@ -62,14 +64,15 @@ def test_grabcut_finds_a_disc(noise):
     # Soft only near the edge, and nothing anywhere else.
     assert np.mean((alpha > 0) & (alpha < 255)) < 0.1
     assert alpha[:10].max() == 0
-    np.testing.assert_array_equal(np.asarray(cut.picture)[..., :3], np.asarray(picture))
+    sure = (alpha == 0) | (alpha == 255)
+    np.testing.assert_array_equal(np.asarray(cut.picture)[sure][:, :3], np.asarray(picture)[sure])
 
 
 def test_grabcut_is_deterministic_and_keeps_handles():
     y, x = np.mgrid[:200, :200]
     mug = ((abs(x - 85) < 45) & (abs(y - 100) < 55)) | (abs(np.hypot(x - 130, y - 100) - 33) < 8)
     rgb = np.where(mug[..., None], [30, 60, 160], [235, 235, 230]).astype(np.uint8)
-    first, again = grabcut(rgb), alpha_of(foreground(Image.fromarray(rgb)))
+    first, again = grabcut(rgb), alpha_of(foreground(Image.fromarray(rgb), "grabcut"))
     np.testing.assert_array_equal(first, again)
     assert first[100, 145] == 0
     assert first[100, 163] == 255
@@ -88,7 +91,7 @@ def test_a_picture_of_one_colour_shows_no_object(colour):
     """OpenCV's search never ends on these at this size."""
     flat = Image.new("RGBA" if len(colour) == 4 else "RGB", (300, 300), colour)
     with pytest.raises(InputError, match=r"No object was found.*plain background"):
-        foreground(flat, deadline=Deadline(60))
+        foreground(flat, "grabcut", deadline=Deadline(60))
 
 
 def test_a_search_that_does_not_end_is_refused(monkeypatch):
@@ -97,7 +100,7 @@ def test_a_search_that_does_not_end_is_refused(monkeypatch):
     with pytest.raises(
         InputError, match=r"by grabcut did not finish within 0\.2 s\. Use a picture"
     ):
-        foreground(disc()[0], deadline=Deadline(0.2))
+        foreground(disc()[0], "grabcut", deadline=Deadline(0.2))
 
 
 def test_a_search_can_be_called_off():
@@ -108,14 +111,71 @@ def test_a_search_can_be_called_off():
         foreground(disc()[0], deadline=Deadline(beat=beat))
 
 
-def test_u2net_comes_before_grabcut_where_weights_are(monkeypatch):
-    assert list(METHODS) == ["alpha", "u2net", "grabcut"]
+def test_the_full_u2net_comes_before_the_small_one_where_its_weights_are(monkeypatch):
+    assert list(METHODS) == ["alpha", "u2net", "u2netp", "grabcut"]
     picture, mask = disc()
     way = Method(lambda _: True, lambda *_: 255 * mask.astype(np.uint8))
     monkeypatch.setitem(METHODS, "u2net", way)
     found = foreground(picture)
     assert found.method == "u2net"
     np.testing.assert_array_equal(alpha_of(found) > 0, mask)
+
+
+@pytest.mark.parametrize("kind", ["turned", "CMYK", "YCbCr", "16 bits", "grey", "palette", "WebP"])
+def test_the_network_sees_every_kind_of_picture_alike(tmp_path, monkeypatch, kind):
+    """Upright, three channels of 8 bits; and the alpha returns to the picture it was found in."""
+    picture, mask = disc(noise=0)
+    seen = []
+
+    def find(image, deadline):
+        seen.append(image.convert("RGB"))
+        return 255 * mask.astype(np.uint8)
+
+    monkeypatch.setitem(METHODS, "u2netp", Method(lambda _: True, find))
+    path, shown = written_as(kind, picture, tmp_path)
+    found = cut_out(path)
+    assert found.method == "u2netp" and found.picture.mode == "RGBA"
+    np.testing.assert_allclose(np.asarray(seen[0], int), np.asarray(shown, int), atol=14)
+    np.testing.assert_array_equal(alpha_of(found) > 127, mask)
+
+
+def written_as(kind, picture, folder):
+    """The file of a picture in some format, and what should be seen of it."""
+    grey = picture.convert("L")
+    if kind == "turned":
+        exif = Image.Exif()
+        exif[0x0112] = 6
+        return saved(
+            folder, picture.rotate(90), "a.jpg", exif=exif, quality=98, subsampling=0
+        ), picture
+    if kind == "16 bits":
+        return saved(
+            folder, Image.fromarray(np.asarray(grey).astype(np.uint16) * 257)
+        ), grey.convert("RGB")
+    if kind == "grey":
+        return saved(folder, grey), grey.convert("RGB")
+    if kind == "palette":
+        return saved(folder, picture.quantize(8)), picture
+    if kind == "WebP":
+        return saved(folder, picture, "a.webp", lossless=True), picture
+    return saved(folder, picture.convert(kind), "a.jpg", quality=98, subsampling=0), picture
+
+
+def test_what_is_transparent_hides_its_colours_from_a_search(monkeypatch):
+    """Paint programs keep colours under what was erased; a search must not find them."""
+    picture, mask = disc(noise=0)
+    picture.putalpha(
+        Image.fromarray(np.where(np.arange(120) < 60, 0, 255).astype(np.uint8)[None] * mask)
+    )
+    seen = []
+    way = Method(
+        lambda _: True, lambda image, _: seen.append(image) or np.full((120, 120), 255, np.uint8)
+    )
+    monkeypatch.setitem(METHODS, "grabcut", way)
+    found = foreground(picture, "grabcut")
+    assert seen[0].getpixel((40, 60)) == (255, 255, 255, 255)
+    assert seen[0].getpixel((80, 60))[:3] == (200, 40, 30)
+    np.testing.assert_array_equal(alpha_of(found), np.asarray(picture)[..., 3])
 
 
 def test_a_new_method_is_one_line(monkeypatch):
@@ -154,7 +214,10 @@ def test_a_mask_of_any_format_says_where_the_object_is(tmp_path, name):
     assert (found.method, found.pieces, found.warnings) == ("mask", 1, ())
     assert found.coverage == pytest.approx(mask.mean(), abs=0.01)
     assert ((alpha_of(found) > 127) == mask).mean() > 0.99
-    np.testing.assert_array_equal(np.asarray(found.picture)[..., :3], np.asarray(picture))
+    opaque = alpha_of(found) > 250
+    np.testing.assert_array_equal(
+        np.asarray(found.picture)[opaque][:, :3], np.asarray(picture)[opaque]
+    )
 
 
 def test_masks_of_any_mode(tmp_path):
@@ -213,7 +276,7 @@ def test_a_wrong_cut_out_is_told(monkeypatch):
     table[80:] = True
     table[20:, :2] = table[20:, -2:] = True
     monkeypatch.setitem(METHODS, "grabcut", found_as(table))
-    found = foreground(picture)
+    found = foreground(picture, "grabcut")
     assert found.touches == ("left", "right", "bottom")
     told = " ".join(found.warnings)
     assert "touches 3 edges of the picture (left, right, bottom)" in told
@@ -234,7 +297,7 @@ def two_coloured(beside):
 def test_colours_of_the_object_around_it_are_told(monkeypatch, beside, told):
     picture, mask = two_coloured(beside)
     monkeypatch.setitem(METHODS, "grabcut", found_as(mask))
-    found = foreground(picture)
+    found = foreground(picture, "grabcut")
     assert (found.alike > 0.1) == told
     assert any("of what surrounds the cut-out has its colours" in w for w in found.warnings) == told
     # Of what a person or a network found, colours tell nothing.
@@ -244,7 +307,8 @@ def test_colours_of_the_object_around_it_are_told(monkeypatch, beside, told):
 
 @pytest.mark.parametrize(("name", "told"), [("chelsea", True), ("coffee", False)])
 def test_half_a_cat_is_told_and_a_whole_cup_is_not(name, told):
-    found = foreground(Image.fromarray(getattr(pytest.importorskip("skimage.data"), name)()))
+    photo = Image.fromarray(getattr(pytest.importorskip("skimage.data"), name)())
+    found = foreground(photo, "grabcut")
     assert bool(found.warnings) == told, found.data()
 
 
@@ -261,7 +325,7 @@ def test_pieces_and_tiny_objects_are_told(monkeypatch, places, told):
         solid[row : row + 12, column : column + 12] = True
     rgb = np.where(solid[..., None], [200, 40, 30], [120, 125, 130]).astype(np.uint8)
     monkeypatch.setitem(METHODS, "grabcut", found_as(solid))
-    found = foreground(Image.fromarray(rgb))
+    found = foreground(Image.fromarray(rgb), "grabcut")
     assert len(found.warnings) == 1 and told in found.warnings[0]
 
 
@@ -284,7 +348,8 @@ def test_an_inverted_mask_is_doubted():
 
 
 @pytest.mark.parametrize("name", ["a.webp", "a.png"])
-def test_of_an_animation_the_first_frame_is_taken_with_a_word(tmp_path, name):
+def test_of_an_animation_the_first_frame_is_taken_with_a_word(tmp_path, name, monkeypatch):
+    monkeypatch.setitem(METHODS, "u2netp", found_as(disc()[1]))
     frames = [disc(noise=noise)[0] for noise in (0.0, 3.0, 6.0)]
     options = {"lossless": True} if name == "a.webp" else {}
     path = saved(tmp_path, frames[0], name, save_all=True, append_images=frames[1:], **options)

@@ -183,7 +183,7 @@ def test_a_doubtful_cut_out_is_told_once_and_not_after_a_correction(studio, tmp_
     table = np.zeros((60, 80), np.uint8)
     table[20:] = 255
     way = cutout.Method(lambda _: True, lambda *_: table)
-    monkeypatch.setitem(cutout.METHODS, "grabcut", way)
+    monkeypatch.setitem(cutout.METHODS, "u2netp", way)
     monkeypatch.setattr(cutout.u2net, "weights_file", lambda: None)
     Image.fromarray(np.dstack([table] * 3)).save(tmp_path / "a.png")
     studio.visitors.get("a")
@@ -199,6 +199,6 @@ def test_a_doubtful_cut_out_is_told_once_and_not_after_a_correction(studio, tmp_
     assert "touches 3 edges of the picture (left, right, bottom)" in told
     # The picture itself knows it for the report, whenever it is used.
     assert doubts() == ("", how)
-    assert how["method"] == "grabcut" and how["warnings"] == [told]
+    assert how["method"] == "u2netp" and how["warnings"] == [told]
     told, how = doubts((Stroke(keep=False, width=0.2, points=((0.1, 0.5),)),))
     assert told == "" and how["method"] == "brush"

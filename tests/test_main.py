@@ -255,7 +255,7 @@ def test_importing_is_light(imported, absent):
 
 
 def test_a_photograph_is_cut_out(tmp_path, capsys):
-    """A disc on noise, without alpha: GrabCut must find it."""
+    """A disc on noise, without alpha: the small network must find it."""
     rng = np.random.default_rng(0)
     y, x = np.mgrid[:160, :160]
     disc = (x - 80) ** 2 + (y - 80) ** 2 < 45**2
@@ -264,7 +264,7 @@ def test_a_photograph_is_cut_out(tmp_path, capsys):
     Image.fromarray(picture).save(tmp_path / "disc.png")
     arguments = ["generate", str(tmp_path / "disc.png"), *QUICK, *FEW, "--views", "front", "--json"]
     assert main([*arguments, "--out", str(tmp_path / "o")]) == 0
-    assert json.loads(capsys.readouterr().out)["foreground"] == "grabcut"
+    assert json.loads(capsys.readouterr().out)["foreground"] == "u2netp"
     cut = np.asarray(Image.open(tmp_path / "o/cutout.png"))
     assert ((cut[..., 3] > 127) == disc).mean() > 0.98
 

@@ -1,21 +1,26 @@
 """U2-Net against the original network and rembg."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 from PIL import Image
 from safetensors.torch import load_file, save_file
+from skimage import data
 from skimage.transform import resize
 
 from phy124.errors import InputError
 from phy124.imaging import u2net
 from phy124.imaging.cutout import foreground
+from phy124.imaging.matting import fitted
 from phy124.imaging.u2net.network import WIDTHS, ConvBnRelu, U2Net
 from phy124.imaging.u2net.network import load as build
+from phy124.weights.store import KNOWN, require, sha256_of
 from reference import formula
 
+SHIPPED = require("u2netp")
 CLOSE = {"rtol": 1e-4, "atol": 2e-5}
 SIZE = (201, 150)
 """Width and height of the golden picture."""
@@ -139,28 +144,49 @@ def check_end_to_end(network, folder, ops):
         assert difference.max() <= 1 and (difference > 0).mean() < 1e-3
 
 
-def test_best_file_is_chosen_and_loads_strictly(no_weights, small):
+def test_best_file_of_the_full_network_is_chosen(no_weights):
     assert u2net.weights_file() is None and not u2net.available()
-    torch.save(small.state_dict(), no_weights / "u2netp.pth")
-    assert u2net.weights_file() == no_weights / "u2netp.pth" and u2net.available()
-    picture = Image.fromarray((np.random.default_rng(0).random((40, 30, 3)) * 255).astype("uint8"))
-    assert u2net.alpha(picture).shape == (40, 30)
+    (no_weights / "u2net.pth").write_bytes(b"")
+    assert u2net.weights_file() == no_weights / "u2net.pth" and u2net.available()
     (no_weights / "u2net.onnx").write_bytes(b"")
-    assert u2net.weights_file() == no_weights / "u2net.onnx"
+    assert u2net.weights_file() == no_weights / "u2net.onnx" and u2net.available()
 
 
-def test_auto_prefers_real_alpha_then_u2net_then_grabcut(no_weights, small):
+def test_auto_takes_real_alpha_then_the_full_network_then_the_small_one(no_weights, small):
     rgb = np.full((60, 80, 3), 255, np.uint8)
     rgb[15:45, 20:60] = 40, 90, 160
     plain, cut = Image.fromarray(rgb), Image.fromarray(rgb).convert("RGBA")
     cut.putalpha(Image.fromarray(np.where(rgb[..., 0] < 255, 255, 0).astype(np.uint8)))
-    assert foreground(plain).method == "grabcut"
-    torch.save(small.state_dict(), no_weights / "u2netp.pth")
     found = foreground(plain)
-    assert found.method == "u2net"
-    network = u2net.load(no_weights / "u2netp.pth")
-    np.testing.assert_array_equal(np.asarray(found.picture)[..., 3], u2net.foreground(rgb, network))
+    assert (found.method, found.title) == ("u2netp", "the small U2-Net")
+    solid = np.asarray(found.picture)[..., 3] > 127
+    assert ((rgb[..., 0] < 255) == solid).mean() > 0.98
+    # Any network will do for the full one.
+    torch.save(small.state_dict(), no_weights / "u2net.pth")
+    found = foreground(plain)
+    assert (found.method, found.title) == ("u2net", "U2-Net")
+    answer = u2net.saliency(rgb, u2net.load(no_weights / "u2net.pth"))
+    np.testing.assert_array_equal(np.asarray(found.picture)[..., 3], fitted(rgb, answer))
     assert foreground(cut).method == "alpha"
+
+
+def test_the_small_network_cuts_photographs_out(no_weights):
+    """Where GrabCut takes half the cat, and all of the sky around the rocket."""
+    path = SHIPPED["u2netp.onnx"]
+    assert sha256_of(path) == KNOWN["u2netp"][0].sha256
+    for photo, shown, hidden in (
+        (data.chelsea(), [(100, 100), (150, 250), (200, 250), (40, 160)], [(40, 420), (150, 440)]),
+        (data.rocket(), [(160, 322), (250, 322), (350, 322)], [(100, 200), (60, 60), (250, 400)]),
+    ):
+        alpha = u2net._alpha(photo, path)
+        assert [int(alpha[place]) for place in shown] == [255] * len(shown)
+        assert [int(alpha[place]) for place in hidden] == [0] * len(hidden)
+
+
+def test_a_blank_picture_shows_the_network_nothing():
+    assert not u2net._alpha(
+        np.full((400, 300, 3), (200, 30, 40), np.uint8), Path("none.onnx")
+    ).any()
 
 
 def test_missing_corrupt_and_foreign_files_are_refused_in_words(no_weights, tmp_path):

@@ -13,15 +13,16 @@ import tyro
 
 from phy124.commands.bars import Bars
 from phy124.errors import InputError
-from phy124.imaging.cutout import METHODS, Cutout, cut_out
+from phy124.imaging.cutout import METHODS, Cutout, cut_out, title_of
+from phy124.imaging.objects import Point
 from phy124.io.files import replacing
 from phy124.runtime.isolated import Deadline
 from phy124.weights.store import looking_in
 
 KINDS = (".png", ".webp")
 IF_WRONG = (
-    "if it is not the object, give --mask FILE (white where the object is) or a picture with "
-    "transparency."
+    "if it is not the object, give --pick X,Y (a place on it), --mask FILE (white where the object "
+    "is) or a picture with transparency."
 )
 
 
@@ -38,8 +39,22 @@ class CutoutOptions:
     ] = "auto"
     mask: Path | None = None
     """Picture of the same size that is white where the object is; replaces cutting out."""
+    pick: Annotated[str | None, tyro.conf.arg(metavar="X,Y")] = None
+    """Which object, if there are several: a place on it, as fractions of width and height."""
     weights: Path | None = None
     """Folder to look for trained weights in first (see `phy124 doctor`)."""
+
+    @property
+    def point(self) -> Point | None:
+        """The place picked; raises InputError."""
+        if self.pick is None:
+            return None
+        try:
+            x, y = map(float, self.pick.split(","))
+        except ValueError:
+            limit, remedy = "It is no place in the picture.", "Give two fractions such as 0.3,0.5."
+            raise InputError("pick", self.pick, limit, remedy) from None
+        return x, y
 
 
 @dataclass(frozen=True)
@@ -81,14 +96,16 @@ class CutOut:
         how = self.options
         with looking_in(how.weights), Bars(quiet=self.json) as bars:
             deadline = Deadline(beat=partial(bars, "cut out", 0, 1))
-            found = cut_out(self.image, how.foreground, mask=how.mask, deadline=deadline)
+            found = cut_out(
+                self.image, how.foreground, mask=how.mask, pick=how.point, deadline=deadline
+            )
             bars("cut out", 1, 1)
         return found
 
 
 def described(cutout: dict[str, Any]) -> str:
     """How the object was cut out and how large it is, in words; takes `Cutout.data()`."""
-    return f"cut out by {cutout['method']}: {cutout['coverage']:.1%} of the picture"
+    return f"cut out by {title_of(cutout['method'])}: {cutout['coverage']:.1%} of the picture"
 
 
 def doubt(cutout: Cutout, remedy: str) -> None:

@@ -17,7 +17,7 @@ from phy124.runtime.startup import start
 from phy124.weights.store import status
 
 EXTRAS = {
-    "lgm": ("torch", "diffusers", "transformers", "onnxruntime"),
+    "lgm": ("torch", "diffusers", "transformers"),
     "eval": ("torch", "transformers"),
     "heic": ("pi_heif",),
     "demo": ("gradio", "pi_heif"),

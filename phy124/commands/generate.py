@@ -71,6 +71,7 @@ class Generate:
                 reading=self.reading,
                 method=self.cutting.foreground,
                 mask=self.cutting.mask,
+                pick=self.cutting.point,
                 looked=partial(self._look, bars),
                 count=self.gaussians,
                 device=device,
@@ -87,7 +88,7 @@ class Generate:
         with Bars(quiet=self.options.json) as bars:
             made = pipeline.static(
                 self.image, scene, generator=self.generator, reading=self.reading,
-                method=self.cutting.foreground, mask=self.cutting.mask,
+                method=self.cutting.foreground, mask=self.cutting.mask, pick=self.cutting.point,
                 looked=partial(self._look, bars), count=self.gaussians, progress=bars, watch=watch,
             )  # fmt: skip
         return predict(

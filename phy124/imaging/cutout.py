@@ -15,6 +15,8 @@ from phy124.errors import InputError
 from phy124.imaging import u2net
 from phy124.imaging.grabcut import grabcut
 from phy124.imaging.image import ANY_FORMAT, open_image, size_in_file
+from phy124.imaging.matting import decontaminated
+from phy124.imaging.objects import Point, largest, looked_for, object_at
 from phy124.imaging.silhouette import alike, pieces, touched, unseen
 from phy124.runtime import isolated
 
@@ -46,6 +48,8 @@ class Method(NamedTuple):
     """Whether "auto" may choose this method for a picture."""
     find: Callable[[Image.Image, isolated.Deadline], Alpha]
     """Computes the alpha [H,W]; native code of others runs in `phy124.runtime.isolated`."""
+    title: str = ""
+    """What it is called in sentences."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +72,13 @@ class Cutout:
     """Fraction of the surroundings whose colours are more common in the object than around it."""
     frames: int = 1
     """Number of frames if the file is an animation; only the first was used."""
+    objects: int = 1
+    """Number of separate objects that were found; only the largest was taken."""
+
+    @property
+    def title(self) -> str:
+        """What the method is called in sentences."""
+        return title_of(self.method)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -75,6 +86,8 @@ class Cutout:
         given, found = self.method in ("alpha", "mask", "brush"), []
         if self.frames > 1:
             found.append(f"The picture is an animation of {self.frames} frames; the first is used.")
+        if self.objects > 1:
+            found.append(f"{self.objects} separate objects were found; the largest is taken.")
         if len(self.touches) >= SIDES and self.method != "alpha":
             found.append(
                 f"The cut-out touches {len(self.touches)} edges of the picture "
@@ -111,6 +124,7 @@ class Cutout:
             "unseen": round(self.unseen, 4),
             "alike": round(self.alike, 4),
             "frames": self.frames,
+            "objects": self.objects,
             "warnings": list(self.warnings),
         }
 
@@ -120,6 +134,7 @@ def cut_out(
     method: str = "auto",
     *,
     mask: str | os.PathLike[str] | None = None,
+    pick: Point | None = None,
     deadline: isolated.Deadline = isolated.PATIENT,
 ) -> Cutout:
     """Open a picture file and cut its object out.
@@ -128,6 +143,7 @@ def cut_out(
         picture: Path of the picture.
         method: Key of `METHODS`, or "auto" for the first that applies.
         mask: Path of a mask to use instead of a method; see `foreground`.
+        pick: A place on the object that is meant, if there are several; see `foreground`.
         deadline: Time limit of the search, and who may cancel it.
 
     Raises:
@@ -135,9 +151,9 @@ def cut_out(
     """
     image = open_image(picture)
     if mask is None:
-        return foreground(image, method, deadline=deadline)
+        return foreground(image, method, pick=pick, deadline=deadline)
     painted = open_image(mask, field="mask", formats=ANY_FORMAT)
-    return foreground(image, method, mask=painted, deadline=deadline)
+    return foreground(image, method, mask=painted, pick=pick, deadline=deadline)
 
 
 def foreground(
@@ -145,48 +161,107 @@ def foreground(
     method: str = "auto",
     *,
     mask: Image.Image | None = None,
+    pick: Point | None = None,
     deadline: isolated.Deadline = isolated.PATIENT,
 ) -> Cutout:
-    """Cut the object out of an opened picture.
+    """Cut the object out of an opened picture; its soft edge shows nothing of the background.
 
     Args:
         image: A picture in any mode.
         method: Key of `METHODS`, or "auto" for the first that applies.
         mask: A picture of the same size to use instead of a method: white where the object is or,
             if it has transparency, opaque where the object is.
+        pick: A place on the object that is meant: right and down, as fractions of the picture's
+            width and height. Without it the largest of what a search found is taken.
         deadline: Time limit of the search, and who may cancel it.
 
     Raises:
         InputError: If the method is unknown, finds no object or nothing but object, or runs out of
-            time; if the mask has another size, or both a mask and a method are given.
+            time; if there is no object at the place picked; if the mask has another size, or both
+            a mask and a method are given.
     """
+    _check_point(pick)
     frames, image = image.info.get("frames", 1), image.convert("RGBA")
+    count = 1
     if mask is not None:
         alpha, method = _given(image, mask, method), "mask"
     else:
         method = _chosen(image, method)
-        try:
-            alpha = METHODS[method].find(image, deadline)
-        except isolated.Unfinished as error:
-            limit = f"The search for the object by {method} {error}."
-            raise InputError("foreground", method, limit, REMEDY) from error
+        alpha = _found(image, method, deadline)
+    if pick is not None:
+        alpha = _picked(image, alpha, method, pick, deadline)
+    elif method not in TAKEN_WHOLE:
+        alpha, count = largest(alpha)
     _check_fraction(alpha, method, frames)
     image.putalpha(Image.fromarray(alpha))
-    return looked_at(image, method, frames)
+    cut = image if method == "alpha" else cleaned(image, alpha)
+    return looked_at(cut, method, frames, count)
 
 
-def looked_at(picture: Image.Image, method: str, frames: int = 1) -> Cutout:
-    """Wrap a picture that has been cut out, with the measures of its plausibility."""
+def cleaned(image: Image.Image, alpha: Alpha) -> Image.Image:
+    """A picture with this alpha [H,W], RGBA, whose soft edge shows nothing of the background."""
+    cut = Image.fromarray(decontaminated(np.asarray(image.convert("RGB")), alpha))
+    cut.putalpha(Image.fromarray(alpha))
+    return cut
+
+
+def title_of(method: str) -> str:
+    """What a method, "mask" or "brush" is called in sentences."""
+    known = METHODS[method].title if method in METHODS else GIVEN.get(method)
+    return known or method
+
+
+def looked_at(picture: Image.Image, method: str, frames: int = 1, objects: int = 1) -> Cutout:
+    """Wrap a picture that has been cut out, with the measures of its plausibility.
+
+    Args:
+        picture: RGBA, its alpha the object's.
+        method: How that was found.
+        frames: Number of frames if the file is an animation.
+        objects: Number of separate objects that were found.
+    """
     rgb, alpha = np.split(np.asarray(picture), (3,), axis=2)
     solid = alpha[..., 0] > 127
     looks = pieces(solid), touched(solid), unseen(rgb, solid), alike(rgb, solid)
-    return Cutout(picture, method, float(solid.mean()), *looks, frames)
+    return Cutout(picture, method, float(solid.mean()), *looks, frames, objects)
 
 
 def has_alpha(image: Image.Image) -> bool:
     """Whether the alpha channel separates an object: some pixels opaque, some transparent."""
     solid = float(np.mean(np.asarray(image.convert("RGBA").getchannel("A")) > 127))
     return REAL_ALPHA <= solid <= 1 - REAL_ALPHA
+
+
+def _found(image: Image.Image, method: str, deadline: isolated.Deadline) -> Alpha:
+    """The alpha that a method finds; what was transparent stays so."""
+    try:
+        alpha = METHODS[method].find(_shown(image, method), deadline)
+    except isolated.Unfinished as error:
+        limit = f"The search for the object by {method} {error}."
+        raise InputError("foreground", method, limit, REMEDY) from error
+    return np.minimum(alpha, np.asarray(image.getchannel("A")))
+
+
+def _picked(
+    image: Image.Image, alpha: Alpha, method: str, pick: Point, deadline: isolated.Deadline
+) -> Alpha:
+    """The object at a place alone: one of those found, or one that stands out around there."""
+    found = object_at(alpha, pick)
+    if found is None and method not in TAKEN_WHOLE:
+        found = looked_for(image, pick, lambda part: _found(part, method, deadline))
+    if found is None:
+        limit = "No object was found at this place of the picture."
+        remedy = "Choose the middle of the object, or give a mask (white where the object is)."
+        raise InputError("pick", f"{pick[0]:g},{pick[1]:g}", limit, remedy)
+    return found
+
+
+def _check_point(pick: Point | None) -> None:
+    if pick is None or (len(pick) == 2 and all(0 <= f <= 1 for f in pick)):
+        return
+    limit = "It is no place in the picture."
+    remedy = "Give two fractions of its width and height, such as 0.3,0.5."
+    raise InputError("pick", ",".join(f"{f:g}" for f in pick), limit, remedy)
 
 
 def _chosen(image: Image.Image, method: str) -> str:
@@ -196,6 +271,13 @@ def _chosen(image: Image.Image, method: str) -> str:
         known = ", ".join(["auto", *METHODS])
         raise InputError("foreground", method, "It is not known.", f"Choose one of {known}.")
     return method
+
+
+def _shown(image: Image.Image, method: str) -> Image.Image:
+    """What a method looks at: what is transparent hides its colours, but for "alpha" itself."""
+    if method == "alpha":
+        return image
+    return Image.alpha_composite(Image.new("RGBA", image.size, "white"), image)
 
 
 def _given(image: Image.Image, mask: Image.Image, method: str) -> Alpha:
@@ -230,7 +312,7 @@ def _own_alpha(image: Image.Image, deadline: isolated.Deadline) -> Alpha:
     del deadline
     if not has_alpha(image):
         limit = "The picture has no transparency that separates an object."
-        remedy = 'Choose "auto" or "grabcut", or save the cut-out object as PNG.'
+        remedy = 'Choose "auto", or save the cut-out object as PNG.'
         raise InputError("foreground", "alpha", limit, remedy)
     return np.asarray(image.getchannel("A"))
 
@@ -245,8 +327,13 @@ def _always(image: Image.Image) -> bool:
 
 
 METHODS: dict[str, Method] = {
-    "alpha": Method(has_alpha, _own_alpha),
-    "u2net": Method(u2net.available, u2net.alpha),
-    "grabcut": Method(_always, _grabcut),
+    "alpha": Method(has_alpha, _own_alpha, "the picture's own transparency"),
+    "u2net": Method(u2net.available, u2net.alpha, "U2-Net"),
+    "u2netp": Method(_always, u2net.small_alpha, "the small U2-Net"),
+    "grabcut": Method(_always, _grabcut, "GrabCut"),
 }
 """Ways to find the object, best first."""
+TAKEN_WHOLE = ("alpha", "mask")
+"""What a person has cut out may be in several pieces."""
+GIVEN = {"mask": "the mask that was given", "brush": "brush strokes"}
+"""Titles of what a person may give instead."""

@@ -11,11 +11,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from phy124.imaging.image import is_blank, reduced
+
 Field = NDArray[np.float32]
-SIDE = 320
-"""Longest side at which the picture is cut, pixels."""
-FAINT = 3
-"""Range of grey levels below which a picture shows nothing."""
 ROUNDS = 4
 RING = 0.03
 """Width of the border taken for background, in shorter sides of the picture."""
@@ -34,10 +32,8 @@ HINT_REACH = 0.06
 def grabcut(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Alpha [H,W] of the object in a picture [H,W,3]. Deterministic."""
     height, width = rgb.shape[:2]
-    scale = min(1.0, SIDE / max(height, width))
-    size = (max(8, round(width * scale)), max(8, round(height * scale)))
-    small = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
-    if np.ptp(small, axis=(0, 1)).max() < FAINT:
+    small = reduced(rgb)
+    if is_blank(rgb):
         # OpenCV's search for the cut does not end on some pictures of one colour.
         return np.zeros((height, width), np.uint8)
     # Both k-means and GrabCut draw from OpenCV's generator.
@@ -158,11 +154,10 @@ def _guided(mask: Field, rgb: NDArray) -> Field:
 def hinted(rgb: NDArray[np.uint8], alpha: NDArray[np.uint8], marks: NDArray) -> NDArray[np.uint8]:
     """An alpha [H,W] corrected near a person's marks [H,W]: 1 means not object, 2 means object."""
     height, width = rgb.shape[:2]
-    scale = min(1.0, SIDE / max(height, width))
-    size = (max(8, round(width * scale)), max(8, round(height * scale)))
-    small = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
-    if np.ptp(small, axis=(0, 1)).max() < FAINT:
+    small = reduced(rgb)
+    if is_blank(rgb):
         return alpha
+    size = small.shape[1::-1]
     before = (cv2.resize(alpha, size, interpolation=cv2.INTER_AREA) > 127).astype(np.uint8)
     hints = cv2.resize(marks.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
     labels = np.where(before, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)

@@ -28,6 +28,10 @@ MAX_PIXELS = 50_000_000
 """Number of pixels of the largest picture that is decoded; read from the header before decoding."""
 MIN_SIDE = 8
 """Smallest side of a usable picture, pixels."""
+LOOK_SIDE = 320
+"""Longest side at which a picture is looked at for an object, pixels."""
+FAINT = 3
+"""Range of grey levels below which a picture shows nothing."""
 WORK_SIDE = 2048
 """Larger pictures are reduced to this side, pixels; no generator uses more detail."""
 FORMATS = ("PNG", "JPEG", "WEBP")
@@ -97,6 +101,19 @@ def open_image(
 def size_in_file(image: Image.Image) -> tuple[int, int]:
     """Width and height of an opened picture before it was reduced."""
     return image.info.get("size", image.size)
+
+
+def reduced(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """A picture [H,W,3] at a longest side of at most `LOOK_SIDE` pixels."""
+    height, width = rgb.shape[:2]
+    scale = min(1.0, LOOK_SIDE / max(height, width))
+    size = (max(8, round(width * scale)), max(8, round(height * scale)))
+    return np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def is_blank(rgb: NDArray[np.uint8]) -> bool:
+    """Whether a picture [H,W,3] is of one colour."""
+    return int(np.ptp(reduced(rgb), axis=(0, 1)).max()) < FAINT
 
 
 def recenter(image: NDArray, mask: NDArray, *, border_ratio: float = 0.2) -> NDArray:

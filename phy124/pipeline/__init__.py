@@ -26,6 +26,7 @@ from phy124.generators import Generator, needs_image
 from phy124.generators import make as make_generator
 from phy124.generators.ply_file import PlyFile, Reading
 from phy124.imaging.cutout import Cutout, cut_out
+from phy124.imaging.objects import Point
 from phy124.io.clip import Clip
 from phy124.io.files import staged as staged
 from phy124.particles.thinning import asked_for, thinned
@@ -57,6 +58,7 @@ def generate(
     reading: Reading | None = None,
     method: str = "auto",
     mask: PathLike | None = None,
+    pick: Point | None = None,
     looked: Callable[[Cutout], object] = lambda cutout: None,
     count: int | None = None,
     device: str = "cpu",
@@ -75,6 +77,7 @@ def generate(
         reading: How to interpret that .ply file, and whether to find its floor.
         method: How the object is cut out, see `phy124.imaging.cutout.foreground`.
         mask: Picture that is white where the object is.
+        pick: A place on the object that is meant, if there are several.
         looked: Called with the cut-out before the long work begins.
         count: Largest number of Gaussians.
         device: Warp device.
@@ -98,6 +101,7 @@ def generate(
             reading=reading,
             method=method,
             mask=mask,
+            pick=pick,
             looked=looked,
             count=count,
             progress=progress,
@@ -142,6 +146,7 @@ def static(
     reading: Reading | None = None,
     method: str = "auto",
     mask: PathLike | None = None,
+    pick: Point | None = None,
     looked: Callable[[Cutout], object] = lambda cutout: None,
     count: int | None = None,
     progress: Progress = silent,
@@ -156,6 +161,7 @@ def static(
         reading: How to interpret that .ply file, and whether to find its floor.
         method: How the object is cut out, see `phy124.imaging.cutout.foreground`.
         mask: Picture that is white where the object is.
+        pick: A place on the object that is meant, if there are several.
         looked: Called with the cut-out before the long work begins.
         count: Largest number of Gaussians.
         progress: Called with (stage, done, total); may raise Cancelled.
@@ -170,7 +176,7 @@ def static(
     if needs_image(generator):
         with watch.stage("image"):
             deadline = Deadline(beat=partial(progress, "cut out", 0, 1))
-            cutout = cut_out(image, method, mask=mask, deadline=deadline)
+            cutout = cut_out(image, method, mask=mask, pick=pick, deadline=deadline)
             progress("cut out", 1, 1)
         looked(cutout)
         picture = cutout.picture

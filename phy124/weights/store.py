@@ -1,7 +1,8 @@
 """Trained weights: which files exist, where they are, whether they are intact, how to get them.
 
 Nothing is downloaded unless `fetch` is called. Files are searched for in a folder the user names
-(`--weights`), then in the folder PHY124_WEIGHTS, then in the Hugging Face cache.
+(`--weights`), then in the folder PHY124_WEIGHTS, then in the Hugging Face cache, then, if it is
+shipped, in this package.
 """
 
 from __future__ import annotations
@@ -38,6 +39,8 @@ class WeightFile:
     """Size in bytes; None if it is not known."""
     sha256: str | None = None
     """Checksum; if None, `fetch` compares with the one the server states."""
+    shipped: bool = False
+    """Whether this package contains it."""
 
     @property
     def command(self) -> str:
@@ -90,6 +93,7 @@ KNOWN: dict[str, tuple[WeightFile, ...]] = {
             _U2NET,
             4_574_861,
             "309c8469258dda742793dce0ebea8e6dd393174f89934733ecc8b14c76f4ddd8",
+            shipped=True,
         ),
     ),
     "lgm": (
@@ -179,6 +183,8 @@ def places(file: WeightFile, folder: str | os.PathLike[str] | None = None) -> It
     stored = hub_cache() / ("models--" + file.repo.replace("/", "--")) / "snapshots"
     snapshots = sorted(stored.glob("*/")) or [stored / "*"]
     yield from (snapshot / file.path for snapshot in snapshots)
+    if file.shipped:
+        yield Path(__file__).with_name(file.path)
 
 
 def find(file: WeightFile, folder: str | os.PathLike[str] | None = None) -> Path | None:

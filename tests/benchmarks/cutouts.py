@@ -1,83 +1,242 @@
-"""Which wrong cut-outs by GrabCut are told: a table per set of pictures whose objects are known.
+"""How well objects are cut out of pictures whose masks are known, by which method.
 
-python tests/benchmarks/cutouts.py                    the examples, each pasted on 8 backgrounds
-python tests/benchmarks/cutouts.py PICTURES MASKS     pictures, and masks named alike (.png)
+python tests/benchmarks/cutouts.py                    the examples, each on 12 grounds; renews the
+                                                      tables in docs/results/cutouts.md
+python tests/benchmarks/cutouts.py PICTURES MASKS     pictures, and masks named alike (.png); prints
 """
 
 from __future__ import annotations
 
 import sys
+import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
+from scipy.ndimage import distance_transform_edt
 
-from phy124.imaging.cutout import foreground
+sys.path.insert(0, str(Path(__file__).parent))
+from tables import DOCS, markdown, renew
+
+from phy124.imaging import u2net
+from phy124.imaging.cutout import Cutout, cleaned, looked_at
+from phy124.imaging.grabcut import grabcut
 from phy124.imaging.image import open_image
+from phy124.imaging.matting import decontaminated, fitted
+from phy124.weights.store import require
 
+Alpha = NDArray[np.uint8]
 RIGHT = 0.85
 """Overlap (intersection over union) with the true mask from which a cut-out is right."""
 EXAMPLES = Path(__file__).parents[2] / "demo/examples"
-SIDE = 400
-"""Of the backgrounds, pixels."""
-Known = tuple[str, Image.Image, NDArray[np.bool_]]
-"""A name, a picture, and where its object is [H,W]."""
+SIDE = 512
+"""Of the grounds, pixels."""
+NETWORK = u2net.load(require("u2netp")["u2netp.onnx"])
+
+
+class Known(NamedTuple):
+    """A picture whose object is known."""
+
+    ground: str
+    rgb: NDArray[np.uint8]
+    alpha: Alpha
+    object: NDArray[np.uint8] | None = None
+    """Its colours without the ground [H,W,3], where they are known."""
+
+
+def alone(rgb: NDArray[np.uint8]) -> Alpha:
+    """The network's answer as rembg enlarges it."""
+    return u2net.foreground(rgb, NETWORK)
+
+
+def shipped(rgb: NDArray[np.uint8]) -> Alpha:
+    """The network's answer fitted to the picture: the method `u2netp`."""
+    return fitted(rgb, u2net.saliency(rgb, NETWORK))
+
+
+def with_grabcut(rgb: NDArray[np.uint8]) -> Alpha:
+    """As `shipped`, but where the network is in doubt GrabCut decides."""
+    sure = u2net.saliency(rgb, NETWORK)
+    small = cv2.resize(rgb, sure.shape[::-1], interpolation=cv2.INTER_AREA)
+    labels = np.where(sure > 0.5, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
+    labels[sure > 0.95], labels[sure < 0.05] = cv2.GC_FGD, cv2.GC_BGD
+    cv2.setRNGSeed(0)
+    models = np.zeros((1, 65)), np.zeros((1, 65))
+    smooth = cv2.bilateralFilter(small, 5, 30, 3)
+    cv2.grabCut(smooth, labels, (0, 0, 1, 1), *models, 2, cv2.GC_INIT_WITH_MASK)
+    return fitted(rgb, (labels & 1).astype(np.float32))
+
+
+WAYS: dict[str, Callable[[NDArray[np.uint8]], Alpha]] = {
+    "GrabCut": grabcut,
+    "network alone": alone,
+    "network, fitted (`u2netp`)": shipped,
+    "network, GrabCut in doubt, fitted": with_grabcut,
+}
+METHOD = {"GrabCut": "grabcut", "network, fitted (`u2netp`)": "u2netp"}
+"""Ways that are methods of phy124."""
 
 
 def main(*folders: str) -> None:
-    """Print a row per picture, then how many of the right and the wrong ones are told."""
-    counts = Counter()
-    print("| picture | overlap | told |\n|---|--:|---|")
-    for name, picture, mask in given(*map(Path, folders)) if folders else pasted():
-        found = foreground(picture, "grabcut")
-        solid = np.asarray(found.picture)[..., 3] > 127
-        overlap = float((solid & mask).sum() / (solid | mask).sum())
-        counts[overlap >= RIGHT, bool(found.warnings)] += 1
-        print(f"| {name} | {overlap:.2f} | {' '.join(found.warnings)} |")
-    for right, word in ((True, "right"), (False, "wrong")):
-        told, silent = counts[right, True], counts[right, False]
-        print(f"{told + silent} {word}: {told} told, {silent} not")
+    """Measure, print, and of the examples renew the tables."""
+    figures = Figures()
+    for known in given(*map(Path, folders)) if folders else pasted():
+        figures.add(known)
+    tables = {"overlap": figures.overlaps(), "doubts": figures.doubts()}
+    if not folders:
+        tables["halo"] = figures.halos()
+    for name, table in tables.items():
+        print(f"\n{table}")
+        if not folders:
+            renew(DOCS / "results/cutouts.md", name, table)
+
+
+class Figures:
+    """What was measured of each way, picture by picture."""
+
+    def __init__(self) -> None:
+        self.overlap: dict[str, dict[str, list[float]]] = {way: {} for way in WAYS}
+        self.error: dict[str, list[float]] = {way: [] for way in WAYS}
+        self.seconds: dict[str, list[float]] = {way: [] for way in WAYS}
+        self.told: dict[str, Counter[tuple[bool, bool]]] = {way: Counter() for way in METHOD}
+        self.halo: dict[str, list[float]] = {"as it is": [], "freed of it": []}
+
+    def add(self, known: Known) -> None:
+        """Cut a picture out in every way and compare."""
+        true = known.alpha > 127
+        for way, find in WAYS.items():
+            start = time.process_time()
+            alpha = find(known.rgb)
+            self.seconds[way].append(time.process_time() - start)
+            overlap = float(((alpha > 127) & true).sum() / max(1, ((alpha > 127) | true).sum()))
+            self.overlap[way].setdefault(known.ground, []).append(overlap)
+            self.error[way].append(np.abs(alpha / 255 - known.alpha / 255).sum() / true.sum())
+            if way in METHOD:
+                doubtful = bool(cut(known.rgb, alpha, METHOD[way]).warnings)
+                self.told[way][overlap >= RIGHT, doubtful] += 1
+            if way == "network, fitted (`u2netp`)" and overlap >= RIGHT:
+                self._add_halo(known, alpha)
+
+    def _add_halo(self, known: Known, alpha: Alpha) -> None:
+        if known.object is None:
+            return
+        clean = decontaminated(known.rgb, alpha)
+        for name, shown in zip(self.halo, (known.rgb, clean), strict=True):
+            self.halo[name].append(share_of_ground(known, shown, alpha))
+
+    def overlaps(self) -> str:
+        """Means per ground, and over all."""
+        grounds = next(iter(self.overlap.values()))
+        rows = [
+            [ground, *(f"{np.mean(by[ground]):.3f}" for by in self.overlap.values())]
+            for ground in (grounds if len(grounds) < 20 else ())
+        ]
+        flat = {way: np.concatenate(list(by.values())) for way, by in self.overlap.items()}
+        sums = {
+            "**mean of all**": lambda way: f"**{flat[way].mean():.3f}**",
+            "median": lambda way: f"{np.median(flat[way]):.3f}",
+            f"right (over {RIGHT})": lambda way: f"{(flat[way] > RIGHT).sum()} of {len(flat[way])}",
+            "over 0.95": lambda way: f"{(flat[way] > 0.95).sum()}",
+            "error of alpha, median": lambda way: f"{np.median(self.error[way]):.1%}",
+            "processor time": lambda way: f"{np.mean(self.seconds[way]):.1f} s",
+        }
+        rows += [[name, *(text(way) for way in WAYS)] for name, text in sums.items()]
+        return markdown(["ground", *WAYS], rows)
+
+    def doubts(self) -> str:
+        """How many right and wrong cut-outs are told."""
+        heads = ["method", "right, told", "right, not told", "wrong, told", "wrong, not told"]
+        kinds = ((True, True), (True, False), (False, True), (False, False))
+        return markdown(
+            heads,
+            [[METHOD[way], *(told[kind] for kind in kinds)] for way, told in self.told.items()],
+        )
+
+    def halos(self) -> str:
+        """The ground's part in the colours of soft edges."""
+        rows = [[name, f"{np.mean(v):.0%}", f"{np.max(v):.0%}"] for name, v in self.halo.items()]
+        return markdown(["colours of the soft edge", "of the ground, mean", "at most"], rows)
+
+
+def cut(rgb: NDArray[np.uint8], alpha: Alpha, method: str) -> Cutout:
+    """As `phy124.imaging.cutout.foreground` gives it."""
+    return looked_at(cleaned(Image.fromarray(rgb), alpha), method)
+
+
+def share_of_ground(known: Known, shown: NDArray[np.uint8], alpha: Alpha) -> float:
+    """How much of the way from the object's own colour to the ground's its soft edge has gone."""
+    assert known.object is not None
+    index = distance_transform_edt(known.alpha < 250, return_distances=False, return_indices=True)
+    own = known.object[tuple(index)].astype(float)
+    ground = dict(grounds())[known.ground].astype(float)
+    away = ground - own
+    soft = (alpha > 5) & (alpha < 250) & (np.linalg.norm(away, axis=2) > 40)
+    share = ((shown - own) * away).sum(axis=2)[soft] / (away**2).sum(axis=2)[soft]
+    return float(np.average(share, weights=alpha[soft])) if soft.any() else 0.0
 
 
 def given(pictures: Path, masks: Path) -> Iterator[Known]:
     """Pictures of a folder whose masks lie in another; a mask's transparency counts, if any."""
     for path in sorted(pictures.iterdir()):
+        if not (masks / f"{path.stem}.png").exists():
+            continue
         picture, mask = open_image(path), Image.open(masks / f"{path.stem}.png")
         shown = mask.getchannel("A") if mask.mode == "RGBA" else mask.convert("L")
-        yield path.name, picture, np.asarray(shown.resize(picture.size)) > 127
+        rgb = np.asarray(picture.convert("RGB"))
+        yield Known(path.name, rgb, np.asarray(shown.resize(picture.size)))
 
 
 def pasted() -> Iterator[Known]:
-    """Every example on every background."""
-    place = ((SIDE - 256) // 2,) * 2
+    """Every example on every ground, at a size and a place drawn by lot."""
+    rng = np.random.default_rng(0)
     for path in sorted(EXAMPLES.glob("*.png")):
-        for name, ground in backgrounds():
-            example, mask = Image.open(path).convert("RGBA"), Image.new("L", ground.size)
-            ground.paste(example, place, example)
-            mask.paste(example.getchannel("A"), place)
-            yield f"{path.stem} on {name}", ground, np.asarray(mask) > 127
+        for name, ground in grounds():
+            side = int(rng.uniform(0.4, 0.75) * SIDE)
+            place = tuple(int(v) for v in rng.uniform(0.04, 0.96, 2) * (SIDE - side))
+            example = Image.open(path).convert("RGBA").resize((side, side))
+            layer = Image.new("RGBA", (SIDE, SIDE))
+            layer.paste(example, place)
+            whole = Image.alpha_composite(Image.fromarray(ground).convert("RGBA"), layer)
+            pixels = np.asarray(layer)
+            yield Known(name, np.asarray(whole.convert("RGB")), pixels[..., 3], pixels[..., :3])
 
 
-def backgrounds() -> Iterator[tuple[str, Image.Image]]:
+def grounds() -> Iterator[tuple[str, NDArray[np.uint8]]]:
     """From a white one to a room full of things (scikit-image's pictures)."""
     from skimage import data
 
     y, x = np.mgrid[:SIDE, :SIDE][..., None] / SIDE
-    grounds = {
+    checks = ((8 * x).astype(int) + (8 * y).astype(int)) % 2 > 0
+    known = {
         "white": np.full((SIDE, SIDE, 3), 250),
         "a gradient": x * (100, 0, 0) + y * (0, 80, -60) + (120, 130, 200),
+        "stripes": 127 + 90 * np.sin(40 * (x + 0.4 * y)) * (1, 0.6, -0.7),
+        "checks": np.where(checks, (200, 60, 40), (230, 220, 200)),
+        "coloured clouds": _clouds(),
         "gravel": data.gravel(),
         "grass": data.grass(),
         "brick": data.brick(),
         "wood": data.coffee()[:120, :120],
+        "the moon": data.moon(),
         "a field with a photographer": data.camera(),
-        "a garage": data.stereo_motorcycle()[0],
+        "a garage with a motorcycle": data.stereo_motorcycle()[0],
     }
-    for name, pixels in grounds.items():
-        yield name, Image.fromarray(pixels.astype(np.uint8)).convert("RGB").resize((SIDE, SIDE))
+    for name, pixels in known.items():
+        picture = Image.fromarray(np.clip(pixels, 0, 255).astype(np.uint8)).convert("RGB")
+        yield name, np.asarray(picture.resize((SIDE, SIDE)))
+
+
+def _clouds() -> NDArray[np.float64]:
+    rng, clouds = np.random.default_rng(0), np.zeros((SIDE, SIDE, 3))
+    for octave, cells in enumerate((4, 9, 20, 60), 1):
+        layer = rng.random((cells, cells, 3))
+        clouds += cv2.resize(layer, (SIDE, SIDE), interpolation=cv2.INTER_CUBIC) / octave
+    return 255 * clouds / clouds.max()
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Foreground by U2-Net: a mask of the salient object, computed as the original or rembg does.
 
-Qin et al. 2020. The weights are a .onnx file (run by onnxruntime) or a .pth file (run by our own
-torch module); either library is imported only when used.
+Qin et al. 2020. The small network is part of this package (phy124/weights/u2netp.onnx), the full
+one a file to be fetched: .onnx, run by OpenCV as the small one, or .pth, run by our torch module.
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from phy124.errors import InputError
+from phy124.imaging.image import is_blank
+from phy124.imaging.matting import fitted
 from phy124.runtime import isolated
 from phy124.runtime.installation import install_command
 from phy124.weights.store import KNOWN, WeightFile, find, require
@@ -32,47 +34,57 @@ Style = Literal["rembg", "original"]
 
 
 def weights_file(folder: str | os.PathLike[str] | None = None) -> Path | None:
-    """The best U2-Net file found (full before small, .onnx before .pth), or None."""
-    for name in ("u2net", "u2netp"):
-        (onnx,) = KNOWN[name]
-        pth = WeightFile(onnx.repo, f"{name}.pth", onnx.licence)
-        for file in (onnx, pth):
-            if path := find(file, folder):
-                return path
-    return None
+    """The file of the full network, .onnx before .pth, or None."""
+    (onnx,) = KNOWN["u2net"]
+    pth = WeightFile(onnx.repo, "u2net.pth", onnx.licence)
+    return find(onnx, folder) or find(pth, folder)
 
 
 def available(image: Image.Image | None = None) -> bool:
-    """Whether weights are found and the library that runs them is installed."""
+    """Whether the full network is found and what runs it is installed."""
     del image
     path = weights_file()
-    return path is not None and find_spec(_library(path)) is not None
+    return path is not None and (path.suffix == ".onnx" or find_spec("torch") is not None)
 
 
 def alpha(image: Image.Image, deadline: isolated.Deadline = isolated.PATIENT) -> NDArray[np.uint8]:
-    """Mask [H,W], 0..255, of the salient object in a picture, using the weights that are found.
+    """Alpha [H,W] of the salient object in a picture, by the full network.
 
     Raises:
-        InputError: If there are no weights, or their library is not installed.
+        InputError: If it is not found, or it is a .pth file and torch is not installed.
     """
     # `require` says where it was looked for and how to get it.
-    path = weights_file() or require("u2net")["u2net.onnx"]
-    return isolated.run(_alpha, np.asarray(image.convert("RGB")), path, deadline=deadline)
+    return _isolated(image, weights_file() or require("u2net")["u2net.onnx"], deadline)
+
+
+def small_alpha(
+    image: Image.Image, deadline: isolated.Deadline = isolated.PATIENT
+) -> NDArray[np.uint8]:
+    """Alpha [H,W] of the salient object in a picture, by the small network."""
+    return _isolated(image, require("u2netp")["u2netp.onnx"], deadline)
+
+
+def _isolated(image: Image.Image, weights: Path, deadline: isolated.Deadline) -> NDArray[np.uint8]:
+    return isolated.run(_alpha, np.asarray(image.convert("RGB")), weights, deadline=deadline)
 
 
 def _alpha(rgb: NDArray[np.uint8], weights: Path) -> NDArray[np.uint8]:
-    return foreground(rgb, load(weights))
+    if is_blank(rgb):
+        # The network finds something in everything.
+        return np.zeros(rgb.shape[:2], np.uint8)
+    return fitted(rgb, saliency(rgb, load(weights)))
 
 
-def _library(path: Path) -> str:
-    return "onnxruntime" if path.suffix == ".onnx" else "torch"
+def saliency(rgb: NDArray[np.uint8], network: Network) -> NDArray[np.float32]:
+    """How surely each part of a picture [H,W,3] is the object: [320,320] in 0..1."""
+    return network(rembg_input(rgb))[0, 0]
 
 
 def load(path: str | os.PathLike[str]) -> Network:
     """A network from a .onnx, .pth or .safetensors file.
 
     Raises:
-        InputError: If the file is unreadable or not a U2-Net, or its library is not installed.
+        InputError: If the file is unreadable or not a U2-Net, or it needs torch, which is missing.
     """
     path = Path(path)
     try:
@@ -82,7 +94,7 @@ def load(path: str | os.PathLike[str]) -> Network:
             "weights",
             path,
             f"{error.name} is needed to run it and is not installed.",
-            f"Run `{install_command('lgm')}`, or choose the foreground `grabcut`.",
+            f"Run `{install_command('lgm')}`, or choose the foreground `u2netp`.",
         ) from error
 
 
@@ -167,25 +179,24 @@ def cut_out(image: NDArray[np.uint8], mask: NDArray[np.uint8]) -> NDArray[np.uin
 
 
 def _onnx(path: Path) -> Network:
-    import onnxruntime
-
     try:
-        session = onnxruntime.InferenceSession(path, providers=_providers(onnxruntime))
-    except Exception as error:  # onnxruntime raises classes of its own, not exported
+        # By its content: OpenCV does not open every name that a system allows.
+        network = cv2.dnn.readNetFromONNX(np.frombuffer(path.read_bytes(), np.uint8))
+        first = network.getUnconnectedOutLayersNames()[0]
+    except (cv2.error, OSError, IndexError) as error:
         raise InputError(
             "weights",
             path,
-            f"the file is not a readable ONNX network ({str(error).splitlines()[0]}).",
+            f"the file is not a readable ONNX network ({str(error).strip().splitlines()[-1]}).",
             "Delete it and run `phy124 weights fetch u2net`.",
         ) from error
-    (name,) = (entry.name for entry in session.get_inputs())
-    return lambda x: np.asarray(session.run(None, {name: x})[0])
 
+    def run(x: NDArray[np.float32]) -> NDArray[np.float32]:
+        network.setInput(x)
+        # Without a name OpenCV 4 answers with the last of the seven outputs, not the first.
+        return np.asarray(network.forward(first), np.float32)
 
-def _providers(onnxruntime: object) -> list[str]:
-    wanted = ("CUDAExecutionProvider", "CPUExecutionProvider")
-    have = onnxruntime.get_available_providers()  # pyright: ignore[reportAttributeAccessIssue]
-    return [name for name in wanted if name in have]
+    return run
 
 
 def _torch(path: Path) -> Network:

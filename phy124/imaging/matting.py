@@ -1,0 +1,111 @@
+"""The edge of a cut-out: where it runs exactly, and its colours without the background's."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Field = NDArray[np.float32]
+SIDE = 640
+"""Longest side at which edges are fitted, pixels; what is found there holds at every resolution."""
+REACH = 5
+"""Half the window within which the edge follows the picture's colours, in pixels of `SIDE`."""
+SMOOTH = 1e-4
+"""Variance of colours (0..1) that is no edge yet."""
+DECIDED, SHARP = 2.0, 1.5
+"""Contrast added to the coarse mask, and to the fitted one, around one half."""
+OPAQUE = 243
+"""Alpha from which a pixel shows nothing of the background, 0..255."""
+INSET = 1.0
+"""Distance from all others at which an opaque pixel's colour is trusted, pixels per `SIDE`."""
+
+
+def fitted(rgb: NDArray[np.uint8], coarse: Field) -> NDArray[np.uint8]:
+    """Alpha [H,W] of a picture [H,W,3] whose object is known coarsely.
+
+    A guided filter: within each window alpha is a linear function of the colours (He, Sun, Tang
+    2013), whose coefficients are computed on the reduced picture (He, Sun 2015).
+
+    Args:
+        rgb: The picture [H,W,3].
+        coarse: How surely each part of it is the object [h,w] in 0..1, at any resolution.
+    """
+    height, width = rgb.shape[:2]
+    scale = min(1.0, SIDE / max(height, width))
+    size = max(1, round(width * scale)), max(1, round(height * scale))
+    small = np.asarray(
+        cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), np.float32
+    ) / np.float32(255)
+    slope, offset = _linear(small, _contrast(_resized(coarse, size), DECIDED))
+    slope, offset = _resized(slope, (width, height)), _resized(offset, (width, height))
+    fine = np.einsum("hwc,hwc->hw", slope, rgb, dtype=np.float32) / 255 + offset
+    return np.rint(255 * _contrast(fine, SHARP)).astype(np.uint8)
+
+
+def _resized(values: Field, size: tuple[int, int]) -> Field:
+    return np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_LINEAR), np.float32)
+
+
+def _linear(guide: Field, mask: Field) -> tuple[Field, Field]:
+    """Slope [h,w,3] and offset [h,w] that give the mask [h,w] from the colours [h,w,3] near by."""
+    mean_guide, mean_mask = _mean(guide), _mean(mask)
+    covariance = _mean(guide * mask[..., None]) - mean_guide * mean_mask[..., None]
+    variance = _mean(_outer(guide).reshape(*mask.shape, 9)).reshape(*mask.shape, 3, 3)
+    variance = variance - _outer(mean_guide) + SMOOTH * np.eye(3, dtype=np.float32)
+    slope = np.linalg.solve(variance, covariance[..., None])[..., 0]
+    offset = mean_mask - (slope * mean_guide).sum(axis=2)
+    return _mean(slope), _mean(offset)
+
+
+def _outer(v: Field) -> Field:
+    return v[..., :, None] * v[..., None, :]
+
+
+def _mean(values: Field) -> Field:
+    return np.asarray(cv2.blur(values, (2 * REACH + 1,) * 2), np.float32)
+
+
+def _contrast(values: Field, factor: float) -> Field:
+    return np.clip(factor * (values - 0.5) + 0.5, 0, 1)
+
+
+def decontaminated(rgb: NDArray[np.uint8], alpha: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Colours [H,W,3] of a cut-out whose soft edge shows nothing of the background.
+
+    Half-transparent pixels take the colour of the nearest opaque one that lies a little inside;
+    parts too thin to have such pixels keep the colours of their middle.
+
+    Args:
+        rgb: The picture [H,W,3].
+        alpha: Its alpha [H,W].
+    """
+    soft = (alpha > 0) & (alpha < OPAQUE)
+    trusted = _trusted(alpha)
+    if not soft.any() or not trusted.any():
+        return rgb
+    labels = cv2.distanceTransformWithLabels(
+        _mask(~trusted), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+    )[1]
+    nearest = np.asarray(labels, np.int32)
+    colours = np.zeros((nearest.max() + 1, 3), np.uint8)
+    colours[nearest[trusted]] = rgb[trusted]
+    return np.where(soft[..., None], colours[nearest], rgb)
+
+
+def _trusted(alpha: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Where the object's own colours are [H,W]."""
+    inset = max(INSET, INSET * max(alpha.shape) / SIDE)
+    core = _depth(alpha >= OPAQUE) > inset
+    depth = _depth(alpha > 127)
+    ridge = (depth > 0) & (depth >= cv2.dilate(depth, np.ones((3, 3), np.uint8)))
+    return core | (ridge & (_depth(~core) > 2 * inset + 2))
+
+
+def _depth(inside: NDArray[np.bool_]) -> Field:
+    """Distance to the nearest pixel outside [H,W]."""
+    return np.asarray(cv2.distanceTransform(_mask(inside), cv2.DIST_L2, 5), np.float32)
+
+
+def _mask(chosen: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    return chosen.astype(np.uint8)

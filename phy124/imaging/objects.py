@@ -1,0 +1,120 @@
+"""Several objects in one picture: the largest is taken, or the one that a person points at."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from phy124.imaging.silhouette import touched
+
+Alpha = NDArray[np.uint8]
+Point = tuple[float, float]
+"""A place in a picture: right and down, as fractions of its width and its height."""
+Box = tuple[int, int, int, int]
+"""Left, top, right, bottom, pixels."""
+GAP = 0.01
+"""Parts of one object may be so far apart, in longest sides of the picture."""
+COUNTED = 0.05
+"""Smallest object that counts, relative to the largest."""
+NEAR = 0.02
+"""How far beside an object a person may point, in longest sides."""
+WINDOWS = (0.7, 0.45, 0.3)
+"""Windows around a point in which its object is looked for, in longest sides."""
+MINIMUM = 0.02
+"""Smallest fraction of a window that an object in it covers."""
+
+
+class Objects(NamedTuple):
+    """The objects of an alpha, numbered from 1."""
+
+    nearest: NDArray[np.int32]
+    """Which object is nearest to each pixel [H,W]."""
+    areas: NDArray[np.int_]
+    """Pixels of each object; of number 0 none."""
+
+    @classmethod
+    def of(cls, alpha: Alpha) -> Objects:
+        """From an alpha [H,W] that is opaque somewhere."""
+        solid = alpha > 127
+        reach = 2 * max(1, round(GAP * max(alpha.shape) / 2)) + 1
+        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))
+        apart = 1 - cv2.dilate(solid.astype(np.uint8), disc)
+        labels = cv2.distanceTransformWithLabels(
+            apart, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_CCOMP
+        )[1]
+        nearest = np.asarray(labels, np.int32)
+        return cls(nearest, np.bincount(nearest[solid], minlength=nearest.max() + 1))
+
+    @property
+    def counted(self) -> int:
+        """How many there are, without crumbs."""
+        return int((self.areas >= COUNTED * self.areas.max()).sum())
+
+
+def largest(alpha: Alpha) -> tuple[Alpha, int]:
+    """The alpha [H,W] of the largest object alone, and the number of objects."""
+    if not (alpha > 127).any():
+        return alpha, 0
+    objects = Objects.of(alpha)
+    return np.where(objects.nearest == objects.areas.argmax(), alpha, np.uint8(0)), objects.counted
+
+
+def object_at(alpha: Alpha, point: Point) -> Alpha | None:
+    """The alpha [H,W] of the object at a point alone; None if there is none."""
+    solid = (alpha > 127).astype(np.uint8)
+    away = cv2.distanceTransform(1 - solid, cv2.DIST_L2, 5)
+    place = _pixel(point, (alpha.shape[1], alpha.shape[0]))
+    if not solid.any() or away[place] > NEAR * max(alpha.shape):
+        return None
+    nearest = Objects.of(alpha).nearest
+    return np.where(nearest == nearest[place], alpha, np.uint8(0))
+
+
+def looked_for(
+    image: Image.Image, point: Point, find: Callable[[Image.Image], Alpha]
+) -> Alpha | None:
+    """The alpha [H,W] of an object that is not what stands out in the whole picture.
+
+    It is looked for in windows around the point; that one counts whose edges it touches least.
+
+    Args:
+        image: The picture.
+        point: A place on the object.
+        find: Finds what stands out in a picture.
+    """
+    best, fewest = None, 5
+    for box in _windows(image.size, point):
+        left, top, right, bottom = box
+        inside = _pixel(point, image.size)
+        place = (inside[1] - left + 0.5) / (right - left), (inside[0] - top + 0.5) / (bottom - top)
+        found = object_at(find(image.crop(box)), place)
+        if found is None or np.mean(found > 127) < MINIMUM:
+            continue
+        edges = len(touched(found > 127))
+        if edges < fewest:
+            best, fewest = np.zeros(image.size[::-1], np.uint8), edges
+            best[top:bottom, left:right] = found
+        if not edges:
+            break
+    return best
+
+
+def _windows(size: tuple[int, int], point: Point) -> Iterator[Box]:
+    row, column = _pixel(point, size)
+    for fraction in WINDOWS:
+        side = round(fraction * max(size))
+        width, height = min(side, size[0]), min(side, size[1])
+        left = min(max(column - width // 2, 0), size[0] - width)
+        top = min(max(row - height // 2, 0), size[1] - height)
+        yield left, top, left + width, top + height
+
+
+def _pixel(point: Point, size: tuple[int, int]) -> tuple[int, int]:
+    """Row and column of a point in a picture of this width and height."""
+    column, row = (min(int(f * n), n - 1) for f, n in zip(point, size, strict=True))
+    return row, column
