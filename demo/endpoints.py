@@ -18,6 +18,7 @@ from .identity import visitor_of
 from .jobs import Studio, complaint, read_report, read_study
 from .line import Job
 from .photo import photo, refusal
+from .strokes import place_of
 from .visitors import Visitor
 from .work import BEAT, Done
 
@@ -33,6 +34,7 @@ def endpoints(studio: Studio) -> None:
         accuracy = _unread(gr.Radio(list(PRESETS), value="standard", label="accuracy"))
         frames = _unread(gr.Number(14, label="frames", precision=0, minimum=1))
         changes = gr.JSON({}, label="changes")
+        pick = gr.JSON(None, label="pick")
         views = _unread(gr.CheckboxGroup(VIEWS, label="views"))
         size = _unread(gr.Number(512, label="size", precision=0, minimum=16))
         elevation = _unread(gr.Number(10, label="elevation", minimum=-89, maximum=89))
@@ -42,7 +44,7 @@ def endpoints(studio: Studio) -> None:
         # Each of these only follows a job, which waits for its turn in our own queue.
         shared = {"concurrency_id": "programs", "concurrency_limit": studio.settings.max_queue}
         gr.Button().click(
-            _generate(studio), [picture, preset, accuracy, frames, changes, formats],
+            _generate(studio), [picture, preset, accuracy, frames, changes, formats, pick],
             [run, files, report], api_name="generate", **shared,
         )  # fmt: skip
         gr.Button().click(
@@ -52,7 +54,7 @@ def endpoints(studio: Studio) -> None:
         gr.Button().click(_evaluate, run, report, api_name="evaluate")
         error, said = gr.Number(label="error"), gr.Textbox(label="sentence")
         gr.Button().click(
-            _measure(studio), [picture, preset, accuracy, frames, changes],
+            _measure(studio), [picture, preset, accuracy, frames, changes, pick],
             [error, said, gr.JSON(label="levels")], api_name="measure", **shared,
         )  # fmt: skip
 
@@ -66,12 +68,12 @@ def _unread(component: Component) -> Any:
 def _generate(studio: Studio) -> Handler:
     def generate(
         image: str | None, preset: str, accuracy: str, frames: int, changes: Any, formats: Any,
-        request: gr.Request,
+        pick: Any, request: gr.Request,
     ) -> Iterator[tuple[Any, ...]]:  # fmt: skip
         """Turn a picture into a moving object: its files and its report."""
         name = visitor_of(request)
         kinds = _chosen("formats", formats or [], list(EXPORTS))
-        scene, cutting = _cut(studio, name, image, preset, accuracy, frames, changes)
+        scene, cutting = _cut(studio, name, image, preset, accuracy, frames, changes, pick)
         visitor, data = studio.visitors.get(name), scene.data()
         for _ in _followed(cutting, visitor, "image"):
             yield (gr.skip(),) * 3
@@ -89,11 +91,11 @@ def _generate(studio: Studio) -> Handler:
 def _measure(studio: Studio) -> Handler:
     def measure(
         image: str | None, preset: str, accuracy: str, frames: int, changes: Any,
-        request: gr.Request,
+        pick: Any, request: gr.Request,
     ) -> Iterator[tuple[Any, ...]]:  # fmt: skip
         """Measure the error of a scene as a fraction of its size, and the seconds of each grid."""
         name = visitor_of(request)
-        scene, cutting = _cut(studio, name, image, preset, accuracy, frames, changes)
+        scene, cutting = _cut(studio, name, image, preset, accuracy, frames, changes, pick)
         visitor = studio.visitors.get(name)
         for _ in _followed(cutting, visitor, "image"):
             yield (gr.skip(),) * 3
@@ -111,7 +113,7 @@ def _measure(studio: Studio) -> Handler:
 
 def _cut(
     studio: Studio, name: str, image: str | None, preset: str, accuracy: str, frames: int,
-    changes: Any,
+    changes: Any, pick: Any,
 ) -> tuple[Scene, Job]:  # fmt: skip
     """The scene that a program asks for, and the job that cuts out its picture."""
     # A name of no preset could be that of a file.
@@ -121,7 +123,7 @@ def _cut(
         scene = Scene.named(preset).replaced(
             {"accuracy": accuracy, "time.frames": frames, **_changes(changes)}
         )
-        return scene, studio.cut(name, image)
+        return scene, studio.cut(name, image, pick=place_of(pick))
     except InputError as error:
         raise refusal(complaint(error)) from None
 

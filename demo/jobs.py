@@ -9,14 +9,19 @@ from __future__ import annotations
 
 import json
 import threading
+import time
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 from phy124.accuracy.compiling import seconds_to_compile
 from phy124.errors import Cancelled, InputError
+from phy124.imaging.cutout import title_of
+from phy124.imaging.objects import Point
 from phy124.io.clip import Clip
 from phy124.runtime.device import pick_device
 from phy124.runtime.isolated import Deadline
@@ -25,7 +30,7 @@ from phy124.scene import Scene
 from .catalogue import check_limits, check_time, scene_of
 from .forecast import Estimate, Estimator, measured, promise_of
 from .line import Job, Line
-from .pictures import check_picture, corrected, cut_out, viewable
+from .pictures import check_picture, corrected, cut_by, cut_out, viewable
 from .progress import MEASURING
 from .settings import Settings
 from .strokes import Stroke
@@ -68,6 +73,10 @@ class Cutout:
     """The uploaded picture in a format that browsers can show."""
     doubts: tuple[str, ...] = ()
     """Reasons to doubt that the right object was found; shown once."""
+    by: str = ""
+    """What cut it out, for a sentence."""
+    pick: Point | None = None
+    """The place on it that was clicked."""
 
 
 @dataclass
@@ -79,6 +88,8 @@ class Studio:
     forecaster: Estimator = field(default_factory=lambda: Estimator(DEVICE.locked))
     work: Callable[[Order], Iterator[Any]] = steps
     """The function that runs an order; on ZeroGPU it is wrapped by `spaces.GPU`."""
+    searches: deque[float] = field(default_factory=lambda: deque(maxlen=5))
+    """Seconds that the last searches for an object took."""
     warm: threading.Event = field(default_factory=threading.Event)
     """Set once all kernels are loaded."""
 
@@ -97,13 +108,21 @@ class Studio:
         """Whether jobs run in a forked process, so that Warp must not be started in this one."""
         return self.work is not steps
 
-    def cut(self, name: str, picture: Any, strokes: Sequence[Stroke] = ()) -> Job:
+    @property
+    def search_seconds(self) -> float | None:
+        """How long it takes to find an object; None before it was ever measured."""
+        return median(self.searches) if self.searches else None
+
+    def cut(
+        self, name: str, picture: Any, strokes: Sequence[Stroke] = (), pick: Point | None = None
+    ) -> Job:
         """Start to cut the object out of an uploaded picture.
 
         Args:
             name: The visitor's name.
             picture: The path of the upload, as the request gives it.
             strokes: Brush strokes that correct the cut-out.
+            pick: A place on the object that is meant, if there are several.
 
         Raises:
             InputError: It is not an upload of this visitor, or the queue is full.
@@ -118,8 +137,11 @@ class Studio:
             deadline = Deadline(self.settings.max_cut_seconds, job.check)
             shown = viewable(upload)
             job.subject = str(shown)
-            path, doubts = _cut(visitor, shown, strokes, deadline)
-            job.end("done", result=Cutout(str(path), str(shown), doubts))
+            start = time.monotonic()
+            path, doubts, searched = _cut(visitor, shown, strokes, pick, deadline)
+            if searched:
+                self.searches.append(time.monotonic() - start)
+            job.end("done", result=Cutout(str(path), str(shown), doubts, cut_by(path), pick))
 
         job = Job("cut", visitor.new_stop_file(), subject=str(upload))
         return self._submit(visitor, job, self.cuts, work)
@@ -284,8 +306,9 @@ class Studio:
 
     def warm_up(self) -> None:
         """Load all kernels and measure this machine with small runs; started in a thread."""
-        from .warm import example_run, tiny_run, warm_up
+        from .warm import example_run, search_seconds, tiny_run, warm_up
 
+        self.searches.append(search_seconds())
         if not self.forks:
             with DEVICE:
                 warm_up(self.settings.device)
@@ -309,17 +332,24 @@ def _guarded(job: Job, work: Callable[[Job], None]) -> None:
 
 
 def _cut(
-    visitor: Visitor, upload: Path, strokes: Sequence[Stroke], deadline: Deadline
-) -> tuple[Path, tuple[str, ...]]:
-    """The cut-out of an upload and doubts about it; made once, then corrected by strokes."""
-    folder, picture = visitor.folder / "cutouts", upload.read_bytes()
-    first = folder / f"{key(picture)}.png"
+    visitor: Visitor, upload: Path, strokes: Sequence[Stroke], pick: Point | None,
+    deadline: Deadline,
+) -> tuple[Path, tuple[str, ...], bool]:  # fmt: skip
+    """The cut-out of an upload, doubts about it, and whether the object had to be searched for.
+
+    It is made once, and corrected by strokes.
+    """
+    folder, given = visitor.folder / "cutouts", [upload.read_bytes(), *(pick or ())]
+    first = folder / f"{key(*given)}.png"
+    if not strokes and first.exists():
+        return first, (), False
     if not strokes:
-        return first, () if first.exists() else cut_out(upload, first, deadline)
-    path = folder / f"{key(picture, [stroke.model_dump() for stroke in strokes])}.png"
+        doubts = cut_out(upload, first, pick, deadline)
+        return first, doubts, cut_by(first) != title_of("alpha")
+    path = folder / f"{key(*given, [stroke.model_dump() for stroke in strokes])}.png"
     if not path.exists():
         corrected(upload, first if first.exists() else None, strokes, path, deadline)
-    return path, ()
+    return path, (), False
 
 
 def close_now(events: Iterator[Any]) -> None:

@@ -15,9 +15,10 @@ from PIL.PngImagePlugin import PngInfo
 
 from phy124.errors import InputError
 from phy124.imaging import heic
-from phy124.imaging.cutout import Cutout, cleaned, foreground, has_alpha, looked_at
+from phy124.imaging.cutout import Cutout, cleaned, foreground, has_alpha, looked_at, title_of
 from phy124.imaging.grabcut import hinted
 from phy124.imaging.image import FORMATS, open_image
+from phy124.imaging.objects import Point
 from phy124.io.files import replacing
 from phy124.runtime import isolated
 from phy124.runtime.isolated import PATIENT, Deadline, Unfinished
@@ -72,18 +73,21 @@ def viewable(picture: Path) -> Path:
     return shown
 
 
-def cut_out(picture: Path, path: Path, deadline: Deadline = PATIENT) -> tuple[str, ...]:
+def cut_out(
+    picture: Path, path: Path, pick: Point | None = None, deadline: Deadline = PATIENT
+) -> tuple[str, ...]:
     """Write the cut-out of a picture; returns reasons to doubt it.
 
     Args:
         picture: The picture.
         path: The PNG to write.
+        pick: A place on the object that is meant, if there are several.
         deadline: When to give up.
 
     Raises:
         InputError: No object can be found in it.
     """
-    found = foreground(open_image(picture), deadline=deadline)
+    found = foreground(open_image(picture), pick=pick, deadline=deadline)
     _save(found, path)
     return found.warnings
 
@@ -124,6 +128,13 @@ def how_cut(picture: Image.Image) -> dict[str, Any] | None:
     """How a picture was cut out, if `cut_out` or `corrected` wrote it."""
     said = picture.info.get(HOW)
     return said and json.loads(said)
+
+
+def cut_by(path: Path) -> str:
+    """What a cut-out was cut out by, for a sentence; empty if it is not known."""
+    with Image.open(path) as picture:
+        how = how_cut(picture)
+    return title_of(how["method"]) if how else ""
 
 
 def _save(cut: Cutout, path: Path) -> None:

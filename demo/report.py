@@ -9,6 +9,7 @@ from typing import Any
 
 from phy124.accuracy import Stop
 from phy124.accuracy.promises import Promise
+from phy124.imaging.cutout import title_of
 from phy124.scene import Scene
 
 from .forecast import promise_of
@@ -116,7 +117,10 @@ def _cut_out(report: dict[str, Any]) -> str:
     cutout = report.get("cutout")
     if not cutout:
         return ""
-    rows = [("Method", cutout["method"]), ("Fraction of the picture", f"{cutout['coverage']:.1%}")]
+    rows = [
+        ("Method", title_of(cutout["method"])),
+        ("Fraction of the picture", f"{cutout['coverage']:.1%}"),
+    ]
     return _section("Cut-out", _table([*rows, *(("Doubt", d) for d in cutout["warnings"])]))
 
 

@@ -1,4 +1,4 @@
-"""Brush strokes as the page sends them: lines instead of pictures, so that they are small."""
+"""Brush strokes and clicks as the page sends them: numbers instead of pictures."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from PIL import Image, ImageDraw
 from pydantic import Field, TypeAdapter, ValidationError
 
 from phy124.errors import InputError
+from phy124.imaging.objects import Point
 from phy124.section import Section
 
 Fraction = Annotated[float, Field(ge=-0.5, le=1.5, allow_inf_nan=False)]
@@ -22,6 +23,8 @@ class Stroke(Section):
     points: tuple[tuple[Fraction, Fraction], ...] = Field(min_length=1, max_length=2000)
 
 
+Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
+PLACE = TypeAdapter(tuple[Share, Share])
 STROKES = TypeAdapter(Annotated[list[Stroke], Field(max_length=200)])
 
 
@@ -36,6 +39,22 @@ def strokes_of(data: Any) -> list[Stroke]:
     except ValidationError:
         raise InputError(
             "strokes", "unknown", "These strokes cannot be read.", "Undo some of them."
+        ) from None
+
+
+def place_of(data: Any) -> Point | None:
+    """A place in the picture, as fractions of width and height, from plain data or none.
+
+    Raises:
+        InputError: If it is something else.
+    """
+    if data is None:
+        return None
+    try:
+        return PLACE.validate_python(data)
+    except ValidationError:
+        raise InputError(
+            "pick", "unknown", "It is no place in the picture.", "Give two fractions: [0.3, 0.5]."
         ) from None
 
 

@@ -5,14 +5,17 @@ measure this machine, so that the first forecast is right.
 from __future__ import annotations
 
 import tempfile
+import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 from phy124 import pipeline
 from phy124.camera import Camera
 from phy124.gaussians import Gaussians
+from phy124.imaging.cutout import foreground
 from phy124.rendering.render import Renderer
 from phy124.runtime.device import pick_device
 from phy124.scene import Scene, preset_names
@@ -53,6 +56,16 @@ def example_run(device: str) -> tuple[dict[str, Any], Scene]:
     with tempfile.TemporaryDirectory() as folder:
         result = pipeline.generate(EXAMPLE, scene, folder, device=pick_device(device))
     return result.report, scene
+
+
+def search_seconds() -> float:
+    """How long it takes here to find the object of a photograph."""
+    with Image.open(EXAMPLE) as example:
+        photograph = Image.new("RGBA", example.size, "white")
+        photograph.alpha_composite(example.convert("RGBA"))
+    start = time.monotonic()
+    foreground(photograph)
+    return time.monotonic() - start
 
 
 def _ball() -> Gaussians:

@@ -43,8 +43,9 @@ def test_a_picture_can_be_cut_out_alone(dark, tmp_path, capsys, monkeypatch):
     assert main(["cutout", picture, "--mask", mask]) == 0
     printed = capsys.readouterr()
     assert printed.out.splitlines() == [
-        "cut out by the mask that was given: 34.8% of the picture", str(Path("out/dark-cutout.png")),
-    ]  # fmt: skip
+        "cut out by the mask that was given: 34.8% of the picture",
+        str(Path("out/dark-cutout.png")),
+    ]
     assert "warning" not in printed.err
     cut = np.asarray(Image.open("out/dark-cutout.png"))
     np.testing.assert_array_equal(cut[..., 3], np.asarray(Image.open(mask)))

@@ -17,7 +17,7 @@ from demo.jobs import UNFINISHED, Studio
 from demo.line import Job
 from demo.pictures import how_cut
 from demo.settings import Settings
-from demo.strokes import Stroke
+from demo.strokes import Stroke, place_of
 from demo.visitors import Visitors
 from demo.work import Order
 from phy124.errors import InputError
@@ -202,3 +202,40 @@ def test_a_doubtful_cut_out_is_told_once_and_not_after_a_correction(studio, tmp_
     assert how["method"] == "u2netp" and how["warnings"] == [told]
     told, how = doubts((Stroke(keep=False, width=0.2, points=((0.1, 0.5),)),))
     assert told == "" and how["method"] == "brush"
+
+
+def test_a_click_picks_another_object_and_the_brush_goes_on_from_it(studio, tmp_path, monkeypatch):
+    found = np.zeros((60, 90), np.uint8)
+    found[10:50, 5:45] = found[30:50, 60:80] = 255
+    way = cutout.Method(lambda _: True, lambda *_: found, "a test")
+    monkeypatch.setitem(cutout.METHODS, "u2netp", way)
+    monkeypatch.setattr(cutout.u2net, "weights_file", lambda: None)
+    Image.fromarray(np.dstack([found // 2 + 60] * 3)).save(tmp_path / "a.png")
+    studio.visitors.get("a")
+    sent = str(studio.visitors.store("a", (tmp_path / "a.png").read_bytes(), ".png"))
+
+    def made(**how: Any) -> tuple[Any, np.ndarray]:
+        job = studio.cut("a", sent, **how)
+        assert job.wait(60) and job.progress.result, job.progress.message
+        return job.progress.result, np.asarray(Image.open(job.progress.result.path))[..., 3] > 127
+
+    assert studio.search_seconds is None
+    first, whole = made()
+    assert whole[20, 20] and not whole[40, 70]
+    assert first.by == "a test" and "2 separate objects were found" in first.doubts[0]
+    assert studio.search_seconds is not None
+    place = (0.77, 0.67)
+    second, other = made(pick=place)
+    assert other[40, 70] and not other[20, 20] and second.doubts == () and second.pick == place
+    stroke = Stroke(keep=True, width=0.05, points=((0.9, 0.1),))
+    third, painted = made(pick=place, strokes=(stroke,))
+    assert painted[40, 70] and painted[9, 81] and not painted[20, 20]
+    assert third.by == "brush strokes" and third.pick == place
+    assert len({first.path, second.path, third.path}) == 3
+
+
+@pytest.mark.parametrize("place", [[0.3], [0.3, 1.5], "middle", [float("nan"), 0.5], {"x": 1}])
+def test_what_is_no_place_in_the_picture_is_refused(place):
+    assert place_of(None) is None and place_of([0.25, 1]) == (0.25, 1.0)
+    with pytest.raises(InputError, match=r"no place in the picture\. Give two fractions"):
+        place_of(place)

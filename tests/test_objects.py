@@ -96,7 +96,7 @@ def test_what_a_person_has_cut_out_stays_whole_unless_a_place_is_picked(alpha):
 @pytest.mark.parametrize(
     ("pick", "message"),
     [
-        ((0.55, 0.1), r"pick = 0.55,0.1: No object was found at this place.* or give a mask"),
+        ((0.55, 0.1), r"pick = 0.55,0.1: No object was found at this place.* or mark it"),
         ((1.2, 0.5), r"pick = 1.2,0.5: It is no place in the picture\. Give two fractions"),
         ((float("nan"), 0.5), r"pick = nan,0.5: It is no place"),
         ((0.5,), r"pick = 0.5: It is no place"),

@@ -1,4 +1,4 @@
-"""Events of the picture: it is chosen, corrected by the brush, and shown cut out."""
+"""Events of the picture: it is chosen, corrected by a click or the brush, and shown cut out."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ from phy124.imaging.heic import is_heic
 from ..identity import visitor_of
 from ..jobs import Cutout, Studio, sentence
 from ..line import Job
-from ..strokes import strokes_of
+from ..strokes import place_of, strokes_of
 from .event import Handler, data_of, file_of, job_of, path_of
 
+IF_WRONG = "If it is wrong, click the object in your picture, or correct it with the brush."
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
@@ -32,22 +33,23 @@ def chooser(studio: Studio) -> Handler:
             job = studio.cut(visitor_of(request), path)
         except InputError as error:
             return _not_cut(error), None
-        return {"job": job.name, "picture": _picture(job)}, None
+        return {**_cutting(studio, job), "picture": _picture(job)}, None
 
     return choose
 
 
 def corrector(studio: Studio) -> Handler:
-    """Handler: brush strokes were painted; starts to correct the cut-out."""
+    """Handler: brush strokes or a click on another object; starts to correct the cut-out."""
 
     def correct(shown: Any, cutout: Any, event: gr.EventData, request: gr.Request) -> Any:
         picture = path_of((shown or {}).get("picture")) if cutout is None else cutout.picture
         try:
-            strokes = strokes_of(data_of(event).get("strokes"))
-            job = studio.cut(visitor_of(request), picture, strokes)
+            strokes = strokes_of(data_of(event).get("strokes", []))
+            pick = place_of(data_of(event).get("pick")) or (cutout and cutout.pick)
+            job = studio.cut(visitor_of(request), picture, strokes, pick)
         except InputError as error:
             return {**(shown or {}), **_not_cut(error)}
-        return {**(shown or {}), "job": job.name}
+        return {**(shown or {}), **_cutting(studio, job)}
 
     return correct
 
@@ -63,7 +65,7 @@ def cut_shower(studio: Studio) -> Handler:
         if made is None:
             failed = {"job": None, "message": job.progress.message, "picture": _picture(job)}
             return {**(shown or {}), **failed}, cutout
-        doubts = [*made.doubts, "If it is wrong, correct it with the brush."] if made.doubts else []
+        doubts = [*made.doubts, IF_WRONG] if made.doubts else []
         return {**shown_cutout(made), "doubts": " ".join(doubts)}, made
 
     return show
@@ -71,7 +73,14 @@ def cut_shower(studio: Studio) -> Handler:
 
 def shown_cutout(made: Cutout) -> dict[str, Any]:
     """A picture and its cut-out, as the panel of the picture takes them."""
-    return {"picture": file_of(Path(made.picture)), "cutout": file_of(Path(made.path))}
+    files = {"picture": file_of(Path(made.picture)), "cutout": file_of(Path(made.path))}
+    return {**files, "by": made.by}
+
+
+def _cutting(studio: Studio, job: Job) -> dict[str, Any]:
+    """That a picture is being cut out, and about how many seconds a search takes."""
+    seconds = studio.search_seconds
+    return {"job": job.name, "seconds": seconds and max(1, round(seconds))}
 
 
 def _picture(job: Job) -> dict[str, Any] | None:

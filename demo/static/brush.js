@@ -1,15 +1,16 @@
 /* The brush over the picture: green keeps, red removes. Strokes are lines in fractions of the picture's
- * longer side; the server paints them. By keyboard: arrows move the brush, space holds it down. */
+ * longer side; the server paints them. By keyboard: arrows move the brush, space holds it down, P picks the
+ * object under it. */
 'use strict';
 (() => {
   const { h } = globalThis.Phy124;
   const COLOURS = { keep: '#16a34a', remove: '#dc2626' };
 
   class Brush {
-    constructor(apply) {
-      Object.assign(this, { strokes: [], keep: true, width: 0.05, spot: [0.5, 0.5], stroke: null });
+    constructor(apply, pick) {
+      Object.assign(this, { pick, strokes: [], keep: true, width: 0.05, spot: [0.5, 0.5], stroke: null });
       this.canvas = h('canvas', { class: 'brush-canvas', tabindex: 0, role: 'application', 'aria-label':
-        'Brush over the picture. Arrow keys move it, space begins and ends a stroke, K keeps, R removes.' });
+        'Brush over the picture. Arrow keys move it, space begins and ends a stroke, K keeps, R removes, P picks the object there.' });
       const tool = (name, keep) => h('label', {}, h('input', { type: 'radio', name: 'brush-tool', checked: keep === this.keep, onchange: () => { this.keep = keep; } }), h('span', {}, name));
       const size = h('input', { type: 'range', min: 0.01, max: 0.15, step: 0.005, value: this.width, 'aria-label': 'Width of the brush', oninput: () => { this.width = Number(size.value); this.draw(); } });
       const button = (label, act, kind = 'quiet') => h('button', { type: 'button', class: kind, onclick: act }, label);
@@ -50,6 +51,9 @@
         const [w, hgt] = this.sides, clamp = (v, most) => Math.min(most, Math.max(0, v));
         this.spot = [clamp(this.spot[0] + move[0] * 0.02, w), clamp(this.spot[1] + move[1] * 0.02, hgt)];
         this.go();
+      } else if (/^p$/i.test(event.key)) {
+        const [w, hgt] = this.sides;
+        this.pick([this.spot[0] / w, this.spot[1] / hgt]);
       } else if (event.key === ' ') { if (this.stroke) this.stroke = null; else this.begin(); } else if (/^[kr]$/i.test(event.key)) {
         this.keep = event.key.toLowerCase() === 'k';
         this.element.querySelectorAll('input[type=radio]').forEach((radio, i) => { radio.checked = (i === 0) === this.keep; });

@@ -16,7 +16,8 @@
       Object.assign(this, { element, props, trigger, offer, following: null });
       this.status = h('p', { class: 'picture-status', role: 'status' });
       this.again = h('button', { type: 'button', class: 'quiet', hidden: true, onclick: () => this.retry() }, 'Try again');
-      this.brush = new globalThis.Phy124.Brush((strokes) => { this.last = () => this.trigger('correct', { strokes }); this.last(); });
+      const correct = (how) => { this.last = () => this.trigger('correct', how); this.last(); };
+      this.brush = new globalThis.Phy124.Brush((strokes) => correct({ strokes }), (pick) => correct({ pick }));
       this.drop = this.dropzone();
       this.preview = h('figure', { id: 'cutout', hidden: true }, h('img', { alt: 'The object, cut out' }));
       element.replaceChildren(h('div', { class: 'pictures' }, this.drop, this.preview), this.status, this.again,
@@ -28,15 +29,26 @@
 
     dropzone() {
       const input = this.input = h('input', { type: 'file', accept: ACCEPT, 'aria-label': 'Choose a picture', onchange: () => this.send(input.files[0]) });
-      this.shown = h('img', { alt: 'Your picture', hidden: true });
+      this.shown = h('img', { alt: 'Your picture', title: 'Click the object that is meant', hidden: true, onclick: (event) => this.pick(event) });
       this.hint = h('span', { class: 'photo-hint' }, h('strong', {}, 'Choose a picture'), 'or drop or paste it here');
       const zone = h('div', { id: 'photo' }, h('label', {}, input, this.shown, this.hint),
+        h('button', { type: 'button', class: 'quiet another', onclick: () => input.click() }, 'Another picture'),
         h('button', { type: 'button', class: 'quiet camera', onclick: () => this.photograph() }, 'Camera'));
       for (const name of ['dragover', 'dragleave', 'drop']) {
         zone.addEventListener(name, (event) => { event.preventDefault(); zone.classList.toggle('over', name === 'dragover'); });
       }
       zone.addEventListener('drop', (event) => this.send(event.dataTransfer.files[0]));
       return zone;
+    }
+
+    /** A click on the picture that is shown, whose sides may be blank: the object there is meant. */
+    pick(event) {
+      event.preventDefault(); // the label would ask for another file
+      const box = this.shown.getBoundingClientRect(), { naturalWidth, naturalHeight } = this.shown;
+      const scale = Math.min(box.width / naturalWidth, box.height / naturalHeight);
+      const x = 0.5 + (event.clientX - box.left - box.width / 2) / (scale * naturalWidth);
+      const y = 0.5 + (event.clientY - box.top - box.height / 2) / (scale * naturalHeight);
+      if (Math.min(x, y) >= 0 && Math.max(x, y) <= 1) this.brush.pick([x, y]);
     }
 
     examples() {
@@ -117,16 +129,16 @@
       this.preview.hidden = !cut;
       if (cut) this.preview.firstChild.src = cut; else this.preview.firstChild.removeAttribute('src');
       this.brush.load(photo, cut);
-      if (value.job) return this.await(value.job);
+      if (value.job) return this.await(value.job, value.seconds);
       if (value.message) { this.say(value.message, true); this.again.hidden = !value.again; }
-      else if (photo) this.say(value.doubts || (cut ? 'The object is cut out.' : ''), Boolean(value.doubts));
+      else if (photo) this.say([cut && `The object is cut out by ${value.by}.`, value.doubts].filter(Boolean).join(' '), Boolean(value.doubts));
       else { this.say(this.local || '', Boolean(this.local)); this.local = null; }
     }
 
-    await(job) {
+    await(job, seconds) {
       if (this.following === job) return;
       this.following = job;
-      this.say('Cutting the object out …');
+      this.say(`Cutting the object out${seconds ? `, about ${seconds} s` : ''} …`);
       follow(job, (told) => {
         if (this.following !== job) return false;
         if (told.state === 'waiting' && told.place) this.say(`Waiting to be cut out, ${told.place} before this picture`);

@@ -251,7 +251,7 @@ def _picked(
         found = looked_for(image, pick, lambda part: _found(part, method, deadline))
     if found is None:
         limit = "No object was found at this place of the picture."
-        remedy = "Choose the middle of the object, or give a mask (white where the object is)."
+        remedy = "Choose the middle of the object, or mark it with a mask, on the page by brush."
         raise InputError("pick", f"{pick[0]:g},{pick[1]:g}", limit, remedy)
     return found
 

@@ -11,6 +11,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -28,6 +29,7 @@ from phy124.imaging.cutout import Cutout, cleaned, looked_at
 from phy124.imaging.grabcut import grabcut
 from phy124.imaging.image import open_image
 from phy124.imaging.matting import decontaminated, fitted
+from phy124.imaging.objects import largest, looked_for, object_at
 from phy124.weights.store import require
 
 Alpha = NDArray[np.uint8]
@@ -72,12 +74,28 @@ def with_grabcut(rgb: NDArray[np.uint8]) -> Alpha:
     return fitted(rgb, (labels & 1).astype(np.float32))
 
 
+def picked(known: Known) -> Alpha:
+    """What `u2netp` finds at a place on the object, its innermost."""
+    depth = distance_transform_edt(known.alpha > 127)
+    row, column = np.unravel_index(int(depth.argmax()), depth.shape)
+    place = (column + 0.5) / depth.shape[1], (row + 0.5) / depth.shape[0]
+
+    def find(part: Image.Image) -> Alpha:
+        return shipped(np.asarray(part.convert("RGB")))
+
+    image = Image.fromarray(known.rgb)
+    found = object_at(find(image), place)
+    found = looked_for(image, place, find) if found is None else found
+    return np.zeros_like(known.alpha) if found is None else found
+
+
 WAYS: dict[str, Callable[[NDArray[np.uint8]], Alpha]] = {
     "GrabCut": grabcut,
     "network alone": alone,
     "network, fitted (`u2netp`)": shipped,
     "network, GrabCut in doubt, fitted": with_grabcut,
 }
+PICKED = "`u2netp`, picked"
 METHOD = {"GrabCut": "grabcut", "network, fitted (`u2netp`)": "u2netp"}
 """Ways that are methods of phy124."""
 
@@ -104,6 +122,7 @@ class Figures:
         self.error: dict[str, list[float]] = {way: [] for way in WAYS}
         self.seconds: dict[str, list[float]] = {way: [] for way in WAYS}
         self.told: dict[str, Counter[tuple[bool, bool]]] = {way: Counter() for way in METHOD}
+        self.picked: dict[str, list[float]] = {}
         self.halo: dict[str, list[float]] = {"as it is": [], "freed of it": []}
 
     def add(self, known: Known) -> None:
@@ -111,16 +130,17 @@ class Figures:
         true = known.alpha > 127
         for way, find in WAYS.items():
             start = time.process_time()
-            alpha = find(known.rgb)
+            alpha, objects = largest(find(known.rgb))
             self.seconds[way].append(time.process_time() - start)
-            overlap = float(((alpha > 127) & true).sum() / max(1, ((alpha > 127) | true).sum()))
+            overlap = overlap_of(alpha, known)
             self.overlap[way].setdefault(known.ground, []).append(overlap)
             self.error[way].append(np.abs(alpha / 255 - known.alpha / 255).sum() / true.sum())
             if way in METHOD:
-                doubtful = bool(cut(known.rgb, alpha, METHOD[way]).warnings)
+                doubtful = bool(cut(known.rgb, alpha, METHOD[way], objects).warnings)
                 self.told[way][overlap >= RIGHT, doubtful] += 1
             if way == "network, fitted (`u2netp`)" and overlap >= RIGHT:
                 self._add_halo(known, alpha)
+        self.picked.setdefault(known.ground, []).append(overlap_of(picked(known), known))
 
     def _add_halo(self, known: Known, alpha: Alpha) -> None:
         if known.object is None:
@@ -133,20 +153,24 @@ class Figures:
         """Means per ground, and over all."""
         grounds = next(iter(self.overlap.values()))
         rows = [
-            [ground, *(f"{np.mean(by[ground]):.3f}" for by in self.overlap.values())]
+            [
+                ground,
+                *(f"{np.mean(by[ground]):.3f}" for by in (*self.overlap.values(), self.picked)),
+            ]
             for ground in (grounds if len(grounds) < 20 else ())
         ]
-        flat = {way: np.concatenate(list(by.values())) for way, by in self.overlap.items()}
+        columns = {**self.overlap, PICKED: self.picked}
+        flat = {way: np.concatenate(list(by.values())) for way, by in columns.items()}
         sums = {
             "**mean of all**": lambda way: f"**{flat[way].mean():.3f}**",
             "median": lambda way: f"{np.median(flat[way]):.3f}",
             f"right (over {RIGHT})": lambda way: f"{(flat[way] > RIGHT).sum()} of {len(flat[way])}",
             "over 0.95": lambda way: f"{(flat[way] > 0.95).sum()}",
-            "error of alpha, median": lambda way: f"{np.median(self.error[way]):.1%}",
-            "processor time": lambda way: f"{np.mean(self.seconds[way]):.1f} s",
+            "error of alpha, median": lambda way: _told(self.error, way, 100, " %"),
+            "processor time, median": lambda way: _told(self.seconds, way, 1, " s"),
         }
-        rows += [[name, *(text(way) for way in WAYS)] for name, text in sums.items()]
-        return markdown(["ground", *WAYS], rows)
+        rows += [[name, *(text(way) for way in columns)] for name, text in sums.items()]
+        return markdown(["ground", *columns], rows)
 
     def doubts(self) -> str:
         """How many right and wrong cut-outs are told."""
@@ -163,9 +187,19 @@ class Figures:
         return markdown(["colours of the soft edge", "of the ground, mean", "at most"], rows)
 
 
-def cut(rgb: NDArray[np.uint8], alpha: Alpha, method: str) -> Cutout:
+def _told(figures: dict[str, list[float]], way: str, factor: float, unit: str) -> str:
+    return f"{factor * np.median(figures[way]):.1f}{unit}" if way in figures else ""
+
+
+def overlap_of(alpha: Alpha, known: Known) -> float:
+    """Intersection over union with the true mask."""
+    found, true = alpha > 127, known.alpha > 127
+    return float((found & true).sum() / max(1, (found | true).sum()))
+
+
+def cut(rgb: NDArray[np.uint8], alpha: Alpha, method: str, objects: int) -> Cutout:
     """As `phy124.imaging.cutout.foreground` gives it."""
-    return looked_at(cleaned(Image.fromarray(rgb), alpha), method)
+    return looked_at(cleaned(Image.fromarray(rgb), alpha), method, 1, objects)
 
 
 def share_of_ground(known: Known, shown: NDArray[np.uint8], alpha: Alpha) -> float:
@@ -206,7 +240,8 @@ def pasted() -> Iterator[Known]:
             yield Known(name, np.asarray(whole.convert("RGB")), pixels[..., 3], pixels[..., :3])
 
 
-def grounds() -> Iterator[tuple[str, NDArray[np.uint8]]]:
+@cache
+def grounds() -> tuple[tuple[str, NDArray[np.uint8]], ...]:
     """From a white one to a room full of things (scikit-image's pictures)."""
     from skimage import data
 
@@ -226,9 +261,12 @@ def grounds() -> Iterator[tuple[str, NDArray[np.uint8]]]:
         "a field with a photographer": data.camera(),
         "a garage with a motorcycle": data.stereo_motorcycle()[0],
     }
-    for name, pixels in known.items():
-        picture = Image.fromarray(np.clip(pixels, 0, 255).astype(np.uint8)).convert("RGB")
-        yield name, np.asarray(picture.resize((SIDE, SIDE)))
+    return tuple((name, _resized(pixels)) for name, pixels in known.items())
+
+
+def _resized(pixels: NDArray) -> NDArray[np.uint8]:
+    picture = Image.fromarray(np.clip(pixels, 0, 255).astype(np.uint8)).convert("RGB")
+    return np.asarray(picture.resize((SIDE, SIDE)))
 
 
 def _clouds() -> NDArray[np.float64]:

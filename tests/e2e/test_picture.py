@@ -86,6 +86,38 @@ def test_the_cut_out_is_corrected_by_brush(browser, server):
     visit.context.close()
 
 
+def test_a_click_on_the_picture_picks_another_object(browser, server, tmp_path):
+    pixels = np.zeros((200, 300, 4), np.uint8)
+    pixels[40:160, 20:140] = pixels[100:160, 200:260] = (200, 40, 30, 255)
+    Image.fromarray(pixels).save(tmp_path / "two.png")
+    visit = Visit(browser, server)
+    visit.upload(tmp_path / "two.png")
+    page, shown = visit.page, visit.page.locator("#cutout img[src]")
+    page.get_by_text("The object is cut out by the picture's own transparency.").wait_for()
+    before = shown.get_attribute("src")
+    box = page.locator("#photo img").bounding_box()
+    # 190 pixels high, and the picture fills the width or the height.
+    scale = min(box["width"] / 300, box["height"] / 200)
+    page.mouse.click(
+        box["x"] + box["width"] / 2 + (230 - 150) * scale,
+        box["y"] + box["height"] / 2 + (130 - 100) * scale,
+    )
+    page.wait_for_function(
+        "before => document.querySelector('#cutout img').getAttribute('src') !== before",
+        arg=before, timeout=LONG,
+    )  # fmt: skip
+    body = page.request.get(shown.get_attribute("src")).body()
+    kept = np.asarray(Image.open(io.BytesIO(body)).convert("RGBA"))[..., 3] > 127
+    assert kept[130, 230] and not kept[100, 80]
+    page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2 - 60 * scale)
+    page.get_by_text("No object was found at this place").wait_for(timeout=LONG)
+    assert shown.is_visible()
+    with page.expect_file_chooser():
+        page.get_by_role("button", name="Another picture").click()
+    assert visit.complaints == []
+    visit.context.close()
+
+
 def test_the_brush_is_used_by_keyboard(browser, server):
     visit = Visit(browser, server)
     visit.upload()
