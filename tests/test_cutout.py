@@ -319,13 +319,12 @@ def test_half_a_cat_is_told_and_a_whole_cup_is_not(name, told):
         ([(60, 60)], "is tiny: 1.0% of the picture"),
     ],
 )
-def test_pieces_and_tiny_objects_are_told(monkeypatch, places, told):
+def test_pieces_and_tiny_objects_are_told(places, told):
     solid = np.zeros((120, 120), bool)
     for row, column in places:
         solid[row : row + 12, column : column + 12] = True
     rgb = np.where(solid[..., None], [200, 40, 30], [120, 125, 130]).astype(np.uint8)
-    monkeypatch.setitem(METHODS, "grabcut", found_as(solid))
-    found = foreground(Image.fromarray(rgb), "grabcut")
+    found = foreground(Image.fromarray(rgb), mask=Image.fromarray(255 * solid.astype(np.uint8)))
     assert len(found.warnings) == 1 and told in found.warnings[0]
 
 

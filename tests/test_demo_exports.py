@@ -158,7 +158,7 @@ def test_the_report_says_what_was_promised_spent_left_out_and_how_stable_it_was(
 def test_the_report_says_how_the_object_was_cut_out():
     cutout = {"method": "grabcut", "coverage": 0.333, "warnings": ["The cut-out is <tiny>."]}
     text = as_html({**_report(), "cutout": cutout}, Scene.named("press").data(), 4.0)
-    for said in ("<td>grabcut</td>", "<td>33.3%</td>", "<td>The cut-out is &lt;tiny&gt;.</td>"):
+    for said in ("<td>GrabCut</td>", "<td>33.3%</td>", "<td>The cut-out is &lt;tiny&gt;.</td>"):
         assert said in text
     assert "Cut-out" not in as_html(_report(), Scene.named("press").data(), 4.0)
 
