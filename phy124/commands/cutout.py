@@ -46,7 +46,11 @@ class CutoutOptions:
 
     @property
     def point(self) -> Point | None:
-        """The place picked; raises InputError."""
+        """The place picked.
+
+        Raises:
+            InputError: It is not two numbers.
+        """
         if self.pick is None:
             return None
         try:
