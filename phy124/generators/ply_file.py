@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -12,6 +14,7 @@ from pydantic import Field
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.io.axes import numbers, orientation, turned
+from phy124.io.dialect import likely_dialect
 from phy124.io.ply import read_ply
 from phy124.progress import Progress, silent
 from phy124.section import Section
@@ -68,6 +71,10 @@ class Reading(Section):
         if told:
             limit = f"{' and '.join(told)} {'is' if len(told) == 1 else 'are'} for a .ply file."
             raise InputError(name, source, limit, "Give a .ply file, or leave that out.")
+
+
+UNTOLD = Reading().model_dump(include={"up", "front", "dialect", "rotate"})
+"""What a reading says of the axes if the user has said nothing."""
 
 
 class Opened(NamedTuple):
@@ -128,6 +135,7 @@ class PlyFile:
         progress("read", 0, 1)
         told = self.reading
         rotation = orientation(told.up, told.front, told.dialect, told.rotate)
+        self._hint()
         box = self._box()
         found, dropped = read_ply(self.path, up="z", front="x")  # as they are in the file
         inside = np.ones(len(found), bool)
@@ -156,6 +164,19 @@ class PlyFile:
                 if count
             ],
         )
+
+    def _hint(self) -> None:
+        """Warn if the file looks like one of another dialect, and nothing was said of its axes."""
+        if self.reading.model_dump(include={"up", "front", "dialect", "rotate"}) != UNTOLD:
+            return
+        likely = likely_dialect(Path(self.path))
+        if likely is not None:
+            dialect, why = likely
+            warnings.warn(
+                f"{self.path} may be a file of {why}. If it lies down or looks away, give "
+                f"--dialect {dialect}; `phy124 orient` draws all ways up.",
+                stacklevel=2,
+            )
 
     def _box(self) -> NDArray[np.float64] | None:
         """Lowest and highest corner [2,3] of the crop."""

@@ -43,6 +43,8 @@ class Header:
     skip_lines: int
     """Number of lines of other elements before `vertex` (ascii)."""
     elements: tuple[str, ...]
+    comments: tuple[str, ...] = ()
+    """What the program that wrote it says."""
 
 
 @dataclass
@@ -86,6 +88,7 @@ def read_header(path: Path) -> Header:
         start=start if encoding == "ascii" else start + skipped,
         skip_lines=sum(e.count for e in before),
         elements=tuple(e.name for e in elements),
+        comments=tuple(" ".join(line[1:]) for line in lines if line[:1] == ["comment"]),
     )
 
 
