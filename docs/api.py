@@ -1,8 +1,10 @@
-"""The API reference: a page per room of phy124, written from its docstrings before Sphinx reads.
+"""The API reference, written from the docstrings before Sphinx reads the pages.
 
-griffe reads the sources and imports nothing: neither torch nor Warp need be there. What begins with
-an underscore is left out, and what is in `LEFT_OUT`. A page is a hundred times cheaper this way
-than as objects of Sphinx's Python domain, which resolves every annotation of every signature.
+There is a page for each module and folder right under phy124, one for the web page and one for the
+bridge. griffe reads the sources without importing them, so that neither torch nor Warp is needed.
+Names that begin with an underscore are left out, and so are the rooms in `LEFT_OUT`. A page is a
+hundred times cheaper this way than as objects of Sphinx's Python domain, which resolves every
+annotation of every signature.
 """
 
 from __future__ import annotations
@@ -18,8 +20,10 @@ from sphinx.util import logging
 
 HERE = Path(__file__).parent
 PAGES = HERE / "reference/api"
-LEFT_OUT = {"arguments", "commands", "kernels", "runtime", "selftest"}
-"""Device code, the command line, and what only the program itself calls."""
+LEFT_OUT = {"arguments", "commands", "runtime", "selftest"}
+"""The command line, and what only the program itself calls."""
+PROGRAMS = ("demo", "bridge")
+"""Packages beside phy124 that have a page each."""
 WIDTH = 90
 """Letters of a signature's longest line."""
 CODE = re.compile(r"(`[^`]*`)")
@@ -34,18 +38,23 @@ class _Warnings(Handler):
 
 
 def write_pages(app: Sphinx | None = None) -> None:
-    """Write a page for each module and folder right under `phy124/`."""
-    package = griffe.load(
-        "phy124", search_paths=[HERE.parent], docstring_parser="google", allow_inspection=False
-    )
+    """Write all pages."""
+    package, *programs = (_read(name) for name in ("phy124", *PROGRAMS))
     getLogger("griffe").handlers = [_Warnings("WARNING")]
     PAGES.mkdir(exist_ok=True)
-    rooms = [room for room in _inside(package) if room.name not in LEFT_OUT]
+    rooms = [room for room in _inside(package) if room.name not in LEFT_OUT] + programs
     for page in PAGES.glob("*.md"):
         page.unlink()
     for room in rooms:
         (PAGES / f"{room.name}.md").write_text("\n".join(_module(room, "#")), "utf-8")
     (PAGES / "index.md").write_text("\n".join(_contents(package, rooms)), "utf-8")
+
+
+def _read(package: str) -> griffe.Module:
+    """A package as griffe sees it."""
+    return griffe.load(
+        package, search_paths=[HERE.parent], docstring_parser="google", allow_inspection=False
+    )
 
 
 def _contents(package: griffe.Module, rooms: list[griffe.Module]) -> Iterator[str]:

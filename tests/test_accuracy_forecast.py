@@ -89,7 +89,7 @@ def test_substeps_of_a_body_with_friction_are_predicted():
 
 
 def test_no_promise_where_speed_rules():
-    """A jelly thrown faster than its own sound: the seconds are a guess, and it says so."""
+    """A jelly thrown faster than its own sound: the seconds are only a guess, and it says so."""
     fast = scene(
         "drop", **{"material.E": 200.0, "object.velocity": [0.0, 0.0, -6.0], "object.lift": 2.0}
     )
@@ -97,7 +97,7 @@ def test_no_promise_where_speed_rules():
     made = Forecaster().of(simulation, filming=False)
     assert made.limiters.get("speed", 0) > 0.1
     assert made.caveat is not None
-    assert "no promise" in made.caveat
+    assert "only a guess" in made.caveat
     simulation.run()
     limited = simulation.solver.clock.limiters
     assert limited.get("speed", 0) > 0.1 * sum(limited.values())

@@ -24,12 +24,20 @@ def pages(tmp_path_factory) -> dict[str, str]:
 def test_each_room_has_a_page_and_a_line_in_the_contents(pages):
     rooms = {path.stem for path in (ROOT / "phy124").iterdir() if path.suffix == ".py"}
     assert {room for room in rooms if not room.startswith("_")} < set(pages)
-    assert {"scene", "mpm", "materials", "io", "rendering"} < set(pages)
-    assert not {"kernels", "commands"} & set(pages)
+    assert {"scene", "mpm", "materials", "io", "rendering", "kernels"} < set(pages)
+    assert {"demo", "bridge"} < set(pages)
+    assert "commands" not in pages
     for name in set(pages) - {"index"}:
         assert f"({name}.md)" in pages["index"]
     for name in phy124.__all__:
         assert f"[phy124.{name}](" in pages["index"]
+
+
+def test_page_bridge_and_kernels_are_told_with_what_is_inside_them(pages):
+    assert "## demo.work.order" in pages["demo"] and "class Order" in pages["demo"]
+    assert "### LiveSink" in pages["bridge"] and "## bridge.sinks.mcap" in pages["bridge"]
+    assert "## phy124.kernels.splat.project" in pages["kernels"]
+    assert "def drucker_prager(" in pages["kernels"]
 
 
 def test_signature_arguments_and_refusals_are_on_the_page(pages):

@@ -8,7 +8,7 @@ from phy124.gaussians import Gaussians, quaternions
 from phy124.harmonics import spread_directions
 
 FLATNESS = 0.15
-"""Thickness of the discs on its surface, in their widths."""
+"""Thickness of the discs on its surface, relative to their width."""
 
 
 def ball(count: int = 6000, diameter: float = 1.0) -> Gaussians:

@@ -1,12 +1,12 @@
-"""Choosing the accuracy from what the user wants: an error, or a time.
+"""Choosing the accuracy for a goal: an error, or a time.
 
-An error: three cheap levels tell their order and errors; the coarsest grid that should meet the
-wish is run and the errors are estimated again from all levels run so far. Where those do not come
-closer yet, one more is run. It is refined at most once. A level that tears the material
-(phy124/monitor/tearing.py) is run again with one particle more per cell and axis, as are all
-after it.
+For an error, three cheap levels give their order and errors. The coarsest grid that should meet the
+goal is run, and the errors are estimated again from all levels run so far. If these do not converge
+yet, one more is run. There is at most one refinement. A level that tears the material
+(phy124/monitor/tearing.py) is run again with one more particle per cell and axis, as are all after
+it.
 
-A time: the finest grid whose forecast fits.
+For a time, it is the finest grid whose forecast fits.
 """
 
 from __future__ import annotations
@@ -47,15 +47,15 @@ CHECK = 12
 CELLS = (8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 56, 64, 80, 96, 112, 128)
 """Grids that may be chosen; the finest take minutes, and less than 2 GB, on two cores."""
 GUESSED_ORDER = 1.0
-"""Order assumed where the cheap levels show none; free surfaces are of first order."""
+"""Order assumed if the cheap levels show none; free surfaces are of first order."""
 FAR = 2.5
-"""How many times finer than all so far the next level may be: they do not tell what comes then."""
+"""Largest ratio of the next level's cells to those of all before, which say little beyond that."""
 FINER = 1.3
-"""Ratio of cells from which a level is clearly finer."""
+"""Ratio of cells above which a level is clearly finer."""
 DENSEST = 4.0
-"""Most particles per cell and axis."""
+"""Largest number of particles per cell and axis."""
 LAST_CHANCE = 0.85
-"""Fraction of the target error that a refinement aims at: there is no second one."""
+"""Fraction of the target error that a refinement aims at, since there is no second one."""
 
 
 @dataclass
@@ -65,7 +65,7 @@ class Reached:
     simulation: Simulation
     clip: Clip
     about: dict[str, Any]
-    """What was asked for, chosen and achieved, for the report."""
+    """The goal, what was chosen and what was achieved, for the report."""
 
 
 def reach(
@@ -82,8 +82,19 @@ def reach(
 ) -> Reached:
     """Run a scene as accurately, or as fast, as the goal says; its own cells are ignored.
 
-    `elapsed` are the seconds already spent of a target time; `options` go to `Simulation`.
-    Raises InputError if no grid meets the goal, saying what the nearest would achieve.
+    Args:
+        goal: An error or a time.
+        gaussians: The object.
+        scene: The scene.
+        elapsed: Seconds of a target time that have been used already.
+        device: Warp device.
+        progress: Called with (stage, done, total); may raise Cancelled.
+        watch: Where the durations of the stages are recorded.
+        forecaster: Predicts times; None: a new one.
+        **options: Options of `Simulation`.
+
+    Raises:
+        InputError: No grid meets the goal; it says what the best would achieve.
     """
     forecaster = forecaster or Forecaster(device)
     runs = _Runs(gaussians, scene, device, progress, watch or Stopwatch(), options)
@@ -104,13 +115,13 @@ class _Runs:
     options: dict[str, Any]
     done: dict[int, tuple[Simulation, Clip]] = field(default_factory=dict)
     spent: dict[int, float] = field(default_factory=dict)
-    """Seconds that each took."""
+    """Cells of each run -> its duration [s]."""
 
     denser: bool = False
-    """Whether a level tore the material, so that one more particle per cell and axis is used."""
+    """Whether a level tore the material, so that there is one more particle per cell and axis."""
 
     def simulation(self, cells: int) -> Simulation:
-        """A run that has not begun."""
+        """A run that has not started."""
         base = self.scene.resolution
         accuracy = base.model_copy(
             update={"cells": cells, "particles_per_axis": base.particles_per_axis + self.denser}
@@ -125,7 +136,7 @@ class _Runs:
         )
 
     def clip(self, cells: int) -> Clip:
-        """The clip on a grid, made if it is not there."""
+        """The clip on a grid, made if it does not exist yet."""
         if cells not in self.done:
             start = time.perf_counter()
             self._make(cells)
@@ -139,7 +150,7 @@ class _Runs:
         self.done[cells] = simulation, simulation.run()
 
     def _make_denser(self, cells: int) -> None:
-        """A torn level again; where more particles are too many it stays torn."""
+        """Run a torn level again with more particles; if those are too many, it stays torn."""
         self.denser = self.scene.resolution.particles_per_axis + 1 <= DENSEST
         if self.denser:
             with suppress(InputError):
@@ -152,7 +163,7 @@ class _Runs:
 
     @property
     def torn(self) -> list[int]:
-        """Levels on which the grid may have torn the material, which say nothing about it."""
+        """Levels on which the grid may have torn the material, which are not used."""
         return sorted(n for n, (run, _) in self.done.items() if run.watchdog.tearing.likely)
 
     @property
@@ -193,7 +204,7 @@ def _as_exact(goal: Goal, runs: _Runs) -> Reached:
 
 
 def _guess(goal: Goal, runs: _Runs, found: Convergence) -> tuple[float, float]:
-    """Error of the finest level that is whole, and the order to go on with."""
+    """Error of the finest level that is not torn, and the order to continue with."""
     if found.error is not None:
         order = found.order or GUESSED_ORDER
         return found.error, min(max(order, TRUSTED[0]), TRUSTED[1])
@@ -203,7 +214,7 @@ def _guess(goal: Goal, runs: _Runs, found: Convergence) -> tuple[float, float]:
 
 
 def _run(goal: Goal, runs: _Runs, cells: int) -> None:
-    """Make a level; raises InputError if it would take too long or too much memory."""
+    """Run a level; raises InputError if it would take too long or too much memory."""
     try:
         runs.clip(cells)
     except InputError as refusal:
@@ -212,7 +223,7 @@ def _run(goal: Goal, runs: _Runs, cells: int) -> None:
 
 
 def _above(cells: int) -> int:
-    """A level that is clearly finer, or the finest of all."""
+    """The coarsest level that is clearly finer, or the finest of all."""
     return next((n for n in CELLS if n >= FINER * cells), CELLS[-1])
 
 
@@ -222,7 +233,7 @@ def _within(cells: float) -> int:
 
 
 def _best(goal: Goal, runs: _Runs, error: float, order: float) -> str:
-    """What the finest grid would achieve and cost, from the finest level that was run."""
+    """What the finest grid would achieve and take, in words, from the finest level that was run."""
     known, finest = max(runs.done), CELLS[-1]
     best = said(goal.kind, error * (known / finest) ** order)
     seconds = duration(runs.spent[known] * (finest / known) ** GROWTH)
@@ -237,7 +248,7 @@ def _about(
     runs: _Runs,
     refined: bool,
 ) -> dict[str, Any]:
-    """For the report: what was asked for and what came of it, in the goal's unit."""
+    """The goal and what was achieved, in the goal's unit, for the report."""
     levels, met = runs.whole, error is not None and error <= goal.value
     return {
         "target": goal.text, "unit": goal.kind, "cells": cells, "levels": levels,
@@ -257,7 +268,7 @@ def _why_torn(runs: _Runs) -> str:
 
 
 def _cheapest(found: Convergence, runs: _Runs, goal: Goal) -> tuple[int, float | None]:
-    """The coarsest grid run that meets the goal, else the finest; and its error."""
+    """The coarsest grid run that meets the goal, otherwise the finest; and its error."""
     levels = runs.whole
     for cells, error in zip(levels, found.errors, strict=False):
         if cells >= min(CHEAP) and error <= goal.value:
@@ -313,7 +324,17 @@ def in_time(
 ) -> tuple[Scene, Forecast]:
     """The scene on the finest grid whose forecast fits a time, and the forecast; runs nothing.
 
-    Raises InputError if even the coarsest would take longer, saying how long.
+    Args:
+        goal: The time.
+        gaussians: The object.
+        scene: The scene.
+        elapsed: Seconds of it that have been used already.
+        device: Warp device.
+        forecaster: Predicts times; None: a new one.
+        **options: Options of `Simulation`.
+
+    Raises:
+        InputError: Even the coarsest grid would take longer; it says how long.
     """
     runs = _Runs(gaussians, scene, device, silent, Stopwatch(), options)
     found = _finest(goal, runs, forecaster or Forecaster(device), elapsed)
@@ -342,7 +363,7 @@ def _in_time(goal: Goal, runs: _Runs, forecaster: Forecaster, elapsed: float) ->
 
 
 def _finest(goal: Goal, runs: _Runs, forecaster: Forecaster, elapsed: float) -> _Fit:
-    """The finest grid whose forecast fits; raises InputError with what the coarsest takes."""
+    """The finest grid whose forecast fits; raises InputError with the time of the coarsest."""
     left, start = MARGIN * goal.value - elapsed, runs.watch.total
     found: dict[int, tuple[Simulation, Forecast]] = {}
     best, cells = 0, CHEAP[0]
@@ -362,11 +383,11 @@ def _finest(goal: Goal, runs: _Runs, forecaster: Forecaster, elapsed: float) -> 
 
 
 def _next(cells: int, forecast: Forecast, left: float, fits: bool, tried: set[int]) -> int | None:
-    """The grid to look at next: near where the forecast's growth meets the time that is left."""
+    """The grid to try next: close to where the growing forecast meets the remaining time."""
     moving = forecast.stages["simulate"]
     still = forecast.seconds - moving
     room = max(left - still, 0.05 * moving)
-    # Particles inside grow with the cube of the cells, substeps with the cells.
+    # The particles inside grow as the cube of the cells, the substeps as the cells.
     wanted = cells * (room / moving) ** (1 / GROWTH)
     if fits:
         finer = [n for n in CELLS if cells < n <= max(wanted, cells)]
@@ -377,4 +398,4 @@ def _next(cells: int, forecast: Forecast, left: float, fits: bool, tried: set[in
 
 
 GROWTH = 2.5
-"""Exponent with which the seconds of simulation grow with the cells, between surface and solid."""
+"""Exponent of the growth of the simulation's time with the cells, between surface and solid."""

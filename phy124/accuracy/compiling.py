@@ -1,4 +1,4 @@
-"""How long it takes to compile what a scene needs and the cache of kernels does not have."""
+"""The time to compile the kernels that a scene needs and that are not in the cache."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from phy124.mpm.model import PRECISIONS
 from phy124.scene import Scene
 
 Costed = tuple[Any, float]
-"""A kernel and the processor seconds that its module takes, on one core of an AMD EPYC."""
+"""A kernel, and the processor time to compile its module on one core of an AMD EPYC [s]."""
 
 
 def seconds_to_compile(scene: Scene, device: str = "cpu") -> float:
-    """Processor seconds until a scene's kernels are there; 0 if they are, or on a GPU.
+    """Processor time to compile a scene's kernels [s]; 0 if they are compiled, or on a GPU.
 
-    Only one thread may ask at a time, and none while a solver is built: kernels are made for it.
-    Those of forces on a part of the object (0.3 s each) do not count.
+    Only one thread may call this at a time, and none while a solver is built, since kernels are
+    created for it. Kernels of forces on a part of the object (0.3 s each) are not counted.
     """
     if device != "cpu" or wp.config.kernel_cache_dir is None:
         return 0.0
@@ -33,7 +33,7 @@ def seconds_to_compile(scene: Scene, device: str = "cpu") -> float:
 
 
 def is_compiled(kernel: Any) -> bool:
-    """Whether a kernel's module is loaded, or lies in the cache as it is now."""
+    """Whether a kernel's module is loaded, or its current version is in the cache."""
     if kernel.module.execs:
         return True
     folder = Path(str(wp.config.kernel_cache_dir)) / kernel.module.get_module_identifier(1)
@@ -41,7 +41,7 @@ def is_compiled(kernel: Any) -> bool:
 
 
 def kernels(scene: Scene) -> Iterator[Costed]:
-    """What a run of a scene launches in one thread."""
+    """The kernels that a run of a scene launches in one thread."""
     real = PRECISIONS[scene.resolution.precision]
     form = "simd" if real is wp.float32 else "plain"
     yield from (

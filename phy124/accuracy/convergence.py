@@ -1,11 +1,11 @@
 """Orders of convergence, and Richardson's estimate of each level's remaining error.
 
 The result at grid spacing h is modelled as exact + h^p e + scatter h^p: one field e that shrinks
-with the grid, and a part that differs from grid to grid without any order. Two levels are then
-about C |h_i^p - h_j^p| apart, from which p follows (logarithms, all pairs); exact and e are fitted
-to all levels with weights h^-2p; the error of a level is h^p e and the scatter (Richardson 1911;
-Roache 1998; a least-squares fit as in Eca, Hoekstra 2014). All of this follows from the distances
-between the levels alone.
+with the grid, and a part that differs from grid to grid at random. The distance of two levels is
+then about C |h_i^p - h_j^p|, from which p follows (logarithms, all pairs). exact and e are fitted
+to all levels with weights h^-2p; the error of a level is h^p e plus the scatter (Richardson 1911;
+Roache 1998; a least-squares fit as in Eca, Hoekstra 2014). All of this needs only the distances
+between the levels.
 """
 
 from __future__ import annotations
@@ -22,32 +22,32 @@ ORDERS = (0.5, 3.0)
 TRUSTED = (1.0, 2.0)
 """Orders used to estimate errors: free surfaces are of first order, the inside of second.
 
-Levels that are too coarse to have any order show a lower one, with which every error would be a
+Levels that are too coarse to have an order show a lower one, with which every error would be a
 guess.
 """
 SAFETY = 1.25
-"""Factor on errors if the observed order is further than `NEAR` from these (Roache 1998)."""
+"""Factor on errors if the observed order is more than `NEAR` away from these (Roache 1998)."""
 NEAR = 0.1
 AGREE = 1e-5
-"""Distance, in the unit of the results, below which levels are equal within rounding."""
+"""Distance, in the unit of the results, below which levels are equal up to rounding."""
 
 
 @dataclass(frozen=True)
 class Convergence:
-    """What three or more levels reveal about their own errors."""
+    """What three or more levels show about their own errors."""
 
     order: float | None
     """Observed order; None if the levels do not converge."""
     errors: tuple[float, ...] = ()
     """Estimated error of each level, in the unit of the distances; empty if there is none."""
     why_not: str = ""
-    """Why there is no number, in words."""
+    """Why there are no errors, in words."""
     note: str = ""
-    """Why the number is only rough, in words."""
+    """Why the errors are only rough, in words."""
     exact: tuple[float, ...] = ()
-    """Weights of the levels in the extrapolated result; they sum to one."""
+    """Weights of the levels in the extrapolated result; they sum to 1."""
     inside: float = 0.0
-    """Mean square distance of the levels from it, by these weights."""
+    """Mean square distance of the levels from that result, with these weights."""
     factor: float = 1.0
     """Safety factor."""
 
@@ -65,17 +65,17 @@ class Convergence:
 
 
 def fitted_order(spacings: Sequence[float], errors: Sequence[float]) -> float:
-    """Slope of log error over log spacing, by least squares, where errors are known exactly."""
+    """Slope of log error over log spacing by least squares, for errors that are known exactly."""
     return float(np.polyfit(np.log(spacings), np.log(np.abs(errors)), 1)[0])
 
 
 def richardson(spacings: Sequence[float], apart: NDArray, *, agree: float = AGREE) -> Convergence:
-    """Order, and the error of each of three or more levels.
+    """The order, and the error of each of three or more levels.
 
     Args:
         spacings: Grid spacings, from coarse to fine [L].
         apart: Distances between the levels' results [L,L].
-        agree: Levels closer than this are equal; their largest distance is then the error.
+        agree: Levels closer than this count as equal; their largest distance is then the error.
     """
     h, levels = np.array(spacings), len(spacings)
     if levels < 3:
@@ -105,7 +105,7 @@ def _order(h: NDArray, apart: NDArray) -> float:
 
 
 def _fit(h: NDArray, apart: NDArray, p: float) -> Convergence:
-    """exact + h^p e fitted to the levels."""
+    """The fit of exact + h^p e to the levels."""
     power = h**p
     columns = np.stack([np.ones(len(h)), power], axis=1)
     weighted = columns / power[:, None] ** 2
@@ -134,7 +134,7 @@ def distances(results: Sequence[NDArray]) -> NDArray[np.float64]:
 def extrapolated(
     spacings: tuple[float, float], difference: float, order: float
 ) -> tuple[float, float]:
-    """Errors of two levels from their difference, for an assumed order: a first guess."""
+    """Errors of two levels from their difference and an assumed order: a first guess."""
     coarse, fine = (h**order for h in spacings)
     error = difference * fine / (coarse - fine)
     return error + difference, error

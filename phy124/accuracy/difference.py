@@ -1,4 +1,4 @@
-"""How far two clips of the same Gaussians are apart: metres, per cent, pixels, and as seen."""
+"""The difference of two clips of the same Gaussians: in metres, per cent, pixels, and as seen."""
 
 from __future__ import annotations
 
@@ -19,28 +19,35 @@ class Difference:
     """Distances between the centres of the Gaussians of two clips, and between their videos."""
 
     metres: float
-    """RMS over all Gaussians and frames."""
+    """RMS over all Gaussians and frames [m]."""
     relative: float
     """The same, as a fraction of the object's size at rest."""
     pixels: float
-    """RMS in the picture of the first view."""
+    """RMS in the picture of the first view [pixels]."""
     worst_frame: int
     """The frame in which they differ most."""
     worst: float
     """RMS of that frame, as a fraction of the size."""
     psnr: float
-    """Of the two videos of the first view [dB]; infinite if they are equal."""
+    """PSNR of the two videos of the first view [dB]; infinite if they are equal."""
     ssim: float
-    """Mean over the frames, -1 to 1."""
+    """SSIM of these videos, mean over the frames, -1 to 1."""
 
 
 def difference(clip: Clip, reference: Clip, view: View, *, device: str = "cpu") -> Difference:
     """Compare two clips of one object frame by frame; both must have the same frames.
 
-    Raises ValueError if they do not belong together.
+    Args:
+        clip: One clip.
+        reference: The other.
+        view: How they are filmed.
+        device: Warp device.
+
+    Raises:
+        ValueError: They do not belong together.
     """
     if clip.means.shape != reference.means.shape:
-        raise ValueError(f"clips of {clip.means.shape} and {reference.means.shape} are no pair")
+        raise ValueError(f"clips of {clip.means.shape} and {reference.means.shape} do not match")
     own = reference.own
     size = float(np.ptp(reference.means[0][own], axis=0).max())
     squares = ((clip.means[:, own].astype(float) - reference.means[:, own]) ** 2).sum(axis=2)
@@ -59,7 +66,7 @@ def difference(clip: Clip, reference: Clip, view: View, *, device: str = "cpu") 
 
 
 def pixel_distance(clip: Clip, reference: Clip, view: View) -> float:
-    """RMS distance in the picture of the first view over all frames, pixels."""
+    """RMS distance in the picture of the first view over all frames [pixels]."""
     squares = []
     for index, camera in enumerate(cameras(reference, view, view.sides[0])):
         here, _ = camera.project(clip.means[index].astype(float))
@@ -69,7 +76,14 @@ def pixel_distance(clip: Clip, reference: Clip, view: View) -> float:
 
 
 def video(clip: Clip, framed: Clip, view: View, device: str = "cpu") -> NDArray[np.uint8]:
-    """The first view of a clip [T,H,W,3], framed as another one would be."""
+    """The video of the first view of a clip [T,H,W,3], with the framing of another clip.
+
+    Args:
+        clip: The clip.
+        framed: The clip that decides where the camera is.
+        view: How it is filmed.
+        device: Warp device.
+    """
     seen = cameras(framed, view, view.sides[0])
     images = render_frames(clip.frames(), seen, background=view.background, device=device)
     return np.stack(list(images))

@@ -2,9 +2,9 @@
 
     seconds = substeps * (a * particles + b * nodes) + frames * (shapes + views * pictures)
 
-a and b come from probes of 20 substeps of the very solver that will run, put back to its start
-afterwards; the substeps from a pilot (`phy124.accuracy.pilot`); shapes, pictures and video from
-doing a few. No promise is made when the speed of the particles rules the substep.
+a and b come from probes of 20 substeps of the solver that will run, which is then reset to its
+start; the number of substeps comes from a pilot (`phy124.accuracy.pilot`); shapes, pictures and
+video from making a few. The seconds are only a guess if the particles' speed limits the substep.
 """
 
 from __future__ import annotations
@@ -32,81 +32,82 @@ from phy124.scene import AccuracyName, Scene
 from phy124.simulation import Simulation
 
 PROBE, MIN_PROBE = 20, 6
-"""Substeps of a probe, at most and at least."""
+"""Largest and smallest number of substeps of a probe."""
 LONGEST_PROBE, ROUNDS = 0.6, 5
-"""Seconds that a probe may take, and how often it is repeated within them; the median counts.
+"""Longest duration of a probe [s], and how often it is repeated in that time; the median is used.
 
 Large objects are probed with fewer substeps.
 """
 FILMED, TRIES = (1, 5), 2
-"""Frames filmed to tell a video's start from its frames, and how often; the quickest counts."""
+"""Numbers of frames filmed, to tell a video's fixed cost from that of its frames, and how often;
+the fastest is used."""
 UNSURE = 0.1
-"""Fraction of substeps limited by motion rather than stiffness from which nothing is promised."""
+"""Fraction of substeps limited by motion instead of stiffness above which there is no promise."""
 GUESS = 1.14
-"""How much wider the range is where the seconds are a guess."""
+"""Factor by which the range is wider if the seconds are a guess."""
 QUIET = Load()
 REMEMBERED = 32
-"""Forecasts and measurements that are kept; the oldest goes."""
+"""Number of forecasts and measurements that are kept; the oldest is removed."""
 NODE_STAGES = ("clear", "grid")
-"""Stages whose time goes with the nodes, besides the colliders."""
+"""Stages whose time is proportional to the nodes, in addition to the colliders."""
 
 
 @dataclass(frozen=True)
 class SubstepCost:
-    """What a substep of a solver costs on this machine."""
+    """The cost of a solver's substep on this machine."""
 
     particle: float
-    """Seconds per particle and substep."""
+    """Time per particle and substep [s]."""
     node: float
-    """Seconds per grid node and substep."""
+    """Time per grid node and substep [s]."""
 
 
 @dataclass(frozen=True)
 class Forecast:
-    """What a run will take."""
+    """The predicted time of a run, and what it consists of."""
 
     stages: dict[str, float]
-    """Predicted seconds by stage; names as in the report."""
+    """Stage, named as in the report -> predicted time [s]."""
     measured: tuple[str, ...]
-    """Stages that were not predicted but done already."""
+    """Stages that are finished and were measured instead."""
     particles: int
     nodes: int
     """Mean number of grid nodes."""
     substeps: int
     limiters: dict[str, float]
-    """Fraction of the substeps by what limits them."""
+    """Limit of the substep -> fraction of the substeps."""
     rates: SubstepCost
     memory: float = 0.0
-    """Bytes, roughly (`phy124.limits`)."""
+    """Approximate memory (`phy124.limits`) [bytes]."""
     caveat: str | None = None
-    """Why the seconds are no promise."""
+    """Why the seconds are only a guess."""
     load: Load = QUIET
-    """What others did on this machine when the probes ran."""
+    """Load by other programs on this machine when the probes ran."""
 
     @property
     def span(self) -> tuple[float, float]:
-        """Between what seconds the run will lie; wide where the seconds are a guess."""
+        """Shortest and longest time expected [s]; a wide range if the seconds are a guess."""
         done = sum(self.stages[name] for name in self.measured if name in self.stages)
         low, high = self.load.span(self.seconds - done, unsure=GUESS if self.caveat else 1.0)
         return done + low, done + high
 
     @property
     def seconds(self) -> float:
-        """All stages together."""
+        """Predicted time of all stages [s]."""
         return sum(self.stages.values())
 
     def with_measured(self, name: str, seconds: float) -> Forecast:
-        """The same with a stage that has been done already."""
+        """The forecast with a stage that is finished and took so many seconds."""
         return replace(self, stages={name: seconds, **self.stages}, measured=(*self.measured, name))
 
     def lines(self) -> list[str]:
-        """The forecast as text, a stage a line."""
+        """The forecast as text, a line for each stage."""
         made = [
             f"  {name:<12}{seconds:8.2f} s{'  (measured)' if name in self.measured else ''}"
             for name, seconds in self.stages.items()
         ]
         limited = ", ".join(f"{name} {fraction:.0%}" for name, fraction in self.limiters.items())
-        beside = " beside what else this machine does" if self.load.busy else ""
+        beside = " while this machine is busy" if self.load.busy else ""
         total = f"  {'total':<12}{self.seconds:8.2f} s, likely {spoken(self.span)}{beside}"
         about = (
             f"{self.particles} particles, {self.nodes} nodes, about {self.substeps} substeps "
@@ -144,21 +145,28 @@ class Stop:
 
     name: str
     seconds: float
-    """Predicted seconds from Gaussians to files."""
+    """Predicted time from Gaussians to files [s]."""
     promise: Promise
-    """The error that was measured for such scenes, or why none is promised."""
+    """The error measured for such scenes, or why none is promised."""
     pixels: float | None
-    """The promised error in pixels of the video."""
+    """The promised error in the video [pixels]."""
     caveat: str | None = None
-    """Why the seconds are no promise."""
+    """Why the seconds are only a guess."""
     forecast: Forecast | None = None
-    """What they come from, if it was measured on the object itself."""
+    """The forecast behind them, if it was made for the object itself."""
 
     @classmethod
     def of(
         cls, scene: Scene, seconds: float, promise: Promise, forecast: Forecast | None = None
     ) -> Stop:
-        """The stop that a scene with a named accuracy is at."""
+        """The stop of a scene with a named accuracy.
+
+        Args:
+            scene: The scene.
+            seconds: Its predicted time [s].
+            promise: Its promised error.
+            forecast: The forecast behind the time, if there is one.
+        """
         pixels = None if promise.error is None else promise.error * pixels_per_size(scene)
         caveat = forecast.caveat if forecast else None
         return cls(str(scene.accuracy), seconds, promise, pixels, caveat, forecast)
@@ -171,15 +179,21 @@ class Stop:
 
 @dataclass
 class Forecaster:
-    """Forecasts on one device; remembers rates and pilots, so that a second look is quick."""
+    """Makes forecasts on one device; remembers rates and pilots, so that a second one is fast."""
 
     device: str = "cpu"
     _known: dict[Any, Any] = field(default_factory=dict, repr=False)
 
     def forecast(self, gaussians: Gaussians, scene: Scene, *, crop: Crop = WHOLE) -> Forecast:
-        """What a run of this scene will take; makes its particles and a probe.
+        """The forecast of a run of a scene; makes its particles and a probe.
 
-        Raises InputError as `Simulation` does.
+        Args:
+            gaussians: The object.
+            scene: The scene.
+            crop: Where the object is in the picture that the masks of parts were painted on.
+
+        Raises:
+            InputError: As `Simulation` does.
         """
         watch = Stopwatch()
         simulation = Simulation(gaussians, scene, device=self.device, watch=watch, crop=crop)
@@ -187,7 +201,7 @@ class Forecaster:
         return made.with_measured("particles", watch.seconds["particles"])
 
     def of(self, simulation: Simulation, *, filming: bool = True) -> Forecast:
-        """What a simulation that has not begun will take; its state is left as it was."""
+        """The forecast of a simulation that has not started; its state does not change."""
         scene = simulation.scene
         pilot = self._pilot(simulation)
         rates, nodes, each_frame = _probe(simulation)
@@ -206,7 +220,7 @@ class Forecaster:
         )  # fmt: skip
 
     def stops(self, gaussians: Gaussians, scene: Scene) -> dict[str, Stop]:
-        """Seconds and promised error of draft, standard and fine."""
+        """Time and promised error of draft, standard and fine."""
         return {name: self._stop(name, gaussians, scene) for name in get_args(AccuracyName)}
 
     def _stop(self, name: AccuracyName, gaussians: Gaussians, scene: Scene) -> Stop:
@@ -222,13 +236,13 @@ class Forecaster:
         return self._remember(key, lambda: fly(gaussians, scene, device=self.device, crop=crop))
 
     def _filming(self, gaussians: Gaussians, scene: Scene) -> dict[str, float]:
-        """Seconds of pictures, videos and saving."""
+        """Times of pictures, videos and saving [s]."""
         view = scene.view
         key = ("film", len(gaussians), view, scene.time.frames)
         return self._remember(key, lambda: _time_film(gaussians, scene, self.device))
 
     def _remember(self, key: Any, make: Any, keep: Any = None) -> Any:
-        """A value made once; `keep` holds on to what the key's id belongs to."""
+        """A value that is made once; `keep` keeps the object alive whose id is in the key."""
         if key not in self._known:
             while len(self._known) >= REMEMBERED:
                 self._known.pop(next(iter(self._known)))
@@ -237,13 +251,13 @@ class Forecaster:
 
 
 def pixels_per_size(scene: Scene) -> float:
-    """How many pixels of the video the object's longest side takes, at its distance."""
+    """Size of the object's longest side in the video [pixels]."""
     half_height = np.tan(np.radians(scene.view.fov / 2)) * scene.view.distance
     return float(min(scene.view.size) / (2 * half_height))
 
 
 def _physics(scene: Scene) -> str:
-    """All of a scene that the seconds depend on."""
+    """Everything in a scene that its time depends on."""
     return scene.model_dump_json(exclude={"description", "seed"})
 
 
@@ -254,15 +268,16 @@ def _caveat(pilot: Pilot, limiters: Mapping[str, float]) -> str | None:
     if moving > UNSURE:
         return (
             f"For {moving:.0%} of the substeps the speed of the material, not its stiffness, sets "
-            "their length, which differs from grid to grid: the seconds are a guess, no promise."
+            "their length, which differs from grid to grid: the seconds are only a guess."
         )
     return None
 
 
 def _probe(simulation: Simulation) -> tuple[SubstepCost, int, float]:
-    """SubstepCost, grid nodes and seconds of checks per frame, from a few times 20 substeps.
+    """Cost of a substep, number of nodes, and time of the checks per frame [s].
 
-    The simulation goes through what a frame goes through and is then put back to its start.
+    The simulation takes a few times 20 substeps with everything that a frame includes, and is then
+    reset to its start.
     """
     solver, watchdog = simulation.solver, simulation.watchdog
     solver.repair.begin(solver.clock)
@@ -285,7 +300,7 @@ def _probe(simulation: Simulation) -> tuple[SubstepCost, int, float]:
 
 
 def _pace(solver: Solver, after: Callable[[], None] | None) -> tuple[float, float, int]:
-    """Seconds per substep, their share that goes with the nodes, and the number of nodes."""
+    """Time per substep [s], the fraction proportional to the nodes, and the number of nodes."""
     each = min(_timed(lambda: _advance(solver, 2, after)) / 2 for _ in range(2))
     _forget_timings(solver)
     before, count = solver.clock.substeps, int(np.clip(LONGEST_PROBE / each, MIN_PROBE, PROBE))
@@ -294,7 +309,7 @@ def _pace(solver: Solver, after: Callable[[], None] | None) -> tuple[float, floa
 
 
 def _empty_frame(simulation: Simulation) -> None:
-    """What a frame takes besides its substeps."""
+    """Do everything that a frame includes besides its substeps."""
     solver, watchdog = simulation.solver, simulation.watchdog
     solver.repair.begin(solver.clock)
     watchdog.before()
@@ -310,19 +325,19 @@ def _forget_timings(solver: Solver) -> None:
 
 
 def _rates(seconds: float, fraction: float, particles: int, nodes: int) -> SubstepCost:
-    """Split the seconds of a substep by the fraction that goes with the nodes."""
+    """Split the time of a substep by the fraction that is proportional to the nodes."""
     return SubstepCost(seconds * (1 - fraction) / particles, seconds * fraction / max(nodes, 1))
 
 
 def _timed(work: Callable[[], Any]) -> float:
-    """Seconds that some work takes."""
+    """Duration of some work [s]."""
     start = time.perf_counter()
     work()
     return time.perf_counter() - start
 
 
 def _advance(solver: Solver, substeps: int, after: Callable[[], None] | None) -> None:
-    """About so many substeps of stable length."""
+    """Take about so many substeps of stable length."""
     limit = solver.clock.stable() if solver.clock.extremes.stiffness > 0 else None
     if limit is None:
         solver.step(0.0, 0.0)
@@ -331,7 +346,7 @@ def _advance(solver: Solver, substeps: int, after: Callable[[], None] | None) ->
 
 
 def _node_fraction(solver: Solver) -> float:
-    """Fraction of the stages' time that goes with the nodes."""
+    """Fraction of the stages' time that is proportional to the nodes."""
     walls = {stage.name for stage in solver.boundaries}
     total = nodes = 0.0
     for worker in solver.workers:
@@ -343,7 +358,7 @@ def _node_fraction(solver: Solver) -> float:
 
 
 def _time_shapes(simulation: Simulation) -> float:
-    """Seconds to reshape the Gaussians of one frame, on strained particles."""
+    """Time to deform the Gaussians of one frame, with strained particles [s]."""
     solver, particles = simulation.solver, simulation.particles
     rng = np.random.default_rng(0)
     F = np.eye(3) + 0.05 * rng.standard_normal((len(particles), 3, 3))
@@ -354,12 +369,12 @@ def _time_shapes(simulation: Simulation) -> float:
 
 
 def _time_film(gaussians: Gaussians, scene: Scene, device: str) -> dict[str, float]:
-    """Film a few frames from one side; the rest is multiplication."""
+    """Times of pictures and videos [s], from filming a few frames from one side."""
     one = scene.view.model_copy(update={"views": ("front",), "azimuths": ()})
     views, frames = len(scene.view.sides), scene.time.frames
     few, more = FILMED
     seconds: dict[int, list[dict[str, float]]] = {few: [], more: []}
-    # The first time loads the kernels.
+    # The first time also loads the kernels.
     for count in (few, *TRIES * FILMED):
         watch = Stopwatch()
         with tempfile.TemporaryDirectory() as folder:
@@ -381,7 +396,7 @@ def _time_film(gaussians: Gaussians, scene: Scene, device: str) -> dict[str, flo
 
 
 def _moving(gaussians: Gaussians, scene: Scene, count: int) -> Clip:
-    """A clip of the object moving a hundredth of its size per frame, as an encoder would see it."""
+    """A clip of the object moving by 1 % of its size per frame, as typical work for an encoder."""
     n = len(gaussians)
     shift = np.arange(count, dtype=np.float32)[:, None, None] * np.float32(scene.object.size / 100)
     return Clip(

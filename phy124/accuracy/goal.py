@@ -1,4 +1,4 @@
-"""Goal: what a run shall achieve, an error or a time, and why a time cannot be met."""
+"""Goal: what a run is to achieve, an error or a time, and why a time cannot be met."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ UNIT: dict[Kind, Callable[[Scene], float]] = {
     "fraction": lambda scene: 1.0,
     "metres": lambda scene: scene.object.size,
 }
-"""The object's size in the unit of a goal."""
+"""Kind of goal -> the object's size in its unit."""
 MARGIN = 0.95
-"""Fraction of the target seconds that a forecast may fill: forecasts err by a few per cent."""
+"""Largest fraction of the target time for a forecast, since forecasts err by a few per cent."""
 
 
 @dataclass(frozen=True)
 class Goal:
-    """What a run shall achieve: an error at most, or a time at most."""
+    """What a run is to achieve: a largest error, or a longest time."""
 
     kind: Kind
     value: float
@@ -35,20 +35,29 @@ class Goal:
 
     @classmethod
     def error(cls, text: str) -> Goal:
-        """From "2px", "1%" or "3mm"; raises InputError."""
+        """A goal from a text such as "2px", "1%" or "3mm".
+
+        Raises:
+            InputError: It is not an error.
+        """
         found = re.fullmatch(r"\s*([0-9]*\.?[0-9]+)\s*(px|%|mm|cm|m)\s*", text)
         units: dict[str, tuple[Kind, float]] = {
             "px": ("pixels", 1.0), "%": ("fraction", 0.01),
             "mm": ("metres", 1e-3), "cm": ("metres", 1e-2), "m": ("metres", 1.0),
         }  # fmt: skip
         if not found or float(found[1]) <= 0:
-            raise InputError("max_error", text, "it is not an error.", "Write 2px, 1% or 3mm, say.")
+            remedy = "Write 2px, 1% or 3mm, for example."
+            raise InputError("max_error", text, "it is not an error.", remedy)
         kind, scale = units[found[2]]
         return cls(kind, float(found[1]) * scale, text.strip())
 
     @classmethod
     def time(cls, seconds: float) -> Goal:
-        """At most so many seconds in all; raises InputError."""
+        """The goal of at most so many seconds in all.
+
+        Raises:
+            InputError: It is not a positive number.
+        """
         if not (math.isfinite(seconds) and seconds > 0):
             limit = "the time must be a positive number of seconds."
             raise InputError("max_seconds", seconds, limit, "Write 20, say.")
@@ -63,7 +72,15 @@ def said(kind: Kind, value: float) -> str:
 
 
 def too_long(goal: Goal, scene: Scene, cells: int, forecast: Forecast, ready: float) -> InputError:
-    """What the coarsest grid takes, what of it most, and what makes that less."""
+    """The refusal of a time that even the coarsest grid exceeds, with what takes most of it.
+
+    Args:
+        goal: The time.
+        scene: The scene.
+        cells: Cells of the coarsest grid.
+        forecast: Its forecast.
+        ready: Time that has been used already [s].
+    """
     minimum = math.ceil((forecast.seconds + ready) / MARGIN)
     stages = {"preparing": ready, **forecast.stages}
     most = max(stages, key=stages.__getitem__)
@@ -78,7 +95,7 @@ def too_long(goal: Goal, scene: Scene, cells: int, forecast: Forecast, ready: fl
 
 
 def _less(scene: Scene, stage: str) -> Iterator[Remedy]:
-    """What makes a stage take less."""
+    """Changes to the scene with which a stage takes less time."""
     if stage in ("render", "encode", "save") and len(scene.view.sides) > 1:
         yield Remedy("view.views = front", {"view.views": ["front"], "view.azimuths": []})
     if stage != "preparing" and scene.time.frames > 2:
@@ -86,11 +103,11 @@ def _less(scene: Scene, stage: str) -> Iterator[Remedy]:
 
 
 STAGES = {
-    "preparing": "the particles and the look at each grid",
+    "preparing": "the particles and the forecast of each grid",
     "simulate": "the simulation",
     "deform": "the shapes of the Gaussians",
     "render": "the pictures",
     "encode": "the videos",
     "save": "saving",
 }
-"""Stages in words."""
+"""Stage -> its name in words."""

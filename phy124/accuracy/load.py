@@ -1,4 +1,4 @@
-"""How busy the machine is, and what that makes of a forecast: a range instead of one number."""
+"""How busy the machine is, which turns a forecast into a range."""
 
 from __future__ import annotations
 
@@ -9,37 +9,37 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 SPIN = 0.3
-"""Seconds for which threads spin to see how much of a core each gets."""
+"""Time for which threads spin to measure how much of a core each gets [s]."""
 ENOUGH, LONGEST = 0.2, 4.0
-"""Fraction of these it must get for that to tell something, and how often as long it may take."""
+"""Smallest fraction of that time a thread must get, and how many times as long it may take."""
 BLOCK = bytes(1 << 18)
-"""What a spinning thread reads, without Python's lock."""
+"""The data that a spinning thread reads without holding Python's global lock."""
 ALONE = 0.93
-"""Fraction of a core from which nobody else has it."""
+"""Fraction of a core above which nobody else uses it."""
 SECOND_THREAD = 1.5
-"""How much longer a simulation takes without the second thread, which it has if a core is free."""
+"""How many times longer a simulation takes without the second thread, used if a core is free."""
 MINIMUM, MAXIMUM = 0.8, 1.5
-"""What runs took, in forecasts, where nothing else was at work (docs/results/accuracy.md)."""
+"""Range of the time of runs relative to forecasts on an idle machine (docs/results/accuracy.md)."""
 BUSY = 1.2
-"""How much wider the range is beside others: they come and go within a run."""
+"""Factor by which the range is wider on a busy machine, since the load changes during a run."""
 
 
 @dataclass(frozen=True)
 class Load:
-    """How many times longer things take here than on a quiet machine, because of others."""
+    """How many times longer work takes because of other programs on this machine."""
 
     thread: float = 1.0
-    """What one thread does."""
+    """Factor for the work of one thread."""
     simulation: float = 1.0
-    """A simulation."""
+    """Factor for a simulation."""
 
     @classmethod
     def measured(cls, device: str = "cpu") -> Load:
-        """From what threads of our own get of the cores for a moment.
+        """The load, from the fraction of the cores that threads of our own get for a moment.
 
-        That knows the priorities of others, the limits of a container and how a system shares its
-        cores, and nothing of the past. What this very process computes meanwhile counts as others.
-        A run on a GPU hardly notices them.
+        This includes priorities, the limits of a container and how the system shares its cores, but
+        nothing from the past. What this process computes meanwhile counts as load by others. A run
+        on a GPU is hardly affected by it.
         """
         if device != "cpu":
             return cls()
@@ -49,30 +49,30 @@ class Load:
         return cls(thread, thread if free else SECOND_THREAD * thread)
 
     def of(self, stage: str) -> float:
-        """How many times longer a stage of a run takes."""
+        """Factor for a stage of a run."""
         return self.simulation if stage == "simulate" else self.thread
 
     def mean(self, other: Load) -> Load:
-        """Half way to another load, for what lay between two looks."""
+        """The mean of two loads, for work between two measurements."""
         thread = (self.thread + other.thread) / 2
         return Load(thread, (self.simulation + other.simulation) / 2)
 
     @property
     def busy(self) -> bool:
-        """Whether others are at work now."""
+        """Whether other programs are busy."""
         return self.simulation > 1
 
     def span(self, seconds: float, *, unsure: float = 1.0) -> tuple[float, float]:
-        """Between what times a run lies that takes `seconds` as things are.
+        """Shortest and longest time of a run that takes `seconds` under the current load [s].
 
-        Others who end or begin meanwhile are not foreseen.
+        Programs that end or start meanwhile are not predicted.
         """
         wider = unsure * (BUSY if self.busy else 1.0)
         return MINIMUM / wider * seconds, MAXIMUM * wider * seconds
 
 
 def spoken(span: tuple[float, float]) -> str:
-    """A span of seconds in words: "12 to 18 s", "1.5 to 2.3 min"."""
+    """A range of times [s] in words: "12 to 18 s", "1.5 to 2.3 min"."""
     low, high = span
     if high < 90:
         a, b = max(1, round(low)), max(1, round(high))
@@ -83,15 +83,15 @@ def spoken(span: tuple[float, float]) -> str:
 
 
 def _received(threads: int) -> float:
-    """Mean fraction of a core that threads get which all want one."""
+    """Mean fraction of a core that each of some busy threads gets."""
     with ThreadPoolExecutor(threads) as pool:
         return sum(pool.map(_spun, [SPIN] * threads)) / threads
 
 
 def _spun(seconds: float) -> float:
-    """Fraction of a core that this thread gets, from a spin of so many seconds.
+    """Fraction of a core that this thread gets, from spinning for so many seconds.
 
-    One that hardly had its turn in that time goes on until it had.
+    If it hardly runs in that time, it goes on until it has.
     """
     begun, own, passed, got = time.perf_counter(), time.thread_time(), 0.0, 0.0
     while passed < seconds or (got < ENOUGH * seconds and passed < LONGEST * seconds):

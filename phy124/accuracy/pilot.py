@@ -1,10 +1,10 @@
 """The pilot: the whole motion on a coarse grid, in a fraction of a second.
 
-It tells what a probe at rest cannot: how the stable substep shrinks as the material strains and
-moves. The strain at its worst place grows with resolution, so the substeps in excess of those at
-rest are extrapolated as cells^1.8 (measured in docs/results/accuracy.md); those at rest and those
-limited by speed go with the cells, those limited by a ceiling do not change. Viscosity needs
-at least so many in a frame as go with the cells' square.
+It shows what a probe at rest cannot: how the stable substep shrinks as the material strains and
+moves. The largest strain grows with the resolution, so the substeps in excess of those at rest are
+extrapolated as cells^1.8 (measured in docs/results/accuracy.md). Those at rest and those limited by
+speed are proportional to the cells; those limited by a ceiling do not change. Viscosity needs a
+minimum number per frame that is proportional to the square of the cells.
 """
 
 from __future__ import annotations
@@ -24,28 +24,28 @@ from phy124.simulation import Simulation
 CELLS = 16
 """Cells across the object in the pilot."""
 EXCESS = 0.8
-"""Exponent with which excess substeps grow faster than the number of cells."""
+"""Exponent by which excess substeps grow faster than the number of cells."""
 LIMITERS = ("elastic", "speed", "gradient", "viscous", "user")
 
 
 @dataclass(frozen=True)
 class Pilot:
-    """What the coarse motion needed."""
+    """The substeps that the coarse motion needed."""
 
     cells: int
     counts: dict[str, NDArray[np.float64]]
-    """Substeps in each frame before rounding up [T], by limiter."""
+    """Limiter -> substeps in each frame before rounding up [T]."""
     rest: float
-    """Substeps per frame if it stayed as it is at the start."""
+    """Substeps per frame in the state at the start."""
     growth: float
-    """Mean size of the grid window over that at the start."""
+    """Mean size of the grid's window relative to that at the start."""
     stopped: bool
-    """Whether it became unstable; nothing is promised then."""
+    """Whether it became unstable, so that nothing is promised."""
     viscous: float = 0.0
-    """Substeps that friction asks for in each frame at least."""
+    """Smallest number of substeps per frame that viscosity requires."""
 
     def substeps(self, cells: int) -> tuple[int, dict[str, float]]:
-        """Substeps on another grid and the fraction of each limiter; a frame has a whole number."""
+        """Number of substeps on another grid, whole in each frame, and fraction of each limiter."""
         scale = cells / self.cells
         at_rest = np.minimum(self.counts["elastic"], self.rest)
         excess = self.counts["elastic"] - at_rest
@@ -65,14 +65,21 @@ class Pilot:
 
 
 def coarsened(scene: Scene) -> Scene:
-    """The scene as the pilot runs it: coarse, the Gaussians riding along."""
+    """The scene as the pilot runs it: on a coarse grid, with the binding `lattice`."""
     cells = min(CELLS, scene.resolution.cells)
     accuracy = scene.resolution.model_copy(update={"cells": cells, "precision": "float32"})
     return scene.model_copy(update={"accuracy": accuracy, "binding": "lattice"})
 
 
 def fly(gaussians: Gaussians, scene: Scene, *, device: str = "cpu", crop: Crop = WHOLE) -> Pilot:
-    """Run the motion coarsely; `crop` as for `Simulation`."""
+    """Run the motion on a coarse grid.
+
+    Args:
+        gaussians: The object.
+        scene: The scene.
+        device: Warp device.
+        crop: Where the object is in the picture that the masks of parts were painted on.
+    """
     coarse = coarsened(scene)
     cells = coarse.resolution.cells
     simulation = Simulation(gaussians, coarse, device=device, crop=crop)

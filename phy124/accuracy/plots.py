@@ -1,7 +1,7 @@
-"""Pareto plots: error in pixels over seconds, as a picture and as a page of its own.
+"""Pareto plots of error over time, as a picture and as a web page.
 
-A setting is dominated if another one is both faster and more accurate; those are grey. The page
-needs nothing from the network: its figures are in it, and a few lines of script draw them.
+A setting is dominated if another one is both faster and more accurate; such settings are grey. The
+page needs no network: it contains its figures, and a few lines of script draw them.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ BLUE, GREY, ORANGE = "#2563a8", "#9aa3ad", "#c2571a"
 
 
 def dominated(rows: Sequence[Row]) -> set[str]:
-    """Names of the settings that another one beats in both time and error."""
+    """Names of the settings for which another one is better in both time and error."""
     known = [row for row in rows if _error(row) is not None]
     return {
         row.name
@@ -39,9 +39,10 @@ def dominated(rows: Sequence[Row]) -> set[str]:
 
 
 def save_picture(report: Report, path: PathLike, *, title: str = "") -> None:
-    """Error over seconds and PSNR over seconds as one PNG.
+    """Draw error over time and PSNR over time into one PNG.
 
-    Raises InputError if matplotlib is not installed.
+    Raises:
+        InputError: matplotlib is not installed.
     """
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -50,7 +51,7 @@ def save_picture(report: Report, path: PathLike, *, title: str = "") -> None:
         raise InputError(
             "plots",
             "PNG",
-            "drawing it needs matplotlib, which is not installed.",
+            "this needs matplotlib, which is not installed.",
             f"Run `{install_command('plots')}`; accuracy.html shows the same.",
         ) from None
     figure = Figure(figsize=(9, 4), dpi=100, layout="constrained")
@@ -87,7 +88,7 @@ def _draw_psnr(axes: Any, report: Report) -> None:
 
 
 def _mark(axes: Any, row: Row, value: float, colour: str, report: Report) -> None:
-    """A point with its name, on the side where there is room."""
+    """Draw a point with its name on the side where there is room."""
     times = [math.log(other.seconds) for other in report.rows]
     late = math.log(row.seconds) > (min(times) + max(times)) / 2
     axes.plot(row.seconds, value, "o" if row.level else "s", color=colour)
@@ -110,7 +111,7 @@ def _label_axes(axes: Any, what: str) -> None:
 
 
 def save_page(report: Report, path: PathLike, *, title: str = "Accuracy and time") -> None:
-    """The same as a page with a point for each setting; needs no network."""
+    """Write the plot of errors as a web page that needs no network."""
     worse = dominated(report.rows)
     points = [
         {
@@ -139,7 +140,7 @@ def save_page(report: Report, path: PathLike, *, title: str = "Accuracy and time
 
 
 def _label(row: Row) -> str:
-    """The name of a setting, with the preset it is."""
+    """The name of a setting, with that of its preset if it has one."""
     preset = {accuracy.cells: name for name, accuracy in PRESETS.items()}.get(row.cells)
     return f"{row.name} ({preset})" if row.level and preset else row.name
 

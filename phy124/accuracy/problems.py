@@ -1,8 +1,8 @@
-"""Problems whose answer is known, each solved by the very solver that makes the clips.
+"""Problems with known solutions, each solved by the solver that makes the clips.
 
-Every function runs one problem at one grid spacing and returns how far the result is from the
-exact one. Bars and columns are one particle thick: with nu = 0, or with both sides held, nothing
-varies across them, so a thread of particles is the whole body.
+Every function runs one problem at one grid spacing and returns the error of the result. Bars and
+columns are one particle thick: with nu = 0, or with both sides held, nothing varies across them, so
+a row of particles represents the whole body.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 GRAVITY = 9.81
 FLOOR_NODE = 0.75
-"""The lowest node plane lies this many cells below a floor, as in every simulation."""
+"""Depth of the lowest plane of nodes below a floor [cells], as in every simulation."""
 
 
 def block(cells: float, dx: float, per_axis: int = 2) -> Array:
-    """Centres [P,3] of a cube of particles around the origin, `cells` * dx m wide."""
+    """Positions [P,3], m, of a cube of particles around the origin, `cells` * dx [m] wide."""
     n = round(cells * per_axis)
     line = (np.arange(n) + 0.5) * dx / per_axis - cells * dx / 2
     return np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 def angular_momentum(solver: Solver) -> Array:
-    """Sum of m (x cross v + dx^2/4 axial(C)) [3], kg m^2/s: what APIC conserves exactly."""
+    """Sum of m (x cross v + dx^2/4 axial(C)) [3], kg m^2/s, which APIC conserves exactly."""
     m, x = solver.model.mass.numpy().astype(float)[:, None], solver.state.x.numpy().astype(float)
     v, C = solver.state.v.numpy().astype(float), solver.state.C.numpy().astype(float)
     axial = np.stack(
@@ -55,12 +55,12 @@ def angular_momentum(solver: Solver) -> Array:
 
 
 def fall(position: Array, velocity: Array, time: float) -> Array:
-    """Exact: x + v t - g t^2 / 2 along z."""
+    """Exact solution: x + v t - g t^2 / 2 along z."""
     return position + velocity * time - np.array([0, 0, GRAVITY * time**2 / 2])
 
 
 def free_fall(*, precision: str = "float64", time: float = 0.2) -> float:
-    """Thrown in an arc: largest error of any particle, in units of the way it went."""
+    """A thrown body: largest error of any particle, relative to its displacement."""
     x, v = block(4, 0.1) + np.array([0, 0, 1]), np.array([1.0, 0.5, 2.0])
     volume = np.full(len(x), (0.1 / 2) ** 3)
     model = Model.of(x, volume, [NeoHookean(E=1e4)], dx=0.1, precision=precision)
@@ -75,14 +75,14 @@ def free_fall(*, precision: str = "float64", time: float = 0.2) -> float:
 
 @dataclass(frozen=True)
 class Spin:
-    """What is left of the conserved quantities after some turns, relative."""
+    """Relative changes of conserved quantities after some turns."""
 
     angular_momentum: float
     energy: float
 
 
 def spin(turns: float, *, precision: str = "float64", omega: float = 9.0) -> Spin:
-    """A stiff cube turning freely: |change| of angular momentum and of kinetic energy."""
+    """A stiff cube rotating freely: |change| of angular momentum and of kinetic energy."""
     dx = 0.1
     x = block(4, dx)
     gradient = np.array([[0, -omega, 0], [omega, 0, 0], [0, 0, 0]])
@@ -98,7 +98,7 @@ def spin(turns: float, *, precision: str = "float64", omega: float = 9.0) -> Spi
 
 
 def _kinetic(solver: Solver) -> float:
-    """Kinetic energy [J] with the part that APIC keeps in C."""
+    """Kinetic energy [J], including the part that APIC stores in C."""
     m, v = solver.model.mass.numpy().astype(float), solver.state.v.numpy().astype(float)
     C = solver.state.C.numpy().astype(float)
     return float((m * ((v**2).sum(1) + solver.model.dx**2 / 4 * (C**2).sum((1, 2)))).sum() / 2)
@@ -108,12 +108,12 @@ def _kinetic(solver: Solver) -> float:
 
 
 def bar_frequency(E: float, density: float, length: float) -> float:
-    """Exact: omega = pi c / L [rad/s], the first mode of a bar with free ends, c^2 = E / rho."""
+    """Exact: omega = pi c / L [rad/s] of the first mode of a free bar, with c^2 = E / rho."""
     return math.pi / length * math.sqrt(E / density)
 
 
 def vibrating_bar(cells: int, *, strain: float = 1e-6, per_axis: int = 2) -> float:
-    """A free bar of `cells` cells, one period: relative error of its frequency (signed)."""
+    """A free bar of `cells` cells over one period: relative error of its frequency, signed."""
     E, density, length = 1e4, 1000.0, 1.0
     dx = length / cells
     z = (np.arange(cells * per_axis) + 0.5) * dx / per_axis
@@ -138,12 +138,12 @@ def vibrating_bar(cells: int, *, strain: float = 1e-6, per_axis: int = 2) -> flo
 
 
 def _zero_crossing(times: Sequence[float], values: Sequence[float], near: float) -> float:
-    """When a smooth signal rises through zero, next to a given time."""
+    """The time near `near` at which a smooth signal rises through zero [s]."""
     t, y = np.array(times), np.array(values)
     rising = np.flatnonzero((y[1:] > 0) & (y[:-1] <= 0) & (t[1:] > near / 2))
     at = int(rising[np.abs(t[rising] - near).argmin()])
     span = slice(max(at - 1, 0), at + 3)
-    # Time as a cubic of the signal: far more exact than a straight line between two substeps.
+    # Time as a cubic of the signal is far more exact than a straight line between two substeps.
     return float(np.polyval(np.polyfit(y[span] / np.abs(y).max(), t[span], 3), 0.0))
 
 
@@ -152,7 +152,7 @@ def _zero_crossing(times: Sequence[float], values: Sequence[float], near: float)
 
 @dataclass(frozen=True)
 class Vortex:
-    """A ring of which each radius turns to and fro, for one second (Kamojjala et al. 2015)."""
+    """A ring whose radii rotate to and fro for one second (Kamojjala et al. 2015)."""
 
     amplitude: float = 0.1
     inner: float = 0.75
@@ -160,20 +160,20 @@ class Vortex:
     material: NeoHookean = NeoHookean(E=1000.0, nu=0.3, density=1000.0)  # noqa: RUF009
 
     def angle(self, radius: Array, time: float) -> Array:
-        """Exact: how far a radius has turned [rad]."""
+        """Exact: the angle by which a radius has rotated [rad]."""
         s = (radius - (self.inner + self.outer) / 2) / (self.outer - self.inner)
         rise = self.amplitude * (1 - math.cos(2 * math.pi * time)) / 2
         return (1 - 8 * s**2 + 16 * s**4) * rise
 
     def position(self, x: Array, time: float) -> Array:
-        """Exact: where the points x [P,3] are at a time."""
+        """Exact: the positions of the points x [P,3] at a time [s]."""
         turn = self.angle(np.hypot(x[:, 0], x[:, 1]), time)
         cosine, sine = np.cos(turn), np.sin(turn)
         columns = (cosine * x[:, 0] - sine * x[:, 1], sine * x[:, 0] + cosine * x[:, 1], x[:, 2])
         return np.stack(columns, axis=1)
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """The body force that makes this motion exact."""
+        """The body force that makes this motion an exact solution."""
         stiffness = self.material.lame[0] / self.material.density
         middle, width = (self.inner + self.outer) / 2, self.outer - self.inner
         ring = types(model.real).vec4(middle, width, self.amplitude, stiffness)
@@ -190,7 +190,14 @@ class Vortex:
 def vortex(
     cells: int, *, time: float = 0.5, per_axis: int = 4, problem: Vortex | None = None
 ) -> float:
-    """The ring on `cells` cells across: RMS error of position over RMS displacement."""
+    """The ring with `cells` cells across: RMS error of position / RMS displacement.
+
+    Args:
+        cells: Cells across the ring.
+        time: Time of the comparison [s].
+        per_axis: Particles per cell and axis.
+        problem: The ring; None: the default one.
+    """
     problem = problem or Vortex()
     dx = 2 * problem.outer / cells
     line = (np.arange(cells * per_axis) + 0.5) * dx / per_axis - problem.outer
@@ -214,22 +221,22 @@ def _rms(vectors: Array) -> float:
 
 
 def column_pressure(depth: Array, density: float) -> Array:
-    """Exact: rho g h [Pa] at depths h [m] of material at rest."""
+    """Exact: the pressure rho g h [Pa] at depths h [m] of material at rest."""
     return density * GRAVITY * depth
 
 
 @dataclass(frozen=True)
 class Column:
-    """How far the pressure in a settled column is from rho g h, in units of that at its foot."""
+    """Errors of the pressure in a settled column, relative to rho g h at its foot."""
 
     mean: float
-    """Error of the mean pressure; it comes from the floor's cells, so it goes with dx."""
+    """Error of the mean pressure; it comes from the cells at the floor, so it scales with dx."""
     inside: float
     """RMS error of the pressure more than three cells above the floor."""
 
 
 def hydrostatic_column(cells: int, *, per_axis: int = 2) -> Column:
-    """Liquid at rest, its sides held. The floor cuts the kernels of the particles on it.
+    """Liquid at rest between held sides, on a floor that cuts the kernels of the lowest particles.
 
     It settles by kinetic damping: whenever its motion is fastest, it is stopped.
     """
@@ -253,7 +260,7 @@ def hydrostatic_column(cells: int, *, per_axis: int = 2) -> Column:
 
 
 def _settle(solver: Solver, crossing: float) -> None:
-    """Stop the motion at each of its fastest moments, until twelve have passed."""
+    """Stop the motion whenever it is fastest, twelve times."""
     stops, last = 0, 0.0
     while stops < 12:
         solver.advance(solver.clock.time + crossing / 20)
@@ -270,7 +277,7 @@ def _settle(solver: Solver, crossing: float) -> None:
 
 @dataclass(frozen=True)
 class Bounce:
-    """A soft ball dropped on a smooth floor: no formula, but a series of finer and finer grids."""
+    """A soft ball dropped on a smooth floor: no exact solution, but a series of finer grids."""
 
     diameter: float = 0.4
     drop: float = 0.2
@@ -279,7 +286,7 @@ class Bounce:
     frames: int = 20
 
     def particles(self, spacing: float) -> Array:
-        """A lattice [P,3] in the ball at its height."""
+        """A lattice of positions [P,3], m, in the ball at its initial height."""
         n = round(self.diameter / spacing)
         line = (np.arange(n) + 0.5) * spacing - self.diameter / 2
         cube = np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -287,7 +294,7 @@ class Bounce:
         return np.asarray(cube[inside] + [[0, 0, self.drop + self.diameter / 2]], float)
 
     def run(self, cells: int, spacing: float) -> Array:
-        """Positions [T,P,3] of the same particles on a grid of diameter / cells."""
+        """Positions [T,P,3], m, of the same particles with a grid spacing of diameter / cells."""
         x, dx = self.particles(spacing), self.diameter / cells
         volume, origin = np.full(len(x), spacing**3), (0, 0, -FLOOR_NODE * dx)
         model = Model.of(x, volume, [self.material], dx=dx, origin=origin)
@@ -300,7 +307,7 @@ class Bounce:
 
 
 def bouncing_ball(cells: Sequence[int], problem: Bounce | None = None) -> list[Array]:
-    """The same particles (two per cell and axis on the finest grid) at each grid spacing."""
+    """Positions of the same particles (two per cell and axis on the finest grid) on each grid."""
     problem = problem or Bounce()
     spacing = problem.diameter / (2 * max(cells))
     return [problem.run(each, spacing) for each in cells]

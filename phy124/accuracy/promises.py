@@ -1,12 +1,12 @@
-"""What error may be promised: only what was measured for such a scene.
+"""The error that may be promised for a scene: only one that was measured for such scenes.
 
-`make accuracy` runs each law in each kind of motion on a series of grids and writes what it found
-to measured.json: the error of each grid and how violent and how long the scenes were. A scene is
+`make accuracy` runs each law in each kind of motion on a series of grids and writes to
+measured.json the error of each grid, and how violent and how long the scenes were. A scene is
 promised the error of its law and kind of motion, on a grid as coarse as its own or coarser, if it
-is no more violent and not much longer. Else nothing is promised: the error is "not measured", and
-a study of the scene itself (`phy124 accuracy`) tells.
+is no more violent and not much longer. Otherwise nothing is promised: the error is "not measured",
+and a study of the scene itself (`phy124 accuracy`) measures it.
 
-All that the command line and the page say of errors is worded here.
+All sentences about errors, of the command line and of the page, are in this module.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ WORDS: dict[Motion, str] = {
 }
 """Kinds of motion, in words."""
 MARGIN = 1.25
-"""How much longer or more violent than what was measured a scene may be; errors grow as much."""
+"""How much longer or more violent a scene may be than those measured; errors grow by as much."""
 UNMEASURED = "error not measured"
 STUDY = "phy124 accuracy SCENE --image PICTURE"
-"""The command that measures a scene of one's own."""
+"""The command that measures a user's own scene."""
 
 
 @dataclass(frozen=True)
@@ -44,48 +44,48 @@ class Promise:
     error: float | None
     """RMS distance of the Gaussians from the exact motion over the clip, in object sizes."""
     why: str
-    """Where the number comes from, or why there is none: a sentence."""
+    """A sentence: where the number comes from, or why there is none."""
     unmeasured: str = ""
     """The kind of scene that was not measured, if that is why there is none."""
     own: bool = False
-    """Whether it was measured on this very scene."""
+    """Whether it was measured on this scene itself."""
 
     @property
     def sentence(self) -> str:
         """For people."""
         if self.own and self.error is not None:
-            return f"Error of this very scene: about {self.error:.1%} of its size. {self.why}"
+            return f"Error of this scene: about {self.error:.1%} of its size. {self.why}"
         if self.error is None:
             return f"Expected error: {self.why}"
         return f"Expected error: at most {self.error:.1%} of the object's size. {self.why}"
 
     @property
     def brief(self) -> str:
-        """For people who have no command line."""
+        """The promise in words, for people without a command line."""
         if self.unmeasured:
             return f"Expected error: not measured for {self.unmeasured}."
         return self.sentence
 
     @property
     def row(self) -> tuple[str, str]:
-        """What it is and what it says, as a row of a table."""
+        """The promise as a row of a table: title and value."""
         return "Error measured" if self.own else "Error promised", self.brief.partition(": ")[2]
 
     @property
     def measured(self) -> str:
-        """What measuring this very scene found, in a few words."""
+        """The error measured on this scene, in a few words."""
         off = "no error can be promised" if self.error is None else f"about {self.error:.1%} off"
         return f"Measured: {off}."
 
     def off(self, pixels: float | None) -> str:
-        """How far a run will be off, in a few words; `pixels` of the video are the same error."""
+        """The error of a run in a few words; `pixels` is the same error in the video."""
         if self.error is None or pixels is None:
             return UNMEASURED
         return f"off by {'about' if self.own else 'at most'} {self.error:.1%} ({pixels:.0f} px)"
 
 
 def promise(scene: Scene, report: Mapping[str, Any] | None = None) -> Promise:
-    """What may be promised of a scene; with the report of its run, what may still be said."""
+    """The error that may be promised for a scene; the report of its run may rule it out."""
     broken = why_broken(report or {})
     if broken:
         return none(broken)
@@ -118,7 +118,7 @@ def promise(scene: Scene, report: Mapping[str, Any] | None = None) -> Promise:
 
 
 def motion_of(scene: Scene) -> Motion:
-    """The kind of motion of a scene, by what it touches and how it starts."""
+    """The kind of motion of a scene, from what it touches and how it starts."""
     walls = [b for b in scene.boundaries if not b.holds]
     if any(b.moves for b in scene.boundaries):
         return "squeezed"
@@ -131,10 +131,10 @@ def motion_of(scene: Scene) -> Motion:
 
 
 def violence(scene: Scene) -> float:
-    """Energy that a scene brings against the stiffness that takes it: (v^2 + |a| L) / c^2.
+    """Energy of a scene relative to the stiffness that absorbs it: (v^2 + |a| L) / c^2.
 
-    v is the largest speed it starts or lands with, a what pushes it, L its size, c the speed of
-    the waves in its softest material.
+    v is the largest speed at which it starts or lands, a the acceleration by forces, L its size,
+    and c the speed of waves in its softest material.
     """
     body = scene.object
     pull = sum(math.hypot(*_vector(force)) for force in scene.forces)
@@ -145,35 +145,35 @@ def violence(scene: Scene) -> float:
 
 
 def length(scene: Scene) -> float:
-    """How long a scene lasts, in units of sqrt(size / 9.81 m/s^2)."""
+    """Duration of a scene in units of sqrt(size / 9.81 m/s^2)."""
     seconds = (scene.time.frames - 1) / scene.time.fps
     return seconds / math.sqrt(scene.object.size / 9.81)
 
 
 @cache
 def table() -> dict[str, Any]:
-    """What was measured, on which machine, and when."""
+    """The measured errors, with machine and date."""
     file = resources.files("phy124") / "accuracy" / "measured.json"
     return json.loads(file.read_text("utf-8"))
 
 
 def _vector(force: Any) -> tuple[float, ...]:
-    """The acceleration a force gives, where it is one."""
+    """The acceleration of a force [m/s^2], if it is one; otherwise empty."""
     value = next((getattr(force, name) for name in ("g", "a") if hasattr(force, name)), 0.0)
     return tuple(value) if isinstance(value, tuple) else (float(value),)
 
 
 def none(why: str) -> Promise:
-    """No promise, and why not."""
+    """No promise, for a reason."""
     return Promise(None, f"none can be promised: {why}")
 
 
 def measured(error: float, cells: int, grids: Sequence[int]) -> Promise:
-    """The error that was found for a scene itself.
+    """The error that was measured on a scene itself.
 
     Args:
-        error: In object sizes.
-        cells: Across the object, of its grid.
+        error: The error in object sizes.
+        cells: Cells across the object of its grid.
         grids: Cells of the grids that were measured, from coarse to fine.
     """
     if cells > grids[-1]:
@@ -186,19 +186,19 @@ def measured(error: float, cells: int, grids: Sequence[int]) -> Promise:
 
 
 def torn(grids: Sequence[str]) -> str:
-    """Why nothing is promised where a study's grids may be torn; `grids` are named D/16 and so."""
+    """Why nothing is promised if a study's grids may be torn; `grids` are names such as D/16."""
     return f"on {_listed(grids)} the grid may tear the material"
 
 
 def off(error: float | None, *, torn: bool = False) -> str:
-    """What a grid of a study found, in a few words."""
+    """The error of a grid of a study, in a few words."""
     if torn:
         return "may be torn"
     return "no error" if error is None else f"off by about {error:.1%}"
 
 
 def kept(promised: float | None, error: float) -> str:
-    """Whether what was promised of such scenes holds where it was measured."""
+    """Whether the promised error holds in this scene, where it was measured."""
     if promised is None:
         return f"none was made for such a scene; measured here: {error:.1%}"
     verdict = "holds" if error <= promised else "DOES NOT HOLD"
@@ -215,7 +215,7 @@ def _unknown(what: str) -> Promise:
 
 
 def why_broken(report: Mapping[str, Any]) -> str:
-    """Why a run keeps no promise, whatever was measured elsewhere; empty if it keeps it."""
+    """Why the promise does not hold for a run, whatever was measured elsewhere; "" if it holds."""
     if report.get("balance", {}).get("tearing", {}).get("likely"):
         return "the grid may have torn the material (see the notes)."
     if report.get("complete") is False:

@@ -1,8 +1,8 @@
-"""The study: one scene at several grid spacings, what each costs and how far each is off.
+"""The study: one scene at several grid spacings, with the time and the error of each.
 
-The error of a setting is its distance from what all levels extrapolate to, by Richardson with the
-order that they show, and the uncertainty of that (`convergence`). Where finer grids do not come
-closer to each other, there is no number: "not converging".
+The error of a setting is its distance from the extrapolation of all levels, by Richardson with the
+observed order, plus the uncertainty of that (`convergence`). If finer grids do not come closer to
+each other, there is no error: "not converging".
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ LEVELS = (16, 24, 32, 48)
 MIN_PARTICLES_PER_AXIS = 1.5
 """Median particles per cell and axis below which a level is skipped."""
 VARIED = 24
-"""The level whose other settings are varied one at a time."""
+"""The level at which the other settings are varied, one at a time."""
 GOOD = 0.04
-"""Fraction of the size that an error may be for a setting to be recommended as good enough."""
+"""Largest error, as a fraction of the size, with which a setting is recommended."""
 SIZE = 256
-"""Width and height of the compared videos, pixels, at most."""
+"""Largest width and height of the compared videos [pixels]."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """One setting: what it was, what it cost, how far it is off."""
+    """One setting, its time and its error."""
 
     name: str
     cells: int
@@ -51,52 +51,52 @@ class Row:
     binding: str
     particles: int
     particles_per_axis: float
-    """Median particles per cell and axis where there are any."""
+    """Median number of particles per axis in the cells that hold any."""
     substeps: int
     predicted: float | None
-    """Seconds of simulation and shapes as forecast; None where nothing was."""
+    """Predicted time of simulation and shapes [s]; None without a forecast."""
     seconds: float
-    """Seconds of simulation and shapes as measured."""
+    """Measured time of simulation and shapes [s]."""
     limiters: dict[str, float]
-    """Fraction of the substeps by what limited them."""
+    """Limit of the substep -> fraction of the substeps."""
     energy_lost: float
-    """Energy lost beyond the work of forces and walls, a fraction of all that was turned over."""
+    """Energy lost beyond the work of forces and walls, as a fraction of all energy turned over."""
     angular_momentum_lost: float | None
     """Relative change; None if forces or walls change it."""
     from_finest: Difference | None = None
-    """Distance to the finest level; None for that one."""
+    """Distance to the finest level; None for that level."""
     error: float | None = None
-    """Estimated error as a fraction of the object's size; None where levels do not converge."""
+    """Estimated error as a fraction of the object's size; None if the levels do not converge."""
     pixels: float | None = None
-    """The same in pixels of the video."""
+    """The same error in the video [pixels]."""
     torn: str = ""
     """Why the grid may have torn the material; such a row has no error."""
 
     @property
     def level(self) -> bool:
-        """Whether it is one of the levels and not a variation."""
+        """Whether it is one of the levels, not a variation."""
         return self.name.startswith("D/")
 
 
 @dataclass(frozen=True)
 class Report:
-    """What a study found."""
+    """The result of a study."""
 
     rows: tuple[Row, ...]
     skipped: tuple[str, ...]
-    """Levels left out, or torn where the grid lost hold, and why: sentences."""
+    """Sentences about levels that were left out or torn, and why."""
     convergence: Convergence
     object_size: float
-    """Longest side at rest, m."""
+    """Longest side at rest [m]."""
     recommendation: str
     promises: dict[str, str]
-    """For each preset whether its promise holds in this scene."""
+    """Preset -> whether its promise holds in this scene, in words."""
     interrupted: bool = False
-    """Whether it was cancelled before all settings were run."""
+    """Whether it was cancelled before all settings had been run."""
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """What to say of it, each thing once: why there is no order may be all there is."""
+        """Sentences about the result, each once."""
         said = (*self.skipped, self.convergence.why_not, self.recommendation)
         return tuple(sentence for sentence in dict.fromkeys(said) if sentence)
 
@@ -115,14 +115,14 @@ class Study:
     levels: tuple[int, ...] = LEVELS
     crop: Crop = WHOLE
     progress: Progress = silent
-    """Told ("study", setting, settings), also in the middle of a setting; may raise Cancelled, or
-    Stopped, which leaves this setting out."""
+    """Called with ("study", setting, settings), also in the middle of a setting; may raise
+    Cancelled, or Stopped, which leaves this setting out."""
     thorough: bool = True
-    """Also vary the other settings, forecast each and compare videos: some three times as long."""
+    """Also vary the other settings, forecast each and compare videos: about three times as long."""
     told: Callable[[Row], None] = lambda row: None
-    """Called with each setting as it is done, before errors are known."""
+    """Called with each setting as soon as it is finished, before errors are known."""
     keep: bool = False
-    """Whether the settings that are done are judged when `progress` cancels."""
+    """Whether finished settings are evaluated when `progress` cancels."""
     clips: dict[str, Clip] = field(default_factory=dict, repr=False)
     _forecaster: Forecaster = field(init=False, repr=False)
 
@@ -130,7 +130,7 @@ class Study:
         self._forecaster = Forecaster(self.device)
 
     def run(self) -> Report:
-        """All settings; raises InputError or Cancelled."""
+        """Run all settings; raises InputError or Cancelled."""
         rows, skipped = [], []
         plan = list(self._plan())
         for number, (name, scene) in enumerate(plan):
@@ -154,7 +154,7 @@ class Study:
         return self._judged(rows, tuple(skipped))
 
     def _still(self, number: int, count: int, *_: object) -> None:
-        """In the middle of a setting."""
+        """Report progress in the middle of a setting."""
         self.progress("study", number, count)
 
     def _plan(self) -> Iterator[tuple[str, Scene]]:
@@ -177,12 +177,12 @@ class Study:
         yield f"binding {binding} {here}", bound
 
     def _with(self, accuracy: Accuracy) -> Scene:
-        """The balance is kept, for the energy lost is shown."""
+        """The scene at another accuracy, with the balance on, since the energy lost is shown."""
         checks = self.scene.checks.model_copy(update={"balance": True})
         return self.scene.model_copy(update={"accuracy": accuracy, "checks": checks})
 
     def _row(self, name: str, scene: Scene, progress: Progress) -> tuple[Row | None, str]:
-        """Run one setting: its row, or why there is none, or why to doubt it."""
+        """Run one setting; returns its row, and why there is none or why to doubt it."""
         simulation = Simulation(
             self.gaussians, scene, device=self.device, crop=self.crop, progress=progress
         )
@@ -223,7 +223,7 @@ class Study:
         return forecast.stages["simulate"] + forecast.stages["deform"]
 
     def _judged(self, rows: list[Row], skipped: tuple[str, ...]) -> Report:
-        """Add errors against the finest whole level and say what follows; torn ones say nothing."""
+        """Add errors relative to the finest level and draw conclusions; torn levels are ignored."""
         levels = [row for row in rows if row.level and not row.torn]
         size = self.scene.object.size
         if not levels:
@@ -251,7 +251,7 @@ class Study:
     def _compared(
         self, row: Row, levels: list[Clip], found: Convergence, known: dict[str, float]
     ) -> Row:
-        """The row with its distance from the finest level and its error; a torn one as it is."""
+        """The row with its distance from the finest level and its error; a torn one unchanged."""
         if row.torn:
             return row
         view, clip, size = self.scene.view, self.clips[row.name], self.scene.object.size
@@ -271,7 +271,7 @@ class Study:
 
 
 def _without_torn(rows: list[Row], found: Convergence) -> Convergence:
-    """What whole levels say, with the torn ones named where they are why there is no number."""
+    """The convergence of the levels; if there are no errors because some are torn, it says so."""
     torn = ", ".join(row.name for row in rows if row.level and row.torn)
     if not torn or not found.why_not:
         return found
@@ -279,10 +279,15 @@ def _without_torn(rows: list[Row], found: Convergence) -> Convergence:
 
 
 def error_on(cells: int, errors: Mapping[int, float], order: float | None) -> float | None:
-    """Error on some grid from those of a study's levels by their cells.
+    """Error on a grid, from those of a study's levels.
 
-    Between levels it is that of the coarser one; beyond the finest it falls with the order that was
-    observed (held to what is trusted), or not at all where there is none. None on coarser grids.
+    Between two levels it is that of the coarser one; beyond the finest it falls with the observed
+    order (clamped to `TRUSTED`), or not at all if there is none. None on grids coarser than all.
+
+    Args:
+        cells: Cells of the grid.
+        errors: Cells of each level -> its error.
+        order: The observed order, if any.
     """
     within = [level for level in errors if level <= cells]
     if not within:
@@ -294,7 +299,7 @@ def error_on(cells: int, errors: Mapping[int, float], order: float | None) -> fl
 
 
 def recommend(rows: tuple[Row, ...], found: Convergence) -> str:
-    """One sentence: which level to take and what the next would cost."""
+    """A sentence: which level to choose, and what the next finer one would take."""
     levels = [row for row in rows if row.level and not row.torn]
     if found.error is None:
         return f"No setting can be recommended by its error: {found.why_not}."
@@ -303,7 +308,7 @@ def recommend(rows: tuple[Row, ...], found: Convergence) -> str:
     said = f"Take {best.name}: {best.error or 0:.1%} of the object's size in {best.seconds:.1f} s"
     finer = [row for row in levels if row.cells > best.cells]
     if not good:
-        return f"{said}; no level reached {GOOD:.0%}, only a finer grid will."
+        return f"{said}; no level reached {GOOD:.0%}, which needs a finer grid."
     if not finer:
         return f"{said}; it is the finest that was tried."
     ratio = finer[0].seconds / best.seconds
@@ -312,7 +317,7 @@ def recommend(rows: tuple[Row, ...], found: Convergence) -> str:
 
 
 def kept_promises(scene: Scene, rows: tuple[Row, ...], found: Convergence) -> dict[str, str]:
-    """For each preset whose level was run: does what is promised of such scenes hold here?"""
+    """For each preset whose level was run: whether the promised error holds here, in words."""
     said = {}
     for name, accuracy in PRESETS.items():
         row = next((row for row in rows if row.level and row.cells == accuracy.cells), None)
@@ -336,7 +341,7 @@ def _particles_per_axis(simulation: Simulation) -> float:
 
 
 def _momentum_lost(scene: Scene, before: Diagnostics, after: Diagnostics) -> float | None:
-    """Relative change of angular momentum, where neither force nor wall may change it."""
+    """Relative change of angular momentum, if neither forces nor walls may change it."""
     start = float(np.linalg.norm(before.angular))
     if scene.acting or scene.boundaries or start == 0:
         return None
@@ -344,7 +349,7 @@ def _momentum_lost(scene: Scene, before: Diagnostics, after: Diagnostics) -> flo
 
 
 def _plain(value: Any) -> Any:
-    """JSON-safe copy."""
+    """A copy that can be written as JSON."""
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -1,8 +1,8 @@
-"""`phy124 accuracy --verify`: compares the solver with known solutions, on this machine.
+"""`phy124 accuracy --verify`: compares the solver with known solutions on this machine.
 
-Each check gives an error, the order at which it falls with the grid spacing, and the ranges that
-both must be in. The same code runs on coarse grids in every test run and on fine ones in the slow
-run.
+Each check gives an error, the order at which it falls with the grid spacing, and the range in which
+each must be. The same code runs on coarse grids in every test run, and on fine grids in the slow
+tests.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ class Verdict:
 
     problem: str
     quantity: str
-    """What `value` is."""
+    """What `value` measures."""
     value: float
-    """Error at the finest level, or of the only one."""
+    """Error at the finest level, or at the only one."""
     limit: float
     """Largest value that passes."""
     levels: tuple[int, ...] = ()
@@ -35,9 +35,9 @@ class Verdict:
     order: float | None = None
     """Observed order of convergence; None if the solution is exact or no order was observed."""
     expected_order: Range | None = None
-    """Range the order must be in; None if there is no order."""
+    """Range in which the order must be; None if there is no order."""
     seconds: float = 0.0
-    """CPU seconds spent."""
+    """CPU time used [s]."""
 
     @property
     def passed(self) -> bool:
@@ -50,7 +50,7 @@ class Verdict:
 
 
 def verify(*, fine: bool = True) -> Iterator[Verdict]:
-    """Every check, one after the other; the fine ones take about half a minute."""
+    """Run every check in turn; on fine grids they take about half a minute."""
     for check in CHECKS:
         start = time.process_time()
         for verdict in check(fine):
@@ -63,7 +63,7 @@ def _timed(verdict: Verdict, seconds: float) -> Verdict:
 
 
 def free_fall(fine: bool) -> Iterator[Verdict]:
-    """Half a kick at the start makes the parabola exact: only rounding is left."""
+    """Half a kick at the start makes the parabola exact, up to rounding."""
     time = 0.4 if fine else 0.2
     for precision, limit in (("float64", 1e-12), ("float32", 5e-5)):
         error = problems.free_fall(precision=precision, time=time)
@@ -71,7 +71,7 @@ def free_fall(fine: bool) -> Iterator[Verdict]:
 
 
 def rigid_spin(fine: bool) -> Iterator[Verdict]:
-    """APIC keeps angular momentum exactly and loses little energy."""
+    """APIC conserves angular momentum exactly and loses little energy."""
     turns = 8.0 if fine else 2.0
     for precision, limit in (("float64", 1e-12), ("float32", 1e-4)):
         kept = problems.spin(turns, precision=precision)
@@ -89,14 +89,14 @@ def vibrating_bar(fine: bool) -> Iterator[Verdict]:
 
 
 def vortex(fine: bool) -> Iterator[Verdict]:
-    """Second order until the quadrature by particles sets in (Steffen, Kirby, Berzins 2008)."""
+    """Second order until the error of quadrature dominates (Steffen, Kirby, Berzins 2008)."""
     cells = (32, 64, 128) if fine else (16, 32, 64)
     errors = [problems.vortex(n) for n in cells]
     yield _series("generalised vortex", "position error", cells, errors, 0.01, (1.5, 3.1))
 
 
 def hydrostatic_column(fine: bool) -> Iterator[Verdict]:
-    """The floor carries the weight: the pressure is right on any grid, in the mean and inside."""
+    """The floor carries the weight, so the pressure is right on any grid, on average and inside."""
     cells = (8, 16, 32) if fine else (6, 12, 24)
     columns = [problems.hydrostatic_column(n) for n in cells]
     for quantity, limit in (("mean", 1e-3), ("inside", 0.01)):
@@ -105,7 +105,7 @@ def hydrostatic_column(fine: bool) -> Iterator[Verdict]:
 
 
 def bouncing_ball(fine: bool) -> Iterator[Verdict]:
-    """Contact lowers the order to between 1 and 2; judged by the series of grids alone."""
+    """Contact lowers the order to between 1 and 2, as the series of grids shows."""
     cells = (12, 18, 27) if fine else (8, 12, 16)
     runs = problems.bouncing_ball(cells)
     size = problems.Bounce().diameter

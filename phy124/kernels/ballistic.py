@@ -1,7 +1,8 @@
-"""Particles beyond the grid: they feel the uniform acceleration and nothing else.
+"""Particles beyond the grid: nothing but the uniform acceleration acts on them.
 
-Whether a particle takes part in a substep is settled when it scatters. While the others gather it
-is out of sight, or one that the gather carries across the edge, either way, would move twice.
+Whether a particle takes part in a substep is decided when it scatters. While the others gather, it
+is moved to where nobody gathers; otherwise a particle that crosses the edge during the gather, in
+either direction, would be moved twice.
 """
 
 from functools import cache
@@ -13,12 +14,12 @@ from phy124.kernels.build import kernel
 from phy124.kernels.transfer import first_node, in_window, types
 
 OUT_OF_SIGHT = wp.constant(4)
-"""Nodes below the window where nobody gathers."""
+"""Distance below the window [nodes] at which no particle gathers."""
 
 
 @cache
 def make_hide(real: Any):
-    """Kernel: takes those of the chosen that were beyond the scatter's window out of sight."""
+    """Kernel: moves the chosen particles that were outside the scatter's window away."""
     t = types(real)
 
     @kernel(f"phy124_hide_{real.__name__}")
@@ -47,7 +48,7 @@ def make_hide(real: Any):
 
 @cache
 def make_fly(real: Any):
-    """Kernel: brings the hidden back into sight, and kicks and moves them."""
+    """Kernel: moves the hidden particles back, then kicks and moves them ballistically."""
     t = types(real)
 
     @kernel(f"phy124_fly_{real.__name__}")

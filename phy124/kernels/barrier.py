@@ -1,7 +1,7 @@
-"""A meeting point for CPU threads that run kernels side by side.
+"""A barrier for CPU threads that run kernels in parallel.
 
-Waiting spins inside a kernel, where Warp has released Python's lock, for tens of microseconds;
-whoever calls it gives the core away before it tries again.
+Waiting spins inside a kernel, where Warp has released Python's global lock, for tens of
+microseconds; the caller yields the core before it tries again.
 """
 
 import warp as wp
@@ -31,7 +31,7 @@ for (int i = 0; i < 100000; ++i)
 
 @wp.func_native(MEET)
 def meet_native(counter: wp.array(dtype=int), ticket: wp.array(dtype=int), parties: int):
-    """Arrive once, then look whether the others have; ticket stays non-zero until they have."""
+    """Arrive once, then check whether the others have; the ticket is non-zero until they have."""
     ...
 
 

@@ -1,8 +1,8 @@
-"""How kernels are built: forward only, each variant in a module of its own name.
+"""How kernels are compiled: forward only, each variant in a module with a name of its own.
 
-Warp hashes the set of functions a closure uses and not which is which, so variants need names.
-Products and sums are contracted to fused multiply-adds, as CUDA compilers do by themselves: a
-substep takes a seventh less on a CPU and rounds less. Nothing is reordered.
+Warp hashes the set of functions that a closure uses, but not their roles, so variants need names.
+Products and sums are contracted to fused multiply-adds, as CUDA compilers do by default: a substep
+takes a seventh less time on a CPU and rounds less. Nothing is reordered.
 """
 
 from collections.abc import Callable

@@ -1,22 +1,22 @@
-"""Colliders: nodes near a wall answer to it between the grid update and the gather.
+"""Colliders: nodes near a wall respond to it between the grid update and the gather.
 
-Node n of the window sits at origin + (window[0] + (i, j, k)) dx. A collider is built from a
-distance function and a response, so an absent shape or mode costs nothing.
+Node n of the window is at origin + (window[0] + (i, j, k)) dx. A collider is built from a distance
+function and a response, so an absent shape or mode costs nothing.
 
-`make_contact` meets a wall where it is, between the nodes. Along the axis nearest to its normal,
-the velocity relative to the wall is to be linear in the distance and zero on the wall: the first
-node at least half a cell in front of it leads, the two behind follow with the ratios of their
-distances, g (quadratic B-splines reproduce linear fields, and reach no further behind). Momentum
-is projected onto such fields, v_1 = sum(g m v) / sum(g^2 m), which never adds energy and pushes on
-all three nodes alike; without that a wall is as soft as a layer one cell thick. (Extended
-B-splines: Hoellig, Reif, Wipper 2001.) The wall acts once the material has come to it, which the
-masses of the nodes on its two sides tell: see `covered`.
+`make_contact` places contact at the wall itself, between the nodes. Along the axis closest to the
+wall's normal, the velocity relative to the wall is to be linear in the distance and zero on the
+wall: the first node at least half a cell in front of the wall leads, and the two behind it follow
+with the ratios g of their distances (quadratic B-splines reproduce linear functions, and reach no
+further behind). Momentum is projected onto such velocities, v_1 = sum(g m v) / sum(g^2 m), which
+never adds energy and pushes on all three nodes alike; without this a wall is as soft as a layer one
+cell thick. (Extended B-splines: Hoellig, Reif, Wipper 2001.) The wall acts once the material has
+reached it, as the masses of the nodes on its two sides show: see `covered`.
 
-What is held ends in the same way at the surface of its region: the nodes inside are held, and the
+Held material ends in the same way at the surface of its region: the nodes inside are held, and the
 one next to the surface follows the one in front of it so that the velocity is zero where the region
 ends, g = (1, -w0 / w1, 0) with the weights w of the nodes there.
 
-`make_collider` is the usual rule, node by node: for regions that are held in part.
+`make_collider` is the usual rule, node by node, for regions that are held only in some directions.
 """
 
 from functools import cache
@@ -58,19 +58,19 @@ def separate(v: Any, wall: Any, n: Any, friction: Any):
 
 @wp.func
 def all_of_it(along: Any, pressed: Any, friction: Any):
-    """A wall that holds takes all of the motion along it."""
+    """1: a sticky wall takes all of the motion along it."""
     return type(pressed)(1.0)
 
 
 @wp.func
 def none_of_it(along: Any, pressed: Any, friction: Any):
-    """A wall without friction takes none."""
+    """0: a wall without friction takes none of the motion along it."""
     return type(pressed)(0.0)
 
 
 @wp.func
 def coulomb(along: Any, pressed: Any, friction: Any):
-    """Fraction of the impulse that would stop all motion along the wall that friction can give."""
+    """Fraction of the motion along the wall that friction can stop."""
     wanted = wp.length(along)
     if wanted <= friction * pressed:
         return type(pressed)(1.0)
@@ -79,7 +79,7 @@ def coulomb(along: Any, pressed: Any, friction: Any):
 
 @wp.func
 def covered(u: Any):
-    """Fraction of a quadratic B-spline on the far side of a plane u cells before its middle."""
+    """Fraction of a quadratic B-spline beyond a plane that is u cells before its centre."""
     one = type(u)(1.0)
     sixth = type(u)(1.0 / 6.0)
     reach = wp.max(type(u)(1.5) - wp.abs(u), type(u)(0.0))
@@ -93,7 +93,7 @@ def covered(u: Any):
 
 @wp.func
 def steepest(n: Any):
-    """The axis nearest to a direction."""
+    """The axis closest to a direction."""
     axis = int(0)
     if wp.abs(n[1]) >= wp.abs(n[0]):
         axis = 1
@@ -112,7 +112,7 @@ def inward(s: Any, axis: int):
 
 @wp.func
 def place(lattice: Any, node: wp.vec3i):
-    """Where a node of the grid is."""
+    """Position of a node of the grid [m]."""
     dx = lattice[3]
     return wp.vector(
         lattice[0] + dx * type(dx)(node[0]),
@@ -123,13 +123,13 @@ def place(lattice: Any, node: wp.vec3i):
 
 @wp.func
 def front(s: Any, axis: int, dx: Any):
-    """Whether a node at the distance s is at least half a cell in front of the wall, along axis."""
+    """Whether a node at the distance s is at least half a cell in front of a wall along an axis."""
     return s[3] >= type(dx)(0.5) * dx * wp.abs(s[axis])
 
 
 @wp.func
 def xyz(q: Any):
-    """The velocity of a node, the normal of a distance, or the place in a track."""
+    """The first three components: a node's velocity, a distance's normal, or a track's value."""
     return wp.vector(q[0], q[1], q[2])
 
 
@@ -141,7 +141,7 @@ def relative(q0: Any, q1: Any, q2: Any, wall: Any):
 
 @wp.func
 def holds(size: wp.vec3i, span: wp.vec2i, node: wp.vec3i):
-    """Whether a node is in the window, and in the layers a launch may touch."""
+    """Whether a node is in the window and in the layers that a launch may touch."""
     return (
         node[0] >= span[0] and node[1] >= 0 and node[2] >= 0
         and node[0] < span[1] and node[1] < size[1] and node[2] < size[2]
@@ -150,13 +150,13 @@ def holds(size: wp.vec3i, span: wp.vec2i, node: wp.vec3i):
 
 @wp.func
 def strides(size: wp.vec3i):
-    """How far apart in memory neighbours along each axis are."""
+    """Distance in memory between neighbours along each axis."""
     return wp.vec3i(size[1] * size[2], size[2], 1)
 
 
 @wp.func
 def laden(grid: wp.array(dtype=Any), size: wp.vec3i, span: wp.vec2i, node: wp.vec3i):
-    """Whether a node is one that a launch may touch, and has mass."""
+    """Whether a node may be touched by this launch and has mass."""
     if not holds(size, span, node):
         return False
     q = grid[wp.dot(node, strides(size))]
@@ -164,18 +164,17 @@ def laden(grid: wp.array(dtype=Any), size: wp.vec3i, span: wp.vec2i, node: wp.ve
 
 
 FULL = wp.constant(0.8)
-"""Fraction of a body's mass up to the wall from which it has come to it (0.15 cells of gap)."""
+"""Fraction of the expected mass above which a body has reached the wall (a gap of 0.15 cells)."""
 
 
 @wp.func
 def arrived(m: Any, near: Any, far: Any, lightest: Any):
-    """Whether material has come to a wall: nodes `near` and `far` cells in front have masses m.
+    """Whether material has reached a wall: nodes `near` and `far` cells in front have masses m.
 
-    A body up to the wall covers their splines in a known ratio; with a gap there is less on the
-    nearer node. The ratio does not depend on how dense or how wide the body is. Irregular
-    particles scatter about it, and a body must not stand on the few columns that are fullest.
-    Where something heavier lies on it, the farther node counts no more than a whole one of the
-    `lightest` material.
+    A body that touches the wall covers their splines in a known ratio; with a gap, less is on the
+    nearer node. The ratio does not depend on how dense or wide the body is. Irregular particles
+    scatter about it, and a body must not stand on the few fullest columns only. If something
+    heavier lies on it, the farther node counts as at most a full node of the `lightest` material.
     """
     behind = wp.min(m[0], lightest * covered(far))
     full = type(near)(FULL) * behind * covered(near)
@@ -196,7 +195,7 @@ def linear(distances: Any, across: Any):
 
 @wp.func
 def ending(distances: Any, across: Any):
-    """Ratios g of a velocity that is zero where the region ends; cells are `across` wide."""
+    """Ratios g of a velocity that is zero where the region ends; `across` is the cell size [m]."""
     one = type(across)(1.0)
     w = spline(distances[0] / across)
     return wp.vector(one, -w[0] / w[1], type(across)(0.0))
@@ -204,7 +203,7 @@ def ending(distances: Any, across: Any):
 
 @wp.func
 def tied(v: Any, m: Any, g: Any):
-    """Change of velocities [node, axis] of masses m that makes them follow with ratios g."""
+    """Change of the velocities [node, axis] of masses m that makes them follow with ratios g."""
     weight = wp.cw_mul(g, m)
     return wp.outer(g, (wp.transpose(v) @ weight) / wp.dot(weight, g)) - v
 
@@ -217,13 +216,13 @@ def along_wall(change: Any, normal: Any):
 
 @wp.func
 def pressing(pressed: Any):
-    """Only what is pushed back answers: the wall lets go of what leaves."""
+    """Whether the wall pushes: it lets go of material that leaves."""
     return pressed > type(pressed)(0.0)
 
 
 @wp.func
 def either_way(pressed: Any):
-    """What leaves answers, too: the wall does not let go."""
+    """Always true: the wall does not let go of material that leaves."""
     return True
 
 
@@ -238,7 +237,7 @@ def add_rows(grid: wp.array(dtype=Any), first: int, step: int, m: Any, change: A
 
 
 class Response(NamedTuple):
-    """How nodes answer to a wall: one by one, or as a column of three that meets it."""
+    """How nodes respond to a wall: one by one, or as a column of three."""
 
     answer: Any
     """`(v, wall, n, friction) -> v` of a node by itself."""
@@ -249,7 +248,7 @@ class Response(NamedTuple):
     pushes: Any
     """`(pressed)`: whether it acts, by the impulse per mass along its normal."""
     hold: Any
-    """`(along, pressed, friction)`: what fraction of the motion along the wall it takes."""
+    """`(along, pressed, friction)`: the fraction of the motion along the wall that it takes."""
 
 
 RESPONSES = {
@@ -262,14 +261,20 @@ RESPONSES = {
 
 @cache
 def make_contact(shape: str, response: str, moving: bool, real: Any):
-    """Kernel over the nodes of a sub-box: columns of three nodes at a wall answer to it.
+    """Kernel over the nodes of a sub-box: columns of three nodes at a wall respond to it.
 
-    The first node of a column does the work for all three. Nodes further behind, or of columns
-    without material in front, answer one by one below `reach` m of signed distance; so do columns
-    that leave `span`, the layers first <= i < last that this launch may touch. A moving shape is
-    displaced by the value of its track and its wall moves at the track's rate, while the track is
-    active. `lightest` is the mass of a node amid the lightest of several materials [kg], or
-    infinite.
+    The thread of a column's first node handles all three. Nodes further behind, or in columns
+    without material in front, respond one by one below `reach` [m] of signed distance; so do
+    columns that leave `span`, the layers first <= i < last that this launch may touch. A moving
+    shape is displaced by the value of its track, and its wall moves at the track's rate, while the
+    track is active. `lightest` is the mass of a node inside the lightest of several materials [kg],
+    or infinite.
+
+    Args:
+        shape: Name of a distance function.
+        response: Name of a response.
+        moving: Whether the shape has a track.
+        real: wp.float32 or wp.float64.
     """
     t = types(real)
     distance = SHAPES[shape]
@@ -303,7 +308,7 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
         if grid_out[n][3] <= real(0.0):
             return
 
-        # The first of three nodes at the wall leads; here may be that one, or one of those behind.
+        # The first of three nodes at the wall leads; this may be that one, or one of those behind.
         low = window[0]
         dx = lattice[3]
         s = distance(place(lattice, low + here) - moved, geometry)
@@ -324,7 +329,7 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
         s2 = distance(place(lattice, low + end) - moved, geometry)
         column = front(s0, axis, dx) and s2[3] <= real(0.0)
 
-        # A node without such a column answers by itself.
+        # A node without such a column responds by itself.
         if not (column and laden(grid_out, size, span, lead) and holds(size, span, end)):
             if s[3] < reach:
                 v = answer(xyz(grid_out[n]), wall, xyz(s), friction)
@@ -357,10 +362,16 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
 
 @cache
 def make_collider(shape: str, response: str, moving: bool, real: Any):
-    """Kernel over the nodes of a sub-box: velocities inside a shape answer to its wall.
+    """Kernel over the nodes of a sub-box: velocities inside a shape respond to its wall.
 
-    A node counts as inside below `reach` m of signed distance; a moving shape is displaced by the
-    value of its track and its wall moves at the track's rate, while the track is active.
+    A node counts as inside below `reach` [m] of signed distance. A moving shape is displaced by the
+    value of its track, and its wall moves at the track's rate, while the track is active.
+
+    Args:
+        shape: Name of a distance function.
+        response: Name of a response.
+        moving: Whether the shape has a track.
+        real: wp.float32 or wp.float64.
     """
     t = types(real)
     distance, answer = SHAPES[shape], RESPONSES[response].answer

@@ -1,7 +1,7 @@
-"""Viscosity: a Newtonian stress beside the elastic one (Kelvin 1865, Voigt 1892).
+"""Viscosity: a Newtonian stress in addition to the elastic one (Kelvin 1865, Voigt 1892).
 
-The laws here are those of `elastic` and `hencky` with their parameters and eta [Pa s] after them.
-A material without friction uses the plain ones, which do not know of it.
+The laws here are those of `elastic` and `hencky` with eta [Pa s] after their parameters. A material
+without viscosity uses the plain laws.
 """
 
 from typing import Any
@@ -14,10 +14,10 @@ from phy124.kernels.hencky import hencky
 
 @wp.func
 def newtonian(F: Any, C: Any, eta: Any):
-    """J eta (C + C^T): Kirchhoff stress of sigma = 2 eta D, D the rate of strain.
+    """J eta (C + C^T): Kirchhoff stress of sigma = 2 eta D, with D the rate of strain.
 
-    An element that is inside out has none, so it never gives energy; one that is larger than at
-    rest has that of rest, which is what the substep is limited for.
+    For an inverted element it is zero, so that it never adds energy; for one larger than at rest, J
+    counts as 1, since the limit of the substep assumes that.
     """
     strength = wp.clamp(wp.determinant(F), type(eta)(0.0), type(eta)(1.0)) * eta
     return strength * (C + wp.transpose(C))
@@ -25,17 +25,17 @@ def newtonian(F: Any, C: Any, eta: Any):
 
 @wp.func
 def neo_hookean_damped(F: Any, C: Any, h: Any, theta: Any):
-    """Neo-Hookean with friction; theta = (mu, lam, eta)."""
+    """Neo-Hookean with viscosity; theta = (mu, lam, eta)."""
     return neo_hookean(F, C, h, theta) + newtonian(F, C, theta[2])
 
 
 @wp.func
 def fixed_corotated_damped(F: Any, C: Any, h: Any, theta: Any):
-    """Fixed corotated with friction; theta = (mu, lam, eta)."""
+    """Fixed corotated with viscosity; theta = (mu, lam, eta)."""
     return fixed_corotated(F, C, h, theta) + newtonian(F, C, theta[2])
 
 
 @wp.func
 def hencky_damped(F: Any, C: Any, h: Any, theta: Any):
-    """Hencky with friction; theta = (mu, lam, eta)."""
+    """Hencky with viscosity; theta = (mu, lam, eta)."""
     return hencky(F, C, h, theta) + newtonian(F, C, theta[2])

@@ -2,10 +2,10 @@
 
 One-sided Jacobi (Hestenes 1958; high relative accuracy: Demmel, Veselic 1992) of A = F R0 S0 V
 makes the columns of A orthogonal by plane rotations of at most 45 degrees: their directions are
-the axes of F Sigma0 F^T, their lengths the scales. It starts from V of the previous frame, and
-columns that are orthogonal to `TOLERANCE` already are left alone, so axes of equal length
-follow the material instead of flickering. Needles keep their thin axes, which are lost where
-Sigma itself is decomposed. Quaternions are wxyz vectors.
+the axes of F Sigma0 F^T, their lengths the scales. It starts from V of the previous frame. Columns
+that are already orthogonal to within `TOLERANCE` are left alone, so axes of equal length move with
+the material instead of flickering. Needles keep their thin axes, which would be lost if Sigma
+itself were decomposed. Quaternions are wxyz vectors.
 """
 
 import warp as wp
@@ -17,7 +17,7 @@ SWEEPS = wp.constant(24)
 TOLERANCE = wp.constant(wp.float64(4e-6))
 EXACT = wp.constant(wp.float64(1e-14))
 IDENTITY_ZONE = wp.constant(wp.float64(2.414))
-"""Trace above which a turn is under 45 degrees: no relabelling of axes is nearer."""
+"""Trace above which a rotation is below 45 degrees, so that no relabelling of axes is closer."""
 LARGEST = wp.constant(wp.float64(3.0e38))
 
 
@@ -71,7 +71,7 @@ def column(m: wp.mat33d, j: int) -> wp.vec3d:
 
 @wp.func
 def plane_rotation(a: wp.vec3d, b: wp.vec3d, tolerance: wp.float64) -> wp.vec2d:
-    """Cosine and sine of the turn that makes two columns orthogonal; (1, 0) if they are."""
+    """Cosine and sine of the rotation that makes two columns orthogonal; (1, 0) if they are."""
     one = wp.float64(1.0)
     turn = wp.vec2d(one, wp.float64(0.0))
     p = wp.dot(a, a)
@@ -130,7 +130,7 @@ def orthogonal_columns(a: wp.mat33d, v: wp.mat33d, tolerance: wp.float64):
 
 @wp.func
 def across(e: wp.vec3d, wanted: wp.vec3d, spare: wp.vec3d) -> wp.vec3d:
-    """Unit vector orthogonal to the unit vector e, in the plane of e and `wanted`, else `spare`."""
+    """Unit vector orthogonal to the unit vector e, in the plane of e and `wanted`, or `spare`."""
     u = wanted - wp.dot(e, wanted) * e
     if wp.length(u) <= wp.float64(1e-3) * wp.length(wanted):
         u = spare - wp.dot(e, spare) * e
@@ -141,8 +141,8 @@ def across(e: wp.vec3d, wanted: wp.vec3d, spare: wp.vec3d) -> wp.vec3d:
 def orientation(a: wp.mat33d, lengths: wp.vec3d, previous: wp.mat33d) -> wp.mat33d:
     """Proper rotation along the (nearly) orthogonal columns of A.
 
-    The longest is exact, the shortest is the cross product, whose sign also undoes reflections.
-    Columns without length take the previous axes as far as they can.
+    The longest is exact; the shortest is the cross product, whose sign also removes reflections.
+    Columns of zero length take the previous axes as far as possible.
     """
     i = int(0)
     if lengths[1] > lengths[i]:
@@ -155,7 +155,7 @@ def orientation(a: wp.mat33d, lengths: wp.vec3d, previous: wp.mat33d) -> wp.mat3
         j = (i + 2) % 3
         k = (i + 1) % 3
     out = previous
-    # Lengths under 1e-150 cannot be squared and have no direction.
+    # Lengths below 1e-150 cannot be squared and have no direction.
     if lengths[i] > wp.float64(1e-150):
         longest = column(a, i) / lengths[i]
         wanted = column(a, j)
@@ -174,7 +174,7 @@ def orientation(a: wp.mat33d, lengths: wp.vec3d, previous: wp.mat33d) -> wp.mat3
 
 @wp.func
 def nearest_labels(u: wp.mat33d, previous: wp.mat33d) -> wp.mat33d:
-    """The signed permutation W, of the 24 proper ones, that brings U W nearest to `previous`."""
+    """The signed permutation W, one of 24 proper ones, that brings U W closest to `previous`."""
     one = wp.float64(1.0)
     m = wp.transpose(previous) * u
     best = wp.identity(n=3, dtype=wp.float64)
@@ -253,7 +253,7 @@ def turn_of_material(
     # in place: the previous frame becomes this one
     rotations_out: wp.array(dtype=wp.vec4f),
 ):
-    """Rotation nearest to F (its polar part where det F > 0)."""
+    """The rotation closest to F (the polar rotation if det F > 0)."""
     i = wp.tid()
     last = wp.vec4d(rotations_out[i])
     a, v = orthogonal_columns(deformation[carrier[i]], wp.identity(n=3, dtype=wp.float64), EXACT)

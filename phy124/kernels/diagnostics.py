@@ -1,8 +1,8 @@
-"""What a state adds up to: momentum, energy, volume ratio, and the particles that are unsound.
+"""Diagnostics of a state: momentum, energy, volume ratio, and unsound particles.
 
-All sums are float64, of which each thread makes some by itself before it adds them to those of the
-others. The kinetic energy counts what APIC keeps in C: m/2 (|v|^2 + dx^2/4 |C|^2), the inertia of a
-quadratic B-spline (Jiang et al. 2017, eq. 12).
+All sums are in float64; each thread sums a part before it adds that to the total. The kinetic
+energy includes what APIC stores in C: m/2 (|v|^2 + dx^2/4 |C|^2), with the inertia of a quadratic
+B-spline (Jiang et al. 2017, eq. 12).
 """
 
 from functools import cache
@@ -15,14 +15,14 @@ from phy124.kernels.spectral import to_double
 from phy124.kernels.transfer import Law, types
 
 MOMENTUM, ANGULAR, KINETIC, ELASTIC, MIDDLE, POWER, SUMS = 0, 3, 6, 7, 8, 11, 12
-"""Where each sum stands, vectors by their first, and how many sums there are.
+"""Index of each sum (of a vector: its first), and the number of sums.
 
 `MIDDLE` is mass times position; the power is that of the elastic stress, V tau : C.
 """
 LEAST_J, LARGEST_J = 0, 1
-"""Where each end of the range of J stands; of the least one it is -J that is greatest."""
+"""Index of each end of the range of J; the smallest J is stored as the maximum of -J."""
 BROKEN, INVERTED = 0, 1
-"""Where each kind of unsound particle stands: not finite, inside out."""
+"""Index of each kind of unsound particle: not finite, inside out."""
 
 
 @wp.func
@@ -41,14 +41,14 @@ def add3(sums: wp.array(dtype=wp.float64), at: int, a: wp.vec3d):
 
 @wp.func
 def kinetic_energy(m: wp.float64, v: wp.vec3d, C: Any, dx: Any):
-    """m/2 (|v|^2 + dx^2/4 |C|^2), what APIC keeps in C included [J]."""
+    """m/2 (|v|^2 + dx^2/4 |C|^2), including what APIC stores in C [J]."""
     spread = wp.float64(dx * dx) / wp.float64(4.0)
     return m / wp.float64(2.0) * (wp.dot(v, v) + spread * wp.float64(wp.ddot(C, C)))
 
 
 @wp.func
 def spin(C: Any, dx: Any):
-    """Angular momentum per mass that APIC keeps in C [m^2/s]."""
+    """Angular momentum per mass that APIC stores in C [m^2/s]."""
     spread = wp.float64(dx * dx) / wp.float64(4.0)
     return spread * wp.vec3d(
         wp.float64(C[2, 1] - C[1, 2]), wp.float64(C[0, 2] - C[2, 0]), wp.float64(C[1, 0] - C[0, 1])
@@ -59,9 +59,9 @@ def spin(C: Any, dx: Any):
 def make_totals(law: Law, real: Any):
     """Kernel: `SUMS` over the particles, the range of J, and the unsound particles.
 
-    The power is that with which kinetic energy goes into elastic. `counts_out` is how many unsound
-    particles of each kind there are, `first_out` the lowest index of each. Each thread adds up
-    `each` particles before it writes, as in `make_measure`.
+    The power is the rate at which kinetic energy becomes elastic. `counts_out` is the number of
+    unsound particles of each kind, `first_out` the lowest index of each. Each thread sums `each`
+    particles before it writes, as in `make_measure`.
     """
     t = types(real)
     theta_type = wp.types.vector(law.width, real)

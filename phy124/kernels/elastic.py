@@ -14,7 +14,7 @@ from phy124.kernels.spectral import from_double, signed_stretch, to_double
 from phy124.kernels.symmetric import deviator, gram, symmetric
 
 SMALLEST_J = wp.constant(1.0e-4)
-"""Volume ratio below which log J is continued by its tangent, so inverted elements push back."""
+"""Volume ratio below which log J follows its tangent, so that inverted elements push back."""
 
 
 @wp.func
@@ -44,9 +44,9 @@ def polar_step(R: Any):
 def polar(F: Any):
     """Rotation of the polar decomposition by Newton's iteration (Higham 1986); needs det F > 0.
 
-    Each step leaves the singular values of R at 1 or above, so |R|^2 - 3 says how far it still is
-    from a rotation. In float32 three steps do for stretches between 0.75 and 1.35, five for all
-    between 0.3 and 4.
+    After each step the singular values of R are at least 1, so |R|^2 - 3 measures its distance from
+    a rotation. In float32 three steps suffice for stretches between 0.75 and 1.35, and five for
+    stretches between 0.3 and 4.
     """
     s = F[0, 0]
     R = polar_step(polar_step(polar_step(F)))
@@ -57,7 +57,7 @@ def polar(F: Any):
 
 @wp.func
 def stretch(F: Any):
-    """V of F = V R for every F: by Newton, and in float64 where that has not converged."""
+    """V of F = V R for every F: by Newton's iteration, or in float64 if that does not converge."""
     s = F[0, 0]
     R = polar(F)
     if wp.determinant(F) > type(s)(0.0) and wp.ddot(R, R) < type(s)(3.0) + polar_miss(s):
@@ -84,8 +84,9 @@ def log_volume(J: wp.float64):
 def log_volume(J: wp.float32):  # noqa: F811
     """As `log_volume_far`; near J = 1 a polynomial, which costs a third of a call of log.
 
-    Best approximation of log(1 + y) / y in |y| < 0.2: error 3e-8, with rounding 1.4e-7, and
-    exactly 0 at J = 1. Its two halves are independent, so that a processor works on both.
+    It is the best approximation of log(1 + y) / y for |y| < 0.2: its error is 3e-8, with rounding
+    1.4e-7, and log J is exactly 0 at J = 1. Its two halves are independent, so that a processor can
+    compute them in parallel.
     """
     y = J - 1.0
     if wp.abs(y) >= 0.2:
@@ -123,7 +124,7 @@ def neo_hookean(F: Any, C: Any, h: Any, theta: Any):
     p = theta[1] * log_volume(wp.determinant(F)) - theta[0]
     b = gram(F)
     mu = theta[0]
-    # Entry by entry: the compiler does not see that the products with the identity are nothing.
+    # Entry by entry, since the compiler does not remove the products with zeros of the identity.
     return symmetric(
         mu * b[0, 0] + p, mu * b[0, 1], mu * b[0, 2],
         mu * b[1, 1] + p, mu * b[1, 2], mu * b[2, 2] + p,

@@ -1,7 +1,7 @@
-"""Sums of the impulse and work that forces and walls give.
+"""Sums of the impulse and work of forces and walls.
 
-They are summed in float64 in every substep, because they depend on the path, and compared with
-what the state gained (phy124/kernels/diagnostics.py).
+They are summed in float64 in every substep, because they depend on the path, and compared with the
+change of the state (phy124/kernels/diagnostics.py).
 """
 
 from functools import cache
@@ -14,9 +14,9 @@ from phy124.kernels.diagnostics import add3, kinetic_energy, wide
 from phy124.kernels.transfer import types
 
 IMPULSE, WORK, MOVED, TURNED, GIVEN = 0, 3, 4, 5, 6
-"""Where each sum stands, the impulse by its first, and how many sums there are.
+"""Index of each sum (of the impulse: its first), and the number of sums.
 
-`MOVED` and `TURNED` are the sums of the sizes of all impulses and of all works.
+`MOVED` and `TURNED` are the sums of the norms of all impulses and of the absolute values of work.
 """
 
 
@@ -25,7 +25,7 @@ def add_given(
     given: wp.array(dtype=wp.float64), impulse: wp.vec3d, work: wp.float64, moved: wp.float64,
     turned: wp.float64,
 ):  # fmt: skip
-    """Add to `GIVEN` sums."""
+    """Add one impulse and its work to the `GIVEN` sums."""
     add3(given, IMPULSE, impulse)
     wp.atomic_add(given, WORK, work)
     wp.atomic_add(given, MOVED, moved)
@@ -34,7 +34,7 @@ def add_given(
 
 @cache
 def make_push_copy(real: Any):
-    """Kernel: keeps what the particles do before forces act on them."""
+    """Kernel: stores the velocities of the particles before forces act on them."""
     t = types(real)
 
     @kernel(f"phy124_push_copy_{real.__name__}")
@@ -88,7 +88,7 @@ def make_push_sums(real: Any):
 
 @cache
 def make_wall_copy(real: Any):
-    """Kernel over rows of nodes in a sub-box: keeps their velocities before walls act."""
+    """Kernel over rows of nodes in a sub-box: stores their velocities before walls act."""
     t = types(real)
 
     @kernel(f"phy124_wall_copy_{real.__name__}")
@@ -113,11 +113,11 @@ def make_wall_copy(real: Any):
 
 @cache
 def make_wall_sums(real: Any):
-    """Kernel over the same rows: adds what the walls give to `GIVEN` sums.
+    """Kernel over the same rows: adds impulse and work of the walls to the `GIVEN` sums.
 
-    The work of an impulse J is J . v with the velocity after it, which moves the material: zero
-    for walls at rest, negative for friction. With the velocity before it, stress that presses on
-    a wall in vain would count as work.
+    The work of an impulse J is J . v with the velocity after it, which moves the material: zero for
+    walls at rest, negative for friction. With the velocity before it, stress that presses on a wall
+    without moving it would count as work.
     """
     t = types(real)
 
@@ -158,10 +158,10 @@ def make_wall_sums(real: Any):
 
 @cache
 def make_uniform_sums(real: Any):
-    """Kernel of one thread: adds what the uniform acceleration gives in a substep.
+    """Kernel of one thread: adds impulse and work of the uniform acceleration in a substep.
 
-    When it acts, forces on particles have acted in this substep and walls have not: `walls_out`
-    keeps what those had given before. `base` is the momentum without what the open sums hold.
+    It acts after forces on particles and before walls, so `walls_out` stores the walls' sums up to
+    the previous substep. `base` is the momentum without the open sums.
     """
     t = types(real)
 

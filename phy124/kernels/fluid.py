@@ -1,8 +1,8 @@
 """Weakly compressible fluid: pressure of the volume ratio J, viscosity of the velocity gradient.
 
-The elastic F of a fluid is j I with j = J^(1/3): shape is forgotten, only volume is kept. Its
-history is J as it was about a relaxation time ago: against a change that is faster than that the
-fluid is stiffer, and what it gave to that stiffness is lost (Mandelstam and Leontovich 1937).
+The elastic F of a fluid is j I with j = J^(1/3), which keeps its volume but not its shape. Its
+history variable is J about one relaxation time ago: for faster changes the fluid is stiffer, and
+the energy of that extra stiffness is dissipated (Mandelstam and Leontovich 1937).
 """
 
 from typing import Any
@@ -12,13 +12,13 @@ import warp as wp
 MIN_J = wp.constant(1.0e-4)
 """Volume ratio below which the pressure no longer rises."""
 TAIT_J = wp.constant(0.8)
-"""Volume ratio below which J p rises only as log J: a few particles that are squeezed further, by
-impacts faster than a quarter of the speed of sound, must not rule the substep of all."""
+"""Volume ratio below which J p rises only as log J. Otherwise a few particles that are compressed
+further, by impacts faster than a quarter of the speed of sound, would limit everybody's substep."""
 
 
 @wp.func
 def squeeze(F: Any):
-    """J of Tait's pressure and the log of what it is squeezed beyond that."""
+    """J for Tait's pressure, and the log of the compression beyond `TAIT_J`."""
     J = wp.max(wp.determinant(F), type(F[0, 0])(MIN_J))
     bounded = wp.max(J, type(J)(TAIT_J))
     return bounded, wp.log(J / bounded)
@@ -39,7 +39,7 @@ def hardness(J: Any, theta: Any):
 
 @wp.func
 def lag(F: Any, h: Any):
-    """log of J over what it was about a relaxation time ago."""
+    """log of J divided by its value about one relaxation time ago."""
     J = wp.max(wp.determinant(F), type(F[0, 0])(MIN_J))
     return wp.log(J / wp.max(h[0], type(J)(MIN_J)))
 
@@ -61,8 +61,8 @@ def tait(F: Any, C: Any, h: Any, theta: Any):
 
     theta = (K [Pa], gamma, eta [Pa s], zeta [Pa s], K' [Pa], 1 / relaxation time [1/s]); tension
     is allowed, as cohesion.
-    j = min(J, 1): what has flown apart keeps its viscosity per mass, which limits the substep, not
-    that per volume. zeta takes sound away, where there is pressure.
+    With j = min(J, 1), fluid that has spread out keeps its viscosity per mass, which limits the
+    substep, and not that per volume. zeta damps sound wherever there is pressure.
     """
     one = type(theta[0])(1.0)
     J, more = squeeze(F)
@@ -85,9 +85,9 @@ def tait_modulus(F: Any, h: Any, theta: Any):
 
 @wp.func
 def isotropic(F: Any, h: Any, theta: Any, dt: Any):
-    """tr F / 3 I: with F = (I + dt C) j I this is the volume change without the turn's error.
+    """tr F / 3 I: with F = (I + dt C) j I, the change of volume without the error of rotation.
 
-    det(I + dt W) of a rotation exceeds one by (dt omega)^2, which would let a whirl expand.
+    For a rotation, det(I + dt W) exceeds 1 by (dt omega)^2, which would let a vortex expand.
     """
     one = type(dt)(1.0)
     j = wp.max(wp.trace(F) / type(dt)(3.0), type(dt)(0.0))

@@ -1,4 +1,4 @@
-"""Sand and snow: materials that hold together only under pressure, or until they break."""
+"""Sand and snow: materials that cohere only under pressure, or until they break."""
 
 from typing import Any
 
@@ -16,15 +16,15 @@ from phy124.kernels.symmetric import deviator, exponential, gram
 HARDEST = wp.constant(4.0)
 """Largest exponent of snow's hardening: at most e^4 = 55 times stiffer than fresh."""
 LOOSEST = wp.constant(1.0e6)
-"""Jp at which snow that flies apart stops counting, before it overflows."""
+"""Largest Jp of snow that flies apart, so that it does not overflow."""
 
 
 @wp.func
 def drucker_prager(F: Any, h: Any, theta: Any, dt: Any):
-    """Cone of no cohesion (Klar et al. 2016, sec. 7) with volume correction (Tampubolon 2017).
+    """Cone without cohesion (Klar et al. 2016, sec. 7) with volume correction (Tampubolon 2017).
 
-    theta = (mu, lam, alpha), alpha = sqrt(2/3) 2 sin phi / (3 - sin phi). h[0] >= 0 is the log
-    volume gained while loose, which must close before grains carry pressure again.
+    theta = (mu, lam, alpha), alpha = sqrt(2/3) 2 sin phi / (3 - sin phi). h[0] >= 0 is the log of
+    the volume gained while loose, which must be lost again before grains carry pressure.
     """
     zero = type(theta[0])(0.0)
     third = type(theta[0])(1.0) / type(theta[0])(3.0)
@@ -48,7 +48,7 @@ def drucker_prager(F: Any, h: Any, theta: Any, dt: Any):
 
 @wp.func
 def snow_hardening(h: Any, theta: Any):
-    """exp(xi (1 - Jp)), theta = (mu, lam, least, most, xi), h[0] = Jp - 1."""
+    """exp(xi (1 - Jp)); theta = (mu, lam, smallest, largest, xi), h[0] = Jp - 1."""
     s = theta[4]
     return wp.exp(wp.clamp(-s * h[0], -type(s)(HARDEST), type(s)(HARDEST)))
 
@@ -67,13 +67,13 @@ def snow(F: Any, C: Any, h: Any, theta: Any):
 
 @wp.func
 def snow_modulus(F: Any, h: Any, theta: Any):
-    """Fixed corotated, scaled by the hardening."""
+    """Modulus of fixed corotated, scaled by the hardening."""
     return snow_hardening(h, theta) * fixed_corotated_modulus(F, h, theta)
 
 
 @wp.func
 def clamped(s: wp.vec3d, minimum: wp.float64, maximum: wp.float64) -> wp.vec3d:
-    """Stretches brought into their range."""
+    """Stretches clamped to their range."""
     return wp.vec3d(
         wp.clamp(s[0], minimum, maximum),
         wp.clamp(s[1], minimum, maximum),
@@ -92,12 +92,12 @@ def stretch_energy(s: wp.vec3d, side: wp.float64, mu: wp.float64, lam: wp.float6
 
 @wp.func
 def snow_return(F: Any, h: Any, theta: Any, dt: Any):
-    """Stretches clamped to [least, most], what is cut off goes to Jp (eqs. 9 and 10 there).
+    """Clamps the stretches to [smallest, largest] and moves the rest to Jp (eqs. 9 and 10 there).
 
-    Nothing is cut off where that would raise the energy, hardening included: a stretch under
-    pressure does not break, however long it is. Without this, snow of a Poisson's ratio near 1/2
-    gains energy from breaking. Bounds of the eigenvalues of F F^T that need no root settle most
-    elastic particles.
+    Nothing is clamped if that would raise the energy, including hardening: a stretch under pressure
+    does not break, however long it is. Without this rule, snow with a Poisson's ratio near 1/2
+    gains energy by breaking. For most elastic particles, bounds of the eigenvalues of F F^T that
+    need no root are enough.
     """
     s = F[0, 0]
     b = gram(F)

@@ -1,4 +1,4 @@
-"""What happens on the grid between scatter and gather: momentum to velocity."""
+"""The grid update between scatter and gather: momentum to velocity."""
 
 from functools import cache
 from typing import Any
@@ -25,7 +25,7 @@ def make_update(real: Any):
         q = grid_out[n]
         m = q[3]
         if m > real(0.0):
-            # Slot 0 of the tracks is the sum of all uniform accelerations, gravity among them.
+            # Slot 0 of the tracks is the sum of all uniform accelerations, including gravity.
             a = values[0]
             kick = clock[0]
             grid_out[n] = wp.vector(
@@ -37,7 +37,7 @@ def make_update(real: Any):
 
 @cache
 def make_merge(real: Any):
-    """Kernel: as `update`, first adding what two lanes scattered into nodes of their own.
+    """Kernel: as `update`, after adding what two workers scattered into nodes of their own.
 
     Worker A covers the nodes first_a <= n < last_a of the shared window, worker B likewise.
     """
@@ -71,7 +71,7 @@ def make_merge(real: Any):
 
 @cache
 def make_grid_speed(real: Any):
-    """Kernel: the largest squared speed of a node with mass; decides whether a step is taken."""
+    """Kernel: the largest squared speed of a node with mass, which decides about step rejection."""
     t = types(real)
 
     @kernel(f"phy124_grid_speed_{real.__name__}")
@@ -84,7 +84,7 @@ def make_grid_speed(real: Any):
         q = grid[wp.tid()]
         if q[3] > real(0.0):
             square = q[0] * q[0] + q[1] * q[1] + q[2] * q[2]
-            # A comparison with NaN is false: it must not pass for slow.
+            # A comparison with NaN is false, and NaN must not count as slow.
             if not wp.isfinite(square):
                 square = real(1.0e38)
             if square > fastest_out[0]:

@@ -2,9 +2,9 @@
 
 With b = F F^T and Z = (b - I)(b + I)^-1 the strain is log V = 1/2 log b = atanh Z, an odd power
 series. X = b - I has the invariants i and Z is a quadratic in it,
-Z = (i3 + (4 + 2 i1) X - 2 X^2) / (8 + 4 i1 + 2 i2 + i3). In float32 the series serves stretches
-between 0.72 and 1.39 (to 3e-8), in float64 between 0.91 and 1.09 (to 2e-15); a particle outside
-takes the closed form of `spectral`.
+Z = (i3 + (4 + 2 i1) X - 2 X^2) / (8 + 4 i1 + 2 i2 + i3). In float32 the series is used for
+stretches between 0.72 and 1.39 (error 3e-8), in float64 between 0.91 and 1.09 (error 2e-15); for
+particles outside, the closed form of `spectral` is used.
 """
 
 from typing import Any
@@ -23,7 +23,7 @@ from phy124.kernels.symmetric import (
 )
 
 SMALLEST_STRETCH = wp.constant(1.0e-4)
-"""Stretches below count as this one: the strain of a flat element is finite."""
+"""Smaller stretches count as this one, so that the strain of a flat element is finite."""
 
 
 @wp.func
@@ -49,10 +49,10 @@ def left_strain(F: Any):
 
 @wp.func
 def inverse_tanh(z: Any):
-    """Coefficients of atanh Z as a quadratic in Z, whose invariants are given; up to Z^11 / 11.
+    """Coefficients of atanh Z as a quadratic in Z, from the invariants of Z; up to Z^11 / 11.
 
-    Z (1 + W/3 + W^2/5 + ...) with W = Z^2: the sum is a quadratic in W first, then Z W = Z^3 and
-    Z W^2 = Z^5 are quadratics in Z. That is half the steps of a series in Z.
+    Z (1 + W/3 + W^2/5 + ...) with W = Z^2: the sum is first a quadratic in W; then Z W = Z^3 and
+    Z W^2 = Z^5 are quadratics in Z. This takes half as many steps as a series in Z.
     """
     one = type(z[0])(1.0)
     two = type(z[0])(2.0)
@@ -74,7 +74,7 @@ def inverse_tanh(z: Any):
 
 @wp.func
 def log_strain(F: Any):
-    """Hencky strain log V, F = V R, for every F; inverted elements count as their mirror image."""
+    """Hencky strain log V of F = V R for every F; inverted elements count as their mirror image."""
     s = F[0, 0]
     two = type(s)(2.0)
     four = type(s)(4.0)

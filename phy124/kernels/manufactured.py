@@ -1,13 +1,14 @@
 """Body forces that make a chosen motion an exact solution (method of manufactured solutions).
 
 The generalised vortex of Kamojjala, Brannon, Sadeghirad, Guilkey 2015 (doi
-10.1007/s00366-013-0342-x): each radius of a ring turns by beta(R, t) = h(R) g(t) about z,
+10.1007/s00366-013-0342-x): each radius of a ring rotates by beta(R, t) = h(R) g(t) about z,
 
     h = 1 - 8 s^2 + 16 s^4, s = (R - mean) / width,   g = A (1 - cos(2 pi t)) / 2.
 
 For a neo-Hookean solid tau = mu (b - I) + lambda ln(J) I of density rho, with gamma = R beta',
-the force per mass is -R beta_t^2 + mu gamma^2 / (rho R) outwards and
-R beta_tt - mu (3 beta' + R beta'') / rho around. Both edges of the ring stay free of stress.
+the force per mass is -R beta_t^2 + mu gamma^2 / (rho R) in the radial direction and
+R beta_tt - mu (3 beta' + R beta'') / rho in the tangential one. Both edges of the ring remain free
+of stress.
 """
 
 from functools import cache

@@ -1,7 +1,7 @@
-"""Where each number stands among the maxima that limit a substep and say where the particles are.
+"""Index of each number among the maxima that limit a substep and bound the particles.
 
-`transfer.make_measure` raises them; `timestep.make_timestep` reads them on the device and
-phy124/mpm/maxima.py on the host. Of the lowest corner it is -x that is greatest.
+`transfer.make_measure` computes them; `timestep.make_timestep` reads them on the device and
+phy124/mpm/maxima.py on the host. The lowest corner is stored as the maximum of -x.
 """
 
 SPEED = 0
@@ -15,4 +15,4 @@ LOW = 3
 HIGH = 6
 """The first of three: the highest corner [m]."""
 COUNT = 9
-"""How many numbers there are."""
+"""Number of maxima."""

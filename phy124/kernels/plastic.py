@@ -1,6 +1,6 @@
-"""Return mappings on Hencky strain: the elastic part of F falls back to the yield surface.
+"""Return mappings on Hencky strain, which bring the elastic part of F back to the yield surface.
 
-All act on e = log V alone: the new F is exp(e_new - e) F, which keeps the rotation and needs no
+They change only e = log V: the new F is exp(e_new - e) F, which keeps the rotation and needs no
 singular vectors. Strengths are stored as norms of the deviatoric Kirchhoff stress,
 limit = sqrt(2/3) sigma_Y, with sigma_Y the uniaxial yield stress.
 """
@@ -36,7 +36,7 @@ def von_mises(F: Any, h: Any, theta: Any, dt: Any):
 
 @wp.func
 def remaining_fraction(log_k: Any, m: Any):
-    """The root r in (0, 1] of r + k r^m = 1, k >= 0, m >= 1, by Newton from above."""
+    """The root r in (0, 1] of r + k r^m = 1 with k >= 0, m >= 1, by Newton's method from above."""
     one = type(log_k)(1.0)
     r = wp.exp(wp.min(-log_k / m, type(log_k)(0.0)))
     if log_k > type(log_k)(40.0):

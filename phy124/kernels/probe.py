@@ -1,4 +1,4 @@
-"""Everything a law says about single states, to examine it by itself."""
+"""Evaluates a law for single states, to examine it by itself."""
 
 from functools import cache
 from typing import Any
@@ -11,7 +11,7 @@ from phy124.kernels.transfer import Law, types
 
 @cache
 def make_probe(law: Law, real: Any):
-    """Kernel: everything a law says about single states, to examine it by itself."""
+    """Kernel: stress, modulus, energy and return mapping of a law for single states."""
     t = types(real)
     theta_type = wp.types.vector(law.width, real)
     stress, modulus, energy, project = law.stress, law.modulus, law.energy, law.project

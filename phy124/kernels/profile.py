@@ -1,8 +1,8 @@
 """Tables of time on the device: piecewise linear tracks, sampled once per substep.
 
-A wall asks where it is now and how fast it moves. A force asks for its mean over the time its kick
-stands for, from half a substep ago to half a substep ahead: the kicks tile time without gaps, so
-any force delivers its exact impulse whatever the substeps are.
+A wall needs its current position and speed. A force needs its mean over the interval of its kick,
+from half a substep ago to half a substep ahead. These intervals cover time without gaps, so any
+force gives its exact impulse whatever the substeps are.
 """
 
 from functools import cache
@@ -46,7 +46,7 @@ def integral(
 
 @wp.func
 def folded(at: Any, period: Any):
-    """Time since the period began; unchanged if there is none or before the first."""
+    """Time since the current period began; unchanged without a period, or before the first."""
     if period > type(at)(0.0) and at > type(at)(0.0):
         return at - period * wp.floor(at / period)
     return at
@@ -57,7 +57,7 @@ def mean(
     times: wp.array(dtype=Any), keys: wp.array(dtype=Any), first: int, last: int, span: Any,
     a: Any, b: Any,
 ):  # fmt: skip
-    """Mean from a to b [s], nothing outside span = (start, end, origin, period)."""
+    """Mean from a to b [s], zero outside span = (start, end, origin, period)."""
     zero = a - a
     low = wp.max(a, span[0])
     high = wp.min(b, span[1])
@@ -76,7 +76,7 @@ def mean(
 
 @cache
 def make_sampler(real: Any):
-    """Kernel: value and rate of every track at the present time, slot 0 the uniform acceleration.
+    """Kernel: value and rate of every track at the current time; slot 0: uniform acceleration.
 
     The fourth component of a value is 1 while the track is active.
     """
@@ -94,7 +94,7 @@ def make_sampler(real: Any):
         now = clock[2]
         b = now + real(0.5) * clock[1]
         a = b - clock[0]
-        # Before the first substep there is no interval yet; what never varies is sampled only then.
+        # Before the first substep there is no interval; constant tracks are sampled only then.
         if b <= a:
             a = now
             b = now + real(1.0)

@@ -1,6 +1,6 @@
-"""Forces on chosen particles, before they scatter: one kernel per force.
+"""Forces on chosen particles before they scatter: one kernel per force.
 
-`chosen` lists the particles a force acts on; `slot` is the track that holds its strength, averaged
+`chosen` lists the particles that a force acts on; `slot` is the track with its strength, averaged
 over the kick and zero while the force is off.
 """
 
@@ -39,9 +39,9 @@ def make_accelerate(real: Any, per_mass: bool):
 
 @cache
 def make_zone(real: Any):
-    """Kernel: v += kick a for particles that are inside a box at the moment.
+    """Kernel: v += kick a for particles that are inside a box now.
 
-    With an `axis` from 0 to 2, of the box only the cylinder along it about its middle.
+    With an `axis` from 0 to 2, only the cylinder along that axis about the box's centre counts.
     """
     t = types(real)
 
@@ -74,7 +74,7 @@ def make_zone(real: Any):
 
 @cache
 def make_drag(real: Any):
-    """Kernel: v approaches the wind at a rate, v += (u - v)(1 - exp(-rate kick)): never past it."""
+    """Kernel: v approaches the wind, v += (u - v)(1 - exp(-rate kick)), and never overshoots."""
     t = types(real)
 
     @kernel(f"phy124_drag_{real.__name__}")

@@ -1,8 +1,8 @@
-"""Many particles, few numbers: sums at the nodes of the grid, sums and maxima over all.
+"""Reductions: sums at the nodes of the grid, and sums and maxima over all particles.
 
-Atomic operations on one address queue on a GPU, so a thread first adds up its part by itself. To
-nodes, from compute capability 9.0 on, a GPU adds four float32 in one transaction; older ones,
-float64 and the CPU add component by component.
+On a GPU, atomic operations on one address are serialised, so each thread first reduces its own
+part. From compute capability 9.0 on, a GPU adds four float32 to a node in one transaction; older
+ones, float64 and the CPU add component by component.
 """
 
 from typing import Any
@@ -10,14 +10,14 @@ from typing import Any
 import warp as wp
 
 EACH, MOST_THREADS = 32, 2**14
-"""Particles that one thread of the CPU adds up, and threads of a GPU that share all."""
+"""Number of particles per thread on the CPU, and largest number of threads on a GPU."""
 
 
 def shared_out(particles: int, device: str) -> tuple[int, int, int, int]:
-    """Threads that make a sum or a maximum of all, and their shares: first, each, stride.
+    """Number of threads that reduce all particles, and first, each and stride of their parts.
 
-    A thread has the particles `thread * first + k * stride`, k < each. On the CPU they are
-    neighbours; on a GPU those of neighbouring threads are, which read memory together.
+    A thread has the particles `thread * first + k * stride`, k < each. On the CPU these are
+    neighbours; on a GPU those of neighbouring threads are, so that memory reads coalesce.
     """
     if device == "cpu":
         return -(-particles // EACH), EACH, EACH, 1
@@ -50,18 +50,18 @@ def add(grid: wp.array(dtype=wp.vec4d), node: int, value: wp.vec4d):  # noqa: F8
 
 @wp.func
 def finite(a: Any):
-    """Whether a number is neither infinite nor NaN; on the CPU `wp.isfinite` is a call."""
+    """Whether a number is finite; on the CPU `wp.isfinite` is a function call and slower."""
     return a - a == type(a)(0.0)
 
 
 @wp.func
 def greater(a: Any, b: Any):
-    """The greater of two numbers: `wp.max` would also ask whether they are."""
+    """The larger of two numbers, without the check for NaN of `wp.max`."""
     return wp.where(b > a, b, a)
 
 
 @wp.func
 def raise_to(maxima: wp.array(dtype=Any), index: int, value: Any):
-    """Raise a maximum. Asking first spares most of the atomic operations, which would queue."""
+    """Raise a maximum. Comparing first avoids most of the atomic operations."""
     if value > maxima[index]:
         wp.atomic_max(maxima, index, value)

@@ -1,8 +1,8 @@
-"""The same scatter and gather as in `transfer`, one 64-byte row of three nodes at a time.
+"""The scatter and gather of `transfer`, one 64-byte row of three nodes at a time.
 
-C++ snippets for the CPU in float32: three nodes of four floats (and a fourth with weight zero)
-are one AVX-512 register or two AVX2 ones. The grid array is one node longer than its window so
-that the last row may be read whole. One algorithm, two forms: the tests run both.
+These are C++ snippets for the CPU in float32: three nodes of four floats (and a fourth with weight
+zero) fill one AVX-512 register or two AVX2 registers. The grid array is one node longer than its
+window, so that the last row can be read completely. The tests run both forms of the algorithm.
 """
 
 import warp as wp

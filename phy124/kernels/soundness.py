@@ -1,4 +1,4 @@
-"""Deformations that no law can work with are reset; F_total is held to a size."""
+"""Resets deformations that no law can handle, and bounds F_total."""
 
 from functools import cache
 from typing import Any
@@ -11,11 +11,11 @@ from phy124.kernels.transfer import types
 
 @cache
 def make_reset(real: Any):
-    """Kernel: deformations that no law can work with become the identity.
+    """Kernel: deformations that no law can handle become the identity.
 
     Sound are volume ratios between `min_J` and `max_J`, norms up to `max_norm`, and a smallest
-    stretch of at least the fraction `narrowest` of the largest: J / |cof F| against |F|.
-    `found_out` is how many are not and the lowest index of one.
+    stretch of at least the fraction `narrowest` of the largest, compared as J / |cof F| and |F|.
+    `found_out` is the number of others, and the lowest index of one.
     """
     t = types(real)
 
@@ -36,7 +36,7 @@ def make_reset(real: Any):
         J = wp.dot(deformation[0], a)
         size = wp.sqrt(wp.ddot(deformation, deformation))
         cofactor = wp.sqrt(wp.dot(a, a) + wp.dot(b, b) + wp.dot(c, c))
-        # A comparison with NaN is false, so the test is for soundness.
+        # A comparison with NaN is false, so the condition is written for sound ones.
         if not (
             J >= min_J and J <= max_J and size <= max_norm and J >= narrowest * size * cofactor
         ):
@@ -50,7 +50,7 @@ def make_reset(real: Any):
 
 @cache
 def make_limit_total(real: Any):
-    """Kernel: F_total of material that flows for ever is scaled down before it overflows."""
+    """Kernel: scales down the F_total of flowing material before it overflows."""
     t = types(real)
 
     @kernel(f"phy124_limit_total_{real.__name__}")

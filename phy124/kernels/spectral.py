@@ -1,9 +1,9 @@
 """Functions of a symmetric 3x3 matrix through its eigenvalues, in float64, without eigenvectors.
 
-The eigenvalues have a closed form (Smith 1961); a function of the matrix is then the quadratic
-that takes the function's values there (Newton's divided differences), which stays exact to
-rounding where eigenvalues meet, because the error of a node is multiplied by the gap. This is
-what the laws fall back on for the few particles outside the range of their fast forms.
+The eigenvalues have a closed form (Smith 1961). A function of the matrix is then the quadratic with
+the function's values there (Newton's divided differences). It remains exact to rounding where
+eigenvalues coincide, because the error of a node is multiplied by the gap. The laws use this for
+the few particles outside the range of their fast forms.
 """
 
 from typing import Any
@@ -50,7 +50,7 @@ def eigenvalues(b: wp.mat33d) -> wp.vec3d:
 
 @wp.func
 def slope(rise: wp.float64, run: wp.float64) -> wp.float64:
-    """rise / run, and 0 where the two nodes are one."""
+    """rise / run, or 0 if the two nodes coincide."""
     if run > wp.float64(0.0):
         return rise / run
     return wp.float64(0.0)
@@ -67,7 +67,7 @@ def with_values(b: wp.mat33d, at: wp.vec3d, f: wp.vec3d) -> wp.mat33d:
 
 @wp.func
 def signed_stretch(F: wp.mat33d) -> wp.mat33d:
-    """V of the polar decomposition F = V R, R a rotation for every F, flat and inverted too.
+    """V of the polar decomposition F = V R, with R a rotation for every F, even flat or inverted.
 
     The smallest stretch carries the sign of det F.
     """
@@ -84,7 +84,7 @@ def signed_stretch(F: wp.mat33d) -> wp.mat33d:
 
 @wp.func
 def floored_log(F: wp.mat33d, floor: wp.float64) -> wp.mat33d:
-    """log V of F = V R, stretches below `floor` counted as `floor`; blind to reflections."""
+    """log V of F = V R; stretches below `floor` count as `floor`, and reflections are ignored."""
     b = F * wp.transpose(F)
     at = eigenvalues(b)
     half = wp.float64(0.5)

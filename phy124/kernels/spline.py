@@ -7,7 +7,7 @@ import warp as wp
 
 @wp.func
 def spline(f: Any):
-    """Quadratic B-spline weights of three nodes, f in [0.5, 1.5) the distance to the first."""
+    """Quadratic B-spline weights of three nodes; f in [0.5, 1.5) is the distance to the first."""
     half = type(f)(0.5)
     a = type(f)(1.5) - f
     b = f - type(f)(1.0)

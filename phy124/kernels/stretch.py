@@ -1,4 +1,4 @@
-"""How far stretched material has carried its particles apart, in cells of the grid."""
+"""How far apart stretching has moved neighbouring particles, in cells of the grid."""
 
 from functools import cache
 from typing import Any
@@ -12,13 +12,13 @@ from phy124.kernels.transfer import types
 
 @wp.func
 def spacing(F: Any, volume: Any):
-    """Distance of neighbours along the largest stretch [m]; at rest each has a cube of its own."""
+    """Distance of neighbours along the largest stretch [m]; at rest each particle fills a cube."""
     return wp.sqrt(largest_stretch_squared(F)) * wp.cbrt(volume)
 
 
 @cache
 def make_apart(real: Any):
-    """Kernel: particles whose neighbours are further away than `limit` m.
+    """Kernel: finds particles whose neighbours are further away than `limit` [m].
 
     `found_out` is their number and their lowest index, `max_out` the largest stretch.
     """

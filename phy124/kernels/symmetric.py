@@ -1,7 +1,7 @@
-"""Symmetric 3x3 matrices: squares, and power series by Cayley and Hamilton.
+"""Symmetric 3x3 matrices: squares, and power series by the Cayley-Hamilton theorem.
 
 Every power of A is a quadratic c0 I + c1 A + c2 A^2 whose coefficients follow from the invariants
-of A, so each further term of a series costs a few scalar operations and no matrix product.
+of A, so each further term of a series costs a few scalar operations but no matrix product.
 """
 
 from typing import Any
@@ -28,14 +28,14 @@ def gram(a: Any):
 
 @wp.func
 def deviator(a: Any):
-    """A without its mean."""
+    """A without its mean, A - tr A / 3 I."""
     mean = wp.trace(a) / type(a[0, 0])(3.0)
     return symmetric(a[0, 0] - mean, a[0, 1], a[0, 2], a[1, 1] - mean, a[1, 2], a[2, 2] - mean)
 
 
 @wp.func
 def invariants(a: Any, squared: Any):
-    """The principal invariants of A, whose square is given."""
+    """The principal invariants of A, given its square."""
     first = wp.trace(a)
     second = (first * first - wp.trace(squared)) * type(first)(0.5)
     return wp.vector(first, second, wp.determinant(a))
@@ -43,7 +43,7 @@ def invariants(a: Any, squared: Any):
 
 @wp.func
 def next_power(c: Any, i: Any):
-    """Coefficients of A (c0 I + c1 A + c2 A^2), i the invariants of A."""
+    """Coefficients of A (c0 I + c1 A + c2 A^2), with i the invariants of A."""
     return wp.vector(c[2] * i[2], c[0] - c[2] * i[1], c[1] + c[2] * i[0])
 
 
@@ -62,9 +62,9 @@ def quadratic(c: Any, a: Any, squared: Any):
 
 @wp.func
 def linear_range(s: wp.float32):
-    """|A|^2 below which I + A is exp A to rounding, and A its own atanh, in float32.
+    """|A|^2 below which, in float32, exp A is I + A to rounding and atanh A is A.
 
-    Higher powers of so small a matrix would also be denormal numbers, which are slow.
+    Higher powers of such a small matrix would be denormal numbers, which are slow.
     """
     return wp.float32(1.0e-10)
 
@@ -89,7 +89,7 @@ def small_enough(s: wp.float64):  # noqa: F811
 
 @wp.func
 def exponential(a: Any):
-    """exp A: halved until small, the power series up to A^5 / 120, squared again."""
+    """exp A: A is halved until small, then the power series up to A^5 / 120 is squared again."""
     s = a[0, 0]
     small = a
     size = wp.ddot(a, a)

@@ -1,7 +1,7 @@
-"""The length of the next substep, chosen on the device, so that a frame needs no host.
+"""The length of the next substep, chosen on the device, so that a frame does not need the host.
 
-The same limits, in the same double precision and in the same order as phy124/mpm/timestep.py and
-phy124/mpm/rejection.py: on one device both take the same substeps, bit for bit.
+The limits, their double precision and their order are those of phy124/mpm/timestep.py and
+phy124/mpm/rejection.py; on one device both take the same substeps, bit for bit.
 """
 
 from functools import cache
@@ -13,14 +13,14 @@ from phy124.kernels import maxima as at
 from phy124.kernels.build import kernel
 
 DONE, LOOK, CAREFUL = 1, 2, 3
-"""Why substeps end: the time has come, the host must measure, the next may be violent."""
+"""Why substeps end: the time is reached, the host must measure, or the next may be violent."""
 ELASTIC, SPEED, GRADIENT, VISCOUS, USER = range(5)
-"""What limits a substep."""
+"""The limits of a substep."""
 
 
 @wp.struct
 class Limits:
-    """What the host fixes for the substeps up to a time."""
+    """Values that the host sets for the substeps up to a time."""
 
     until: wp.float64
     """Time to reach [s]."""
@@ -29,39 +29,39 @@ class Limits:
     reach: wp.float64
     """Courant number times dx [m]."""
     stride: wp.float64
-    """Way of a particle in a substep at most [m]."""
+    """Largest distance that a particle moves in a substep [m]."""
     turn: wp.float64
-    """|C| dt at most."""
+    """Largest |C| dt."""
     viscous: wp.float64
-    """The materials' own limit [s]."""
+    """Longest substep that viscosity allows [s]."""
     ceiling: wp.float64
-    """The user's limit [s]."""
+    """Longest substep that the user allows [s]."""
     wall: wp.float64
-    """How fast a wall moves at most [m/s]."""
+    """Largest speed of a wall [m/s]."""
     acceleration: wp.float64
-    """What forces may do to a particle at most [m/s^2]."""
+    """Upper bound of the acceleration of a particle by forces [m/s^2]."""
     memory: wp.float64
-    """Fraction of the stiffness met before that still counts."""
+    """Fraction of an earlier stiffness that still counts."""
     strain: wp.float64
-    """Sum of |C| dt after which the host must look."""
+    """Sum of |C| dt after which control returns to the host."""
     origin: wp.vec3d
     """Position of node 0 [m]."""
     margin: wp.int32
-    """Cells of window kept beyond the particles."""
+    """Margin of the window around the particles [cells]."""
     every: wp.int32
     """Substeps between two measurements."""
 
 
 @wp.struct
 class Progress:
-    """Where the substeps are."""
+    """The progress of the substeps."""
 
     time: wp.float64
-    """[s]."""
+    """Time [s]."""
     last: wp.float64
     """Length of the last substep [s]."""
     next: wp.float64
-    """Length of the next one [s]; 0: none has been chosen."""
+    """Length of the next substep [s]; 0: not chosen yet."""
     speed: wp.float64
     """Largest |v| [m/s]."""
     gradient: wp.float64
@@ -71,11 +71,11 @@ class Progress:
     strain: wp.float64
     """Sum of |C| dt so far."""
     taken: wp.int32
-    """Substeps taken."""
+    """Number of substeps taken."""
     since: wp.int32
-    """Substeps since the last measurement."""
+    """Number of substeps since the last measurement."""
     reason: wp.int32
-    """Why the substeps have ended; 0: they go on."""
+    """Why the substeps have ended; 0: they continue."""
 
 
 @wp.func
@@ -110,13 +110,13 @@ def spare(x: wp.float64, origin: wp.float64, dx: wp.float64):
 
 @wp.func
 def corner(maxima: wp.array(dtype=Any), i: int):
-    """Three of the numbers as a vector in float64, from the i-th on."""
+    """Three of the maxima, from the i-th on, as a float64 vector."""
     return wp.vec3d(wp.float64(maxima[i]), wp.float64(maxima[i + 1]), wp.float64(maxima[i + 2]))
 
 
 @wp.func
 def roomy(low: wp.vec3d, high: wp.vec3d, window: wp.array(dtype=wp.vec3i), given: Limits):
-    """Whether the window leaves room to move beyond the particles, and not far too much."""
+    """Whether the window leaves enough room around the particles, but not too much."""
     fits = bool(True)
     for axis in range(3):
         first = window[0][axis]
@@ -131,7 +131,7 @@ def roomy(low: wp.vec3d, high: wp.vec3d, window: wp.array(dtype=wp.vec3i), given
 
 @wp.func
 def limiter(s: Progress, given: Limits):
-    """The shortest of all limits [s] and which it is; the first of equals."""
+    """The shortest of all limits [s], and which one it is; the first of equal ones."""
     dt = over(given.reach, wp.sqrt(s.stiffness))
     which = int(wp.static(ELASTIC))
     if over(given.stride, s.speed) < dt:
@@ -151,7 +151,7 @@ def limiter(s: Progress, given: Limits):
 
 @wp.func
 def violent(dt: wp.float64, s: Progress, given: Limits):
-    """Whether a substep may carry something further than a cell."""
+    """Whether a substep may move something by more than a cell."""
     two = wp.float64(2.0)
     return (
         two * wp.max(s.speed, given.wall) * dt > given.stride
@@ -162,9 +162,9 @@ def violent(dt: wp.float64, s: Progress, given: Limits):
 
 @cache
 def make_timestep(real: Any):
-    """Kernel of one thread: finish a substep, choose the next, or end and say why.
+    """Kernel of one thread: finishes a substep, then chooses the next or ends with a reason.
 
-    `look_out` tells whether the particles are to be measured after the next one.
+    `look_out` says whether the particles are to be measured after the next one.
     """
 
     @kernel(f"phy124_timestep_{real.__name__}")

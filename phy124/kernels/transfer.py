@@ -1,13 +1,16 @@
 """Particles to grid and back: MLS-MPM with APIC velocities and quadratic B-splines.
 
-Hu et al. 2018 (eqs. 16-19, 22), Jiang et al. 2015. The grid is one flat array of four-vectors:
-first (momentum, mass), after the grid update (velocity, mass). It covers only a window of cells
-around the particles: `window[0]` is its lowest node, `window[1]` its extent. `lattice` is
-(origin x, y, z, dx); `clock` is (kick, drift, time): velocities are kicked by the mean of two
-successive substeps and positions drift by the present one, which makes free fall exact.
+Hu et al. 2018 (eqs. 16-19, 22), Jiang et al. 2015. The grid is a flat array of four-vectors: first
+(momentum, mass), after the grid update (velocity, mass). It covers only a window of cells around
+the particles: `window[0]` is its lowest node, `window[1]` its extent. `lattice` is
+(origin x, y, z, dx). `clock` is (kick, drift, time): velocities are kicked by the mean of two
+successive substeps and positions drift by the current one, which makes free fall exact.
 
-Kernels are built per law and precision. The module is named for each variant, since Warp hashes
-the set of functions a closure uses and not which is which.
+There is a kernel for each law and precision. Each variant has a module with its own name, since
+Warp hashes the set of functions that a closure uses, but not their roles.
+
+Parameters of all laws: F, the deformation gradient; C, the velocity gradient [1/s]; h, the history
+variables of the particle; theta, the parameters of the law; dt, the length of the substep [s].
 """
 
 from functools import cache
@@ -26,13 +29,13 @@ class Law(NamedTuple):
     """The device side of a constitutive law."""
 
     name: str
-    """Unique name; it enters the names of compiled modules."""
+    """Unique name, which is part of the names of compiled modules."""
     stress: Any
     """`(F, C, history, theta) -> tau`, Kirchhoff stress [Pa]."""
     modulus: Any
     """`(F, history, theta) -> A`, largest eigenvalue of d tau / d ln sigma [Pa]."""
     width: int
-    """How many parameters `theta` has."""
+    """Number of parameters in `theta`."""
     project: Any = None
     """`(F, history, theta, dt) -> (F, history)`, the return mapping; None if purely elastic."""
     energy: Any = None
@@ -52,7 +55,7 @@ class Types(NamedTuple):
 
 @cache
 def types(real: Any) -> Types:
-    """The types made of `real`, wp.float32 or wp.float64."""
+    """The types of one precision; `real` is wp.float32 or wp.float64."""
     vector, matrix = wp.types.vector, wp.types.matrix
     sizes = (vector(2, real), vector(3, real), vector(4, real))
     return Types(real, *sizes, matrix((3, 3), real), matrix((4, 4), real))
@@ -69,9 +72,9 @@ def first_node(g: Any):
 
 @wp.func
 def in_window(first: wp.vec3i, size: wp.vec3i):
-    """Whether all 27 nodes are inside; those of a position that is NaN (on a CPU) are not.
+    """Whether all 27 nodes are inside the window; for a NaN position (on a CPU) they are not.
 
-    Of what is far off devices make the least or the largest integer: nothing is added to it.
+    For positions far away devices give the smallest or largest integer, so nothing is added to it.
     """
     return (
         first[0] >= 0
@@ -154,7 +157,7 @@ def columns4(a: Any, s: Any):
 
 
 SCATTERS = {"plain": scatter, "simd": simd.scatter}
-"""Forms of one algorithm: for reading and for GPUs, and for CPU cores in float32."""
+"""Two forms of one algorithm: a readable one that GPUs use, and one for CPU cores in float32."""
 
 
 @cache
@@ -204,8 +207,8 @@ def make_p2g(law: Law, real: Any, form: str):
 def make_g2p(law: Law, real: Any, form: str):
     """Kernel: velocities back to particles, then x and F.
 
-    A particle outside the window stays as it is: it is ballistic (kernels/ballistic.py), or the
-    next measurement finds it. Plastic laws also carry F_total, which the Gaussians follow.
+    A particle outside the window is not changed: it is ballistic (kernels/ballistic.py), or the
+    next measurement finds it. Plastic laws also update F_total, which the Gaussians follow.
     """
     t = types(real)
     theta_type = wp.types.vector(law.width, real)
@@ -244,7 +247,7 @@ def make_g2p(law: Law, real: Any, form: str):
                 wp.vector(s[3, 0], s[3, 1], s[3, 2]) - f[2] * v,
             )
             dt = clock[1]
-            # Compensated sum (Kahan): in float32 a slow drift would otherwise round to nothing.
+            # Kahan's compensated sum: in float32 rounding would otherwise stop a slow drift.
             change = dt * v - residue_out[p]
             moved = x_out[p] + change
             residue_out[p] = (moved - x_out[p]) - change
@@ -260,7 +263,7 @@ def make_g2p(law: Law, real: Any, form: str):
                 history_out[p] = h
             else:
                 F_out[p] = trial
-                # Another material of the run is plastic: the Gaussians follow `total` of all.
+                # Another material of the run is plastic, so the Gaussians follow `total` for all.
                 if total_out.shape[0] > 0:
                     total_out[p] = trial
 
@@ -269,11 +272,11 @@ def make_g2p(law: Law, real: Any, form: str):
 
 @cache
 def make_measure(law: Law, real: Any):
-    """Kernel: what limits the substep and where the particles are, every few substeps.
+    """Kernel: measures the limits of the substep and the extent of the particles.
 
-    The maxima (phy124/kernels/maxima.py) are of the particles inside the domain. Those that are not
-    finite are counted as stray. Each thread looks at `each` particles, `stride` apart, the first of
-    them `first` times its number.
+    The maxima (phy124/kernels/maxima.py) are over the particles inside the domain. Those that are
+    not finite are counted as stray. Each thread measures `each` particles, `stride` apart, starting
+    with that of index `first` times its number.
     """
     t = types(real)
     theta_type = wp.types.vector(law.width, real)

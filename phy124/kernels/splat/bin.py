@@ -1,4 +1,4 @@
-"""Hand each splat to the screen tiles it touches, front to back (a counting sort by tile)."""
+"""Assigns each splat to the screen tiles it touches, front to back (a counting sort by tile)."""
 
 import warp as wp
 
@@ -21,7 +21,7 @@ def bin_serial(
     # out
     pairs_out: wp.array(dtype=int),
 ):
-    """One thread in all, for CPUs: going through `order` keeps every list in depth order."""
+    """A single thread, for CPUs: following `order` keeps every list in depth order."""
     for k in range(count):
         i = order[k]
         tiles = tiles_of(splats[i])
@@ -49,7 +49,7 @@ def bin_parallel(
     ranks_out: wp.array(dtype=int),
     pairs_out: wp.array(dtype=int),
 ):
-    """One thread per splat, for GPUs: lists come out shuffled and are then sorted by rank."""
+    """One thread per splat, for GPUs: the lists are unordered and are then sorted by rank."""
     k = wp.tid()
     i = order[k]
     tiles = tiles_of(splats[i])

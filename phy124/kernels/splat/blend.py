@@ -1,4 +1,4 @@
-"""Blend splats front to back, per pixel (CUDA) or per tile (the readable twin of blend_simd)."""
+"""Blends splats front to back, per pixel (CUDA) or per tile (a readable form of blend_simd)."""
 
 import warp as wp
 
@@ -6,7 +6,7 @@ from phy124.kernels.build import kernel
 from phy124.kernels.splat.screen import MIN_TRANSMITTANCE, TILE, Splat, View, alpha_at, shown
 
 PIXELS = wp.constant(256)
-"""Pixels of a tile."""
+"""Number of pixels of a tile."""
 
 
 @kernel("phy124_blend")
@@ -62,7 +62,7 @@ def blend_tiles(
     image_out: wp.array(dtype=wp.vec3),
     alpha_out: wp.array(dtype=float),
 ):
-    """One thread per tile, splat by splat over the pixels in its box; T < 0 marks a done pixel."""
+    """One thread per tile, splat by splat over the pixels in its box; T < 0: pixel is finished."""
     tile = first + wp.tid()
     left = (tile % view.columns) * TILE
     top = (tile / view.columns) * TILE

@@ -1,8 +1,8 @@
-"""The tile blend for CPUs: `blend.blend_tiles` in C++ whose pixel rows the compiler vectorises.
+"""Blending by tile for CPUs: `blend.blend_tiles` in C++ whose pixel rows the compiler vectorises.
 
-A row of a tile is 16 floats: one AVX-512, two AVX2 or four NEON registers. The row loop has no
-branch; a done pixel (T < 0) and a skipped splat contribute a zero weight instead. Inside a
-snippet `float(x)` and `int(x)` are macros of Warp, so casts are written the C way.
+A row of a tile is 16 floats: one AVX-512, two AVX2 or four NEON registers. The loop over a row has
+no branch; a finished pixel (T < 0) and a skipped splat contribute a weight of zero instead. Inside
+a snippet `float(x)` and `int(x)` are macros of Warp, so casts are written in C style.
 """
 
 import warp as wp

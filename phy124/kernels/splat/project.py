@@ -59,7 +59,7 @@ def first_pixel(edge: float, size: int) -> int:
 
 @wp.func
 def box_around(mean: wp.vec2, reach: wp.vec2, view: View) -> wp.vec4i:
-    """Pixels with centres within `reach` of the mean; empty off screen."""
+    """Box of pixels whose centres are within `reach` of the mean; empty if off screen."""
     return wp.vec4i(
         first_pixel(mean[0] - reach[0], view.width),
         first_pixel(mean[1] - reach[1], view.height),

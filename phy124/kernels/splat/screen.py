@@ -8,7 +8,7 @@ below 1e-4. Pixel (x, y) is sampled at its centre (x + 0.5, y + 0.5).
 import warp as wp
 
 TILE = wp.constant(16)
-"""Edge of a screen tile, pixels; blend_simd.py relies on 16."""
+"""Side of a screen tile [pixels]; blend_simd.py relies on 16."""
 MAX_ALPHA = wp.constant(0.99)
 MIN_ALPHA = wp.constant(1.0 / 255.0)
 MIN_TRANSMITTANCE = wp.constant(1.0e-4)
@@ -50,7 +50,7 @@ class Splat:
 
 @wp.func
 def alpha_at(splat: Splat, x: int, y: int) -> float:
-    """Alpha of the splat at a pixel centre; 0 where 3DGS skips it."""
+    """Alpha of the splat at the centre of a pixel; 0 where 3DGS skips it."""
     dy = float(y) + 0.5 - splat.mean[1]
     dx = float(x) + 0.5 - splat.mean[0] - splat.shear * dy
     power = -0.5 * (splat.precision_x * dx * dx + splat.precision_y * dy * dy)
@@ -71,5 +71,5 @@ def tiles_of(splat: Splat) -> wp.vec4i:
 
 @wp.func
 def shown(light: wp.vec3, transmittance: float, background: wp.vec3) -> wp.vec3:
-    """Final pixel: light plus what shines through, at most 1."""
+    """Final colour of a pixel: its light plus the background that shines through, at most 1."""
     return wp.min(light + transmittance * background, wp.vec3(1.0, 1.0, 1.0))
