@@ -34,7 +34,7 @@ def endpoints(studio: Studio) -> None:
         accuracy = _unread(gr.Radio(list(PRESETS), value="standard", label="accuracy"))
         frames = _unread(gr.Number(14, label="frames", precision=0, minimum=1))
         changes = gr.JSON({}, label="changes")
-        pick = gr.JSON(None, label="pick")
+        pick = gr.JSON([], label="pick")  # None would make it a required argument
         views = _unread(gr.CheckboxGroup(VIEWS, label="views"))
         size = _unread(gr.Number(512, label="size", precision=0, minimum=16))
         elevation = _unread(gr.Number(10, label="elevation", minimum=-89, maximum=89))

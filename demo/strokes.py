@@ -43,12 +43,12 @@ def strokes_of(data: Any) -> list[Stroke]:
 
 
 def place_of(data: Any) -> Point | None:
-    """A place in the picture, as fractions of width and height, from plain data or none.
+    """A place in the picture, as fractions of width and height, from plain data; [] is none.
 
     Raises:
         InputError: If it is something else.
     """
-    if data is None:
+    if data is None or data == []:
         return None
     try:
         return PLACE.validate_python(data)

@@ -236,6 +236,6 @@ def test_a_click_picks_another_object_and_the_brush_goes_on_from_it(studio, tmp_
 
 @pytest.mark.parametrize("place", [[0.3], [0.3, 1.5], "middle", [float("nan"), 0.5], {"x": 1}])
 def test_what_is_no_place_in_the_picture_is_refused(place):
-    assert place_of(None) is None and place_of([0.25, 1]) == (0.25, 1.0)
+    assert place_of(None) is None and place_of([]) is None and place_of([0.25, 1]) == (0.25, 1.0)
     with pytest.raises(InputError, match=r"no place in the picture\. Give two fractions"):
         place_of(place)
