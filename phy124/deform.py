@@ -235,3 +235,8 @@ def _own_particles(count: int, particles: Bound | None) -> NDArray[np.int32] | N
 def _host(array: Any) -> NDArray:
     """A NumPy view of a Warp array, or of anything that NumPy accepts as an array."""
     return np.asarray(array.numpy() if isinstance(array, wp.array) else array)
+
+
+def kernels() -> list[Any]:
+    """What deforms the Gaussians of a frame; all are of one module."""
+    return [field.deform_shapes]

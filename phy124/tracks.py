@@ -235,3 +235,8 @@ class Tracks:
             record_cmd=True,
         )
         return cast("wp.Launch", launch)
+
+
+def kernels(real: type) -> list[wp.Kernel]:
+    """The kernel that samples tracks."""
+    return [make_sampler(real)]

@@ -113,7 +113,7 @@ SABOTAGE = {
     30: Sabotage("what is too fast is told to be softer", "remedies.py",
                  '"speed": ("push",)', '"speed": ("softer",)'),
     31: Sabotage("what flows meets walls node by node", "boundaries/base.py",
-                 "return self.reach(model.dx) is None", "return False"),
+                 "return self.reach(dx) is None", "return False"),
 }  # fmt: skip
 """One deliberate error per case, by its number."""
 

@@ -62,17 +62,31 @@ class Boundary(Section):
     def bounds(self, model: Model) -> Corners:
         """Corners of a box that contains every node that may respond to the shape at rest [m]."""
         low, high = self.extent(model)
-        margin = MARGIN * model.dx if self.met(model) else 0.0
+        margin = MARGIN * model.dx if self.met(model.dx) else 0.0
         return low - margin, high + margin
 
-    def met(self, model: Model) -> bool:
+    def met(self, dx: float) -> bool:
         """Whether contact is at the surface, between the nodes; otherwise it is node by node."""
-        return self.reach(model.dx) is None
+        return self.reach(dx) is None
 
     @property
     def moves(self) -> bool:
         """Whether it ever moves."""
         return False
+
+    @property
+    def tracked(self) -> bool:
+        """Whether it has a track: it moves, or it ends."""
+        return self.moves
+
+    def kernels(self, real: Any, dx: float) -> list[Any]:
+        """The kernels of its walls on a grid of spacing `dx` [m]."""
+        return [part.kernel(real, dx, moving=part.tracked) for part in self.parts()]
+
+    def kernel(self, real: Any, dx: float, *, moving: bool) -> Any:
+        """The kernel of a simple wall."""
+        make = make_contact if self.met(dx) else make_collider
+        return make(self.outline(), self.response(), moving, real)
 
     def gentler(self) -> dict[str, Any]:
         """Its fields with values that push half as hard."""
@@ -138,10 +152,8 @@ class Boundary(Section):
         if track is not None:
             bounds = swept(bounds, track)
         shape = t.mat33(*np.ravel(self.geometry(model)))
-        met, reach = self.met(model), self.reach(model.dx)
-        kernel = (make_contact if met else make_collider)(
-            self.outline(), self.response(), track is not None, model.real
-        )
+        met, reach = self.met(model.dx), self.reach(model.dx)
+        kernel = self.kernel(model.real, model.dx, moving=track is not None)
 
         def record(grid: Grid) -> wp.Launch | None:
             start, extent = grid.nodes_within(*bounds)

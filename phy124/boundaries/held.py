@@ -37,7 +37,12 @@ class Clamp(Movable):
             return Track(((0.0, (0.0, 0.0, 0.0)),), end=self.end)
         return Track(track.keys, track.start, self.end, track.origin, track.period, track.mean)
 
-    def met(self, model: Model) -> bool:
+    @property
+    def tracked(self) -> bool:
+        """Whether it moves or lets go."""
+        return self.moves or self.end is not None
+
+    def met(self, dx: float) -> bool:
         """True for sticky clamps, which end at the surface of their region; others act by node."""
         return self.contact == "sticky"
 

@@ -16,13 +16,19 @@ prepare()
 CONTRACT = "-ffp-contract=fast"
 
 
-def kernel(module: str) -> Callable[[Callable[..., Any]], Any]:
-    """Decorator: a kernel of the Warp module of that name."""
+def kernel(module: str, *, seconds: float = 0.0) -> Callable[[Callable[..., Any]], Any]:
+    """Decorator: a kernel of the Warp module of that name.
+
+    `seconds` of one core of an AMD EPYC are what compiling the module takes, where it is worth
+    telling; the kernel keeps it.
+    """
     flags = wp.config.cpu_compiler_flags
     native = "-march=native" if flags is None else flags
     wp.set_module_options({"cpu_compiler_flags": f"{native} {CONTRACT}"}, module=module)
 
     def build(function: Callable[..., Any]) -> Any:
-        return wp.kernel(function, module=module, enable_backward=False)
+        made = wp.kernel(function, module=module, enable_backward=False)
+        made.seconds = seconds
+        return made
 
     return build

@@ -281,7 +281,7 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
     answer, acts, ratios, pushes, hold = RESPONSES[response]
     name = f"phy124_contact_{shape}_{response}_{'moving' if moving else 'still'}_{real.__name__}"
 
-    @kernel(name)
+    @kernel(name, seconds=0.4)
     def contact(
         # model
         geometry: t.mat33, friction: real, reach: real, slot: int, start: wp.vec3i, span: wp.vec2i,
@@ -377,7 +377,7 @@ def make_collider(shape: str, response: str, moving: bool, real: Any):
     distance, answer = SHAPES[shape], RESPONSES[response].answer
     name = f"phy124_collide_{shape}_{response}_{'moving' if moving else 'still'}_{real.__name__}"
 
-    @kernel(name)
+    @kernel(name, seconds=0.4)
     def collide(
         # model
         geometry: t.mat33, friction: real, reach: real, slot: int, start: wp.vec3i,

@@ -205,7 +205,7 @@ def nearest_labels(u: wp.mat33d, previous: wp.mat33d) -> wp.mat33d:
     return best
 
 
-@kernel(MODULE)
+@kernel(MODULE, seconds=1.5)
 def deform_shapes(
     # model
     carrier: wp.array(dtype=wp.int32),
@@ -244,7 +244,7 @@ def deform_shapes(
     scales_out[i] = s
 
 
-@kernel(MODULE)
+@kernel(MODULE, seconds=1.5)
 def turn_of_material(
     # model
     carrier: wp.array(dtype=wp.int32),
@@ -265,7 +265,7 @@ def turn_of_material(
     rotations_out[i] = wp.vec4f(q)
 
 
-@kernel(MODULE)
+@kernel(MODULE, seconds=1.5)
 def carry(
     # model
     neighbours: wp.array2d(dtype=wp.int32),

@@ -69,7 +69,7 @@ def make_totals(law: Law, real: Any):
     exact, all_sums = (wp.types.vector(n, wp.float64) for n in (law.width, SUMS))
     has_history = law.project is not None
 
-    @kernel(f"phy124_totals_{law.name}_{real.__name__}")
+    @kernel(f"phy124_totals_{law.name}_{real.__name__}", seconds=0.65)
     def totals(
         # model
         first: int, each: int, stride: int,

@@ -91,7 +91,7 @@ def make_wall_copy(real: Any):
     """Kernel over rows of nodes in a sub-box: stores their velocities before walls act."""
     t = types(real)
 
-    @kernel(f"phy124_wall_copy_{real.__name__}")
+    @kernel(f"phy124_wall_copy_{real.__name__}", seconds=0.15)
     def wall_copy(
         # model
         box: wp.array(dtype=wp.vec3i), window: wp.array(dtype=wp.vec3i),
@@ -121,7 +121,7 @@ def make_wall_sums(real: Any):
     """
     t = types(real)
 
-    @kernel(f"phy124_wall_sums_{real.__name__}")
+    @kernel(f"phy124_wall_sums_{real.__name__}", seconds=0.2)
     def wall_sums(
         # model
         box: wp.array(dtype=wp.vec3i), window: wp.array(dtype=wp.vec3i),

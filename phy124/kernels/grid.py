@@ -14,7 +14,7 @@ def make_update(real: Any):
     """Kernel: (momentum, mass) to (velocity, mass), kicked by the uniform acceleration."""
     t = types(real)
 
-    @kernel(f"phy124_grid_{real.__name__}")
+    @kernel(f"phy124_grid_{real.__name__}", seconds=0.15)
     def update(
         # model
         clock: wp.array(dtype=real), values: wp.array(dtype=t.vec4),

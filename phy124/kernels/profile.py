@@ -82,7 +82,7 @@ def make_sampler(real: Any):
     """
     t = types(real)
 
-    @kernel(f"phy124_tracks_{real.__name__}")
+    @kernel(f"phy124_tracks_{real.__name__}", seconds=0.65)
     def sample(
         # model
         starts: wp.array(dtype=int), times: wp.array(dtype=real), keys: wp.array(dtype=t.vec3),

@@ -19,7 +19,7 @@ def make_reset(real: Any):
     """
     t = types(real)
 
-    @kernel(f"phy124_reset_{real.__name__}")
+    @kernel(f"phy124_reset_{real.__name__}", seconds=0.2)
     def reset(
         # model
         min_J: real, max_J: real, max_norm: real, narrowest: real,
@@ -53,7 +53,7 @@ def make_limit_total(real: Any):
     """Kernel: scales down the F_total of flowing material before it overflows."""
     t = types(real)
 
-    @kernel(f"phy124_limit_total_{real.__name__}")
+    @kernel(f"phy124_limit_total_{real.__name__}", seconds=0.15)
     def limit_total(
         # model
         max_norm: real,

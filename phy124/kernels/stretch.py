@@ -24,7 +24,7 @@ def make_apart(real: Any):
     """
     t = types(real)
 
-    @kernel(f"phy124_apart_{real.__name__}")
+    @kernel(f"phy124_apart_{real.__name__}", seconds=0.2)
     def apart(
         # model
         volume: wp.array(dtype=real), limit: real, start: int,

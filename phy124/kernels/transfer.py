@@ -170,7 +170,7 @@ def make_p2g(law: Law, real: Any, form: str):
     has_history = law.project is not None
     name = f"phy124_p2g_{law.name}_{real.__name__}_{form}"
 
-    @kernel(name)
+    @kernel(name, seconds=0.6)
     def p2g(
         # model
         mass: wp.array(dtype=real), volume: wp.array(dtype=real), theta: wp.array(dtype=theta_type),
@@ -217,7 +217,7 @@ def make_g2p(law: Law, real: Any, form: str):
     owner = law.name if plastic else f"elastic{law.width}"
     name = f"phy124_g2p_{owner}_{real.__name__}_{form}"
 
-    @kernel(name)
+    @kernel(name, seconds=0.5)
     def g2p(
         # model
         theta: wp.array(dtype=theta_type), lattice: t.vec4, window: wp.array(dtype=wp.vec3i),
@@ -283,7 +283,7 @@ def make_measure(law: Law, real: Any):
     modulus = law.modulus
     has_history = law.project is not None
 
-    @kernel(f"phy124_measure_{law.name}_{real.__name__}")
+    @kernel(f"phy124_measure_{law.name}_{real.__name__}", seconds=2.4)
     def measure(
         # model
         first: int, each: int, stride: int,

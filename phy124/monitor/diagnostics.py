@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from phy124.kernels import diagnostics as at
 from phy124.kernels.diagnostics import make_energies, make_totals
 from phy124.kernels.reduction import shared_out
+from phy124.kernels.transfer import Law
 from phy124.mpm import Clock, Model, Solver, State
 from phy124.mpm.state import part_of
 
@@ -137,3 +139,8 @@ def speeds(state: State) -> NDArray[np.float64]:
 
 def _known(values: NDArray) -> NDArray[np.float64]:
     return np.where(np.isfinite(values), values, np.inf)
+
+
+def kernels(laws: Iterable[Law], real: Any) -> Iterator[Any]:
+    """What sums up particles of these laws in every frame."""
+    yield from (make_totals(law, real) for law in laws)

@@ -184,7 +184,7 @@ class ExternalWork:
     ) -> tuple[Stage, Stage]:
         """The stages before and after walls."""
         del state, tracks
-        reach = _reach(walls, model)
+        reach, (copy, sums) = _reach(walls, model), wall_kernels(model.real)
         rows: tuple[int, ...] = ()
         read: list[wp.array] = []
 
@@ -195,12 +195,12 @@ class ExternalWork:
             box = wp.array(corners, dtype=wp.vec3i, device=model.device)
             kept = wp.empty(int(np.prod(extent)), dtype=grid.vec4, device=model.device)
             rows, read = tuple(extent[:2].tolist()), [box, grid.window, grid.nodes, kept]
-            return model.launch(kernels.make_wall_copy(model.real), rows, read[:3], read[3:])
+            return model.launch(copy, rows, read[:3], read[3:])
 
         def after(grid: Grid) -> wp.Launch | None:
             second = bool(grid.layers and grid.layers[0] > 0)
             own = self._accumulator(WALLS[second])
-            return model.launch(kernels.make_wall_sums(model.real), rows, read, [own])
+            return model.launch(sums, rows, read, [own])
 
         return Stage(STAGE, before), Stage(STAGE, after)
 
@@ -233,3 +233,8 @@ def _reach(walls: Sequence[Boundary], model: Model) -> Corners:
             corners = swept(corners, track)
         lower, upper = np.minimum(lower, corners[0]), np.maximum(upper, corners[1])
     return lower, upper
+
+
+def wall_kernels(real: Any) -> tuple[Any, Any]:
+    """What measures walls from both sides: before and after they act."""
+    return kernels.make_wall_copy(real), kernels.make_wall_sums(real)

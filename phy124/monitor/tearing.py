@@ -12,12 +12,14 @@ warns of a tear, but misses that of a thin stem; the second is a tear.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
 import warp as wp
 
 from phy124.kernels.stretch import make_apart
+from phy124.kernels.transfer import Law
 from phy124.monitor import diagnosis
 from phy124.monitor.pieces import Pieces
 from phy124.mpm import Model, State
@@ -134,3 +136,9 @@ class Tearing:
             "loose": self.loose,
             "likely": self.likely,
         }
+
+
+def kernels(laws: Iterable[Law], real: Any) -> Iterator[Any]:
+    """What looks at particles of these laws: of plastic ones it looks at none."""
+    if any(law.project is None for law in laws):
+        yield make_apart(real)

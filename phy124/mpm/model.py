@@ -121,7 +121,6 @@ class Model:
             rows = _array(theta, wp.types.vector(law.width, real), precision, device)
             found.append(Group(law, start, stop, rows))
         px, py, pz = (float(c) for c in origin)
-        rows = simd and device == "cpu" and precision == "float32"
         return cls(
             rest=np.asarray(x, dtype=np.float64),
             mass=_array(np.asarray(volume) * density, real, precision, device),
@@ -134,7 +133,7 @@ class Model:
             cfl=cfl,
             precision=precision,
             device=device,
-            form="simd" if rows else "plain",
+            form=form_of(precision, device) if simd else "plain",
         )
 
     def __len__(self) -> int:
@@ -174,6 +173,11 @@ class Model:
             kernel, dim, inputs=inputs, outputs=outputs, device=self.device, record_cmd=True
         )
         return cast("wp.Launch | None", recorded)
+
+
+def form_of(precision: str, device: str) -> str:
+    """The form of the transfers: "simd" for float32 on the CPU, else "plain"."""
+    return "simd" if device == "cpu" and precision == "float32" else "plain"
 
 
 def parameters(

@@ -6,11 +6,13 @@ reset to F = I and counted. The F_total of flowing material, which grows for eve
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import warp as wp
 
 from phy124.kernels.soundness import make_limit_total, make_reset
+from phy124.kernels.transfer import Law
 from phy124.mpm.clock import Clock
 from phy124.mpm.model import Model
 from phy124.mpm.state import State
@@ -80,3 +82,10 @@ class Repair:
     def _launch(launch: wp.Launch | None) -> None:
         if launch is not None:
             launch.launch()
+
+
+def kernels(laws: Iterable[Law], real: Any) -> Iterator[Any]:
+    """What repairs particles of these laws; only those of plastic laws have an F_total to limit."""
+    yield make_reset(real)
+    if any(law.project is not None for law in laws):
+        yield make_limit_total(real)

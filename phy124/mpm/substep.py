@@ -6,15 +6,16 @@ worker. Repeating a recorded launch takes a few microseconds.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import warp as wp
 
 from phy124.kernels import transfer
 from phy124.kernels.grid import make_merge, make_update
 from phy124.kernels.reduction import shared_out
+from phy124.kernels.transfer import Law
 from phy124.mpm.grid import Grid
 from phy124.mpm.model import Group, Model
 from phy124.mpm.outliers import Outliers
@@ -22,6 +23,30 @@ from phy124.mpm.stage import Named, Recorded, Stage, launches
 from phy124.mpm.state import State, part_of
 from phy124.mpm.workers import Worker, layers_of
 from phy124.tracks import Tracks
+
+
+class Transfers(NamedTuple):
+    """The kernels of a law."""
+
+    measure: Any
+    p2g: Any
+    g2p: Any
+
+    @classmethod
+    def of(cls, law: Law, real: Any, form: str) -> Transfers:
+        """Those of one precision and form."""
+        return cls(
+            transfer.make_measure(law, real),
+            transfer.make_p2g(law, real, form),
+            transfer.make_g2p(law, real, form),
+        )
+
+
+def kernels(laws: Iterable[Law], real: Any, form: str) -> Iterator[Any]:
+    """What the substeps of one worker launch, besides forces and boundaries."""
+    yield make_update(real)
+    for law in laws:
+        yield from Transfers.of(law, real, form)
 
 
 @dataclass(frozen=True)
@@ -63,7 +88,7 @@ class Recorder:
         model, s, found = self.model, self.state, []
         for group, part in worker.parts(model.groups):
             threads, *fraction = shared_out(part.stop - part.start, model.device)
-            kernel = transfer.make_measure(group.law, model.real)
+            kernel = Transfers.of(group.law, model.real, model.form).measure
             read = [group.rows(part), model.mass[part], model.volume[part], self.outliers.corners]
             state = [s.x[part], s.v[part], s.C[part], s.F[part], part_of(s.history, part)]
             inputs, outputs = [*fraction, *read, *state], [worker.maxima, stray]
@@ -72,7 +97,7 @@ class Recorder:
 
     def _p2g(self, group: Group, part: slice, nodes: Grid) -> Recorded:
         model, s, law = self.model, self.state, group.law
-        kernel = transfer.make_p2g(law, model.real, model.form)
+        kernel = Transfers.of(law, model.real, model.form).p2g
         read = [model.mass[part], model.volume[part], group.rows(part)]
         state = [s.x[part], s.v[part], s.C[part], s.F[part], part_of(s.history, part)]
         inputs = [*read, nodes.lattice, nodes.window, self.tracks.clock, *state]
@@ -81,7 +106,7 @@ class Recorder:
 
     def _g2p(self, group: Group, part: slice) -> Recorded:
         model, s, grid, law = self.model, self.state, self.grid, group.law
-        kernel = transfer.make_g2p(law, model.real, model.form)
+        kernel = Transfers.of(law, model.real, model.form).g2p
         inputs = [group.rows(part), grid.lattice, grid.window, self.tracks.clock, grid.nodes]
         outputs = [s.x[part], s.residue[part], s.v[part], s.C[part], s.F[part]]
         outputs += [part_of(s.history, part), part_of(s.total, part)]

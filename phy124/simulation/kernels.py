@@ -1,0 +1,32 @@
+"""The kernels that a scene needs, as each part of a simulation names them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from phy124 import deform, tracks
+from phy124.monitor import diagnostics, external_work, tearing
+from phy124.mpm import repair, substep
+from phy124.mpm.model import PRECISIONS, form_of
+from phy124.scene import Scene
+
+
+def kernels(scene: Scene) -> Iterator[Any]:
+    """What a run of a scene launches in one thread on the CPU.
+
+    Forces on a part of the object are left out: their modules take 0.3 s each.
+    """
+    precision = scene.resolution.precision
+    real = PRECISIONS[precision]
+    laws = {section.device_law.name: section.device_law for section in scene.materials}
+    yield from tracks.kernels(real)
+    yield from substep.kernels(laws.values(), real, form_of(precision, "cpu"))
+    yield from repair.kernels(laws.values(), real)
+    yield from deform.kernels()
+    yield from diagnostics.kernels(laws.values(), real)
+    yield from tearing.kernels(laws.values(), real)
+    for boundary in scene.boundaries:
+        yield from boundary.kernels(real, scene.dx)
+    if scene.boundaries and scene.checks.balance:
+        yield from external_work.wall_kernels(real)
