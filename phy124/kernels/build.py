@@ -19,8 +19,10 @@ CONTRACT = "-ffp-contract=fast"
 def kernel(module: str, *, seconds: float = 0.0) -> Callable[[Callable[..., Any]], Any]:
     """Decorator: a kernel of the Warp module of that name.
 
-    `seconds` of one core of an AMD EPYC are what compiling the module takes, where it is worth
-    telling; the kernel keeps it.
+    Args:
+        module: The module's name.
+        seconds: Processor time to compile the module on one core of an AMD EPYC [s], kept as the
+            kernel's attribute; 0 where it hardly matters.
     """
     flags = wp.config.cpu_compiler_flags
     native = "-march=native" if flags is None else flags
