@@ -22,7 +22,7 @@ from phy124.scene import Scene
 
 GAUSSIANS = 50_000
 """What `relief` makes of a picture."""
-FILLED = 0.13
+FILLED = 0.19
 """Volume of a typical object, in cubes of its longest side: the filling's fraction of the grid."""
 DOUBLE = 1.7
 """How much longer a substep takes in float64 (docs/results/accuracy.md)."""

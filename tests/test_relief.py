@@ -9,8 +9,9 @@ from phy124.camera import Camera
 from phy124.errors import Cancelled, InputError
 from phy124.gaussians import rotation_matrices
 from phy124.generators.relief import VIEW_DISTANCE, relief
-from phy124.generators.relief.height import Silhouette, squared_half_thickness
+from phy124.generators.relief.height import Silhouette
 from phy124.generators.relief.surface import Surface, spread
+from phy124.particles.seeding import fill
 from phy124.rendering.render import Renderer
 
 SIZE = 192
@@ -51,14 +52,14 @@ def a_mug():
     return relief(mug(), count=30_000)
 
 
-def test_size_place_and_shape(a_face):
-    """A disc becomes a lens 1 m across about the origin, thinner than wide."""
+def test_a_disc_becomes_a_ball(a_face):
+    """As deep as wide, and as large as a ball that the front camera sees as that disc."""
     low, high = a_face.means.min(axis=0), a_face.means.max(axis=0)
+    radius = VIEW_DISTANCE * np.sin(np.arctan(0.5 / VIEW_DISTANCE))
     assert 45_000 < len(a_face) < 55_000
-    np.testing.assert_allclose([low[1], high[1]], [-0.5, 0.5], atol=0.01)
-    np.testing.assert_allclose([low[2], high[2]], [-0.5, 0.5], atol=0.01)
-    np.testing.assert_allclose(low[0], -high[0], atol=0.02)
-    assert 0.2 < high[0] < 0.35
+    np.testing.assert_allclose(high, radius, atol=0.02)
+    np.testing.assert_allclose(low, -radius, atol=0.02)
+    np.testing.assert_allclose(np.linalg.norm(a_face.means, axis=1), radius, atol=0.025)
     normals = rotation_matrices(a_face.quats)[:, :, 2]
     # Outwards everywhere, thin across, round along the surface.
     assert ((normals * a_face.means).sum(axis=1) > 0).all()
@@ -208,10 +209,109 @@ def test_harmonic_continues_linear_colours():
 def test_points_are_spread_evenly():
     """On a shell, also where the surface is steep, spacing hardly varies on the front."""
     silhouette = Silhouette.of(np.clip(80.5 - np.hypot(X - 96, Y - 96), 0, 1))
-    surface = Surface.of(squared_half_thickness(silhouette, SIZE))
-    points, normals, spacing, pitch = spread(surface, 1e9, 20_000, np.random.default_rng(0))
+    surface = Surface.of(silhouette.extended(silhouette.poisson(4.0)))
+    points, normals, spacing, pitch = spread(surface, (), 20_000, np.random.default_rng(0))
     front = normals[:, 2] > 0
     assert np.std(spacing[front]) < 0.1 * np.mean(spacing[front])
     assert np.mean(spacing[front]) == pytest.approx(pitch, rel=0.15)
     value, gradient = surface.gradient(points)
     assert np.abs(value / np.linalg.norm(gradient, axis=1)).max() < 0.05
+
+
+def test_the_ball_has_a_balls_volume(a_face):
+    spacing = 0.03
+    volume = len(fill(a_face, spacing)) * spacing**3
+    radius = np.ptp(a_face.means[:, 1]) / 2
+    assert volume == pytest.approx(4 / 3 * np.pi * radius**3, rel=0.1)
+
+
+def extents(gaussians, low, high):
+    """Depth and width of what lies between two heights."""
+    part = gaussians.means[(gaussians.means[:, 2] > low) & (gaussians.means[:, 2] < high)]
+    return np.ptp(part[:, 0]), np.ptp(part[:, 1])
+
+
+def shaded(mask, normal_x):
+    """Lit from the front: darker where the surface turns away."""
+    light = np.sqrt(np.clip(1 - normal_x**2, 0, 1))[..., None] * [200, 120, 60]
+    return picture(mask, (60 + 0.7 * light).astype(np.uint8))
+
+
+def test_a_limb_is_a_cylinder_with_flat_ends():
+    """From a drawing whose lower edge is the arc that a camera sees."""
+    arc = 170 + 8 * np.sqrt(np.clip(1 - ((X - 96) / 30) ** 2, 0, 1))
+    column = (abs(X - 96) < 30) & (Y > 20) & (arc > Y)
+    gaussians = relief(shaded(column, (X - 96) / 30), count=10_000)
+    for low, high in ((-0.44, -0.35), (-0.05, 0.05), (0.35, 0.44)):
+        depth, width = extents(gaussians, low, high)
+        assert depth == pytest.approx(width, rel=0.1)
+    lowest = gaussians.means[:, 2] < gaussians.means[:, 2].min() + 0.01
+    assert np.ptp(gaussians.means[lowest, 0]) > 0.3
+
+
+def test_what_lies_is_as_deep_as_high():
+    log = (abs(X - 96) < 80) & (abs(Y - 96) < 20)
+    means = relief(shaded(log, (Y - 96) / 20), count=5000).means
+    assert np.ptp(means[:, 0]) == pytest.approx(np.ptp(means[:, 2]), rel=0.15)
+
+
+def test_what_is_turned_on_a_lathe_is_round_in_each_row():
+    """A mushroom's cap is as deep as wide, and so is its stalk; a bear's arms are not."""
+    cap = (np.hypot(X - 96, 1.5 * (Y - 96)) < 80) & (Y < 96)
+    stalk = (abs(X - 96) < 15) & (Y >= 96) & (Y < 160)
+    mushroom = relief(picture(cap | stalk), count=10_000)
+    for low, high, most in ((0.05, 0.3, 0.08), (-0.25, -0.1, 0.15)):
+        depth, width = extents(mushroom, low, high)
+        assert depth == pytest.approx(width, rel=most)
+    arms = (np.hypot(X - 96, Y - 96) < 40) | ((abs(Y - 90) < 10) & (abs(X - 96) < 85))
+    legs = (abs(abs(X - 96) - 20) < 8) & (abs(Y - 140) < 40)
+    depth, width = extents(relief(picture(arms | legs), count=5000), -0.5, 0.5)
+    assert depth < 0.6 * width
+
+
+def test_straight_edges_without_shading_make_a_slab():
+    """A square is a cube, a page is thin; with shading the page is a column."""
+    square = (abs(X - 96) < 60) & (abs(Y - 96) < 60)
+    page = (abs(X - 96) < 40) & (abs(Y - 96) < 80)
+    depth, width = extents(relief(picture(square), count=5000), -0.2, 0.2)
+    assert depth == pytest.approx(width, rel=0.1)
+    thin, width = extents(relief(picture(page), count=5000), -0.2, 0.2)
+    round_, _ = extents(relief(shaded(page, (X - 96) / 40), count=5000), -0.2, 0.2)
+    assert thin < 0.4 * width < 0.9 * width < round_
+
+
+def test_stripes_go_round(renderer):
+    """And at the same heights: red above, green below, seen from behind."""
+    rgb = np.where((Y < 96)[..., None], [220, 0, 0], [0, 200, 0]).astype(np.uint8)
+    gaussians = relief(picture(np.hypot(X - 96, Y - 96) < 80, rgb), count=10_000)
+    seen = renderer(gaussians, Camera.orbit(180, 0, VIEW_DISTANCE, 128))
+    for row, channel in ((45, 0), (83, 1)):
+        assert seen[row, 64, channel] > 0.6 > 0.2 > seen[row, 64, 1 - channel]
+
+
+def ramp():
+    """A depth map of a disc whose left side is nearer than its right one, on a far background."""
+    return np.where(np.hypot(X - 96, Y - 96) < 84, 300.0 - X, 0.0)
+
+
+def test_a_depth_map_gives_the_front_its_shape(a_face):
+    gaussians = relief(face(), count=5000, depth=ramp())
+    front = gaussians.select(rotation_matrices(gaussians.quats)[:, 0, 2] > 0.3)
+    left, right = (abs(front.means[:, 1] - side) < 0.05 for side in (-0.3, 0.3))
+    assert front.means[left, 0].mean() > front.means[right, 0].mean() + 0.15
+    # Its unit does not matter, nor does its resolution.
+    doubled = relief(face(), count=5000, depth=np.kron(1000 + 3 * ramp(), np.ones((2, 2))))
+    np.testing.assert_allclose(np.ptp(doubled.means, axis=0), np.ptp(gaussians.means, axis=0), 0.02)
+
+
+@pytest.mark.parametrize(
+    ("depth", "why"),
+    [
+        (-ramp(), "farther away than what surrounds it.*--near black"),
+        (ramp()[:, :100], "has 100 x 192 pixels, the picture 192 x 192"),
+        (np.where(ramp() > 0, 1.0, 0.0), "one and the same value"),
+    ],
+)
+def test_depth_maps_that_cannot_be_meant_are_refused(depth, why):
+    with pytest.raises(InputError, match=why):
+        relief(face(), count=1000, depth=depth)

@@ -20,6 +20,7 @@ from phy124.commands.cutout import IF_WRONG, CutoutOptions, described, doubt
 from phy124.commands.options import GeneratorName, SceneOptions, default_out
 from phy124.commands.plan import PlanOptions, announce, predict
 from phy124.generators import needs_image
+from phy124.generators.depth_map import DepthMap
 from phy124.generators.ply_file import PlyFile, Reading
 from phy124.imaging.cutout import Cutout
 from phy124.imaging.painted import WHOLE
@@ -43,6 +44,7 @@ class Generate:
     gaussians: int | None = None
     """Number of Gaussians: about so many from relief (default 50,000), otherwise the maximum."""
     cutting: Annotated[CutoutOptions, tyro.conf.arg(name="")] = field(default_factory=CutoutOptions)
+    depth: Annotated[DepthMap, tyro.conf.arg(name="")] = field(default_factory=DepthMap)
     out: Path | None = None
     """Folder of the results; default out/PICTURE-SCENE."""
     plan: Annotated[PlanOptions, tyro.conf.arg(name="")] = field(default_factory=PlanOptions)
@@ -72,6 +74,7 @@ class Generate:
                 method=self.cutting.foreground,
                 mask=self.cutting.mask,
                 pick=self.cutting.point,
+                depth=self.depth,
                 looked=partial(self._look, bars),
                 count=self.gaussians,
                 device=device,
@@ -88,7 +91,8 @@ class Generate:
         with Bars(quiet=self.options.json) as bars:
             made = pipeline.static(
                 self.image, scene, generator=self.generator, reading=self.reading,
-                method=self.cutting.foreground, mask=self.cutting.mask, pick=self.cutting.point,
+                method=self.cutting.foreground, mask=self.cutting.mask,
+                pick=self.cutting.point, depth=self.depth,
                 looked=partial(self._look, bars), count=self.gaussians, progress=bars, watch=watch,
             )  # fmt: skip
         return predict(

@@ -24,6 +24,7 @@ from phy124.errors import InputError
 from phy124.gaussians import Frame, Gaussians
 from phy124.generators import Generator, needs_image
 from phy124.generators import make as make_generator
+from phy124.generators.depth_map import DepthMap
 from phy124.generators.ply_file import PlyFile, Reading
 from phy124.imaging.cutout import Cutout, cut_out
 from phy124.imaging.objects import Point
@@ -59,6 +60,7 @@ def generate(
     method: str = "auto",
     mask: PathLike | None = None,
     pick: Point | None = None,
+    depth: DepthMap | None = None,
     looked: Callable[[Cutout], object] = lambda cutout: None,
     count: int | None = None,
     device: str = "cpu",
@@ -102,6 +104,7 @@ def generate(
             method=method,
             mask=mask,
             pick=pick,
+            depth=depth,
             looked=looked,
             count=count,
             progress=progress,
@@ -147,6 +150,7 @@ def static(
     method: str = "auto",
     mask: PathLike | None = None,
     pick: Point | None = None,
+    depth: DepthMap | None = None,
     looked: Callable[[Cutout], object] = lambda cutout: None,
     count: int | None = None,
     progress: Progress = silent,
@@ -162,6 +166,7 @@ def static(
         method: How the object is cut out, see `phy124.imaging.cutout.foreground`.
         mask: Picture that is white where the object is.
         pick: A place on the object that is meant, if there are several.
+        depth: Depth map of the picture, for `relief`.
         looked: Called with the cut-out before the long work begins.
         count: Largest number of Gaussians.
         progress: Called with (stage, done, total); may raise Cancelled.
@@ -172,6 +177,7 @@ def static(
     """
     watch, scene = watch or Stopwatch(), scene or Scene()
     make, cutout = asked_for(make_generator(generator, reading), count), None
+    make = depth.given_to(make, _name(generator)) if depth else make
     picture = Image.new("RGBA", (1, 1))
     if needs_image(generator):
         with watch.stage("image"):

@@ -1,7 +1,8 @@
 """relief: inflates a picture with alpha into a closed shell of flat Gaussians, without weights.
 
-It is a guess, not a reconstruction: the silhouette becomes a rounded solid (after Igarashi et al.
-1999, "Teddy"), the front shows the picture, and the back what the picture's rim suggests.
+It is a guess, not a reconstruction: the silhouette becomes the solid that it most plainly suggests
+(`phy124.generators.relief.solids`), the front shows the picture, and the back what the picture's
+rim suggests. How close that comes to solids known from all sides is in docs/results/relief.md.
 """
 
 from __future__ import annotations
@@ -15,10 +16,15 @@ from PIL import Image
 
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians, quaternions
-from phy124.generators.relief.base import View, foot, reflected
+from phy124.generators.depth_map import fitted
+from phy124.generators.relief.caps import cap
 from phy124.generators.relief.colours import back_picture, clean_picture, colour
-from phy124.generators.relief.height import Silhouette, squared_half_thickness
+from phy124.generators.relief.ends import End, continued
+from phy124.generators.relief.front import refuse_reversed, with_front
+from phy124.generators.relief.height import Silhouette
+from phy124.generators.relief.solids import inflated
 from phy124.generators.relief.surface import Surface, spread
+from phy124.generators.relief.view import View
 from phy124.progress import Progress, silent
 
 Field = NDArray[np.float64]
@@ -46,10 +52,12 @@ def relief(
     seed: int = 0,
     progress: Progress = silent,
     count: int = 50_000,
+    depth: NDArray | None = None,
 ) -> Gaussians:
     """Inflate the opaque part of a picture.
 
-    The longest side of the silhouette is 1 m; the object faces +x with its middle near x = 0. Equal
+    A camera `VIEW_DISTANCE` in front sees its silhouette with a longest side of 1 m at x = 0; the
+    object faces +x with its middle near there. Equal
     seeds give equal Gaussians.
 
     Args:
@@ -57,22 +65,27 @@ def relief(
         seed: Of the random positions.
         progress: Called as in `phy124.progress`.
         count: Approximate number of Gaussians.
+        depth: Depth map of the picture [H,W] in any unit, near is large; None: the front is
+            inflated, too.
 
     Raises:
-        InputError: If nothing in the picture is opaque.
+        InputError: If nothing in the picture is opaque, or the depth map does not fit it.
     """
     rng = np.random.default_rng(seed)
     progress("relief", 0, STAGES)
-    rgba, base = reflected(_work_picture(image_rgba), PADDING)
-    silhouette = Silhouette.of(rgba[..., 3])
-    surface = Surface.of(squared_half_thickness(silhouette, WORK))
-    view = _view(silhouette.inside, base)
+    picture = continued(_work_picture(image_rgba, depth), PADDING)
+    silhouette = Silhouette.of(picture.alpha)
+    view = View.of(picture.own, VIEW_DISTANCE * WORK)
+    surface = inflated(silhouette, picture, view, WORK)
+    if depth is not None:
+        surface = with_front(surface, picture.rgba[..., 4], picture.own)
     progress("relief", 1, STAGES)
     alive = partial(progress, "relief", 1, STAGES)
-    points, normals, spacing = _points(surface, view, base, count, rng, alive)
+    points, normals, spacing = _points(surface, view, picture.ends, count, rng, alive)
     progress("relief", 2, STAGES)
-    picture = clean_picture(rgba)
-    rgb = colour(points, normals, picture, back_picture(picture, silhouette, WORK))
+    front = clean_picture(picture.rgba[..., :4])
+    back = back_picture(front, silhouette.inside, WORK)
+    rgb = colour(points, surface, silhouette.inside, front, back, WORK)
     progress("relief", 3, STAGES)
     points = points - surface.inset(points, DRAWN_IN) * normals
     gaussians = _placed(*view.drawn(points, normals), spacing, rgb)
@@ -80,33 +93,32 @@ def relief(
     return gaussians
 
 
-def _view(inside: NDArray[np.bool_], base: float) -> View:
-    """The front camera for the part of the silhouette above the base."""
-    y, x = np.nonzero(inside[: int(base) + 1])
-    middle = np.array([x.min() + x.max(), y.min() + y.max(), 0.0]) / 2
-    return View(middle, VIEW_DISTANCE * WORK)
-
-
 def _points(
     surface: Surface,
     view: View,
-    base: float,
+    ends: tuple[End, ...],
     count: int,
     rng: np.random.Generator,
     alive: Callable[[], None],
 ) -> tuple[Field, Field, Field]:
-    """Points, normals and spacing of the walls above the foot, and of the foot."""
-    points, normals, spacing, pitch = spread(surface, base, count, rng, alive)
-    below, facing, floor = foot(surface, view, base, pitch)
-    above = view.drawn(points, normals)[0][:, 1] <= floor - DRAWN_IN
-    walls = points[above], normals[above], spacing[above]
-    feet = below, facing, np.full(len(below), pitch)
-    points, normals, spacing = (np.concatenate(both) for both in zip(walls, feet, strict=True))
+    """Points, normals and spacing of the walls between the flat ends, and of those."""
+    points, normals, spacing, pitch = spread(surface, ends, count, rng, alive)
+    caps = [cap(surface, view, end, pitch) for end in ends]
+    height = view.drawn(points, normals)[0][:, 1]
+    kept = np.ones(len(points), bool)
+    for face in caps:
+        kept &= face.within(height, DRAWN_IN)
+    walls = points[kept], normals[kept], spacing[kept]
+    faces = [(face.points, face.normals, np.full(len(face.points), pitch)) for face in caps]
+    points, normals, spacing = (np.concatenate(all_) for all_ in zip(walls, *faces, strict=True))
     return points, normals, spacing
 
 
-def _work_picture(image: Image.Image | NDArray[np.uint8]) -> Field:
-    """The opaque part [H,W,4] in 0..1, its longest side `WORK` pixels, padded by `PADDING`."""
+def _work_picture(image: Image.Image | NDArray[np.uint8], depth: NDArray | None) -> Field:
+    """The opaque part [H,W,4] in 0..1, its longest side `WORK` pixels, padded by `PADDING`.
+
+    A depth map is its fifth channel.
+    """
     picture = Image.fromarray(np.asarray(image)) if not isinstance(image, Image.Image) else image
     picture = picture.convert("RGBA")
     rows, columns = np.nonzero(np.asarray(picture.getchannel("A")) > 127)
@@ -117,7 +129,13 @@ def _work_picture(image: Image.Image | NDArray[np.uint8]) -> Field:
         int(v) for v in (columns.min(), rows.min(), columns.max(), rows.max())
     )
     # One pixel more on each side keeps the half transparent edge.
-    picture = picture.crop((left - 1, top - 1, right + 2, bottom + 2))
+    box = left - 1, top - 1, right + 2, bottom + 2
+    distances = None
+    if depth is not None:
+        whole = fitted(depth, *picture.size)
+        refuse_reversed(whole, np.asarray(picture.getchannel("A")))
+        distances = Image.fromarray(whole).crop(box)
+    picture = picture.crop(box)
     scale = WORK / (1 + max(right - left, bottom - top))
     size = max(3, round(picture.width * scale)), max(3, round(picture.height * scale))
     # Filters without negative lobes: colours must not overshoot where alpha is cut at 1. Hamming is
@@ -125,6 +143,9 @@ def _work_picture(image: Image.Image | NDArray[np.uint8]) -> Field:
     sharp, smooth = Image.Resampling.HAMMING, Image.Resampling.BILINEAR
     picture = picture.resize(size, sharp if scale < 2 else smooth)
     rgba = np.asarray(picture, dtype=np.float64) / 255
+    if distances is not None:
+        far = np.asarray(distances.resize(size, smooth), dtype=np.float64)
+        rgba = np.concatenate([rgba, far[..., None]], axis=2)
     return np.pad(rgba, ((PADDING, PADDING), (PADDING, PADDING), (0, 0)))
 
 

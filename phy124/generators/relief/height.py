@@ -1,10 +1,4 @@
-"""Inflation: how thick the object is behind each pixel of its silhouette.
-
-The half thickness h follows from h^2 = u, -Laplace(u) = 4 within the silhouette, u = 0 on its rim
-(a disc becomes a ball). It is then corrected to the thickness of the largest balls that fit inside,
-so that a stalk is as deep as it is wide and does not swell. Working with h^2 keeps everything
-smooth: it crosses zero at a constant slope, where h itself is infinitely steep.
-"""
+"""Laplace's equation within a silhouette, whose rim lies where its alpha is one half."""
 
 from __future__ import annotations
 
@@ -20,12 +14,6 @@ Field = NDArray[np.float64]
 NEIGHBOURS = ((0, 1), (0, -1), (1, 0), (-1, 0))
 THETA_MIN = 0.1
 """Smallest rim distance used, pixels; keeps the matrix well conditioned."""
-DEPTH = 0.9
-"""Ratio of thickness to width of a small round part."""
-FLATTEN = 0.42
-"""Half thickness, in picture sizes, from which parts become flatter."""
-SMOOTHING = 0.02
-"""Width over which the correction is smoothed, in picture sizes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,40 +66,10 @@ class Silhouette:
         return np.where(self.inside, u, outside[nearest] * (1 + far))
 
 
-def squared_half_thickness(silhouette: Silhouette, size: int) -> Field:
-    """h^2 [H,W], pixels^2, negative outside; the object is `size` pixels large."""
-    u = silhouette.poisson(4.0)
-    ratio = np.clip(_balls(silhouette.inside) / np.maximum(u, 1e-9), 0.3, 1.2)
-    round_ = u * _smooth_within(ratio, silhouette.inside, max(1.0, SMOOTHING * size))
-    return silhouette.extended(DEPTH**2 * round_ / (1 + round_ / (FLATTEN * size) ** 2))
-
-
 def nearest_of(wanted: NDArray[np.bool_]) -> tuple[Field, tuple[NDArray, NDArray]]:
     """Distance from each pixel to the nearest wanted one, pixels, and where that one is."""
     distance, (y, x) = ndi.distance_transform_edt(~wanted, return_indices=True)  # pyright: ignore
     return distance, (y, x)
-
-
-def _balls(inside: NDArray[np.bool_]) -> Field:
-    """Squared half thickness of the union of all balls that fit behind the silhouette.
-
-    It is the maximum over centres m of D(m)^2 - |x - m|^2, with D the distance to the rim: a
-    separable upper envelope of parabolas.
-    """
-    # From the pixel's centre to the rim between it and the next pixel outside.
-    squares = np.where(inside, (nearest_of(~inside)[0] - 0.5) ** 2, 0.0)
-    for _ in range(2):
-        offsets = np.arange(squares.shape[1])
-        parabolas = (offsets[:, None] - offsets).astype(np.float64) ** 2
-        squares = np.stack([(row - parabolas).max(axis=1) for row in squares]).T
-    return np.where(inside, squares, 0.0)
-
-
-def _smooth_within(values: Field, inside: NDArray[np.bool_], width: float) -> Field:
-    """Gaussian smoothing restricted to the pixels inside."""
-    fraction = ndi.gaussian_filter(inside.astype(np.float64), width)
-    smooth = ndi.gaussian_filter(np.where(inside, values, 0.0), width)
-    return np.where(inside, smooth / np.maximum(fraction, 1e-9), 0.0)
 
 
 def _rim_weight(alpha: Field, inside: NDArray[np.bool_], shift: tuple[int, int]) -> Field:

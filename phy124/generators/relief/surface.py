@@ -6,7 +6,7 @@ seam: the rim is as regular as any other place.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,38 +14,65 @@ import scipy.ndimage as ndi
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from phy124.generators.relief.ends import End
+from phy124.generators.relief.height import nearest_of
+
 Field = NDArray[np.float64]
 BACK_PITCH = 1.5
 """Spacing of points on the back relative to the front; its colours are smooth."""
 OVERHANG = 5.0
-"""How far below the base points continue while they are spread, pixels."""
+"""How far beyond the ends points continue while they are spread, pixels."""
 ROUNDS = 6
 """Number of relaxation rounds; the spacing is even to about 10 % after five."""
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """The zero set of F(x, y, z) = w(x, y) - z^2."""
+    """The zero set of F(x, y, z) = w(x, y) - (z - m(x, y))^2."""
 
     w: Field
     """Squared half thickness [H,W], pixels^2, negative outside."""
-    slope: Field
-    """Gradient of w along x and y [2,H,W], pixels."""
+    m: Field
+    """Depth of the middle between front and back [H,W], pixels."""
+    slopes: Field
+    """Gradients of w and m along x and y [2,2,H,W]."""
 
     @classmethod
-    def of(cls, w: Field) -> Surface:
-        """From squared half thicknesses [H,W], pixels^2."""
-        smooth = ndi.gaussian_filter(w, 0.7)
-        dy, dx = np.gradient(smooth)
-        return cls(w, np.stack([dx, dy]))
+    def of(cls, w: Field, m: Field | None = None) -> Surface:
+        """From squared half thicknesses and middles [H,W], pixels^2 and pixels."""
+        m = np.zeros_like(w) if m is None else m
+        slopes = [np.gradient(ndi.gaussian_filter(field, 0.7))[::-1] for field in (w, m)]
+        return cls(w, m, np.asarray(slopes))
+
+    @classmethod
+    def seen(cls, w: Field, middle: Field, distance: float) -> Surface:
+        """As the camera of `View` sees round parts: it sees less than half of each.
+
+        In pixels, along the rays, a circle of radius h about c is centred at z = p (p - c) / d,
+        with p relative to the picture's middle; and p - c is -grad(w) / 2.
+        """
+        dy, dx = np.gradient(ndi.gaussian_filter(w, 1.5))
+        y, x = np.mgrid[: len(w), : w.shape[1]]
+        x, y = x - middle[0], y - middle[1]
+        limit = np.hypot(x, y) * np.sqrt(w.max())
+        m = np.clip(-(x * dx + y * dy) / 2, -limit, limit) / distance
+        m = ndi.gaussian_filter(m[nearest_of(w > 0)[1]], 2.0)
+        return cls.of(w / (1 + np.maximum(w, 0) / distance**2), m)
+
+    def middle(self, points: Field) -> Field:
+        """m at points [N,3 or 2]."""
+        return ndi.map_coordinates(self.m, points[:, 1::-1].T, order=1, mode="nearest")
 
     def gradient(self, points: Field) -> tuple[Field, Field]:
         """F [N] and its gradient [N,3] at points [N,3]."""
         place = points[:, 1::-1].T
         value = ndi.map_coordinates(self.w, place, order=1, mode="nearest")
-        sides = [ndi.map_coordinates(s, place, order=1, mode="nearest") for s in self.slope]
-        z = points[:, 2]
-        return value - z * z, np.stack([*sides, -2 * z], axis=1)
+        wx, wy, mx, my = (
+            ndi.map_coordinates(slope, place, order=1, mode="nearest")
+            for slope in self.slopes.reshape(4, *self.w.shape)
+        )
+        z = points[:, 2] - self.middle(points)
+        return value - z * z, np.stack([wx + 2 * z * mx, wy + 2 * z * my, -2 * z], axis=1)
 
     def normals(self, points: Field) -> Field:
         """Outward unit normals [N,3]."""
@@ -81,35 +108,44 @@ def pitch_factor(normals: Field) -> Field:
 
 def spread(
     surface: Surface,
-    base: float,
+    ends: Sequence[End],
     count: int,
     rng: np.random.Generator,
     alive: Callable[[], None] = lambda: None,
 ) -> tuple[Field, Field, Field, float]:
-    """Points spread evenly over the part above y = base.
+    """Points spread evenly over the part between the flat ends.
 
     Args:
         surface: The surface.
-        base: y of the line on which the object stands, pixels.
-        count: Number of points that walls and foot together get, approximately.
+        ends: Where the object is cut off flat.
+        count: Number of points that walls and flat ends together get, approximately.
         rng: Random numbers.
         alive: Called between rounds; may raise.
 
     Returns:
         Positions [N,3], unit normals [N,3], spacing [N] and the front's spacing, pixels. A few
-            points lie below the base, where the caller cuts.
+            points lie beyond the ends, where the caller cuts.
     """
     trial = _scatter(surface, 1.0, rng)
-    walls = np.count_nonzero(trial[:, 1] < base)
-    pitch = float(np.sqrt((walls + surface.section(base)) / count))
+    walls = np.count_nonzero(_between(trial, ends))
+    faces = sum(surface.section(end.corner) for end in ends)
+    pitch = float(np.sqrt((walls + faces) / count))
     points = _scatter(surface, pitch, rng)
-    points = points[points[:, 1] < base + OVERHANG]
+    points = points[_between(points, ends, OVERHANG)]
     for _ in range(ROUNDS):
         alive()
         points, _ = _relaxed(surface, points, pitch)
     alive()
     _, spacing = _relaxed(surface, points, pitch)
     return points, surface.normals(points), spacing, pitch
+
+
+def _between(points: Field, ends: Sequence[End], by: float = 0.0) -> NDArray[np.bool_]:
+    """Which points lie at most so many pixels beyond the ends."""
+    kept = np.ones(len(points), bool)
+    for end in ends:
+        kept &= ~end.beyond(points[:, 1], by)
+    return kept
 
 
 def _scatter(surface: Surface, pitch: float, rng: np.random.Generator) -> Field:
@@ -127,7 +163,7 @@ def _scatter(surface: Surface, pitch: float, rng: np.random.Generator) -> Field:
     halves = []
     for side in (1.0, -1.0):
         half = flat + pitch * rng.random(flat.shape)
-        half[:, 2] *= side
+        half[:, 2] = side * half[:, 2] + surface.middle(half)
         halves.append(half)
     points = surface.project(np.concatenate(halves), rounds=4)
     value, gradient = surface.gradient(points)

@@ -1,0 +1,150 @@
+"""How true `relief` is to solids whose every side is known: `python tests/benchmarks/relief.py`.
+
+Each solid is drawn from the front; what `relief` makes of that picture is compared from eight other
+sides (`support.truths.VIEWS`): the overlap of the silhouettes (IoU), the pictures on white (PSNR),
+depth and volume as the physics fills it. `--only NAME...` takes some of them, `--depth` gives the
+true depth map, `--pictures FILE` writes what was compared (truth above), `--json FILE` the figures,
+`--against FILE` shows the change since then. `--examples FILE` draws demo/examples from all sides.
+"""
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from phy124.camera import Camera
+from phy124.gaussians import Gaussians
+from phy124.generators.relief import relief
+from phy124.particles.seeding import fill
+from phy124.rendering.render import Renderer
+from support.truths import DISTANCE, OBJECTS, SMALL, VIEWS, WIDE, Truth, truth
+
+EXAMPLES = Path(__file__).parents[2] / "demo" / "examples"
+GAUSSIANS = 15_000
+MEANS, RATIOS = ("iou", "side", "psnr", "seconds"), ("depth", "volume")
+SPACING = 0.02
+"""Of the particles that measure the volume, m."""
+
+
+def compared(truth: Truth, gaussians: Gaussians, renderer: Renderer) -> tuple[dict, np.ndarray]:
+    """Figures, and the pictures [V,SMALL,SMALL,3]."""
+    low, high = gaussians.means.min(axis=0), gaussians.means.max(axis=0)
+    # How far away the object is no picture says.
+    there = gaussians.means - np.array([low[0] + high[0], 0, 0], np.float32) / 2
+    placed = Gaussians(there, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.sh)
+    seen, overlaps, errors = [], [], []
+    for view, wanted in zip(VIEWS, truth.pictures, strict=True):
+        rgba = drawn(renderer, placed, view)
+        inside, right = rgba[..., 3] > 0.5, wanted[..., 3] > 0.5
+        overlaps.append((inside & right).sum() / (inside | right).sum())
+        seen.append(rgba[..., :3])
+        errors.append(-10 * np.log10(np.mean((seen[-1] - wanted[..., :3]) ** 2)))
+    volume = len(fill(placed, SPACING)) * SPACING**3
+    figures = {
+        "iou": float(np.mean(overlaps)),
+        "side": float(overlaps[1]),
+        "psnr": float(np.mean(errors)),
+        "depth": float(high[0] - low[0]) / truth.depth,
+        "volume": volume / truth.volume,
+    }
+    return figures, np.stack(seen)
+
+
+def drawn(renderer: Renderer, gaussians: Gaussians, view: tuple[float, float]) -> np.ndarray:
+    """Picture [SMALL,SMALL,4]: at twice the size first, since drawing widens splats by a pixel."""
+    camera = Camera.orbit(*view, DISTANCE, 2 * SMALL, fov_y=WIDE)
+    fine = renderer(gaussians, camera, alpha=True)
+    return fine.reshape(SMALL, 2, SMALL, 2, 4).mean(axis=(1, 3))
+
+
+def measured(name: str, renderer: Renderer, with_depth: bool = False) -> tuple[dict, np.ndarray]:
+    """Figures of one object and what was compared, as one picture: truth above, relief below."""
+    known = truth(name)
+    start, options = time.perf_counter(), {}
+    if with_depth:
+        near = np.nan_to_num(known.distances, nan=-1.0)
+        options["depth"] = np.round(200 * near)  # as 8 bits would hold it
+    gaussians = relief(Image.fromarray(known.front), count=GAUSSIANS, **options)
+    seconds = time.perf_counter() - start
+    figures, seen = compared(known, gaussians, renderer)
+    front = drawn(renderer, gaussians, (0, 0))[..., :3]
+    rows = [given(known), *known.pictures[..., :3]], [front, *seen]
+    sheet = np.concatenate([np.concatenate(row, axis=1) for row in rows])
+    return {**figures, "seconds": seconds}, np.round(255 * np.clip(sheet, 0, 1)).astype(np.uint8)
+
+
+def given(truth: Truth) -> np.ndarray:
+    """The picture that `relief` gets, on white."""
+    small = Image.fromarray(truth.front).resize((SMALL, SMALL))  # weighs by alpha
+    rgba = np.asarray(small) / 255
+    return rgba[..., :3] * rgba[..., 3:] + 1 - rgba[..., 3:]
+
+
+def summary(figures: dict[str, dict]) -> dict[str, float]:
+    """Means, and medians of the ratios."""
+    columns = {key: [row[key] for row in figures.values()] for key in (*MEANS, *RATIOS)}
+    means = {key: float(np.mean(columns[key])) for key in MEANS}
+    return means | {key: float(np.median(columns[key])) for key in RATIOS}
+
+
+def line(name: str, row: dict, before: dict | None) -> str:
+    """One line of the table, also of the one in docs/results/relief.md."""
+    old = f"{before['iou']:.3f} | {before['psnr']:.1f} | {before['depth']:.2f} | " if before else ""
+    return (
+        f"| {name} | {old}{row['iou']:.3f} | {row['psnr']:.1f} | {row['depth']:.2f} | "
+        f"{row['side']:.3f} | {row['volume']:.2f} |"
+    )
+
+
+def turntables(renderer: Renderer) -> np.ndarray:
+    """What is made of each picture in demo/examples, from all sides."""
+    rows = []
+    for file in sorted(EXAMPLES.glob("*.png")):
+        made = relief(Image.open(file))
+        rows.append([drawn(renderer, made, view)[..., :3] for view in ((0, 0), *VIEWS)])
+    sheet = np.concatenate([np.concatenate(row, axis=1) for row in rows])
+    return np.round(255 * np.clip(sheet, 0, 1)).astype(np.uint8)
+
+
+def save(sheet: np.ndarray, file: Path) -> None:
+    """A small file: 64 colours."""
+    Image.fromarray(sheet).quantize(64).save(file, optimize=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--only", nargs="*", default=list(OBJECTS))
+    parser.add_argument("--pictures", type=Path)
+    parser.add_argument("--examples", type=Path)
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--against", type=Path)
+    parser.add_argument("--depth", action="store_true", help="give the true depth map")
+    chosen = parser.parse_args()
+    before = json.loads(chosen.against.read_text()) if chosen.against else {}
+    renderer, figures, sheets = Renderer(device="cpu"), {}, []
+    if chosen.examples:
+        save(turntables(renderer), chosen.examples)
+        return
+    for name in chosen.only:
+        figures[name], sheet = measured(name, renderer, chosen.depth)
+        sheets.append(sheet)
+        print(line(name, figures[name], before.get(name)), flush=True)
+    old = {name: before[name] for name in figures} if before else None
+    print(line("mean, median", summary(figures), old and summary(old)))
+    print(f"{summary(figures)['seconds']:.2f} s each")
+    if before:
+        worst = min(figures, key=lambda name: figures[name]["iou"] - before[name]["iou"])
+        print(f"worst: {worst} {figures[worst]['iou'] - before[worst]['iou']:+.3f}")
+    if chosen.json:
+        chosen.json.write_text(json.dumps(figures, indent=1))
+    if chosen.pictures:
+        save(np.concatenate(sheets), chosen.pictures)
+
+
+if __name__ == "__main__":
+    main()

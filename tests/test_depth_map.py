@@ -1,0 +1,57 @@
+"""Depth maps are read as they were written, or refused with a remedy."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from phy124.errors import InputError
+from phy124.generators.depth_map import DepthMap, read
+
+RAMP = np.arange(12 * 20).reshape(12, 20)
+
+
+def test_values_survive_every_format(tmp_path):
+    """16 bits are not reduced to 8, and floating-point numbers not to integers."""
+    Image.fromarray((RAMP * 250).astype(np.uint16)).save(tmp_path / "deep.png")
+    Image.fromarray(RAMP.astype(np.uint8)).save(tmp_path / "plain.png")
+    np.save(tmp_path / "float.npy", RAMP[None] / 1000)
+    for name, scale in (("deep.png", 250), ("plain.png", 1), ("float.npy", 1e-3)):
+        np.testing.assert_allclose(read(tmp_path / name), RAMP * scale, rtol=1e-6)
+
+
+def spoiled(folder):
+    """Files that are no depth maps, and what is said of each."""
+    np.save(folder / "colours.npy", np.zeros((4, 4, 3)))
+    np.save(folder / "hole.npy", np.where(RAMP == 5, np.nan, RAMP))
+    (folder / "text.npy").write_text("1 2 3")
+    (folder / "text.png").write_text("1 2 3")
+    return {
+        "colours.npy": "shape",
+        "hole.npy": "not finite",
+        "text.npy": "no array",
+        "text.png": "not a PNG",
+        "absent.npy": "no such file",
+        "absent.png": "no such file",
+    }
+
+
+def test_other_files_are_refused(tmp_path):
+    for name, why in spoiled(tmp_path).items():
+        with pytest.raises(InputError, match=why):
+            read(tmp_path / name)
+
+
+def test_only_for_generators_that_use_one(tmp_path):
+    np.save(tmp_path / "map.npy", RAMP)
+    chosen = DepthMap(depth=tmp_path / "map.npy", near="black")
+
+    def flat(image, *, seed, progress):
+        return None
+
+    def deep(image, *, seed, progress, depth=None):
+        return depth
+
+    with pytest.raises(InputError, match=r"lgm does not use one.*relief"):
+        chosen.given_to(flat, "lgm")
+    assert DepthMap().given_to(flat, "lgm") is flat
+    np.testing.assert_array_equal(chosen.given_to(deep, "relief")(0, seed=0, progress=0), -RAMP)
