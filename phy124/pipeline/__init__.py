@@ -80,6 +80,7 @@ def generate(
         method: How the object is cut out, see `phy124.imaging.cutout.foreground`.
         mask: Picture that is white where the object is.
         pick: A place on the object that is meant, if there are several.
+        depth: Depth map of the picture, for `relief`.
         looked: Called with the cut-out before the long work begins.
         count: Largest number of Gaussians.
         device: Warp device.
