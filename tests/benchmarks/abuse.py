@@ -7,8 +7,10 @@ those of the table: a cube of 512 particles (1,728 in impacts) with E = 1e5 Pa.
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,14 +26,16 @@ from phy124.selftest import Setting
 from phy124.selftest.bodies import (
     Array,
     assign,
-    block,
     finite,
     host,
     turning,
     volume_ratios,
 )
-from phy124.selftest.inputs import quick, shell
+from phy124.selftest.inputs import quick
 from phy124.simulation import Simulation
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from support.shapes import ball, block
 from support.solvers import make_solver
 
 SIZE = 0.5
@@ -96,7 +100,7 @@ def long_substep() -> str:
 
 def nan_position() -> str:
     """One position NaN in the file of the object."""
-    given = shell(512)
+    given = ball(512)
     means = given.means.copy()
     means[7] = np.nan
     report = Simulation(replace(given, means=means), quick(Setting())).run().report

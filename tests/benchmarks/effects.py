@@ -40,6 +40,9 @@ from phy124.rendering.render import Renderer
 from phy124.scene import Scene
 from phy124.simulation import Simulation
 from phy124.tracks import Sine
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from support.shapes import cloud
 from support.solvers import make_solver
 
 wp.config.log_level = wp.LOG_WARNING
@@ -131,8 +134,7 @@ class Fewer(Switched):
 
 def cube(count: int, cells: int) -> Solver:
     """Random particles in a cube of half the domain, sorted by cell."""
-    x = np.random.default_rng(0).random((count, 3)) * 0.3 + 0.35
-    x = x[np.lexsort(np.floor(x * cells - 0.5).T[::-1])]
+    x = cloud(count, size=0.3, corner=0.35, dx=1 / cells)
     volume = np.full(count, 0.3**3 / count)
     walls = [Ground(height=0.3)]
     return make_solver(
@@ -184,8 +186,7 @@ def one_row_each(s: Solver) -> None:
 
 def costs() -> None:
     count = 60_000
-    x = np.random.default_rng(0).random((count, 3)) * 0.5 + 0.2
-    x = x[np.lexsort(np.floor(x * 40 - 0.5).T[::-1])]
+    x = cloud(count, size=0.5, corner=0.2, dx=1 / 40)
     up, half = {"a": (0, 0, 1)}, (np.arange(count) >= count // 2).astype(int)
     fraction = np.random.default_rng(1).random(count) / 2 + 0.5
 

@@ -20,10 +20,11 @@ from phy124.boundaries import Ground
 from phy124.forces import Gravity
 from phy124.materials import FixedCorotated, NeoHookean
 from phy124.mpm import Solver
-from support.solvers import make_solver
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from reference.textbook import Textbook
+from support.shapes import cloud
+from support.solvers import make_solver
 
 wp.config.log_level = wp.LOG_WARNING
 FORMS = {"simd": ("float32", True), "plain": ("float32", False), "double": ("float64", False)}
@@ -31,8 +32,7 @@ FORMS = {"simd": ("float32", True), "plain": ("float32", False), "double": ("flo
 
 def cube(count: int, cells: int, law: type, form: str, threads: int, device: str = "cpu") -> Solver:
     """A unit cube in a domain of 2 m with `cells` cells per axis."""
-    x = np.random.default_rng(0).random((count, 3)) + 0.5
-    x = x[np.lexsort(np.floor(x * cells / 2 - 0.5).T[::-1])]
+    x = cloud(count, size=1.0, corner=0.5, dx=2 / cells)
     precision, simd = FORMS[form]
     return make_solver(
         x,
@@ -51,8 +51,7 @@ def cube(count: int, cells: int, law: type, form: str, threads: int, device: str
 
 def textbook(count: int, cells: int) -> Textbook:
     """The same cube for the straightforward program."""
-    x = np.random.default_rng(0).random((count, 3)) + 0.5
-    x = x[np.lexsort(np.floor(x * cells / 2 - 0.5).T[::-1])]
+    x = cloud(count, size=1.0, corner=0.5, dx=2 / cells)
     material = {"E": 1e5, "nu": 0.3, "density": 200}
     return Textbook(x, 1 / count, cells=cells, size=2, floor=0.5, **material)
 

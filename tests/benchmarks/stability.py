@@ -17,9 +17,12 @@ import numpy as np
 from phy124.materials import FixedCorotated, Material, NeoHookean
 from phy124.mpm import Unstable
 from phy124.selftest import CASES, Setting, examine
-from phy124.selftest.bodies import DX, Array, block, body, host, steps
+from phy124.selftest.bodies import DX, Array, body, host, steps
 from phy124.selftest.impact import hit
 from phy124.selftest.limits import heavy_on_light
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from support.shapes import block, lattice
 from support.solvers import make_solver
 
 SETTING = Setting()
@@ -126,8 +129,7 @@ def measure_tears() -> list[dict[str, Any]]:
 def pull(per_axis: int, speed: float, cells: int = 16) -> tuple[float, float]:
     """A bar of 1 m whose ends fly apart at `speed` m/s: largest stretch, widest gap in cells."""
     h = 1 / cells / per_axis
-    sides = [np.arange(round(n / h)) * h + h / 2 for n in (0.375, 0.375, 1.0)]
-    x = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
+    x = lattice(*[round(side / h) for side in (0.375, 0.375, 1.0)], spacing=h)
     rate = np.zeros((len(x), 3, 3))
     rate[:, 2, 2] = 2 * speed
     v = np.einsum("pij,pj->pi", rate, x - 0.5)

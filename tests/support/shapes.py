@@ -1,10 +1,11 @@
-"""Small objects made of Gaussians, and lattices of particles."""
+"""Small objects made of Gaussians; cubes, lattices and clouds of particles."""
 
 from collections.abc import Sequence
 
 import numpy as np
 
 from phy124.gaussians import Gaussians
+from phy124.selftest.bodies import block as block
 from phy124.selftest.inputs import shell
 
 
@@ -28,9 +29,7 @@ def lattice(*counts: int, spacing: float, corner: Sequence[float] = (0, 0, 0)) -
     return np.stack(np.meshgrid(*lines, indexing="ij"), -1).reshape(-1, 3) + np.asarray(corner)
 
 
-def block(
-    per_axis: int = 6, size: float = 0.375, middle: Sequence[float] = (0, 0, 0)
-) -> np.ndarray:
-    """Particles [N,3] on a lattice in a cube of edge `size` around `middle`, m."""
-    corner = np.asarray(middle, float) - size / 2
-    return lattice(*[per_axis] * 3, spacing=size / per_axis, corner=corner)
+def cloud(count: int, *, size: float, corner: float, dx: float) -> np.ndarray:
+    """Random particles [N,3] in a cube of edge `size` [m] from a corner on, sorted by cell."""
+    x = np.random.default_rng(0).random((count, 3)) * size + corner
+    return x[np.lexsort(np.floor(x / dx - 0.5).T[::-1])]
