@@ -1,0 +1,49 @@
+"""Frames wait for acknowledgements, but nobody who hangs holds them up for long."""
+
+import pytest
+
+from bridge import delivery
+from bridge.delivery import Delivery
+
+
+@pytest.fixture(autouse=True)
+def short(monkeypatch):
+    monkeypatch.setattr(delivery, "LONGEST_WAIT", 0.01)
+    monkeypatch.setattr(delivery, "FAREWELL", 0.01)
+
+
+def test_nothing_is_lost_where_all_is_acknowledged():
+    made = Delivery(lambda seconds: True, 2, lambda: pytest.fail("it waits"))
+    for _ in range(10):
+        made.before_frame()
+    made.farewell()
+    assert made.lost == 0
+
+
+def test_a_subscriber_that_hangs_holds_up_one_frame_only(caplog):
+    waits, ticks = [], []
+
+    def never(seconds):
+        waits.append(seconds)
+        return False
+
+    made = Delivery(never, 2, lambda: ticks.append(1))
+    for _ in range(2):
+        made.before_frame()
+    assert not any(waits) and made.lost == 0, "the writer keeps two"
+    made.before_frame()
+    assert any(waits) and ticks and made.lost == 1
+    waits.clear()
+    made.before_frame()
+    assert not any(waits) and made.lost == 2, "it does not wait again"
+    made.farewell()
+    assert made.lost == 4 and "it may lack 2 of them" in caplog.text
+
+
+def test_one_that_comes_back_is_waited_for_again():
+    answers = iter([False, False, True])
+    made = Delivery(lambda seconds: next(answers, True), 1, lambda: None)
+    made.before_frame()
+    made.before_frame()
+    made.farewell()
+    assert made.lost <= 1

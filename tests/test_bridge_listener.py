@@ -1,0 +1,48 @@
+"""The listener passes commands on from its thread, and its errors to the main thread."""
+
+import queue
+import threading
+
+import pytest
+
+from bridge.listener import Listener
+from bridge.sink import LiveSink
+
+
+class Asked(LiveSink):
+    """A sink with commands in a queue; an exception in it is raised."""
+
+    def __init__(self, *commands):
+        self.commands = queue.Queue()
+        for command in commands:
+            self.commands.put(command)
+
+    def listen(self, seconds, obey):
+        try:
+            command = self.commands.get(timeout=seconds)
+        except queue.Empty:
+            return
+        if isinstance(command, BaseException):
+            raise command
+        obey(command)
+
+
+def test_commands_arrive_from_another_thread():
+    heard = queue.Queue()
+    with Listener(Asked("pause", "play"), lambda text: heard.put((text, threading.get_ident()))):
+        first, second = heard.get(timeout=60), heard.get(timeout=60)
+    assert (first[0], second[0]) == ("pause", "play")
+    assert first[1] != threading.get_ident()
+
+
+def test_waiting_ends_with_a_command_or_raises_what_ended_the_listening():
+    listener = Listener(Asked(KeyboardInterrupt()), lambda text: None)
+    with pytest.raises(KeyboardInterrupt), listener:
+        while True:
+            listener.wait(60)
+
+
+def test_an_error_nobody_waited_for_is_raised_at_the_end():
+    listener = Listener(Asked(OSError("gone")), lambda text: None)
+    with pytest.raises(OSError, match="gone"), listener:
+        listener._thread.join(60)
