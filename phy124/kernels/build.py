@@ -2,7 +2,9 @@
 
 Warp hashes the set of functions that a closure uses, but not their roles, so variants need names.
 Products and sums are contracted to fused multiply-adds, as CUDA compilers do by default: a substep
-takes a seventh less time on a CPU and rounds less. Nothing is reordered.
+takes a seventh less time on a CPU and rounds less. Nothing is reordered, but which of two products
+is contracted depends on the layout of the code: merging two early returns of `collide.contact`
+changed the last digit of float32 results. tests/benchmarks/fingerprints.py compares two commits.
 """
 
 from collections.abc import Callable
