@@ -32,7 +32,7 @@
       this.shown = h('img', { alt: 'Your picture', title: 'Click the object that is meant', hidden: true, onclick: (event) => this.pick(event) });
       this.hint = h('span', { class: 'photo-hint' }, h('strong', {}, 'Choose a picture'), 'or drop or paste it here');
       const zone = h('div', { id: 'photo' }, h('label', {}, input, this.shown, this.hint),
-        h('button', { type: 'button', class: 'quiet another', onclick: () => input.click() }, 'Another picture'),
+        h('button', { type: 'button', class: 'quiet another', 'aria-label': 'Another picture', onclick: () => input.click() }, 'Another'),
         h('button', { type: 'button', class: 'quiet camera', onclick: () => this.photograph() }, 'Camera'));
       for (const name of ['dragover', 'dragleave', 'drop']) {
         zone.addEventListener(name, (event) => { event.preventDefault(); zone.classList.toggle('over', name === 'dragover'); });
