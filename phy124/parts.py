@@ -107,7 +107,7 @@ def with_materials(
     if static.any():
         seen = assign(means, np.arange(len(means)), scene.parts, crop)
         own = particles.gaussian >= 0
-        # A Gaussian and its particle agree, though fillers may stretch what a mask is laid over.
+        # A Gaussian and its particle must agree, although fillers may enlarge a mask's extent.
         part[own] = seen[particles.gaussian[own]]
         moves = ~static[seen]
     kept = np.flatnonzero(~static[part])

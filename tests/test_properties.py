@@ -75,7 +75,7 @@ def test_voxels_of_vomp_lie_where_the_object_does(tmp_path):
     assert set(found) == {"E", "nu", "density"}
     assert (found["E"] == np.where(x[:, 2] > 0.5, 1e6, 1e5)).all()
     assert (found["density"] == 700).all()
-    with pytest.raises(InputError, match=r"fill a box of .* Say by properties\.up"):
+    with pytest.raises(InputError, match=r"fill a box of .* Set properties\.up"):
         Properties(file=file, up="z").columns(x, x[:-1], None)
 
 
@@ -187,7 +187,7 @@ def test_columns_of_the_gaussians_own_file(tmp_path):
 @pytest.mark.parametrize(
     ("arrays", "limit"),
     [
-        ({"E": np.ones(5)}, "without places, the object has 10 Gaussians"),
+        ({"E": np.ones(5)}, "without positions, the object has 10 Gaussians"),
         ({"E": np.full(10, np.nan)}, "10 values of E are not finite"),
         ({"E": np.full(10, 1e20)}, "E = 1e.20: it must be a number from 1 to 1e13"),
         ({"nu": np.linspace(0.1, 0.7, 10)}, r"nu = 0\.7: it must be"),

@@ -17,7 +17,7 @@ from phy124.section import Section
 
 Axis = Literal["x", "-x", "y", "-y", "z", "-z"]
 ALIKE = 0.2
-"""How far a side of the points' box may be off that of the object, as a fraction of its longest."""
+"""Largest difference between sides of the points' and the object's box, relative to the longest."""
 
 
 class Properties(Section):
@@ -38,7 +38,7 @@ class Properties(Section):
     def columns(
         self, x: NDArray, means: NDArray, survivors: NDArray[np.bool_] | None
     ) -> dict[str, NDArray[Any]]:
-        """What the file says of each particle: E, nu, density, damping [P], names of laws [P].
+        """The file's values for each particle: E, nu, density, damping [P], names of laws [P].
 
         Args:
             x: Particles at rest [P,3], m.
@@ -61,11 +61,11 @@ class Properties(Section):
         return trilinear(x, points, table.columns)
 
     def _fitted(self, table: Table, means: NDArray) -> NDArray[np.float64]:
-        """The file's points laid over the object [K,3], m: their boxes have one middle and size."""
+        """The file's points [K,3], m, moved and scaled so that their box is that of the object."""
         if table.points is None:
             raise InputError(
                 "properties.file", self.file,
-                f"it holds {len(table):,} values without places, the object has {len(means):,} "
+                f"it holds {len(table):,} values without positions, the object has {len(means):,} "
                 "Gaussians.",
                 "Give x, y, z beside them, or one value per Gaussian of the gaussians.ply that a "
                 "run writes.",
@@ -84,7 +84,7 @@ class Properties(Section):
                 "properties.file", self.file,
                 f"its points fill a box of {_sides(scale * (high - low))} m, the object one of "
                 f"{_sides(last - first)} m.",
-                "Say by properties.up and properties.front how its axes lie.",
+                "Set properties.up and properties.front to the directions of its axes.",
             )  # fmt: skip
         return (points - (low + high) / 2) * scale + (first + last) / 2
 

@@ -1,4 +1,4 @@
-"""Values at places between points: those of the nearest, or trilinear between voxels."""
+"""Values between points: those of the nearest point, or trilinear between voxels."""
 
 from __future__ import annotations
 
@@ -12,15 +12,24 @@ from scipy.spatial import KDTree
 from phy124.errors import InputError
 
 REGULAR = 0.05
-"""How far a point may be off a voxel's middle, in voxels."""
+"""Largest distance of a point from the centre of its voxel [voxels]."""
 FINEST = 512
-"""Most voxels along an axis."""
+"""Largest number of voxels along an axis."""
 
 
 def nearest(
     x: NDArray, points: NDArray, columns: dict[str, NDArray[Any]]
 ) -> dict[str, NDArray[Any]]:
-    """The columns [K] of the points [K,3] nearest to places [P,3], each [P]."""
+    """The values of the nearest points.
+
+    Args:
+        x: Positions [P,3].
+        points: Points [K,3].
+        columns: Name -> value of each point [K].
+
+    Returns:
+        Name -> value at each position [P].
+    """
     at = KDTree(points).query(x)[1]
     return {name: column[at] for name, column in columns.items()}
 
@@ -28,13 +37,21 @@ def nearest(
 def trilinear(
     x: NDArray, points: NDArray, columns: dict[str, NDArray[Any]]
 ) -> dict[str, NDArray[Any]]:
-    """The columns [K] between the middles of voxels [K,3] at places [P,3], each [P].
+    """Values interpolated between the centres of voxels.
 
-    Empty voxels count for nothing; a place that has no full one beside it, and every name of a
-    law, follows the nearest.
+    Empty voxels are ignored. A position with no full voxel next to it gets the value of the nearest
+    one, and so does every name of a law.
+
+    Args:
+        x: Positions [P,3].
+        points: Centres of the voxels [K,3].
+        columns: Name -> value of each voxel [K].
+
+    Returns:
+        Name -> value at each position [P].
 
     Raises:
-        InputError: If the points lie on no regular grid.
+        InputError: The points are not on a regular grid.
     """
     index, spacing, low = _lattice(points)
     shape = tuple(index.max(axis=0) + 1)
@@ -59,7 +76,7 @@ def _between(values: NDArray, index: NDArray, shape: tuple[int, ...], at: NDArra
 
 
 def _lattice(points: NDArray) -> tuple[NDArray[np.int_], NDArray[np.float64], NDArray[np.float64]]:
-    """Index of each point [K,3], spacing [3] and first middle [3] of the grid they lie on."""
+    """Index of each point [K,3], spacing [3] and first centre [3] of the grid they are on."""
     low = points.min(axis=0)
     spacing = np.array([_step(points[:, axis]) for axis in range(3)])
     index = np.rint((points - low) / spacing).astype(int)
@@ -72,7 +89,7 @@ def _lattice(points: NDArray) -> tuple[NDArray[np.int_], NDArray[np.float64], ND
 
 
 def _step(along: NDArray) -> float:
-    """The usual distance between neighbouring middles along an axis."""
+    """The usual distance between neighbouring centres along an axis."""
     apart = np.diff(np.unique(along))
     apart = apart[apart > 1e-4 * max(np.ptp(along), 1e-12)]
     return float(np.median(apart)) if len(apart) else 1.0

@@ -14,30 +14,30 @@ from phy124.errors import InputError
 from phy124.io.ply import read_rows
 
 COLUMNS = ("E", "nu", "density", "damping")
-"""What a file may say of each point besides its law: fields of a material [Pa, 1, kg/m^3, Pa s]."""
+"""Columns that a file may have besides the law: fields of a material [Pa, 1, kg/m^3, Pa s]."""
 NAMES = {
     "youngs_modulus": "E", "poissons_ratio": "nu", "poisson_ratio": "nu", "rho": "density",
     "material_id": "law", "voxel_coords_world": "points", "query_coords_world": "points",
 }  # fmt: skip
-"""What VoMP, Pixie and others call them."""
+"""Name in files of VoMP, Pixie and others -> column."""
 LAWS = {
     0: "neo_hookean", 1: "metal", 2: "sand", 3: "foam", 4: "fluid", 5: "snow", 6: "rigid",
 }  # fmt: skip
-"""Numbers that PhysGaussian and Pixie give to laws; 6 stands still there and is rigid here."""
+"""Number of a law in PhysGaussian and Pixie -> its name; 6 is immovable there and rigid here."""
 MAX_POINTS = 5_000_000
 FORMS = "Give .ply with columns, or .npz with arrays of E, nu, density, damping or law."
 
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """K points, or voxels that hold something, and what is known of each."""
+    """K points, or voxels that are not empty, and their properties."""
 
     columns: dict[str, NDArray[Any]]
-    """E, nu, density, damping [K], float64, and the names of laws [K], as far as they are given."""
+    """E, nu, density, damping [K], float64, and names of laws [K], as far as the file has them."""
     points: NDArray[np.float64] | None
-    """Places in the file's own frame and units [K,3]; None: in the order of the Gaussians."""
+    """Positions in the file's own axes and units [K,3]; None: in the order of the Gaussians."""
     whole: bool = False
-    """Whether the places are fractions of the object's box: of voxels that say no bounds."""
+    """Whether positions are fractions of the object's box, as for voxels without bounds."""
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values())))
@@ -47,7 +47,7 @@ def read_table(path: Path) -> Table:
     """A file's points and their properties.
 
     Raises:
-        InputError: If it cannot be read, names no property, or a number in it is none.
+        InputError: It cannot be read, has no property, or a value in it is not a finite number.
     """
     given = _renamed(_columns_of(path))
     points, whole = _places(path, given), False
@@ -90,7 +90,7 @@ def _renamed(columns: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
 
 
 def _places(path: Path, given: dict[str, NDArray[Any]]) -> NDArray[np.float64] | None:
-    """Where the points are [K,3], as x, y, z or as one array."""
+    """Positions of the points [K,3], from columns x, y, z or from one array."""
     if "points" in given:
         points = given["points"]
     elif {"x", "y", "z"} <= given.keys():
@@ -103,14 +103,15 @@ def _places(path: Path, given: dict[str, NDArray[Any]]) -> NDArray[np.float64] |
 
 
 def _voxels(path: Path, given: dict[str, Any]) -> tuple[dict[str, Any], NDArray[np.float64]]:
-    """Columns and middles of the voxels of dense arrays [X,Y,Z]; empty ones are NaN.
+    """Columns and centres of the voxels of dense arrays [X,Y,Z]; empty voxels are NaN.
 
-    Without `lower` and `upper`, the first and last middle, the voxels fill a box of side 1.
+    Without `lower` and `upper`, the first and last centre, the voxels fill a box of side 1.
     """
     dense = {name: given[name] for name in (*COLUMNS, "law") if name in given}
     shape = next(iter(dense.values())).shape
     if len(shape) != 3 or any(np.shape(value) != shape for value in dense.values()):
-        raise _refusal(path, "its voxels have different shapes.", "Give arrays [X,Y,Z] alike.")
+        remedy = "Give arrays [X,Y,Z] of one shape."
+        raise _refusal(path, "its arrays of voxels have different shapes.", remedy)
     half = 0.5 / np.array(shape)
     lower, upper = given.get("lower", half), given.get("upper", 1 - half)
     lines = [
@@ -130,9 +131,9 @@ def _first(points: NDArray | None) -> list[NDArray]:
 
 
 def _bounds(path: Path, *ends: Any) -> list[NDArray[np.float64]]:
-    """First and last middle of the voxels [3]."""
+    """First and last centre of the voxels [3]."""
     if any(np.shape(end) != (3,) for end in ends):
-        raise _refusal(path, "lower and upper are no places.", "Give three numbers each.")
+        raise _refusal(path, "lower and upper are not points.", "Give three numbers each.")
     return [_numbers(path, "bounds", end) for end in ends]
 
 
