@@ -304,12 +304,21 @@ def test_a_depth_map_gives_the_front_its_shape(a_face):
     np.testing.assert_allclose(np.ptp(doubled.means, axis=0), np.ptp(gaussians.means, axis=0), 0.02)
 
 
+def test_a_plane_depth_map_gives_a_plane_front():
+    """Noise of rounding is not taken for shape."""
+    noise = np.random.default_rng(0).integers(0, 2, (192, 192))
+    gaussians = relief(face(), count=5000, depth=np.where(ramp() > 0, 200 + noise, 0))
+    middle = np.hypot(gaussians.means[:, 1], gaussians.means[:, 2]) < 0.35
+    front = gaussians.means[middle & (gaussians.means[:, 0] > 0), 0]
+    assert np.ptp(front) < 0.05
+
+
 @pytest.mark.parametrize(
     ("depth", "why"),
     [
         (-ramp(), "farther away than what surrounds it.*--near black"),
         (ramp()[:, :100], "has 100 x 192 pixels, the picture 192 x 192"),
-        (np.where(ramp() > 0, 1.0, 0.0), "one and the same value"),
+        (np.ones((192, 192)), "one and the same value"),
     ],
 )
 def test_depth_maps_that_cannot_be_meant_are_refused(depth, why):

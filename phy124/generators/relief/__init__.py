@@ -20,7 +20,7 @@ from phy124.generators.depth_map import fitted
 from phy124.generators.relief.caps import cap
 from phy124.generators.relief.colours import back_picture, clean_picture, colour
 from phy124.generators.relief.ends import End, continued
-from phy124.generators.relief.front import refuse_reversed, with_front
+from phy124.generators.relief.front import normalised, with_front
 from phy124.generators.relief.height import Silhouette
 from phy124.generators.relief.solids import inflated
 from phy124.generators.relief.surface import Surface, spread
@@ -132,9 +132,8 @@ def _work_picture(image: Image.Image | NDArray[np.uint8], depth: NDArray | None)
     box = left - 1, top - 1, right + 2, bottom + 2
     distances = None
     if depth is not None:
-        whole = fitted(depth, *picture.size)
-        refuse_reversed(whole, np.asarray(picture.getchannel("A")))
-        distances = Image.fromarray(whole).crop(box)
+        alpha = np.asarray(picture.getchannel("A"))
+        distances = Image.fromarray(normalised(fitted(depth, *picture.size), alpha)).crop(box)
     picture = picture.crop(box)
     scale = WORK / (1 + max(right - left, bottom - top))
     size = max(3, round(picture.width * scale)), max(3, round(picture.height * scale))

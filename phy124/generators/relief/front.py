@@ -13,41 +13,42 @@ from phy124.generators.relief.surface import Surface
 Field = NDArray[np.float64]
 RIM = 8.0
 """Width along the rim where depth maps mix object and background, pixels."""
+PLANE = 0.01
+"""Spread over the object, as a fraction of the whole map's range, below which it is plane."""
 THINNEST = 2.0
 """Least half thickness behind the rim, pixels."""
 
 
-def refuse_reversed(depth: NDArray, alpha: NDArray) -> None:
-    """Check that the object [H,W] is nearer than what surrounds it.
+def normalised(depth: NDArray, alpha: NDArray) -> NDArray[np.float32]:
+    """A depth map in 0..1, checked against the object's alpha [H,W].
 
     Raises:
-        InputError: If the depth map has it the other way round.
+        InputError: If it is constant, or has the object behind what surrounds it.
     """
+    low, high = float(depth.min()), float(depth.max())
+    if high - low <= 1e-6 * max(abs(low), abs(high), 1e-30):
+        limit = "It has one and the same value everywhere."
+        raise InputError("depth", "map", limit, "Give the network's output before any rounding.")
     inside, outside = alpha > 127, alpha == 0
     if outside.any() and float(depth[inside].mean()) < float(depth[outside].mean()):
         limit = "In it the object is farther away than what surrounds it."
         remedy = "If black is near in it, add --near black; if white is, leave that out."
         raise InputError("depth", "map", limit, remedy)
+    return ((depth - low) / (high - low)).astype(np.float32)
 
 
 def with_front(surface: Surface, depth: Field, own: NDArray[np.bool_]) -> Surface:
-    """The surface with a front as in the depth map [H,W], whose large values are near.
+    """The surface with a front as in the depth map [H,W] in 0..1, near is 1.
 
     Its scale and zero are unknown: both are set so that mean and spread are those of the inflated
-    front. The back stays.
-
-    Raises:
-        InputError: If it is constant.
+    front, unless it is plane. The back stays.
     """
     far, _ = nearest_of(~own)
     known = far > min(RIM / 2, 0.5 * float(far.max()))
     half = np.sqrt(np.maximum(surface.w, 0.0))
     front, back = surface.m + half, surface.m - half
     spread = float(depth[known].std())
-    if spread <= 1e-6 * max(1.0, float(np.abs(depth[known]).max())):
-        limit = "It has one and the same value all over the object."
-        raise InputError("depth", "map", limit, "Give the network's output before any rounding.")
-    scale = float(front[known].std()) / spread
+    scale = float(front[known].std()) / spread if spread > PLANE else 0.0
     shaped = (depth - depth[known].mean()) * scale + front[known].mean()
     part = np.clip((far - 1) / RIM, 0, 1)
     part = part * part * (3 - 2 * part)
