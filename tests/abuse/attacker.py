@@ -104,7 +104,10 @@ class Attacker:
     def generate(self, image: Any, **options: Any) -> str:
         """The answer of the endpoint for programs: "complete", or what it complains of."""
         few = {"view.views": ["front"], "view.size": 64}
-        given = {"preset": "drop", "accuracy": "draft", "frames": 2, "changes": few, "formats": []}
+        given = {
+            "preset": "drop", "accuracy": "draft", "frames": 2, "changes": few, "formats": [],
+            "pick": [],
+        }  # fmt: skip
         data = [image, *{**given, **options}.values()]
         status, text, _ = self.post("/gradio_api/call/generate", {"data": data})
         if status != 200:
