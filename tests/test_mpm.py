@@ -1,7 +1,6 @@
 """The solver against exact solutions and invariants, in both precisions and both forms."""
 
 import threading
-import time
 
 import numpy as np
 import pytest
@@ -16,7 +15,6 @@ from phy124.kernels.spline import spline
 from phy124.materials import FixedCorotated, NeoHookean
 from phy124.mpm import Solver, Unstable
 from phy124.mpm.maxima import Maxima
-from phy124.mpm.threads import Barrier
 from phy124.region import Region
 from support import shapes
 from support.solvers import make_solver
@@ -194,25 +192,6 @@ def test_the_second_thread_ends_with_the_frame():
     assert threading.active_count() == before
     s.advance(0.1)
     assert threading.active_count() == before
-
-
-@pytest.mark.parametrize("late", [0.0, 0.05])
-def test_nobody_leaves_a_meeting_before_all_have_come(late):
-    barrier, came = Barrier(2), []
-
-    def other():
-        for _ in range(3):
-            time.sleep(late)
-            came.append("other")
-            barrier.wait(1)
-
-    helper = threading.Thread(target=other)
-    helper.start()
-    for rounds in (1, 2, 3):
-        barrier.wait(0)
-        assert len(came) >= rounds
-    helper.join(timeout=5)
-    assert not helper.is_alive()
 
 
 def test_a_fault_of_the_second_thread_is_raised_and_nothing_waits(monkeypatch):

@@ -1,6 +1,7 @@
 """The second thread works in order and hands its errors over; barriers can be abandoned."""
 
 import threading
+import time
 
 import pytest
 
@@ -40,3 +41,22 @@ def test_a_barrier_that_is_abandoned_lets_go():
 
 def test_cores_are_counted():
     assert isinstance(free_cores(), int)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.05])
+def test_nobody_leaves_a_barrier_before_all_have_come(late):
+    barrier, came = Barrier(2), []
+
+    def other():
+        for _ in range(3):
+            time.sleep(late)
+            came.append("other")
+            barrier.wait(1)
+
+    helper = threading.Thread(target=other)
+    helper.start()
+    for rounds in (1, 2, 3):
+        barrier.wait(0)
+        assert len(came) >= rounds
+    helper.join(timeout=5)
+    assert not helper.is_alive()

@@ -9,38 +9,22 @@ video from making a few. The seconds are only a guess if the particles' speed li
 
 from __future__ import annotations
 
-import tempfile
-import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
-from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
 
 from phy124.accuracy.load import Load, spoken
 from phy124.accuracy.pilot import Pilot, coarsened, fly
+from phy124.accuracy.probe import SubstepCost, probe, time_film, time_shapes
 from phy124.accuracy.promises import Promise, promise
-from phy124.deform import Deformer
 from phy124.gaussians import Gaussians
-from phy124.io.clip import Clip
-from phy124.mpm import Solver
 from phy124.parts import WHOLE, Crop
-from phy124.rendering.film import film
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import AccuracyName, Scene
 from phy124.simulation import Simulation
 
-PROBE, MIN_PROBE = 20, 6
-"""Largest and smallest number of substeps of a probe."""
-LONGEST_PROBE, ROUNDS = 0.6, 5
-"""Longest duration of a probe [s], and how often it is repeated in that time; the median is used.
-
-Large objects are probed with fewer substeps.
-"""
-FILMED, TRIES = (1, 5), 2
-"""Numbers of frames filmed, to tell a video's fixed cost from that of its frames, and how often;
-the fastest is used."""
 UNSURE = 0.1
 """Fraction of substeps limited by motion instead of stiffness above which there is no promise."""
 GUESS = 1.14
@@ -48,18 +32,6 @@ GUESS = 1.14
 QUIET = Load()
 REMEMBERED = 32
 """Number of forecasts and measurements that are kept; the oldest is removed."""
-NODE_STAGES = ("clear", "grid")
-"""Stages whose time is proportional to the nodes, in addition to the colliders."""
-
-
-@dataclass(frozen=True)
-class SubstepCost:
-    """The cost of a solver's substep on this machine."""
-
-    particle: float
-    """Time per particle and substep [s]."""
-    node: float
-    """Time per grid node and substep [s]."""
 
 
 @dataclass(frozen=True)
@@ -204,14 +176,14 @@ class Forecaster:
         """The forecast of a simulation that has not started; its state does not change."""
         scene = simulation.scene
         pilot = self._pilot(simulation)
-        rates, nodes, each_frame = _probe(simulation)
+        rates, nodes, each_frame = probe(simulation)
         substeps, limiters = pilot.substeps(scene.resolution.cells)
         mean_nodes = nodes * pilot.growth
         particles = len(simulation.particles)
         per_substep = rates.particle * particles + rates.node * mean_nodes
         stages = {
             "simulate": substeps * per_substep + scene.time.frames * each_frame,
-            "deform": scene.time.frames * _time_shapes(simulation),
+            "deform": scene.time.frames * time_shapes(simulation),
             **(self._filming(simulation.gaussians, scene) if filming else {}),
         }
         return Forecast(
@@ -239,7 +211,7 @@ class Forecaster:
         """Times of pictures, videos and saving [s]."""
         view = scene.view
         key = ("film", len(gaussians), view, scene.time.frames)
-        return self._remember(key, lambda: _time_film(gaussians, scene, self.device))
+        return self._remember(key, lambda: time_film(gaussians, scene, self.device))
 
     def _remember(self, key: Any, make: Any, keep: Any = None) -> Any:
         """A value that is made once; `keep` keeps the object alive whose id is in the key."""
@@ -271,143 +243,6 @@ def _caveat(pilot: Pilot, limiters: Mapping[str, float]) -> str | None:
             "their length, which differs from grid to grid: the seconds are only a guess."
         )
     return None
-
-
-def _probe(simulation: Simulation) -> tuple[SubstepCost, int, float]:
-    """Cost of a substep, number of nodes, and time of the checks per frame [s].
-
-    The simulation takes a few times 20 substeps with everything that a frame includes, and is then
-    reset to its start.
-    """
-    solver, watchdog = simulation.solver, simulation.watchdog
-    solver.repair.begin(solver.clock)
-    watchdog.before()
-    after = watchdog.follow()
-    start, external = solver.snapshot(), watchdog.external.snapshot()
-    rounds: list[tuple[float, float, int]] = []
-    spent = 0.0
-    try:
-        while len(rounds) < ROUNDS and spent < LONGEST_PROBE:
-            spent += _timed(lambda: rounds.append(_pace(solver, after)))
-            solver.restore(start)
-        checks = min(_timed(lambda: _empty_frame(simulation)) for _ in range(TRIES))
-    finally:
-        solver.restore(start)
-        watchdog.external.restore(external)
-        _forget_timings(solver)
-    seconds, fraction, nodes = sorted(rounds)[len(rounds) // 2]
-    return _rates(seconds, fraction, len(solver.model), nodes), nodes, checks
-
-
-def _pace(solver: Solver, after: Callable[[], None] | None) -> tuple[float, float, int]:
-    """Time per substep [s], the fraction proportional to the nodes, and the number of nodes."""
-    each = min(_timed(lambda: _advance(solver, 2, after)) / 2 for _ in range(2))
-    _forget_timings(solver)
-    before, count = solver.clock.substeps, int(np.clip(LONGEST_PROBE / each, MIN_PROBE, PROBE))
-    seconds = _timed(lambda: _advance(solver, count, after))
-    return seconds / (solver.clock.substeps - before), _node_fraction(solver), solver.grid.count
-
-
-def _empty_frame(simulation: Simulation) -> None:
-    """Do everything that a frame includes besides its substeps."""
-    solver, watchdog = simulation.solver, simulation.watchdog
-    solver.repair.begin(solver.clock)
-    watchdog.before()
-    solver.snapshot()
-    solver.advance(solver.clock.time)
-    watchdog.after()
-    solver.repair.end()
-
-
-def _forget_timings(solver: Solver) -> None:
-    for worker in solver.workers:
-        worker.timings.clear()
-
-
-def _rates(seconds: float, fraction: float, particles: int, nodes: int) -> SubstepCost:
-    """Split the time of a substep by the fraction that is proportional to the nodes."""
-    return SubstepCost(seconds * (1 - fraction) / particles, seconds * fraction / max(nodes, 1))
-
-
-def _timed(work: Callable[[], Any]) -> float:
-    """Duration of some work [s]."""
-    start = time.perf_counter()
-    work()
-    return time.perf_counter() - start
-
-
-def _advance(solver: Solver, substeps: int, after: Callable[[], None] | None) -> None:
-    """Take about so many substeps of stable length."""
-    limit = solver.clock.stable() if solver.clock.extremes.stiffness > 0 else None
-    if limit is None:
-        solver.step(0.0, 0.0)
-        limit = solver.clock.stable()
-    solver.advance(solver.clock.time + substeps * limit.dt, after=after)
-
-
-def _node_fraction(solver: Solver) -> float:
-    """Fraction of the stages' time that is proportional to the nodes."""
-    walls = {stage.name for stage in solver.boundaries}
-    total = nodes = 0.0
-    for worker in solver.workers:
-        for name, (seconds, _) in worker.timings.items():
-            if name != "wait":
-                total += seconds
-                nodes += seconds if name in NODE_STAGES or name in walls else 0.0
-    return nodes / total if total else 0.0
-
-
-def _time_shapes(simulation: Simulation) -> float:
-    """Time to deform the Gaussians of one frame, with strained particles [s]."""
-    solver, particles = simulation.solver, simulation.particles
-    rng = np.random.default_rng(0)
-    F = np.eye(3) + 0.05 * rng.standard_normal((len(particles), 3, 3))
-    deform = Deformer(simulation.scenery.moving, particles, device=simulation.device)
-    x, v = solver.state.x, solver.state.v if simulation.scene.velocities else None
-    deform(x, F, index=0, time=0.0, velocities=v)
-    return _timed(lambda: deform(x, F, index=1, time=0.0, velocities=v))
-
-
-def _time_film(gaussians: Gaussians, scene: Scene, device: str) -> dict[str, float]:
-    """Times of pictures and videos [s], from filming a few frames from one side."""
-    one = scene.view.model_copy(update={"views": ("front",), "azimuths": ()})
-    views, frames = len(scene.view.sides), scene.time.frames
-    few, more = FILMED
-    seconds: dict[int, list[dict[str, float]]] = {few: [], more: []}
-    # The first time also loads the kernels.
-    for count in (few, *TRIES * FILMED):
-        watch = Stopwatch()
-        with tempfile.TemporaryDirectory() as folder:
-            film(_moving(gaussians, scene, count), one, folder, device=device, watch=watch)
-        seconds[count].append(watch.seconds)
-    with tempfile.TemporaryDirectory() as folder:
-        clip = _moving(gaussians, scene, more)
-        saving = _timed(lambda: clip.save(Path(folder) / "clip.safetensors")) * frames / more
-    shortest = {n: min(seconds[n], key=lambda s: sum(s.values())) for n in FILMED}
-    each = max(shortest[more]["encode"] - shortest[few]["encode"], 0.0) / (more - few)
-    first = max(shortest[few]["encode"] - each * few, 0.0)
-    predicted = {
-        "save": saving,
-        "render": views * frames * shortest[more]["render"] / more,
-        "encode": views * (first + each * frames),
-    }
-    exporting = shortest[more].get("export")
-    return predicted if exporting is None else predicted | {"export": exporting * frames / more}
-
-
-def _moving(gaussians: Gaussians, scene: Scene, count: int) -> Clip:
-    """A clip of the object moving by 1 % of its size per frame, as typical work for an encoder."""
-    n = len(gaussians)
-    shift = np.arange(count, dtype=np.float32)[:, None, None] * np.float32(scene.object.size / 100)
-    return Clip(
-        np.asarray(gaussians.means)[None] + (shift * np.array([0, 1, 0])).astype(np.float32),
-        np.broadcast_to(gaussians.quats, (count, n, 4)),
-        np.broadcast_to(gaussians.scales, (count, n, 3)),
-        gaussians.opacities,
-        gaussians.sh,
-        np.arange(count) / scene.time.fps,
-        scene=scene.data(),
-    )
 
 
 def _ratio(spent: float, predicted: float) -> float | None:
