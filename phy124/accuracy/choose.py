@@ -50,8 +50,7 @@ GUESSED_ORDER = 1.0
 """Order assumed if the cheap levels show none; free surfaces are of first order."""
 FAR = 2.5
 """Largest ratio of the next level's cells to those of all before, which say little beyond that."""
-FINER = 1.3
-"""Ratio of cells above which a level is clearly finer."""
+FINER = 1.3  # ratio of cells above which a level is clearly finer
 DENSEST = 4.0
 """Largest number of particles per cell and axis."""
 LAST_CHANCE = 0.85
@@ -291,8 +290,8 @@ def _gap(goal: Goal, one: Clip, other: Clip, scene: Scene) -> float:
     """RMS distance of two clips in the goal's unit."""
     if goal.kind == "pixels":
         return pixel_distance(one, other, scene.view)
-    metres = float(distances([one.means, other.means])[0, 1])
-    return metres / scene.object.size if goal.kind == "fraction" else metres
+    unit = scene.object.size if goal.kind == "fraction" else 1.0
+    return float(distances([one.means, other.means])[0, 1]) / unit
 
 
 def _coarsest(goal: Goal, known: int, error: float, order: float, *, above: int = 0) -> int | None:
