@@ -10,8 +10,8 @@ from phy124.__main__ import main
 from phy124.accuracy import Forecaster
 from phy124.accuracy import forecast as module
 from phy124.accuracy.forecast import Forecast, pixels_per_size
-from phy124.accuracy.probe import SubstepCost
 from phy124.accuracy.pilot import Pilot, fly
+from phy124.accuracy.probe import SubstepCost
 from phy124.accuracy.promises import Promise
 from phy124.scene import PRESETS, Scene
 from phy124.simulation import Simulation
