@@ -134,7 +134,7 @@ def test_the_error_of_a_scene_is_measured_on_request(browser, server):
     page.reload()
     page.locator("#forecast .measured").get_by_text("Measured: about").wait_for(timeout=LONG)
     shown = page.locator("#forecast").text_content()
-    assert "What accuracy cost here" in shown and "D/24" in shown
+    assert "Measured on this scene, without drawing" in shown and "D/24" in shown
     assert page.locator("[data-measure]").count() == 0
     visit.generate()
     visit.finished()
