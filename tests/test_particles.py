@@ -293,7 +293,7 @@ def test_refusals_say_what_to_do(rng):
         make_particles(gaussians, density=0, spacing=0.1)
     with pytest.raises(InputError, match=r"spacing = nan: it must be"):
         make_particles(gaussians, density=1, spacing=math.nan)
-    with pytest.raises(InputError, match=r"binding = glue: .* particles and field"):
+    with pytest.raises(InputError, match=r"binding = glue: .* particles and lattice"):
         make_particles(gaussians, density=1, spacing=0.1, binding="glue")
     with pytest.raises(InputError, match=rf"limit is {MAX_PARTICLES:,}.* coarser grid"):
         make_particles(gaussians, density=1, spacing=1e-3)
