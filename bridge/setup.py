@@ -52,7 +52,7 @@ def quick(command):
 
 setup(
     name=NAME,
-    version="0.1.0",
+    version="0.2.0",
     description="phy124's moving Gaussians as ROS 2 topics and MCAP files",
     license="MIT",
     packages=[NAME, f"{NAME}.sinks"],

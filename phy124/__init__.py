@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from phy124.scene import Scene, preset_names
     from phy124.simulation import Simulation, Stopped
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 __all__ = [
     "Boundary",
     "Camera",
