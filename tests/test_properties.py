@@ -235,3 +235,14 @@ def test_a_file_that_is_missing_is_refused_before_any_work(tmp_path, capsys):
         said = capsys.readouterr()
         assert f"{field} = " in said.err and "there is no such file" in said.err
         assert "relief" not in said.err and not (tmp_path / "made").exists()
+
+
+def test_points_are_laid_over_the_object_without_its_surroundings(tmp_path):
+    x = lattice(5, 5, 9, spacing=0.125)
+    floor = np.array([[-9.0, -9, 0], [9, 9, 0]])
+    rows = voxels(x, youngs_modulus=np.where(x[:, 2] > 0.5, 1e6, 1e5))
+    properties = Properties(file=saved(tmp_path / "m.npz", voxel_data=rows))
+    means, own = np.concatenate([x, floor]), np.arange(len(x) + 2) < len(x)
+    assert (properties.columns(x, means, None, own)["E"] == rows["youngs_modulus"]).all()
+    with pytest.raises(InputError, match="fill a box"):
+        properties.columns(x, means, None)

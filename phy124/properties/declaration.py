@@ -36,14 +36,19 @@ class Properties(Section):
     )
 
     def columns(
-        self, x: NDArray, means: NDArray, survivors: NDArray[np.bool_] | None
+        self,
+        x: NDArray,
+        means: NDArray,
+        survivors: NDArray[np.bool_] | None,
+        own: NDArray[np.bool_] | None = None,
     ) -> dict[str, NDArray[Any]]:
         """The file's values for each particle: E, nu, density, damping [P], names of laws [P].
 
         Args:
             x: Particles at rest [P,3], m.
-            means: The object's Gaussians at rest [N,3], m.
+            means: All Gaussians at rest [N,3], m.
             survivors: Which of the Gaussians that were given are among them; None: all.
+            own: Which of them are the object and not its surroundings [N]; None: all.
 
         Raises:
             InputError: If the file cannot be read or does not fit the object.
@@ -55,7 +60,7 @@ class Properties(Section):
             return nearest(x, means, values)
         if len(table) == len(means) and self.sampling == "nearest":
             return nearest(x, means, table.columns)
-        points = self._fitted(table, means)
+        points = self._fitted(table, means if own is None else means[own])
         if self.sampling == "nearest":
             return nearest(x, points, table.columns)
         return trilinear(x, points, table.columns)

@@ -111,7 +111,7 @@ class Simulation:
             self.materials: Sequence[AnyMaterial] = scene.materials
             if scene.properties is not None:
                 means, survivors = self.gaussians.means, self.cleaning.survivors
-                columns = scene.properties.columns(self.particles.x, means, survivors)
+                columns = scene.properties.columns(self.particles.x, means, survivors, own)
                 self.particles, self.materials = with_properties(
                     self.particles, columns, scene.materials
                 )
