@@ -60,10 +60,12 @@ def catalogue(settings: Settings) -> dict[str, Any]:
 
 
 def _schema() -> dict[str, Any]:
-    """The JSON schema of a scene without the fields that the page decides: which files to make."""
+    """The JSON schema of a scene without what the page decides: which files to make, and that its
+    slider counts frames.
+    """
     schema = Scene.model_json_schema()
-    for name in ("formats", "transparent"):
-        del schema["$defs"]["View"]["properties"][name]
+    for section, name in (("View", "formats"), ("View", "transparent"), ("Timing", "seconds")):
+        del schema["$defs"][section]["properties"][name]
     return schema
 
 

@@ -14,6 +14,7 @@ from phy124.arguments.parsing import option_names
 from phy124.commands import COMMANDS
 from phy124.commands.bars import Bars, silence
 from phy124.commands.kinds import KINDS, TAKES, USES
+from phy124.commands.options import SceneOptions, ViewOptions
 
 
 @pytest.mark.parametrize(
@@ -167,3 +168,14 @@ def test_doctor_is_a_page_and_all_of_it_on_request(capsys):
     assert "phy124 doctor --all" in short and "sha256" not in short
     assert main(["doctor", "--all"]) == 0
     assert "sha256" in capsys.readouterr().out
+
+
+def test_more_frames_per_second_keep_the_length():
+    """--fps samples more finely; with --frames or --seconds, or as a key, it is what it says."""
+    time = SceneOptions(fps=48).resolve().time
+    assert (time.frames, time.fps) == (28, 48)
+    assert SceneOptions(fps=48, frames=3).resolve().time.frames == 3
+    assert SceneOptions(fps=30, seconds=3).resolve().time.frames == 90
+    assert SceneOptions(fps=30, set=("time.seconds=2",)).resolve().time.frames == 60
+    assert SceneOptions(set=("time.fps=48",)).resolve().time.frames == 14
+    assert SceneOptions(view=ViewOptions(speed=0.5)).resolve().view.speed == 0.5

@@ -9,7 +9,7 @@ from PIL import Image, ImageSequence
 from phy124.errors import InputError
 from phy124.io.export import usd
 from phy124.io.ply import read_ply
-from phy124.rendering.film import film
+from phy124.rendering.film import choppy, film, playback, played, refuse_unplayable
 from phy124.scene import Scene, View
 from support.clips import AWAY, flight
 from support.videos import read_video
@@ -117,3 +117,31 @@ def test_sizes_are_one_number_or_two(size, meant):
 def test_other_sizes_are_refused(size):
     with pytest.raises(InputError, match=r"^view\.size.* = .*Width and height, or one number"):
         Scene.from_data({"view": {"size": size}})
+
+
+def test_slow_motion_plays_the_same_pictures_longer(tmp_path, clip):
+    slow = view(formats=["webp"], azimuths=[], speed=0.25)
+    assert playback(24, slow) == 6 and playback(24, view(fps=12)) == 12
+    assert played(clip, slow) == pytest.approx({"fps": 6, "speed": 0.25, "seconds": 0.5})
+    film(clip, slow, tmp_path, device="cpu")
+    with Image.open(tmp_path / "front.webp") as opened:
+        shown = [f.info["duration"] for f in ImageSequence.Iterator(opened) if f.load() or True]
+    assert sum(shown) == 500 and len(shown) == 3
+
+
+def test_choppy_slow_motion_is_told_of(clip):
+    told = choppy(clip, view(speed=0.25))
+    assert told is not None and "6 pictures per second" in told and "--fps 96" in told
+    assert choppy(clip, view(speed=0.5)) is None and choppy(clip, view(fps=2)) is None
+
+
+@pytest.mark.parametrize(
+    ("time", "chosen", "field"), [(1000, {}, "time.fps"), (24, {"speed": 0.002}, "view.speed")]
+)
+def test_a_rate_that_no_video_has_is_refused_at_once(time, chosen, field):
+    scene = Scene.from_data({"time": {"fps": time}, "view": chosen})
+    with pytest.raises(InputError, match=f"^{field}") as refused:
+        refuse_unplayable(scene)
+    remedy = float(str(refused.value).rpartition("= ")[2].rstrip("."))
+    refuse_unplayable(scene.replaced({"view.speed": remedy}))
+    refuse_unplayable(scene.replaced({"view.formats": ["png"]}))

@@ -1,4 +1,5 @@
 import importlib
+import re
 from typing import get_args
 
 import pytest
@@ -7,7 +8,7 @@ from pydantic import BaseModel, ValidationError
 from phy124.boundaries import Sphere
 from phy124.errors import InputError
 from phy124.forces import Wind
-from phy124.scene import PRESETS, AccuracyName, Scene, parse_value, preset_names, summary
+from phy124.scene import PRESETS, AccuracyName, Scene, Timing, parse_value, preset_names, summary
 from phy124.tracks import Sine
 from reference.material_point import KINDS
 
@@ -261,3 +262,29 @@ def test_all_options_are_declared_on_one_base():
 
 def test_each_named_accuracy_has_its_place_in_the_table():
     assert get_args(AccuracyName) == tuple(PRESETS)
+
+
+def test_a_length_in_seconds_is_so_many_frames():
+    press = Scene.named("press")
+    made = press.replaced({"time.seconds": 3, "time.fps": 30})
+    assert (made.time.frames, made.time.fps, made.time.length) == (90, 30, 3)
+    assert Scene.from_data({"time": {"seconds": 0.5}}).time.frames == 12
+    assert Timing(seconds=3, fps=30) == made.time and "seconds" not in made.data()["time"]
+    assert press.replaced({"time.seconds": 1e-3}).time.frames == 1
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"time.seconds": 3, "time.frames": 4}, "time.frames = 4 says how long it is as well"),
+        ({"time": {"seconds": 3, "frames": 4}}, "frames and seconds both say how long it is"),
+        ({"time.seconds": 0}, "time.seconds = 0: it must be a number from 0.001"),
+        ({"time.seconds": "long"}, "time.seconds = long: it must be a number"),
+        ({"time.seconds": 9999}, "time.frames = 239976: it must be a whole number from 1"),
+        ({"view.speed": 0.5, "view.fps": 12}, "fps and speed both say how fast it plays"),
+        ({"view.speed": 0}, "view.speed = 0: it must be a number from 0.001"),
+    ],
+)
+def test_lengths_and_speeds_that_cannot_be_are_refused(changes, sentence):
+    with pytest.raises(InputError, match=re.escape(sentence)):
+        Scene.named("press").replaced(changes)

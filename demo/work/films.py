@@ -53,7 +53,7 @@ def film(order: Order, clips: Path, out: Path, limits: Limits) -> None:
                     clip.frames(), turning, size=MOVING, background=view.background,
                     device=order.device, progress=lambda *_: tell(Step("save", 1, 2)),
                 ),
-                fps=view.fps or order.scene.time.fps,
+                fps=pipeline.playback(order.scene.time.fps, view),
             )  # fmt: skip
         report = json.loads((clips / "report.json").read_text("utf-8"))
         report["stages"] = [*report["stages"], *watch.data()]

@@ -89,5 +89,5 @@ def _filmed(
             measured.add(left, right)
             yield np.concatenate([left, right], axis=1)
 
-    write_mp4(folder / f"{side}.mp4", pairs(), fps=view.fps or pipeline.rate(a))
+    write_mp4(folder / f"{side}.mp4", pairs(), fps=pipeline.playback(pipeline.rate(a), view))
     return measured.likeness(side)

@@ -11,6 +11,7 @@ import tyro
 from phy124.generators import known
 from phy124.runtime.device import CHOICES
 from phy124.scene import AccuracyName, Scene, Timing, View, assignments, parse_value, together
+from phy124.scene.changes import LENGTH
 
 Device = Annotated[str, tyro.conf.arg(help=CHOICES)]
 GeneratorName = Annotated[
@@ -61,10 +62,15 @@ class ViewOptions(CameraOptions):
 
     format: Annotated[Listed, help_of(View, "formats")] = None
     transparent: Annotated[bool, help_of(View, "transparent")] = False
+    speed: Annotated[float | None, help_of(View, "speed")] = None
 
     def changes(self) -> dict[str, Any]:
         """What is chosen, by its path in the scene."""
-        chosen = {"view.formats": _items(self.format), "view.transparent": self.transparent or None}
+        chosen = {
+            "view.formats": _items(self.format),
+            "view.transparent": self.transparent or None,
+            "view.speed": self.speed,
+        }
         made = {path: value for path, value in chosen.items() if value is not None}
         return super().changes() | made
 
@@ -84,6 +90,9 @@ class SceneOptions:
     """Preset (see `phy124 scenes`) or path of a .toml file."""
     accuracy: Annotated[AccuracyName | None, help_of(Scene, "accuracy")] = None
     frames: Annotated[int | None, help_of(Timing, "frames")] = None
+    seconds: Annotated[float | None, help_of(Timing, "seconds")] = None
+    fps: float | None = None
+    """Frames per second of motion; without frames or seconds the length stays as it is."""
     view: Annotated[ViewOptions, tyro.conf.arg(name="")] = field(default_factory=ViewOptions)
     seed: Annotated[int | None, help_of(Scene, "seed")] = None
     set: tuple[str, ...] = field(default_factory=tuple)
@@ -97,11 +106,16 @@ class SceneOptions:
         chosen = {
             "accuracy": self.accuracy,
             "time.frames": self.frames,
+            "time.seconds": self.seconds,
+            "time.fps": self.fps,
             "seed": self.seed,
         }
         changes = {path: value for path, value in chosen.items() if value is not None}
-        changes |= self.view.changes()
-        return Scene.named(self.scene).replaced(together(changes, assignments(self.set)))
+        changes = together({**changes, **self.view.changes()}, assignments(self.set))
+        scene = Scene.named(self.scene)
+        if self.fps is not None and changes.keys().isdisjoint(LENGTH):
+            changes["time.seconds"] = scene.time.length
+        return scene.replaced(changes)
 
 
 def default_out(name: str, scene: str) -> Path:

@@ -15,6 +15,7 @@ from phy124.commands.bars import Bars
 from phy124.commands.options import Device, ViewOptions
 from phy124.errors import Cancelled
 from phy124.io.clip import Clip
+from phy124.rendering.film import choppy
 from phy124.rendering.framing import framing
 from phy124.runtime.device import pick_device
 from phy124.scene import Scene, assignments, together
@@ -48,8 +49,8 @@ class Render:
             files = [str(out / path.name) for path in sorted(folder.iterdir())]
             if bars.cancelled and not files:
                 raise Cancelled
-        note = framing(clip, view)["note"]
-        notes = [*clip.flaws(), *([note] if note else [])]
+        told = (framing(clip, view)["note"], choppy(clip, view))
+        notes = [*clip.flaws(), *(note for note in told if note)]
         if self.json:
             print(json.dumps({"files": files, "notes": notes}))
         else:

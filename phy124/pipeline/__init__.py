@@ -36,11 +36,13 @@ from phy124.pipeline.making import PAUSE, Making
 from phy124.pipeline.making import Result as Result
 from phy124.pipeline.making import circumstances as circumstances
 from phy124.pipeline.making import framed as framed
+from phy124.pipeline.making import playback as playback
 from phy124.pipeline.making import write_json as write_json
 from phy124.progress import Progress, silent
 from phy124.rendering.film import cameras as cameras
 from phy124.rendering.film import film as film
 from phy124.rendering.film import rate as rate
+from phy124.rendering.film import refuse_unplayable
 from phy124.runtime.isolated import Deadline
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
@@ -95,6 +97,7 @@ def generate(
     """
     scene.refuse_nameless()
     refuse_missing(scene)
+    refuse_unplayable(scene)
     watch = Stopwatch()
     with staged(out):  # Refused before any work, if at all.
         made = static(
@@ -250,6 +253,8 @@ def simulate(
     """
     scene.refuse_nameless()
     refuse_missing(scene)
+    if films:
+        refuse_unplayable(scene)
     watch = watch or Stopwatch()
     making = Making(Path(out), device, progress, watch, dict(about or {}), keep, cutout, films)
 

@@ -20,7 +20,9 @@ from phy124.io.files import staged as staged
 from phy124.io.ply import write_ply
 from phy124.progress import Progress
 from phy124.rendering.film import cameras as cameras
+from phy124.rendering.film import choppy, played
 from phy124.rendering.film import film as film
+from phy124.rendering.film import playback as playback
 from phy124.rendering.film import rate as rate
 from phy124.rendering.framing import framing
 from phy124.runtime.stopwatch import Stopwatch
@@ -123,10 +125,14 @@ class Making:
 
 
 def framed(clip: Clip, view: View) -> dict[str, Any]:
-    """What a report says about the pictures: when Gaussians leave them, and all notes."""
+    """What a report says about the pictures: their rate, when Gaussians leave them, all notes."""
     seen = framing(clip, view)
-    notes = clip.report["notes"] + ([seen["note"]] if seen["note"] else [])
-    return {"departures": seen["departures"], "notes": notes}
+    notes = [note for note in (seen["note"], choppy(clip, view)) if note]
+    return {
+        "playback": played(clip, view),
+        "departures": seen["departures"],
+        "notes": clip.report["notes"] + notes,
+    }
 
 
 def circumstances(device: str, watch: Stopwatch) -> dict[str, Any]:

@@ -5,16 +5,18 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
+from typing import Any
 
+from phy124.errors import InputError
 from phy124.io.clip import Clip
 from phy124.io.export import write_ply_sequence, write_usd
 from phy124.io.files import staged
-from phy124.io.video import Picture, write_animation, write_mp4, write_pictures
+from phy124.io.video import FPS_RANGE, Picture, write_animation, write_mp4, write_pictures
 from phy124.progress import Progress, silent
 from phy124.rendering.framing import cameras as cameras
 from phy124.rendering.render import render_frames
 from phy124.runtime.stopwatch import Stopwatch
-from phy124.scene import View
+from phy124.scene import Scene, View
 
 PathLike = str | os.PathLike[str]
 
@@ -54,7 +56,7 @@ def film(
             before = watch.seconds.get("render", 0.0)
             with watch.stage("encode"):
                 images = watch.each("render", _images(clip, view, side, device, progress))
-                made.append(ENCODERS[name](folder, side, images, view.fps or rate(clip)))
+                made.append(ENCODERS[name](folder, side, images, playback(rate(clip), view)))
             watch.seconds["encode"] -= watch.seconds.get("render", 0.0) - before
     return made
 
@@ -109,8 +111,49 @@ ENCODERS: dict[str, Encoder] = {
     "mp4": _mp4, "webp": _animation("webp"), "gif": _animation("gif"), "png": _png,
 }  # fmt: skip
 """Formats made from the pictures of one side; each returns the file or folder it made."""
+PLAYED = {"mp4", "webp", "gif"}
+"""Formats that have a playback rate."""
+SMOOTH = 12.0
+"""Pictures per second from which a motion is seen as one."""
 EXPORTS: dict[str, Callable[[Clip, Path, Progress], Path]] = {"usd": _usd, "ply": _ply}
 """Formats made from the whole clip; each returns the file or folder it made."""
+
+
+def playback(fps: float, view: View) -> float:
+    """Pictures per second at which a view shows a motion of so many frames per second."""
+    return view.fps or fps * view.speed
+
+
+def played(clip: Clip, view: View) -> dict[str, Any]:
+    """What a report says about the videos: pictures per second, speed, and how long they are."""
+    real = rate(clip)
+    shown = playback(real, view)
+    return {"fps": shown, "speed": shown / real, "seconds": len(clip) / shown}
+
+
+def choppy(clip: Clip, view: View) -> str | None:
+    """A sentence if slow motion shows too few pictures per second, or None."""
+    real = rate(clip)
+    shown = playback(real, view)
+    if view.speed >= 1 or shown >= SMOOTH:
+        return None
+    smooth = f"simulate with --fps {min(24 / view.speed, 1000):g} for a smooth one"
+    return f"Slow motion shows {shown:.3g} pictures per second; {smooth}."
+
+
+def refuse_unplayable(scene: Scene) -> None:
+    """Make sure that videos can have the rate of a scene, before any work is done for it.
+
+    Raises:
+        InputError: They cannot.
+    """
+    shown, (low, high) = playback(scene.time.fps, scene.view), FPS_RANGE
+    if not low <= shown <= high and set(scene.view.formats) & PLAYED:
+        limit = f"at {shown:g} pictures per second no video plays, only at {low:g} to {high:g}."
+        field, value = ("view.speed", scene.view.speed)
+        if scene.view.speed == 1:
+            field, value = ("time.fps", scene.time.fps)
+        raise InputError(field, value, limit, f"Set view.speed = {24 / scene.time.fps:.3g}.")
 
 
 def rate(clip: Clip) -> float:

@@ -16,6 +16,8 @@ else:
 
 TAGS = ("law", "kind")
 """Keys that say which of several kinds a section is."""
+LENGTH = ("time.frames", "time.seconds")
+"""Two ways to say how long a scene is; either replaces the other."""
 REFERENCE = "`phy124 scenes --reference` lists all there is."
 
 
@@ -30,6 +32,12 @@ def apply(data: dict[str, Any], changes: dict[str, Any]) -> None:
         InputError: If a path does not exist in the data.
     """
     changes = dict(renewed_item(path, value) for path, value in changes.items())
+    frames, seconds = LENGTH
+    if seconds in changes:
+        if frames in changes:
+            limit = f"{frames} = {changes[frames]} says how long it is as well."
+            raise InputError(seconds, changes[seconds], limit, "Give one of the two.")
+        data.get("time", {}).pop("frames", None)
     for path in sorted(changes, key=_outer_first):
         _put(data, path, changes[path])
 

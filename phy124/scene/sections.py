@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from pydantic import Field, model_validator
+from pydantic import Field, TypeAdapter, ValidationError, model_validator
 
 from phy124.bounds import FileName, Velocity
 from phy124.materials import AnyMaterial, NeoHookean
@@ -13,6 +13,10 @@ from phy124.section import Section
 
 Number = Annotated[int, Field(ge=0, le=10_000_000)]
 """The index of a Gaussian."""
+Seconds = Annotated[float, Field(ge=1e-3, le=1e4)]
+Rate = Annotated[float, Field(ge=1, le=1000)]
+LENGTH = TypeAdapter(tuple[Seconds, Rate])
+"""A length of time [s] and frames per second."""
 
 
 class Object(Section):
@@ -32,7 +36,12 @@ class Timing(Section):
     """Which instants are kept as frames, and how long a run may take."""
 
     frames: int = Field(default=14, ge=1, le=10_000, description="Number of frames.")
-    fps: float = Field(default=24.0, ge=1, le=1000, description="Frames per second of motion.")
+    fps: Rate = Field(default=24.0, description="Frames per second of motion.")
+    seconds: Seconds | None = Field(
+        default=None,
+        examples=[3],
+        description="Length of the motion [s], instead of frames, which are then seconds x fps.",
+    )
     substep: float | None = Field(
         default=None,
         ge=1e-9,
@@ -50,6 +59,27 @@ class Timing(Section):
         le=1e8,
         description="Longest time of a simulation [s]; one predicted to take longer is refused.",
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _counted(cls, data: Any) -> Any:
+        """Frames in place of seconds, so that a scene says in one way how long it is."""
+        if not isinstance(data, dict) or data.get("seconds") is None:
+            return data
+        if "frames" in data:
+            raise ValueError("frames and seconds both say how long it is; give one of the two")
+        try:
+            rate = data.get("fps", cls.model_fields["fps"].default)
+            seconds, fps = LENGTH.validate_python((data["seconds"], rate))
+        except ValidationError:
+            return data  # the fields refuse it
+        rest = {name: value for name, value in data.items() if name != "seconds"}
+        return {**rest, "frames": max(1, round(seconds * fps))}
+
+    @property
+    def length(self) -> float:
+        """How long the motion is, each frame counted for 1 / fps [s]."""
+        return self.frames / self.fps
 
 
 class Checks(Section):

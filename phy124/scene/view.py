@@ -105,7 +105,13 @@ class View(Section):
         ge=1,
         le=120,
         examples=[12],
-        description="Playback rate of the MP4s; absent: real time.",
+        description="Pictures per second of the videos; absent: those of the motion times speed.",
+    )
+    speed: float = Field(
+        default=1.0,
+        ge=1e-3,
+        le=100,
+        description="Playback speed: 1 is real time, 0.25 slow motion, four times as long.",
     )
 
     @model_validator(mode="after")
@@ -124,6 +130,13 @@ class View(Section):
         if transparent and "mp4" in info.data.get("formats", ()):
             raise ValueError("an MP4 cannot be transparent; choose the format webp, png or gif")
         return transparent
+
+    @field_validator("speed")
+    @classmethod
+    def _alone(cls, speed: float, info: ValidationInfo) -> float:
+        if speed != 1 and info.data.get("fps") is not None:
+            raise ValueError("fps and speed both say how fast it plays; give one of the two")
+        return speed
 
     @property
     def sides(self) -> tuple[str, ...]:
