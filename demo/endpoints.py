@@ -39,27 +39,22 @@ def endpoints(studio: Studio) -> None:
         size = _unread(gr.Number(512, label="size", precision=0, minimum=16))
         elevation = _unread(gr.Number(10, label="elevation", minimum=-89, maximum=89))
         formats = _unread(gr.CheckboxGroup(list(EXPORTS), value=[], label="formats"))
-        # 0 leaves the length to `frames`, and the rate to the preset.
-        seconds = _unread(gr.Number(0, label="seconds", minimum=0))
-        fps = _unread(gr.Number(0, label="fps", minimum=0))
-        speed = _unread(gr.Number(1, label="speed", minimum=1e-3, maximum=100))
         run = gr.State(None)
         files, report = gr.File(file_count="multiple", label="files"), gr.JSON(label="report")
         # Each of these only follows a job, which waits for its turn in our own queue.
         shared = {"concurrency_id": "programs", "concurrency_limit": studio.settings.max_queue}
         gr.Button().click(
-            _generate(studio),
-            [picture, preset, accuracy, frames, changes, formats, pick, seconds, fps],
+            _generate(studio), [picture, preset, accuracy, frames, changes, formats, pick],
             [run, files, report], api_name="generate", **shared,
         )  # fmt: skip
         gr.Button().click(
-            _render(studio), [run, views, size, elevation, speed], [files, report],
+            _render(studio), [run, views, size, elevation], [files, report],
             api_name="render", **shared,
         )  # fmt: skip
         gr.Button().click(_evaluate, run, report, api_name="evaluate")
         error, said = gr.Number(label="error"), gr.Textbox(label="sentence")
         gr.Button().click(
-            _measure(studio), [picture, preset, accuracy, frames, changes, pick, seconds, fps],
+            _measure(studio), [picture, preset, accuracy, frames, changes, pick],
             [error, said, gr.JSON(label="levels")], api_name="measure", **shared,
         )  # fmt: skip
 
@@ -73,13 +68,12 @@ def _unread(component: Component) -> Any:
 def _generate(studio: Studio) -> Handler:
     def generate(
         image: str | None, preset: str, accuracy: str, frames: int, changes: Any, formats: Any,
-        pick: Any, seconds: float, fps: float, request: gr.Request,
+        pick: Any, request: gr.Request,
     ) -> Iterator[tuple[Any, ...]]:  # fmt: skip
         """Turn a picture into a moving object: its files and its report."""
         name = visitor_of(request)
         kinds = _chosen("formats", formats or [], list(EXPORTS))
-        length = _length(frames, seconds, fps)
-        scene, cutting = _cut(studio, name, image, preset, accuracy, length, changes, pick)
+        scene, cutting = _cut(studio, name, image, preset, accuracy, frames, changes, pick)
         visitor, data = studio.visitors.get(name), scene.data()
         for _ in _followed(cutting, visitor, "image"):
             yield (gr.skip(),) * 3
@@ -97,12 +91,11 @@ def _generate(studio: Studio) -> Handler:
 def _measure(studio: Studio) -> Handler:
     def measure(
         image: str | None, preset: str, accuracy: str, frames: int, changes: Any,
-        pick: Any, seconds: float, fps: float, request: gr.Request,
+        pick: Any, request: gr.Request,
     ) -> Iterator[tuple[Any, ...]]:  # fmt: skip
         """Measure the error of a scene as a fraction of its size, and the seconds of each grid."""
         name = visitor_of(request)
-        length = _length(frames, seconds, fps)
-        scene, cutting = _cut(studio, name, image, preset, accuracy, length, changes, pick)
+        scene, cutting = _cut(studio, name, image, preset, accuracy, frames, changes, pick)
         visitor = studio.visitors.get(name)
         for _ in _followed(cutting, visitor, "image"):
             yield (gr.skip(),) * 3
@@ -119,24 +112,20 @@ def _measure(studio: Studio) -> Handler:
 
 
 def _cut(
-    studio: Studio, name: str, image: str | None, preset: str, accuracy: str,
-    length: dict[str, Any], changes: Any, pick: Any,
+    studio: Studio, name: str, image: str | None, preset: str, accuracy: str, frames: int,
+    changes: Any, pick: Any,
 ) -> tuple[Scene, Job]:  # fmt: skip
     """The scene that a program asks for, and the job that cuts out its picture."""
     # A name of no preset could be that of a file.
     _chosen("preset", [preset], preset_names())
     _chosen("accuracy", [accuracy], list(PRESETS))
     try:
-        scene = Scene.named(preset).replaced({"accuracy": accuracy, **length, **_changes(changes)})
+        changed = _changes(changes)
+        length = {} if "time.seconds" in changed else {"time.frames": frames}
+        scene = Scene.named(preset).replaced({"accuracy": accuracy, **length, **changed})
         return scene, studio.cut(name, image, pick=place_of(pick))
     except InputError as error:
         raise refusal(complaint(error)) from None
-
-
-def _length(frames: Any, seconds: Any, fps: Any) -> dict[str, Any]:
-    """How long the motion is and how fine: the frames, or if they are not 0 seconds and rate."""
-    length = {"time.seconds": seconds} if seconds else {"time.frames": frames}
-    return {**length, "time.fps": fps} if fps else length
 
 
 def _chosen(field: str, given: Any, known: list[str]) -> list[str]:
@@ -158,14 +147,14 @@ def _changes(given: Any) -> dict[str, Any]:
 
 def _render(studio: Studio) -> Handler:
     def render(
-        run: Any, views: list[str], size: int, elevation: float, speed: float, request: gr.Request
+        run: Any, views: list[str], size: int, elevation: float, request: gr.Request
     ) -> Iterator[tuple[Any, ...]]:
         """Film this session's last run again; nothing is simulated."""
         if run is None:
             raise refusal(NOTHING_YET)
         _, cutout, data = run
         name = visitor_of(request)
-        view = {**data["view"], "size": size, "elevation": elevation, "speed": speed}
+        view = {**data["view"], "size": size, "elevation": elevation}
         view["views"] = _chosen("views", views or [], VIEWS) or data["view"]["views"]
         job = _begun(studio.run, name, cutout, {**data, "view": view})
         for _ in _followed(job, studio.visitors.get(name), "run"):

@@ -115,13 +115,13 @@ def test_the_page_names_no_other_machine(server):
 
 
 def test_generate_then_render_then_evaluate(client):
-    options = {"frames": 5, "formats": ["ply"], "pick": [], "seconds": 0.1, "fps": 20}
-    files, report = _generate(client, **options)
+    length = {"time.seconds": 0.1, "time.fps": 20, "view.speed": 0.5}
+    files, report = _generate(client, frames=5, changes={**FEW, **length}, formats=["ply"])
+    assert report["playback"]["speed"] == 0.5
     names = {Path(path).name for path in files}
     assert {"front.mp4", "clip.safetensors", "scene.toml", "report.json", "phy124-ply.zip"} <= names
     assert report["frames"] == 2 and report["generator"] == "relief"
-    films, again = client.predict(["back", "orbit"], 48, 20, 0.5, api_name="/render")
-    assert again["playback"]["speed"] == 0.5
+    films, again = client.predict(["back", "orbit"], 48, 20, api_name="/render")
     assert {"back.mp4", "orbit.mp4"} <= {Path(path).name for path in films}
     assert again["substeps"] == report["substeps"]
     figures = client.predict(api_name="/evaluate")
