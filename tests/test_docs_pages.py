@@ -14,6 +14,7 @@ RUN = {
     "README.md": "test_readme.py",
     "bridge.md": "test_bridge_layout.py",
     "extending.md": "test_plug_and_play.py",
+    "filming.md": "test_cameras.py",
     "pictures.md": "test_docs_pages.py",
     "plugins.md": "test_docs_pages.py",
     "scene.md": "test_scene_reference.py",

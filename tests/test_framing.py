@@ -63,7 +63,7 @@ def test_an_azimuth_lies_between_the_named_views():
 
 
 def test_what_stays_in_the_picture_is_not_mentioned():
-    assert framing(flight(AWAY[:2]), view()) == {"departures": [], "note": None}
+    assert framing(flight(AWAY[:2]), view()) == {"departures": [], "notes": []}
 
 
 def test_leaving_is_told_with_the_view_the_frame_and_what_helps():
@@ -73,7 +73,7 @@ def test_leaving_is_told_with_the_view_the_frame_and_what_helps():
     # The edge is 0.87 m off the axis in the plane of the middle; the ball begins with 0.5.
     assert left.frame in (2, 3) and left.worst_frame == 7
     assert left.outside > 0.9
-    note = framing(clip, chosen)["note"]
+    (note,) = framing(clip, chosen)["notes"]
     assert note is not None
     assert f"front from frame {left.frame} (frame 7: {left.outside:.0%} outside)" in note
     assert f"view.distance = {left.distance:g} or view.follow = true" in note
@@ -96,10 +96,10 @@ def test_only_remedies_that_work_are_named():
     grown = replace(
         clip, means=clip.means[0] * np.linspace(1, 3, 8, dtype=np.float32)[:, None, None]
     )
-    note = framing(grown, view())["note"]
+    (note,) = framing(grown, view())["notes"]
     assert "view.distance = " in note and "follow" not in note
     far = flight([(0, 0, 0), (0, 300, 0)])
-    note = framing(far, view())["note"]
+    (note,) = framing(far, view())["notes"]
     assert note.endswith("Film it again with view.follow = true.")
 
 

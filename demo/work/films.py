@@ -78,16 +78,9 @@ def _videos(
         def progress(_: str, done: int, of: int, number: int = number, side: str = side) -> None:
             limits.tell(Step("render", number * of + done, len(view.sides) * of, side))
 
-        one = _only(view, side)
+        one = view.only(side)
         pipeline.film(clip, one, folder, device=order.device, progress=progress, watch=watch)
     return left_out
-
-
-def _only(view: View, side: str) -> View:
-    """A view of one of its sides."""
-    views = tuple(name for name in view.views if name == side)
-    angle = () if views else (float(side.removeprefix("azimuth-")),)
-    return view.model_copy(update={"views": views, "azimuths": angle})
 
 
 def whole_in_view(clip: Clip, view: View) -> View:

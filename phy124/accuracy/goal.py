@@ -97,7 +97,9 @@ def too_long(goal: Goal, scene: Scene, cells: int, forecast: Forecast, ready: fl
 def _less(scene: Scene, stage: str) -> Iterator[Remedy]:
     """Changes to the scene with which a stage takes less time."""
     if stage in ("render", "encode", "save") and len(scene.view.sides) > 1:
-        yield Remedy("view.views = front", {"view.views": ["front"], "view.azimuths": []})
+        yield Remedy(
+            "view.views = front", {"view.views": ["front"], "view.azimuths": [], "view.cameras": []}
+        )
     if stage != "preparing" and scene.time.frames > 2:
         yield plain("time.frames", max(2, scene.time.frames // 2))
 

@@ -143,7 +143,7 @@ def time_shapes(simulation: Simulation) -> float:
 
 def time_film(gaussians: Gaussians, scene: Scene, device: str) -> dict[str, float]:
     """Times of pictures and videos [s], from filming a few frames from one side."""
-    one = scene.view.model_copy(update={"views": ("front",), "azimuths": ()})
+    one = scene.view.model_copy(update={"views": ("front",)}).only("front")
     views, frames = len(scene.view.sides), scene.time.frames
     few, more = FILMED
     seconds: dict[int, list[dict[str, float]]] = {few: [], more: []}

@@ -8,10 +8,12 @@ from typing import Annotated, Any
 
 import tyro
 
+from phy124.errors import InputError
 from phy124.generators import known
 from phy124.runtime.device import CHOICES
 from phy124.scene import AccuracyName, Scene, Timing, View, assignments, parse_value, together
 from phy124.scene.changes import LENGTH
+from phy124.scene.files import read_toml
 
 Device = Annotated[str, tyro.conf.arg(help=CHOICES)]
 GeneratorName = Annotated[
@@ -40,6 +42,8 @@ class CameraOptions:
 
     views: Annotated[Listed, help_of(View, "views")] = None
     azimuth: Annotated[Listed, help_of(View, "azimuths")] = None
+    cameras: Path | None = None
+    """TOML file with [[view.cameras]] as in a scene; without --views only these are filmed."""
     size: Annotated[str | None, help_of(View, "size", example="512 or 1920x1080")] = None
     follow: Annotated[bool, help_of(View, "follow")] = False
 
@@ -48,10 +52,11 @@ class CameraOptions:
         chosen = {
             "view.views": _items(self.views),
             "view.azimuths": _items(self.azimuth),
+            "view.cameras": self.cameras and cameras_in(self.cameras),
             "view.size": self.size,
             "view.follow": self.follow or None,
         }
-        if self.azimuth is not None and self.views is None:
+        if self.views is None and (self.azimuth is not None or self.cameras is not None):
             chosen["view.views"] = []
         return {path: value for path, value in chosen.items() if value is not None}
 
@@ -73,6 +78,20 @@ class ViewOptions(CameraOptions):
         }
         made = {path: value for path, value in chosen.items() if value is not None}
         return super().changes() | made
+
+
+def cameras_in(path: Path) -> list[Any]:
+    """The cameras in a file, as plain data.
+
+    Raises:
+        InputError: It cannot be read, or holds anything else.
+    """
+    data = read_toml(path, "cameras")
+    view = data.get("view")
+    if set(data) != {"view"} or not isinstance(view, dict) or set(view) != {"cameras"}:
+        limit = "it must hold cameras, each below a line [[view.cameras]], and nothing else."
+        raise InputError("cameras", path, limit, "Give a whole scene after --scene.")
+    return view["cameras"]
 
 
 def _items(texts: Listed) -> list[Any] | None:

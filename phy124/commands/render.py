@@ -49,8 +49,8 @@ class Render:
             files = [str(out / path.name) for path in sorted(folder.iterdir())]
             if bars.cancelled and not files:
                 raise Cancelled
-        told = (framing(clip, view)["note"], choppy(clip, view))
-        notes = [*clip.flaws(), *(note for note in told if note)]
+        slow = choppy(clip, view)
+        notes = [*clip.flaws(), *framing(clip, view)["notes"], *([slow] if slow else [])]
         if self.json:
             print(json.dumps({"files": files, "notes": notes}))
         else:

@@ -127,11 +127,11 @@ class Making:
 def framed(clip: Clip, view: View) -> dict[str, Any]:
     """What a report says about the pictures: their rate, when Gaussians leave them, all notes."""
     seen = framing(clip, view)
-    notes = [note for note in (seen["note"], choppy(clip, view)) if note]
+    slow = choppy(clip, view)
     return {
         "playback": played(clip, view),
         "departures": seen["departures"],
-        "notes": clip.report["notes"] + notes,
+        "notes": [*clip.report["notes"], *seen["notes"], *([slow] if slow else [])],
     }
 
 

@@ -13,6 +13,7 @@ from phy124.camera import VIEWS, Camera
 from phy124.errors import InputError
 from phy124.io.clip import Clip
 from phy124.scene import View
+from phy124.scene.cameras import Poses
 
 SAMPLE = 4096
 """Number of Gaussians, evenly picked, that represent all of them."""
@@ -27,23 +28,41 @@ FARTHEST = 100.0
 
 
 def cameras(clip: Clip, view: View, side: str) -> list[Camera]:
-    """The camera of each frame from one side: fixed, circling for "orbit", or following the object.
+    """The camera of each frame from one side: fixed, circling, moving, or following the object.
 
     Portrait pictures are taken from farther away, so that their width shows as much as that of a
     square picture.
     """
-    count = len(clip)
     low, high = _box(clip, view)
-    middle = (low + high) / 2
-    targets = middle + (_path(clip) if view.follow else np.zeros((count, 3)))
-    turns = np.arange(count) * 360 / max(count, 1)
-    azimuths = turns if side == "orbit" else np.full(count, _azimuth(side))
+    size = float((high - low).max())
+    poses = _poses(clip, view, side)
+    targets = (low + high) / 2 + size * poses.target + (_path(clip) if view.follow else 0.0)
     width, height = view.size
-    radius = view.distance * float((high - low).max()) * max(1.0, height / width)
+    radii = poses.distance * size * max(1.0, height / width)
+    lists = (poses.azimuth, poses.elevation, radii, targets, poses.fov)
     return [
-        Camera.orbit(azimuth, view.elevation, radius, view.size, (x, y, z), view.fov)
-        for azimuth, (x, y, z) in zip(azimuths.tolist(), targets.tolist(), strict=True)
+        Camera.orbit(azimuth, elevation, radius, view.size, (x, y, z), fov)
+        for azimuth, elevation, radius, (x, y, z), fov in zip(
+            *(values.tolist() for values in lists), strict=True
+        )
     ]
+
+
+def _poses(clip: Clip, view: View, side: str) -> Poses:
+    """Where the camera stands around the object in each frame."""
+    count, camera = len(clip), view.camera(side)
+    azimuth = 0.0 if camera or side == "orbit" else _azimuth(side)
+    still = Poses.still(count, azimuth, view.elevation, view.distance, view.fov)
+    if camera is not None:
+        times = clip.times - clip.times[0]
+        return camera.poses(times, _length(clip), still)
+    return still.changed(azimuth=np.arange(count) * 360 / count) if side == "orbit" else still
+
+
+def _length(clip: Clip) -> float:
+    """How long a clip is, each frame counted for the time to the next [s]."""
+    count = len(clip)
+    return float(clip.times[-1] - clip.times[0]) * count / (count - 1) if count > 1 else 1.0
 
 
 @dataclass(frozen=True)
@@ -62,16 +81,35 @@ class Departure:
 
 
 def departures(clip: Clip, view: View) -> list[Departure]:
-    """The sides from which the object leaves the picture."""
+    """The sides from which the object leaves the picture.
+
+    A camera with a distance, an opening or a target of its own was meant to show what it shows.
+    """
     points = _sample(clip)
-    found = [_departure(points, cameras(clip, view, side), view, side) for side in view.sides]
+    own = {camera.name for camera in view.cameras if camera.chosen}
+    sides = [side for side in view.sides if side not in own]
+    found = [_departure(points, cameras(clip, view, side), view, side) for side in sides]
     return [departure for departure in found if departure is not None]
 
 
 def framing(clip: Clip, view: View) -> dict[str, Any]:
-    """The `departures`, and a sentence about them or None, for the report."""
+    """The `departures`, and `notes`: sentences about them and about ways that are cut off."""
     left = departures(clip, view)
-    return {"departures": [asdict(one) for one in left], "note": _note(clip, view, left)}
+    notes = [note for note in (_note(clip, view, left), _cut_off(clip, view)) if note]
+    return {"departures": [asdict(one) for one in left], "notes": notes}
+
+
+def _cut_off(clip: Clip, view: View) -> str | None:
+    """A sentence if the way of a camera goes on after the clip, or None."""
+    last = float(clip.times[-1] - clip.times[0])
+    late = [camera for camera in view.cameras if camera.end > last * (1 + 1e-9)]
+    if not late:
+        return None
+    names, end = ", ".join(camera.name for camera in late), max(camera.end for camera in late)
+    return (
+        f"The clip ends at {last:.3g} s, before the way of {names} does; "
+        f"simulate with --seconds {end + _length(clip) / len(clip):.3g} to see all of it."
+    )
 
 
 def _note(clip: Clip, view: View, left: list[Departure]) -> str | None:

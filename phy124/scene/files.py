@@ -1,7 +1,9 @@
-"""The files that a scene names: pictures of parts, stiffness and properties."""
+"""The files of a scene: itself, and those that it names for parts, stiffness and properties."""
 
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -9,6 +11,30 @@ from typing import Any
 from pydantic import BaseModel
 
 from phy124.errors import InputError
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+
+def read_toml(path: str | os.PathLike[str], field: str) -> dict[str, Any]:
+    """The content of a TOML file; `field` is what an error calls it.
+
+    Raises:
+        InputError: It cannot be read or is not TOML.
+    """
+    try:
+        return tomllib.loads(Path(path).read_text("utf-8-sig"))
+    except (OSError, UnicodeDecodeError) as error:
+        given = " or a preset name" if field == "scene" else ""
+        raise InputError(
+            field, path, f"it cannot be read ({error}).", f"Give a TOML file{given}."
+        ) from None
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(
+            field, path, f"it is not valid TOML: {error}.", "Correct that line."
+        ) from None
 
 
 def files_named(section: Any, field: str = "") -> Iterator[tuple[str, Path]]:

@@ -7,7 +7,6 @@ command line's help and the web page alike.
 from __future__ import annotations
 
 import os
-import sys
 from importlib import resources
 from pathlib import Path
 from typing import Any, Literal
@@ -24,17 +23,13 @@ from phy124.plugins import has_name, is_foreign
 from phy124.properties import Properties
 from phy124.scene.accuracies import PRESETS, Accuracy, AccuracyName
 from phy124.scene.changes import apply
+from phy124.scene.files import read_toml
 from phy124.scene.refusals import refusal
 from phy124.scene.renamed import renewed
 from phy124.scene.sections import Checks, Object, Part, Timing
 from phy124.scene.view import View
 from phy124.section import Section
 from phy124.stiffness import AnyStiffness
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 
 class Scene(Section):
@@ -119,17 +114,7 @@ class Scene(Section):
         Raises:
             InputError: If the file is missing, is not TOML, or is not a scene.
         """
-        try:
-            data = tomllib.loads(Path(path).read_text("utf-8-sig"))
-        except (OSError, UnicodeDecodeError) as error:
-            raise InputError(
-                "scene", path, f"it cannot be read ({error}).", "Give a TOML file or a preset name."
-            ) from None
-        except tomllib.TOMLDecodeError as error:
-            raise InputError(
-                "scene", path, f"it is not valid TOML: {error}.", "Correct that line."
-            ) from None
-        return cls.from_data(data, str(path))
+        return cls.from_data(read_toml(path, "scene"), str(path))
 
     @classmethod
     def named(cls, name: str) -> Scene:

@@ -16,6 +16,7 @@ from pydantic import (
 
 from phy124.bounds import Colour
 from phy124.camera import FOV_Y
+from phy124.scene.cameras import AnyCamera
 from phy124.section import Section
 
 ViewName = Literal["front", "right", "back", "left", "orbit"]
@@ -75,6 +76,11 @@ class View(Section):
         examples=[[45, 135]],
         description="Sides besides, by angle: 0 is the front, 90 the right [deg].",
     )
+    cameras: tuple[AnyCamera, ...] = Field(
+        default=(),
+        max_length=32,
+        description="Cameras that move besides: turntable, dolly or path.",
+    )
     formats: tuple[Format, ...] = Field(
         default=("mp4",),
         description="Of each side a video (mp4, webp, gif) or a folder of pictures (png); "
@@ -118,7 +124,8 @@ class View(Section):
     def _sides(self) -> View:
         if not self.sides or len(set(self.sides)) != len(self.sides):
             raise ValueError(
-                "views must name at least one view, or azimuths an angle, each once; name each once"
+                "views must name at least one view, or azimuths an angle, each once, and cameras "
+                "have other names; name each once"
             )
         if not self.formats or len(set(self.formats)) != len(self.formats):
             raise ValueError("formats must name at least one format, each once; name each once")
@@ -140,5 +147,19 @@ class View(Section):
 
     @property
     def sides(self) -> tuple[str, ...]:
-        """Names of all sides to film: the named views, then names such as "azimuth-45"."""
-        return (*self.views, *(f"azimuth-{azimuth % 360:g}" for azimuth in self.azimuths))
+        """Names of all sides to film: the named views, names such as "azimuth-45", the cameras'."""
+        angles = (f"azimuth-{azimuth % 360:g}" for azimuth in self.azimuths)
+        return (*self.views, *angles, *(camera.name for camera in self.cameras))
+
+    def camera(self, side: str) -> AnyCamera | None:
+        """The camera of this name; None if the side is none of the cameras."""
+        return next((camera for camera in self.cameras if camera.name == side), None)
+
+    def only(self, side: str) -> View:
+        """The view from one of its sides."""
+        camera = self.camera(side)
+        views = tuple(name for name in self.views if name == side)
+        angle = () if views or camera else (float(side.removeprefix("azimuth-")),)
+        return self.model_copy(
+            update={"views": views, "azimuths": angle, "cameras": (camera,) if camera else ()}
+        )
