@@ -9,7 +9,7 @@ INSTALL := $(BIN)/pip install --quiet --no-compile --disable-pip-version-check -
 .PHONY: demo app bridge test test-default test-page test-slow test-browser bench accuracy docs dist lint clean chromium
 
 demo: .venv/base
-	$(BIN)/phy124 generate demo/examples/duck.png --scene press --out out/duck-press
+	$(BIN)/phy124 generate demo/examples/duck.png --scene press --stage studio --out out/duck-press
 
 app: .venv/demo
 	$(BIN)/python app.py

@@ -64,8 +64,10 @@ def _schema() -> dict[str, Any]:
     slider counts frames.
     """
     schema = Scene.model_json_schema()
-    for section, name in (("View", "formats"), ("View", "transparent"), ("Timing", "seconds")):
+    for section, name in (("View", "formats"), ("Timing", "seconds")):
         del schema["$defs"][section]["properties"][name]
+    # The page plays MP4s, which cannot be transparent.
+    schema["$defs"]["View"]["properties"]["stage"]["enum"].remove("transparent")
     return schema
 
 
@@ -77,8 +79,13 @@ def _card(name: str) -> dict[str, Any]:
         "title": name.replace("_", " ").capitalize(),
         "text": scene.description,
         "picture": f"previews/{picture.name}" if picture.exists() else None,
-        "scene": json.loads(scene.model_dump_json()),
+        "scene": json.loads(_staged(scene).model_dump_json()),
     }
+
+
+def _staged(scene: Scene) -> Scene:
+    """A preset on the stage, unless it says otherwise itself."""
+    return scene.replaced({"view.stage": "studio"}) if scene.view.stage == "plain" else scene
 
 
 def _anchors() -> dict[str, float]:

@@ -15,6 +15,8 @@ from phy124.io.export import write_ply_sequence
 from phy124.io.export.html import write_html
 from phy124.io.files import staged
 from phy124.rendering.film import cameras
+from phy124.rendering.stage.build import stage_of
+from phy124.rendering.stage.packing import packed
 from phy124.scene import View
 
 from .work import Done, whole_in_view
@@ -54,7 +56,9 @@ class Export:
 def _html(done: Done, path: Path) -> None:
     clip = Clip.load(done.clip / "clip.safetensors")
     view = whole_in_view(clip, View.model_validate(clip.scene["view"]))
-    write_html(path, clip, cameras(clip, view, "front")[0], background=view.background)
+    around = packed(stage_of(clip, view), clip)
+    first = cameras(clip, view, "front")[0]
+    write_html(path, clip, first, background=view.background, stage=around)
 
 
 def _ply(done: Done, path: Path) -> None:

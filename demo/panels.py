@@ -14,6 +14,7 @@ PLAYER = (
     HEAD
     + '<script src="phy124/viewer/vendor/playcanvas.min.js"></script>'
     + '<script src="phy124/viewer/pack.js"></script>'
+    + '<script src="phy124/viewer/stage.js"></script>'
     + '<script src="phy124/viewer/player.js"></script>'
     + '<link rel="stylesheet" href="phy124/viewer/player.css">'
 )

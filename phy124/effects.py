@@ -140,6 +140,7 @@ def _catalogue(
     yield Effect("colliders", bool(scene.boundaries), "the scene has no boundaries")
     yield from _of_rest(scene, rested)
     yield from _of_frames(scene, sh_degree)
+    yield from _of_pictures(scene)
     yield from _of_numerics(scene, device)
 
 
@@ -201,6 +202,13 @@ def _of_frames(scene: Scene, sh_degree: int) -> Iterator[Effect]:
     yield Effect("velocities", scene.velocities, "not asked for; they follow from the positions")
     turned = sh_degree > 0
     yield Effect("spherical-harmonic rotation", turned, "colours do not depend on the direction")
+
+
+def _of_pictures(scene: Scene) -> Iterator[Effect]:
+    """What pictures show besides the object."""
+    stage = scene.view.stage
+    why = f"view.stage is {stage}: pictures show the object alone"
+    yield Effect("floor, its shadow, boundaries in pictures", stage == "studio", why)
 
 
 def _of_numerics(scene: Scene, device: str) -> Iterator[Effect]:

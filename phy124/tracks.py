@@ -177,6 +177,14 @@ class Track:
         """Whether it changes in time."""
         return len(self.keys) > 1 or self.start > -FOREVER or self.end < FOREVER
 
+    def values(self, times: NDArray) -> NDArray[np.float64]:
+        """Values at some instants [T,3], whether active or not; what the device samples."""
+        since = np.asarray(times, float) - self.origin
+        if self.period > 0:
+            since = np.where(since > 0, since % self.period, since)
+        at, keys = np.array([key[0] for key in self.keys]), np.array([key[1] for key in self.keys])
+        return np.stack([np.interp(since, at, column) for column in keys.T], axis=1)
+
 
 class Tracks:
     """All tracks of a run on one device; slot 0 is the sum of the uniform accelerations."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +15,9 @@ from phy124.errors import InputError
 from phy124.gaussians import Frame, Gaussians
 from phy124.io.clip import Clip
 from phy124.io.export.html import pack, write_html
+from phy124.rendering.stage.build import stage_of
+from phy124.rendering.stage.packing import packed
+from phy124.scene import View
 
 CAMERA = Camera.orbit(30, 20, 2.5, 64, (0.1, 0.2, 0.3))
 
@@ -58,6 +62,9 @@ def _unpacked(data: bytes) -> tuple[dict, dict[str, np.ndarray]]:
     minimum, most = head["ratio"]
     out["scales"] = out["rest"] * np.exp(minimum + (most - minimum) * ratios)
     out["speed"] = np.cumsum(take("u1", t, n), axis=0, dtype="u1") / 255 * head["speed"]
+    if head.get("stage") and head["stage"]["floor"]:
+        cells = head["stage"]["floor"]["cells"]
+        out["shades"] = np.cumsum(take("u1", t, cells, cells), axis=0, dtype="u1") / 255
     assert at == len(raw), "something is left over"
     return head, out
 
@@ -71,6 +78,18 @@ def test_what_is_packed_can_be_unpacked(clip):
     assert arrays["speed"] == pytest.approx(np.linalg.norm(clip.velocities, axis=2), abs=0.02)
     assert arrays["colour"][:, 3] / 255 == pytest.approx(clip.opacities, abs=0.002)
     assert head["times"] == clip.times.tolist()
+
+
+def test_the_stage_goes_along(clip):
+    view = View(stage="studio", background=(0.5, 0.6, 0.7))
+    stage = stage_of(replace(clip, scene={"boundaries": [{"kind": "press"}]}), view)
+    head, arrays = _unpacked(pack(clip, CAMERA, stage=packed(stage, clip)))
+    assert head["stage"]["top"] == head["stage"]["bottom"] == [0.5, 0.6, 0.7]
+    (plate,) = head["stage"]["solids"]
+    for index, frame in enumerate(clip.frames()):
+        shown = stage.at(frame)
+        assert plate["centres"][index] == pytest.approx(shown.solids[0].centre)
+        assert arrays["shades"][index] == pytest.approx(shown.floor.shade, abs=0.5 / 255 + 1e-6)
 
 
 def test_the_camera_is_an_orbit_again(clip):
@@ -104,7 +123,7 @@ def test_the_page_needs_nothing_but_itself(clip, tmp_path):
     assert not re.search(r"<(?:script|link|img)[^>]+(?:src|href)=", page)
     assert "&lt;b&gt;duck &amp; co" in page and "<b>duck" not in page
     assert "PlayCanvas" in page and "Permission is hereby granted" in page
-    assert page.count("</script>") == 5
+    assert page.count("</script>") == 6
 
 
 def test_refusals_are_sentences_and_leave_no_file(clip, tmp_path):

@@ -70,7 +70,7 @@ def test_transparent_pictures_look_alike_on_any_background(tmp_path, clip):
     film(clip, view(formats=["png"]), tmp_path, device="cpu")
     clear = tmp_path / "clear"
     clear.mkdir()
-    film(clip, view(formats=["png", "webp", "gif"], transparent=True), clear, device="cpu")
+    film(clip, view(formats=["png", "webp", "gif"], stage="transparent"), clear, device="cpu")
     for i in range(3):
         name = f"front-png/front_{i + 1:04}.png"
         over = picture(clear / name).astype(float)
@@ -89,15 +89,15 @@ def test_transparent_pictures_look_alike_on_any_background(tmp_path, clip):
 def test_a_transparent_gif_leaves_no_trail(tmp_path):
     """Where the object has been is clear again in the next frame."""
     clip = flight([(0, -0.4, 0), (0, 0.4, 0)], count=300)
-    film(clip, view(formats=["gif"], transparent=True, azimuths=[]), tmp_path, device="cpu")
+    film(clip, view(formats=["gif"], stage="transparent", azimuths=[]), tmp_path, device="cpu")
     first, last = frames(tmp_path / "front.gif")
     assert first[16, 24 - 8, 3] == 255 and last[16, 24 - 8 - 6, 3] == 0
 
 
 def test_an_mp4_cannot_be_transparent():
-    sentence = "view.transparent = True: an MP4 cannot be transparent. Choose the format webp"
+    sentence = "view.stage = transparent: an MP4 cannot be transparent. Choose the format webp"
     with pytest.raises(InputError, match=re.escape(sentence)):
-        view(transparent=True)
+        view(stage="transparent")
 
 
 @pytest.mark.parametrize(

@@ -51,3 +51,16 @@ def test_names_of_now_get_no_note():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert Scene.from_data(Scene.from_data(NEW).data()) == Scene.from_data(NEW)
+
+
+def test_transparent_is_a_stage_now():
+    with pytest.warns(FutureWarning, match="transparent = true .* stage = transparent"):
+        scene = Scene.from_data({"view": {"transparent": True, "formats": ["png"]}})
+    assert scene.view.stage == "transparent"
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        kept = Scene.from_data({"view": {"transparent": False, "stage": "studio"}})
+    assert kept.view.stage == "studio"
+    with pytest.warns(FutureWarning):
+        again = scene.replaced({"view.transparent": False})
+    assert again.view.stage == "plain"

@@ -7,7 +7,7 @@
   const nice = (x, digits = 3) => Number(Number(x).toPrecision(digits)).toString();
   const words = (name) => name.replace(/_/g, ' ').replace(/^./, (c) => c.toUpperCase());
 
-  const BACKGROUNDS = { light: [1, 1, 1], dark: [0.09, 0.106, 0.133] };
+  const BACKGROUNDS = { white: [[1, 1, 1]], grey: [[0.86, 0.87, 0.88]], gradient: [[0.78, 0.82, 0.86], [0.96, 0.96, 0.95]], dark: [[0.09, 0.106, 0.133]] };
   const STORED = 'phy124-scene';
 
   async function scene(element, props, watch, trigger) {
@@ -74,7 +74,7 @@
       this.preset = name;
       const data = clone(this.offer.presets.find((p) => p.name === name).scene);
       // On a dark page white videos would glare.
-      if (document.body.classList.contains('dark')) data.view.background = [...BACKGROUNDS.dark];
+      if (document.body.classList.contains('dark')) [data.view.background] = clone(BACKGROUNDS.dark);
       this.load(data);
     }
 
@@ -261,10 +261,10 @@
     }
 
     background() {
-      const now = this.data.view.background, dark = now[0] + now[1] + now[2] < 1.5;
+      const { view } = this.data, now = JSON.stringify([view.background, ...(view.gradient ? [view.gradient] : [])]);
       return this.knob('Background', h('output', {}), h('div', { class: 'segments', role: 'radiogroup', 'aria-label': 'Background' },
-        ...Object.entries(BACKGROUNDS).map(([name, colour]) => h('label', {},
-          h('input', { type: 'radio', name: 'background', value: name, checked: (name === 'dark') === dark, onchange: () => { this.data.view.background = [...colour]; this.turned(); } }),
+        ...Object.entries(BACKGROUNDS).map(([name, [top, bottom]]) => h('label', {},
+          h('input', { type: 'radio', name: 'background', value: name, checked: JSON.stringify(BACKGROUNDS[name]) === now, onchange: () => { [view.background, view.gradient] = clone([top, bottom || null]); this.turned(); } }),
           h('span', {}, words(name))))));
     }
 

@@ -11,6 +11,8 @@ from phy124.io.export.html import pack
 from phy124.io.video import write_animation
 from phy124.rendering.framing import departures
 from phy124.rendering.render import render_frames
+from phy124.rendering.stage.build import stage_of
+from phy124.rendering.stage.packing import packed
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import View
 
@@ -35,7 +37,9 @@ def film(order: Order, clips: Path, out: Path, limits: Limits) -> None:
     """
     clip, watch = Clip.load(clips / "clip.safetensors"), Stopwatch()
     # The page plays MP4s; other formats are made on demand (demo/exports.py).
-    view = order.scene.view.model_copy(update={"formats": ("mp4",), "transparent": False})
+    view = order.scene.view
+    stage = "plain" if view.stage == "transparent" else view.stage
+    view = view.model_copy(update={"formats": ("mp4",), "stage": stage})
     view = whole_in_view(clip, view)
     tell = limits.tell
     tell(Step("render", 0, len(clip) * len(view.sides)))
@@ -44,14 +48,17 @@ def film(order: Order, clips: Path, out: Path, limits: Limits) -> None:
         tell(Step("save", 0, 2))
         with watch.stage("save"):
             first = pipeline.cameras(clip, view, "front")[0]
-            (folder / "clip.pack").write_bytes(pack(clip, first, background=view.background))
+            around = stage_of(clip, view, device=order.device)
+            data = pack(clip, first, background=view.background, stage=packed(around, clip))
+            (folder / "clip.pack").write_bytes(data)
             tell(Step("save", 1, 2))
             turning = pipeline.cameras(clip, view, "orbit")
             write_animation(
                 folder / "orbit.webp",
                 render_frames(
                     clip.frames(), turning, size=MOVING, background=view.background,
-                    device=order.device, progress=lambda *_: tell(Step("save", 1, 2)),
+                    stage=around and around.at, device=order.device,
+                    progress=lambda *_: tell(Step("save", 1, 2)),
                 ),
                 fps=pipeline.playback(order.scene.time.fps, view),
             )  # fmt: skip

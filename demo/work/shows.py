@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from PIL import Image
@@ -16,6 +17,8 @@ from phy124.gaussians import Frame, Gaussians
 from phy124.io.clip import Clip
 from phy124.io.export.html import pack
 from phy124.rendering.render import Renderer, to_bytes
+from phy124.rendering.stage.build import Stage, stage_of
+from phy124.rendering.stage.packing import packed
 from phy124.scene import Scene
 
 from ..events import Glimpse, Live, Tell
@@ -29,12 +32,15 @@ SHOWN = 12_000
 
 def glimpses(order: Order, tell: Tell) -> Callable[[Frame], None]:
     """A function that shows frames as small pictures during the run."""
-    renderer, camera = Renderer(device=order.device), None
+    renderer, camera, rest = Renderer(device=order.device), None, None
 
     def show(frame: Frame) -> None:
-        nonlocal camera
+        nonlocal camera, rest
         camera = camera or _camera(frame, order.scene)
-        image = renderer(frame.gaussians, camera, order.scene.view.background)
+        rest = frame.gaussians.means if rest is None else rest
+        stage = _stage(frame, order.scene, rest)
+        around = stage and stage.at(replace(frame, index=0))
+        image = renderer(frame.gaussians, camera, order.scene.view.background, stage=around)
         with io.BytesIO() as file:
             Image.fromarray(to_bytes(image)).save(file, "JPEG", quality=80)
             tell(Glimpse(file.getvalue()))
@@ -47,10 +53,10 @@ def lives(order: Order, tell: Tell) -> Callable[[Frame], None]:
     folder = order.folder / "live" / order.stop.name
     shutil.rmtree(folder.parent, ignore_errors=True)
     folder.mkdir(parents=True)
-    chosen, camera = None, None
+    chosen, camera, rest = None, None, None
 
     def show(frame: Frame) -> None:
-        nonlocal chosen, camera
+        nonlocal chosen, camera, rest
         count = len(frame.gaussians)
         camera = camera or _camera(frame, order.scene)
         if chosen is None:
@@ -59,9 +65,12 @@ def lives(order: Order, tell: Tell) -> Callable[[Frame], None]:
         some = _thinned(frame, chosen)
         path = folder / f"{frame.index:04d}.pack"
         background = order.scene.view.background
-        packed = pack(Clip.from_frames([some]), camera, background=background)
+        rest = frame.gaussians.means if rest is None else rest
+        clip = Clip.from_frames([some])
+        around = packed(_stage(some, order.scene, rest), clip)
+        data = pack(clip, camera, background=background, stage=around)
         try:
-            path.write_bytes(packed)
+            path.write_bytes(data)
         except FileNotFoundError:
             # The visitor has left, and the folder with them.
             raise Cancelled from None
@@ -76,6 +85,12 @@ def _thinned(frame: Frame, chosen: np.ndarray) -> Frame:
     larger = g.scales[chosen] * (len(g) / len(chosen)) ** 0.5
     some = Gaussians(g.means[chosen], g.quats[chosen], larger, g.opacities[chosen], g.sh[chosen])
     return Frame(frame.index, frame.time, some)
+
+
+def _stage(frame: Frame, scene: Scene, rest: np.ndarray) -> Stage | None:
+    """What stands around the object in a single frame."""
+    clip = replace(Clip.from_frames([frame]), scene={"boundaries": scene.data()["boundaries"]})
+    return stage_of(clip, scene.view, rest=rest)
 
 
 def _camera(frame: Frame, scene: Scene) -> Camera:

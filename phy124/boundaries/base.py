@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from typing import Any, ClassVar, Literal
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
 import warp as wp
@@ -36,6 +37,23 @@ THINNEST = 1.0
 Corners = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
+class Rest(Protocol):
+    """Where the object is at rest: all that the shape of a boundary depends on."""
+
+    @property
+    def rest(self) -> NDArray[np.float64]:
+        """Positions at rest [P,3], m."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class AtRest:
+    """An object at rest without a model of it."""
+
+    rest: NDArray[np.float64]
+    """Positions at rest [P,3], m."""
+
+
 class Boundary(Section):
     """Base class of all boundaries: how they respond to what touches them."""
 
@@ -51,7 +69,7 @@ class Boundary(Section):
     )
     friction: float = Field(default=0.4, ge=0, le=10, description="Coulomb friction coefficient.")
 
-    def geometry(self, model: Model) -> tuple[Vector, Vector, Vector]:
+    def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:
         """Three vectors that the shape's distance function reads [m]."""
         raise NotImplementedError
 
@@ -104,7 +122,7 @@ class Boundary(Section):
         """Name of the way nodes respond to it."""
         return self.contact
 
-    def track(self, model: Model) -> Track | None:
+    def track(self, model: Rest) -> Track | None:
         """Displacement over time [m]; None if it never moves."""
         return None
 
@@ -180,7 +198,7 @@ class Movable(Boundary):
         """Whether it has a motion."""
         return self.motion is not None
 
-    def track(self, model: Model) -> Track | None:
+    def track(self, model: Rest) -> Track | None:
         """Displacement over time [m]; None if it never moves."""
         return None if self.motion is None else self.motion.track()
 

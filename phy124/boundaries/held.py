@@ -7,7 +7,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from phy124.boundaries.base import Contact, Corners, Movable, box_of, half_bounds, vector
+from phy124.boundaries.base import Contact, Corners, Movable, Rest, box_of, half_bounds, vector
 from phy124.bounds import LONGEST, SHORTEST, Position
 from phy124.mpm import Model
 from phy124.region import AxisName, Vector, cylinder
@@ -28,7 +28,7 @@ class Clamp(Movable):
         description="Time at which it lets go [s]; absent: never.",
     )
 
-    def track(self, model: Model) -> Track | None:
+    def track(self, model: Rest) -> Track | None:
         """Displacement over time [m], active until it lets go; None if it never moves or ends."""
         track = super().track(model)
         if self.end is None:
@@ -77,7 +77,7 @@ class Held(Clamp):
         """Name of the distance function of a box or a cylinder."""
         return "cylinder" if self.cylinder else "box"
 
-    def geometry(self, model: Model) -> tuple[Vector, Vector, Vector]:
+    def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:
         """Centre and half sizes [m]; for a cylinder centre, axis, and (radius, half length)."""
         if self.cylinder is None:
             return box_of(self.lower, self.upper)
@@ -97,7 +97,7 @@ class Foot(Clamp):
     kind: Literal["foot"] = "foot"
     fraction: float = Field(default=0.15, ge=1e-6, le=1, description="Held fraction of its height.")
 
-    def geometry(self, model: Model) -> tuple[Vector, Vector, Vector]:
+    def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:
         """Point [m] and normal of the plane below which material is held."""
         z = model.rest[:, 2]
         top = float(z.min() + self.fraction * np.ptp(z))

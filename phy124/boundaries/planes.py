@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from phy124.boundaries.base import Boundary, Corners, Movable, half_bounds, vector
+from phy124.boundaries.base import Boundary, Corners, Movable, Rest, half_bounds, vector
 from phy124.boundaries.motion import Path
 from phy124.bounds import FARTHEST, LONGEST, SHORTEST, Direction, Position
 from phy124.mpm import Model, Stage, State
@@ -40,7 +40,7 @@ class HalfSpace(Plane, Movable):
             raise ValueError("the normal is zero; give the direction out of the solid")
         return self
 
-    def geometry(self, model: Model) -> tuple[Vector, Vector, Vector]:
+    def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:
         """Point and unit normal."""
         length = math.hypot(*self.normal)
         x, y, z = (component / length for component in self.normal)
@@ -55,7 +55,7 @@ class Ground(Plane, Movable):
         default=0.0, ge=-FARTHEST, le=FARTHEST, description="Height of the floor [m]."
     )
 
-    def geometry(self, model: Model) -> tuple[Vector, Vector, Vector]:
+    def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:
         """Point and unit normal."""
         return (0.0, 0.0, self.height), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
 
@@ -88,12 +88,12 @@ class Press(Plane):
         """Twice the time to come down."""
         return {"down": 2 * self.down}
 
-    def geometry(self, model: Model) -> tuple[Vector, Vector, Vector]:
+    def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:
         """Point [m] and unit normal, before the displacement."""
         height = model.rest[:, 2].max() if self.top is None else self.top
         return (0.0, 0.0, float(height)), (0.0, 0.0, -1.0), (0.0, 0.0, 0.0)
 
-    def track(self, model: Model) -> Track:
+    def track(self, model: Rest) -> Track:
         """Displacement [m]: smoothly down, a rest, and up again."""
         low = (0.0, 0.0, -self.depth * float(np.ptp(model.rest[:, 2])))
         return there_and_back(low, self.start, self.down, self.hold, self.up)

@@ -8,7 +8,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from phy124.boundaries.base import Boundary, Corners, Movable, box_of, vector
+from phy124.boundaries.base import Boundary, Corners, Movable, Rest, box_of, vector
 from phy124.boundaries.motion import Path
 from phy124.bounds import LONGEST, SHORTEST, Position
 from phy124.mpm import Model, Stage, State
@@ -32,7 +32,7 @@ class Box(Movable):
             raise ValueError(f"lower {self.lower} must be below upper {self.upper}; swap them")
         return self
 
-    def geometry(self, model: Model) -> tuple[Vector, Vector, Vector]:
+    def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:
         """Centre and half sizes [m]."""
         return box_of(self.lower, self.upper)
 
@@ -53,7 +53,7 @@ class Sphere(Movable):
     centre: Position = Field(default=(0.0, 0.0, 0.2), description="Centre [m].")
     radius: float = Field(default=0.2, ge=1e-9, le=1e5, description="Radius [m].")
 
-    def geometry(self, model: Model) -> tuple[Vector, Vector, Vector]:
+    def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:
         """Centre and radius [m]."""
         return self.centre, (self.radius, 0.0, 0.0), (0.0, 0.0, 0.0)
 
@@ -81,7 +81,7 @@ class Capsule(Movable):
             raise ValueError("start and end are the same point; use a sphere")
         return self
 
-    def geometry(self, model: Model) -> tuple[Vector, Vector, Vector]:
+    def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:
         """Both ends and the radius [m]."""
         return self.start, self.end, (self.radius, 0.0, 0.0)
 

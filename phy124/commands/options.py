@@ -14,6 +14,7 @@ from phy124.runtime.device import CHOICES
 from phy124.scene import AccuracyName, Scene, Timing, View, assignments, parse_value, together
 from phy124.scene.changes import LENGTH
 from phy124.scene.files import read_toml
+from phy124.scene.view import StageName
 
 Device = Annotated[str, tyro.conf.arg(help=CHOICES)]
 GeneratorName = Annotated[
@@ -66,14 +67,16 @@ class ViewOptions(CameraOptions):
     """How a clip is filmed."""
 
     format: Annotated[Listed, help_of(View, "formats")] = None
-    transparent: Annotated[bool, help_of(View, "transparent")] = False
+    stage: Annotated[StageName | None, help_of(View, "stage")] = None
+    transparent: bool = False
+    """Short for --stage transparent."""
     speed: Annotated[float | None, help_of(View, "speed")] = None
 
     def changes(self) -> dict[str, Any]:
         """What is chosen, by its path in the scene."""
         chosen = {
             "view.formats": _items(self.format),
-            "view.transparent": self.transparent or None,
+            "view.stage": "transparent" if self.transparent else self.stage,
             "view.speed": self.speed,
         }
         made = {path: value for path, value in chosen.items() if value is not None}

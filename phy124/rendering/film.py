@@ -15,6 +15,7 @@ from phy124.io.video import FPS_RANGE, Picture, write_animation, write_mp4, writ
 from phy124.progress import Progress, silent
 from phy124.rendering.framing import cameras as cameras
 from phy124.rendering.render import render_frames
+from phy124.rendering.stage.build import Stage, stage_of
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene, View
 
@@ -46,7 +47,7 @@ def film(
         The files and folders written.
     """
     folder, watch = Path(folder), watch or Stopwatch()
-    made = []
+    made, stage = [], stage_of(clip, view, device=device)
     for name in view.formats:
         if name in EXPORTS:
             with watch.stage("export"):
@@ -55,19 +56,20 @@ def film(
         for side in view.sides:
             before = watch.seconds.get("render", 0.0)
             with watch.stage("encode"):
-                images = watch.each("render", _images(clip, view, side, device, progress))
+                images = watch.each("render", _images(clip, view, side, stage, device, progress))
                 made.append(ENCODERS[name](folder, side, images, playback(rate(clip), view)))
             watch.seconds["encode"] -= watch.seconds.get("render", 0.0) - before
     return made
 
 
 def _images(
-    clip: Clip, view: View, side: str, device: str, progress: Progress
+    clip: Clip, view: View, side: str, stage: Stage | None, device: str, progress: Progress
 ) -> Generator[Picture, None, None]:
     return render_frames(
         clip.frames(),
         cameras(clip, view, side),
-        background=None if view.transparent else view.background,
+        background=None if view.stage == "transparent" else view.background,
+        stage=stage and stage.at,
         device=device,
         progress=lambda _, done, total: progress(f"render {side}", done, total),
     )

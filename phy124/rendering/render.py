@@ -12,7 +12,7 @@ import itertools
 import math
 import operator
 from collections import deque
-from collections.abc import Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from queue import SimpleQueue
@@ -26,8 +26,11 @@ from phy124.camera import Camera
 from phy124.errors import InputError
 from phy124.gaussians import Array, Frame, Gaussians
 from phy124.kernels.splat import bin as binning
-from phy124.kernels.splat import blend, blend_simd, project, screen
+from phy124.kernels.splat import blend, blend_simd, glass, project, screen
+from phy124.kernels.splat import stage as setting
 from phy124.progress import Progress, silent
+from phy124.rendering.stage import draw
+from phy124.rendering.stage.frame import StageFrame
 
 Colour = tuple[float, float, float]
 WHITE: Colour = (1.0, 1.0, 1.0)
@@ -88,6 +91,7 @@ class Renderer:
         background: Colour = WHITE,
         *,
         alpha: bool = False,
+        stage: StageFrame | None = None,
     ) -> Array:
         """Draw one image [H,W,3] float32 in 0..1.
 
@@ -99,15 +103,18 @@ class Renderer:
             camera: Where from, and in what size.
             background: Colour behind the Gaussians, 0..1.
             alpha: Whether to return [H,W,4], the last channel being the coverage.
+            stage: What stands behind and around the Gaussians instead of the background.
 
         Raises:
             InputError: If the camera or the background cannot be used.
         """
         view, pixels = _view(camera), camera.width * camera.height
-        colour = wp.vec3(*_checked_background(background))
+        colour = wp.vec3(*_checked_background(BLACK if stage else background))
         image = self._buffer("image", pixels, wp.vec3)
         coverage = self._buffer("coverage", pixels, wp.float32)
         counts = self._project(gaussians, view)
+        if stage is not None and stage.solids:
+            self._tint(gaussians, view, stage)
         for first, last in _runs(counts, MAX_PAIRS):
             lists = self._bin(len(gaussians), view, counts, first, last)
             wp.launch(
@@ -117,6 +124,8 @@ class Renderer:
                 outputs=[image, coverage],
                 device=self.device,
             )
+        if stage is not None:
+            self._surround(camera, view, stage, image, coverage)
         # Copied: the buffers are written again by the next call.
         channels = [image.numpy()[:pixels]] + [coverage.numpy()[:pixels, None]] * alpha
         drawn = np.concatenate(channels, axis=1, dtype=np.float32)
@@ -149,6 +158,33 @@ class Renderer:
         # Each splat marked the four corners of its rectangle of tiles; running sums along both
         # axes turn the marks into counts, however large the rectangles are.
         return corners.numpy().cumsum(0, np.int64).cumsum(1)[:-1, :-1].ravel()
+
+    def _tint(self, gaussians: Gaussians, view: Any, stage: StageFrame) -> None:
+        """Give splats that are seen through the stage's solids their colour."""
+        inputs = [view, self._given(draw.rows(stage.solids), glass.Solid)]
+        inputs.append(self._given(gaussians.means, wp.vec3))
+        outputs = [self._buffers["splats"]]
+        wp.launch(
+            setting.tint_splats, len(gaussians), inputs=inputs, outputs=outputs, device=self.device
+        )
+
+    def _surround(
+        self, camera: Camera, view: Any, stage: StageFrame, image: Any, coverage: Any
+    ) -> None:
+        """Draw the stage behind the Gaussians."""
+        shade = np.zeros((1, 1), np.float32) if stage.floor is None else stage.floor.shade
+        picture = draw.picture(stage.backdrop, view.width, view.height)
+        inputs = [view, draw.setting(stage), self._given(shade, wp.float32)]
+        inputs.append(self._given(picture, wp.vec3))
+        inputs.append(self._given(draw.rows(stage.solids), glass.Solid))
+        inputs.append(self._given(draw.boxes(stage.solids, camera), wp.vec4i))
+        wp.launch(
+            setting.draw_setting,
+            math.ceil(view.width / setting.RUN) * view.height,
+            inputs=inputs,
+            outputs=[image, coverage],
+            device=self.device,
+        )
 
     def _bin(
         self, n: int, view: Any, counts: NDArray[np.int64], first: int, last: int
@@ -185,7 +221,7 @@ class Renderer:
             self._buffers[name] = buffer
         return buffer
 
-    def _given(self, array: Array, dtype: Any) -> wp.array:
+    def _given(self, array: NDArray, dtype: Any) -> wp.array:
         """A NumPy array as a Warp array: shared on a CPU, copied to a GPU."""
         return wp.array(array, dtype=dtype, device=self.device, copy=False)
 
@@ -229,6 +265,7 @@ def render_frames(
     size: int | tuple[int, int] | None = None,
     background: Colour | None = WHITE,
     device: str | None = None,
+    stage: Callable[[Frame], StageFrame] | None = None,
     threads: int = 2,
     progress: Progress = silent,
 ) -> Generator[NDArray[np.uint8], None, None]:
@@ -243,6 +280,7 @@ def render_frames(
         size: Width and height in pixels, or one number for both, instead of the cameras' own.
         background: Colour behind the Gaussians, 0..1; None for none.
         device: Warp's name of the device; default: CUDA if there is one.
+        stage: What stands behind and around the Gaussians of a frame instead of the background.
         threads: Number of frames drawn at once on a CPU (kernels there use one core each).
         progress: Called as ("render", frames done, frames in all or 0 if unknown).
 
@@ -261,7 +299,9 @@ def render_frames(
     def draw(frame: Frame, camera: Camera) -> NDArray[np.uint8]:
         renderer = renderers.get()
         try:
-            return _picture(renderer, frame.gaussians, _resized(camera, size), background)
+            around = None if stage is None else stage(frame)
+            seen = _resized(camera, size)
+            return _picture(renderer, frame.gaussians, seen, background, around)
         finally:
             renderers.put(renderer)
 
@@ -276,11 +316,15 @@ def render_frames(
 
 
 def _picture(
-    renderer: Renderer, gaussians: Gaussians, camera: Camera, background: Colour | None
+    renderer: Renderer,
+    gaussians: Gaussians,
+    camera: Camera,
+    background: Colour | None,
+    stage: StageFrame | None,
 ) -> NDArray[np.uint8]:
     """One image as bytes; without a background, with coverage and unmultiplied colours."""
-    if background is not None:
-        return to_bytes(renderer(gaussians, camera, background))
+    if background is not None or stage is not None:
+        return to_bytes(renderer(gaussians, camera, background or BLACK, stage=stage))
     image = renderer(gaussians, camera, BLACK, alpha=True)
     image[..., :3] /= np.maximum(image[..., 3:], 1e-6)
     return to_bytes(np.minimum(image, 1))

@@ -9,11 +9,15 @@ KEYS = {"ppc": "particles_per_axis", "patience": "budget", "share": "fraction"}
 """Keys of scenes of version 0.1 -> their names now."""
 VALUES = {("binding", "field"): "lattice", ("kind", "field"): "zone"}
 """Keys with a value of version 0.1 -> the value's name now."""
+STAGES = {True: "transparent", False: "plain"}
+"""What the key `transparent` of version 0.2 says -> `stage` now."""
 
 
 def renewed(data: Any) -> Any:
     """Plain data of a scene, old names replaced by those of now; each gets a note (a warning)."""
     if isinstance(data, dict):
+        if data.get("transparent") is False:  # As a stage that is named, or by default.
+            data = {key: value for key, value in data.items() if key != "transparent"}
         return dict(renewed_item(key, value) for key, value in data.items())
     return [renewed(item) for item in data] if isinstance(data, list) else data
 
@@ -21,6 +25,10 @@ def renewed(data: Any) -> Any:
 def renewed_item(key: str, value: Any) -> tuple[str, Any]:
     """A key, or a dotted path, and its value by their names now."""
     old = key.split(".")
+    if old[-1] == "transparent" and value in STAGES:
+        path = ".".join([*old[:-1], "stage"])
+        _note(f"{key} = {str(value).lower()}", f"{path} = {STAGES[value]}")
+        return path, STAGES[value]
     path = ".".join(KEYS.get(name, name) for name in old)
     now = VALUES.get((old[-1], value)) if isinstance(value, str) else None
     if path != key:

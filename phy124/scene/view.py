@@ -14,13 +14,14 @@ from pydantic import (
     model_validator,
 )
 
-from phy124.bounds import Colour
+from phy124.bounds import Colour, FileName
 from phy124.camera import FOV_Y
 from phy124.scene.cameras import AnyCamera
 from phy124.section import Section
 
 ViewName = Literal["front", "right", "back", "left", "orbit"]
 Format = Literal["mp4", "webp", "gif", "png", "usd", "ply"]
+StageName = Literal["plain", "studio", "transparent"]
 Degrees = Annotated[float, Field(ge=-360, le=360)]
 
 
@@ -99,12 +100,25 @@ class View(Section):
         default=False, description="The camera goes along and keeps what moves in the middle."
     )
     fov: float = Field(default=FOV_Y, ge=1, le=120, description="Vertical field of view [deg].")
+    stage: StageName = Field(
+        default="plain",
+        description="plain: the object before the background; studio: on a floor with its shadow, "
+        "among the scene's boundaries; transparent: nothing behind it, in the formats webp, png "
+        "and gif (all or nothing).",
+    )
     background: Background = Field(
         default=(1.0, 1.0, 1.0),
         description="Background colour: red, green and blue from 0 to 1, or a CSS name.",
     )
-    transparent: bool = Field(
-        default=False, description="No background: formats webp, png, and gif (all or nothing)."
+    gradient: Background | None = Field(
+        default=None,
+        examples=["whitesmoke"],
+        description="Colour at the bottom into which the background goes over; absent: one colour.",
+    )
+    picture: FileName | None = Field(
+        default=None,
+        examples=["beach.jpg"],
+        description="Picture that fills the background instead; absent: the colour.",
     )
     fps: float | None = Field(
         default=None,
@@ -131,12 +145,12 @@ class View(Section):
             raise ValueError("formats must name at least one format, each once; name each once")
         return self
 
-    @field_validator("transparent")
+    @field_validator("stage")
     @classmethod
-    def _can_be(cls, transparent: bool, info: ValidationInfo) -> bool:
-        if transparent and "mp4" in info.data.get("formats", ()):
+    def _can_be(cls, stage: StageName, info: ValidationInfo) -> StageName:
+        if stage == "transparent" and "mp4" in info.data.get("formats", ()):
             raise ValueError("an MP4 cannot be transparent; choose the format webp, png or gif")
-        return transparent
+        return stage
 
     @field_validator("speed")
     @classmethod

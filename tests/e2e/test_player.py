@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,9 @@ from phy124.gaussians import Frame, Gaussians
 from phy124.io.clip import Clip
 from phy124.io.export.html import write_html
 from phy124.rendering.render import Renderer
+from phy124.rendering.stage.build import Stage, stage_of
+from phy124.rendering.stage.packing import packed
+from phy124.scene import Scene, View
 
 pytestmark = pytest.mark.browser
 CAMERA = Camera.orbit(30, 20, 2.2, 256)
@@ -44,9 +48,10 @@ def _frames(rng: np.random.Generator, every: float) -> list[Frame]:
 
 
 @contextmanager
-def _opened(browser, path: Path, frames: list[Frame], **context):
+def _opened(browser, path: Path, frames: list[Frame], *, stage: Stage | None = None, **context):
     """The player of these frames, exported to one file and opened without a network."""
-    write_html(path, Clip.from_frames(frames), CAMERA)
+    clip = Clip.from_frames(frames)
+    write_html(path, clip, CAMERA, stage=packed(stage, clip))
     context = browser.new_context(offline=True, **context)
     page = context.new_page()
     page.goto(f"file://{path}")
@@ -63,6 +68,26 @@ def test_the_player_draws_what_our_renderer_draws(browser, tmp_path, rng):
             page.evaluate(f"player.stage.resize(256, 256); player.seek({frame.time})")
             wanted = 255 * Renderer(device="cpu")(frame.gaussians, CAMERA)
             drawn(page, lambda now, wanted=wanted: psnr(now, wanted) > 25, "below 25 dB")
+
+
+def test_the_player_draws_the_same_stage(browser, tmp_path, rng):
+    """Floor, shadow, a moving plate, a ball, a box before the object, and a gradient."""
+    frames = _frames(rng, 0.1)
+    boundaries = [
+        {"kind": "ground", "height": -0.4},
+        {"kind": "press", "top": 0.5, "depth": 0.3, "down": 0.2},
+        {"kind": "sphere", "centre": [0.2, 0.6, -0.2], "radius": 0.2},
+        {"kind": "box", "lower": [0.5, -0.3, -0.4], "upper": [0.7, 0.1, 0.1]},
+    ]
+    scene = Scene.from_data({"boundaries": boundaries}).data()
+    view = View(stage="studio", background=(0.75, 0.8, 0.85), gradient=(0.95, 0.95, 0.9))
+    stage = stage_of(replace(Clip.from_frames(frames), scene=scene), view)
+    path, renderer = tmp_path / "stage.html", Renderer(device="cpu")
+    with _opened(browser, path, frames, stage=stage, reduced_motion="reduce") as page:
+        for frame in frames:
+            page.evaluate(f"player.stage.resize(256, 256); player.seek({frame.time})")
+            wanted = 255 * renderer(frame.gaussians, CAMERA, stage=stage.at(frame))
+            drawn(page, lambda now, wanted=wanted: psnr(now, wanted) > 30, "below 30 dB")
 
 
 def test_clips_of_half_a_second_play_slowly_to_and_fro(browser, tmp_path, rng):

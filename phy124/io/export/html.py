@@ -10,6 +10,7 @@ range, which is what lets gzip shrink them:
     rotation  [T,4,N]   int8     wxyz, 127 is 1
     ratio     [T,3,N]   uint8    log of scale over scale at rest
     speed     [T,N]     uint8    255 is the largest speed
+    shade     [T,C,C]   uint8    shadow on the floor, if the header's stage has one
 
 14 bytes per Gaussian and frame before gzip; centres are exact to 1/65535 of the box.
 """
@@ -35,22 +36,31 @@ from phy124.io.files import replacing
 
 VIEWER = Path(__file__).parents[1] / "viewer"
 """Folder of the player's scripts; the web page serves them from here too."""
-SCRIPTS = ("vendor/playcanvas.min.js", "pack.js", "player.js")
+SCRIPTS = ("vendor/playcanvas.min.js", "pack.js", "stage.js", "player.js")
 STYLE = "player.css"
 LICENCE = "vendor/LICENSE-playcanvas.txt"
 TALLEST = 4.0
 """Log of the largest change of scale that is stored: exp(4) = 55 times; more is clipped."""
+Staged = tuple[dict[str, Any], NDArray[np.uint8]]
+"""A stage as plain data and its shadow maps [T,C,C] (phy124/rendering/stage/packing.py)."""
 PERCENTILES = (1, 99)
 """Ends of the colour ramp of stretch, as percentiles, so that single Gaussians do not set it."""
 
 
-def pack(clip: Clip, camera: Camera, *, background: tuple[float, ...] = (1.0, 1.0, 1.0)) -> bytes:
+def pack(
+    clip: Clip,
+    camera: Camera,
+    *,
+    background: tuple[float, ...] = (1.0, 1.0, 1.0),
+    stage: Staged | None = None,
+) -> bytes:
     """The clip in the form the player reads.
 
     Args:
         clip: What to pack.
         camera: The first view; its picture size does not matter.
         background: Colour behind the Gaussians, 0..1.
+        stage: What stands behind and around them instead.
 
     Raises:
         InputError: If the clip is empty.
@@ -73,6 +83,9 @@ def pack(clip: Clip, camera: Camera, *, background: tuple[float, ...] = (1.0, 1.
         "background": list(background),
         "view": _view(camera),
     }
+    shades = []
+    if stage is not None:
+        head["stage"], shades = stage[0], [_differences(stage[1])]
     arrays = [
         _colours(clip),
         rest.astype("<f4"),
@@ -80,6 +93,7 @@ def pack(clip: Clip, camera: Camera, *, background: tuple[float, ...] = (1.0, 1.
         _differences(_planar(np.rint(clip.quats * 127).clip(-127, 127).astype(np.int8))),
         _differences(_planar(_quantized(ratios, *reach))),
         _differences(_quantized(speeds, 0.0, head["speed"])),
+        *shades,
     ]
     text = json.dumps(head, allow_nan=False).encode()
     body = b"".join(array.tobytes() for array in arrays)
@@ -93,6 +107,7 @@ def write_html(
     *,
     title: str = "phy124",
     background: tuple[float, ...] = (1.0, 1.0, 1.0),
+    stage: Staged | None = None,
     viewer: Path = VIEWER,
 ) -> None:
     """Write one HTML file that plays in any browser with WebGL 2, without a network.
@@ -103,13 +118,14 @@ def write_html(
         camera: The first view.
         title: Title of the page.
         background: Colour behind the Gaussians, 0..1.
+        stage: What stands behind and around them instead.
         viewer: Folder of the player's scripts.
 
     Raises:
         InputError: If the clip is empty, the player is not installed or the file cannot be written.
     """
     parts = {name: _asset(viewer / name) for name in (*SCRIPTS, STYLE, LICENCE)}
-    data = base64.b64encode(pack(clip, camera, background=background)).decode()
+    data = base64.b64encode(pack(clip, camera, background=background, stage=stage)).decode()
     scripts = "".join(f"<script>{parts[name]}</script>\n" for name in SCRIPTS)
     page = PAGE.format(
         title=html.escape(title),

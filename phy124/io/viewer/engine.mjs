@@ -1,7 +1,8 @@
-// The part of PlayCanvas that draws Gaussians; bundled into vendor/playcanvas.min.js.
+// The part of PlayCanvas that draws Gaussians and a shader of ours; bundled into vendor/playcanvas.min.js.
 export {
-  AppBase, AppOptions, BoundingBox, CameraComponentSystem, Color, Entity, FILLMODE_NONE,
-  GAMMA_SRGB, GSplatComponentSystem, GSplatContainer, GSplatFormat, PIXELFORMAT_RGBA32F,
-  RESOLUTION_FIXED, TONEMAP_NONE, Vec3, WORKBUFFER_UPDATE_ONCE,
-  WebglGraphicsDevice,
+  ADDRESS_CLAMP_TO_EDGE, AppBase, AppOptions, BoundingBox, CULLFACE_NONE, CameraComponentSystem, Color,
+  Entity, FILLMODE_NONE, FILTER_LINEAR, FILTER_NEAREST, GAMMA_SRGB, GSplatComponentSystem,
+  GSplatContainer, GSplatFormat, GraphNode, LAYERID_WORLD, Mesh, MeshInstance, PIXELFORMAT_R32F,
+  PIXELFORMAT_RGBA32F, PIXELFORMAT_RGBA8, RESOLUTION_FIXED, SEMANTIC_POSITION, ShaderMaterial,
+  TONEMAP_NONE, Texture, Vec3, WORKBUFFER_UPDATE_ONCE, WebglGraphicsDevice,
 } from 'playcanvas';

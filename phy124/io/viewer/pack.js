@@ -32,7 +32,9 @@ globalThis.Phy124Pack = (() => {
     const quats = integrate(new Int8Array(take(t * n * 4)), t, n * 4);
     const ratios = integrate(new Uint8Array(take(t * n * 3)), t, n * 3);
     const speeds = integrate(new Uint8Array(take(t * n)), t, n);
-    return { ...head, n, t, colours, rest, centres, quats, ratios, speeds };
+    const cells = head.stage && head.stage.floor ? head.stage.floor.cells ** 2 : 0;
+    const shades = integrate(take(t * cells), t, cells);
+    return { ...head, n, t, colours, rest, centres, quats, ratios, speeds, shades };
   }
 
   /** Values at a fractional frame; planar in (component-major), interleaved with 4 floats out. */

@@ -51,6 +51,7 @@ globalThis.Phy124Player = (() => {
       app.scene.gsplat.minContribution = 0;
       app.autoRender = false;
       this.addSplats(device);
+      this.around = pack.stage ? new Phy124Stage(app, device, this.entity, pack) : null;
       this.camera = new pc.Entity();
       this.camera.addComponent('camera', { fov: pack.view.fov, nearClip: 0.01, farClip: 1000,
         toneMapping: pc.TONEMAP_NONE, gammaCorrection: pc.GAMMA_SRGB });
@@ -80,6 +81,7 @@ globalThis.Phy124Player = (() => {
       const n = this.pack.n, box = this.container, out = {};
       for (const key of ['centre', 'rotation', 'scale']) out[key] = box.getTexture(STREAMS[key]).lock();
       this.blend.at(frame, out);
+      if (this.around) this.around.show(frame);
       for (let i = 0; i < n; i++) for (let c = 0; c < 3; c++) box.centers[i * 3 + c] = out.centre[i * 4 + c];
       this.paint(frame, colouring, out.scale);
       for (const key of ['centre', 'rotation', 'scale']) box.getTexture(STREAMS[key]).unlock();
@@ -101,15 +103,25 @@ globalThis.Phy124Player = (() => {
       texture.unlock();
     }
 
+    /** One colour behind everything; null: what the clip was filmed before. */
     background(rgb) {
-      this.camera.camera.clearColor = new pc.Color(...rgb);
+      this.camera.camera.clearColor = new pc.Color(...(rgb || this.pack.background));
+      if (this.around) this.around.behind(rgb ? { top: rgb, bottom: rgb } : this.pack.stage);
       this.wake();
     }
 
-    look({ azimuth, elevation, radius, target }) {
+    look(pose) {
+      this.pose = pose;
+      const { azimuth, elevation, radius, target } = pose;
       const a = azimuth * Math.PI / 180, e = elevation * Math.PI / 180;
-      const eye = [Math.cos(e) * Math.cos(a), Math.cos(e) * Math.sin(a), Math.sin(e)]
-        .map((v, c) => target[c] + radius * v);
+      const away = [Math.cos(e) * Math.cos(a), Math.cos(e) * Math.sin(a), Math.sin(e)];
+      const eye = away.map((v, c) => target[c] + radius * v);
+      if (this.around) {
+        const right = [-Math.sin(a), Math.cos(a), 0], ahead = away.map((v) => -v);
+        const down = [ahead[1] * right[2] - ahead[2] * right[1], ahead[2] * right[0] - ahead[0] * right[2], ahead[0] * right[1] - ahead[1] * right[0]];
+        const { width, height } = this.canvas, focal = height / 2 / Math.tan(this.pack.view.fov * Math.PI / 360);
+        this.around.look(eye, [right, down, ahead], focal, [width, height]);
+      }
       this.camera.setPosition(eye[0], eye[2], -eye[1]);
       this.camera.lookAt(target[0], target[2], -target[1]);
       this.wake();
@@ -118,6 +130,7 @@ globalThis.Phy124Player = (() => {
     resize(width, height) {
       if (this.canvas.width === width && this.canvas.height === height) return;
       this.app.setCanvasResolution(pc.RESOLUTION_FIXED, width, height);
+      if (this.pose) this.look(this.pose);
       this.wake();
     }
 
@@ -144,7 +157,7 @@ globalThis.Phy124Player = (() => {
       <select class="phy-colour" aria-label="Colouring">${options(
         { photo: 'Picture', velocity: 'Velocity', stretch: 'Stretch' }, 'photo')}</select>
       <select class="phy-background" aria-label="Background">${options(
-        { light: 'Light', grey: 'Grey', dark: 'Dark' }, 'light')}</select>
+        { filmed: 'As filmed', light: 'Light', grey: 'Grey', dark: 'Dark' }, 'filmed')}</select>
       <button type="button" class="phy-home" aria-label="Reset the view">${icon('home')}</button>
       <button type="button" class="phy-full" aria-label="Full screen">${icon('full')}</button>
     </div>`;
@@ -172,8 +185,7 @@ globalThis.Phy124Player = (() => {
       this.followers = [];
       this.colouring = 'photo';
       this.home();
-      this.stage.background(pack.background);
-      this.find('background').value = pack.background.reduce((a, b) => a + b) < 1 ? 'dark' : 'light';
+      this.stage.background(null);
       this.find('time').max = this.length;
       this.listen();
       this.seek(0);
@@ -188,7 +200,7 @@ globalThis.Phy124Player = (() => {
       on('speed', 'change', (event) => { this.speed = Number(event.target.value); });
       on('way', 'change', (event) => { this.way = event.target.value; this.forth = 1; });
       on('colour', 'change', (event) => { this.colouring = event.target.value; this.legend(); this.seek(this.time); });
-      on('background', 'change', (event) => this.stage.background(BACKGROUNDS[event.target.value]));
+      on('background', 'change', (event) => this.stage.background(BACKGROUNDS[event.target.value] || null));
       on('home', 'click', () => this.home());
       on('full', 'click', () => (document.fullscreenElement ? document.exitFullscreen() : this.host.requestFullscreen()));
       on('canvas', 'keydown', (event) => this.key(event));

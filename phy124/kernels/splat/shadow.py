@@ -1,0 +1,105 @@
+"""How densely Gaussians cover the floor, in layers of height, as seen from the light."""
+
+import warp as wp
+
+from phy124.kernels.build import kernel
+
+NARROW = wp.constant(0.6)
+"""A Gaussian narrower than this [cells] counts as a point between four cells."""
+REACH = wp.constant(3.5)
+"""How far a wider Gaussian is followed [standard deviations]."""
+
+
+@wp.func
+def thickness(opacity: float) -> float:
+    """Integral of -log(1 - opacity exp(-r^2 / 2)) over the plane, over 2 pi: a dilogarithm."""
+    o = opacity
+    return o * (1.0 + o * (0.25 + o * (0.1111 + o * (0.0625 + o * (0.04 + o * 0.12)))))
+
+
+@wp.func
+def put(
+    layers: wp.array3d(dtype=float), i: int, j: int, layer: int, upper: float, amount: float
+):  # fmt: skip
+    """Add to a cell of two neighbouring layers."""
+    if i >= 0 and j >= 0 and i < layers.shape[1] and j < layers.shape[2]:
+        wp.atomic_add(layers, layer, i, j, (1.0 - upper) * amount)
+        wp.atomic_add(layers, layer + 1, i, j, upper * amount)
+
+
+@kernel("phy124_shadow")
+def cover(
+    # model
+    origin: wp.vec3,
+    cell: float,
+    slope: wp.vec2,
+    tallest: float,
+    weight: float,
+    opacities: wp.array(dtype=float),
+    # state in
+    means: wp.array(dtype=wp.vec3),
+    quats: wp.array(dtype=wp.vec4),
+    scales: wp.array(dtype=wp.vec3),
+    # in place: optical depth [layers, cells, cells]
+    layers_out: wp.array3d(dtype=float),
+):
+    """One thread per Gaussian; layer k is at height tallest (k / last)^2 above the floor.
+
+    `origin` is the corner of the map on the floor, `slope` how far the light's rays move sideways
+    per metre that they fall, `weight` how many Gaussians each one stands for.
+    """
+    n = wp.tid()
+    # Not a number is less than nothing and not more.
+    opacity = wp.min(opacities[n], 0.99)
+    if not (opacity > 0.004 and wp.isfinite(means[n]) and wp.isfinite(scales[n])):
+        return
+    height = wp.max(means[n][2] - origin[2], 0.0)
+    last = float(layers_out.shape[0] - 1)
+    level = last * wp.sqrt(wp.min(height / tallest, 1.0))
+    layer = wp.min(int(level), layers_out.shape[0] - 2)
+    upper = level - float(layer)
+    q = quats[n]
+    turn = wp.quat_to_matrix(wp.normalize(wp.quat(q[1], q[2], q[3], q[0])))
+    axes = (
+        wp.mat33(1.0, 0.0, slope[0], 0.0, 1.0, slope[1], 0.0, 0.0, 0.0) * turn * wp.diag(scales[n])
+    )
+    # Screen axes as in project.py, in cells.
+    a = wp.dot(axes[0], axes[0]) / (cell * cell)
+    b = wp.dot(axes[0], axes[1]) / (cell * cell)
+    c = wp.dot(axes[1], axes[1]) / (cell * cell)
+    x = (means[n][0] - origin[0] + height * slope[0]) / cell - 0.5
+    y = (means[n][1] - origin[1] + height * slope[1]) / cell - 0.5
+    size = float(wp.max(layers_out.shape[1], layers_out.shape[2]))
+    if not (x > -size and y > -size and x < 2.0 * size and y < 2.0 * size):
+        return
+    if wp.max(a, c) < NARROW * NARROW:
+        area = wp.sqrt(wp.max(a * c - b * b, 0.0))
+        amount = weight * 6.2831853 * thickness(opacity) * area
+        i = int(wp.floor(x))
+        j = int(wp.floor(y))
+        u = x - float(i)
+        v = y - float(j)
+        put(layers_out, i, j, layer, upper, amount * (1.0 - u) * (1.0 - v))
+        put(layers_out, i + 1, j, layer, upper, amount * u * (1.0 - v))
+        put(layers_out, i, j + 1, layer, upper, amount * (1.0 - u) * v)
+        put(layers_out, i + 1, j + 1, layer, upper, amount * u * v)
+        return
+    # A needle is as wide as a cell's fraction, as in project.py; its depth shrinks with that.
+    wide = wp.sqrt(wp.max(a * c - b * b, 0.0))
+    a += 0.1
+    c += 0.1
+    det = a * c - b * b
+    if not (wp.isfinite(det) and det > 0.0):
+        return
+    peak = opacity * wp.min(wide / wp.sqrt(det), 1.0)
+    reach_x = wp.min(REACH * wp.sqrt(a), 2.0 * size)
+    reach_y = wp.min(REACH * wp.sqrt(c), 2.0 * size)
+    for i in range(int(wp.max(wp.ceil(x - reach_x), 0.0)), int(wp.min(x + reach_x + 1.0, size))):
+        for j in range(
+            int(wp.max(wp.ceil(y - reach_y), 0.0)), int(wp.min(y + reach_y + 1.0, size))
+        ):
+            u = float(i) - x
+            v = float(j) - y
+            power = (c * u * u - 2.0 * b * u * v + a * v * v) / det
+            alpha = peak * wp.exp(-0.5 * power)
+            put(layers_out, i, j, layer, upper, -weight * wp.log(1.0 - alpha))

@@ -1,0 +1,142 @@
+"""The stage of a clip: what stands around the object in each of its frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.gaussians import Array, Frame
+from phy124.io.clip import Clip
+from phy124.rendering.stage.backdrop import backdrop
+from phy124.rendering.stage.frame import Backdrop, Floor, Solid, StageFrame
+from phy124.rendering.stage.ground import floor_heights
+from phy124.rendering.stage.shadow import CELLS, GLASS, LAYERS, SLOPE, Caster
+from phy124.rendering.stage.solids import placed
+from phy124.scene import Scene, View
+
+SAMPLE = 4096
+"""Number of Gaussians whose path decides how much of the floor the shadow map covers."""
+OUTLIERS = (0.5, 99.5)
+"""Percentiles of their places that it covers."""
+ROOM = 0.7
+"""Floor around them that it covers too, in heights of the object."""
+LARGEST = 4.0
+"""Half its largest side, in object sizes."""
+
+
+@dataclass(eq=False)
+class Stage:
+    """What stands around the object, by frame; shadows are kept from view to view."""
+
+    backdrop: Backdrop
+    heights: NDArray[np.float64]
+    """Height of the floor [T], m."""
+    walls: tuple[tuple[Solid, NDArray[np.float64], NDArray[np.bool_]], ...]
+    """What is drawn of each boundary, where it is [T,3] m, and whether it is there [T]."""
+    caster: Caster | None
+    """Makes shadows; None: there is no floor."""
+    own: NDArray[np.bool_] | None = None
+    """Which Gaussians cast a shadow [N]; None: all."""
+    shades: dict[int, Array] = field(default_factory=dict)
+
+    def at(self, frame: Frame) -> StageFrame:
+        """What is around the object in a frame of the clip."""
+        solids = tuple(
+            replace(solid, centre=solid.centre + moved[frame.index])
+            for solid, moved, there in self.walls
+            if there[frame.index]
+        )
+        return StageFrame(self.backdrop, self._floor(frame, solids), solids)
+
+    def _floor(self, frame: Frame, solids: tuple[Solid, ...]) -> Floor | None:
+        if self.caster is None:
+            return None
+        height, index = float(self.heights[frame.index]), frame.index
+        if index not in self.shades:
+            gaussians = frame.gaussians
+            own = gaussians if self.own is None else gaussians.select(self.own)
+            glass = covered(self.caster, solids, height)
+            self.shades[index] = self.caster.shade(own, height, glass)
+        return Floor(height, self.caster.middle, self.caster.reach, self.shades[index])
+
+
+def stage_of(
+    clip: Clip, view: View, *, rest: NDArray | None = None, device: str = "cpu"
+) -> Stage | None:
+    """The stage of a clip; None if there is nothing but the object before one colour.
+
+    Args:
+        clip: The clip.
+        view: What is to be behind and around the object.
+        rest: Where the object is at rest [N,3], m; None: as in the first frame.
+        device: Warp's name of the device that makes the shadows.
+
+    Raises:
+        InputError: The picture for the background cannot be opened.
+    """
+    if view.stage == "plain" and view.picture is None and view.gradient is None:
+        return None
+    if view.stage == "transparent":
+        return None
+    behind = backdrop(view)
+    rest = np.asarray(clip.means[0][clip.own] if rest is None else rest, np.float64)
+    rest = rest[np.isfinite(rest).all(axis=1)]
+    if view.stage == "plain" or not len(rest):
+        return Stage(behind, np.zeros(len(clip)), (), None)
+    boundaries = Scene.from_data({"boundaries": clip.scene.get("boundaries", [])}).boundaries
+    walls = placed(boundaries, rest)
+    heights = floor_heights(walls, rest, clip.times)
+    shown = tuple(
+        (wall.solid(), wall.displacements(clip.times), wall.present(clip.times))
+        for wall in walls
+        if not wall.is_floor
+    )
+    own = None if clip.own.all() else clip.own
+    return Stage(behind, heights, shown, _caster(clip, rest, heights, device), own)
+
+
+def _caster(clip: Clip, rest: NDArray, heights: NDArray, device: str) -> Caster:
+    """A shadow map that covers the floor around the object in all frames."""
+    chosen = np.flatnonzero(clip.own)
+    points = clip.means[:, chosen[:: 1 + len(chosen) // SAMPLE]].astype(np.float64)
+    points[..., 2] -= heights[:, None]
+    points = points[np.isfinite(points).all(axis=2)]
+    points[:, :2] += np.outer(np.maximum(points[:, 2], 0), SLOPE)
+    low, high = np.percentile(points, OUTLIERS, axis=0)
+    size = float(np.ptp(rest, axis=0).max())
+    room = ROOM * float(np.ptp(rest[:, 2]))
+    reach = min(float((high - low)[:2].max()) / 2 + room, LARGEST * size)
+    x, y = (low + high)[:2] / 2
+    tallest = max(float(high[2]), 0.05 * size)
+    return Caster((float(x), float(y)), max(reach, 0.1 * size), tallest, device)
+
+
+def covered(caster: Caster, solids: tuple[Solid, ...], floor: float) -> Array | None:
+    """Optical depth of what is drawn as glass, at the height of its lowest point, or None."""
+    if not solids:
+        return None
+    depth = np.zeros((LAYERS, CELLS, CELLS), np.float32)
+    for solid in solids:
+        reach = np.abs(solid.axes.T) @ solid.half + solid.radius
+        height = max(float(solid.centre[2] - reach[2]) - floor, 0.0)
+        dark = -np.log(1 - GLASS) * _footprint(caster, solid, height)
+        layer, upper = caster.layer(height)
+        depth[layer] += (1 - upper) * dark
+        depth[layer + 1] += upper * dark
+    return depth
+
+
+def _footprint(caster: Caster, solid: Solid, height: float) -> NDArray[np.bool_]:
+    """Which cells of the floor the lamp would show a solid in [CELLS,CELLS]."""
+    x, y = caster.places()
+    x = x[:, None] - height * SLOPE[0] - solid.centre[0]
+    y = y[None, :] - height * SLOPE[1] - solid.centre[1]
+    if solid.radius == 0:
+        reach = np.abs(solid.axes.T) @ solid.half
+        return (np.abs(x) <= reach[0]) & (np.abs(y) <= reach[1])
+    ax, ay = solid.axes[0, :2]
+    along = x * ax + y * ay
+    near = np.clip(along / max(ax * ax + ay * ay, 1e-12), -solid.half[0], solid.half[0])
+    return (x - near * ax) ** 2 + (y - near * ay) ** 2 <= solid.radius**2

@@ -1,0 +1,71 @@
+"""A stage as the kernels read it."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any, cast
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from phy124.camera import Camera
+from phy124.kernels.splat import glass, stage
+from phy124.rendering.stage.frame import Backdrop, Solid, StageFrame
+
+SIGNS = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
+"""The corners of a box of half size 1 [8,3]."""
+
+
+def setting(shown: StageFrame) -> Any:
+    """Backdrop and floor, a `stage.Setting`."""
+    made, floor = stage.Setting(), shown.floor
+    made.top, made.bottom = wp.vec3(*shown.backdrop.top), wp.vec3(*shown.backdrop.bottom)
+    made.floor, made.reach, made.cells = int(floor is not None), 1.0, 0
+    if floor is not None:
+        made.height, made.reach = floor.height, floor.reach
+        made.middle, made.cells = wp.vec2(*floor.middle), len(floor.shade)
+    return made
+
+
+def rows(solids: tuple[Solid, ...]) -> NDArray:
+    """Solids as an array of `glass.Solid`."""
+    made = np.zeros(len(solids), np.dtype(cast("Any", glass.Solid).numpy_dtype()))
+    for row, solid in zip(made, solids, strict=True):
+        for name in ("centre", "axes", "half", "radius"):
+            row[name] = getattr(solid, name)
+    return made
+
+
+def boxes(solids: tuple[Solid, ...], camera: Camera) -> NDArray[np.int32]:
+    """Boxes of pixels x0, y0, x1, y1, half open, in which each solid is seen [S,4]."""
+    made = np.tile(np.array([0, 0, camera.width, camera.height], np.int32), (len(solids), 1))
+    for row, solid in zip(made, solids, strict=True):
+        corners = solid.centre + (SIGNS * (solid.half + solid.radius)) @ solid.axes
+        pixels, depths = camera.project(corners)
+        if depths.min() > 1e-3:
+            row[:2] = np.clip(np.floor(pixels.min(axis=0)), 0, [camera.width, camera.height])
+            row[2:] = np.clip(np.ceil(pixels.max(axis=0)), 0, [camera.width, camera.height])
+    return made
+
+
+def picture(backdrop: Backdrop, width: int, height: int) -> NDArray[np.float32]:
+    """Pixels of the backdrop's picture [H*W,3], 0..1; none without one."""
+    if backdrop.picture is None:
+        return np.zeros((0, 3), np.float32)
+    return filling(backdrop.picture, width, height).reshape(-1, 3)
+
+
+def filling(image: NDArray[np.uint8], width: int, height: int) -> NDArray[np.float32]:
+    """The middle of a picture, as large as the frame [H,W,3], 0..1."""
+    import cv2
+
+    lines, columns = image.shape[:2]
+    scale = max(width / columns, height / lines)
+    wide = max(1, min(columns, round(width / scale)))
+    high = max(1, min(lines, round(height / scale)))
+    left, top = (columns - wide) // 2, (lines - high) // 2
+    cut = np.ascontiguousarray(image[top : top + high, left : left + wide])
+    how = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
+    fitted = cv2.resize(cut, (width, height), interpolation=how)
+    return np.asarray(fitted / np.float32(255), np.float32)

@@ -1,0 +1,61 @@
+"""What a stage shows at one instant, as plain data: renderer and player draw the same."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.gaussians import Array
+
+Colour = tuple[float, float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Backdrop:
+    """What is farthest away: a colour that goes over into another one, or a picture."""
+
+    top: Colour
+    """Colour of the first row, 0..1."""
+    bottom: Colour
+    """Colour of the last row, 0..1."""
+    picture: NDArray[np.uint8] | None = None
+    """A picture [H,W,3] that fills the frame instead."""
+
+
+@dataclass(frozen=True, eq=False)
+class Floor:
+    """A level floor that fades into the backdrop, and the shadow on it."""
+
+    height: float
+    """Height, m."""
+    middle: tuple[float, float]
+    """Centre of the square that the shadow map covers, m."""
+    reach: float
+    """Half the side of that square, m."""
+    shade: Array
+    """Fraction of the light that the shadow takes [cells along x, cells along y]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """A box along its own axes, or a capsule along the first of them; a ball is a short one."""
+
+    centre: NDArray[np.float64]
+    """Its middle [3], m."""
+    axes: NDArray[np.float64]
+    """Its axes [3,3], a unit vector in each row."""
+    half: NDArray[np.float64]
+    """Half sizes [3], m; of a capsule half the length of its axis, 0, 0."""
+    radius: float = 0.0
+    """Radius of a capsule, m; 0: it is a box."""
+
+
+@dataclass(frozen=True, eq=False)
+class StageFrame:
+    """Everything around the object at one instant."""
+
+    backdrop: Backdrop
+    floor: Floor | None = None
+    solids: tuple[Solid, ...] = ()

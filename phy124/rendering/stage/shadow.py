@@ -1,0 +1,135 @@
+"""The shadow of Gaussians on the floor, from their own projection along the light.
+
+The floor is lit by a soft lamp above and by the sky of a room. Gaussians are projected along the
+lamp's direction, as splats are (Zwicker et al. 2001), into layers by height; seen from the floor a
+layer hides those above. A layer at height h then dims
+
+- the lamp: by its coverage, blurred by a Gaussian of standard deviation `SOFTNESS` h, the lamp's
+  image through a hole at that height;
+- the sky: by its coverage weighted with h^2 / (pi (h^2 + r^2)^2), the part of a uniform sky's light
+  that comes through it (ambient occlusion).
+
+Both are convolutions, so that a map costs one Fourier transform for each layer and one back.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+from scipy import fft
+from scipy.special import k1
+
+from phy124.gaussians import Array, Gaussians
+from phy124.kernels.splat.shadow import cover
+
+CELLS = 128
+"""Cells along a side of the map."""
+LAYERS = 7
+"""Number of layers; their heights grow with the square of their number."""
+SLOPE = (-0.30, 0.22)
+"""How far the lamp's rays move along x and y per metre that they fall: it stands in front, to the
+left and above."""
+SOFTNESS = 0.25
+"""Standard deviation of the lamp's image, per metre of height."""
+LAMP, SKY = 0.22, 0.32
+"""Fractions of the floor's light that come from the lamp and the sky; the rest has no shadow."""
+SAMPLE = 16_384
+"""About so many Gaussians, evenly picked, stand for all of them."""
+GLASS = 0.25
+"""Coverage of a boundary, which is drawn as glass."""
+EDGE = 0.1
+"""Part of the map, at each border, in which the shadow fades."""
+
+
+@dataclass(frozen=True)
+class Caster:
+    """Makes the shadow maps of a clip: one square of the floor for all frames."""
+
+    middle: tuple[float, float]
+    """Centre of the square, m."""
+    reach: float
+    """Half its side, m."""
+    tallest: float
+    """Height of the highest layer above the floor, m."""
+    device: str = "cpu"
+
+    @property
+    def cell(self) -> float:
+        """Side of a cell, m."""
+        return 2 * self.reach / CELLS
+
+    @property
+    def heights(self) -> NDArray[np.float64]:
+        """Heights of the layers above the floor [LAYERS], m."""
+        return self.tallest * np.linspace(0, 1, LAYERS) ** 2
+
+    def layer(self, height: float) -> tuple[int, float]:
+        """The layer below a height, and the part of what is there that goes to the one above it."""
+        level = (LAYERS - 1) * min(height / self.tallest, 1.0) ** 0.5
+        layer = min(int(level), LAYERS - 2)
+        return layer, level - layer
+
+    def shade(self, gaussians: Gaussians, floor: float, glass: Array | None = None) -> Array:
+        """Fraction of the light that the shadow takes [CELLS,CELLS], along x and y.
+
+        Args:
+            gaussians: What stands in the light.
+            floor: Height of the floor, m.
+            glass: Optical depth of the boundaries [LAYERS,CELLS,CELLS].
+        """
+        depth = self._depth(gaussians, floor)
+        depth = depth if glass is None else depth + glass
+        through = np.exp(-np.minimum(depth, 50))
+        # What the floor sees of each layer through those below it.
+        seen = (1 - through) * np.concatenate([np.ones_like(depth[:1]), through.cumprod(0)[:-1]])
+        total = np.sum(np.asarray(fft.rfft2(seen)) * self._response, axis=0)
+        shade = np.asarray(fft.irfft2(total, (CELLS, CELLS))) * self._window
+        return np.clip(shade, 0, LAMP + SKY).astype(np.float32)
+
+    def _depth(self, gaussians: Gaussians, floor: float) -> Array:
+        """Optical depth of the Gaussians in each layer."""
+        step = 1 + len(gaussians) // SAMPLE
+        layers = wp.zeros((LAYERS, CELLS, CELLS), dtype=float, device=self.device)
+
+        def given(array: Array, dtype: object) -> wp.array:
+            some = np.ascontiguousarray(array[::step])
+            return wp.array(some, dtype=dtype, device=self.device, copy=False)
+
+        inputs = [wp.vec3(*np.subtract(self.middle, self.reach), floor), self.cell]
+        inputs += [wp.vec2(*SLOPE), self.tallest, float(step)]
+        inputs += [given(gaussians.opacities, float), given(gaussians.means, wp.vec3)]
+        inputs += [given(gaussians.quats, wp.vec4), given(gaussians.scales, wp.vec3)]
+        count = len(gaussians.opacities[::step])
+        wp.launch(cover, count, inputs=inputs, outputs=[layers], device=self.device)
+        return np.asarray(layers.numpy(), np.float32)
+
+    @cached_property
+    def _response(self) -> NDArray[np.complex64]:
+        """What a layer's coverage does to the light, by frequency [LAYERS,CELLS,CELLS/2+1]."""
+        kx = 2 * np.pi * fft.fftfreq(CELLS, self.cell)[:, None]
+        ky = 2 * np.pi * fft.rfftfreq(CELLS, self.cell)[None, :]
+        h = self.heights[:, None, None]
+        k = np.hypot(kx, ky)
+        blur = np.exp(-0.5 * (SOFTNESS * h * k) ** 2)
+        # Transform of h^2 / (pi (h^2 + r^2)^2), moved back from where the lamp casts the layer.
+        kh = np.maximum(k * h, 1e-9)
+        sky = kh * k1(kh) * np.exp(1j * h * (kx * SLOPE[0] + ky * SLOPE[1]))
+        smooth = np.exp(-0.5 * (0.7 * self.cell * k) ** 2)
+        return ((LAMP * blur + SKY * sky) * smooth).astype(np.complex64)
+
+    @cached_property
+    def _window(self) -> Array:
+        """1 inside, falling to 0 at the borders [CELLS,CELLS]."""
+        inwards = (np.arange(CELLS) + 0.5) / CELLS
+        side = np.clip(np.minimum(inwards, 1 - inwards) / EDGE, 0, 1)
+        side = side * side * (3 - 2 * side)
+        return np.outer(side, side).astype(np.float32)
+
+    def places(self) -> tuple[Array, Array]:
+        """Centres of the cells along x and along y [CELLS], m."""
+        along = (np.arange(CELLS, dtype=np.float32) + 0.5) * self.cell - self.reach
+        return self.middle[0] + along, self.middle[1] + along

@@ -1,0 +1,170 @@
+"""The scene's boundaries as things to look at: plates, walls, boxes, balls, each at its place."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.boundaries import Boundary, Container, Wall
+from phy124.boundaries.base import AtRest
+from phy124.rendering.stage.frame import Solid
+from phy124.tracks import Track
+
+LEVEL = 0.999
+"""Cosine of the largest slope of a plane that counts as a floor."""
+THICK = 0.04
+"""Thickness of a wall or plate, which in the scene has none, in object sizes."""
+WIDE = 1.1
+"""Width of a wall or plate, which in the scene has none, in widths of the object."""
+MARGIN = 0.02
+"""How far what holds the object is drawn around it, in object sizes."""
+Corners = tuple[NDArray[np.float64], NDArray[np.float64]]
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """One simple wall of the scene, with its track."""
+
+    outline: str
+    """Name of its distance function."""
+    shape: NDArray[np.float64]
+    """The three vectors that it reads [3,3], m."""
+    track: Track | None
+    holds: bool
+    """Whether it holds the object instead of standing in its way."""
+    span: Corners
+    """A box in which a wall without an end is drawn, m."""
+
+    @property
+    def is_floor(self) -> bool:
+        """Whether it is a level plane that faces up."""
+        return self.outline == "half_space" and not self.holds and self.shape[1][2] > LEVEL
+
+    @property
+    def height(self) -> float:
+        """Height of its point at rest, m."""
+        return float(self.shape[0][2])
+
+    def displacements(self, times: NDArray) -> NDArray[np.float64]:
+        """How far it has moved at each instant [T,3], m."""
+        return np.zeros((len(times), 3)) if self.track is None else self.track.values(times)
+
+    def present(self, times: NDArray) -> NDArray[np.bool_]:
+        """Whether it is there at each instant [T]; a clamp may let go."""
+        if self.track is None:
+            return np.ones(len(times), bool)
+        return (times >= self.track.start) & (times < self.track.end)
+
+    def solid(self) -> Solid:
+        """What is drawn of it at rest."""
+        return SHAPES.get(self.outline, _box)(self)
+
+
+def placed(boundaries: Sequence[Boundary], rest: NDArray) -> list[Placed]:
+    """The simple walls of boundaries around an object at rest [N,3], m.
+
+    Boundaries from outside, of whose shape nothing is known, are left out.
+    """
+    known = [one for one in boundaries if isinstance(one, get_args(Wall))]
+    return [wall for one in known for wall in _walls(one, rest)]
+
+
+def _walls(boundary: Boundary, rest: NDArray) -> Iterator[Placed]:
+    body = AtRest(rest)
+    low, high = rest.min(axis=0), rest.max(axis=0)
+    span = _around(low, high)
+    if isinstance(boundary, Container):
+        # Its open sides are far away; its walls end a little above the object.
+        size = float((high - low).max())
+        room = size * np.array([2.0, 2.0, 0.1])
+        inside = (np.array(boundary.inside.lower), np.array(boundary.inside.upper))
+        span = (np.maximum(inside[0], low - 2 * size), np.minimum(inside[1], high + room))
+    for part in boundary.parts():
+        shape = np.array(part.geometry(body), float)
+        wall = Placed(part.outline(), shape, part.track(body), part.holds, span)
+        yield replace(wall, span=_held(wall, rest)) if part.holds else wall
+
+
+def _around(low: NDArray, high: NDArray) -> Corners:
+    """A box with a square base, somewhat wider than the object."""
+    middle, half = (low + high) / 2, (high - low) / 2
+    half[:2] = WIDE * half[:2].max()
+    half[2] *= 1.1
+    return middle - half, middle + half
+
+
+def _held(wall: Placed, rest: NDArray) -> Corners:
+    """A box around what is held."""
+    inside = _within(wall, rest)
+    some = rest[inside] if inside.any() else rest
+    margin = MARGIN * float(np.ptp(rest, axis=0).max()) * np.array([1.0, 1.0, 0.0])
+    return some.min(axis=0) - margin, some.max(axis=0) + margin
+
+
+def _within(wall: Placed, rest: NDArray) -> NDArray[np.bool_]:
+    """Which points a clamp holds [N]; of a cylinder, those in the box around it."""
+    point, second, third = wall.shape
+    if wall.outline == "half_space":
+        return (rest - point) @ second <= 0
+    half = second if wall.outline == "box" else _around_cylinder(second, third)
+    return np.all(np.abs(rest - point) <= half, axis=1)
+
+
+def _around_cylinder(axis: NDArray, sizes: NDArray) -> NDArray[np.float64]:
+    """Half sizes of the box around a cylinder of (radius, half length)."""
+    return np.where(np.abs(axis) > 0.5, sizes[1], sizes[0])
+
+
+def _panel(wall: Placed) -> Solid:
+    """A wall without an end: a slab behind its face, as wide as the box in which it is drawn."""
+    point, normal, _ = wall.shape
+    low, high = wall.span
+    if wall.holds:
+        return _between(low, high)
+    middle, half = (low + high) / 2, (high - low) / 2
+    axes = _frame_of(normal)
+    thick = THICK * float((high - low).max()) / WIDE
+    on_face = middle - ((middle - point) @ normal) * normal
+    sizes = np.array([thick / 2, *(np.abs(axes[1:]) @ half)])
+    return Solid(on_face - normal * thick / 2, axes, sizes)
+
+
+def _frame_of(normal: NDArray) -> NDArray[np.float64]:
+    """Three axes [3,3], the first of them the normal, the second level where it can be."""
+    up = np.array([0.0, 0.0, 1.0]) if abs(normal[2]) < LEVEL else np.array([1.0, 0.0, 0.0])
+    second = np.cross(up, normal)
+    second /= np.linalg.norm(second)
+    return np.stack([normal, second, np.cross(normal, second)])
+
+
+def _between(low: NDArray, high: NDArray) -> Solid:
+    return Solid((low + high) / 2, np.eye(3), np.maximum((high - low) / 2, 1e-9))
+
+
+def _box(wall: Placed) -> Solid:
+    """A box; of a clamp the part around what it holds."""
+    if wall.holds:
+        return _between(*wall.span)
+    return Solid(wall.shape[0], np.eye(3), np.abs(wall.shape[1]))
+
+
+def _ball(wall: Placed) -> Solid:
+    return Solid(wall.shape[0], np.eye(3), np.zeros(3), float(wall.shape[1][0]))
+
+
+def _capsule(wall: Placed) -> Solid:
+    first, second, third = wall.shape
+    along = second - first
+    length = float(np.linalg.norm(along))
+    half = np.array([length / 2, 0.0, 0.0])
+    return Solid((first + second) / 2, _frame_of(along / length), half, float(third[0]))
+
+
+SHAPES: dict[str, Any] = {
+    "half_space": _panel, "box": _box, "cylinder": _box, "sphere": _ball, "capsule": _capsule,
+}  # fmt: skip
+"""Distance function of a boundary -> what is drawn of it; others are drawn as boxes."""

@@ -1,0 +1,308 @@
+"""The stage of a clip: where its floor, plates, walls and clamps are, and how it is drawn."""
+
+import math
+
+import numpy as np
+import pytest
+import warp as wp
+
+from phy124.camera import Camera
+from phy124.effects import Effects
+from phy124.errors import InputError
+from phy124.gaussians import Frame, Gaussians
+from phy124.io.clip import Clip
+from phy124.kernels.splat.glass import FACE, LINE, RIM, TINT, WIDTH
+from phy124.kernels.splat.stage import POOL
+from phy124.rendering.film import film
+from phy124.rendering.render import Renderer, render_frames
+from phy124.rendering.stage.build import Stage, stage_of
+from phy124.rendering.stage.frame import Backdrop, Floor, Solid, StageFrame
+from phy124.scene import Scene, View
+from phy124.tracks import Tracks
+from support.clips import flight
+from support.shapes import ball
+
+STUDIO = View(stage="studio", background=(0.8, 0.82, 0.85))
+HERE = Frame(0, 0.0, ball(500))
+
+
+def staged(boundaries, *, frames=3, every=0.25) -> Stage:
+    """The stage of a ball of 1 m above z = 0 that rests for some frames."""
+    still = [Frame(i, every * i, ball(500).moved(1.0, [0, 0, 0.5])) for i in range(frames)]
+    clip = Clip.from_frames(still)
+    scene = Scene.from_data({"boundaries": boundaries}).data()
+    return stage_of(Clip(**{**vars(clip), "scene": scene}), STUDIO)
+
+
+def at(stage: Stage, index: int) -> StageFrame:
+    return stage.at(Frame(index, 0.0, ball(500)))
+
+
+def test_plain_and_transparent_have_no_stage_unless_there_is_more_than_a_colour():
+    clip = flight([(0, 0, 0)])
+    assert stage_of(clip, View()) is None
+    assert stage_of(clip, View(stage="transparent", formats=("png",))) is None
+    behind = stage_of(clip, View(gradient=(0, 0, 0)))
+    assert behind.at(HERE).floor is None and behind.at(HERE).backdrop.bottom == (0, 0, 0)
+
+
+def test_the_floor_is_the_highest_level_plane_that_faces_up():
+    stage = staged(
+        [
+            {"kind": "ground", "height": -0.3},
+            {"kind": "half_space", "point": [0, 0, -0.1], "normal": [0, 0, 2]},
+            {"kind": "half_space", "point": [0, 0, 2], "normal": [0, 0, -1]},
+        ]
+    )
+    assert at(stage, 0).floor.height == pytest.approx(-0.1)
+    assert len(at(stage, 0).solids) == 1  # the ceiling; floors are not drawn as plates
+
+
+def test_without_a_floor_it_is_under_the_lowest_point_of_the_object_at_rest():
+    stage = staged([])
+    lowest = ball(500).moved(1.0, np.array([0, 0, 0.5])).means[:, 2].min()
+    assert at(stage, 2).floor.height == pytest.approx(lowest)
+
+
+def test_a_floor_that_moves_is_where_it_is_in_each_frame():
+    up = {"kind": "path", "times": [0, 0.5], "points": [[0, 0, 0], [0, 0, 0.2]], "smooth": False}
+    stage = staged([{"kind": "ground", "motion": up}])
+    assert [at(stage, i).floor.height for i in range(3)] == pytest.approx([0, 0.1, 0.2])
+
+
+def test_a_press_is_a_plate_above_the_object_and_goes_down_with_it():
+    press = {"kind": "press", "depth": 0.4, "down": 0.5, "hold": 0.1, "up": 0.3}
+    stage = staged([{"kind": "ground"}, press], frames=4)
+    faces = []
+    for i in range(4):
+        (plate,) = at(stage, i).solids
+        assert plate.axes[0] == pytest.approx([0, 0, -1])
+        faces.append(plate.centre[2] - plate.half[0])
+    top, height = 0.99, 0.98
+    assert faces[0] == pytest.approx(top, abs=0.03)
+    assert faces[2] == pytest.approx(top - 0.4 * height, abs=0.03)
+    assert faces[2] < faces[1] < faces[0] and faces[3] > faces[2]
+
+
+def test_a_container_is_four_walls_that_meet_and_its_bottom_is_the_floor():
+    inside = {"lower": [-0.9, -0.8, -0.2], "upper": [0.9, 0.8, 1e9]}
+    stage = staged([{"kind": "container", "inside": inside}])
+    shown = at(stage, 0)
+    assert shown.floor.height == pytest.approx(-0.2)
+    spans = {tuple(np.rint(wall.axes[0])): wall for wall in shown.solids}
+    assert set(spans) == {(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0)}
+    for (x, y, _), wall in spans.items():
+        reach = np.abs(wall.axes.T) @ wall.half
+        face = wall.centre + reach * [x, y, 0]
+        assert abs(face[0 if x else 1]) == pytest.approx(0.9 if x else 0.8)
+        assert reach[1 if x else 0] == pytest.approx(0.8 if x else 0.9)
+
+
+def test_solids_and_clamps_are_drawn_as_what_they_are():
+    swing = {"kind": "swing", "amplitude": [0.1, 0, 0], "frequency": 1.0}
+    stage = staged(
+        [
+            {"kind": "box", "lower": [1, 1, 0], "upper": [2, 3, 4]},
+            {"kind": "sphere", "centre": [1, 0, 0], "radius": 0.3, "motion": swing},
+            {"kind": "capsule", "start": [0, -1, 0], "end": [0, 1, 0], "radius": 0.2},
+            {"kind": "gripper"},
+            {"kind": "foot", "fraction": 0.2, "end": 0.3},
+        ],
+        frames=3,
+    )
+    box, sphere, capsule, *pads, foot = at(stage, 1).solids
+    assert box.centre == pytest.approx([1.5, 2, 2]) and box.half == pytest.approx([0.5, 1, 2])
+    assert sphere.radius == 0.3 and not sphere.half.any()
+    assert sphere.centre == pytest.approx([1.1, 0, 0], abs=1e-3)
+    assert capsule.axes[0] == pytest.approx([0, 1, 0]) and capsule.half[0] == 1
+    assert len(pads) == 2 and pads[0].centre[1] == pytest.approx(-pads[1].centre[1])
+    assert foot.half[2] == pytest.approx(0.1, abs=0.02)
+    assert foot.centre[2] - foot.half[2] == pytest.approx(0.01, abs=0.02)
+    assert len(at(stage, 2).solids) == 5  # it has let go
+
+
+def test_the_device_samples_the_same_tracks():
+    scene = Scene.from_data(
+        {
+            "boundaries": [
+                {"kind": "ground", "motion": {"kind": "swing", "start": 0.1}},
+                {
+                    "kind": "ground",
+                    "motion": {
+                        "kind": "path",
+                        "times": [0.1, 0.5],
+                        "points": [[0, 0, 0], [1, 2, 3]],
+                    },
+                },
+            ]
+        }
+    )
+    tracks = Tracks(real=wp.float64, device="cpu")
+    slots = [tracks.add(wall.track(None)) for wall in scene.boundaries]
+    clock = wp.zeros(3, dtype=wp.float64, device="cpu")
+    tracks.upload(clock)
+    for time in (0.0, 0.05, 0.3, 0.77, 2.0):
+        clock.numpy()[:] = 0.0, 0.0, time
+        tracks.record().launch()
+        for slot in slots:
+            wanted = tracks.tracks[slot].values(np.array([time]))[0]
+            assert tracks.values.numpy()[slot, :3] == pytest.approx(wanted, abs=1e-9)
+
+
+# ---- drawing ------------------------------------------------------------------------------------
+
+TILTED = np.array([[0.8, 0.6, 0], [-0.6, 0.8, 0], [0, 0, 1.0]])
+SOLIDS = {
+    "box": Solid(np.array([0.1, 0.2, 0.1]), TILTED, np.array([0.3, 0.2, 0.25])),
+    "ball": Solid(np.array([0.1, -0.2, 0.1]), np.eye(3), np.zeros(3), 0.3),
+    "capsule": Solid(np.array([0.0, 0.1, 0.2]), TILTED, np.array([0.3, 0, 0]), 0.15),
+}
+
+
+def veil(solid: Solid, eye: np.ndarray, rays: np.ndarray, limits, pixel: float) -> np.ndarray:
+    """Opacity of a solid in front of `limits` along rays [N,3], by marching its distance."""
+    steps = np.linspace(1, 3, 8001)
+    out = np.zeros(len(rays))
+    for n, (ray, limit) in enumerate(zip(rays, np.broadcast_to(limits, len(rays)), strict=True)):
+        points = (eye + steps[:, None] * ray - solid.centre) @ solid.axes.T
+        if solid.radius:
+            points[:, 0] -= np.clip(points[:, 0], -solid.half[0], solid.half[0])
+            inside = (points**2).sum(1) < solid.radius**2
+        else:
+            inside = (np.abs(points) < solid.half).all(1)
+        if not inside.any():
+            continue
+        first, last = np.flatnonzero(inside)[[0, -1]]
+        clear = 1.0
+        for k in (first, last):
+            if 0 < steps[k] < limit:
+                clear *= 1 - face(solid, points[k], ray, steps[k] * pixel)
+        if steps[first] < limit:
+            chord = (steps[last] - steps[first]) * np.linalg.norm(ray)
+            out[n] = (1 - clear) * min(chord / (WIDTH * pixel * steps[last]), 1)
+    return out
+
+
+def face(solid: Solid, point: np.ndarray, ray: np.ndarray, pixel: float) -> float:
+    if solid.radius:
+        cosine = abs(point @ (solid.axes @ ray)) / np.linalg.norm(point) / np.linalg.norm(ray)
+        return 0.6 * FACE + (RIM - 0.6 * FACE) * (1 - cosine) ** 3
+    second = np.sort(np.abs(solid.half - np.abs(point)))[1]
+    return FACE + (LINE - FACE) * min(max(1 - second / (WIDTH * pixel), 0), 1)
+
+
+@pytest.mark.parametrize("name", SOLIDS)
+def test_glass_is_drawn_where_its_shape_is(name):
+    """Against marching along each ray; nothing but the solid before black."""
+    camera = Camera.orbit(30, 25, 2.0, (24, 20), (0.1, 0.1, 0.1))
+    nothing = ball(10).select(np.zeros(0, int))
+    stage = StageFrame(Backdrop((0, 0, 0), (0, 0, 0)), None, (SOLIDS[name],))
+    image = Renderer(device="cpu")(nothing, camera, stage=stage)
+    y, x = (v.ravel() + 0.5 for v in np.mgrid[:20, :24])
+    seen = np.stack([(x - 12) / camera.focal, (y - 10) / camera.focal, np.ones_like(x)], axis=1)
+    rays = seen @ camera.view[:3, :3]
+    alpha = veil(SOLIDS[name], np.array(camera.eye), rays, math.inf, 1 / camera.focal)
+    assert (alpha > 0.05).sum() > 15
+    wanted = alpha.reshape(20, 24, 1) * np.array(list(TINT))
+    assert np.abs(image - wanted).max() < 0.02 and np.abs(image - wanted).mean() < 1e-3
+
+
+def dots(places) -> Gaussians:
+    n = len(places)
+    return Gaussians.from_rgb(
+        np.array(places, float), np.tile([1.0, 0, 0, 0], (n, 1)), np.full((n, 3), 0.02),
+        np.full(n, 0.99), np.tile([1.0, 0.5, 0.0], (n, 1)),
+    )  # fmt: skip
+
+
+def test_what_is_behind_glass_takes_its_colour_and_what_is_before_it_does_not():
+    camera, renderer = Camera.orbit(0, 0, 2.0, 65), Renderer(device="cpu")
+    pane = Solid(np.array([0.5, 0, 0]), np.eye(3), np.array([0.05, 0.4, 0.4]))
+    stage = StageFrame(Backdrop((0, 0, 0), (0, 0, 0)), None, (pane,))
+    for place, seen in (((0.8, 0, 0), 1.0), ((0.0, 0, 0), (1 - FACE) ** 2)):
+        plain = renderer(dots([place]), camera, (0, 0, 0))[32, 32]
+        image = renderer(dots([place]), camera, stage=stage)[32, 32]
+        assert plain[0] > 0.95
+        assert image == pytest.approx(seen * plain + (1 - seen) * np.array(list(TINT)), abs=0.01)
+
+
+def test_floor_and_backdrop_are_what_is_written_down():
+    shade = np.zeros((16, 16), np.float32)
+    shade[4:12, 6:9] = 0.5
+    floor = Floor(0.1, (0.2, -0.1), 1.5, shade)
+    stage = StageFrame(Backdrop((0.2, 0.4, 0.6), (0.8, 0.7, 0.6)), floor)
+    camera = Camera.orbit(20, 30, 2.5, (40, 32))
+    nothing = ball(10).select(np.zeros(0, int))
+    image = Renderer(device="cpu")(nothing, camera, stage=stage)
+    y, x = np.mgrid[:32, :40] + 0.5
+    down = (y / 32)[..., None]
+    colour = (1 - down) * np.array([0.2, 0.4, 0.6]) + down * np.array([0.8, 0.7, 0.6])
+    seen = np.stack([(x - 20) / camera.focal, (y - 16) / camera.focal, np.ones_like(x)], axis=-1)
+    rays = seen @ camera.view[:3, :3]
+    on = rays[..., 2] < 0
+    reach = np.where(on, (0.1 - camera.eye[2]) / rays[..., 2], 0)
+    places = (np.array(camera.eye)[:2] + reach[..., None] * rays[..., :2]) - [0.2, -0.1]
+    pool = POOL * np.clip(1 - 0.5 * ((places / 1.5) ** 2).sum(-1, keepdims=True), 0, None) ** 2
+    cells = (places + 1.5) * 16 / 3 - 0.5
+    dark = bilinear(shade, cells)[..., None]
+    lit = (1 - dark) * (colour + pool * colour * (1 - colour))
+    wanted = np.where(on[..., None], lit, colour)
+    assert on.any() and dark.max() > 0.4
+    np.testing.assert_allclose(image, wanted, atol=2e-5)
+
+
+def bilinear(shade, cells):
+    low = np.floor(cells).astype(int)
+    part = cells - low
+    inside = ((low >= 0) & (low < len(shade) - 1)).all(-1)
+    i, j = np.clip(low, 0, len(shade) - 2).transpose(2, 0, 1)
+    near = shade[i, j] * (1 - part[..., 0]) + shade[i + 1, j] * part[..., 0]
+    far = shade[i, j + 1] * (1 - part[..., 0]) + shade[i + 1, j + 1] * part[..., 0]
+    return np.where(inside, near * (1 - part[..., 1]) + far * part[..., 1], 0)
+
+
+@pytest.mark.parametrize("blend", ["simd", "plain", "pixel"])
+def test_every_form_of_the_renderer_draws_the_same_stage(blend):
+    stage = staged([{"kind": "ground"}, {"kind": "press"}, {"kind": "sphere"}])
+    frame = Frame(0, 0.0, ball(500).moved(1.0, np.array([0, 0, 0.5])))
+    camera = Camera.orbit(20, 10, 2.0, (50, 40), (0, 0, 0.5))
+    image = Renderer(device="cpu", blend=blend)(frame.gaussians, camera, stage=stage.at(frame))
+    other = Renderer(device="cpu")(frame.gaussians, camera, stage=stage.at(frame))
+    assert np.abs(image - other).max() < 1 / 255
+
+
+def test_seen_from_below_there_is_no_floor():
+    stage = staged([{"kind": "ground"}])
+    frame = Frame(0, 0.0, ball(500).select(np.zeros(0, int)))
+    image = Renderer(device="cpu")(
+        frame.gaussians, Camera.orbit(0, -20, 2.0, 16, (0, 0, 0.3)), stage=stage.at(HERE)
+    )
+    np.testing.assert_allclose(image, np.broadcast_to(STUDIO.background, (16, 16, 3)), atol=1e-6)
+
+
+def test_a_picture_fills_the_frame_behind_the_object(tmp_path):
+    from PIL import Image
+
+    Image.fromarray(
+        np.tile(np.uint8([[[200, 10, 10]], [[10, 10, 200]]]), (8, 40, 1))[np.r_[0:16:2, 1:16:2]]
+    ).save(tmp_path / "flag.png")
+    view = View(picture=tmp_path / "flag.png", size=(32, 32), views=("front",))
+    clip = flight([(0, 0, 0)])
+    stage = stage_of(clip, view)
+    (image,) = render_frames(clip.frames(), Camera.orbit(0, 0, 5, 32), stage=stage.at, device="cpu")
+    assert image[1, 1].tolist() == [200, 10, 10] and image[-2, -2].tolist() == [10, 10, 200]
+    with pytest.raises(InputError, match=r"missing\.png"):
+        film(clip, view.model_copy(update={"picture": tmp_path / "missing.png"}), tmp_path)
+
+
+def test_shadows_are_made_once_for_all_sides():
+    stage = staged([])
+    first = at(stage, 0).floor.shade
+    assert at(stage, 0).floor.shade is first and first.max() > 0.1
+
+
+def test_the_report_says_whether_there_is_a_stage():
+    name = "floor, its shadow, boundaries in pictures"
+    assert name in Effects.of(Scene.from_data({"view": {"stage": "studio"}})).ran
+    (left,) = [o for o in Effects.of(Scene()).left_out if o.effect == name]
+    assert left.why == "view.stage is plain: pictures show the object alone"

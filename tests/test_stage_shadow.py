@@ -1,0 +1,103 @@
+"""The shadow on the floor against the projection of single Gaussians, written out plainly."""
+
+import numpy as np
+import pytest
+
+from phy124.gaussians import Gaussians, rotation_matrices
+from phy124.rendering.stage import shadow
+from phy124.rendering.stage.shadow import CELLS, LAMP, SKY, SLOPE, SOFTNESS, Caster
+
+
+def one(mean, scales, opacity=0.7, quat=(1.0, 0, 0, 0)) -> Gaussians:
+    return Gaussians.from_rgb(
+        np.array([mean]), np.array([quat]), np.array([scales]), np.array([opacity]), np.ones((1, 3))
+    )
+
+
+def projected(gaussians: Gaussians, caster: Caster, floor: float) -> np.ndarray:
+    """Coverage of the floor by one Gaussian, cast along the lamp's rays, blurred by the lamp."""
+    turn = rotation_matrices(gaussians.quats)[0] * gaussians.scales[0].astype(float)
+    cast = np.array([[1, 0, SLOPE[0]], [0, 1, SLOPE[1]]])
+    sharp = cast @ turn @ turn.T @ cast.T
+    height = float(gaussians.means[0, 2]) - floor
+    blurred = sharp + (SOFTNESS * height) ** 2 * np.eye(2)
+    peak = gaussians.opacities[0] * np.sqrt(np.linalg.det(sharp) / np.linalg.det(blurred))
+    x, y = caster.places()
+    at = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
+    away = at - (gaussians.means[0, :2] + height * np.array(SLOPE))
+    power = np.einsum("ija,ab,ijb->ij", away, np.linalg.inv(blurred), away)
+    return peak * np.exp(-power / 2)
+
+
+SHAPES = {
+    "round, at a layer": one((0.1, -0.1, 0.5), (0.08, 0.08, 0.08)),
+    "round, between two layers": one((0.0, 0.1, 0.75), (0.1, 0.1, 0.1)),
+    "long and turned": one((0.1, 0.05, 0.48), (0.25, 0.05, 0.1), 0.9, (0.9, 0.2, 0.1, 0.37)),
+    "flat on the floor": one((0.0, 0.0, 0.2), (0.2, 0.15, 0.01), 0.99),
+}
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_the_lamps_shadow_of_one_gaussian_is_its_projection(name, monkeypatch):
+    monkeypatch.setattr(shadow, "LAMP", 1.0)
+    monkeypatch.setattr(shadow, "SKY", 0.0)
+    caster = Caster((0.05, 0.0), 1.5, 1.2)
+    seen = caster.shade(SHAPES[name], 0.2)
+    wanted = projected(SHAPES[name], caster, 0.2)
+    assert wanted.max() > 0.2
+    # Cells blur by 2 %; between two layers the lamp's blur is a mean of theirs.
+    within = 0.03 if name in ("round, at a layer", "flat on the floor") else 0.1
+    assert np.abs(seen - wanted).max() < within * wanted.max()
+
+
+def test_the_sky_that_a_thin_disc_hides_is_its_form_factor(monkeypatch):
+    """Under a disc of radius R at height h: R^2 / (R^2 + h^2) of the light (Nusselt)."""
+    monkeypatch.setattr(shadow, "LAMP", 0.0)
+    monkeypatch.setattr(shadow, "SKY", 1.0)
+    caster = Caster((0.0, 0.0), 2.5, 1.0)
+    side = np.linspace(-0.4, 0.4, 81)
+    x, y = (v.ravel() for v in np.meshgrid(side, side))
+    disc = np.hypot(x, y) <= 0.4
+    height = caster.heights[3]
+    means = np.stack([x, y, np.full_like(x, height)], axis=1)[disc]
+    n = len(means)
+    leaf = Gaussians.from_rgb(
+        means, np.tile([1.0, 0, 0, 0], (n, 1)), np.tile([0.01, 0.01, 0.001], (n, 1)),
+        np.full(n, 0.99), np.ones((n, 3)),
+    )  # fmt: skip
+    middle = caster.shade(leaf, 0.0)[CELLS // 2, CELLS // 2]
+    assert middle == pytest.approx(0.4**2 / (0.4**2 + height**2), rel=0.05)
+
+
+def test_many_small_gaussians_cast_the_shadow_of_the_disc_that_they_fill(rng):
+    """Points between cells, and one of several standing for the others, make no difference."""
+    n = 3 * shadow.SAMPLE
+    angle, radius = rng.uniform(0, 2 * np.pi, n), 0.4 * np.sqrt(rng.uniform(0, 1, n))
+    means = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(n, 0.25)], axis=1)
+    quats, scales = np.tile([1.0, 0, 0, 0], (n, 1)), np.full((n, 3), 0.006)
+    dense = Gaussians.from_rgb(means, quats, scales, np.full(n, 0.9), np.ones((n, 3)))
+    caster = Caster((0.0, 0.0), 1.5, 0.25)
+    shade = caster.shade(dense, 0.0)
+    x, y = caster.places()
+    away = np.hypot(x[:, None] - 0.25 * SLOPE[0], y[None] - 0.25 * SLOPE[1])
+    assert shade[away < 0.1].min() > 0.8 * LAMP
+    assert shade[away > 0.8].max() < 0.05
+    assert shade.max() <= LAMP + SKY
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [
+        one((np.nan, 0, 0), (0.1, 0.1, 0.1)),
+        one((0, 0, 1), (np.inf, 0.1, 0.1)),
+        one((0, 0, 1), (1e30, 0.1, 0.1)),
+        one((1e20, 0, 1), (0.1, 0.1, 0.1)),
+        one((0, 0, 1), (0.1, 0.1, 0.1), np.nan),
+        one((0, 0, 1), (0.0, 0.0, 0.0)),
+        one((0, 0, 1), (1e4, 1e4, 1e4)),
+        one((0, 0, 1), (0.1, 0.1, 0.1), 1.0, (0.0, 0, 0, 0)),
+    ],
+)
+def test_no_gaussian_breaks_the_map(broken):
+    shade = Caster((0.0, 0.0), 1.5, 1.0).shade(broken, 0.0)
+    assert np.isfinite(shade).all() and shade.min() >= 0 and shade.max() <= LAMP + SKY
