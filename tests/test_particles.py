@@ -210,7 +210,7 @@ def test_any_points_make_finite_positive_particles(n, rank, sigma, spacing, seed
     rng = np.random.default_rng(seed)
     centres = rng.random((n, 3)) * (np.arange(3) < rank)
     gaussians = dots(centres, 10.0**sigma)
-    assume(10.0 ** (sigma - spacing) < 10)
+    assume(10.0 ** (sigma - spacing) < 4)
     volume = solid(gaussians, 10.0**spacing).volume
     for binding in ("particles", "lattice"):
         p = make_particles(gaussians, density=1, spacing=10.0**spacing, binding=binding)

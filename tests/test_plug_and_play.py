@@ -116,7 +116,7 @@ def test_results_of_real_generators_fly_alike(tmp_path):
         "dreamgaussian": dream(picture),
     }
     scene = Scene.named("drop").replaced(
-        {"accuracy": "draft", "object.lift": 2.0, "object.velocity": [3.0, 1.0, 2.0]}
+        {"accuracy": {"cells": 12}, "object.lift": 2.0, "object.velocity": [3.0, 1.0, 2.0]}
         | {"time.frames": 8}
     )
     t = np.arange(8) / scene.time.fps

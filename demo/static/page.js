@@ -56,7 +56,7 @@
   /** The server keeps results as long as the page says that it is still there. */
   setInterval(() => fetch('phy124/here').catch(() => {}), 60e3);
 
-  /* ---- what is said and heard -------------------------------------------------------------- */
+  /* ---- notices and sounds -------------------------------------------------------------- */
 
   const voice = h('div', { class: 'unseen', role: 'status', 'aria-live': 'polite' });
   document.addEventListener('DOMContentLoaded', () => document.querySelector('main')?.append(voice));
@@ -68,7 +68,7 @@
 
   const sounds = { get on() { return localStorage.getItem('phy124-sound') !== 'off'; }, set on(value) { localStorage.setItem('phy124-sound', value ? 'on' : 'off'); } };
 
-  /** Two soft notes when a result is there; only after a run of some length, when one may look elsewhere. */
+  /** Two soft notes when a long run has finished. */
   function chime() {
     if (!sounds.on || !globalThis.AudioContext) return;
     const context = new AudioContext();
@@ -247,7 +247,7 @@
       if (this.player && pose) this.player.take(pose);
     }
 
-    /** The run came to nothing: what was shown before comes back. */
+    /** The run failed: the previous result is shown again. */
     drop() {
       if (!this.growing) return;
       const url = this.url;

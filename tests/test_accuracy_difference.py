@@ -1,0 +1,43 @@
+"""The difference of two clips, against distances that are known beforehand."""
+
+import numpy as np
+import pytest
+
+from phy124.accuracy.difference import difference, pixel_distance
+from phy124.scene import View
+from support.clips import flight
+
+VIEW = View(size=64, views=("front",))
+STEP = 0.05
+
+
+@pytest.fixture(scope="module")
+def clips():
+    """A ball of 1 m that stays, and one that moves to the right in its last frame."""
+    return flight([(0, 0, 0)] * 3), flight([(0, 0, 0), (0, 0, 0), (0, STEP, 0)])
+
+
+def test_a_clip_does_not_differ_from_itself(clips):
+    found = difference(clips[0], clips[0], VIEW)
+    assert found.metres == found.pixels == found.worst == 0
+    assert found.psnr == float("inf") and found.ssim == pytest.approx(1)
+
+
+def test_metres_fraction_and_worst_frame_are_those_of_the_step(clips):
+    found = difference(clips[1], clips[0], VIEW)
+    assert found.metres == pytest.approx(STEP / np.sqrt(3), rel=1e-5)
+    size = np.ptp(clips[0].means[0], axis=0).max()
+    assert found.relative == pytest.approx(found.metres / size, rel=1e-6)
+    assert found.worst_frame == 2 and found.worst == pytest.approx(STEP / size, rel=1e-5)
+    assert 20 < found.psnr < 60 and 0.5 < found.ssim < 1
+
+
+def test_pixels_scale_with_the_picture(clips):
+    small = pixel_distance(clips[1], clips[0], VIEW)
+    large = pixel_distance(clips[1], clips[0], VIEW.model_copy(update={"size": (128, 128)}))
+    assert large == pytest.approx(2 * small, rel=1e-4) and small > 0
+
+
+def test_clips_of_different_length_are_refused(clips):
+    with pytest.raises(ValueError, match="do not match"):
+        difference(flight([(0, 0, 0)]), clips[0], VIEW)

@@ -1,0 +1,38 @@
+"""Goals: what is read from a text, in which unit, and what is refused."""
+
+import pytest
+
+from phy124.accuracy.goal import UNIT, Goal, said
+from phy124.errors import InputError
+from phy124.scene import Scene
+
+
+@pytest.mark.parametrize(
+    ("text", "kind", "value"),
+    [("2px", "pixels", 2), (" .5 % ", "fraction", 0.005), ("3mm", "metres", 0.003),
+     ("1.5cm", "metres", 0.015), ("0.1 m", "metres", 0.1)],
+)  # fmt: skip
+def test_an_error_is_read_with_its_unit(text, kind, value):
+    goal = Goal.error(text)
+    assert (goal.kind, goal.value) == (kind, pytest.approx(value))
+
+
+@pytest.mark.parametrize("text", ["", "2", "px", "-1px", "0%", "1e3mm", "2 miles", "nan%"])
+def test_other_texts_are_refused_with_an_example(text):
+    with pytest.raises(InputError, match="2px, 1% or 3mm"):
+        Goal.error(text)
+
+
+@pytest.mark.parametrize("seconds", [0, -1, float("nan"), float("inf")])
+def test_a_time_must_be_positive_and_finite(seconds):
+    with pytest.raises(InputError, match="positive number of seconds"):
+        Goal.time(seconds)
+
+
+def test_units_are_those_of_the_scene_and_values_are_said_in_them():
+    scene = Scene.named("drop").replaced({"object.size": 2.0})
+    assert UNIT["metres"](scene) == 2.0 and UNIT["fraction"](scene) == 1.0
+    assert UNIT["pixels"](scene) > 100
+    assert [said("pixels", 2.04), said("fraction", 0.012), said("metres", 0.0034)] == [
+        "2.0px", "1.2%", "3.4mm",
+    ]  # fmt: skip

@@ -1,0 +1,106 @@
+"""Reports: status at every change, diagnostics once a second, the clock forty times."""
+
+import logging
+from dataclasses import dataclass
+
+import pytest
+from rosbags.typesys import Stores, get_typestore
+
+from bridge.encoder import FrameEncoder
+from bridge.options import Options
+from bridge.reports import CLOCK_RATE, WARN, Audience, Reports
+
+JAZZY = get_typestore(Stores.ROS2_JAZZY)
+EPOCH = 1_700_000_000
+
+
+@dataclass
+class Playback:
+    """What reports see of a player that shows a clip at half speed from second 1000 on."""
+
+    paused: bool = False
+    finished: bool = False
+    speed: float = 0.5
+    rate: float | None = None
+    loop: bool = True
+    shown: int = 12
+    dropped: int = 0
+    position: float = 0.25
+
+    def stamp_at(self, now: float) -> float:
+        return self.speed * (now - 1000)
+
+
+class Seen:
+    """Reports under a clock that the test turns, and all that they send."""
+
+    def __init__(self, **options) -> None:
+        self.now, self.sent, self.audience = 1000.0, [], Audience(2, 0)
+        self.reports = Reports(
+            FrameEncoder(Options(epoch=EPOCH)), self._receive, lambda: self.audience,
+            node="/phy124/player", now=lambda: self.now, **options,
+        )  # fmt: skip
+
+    def _receive(self, message) -> None:
+        content = JAZZY.deserialize_cdr(message.data, message.topic.type)
+        self.sent.append((message.topic.name, content))
+
+    def of(self, topic: str) -> list:
+        return [content for name, content in self.sent if name.endswith(topic)]
+
+
+def values(status) -> dict[str, str]:
+    return {pair.key: pair.value for pair in status.values}
+
+
+def test_every_change_is_told_at_once_with_all_that_playback_knows():
+    seen = Seen()
+    assert seen.reports.wait() == float("inf")
+    seen.reports.change(Playback(paused=True))
+    (status,) = seen.of("status")
+    assert status.message == "paused" and status.name == "/phy124/player: playback"
+    told = values(status)
+    assert told["speed"] == "0.5" and told["rate [Hz]"] == "every frame" and told["loop"] == "True"
+    seen.reports.change(Playback(finished=True))
+    assert seen.of("status")[-1].message == "finished"
+
+
+def test_diagnostics_come_once_a_second_with_the_factor_of_real_time():
+    seen = Seen()
+    seen.reports.change(Playback())
+    assert len(seen.of("diagnostics")) == 1 and seen.reports.wait() == pytest.approx(1)
+    seen.now += 0.9
+    seen.reports.send_due()
+    assert len(seen.of("diagnostics")) == 1
+    seen.now += 0.2
+    seen.reports.send_due()
+    (status,) = seen.of("diagnostics")[-1].status
+    assert values(status)["real-time factor"] == "0.500"
+    assert values(status)["subscribers"] == "2" and status.level == 0
+
+
+def test_new_lost_frames_warn_once_and_a_second_node_of_the_name_is_logged_once(caplog):
+    seen = Seen()
+    seen.reports.change(Playback())
+    levels = []
+    for audience in (Audience(2, 3), Audience(2, 3), Audience(2, 3, 1), Audience(2, 3, 1)):
+        seen.audience, seen.now = audience, seen.now + 1
+        with caplog.at_level(logging.WARNING):
+            seen.reports.send_due()
+        levels.append(seen.of("diagnostics")[-1].status[0].level)
+    assert levels == [WARN, 0, WARN, WARN]
+    assert [record.message.count("another node") for record in caplog.records] == [1]
+
+
+def test_the_clock_runs_at_its_rate_and_only_if_asked_for():
+    seen = Seen(clock=True)
+    seen.reports.change(Playback())
+    for _ in range(100):
+        seen.now += 1 / CLOCK_RATE
+        seen.reports.send_due()
+    stamps = [c.clock.sec + c.clock.nanosec / 1e9 - EPOCH for c in seen.of("clock")]
+    assert len(stamps) in (100, 101) and stamps == sorted(stamps)
+    assert stamps[-1] == pytest.approx(0.5 * 100 / CLOCK_RATE, abs=0.02)
+    silent = Seen()
+    silent.reports.change(Playback())
+    assert not silent.of("clock") and len(silent.reports.topics) == 2

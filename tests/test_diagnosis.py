@@ -1,0 +1,56 @@
+"""Diagnosis: which particle went wrong and what limits the substep, in words."""
+
+import numpy as np
+import pytest
+
+from phy124.materials import NeoHookean, Sand
+from phy124.monitor import diagnosis
+from support.shapes import block
+from support.solvers import make_solver
+
+
+@pytest.fixture
+def solver():
+    """Half a block of jelly, half of sand, in which one particle flies."""
+    x = block(middle=(0, 0, 0.24))
+    half = len(x) // 2
+    v = np.zeros_like(x)
+    v[half + 3] = 0, 0, 7
+    made = make_solver(
+        x, np.full(len(x), 1e-4), [NeoHookean(E=1e4), Sand(E=1e4)], dx=0.125, v=v,
+        material=np.repeat([0, 1], [half, len(x) - half]),
+    )  # fmt: skip
+    made.advance(1e-4)
+    return made
+
+
+def spoil(array, index, value) -> None:
+    values = array.numpy()
+    values[index] = value
+    array.assign(values)
+
+
+def test_the_first_broken_particle_is_found_in_any_array(solver):
+    assert diagnosis.first_broken(solver.state) is None
+    spoil(solver.state.F, (9, 1, 1), np.nan)
+    assert diagnosis.first_broken(solver.state) == 9
+    spoil(solver.state.v, (4, 2), np.inf)
+    assert diagnosis.first_broken(solver.state) == 4
+
+
+def test_a_particle_is_named_by_number_law_place_and_speed(solver):
+    flying = len(solver.model) // 2 + 3
+    assert diagnosis.law_of(solver.model, 0) == "neo_hookean"
+    words = diagnosis.particle(solver.model, solver.state, flying)
+    speed = np.linalg.norm(solver.state.v.numpy()[flying])
+    assert words.startswith(f"number {flying} of law sand, at (")
+    assert words.endswith(f"with {speed:.3g} m/s") and speed > 0.1
+    spoil(solver.state.x, (flying, 0), np.nan)
+    words = diagnosis.particle(solver.model, solver.state, flying)
+    assert words.endswith("m at rest"), "a position that is not finite is not written down"
+
+
+def test_what_limits_a_substep_and_who_is_fastest_are_said(solver):
+    words = diagnosis.substep(solver.model, solver.state, solver.clock)
+    assert "limited by the stiffness of the material" in words
+    assert f"fastest is number {len(solver.model) // 2 + 3} of law sand" in words

@@ -1,0 +1,81 @@
+"""External work: what forces and walls give, against closed forms."""
+
+import json
+
+import numpy as np
+import pytest
+
+from phy124.boundaries import Box
+from phy124.forces import Acceleration, Gravity, ParticleForce
+from phy124.materials import NeoHookean
+from phy124.monitor.diagnostics import diagnose
+from phy124.monitor.external_work import ExternalWork
+from phy124.tracks import Sine
+from support.shapes import block
+from support.solvers import make_solver
+
+FRAMES, FPS = 4, 100
+
+
+def run(forces=(), boundaries=(), v=(0, 0, 0)):
+    """A free block after some frames: solver, external work, and what that has summed."""
+    x, external = block(middle=(0, 0, 0.5)), ExternalWork()
+    solver = make_solver(
+        x, np.full(len(x), 1e-4), [NeoHookean(E=1e4)], dx=0.125, v=np.tile(v, (len(x), 1)),
+        forces=external.forces(forces), boundaries=external.boundaries(boundaries),
+        accumulators=[external], precision="float64",
+    )  # fmt: skip
+    start = diagnose(solver)
+    external.open(solver.clock)
+    for frame in range(FRAMES):
+        external.begin(diagnose(solver).momentum)
+        solver.advance((frame + 1) / FPS)
+    end = diagnose(solver)
+    return solver, external, external.given(solver.clock, end.middle - start.middle), (start, end)
+
+
+def test_gravity_gives_weight_times_time_and_weight_times_height():
+    solver, _, given, (start, end) = run([Gravity()])
+    mass, time = solver.model.total_mass, solver.clock.time - solver.clock.last_dt / 2
+    np.testing.assert_allclose(given.impulse, [0, 0, -9.81 * mass * time])
+    assert given.work == pytest.approx(-9.81 * (end.middle - start.middle)[2])
+    assert given.moved == pytest.approx(9.81 * mass * time)
+
+
+@pytest.mark.parametrize(
+    "force",
+    [ParticleForce(f=(1e-3, 0, 2e-3)), Acceleration(a=(30, 0, 0), profile=Sine(frequency=10))],
+    ids=["on particles", "that swings"],
+)
+def test_impulse_and_work_are_the_change_of_momentum_and_energy(force):
+    _, _, given, (start, end) = run([force], v=(0.5, 0, 0))
+    np.testing.assert_allclose(given.impulse, end.momentum - start.momentum, atol=1e-9)
+    assert given.work == pytest.approx(end.kinetic - start.kinetic, rel=1e-6)
+
+
+def test_a_wall_at_rest_takes_momentum_and_does_no_work():
+    held = Box(lower=(-1, -1, -1), upper=(1, 1, 1), contact="sticky")
+    _, _, given, (start, end) = run(boundaries=[held], v=(1, 0, 0))
+    np.testing.assert_allclose(given.impulse, end.momentum - start.momentum, atol=1e-9)
+    assert given.impulse[0] == pytest.approx(-start.momentum[0], rel=1e-3)
+    assert given.work == given.turned == 0
+
+
+def test_nothing_outside_gives_nothing_and_measures_nothing():
+    external = ExternalWork()
+    assert external.forces([]) == [] and external.boundaries([]) == []
+    _, _, given, _ = run(v=(1, 2, 3))
+    assert not given.impulse.any() and given.work == given.moved == given.turned == 0
+
+
+def test_a_snapshot_is_plain_data_and_restores_the_sums():
+    solver, external, given, (start, end) = run([ParticleForce(f=(1e-3, 0, 0))])
+    kept, way = json.loads(json.dumps(external.snapshot())), end.middle - start.middle
+    solver.advance(FRAMES / FPS + 0.01)
+    assert external.given(solver.clock, way).impulse[0] > 1.1 * given.impulse[0]
+    external.restore(kept)
+    np.testing.assert_array_equal(external.given(solver.clock, way).impulse, given.impulse)
+    fresh = ExternalWork()
+    fresh.restore(kept)
+    closed = np.sum(list(fresh.snapshot()["closed"].values()), axis=0)
+    assert closed[0] == pytest.approx(given.impulse[0]), "sums of no launch yet are kept, too"

@@ -1,0 +1,65 @@
+"""Step rejection: which substeps are tried, and that a rejected one leaves nothing behind."""
+
+import math
+
+import numpy as np
+import pytest
+
+from phy124.forces import Gravity, ParticleForce, SetVelocity
+from phy124.materials import NeoHookean
+from phy124.mpm.clock import MEASURE_EVERY
+from support.shapes import block
+from support.solvers import make_solver
+
+CALM = 1e-6
+"""A substep in which nothing happens [s]."""
+
+
+def solver(forces=(), **options):
+    x = block(middle=(0, 0, 0.24))
+    volume = np.full(len(x), 1e-4)
+    return make_solver(x, volume, [NeoHookean(E=1e4)], dx=0.125, forces=list(forces), **options)
+
+
+def test_a_calm_substep_is_not_tried_and_a_long_one_is():
+    s = solver([Gravity()], v=np.tile([0.0, 0, -1], (216, 1)))
+    s.advance(1e-4)
+    speed = s.clock.extremes.speed
+    assert speed == pytest.approx(1, rel=0.01)
+    assert not s.rejection.must_try(s.clock, CALM)
+    assert s.rejection.must_try(s.clock, s.model.dx / speed)
+
+
+def test_the_acceleration_is_that_of_all_forces_and_newtons_count_by_the_lightest():
+    assert solver([Gravity()]).rejection.acceleration == pytest.approx(9.81)
+    s = solver([ParticleForce(f=(2, 0, 0))])
+    lightest = min(1.0, float(s.model.mass.numpy().min()))
+    assert s.rejection.acceleration == pytest.approx(2 / lightest)
+
+
+def test_only_sudden_forces_are_tried_at_the_start():
+    assert not solver([Gravity()]).rejection.sudden(solver().clock)
+    s = solver([SetVelocity(v=(0, 0, 3))])
+    assert s.rejection.sudden(s.clock)
+
+
+def test_a_violent_substep_is_shortened_until_no_node_moves_by_more_than_a_cell():
+    s = solver([ParticleForce(f=(3e4, 0, 0))])
+    s.advance(1e-3)
+    assert s.rejection.rejected > 0
+    speed = np.linalg.norm(s.state.v.numpy(), axis=1).max()
+    assert np.isfinite(s.state.x.numpy()).all() and speed * s.clock.last_dt <= s.model.dx * 1.01
+    # Nothing of a rejected push remains: the momentum is that of the accepted time alone.
+    pushed = 3e4 * len(s.model) * (s.clock.time - s.clock.last_dt / 2)
+    momentum = float((s.model.mass.numpy()[:, None] * s.state.v.numpy()).sum(axis=0)[0])
+    assert momentum == pytest.approx(pushed, rel=1e-4)
+
+
+def test_measuring_is_rarer_only_where_nothing_moves_far_between():
+    s = solver(measure_every=40)
+    s.advance(1e-4)
+    assert s.rejection.interval(s.clock) == 40
+    s = solver(measure_every=40, v=np.tile([0.0, 0, -300], (216, 1)))
+    s.advance(1e-4)
+    assert MEASURE_EVERY <= s.rejection.interval(s.clock) < 40
+    assert math.isfinite(s.clock.stable().dt)
