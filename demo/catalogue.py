@@ -64,8 +64,10 @@ def _schema() -> dict[str, Any]:
     slider counts frames.
     """
     schema = Scene.model_json_schema()
-    for section, name in (("View", "formats"), ("Timing", "seconds")):
-        del schema["$defs"][section]["properties"][name]
+    fields = {"View": ("formats", "outputs", "output_format"), "Timing": ("seconds",)}
+    for section, names in fields.items():
+        for name in names:
+            del schema["$defs"][section]["properties"][name]
     # The page plays MP4s, which cannot be transparent.
     schema["$defs"]["View"]["properties"]["stage"]["enum"].remove("transparent")
     return schema

@@ -88,7 +88,7 @@ class Work:
     frames: int
     videos: int
     pixels: float
-    """Pixels of all frames of all videos."""
+    """Pixels of all frames of all videos and outputs."""
 
     @classmethod
     def of(cls, scene: Scene, gaussians: int = GAUSSIANS) -> Work:
@@ -123,7 +123,7 @@ class Work:
             nodes=slower * nodes * substeps,
             frames=frames,
             videos=views,
-            pixels=frames * views * math.prod(scene.view.size),
+            pixels=frames * views * math.prod(scene.view.size) * (1 + len(scene.view.outputs)),
         )
 
 

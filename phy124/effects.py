@@ -200,6 +200,8 @@ def _of_rest(scene: Scene, rested: bool) -> Iterator[Effect]:
 def _of_frames(scene: Scene, sh_degree: int) -> Iterator[Effect]:
     """What frames hold besides places and shapes."""
     yield Effect("velocities", scene.velocities, "not asked for; they follow from the positions")
+    drawn = ", ".join(scene.view.outputs)
+    yield Effect(f"outputs {drawn}".strip(), bool(drawn), "not asked for: only colours are drawn")
     turned = sh_degree > 0
     yield Effect("spherical-harmonic rotation", turned, "colours do not depend on the direction")
 

@@ -9,7 +9,7 @@ from PIL import Image, ImageSequence
 from phy124.errors import InputError
 from phy124.io.export import usd
 from phy124.io.ply import read_ply
-from phy124.rendering.film import choppy, film, playback, played, refuse_unplayable
+from phy124.rendering.film import choppy, film, playback, played, refuse_unfilmable
 from phy124.scene import Scene, View
 from support.clips import AWAY, flight
 from support.videos import read_video
@@ -141,7 +141,7 @@ def test_choppy_slow_motion_is_told_of(clip):
 def test_a_rate_that_no_video_has_is_refused_at_once(time, chosen, field):
     scene = Scene.from_data({"time": {"fps": time}, "view": chosen})
     with pytest.raises(InputError, match=f"^{field}") as refused:
-        refuse_unplayable(scene)
+        refuse_unfilmable(scene)
     remedy = float(str(refused.value).rpartition("= ")[2].rstrip("."))
-    refuse_unplayable(scene.replaced({"view.speed": remedy}))
-    refuse_unplayable(scene.replaced({"view.formats": ["png"]}))
+    refuse_unfilmable(scene.replaced({"view.speed": remedy}))
+    refuse_unfilmable(scene.replaced({"view.formats": ["png"]}))

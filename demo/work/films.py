@@ -39,7 +39,7 @@ def film(order: Order, clips: Path, out: Path, limits: Limits) -> None:
     # The page plays MP4s; other formats are made on demand (demo/exports.py).
     view = order.scene.view
     stage = "plain" if view.stage == "transparent" else view.stage
-    view = view.model_copy(update={"formats": ("mp4",), "stage": stage})
+    view = view.model_copy(update={"formats": ("mp4",), "outputs": (), "stage": stage})
     view = whole_in_view(clip, view)
     tell = limits.tell
     tell(Step("render", 0, len(clip) * len(view.sides)))

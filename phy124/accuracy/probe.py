@@ -164,6 +164,8 @@ def time_film(gaussians: Gaussians, scene: Scene, device: str) -> dict[str, floa
         "render": views * frames * shortest[more]["render"] / more,
         "encode": views * (first + each * frames),
     }
+    if "outputs" in shortest[more]:
+        predicted["outputs"] = views * frames * shortest[more]["outputs"] / more
     exporting = shortest[more].get("export")
     return predicted if exporting is None else predicted | {"export": exporting * frames / more}
 

@@ -67,6 +67,7 @@ class ViewOptions(CameraOptions):
     """How a clip is filmed."""
 
     format: Annotated[Listed, help_of(View, "formats")] = None
+    outputs: Annotated[Listed, help_of(View, "outputs")] = None
     stage: Annotated[StageName | None, help_of(View, "stage")] = None
     transparent: bool = False
     """Short for --stage transparent."""
@@ -76,6 +77,7 @@ class ViewOptions(CameraOptions):
         """What is chosen, by its path in the scene."""
         chosen = {
             "view.formats": _items(self.format),
+            "view.outputs": _items(self.outputs),
             "view.stage": "transparent" if self.transparent else self.stage,
             "view.speed": self.speed,
         }

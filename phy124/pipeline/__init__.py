@@ -42,7 +42,7 @@ from phy124.progress import Progress, silent
 from phy124.rendering.film import cameras as cameras
 from phy124.rendering.film import film as film
 from phy124.rendering.film import rate as rate
-from phy124.rendering.film import refuse_unplayable
+from phy124.rendering.film import refuse_unfilmable
 from phy124.runtime.isolated import Deadline
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
@@ -97,7 +97,7 @@ def generate(
     """
     scene.refuse_nameless()
     refuse_missing(scene)
-    refuse_unplayable(scene)
+    refuse_unfilmable(scene)
     watch = Stopwatch()
     with staged(out):  # Refused before any work, if at all.
         made = static(
@@ -254,7 +254,7 @@ def simulate(
     scene.refuse_nameless()
     refuse_missing(scene)
     if films:
-        refuse_unplayable(scene)
+        refuse_unfilmable(scene)
     watch = watch or Stopwatch()
     making = Making(Path(out), device, progress, watch, dict(about or {}), keep, cutout, films)
 

@@ -14,6 +14,7 @@ from phy124.io.files import staged
 from phy124.io.video import FPS_RANGE, Picture, write_animation, write_mp4, write_pictures
 from phy124.progress import Progress, silent
 from phy124.rendering.framing import cameras as cameras
+from phy124.rendering.outputs import refuse_outputs, write_outputs
 from phy124.rendering.render import render_frames
 from phy124.rendering.stage.build import Stage, stage_of
 from phy124.runtime.stopwatch import Stopwatch
@@ -31,16 +32,17 @@ def film(
     progress: Progress = silent,
     watch: Stopwatch | None = None,
 ) -> list[Path]:
-    """Write every format of a view, from each of its sides.
+    """Write every format and every output of a view, from each of its sides.
 
     Each format draws its own pictures, so that none has to wait in memory for another's encoder.
 
     Args:
         clip: What to film.
-        view: Sides, size, background and formats.
+        view: Sides, size, background, formats and outputs.
         folder: An existing folder.
         device: Warp's name of the device that draws.
-        progress: Called as ("render SIDE", pictures done, pictures in all) for each side.
+        progress: Called as ("render SIDE", pictures done, pictures in all) for each side, and as
+            ("outputs SIDE", ...) where there are any.
         watch: A stopwatch that counts drawing and encoding.
 
     Returns:
@@ -59,6 +61,10 @@ def film(
                 images = watch.each("render", _images(clip, view, side, stage, device, progress))
                 made.append(ENCODERS[name](folder, side, images, playback(rate(clip), view)))
             watch.seconds["encode"] -= watch.seconds.get("render", 0.0) - before
+    if view.outputs:
+        options: dict[str, Any] = {"device": device, "progress": progress}
+        with watch.stage("outputs"):
+            made += [write_outputs(clip, view, side, folder, **options) for side in view.sides]
     return made
 
 
@@ -143,12 +149,13 @@ def choppy(clip: Clip, view: View) -> str | None:
     return f"Slow motion shows {shown:.3g} pictures per second; {smooth}."
 
 
-def refuse_unplayable(scene: Scene) -> None:
-    """Make sure that videos can have the rate of a scene, before any work is done for it.
+def refuse_unfilmable(scene: Scene) -> None:
+    """Make sure that videos can have the rate of a scene, and that its outputs can be made.
 
     Raises:
         InputError: They cannot.
     """
+    refuse_outputs(scene.view, scene.time.frames)
     shown, (low, high) = playback(scene.time.fps, scene.view), FPS_RANGE
     if not low <= shown <= high and set(scene.view.formats) & PLAYED:
         limit = f"at {shown:g} pictures per second no video plays, only at {low:g} to {high:g}."

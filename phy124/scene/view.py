@@ -22,6 +22,7 @@ from phy124.section import Section
 ViewName = Literal["front", "right", "back", "left", "orbit"]
 Format = Literal["mp4", "webp", "gif", "png", "usd", "ply"]
 StageName = Literal["plain", "studio", "transparent"]
+Output = Literal["depth", "alpha", "normals", "flow", "velocity"]
 Degrees = Annotated[float, Field(ge=-360, le=360)]
 
 
@@ -87,6 +88,15 @@ class View(Section):
         description="Of each side a video (mp4, webp, gif) or a folder of pictures (png); "
         "of the whole clip usd, or ply, a folder with a file per frame.",
     )
+    outputs: tuple[Output, ...] = Field(
+        default=(),
+        examples=[["depth", "flow"]],
+        description="Quantities of each pixel besides its colour, for training data: depth [m], "
+        "alpha, normals, flow [px/frame], velocity [m/s].",
+    )
+    output_format: Literal["png", "exr"] = Field(
+        default="png", description="Of outputs: png, 16 bits, or exr, 32-bit floats."
+    )
     size: Size = Field(
         default=(512, 512), description="Width and height, or one number for both [pixels]."
     )
@@ -141,8 +151,10 @@ class View(Section):
                 "views must name at least one view, or azimuths an angle, each once, and cameras "
                 "have other names; name each once"
             )
-        if not self.formats or len(set(self.formats)) != len(self.formats):
+        if not (self.formats or self.outputs) or len(set(self.formats)) != len(self.formats):
             raise ValueError("formats must name at least one format, each once; name each once")
+        if len(set(self.outputs)) != len(self.outputs):
+            raise ValueError("outputs must name each output once; leave the second one out")
         return self
 
     @field_validator("stage")

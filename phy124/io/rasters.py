@@ -1,0 +1,90 @@
+"""Rasters: pictures of quantities, as PNG of 16 bits or as EXR of 32-bit floats."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.errors import InputError
+from phy124.io.files import replacing
+from phy124.runtime.installation import install_command
+
+Raster = NDArray[np.float32]
+LARGEST = 65535
+"""The largest value of 16 bits."""
+MIDDLE = 32768
+"""What stands for zero where values have a sign; 0 itself means that nothing is there."""
+PNG_EFFORT = 3
+"""Compression level, 0 to 9."""
+
+
+def step_of(largest: float, *, signed: bool) -> float:
+    """The difference of two neighbouring values of 16 bits that reach up to `largest`."""
+    return max(largest, 1e-30) / (LARGEST - MIDDLE if signed else LARGEST)
+
+
+def sixteen_bits(
+    raster: Raster, covered: NDArray[np.bool_], step: float, *, signed: bool
+) -> NDArray[np.uint16]:
+    """Values as whole numbers: raw = value / step, plus `MIDDLE` if signed; 0 where uncovered.
+
+    Args:
+        raster: Values [H,W,C].
+        covered: Where there are any [H,W].
+        step: The difference of two neighbouring values.
+        signed: Whether values may be below zero.
+    """
+    raw = np.rint(raster / step) + (MIDDLE if signed else 0)
+    return np.where(covered[..., None], np.clip(raw, 1, LARGEST), 0).astype(np.uint16)
+
+
+def write_png16(path: str | os.PathLike[str], raw: NDArray[np.uint16]) -> None:
+    """Write [H,W,C] as a grey PNG (C = 1) or one in red, green and blue (C = 2, blue 0, or 3).
+
+    Raises:
+        InputError: The file cannot be written.
+    """
+    if raw.shape[2] == 2:
+        raw = np.concatenate([raw, np.zeros_like(raw[..., :1])], axis=2)
+    done, data = cv2.imencode(".png", raw[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, PNG_EFFORT])
+    if not done:
+        raise InputError("output", path, "OpenCV cannot encode it.", "Choose output_format exr.")
+    with replacing(path) as temporary:
+        Path(temporary).write_bytes(data.tobytes())
+
+
+def write_exr(path: str | os.PathLike[str], raster: Raster, channels: tuple[str, ...]) -> None:
+    """Write [H,W,C] as an EXR of 32-bit floats with channels of these names.
+
+    Raises:
+        InputError: OpenEXR is not installed, or the file cannot be written.
+    """
+    exr = _openexr()
+    header = {"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage}
+    planes = {
+        name: np.ascontiguousarray(raster[..., i], np.float32) for i, name in enumerate(channels)
+    }
+    with replacing(path) as temporary, exr.File(header, planes) as file:
+        file.write(os.fspath(temporary))
+
+
+def refuse_missing_exr() -> None:
+    """Refuse EXR files where the package that writes them is not installed.
+
+    Raises:
+        InputError: It is not.
+    """
+    _openexr()
+
+
+def _openexr():
+    try:
+        import OpenEXR
+    except ImportError as error:
+        limit, remedy = "this needs the package OpenEXR.", f"Run `{install_command('exr')}`."
+        raise InputError("view.output_format", "exr", limit, remedy) from error
+    return OpenEXR
