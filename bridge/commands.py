@@ -48,7 +48,7 @@ class Record:
     """Write a clip, or a running simulation, to an MCAP bag that ROS 2 and Foxglove play."""
 
     source: tyro.conf.Positional[Path]
-    """A clip.safetensors; with --live a picture or a 3DGS .ply file."""
+    """A clip.safetensors; with --live a picture or a file of Gaussians."""
     output: tyro.conf.Positional[Path | None] = None
     """Bag folder, or a file if it ends in .mcap; default: SOURCE without its suffix, with -bag."""
     messages: Messages = field(default_factory=Options)
@@ -98,7 +98,7 @@ class Play:
     """Publish a clip, or a running simulation, on ROS 2 topics or to Foxglove."""
 
     source: tyro.conf.Positional[Path]
-    """A clip.safetensors; with --live a picture or a 3DGS .ply file."""
+    """A clip.safetensors; with --live a picture or a file of Gaussians."""
     backend: Backend = "auto"
     """rclpy (needs ROS 2), dds (ROS 2 topics without ROS 2), foxglove, or the name of a sink that a
     package registers; auto: rclpy, otherwise dds."""

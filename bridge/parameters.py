@@ -60,7 +60,7 @@ RUNNING_LIVE = {name: RUNNING[name] for name in ("speed", "max_points")}
 CLOCK = {"clock": Parameter(False, "Publish /clock at 40 Hz; nothing else must publish it then.")}
 CLIP = {"clip": Parameter("", "A clip.safetensors made by phy124."), **CLOCK}
 SIMULATED = {
-    "source": Parameter("", "A picture or a 3DGS .ply file."),
+    "source": Parameter("", "A picture or a file of Gaussians."),
     "scene": Parameter("press", "Preset (see `phy124 scenes`) or path of a .toml file."),
     "set": Parameter([""], "Other values of the scene, as KEY=VALUE."),
     "generator": Parameter("relief", "How a picture becomes Gaussians."),

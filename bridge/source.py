@@ -12,6 +12,7 @@ from phy124.errors import InputError
 from phy124.gaussians import Frame
 from phy124.generators.ply_file import Reading
 from phy124.io.clip import Clip
+from phy124.io.formats import is_file_of_gaussians
 from phy124.progress import Progress, silent
 
 if TYPE_CHECKING:
@@ -28,7 +29,7 @@ class LiveOptions:
     """What to simulate with `--live`."""
 
     live: bool = False
-    """The source is a picture or a 3DGS .ply file, to be simulated while it is shown."""
+    """The source is a picture or a file of Gaussians, to be simulated while it is shown."""
     scene: str = "press"
     """Preset (see `phy124 scenes`) or path of a .toml file."""
     set: tuple[str, ...] = field(default_factory=tuple)
@@ -63,7 +64,7 @@ class LiveRun:
         """Ready to `prepare`.
 
         Args:
-            source: A picture or a 3DGS .ply file.
+            source: A picture or a file of Gaussians.
             options: What to simulate.
             progress: Called with (stage, done, total); may raise Cancelled.
 
@@ -73,7 +74,7 @@ class LiveRun:
         self.scene = options.resolve()
         if not source.is_file():
             limit = "There is no such file."
-            raise InputError("source", source, limit, "Give a picture or a 3DGS .ply file.")
+            raise InputError("source", source, limit, "Give a picture or a file of Gaussians.")
         self._source, self._options, self._progress = source, options, progress
         self._simulation: Simulation | None = None
         self.stopped: str | None = None
@@ -128,7 +129,7 @@ def opened(path: str | Path) -> Clip:
 
 
 def make_object(source: Path, options: LiveOptions, scene: Scene, progress: Progress) -> Static:
-    """Gaussians from a picture or a 3DGS .ply file, and the scene for them; raises InputError.
+    """Gaussians from a picture or a file of Gaussians, and the scene for them; raises InputError.
 
     Args:
         source: The picture or the file.
@@ -148,7 +149,7 @@ def make_object(source: Path, options: LiveOptions, scene: Scene, progress: Prog
     made = static(
         source,
         scene,
-        generator=str(source) if source.suffix.lower() == ".ply" else options.generator,
+        generator=str(source) if is_file_of_gaussians(source) else options.generator,
         reading=options.reading,
         looked=look,
         progress=progress,

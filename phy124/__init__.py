@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from phy124.imaging.cutout import cut_out
     from phy124.io.clip import Clip
     from phy124.io.export.html import write_html
+    from phy124.io.formats import read_gaussians, write_gaussians
     from phy124.io.ply import read_ply, write_ply
     from phy124.io.video import write_mp4
     from phy124.materials import Material
@@ -54,10 +55,12 @@ __all__ = [
     "film",
     "generate",
     "preset_names",
+    "read_gaussians",
     "read_ply",
     "render",
     "render_frames",
     "simulate",
+    "write_gaussians",
     "write_html",
     "write_mp4",
     "write_ply",
@@ -72,6 +75,7 @@ _MODULES = {
     "generators": ["Generator"],
     "imaging.cutout": ["cut_out"],
     "io.export.html": ["write_html"],
+    "io.formats": ["read_gaussians", "write_gaussians"],
     "io.ply": ["read_ply", "write_ply"],
     "io.video": ["write_mp4"],
     "materials": ["Material"],

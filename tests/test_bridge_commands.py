@@ -114,7 +114,7 @@ def test_play_and_record_beside(clip, monkeypatch, capsys):
         (["record", "CLIP", "--scene", "drop"], "Add --live, or leave them out"),
         (["play", "CLIP", "--set", "seed=1"], "Add --live"),
         (["record", "CLIP", "--floor"], "Add --live"),
-        (["record", "PNG", "--live", "--up", "z"], "generator = relief: --up is for a .ply file"),
+        (["record", "PNG", "--live", "--up", "z"], "relief: --up is for a file of Gaussians"),
         (["play", "none.png", "--live", "--loop"], "A running simulation has no such option"),
         (["pley", "CLIP"], "command = pley: there is no such command. Did you mean play?"),
         (["--speed", "2", "play", "CLIP"], "Write `python -m bridge COMMAND ... --speed`"),

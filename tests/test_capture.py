@@ -302,7 +302,7 @@ def test_a_study_reads_captures_as_a_simulation_does(tmp_path, capsys):
     assert main([*study, "--image", path, "--floor"]) == 0
     assert "D/6" in capsys.readouterr().out
     assert main([*study, "--floor"]) == 2
-    assert "image = none: --floor is for a .ply file" in capsys.readouterr().err
+    assert "image = none: --floor is for a file of Gaussians" in capsys.readouterr().err
 
 
 def test_a_generator_that_is_a_capture(tmp_path, capsys):
@@ -335,7 +335,7 @@ def test_an_interrupted_generator_that_is_a_capture_goes_on(tmp_path):
 @pytest.mark.parametrize("told", [["--floor"], ["--crop", "0,0,0,1,1,1"], ["--up", "z"]])
 def test_what_is_told_of_a_file_needs_one(tmp_path, capsys, told):
     assert main(["generate", "any.png", *told, "--out", str(tmp_path / "out")]) == 2
-    assert f"generator = relief: {told[0]} is for a .ply file" in capsys.readouterr().err
+    assert f"generator = relief: {told[0]} is for a file of Gaussians" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 

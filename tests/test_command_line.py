@@ -37,7 +37,7 @@ from phy124.commands.options import SceneOptions, ViewOptions
         ("accuracy press --levels", "levels = none: there is nothing to study."),
         ("generate x.ply", "`phy124 generate` takes a picture. Use `phy124 simulate x.ply`."),
         ("simulate photo.png", "takes a file of Gaussians. Use `phy124 generate photo.png`."),
-        ("simulate clip.safetensors", "Use `phy124 render clip.safetensors`."),
+        ("simulate clip.safetensors", "Use `phy124 render clip.safetensors` or"),
         ("render photo.JPG", "Use `phy124 generate photo.JPG`."),
         ("generate scene.toml", "Give it after --scene."),
         ("weights fetch u2net --weights /dev/null/x", "no folder that files can be written to"),
@@ -57,7 +57,7 @@ def test_what_cannot_be_read_is_one_sentence(typed, sentence, capsys, tmp_path, 
 def test_a_value_may_begin_with_a_minus(typed, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main(["simulate", "object.ply", *typed.split()]) == 2
-    assert "PLY file = object.ply: There is no such file." in capsys.readouterr().err
+    assert "file = object.ply: There is no such file." in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("typed", [["--out", ""], ["--out="], ["--scene", ""]])

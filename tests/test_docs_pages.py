@@ -15,6 +15,7 @@ RUN = {
     "bridge.md": "test_bridge_layout.py",
     "extending.md": "test_plug_and_play.py",
     "filming.md": "test_cameras.py",
+    "formats.md": "test_formats.py",
     "pictures.md": "test_docs_pages.py",
     "plugins.md": "test_docs_pages.py",
     "scene.md": "test_scene_reference.py",

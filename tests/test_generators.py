@@ -50,7 +50,7 @@ def test_objects_pass_through_and_unknown_names_are_refused():
     assert generators.needs_image("relief")
     assert generators.needs_image(box)
     assert not generators.needs_image("x.PLY")
-    with pytest.raises(InputError, match=r"no such generator.*relief.*\.ply file"):
+    with pytest.raises(InputError, match=r"no such generator.*relief.*such as .ply"):
         generators.make("magic")
 
 

@@ -20,7 +20,7 @@ from launch_ros.substitutions import FindPackageShare
 PACKAGE = "phy124_bridge"
 PARAMETERS = {
     "clip": (str, "A clip.safetensors made by phy124; this or source is needed."),
-    "source": (str, "A picture or a 3DGS .ply file, simulated while it is shown."),
+    "source": (str, "A picture or a file of Gaussians, simulated while it is shown."),
     "scene": (str, "With source: preset (see `phy124 scenes`) or path of a .toml file."),
     "profile": (str, "Numbers per point: viz, full, small or ply."),
     "frame_id": (str, "Coordinate frame of the object's world."),

@@ -2,6 +2,7 @@
 
 from phy124.commands.accuracy import ShowAccuracy
 from phy124.commands.compare import Compare
+from phy124.commands.convert import Convert, Export
 from phy124.commands.cutout import CutOut
 from phy124.commands.doctor import Doctor
 from phy124.commands.effects import ShowEffects
@@ -19,6 +20,8 @@ COMMANDS = {
     "cutout": CutOut,
     "orient": Orient,
     "render": Render,
+    "export": Export,
+    "convert": Convert,
     "scenes": Scenes,
     "stress": Stress,
     "effects": ShowEffects,

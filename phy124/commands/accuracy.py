@@ -17,6 +17,7 @@ from phy124.errors import Cancelled, InputError
 from phy124.gaussians import Gaussians
 from phy124.generators.ply_file import Reading
 from phy124.imaging.cutout import Cutout
+from phy124.io.formats import is_file_of_gaussians
 from phy124.parts import WHOLE, Crop
 from phy124.progress import Progress
 from phy124.runtime.device import pick_device
@@ -33,7 +34,7 @@ class ShowAccuracy:
     scene: tyro.conf.Positional[str | None] = None
     """Preset or .toml file to study."""
     image: Path | None = None
-    """Picture of the object, or a 3DGS .ply file; absent: a rubber ball."""
+    """Picture of the object, or a file of Gaussians; absent: a rubber ball."""
     verify: bool = False
     """Solve problems whose answer is known; no scene is needed."""
     levels: tuple[int, ...] = (16, 24, 32, 48)
@@ -128,7 +129,8 @@ class ShowAccuracy:
             return ball(), scene, WHOLE
         from phy124.pipeline import static
 
-        generator = str(self.image) if self.image.suffix.lower() == ".ply" else self.generator
+        given = is_file_of_gaussians(self.image)
+        generator = str(self.image) if given else self.generator
         made = static(
             self.image, scene, generator=generator, reading=self.reading, looked=self._look,
             progress=progress,

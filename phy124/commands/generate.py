@@ -109,10 +109,10 @@ class Generate:
 
 @dataclass(frozen=True)
 class Simulate:
-    """Move existing 3D Gaussians (any standard 3DGS .ply) and film them."""
+    """Move existing 3D Gaussians (.ply, .spz, .splat, .sog, .glb) and film them."""
 
     file: tyro.conf.Positional[Path]
-    """The .ply file."""
+    """The file of Gaussians: PLY (plain or SuperSplat's), SPZ, .splat, SOG or GLB."""
     options: Annotated[SceneOptions, tyro.conf.arg(name="")] = field(default_factory=SceneOptions)
     reading: Annotated[Reading, tyro.conf.arg(name="")] = field(default_factory=Reading)
     gaussians: int | None = None

@@ -6,11 +6,12 @@ from pathlib import Path
 from typing import Any
 
 from phy124.errors import InputError
+from phy124.io.formats import ENDINGS
 
 PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".gif", ".bmp", ".tif", ".tiff")
 KINDS = {
     **dict.fromkeys(PICTURES, "a picture"),
-    ".ply": "a file of Gaussians",
+    **dict.fromkeys(ENDINGS, "a file of Gaussians"),
     ".safetensors": "a clip",
     ".toml": "a scene",
 }
@@ -19,14 +20,16 @@ TAKES = {
     "generate": ("image", "a picture"),
     "simulate": ("file", "a file of Gaussians"),
     "orient": ("file", "a file of Gaussians"),
+    "convert": ("file", "a file of Gaussians"),
     "render": ("clip", "a clip"),
+    "export": ("clip", "a clip"),
     "evaluate": ("clip", "a clip"),
 }
 """Command -> its field that is a file, and the kind of file it takes."""
 USES = {
     "a picture": "Use `phy124 generate {}`.",
     "a file of Gaussians": "Use `phy124 simulate {}`.",
-    "a clip": "Use `phy124 render {}`.",
+    "a clip": "Use `phy124 render {}` or `phy124 export {}`.",
     "a scene": "Give it after --scene.",
 }
 """Kind of file -> the remedy that names the command for it."""
@@ -45,4 +48,4 @@ def refuse_other_kind(name: str, command: Any) -> None:
     found = KINDS.get(path.suffix.lower(), wanted)
     if found != wanted:
         limit = f"it is {found}, and `phy124 {name}` takes {wanted}."
-        raise InputError(field, path, limit, USES[found].format(path))
+        raise InputError(field, path, limit, USES[found].replace("{}", str(path)))

@@ -20,7 +20,7 @@ Device = Annotated[str, tyro.conf.arg(help=CHOICES)]
 GeneratorName = Annotated[
     str,
     tyro.conf.arg(
-        help="What makes the Gaussians: a generator's name, a 3DGS .ply file, or a "
+        help="What makes the Gaussians: a generator's name, a file of Gaussians, or a "
         "command of your own: 'cmd: PROGRAM {image} {out}'.",
         help_behavior_hint=lambda given: f"(default: {given}; here: {', '.join(known())})",
     ),

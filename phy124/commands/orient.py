@@ -1,4 +1,4 @@
-"""`phy124 orient`: a contact sheet of the ways up that a .ply file may have."""
+"""`phy124 orient`: a contact sheet of the ways up that a file of Gaussians may have."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ TURNS = ("x", "y", "z", "-x", "-y", "-z")
 
 @dataclass(frozen=True)
 class Orient:
-    """Draw a .ply file all six ways up, or facing all four ways, with the options of each."""
+    """Draw a file of Gaussians all six ways up, or facing four ways, with the options of each."""
 
     file: tyro.conf.Positional[Path]
-    """3DGS .ply file whose axes are not known."""
+    """File of Gaussians whose axes are not known."""
     up: Annotated[str | None, tyro.conf.arg(metavar="AXIS")] = None
     """The way up, once it is known: the four fronts are drawn."""
     out: Path | None = None

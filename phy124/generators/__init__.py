@@ -76,20 +76,20 @@ def known() -> list[str]:
 
 
 def make(chosen: str | Generator, reading: Reading | None = None) -> Generator:
-    """The generator of a name, of a .ply file, of a command (`cmd: ...`), or itself.
+    """The generator of a name, of a file of Gaussians, of a command (`cmd: ...`), or itself.
 
     Args:
         chosen: Name in `GENERATORS`, path, command or generator.
-        reading: How to interpret a .ply file; None for the conventions of its dialect.
+        reading: How to interpret a file of Gaussians; None for the conventions of its format.
 
     Raises:
         InputError: If no generator has that name, something it needs is not installed, or `reading`
             is given without a file.
     """
-    if isinstance(chosen, str) and chosen.lower().endswith(".ply"):
+    if not needs_image(chosen):
         from phy124.generators.ply_file import PlyFile
 
-        return PlyFile(chosen, reading) if reading else PlyFile(chosen)
+        return PlyFile(str(chosen), reading) if reading else PlyFile(str(chosen))
     if is_command(chosen):
         from phy124.generators.command import Command
 
@@ -103,7 +103,8 @@ def make(chosen: str | Generator, reading: Reading | None = None) -> Generator:
     if chosen not in GENERATORS:
         limit = "There is no such generator."
         remedy = (
-            f'Choose one of {", ".join(known())}, a .ply file, or "cmd: PROGRAM {{image}} {{out}}".'
+            f"Choose one of {', '.join(known())}, a file of Gaussians such as .ply or .spz, "
+            'or "cmd: PROGRAM {image} {out}".'
         )
         raise InputError("generator", chosen, limit, remedy)
     try:
@@ -123,5 +124,7 @@ def is_command(chosen: str | Generator) -> bool:
 
 
 def needs_image(chosen: str | Generator) -> bool:
-    """Whether the generator looks at the picture; a .ply file does not."""
-    return not (isinstance(chosen, str) and chosen.lower().endswith(".ply"))
+    """Whether the generator looks at the picture; a file of Gaussians does not."""
+    from phy124.io.formats import is_file_of_gaussians
+
+    return not isinstance(chosen, str) or is_command(chosen) or not is_file_of_gaussians(chosen)

@@ -14,8 +14,9 @@ from pydantic import Field
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.io.axes import numbers, orientation, turned
+from phy124.io.content import Y_DOWN, Content
 from phy124.io.dialect import likely_dialect
-from phy124.io.ply import read_ply
+from phy124.io.formats import read_as_is, recognised, rotation_of
 from phy124.progress import Progress, silent
 from phy124.section import Section
 
@@ -31,33 +32,33 @@ MARGIN = 0.5
 
 
 class Reading(Section):
-    """How to interpret a .ply file of Gaussians."""
+    """How to interpret a file of Gaussians."""
 
     up: str | None = Field(
         default=None,
-        description="Direction of the .ply file that points up: x, y, z, -x, -y, -z, or three "
-        "numbers such as 0.1,-1,0.2; absent: as its dialect has it.",
+        description="Direction of the file of Gaussians that points up: x, y, z, -x, -y, -z, or "
+        "three numbers such as 0.1,-1,0.2; absent: as its dialect or format has it.",
     )
     front: str | None = Field(
-        default=None, description="Direction of the .ply file that the object faces, likewise."
+        default=None, description="Direction of that file that the object faces, likewise."
     )
-    dialect: str = Field(
-        default="3dgs",
-        description="Program that wrote the .ply file: 3dgs, lgm, dreamgaussian, trellis, ...",
+    dialect: str | None = Field(
+        default=None,
+        description="Program that wrote the file: 3dgs, lgm, dreamgaussian, trellis, ...; absent: "
+        "the axes that its format has.",
     )
     rotate: str | None = Field(
         default=None,
-        description="Turns the .ply file before that: degrees about x, then y, then z, such as "
+        description="Turns the file before that: degrees about x, then y, then z, such as "
         "10,0,-25; or a quaternion w,x,y,z.",
     )
     crop: str | None = Field(
         default=None,
-        description="Keeps only what is in a box, x,y,z,X,Y,Z, in the .ply file's own units and "
-        "axes.",
+        description="Keeps only what is in a box, x,y,z,X,Y,Z, in the file's own units and axes.",
     )
     floor: bool = Field(
         default=False,
-        description="Finds the floor of a .ply file by a plane fit, stands the object upright on "
+        description="Finds the floor of a capture by a plane fit, stands the object upright on "
         "it and keeps it as scenery.",
     )
 
@@ -69,8 +70,10 @@ class Reading(Section):
         """
         told = [f"--{option}" for option in self.model_dump(exclude_defaults=True)]
         if told:
-            limit = f"{' and '.join(told)} {'is' if len(told) == 1 else 'are'} for a .ply file."
-            raise InputError(name, source, limit, "Give a .ply file, or leave that out.")
+            limit = (
+                f"{' and '.join(told)} {'is' if len(told) == 1 else 'are'} for a file of Gaussians."
+            )
+            raise InputError(name, source, limit, "Give such a file, or leave that out.")
 
 
 UNTOLD = Reading().model_dump(include={"up", "front", "dialect", "rotate"})
@@ -108,7 +111,7 @@ class PlyFile:
         """The file's Gaussians with a longest side of 1 m; picture and seed are ignored.
 
         Raises:
-            InputError: As `read_ply`, or if all Gaussians are nearly transparent or at one point.
+            InputError: As `read_gaussians`, or if all are nearly transparent or at one point.
         """
         del image_rgba, seed
         return self.read(progress)[0]
@@ -129,15 +132,19 @@ class PlyFile:
         """The file's visible Gaussians, rotated upright and cropped.
 
         Raises:
-            InputError: As `read_ply`, or if the options contradict each other or leave no
+            InputError: As `read_gaussians`, or if the options contradict each other or leave no
                 Gaussians.
         """
         progress("read", 0, 1)
         told = self.reading
-        rotation = orientation(told.up, told.front, told.dialect, told.rotate)
-        self._hint()
+        orientation(
+            told.up, told.front, told.dialect, told.rotate
+        )  # refuses before the file is read
         box = self._box()
-        found, dropped = read_ply(self.path, up="z", front="x")  # as they are in the file
+        content = read_as_is(self.path)
+        self._hint(content)
+        found, dropped = content.gaussians, content.dropped
+        rotation = rotation_of(content, told.up, told.front, told.dialect, told.rotate)
         inside = np.ones(len(found), bool)
         if box is not None:
             inside = ((found.means >= box[0]) & (found.means <= box[1])).all(axis=1)
@@ -147,7 +154,7 @@ class PlyFile:
         gaussians = found.select(inside & ~faint)
         if not len(gaussians):
             limit = f"All its Gaussians are fainter than {MIN_OPACITY}."
-            raise InputError("PLY file", self.path, limit, "Give a file with a visible object.")
+            raise InputError("file", self.path, limit, "Give a file with a visible object.")
         given = len(found) + dropped
         left_out = {
             "had NaN or infinite values": dropped,
@@ -165,9 +172,10 @@ class PlyFile:
             ],
         )
 
-    def _hint(self) -> None:
+    def _hint(self, content: Content) -> None:
         """Warn if the file looks like one of another dialect, and nothing was said of its axes."""
-        if self.reading.model_dump(include={"up", "front", "dialect", "rotate"}) != UNTOLD:
+        told = self.reading.model_dump(include={"up", "front", "dialect", "rotate"})
+        if told != UNTOLD or content.axes != Y_DOWN or recognised(Path(self.path)).name != "ply":
             return
         likely = likely_dialect(Path(self.path))
         if likely is not None:
@@ -209,7 +217,7 @@ def normalised(gaussians: Gaussians, name: str = "") -> Gaussians:
     size = float((high - low).max())
     if not size > 0:
         limit = "All its Gaussians lie in one point."
-        raise InputError("PLY file", name, limit, "Give a file with an object in it.")
+        raise InputError("file", name, limit, "Give a file with an object in it.")
     return gaussians.moved(1 / size, -(low + high) / 2 / size)
 
 

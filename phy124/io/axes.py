@@ -41,7 +41,7 @@ ACROSS = 0.02
 def orientation(
     up: str | None = None,
     front: str | None = None,
-    dialect: str = "3dgs",
+    dialect: str | None = None,
     rotate: str | None = None,
 ) -> NDArray[np.float64]:
     """Rotation [3,3] from the file's axes to ours.
@@ -49,7 +49,7 @@ def orientation(
     Args:
         up: Direction that points up: "x", "-y", ..., or three numbers such as "0.1,-1,0.2".
         front: Direction that the object faces; only its level part counts; default: `FRONTS`.
-        dialect: Key of `DIALECTS`, used where `up` is not given.
+        dialect: Key of `DIALECTS`, used where `up` is not given; default: 3dgs.
         rotate: Rotation applied to the file before: angles about x, y and z [degrees], in this
             order about fixed axes, or a quaternion w,x,y,z.
 
@@ -57,6 +57,7 @@ def orientation(
         InputError: If one of them cannot be read or they contradict each other.
     """
     if up is None:
+        dialect = dialect or "3dgs"
         if dialect not in DIALECTS:
             known = ", ".join(DIALECTS)
             raise InputError("dialect", dialect, "It is not known.", f"Choose one of {known}.")

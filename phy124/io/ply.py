@@ -11,6 +11,7 @@ rounding of log and logit.
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,16 +21,20 @@ from numpy.typing import NDArray
 from phy124.errors import InputError
 from phy124.gaussians import SH_COEFFICIENTS, Gaussians
 from phy124.io.axes import orientation, turned
+from phy124.io.content import MAX_GAUSSIANS, Y_DOWN, Content, content_of
 from phy124.io.files import replacing
 from phy124.io.plyheader import Header, read_header, refusal
 
-MAX_GAUSSIANS = 10_000_000
-"""Files with more Gaussians are refused before they are read."""
 SCALE_FLOOR = 1e-12
 """Smallest scale written, m, since a perfectly flat Gaussian has no logarithm."""
 OPACITY_MARGIN = 1e-7
 """Opacities are kept this far from 0 and 1, whose logits are infinite."""
 COMMENT = "phy124: x right, y down, z into the picture; the world's (x, y, z) is (-z, x, -y) here"
+VERTICAL = re.compile(r"vertical axis:\s*(-?[xyz])\s*", re.IGNORECASE)
+"""How Nerfstudio and Brush name the axis that is vertical."""
+MIP = ("SplatRenderMode: mip", "antialiased 1")
+"""How Brush and Postshot say that a file was trained with Mip-Splatting's filter."""
+NOT_MIP = ("SplatRenderMode: default", "antialiased 0")
 SPLATS = ("scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3", "opacity")
 
 
@@ -47,7 +52,7 @@ def read_ply(
     *,
     up: str | None = None,
     front: str | None = None,
-    dialect: str = "3dgs",
+    dialect: str | None = None,
 ) -> Ply:
     """Read a 3DGS PLY: ascii or binary, any property order, any float type, SH degree 0 to 3.
 
@@ -55,31 +60,59 @@ def read_ply(
         path: The file.
         up: Direction in the file that points up, as `phy124.io.axes.orientation` takes it.
         front: Direction in the file that the object's front faces.
-        dialect: The program that wrote the file, used where `up` is not given. The default reads
-            what viewers show upright and what `write_ply` wrote.
+        dialect: The program that wrote the file, used where `up` is not given. Without it, what
+            the file says of its vertical axis counts, else what viewers show upright.
 
     Raises:
         InputError: If the file is missing, cut short, not a PLY, or contains no Gaussians.
     """
-    path = Path(path)
-    rotation = orientation(up, front, dialect)
+    rotation = None if up is None and dialect is None else orientation(up, front, dialect)
+    content = read(Path(path))
+    if rotation is None:
+        rotation = orientation(content.axes[0], front or content.axes[1])
+    return Ply(turned(content.gaussians, rotation), content.dropped)
+
+
+def read(path: Path) -> Content:
+    """The Gaussians of a PLY in its own axes.
+
+    Raises:
+        InputError: If the file is missing, cut short, not a PLY, or contains no Gaussians.
+    """
     header, table = _read_table(path)
-    raw = _columns(path, header, table)
-    gaussians, dropped = _activated(raw)
-    if not len(gaussians):
-        raise refusal(path, "none of its Gaussians has finite values.", "Export it once more.")
-    return Ply(turned(gaussians, rotation), dropped)
+    raw = _activated(_columns(path, header, table))
+    axes, antialiased = said(header.comments)
+    return content_of("PLY", path, raw, axes, antialiased=antialiased)
 
 
-def write_ply(path: str | os.PathLike[str], gaussians: Gaussians) -> None:
+def said(comments: tuple[str, ...]) -> tuple[tuple[str, str | None], bool]:
+    """The axes that a header's comments name, and whether they ask for Mip-Splatting's filter."""
+    axes: tuple[str, str | None] = Y_DOWN
+    antialiased = False
+    for text in comments:
+        if found := VERTICAL.fullmatch(text):
+            # Brush writes y whatever is up, so a bare y only says that up is along y.
+            axes = Y_DOWN if found[1].lower() in ("y", "-y") else (found[1].lower(), None)
+        antialiased |= text in MIP
+    return axes, antialiased
+
+
+def write_ply(
+    path: str | os.PathLike[str], gaussians: Gaussians, *, antialiased: bool = False
+) -> None:
     """Write the Inria layout, binary little-endian float32; it appears whole or not at all."""
-    table = raw_table(turned(gaussians, orientation().T))
+    with replacing(path) as temporary:
+        temporary.write_bytes(encode(turned(gaussians, orientation().T), antialiased=antialiased))
+
+
+def encode(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
+    """The bytes of a PLY whose axes are those of the Gaussians, which should be x right, y down."""
+    table = raw_table(gaussians)
     names = table.dtype.names or ()
-    lines = ["ply", "format binary_little_endian 1.0", f"comment {COMMENT}"]
+    tags = [COMMENT, "Vertical axis: -y", *(MIP if antialiased else NOT_MIP)]
+    lines = ["ply", "format binary_little_endian 1.0", *(f"comment {tag}" for tag in tags)]
     lines += [f"element vertex {len(table)}", *(f"property float {name}" for name in names)]
-    with replacing(path) as temporary, temporary.open("wb") as file:
-        file.write("\n".join([*lines, "end_header\n"]).encode("ascii"))
-        file.write(table.tobytes())
+    return "\n".join([*lines, "end_header\n"]).encode("ascii") + table.tobytes()
 
 
 def read_rows(path: Path) -> NDArray[Any]:
@@ -138,10 +171,9 @@ def _cut_short(path: Path, found: int, wanted: int) -> InputError:
 
 def _check_names(path: Path, header: Header) -> None:
     names = set(header.row.names or ())
-    if any(name.startswith("packed_") for name in names) or "chunk" in header.elements:
-        limit = "it is compressed by SuperSplat, whose packed layout this program does not read."
-        remedy = f"Run `npx @playcanvas/splat-transform {path.name} plain.ply` and give plain.ply."
-        raise refusal(path, limit, remedy)
+    if "packed_position" in names:
+        limit = "it is compressed by SuperSplat, not a plain PLY."
+        raise refusal(path, limit, f"Run `phy124 convert {path.name} plain.ply`.")
     if not header.count:
         raise refusal(path, "it holds no Gaussians.", "Export it again with Gaussians.")
     missing = [name for name in ("x", "y", "z", *SPLATS, "f_dc_0", "f_dc_1", "f_dc_2")
@@ -187,23 +219,12 @@ def _columns(path: Path, header: Header, table: NDArray[Any]) -> dict[str, NDArr
     }
 
 
-def _activated(raw: dict[str, NDArray[np.float32]]) -> tuple[Gaussians, int]:
-    """Gaussians from raw columns, without the rows that are not finite, and the number of those."""
-    with np.errstate(over="ignore"):
-        raw["scales"] = np.exp(raw["scales"], dtype=np.float32)
-        opacities = 1 / (1 + np.exp(-raw["opacities"].astype(np.float64)))
-        raw["opacities"] = opacities.astype(np.float32)
-    good = np.ones(len(raw["means"]), bool)
+def _activated(raw: dict[str, NDArray[np.float32]]) -> dict[str, NDArray[np.float32]]:
+    """Columns with scales in metres and opacities 0..1."""
     with np.errstate(over="ignore", invalid="ignore"):
-        for value in raw.values():
-            # A sum is finite if all are (or overflows, which is no less wrong), and much quicker.
-            good &= np.isfinite(value.reshape(len(value), -1).sum(axis=1, dtype=np.float64))
-    kept = {name: value[good] for name, value in raw.items()} if not good.all() else raw
-    length = np.linalg.norm(kept["quats"].astype(np.float64), axis=1, keepdims=True)
-    zero = length[:, 0] < 1e-12
-    unit = (kept["quats"] / np.where(length > 0, length, 1)).astype(np.float32)
-    unit[zero] = 1, 0, 0, 0
-    return Gaussians(**{**kept, "quats": unit}), int(np.count_nonzero(~good))
+        scales = np.exp(raw["scales"], dtype=np.float32)
+        opacities = 1 / (1 + np.exp(-raw["opacities"].astype(np.float64)))
+    return {**raw, "scales": scales, "opacities": opacities.astype(np.float32)}
 
 
 def raw_table(gaussians: Gaussians) -> NDArray[Any]:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from phy124.errors import InputError
+from phy124.io import content
 
 MAX_BYTES = 65536
 """Length of the longest header that is read; a standard one has about 1500 bytes."""
@@ -20,13 +22,20 @@ TYPES = {
 }  # fmt: skip
 """Names of the number types, old and new."""
 ORDERS = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
-FOREIGN = {
-    ".splat": "it is a .splat file, which has no header and no rotations to full precision.",
-    ".ksplat": "it is a .ksplat file.",
-    ".spz": "it is a compressed .spz file.",
-    ".sog": "it is a compressed .sog file.",
-}
+SPLATS = "Read it as what it is: `phy124 convert`, `phy124 simulate` and the others take it."
 CONVERT = "Convert it with `npx @playcanvas/splat-transform IN OUT.ply` and give OUT.ply."
+
+
+@dataclass(frozen=True)
+class Element:
+    """Rows of one kind in a binary file."""
+
+    name: str
+    count: int
+    row: np.dtype[Any]
+    """Data type of one row, packed, in the file's byte order."""
+    start: int
+    """Number of bytes of the file before the first row."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +51,8 @@ class Header:
     """Number of bytes before the first row (binary) or before the data (ascii)."""
     skip_lines: int
     """Number of lines of other elements before `vertex` (ascii)."""
-    elements: tuple[str, ...]
+    elements: tuple[Element, ...]
+    """The elements up to the first that holds lists."""
     comments: tuple[str, ...] = ()
     """What the program that wrote it says."""
 
@@ -75,40 +85,38 @@ def read_header(path: Path) -> Header:
         if any(e.has_list for e in elements[: vertex + 1]):
             raise refusal(path, "it has lists before or in its points.", "Export Gaussians alone.")
         before, wanted = elements[:vertex], elements[vertex]
-        rows = [_dtype(e, ORDERS[encoding]) for e in elements[: vertex + 1]]
+        after = takewhile(lambda e: e.properties and not e.has_list, elements[vertex + 1 :])
+        found = _placed([*before, wanted, *after], ORDERS[encoding], start)
     except (KeyError, IndexError, ValueError) as error:
         if isinstance(error, InputError):
             raise
         raise refusal(path, f"its header is malformed ({error}).", "Export it again.") from error
-    skipped = sum(e.count * row.itemsize for e, row in zip(before, rows, strict=False))
     return Header(
         ascii=encoding == "ascii",
         count=wanted.count,
-        row=rows[-1],
-        start=start if encoding == "ascii" else start + skipped,
+        row=found[vertex].row,
+        start=start if encoding == "ascii" else found[vertex].start,
         skip_lines=sum(e.count for e in before),
-        elements=tuple(e.name for e in elements),
+        elements=found,
         comments=tuple(" ".join(line[1:]) for line in lines if line[:1] == ["comment"]),
     )
 
 
 def refusal(path: Path, limit: str, remedy: str) -> InputError:
     """The error for an unusable PLY file; `limit` starts with a lower-case letter."""
-    return InputError("PLY file", path, limit[0].upper() + limit[1:], remedy)
+    return content.refusal("PLY", path, limit, remedy)
 
 
 def _header_text(path: Path) -> tuple[str, int]:
     """The header as text, and its length in bytes."""
     if not path.is_file():
         raise refusal(path, "there is no such file.", "Check the path.")
-    if path.suffix.lower() in FOREIGN:
-        raise refusal(path, FOREIGN[path.suffix.lower()], CONVERT)
     with open(path, "rb") as file:
         head = file.read(MAX_BYTES)
     if not head:
         raise refusal(path, "it is empty (0 bytes).", "Copy or download it again.")
-    if head[:2] == b"\x1f\x8b" or head[:2] == b"PK":
-        raise refusal(path, "it is compressed (spz, sog or zip), not a PLY.", CONVERT)
+    if head[:4] in (b"NGSP", b"glTF") or head[:2] in (b"\x1f\x8b", b"PK"):
+        raise refusal(path, "it is an SPZ, SOG, GLB or zip file, not a PLY.", SPLATS)
     if head[:4] not in (b"ply\n", b"ply\r"):
         raise refusal(path, "it is not a PLY file: it does not begin with `ply`.", CONVERT)
     for end in (b"end_header\r\n", b"end_header\n", b"end_header\r"):
@@ -134,6 +142,15 @@ def _elements(words: list[list[str]]) -> list[_Element]:
         else:
             raise ValueError(f"unknown word {line[0][:40]}")
     return elements
+
+
+def _placed(elements: list[_Element], order: str, start: int) -> tuple[Element, ...]:
+    """Where the rows of each element lie."""
+    found = []
+    for element in elements:
+        found.append(Element(element.name, element.count, _dtype(element, order), start))
+        start += element.count * found[-1].row.itemsize
+    return tuple(found)
 
 
 def _dtype(element: _Element, order: str) -> np.dtype[Any]:

@@ -1,9 +1,11 @@
 """Writes a clip for other programs, one module per format.
 
-`write_ply_sequence` serves splat editors and viewers, `write_usd` film and game tools.
+`write_sequence` serves splat editors and viewers, `write_usd` film and game tools, `write_fourdgs`
+whoever wants all of the motion in one small file.
 """
 
-from phy124.io.export.ply_sequence import write_ply_sequence
+from phy124.io.export.fourdgs import write_fourdgs
+from phy124.io.export.sequence import write_ply_sequence, write_sequence
 from phy124.io.export.usd import write_usd
 
-__all__ = ["write_ply_sequence", "write_usd"]
+__all__ = ["write_fourdgs", "write_ply_sequence", "write_sequence", "write_usd"]

@@ -1,8 +1,8 @@
-"""A sequence of 3DGS PLY files, one per frame.
+"""A sequence of files, one per frame, in a folder or a zip archive.
 
 SuperSplat plays files whose names differ only by a running number (`name_0001.ply`, ...) when they
-are dropped into it together; brush plays a zip of them. `phy124.io.ply` converts the axes to the
-y-down world of these programs.
+are dropped into it together; brush plays a zip of PLY files. The writer of one file converts the
+axes.
 """
 
 from __future__ import annotations
@@ -10,11 +10,12 @@ from __future__ import annotations
 import os
 import tempfile
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from phy124.errors import InputError
+from phy124.gaussians import Gaussians
 from phy124.io.clip import Clip
 from phy124.io.files import replacing
 from phy124.io.ply import write_ply
@@ -24,14 +25,39 @@ from phy124.progress import Progress, silent
 def write_ply_sequence(
     path: str | os.PathLike[str], clip: Clip, *, name: str = "frame", progress: Progress = silent
 ) -> list[str]:
-    """Write one PLY per frame, numbered from 1, and return the file names.
+    """Write one 3DGS PLY per frame as `write_sequence` does; returns the file names.
+
+    Args:
+        path: A new or empty folder, or a name ending in .zip.
+        clip: What to write.
+        name: What the file names start with.
+        progress: Called as ("export", frames done, frames in all).
+
+    Raises:
+        InputError: If the clip is empty, the name is unusable or the files cannot be written.
+    """
+    return write_sequence(path, clip, write_ply, ".ply", name=name, progress=progress)
+
+
+def write_sequence(
+    path: str | os.PathLike[str],
+    clip: Clip,
+    write: Callable[[Path, Gaussians], None],
+    suffix: str,
+    *,
+    name: str = "frame",
+    progress: Progress = silent,
+) -> list[str]:
+    """Write one file per frame, numbered from 1, and return the file names.
 
     The folder or archive appears whole or not at all.
 
     Args:
         path: A new or empty folder, or a name ending in .zip for one archive (stored, not
-            compressed, since floats hardly shrink).
+            compressed, since these files hardly shrink).
         clip: What to write.
+        write: Writes the Gaussians of one frame.
+        suffix: Ending of the files' names, with its point.
         name: What the file names start with.
         progress: Called as ("export", frames done, frames in all).
 
@@ -43,31 +69,30 @@ def write_ply_sequence(
         raise InputError("clip", "empty", "it has no frames.", "Simulate one frame or more.")
     if not name or Path(name).name != name:
         raise InputError("name", name, "it cannot start a file's name.", "Use a word: frame.")
+
+    def numbered(folder: Path) -> Iterator[Path]:
+        # As many digits for all: players sort the names as text.
+        digits = max(4, len(str(len(clip))))
+        for done, frame in enumerate(clip.frames(), 1):
+            file = folder / f"{name}_{done:0{digits}}{suffix}"
+            write(file, frame.gaussians)
+            yield file
+            progress("export", done, len(clip))
+
     if path.suffix.lower() != ".zip":
         with _new_folder(path) as folder:
-            return [file.name for file in _numbered(folder, clip, name, progress)]
+            return [file.name for file in numbered(folder)]
     names = []
     with (
         replacing(path) as temporary,
         zipfile.ZipFile(temporary, "w") as archive,
         tempfile.TemporaryDirectory() as scratch,
     ):
-        for file in _numbered(Path(scratch), clip, name, progress):
+        for file in numbered(Path(scratch)):
             archive.write(file, file.name)
             file.unlink()
             names.append(file.name)
     return names
-
-
-def _numbered(folder: Path, clip: Clip, name: str, progress: Progress) -> Iterator[Path]:
-    """Write the frames one by one and yield each file once it is complete."""
-    # As many digits for all: players sort the names as text.
-    digits = max(4, len(str(len(clip))))
-    for done, frame in enumerate(clip.frames(), 1):
-        file = folder / f"{name}_{done:0{digits}}.ply"
-        write_ply(file, frame.gaussians)
-        yield file
-        progress("export", done, len(clip))
 
 
 @contextmanager

@@ -1,0 +1,146 @@
+"""`phy124 convert` and `phy124 export`: Gaussians and clips for other programs."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from phy124.commands.bars import Bars
+from phy124.commands.options import help_of
+from phy124.errors import InputError
+from phy124.gaussians import Gaussians
+from phy124.generators.ply_file import Reading
+from phy124.io.clip import Clip
+from phy124.io.formats import (
+    FORMATS,
+    WRITTEN,
+    Format,
+    read_gaussians,
+    write_frames,
+    write_gaussians,
+    written_as,
+)
+
+AXIS = tyro.conf.arg(metavar="AXIS")
+TO = "; ".join(f"{name}: {FORMATS[name].title}" for name in WRITTEN)
+
+
+@dataclass(frozen=True)
+class Convert:
+    """Write a file of Gaussians in another format, upright as that format has it."""
+
+    file: tyro.conf.Positional[Path]
+    """PLY (plain or SuperSplat's), SPZ, .splat, SOG or GLB; its content tells which."""
+    out: tyro.conf.Positional[Path]
+    """File to write; its ending tells the format."""
+    to: Annotated[str | None, tyro.conf.arg(help=f"Format, if the ending leaves it open. {TO}")] = (
+        None
+    )
+    up: Annotated[str | None, help_of(Reading, "up")] = None
+    front: Annotated[str | None, help_of(Reading, "front")] = None
+    dialect: Annotated[str | None, help_of(Reading, "dialect")] = None
+    rotate: Annotated[str | None, help_of(Reading, "rotate")] = None
+    json: bool = False
+    """Print what was done as JSON and nothing else."""
+
+    def run(self) -> int:
+        """Convert; prints the file, its size and what opens it.
+
+        Raises:
+            InputError: If the file cannot be read or the other not written.
+        """
+        chosen = written_as(self.out, self.to)
+        content = read_gaussians(
+            self.file, up=self.up, front=self.front, dialect=self.dialect, rotate=self.rotate
+        )
+        gaussians = content.gaussians
+        write_gaussians(self.out, gaussians, chosen.name, antialiased=content.antialiased)
+        notes = [*_dropped(content.dropped), *lost(gaussians, chosen)]
+        return _show([self.out], len(gaussians), chosen, notes, as_json=self.json)
+
+
+@dataclass(frozen=True)
+class Export:
+    """Write a clip, or one of its frames, for another program."""
+
+    clip: tyro.conf.Positional[Path]
+    """clip.safetensors made by `phy124 generate`."""
+    to: Annotated[str, tyro.conf.arg(help=f"Format. {TO}", metavar="FORMAT")]
+    frame: int | None = None
+    """Number of the one frame to write, from 0; default 0, but all where a file holds motion."""
+    all: bool = False
+    """Write every frame: as one file, or as one numbered file each."""
+    out: Path | None = None
+    """File to write, or with --all a folder or a name ending in .zip; default beside the clip."""
+    json: bool = False
+    """Print what was done as JSON and nothing else."""
+
+    def run(self) -> int:
+        """Export; prints the files, their size and what opens them.
+
+        Raises:
+            InputError: If the clip cannot be read, has no such frame, or a file not be written.
+        """
+        chosen, clip = written_as(Path(), self.to), Clip.load(self.clip)
+        if self.frame is not None and self.all:
+            limit = "It says one frame, and --all says every one."
+            raise InputError("frame", self.frame, limit, "Leave one of them out.")
+        if self.frame is not None and not 0 <= self.frame < len(clip):
+            limit = f"The clip has the frames 0 to {len(clip) - 1}."
+            raise InputError("frame", self.frame, limit, "Choose one of them.")
+        with Bars(quiet=self.json) as bars:
+            files = self._write(clip, chosen, bars)
+        first = clip.frame(self.frame or 0).gaussians
+        notes = lost(first, chosen)
+        return _show(files, len(first), chosen, notes, as_json=self.json)
+
+    def _write(self, clip: Clip, chosen: Format, bars: Bars) -> list[Path]:
+        moving = chosen.write_clip is not None
+        if self.frame is None and moving:
+            path = self.out or self.clip.with_suffix(chosen.suffix)
+            chosen.write_clip(path, clip, progress=bars)  # pyright: ignore[reportOptionalCall]
+            return [path]
+        if self.all:
+            path = self.out or self.clip.with_name(f"{self.clip.stem}-{chosen.name}")
+            names = write_frames(path, clip, chosen, name=self.clip.stem, progress=bars)
+            return [path] if path.is_file() else [path / name for name in names]
+        index = self.frame or 0
+        name = f"{self.clip.stem}_{index:04}{chosen.suffix}"
+        path = self.out or self.clip.with_name(name)
+        chosen.write(path, clip.frame(index).gaussians)
+        return [path]
+
+
+def lost(gaussians: Gaussians, chosen: Format) -> list[str]:
+    """A sentence for what of the Gaussians a format has no place for."""
+    if gaussians.sh_degree <= chosen.degree:
+        return []
+    return [
+        f"{chosen.title} holds no harmonics above degree {chosen.degree}: how colours change "
+        "with the direction is left out."
+    ]
+
+
+def _dropped(count: int) -> list[str]:
+    return [f"{count} Gaussians had NaN or infinite values and were dropped."] if count else []
+
+
+def _show(files: list[Path], count: int, chosen: Format, notes: list[str], *, as_json: bool) -> int:
+    """Print what was written; returns the exit status."""
+    size = sum(path.stat().st_size for path in files)
+    if as_json:
+        told = {"files": [str(path) for path in files], "gaussians": count, "bytes": size}
+        print(json.dumps({**told, "format": chosen.name, "notes": notes}))
+        return 0
+    for note in notes:
+        print(f"note: {note}")
+    print(
+        f"{count:,} Gaussians as {chosen.title}, {size / 1e6:,.2f} MB; opens in {chosen.opens_in}"
+    )
+    for path in files:
+        print(path)
+    return 0

@@ -1,0 +1,146 @@
+"""Compressed PLY (SuperSplat): a PLY of packed integers, in chunks of 256 Gaussians.
+
+    element  property                    meaning
+    chunk    min_x ... max_z             float32, box of the centres of 256 Gaussians
+             min_scale_x ... max_scale_z float32, box of their logarithmic scales
+             min_r ... max_b             float32, box of their colours; absent: 0..1
+    vertex   packed_position  uint32     11, 10, 11 bits of x, y, z within the box
+             packed_rotation  uint32     2 bits: which of w, x, y, z is left out as the largest;
+                                         3 x 10 bits: the others, (value / 1023 - 1/2) sqrt 2
+             packed_scale     uint32     11, 10, 11 bits within the box
+             packed_color     uint32     8 bits each of red, green, blue, opacity
+    sh       f_rest_0 ...     uint8      harmonics -4..4, as in a PLY; absent: degree 0
+
+x right, y down, as in a 3DGS PLY.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.gaussians import SH_C0, SH_COEFFICIENTS
+from phy124.io.content import Content, check_count, content_of, refusal
+from phy124.io.formats.smallest_three import completed
+from phy124.io.ply import said
+from phy124.io.plyheader import Element, Header, read_header
+
+KIND = "PLY"
+CHUNK = 256
+PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
+BOXES = [f"{end}_{axis}" for axis in ("x", "y", "z", "scale_x", "scale_y", "scale_z")
+         for end in ("min", "max")]  # fmt: skip
+
+
+def is_compressed(header: Header) -> bool:
+    """Whether the rows of a PLY are packed."""
+    return "packed_position" in (header.row.names or ())
+
+
+def read(path: Path) -> Content:
+    """The Gaussians of a compressed PLY.
+
+    Raises:
+        InputError: If the file is missing, cut short, or its elements do not fit together.
+    """
+    header = read_header(path)
+    size = path.stat().st_size
+    check_count(KIND, path, header.count, header.row.itemsize, size)
+    rows = {element.name: _rows(path, element, size) for element in _elements(path, header)}
+    _check(path, header, rows)
+    vertex, chunk = rows["vertex"], rows["chunk"]
+    which = np.arange(header.count) // CHUNK
+    colour = _split(vertex["packed_color"], (8, 8, 8, 8))
+    if "min_r" in (chunk.dtype.names or ()):
+        colour[:, :3] = _within(colour[:, :3], chunk, which, "rgb")
+    scales = _split(vertex["packed_scale"], (11, 10, 11))
+    with np.errstate(over="ignore", invalid="ignore"):
+        raw = {
+            "means": _within(_split(vertex["packed_position"], (11, 10, 11)), chunk, which, "xyz"),
+            "quats": _rotations(vertex["packed_rotation"]),
+            "scales": np.exp(_within(scales, chunk, which, ("scale_x", "scale_y", "scale_z"))),
+            "opacities": colour[:, 3],
+            "sh": _harmonics((colour[:, :3] - 0.5) / SH_C0, rows.get("sh")),
+        }
+    axes, antialiased = said(header.comments)
+    return content_of(KIND, path, raw, axes, antialiased=antialiased)
+
+
+def _elements(path: Path, header: Header) -> list[Element]:
+    wanted = [element for element in header.elements if element.name in ("chunk", "vertex", "sh")]
+    if header.ascii or len({element.name for element in wanted}) < len(wanted):
+        raise refusal(KIND, path, "its packed elements are not as SuperSplat writes them.")
+    return wanted
+
+
+def _rows(path: Path, element: Element, size: int) -> NDArray[Any]:
+    if element.start + element.count * element.row.itemsize > size:
+        raise refusal(KIND, path, f"it is cut short: its element {element.name} is not all there.")
+    return np.fromfile(path, element.row, element.count, offset=element.start)
+
+
+def _check(path: Path, header: Header, rows: dict[str, NDArray[Any]]) -> None:
+    """Refuse elements that do not fit together."""
+    names = {name: set(table.dtype.names or ()) for name, table in rows.items()}
+    if not set(PACKED) <= names["vertex"] or not set(BOXES) <= names.get("chunk", set()):
+        raise refusal(KIND, path, "some of its packed columns or boxes are missing.")
+    if any(header.row[name].kind != "u" or header.row[name].itemsize != 4 for name in PACKED):
+        raise refusal(KIND, path, "its packed columns are not of type uint.")
+    if len(rows["chunk"]) != -(-header.count // CHUNK):
+        raise refusal(
+            KIND, path, f"it has {len(rows['chunk'])} boxes for {header.count} Gaussians."
+        )
+    colours = names["chunk"] & {f"{end}_{c}" for c in "rgb" for end in ("min", "max")}
+    rest = len(names.get("sh", ()))
+    harmonics = rest in [3 * (k - 1) for k in SH_COEFFICIENTS] and (
+        not rest or names["sh"] == {f"f_rest_{i}" for i in range(rest)}
+    )
+    if (
+        len(colours) not in (0, 6)
+        or not harmonics
+        or len(rows.get("sh", rows["vertex"])) != len(rows["vertex"])
+    ):
+        raise refusal(KIND, path, "its colours do not fit its Gaussians.")
+
+
+def _split(packed: NDArray, bits: tuple[int, ...]) -> NDArray[np.float32]:
+    """Fields of packed integers, the highest first, as fractions [N,len(bits)]."""
+    out = np.empty((len(packed), len(bits)), np.float32)
+    shift = sum(bits)
+    for i, width in enumerate(bits):
+        shift -= width
+        mask = (1 << width) - 1
+        out[:, i] = ((packed >> np.uint32(shift)) & np.uint32(mask)) / np.float32(mask)
+    return out
+
+
+def _within(
+    fractions: NDArray, chunk: NDArray[Any], which: NDArray, axes: str | tuple[str, ...]
+) -> NDArray[np.float32]:
+    """Values from fractions of the box of each Gaussian's chunk."""
+    out = np.empty_like(fractions)
+    for i, axis in enumerate(axes):
+        low, high = (chunk[f"{end}_{axis}"].astype(np.float32)[which] for end in ("min", "max"))
+        out[:, i] = low * (1 - fractions[:, i]) + high * fractions[:, i]
+    return out
+
+
+def _rotations(packed: NDArray) -> NDArray[np.float32]:
+    others = (_split(packed & np.uint32((1 << 30) - 1), (10, 10, 10)) - 0.5) * np.sqrt(2)
+    return completed(others, packed >> np.uint32(30))
+
+
+def _harmonics(first: NDArray, table: NDArray[Any] | None) -> NDArray[np.float32]:
+    """Colours [N,K,3] of degree 0, and of higher degrees if the file has them."""
+    if table is None or not table.dtype.names:
+        return first[:, None].astype(np.float32)
+    count = len(table.dtype.names)
+    values = np.stack([table[f"f_rest_{i}"] for i in range(count)], axis=1)
+    # The middle of each of 256 bins, but the ends of the first and the last.
+    inside = (values.astype(np.float32) + 0.5) / 256
+    inside[values == 0], inside[values == 255] = 0, 1
+    rest = ((inside - 0.5) * 8).reshape(len(values), 3, count // 3).transpose(0, 2, 1)
+    return np.concatenate([first[:, None], rest], axis=1, dtype=np.float32)

@@ -1,0 +1,338 @@
+"""GLB (glTF 2.0) with KHR_gaussian_splatting, as ratified: scales are linear.
+
+    header      "glTF", 2, length (uint32 each)
+    chunk JSON  one primitive of mode 0 (points) with the extension
+                {kernel: "ellipse", colorSpace: "srgb_rec709_display", ...} and the attributes below
+    chunk BIN   their values
+
+    attribute                                type           meaning
+    POSITION                                 VEC3 float     centre; y up, the front is z, metres
+    COLOR_0                                  VEC4 uint8     for readers without the extension
+    KHR_gaussian_splatting:ROTATION          VEC4 float     xyzw; read also as int8, int16
+    KHR_gaussian_splatting:SCALE             VEC3 float     standard deviations
+    KHR_gaussian_splatting:OPACITY           SCALAR float   0..1; read also as uint8, uint16
+    KHR_gaussian_splatting:SH_DEGREE_l_COEF_n VEC3 float    coefficients of 3DGS, degree by degree
+
+Files of early 2026, made before the text was ratified, have logarithmic scales; a negative scale
+tells them. Nodes may move, turn and evenly scale their Gaussians.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.errors import InputError
+from phy124.gaussians import SH_C0, Gaussians, rotation_matrices
+from phy124.io.axes import turned
+from phy124.io.content import (
+    LARGEST_SH,
+    Y_UP,
+    Content,
+    check_count,
+    content_of,
+    refusal,
+    whole_file,
+)
+
+KIND = "GLB"
+MAGIC = b"glTF"
+EXTENSION = "KHR_gaussian_splatting"
+JSON_CHUNK, BIN_CHUNK = 0x4E4F534A, 0x004E4942
+HEADER, CHUNK = struct.Struct("<4sII"), struct.Struct("<II")
+LONGEST = 1 << 20
+"""Largest description (JSON) that is read [bytes]; that of one object has 4,000."""
+TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
+SRGB, LINEAR = "srgb_rec709_display", "lin_rec709_display"
+EVEN = 1e-3
+"""Relative difference up to which the scales of a node's axes count as one."""
+MAX_NODES = 10_000
+LEAVES_THE_FRONT = ("splat-transform", "SuperSplat")
+"""Programs that turn a PLY upright by half a turn about z."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """The two chunks of a file."""
+
+    path: Path
+    tree: dict[str, Any]
+    body: memoryview
+
+
+def read(path: Path) -> Content:
+    """The Gaussians of all nodes of a GLB's scene.
+
+    Raises:
+        InputError: If the file is missing, cut short or damaged, has no Gaussians, or needs what
+            is not read, such as compression or another kernel.
+    """
+    scene = _chunks(path, whole_file(KIND, path))
+    try:
+        parts = list(_parts(scene))
+        raw = {name: np.concatenate([part[name] for part in _alike(parts)]) for name in parts[0]}
+        axes = _axes(scene)
+    except InputError:
+        raise
+    except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError) as error:
+        limit = f"its description is malformed ({type(error).__name__}: {str(error)[:80]})."
+        raise refusal(KIND, path, limit, "Export it again.") from error
+    return content_of(KIND, path, raw, axes)
+
+
+def encode(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
+    """The bytes of a GLB; the extension cannot say whether it is antialiased."""
+    del antialiased
+    arrays = _attributes(gaussians)
+    body, views, accessors = bytearray(), [], []
+    for name, array in arrays.items():
+        views.append({"buffer": 0, "byteOffset": len(body), "byteLength": array.nbytes,
+                      "target": 34962})  # fmt: skip
+        accessors.append(_accessor(name, array, len(accessors)))
+        body += array.tobytes()
+    splats = {"kernel": "ellipse", "colorSpace": SRGB, "projection": "perspective",
+              "sortingMethod": "cameraDistance"}  # fmt: skip
+    primitive = {
+        "mode": 0,
+        "attributes": {name: index for index, name in enumerate(arrays)},
+        "extensions": {EXTENSION: splats},
+    }
+    tree = {
+        "asset": {"version": "2.0", "generator": "phy124"},
+        "extensionsUsed": [EXTENSION],
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [primitive]}],
+        "buffers": [{"byteLength": len(body)}],
+        "bufferViews": views,
+        "accessors": accessors,
+    }
+    text = json.dumps(tree, separators=(",", ":"), allow_nan=False).encode()
+    text += b" " * (-len(text) % 4)
+    length = HEADER.size + 2 * CHUNK.size + len(text) + len(body)
+    head = HEADER.pack(MAGIC, 2, length) + CHUNK.pack(len(text), JSON_CHUNK)
+    return b"".join([head, text, CHUNK.pack(len(body), BIN_CHUNK), body])
+
+
+def _attributes(gaussians: Gaussians) -> dict[str, NDArray]:
+    """Arrays by attribute; each is a multiple of 4 bytes long."""
+    rgba = np.concatenate([gaussians.rgb, gaussians.opacities[:, None]], axis=1)
+    arrays = {
+        "POSITION": gaussians.means,
+        "COLOR_0": np.rint(np.clip(rgba, 0, 1) * 255).astype(np.uint8),
+        f"{EXTENSION}:ROTATION": np.roll(gaussians.quats, -1, axis=1),
+        f"{EXTENSION}:SCALE": gaussians.scales,
+        f"{EXTENSION}:OPACITY": gaussians.opacities,
+    }
+    names = _names(gaussians.sh.shape[1])
+    arrays |= {name: gaussians.sh[:, i] for i, name in enumerate(names)}
+    return {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+
+
+def _names(count: int) -> list[str]:
+    """Attributes of the first `count` harmonics, in our order."""
+    pairs = [(degree, n) for degree in range(4) for n in range(2 * degree + 1)]
+    return [f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{n}" for degree, n in pairs[:count]]
+
+
+def _accessor(name: str, array: NDArray, view: int) -> dict[str, Any]:
+    kind = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}[1 if array.ndim == 1 else array.shape[1]]
+    made: dict[str, Any] = {
+        "bufferView": view,
+        "componentType": 5121 if array.dtype == np.uint8 else 5126,
+        "count": len(array),
+        "type": kind,
+    }
+    if array.dtype == np.uint8:
+        made["normalized"] = True
+    if name == "POSITION":
+        made |= {"min": array.min(axis=0).tolist(), "max": array.max(axis=0).tolist()}
+    return made
+
+
+def _chunks(path: Path, data: bytes) -> Scene:
+    """The description and the binary chunk."""
+    if len(data) < HEADER.size or data[:4] != MAGIC:
+        raise refusal(KIND, path, "it does not begin as a GLB file.", "Give a GLB file.")
+    _, version, length = HEADER.unpack_from(data)
+    if version != 2:
+        raise refusal(KIND, path, f"it is glTF {version}; glTF 2 is read.", "Export it again.")
+    if length > len(data):
+        raise refusal(KIND, path, f"it is cut short: {len(data):,} of {length:,} bytes are there.")
+    found: dict[int, memoryview] = {}
+    at, view = HEADER.size, memoryview(data)
+    while at + CHUNK.size <= len(data):
+        size, kind = CHUNK.unpack_from(data, at)
+        at += CHUNK.size
+        found.setdefault(kind, view[at : at + size])
+        at += size
+    text = found.get(JSON_CHUNK, memoryview(b""))
+    if not text or len(text) > LONGEST:
+        raise refusal(KIND, path, f"its description is missing or longer than {LONGEST:,} bytes.")
+    try:
+        tree = json.loads(bytes(text))
+    except (ValueError, RecursionError) as error:
+        raise refusal(KIND, path, "its description is no JSON.") from error
+    if not isinstance(tree, dict):
+        raise refusal(KIND, path, "its description is no glTF.")
+    return Scene(path, tree, found.get(BIN_CHUNK, memoryview(b"")))
+
+
+def _axes(scene: Scene) -> tuple[str, str]:
+    """Directions of up and front: glTF's, but splat-transform leaves the front of a PLY, -z."""
+    generator = str(scene.tree.get("asset", {}).get("generator", ""))
+    return ("y", "-z") if generator.startswith(LEAVES_THE_FRONT) else Y_UP
+
+
+def _parts(scene: Scene) -> Iterator[dict[str, NDArray]]:
+    """Columns of each primitive of Gaussians, as its node places it."""
+    tree, total = scene.tree, 0
+    for mesh, matrix in list(_placed(scene)):  # a circle is found before anything is read
+        for primitive in tree["meshes"][mesh]["primitives"]:
+            told = primitive.get("extensions", {}).get(EXTENSION)
+            if told is not None:
+                _check_kind(scene, told)
+                total += int(tree["accessors"][primitive["attributes"]["POSITION"]]["count"])
+                # Several nodes may show one mesh, so a small file can describe a large scene.
+                check_count(KIND, scene.path, total, 60, len(scene.body))
+                yield _moved(scene, _columns(scene, primitive["attributes"], told), matrix)
+    if not total:
+        limit = f"it holds no Gaussians: no mesh has {EXTENSION}."
+        raise refusal(KIND, scene.path, limit, "Give a GLB of Gaussians, not of a mesh.")
+
+
+def _placed(scene: Scene) -> Iterator[tuple[int, NDArray[np.float64]]]:
+    """Each mesh of the scene that is shown, with the matrix [4,4] of its node."""
+    tree, here = scene.tree, np.eye(4)
+    nodes = tree.get("nodes", [])
+    roots = tree["scenes"][tree.get("scene", 0)].get("nodes", []) if "scenes" in tree else []
+    waiting = [(root, here) for root in roots or range(len(nodes))]
+    for _ in range(MAX_NODES):
+        if not waiting:
+            return
+        if len(waiting) > MAX_NODES:
+            break
+        index, above = waiting.pop()
+        node = nodes[index]
+        matrix = above @ _matrix(node)
+        waiting += [(child, matrix) for child in node.get("children", [])] if roots else []
+        if "mesh" in node:
+            yield node["mesh"], matrix
+    limit = f"its nodes are more than {MAX_NODES:,}, or go in a circle."
+    raise refusal(KIND, scene.path, limit, "Export it again.")
+
+
+def _matrix(node: dict[str, Any]) -> NDArray[np.float64]:
+    if "matrix" in node:
+        return np.array(node["matrix"], np.float64).reshape(4, 4).T
+    matrix = np.eye(4)
+    x, y, z, w = np.array(node.get("rotation", (0, 0, 0, 1)), np.float64)
+    turn = rotation_matrices(np.array([[w, x, y, z]]))[0]
+    matrix[:3, :3] = turn * np.array(node.get("scale", (1, 1, 1)), np.float64)
+    matrix[:3, 3] = node.get("translation", (0, 0, 0))
+    return matrix
+
+
+def _check_kind(scene: Scene, told: dict[str, Any]) -> None:
+    """Refuse Gaussians of a kind that is not read."""
+    if told.get("extensions"):
+        limit = f"its Gaussians are compressed by {', '.join(told['extensions'])}, a draft."
+        raise refusal(KIND, scene.path, limit, "Export it without compression.")
+    if told.get("kernel", "ellipse") != "ellipse":
+        limit = f"its kernel is {str(told['kernel'])[:40]}; ellipse is read."
+        raise refusal(KIND, scene.path, limit, "Export it again.")
+
+
+def _columns(
+    scene: Scene, attributes: dict[str, int], told: dict[str, Any]
+) -> dict[str, NDArray[np.float32]]:
+    """Columns of one primitive by the names of `Gaussians`."""
+
+    def values(name: str, width: int) -> NDArray[np.float32]:
+        if name not in attributes:
+            raise refusal(KIND, scene.path, f"its Gaussians have no {name}.", "Export it again.")
+        return _accessed(scene, attributes[name], width)
+
+    scales = values(f"{EXTENSION}:SCALE", 3)
+    with np.errstate(over="ignore"):
+        scales = np.exp(scales) if (scales < 0).any() else scales
+    names = [name for name in _names(LARGEST_SH) if name in attributes]
+    whole = max(k for k in (1, 4, 9, 16) if names[:k] == _names(k) or k == 1)
+    sh = np.stack([values(name, 3) for name in _names(whole)], axis=1)
+    return {
+        "means": values("POSITION", 3),
+        "quats": np.roll(values(f"{EXTENSION}:ROTATION", 4), 1, axis=1),
+        "scales": scales,
+        "opacities": values(f"{EXTENSION}:OPACITY", 1)[:, 0],
+        "sh": _displayed(sh) if told.get("colorSpace") == LINEAR else sh,
+    }
+
+
+def _accessed(scene: Scene, index: int, width: int) -> NDArray[np.float32]:
+    """The values of an accessor [N,width]."""
+    accessor = scene.tree["accessors"][index]
+    kind, count = TYPES[accessor["componentType"]], int(accessor["count"])
+    if WIDTHS[accessor["type"]] != width or "sparse" in accessor or count < 1:
+        raise ValueError(f"accessor {index} is empty, sparse or of another type")
+    view = scene.tree["bufferViews"][accessor["bufferView"]]
+    if view.get("buffer", 0) != 0 or "uri" in scene.tree["buffers"][0]:
+        raise ValueError(f"accessor {index} is in another file")
+    dtype = np.dtype(kind)
+    offset, first = int(view.get("byteOffset", 0)), int(accessor.get("byteOffset", 0))
+    stride = int(view.get("byteStride", dtype.itemsize * width))
+    end = first + stride * (count - 1) + dtype.itemsize * width
+    if min(offset, first) < 0 or stride < dtype.itemsize * width or end > int(view["byteLength"]):
+        raise ValueError(f"accessor {index} reaches beyond its values")
+    if offset + end > len(scene.body):
+        raise refusal(KIND, scene.path, "it is cut short: some of its values are missing.")
+    shape, strides = (count, width), (stride, dtype.itemsize)
+    raw = np.ndarray(shape, dtype, scene.body, offset + first, strides)
+    if dtype.kind == "f":
+        return raw.astype(np.float32)
+    if not accessor.get("normalized", False):
+        raise ValueError(f"accessor {index} holds integers that are not normalised")
+    return np.maximum(raw / np.float32(np.iinfo(dtype).max), -1).astype(np.float32)
+
+
+def _displayed(sh: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Colours of linear light as the display's, to first order about their mean [N,K,3]."""
+    linear = np.clip(0.5 + SH_C0 * sh[:, :1].astype(np.float64), 0, 1)
+    bright = 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055
+    slope = np.where(linear <= 0.0031308, 12.92, (bright + 0.055) / 2.4 / np.maximum(linear, 1e-9))
+    shown = np.where(linear <= 0.0031308, 12.92 * linear, bright)
+    first = (shown - 0.5) / SH_C0
+    return np.concatenate([first, sh[:, 1:] * slope], axis=1, dtype=np.float32)
+
+
+def _moved(
+    scene: Scene, raw: dict[str, NDArray[np.float32]], matrix: NDArray[np.float64]
+) -> dict[str, NDArray[np.float32]]:
+    """Columns as their node places them."""
+    if np.array_equal(matrix, np.eye(4)):
+        return raw
+    sizes = np.linalg.norm(matrix[:3, :3], axis=0)
+    size = float(sizes.mean())
+    turn = matrix[:3, :3] / size
+    if not np.allclose(turn @ turn.T, np.eye(3), atol=EVEN) or np.linalg.det(turn) < 0:
+        limit = "a node scales its Gaussians unevenly, skews or mirrors them, which is not read."
+        raise refusal(KIND, scene.path, limit, "Apply the node's transform and export it again.")
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        gaussians = turned(Gaussians(**raw), turn).moved(size, matrix[:3, 3])
+    return {name: getattr(gaussians, name) for name in raw}
+
+
+def _alike(parts: list[dict[str, NDArray]]) -> list[dict[str, NDArray]]:
+    """Columns with as many harmonics in every part."""
+    most = max(part["sh"].shape[1] for part in parts)
+    rows = [(0, most - part["sh"].shape[1]) for part in parts]
+    padded = [np.pad(p["sh"], ((0, 0), row, (0, 0))) for p, row in zip(parts, rows, strict=True)]
+    return [{**part, "sh": sh} for part, sh in zip(parts, padded, strict=True)]

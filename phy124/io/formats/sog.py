@@ -1,0 +1,268 @@
+"""SOG version 2 (PlayCanvas): pictures in lossless WebP, one pixel per Gaussian, in a zip.
+
+    meta.json                     {version: 2, count, antialias, and an entry for each below}
+    means: mins, maxs, files      two pictures, low and high byte of 16 bits between the ends;
+                                  sign(v) (exp|v| - 1) is the coordinate; x right, y down
+    quats: files                  three components of wxyz, (value / 255 * 2 - 1) / sqrt 2;
+                                  alpha - 252 is which was left out as the largest
+    scales: codebook, files       index among 256 logarithms, per axis
+    sh0: codebook, files          index among 256 coefficients of degree 0, per channel;
+                                  alpha is the opacity
+    shN: count, bands, codebook,  higher harmonics: labels (low byte, high byte) name an entry of a
+         files                    palette; its picture has 64 entries per row, one pixel per
+                                  coefficient, each channel an index among 256 values
+
+Row by row, the picture's pixel i is Gaussian i.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import struct
+import zipfile
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from phy124.errors import InputError
+from phy124.gaussians import Gaussians
+from phy124.io.content import Content, check_count, content_of, refusal
+from phy124.io.formats.codebook import codebook, nearest, palette
+from phy124.io.formats.smallest_three import completed, reduced
+
+KIND = "SOG"
+META = "meta.json"
+LONGEST = 1 << 20
+"""Largest meta.json that is read [bytes]; a usual one has 20,000."""
+WIDEST = 16383
+"""Largest side of a WebP picture."""
+ENTRIES_PER_ROW = 64
+MOST_ENTRIES = 1 << 16
+"""Entries of the palette of harmonics."""
+COEFFICIENTS = (0, 3, 8, 15)
+"""Harmonics above degree 0, by degree."""
+TAG = 252
+BROKEN = (
+    LookupError, TypeError, ValueError, ArithmeticError, AttributeError, OSError, EOFError,
+    NotImplementedError, RuntimeError, SyntaxError, zipfile.BadZipFile, zlib.error, struct.error,
+)  # fmt: skip
+"""What zip, JSON and WebP readers raise on broken files."""
+
+
+def read(path: Path) -> Content:
+    """The Gaussians of a SOG file.
+
+    Raises:
+        InputError: If the file is missing, cut short, damaged or of another version.
+    """
+    if not path.is_file():
+        raise refusal(KIND, path, "there is no such file.", "Check the path.")
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return _read(path, archive)
+    except InputError:
+        raise
+    except BROKEN as error:
+        limit = f"it is damaged ({type(error).__name__}: {str(error)[:80]})."
+        raise refusal(KIND, path, limit) from error
+
+
+def _read(path: Path, archive: zipfile.ZipFile) -> Content:
+    meta = json.loads(_member(path, archive, META, LONGEST))
+    if meta.get("version") != 2:
+        limit = f"it says version {str(meta.get('version', 1))[:20]}; version 2 is read."
+        raise refusal(KIND, path, limit, "Export it again from SuperSplat.")
+    count = int(meta["count"])
+    check_count(KIND, path, count, 24, path.stat().st_size)
+
+    def pixels(entry: dict[str, Any], index: int = 0) -> NDArray[np.uint8]:
+        picture = _picture(path, archive, entry["files"][index], count + 8 * WIDEST)
+        rows = picture.reshape(-1, 4)[:count]
+        if len(rows) < count:
+            raise ValueError(f"{entry['files'][index]} has too few pixels")
+        return rows
+
+    quats, colour = pixels(meta["quats"]), pixels(meta["sh0"])
+    first = _codes(meta["sh0"])[colour[:, :3]][:, None]
+    rest = _harmonics(path, archive, meta["shN"], pixels) if meta.get("shN") else first[:, :0]
+    with np.errstate(over="ignore", invalid="ignore"):
+        raw = {
+            "means": _centres(meta["means"], pixels),
+            "quats": _rotations(quats),
+            "scales": np.exp(_codes(meta["scales"])[pixels(meta["scales"])[:, :3]]),
+            "opacities": colour[:, 3] / np.float32(255),
+            "sh": np.concatenate([first, rest], axis=1),
+        }
+    return content_of(KIND, path, raw, antialiased=bool(meta.get("antialias", False)))
+
+
+def encode(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
+    """The bytes of a SOG file, with the Gaussians in their order."""
+    meta: dict[str, Any] = {
+        "version": 2,
+        "asset": {"generator": "phy124"},
+        "count": len(gaussians),
+        "antialias": antialiased,
+    }
+    pictures: dict[str, NDArray[np.uint8]] = {}
+    _put_centres(meta, pictures, gaussians)
+    others, which = reduced(gaussians.quats)
+    packed = np.rint((others * np.sqrt(2) + 1) / 2 * 255).clip(0, 255)
+    pictures["quats.webp"] = _square(packed, which + TAG)
+    meta["quats"] = {"files": ["quats.webp"]}
+    scales = np.log(np.maximum(gaussians.scales, 1e-30))
+    _put_codes(meta, pictures, "scales", scales)
+    _put_codes(meta, pictures, "sh0", gaussians.sh[:, 0], np.rint(gaussians.opacities * 255))
+    if gaussians.sh_degree:
+        _put_harmonics(meta, pictures, gaussians)
+    return _zipped(meta, pictures)
+
+
+def _zipped(meta: dict[str, Any], pictures: dict[str, NDArray[np.uint8]]) -> bytes:
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_STORED) as archive:
+        for name, picture in pictures.items():
+            file = io.BytesIO()
+            # `exact` keeps the colour of pixels whose alpha is 0.
+            Image.fromarray(picture).save(file, "WEBP", lossless=True, exact=True, method=2)
+            archive.writestr(zipfile.ZipInfo(name), file.getvalue())
+        archive.writestr(zipfile.ZipInfo(META), json.dumps(meta, allow_nan=False))
+    return out.getvalue()
+
+
+def _member(path: Path, archive: zipfile.ZipFile, name: str, most: int) -> bytes:
+    """A member of the archive, if it is no larger than `most`."""
+    known = {info.filename.rpartition("/")[2]: info for info in archive.infolist()}
+    if name not in known:
+        raise refusal(KIND, path, f"it has no {name[:80]}.", "Export it again.")
+    with archive.open(known[name]) as file:
+        data = file.read(most + 1)
+    if len(data) > most:
+        raise refusal(KIND, path, f"its {name[:80]} is larger than {most:,} bytes.")
+    return data
+
+
+def _picture(path: Path, archive: zipfile.ZipFile, name: str, most: int) -> NDArray[np.uint8]:
+    """A WebP picture of at most so many pixels [H,W,4]."""
+    data = _member(path, archive, str(name), 4 * most + 4096)
+    width, height = _size(data)
+    if width * height > most:
+        raise refusal(KIND, path, f"its {str(name)[:80]} has {width:,} x {height:,} pixels.")
+    with Image.open(io.BytesIO(data), formats=["WEBP"]) as picture:
+        return np.asarray(picture.convert("RGBA"))
+
+
+def _size(data: bytes) -> tuple[int, int]:
+    """Width and height of a WebP picture, from its header alone."""
+    kind = data[12:16]
+    if data[:4] != b"RIFF" or data[8:12] != b"WEBP" or len(data) < 30:
+        raise ValueError("a picture is no WebP")
+    if kind == b"VP8L":
+        bits = int.from_bytes(data[21:25], "little")
+        return (bits & 0x3FFF) + 1, (bits >> 14 & 0x3FFF) + 1
+    if kind == b"VP8X":
+        return (int.from_bytes(data[24:27], "little") + 1,
+                int.from_bytes(data[27:30], "little") + 1)  # fmt: skip
+    raise ValueError("a picture is not lossless")
+
+
+def _codes(entry: dict[str, Any]) -> NDArray[np.float32]:
+    """The 256 values that bytes stand for."""
+    codes = np.array(entry["codebook"], np.float64)
+    if codes.shape != (256,):
+        raise ValueError("a codebook has not 256 values")
+    return codes.astype(np.float32)
+
+
+def _centres(entry: dict[str, Any], pixels: Any) -> NDArray[np.float32]:
+    low, high = pixels(entry, 0)[:, :3], pixels(entry, 1)[:, :3]
+    fraction = (low + high.astype(np.uint16) * 256) / np.float64(65535)
+    ends = np.array([entry["mins"], entry["maxs"]], np.float64)
+    if ends.shape != (2, 3):
+        raise ValueError("the ends of the centres are not three numbers each")
+    value = ends[0] + (ends[1] - ends[0]) * fraction
+    return (np.sign(value) * np.expm1(np.abs(value))).astype(np.float32)
+
+
+def _rotations(pixels: NDArray[np.uint8]) -> NDArray[np.float32]:
+    others = (pixels[:, :3] / np.float32(255) * 2 - 1) / np.float32(np.sqrt(2))
+    tag = pixels[:, 3]
+    quats = completed(others, np.maximum(tag, TAG) - TAG)
+    quats[tag < TAG] = 1, 0, 0, 0
+    return quats
+
+
+def _harmonics(
+    path: Path, archive: zipfile.ZipFile, entry: dict[str, Any], pixels: Any
+) -> NDArray[np.float32]:
+    """Coefficients of degree 1 and higher [N,K-1,3]."""
+    count, each = int(entry["count"]), COEFFICIENTS[int(entry["bands"])]
+    if not 0 < count <= MOST_ENTRIES or not each:
+        raise ValueError("its palette of harmonics is empty or too large")
+    most = (count + ENTRIES_PER_ROW) * each
+    picture = _picture(path, archive, entry["files"][0], most)
+    if picture.shape[1] != ENTRIES_PER_ROW * each:
+        raise ValueError("its palette of harmonics has another width")
+    entries = picture.reshape(-1, each, 4)[..., :3]
+    labels = pixels(entry, 1)
+    label = labels[:, 0] + labels[:, 1].astype(np.int64) * 256
+    if label.max() >= min(count, len(entries)):
+        raise ValueError("a label is outside its palette")
+    return _codes(entry)[entries][label]
+
+
+def _put_centres(meta: dict, pictures: dict, gaussians: Gaussians) -> None:
+    means = gaussians.means.astype(np.float64)
+    value = np.sign(means) * np.log1p(np.abs(means))
+    low, high = value.min(axis=0), value.max(axis=0)
+    width = np.where(high > low, high - low, 1)
+    steps = np.rint((value - low) / width * 65535).astype(np.int64)
+    files = ["means_l.webp", "means_u.webp"]
+    pictures |= {files[0]: _square(steps & 255), files[1]: _square(steps >> 8)}
+    meta["means"] = {"mins": low.tolist(), "maxs": high.tolist(), "files": files}
+
+
+def _put_codes(
+    meta: dict, pictures: dict, name: str, values: NDArray, alpha: NDArray | None = None
+) -> None:
+    codes = codebook(values.ravel())
+    pictures[f"{name}.webp"] = _square(nearest(codes, values), alpha)
+    meta[name] = {"codebook": codes.tolist(), "files": [f"{name}.webp"]}
+
+
+def _put_harmonics(meta: dict, pictures: dict, gaussians: Gaussians) -> None:
+    rest = gaussians.sh[:, 1:]
+    entries, labels = palette(rest.reshape(len(rest), -1), MOST_ENTRIES)
+    codes = codebook(entries.ravel())
+    each = rest.shape[1]
+    rows = -(-len(entries) // ENTRIES_PER_ROW)
+    pixels = np.zeros((rows * ENTRIES_PER_ROW * each, 4), np.uint8)
+    pixels[:, 3] = 255
+    pixels[: len(entries) * each, :3] = nearest(codes, entries).reshape(-1, 3)
+    files = ["shN_centroids.webp", "shN_labels.webp"]
+    pictures[files[0]] = pixels.reshape(rows, ENTRIES_PER_ROW * each, 4)
+    zeros = np.zeros(len(labels), np.int64)
+    pictures[files[1]] = _square(np.stack([labels & 255, labels >> 8, zeros], axis=1))
+    meta["shN"] = {
+        "count": len(entries),
+        "bands": gaussians.sh_degree,
+        "codebook": codes.tolist(),
+        "files": files,
+    }
+
+
+def _square(values: NDArray, alpha: NDArray | None = None) -> NDArray[np.uint8]:
+    """Rows [N,3] as a picture that is about as high as wide [H,W,4]; alpha is 255 if not given."""
+    width = 4 * -(-max(int(np.ceil(np.sqrt(len(values)))), 1) // 4)
+    height = 4 * -(-len(values) // (4 * width))
+    pixels = np.zeros((height * width, 4), np.uint8)
+    pixels[:, 3] = 255
+    pixels[: len(values), :3] = values
+    if alpha is not None:
+        pixels[: len(values), 3] = alpha
+    return pixels.reshape(height, width, 4)

@@ -1,0 +1,77 @@
+"""`.splat` (antimatter15): rows of 32 bytes without a header, in the order of the Gaussians.
+
+    offset  field    type       meaning
+    0       centre   3 float32  x right, y down, as in a 3DGS PLY
+    12      scale    3 float32  standard deviations, linear
+    24      colour   4 uint8    red, green, blue, opacity; value / 255
+    28      rotation 4 uint8    wxyz; (value - 128) / 128
+
+Spherical harmonics above degree 0 have no place in it.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.gaussians import SH_C0, Gaussians
+from phy124.io.content import Content, check_count, content_of, refusal
+
+ROW = np.dtype(
+    [("centre", "<f4", 3), ("scale", "<f4", 3), ("colour", "u1", 4), ("rotation", "u1", 4)]
+)
+LOOKED_AT = 1000
+"""Rows that show whether bytes without a header can be a `.splat` file."""
+
+
+def read(path: Path) -> Content:
+    """The Gaussians of a `.splat` file.
+
+    Raises:
+        InputError: If the file is missing, cut short, too large, or nothing in it is finite.
+    """
+    size = path.stat().st_size if path.is_file() else 0
+    count, rest = divmod(size, ROW.itemsize)
+    if rest:
+        limit = f"its {size:,} bytes are no multiple of {ROW.itemsize}: it is cut short or foreign."
+        raise refusal("splat", path, limit)
+    check_count("splat", path, count, ROW.itemsize, size)
+    rows = np.fromfile(path, ROW, count)
+    colour = rows["colour"].astype(np.float32) / 255
+    raw = {
+        "means": rows["centre"].copy(),
+        "quats": _quats(rows),
+        "scales": np.abs(rows["scale"]),
+        "opacities": colour[:, 3],
+        "sh": ((colour[:, :3] - 0.5) / SH_C0)[:, None],
+    }
+    return content_of("splat", path, raw)
+
+
+def encode(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
+    """The bytes of a `.splat` file; it cannot say whether it is antialiased."""
+    del antialiased
+    rows = np.empty(len(gaussians), ROW)
+    rows["centre"], rows["scale"] = gaussians.means, gaussians.scales
+    rgba = np.concatenate([gaussians.rgb, gaussians.opacities[:, None]], axis=1)
+    rows["colour"] = np.rint(np.clip(rgba, 0, 1) * 255)
+    rows["rotation"] = np.rint(gaussians.quats * 128 + 128).clip(0, 255)
+    return rows.tobytes()
+
+
+def likely(path: Path) -> bool:
+    """Whether bytes without a header can be rows of Gaussians."""
+    size = path.stat().st_size
+    if not size or size % ROW.itemsize:
+        return False
+    rows = np.fromfile(path, ROW, LOOKED_AT)
+    with np.errstate(invalid="ignore", over="ignore"):
+        unit = np.abs(np.linalg.norm(_quats(rows), axis=1) - 1) < 0.1
+        sound = np.isfinite(rows["centre"]).all(axis=1) & (rows["scale"] >= 0).all(axis=1)
+    return float((unit & sound).mean()) > 0.9
+
+
+def _quats(rows: NDArray) -> NDArray[np.float32]:
+    return (rows["rotation"].astype(np.float32) - 128) / np.float32(128)

@@ -1,0 +1,277 @@
+"""SPZ (Niantic), versions 2 to 4: Gaussians in 20 to 64 bytes, then gzip (2, 3) or Zstandard (4).
+
+    header, 16 bytes        magic "NGSP", version, count (uint32 each), degree of the harmonics,
+                            bits after the point of the centres, flags (1: antialiased), reserved
+    version 4, 16 more      "reserved" is the number of streams; offset of their table (uint32), 0
+    table (version 4)       sizes of each stream (uint64): compressed, raw
+
+    section     bytes      meaning
+    centres     9          3 x int24, / 2^bits
+    opacity     1          / 255
+    colour      3          degree 0: (value / 255 - 1/2) / 0.15
+    scale       3          logarithm: value / 16 - 10
+    rotation    3          version 2: x, y, z: value / 127.5 - 1, and w is the rest
+                4          later: 2 bits which of x, y, z, w is left out as the largest; for each
+                           other a sign and 9 bits, / 511 sqrt 2
+    harmonics   9, 24, 45  of degree 1 to 3: coefficient by coefficient, (value - 128) / 128
+
+Version 4 holds each section as a stream of its own, the others all together. x right, y up, z to
+the viewer. Scales come in steps of 6.5 %, harmonics of degree 1 are written in 5 bits and higher
+ones in 4, as Niantic does.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import zstandard
+from numpy.typing import NDArray
+
+from phy124.gaussians import Gaussians
+from phy124.io.content import (
+    LARGEST_SH,
+    Y_UP,
+    Content,
+    check_count,
+    content_of,
+    refusal,
+    whole_file,
+)
+from phy124.io.formats.smallest_three import completed, reduced
+
+KIND = "SPZ"
+MAGIC = b"NGSP"
+GZIP = b"\x1f\x8b"
+HEADER = struct.Struct("<4sIIBBBB")
+MORE = struct.Struct("<I12x")
+ENTRY = struct.Struct("<QQ")
+ANTIALIASED = 1
+COLOUR = 0.15
+MOST_BITS = 16
+"""Bits after the point that are written; fewer if the object is larger than 128 of its units."""
+REACH = (1 << 23) - 1
+LEVEL = 9
+"""Zstandard's level: more takes longer and saves hardly anything."""
+WINDOW = 1 << 27
+"""Largest window [bytes] of a Zstandard stream that is read."""
+HARMONIC_BITS = (5, 4, 4)
+"""Bits that are written for harmonics of degree 1, 2, 3."""
+
+
+class Head(NamedTuple):
+    """The first 16 bytes."""
+
+    magic: bytes
+    version: int
+    gaussians: int
+    degree: int
+    bits: int
+    flags: int
+    streams: int
+
+    @property
+    def sizes(self) -> list[int]:
+        """Bytes of each section, without those that are empty."""
+        rotation = 3 if self.version < 3 else 4
+        harmonics = 3 * ((self.degree + 1) ** 2 - 1)
+        rows = (9, 1, 3, 3, rotation, harmonics)
+        return [self.gaussians * row for row in rows if row]
+
+
+def read(path: Path) -> Content:
+    """The Gaussians of an SPZ file.
+
+    Raises:
+        InputError: If the file is missing, cut short, damaged or of another version.
+    """
+    data = whole_file(KIND, path)
+    head, body = _gunzipped(path, data) if data[:2] == GZIP else _streams(path, data)
+    n, at = head.gaussians, np.cumsum([0, *head.sizes])
+    sections = [body[a:b].reshape(n, -1) for a, b in pairwise(at)]
+    centres, opacity, colour, scale, rotation, *rest = sections
+    raw = {
+        "means": _fixed(centres) / np.float32(2**head.bits),
+        "quats": (_from_three(rotation) if head.version < 3 else _from_four(rotation)),
+        "scales": np.exp(scale / np.float32(16) - 10),
+        "opacities": opacity[:, 0] / np.float32(255),
+        "sh": ((colour / np.float32(255) - np.float32(0.5)) / np.float32(COLOUR))[:, None],
+    }
+    if rest:
+        higher = rest[0].reshape(n, -1, 3)[:, : LARGEST_SH - 1].astype(np.float32)
+        raw["sh"] = np.concatenate([raw["sh"], (higher - 128) / 128], axis=1)
+    return content_of(KIND, path, raw, Y_UP, antialiased=bool(head.flags & ANTIALIASED))
+
+
+def encode(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
+    """The bytes of a file of version 3, which most programs read."""
+    head, sections = _packed(gaussians, 3, antialiased=antialiased)
+    return _gzipped(HEADER.pack(*head) + b"".join(sections))
+
+
+def encode_v4(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
+    """The bytes of a file of version 4."""
+    head, sections = _packed(gaussians, 4, antialiased=antialiased)
+    streams = [zstandard.ZstdCompressor(level=LEVEL).compress(section) for section in sections]
+    start = HEADER.size + MORE.size
+    table = [ENTRY.pack(len(a), len(b)) for a, b in zip(streams, sections, strict=True)]
+    return b"".join([HEADER.pack(*head), MORE.pack(start), *table, *streams])
+
+
+def begins(data: bytes) -> bool:
+    """Whether a file that begins like this is SPZ."""
+    if data[:4] == MAGIC:
+        return True
+    try:
+        return data[:2] == GZIP and zlib.decompressobj(31).decompress(data, 4) == MAGIC
+    except zlib.error:
+        return False
+
+
+def _gunzipped(path: Path, data: bytes) -> tuple[Head, NDArray[np.uint8]]:
+    """Header and sections of versions 2 and 3."""
+    packer = zlib.decompressobj(31)
+    try:
+        first = packer.decompress(data, HEADER.size)
+        head = _head(path, first, len(data), versions=(2, 3))
+        wanted = sum(head.sizes)
+        body = packer.decompress(packer.unconsumed_tail, wanted)
+    except zlib.error as error:
+        raise refusal(KIND, path, f"its compressed part is damaged ({error}).") from error
+    if len(body) < wanted:
+        raise _short(path)
+    return head, np.frombuffer(body, np.uint8)
+
+
+def _streams(path: Path, data: bytes) -> tuple[Head, NDArray[np.uint8]]:
+    """Header and sections of version 4."""
+    head = _head(path, data[: HEADER.size], len(data), versions=(4,))
+    if len(data) < HEADER.size + MORE.size:
+        raise _short(path)
+    (at,) = MORE.unpack_from(data, HEADER.size)
+    sizes = head.sizes
+    start = at + ENTRY.size * len(sizes)
+    if head.streams != len(sizes) or start > len(data):
+        raise refusal(KIND, path, f"its table of {head.streams} streams does not fit.")
+    parts = []
+    for i, wanted in enumerate(sizes):
+        size, raw = ENTRY.unpack_from(data, at + ENTRY.size * i)
+        if raw != wanted:
+            raise refusal(KIND, path, f"its stream {i} is announced with {raw:,} bytes.")
+        if start + size > len(data):
+            raise _short(path)
+        parts.append(_unpacked(path, data[start : start + size], wanted))
+        start += size
+    return head, np.frombuffer(b"".join(parts), np.uint8)
+
+
+def _unpacked(path: Path, stream: bytes, wanted: int) -> bytes:
+    """One Zstandard stream, whose own header must announce what the file's table does."""
+    try:
+        announced = zstandard.frame_content_size(stream)
+        if announced in (-1, wanted):
+            unpacker = zstandard.ZstdDecompressor(max_window_size=WINDOW)
+            body = unpacker.decompress(stream, max_output_size=wanted)
+            if len(body) == wanted:
+                return body
+    except zstandard.ZstdError as error:
+        raise refusal(KIND, path, f"its compressed part is damaged ({error}).") from error
+    raise refusal(KIND, path, "a stream of it is longer or shorter than announced.")
+
+
+def _head(path: Path, data: bytes, size: int, versions: tuple[int, ...]) -> Head:
+    if len(data) < HEADER.size:
+        raise _short(path)
+    head = Head(*HEADER.unpack(data))
+    if head.magic != MAGIC:
+        raise refusal(KIND, path, "it does not begin as an SPZ file.", "Give an SPZ file.")
+    if head.version not in versions:
+        limit = f"it says version {head.version}; versions 2 to 4 are read."
+        raise refusal(KIND, path, limit, "Export it again as version 3 or 4.")
+    if head.degree > 4 or head.bits > 23:
+        raise refusal(KIND, path, "its header is damaged.")
+    check_count(KIND, path, head.gaussians, sum(head.sizes) // max(head.gaussians, 1), size)
+    return head
+
+
+def _short(path: Path) -> Exception:
+    return refusal(KIND, path, "it is cut short.")
+
+
+def _fixed(data: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Integers of 24 bits, low byte first [N,9] -> [N,3]."""
+    wide = np.zeros((len(data), 3, 4), np.uint8)
+    wide[..., 1:] = data.reshape(-1, 3, 3)
+    return (wide.view("<i4")[..., 0] >> 8).astype(np.float32)
+
+
+def _from_three(data: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Quaternions wxyz of version 2."""
+    vector = data.astype(np.float32) / np.float32(127.5) - 1
+    scalar = np.sqrt(np.maximum(1 - np.square(vector).sum(axis=1, keepdims=True), 0))
+    return np.concatenate([scalar, vector], axis=1)
+
+
+def _from_four(data: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Quaternions wxyz of version 3 and later."""
+    packed = np.ascontiguousarray(data).view("<u4")
+    fields = (packed >> np.array([20, 10, 0], np.uint32)) & np.uint32(1023)
+    size = (fields & 511).astype(np.float32) / np.float32(511 * np.sqrt(2))
+    others = np.where(fields >> 9, -size, size)
+    return np.roll(completed(others, packed[:, 0] >> 30), 1, axis=1)
+
+
+def _packed(gaussians: Gaussians, version: int, *, antialiased: bool) -> tuple[Head, list[bytes]]:
+    """Header and sections, not yet compressed."""
+    bits = _bits(gaussians.means)
+    steps = np.rint(gaussians.means.astype(np.float64) * 2**bits).clip(-REACH, REACH)
+    centres = steps.astype("<i4").view(np.uint8).reshape(-1, 3, 4)[..., :3]
+    scales = np.log(np.maximum(gaussians.scales, 1e-30))
+    sections = [
+        centres,
+        _byte(gaussians.opacities * 255),
+        _byte((gaussians.sh[:, 0] * COLOUR + 0.5) * 255),
+        _byte((scales + 10) * 16),
+        _to_four(gaussians.quats),
+        _harmonics(gaussians.sh[:, 1:]),
+    ]
+    kept = [section.tobytes() for section in sections if section.size]
+    flags = ANTIALIASED if antialiased else 0
+    streams = len(kept) if version == 4 else 0
+    return Head(MAGIC, version, len(gaussians), gaussians.sh_degree, bits, flags, streams), kept
+
+
+def _bits(means: NDArray) -> int:
+    """Bits after the point with which the farthest centre still fits."""
+    reach = float(np.abs(means).max(initial=1e-6))
+    return int(np.clip(np.floor(np.log2(REACH / reach)), 0, MOST_BITS))
+
+
+def _byte(values: NDArray) -> NDArray[np.uint8]:
+    return np.rint(values).clip(0, 255).astype(np.uint8)
+
+
+def _to_four(quats: NDArray) -> NDArray[np.uint8]:
+    others, which = reduced(np.roll(quats, -1, axis=1))
+    size = np.rint(np.abs(others) * (511 * np.sqrt(2))).clip(0, 511).astype("<u4")
+    fields = size | np.where(others < 0, np.uint32(512), np.uint32(0))
+    packed = fields[:, 0] << 20 | fields[:, 1] << 10 | fields[:, 2] | which.astype("<u4") << 30
+    return packed.astype("<u4")[:, None].view(np.uint8)
+
+
+def _harmonics(rest: NDArray) -> NDArray[np.uint8]:
+    """Bytes of the harmonics above degree 0, rounded to multiples of a step."""
+    count = rest.shape[1]
+    bits = np.repeat(HARMONIC_BITS, (3, 5, 7))[:count, None]
+    step = 1 << (8 - bits)
+    values = np.rint(rest * 128).astype(np.int64) + 128
+    return ((values + step // 2) // step * step).clip(0, 255).astype(np.uint8)
+
+
+def _gzipped(data: bytes) -> bytes:
+    packer = zlib.compressobj(6, wbits=31)
+    return packer.compress(data) + packer.flush()

@@ -1,0 +1,412 @@
+"""Formats of Gaussians: what is written reads back, and what other programs wrote is read."""
+
+import json
+import struct
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from phy124.errors import InputError
+from phy124.gaussians import Gaussians
+from phy124.io.axes import orientation, turned
+from phy124.io.content import MAX_GAUSSIANS
+from phy124.io.formats import (
+    FORMATS,
+    WRITTEN,
+    glb,
+    is_file_of_gaussians,
+    read_as_is,
+    read_gaussians,
+    recognised,
+    spz,
+    write_gaussians,
+    written_as,
+)
+from phy124.io.formats.codebook import codebook, nearest, palette
+from phy124.io.ply import read_ply, write_ply
+from support.quantisation import Errors, bound, errors, many
+
+FOREIGN = Path(__file__).parent / "support" / "formats"
+GUIDE = (Path(__file__).parents[1] / "docs/guide/formats.md").read_text("utf-8")
+CUT = ("sog", "splat")
+"""Formats whose other writers cut digits off instead of rounding: a whole step may be missing."""
+STILL = [name for name, f in FORMATS.items() if f.encode]
+
+
+def assert_same(found: Gaussians, wanted: Gaussians) -> None:
+    """Equal but for rounding; the axes of a Gaussian may be named in another order."""
+    np.testing.assert_allclose(found.means, wanted.means, atol=1e-5)
+    np.testing.assert_allclose(found.covariances(), wanted.covariances(), rtol=1e-4, atol=1e-8)
+    np.testing.assert_allclose(found.opacities, wanted.opacities, atol=1e-6)
+    np.testing.assert_allclose(found.sh, wanted.sh, atol=2e-6)
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+@pytest.mark.parametrize("name", STILL)
+def test_what_is_written_reads_back_within_the_steps_of_its_format(tmp_path, rng, name, degree):
+    wanted, path = many(rng, 300, degree), tmp_path / f"a{FORMATS[name].suffix}"
+    assert write_gaussians(path, wanted, name, antialiased=True) is FORMATS[name]
+    content = read_as_is(path)
+    assert content.dropped == 0 and content.axes == FORMATS[name].axes
+    assert content.antialiased == (name not in ("splat", "glb"))
+    assert content.gaussians.sh_degree == min(degree, FORMATS[name].degree)
+    allowed = bound(name, wanted, path.read_bytes())
+    there = turned(wanted, orientation(*content.axes).T)
+    assert not errors(content.gaussians, there).within(allowed)
+    ours = read_gaussians(path).gaussians
+    np.testing.assert_allclose(ours.means, wanted.means, atol=allowed.means)
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
+
+
+@pytest.mark.parametrize(
+    ("file", "name", "axes"),
+    [
+        ("splat-transform.sog", "sog", ()),
+        ("splat-transform.glb", "glb", ()),
+        ("splat-transform.compressed.ply", "compressed-ply", ()),
+        ("splat-transform-v3.spz", "spz foreign", ()),
+        ("splat-transform-v4.spz", "spz foreign", ()),
+        ("spz-js-v2.spz", "spz foreign v2", ("-y", "-z")),
+        ("gaussforge.splat", "splat", ()),
+    ],
+)
+def test_what_other_programs_wrote_is_read(file, name, axes):
+    """Axes, quaternions, scales, colours and opacities; harmonics turn with the axes."""
+    wanted = read_ply(FOREIGN / "source.ply").gaussians
+    content = read_as_is(FOREIGN / file)
+    found, axes = content.gaussians, axes or content.axes
+    wanted = turned(wanted, orientation(*axes).T)
+    allowed = bound(name, wanted, (FOREIGN / file).read_bytes())
+    if name == "sog":  # its palette of harmonics is judged by what its own program reads
+        own = read_as_is(FOREIGN / "splat-transform-sog.ply").gaussians
+        assert not errors(found, own).within(bound("glb", own))
+        wanted = Gaussians(**{**vars(wanted), "sh": wanted.sh[:, :1]})
+    if name in CUT:
+        allowed = Errors(*(2 * value for value in vars(allowed).values()))
+    if name == "glb":
+        assert_same(found, wanted)
+    else:
+        assert not errors(found, wanted, ordered=False).within(allowed)
+    assert is_file_of_gaussians(FOREIGN / file)
+
+
+def test_content_tells_the_format_whatever_the_name(tmp_path):
+    kinds = {
+        "splat-transform.sog": "sog", "splat-transform.glb": "glb", "gaussforge.splat": "splat",
+        "splat-transform-v4.spz": "spz", "spz-js-v2.spz": "spz", "source.ply": "ply",
+        "splat-transform.compressed.ply": "compressed-ply",
+    }  # fmt: skip
+    for file, kind in kinds.items():
+        copy = tmp_path / "copy.dat"
+        copy.write_bytes((FOREIGN / file).read_bytes())
+        assert recognised(copy).name == kind and is_file_of_gaussians(copy)
+        assert len(read_gaussians(copy).gaussians) == 40
+    other = tmp_path / "relief"
+    for data in (b"", b"hello" * 64, bytes(64), np.random.default_rng(0).bytes(3200)):
+        other.write_bytes(data)
+        assert not is_file_of_gaussians(other)
+        with pytest.raises(InputError, match="no file of Gaussians"):
+            recognised(other)
+    assert not is_file_of_gaussians("relief") and is_file_of_gaussians("missing.SPZ")
+
+
+def test_axes_options_go_before_those_of_the_format(tmp_path, three_gaussians):
+    path = tmp_path / "a.glb"
+    write_gaussians(path, three_gaussians)
+    raw = read_as_is(path)
+    assert raw.axes == ("y", "z")
+    x, y, z = three_gaussians.means.T
+    np.testing.assert_array_equal(raw.gaussians.means, np.stack([y, z, x], axis=1))
+    lying = read_gaussians(path, up="-y", front="-z").gaussians
+    np.testing.assert_array_equal(lying.means, three_gaussians.means * [-1, 1, -1])
+    by_dialect = read_gaussians(path, dialect="3dgs").gaussians
+    np.testing.assert_array_equal(by_dialect.means, lying.means)
+    back = read_gaussians(path, front="-z").gaussians
+    np.testing.assert_array_equal(back.means, three_gaussians.means * [-1, -1, 1])
+    for options, words in (({"up": "w"}, "not an axis"), ({"dialect": "x"}, "not known")):
+        with pytest.raises(InputError, match=words):
+            read_gaussians(path, **options)
+
+
+@pytest.mark.parametrize(
+    ("tag", "axes", "antialiased"),
+    [
+        ("Vertical Axis: z", ("z", None), False),
+        ("vertical axis: -x", ("-x", None), False),
+        ("Vertical axis: y", ("-y", "-z"), False),
+        ("SplatRenderMode: mip", ("-y", "-z"), True),
+        ("antialiased 1", ("-y", "-z"), True),
+        ("antialiased 0", ("-y", "-z"), False),
+        ("SplatRenderMode: 2dgs", ("-y", "-z"), False),
+    ],
+)
+def test_tags_of_a_ply_are_read(tmp_path, three_gaussians, tag, axes, antialiased):
+    path = tmp_path / "a.ply"
+    write_ply(path, three_gaussians)
+    head, body = path.read_bytes().split(b"end_header\n", 1)
+    kept = [line for line in head.split(b"\n") if not line.startswith(b"comment")]
+    path.write_bytes(b"\n".join([*kept[:2], f"comment {tag}".encode(), *kept[2:]]) +
+                     b"end_header\n" + body)  # fmt: skip
+    content = read_as_is(path)
+    assert (content.axes, content.antialiased) == (axes, antialiased)
+    turn = orientation(*axes) @ orientation().T
+    there = turned(three_gaussians, turn).means
+    np.testing.assert_allclose(read_ply(path).gaussians.means, there, atol=1e-6)
+    np.testing.assert_allclose(read_gaussians(path).gaussians.means, there, atol=1e-6)
+
+
+def test_tags_of_a_ply_are_written(tmp_path, three_gaussians):
+    path = tmp_path / "a.ply"
+    for mip, words in ((True, (b"mip", b"1")), (False, (b"default", b"0"))):
+        write_gaussians(path, three_gaussians, antialiased=mip)
+        head = path.read_bytes().split(b"end_header")[0]
+        assert b"comment Vertical axis: -y\n" in head
+        assert b"comment SplatRenderMode: " + words[0] + b"\n" in head
+        assert b"comment antialiased " + words[1] + b"\n" in head
+
+
+def edited(data: bytes, change) -> bytes:
+    """A GLB with another description."""
+    (size,) = struct.unpack_from("<I", data, 12)
+    tree = json.loads(data[20 : 20 + size])
+    change(tree)
+    text = json.dumps(tree).encode()
+    text += b" " * (-len(text) % 4)
+    rest = data[20 + size :]
+    head = struct.pack("<4sII", b"glTF", 2, 20 + len(text) + len(rest))
+    return head + struct.pack("<II", len(text), 0x4E4F534A) + text + rest
+
+
+def glb_with(path: Path, gaussians: Gaussians, change) -> Path:
+    """A GLB whose description is changed."""
+    write_gaussians(path, gaussians)
+    path.write_bytes(edited(path.read_bytes(), change))
+    return path
+
+
+def test_scales_of_a_glb_from_before_the_ratified_text_are_logarithms(tmp_path, three_gaussians):
+    logs = Gaussians(**{**vars(three_gaussians), "scales": np.log(three_gaussians.scales)})
+    write_gaussians(tmp_path / "a.glb", logs)
+    found = read_gaussians(tmp_path / "a.glb").gaussians
+    np.testing.assert_allclose(found.scales, three_gaussians.scales, rtol=1e-6)
+
+
+def test_nodes_of_a_glb_move_turn_and_scale_their_gaussians(tmp_path, rng):
+    wanted = many(rng, 50, 3)
+    half = float(np.sqrt(0.5))
+
+    def change(tree):
+        tree["nodes"] = [
+            {"children": [1, 2], "translation": [0, 10, 0]},
+            {"mesh": 0},
+            {"mesh": 0, "rotation": [0, half, 0, half], "scale": [2, 2, 2]},
+        ]
+
+    found = read_gaussians(glb_with(tmp_path / "a.glb", wanted, change)).gaussians
+    assert len(found) == 100
+    halves = [found.select(np.arange(50)), found.select(np.arange(50, 100))]
+    plain, other = sorted(halves, key=lambda g: g.scales.sum())
+    up = np.array([0, 0, 10])
+    assert_same(plain, wanted.moved(1, up))
+    turn = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]])  # about our z, which is the file's y
+    assert_same(other, turned(wanted, turn).moved(2, up))
+
+
+def _set(path: str, value) -> object:
+    def change(tree):
+        *keys, last = [int(key) if key.isdigit() else key for key in path.split("/")]
+        for key in keys:
+            tree = tree[key]
+        if value is None:
+            del tree[last]
+        else:
+            tree[last] = value
+
+    return change
+
+
+SPLATS = "meshes/0/primitives/0/extensions/KHR_gaussian_splatting"
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "words"),
+    [
+        (f"{SPLATS}/kernel", "box", "kernel is box"),
+        (f"{SPLATS}/extensions", {"KHR_x_spz_2": {}}, "compressed by KHR_x_spz_2, a draft"),
+        (SPLATS, None, "no mesh has KHR_gaussian_splatting"),
+        ("nodes/0/scale", [1, 2, 1], "unevenly"),
+        ("nodes/0/scale", [-1, 1, 1], "mirrors"),
+        ("nodes/0/children", [0], "go in a circle"),
+        ("accessors/0/count", 10**9, "announces 1,000,000,000"),
+        ("accessors/2/count", 7, "reaches beyond"),
+        ("accessors/0/componentType", 5123, "malformed"),
+        ("accessors/0/sparse", {}, "sparse"),
+        ("buffers/0/uri", "a.bin", "in another file"),
+        ("bufferViews/0/byteOffset", 1 << 60, "cut short"),
+        ("meshes", 3, "malformed"),
+        ("scene", "x", "malformed"),
+        ("asset", 3, "malformed"),
+        ("meshes/0/primitives/0/attributes/KHR_gaussian_splatting:SCALE", None, "no KHR.*SCALE"),
+    ],
+)
+def test_glb_of_other_kinds_are_refused(tmp_path, three_gaussians, path, value, words):
+    file = glb_with(tmp_path / "a.glb", three_gaussians, _set(path, value))
+    with pytest.raises(InputError, match=words):
+        read_gaussians(file)
+
+
+def test_integers_and_linear_light_of_a_glb(tmp_path, three_gaussians):
+    """Rotations in int16, opacities in uint8; colours of linear light become those of displays."""
+    write_gaussians(tmp_path / "a.glb", three_gaussians)
+    data = bytearray((tmp_path / "a.glb").read_bytes())
+    body = data.index(b"BIN\0") + 4
+    rotations, opacities = [0, 0], [0]
+
+    def change(tree):
+        views, accessors = tree["bufferViews"], tree["accessors"]
+        rotations[:] = views[2]["byteOffset"], accessors[2]["count"]
+        opacities[0] = views[4]["byteOffset"]
+        accessors[2] |= {"componentType": 5122, "normalized": True}
+        accessors[4] |= {"componentType": 5121, "normalized": True}
+        tree["meshes"][0]["primitives"][0]["extensions"]["KHR_gaussian_splatting"] |= {
+            "colorSpace": "lin_rec709_display"
+        }
+
+    edited(bytes(data), change)
+    quats = np.roll(read_as_is(tmp_path / "a.glb").gaussians.quats, -1, axis=1)
+    at = body + rotations[0]
+    data[at : at + 24] = np.rint(quats * 32767).astype("<i2").tobytes()
+    at = body + opacities[0]
+    data[at : at + 3] = np.rint(three_gaussians.opacities * 255).astype(np.uint8).tobytes()
+    (tmp_path / "a.glb").write_bytes(edited(bytes(data), change))
+    found = read_gaussians(tmp_path / "a.glb").gaussians
+    np.testing.assert_allclose(found.opacities, three_gaussians.opacities, atol=0.5 / 255)
+    dots = np.abs((found.quats * three_gaussians.quats).sum(axis=1))
+    np.testing.assert_allclose(dots, 1, atol=1e-6)
+    linear = np.clip(three_gaussians.rgb, 0, 1)
+    shown = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    np.testing.assert_allclose(found.rgb, shown, atol=1e-5)
+
+
+def test_far_objects_fit_into_spz(tmp_path, three_gaussians):
+    for size in (1e-3, 1.0, 1e3, 1e5):
+        wanted = three_gaussians.moved(size, np.zeros(3))
+        write_gaussians(tmp_path / "a.spz", wanted)
+        found = read_gaussians(tmp_path / "a.spz").gaussians
+        reach = np.abs(wanted.means).max()
+        assert np.abs(found.means - wanted.means).max() <= max(reach / (1 << 22), 0.5 / 2**16)
+
+
+def test_degree_4_of_spz_is_left_out(tmp_path):
+    """Niantic's library writes degree 4, too."""
+    harmonics = np.full((2, 24, 3), 128, np.uint8)
+    harmonics[:, 0], harmonics[:, 20] = 160, 255
+    sections = [bytes(18), b"\xff" * 2, bytes(6), bytes(6), bytes(8), harmonics.tobytes()]
+    head = spz.Head(b"NGSP", 3, 2, 4, 12, 0, 0)
+    (tmp_path / "a.spz").write_bytes(spz._gzipped(spz.HEADER.pack(*head) + b"".join(sections)))
+    sh = read_as_is(tmp_path / "a.spz").gaussians.sh
+    assert sh.shape == (2, 16, 3)
+    assert (sh[:, 1] == 0.25).all() and (sh[:, 2:] == 0).all()
+
+
+def bomb(count: int) -> bytes:
+    """A gzip of zeros that says it is so many Gaussians."""
+    packer = zlib.compressobj(9, wbits=31)
+    head = packer.compress(spz.HEADER.pack(b"NGSP", 3, count, 0, 12, 0, 0))
+    return head + packer.compress(bytes(20 * min(count, 1_000_000))) + packer.flush()
+
+
+@pytest.mark.parametrize(
+    ("count", "words"),
+    [(1_000_000, "bytes cannot hold"), (MAX_GAUSSIANS + 1, "the limit is"), (0, "holds no")],
+)
+def test_bombs_are_refused_before_they_unfold(tmp_path, count, words):
+    (tmp_path / "a.spz").write_bytes(bomb(count))
+    with pytest.raises(InputError, match=words):
+        read_gaussians(tmp_path / "a.spz")
+
+
+def test_unknown_formats_and_folders_are_refused(tmp_path, three_gaussians):
+    for path, name, words in (
+        ("a.obj", None, "names no format"),
+        ("a.ply", "obj", "Choose one of ply"),
+        ("a.ply", "compressed-ply", "No such format is written"),
+        ("no/a.glb", None, "folder that exists"),
+    ):
+        with pytest.raises(InputError, match=words):
+            write_gaussians(tmp_path / path, three_gaussians, name)
+    assert written_as(Path("x.USDA")).name == "usd" and written_as(Path("x.spz")).name == "spz"
+    assert not list(tmp_path.iterdir())
+
+
+def test_every_format_is_declared_whole():
+    for name, format in FORMATS.items():
+        assert format.name == name and format.suffix.startswith(".") and format.opens_in
+        assert format.read or format.written
+        assert (name in WRITTEN) == format.written
+        orientation(*format.axes)
+
+
+def test_a_codebook_is_near_all_values(rng):
+    values = np.concatenate([rng.normal(size=5000), [-27.6, 9.0]])
+    codes = codebook(values)
+    error = np.abs(codes[nearest(codes, values)] - values)
+    assert len(codes) == 256 and (np.diff(codes) >= 0).all()
+    assert error.max() < 37 / 127 and np.sqrt((error**2).mean()) < 0.02
+    assert np.ptp(codebook(np.zeros(3))) == 0
+
+
+def test_a_palette_holds_few_vectors_exactly_and_many_nearly(rng):
+    vectors = rng.normal(size=(4000, 9)).astype(np.float32)
+    entries, labels = palette(vectors, 4096)
+    np.testing.assert_array_equal(entries[labels], vectors)
+    few = (rng.normal(size=(64, 9))[rng.integers(64, size=4000)]).astype(np.float32)
+    error = {}
+    for most in (16, 256):
+        entries, labels = palette(few, most)
+        assert len(entries) == most and labels.max() == most - 1
+        error[most] = float(np.square(entries[labels] - few).mean())
+    assert error[256] < 0.05 < error[16] < 1
+
+
+def test_glb_reads_in_the_library_of_another_container(tmp_path, rng):
+    fourdgs = pytest.importorskip("fourdgs", reason="the extra fourdgs is not installed")
+    wanted = many(rng, 200, 3)
+    write_gaussians(tmp_path / "a.glb", wanted)
+    found = fourdgs.from_gltf(str(tmp_path / "a.glb")).gaussians
+    there = turned(wanted, orientation(*glb.Y_UP).T)
+    np.testing.assert_allclose(found.positions, there.means, atol=1e-6)
+    np.testing.assert_allclose(found.scales, there.scales, rtol=1e-6)
+    np.testing.assert_allclose(found.rotations, np.roll(there.quats, -1, axis=1), atol=1e-6)
+    np.testing.assert_allclose(found.colors[:, :3], there.rgb, atol=1e-6)
+    np.testing.assert_allclose(found.colors[:, 3], there.opacities, atol=1e-6)
+    channels = there.sh[:, 1:].transpose(0, 2, 1).reshape(200, -1)
+    assert np.abs(found.sh * (8 / 255) - 4 - channels).max() <= 0.51 * 8 / 255
+
+
+def test_the_guide_shows_every_format_as_it_is_declared():
+    rows = [
+        [cell.strip() for cell in line.split("|")[1:-1]]
+        for line in GUIDE.splitlines()
+        if line.count("|") == 10
+    ][2:]
+    assert rows == [
+        [
+            f"`{name}`" if f.written else "-", f.title, f"`{f.suffix}`", f.holds,
+            f"to degree {f.degree}" if f.degree else "none", ", ".join(f.axes),
+            "yes" if f.read else "", "yes" if f.written else "", f.opens_in,
+        ]
+        for name, f in FORMATS.items()
+    ]  # fmt: skip
+
+
+def test_the_python_of_the_guide_runs(tmp_path, monkeypatch, three_gaussians):
+    """The block of docs/guide/formats.md."""
+    (tmp_path / "out/duck-press").mkdir(parents=True)
+    write_ply(tmp_path / "out/duck-press/gaussians.ply", three_gaussians)
+    monkeypatch.chdir(tmp_path)
+    exec(GUIDE.split("```python\n")[1].split("```")[0], {})
+    for name in ("duck.glb", "duck.spz"):
+        assert len(read_gaussians(tmp_path / "out" / name).gaussians) == 3
