@@ -8,9 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy.ndimage as ndi
+import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
@@ -59,19 +61,18 @@ class Surface:
         m = ndi.gaussian_filter(m[nearest_of(w > 0)[1]], 2.0)
         return cls.of(w / (1 + np.maximum(w, 0) / distance**2), m)
 
+    @cached_property
+    def _fields(self) -> Field:
+        return np.stack([self.w, self.m, *self.slopes.reshape(4, *self.w.shape)], axis=2)
+
     def middle(self, points: Field) -> Field:
         """m at points [N,3 or 2]."""
         return ndi.map_coordinates(self.m, points[:, 1::-1].T, order=1, mode="nearest")
 
     def gradient(self, points: Field) -> tuple[Field, Field]:
         """F [N] and its gradient [N,3] at points [N,3]."""
-        place = points[:, 1::-1].T
-        value = ndi.map_coordinates(self.w, place, order=1, mode="nearest")
-        wx, wy, mx, my = (
-            ndi.map_coordinates(slope, place, order=1, mode="nearest")
-            for slope in self.slopes.reshape(4, *self.w.shape)
-        )
-        z = points[:, 2] - self.middle(points)
+        value, middle, wx, wy, mx, my = interpolated(self._fields, points).T
+        z = points[:, 2] - middle
         return value - z * z, np.stack([wx + 2 * z * mx, wy + 2 * z * my, -2 * z], axis=1)
 
     def normals(self, points: Field) -> Field:
@@ -99,6 +100,26 @@ class Surface:
             length = np.linalg.norm(step, axis=1, keepdims=True)
             points = points + step / np.maximum(1.0, length)
         return points
+
+
+def interpolated(fields: Field, points: Field) -> Field:
+    """Several fields [H,W,C] at points [N,3 or 2], linear between pixels, constant beyond: [N,C].
+
+    As `map_coordinates` would, but the weights are the same for all fields: a quarter of the time.
+    """
+    height, width, _ = fields.shape
+    x, y = np.clip(points[:, 0], 0, width - 1), np.clip(points[:, 1], 0, height - 1)
+    column = np.minimum(x.astype(np.int32), width - 2)
+    row = np.minimum(y.astype(np.int32), height - 2)
+    right, down = x - column, y - row
+    weights = np.empty((len(points), 2, 2))
+    weights[:, 0, 0], weights[:, 0, 1] = (1 - down) * (1 - right), (1 - down) * right
+    weights[:, 1, 0], weights[:, 1, 1] = down * (1 - right), down * right
+    corners = (row * width + column)[:, None] + np.array([0, 1, width, width + 1], np.int32)
+    every = np.arange(0, 4 * len(points) + 1, 4, dtype=np.int32)
+    shape = len(points), height * width
+    matrix = sp.csr_array((weights.ravel(), corners.ravel(), every), shape=shape)
+    return matrix @ fields.reshape(height * width, -1)
 
 
 def pitch_factor(normals: Field) -> Field:
