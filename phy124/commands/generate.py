@@ -21,6 +21,7 @@ from phy124.commands.options import GeneratorName, SceneOptions, default_out
 from phy124.commands.plan import PlanOptions, announce, predict
 from phy124.generators import needs_image
 from phy124.generators.depth_map import DepthMap
+from phy124.generators.other_views import OtherViews
 from phy124.generators.ply_file import PlyFile, Reading
 from phy124.imaging.cutout import Cutout
 from phy124.imaging.painted import WHOLE
@@ -45,6 +46,7 @@ class Generate:
     """Number of Gaussians: about so many from relief (default 50,000), otherwise the maximum."""
     cutting: Annotated[CutoutOptions, tyro.conf.arg(name="")] = field(default_factory=CutoutOptions)
     depth: Annotated[DepthMap, tyro.conf.arg(name="")] = field(default_factory=DepthMap)
+    views: Annotated[OtherViews, tyro.conf.arg(name="")] = field(default_factory=OtherViews)
     out: Path | None = None
     """Folder of the results; default out/PICTURE-SCENE."""
     plan: Annotated[PlanOptions, tyro.conf.arg(name="")] = field(default_factory=PlanOptions)
@@ -75,6 +77,7 @@ class Generate:
                 mask=self.cutting.mask,
                 pick=self.cutting.point,
                 depth=self.depth,
+                views=self.views,
                 looked=partial(self._look, bars),
                 count=self.gaussians,
                 device=device,
@@ -92,7 +95,7 @@ class Generate:
             made = pipeline.static(
                 self.image, scene, generator=self.generator, reading=self.reading,
                 method=self.cutting.foreground, mask=self.cutting.mask,
-                pick=self.cutting.point, depth=self.depth,
+                pick=self.cutting.point, depth=self.depth, views=self.views,
                 looked=partial(self._look, bars), count=self.gaussians, progress=bars, watch=watch,
             )  # fmt: skip
         return predict(
@@ -104,7 +107,7 @@ class Generate:
         """Print what is doubtful before the long work begins."""
         if not self.options.json:
             bars.close()  # a warning does not belong on the line of a bar
-            doubt(cutout, f"Look at it with `phy124 cutout {self.image}`; {IF_WRONG}")
+            doubt(cutout, f"Look at it with `phy124 cutout {cutout.file}`; {IF_WRONG}")
 
 
 @dataclass(frozen=True)

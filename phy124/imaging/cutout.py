@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -74,6 +75,8 @@ class Cutout:
     """Number of frames if the file is an animation; only the first was used."""
     objects: int = 1
     """Number of separate objects that were found; only the largest was taken."""
+    file: Path | None = None
+    """The picture's file, if it was opened from one."""
 
     @property
     def title(self) -> str:
@@ -135,6 +138,7 @@ def cut_out(
     *,
     mask: str | os.PathLike[str] | None = None,
     pick: Point | None = None,
+    field: str = "image",
     deadline: isolated.Deadline = isolated.PATIENT,
 ) -> Cutout:
     """Open a picture file and cut its object out.
@@ -144,16 +148,16 @@ def cut_out(
         method: Key of `METHODS`, or "auto" for the first that applies.
         mask: Path of a mask to use instead of a method; see `foreground`.
         pick: A place on the object that is meant, if there are several; see `foreground`.
+        field: What the picture is for, used in messages about its file.
         deadline: Time limit of the search, and who may cancel it.
 
     Raises:
         InputError: If a file cannot be used, or for the reasons given at `foreground`.
     """
-    image = open_image(picture)
-    if mask is None:
-        return foreground(image, method, pick=pick, deadline=deadline)
-    painted = open_image(mask, field="mask", formats=ANY_FORMAT)
-    return foreground(image, method, mask=painted, pick=pick, deadline=deadline)
+    image = open_image(picture, field=field)
+    painted = None if mask is None else open_image(mask, field="mask", formats=ANY_FORMAT)
+    found = foreground(image, method, mask=painted, pick=pick, deadline=deadline)
+    return replace(found, file=Path(picture))
 
 
 def foreground(

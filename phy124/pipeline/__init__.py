@@ -25,6 +25,7 @@ from phy124.gaussians import Frame, Gaussians
 from phy124.generators import Generator, needs_image
 from phy124.generators import make as make_generator
 from phy124.generators.depth_map import DepthMap
+from phy124.generators.other_views import OtherViews
 from phy124.generators.ply_file import PlyFile, Reading
 from phy124.imaging.cutout import Cutout, cut_out
 from phy124.imaging.objects import Point
@@ -63,6 +64,7 @@ def generate(
     mask: PathLike | None = None,
     pick: Point | None = None,
     depth: DepthMap | None = None,
+    views: OtherViews | None = None,
     looked: Callable[[Cutout], object] = lambda cutout: None,
     count: int | None = None,
     device: str = "cpu",
@@ -83,7 +85,8 @@ def generate(
         mask: Picture that is white where the object is.
         pick: A place on the object that is meant, if there are several.
         depth: Depth map of the picture, for `relief`.
-        looked: Called with the cut-out before the long work begins.
+        views: Further pictures of the object, for `relief`.
+        looked: Called with each cut-out before the long work begins.
         count: Largest number of Gaussians.
         device: Warp device.
         progress: Called with (stage, done, total); may raise Cancelled.
@@ -109,6 +112,7 @@ def generate(
             mask=mask,
             pick=pick,
             depth=depth,
+            views=views,
             looked=looked,
             count=count,
             progress=progress,
@@ -155,6 +159,7 @@ def static(
     mask: PathLike | None = None,
     pick: Point | None = None,
     depth: DepthMap | None = None,
+    views: OtherViews | None = None,
     looked: Callable[[Cutout], object] = lambda cutout: None,
     count: int | None = None,
     progress: Progress = silent,
@@ -171,7 +176,8 @@ def static(
         mask: Picture that is white where the object is.
         pick: A place on the object that is meant, if there are several.
         depth: Depth map of the picture, for `relief`.
-        looked: Called with the cut-out before the long work begins.
+        views: Further pictures of the object, for `relief`.
+        looked: Called with each cut-out before the long work begins.
         count: Largest number of Gaussians.
         progress: Called with (stage, done, total); may raise Cancelled.
         watch: Where the durations of the stages are recorded.
@@ -182,10 +188,14 @@ def static(
     watch, scene = watch or Stopwatch(), scene or Scene()
     make, cutout = asked_for(make_generator(generator, reading), count), None
     make = depth.given_to(make, _name(generator)) if depth else make
+    deadline = Deadline(beat=partial(progress, "cut out", 0, 1))
+    if views:
+        way = method if mask is None else "auto"
+        cut = partial(_cut_view, method=way, deadline=deadline, looked=looked, watch=watch)
+        make = views.given_to(make, _name(generator), cut)
     picture = Image.new("RGBA", (1, 1))
     if needs_image(generator):
         with watch.stage("image"):
-            deadline = Deadline(beat=partial(progress, "cut out", 0, 1))
             cutout = cut_out(image, method, mask=mask, pick=pick, deadline=deadline)
             progress("cut out", 1, 1)
         looked(cutout)
@@ -208,6 +218,25 @@ def static(
             gaussians = make(picture, seed=scene.seed, progress=progress)
             gaussians = thinned(gaussians, count, seed=scene.seed)
     return Static(gaussians, scene, crop_of(picture), cutout, about)
+
+
+def _cut_view(
+    field: str,
+    path: Path,
+    *,
+    method: str,
+    deadline: Deadline,
+    looked: Callable[[Cutout], object],
+    watch: Stopwatch,
+) -> Cutout:
+    """The object in a further picture, for the option of this name."""
+    try:
+        with watch.stage("image"):
+            found = cut_out(path, method, field=field, deadline=deadline)
+    except InputError as error:
+        raise InputError(field, path, error.limit, error.remedy) from error
+    looked(found)
+    return found
 
 
 def simulate(

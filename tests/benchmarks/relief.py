@@ -11,6 +11,7 @@ import argparse
 import json
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -62,11 +63,17 @@ def drawn(renderer: Renderer, gaussians: Gaussians, view: tuple[float, float]) -
     return fine.reshape(SMALL, 2, SMALL, 2, 4).mean(axis=(1, 3))
 
 
-def measured(name: str, renderer: Renderer, with_depth: bool = False) -> tuple[dict, np.ndarray]:
-    """Figures of one object and what was compared, as one picture: truth above, relief below."""
+def measured(name: str, renderer: Renderer, more: Sequence[str] = ()) -> tuple[dict, np.ndarray]:
+    """Figures of one object and what was compared, as one picture: truth above, relief below.
+
+    `more` says what `relief` gets beside the front: depth, side, back.
+    """
     known = truth(name)
-    start, options = time.perf_counter(), {}
-    if with_depth:
+    start, options = (
+        time.perf_counter(),
+        {key: getattr(known, key) for key in more if key != "depth"},
+    )
+    if "depth" in more:
         near = np.nan_to_num(known.distances, nan=-1.0)
         options["depth"] = np.round(200 * near)  # as 8 bits would hold it
     gaussians = relief(Image.fromarray(known.front), count=GAUSSIANS, **options)
@@ -123,7 +130,9 @@ def main() -> None:
     parser.add_argument("--examples", type=Path)
     parser.add_argument("--json", type=Path)
     parser.add_argument("--against", type=Path)
-    parser.add_argument("--depth", action="store_true", help="give the true depth map")
+    parser.add_argument("--depth", dest="more", action="append_const", const="depth")
+    parser.add_argument("--side", dest="more", action="append_const", const="side")
+    parser.add_argument("--back", dest="more", action="append_const", const="back")
     chosen = parser.parse_args()
     before = json.loads(chosen.against.read_text()) if chosen.against else {}
     renderer, figures, sheets = Renderer(device="cpu"), {}, []
@@ -131,7 +140,7 @@ def main() -> None:
         save(turntables(renderer), chosen.examples)
         return
     for name in chosen.only:
-        figures[name], sheet = measured(name, renderer, chosen.depth)
+        figures[name], sheet = measured(name, renderer, chosen.more or ())
         sheets.append(sheet)
         print(line(name, figures[name], before.get(name)), flush=True)
     old = {name: before[name] for name in figures} if before else None

@@ -32,11 +32,15 @@ OVERHANG = 3.0
 STRAIGHT = 0.98
 """Overlap with a polygon of few corners from which the outline counts as straight."""
 CORNERS = 12
+ROUNDED = 0.1
+"""Radius of a block's edges, in half widths."""
 SHADED = 0.1
 """Change of brightness over a round side, relative to the mean, that shows that it is round."""
 
 
-def inflated(silhouette: Silhouette, picture: Continued, view: View, size: int) -> Surface:
+def inflated(
+    silhouette: Silhouette, picture: Continued, view: View, size: int, thickness: float = 1.0
+) -> Surface:
     """The surface of the solid that a silhouette is taken for.
 
     Args:
@@ -44,15 +48,37 @@ def inflated(silhouette: Silhouette, picture: Continued, view: View, size: int) 
         picture: Colours, and where the object itself is.
         view: The front camera.
         size: Of the object, pixels.
+        thickness: Depth relative to what the silhouette suggests.
+    """
+    half = half_thickness(silhouette, picture, size)
+    if half is None:
+        return _slab(picture, view, thickness)
+    return Surface.seen(silhouette.extended(thickness**2 * half), view.middle, view.distance)
+
+
+def half_thickness(silhouette: Silhouette, picture: Continued, size: int) -> Field | None:
+    """Squared half thicknesses [H,W] of what is round; None of what is taken for a slab.
+
+    Args:
+        silhouette: With its continuation beyond flat ends.
+        picture: Colours, and where the object itself is.
+        size: Of the object, pixels.
     """
     round_ = _within(silhouette, _balls(silhouette.inside), 0.3, 1.2, size)
     if _polygonal(picture.own) and not _shaded(picture, round_):
-        return _slab(picture, view)
+        return None
     if (lathe := _lathe(picture)) is not None:
         lathe = np.maximum(lathe, round_)
         limit = _smooth(lathe, silhouette.inside, 2.0)
         round_ = np.minimum(_within(silhouette, lathe, 0.3, 30, size), limit)
-    return Surface.seen(silhouette.extended(round_), view.middle, view.distance)
+    return round_
+
+
+def flat_topped(inside: NDArray[np.bool_]) -> Field:
+    """Squared half thickness [H,W] of a block as wide as the silhouette, negative outside."""
+    distance = np.where(inside, nearest_of(~inside)[0] - 0.5, 0.5 - nearest_of(inside)[0])
+    widest = float(distance.max())
+    return widest**2 * np.clip(distance / max(2.0, ROUNDED * widest), -4, 1)
 
 
 def _within(silhouette: Silhouette, wanted: Field, low: float, high: float, size: int) -> Field:
@@ -148,7 +174,7 @@ def _shaded(picture: Continued, round_: Field) -> bool:
     return bool(abs(across) + abs(towards) > SHADED * bright.mean())
 
 
-def _slab(picture: Continued, view: View) -> Surface:
+def _slab(picture: Continued, view: View, thickness: float) -> Surface:
     """A flat front and back with walls between: a square gives a cube, others are thinner."""
     own = picture.own
     rows, columns = np.flatnonzero(own.any(axis=1)), np.flatnonzero(own.any(axis=0))
@@ -156,7 +182,7 @@ def _slab(picture: Continued, view: View) -> Surface:
     aspect, full = min(sides) / max(sides), np.count_nonzero(own) / (sides[0] * sides[1])
     inside = picture.alpha > 0.5
     distance = np.where(inside, nearest_of(~inside)[0] - 0.5, 0.5 - nearest_of(inside)[0])
-    h = float(distance.max() * aspect**3 * full)
+    h = float(distance.max() * aspect**3 * full) * thickness
     h /= 1 + h / view.distance  # The front is nearer than the middle, and so seen larger.
     # The camera sees the walls' front edges on the rim; farther back they lie behind the front.
     dy, dx = np.gradient(ndi.gaussian_filter(distance, 1.0))

@@ -6,6 +6,7 @@ seam: the rim is as regular as any other place.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -28,8 +29,37 @@ ROUNDS = 6
 """Number of relaxation rounds; the spacing is even to about 10 % after five."""
 
 
+class Implicit(ABC):
+    """The zero set of a function that is positive inside."""
+
+    @abstractmethod
+    def gradient(self, points: Field) -> tuple[Field, Field]:
+        """F [N] and its gradient [N,3] at points [N,3]."""
+
+    def normals(self, points: Field) -> Field:
+        """Outward unit normals [N,3]."""
+        _, gradient = self.gradient(points)
+        return -gradient / np.maximum(np.linalg.norm(gradient, axis=1, keepdims=True), 1e-12)
+
+    def inset(self, points: Field, depth: float) -> Field:
+        """`depth`, limited to a third of the local radius [N,1], pixels."""
+        _, gradient = self.gradient(points)
+        # On a ball F = r^2 - |x|^2, whose gradient is twice the radius.
+        radius = 0.5 * np.linalg.norm(gradient, axis=1, keepdims=True)
+        return np.minimum(depth, radius / 3)
+
+    def project(self, points: Field, rounds: int = 2) -> Field:
+        """Points moved onto the surface by Newton steps of at most one pixel each."""
+        for _ in range(rounds):
+            value, gradient = self.gradient(points)
+            step = -(value / np.maximum((gradient**2).sum(axis=1), 1e-9))[:, None] * gradient
+            length = np.linalg.norm(step, axis=1, keepdims=True)
+            points = points + step / np.maximum(1.0, length)
+        return points
+
+
 @dataclass(frozen=True, eq=False)
-class Surface:
+class Surface(Implicit):
     """The zero set of F(x, y, z) = w(x, y) - (z - m(x, y))^2."""
 
     w: Field
@@ -75,31 +105,10 @@ class Surface:
         z = points[:, 2] - middle
         return value - z * z, np.stack([wx + 2 * z * mx, wy + 2 * z * my, -2 * z], axis=1)
 
-    def normals(self, points: Field) -> Field:
-        """Outward unit normals [N,3]."""
-        _, gradient = self.gradient(points)
-        return -gradient / np.maximum(np.linalg.norm(gradient, axis=1, keepdims=True), 1e-12)
-
     def section(self, y: float) -> float:
         """Area of the horizontal cross-section of the object at y, pixels^2."""
         row = self.w[min(int(y), len(self.w) - 1)]
         return float(2 * np.sqrt(np.maximum(row, 0)).sum())
-
-    def inset(self, points: Field, depth: float) -> Field:
-        """`depth`, limited to a third of the local radius [N,1], pixels."""
-        _, gradient = self.gradient(points)
-        # On a ball F = r^2 - |x|^2, whose gradient is twice the radius.
-        radius = 0.5 * np.linalg.norm(gradient, axis=1, keepdims=True)
-        return np.minimum(depth, radius / 3)
-
-    def project(self, points: Field, rounds: int = 2) -> Field:
-        """Points moved onto the surface by Newton steps of at most one pixel each."""
-        for _ in range(rounds):
-            value, gradient = self.gradient(points)
-            step = -(value / np.maximum((gradient**2).sum(axis=1), 1e-9))[:, None] * gradient
-            length = np.linalg.norm(step, axis=1, keepdims=True)
-            points = points + step / np.maximum(1.0, length)
-        return points
 
 
 def interpolated(fields: Field, points: Field) -> Field:
@@ -153,11 +162,15 @@ def spread(
     pitch = float(np.sqrt((walls + faces) / count))
     points = _scatter(surface, pitch, rng)
     points = points[_between(points, ends, OVERHANG)]
+
+    def wanted(normals: Field) -> Field:
+        return pitch * pitch_factor(normals)
+
     for _ in range(ROUNDS):
         alive()
-        points, _ = _relaxed(surface, points, pitch)
+        points, _ = relaxed(surface, points, wanted)
     alive()
-    _, spacing = _relaxed(surface, points, pitch)
+    _, spacing = relaxed(surface, points, wanted)
     return points, surface.normals(points), spacing, pitch
 
 
@@ -209,10 +222,15 @@ def _columns(w: Field, pitch: float) -> tuple[Field, Field, Field]:
     return np.stack([x[column], y[row]], axis=1), nearest, deepest
 
 
-def _relaxed(surface: Surface, points: Field, pitch: float) -> tuple[Field, Field]:
-    """Points pushed apart along the surface, and the mean distance to their neighbours."""
+def relaxed(
+    surface: Implicit, points: Field, spacing_at: Callable[[Field], Field]
+) -> tuple[Field, Field]:
+    """Points [N,3] pushed apart along a surface, and the mean distance to their neighbours [N].
+
+    `spacing_at` gives the wanted one [N] where the surface has these normals [N,3].
+    """
     normals = surface.normals(points)
-    wanted = pitch * pitch_factor(normals)
+    wanted = spacing_at(normals)
     found, near = KDTree(points).query(points, k=min(8, len(points)), workers=-1)
     near, distance = np.asarray(near)[:, 1:], np.asarray(found)[:, 1:]
     apart = points[:, None] - points[near]

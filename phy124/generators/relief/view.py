@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Field = NDArray[np.float64]
+VIEW_DISTANCE = 2.0
+"""Distance of the front camera that sees exactly the picture, in longest sides."""
 
 
 @dataclass(frozen=True)

@@ -49,6 +49,10 @@ class Truth:
     """m^3."""
     distances: NDArray[np.float32]
     """Depth map of the front picture [FRONT,FRONT], m towards the viewer; NaN outside."""
+    side: NDArray[np.uint8]
+    """From azimuth 90, so that the object looks to the left [FRONT,FRONT,4]."""
+    back: NDArray[np.uint8]
+    """From behind [FRONT,FRONT,4]."""
 
 
 class Placed:
@@ -93,7 +97,7 @@ def truth(name: str) -> Truth:
     with np.load(file) as kept:
         return Truth(
             kept["front"], kept["pictures"], float(kept["depth"]), float(kept["volume"]),
-            kept["distances"],
+            kept["distances"], kept["side"], kept["back"],
         )  # fmt: skip
 
 
@@ -103,11 +107,15 @@ def _drawn(parts: Sequence[Part]) -> Truth:
     points = (np.mgrid[:80, :80, :80].reshape(3, -1).T + 0.5) * step - 0.6
     inside = points[solid(points) < 0]
     picture, along = _picture(solid, Camera.orbit(0, 0, DISTANCE, FRONT * FINE, fov_y=NARROW))
+    others = [
+        _picture(solid, Camera.orbit(v, 0, DISTANCE, FRONT * FINE, fov_y=WIDE))[0]
+        for v in (90, 180)
+    ]
     views = [_picture(solid, Camera.orbit(*v, DISTANCE, SMALL, fov_y=WIDE))[0] for v in VIEWS]
     return Truth(
-        np.round(255 * _mean(picture)).astype(np.uint8), np.stack(views).astype(np.float32),
+        _rounded(picture), np.stack(views).astype(np.float32),
         float(np.ptp(inside[:, 0])) + step, len(inside) * step**3,
-        along[::FINE, ::FINE].astype(np.float32),
+        along[::FINE, ::FINE].astype(np.float32), *map(_rounded, others),
     )  # fmt: skip
 
 
@@ -154,6 +162,10 @@ def _picture(solid: Placed, camera: Camera) -> tuple[NDArray[np.float64], NDArra
     picture = np.ones((len(points), 4))
     picture[hit, :3], picture[:, 3] = solid.colour(points[hit]), hit
     return picture.reshape(camera.height, -1, 4), points[:, 0].reshape(camera.height, -1)
+
+
+def _rounded(fine: NDArray[np.float64]) -> NDArray[np.uint8]:
+    return np.round(255 * _mean(fine)).astype(np.uint8)
 
 
 def _mean(fine: NDArray[np.float64]) -> NDArray[np.float64]:

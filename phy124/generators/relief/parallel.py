@@ -1,0 +1,122 @@
+"""Front and side without perspective: as cameras infinitely far away would take them.
+
+A row of the front is pictured larger the nearer it is, and how near it is the side shows at the
+same height, and the other way round. What counts is the part of the row that appears thickest, and
+at a flat end the nearer edge.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.ndimage as ndi
+from numpy.typing import NDArray
+
+Field = NDArray[np.float64]
+ROUNDS = 8
+"""Rounds in which the heights of both are made to agree."""
+SMOOTHING = 0.04
+"""Width over which the depths of rows are smoothed, in heights."""
+END = 0.05
+"""Part of the height that a flat end affects."""
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """One inflated silhouette."""
+
+    w: Field
+    """Squared half thickness [H,W], pixels^2, negative outside, continued beyond flat ends."""
+    middle: tuple[float, float]
+    """Column and row of the object's middle."""
+    half: float
+    """Half of the object's own height, pixels."""
+    ends: tuple[bool, bool]
+    """Whether top and bottom are flat."""
+
+    def nearness(self, y: Field, distance: float) -> tuple[Field, Field]:
+        """How near to the other camera is what it sees in each row, and the nearest edge.
+
+        Args:
+            y: Rows from the middle [N].
+            distance: Of the other camera from the middle, pixels.
+        """
+        columns = np.arange(self.w.shape[1]) - self.middle[0]
+        far = 1 - columns / distance
+        heights = (np.arange(len(self.w)) - self.middle[1])[:, None] * far  # along the rays
+        place = np.broadcast_arrays(heights + self.middle[1], columns + self.middle[0])
+        thick = np.sqrt(np.maximum(ndi.map_coordinates(self.w, place, order=1), 0.0)) / far
+        solid = self.w > 0
+        known = solid.any(axis=1)
+        contact = columns[thick.argmax(axis=1)]
+        edge = columns[::-1][solid[:, ::-1].argmax(axis=1)]
+        rows, width = np.arange(len(self.w)) - self.middle[1], SMOOTHING * 2 * self.half
+        contact, edge = (
+            np.interp(y, rows[known], ndi.gaussian_filter1d(v[known], width, mode="nearest"))
+            for v in (contact, edge)
+        )
+        return contact, edge
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Where a picture shows the heights of the object."""
+
+    k: Field
+    """Pixels of the picture per pixel of the object, at every height [N]."""
+    shift: float = 0.0
+    """Row of height 0, from the middle."""
+
+    def rows(self, y: Field) -> Field:
+        """Rows from the middle, of the heights y [N]."""
+        return y * self.k + self.shift
+
+
+def matched(front: Profile, side: Profile, distance: float) -> tuple[Field, Rows, Rows]:
+    """Heights of the object [N], and where both pictures show them.
+
+    Args:
+        front: From the front.
+        side: From the side, its columns growing towards the front's viewer.
+        distance: Of both cameras from the middle, pixels.
+    """
+    y = np.arange(-np.ceil(front.half) - 3, np.ceil(front.half) + 4)
+    one, other, scale = Rows(np.ones_like(y)), Rows(np.ones_like(y)), 1.0
+    for _ in range(ROUNDS):
+        x, right = front.nearness(one.rows(y), distance)
+        z, near = side.nearness(other.rows(y), distance)
+        ends = _ends(front, side, y)
+        k_front = 1 / (1 - np.where(ends, near, z) / other.k / distance)
+        k_side = 1 / (1 - np.where(ends, right, x) / one.k / distance)
+        top, bottom = (sign * front.half / k_front[at] for sign, at in ((-1, 3), (1, -4)))
+        y = np.linspace(top, bottom, len(y) - 6)
+        step = y[1] - y[0]
+        y = np.concatenate([top + step * np.arange(-3, 0), y, bottom + step * np.arange(1, 4)])
+        upper, lower = top * k_side[3], bottom * k_side[-4]
+        scale = 2 * side.half / (lower - upper)
+        one = Rows(k_front)
+        other = Rows(scale * k_side, side.half - scale * lower)
+    return y, one, other
+
+
+def _ends(front: Profile, side: Profile, y: Field) -> NDArray[np.bool_]:
+    """Which heights [N] are near a flat end."""
+    reach = (y[-1] - y[0]) * END
+    top, bottom = (any(flat) for flat in zip(front.ends, side.ends, strict=True))
+    return (top & (y < y[0] + reach)) | (bottom & (y > y[-1] - reach))
+
+
+def straightened(profile: Profile, y: Field, rows: Rows) -> Field:
+    """Squared half thickness [N,W] at heights y [N], columns around the middle, W odd."""
+    column = np.flatnonzero((profile.w > 0).any(axis=0)) - profile.middle[0]
+    reach = int(np.ceil(np.abs(column).max() / rows.k.min())) + 4
+    columns = np.arange(-reach, reach + 1)
+    place = np.stack(
+        [
+            np.broadcast_to((rows.rows(y) + profile.middle[1])[:, None], (len(y), len(columns))),
+            columns * rows.k[:, None] + profile.middle[0],
+        ]
+    )
+    w = ndi.map_coordinates(profile.w, place, order=1, mode="nearest")
+    return w / rows.k[:, None] ** 2

@@ -1,0 +1,59 @@
+"""The shell of flat Gaussians that the object's surface becomes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.gaussians import Gaussians, quaternions
+from phy124.generators.relief.picture import WORK
+
+Field = NDArray[np.float64]
+TANGENT = 0.58
+"""Standard deviation along the surface, in spacings: neighbours overlap without holes."""
+BACK_REACH = 1.25
+"""The same on the back, relative to the front."""
+NORMAL = 0.12
+"""Standard deviation across the surface, in spacings: flat, so that the outline is crisp."""
+OPACITY = 0.97
+DRAWN_IN = 1.35
+"""Depth of the centres below the surface, pixels: edge-on Gaussians extend as far outwards."""
+
+
+@dataclass(frozen=True)
+class Shell:
+    """Points of a surface around the object's middle: x right, y down, z towards the viewer."""
+
+    points: Field
+    """[N,3], pixels, already drawn in by `DRAWN_IN`."""
+    normals: Field
+    """Outward unit normals [N,3]."""
+    spacing: Field
+    """Mean distance to the neighbours [N], pixels."""
+    rgb: Field
+    """[N,3]."""
+
+    def gaussians(self) -> Gaussians:
+        """In metres, in the axes of the world."""
+        # World x is towards the viewer, y to the right, z up.
+        means = self.points[:, [2, 0, 1]] * [1, 1, -1] / WORK
+        normals = self.normals[:, [2, 0, 1]] * [1, 1, -1]
+        # Wider behind, where colours are smooth: no gap shows the front from within.
+        reach = TANGENT * self.spacing * np.interp(-normals[:, 0], [0.0, 0.5], [1.0, BACK_REACH])
+        scales = np.stack([reach, reach, NORMAL * self.spacing], axis=1) / WORK
+        opacities = np.full(len(means), OPACITY)
+        quats = quaternions(_frames(normals))
+        return Gaussians.from_rgb(
+            *(v.astype(np.float32) for v in (means, quats, scales, opacities, self.rgb))
+        )
+
+
+def _frames(normals: Field) -> Field:
+    """Rotations [N,3,3] whose third column is the normal."""
+    helper = np.where(np.abs(normals[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
+    first = np.cross(helper, normals)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    axes = first, np.cross(normals, first), normals
+    return np.stack(axes, axis=2).astype(np.float64)

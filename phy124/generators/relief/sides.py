@@ -1,0 +1,104 @@
+"""Further pictures of the object, from the side and from behind, brought to the front's scale."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.errors import InputError
+
+Field = NDArray[np.float64]
+Solid = NDArray[np.bool_]
+UNLIKE = 0.7
+"""Least overlap of the front's silhouette with the mirrored one from behind."""
+EMPTY = 0.05
+"""Largest fraction of the heights at which one picture shows something and the other nothing."""
+DEEPEST, FLATTEST = 4.0, 0.03
+"""Largest and smallest depth that a side may show, in longest sides of the front."""
+
+
+@dataclass(frozen=True)
+class Box:
+    """Where the object is in a picture, pixels."""
+
+    top: int
+    bottom: int
+    left: int
+    right: int
+
+    @classmethod
+    def of(cls, solid: Solid) -> Box:
+        """From the silhouette [H,W]."""
+        rows, columns = np.flatnonzero(solid.any(axis=1)), np.flatnonzero(solid.any(axis=0))
+        return cls(int(rows[0]), int(rows[-1]) + 1, int(columns[0]), int(columns[-1]) + 1)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height."""
+        return self.right - self.left, self.bottom - self.top
+
+    @property
+    def middle(self) -> tuple[float, float]:
+        """Column and row of the middle, counted from the middle of the first pixel."""
+        return (self.left + self.right - 1) / 2, (self.top + self.bottom - 1) / 2
+
+
+def check_side(front: Solid, side: Solid) -> None:
+    """Refuse silhouettes of equal height that no object has from the front and from the side.
+
+    Raises:
+        InputError: If the depth is out of proportion, or one is empty where the other is not.
+    """
+    one, other = Box.of(front), Box.of(side)
+    depth = other.size[0] / max(one.size)
+    if not FLATTEST <= depth <= DEEPEST:
+        limit = (
+            f"At the height of the front the object would be {depth:.2g} times as deep as its "
+            "longest side from the front."
+        )
+        remedy = "Give pictures of the whole object, upright in both."
+        raise InputError("side", "picture", limit, remedy)
+    height = min(one.size[1], other.size[1])
+    rows = [
+        solid[box.top : box.top + height].any(axis=1)
+        for solid, box in ((front, one), (side, other))
+    ]
+    if float(np.mean(rows[0] != rows[1])) > EMPTY:
+        limit = "At some heights one of front and side shows the object and the other nothing."
+        raise InputError("side", "picture", limit, "Give both of one object, upright in both.")
+
+
+def check_back(front: Solid, back: Solid) -> None:
+    """Refuse a silhouette from behind that is not about the mirrored one of the front.
+
+    Args:
+        front: From the front.
+        back: From behind, already mirrored, of the same height.
+
+    Raises:
+        InputError: If they differ, or the picture has been mirrored before.
+    """
+    alike, unmirrored = overlap(front, back), overlap(front, back[:, ::-1])
+    if alike >= UNLIKE:
+        return
+    limit = f"Mirrored it overlaps the front's silhouette by {alike:.0%}, not by {UNLIKE:.0%}."
+    remedy = "Give the object from straight behind, upright as in front."
+    if unmirrored >= UNLIKE:
+        remedy = "Unmirrored it fits: mirror the picture, which seems to have been mirrored."
+    raise InputError("back", "picture", limit, remedy)
+
+
+def overlap(one: Solid, other: Solid) -> float:
+    """Intersection over union of two silhouettes whose boxes' middles are laid on each other."""
+    boxes = Box.of(one), Box.of(other)
+    width, height = (max(sizes) for sizes in zip(*(box.size for box in boxes), strict=True))
+    placed = []
+    for solid, box in zip((one, other), boxes, strict=True):
+        canvas = np.zeros((height, width), bool)
+        top, left = (height - box.size[1]) // 2, (width - box.size[0]) // 2
+        part = solid[box.top : box.bottom, box.left : box.right]
+        canvas[top : top + box.size[1], left : left + box.size[0]] = part
+        placed.append(canvas)
+    return float((placed[0] & placed[1]).sum() / (placed[0] | placed[1]).sum())
