@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from phy124.io.clip import Clip
 from phy124.io.export import write_ply_sequence
 from phy124.io.export.html import write_html
 from phy124.io.files import staged
+from phy124.io.formats import FORMATS, WRITTEN, Format
 from phy124.rendering.film import cameras
 from phy124.rendering.stage.build import stage_of
 from phy124.rendering.stage.packing import packed
@@ -51,6 +53,14 @@ class Export:
     file: str
     write: Callable[[Done, Path], None]
     available: Callable[[], bool] = lambda: True
+    still: float = 0.0
+    """Bytes per Gaussian, about."""
+    moving: float = 0.0
+    """Bytes per Gaussian and frame, about."""
+
+    def about(self, clip: Clip) -> int:
+        """About how many bytes the file will have; 0 if that is not known."""
+        return round((self.still + self.moving * len(clip)) * len(clip.opacities))
 
 
 def _html(done: Done, path: Path) -> None:
@@ -82,8 +92,36 @@ def _bridge() -> bool:
     return all(find_spec(name) is not None for name in (BRIDGE, "mcap"))
 
 
+def _written(format: Format, done: Done, path: Path) -> None:
+    """The whole clip where a file holds motion, else its first frame."""
+    clip = Clip.load(done.clip / "clip.safetensors")
+    if format.write_clip is not None:
+        format.write_clip(path, clip)
+    else:
+        format.write(path, clip.frame(0).gaussians)
+
+
+def _of(format: Format) -> Export:
+    """The declaration of a format as an offer."""
+    moves = format.write_clip is not None
+    return Export(
+        f"{format.title}, {'moving' if moves else 'at rest'}",
+        f"Opens in {format.opens_in}",
+        f"phy124-{format.name}{format.suffix}",
+        partial(_written, format),
+        lambda: format.installed,
+        still=0.0 if moves else format.bytes_each,
+        moving=format.bytes_each if moves else 0.0,
+    )
+
+
 EXPORTS = {
-    "html": Export("Player, one file", "Plays offline in any browser", "player.html", _html),
-    "ply": Export("PLY sequence", "SuperSplat, brush, Unity", "phy124-ply.zip", _ply),
-    "mcap": Export("MCAP", "ROS 2, Foxglove", "phy124.mcap", _mcap, _bridge),
-}
+    "html": Export("Player, one file", "Opens in any browser, offline", "player.html", _html),
+    "ply": Export(
+        "PLY sequence", "Opens in SuperSplat, brush, Unity", "phy124-ply.zip", _ply,
+        moving=FORMATS["ply"].bytes_each,
+    ),
+    "mcap": Export("MCAP", "Opens in Foxglove, ROS 2", "phy124.mcap", _mcap, _bridge),
+    # The Gaussians at rest are among the files as a PLY already.
+    **{name: _of(FORMATS[name]) for name in WRITTEN if name != "ply"},
+}  # fmt: skip

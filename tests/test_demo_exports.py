@@ -13,6 +13,7 @@ from PIL import Image
 
 from demo.exports import EXPORTS, export
 from demo.forecast import Estimator
+from demo.handlers.results import _takeaway
 from demo.pictures import corrected, cut_out
 from demo.report import as_html
 from demo.strokes import Stroke, painted, strokes_of
@@ -22,6 +23,7 @@ from phy124.errors import InputError
 from phy124.gaussians import Frame
 from phy124.imaging.grabcut import hinted
 from phy124.io.clip import Clip
+from phy124.io.formats import FORMATS, WRITTEN, read_gaussians
 from phy124.scene import Scene
 
 
@@ -53,6 +55,22 @@ def test_the_player_is_made(done):
 @pytest.mark.skipif(find_spec("mcap") is None, reason="the extra bridge is not installed")
 def test_a_recording_is_made_by_the_bridge(done):
     assert export("mcap", done).read_bytes()[1:5] == b"MCAP"
+
+
+@pytest.mark.parametrize("name", [name for name in WRITTEN if name != "ply"])
+def test_every_format_that_is_written_is_offered_with_its_size_and_what_opens_it(done, name):
+    offer = EXPORTS[name]
+    assert offer.hint == f"Opens in {FORMATS[name].opens_in}" and offer.available()
+    path = export(name, done)
+    assert path.suffix == FORMATS[name].suffix
+    clip = Clip.load(done.clip / "clip.safetensors")
+    assert offer.about(clip) > 0
+    if FORMATS[name].encode:
+        there = read_gaussians(path).gaussians.means
+        np.testing.assert_allclose(there, clip.means[0], atol=1e-3)
+    (told,) = [f for f in _takeaway(done)["files"] if f["file"].get("path") == str(path)]
+    assert told["hint"] == offer.hint
+    assert {o["kind"] for o in _takeaway(done)["offers"]} == set(EXPORTS) - {name}
 
 
 def test_unknown_formats_and_failing_writers_leave_nothing(done):

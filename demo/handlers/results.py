@@ -10,6 +10,7 @@ import gradio as gr
 from phy124.camera import VIEWS
 from phy124.errors import InputError
 from phy124.io.clip import Clip
+from phy124.io.formats import FORMATS
 from phy124.scene import Scene
 
 from ..exports import EXPORTS, export
@@ -29,7 +30,7 @@ REPORT = 2
 """Index of the report among these panels."""
 FILES = {
     "clip.safetensors": ("Moving Gaussians", "The clip itself, for phy124"),
-    "gaussians.ply": ("Gaussians at rest", "3DGS PLY"),
+    "gaussians.ply": ("3DGS PLY, at rest", f"Opens in {FORMATS['ply'].opens_in}"),
     "orbit.webp": ("Orbit, animated WebP", "For a message"),
     "scene.toml": ("Scene", "Every setting, to run again"),
     "report.json": ("Report", "Times, effects, stability"),
@@ -174,6 +175,7 @@ def prepare(done: Done | None, shown: Any, event: gr.EventData) -> Any:
 
 def _takeaway(done: Done) -> dict[str, Any]:
     files, offers = [], []
+    clip = Clip.load(done.clip / "clip.safetensors")
     for path in _films(done):
         files.append(_link(path, f"Video, {path.stem}", "MP4"))
     for name, (label, hint) in FILES.items():
@@ -185,7 +187,8 @@ def _takeaway(done: Done) -> dict[str, Any]:
         if (done.films / offer.file).exists():
             files.append(_link(done.films / offer.file, offer.label, offer.hint))
         elif offer.available():
-            offers.append({"kind": kind, "label": offer.label, "hint": offer.hint})
+            told = {"kind": kind, "label": offer.label, "hint": offer.hint}
+            offers.append({**told, "about": offer.about(clip)})
     return {"files": files, "offers": offers}
 
 

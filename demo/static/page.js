@@ -329,9 +329,9 @@
       const value = props.value || {};
       const link = ({ label, hint, file }) => h('a', { class: 'file', href: file.url, download: file.orig_name, 'data-name': file.orig_name },
         h('strong', {}, label), h('span', {}, hint), h('em', {}, size(file.size || 0)));
-      const button = ({ kind, label, hint }) => h('button', { type: 'button', class: 'file', 'data-kind': kind,
+      const button = ({ kind, label, hint, about }) => h('button', { type: 'button', class: 'file', 'data-kind': kind,
         onclick: (event) => { asked = kind; event.currentTarget.setAttribute('aria-busy', 'true'); trigger('prepare', { kind }); } },
-      h('strong', {}, label), h('span', {}, hint), h('em', {}, 'Make'));
+      h('strong', {}, label), h('span', {}, hint), h('em', {}, about ? `Make, ~${size(about)}` : 'Make'));
       element.replaceChildren(value.files ? h('div', { class: 'files' }, ...value.files.map(link), ...value.offers.map(button))
         : h('p', { class: 'empty' }, 'Videos, the moving Gaussians and the scene can be taken away from here.'));
       if (value.message) element.append(h('p', { class: 'message', role: 'alert' }, value.message));

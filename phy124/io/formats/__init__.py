@@ -11,6 +11,7 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Protocol
 
@@ -58,6 +59,8 @@ class Format:
     """What of a Gaussian it holds, and how exactly."""
     opens_in: str
     """Programs that read it."""
+    bytes_each: float
+    """Bytes that a Gaussian of degree 0 takes per frame, as the duck has them."""
     degree: int = 3
     """Highest degree of the harmonics it holds."""
     axes: tuple[str, str] = Y_DOWN
@@ -66,6 +69,13 @@ class Format:
     encode: Encoder | None = None
     write_clip: ClipWriter | None = None
     """Writes all frames into one file; None if it holds one instant."""
+    package: str | None = None
+    """What must be installed besides phy124 to write it."""
+
+    @property
+    def installed(self) -> bool:
+        """Whether what it needs to be written is there."""
+        return self.package is None or find_spec(self.package) is not None
 
     @property
     def written(self) -> bool:
@@ -87,47 +97,47 @@ FORMATS = {
     for f in (
         Format(
             "ply", "3DGS PLY", ".ply", "everything, in float32",
-            "SuperSplat, Blender and Unity add-ons, nearly every viewer",
+            "SuperSplat, Blender and Unity add-ons, nearly every viewer", 68,
             read=ply.read, encode=ply.encode,
         ),
         Format(
             "compressed-ply", "compressed PLY of SuperSplat", ".ply",
             "centres and scales in 10 or 11 bits of a box of 256 Gaussians",
-            "PlayCanvas, SuperSplat, Spark, Babylon.js", read=compressed_ply.read,
+            "PlayCanvas, SuperSplat, Spark, Babylon.js", 17, read=compressed_ply.read,
         ),
         Format(
             "splat", ".splat", ".splat", "centres and scales in float32, the rest in bytes",
-            "antimatter15/splat, gsplat.js, nearly every web viewer",
+            "antimatter15/splat, gsplat.js, nearly every web viewer", 32,
             degree=0, read=splat.read, encode=splat.encode,
         ),
         Format(
             "spz", "SPZ 3", ".spz", "centres in 24 bits, scales in steps of 6.5 %, others in bytes",
-            "Unreal Editor for Fortnite, Babylon.js, Cesium, Spark, TouchDesigner",
+            "Unreal Editor for Fortnite, Babylon.js, Cesium, Spark, TouchDesigner", 12,
             axes=Y_UP, read=spz.read, encode=spz.encode,
         ),
         Format(
             "spz4", "SPZ 4", ".spz", "as SPZ 3, packed by Zstandard",
-            "Babylon.js, splat-transform, programs with Niantic's library of 2026",
+            "Babylon.js, splat-transform, programs with Niantic's library of 2026", 12,
             axes=Y_UP, read=spz.read, encode=spz.encode_v4,
         ),
         Format(
             "sog", "SOG 2", ".sog", "centres in 16 bits, the rest by codebooks of 256 values",
-            "PlayCanvas, SuperSplat, Spark, Babylon.js", read=sog.read, encode=sog.encode,
+            "PlayCanvas, SuperSplat, Spark, Babylon.js", 7.3, read=sog.read, encode=sog.encode,
         ),
         Format(
-            "glb", "GLB with KHR_gaussian_splatting", ".glb", "everything, in float32",
-            "PlayCanvas, Babylon.js, CesiumJS, glTF Sample Renderer",
+            "glb", "GLB", ".glb", "everything, in float32 (KHR_gaussian_splatting)",
+            "PlayCanvas, Babylon.js, CesiumJS, glTF Sample Renderer", 60,
             axes=Y_UP, read=glb.read, encode=glb.encode,
         ),
         Format(
             "usd", "OpenUSD", ".usdc", "everything, in float32, and its motion",
-            "Isaac Sim, Omniverse, Houdini Solaris, Kaolin, Newton",
-            axes=("z", "x"), write_clip=write_usd,
+            "Isaac Sim, Omniverse, Houdini Solaris, Kaolin, Newton", 44,
+            axes=("z", "x"), write_clip=write_usd, package="pxr",
         ),
         Format(
             "4dgs", "4DGS container", ".4dgs", "motion, within bounds that the file declares",
-            "programs with the fourdgs libraries (Python, TypeScript, Rust, C++)",
-            degree=0, axes=Y_UP, write_clip=write_fourdgs,
+            "programs with the fourdgs libraries", 5,
+            degree=0, axes=Y_UP, write_clip=write_fourdgs, package="fourdgs",
         ),
     )
 }  # fmt: skip

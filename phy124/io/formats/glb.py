@@ -54,7 +54,7 @@ WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
 SRGB, LINEAR = "srgb_rec709_display", "lin_rec709_display"
 EVEN = 1e-3
 """Relative difference up to which the scales of a node's axes count as one."""
-MAX_NODES = 10_000
+MAX_NODES = 2000
 LEAVES_THE_FRONT = ("splat-transform", "SuperSplat")
 """Programs that turn a PLY upright by half a turn about z."""
 
