@@ -12,7 +12,7 @@ from phy124.scene import Scene, preset_names
 from phy124.simulation import Simulation
 from support.shapes import ball
 
-CPU_ONLY = ("_simd", "barrier")
+CPU_ONLY = ("_simd", "_serial", "barrier")
 LAWS = [m.device_law for m in (NeoHookean(), NeoHookean(damping=1.0), FixedCorotated(), Sand())]
 
 
@@ -55,7 +55,7 @@ def test_every_module_of_the_presets_compiles_for_cuda(tmp_path):
     for name in preset_names():
         scene = Scene.named(name).replaced({"accuracy": {"cells": 8}, "time.frames": 3})
         Simulation(ball(300), scene).run()
-    for name in ("project", "bin", "blend"):
+    for name in ("project", "bin", "blend", "stage", "shadow"):
         importlib.import_module(f"phy124.kernels.splat.{name}")
     modules = [
         module for name, module in wp._src.context.user_modules.items()

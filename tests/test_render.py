@@ -23,8 +23,11 @@ def renderers() -> dict[str, Renderer]:
     return {form: Renderer(device="cpu", blend=form) for form in FORMS}
 
 
-def reference(gaussians: Gaussians, camera: Camera, background=(1.0, 1.0, 1.0)) -> np.ndarray:
+def reference(
+    gaussians: Gaussians, camera: Camera, background=(1.0, 1.0, 1.0), filter="dilate"
+) -> np.ndarray:
     """Kerbl et al. 2023 written out plainly; [H,W,4], the last channel the coverage."""
+    low_pass, keeps_light = render.FILTERS[filter]
     seen = gaussians.means.astype(float) @ camera.view[:3, :3].T + camera.view[:3, 3]
     directions = gaussians.means - np.array(camera.eye)
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -41,11 +44,15 @@ def reference(gaussians: Gaussians, camera: Camera, background=(1.0, 1.0, 1.0)) 
             continue
         u, v = np.clip(seen[i, :2] / depth, -tangent, tangent)
         jacobian = f / depth * np.array([[1, 0, -u], [0, 1, -v]]) @ camera.view[:3, :3]
-        conic = np.linalg.inv(jacobian @ covariances[i] @ jacobian.T + 0.3 * np.eye(2))
+        sharp = jacobian @ covariances[i] @ jacobian.T
+        wide = sharp + low_pass * np.eye(2)
+        conic, opacity = np.linalg.inv(wide), gaussians.opacities[i]
+        if keeps_light:
+            opacity = opacity * np.sqrt(max(np.linalg.det(sharp) / np.linalg.det(wide), 0))
         dx = x - (f * seen[i, 0] / depth + camera.width / 2)
         dy = y - (f * seen[i, 1] / depth + camera.height / 2)
         power = conic[0, 0] * dx * dx + 2 * conic[0, 1] * dx * dy + conic[1, 1] * dy * dy
-        alpha = np.minimum(0.99, gaussians.opacities[i] * np.exp(-power / 2))
+        alpha = np.minimum(0.99, opacity * np.exp(-power / 2))
         rest = left * (1 - alpha)
         hit = (alpha >= 1 / 255) & ~done
         done |= hit & (rest < 1e-4)
@@ -116,6 +123,62 @@ def test_every_form_agrees_with_the_plain_compositor(renderers, rng, name):
         assert error.max() <= 1 / 255
         assert (error.max(axis=2) > 5e-4).mean() < 0.005
         assert -10 * math.log10((error**2).mean()) > 60
+
+
+def huge(rng) -> Gaussians:
+    g = cloud(rng, 60, spread=1.5)
+    means = g.means - np.array([4.0, 0, 0])
+    return Gaussians(means, g.quats, 20 * g.scales, g.opacities, g.sh)
+
+
+def coincident(rng) -> Gaussians:
+    """Twenty in one place, of one size: their order is that of the array."""
+    g = cloud(rng, 20)
+    means, scales = np.zeros((20, 3)), np.full((20, 3), 0.2)
+    return Gaussians(means, g.quats, scales, 0.3 * g.opacities, g.sh)
+
+
+JUDGED = {
+    "random": lambda rng: cloud(rng, 600),
+    "thin": needles,
+    "huge": huge,
+    "around the camera": around_camera,
+    "coincident": coincident,
+    "one": lambda rng: cloud(rng, 1, sizes=0.2, spread=0.0),
+}
+
+
+@pytest.mark.parametrize("filter", render.FILTERS)
+@pytest.mark.parametrize("name", JUDGED)
+def test_single_precision_costs_less_than_80_db(name, filter, rng):
+    """Of the image; a contribution right at 1/255 may fall on either side."""
+    gaussians, camera = JUDGED[name](rng), Camera.orbit(30, 15, 1.5, (96, 80))
+    wanted = reference(gaussians, camera, filter=filter)
+    assert wanted[..., 3].max() > 0.1
+    image = Renderer(device="cpu", filter=filter)(gaussians, camera, alpha=True)
+    assert -10 * math.log10(((image - wanted) ** 2).mean() + 1e-20) > 80
+
+
+def test_mip_pictures_are_as_bright_however_small(rng):
+    """A thin wire seen from ever farther away: dilated, it becomes far too thick."""
+    wire = Gaussians.from_rgb(
+        np.zeros((1, 3)), np.array([[1.0, 0, 0, 0]]), np.array([[0.002, 0.002, 0.2]]),
+        np.array([0.9]), np.ones((1, 3)),
+    )  # fmt: skip
+    shares = {}
+    for filter in render.FILTERS:
+        renderer = Renderer(device="cpu", filter=filter)
+        covered = [
+            renderer(wire, Camera.orbit(0, 0, 1.5, size), alpha=True)[..., 3].sum() / size**2
+            for size in (512, 64)
+        ]
+        shares[filter] = covered[1] / covered[0]
+    assert shares["dilate"] > 2.5 and shares["mip"] < 1.5
+
+
+def test_no_filter_of_another_name():
+    with pytest.raises(InputError, match="Choose dilate or mip"):
+        Renderer(device="cpu", filter="none")
 
 
 def test_the_forms_agree_with_each_other(renderers, rng):
@@ -262,6 +325,19 @@ def test_one_renderer_takes_any_sequence_of_sizes(rng, form):
     )
 
 
+def test_a_second_frame_allocates_nothing_on_the_device(rng, monkeypatch):
+    renderer, g, camera = Renderer(device="cpu"), cloud(rng, 800), Camera.orbit(0, 0, 1.5, 64)
+    first = renderer(g, camera)
+    made = []
+    for name in ("empty", "zeros", "full"):
+        plain = getattr(wp, name)
+        monkeypatch.setattr(wp, name, lambda *a, plain=plain, **k: made.append(1) or plain(*a, **k))
+    before = {name: buffer.ptr for name, buffer in renderer._buffers.items()}
+    np.testing.assert_array_equal(renderer(g, camera), first)
+    assert {name: buffer.ptr for name, buffer in renderer._buffers.items()} == before
+    assert not made
+
+
 @pytest.mark.parametrize(
     ("options", "call", "words"),
     [
@@ -307,6 +383,22 @@ def test_frames_come_in_order_whatever_the_threads(renderers, rng, threads):
         single = renderers["simd"](frame.gaussians, small, (0, 0, 0))
         np.testing.assert_array_equal(image, np.rint(single * 255).astype(np.uint8))
     assert told == [("render", i, 12) for i in range(1, 13)]
+    assert not render_threads()
+
+
+@pytest.mark.parametrize("count", [1, 3, 7])
+def test_as_many_frames_at_once_as_there_are_cores(rng, monkeypatch, count):
+    monkeypatch.setattr(render, "cores", lambda: count)
+    made = []
+
+    class Counted(Renderer):
+        def __init__(self, **options):
+            made.append(self)
+            super().__init__(**options)
+
+    monkeypatch.setattr(render, "Renderer", Counted)
+    images = list(render_frames(moving(rng, 5), Camera.orbit(0, 0, 1.5, 32), device="cpu"))
+    assert len(images) == 5 and len(made) == min(count, 5)
     assert not render_threads()
 
 

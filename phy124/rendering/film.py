@@ -76,6 +76,7 @@ def _images(
         cameras(clip, view, side),
         background=None if view.stage == "transparent" else view.background,
         stage=stage and stage.at,
+        filter=view.filter,
         device=device,
         progress=lambda _, done, total: progress(f"render {side}", done, total),
     )

@@ -1,9 +1,9 @@
 """Renderer: draws Gaussians from a camera, with the same kernels on CPU and CUDA.
 
 EWA splatting (Zwicker et al. 2001) with the conventions of 3D Gaussian Splatting (Kerbl et al.
-2023): screen covariance plus 0.3 px^2, front-to-back blending in the order of the centres' depths,
-alpha at most 0.99, contributions below 1/255 skipped. Every splat is drawn exactly as far as it
-reaches 1/255, so that no cut-off is visible.
+2023): screen covariance plus 0.3 px^2 (or the filter of Mip-Splatting), front-to-back blending in
+the order of the centres' depths, alpha at most 0.99, contributions below 1/255 skipped.
+Every splat is drawn exactly as far as it reaches 1/255, so that no cut-off is visible.
 """
 
 from __future__ import annotations
@@ -26,21 +26,17 @@ from phy124.camera import Camera
 from phy124.errors import InputError
 from phy124.gaussians import Array, Frame, Gaussians
 from phy124.kernels.splat import bin as binning
-from phy124.kernels.splat import blend, blend_simd, glass, project, screen
-from phy124.kernels.splat import stage as setting
+from phy124.kernels.splat import blend, blend_simd, project, screen
 from phy124.progress import Progress, silent
+from phy124.rendering.pinhole import NEAR as NEAR
+from phy124.rendering.pinhole import pinhole
 from phy124.rendering.stage import draw
 from phy124.rendering.stage.frame import StageFrame
+from phy124.runtime.cores import cores
 
 Colour = tuple[float, float, float]
 WHITE: Colour = (1.0, 1.0, 1.0)
 BLACK: Colour = (0.0, 0.0, 0.0)
-NEAR = 0.01
-"""Gaussians whose centres are closer to the camera are not drawn, m."""
-FRUSTUM_MARGIN = 1.3
-"""How far out the projection is linearised, in half images (Kerbl et al. 2023)."""
-MAX_PIXELS = 1 << 26
-"""Number of pixels of the largest image (8192 x 8192)."""
 MAX_PAIRS = 1 << 24
 """Number of tile entries held at once; larger scenes are blended in several runs of tiles."""
 BLENDS = {
@@ -50,6 +46,10 @@ BLENDS = {
 }
 """Forms of the last stage: a tile per thread in vectorised C++ (CPU only), the same in Warp,
 and a pixel per thread (what CUDA runs)."""
+FILTERS = {"dilate": (0.3, False), "mip": (0.1, True)}
+"""What keeps splats from falling between pixels -> what is added to their screen covariance, px^2,
+and whether they become as much fainter: no in 3D Gaussian Splatting, which makes thin things
+thicker the smaller they are seen; yes in Mip-Splatting (Yu et al. 2024, section 4.2)."""
 LOOK_AHEAD = 2
 """How many frames per thread `render_frames` may be ahead of its reader."""
 
@@ -60,13 +60,24 @@ class Renderer:
     An instance must be used by one thread at a time.
     """
 
-    def __init__(self, *, device: str | None = None, blend: str = "auto") -> None:
-        """Compile or load the kernels for `device` (Warp's name; default: CUDA if there is one).
+    def __init__(
+        self, *, device: str | None = None, blend: str = "auto", filter: str = "dilate"
+    ) -> None:
+        """Compile or load the kernels for a device.
+
+        Args:
+            device: Warp's name of it; None: CUDA if there is one.
+            blend: Form of the last stage, one of `BLENDS`, or auto.
+            filter: What keeps splats from falling between pixels, one of `FILTERS`.
 
         Raises:
-            InputError: If there is no such device or no such form of blending on it.
+            InputError: If there is no such device, form of blending on it, or filter.
         """
         self.device = _device(device)
+        if filter not in FILTERS:
+            limit, names = "there is no such filter.", " or ".join(FILTERS)
+            raise InputError("filter", filter, limit, f"Choose {names}.")
+        self._filter = FILTERS[filter]
         if blend == "auto":
             blend = "pixel" if self.device.is_cuda else "simd"
         if blend not in BLENDS or (blend == "simd" and self.device.is_cuda):
@@ -79,7 +90,8 @@ class Renderer:
         self._blend = BLENDS[blend]
         # The GPU's way of binning goes with its way of blending, so a CPU can test both.
         self._per_pixel = blend == "pixel"
-        for kernel in (project.project, binning.bin_serial, self._blend):
+        binned = binning.bin_parallel if self._per_pixel else binning.bin_serial
+        for kernel in (project.project, binned, self._blend):
             wp.load_module(kernel.module, self.device)
         self._buffers: dict[str, wp.array] = {}
         self._constants: dict[str, tuple[Any, Array, wp.array]] = {}
@@ -108,13 +120,16 @@ class Renderer:
         Raises:
             InputError: If the camera or the background cannot be used.
         """
-        view, pixels = _view(camera), camera.width * camera.height
+        view, pixels = pinhole(camera), camera.width * camera.height
+        view.low_pass, view.keeps_light = self._filter
+        view.low_area = float(np.float32(view.low_pass) ** 2)
         colour = wp.vec3(*_checked_background(BLACK if stage else background))
         image = self._buffer("image", pixels, wp.vec3)
         coverage = self._buffer("coverage", pixels, wp.float32)
         counts = self._project(gaussians, view)
-        if stage is not None and stage.solids:
-            self._tint(gaussians, view, stage)
+        around = None if stage is None else draw.Surroundings(stage, camera, view, self.device)
+        if around is not None and around.glazed:
+            around.tint(self._given(gaussians.means, wp.vec3), self._buffers["splats"])
         for first, last in _runs(counts, MAX_PAIRS):
             lists = self._bin(len(gaussians), view, counts, first, last)
             wp.launch(
@@ -124,8 +139,9 @@ class Renderer:
                 outputs=[image, coverage],
                 device=self.device,
             )
-        if stage is not None:
-            self._surround(camera, view, stage, image, coverage)
+        if around is not None:
+            glass = self._buffer("glass", pixels if around.glazed else 0, wp.float32)
+            around.draw(image, coverage, glass, simd=not self._per_pixel and self.device.is_cpu)
         # Copied: the buffers are written again by the next call.
         channels = [image.numpy()[:pixels]] + [coverage.numpy()[:pixels, None]] * alpha
         drawn = np.concatenate(channels, axis=1, dtype=np.float32)
@@ -134,11 +150,14 @@ class Renderer:
     def _project(self, gaussians: Gaussians, view: Any) -> NDArray[np.int64]:
         """Fill `splats`, and `order` by depth; return how many splats touch each tile [tiles]."""
         n, rows = len(gaussians), math.ceil(view.height / screen.TILE)
-        splats = self._buffer("splats", n, screen.Splat)
+        splats, tiles = self._buffer("splats", n, screen.Splat), self._buffer("tiles", n, wp.vec4i)
         # Sorting needs room for twice as many.
         depths = self._buffer("depths", 2 * n, wp.float32)
         order = self._buffer("order", 2 * n, wp.int32)
-        corners = wp.zeros((rows + 1, view.columns + 1), dtype=wp.int32, device=self.device)
+        shape = (rows + 1, view.columns + 1)
+        corners: Any = self._buffer("corners", math.prod(shape), wp.int32)
+        corners.zero_()
+        corners = corners[: math.prod(shape)].reshape(shape)
         wp.launch(
             project.project,
             dim=n,
@@ -151,40 +170,13 @@ class Renderer:
                 gaussians.sh_degree,
                 view,
             ],
-            outputs=[splats, depths, order, corners],
+            outputs=[splats, tiles, depths, order, corners],
             device=self.device,
         )
         wp.utils.radix_sort_pairs(depths, order, n)
         # Each splat marked the four corners of its rectangle of tiles; running sums along both
         # axes turn the marks into counts, however large the rectangles are.
         return corners.numpy().cumsum(0, np.int64).cumsum(1)[:-1, :-1].ravel()
-
-    def _tint(self, gaussians: Gaussians, view: Any, stage: StageFrame) -> None:
-        """Give splats that are seen through the stage's solids their colour."""
-        inputs = [view, self._given(draw.rows(stage.solids), glass.Solid)]
-        inputs.append(self._given(gaussians.means, wp.vec3))
-        outputs = [self._buffers["splats"]]
-        wp.launch(
-            setting.tint_splats, len(gaussians), inputs=inputs, outputs=outputs, device=self.device
-        )
-
-    def _surround(
-        self, camera: Camera, view: Any, stage: StageFrame, image: Any, coverage: Any
-    ) -> None:
-        """Draw the stage behind the Gaussians."""
-        shade = np.zeros((1, 1), np.float32) if stage.floor is None else stage.floor.shade
-        picture = draw.picture(stage.backdrop, view.width, view.height)
-        inputs = [view, draw.setting(stage), self._given(shade, wp.float32)]
-        inputs.append(self._given(picture, wp.vec3))
-        inputs.append(self._given(draw.rows(stage.solids), glass.Solid))
-        inputs.append(self._given(draw.boxes(stage.solids, camera), wp.vec4i))
-        wp.launch(
-            setting.draw_setting,
-            math.ceil(view.width / setting.RUN) * view.height,
-            inputs=inputs,
-            outputs=[image, coverage],
-            device=self.device,
-        )
 
     def _bin(
         self, n: int, view: Any, counts: NDArray[np.int64], first: int, last: int
@@ -193,19 +185,18 @@ class Renderer:
         bounds = np.zeros(len(counts) + 1, np.int32)
         bounds[first + 1 : last + 1] = counts[first:last].cumsum()
         total = int(bounds[last])
-        starts: Any = wp.array(bounds[:-1], dtype=wp.int32, device=self.device)
-        ends: Any = wp.array(bounds[:-1], dtype=wp.int32, device=self.device)
-        order, splats = self._buffers["order"], self._buffers["splats"]
+        starts, ends = (self._filled(name, bounds[:-1]) for name in ("starts", "ends"))
+        order, tiles = self._buffers["order"], self._buffers["tiles"]
         if not self._per_pixel:
             lists = self._buffer("lists", total, wp.int32)
-            inputs = [n, view.columns, first, last, order, splats]
+            inputs = [n, view.columns, first, last, order, tiles]
             wp.launch(
                 binning.bin_serial, 1, inputs=inputs, outputs=[ends, lists], device=self.device
             )
             return starts, ends, lists
         ranks = self._buffer("ranks", 2 * total, wp.int32)
         lists = self._buffer("lists", 2 * total, wp.int32)
-        inputs = [view.columns, first, last, order, splats]
+        inputs = [view.columns, first, last, order, tiles]
         wp.launch(
             binning.bin_parallel, n, inputs=inputs, outputs=[ends, ranks, lists], device=self.device
         )
@@ -219,6 +210,12 @@ class Renderer:
             # A fifth more than asked: a scene in motion asks for a little more each frame.
             buffer = wp.empty(max(1, size + size // 5), dtype=dtype, device=self.device)
             self._buffers[name] = buffer
+        return buffer
+
+    def _filled(self, name: str, values: NDArray[np.int32]) -> Any:
+        """The named buffer with these values, and nothing more."""
+        buffer = self._buffer(name, len(values), wp.int32)[: len(values)]
+        buffer.assign(values)
         return buffer
 
     def _given(self, array: NDArray, dtype: Any) -> wp.array:
@@ -266,7 +263,8 @@ def render_frames(
     background: Colour | None = WHITE,
     device: str | None = None,
     stage: Callable[[Frame], StageFrame] | None = None,
-    threads: int = 2,
+    filter: str = "dilate",
+    threads: int | None = None,
     progress: Progress = silent,
 ) -> Generator[NDArray[np.uint8], None, None]:
     """Images [H,W,3] uint8 of the frames, in order, until frames or cameras run out.
@@ -281,7 +279,9 @@ def render_frames(
         background: Colour behind the Gaussians, 0..1; None for none.
         device: Warp's name of the device; default: CUDA if there is one.
         stage: What stands behind and around the Gaussians of a frame instead of the background.
-        threads: Number of frames drawn at once on a CPU (kernels there use one core each).
+        filter: What keeps splats from falling between pixels, one of `FILTERS`.
+        threads: Number of frames drawn at once on a CPU, where kernels use one core each; None: as
+            many as there are cores.
         progress: Called as ("render", frames done, frames in all or 0 if unknown).
 
     Raises:
@@ -289,11 +289,12 @@ def render_frames(
     """
     total = operator.length_hint(frames, 0) or operator.length_hint(cameras, 0)
     every = itertools.repeat(cameras) if isinstance(cameras, Camera) else cameras
-    first = Renderer(device=device)
-    threads = 1 if first.device.is_cuda else max(1, threads)
+    first = Renderer(device=device, filter=filter)
+    threads = cores() if threads is None else threads
+    threads = 1 if first.device.is_cuda else max(1, min(threads, total or threads))
     # Kernels are loaded by now: loading them from several threads at once is not safe in Warp.
     renderers: SimpleQueue[Renderer] = SimpleQueue()
-    for renderer in [first] + [Renderer(device=device) for _ in range(threads - 1)]:
+    for renderer in [first] + [Renderer(device=device, filter=filter) for _ in range(threads - 1)]:
         renderers.put(renderer)
 
     def draw(frame: Frame, camera: Camera) -> NDArray[np.uint8]:
@@ -359,36 +360,6 @@ def _resized(camera: Camera, size: int | tuple[int, int] | None) -> Camera:
         return camera
     width, height = (size, size) if isinstance(size, int) else size
     return replace(camera, width=width, height=height)
-
-
-def _view(camera: Camera) -> Any:
-    """The camera as the kernels expect it, a `screen.View`."""
-    width, height = camera.width, camera.height
-    if min(width, height) < 1 or width * height > MAX_PIXELS:
-        raise InputError(
-            "size",
-            f"{width} x {height}",
-            f"an image has 1 to {MAX_PIXELS:,} pixels.",
-            "Choose a size such as 512 x 512.",
-        )
-    with np.errstate(all="ignore"):
-        matrix = camera.view.astype(np.float32)
-    if not (np.isfinite(matrix).all() and 0 < camera.fov_y < 180):
-        raise InputError(
-            "camera",
-            camera,
-            "it has no direction to look in, or no field of view.",
-            "Place eye and target apart, at finite positions, and take 0 < fov_y < 180 degrees.",
-        )
-    view = screen.View()
-    view.rotation = wp.mat33(matrix[:3, :3].ravel())
-    view.translation, view.eye = wp.vec3(*matrix[:3, 3]), wp.vec3(*camera.eye)
-    view.focal, view.near = camera.focal, NEAR
-    view.centre = wp.vec2(width / 2, height / 2)
-    view.limit = FRUSTUM_MARGIN * view.centre / camera.focal
-    view.width, view.height = width, height
-    view.columns = math.ceil(width / screen.TILE)
-    return view
 
 
 def _checked_background(background: Colour) -> Colour:

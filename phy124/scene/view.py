@@ -110,6 +110,12 @@ class View(Section):
         default=False, description="The camera goes along and keeps what moves in the middle."
     )
     fov: float = Field(default=FOV_Y, ge=1, le=120, description="Vertical field of view [deg].")
+    filter: Literal["dilate", "mip"] = Field(
+        default="dilate",
+        description="What keeps splats from falling between pixels: dilate widens them, as 3D "
+        "Gaussian Splatting does; mip also makes them fainter, as Mip-Splatting does, so that thin "
+        "things do not grow thicker in small pictures.",
+    )
     stage: StageName = Field(
         default="plain",
         description="plain: the object before the background; studio: on a floor with its shadow, "

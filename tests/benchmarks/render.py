@@ -1,7 +1,8 @@
 """How long a frame takes: `python tests/benchmarks/render.py [--device cpu] [--repeats 15]`.
 
 Prints one JSON line per count, size and number of threads. With one thread the figure is the
-median processor time of a frame; with two it is the wall time per frame of a run of frames,
+median processor time of a frame, and of one on the stage, with its shadow map and a plate, drawn in
+turn with it; with two it is the wall time per frame of a run of frames,
 which counts only on an idle machine. The scene is a bumpy shell of semi-transparent Gaussians
 with a median size of 0.75 % of the object at 65,536, as image-to-3D models make them.
 """
@@ -11,13 +12,17 @@ import itertools
 import json
 import statistics
 import time
+from dataclasses import replace
 
 import numpy as np
 import warp as wp
 
 from phy124.camera import Camera
 from phy124.gaussians import Frame, Gaussians
+from phy124.io.clip import Clip
 from phy124.rendering.render import Renderer, render_frames
+from phy124.rendering.stage.build import Stage, stage_of
+from phy124.scene import View
 
 REVISION = 1
 """Raise when scene or method change: figures of different revisions do not compare."""
@@ -36,16 +41,32 @@ def shell(count: int) -> Gaussians:
     return Gaussians.from_rgb(means, rng.normal(size=(count, 4)), scales, opacities, rgb)
 
 
-def cpu_ms(renderer: Renderer, gaussians: Gaussians, camera: Camera, repeats: int) -> float:
-    """Median processor time of one frame."""
-    renderer(gaussians, camera)
-    seconds = []
-    for _ in range(repeats):
-        start = time.process_time() if renderer.device.is_cpu else time.perf_counter()
-        renderer(gaussians, camera)
-        end = time.process_time() if renderer.device.is_cpu else time.perf_counter()
-        seconds.append(end - start)
-    return 1e3 * statistics.median(seconds)
+def standing(gaussians: Gaussians, device: str) -> Stage:
+    """The stage of a scene with a floor and a press."""
+    clip = Clip.from_frames([Frame(0, 0.0, gaussians)])
+    boundaries = [{"kind": "ground", "height": -0.5}, {"kind": "press"}]
+    stage = stage_of(
+        replace(clip, scene={"boundaries": boundaries}), View(stage="studio"), device=device
+    )
+    assert stage is not None
+    return stage
+
+
+def cpu_ms(
+    renderer: Renderer, gaussians: Gaussians, camera: Camera, repeats: int
+) -> tuple[float, float]:
+    """Median processor times of one frame without and with a stage, drawn in turn."""
+    clock = time.process_time if renderer.device.is_cpu else time.perf_counter
+    stage, frame = standing(gaussians, str(renderer.device)), Frame(0, 0.0, gaussians)
+    seconds: tuple[list[float], list[float]] = ([], [])
+    for _ in range(repeats + 1):
+        for times, staged in zip(seconds, (False, True), strict=True):
+            start = clock()
+            stage.shades.clear()
+            renderer(gaussians, camera, stage=stage.at(frame) if staged else None)
+            times.append(clock() - start)
+    plain, staged = (1e3 * statistics.median(times[1:]) for times in seconds)
+    return plain, staged
 
 
 def wall_ms(device: str, gaussians: Gaussians, camera: Camera, repeats: int) -> float:
@@ -72,9 +93,14 @@ def main() -> None:
         gaussians, camera = shell(count), Camera.orbit(0, 0, 1.5, size)
         row = {"revision": REVISION, "device": device, "warp": wp.__version__}
         row |= {"gaussians": count, "size": size}
-        one = cpu_ms(renderer, gaussians, camera, options.repeats)
+        one, staged = cpu_ms(renderer, gaussians, camera, options.repeats)
         clock = "cpu" if renderer.device.is_cpu else "wall"
-        print(json.dumps(row | {"threads": 1, f"{clock}_ms": round(one, 1)}), flush=True)
+        print(
+            json.dumps(
+                row | {"threads": 1, f"{clock}_ms": round(one, 1), "staged": round(staged, 1)}
+            ),
+            flush=True,
+        )
         if renderer.device.is_cpu:
             two = wall_ms(device, gaussians, camera, options.repeats)
             print(json.dumps(row | {"threads": 2, "wall_ms": round(two, 1)}), flush=True)

@@ -19,19 +19,27 @@ BLEND_TILE = r"""
         R[j] = G[j] = B[j] = 0.0f;
     }
     for (int j = 0; j < 16; ++j) centres[j] = (float)(left + j) + 0.5f;
+    const float nearest = centres[0], farthest = centres[15];
     const float HALF_LOG2_E = 0.72134752f;
+    int open = 0xffff;  // rows with pixels that are not done, a bit each
     const int begin = starts.data[tile], end = ends.data[tile];
 
     for (int k = begin; k < end; ++k) {
+        // Splats of a tile lie anywhere in memory: fetch one that comes soon.
+        if (k + 6 < end) __builtin_prefetch(&splats.data[pairs.data[k + 6]]);
         const auto& splat = splats.data[pairs.data[k]];
         const int y0 = splat.box[1] > top ? splat.box[1] : top;
         const int y1 = splat.box[3] < top + 16 ? splat.box[3] : top + 16;
         const float cx = -HALF_LOG2_E * splat.precision_x, cy = -HALF_LOG2_E * splat.precision_y;
-        const float opacity = splat.opacity;
+        const float opacity = splat.opacity, least = splat.least - 0.01f;
         const float red = splat.colour[0], green = splat.colour[1], blue = splat.colour[2];
         for (int y = y0; y < y1; ++y) {
+            if (!(open >> (y - top) & 1)) continue;
             const float dy = (float)y + 0.5f - splat.mean[1];
             const float middle = splat.mean[0] + splat.shear * dy, row = cy * dy * dy;
+            // A row whose nearest pixel is out of reach stays as it is.
+            const float inside = middle < nearest ? nearest : middle > farthest ? farthest : middle;
+            if (cx * (inside - middle) * (inside - middle) + row < least) continue;
             const int at = (y - top) * 16;
             float* __restrict Tr = T + at;
             float* __restrict Rr = R + at;
@@ -63,10 +71,13 @@ BLEND_TILE = r"""
                 Br[x] += weight * blue;
             }
         }
-        if ((k - begin) % 16 == 15) {
-            float open = -1.0f;
-            for (int j = 0; j < 256; ++j) open = T[j] > open ? T[j] : open;
-            if (open <= 0.0f) break;
+        if ((k - begin) % 8 == 7) {
+            for (int r = 0; r < 16; ++r) {
+                float most = -1.0f;
+                for (int j = 16 * r; j < 16 * r + 16; ++j) most = T[j] > most ? T[j] : most;
+                if (most <= 0.0f) open &= ~(1 << r);
+            }
+            if (!open) break;
         }
     }
 

@@ -7,8 +7,7 @@ from phy124.gaussians import SH_C0
 from phy124.kernels.build import kernel
 from phy124.kernels.splat.screen import MIN_ALPHA, Splat, View, tiles_of
 
-LOW_PASS = wp.constant(0.3)
-"""Added to the screen covariance [px^2]: no splat is thinner than about half a pixel."""
+LOG2_E = wp.constant(1.4426950408889634)
 C0 = wp.constant(SH_C0)
 C1 = wp.constant(harmonics.C1)
 C2 = wp.constant(wp.types.vector(5, float)(*harmonics.C2))
@@ -82,19 +81,26 @@ def splat_of(p: wp.vec3, quat: wp.vec4, scale: wp.vec3, opacity: float, view: Vi
     xy = wp.dot(along_x, along_y)
     yy = wp.dot(along_y, along_y)
     # Lagrange's identity: the determinant as a sum of positive terms, no cancellation.
-    det = wp.length_sq(wp.cross(along_x, along_y)) + LOW_PASS * (xx + yy) + LOW_PASS * LOW_PASS
-    d = yy + LOW_PASS
+    low = view.low_pass
+    area = wp.length_sq(wp.cross(along_x, along_y))
+    det = area + low * (xx + yy) + view.low_area
+    d = yy + low
     mean = view.focal * wp.vec2(p[0], p[1]) / p[2] + view.centre
     # Normalising would turn a NaN quaternion into none at all.
     if not (wp.isfinite(quat) and wp.isfinite(det) and wp.isfinite(mean) and wp.isfinite(opacity)):
         return splat
+    if view.keeps_light != 0:
+        opacity *= wp.sqrt(area / det)
+        if opacity < MIN_ALPHA:
+            return splat
     sigmas = wp.sqrt(2.0 * wp.log(opacity / MIN_ALPHA))
-    reach = sigmas * wp.vec2(wp.sqrt(xx + LOW_PASS), wp.sqrt(d))
+    reach = sigmas * wp.vec2(wp.sqrt(xx + low), wp.sqrt(d))
     splat.mean = mean
     splat.shear = xy / d
     splat.precision_x = d / det
     splat.precision_y = 1.0 / d
     splat.opacity = opacity
+    splat.least = -0.5 * LOG2_E * sigmas * sigmas
     splat.box = box_around(mean, reach, view)
     return splat
 
@@ -111,6 +117,7 @@ def project(
     view: View,
     # out
     splats_out: wp.array(dtype=Splat),
+    tiles_out: wp.array(dtype=wp.vec4i),
     depths_out: wp.array(dtype=float),
     order_out: wp.array(dtype=int),
     corners_out: wp.array2d(dtype=int),
@@ -127,11 +134,13 @@ def project(
         splat.colour = wp.max(colour, wp.vec3(0.0, 0.0, 0.0))
         if not wp.isfinite(colour):
             splat.box = wp.vec4i(0, 0, 0, 0)
+            tiles = wp.vec4i(0, 0, 0, 0)
         else:
             wp.atomic_add(corners_out, tiles[1], tiles[0], 1)
             wp.atomic_add(corners_out, tiles[1], tiles[2], -1)
             wp.atomic_add(corners_out, tiles[3], tiles[0], -1)
             wp.atomic_add(corners_out, tiles[3], tiles[2], 1)
     splats_out[i] = splat
+    tiles_out[i] = tiles
     depths_out[i] = depth
     order_out[i] = i

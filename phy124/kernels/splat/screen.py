@@ -28,6 +28,9 @@ class View:
     width: int  # [px]
     height: int  # [px]
     columns: int  # tiles per row
+    low_pass: float  # added to screen covariances [px^2]
+    low_area: float  # its square, rounded: not to be contracted with a sum [px^4]
+    keeps_light: int  # whether what is widened by it becomes fainter
 
 
 @wp.struct
@@ -44,6 +47,7 @@ class Splat:
     precision_x: float  # [1/px^2]
     precision_y: float  # [1/px^2]
     opacity: float
+    least: float  # log2 of the Gaussian, its opacity apart, below which alpha is under 1/255
     colour: wp.vec3  # linear blend, 0..
     box: wp.vec4i  # x0, y0, x1, y1: pixels it can reach, half open; empty if unseen
 

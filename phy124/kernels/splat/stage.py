@@ -11,8 +11,6 @@ from phy124.kernels.build import kernel
 from phy124.kernels.splat.glass import TINT, Solid, veil
 from phy124.kernels.splat.screen import Splat, View
 
-RUN = wp.constant(16)
-"""Number of pixels that a thread draws."""
 POOL = wp.constant(0.5)
 """How much brighter the floor is in the middle, for a grey of 1/2."""
 
@@ -56,17 +54,54 @@ def pool_at(x: float, y: float) -> float:
 
 
 @wp.func
-def seen_through(
-    solids: wp.array(dtype=Solid), boxes: wp.array(dtype=wp.vec4i), view: View, ray: wp.vec3,
-    x: int, y: int, limit: float,
-) -> float:  # fmt: skip
-    """Opacity of all the glass at a pixel in front of `limit`."""
+def ray_through(view: View, x: int, y: int) -> wp.vec3:
+    """Direction of the ray through a pixel's centre, of length 1 along the camera's axis."""
+    seen = wp.vec3(
+        (float(x) + 0.5 - view.centre[0]) / view.focal,
+        (float(y) + 0.5 - view.centre[1]) / view.focal,
+        1.0,
+    )
+    return wp.transpose(view.rotation) * seen
+
+
+@wp.func
+def floor_along(setting: Setting, eye: wp.vec3, ray: wp.vec3) -> float:
+    """Where a ray meets the floor; far away if it does not, or from below."""
+    if setting.floor == 1 and eye[2] > setting.height and ray[2] < 0.0:
+        return (setting.height - eye[2]) / ray[2]
+    return 1.0e30
+
+
+@kernel("phy124_stage")
+def draw_glass(
+    # model
+    view: View,
+    setting: Setting,
+    solids: wp.array(dtype=Solid),
+    boxes: wp.array(dtype=wp.vec4i),
+    around: wp.vec4i,
+    # state in
+    coverage: wp.array(dtype=float),
+    # out
+    glass_out: wp.array(dtype=float),
+):
+    """One thread per pixel of the box `around` all solids: opacity of those before the floor.
+
+    Each solid is inside its box of pixels, x0, y0, x1, y1.
+    """
+    wide = around[2] - around[0]
+    x = around[0] + wp.tid() % wide
+    y = around[1] + wp.tid() / wide
+    if 1.0 - coverage[y * view.width + x] <= 1.0e-3:
+        return
+    ray = ray_through(view, x, y)
+    limit = floor_along(setting, view.eye, ray)
     clear = float(1.0)
     for k in range(solids.shape[0]):
         box = boxes[k]
         if x >= box[0] and x < box[2] and y >= box[1] and y < box[3]:
             clear *= 1.0 - veil(solids[k], view.eye, ray, limit, 1.0 / view.focal)
-    return 1.0 - clear
+    glass_out[y * view.width + x] = 1.0 - clear
 
 
 @kernel("phy124_stage")
@@ -76,55 +111,38 @@ def draw_setting(
     setting: Setting,
     shade: wp.array2d(dtype=float),
     picture: wp.array(dtype=wp.vec3),
-    solids: wp.array(dtype=Solid),
-    boxes: wp.array(dtype=wp.vec4i),
-    # in place: light of the Gaussians, then the picture; and how far they cover it
+    # state in
+    glass: wp.array(dtype=float),
+    coverage: wp.array(dtype=float),
+    # in place: light of the Gaussians, then the picture
     image_out: wp.array(dtype=wp.vec3),
-    coverage_out: wp.array(dtype=float),
 ):
-    """One thread for each run of `RUN` pixels in a row; each solid is inside its box of pixels."""
-    run = wp.tid()
-    runs = (view.width + RUN - 1) / RUN
-    y = run / runs
-    left = (run % runs) * RUN
+    """One thread per pixel, for GPUs, and a readable form of stage_simd."""
+    pixel = wp.tid()
+    open = 1.0 - coverage[pixel]
+    # Of what is behind, Gaussians may let through less than a byte can tell.
+    if open <= 1.0e-3:
+        return
+    x = pixel % view.width
+    y = pixel / view.width
     down = (float(y) + 0.5) / float(view.height)
-    plain = (1.0 - down) * setting.top + down * setting.bottom
-    # The ray of the run's first pixel, and how it turns from pixel to pixel.
-    right = wp.vec3(view.rotation[0, 0], view.rotation[0, 1], view.rotation[0, 2]) / view.focal
-    first = wp.transpose(view.rotation) * wp.vec3(
-        (float(left) + 0.5 - view.centre[0]) / view.focal,
-        (float(y) + 0.5 - view.centre[1]) / view.focal,
-        1.0,
-    )
-    scale = 0.5 * float(setting.cells) / setting.reach
-    for x in range(left, wp.min(left + RUN, view.width)):
-        pixel = y * view.width + x
-        open = 1.0 - coverage_out[pixel]
-        # Of what is behind, Gaussians may let through less than a byte can tell.
-        if open > 1.0e-3:
-            ray = first + float(x - left) * right
-            colour = plain
-            if picture.shape[0] > 0:
-                colour = picture[pixel]
-            limit = float(1.0e30)
-            if setting.floor == 1 and view.eye[2] > setting.height and ray[2] < 0.0:
-                limit = (setting.height - view.eye[2]) / ray[2]
-                u = view.eye[0] + limit * ray[0] - setting.middle[0]
-                v = view.eye[1] + limit * ray[1] - setting.middle[1]
-                pool = pool_at(u / setting.reach, v / setting.reach)
-                light = 1.0 - shade_at(
-                    setting,
-                    shade,
-                    (u + setting.reach) * scale - 0.5,
-                    (v + setting.reach) * scale - 0.5,
-                )
-                colour = light * (
-                    colour + pool * wp.cw_mul(colour, wp.vec3(1.0, 1.0, 1.0) - colour)
-                )
-            if solids.shape[0] > 0:
-                alpha = seen_through(solids, boxes, view, ray, x, y, limit)
-                colour = (1.0 - alpha) * colour + alpha * TINT
-            image_out[pixel] = wp.min(image_out[pixel] + open * colour, wp.vec3(1.0, 1.0, 1.0))
+    colour = (1.0 - down) * setting.top + down * setting.bottom
+    if picture.shape[0] > 0:
+        colour = picture[pixel]
+    ray = ray_through(view, x, y)
+    limit = floor_along(setting, view.eye, ray)
+    if limit < 1.0e30:
+        u = view.eye[0] + limit * ray[0] - setting.middle[0]
+        v = view.eye[1] + limit * ray[1] - setting.middle[1]
+        pool = pool_at(u / setting.reach, v / setting.reach)
+        scale = 0.5 * float(setting.cells) / setting.reach
+        i = (u + setting.reach) * scale - 0.5
+        j = (v + setting.reach) * scale - 0.5
+        bright = colour + pool * wp.cw_mul(colour, wp.vec3(1.0, 1.0, 1.0) - colour)
+        colour = (1.0 - shade_at(setting, shade, i, j)) * bright
+    if glass.shape[0] > 0:
+        colour += glass[pixel] * (TINT - colour)
+    image_out[pixel] = wp.min(image_out[pixel] + open * colour, wp.vec3(1.0, 1.0, 1.0))
 
 
 @kernel("phy124_stage")
@@ -132,6 +150,7 @@ def tint_splats(
     # model
     view: View,
     solids: wp.array(dtype=Solid),
+    boxes: wp.array(dtype=wp.vec4i),
     # state in
     means: wp.array(dtype=wp.vec3),
     # in place
@@ -139,13 +158,14 @@ def tint_splats(
 ):
     """One thread per Gaussian: the colour of what is seen through glass."""
     i = wp.tid()
-    box = splats_out[i].box
-    if box[2] <= box[0] or box[3] <= box[1]:
-        return
-    ray = means[i] - view.eye
-    depth = wp.dot(view.rotation[2], ray)
-    colour = splats_out[i].colour
+    mean = splats_out[i].mean
     for k in range(solids.shape[0]):
-        alpha = veil(solids[k], view.eye, ray, 1.0, depth / view.focal)
-        colour = (1.0 - alpha) * colour + alpha * TINT
-    splats_out[i].colour = colour
+        box = boxes[k]
+        x = wp.clamp(mean[0], float(box[0]), float(box[2]))
+        y = wp.clamp(mean[1], float(box[1]), float(box[3]))
+        if x == mean[0] and y == mean[1]:
+            ray = means[i] - view.eye
+            depth = wp.dot(view.rotation[2], ray)
+            alpha = veil(solids[k], view.eye, ray, 1.0, depth / view.focal)
+            colour = splats_out[i].colour
+            splats_out[i].colour = colour + alpha * (TINT - colour)

@@ -10,11 +10,66 @@ import warp as wp
 from numpy.typing import NDArray
 
 from phy124.camera import Camera
-from phy124.kernels.splat import glass, stage
+from phy124.kernels.splat import glass, stage, stage_simd
 from phy124.rendering.stage.frame import Backdrop, Solid, StageFrame
 
 SIGNS = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
 """The corners of a box of half size 1 [8,3]."""
+
+
+class Surroundings:
+    """A stage on a device, seen by one camera; for one picture."""
+
+    def __init__(self, shown: StageFrame, camera: Camera, view: Any, device: Any) -> None:
+        self.shown, self.view, self.device = shown, view, device
+        self.setting, self.glazed = setting(shown), bool(shown.solids)
+        if self.glazed:
+            self._boxes = boxes(shown.solids, camera)
+            self._solids = [
+                self._given(rows(shown.solids), glass.Solid),
+                self._given(self._boxes, wp.vec4i),
+            ]
+
+    def tint(self, means: wp.array, splats: wp.array) -> None:
+        """Give splats that are seen through the glass its colour."""
+        inputs = [self.view, *self._solids, means]
+        wp.launch(
+            stage.tint_splats, len(means), inputs=inputs, outputs=[splats], device=self.device
+        )
+
+    def draw(self, image: wp.array, coverage: wp.array, veil: wp.array, *, simd: bool) -> None:
+        """Draw the stage behind the Gaussians.
+
+        Args:
+            image: Their light on black.
+            coverage: How far they cover each pixel.
+            veil: Room for the opacity of the glass at each pixel, if there is any.
+            simd: Whether to draw in rows, for the vector units of a CPU.
+        """
+        floor, view = self.shown.floor, self.view
+        shade = np.zeros((2, 2), np.float32) if floor is None else floor.shade
+        behind = picture(self.shown.backdrop, view.width, view.height)
+        inputs = [view, self.setting, self._given(shade, wp.float32)]
+        inputs += [self._given(behind, wp.vec3), self._veiled(veil, coverage), coverage]
+        kernel = stage_simd.draw_setting_simd if simd else stage.draw_setting
+        threads = view.height if simd else view.width * view.height
+        wp.launch(kernel, threads, inputs=inputs, outputs=[image], device=self.device)
+
+    def _veiled(self, veil: wp.array, coverage: wp.array) -> wp.array:
+        """The opacity of the glass at each pixel; empty without glass."""
+        if not self.glazed:
+            return self._given(np.zeros(0, np.float32), wp.float32)
+        left, top = self._boxes[:, :2].min(axis=0).tolist()
+        right, bottom = self._boxes[:, 2:].max(axis=0).tolist()
+        veil.zero_()
+        around = wp.vec4i(left, top, right, bottom)
+        pixels = max(right - left, 0) * max(bottom - top, 0)
+        inputs = [self.view, self.setting, *self._solids, around, coverage]
+        wp.launch(stage.draw_glass, pixels, inputs=inputs, outputs=[veil], device=self.device)
+        return veil
+
+    def _given(self, array: NDArray, dtype: Any) -> wp.array:
+        return wp.array(array, dtype=dtype, device=self.device, copy=False)
 
 
 def setting(shown: StageFrame) -> Any:

@@ -37,7 +37,7 @@ SOFTNESS = 0.25
 """Standard deviation of the lamp's image, per metre of height."""
 LAMP, SKY = 0.22, 0.32
 """Fractions of the floor's light that come from the lamp and the sky; the rest has no shadow."""
-SAMPLE = 16_384
+SAMPLE = 8192
 """About so many Gaussians, evenly picked, stand for all of them."""
 GLASS = 0.25
 """Coverage of a boundary, which is drawn as glass."""
@@ -83,9 +83,9 @@ class Caster:
         """
         depth = self._depth(gaussians, floor)
         depth = depth if glass is None else depth + glass
-        through = np.exp(-np.minimum(depth, 50))
         # What the floor sees of each layer through those below it.
-        seen = (1 - through) * np.concatenate([np.ones_like(depth[:1]), through.cumprod(0)[:-1]])
+        through = np.exp(-depth.cumsum(axis=0))
+        seen = -np.diff(through, axis=0, prepend=np.float32(1))
         total = np.sum(np.asarray(fft.rfft2(seen)) * self._response, axis=0)
         shade = np.asarray(fft.irfft2(total, (CELLS, CELLS))) * self._window
         return np.clip(shade, 0, LAMP + SKY).astype(np.float32)
