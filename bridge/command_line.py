@@ -15,7 +15,6 @@ from phy124.errors import InputError
 
 from . import PROGRAM
 from .commands import COMMANDS, Play
-from .options import Options
 
 MAY_BE_EMPTY = ("--parent-frame",)
 
@@ -30,9 +29,9 @@ def run(arguments: list[str], description: str | None) -> int:
         except InputError as error:
             return _complain(str(error), 2)
         except ValidationError as error:
-            from phy124.scene.refusals import refusal
+            from phy124.scene.refusals import refusal_of_options
 
-            return _complain(str(refusal(error, "options", Options)), 2)
+            return _complain(str(refusal_of_options(error)), 2)
 
 
 def _command(arguments: list[str], description: str | None) -> Any:

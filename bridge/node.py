@@ -13,12 +13,20 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from phy124.generators.ply_file import Reading
 from phy124.runtime.signals import handled, interrupt
 
 from .live import follow, play
 from .options import Options
-from .parameters import CLIP, RUNNING, RUNNING_LIVE, SIMULATED, declare, message_options
+from .parameters import (
+    CLIP,
+    MAKING,
+    RUNNING,
+    RUNNING_LIVE,
+    SIMULATED,
+    declare,
+    message_options,
+    section_of,
+)
 from .player import Player
 from .ros_node import NODE, ros_node
 from .sinks.rclpy import RclpySink
@@ -59,10 +67,9 @@ def simulate(node: Any) -> None:
     chosen = declare(node, {**SIMULATED, **RUNNING_LIVE, **message_options()})
     source, clock, speed = _taken(chosen, "source", "clock", "speed")
     scene, changes, generator, device = _taken(chosen, "scene", "set", "generator", "device")
-    told = dict(zip(Reading.model_fields, _taken(chosen, *Reading.model_fields), strict=True))
-    reading = Reading(**{name: value for name, value in told.items() if value != ""})
+    making = {name: section_of(chosen, section) for name, section in MAKING.items()}
     options = _options(chosen)
-    asked = LiveOptions(True, scene, changes, generator, device, reading)
+    asked = LiveOptions(True, scene, changes, generator, device, **making)
     run = LiveRun(Path(source), asked)
     with RclpySink(options, clock=clock, node=node, running=RUNNING_LIVE) as sink:
         log.info("Simulating %s, scene %s. %s", source, scene, sink.audience())
@@ -104,9 +111,9 @@ def _attempt(node: Any, work: Callable[[Any], None]) -> str | None:
 
 
 def _one_line(error: Exception) -> str:
-    from phy124.scene.refusals import refusal
+    from phy124.scene.refusals import refusal_of_options
 
-    said = refusal(error, "options", Options) if isinstance(error, ValidationError) else error
+    said = refusal_of_options(error) if isinstance(error, ValidationError) else error
     return " ".join(str(said).split())
 
 

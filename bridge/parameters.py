@@ -13,15 +13,23 @@ import math
 from array import array
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
+
+from pydantic.fields import FieldInfo
 
 from phy124.errors import InputError
+from phy124.generators.depth_map import DepthMap
+from phy124.generators.options import GeneratorOptions
+from phy124.generators.other_views import OtherViews
 from phy124.generators.ply_file import Reading
+from phy124.imaging.cutting import Cutting
 from phy124.runtime.device import CHOICES
+from phy124.section import Section
 
 from .options import LIVE_POINTS, LIVE_PROFILE, Options
 from .player import RATES, SPEEDS
 
+Made = TypeVar("Made", bound=Section)
 POINTS = (0, 10_000_000)
 """Smallest and largest value of `max_points`."""
 
@@ -57,6 +65,23 @@ RUNNING = {
 """Parameters that can be set while the node runs, and take effect at once."""
 RUNNING_LIVE = {name: RUNNING[name] for name in ("speed", "max_points")}
 """Those of a running simulation."""
+MAKING: dict[str, Any] = {
+    "reading": Reading, "effort": GeneratorOptions, "cutting": Cutting, "depth": DepthMap,
+    "views": OtherViews,
+}  # fmt: skip
+"""Option of `LiveOptions` that says how the source becomes Gaussians -> its section.
+
+Each field of a section is a parameter.
+"""
+
+
+def _start(field: FieldInfo) -> Any:
+    """The first value of the parameter of a field; ROS parameters have no None."""
+    if field.default is None:
+        return {int | None: 0, float | None: 0.0}.get(field.annotation, "")
+    return field.default
+
+
 CLOCK = {"clock": Parameter(False, "Publish /clock at 40 Hz; nothing else must publish it then.")}
 CLIP = {"clip": Parameter("", "A clip.safetensors made by phy124."), **CLOCK}
 SIMULATED = {
@@ -66,12 +91,18 @@ SIMULATED = {
     "generator": Parameter("relief", "How a picture becomes Gaussians."),
     "device": Parameter("auto", CHOICES),
     **{
-        # ROS parameters have no None.
-        name: Parameter("" if field.default is None else field.default, field.description or "")
-        for name, field in Reading.model_fields.items()
+        name: Parameter(_start(field), field.description or "")
+        for section in MAKING.values()
+        for name, field in section.model_fields.items()
     },
     **CLOCK,
 }
+
+
+def section_of(chosen: dict[str, Any], section: type[Made]) -> Made:
+    """The options of a section among the parameters' values, which are removed there."""
+    told = {name: chosen.pop(name) for name in section.model_fields}
+    return section(**{name: value for name, value in told.items() if value not in ("", 0)})
 
 
 def message_options() -> dict[str, Parameter]:

@@ -10,7 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 from phy124.errors import InputError
 from phy124.gaussians import Frame
+from phy124.generators.depth_map import DepthMap
+from phy124.generators.options import GeneratorOptions
+from phy124.generators.other_views import OtherViews
 from phy124.generators.ply_file import Reading
+from phy124.imaging.cutting import Cutting
 from phy124.io.clip import Clip
 from phy124.io.formats import is_file_of_gaussians
 from phy124.progress import Progress, silent
@@ -39,6 +43,10 @@ class LiveOptions:
     device: str = "auto"
     """auto, cpu or cuda:0."""
     reading: Reading = field(default_factory=Reading)
+    effort: GeneratorOptions = field(default_factory=GeneratorOptions)
+    cutting: Cutting = field(default_factory=Cutting)
+    depth: DepthMap = field(default_factory=DepthMap)
+    views: OtherViews = field(default_factory=OtherViews)
 
     def check(self) -> None:
         """Check that nothing is given that needs `--live`.
@@ -107,7 +115,7 @@ class LiveRun:
         device = pick_device(self._options.device)
         # A user need not see Warp's messages while it compiles.
         warp.config.log_level = warp.LOG_ERROR
-        made = make_object(self._source, self._options, self.scene, self._progress)
+        made = make_object(self._source, self._options, self.scene, device, self._progress)
         self.scene = made.scene
         # The sinks have each frame; keeping them would limit the run by memory.
         options: dict[str, Any] = {"device": device, "crop": made.crop, "keep": False}
@@ -128,13 +136,16 @@ def opened(path: str | Path) -> Clip:
     return clip
 
 
-def make_object(source: Path, options: LiveOptions, scene: Scene, progress: Progress) -> Static:
+def make_object(
+    source: Path, options: LiveOptions, scene: Scene, device: str, progress: Progress
+) -> Static:
     """Gaussians from a picture or a file of Gaussians, and the scene for them; raises InputError.
 
     Args:
         source: The picture or the file.
-        options: The generator, and how to interpret a file.
+        options: The generator, and how it makes Gaussians of the source.
         scene: The scene.
+        device: Where the generator runs.
         progress: Called with (stage, done, total); may raise Cancelled.
     """
     from phy124.pipeline import static
@@ -142,7 +153,7 @@ def make_object(source: Path, options: LiveOptions, scene: Scene, progress: Prog
     def look(cutout: Cutout) -> None:
         if cutout.warnings:
             see = f"Look at it with `phy124 cutout {source}`"
-            mend = "--mask corrects it, and the file it writes can be given here."
+            mend = "--pick or --mask corrects it, here and there."
             for sentence in (*cutout.warnings, f"{see}; {mend}"):
                 log.warning(sentence)
 
@@ -150,8 +161,16 @@ def make_object(source: Path, options: LiveOptions, scene: Scene, progress: Prog
         source,
         scene,
         generator=str(source) if is_file_of_gaussians(source) else options.generator,
+        options=options.effort,
         reading=options.reading,
+        depth=options.depth,
+        views=options.views,
+        **options.cutting.given(),
         looked=look,
+        foretold=lambda effort: log.info(
+            "%s: %s; about %.0f s", options.generator, effort.words, effort.seconds
+        ),
+        device=device,
         progress=progress,
     )
     for sentence in made.about["cleaning"]:

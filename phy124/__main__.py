@@ -75,11 +75,18 @@ def _run(arguments: list[str], *, quiet: bool, verbose: bool) -> int:
 
 def _parsed(arguments: list[str]) -> Any:
     """The command with its options."""
+    from pydantic import ValidationError
+
     from phy124.arguments.parsing import parsed
     from phy124.commands import COMMANDS
     from phy124.commands.kinds import refuse_other_kind
 
-    command = parsed(arguments, COMMANDS, program="phy124", description=__doc__)
+    try:
+        command = parsed(arguments, COMMANDS, program="phy124", description=__doc__)
+    except ValidationError as error:
+        from phy124.scene.refusals import refusal_of_options
+
+        raise refusal_of_options(error) from None
     refuse_other_kind(arguments[0], command)
     return command
 

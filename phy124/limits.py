@@ -5,10 +5,7 @@ The estimate is rough on purpose (phy124/cost.py). A refusal names a setting tha
 
 from __future__ import annotations
 
-import math
-import os
 from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
 
 import numpy as np
 
@@ -18,6 +15,7 @@ from phy124.gaussians import Gaussians
 from phy124.materials import AnyMaterial
 from phy124.particles import Particles
 from phy124.remedies import accuracy, listed, plain
+from phy124.runtime.memory import free_memory
 from phy124.scene import Scene
 
 MUCH_STIFFER = 3.0
@@ -103,19 +101,6 @@ def _would_fit(found: Sequence[Remedy]) -> str:
     if not found:
         return "No single change would fit: use fewer frames and a coarser accuracy."
     return f"{listed([remedy.words for remedy in found])} would fit."
-
-
-def free_memory() -> float:
-    """Memory that programs may still take [bytes]; infinity where the system does not tell."""
-    try:
-        for line in Path("/proc/meminfo").read_text().splitlines():
-            if line.startswith("MemAvailable:"):
-                return float(line.split()[1]) * 1024
-    except OSError:
-        pass
-    if hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:
-        return float(os.sysconf("SC_PHYS_PAGES")) * os.sysconf("SC_PAGE_SIZE")
-    return math.inf
 
 
 def _fitting(scene: Scene, excess: float, fits: Callable[[Scene], bool]) -> tuple[Remedy, ...]:

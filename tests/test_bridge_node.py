@@ -2,6 +2,7 @@
 
 import logging
 import time
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -9,7 +10,9 @@ import pytest
 from bridge import node, parameters
 from bridge.options import LIVE_POINTS, Options
 from bridge.sinks.rclpy import RclpySink
+from phy124.generators.depth_map import DepthMap
 from phy124.generators.ply_file import Reading
+from phy124.imaging.cutting import Cutting
 from support.clips import random_clip
 from support.ros_double import Node
 from support.ros_messages import clouds, statuses, values
@@ -206,6 +209,7 @@ def test_a_running_simulation_as_a_node(ros, monkeypatch):
     monkeypatch.setattr(node, "LiveRun", Run)
     Node.parameters = {"source": "photo.png", "scene": "drop", "set": ["seed=1"], "profile": "viz"}
     Node.parameters |= {"floor": True, "crop": "-1,-1,-1,1,1,1"}
+    Node.parameters |= {"pick": "0.2,0.7", "depth": "far.png", "near": "black", "steps": 10}
     node.live()
     ((name, options),) = asked
     assert (name, options.live, options.scene, options.set) == (
@@ -215,6 +219,8 @@ def test_a_running_simulation_as_a_node(ros, monkeypatch):
         ("seed=1",),
     )
     assert options.reading == Reading(floor=True, crop="-1,-1,-1,1,1,1")
+    assert options.cutting == Cutting(pick="0.2,0.7") and options.effort.steps == 10
+    assert options.depth == DepthMap(depth=Path("far.png"), near="black")
     (made,) = ros.nodes
     assert len(made.publishers["points"].sent) == 3
     assert made.get_parameter("generator").value == "relief"

@@ -129,9 +129,9 @@ def test_a_doubtful_cut_out_is_said(tmp_path, monkeypatch, caplog):
     doubtful = SimpleNamespace(
         picture=picture, warnings=("It is in 9 pieces.",), method="u2net", data=dict
     )
-    monkeypatch.setattr("phy124.pipeline.cut_out", lambda *_, **__: doubtful)
+    monkeypatch.setattr("phy124.pipeline.gaussians.cut_out", lambda *_, **__: doubtful)
     monkeypatch.setattr("phy124.generators.GENERATORS", {"relief": lambda: lambda *_, **__: "made"})
-    made = make_object(tmp_path / "photo.png", LiveOptions(), Scene(), silent)
+    made = make_object(tmp_path / "photo.png", LiveOptions(), Scene(), "cpu", silent)
     assert made.gaussians == "made"
     first, second = caplog.messages
     assert first == "It is in 9 pieces."

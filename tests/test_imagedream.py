@@ -1,12 +1,13 @@
 """ImageDream against the original program's outputs, step by step."""
 
+import copy
 import json
+from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from diffusers.schedulers.scheduling_ddim import DDIMScheduler
 from safetensors.torch import save_file
 from transformers import CLIPTextConfig, CLIPTextModel, CLIPVisionConfig, CLIPVisionModel
 
@@ -20,14 +21,8 @@ from phy124.generators.imagedream import (
     pipeline,
 )
 from phy124.generators.imagedream.cameras import cameras
-from phy124.generators.imagedream.pipeline import (
-    SCHEDULE,
-    Condition,
-    decode,
-    denoise,
-    encode,
-    predict,
-)
+from phy124.generators.imagedream.pipeline import Condition, decode, denoise, encode, predict
+from phy124.generators.imagedream.sampling import SCHEDULE, scheduler_of
 from phy124.generators.imagedream.unet import timestep_embedding, with_picture
 from reference import formula
 
@@ -162,7 +157,7 @@ def test_vae_equals_the_original(folder, vae):
 def test_schedule_equals_the_original(folder, expected):
     told = json.loads((folder / "imagedream_pipeline.json").read_text())["scheduler"]
     assert told.items() <= SCHEDULE.items()
-    scheduler = DDIMScheduler(**SCHEDULE)
+    scheduler = scheduler_of("ddim", 3)
     np.testing.assert_allclose(scheduler.alphas_cumprod, expected["alphas_cumprod"], **CLOSE)
     assert float(scheduler.final_alpha_cumprod) == pytest.approx(
         float(expected["final_alpha_cumprod"]), rel=1e-6
@@ -182,6 +177,53 @@ def test_every_step_equals_the_original(unet, vae, expected, condition):
         views = decode(vae, steps[-1]).permute(0, 2, 3, 1)
     np.testing.assert_allclose(torch.stack(steps), expected["latents_steps"], **PIPELINE)
     np.testing.assert_allclose(views[:, ::8, ::8], expected["out_stride8"], **PIPELINE)
+
+
+def test_bfloat16_in_the_network_leaves_the_latents_exact(unet, vae, monkeypatch):
+    """Only the noise is predicted in it; a step adds what differs to float32 latents."""
+    monkeypatch.setattr(pipeline, "decode", lambda vae, latents: latents)
+    image = torch.rand(3, 16, 16, generator=torch.Generator().manual_seed(0))
+    made = {}
+    for dtype in (torch.float32, torch.bfloat16):
+        parts = TinyParts(copy.deepcopy(unet).to(dtype), vae)
+        monkeypatch.setattr(pipeline, "SIZE", 64)
+        made[dtype] = ImageDream(steps=1, parts=parts, unet_dtype=dtype)(image, seed=3)
+        assert made[dtype].dtype == torch.float32
+    apart = (made[torch.bfloat16] - made[torch.float32]).std() / made[torch.float32].std()
+    assert 1e-6 < float(apart) < 0.02
+
+
+def solved(sampler: str, steps: int) -> float:
+    """Relative error where the data are normal with deviation 0.5, whose solution is known.
+
+    The noise in x is then sqrt(1 - a) x / d^2, and x / d is the same at every level of noise, with
+    d^2 = a 0.25 + 1 - a and a what remains of the picture.
+    """
+    scheduler = scheduler_of(sampler, steps)
+    a = scheduler.alphas_cumprod.double()
+    d = (0.25 * a + 1 - a).sqrt()
+    start = x = torch.ones(1, dtype=torch.float64)
+    for t in scheduler.timesteps:
+        x = scheduler.step((1 - a[t]).sqrt() * x / d[t] ** 2, t, x, return_dict=False)[0]
+    exact = start * d[0] / d[int(scheduler.timesteps[0])]
+    return abs(float(x / exact) - 1)
+
+
+def test_ddim_is_of_first_order_and_dpmsolver_of_second():
+    first, second = ([solved(name, n) for n in (10, 20)] for name in ("ddim", "dpmsolver++"))
+    assert 1.5 < first[0] / first[1] < 2.5
+    assert 3.0 < second[0] / second[1] < 6.0
+    assert second[0] < solved("ddim", 30)
+    assert solved("dpmsolver++", 1) < 1
+
+
+def test_networks_are_in_memory_one_after_the_other(tmp_path, monkeypatch):
+    monkeypatch.setattr(pipeline, "require", lambda name, weights: defaultdict(lambda: tmp_path))
+    monkeypatch.setattr(encoders, "vae", lambda path: torch.nn.Linear(1, 1))
+    monkeypatch.setattr(pipeline, "load_unet", lambda path, **place: [place["dtype"]])
+    parts = pipeline.TrainedParts(None, "cpu", torch.float32, torch.bfloat16)
+    assert "unet" not in vars(parts), "it is read once the encoders are released"
+    assert parts.unet == [torch.bfloat16] and parts.unet is parts.unet
 
 
 def test_picture_latents_are_a_sample_of_the_posterior(vae, expected):

@@ -72,6 +72,11 @@ class Forecast:
         """The forecast with a stage that is finished and took so many seconds."""
         return replace(self, stages={name: seconds, **self.stages}, measured=(*self.measured, name))
 
+    def with_predicted(self, name: str, seconds: float, caveat: str) -> Forecast:
+        """The forecast with a stage before the others, and why they are only a guess."""
+        caveats = " ".join(filter(None, (self.caveat, caveat)))
+        return replace(self, stages={name: seconds, **self.stages}, caveat=caveats)
+
     def lines(self) -> list[str]:
         """The forecast as text, a line for each stage."""
         made = [

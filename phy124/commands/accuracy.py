@@ -12,16 +12,18 @@ import tyro
 
 from phy124.commands.bars import Bars
 from phy124.commands.cutout import doubt
-from phy124.commands.options import Device, GeneratorName
+from phy124.commands.options import Device
+from phy124.commands.picture import PictureOptions, told
 from phy124.errors import Cancelled, InputError
 from phy124.gaussians import Gaussians
-from phy124.generators.ply_file import Reading
+from phy124.generators.effort import Effort
 from phy124.imaging.cutout import Cutout
 from phy124.io.formats import is_file_of_gaussians
 from phy124.parts import WHOLE, Crop
 from phy124.progress import Progress
 from phy124.runtime.device import pick_device
 from phy124.scene import Scene
+from phy124.weights.store import looking_in
 
 DUCK = "demo/examples/duck.png"
 KEPT = "the results are those of the settings that were run"
@@ -41,8 +43,9 @@ class ShowAccuracy:
     """Cells across the object to study, from coarse to fine."""
     out: Path | None = None
     """Folder of accuracy.json, .html and .png; default out/accuracy-SCENE."""
-    generator: GeneratorName = "relief"
-    reading: Annotated[Reading, tyro.conf.arg(name="")] = field(default_factory=Reading)
+    making: Annotated[PictureOptions, tyro.conf.arg(name="")] = field(
+        default_factory=PictureOptions
+    )
     device: Device = "auto"
     json: bool = False
     """Print as JSON and nothing else."""
@@ -87,7 +90,7 @@ class ShowAccuracy:
         name = Path(str(self.scene)).stem
         out = self.out or Path("out") / f"accuracy-{name}"
         with Bars(quiet=self.json, keeps=True) as bars, staged(out) as folder:
-            gaussians, scene, crop = self._object(scene, bars)
+            gaussians, scene, crop = self._object(scene, device, bars)
             study = Study(gaussians, scene, device, levels, crop, progress=bars, keep=True)
             report = study.run()
             bars.close()
@@ -120,27 +123,35 @@ class ShowAccuracy:
                 raise InputError("levels", cells, refusal.limit, refusal.remedy) from None
         return tuple(sorted(set(self.levels)))
 
-    def _object(self, scene: Scene, progress: Progress) -> tuple[Gaussians, Scene, Crop]:
+    def _object(
+        self, scene: Scene, device: str, progress: Progress
+    ) -> tuple[Gaussians, Scene, Crop]:
         """The Gaussians to study, the scene meant for them, and where they are in the picture."""
         if self.image is None:
             from phy124.accuracy.ball import ball
 
-            self.reading.refuse("image", "none")
+            self.making.refuse_without_picture()
             return ball(), scene, WHOLE
         from phy124.pipeline import static
 
-        given = is_file_of_gaussians(self.image)
-        generator = str(self.image) if given else self.generator
-        made = static(
-            self.image, scene, generator=generator, reading=self.reading, looked=self._look,
-            progress=progress,
-        )  # fmt: skip
+        how = self.making.given()
+        if is_file_of_gaussians(self.image):
+            how["generator"] = str(self.image)
+        with looking_in(self.making.cutting.weights):
+            made = static(
+                self.image, scene, **how, looked=self._look, foretold=self._foretell,
+                device=device, progress=progress,
+            )  # fmt: skip
         return made.gaussians, made.scene, made.crop
 
     def _look(self, cutout: Cutout) -> None:
         if not self.json:
             see = f"Look at it with `phy124 cutout {self.image}`"
-            doubt(cutout, f"{see}; --mask corrects it, and the file it writes can be studied.")
+            doubt(cutout, f"{see}; --pick or --mask corrects it.")
+
+    def _foretell(self, effort: Effort) -> None:
+        if not self.json:
+            print(told(self.making.generator, effort), flush=True)
 
 
 def _verdict_line(row: dict[str, Any]) -> str:

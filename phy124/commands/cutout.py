@@ -10,11 +10,12 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
+from pydantic import Field
 
 from phy124.commands.bars import Bars
 from phy124.errors import InputError
-from phy124.imaging.cutout import METHODS, Cutout, cut_out, title_of
-from phy124.imaging.objects import Point
+from phy124.imaging.cutout import Cutout, cut_out, title_of
+from phy124.imaging.cutting import Cutting
 from phy124.io.files import replacing
 from phy124.runtime.isolated import Deadline
 from phy124.weights.store import looking_in
@@ -26,39 +27,16 @@ IF_WRONG = (
 )
 
 
-@dataclass(frozen=True)
-class CutoutOptions:
-    """How the object is cut out of its picture."""
+class CutoutOptions(Cutting):
+    """How the object is cut out of its picture, and with which weights."""
 
-    foreground: Annotated[
-        str,
-        tyro.conf.arg(
-            aliases=["--method"],
-            help=f"How the object is cut out: auto, {', '.join(METHODS)}; or give a mask.",
-        ),
-    ] = "auto"
-    mask: Path | None = None
-    """Picture of the same size that is white where the object is; replaces cutting out."""
-    pick: Annotated[str | None, tyro.conf.arg(metavar="X,Y")] = None
-    """Which object, if there are several: a place on it, as fractions of width and height."""
-    weights: Path | None = None
-    """Folder to look for trained weights in first (see `phy124 doctor`)."""
-
-    @property
-    def point(self) -> Point | None:
-        """The place picked.
-
-        Raises:
-            InputError: It is not two numbers.
-        """
-        if self.pick is None:
-            return None
-        try:
-            x, y = map(float, self.pick.split(","))
-        except ValueError:
-            limit, remedy = "It is no place in the picture.", "Give two fractions such as 0.3,0.5."
-            raise InputError("pick", self.pick, limit, remedy) from None
-        return x, y
+    foreground: Annotated[str, tyro.conf.arg(aliases=["--method"])] = Field(
+        default="auto", description=Cutting.model_fields["foreground"].description
+    )
+    weights: Path | None = Field(
+        default=None,
+        description="Folder to look for trained weights in first (see `phy124 doctor`).",
+    )
 
 
 @dataclass(frozen=True)

@@ -16,12 +16,12 @@ from phy124.accuracy.choose import Goal, said
 from phy124.accuracy.promises import Promise
 from phy124.capture import Capture, capture, changed
 from phy124.commands.bars import Bars
-from phy124.commands.cutout import IF_WRONG, CutoutOptions, described, doubt
-from phy124.commands.options import GeneratorName, SceneOptions, default_out
+from phy124.commands.cutout import IF_WRONG, described, doubt
+from phy124.commands.options import SceneOptions, default_out
+from phy124.commands.picture import PictureOptions, told
 from phy124.commands.plan import PlanOptions, announce, predict
 from phy124.generators import needs_image
-from phy124.generators.depth_map import DepthMap
-from phy124.generators.other_views import OtherViews
+from phy124.generators.effort import Effort
 from phy124.generators.ply_file import PlyFile, Reading
 from phy124.imaging.cutout import Cutout
 from phy124.imaging.painted import WHOLE
@@ -40,13 +40,9 @@ class Generate:
     image: tyro.conf.Positional[Path]
     """PNG, JPEG, WebP or HEIC picture of one object."""
     options: Annotated[SceneOptions, tyro.conf.arg(name="")] = field(default_factory=SceneOptions)
-    generator: GeneratorName = "relief"
-    reading: Annotated[Reading, tyro.conf.arg(name="")] = field(default_factory=Reading)
-    gaussians: int | None = None
-    """Number of Gaussians: about so many from relief (default 50,000), otherwise the maximum."""
-    cutting: Annotated[CutoutOptions, tyro.conf.arg(name="")] = field(default_factory=CutoutOptions)
-    depth: Annotated[DepthMap, tyro.conf.arg(name="")] = field(default_factory=DepthMap)
-    views: Annotated[OtherViews, tyro.conf.arg(name="")] = field(default_factory=OtherViews)
+    making: Annotated[PictureOptions, tyro.conf.arg(name="")] = field(
+        default_factory=PictureOptions
+    )
     out: Path | None = None
     """Folder of the results; default out/PICTURE-SCENE."""
     plan: Annotated[PlanOptions, tyro.conf.arg(name="")] = field(default_factory=PlanOptions)
@@ -58,28 +54,24 @@ class Generate:
         out = self.out or default_out(str(self.image), self.options.scene)
         goal = self.plan.goal()
         if self.plan.resume:
-            if not needs_image(self.generator):
-                file = PlyFile(self.generator, self.reading)
-                scene = changed(file, scene, count=self.gaussians)
+            making = self.making
+            if not needs_image(making.generator):
+                file = PlyFile(making.generator, making.reading)
+                scene = changed(file, scene, count=making.gaussians)
             return go_on(out, self.options, scene, goal)
         announce(scene, as_json=self.options.json)
         if self.plan.dry_run:
-            with looking_in(self.cutting.weights):
+            with looking_in(self.making.cutting.weights):
                 return self._predict(scene, device)
-        with looking_in(self.cutting.weights), Bars(quiet=self.options.json, keeps=True) as bars:
+        with (
+            looking_in(self.making.cutting.weights),
+            Bars(quiet=self.options.json, keeps=True) as bars,
+        ):
             result = pipeline.generate(
                 self.image,
                 scene,
                 out,
-                generator=self.generator,
-                reading=self.reading,
-                method=self.cutting.foreground,
-                mask=self.cutting.mask,
-                pick=self.cutting.point,
-                depth=self.depth,
-                views=self.views,
-                looked=partial(self._look, bars),
-                count=self.gaussians,
+                **self._options(bars),
                 device=device,
                 progress=bars,
                 goal=goal,
@@ -93,15 +85,23 @@ class Generate:
         watch = Stopwatch()
         with Bars(quiet=self.options.json) as bars:
             made = pipeline.static(
-                self.image, scene, generator=self.generator, reading=self.reading,
-                method=self.cutting.foreground, mask=self.cutting.mask,
-                pick=self.cutting.point, depth=self.depth, views=self.views,
-                looked=partial(self._look, bars), count=self.gaussians, progress=bars, watch=watch,
+                self.image, scene, **self._options(bars), stand_in=True, device=device,
+                progress=bars, watch=watch,
             )  # fmt: skip
         return predict(
             made.gaussians, made.scene, self.plan, device, made.crop, watch,
-            as_json=self.options.json,
+            as_json=self.options.json, effort=made.effort,
         )  # fmt: skip
+
+    def _options(self, bars: Bars) -> dict[str, Any]:
+        """How the Gaussians are made, and what is printed meanwhile."""
+        looks = {"looked": partial(self._look, bars), "foretold": partial(self._foretell, bars)}
+        return {**self.making.given(), **looks}
+
+    def _foretell(self, bars: Bars, effort: Effort) -> None:
+        if not self.options.json:
+            bars.close()
+            print(told(self.making.generator, effort), flush=True)
 
     def _look(self, bars: Bars, cutout: Cutout) -> None:
         """Print what is doubtful before the long work begins."""

@@ -11,10 +11,13 @@ from phy124.accuracy.choose import Goal, in_time
 from phy124.accuracy.promises import promise
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
+from phy124.generators.effort import Effort
 from phy124.imaging.painted import Crop
 from phy124.limits import stiffest_part
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene, summary
+
+STOOD_IN = "The seconds after the generator are those of an object that relief made in its place."
 
 
 @dataclass(frozen=True)
@@ -66,7 +69,7 @@ def announce(scene: Scene, *, as_json: bool) -> None:
 
 def predict(
     gaussians: Gaussians, scene: Scene, plan: PlanOptions, device: str, crop: Crop,
-    watch: Stopwatch, *, as_json: bool,
+    watch: Stopwatch, *, as_json: bool, effort: Effort | None = None,
 ) -> int:  # fmt: skip
     """Print how long a run would take, the grid chosen for a given time, and the promised error.
 
@@ -78,14 +81,20 @@ def predict(
         crop: Where the object is in the picture that the masks of parts were painted on.
         watch: The durations of the stages so far.
         as_json: Print JSON and nothing else.
+        effort: What a generator for which `relief` stood in will take.
     """
-    forecaster, goal = Forecaster(device), plan.goal()
+    forecaster, goal, spent = Forecaster(device), plan.goal(), dict(watch.seconds)
+    if effort is not None:
+        spent.pop("generate")
     if goal is None:
         forecast = forecaster.forecast(gaussians, scene, crop=crop)
     else:
         options: dict[str, Any] = {"device": device, "forecaster": forecaster, "crop": crop}
-        scene, forecast = in_time(goal, gaussians, scene, elapsed=watch.total, **options)
-    for name, seconds in reversed(watch.seconds.items()):
+        elapsed = sum(spent.values()) + (effort.seconds if effort else 0.0)
+        scene, forecast = in_time(goal, gaussians, scene, elapsed=elapsed, **options)
+    if effort is not None:
+        forecast = forecast.with_predicted("generate", effort.seconds, STOOD_IN)
+    for name, seconds in reversed(spent.items()):
         forecast = forecast.with_measured(name, seconds)
     promised = promise(scene)
     if as_json:

@@ -3,17 +3,22 @@
 A generator is any callable `(image_rgba, *, seed, progress) -> Gaussians`. `image_rgba` is a PIL
 picture or an array [H,W,4] of uint8 with the object cut out, `seed` an integer, and `progress` as
 in `phy124.progress`. The Gaussians are in the world's axes (z up, the object faces +x), centred on
-the origin, with a longest side of 1 m. To add a generator, write a factory that imports it and add
-a line to `GENERATORS`; an object may also be passed wherever a name is accepted.
+the origin, with a longest side of 1 m. One that works for minutes also has a method `effort`
+(`phy124.generators.effort`), which tells for how long before it starts. To add a generator, write a
+factory that imports it and add a line to `GENERATORS`; an object may also be passed wherever a name
+is accepted.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Protocol
+from functools import partial
+from inspect import signature
+from typing import TYPE_CHECKING, Protocol, cast
 
 from phy124.errors import InputError
+from phy124.generators.options import UNCHANGED, GeneratorOptions, Precision, Sampler
 from phy124.plugins import names, registered
 from phy124.progress import Progress
 from phy124.runtime.installation import install_command
@@ -43,31 +48,36 @@ def _relief() -> Generator:
     return relief
 
 
-def _lgm() -> Generator:
+def _lgm(
+    *,
+    device: str | None = None,
+    steps: int | None = None,
+    sampler: Sampler | None = None,
+    precision: Precision | None = None,
+    align: bool = False,
+) -> Generator:
     from phy124.generators.lgm import Lgm
 
-    return Lgm()
+    return Lgm(device=device, steps=steps, sampler=sampler, precision=precision, align=align)
 
 
-def _lgm_aligned() -> Generator:
-    from phy124.generators.lgm import Lgm
-
-    return Lgm(align=True)
-
-
-def _dreamgaussian() -> Generator:
+def _dreamgaussian(*, device: str | None = None, steps: int | None = None) -> Generator:
     from phy124.generators.dreamgaussian import DreamGaussian
 
-    return DreamGaussian()
+    return DreamGaussian(device=device, steps=steps)
 
 
-GENERATORS: dict[str, Callable[[], Generator]] = {
+GENERATORS: dict[str, Callable[..., Generator]] = {
     "relief": _relief,
     "lgm": _lgm,
-    "lgm-aligned": _lgm_aligned,
+    "lgm-aligned": partial(_lgm, align=True),
     "dreamgaussian": _dreamgaussian,
 }
-"""Name -> factory; each imports its generator only when it is called."""
+"""Name -> factory; each imports its generator only when it is called.
+
+A factory's keywords are those fields of `GeneratorOptions` that its generator takes, and `device`
+if it can use one.
+"""
 
 
 def known() -> list[str]:
@@ -75,17 +85,59 @@ def known() -> list[str]:
     return [*GENERATORS, *(name for name in names("generators") if name not in GENERATORS)]
 
 
-def make(chosen: str | Generator, reading: Reading | None = None) -> Generator:
+def make(
+    chosen: str | Generator,
+    reading: Reading | None = None,
+    options: GeneratorOptions = UNCHANGED,
+    device: str | None = None,
+) -> Generator:
     """The generator of a name, of a file of Gaussians, of a command (`cmd: ...`), or itself.
 
     Args:
         chosen: Name in `GENERATORS`, path, command or generator.
         reading: How to interpret a file of Gaussians; None for the conventions of its format.
+        options: How much work it does.
+        device: Where it runs; None: a GPU if there is one.
 
     Raises:
-        InputError: If no generator has that name, something it needs is not installed, or `reading`
-            is given without a file.
+        InputError: If no generator has that name, something it needs is not installed, `reading`
+            is given without a file, or an option that it does not have.
     """
+    if not isinstance(chosen, str) or is_command(chosen) or not needs_image(chosen):
+        options.taken_by(lambda: None, _called(chosen))
+        return _given(chosen, reading)
+    if reading is not None:
+        reading.refuse("generator", chosen)
+    factory = _factory(chosen)
+    given = options.taken_by(factory, chosen)
+    if "device" in signature(factory).parameters:
+        given["device"] = device
+    try:
+        return factory(**given)
+    except ModuleNotFoundError as error:
+        if chosen not in GENERATORS or (error.name or "").startswith("phy124"):
+            raise
+        limit = f"It needs the package {error.name}, which is not installed."
+        extra = chosen.partition("-")[0]
+        remedy = f"Run `{install_command(extra)}`, or choose relief."
+        raise InputError("generator", chosen, limit, remedy) from error
+
+
+def _factory(name: str) -> Callable[..., Generator]:
+    """What makes the generator of a name; raises InputError if there is none."""
+    factory = GENERATORS.get(name) or registered("generators", name)
+    if factory is None:
+        limit = "There is no such generator."
+        remedy = (
+            f"Choose one of {', '.join(known())}, a file of Gaussians such as .ply or .spz, "
+            'or "cmd: PROGRAM {image} {out}".'
+        )
+        raise InputError("generator", name, limit, remedy)
+    return factory
+
+
+def _given(chosen: str | Generator, reading: Reading | None) -> Generator:
+    """The generator that is a file, a command or already made."""
     if not needs_image(chosen):
         from phy124.generators.ply_file import PlyFile
 
@@ -96,26 +148,14 @@ def make(chosen: str | Generator, reading: Reading | None = None) -> Generator:
         return Command(str(chosen), reading) if reading else Command(str(chosen))
     if reading is not None:
         reading.refuse("generator", chosen)
-    if not isinstance(chosen, str):
-        return chosen
-    if chosen not in GENERATORS and (factory := registered("generators", chosen)) is not None:
-        return factory()
-    if chosen not in GENERATORS:
-        limit = "There is no such generator."
-        remedy = (
-            f"Choose one of {', '.join(known())}, a file of Gaussians such as .ply or .spz, "
-            'or "cmd: PROGRAM {image} {out}".'
-        )
-        raise InputError("generator", chosen, limit, remedy)
-    try:
-        return GENERATORS[chosen]()
-    except ModuleNotFoundError as error:
-        if (error.name or "").startswith("phy124"):
-            raise
-        limit = f"It needs the package {error.name}, which is not installed."
-        extra = chosen.partition("-")[0]
-        remedy = f"Run `{install_command(extra)}`, or choose relief."
-        raise InputError("generator", chosen, limit, remedy) from error
+    return cast("Generator", chosen)
+
+
+def _called(chosen: str | Generator) -> str:
+    """What a generator that is not known by a name is called in messages."""
+    if isinstance(chosen, str):
+        return "A command" if is_command(chosen) else "A file of Gaussians"
+    return type(chosen).__name__
 
 
 def is_command(chosen: str | Generator) -> bool:

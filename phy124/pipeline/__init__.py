@@ -9,30 +9,21 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from PIL import Image
-
 from phy124 import resume
 from phy124.accuracy.choose import Goal, reach
 from phy124.accuracy.forecast import Forecaster
-from phy124.capture import capture
 from phy124.errors import InputError
 from phy124.gaussians import Frame, Gaussians
-from phy124.generators import Generator, needs_image
-from phy124.generators import make as make_generator
-from phy124.generators.depth_map import DepthMap
-from phy124.generators.other_views import OtherViews
-from phy124.generators.ply_file import PlyFile, Reading
-from phy124.imaging.cutout import Cutout, cut_out
-from phy124.imaging.objects import Point
+from phy124.imaging.cutout import Cutout
 from phy124.io.clip import Clip
 from phy124.io.files import staged as staged
-from phy124.particles.thinning import asked_for, thinned
-from phy124.parts import WHOLE, Crop, crop_of
+from phy124.parts import WHOLE, Crop
+from phy124.pipeline.gaussians import Static as Static
+from phy124.pipeline.gaussians import static as static
 from phy124.pipeline.making import PAUSE, Making
 from phy124.pipeline.making import Result as Result
 from phy124.pipeline.making import circumstances as circumstances
@@ -44,7 +35,6 @@ from phy124.rendering.film import cameras as cameras
 from phy124.rendering.film import film as film
 from phy124.rendering.film import rate as rate
 from phy124.rendering.film import refuse_unfilmable
-from phy124.runtime.isolated import Deadline
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
 from phy124.scene.files import refuse_missing
@@ -58,20 +48,12 @@ def generate(
     scene: Scene,
     out: PathLike,
     *,
-    generator: str | Generator = "relief",
-    reading: Reading | None = None,
-    method: str = "auto",
-    mask: PathLike | None = None,
-    pick: Point | None = None,
-    depth: DepthMap | None = None,
-    views: OtherViews | None = None,
-    looked: Callable[[Cutout], object] = lambda cutout: None,
-    count: int | None = None,
     device: str = "cpu",
     progress: Progress = silent,
     goal: Goal | None = None,
     forecaster: Forecaster | None = None,
     keep: bool = False,
+    **making: Any,
 ) -> Result:
     """Turn a picture into moving Gaussians, videos and a report in a folder.
 
@@ -79,20 +61,12 @@ def generate(
         image: The picture; a generator that is a .ply file does not look at it.
         scene: What happens to the object.
         out: The folder to write.
-        generator: Name, path of a .ply file, or a generator itself.
-        reading: How to interpret that .ply file, and whether to find its floor.
-        method: How the object is cut out, see `phy124.imaging.cutout.foreground`.
-        mask: Picture that is white where the object is.
-        pick: A place on the object that is meant, if there are several.
-        depth: Depth map of the picture, for `relief`.
-        views: Further pictures of the object, for `relief`.
-        looked: Called with each cut-out before the long work begins.
-        count: Largest number of Gaussians.
-        device: Warp device.
+        device: Warp device, and where the generator runs.
         progress: Called with (stage, done, total); may raise Cancelled.
         goal: An error or a time; the accuracy is chosen to meet it (`phy124.accuracy.choose`).
         forecaster: Predicts the time of the run; the report compares it with the time taken.
         keep: Whether a cancelled run keeps its frames, so that `go_on` can continue it.
+        **making: How the Gaussians are made: the options of `static`.
 
     Raises:
         InputError: The picture, the scene or the options cannot be used.
@@ -103,28 +77,13 @@ def generate(
     refuse_unfilmable(scene)
     watch = Stopwatch()
     with staged(out):  # Refused before any work, if at all.
-        made = static(
-            image,
-            scene,
-            generator=generator,
-            reading=reading,
-            method=method,
-            mask=mask,
-            pick=pick,
-            depth=depth,
-            views=views,
-            looked=looked,
-            count=count,
-            progress=progress,
-            watch=watch,
-        )
+        options: dict[str, Any] = {"device": device, "progress": progress, "watch": watch}
+        made = static(image, scene, **options, **making)
         return simulate(
             made.gaussians,
             made.scene,
             out,
-            device=device,
-            progress=progress,
-            watch=watch,
+            **options,
             about=made.about,
             crop=made.crop,
             cutout=made.cutout,
@@ -132,111 +91,6 @@ def generate(
             forecaster=forecaster,
             keep=keep,
         )
-
-
-@dataclass(frozen=True)
-class Static:
-    """The object made from a picture, before anything happens to it."""
-
-    gaussians: Gaussians
-    scene: Scene
-    """The scene for it; for a capture with the floor that was found, and regions in metres."""
-    crop: Crop
-    """Where the object is in the picture."""
-    cutout: Cutout | None
-    """The cut-out; None without a picture."""
-    about: dict[str, Any]
-    """How the object was cut out, and which generator made the Gaussians."""
-
-
-def static(
-    image: PathLike,
-    scene: Scene | None = None,
-    *,
-    generator: str | Generator = "relief",
-    reading: Reading | None = None,
-    method: str = "auto",
-    mask: PathLike | None = None,
-    pick: Point | None = None,
-    depth: DepthMap | None = None,
-    views: OtherViews | None = None,
-    looked: Callable[[Cutout], object] = lambda cutout: None,
-    count: int | None = None,
-    progress: Progress = silent,
-    watch: Stopwatch | None = None,
-) -> Static:
-    """Turn a picture into static Gaussians.
-
-    Args:
-        image: The picture; a generator that is a .ply file does not look at it.
-        scene: What will happen to them; None: the default scene.
-        generator: Name, path of a .ply file, or a generator itself.
-        reading: How to interpret that .ply file, and whether to find its floor.
-        method: How the object is cut out, see `phy124.imaging.cutout.foreground`.
-        mask: Picture that is white where the object is.
-        pick: A place on the object that is meant, if there are several.
-        depth: Depth map of the picture, for `relief`.
-        views: Further pictures of the object, for `relief`.
-        looked: Called with each cut-out before the long work begins.
-        count: Largest number of Gaussians.
-        progress: Called with (stage, done, total); may raise Cancelled.
-        watch: Where the durations of the stages are recorded.
-
-    Raises:
-        InputError: The picture or the options cannot be used.
-    """
-    watch, scene = watch or Stopwatch(), scene or Scene()
-    make, cutout = asked_for(make_generator(generator, reading), count), None
-    make = depth.given_to(make, _name(generator)) if depth else make
-    deadline = Deadline(beat=partial(progress, "cut out", 0, 1))
-    if views:
-        way = method if mask is None else "auto"
-        cut = partial(_cut_view, method=way, deadline=deadline, looked=looked, watch=watch)
-        make = views.given_to(make, _name(generator), cut)
-    picture = Image.new("RGBA", (1, 1))
-    if needs_image(generator):
-        with watch.stage("image"):
-            cutout = cut_out(image, method, mask=mask, pick=pick, deadline=deadline)
-            progress("cut out", 1, 1)
-        looked(cutout)
-        picture = cutout.picture
-    elif mask is not None:
-        limit = f"{_name(generator)} does not look at a picture."
-        raise InputError("mask", mask, limit, "Leave the mask out, or choose another generator.")
-    about = {
-        "foreground": cutout and cutout.method,
-        "cutout": cutout and cutout.data(),
-        "generator": _name(generator),
-        "cleaning": [],
-    }
-    with watch.stage("generate"):
-        if isinstance(make, PlyFile):
-            read = capture(make, scene, count=count, progress=progress)
-            gaussians, scene = read.gaussians, read.scene
-            about |= {"cleaning": read.cleaning, **read.about}
-        else:
-            gaussians = make(picture, seed=scene.seed, progress=progress)
-            gaussians = thinned(gaussians, count, seed=scene.seed)
-    return Static(gaussians, scene, crop_of(picture), cutout, about)
-
-
-def _cut_view(
-    field: str,
-    path: Path,
-    *,
-    method: str,
-    deadline: Deadline,
-    looked: Callable[[Cutout], object],
-    watch: Stopwatch,
-) -> Cutout:
-    """The object in a further picture, for the option of this name."""
-    try:
-        with watch.stage("image"):
-            found = cut_out(path, method, field=field, deadline=deadline)
-    except InputError as error:
-        raise InputError(field, path, error.limit, error.remedy) from error
-    looked(found)
-    return found
 
 
 def simulate(
@@ -366,7 +220,3 @@ def _flat(data: Any, name: str = "") -> dict[str, Any]:
         )
         flat |= _flat(value, path) if nested else {path: value}
     return flat
-
-
-def _name(generator: str | Generator) -> str:
-    return generator if isinstance(generator, str) else type(generator).__name__

@@ -9,6 +9,7 @@ from pydantic import BaseModel, ValidationError
 
 from phy124.errors import InputError, did_you_mean
 from phy124.scene.declaration import Declaration, Node, declaration, number
+from phy124.section import Section
 
 LONGEST = 60
 """Longest piece of a value that a message repeats, in characters."""
@@ -28,6 +29,16 @@ def refusal(error: ValidationError, source: str, root: type[BaseModel]) -> Input
     nothing = found["type"] == "missing" or found["input"] is None
     value = "nothing" if nothing else shortened(found["input"])
     return InputError(field, value, *_said(declared, place, found))
+
+
+def refusal_of_options(error: ValidationError) -> InputError:
+    """The error of a section of options, which pydantic names by its class."""
+    kinds, found = [Section], {}
+    while kinds:
+        kind = kinds.pop()
+        kinds += kind.__subclasses__()
+        found[kind.__name__] = kind
+    return refusal(error, "options", found[error.title])
 
 
 def shortened(value: Any) -> str:

@@ -1,17 +1,21 @@
 """What the paper's first stage costs: `python tests/benchmarks/generators.py PART [--device cpu]`.
 
-PART is lgm (four given views to Gaussians), imagedream (one step with guidance, of 30), u2net (one
-picture to its mask), or stage: a cut-out picture to Gaussians through ImageDream and LGM, for which
-the paper states 23.89 s (`--steps 1` shortens it). Weights are made by formula, since trained ones
-are not at hand: time and memory are the real network's, the object is not. Prints one JSON line.
-Peak memory is the process's own, so run one part at a time.
+PART is lgm (four given views to Gaussians), imagedream (one step with guidance, of 30, in
+`--precision`, by torch with `--compile`), u2net (one picture to its mask), samplers (errors of DDIM
+and DPM-Solver++ by number of steps, needs the golden data), or stage: a cut-out picture to
+Gaussians through ImageDream and LGM, for which the paper states 23.89 s (`--steps 1` shortens it).
+Weights are made by formula, since trained ones are not at hand: time and memory are the real
+network's, the object is not. Prints one JSON line. Peak memory is the process's own, so run one
+part at a time.
 """
 
 import argparse
 import json
+import os
 import resource
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +24,7 @@ import torch
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from reference import formula
 
-REVISION = 1
+REVISION = 2
 """Raise when the method changes: figures of different revisions do not compare."""
 
 
@@ -43,26 +47,89 @@ def lgm(device: str) -> dict:
     return {"load_s": round(loaded, 2), "gaussians": len(made), **figures}
 
 
-def imagedream(device: str) -> dict:
+def imagedream(device: str, precision: str, compiled: bool) -> dict:
     """One of the 30 steps: ten latents of 32 x 32, five of them with the picture."""
     from phy124.generators.imagedream import Config, MultiViewUNet, load_unet
+    from phy124.generators.imagedream.pipeline import Condition, predict
 
     with torch.device("meta"):
         empty = MultiViewUNet(Config())
-    dtype = torch.float16 if device == "cuda" else torch.float32
+    dtype = getattr(torch, precision or ("float16" if device == "cuda" else "float32"))
     unet = load_unet(formula.state_dict(empty), device=device, dtype=dtype)
     shapes = {
-        "x": (10, 4, 32, 32),
-        "context": (10, 77, 1024),
-        "camera": (10, 16),
-        "ip": (10, 257, 1280),
-        "ip_img": (2, 4, 32, 32),
-    }
-    given = {k: formula.inputs(k, s, -1, 1).to(device, dtype) for k, s in shapes.items()}
-    t = torch.full((10,), 958, device=device)
+        "text": (2, 77, 1024), "tokens": (1, 257, 1280), "latents": (1, 4, 32, 32),
+        "cameras": (5, 16),
+    }  # fmt: skip
+    told = Condition(
+        **{k: formula.inputs(k, s, -1, 1).to(device, dtype) for k, s in shapes.items()}
+    )
+    x, level = formula.inputs("x", (5, 4, 32, 32), -1, 1).to(device), torch.tensor(958)
+    run = torch.compile(unet) if compiled else unet
     with torch.inference_mode():
-        _, figures = timed(lambda: unet(timesteps=t, num_frames=5, **given), device)
-    return figures
+        step = partial(predict, run, x, level, told)
+        compiling = timed(step, device)[1]["cpu_s"] if compiled else None
+        _, figures = timed(step, device)
+    return {"precision": str(dtype), "first_cpu_s": compiling, **figures}
+
+
+def samplers(device: str) -> dict:
+    """Error of the latents by number of steps, relative to their spread, for two networks.
+
+    `formula`: the tiny golden network with guidance 5 on latents of 8 x 8, against 200 steps of
+    DDIM. `mixture`: the exact noise of eight pictures, two of them meant, against 500 of
+    DPM-Solver++.
+    """
+    from phy124.generators.imagedream import load_unet
+    from phy124.generators.imagedream.cameras import cameras
+    from phy124.generators.imagedream.pipeline import Condition, guided
+    from phy124.generators.imagedream.sampling import scheduler_of
+
+    golden = Path(os.environ.get("PHY124_GOLDEN", "../shared/golden")) / "generators"
+    config = json.loads((golden / "imagedream_unet_tiny.json").read_text())["config"]
+    unet = load_unet(golden / "imagedream_unet_tiny.weights.fp16.safetensors", **config)
+    saved = np.load(golden / "imagedream_pipeline.npz")
+    e = {key: torch.from_numpy(saved[key]) for key in saved.files}
+    told = Condition(
+        torch.cat([e["neg"], e["pos"]]), e["image_embeds"].float(),
+        e["image_latents_pos"][..., :8, :8], torch.from_numpy(cameras()),
+    )  # fmt: skip
+    left = scheduler_of("ddim", 1).alphas_cumprod.double()
+    torch.manual_seed(0)
+    pictures = torch.randn(8, 5, 4, 8, 8, dtype=torch.float64).cumsum(-1)
+    pictures = (pictures - pictures.mean()) / pictures.std()
+
+    def noise_of(meant, x, t):
+        a = left[int(t)]
+        variance, away = 0.01 * a + 1 - a, x.double() - a.sqrt() * meant
+        weight = torch.softmax(-away.square().flatten(1).sum(1) / (100 * variance), 0)
+        return (1 - a).sqrt() * (weight[:, None, None, None, None] * away).sum(0) / variance
+
+    def mixture(x, t):
+        without = noise_of(pictures, x, t)
+        return without + 5 * (noise_of(pictures[:2], x, t) - without)
+
+    def end(predict, x, sampler, steps):
+        scheduler = scheduler_of(sampler, steps)
+        with torch.inference_mode():
+            for t in scheduler.timesteps:
+                x = scheduler.step(predict(x, t), t, x, return_dict=False)[0]
+        return x
+
+    cases = {
+        "mixture": (mixture, torch.randn(5, 4, 8, 8, dtype=torch.float64), "dpmsolver++", 500),
+        "formula": (
+            lambda x, t: guided(unet, x, t, told, 5.0), e["init_latents"][..., :8, :8], "ddim", 200,
+        ),
+    }  # fmt: skip
+    errors: dict = {}
+    for name, (predict, start, best, most) in cases.items():
+        limit = end(predict, start, best, most)
+        for sampler in ("ddim", "dpmsolver++"):
+            for steps in (5, 8, 10, 15, 20, 30, 50):
+                apart = end(predict, start, sampler, steps) - limit
+                error = float(apart.square().mean().sqrt() / limit.std())
+                errors.setdefault(f"{name} {sampler}", {})[steps] = round(error, 4)
+    return {"errors": errors}
 
 
 class FormulaParts:
@@ -139,7 +206,9 @@ def timed(work, device: str):
     return result, {"wall_s": round(wall, 2), "cpu_s": round(cpu, 2)}
 
 
-PARTS = {"lgm": lgm, "imagedream": imagedream, "u2net": u2net, "stage": stage}
+PARTS = {
+    "lgm": lgm, "imagedream": imagedream, "u2net": u2net, "stage": stage, "samplers": samplers,
+}  # fmt: skip
 
 
 def main() -> None:
@@ -148,9 +217,15 @@ def main() -> None:
     parser.add_argument("--device", default="cpu", choices=("cpu", "cuda"))
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--steps", type=int, default=30, help="of ImageDream, in `stage`")
+    parser.add_argument("--precision", help="of `imagedream`: float32, bfloat16, float16")
+    parser.add_argument("--compile", action="store_true", help="`imagedream` by torch.compile")
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
-    more = {"steps": options.steps} if options.part == "stage" else {}
+    told = {
+        "stage": {"steps": options.steps},
+        "imagedream": {"precision": options.precision, "compiled": options.compile},
+    }  # fmt: skip
+    more = told.get(options.part, {})
     figures = PARTS[options.part](options.device, **more)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     gpu = torch.cuda.max_memory_allocated() / 2**30 if options.device == "cuda" else None

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -32,6 +32,7 @@ from phy124.generators.dreamgaussian.density import (
 from phy124.generators.dreamgaussian.guidance import Guidance, Pose
 from phy124.generators.dreamgaussian.splats import Rates, Splats, ball
 from phy124.generators.ply_file import normalised
+from phy124.generators.precision import torch_device
 from phy124.generators.splatting import View, orbit_view
 from phy124.imaging.u2net import cut_out
 from phy124.progress import Progress, silent
@@ -92,11 +93,13 @@ class DreamGaussian:
         weights: str | os.PathLike[str] | None = None,
         guidance: Callable[[Tensor], Guidance] | None = None,
         settings: Settings | None = None,
+        steps: int | None = None,
         device: str | None = None,
     ) -> None:
         self.weights, self.guidance = weights, guidance
-        self.settings = settings or Settings()
-        self.device = device or ("cuda" if torch.cuda.is_available() else "cpu")
+        settings = settings or Settings()
+        self.settings = replace(settings, steps=steps) if steps else settings
+        self.device = torch_device(device)
 
     def __call__(
         self,
@@ -133,7 +136,7 @@ class DreamGaussian:
         require("zero123", self.weights)  # before the libraries, which take seconds
         from phy124.generators.dreamgaussian.guidance.zero123 import Zero123, trained
 
-        dtype = torch.float16 if self.device == "cuda" else torch.float32
+        dtype = torch.float16 if self.device.startswith("cuda") else torch.float32
         return Zero123(image, trained(self.weights, self.device, dtype))
 
 

@@ -1,7 +1,7 @@
 """ImageDream's sampling: one picture to four views of its object.
 
-Wang & Shi 2023, "ImageDream"; classifier-free guidance (Ho & Salimans 2022) over DDIM (Song et al.
-2021). A fifth frame carries the picture itself; it is denoised as well, and LGM drops it.
+Wang & Shi 2023, "ImageDream"; classifier-free guidance (Ho & Salimans 2022). A fifth frame carries
+the picture itself; it is denoised as well, and LGM drops it.
 """
 
 from __future__ import annotations
@@ -9,16 +9,19 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Protocol
 
 import torch
-from diffusers.schedulers.scheduling_ddim import DDIMScheduler
 from torch import Tensor, nn
 from torch.nn.functional import interpolate
 
 from phy124.generators.imagedream import encoders
 from phy124.generators.imagedream.cameras import cameras
+from phy124.generators.imagedream.sampling import scheduler_of
 from phy124.generators.imagedream.unet import load_unet
+from phy124.generators.imagedream.work import STEPS
+from phy124.generators.options import Sampler
 from phy124.progress import Progress, silent
 from phy124.weights.store import require
 
@@ -26,17 +29,6 @@ FRAMES = 5
 """Number of frames: four views and the picture."""
 SIZE = 256
 """Side of each view, pixels; latents are an eighth of it."""
-SCHEDULE: dict[str, Any] = {
-    "beta_start": 0.00085,
-    "beta_end": 0.012,
-    "beta_schedule": "scaled_linear",
-    "num_train_timesteps": 1000,
-    "steps_offset": 1,
-    "clip_sample": False,
-    "set_alpha_to_one": False,
-    "prediction_type": "epsilon",
-    "timestep_spacing": "leading",
-}
 
 
 @dataclass(frozen=True)
@@ -51,6 +43,10 @@ class Condition:
     """Picture latents [1,4,h,w]; without the picture they are zeros."""
     cameras: Tensor
     """Poses [5,16]."""
+
+    def to(self, dtype: torch.dtype) -> Condition:
+        """The same in a network's precision."""
+        return Condition(*(given.to(dtype) for given in vars(self).values()))
 
 
 class Parts(Protocol):
@@ -69,19 +65,30 @@ class Parts(Protocol):
 
 
 class TrainedParts:
-    """The public networks; both encoders are released after use, which halves peak memory."""
+    """The public networks; the encoders are read before the U-Net and released after use.
+
+    So none of the three large networks is in memory together with another.
+    """
 
     def __init__(
-        self, weights: str | os.PathLike[str] | None, device: str, dtype: torch.dtype
+        self,
+        weights: str | os.PathLike[str] | None,
+        device: str,
+        dtype: torch.dtype,
+        unet_dtype: torch.dtype | None = None,
     ) -> None:
         self._files = require("imagedream", weights)
         self._place = {"device": device, "dtype": dtype}
-        self.unet = load_unet(
-            self._files["unet/diffusion_pytorch_model.safetensors"], **self._place
-        )
+        self._unet_dtype = unet_dtype or dtype
         vae = encoders.vae(self._files["vae/diffusion_pytorch_model.safetensors"])
         # Past diffusers' own `to`, which complains about a precision that is not mixed here.
         self.vae = nn.Module.to(vae, **self._place)
+
+    @cached_property
+    def unet(self) -> Any:
+        """The network that predicts noise."""
+        file = self._files["unet/diffusion_pytorch_model.safetensors"]
+        return load_unet(file, **{**self._place, "dtype": self._unet_dtype})
 
     def text(self) -> Tensor:
         """Text tokens [1,77,1024]."""
@@ -95,7 +102,11 @@ class TrainedParts:
 
 
 class ImageDream:
-    """Turns a picture into four views; `parts` replaces the trained networks in tests."""
+    """Turns a picture into four views; `parts` replaces the trained networks in tests.
+
+    `dtype` is the precision of the networks, `unet_dtype` that of the U-Net if it differs: the
+    latents and the steps stay in `dtype`.
+    """
 
     def __init__(
         self,
@@ -103,13 +114,18 @@ class ImageDream:
         weights: str | os.PathLike[str] | None = None,
         device: str = "cpu",
         dtype: torch.dtype = torch.float32,
-        steps: int = 30,
+        unet_dtype: torch.dtype | None = None,
+        steps: int = STEPS,
+        sampler: Sampler = "ddim",
         guidance: float = 5.0,
         elevation: float = 0.0,
         parts: Parts | None = None,
     ) -> None:
         self.weights, self.device, self.dtype = weights, device, dtype
-        self.steps, self.guidance, self.elevation = steps, guidance, elevation
+        self.unet_dtype = unet_dtype or dtype
+        self.steps = steps
+        self.sampler: Sampler = sampler
+        self.guidance, self.elevation = guidance, elevation
         self.parts = parts
 
     @torch.inference_mode()
@@ -122,12 +138,14 @@ class ImageDream:
         """
         progress("imagedream", 0, self.steps)
         if self.parts is None:
-            self.parts = TrainedParts(self.weights, self.device, self.dtype)
+            self.parts = TrainedParts(self.weights, self.device, self.dtype, self.unet_dtype)
         parts, draw = self.parts, torch.Generator().manual_seed(seed)
-        condition = look(parts, image, draw, elevation=self.elevation)
+        condition = look(parts, image, draw, elevation=self.elevation).to(self.unet_dtype)
         noise = torch.randn(FRAMES, *condition.latents.shape[1:], generator=draw)
         latents = noise.to(self.device, self.dtype)
-        stages = denoise(parts.unet, latents, condition, self.steps, self.guidance)
+        stages = denoise(
+            parts.unet, latents, condition, self.steps, self.guidance, sampler=self.sampler
+        )
         for i, latents in enumerate(stages, 1):  # noqa: B007 (the last one is used)
             progress("imagedream", i, self.steps)
         return decode(parts.vae, latents)
@@ -168,9 +186,15 @@ def decode(vae: Any, latents: Tensor) -> Tensor:
 
 
 def denoise(
-    unet: Any, latents: Tensor, condition: Condition, steps: int, guidance: float
+    unet: Any,
+    latents: Tensor,
+    condition: Condition,
+    steps: int,
+    guidance: float,
+    *,
+    sampler: Sampler = "ddim",
 ) -> Iterator[Tensor]:
-    """Yield the latents [5,4,h,w] after each DDIM step.
+    """Yield the latents [5,4,h,w] after each step.
 
     Args:
         unet: Predicts noise.
@@ -178,12 +202,12 @@ def denoise(
         condition: What the prediction depends on.
         steps: Number of steps.
         guidance: Scale of the classifier-free guidance.
+        sampler: How the steps are taken.
     """
-    scheduler = DDIMScheduler(**SCHEDULE)
-    scheduler.set_timesteps(steps)
+    scheduler = scheduler_of(sampler, steps)
     for t in scheduler.timesteps:
         noise = guided(unet, latents, t, condition, guidance)
-        latents = scheduler.step(noise, int(t), latents, eta=0.0, return_dict=False)[0]
+        latents = scheduler.step(noise, t, latents, return_dict=False)[0]
         yield latents
 
 
@@ -202,22 +226,22 @@ def guided(unet: Any, latents: Tensor, t: Tensor, condition: Condition, guidance
 
 
 def predict(unet: Any, latents: Tensor, t: Tensor, condition: Condition) -> Tensor:
-    """Noise [10,4,h,w]: five frames without the picture, then five with it.
+    """Noise [10,4,h,w] in the latents' precision: five frames without the picture, then with it.
 
     Args:
         unet: Predicts noise.
         latents: [5,4,h,w].
         t: Noise level, 0 to 999.
-        condition: What the prediction depends on.
+        condition: What the prediction depends on, in the network's precision.
     """
     frames = len(latents)
     tokens = condition.tokens.expand(frames, -1, -1)
     return unet(
-        latents.repeat(2, 1, 1, 1),
+        latents.repeat(2, 1, 1, 1).to(condition.latents),
         t.to(latents.device).expand(2 * frames),
         condition.text.repeat_interleave(frames, dim=0),
         num_frames=frames,
         camera=condition.cameras.repeat(2, 1),
         ip=torch.cat([torch.zeros_like(tokens), tokens]),
         ip_img=torch.cat([torch.zeros_like(condition.latents), condition.latents]),
-    )
+    ).to(latents.dtype)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -18,12 +19,16 @@ from torch.nn.functional import interpolate
 
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
+from phy124.generators.effort import Effort, Work, speed_of
+from phy124.generators.imagedream.work import AROUND, PARAMETERS, STEP, STEPS
 from phy124.generators.lgm.align import four_views, front
 from phy124.generators.lgm.model import LgmModel, Option, load
 from phy124.generators.lgm.rays import four_rays
 from phy124.generators.lgm.rotations import judge, unrotated
+from phy124.generators.options import SAMPLER, Precision, Sampler
 from phy124.generators.orbit import to_world
 from phy124.generators.ply_file import normalised
+from phy124.generators.precision import dtype_of, is_short, torch_device
 from phy124.imaging.image import recenter
 from phy124.imaging.u2net import cut_out
 from phy124.progress import Progress, silent
@@ -40,6 +45,10 @@ OLD_GENERATION = (
     "are left unrotated, as that generation drew them. `phy124 weights fetch lgm` gets the "
     "corrected ones."
 )
+WORK = Work(98.8e9, 1486.6e9, 194.9e9)
+"""Arithmetic of the option `big`, counted as in `phy124.generators.imagedream.work`."""
+MEMORY = 650_000_000
+"""Numbers that the option `big` keeps in memory, weights and intermediate ones."""
 Views = Callable[..., Tensor]
 """`(image [3,H,W] over white, *, seed, progress) -> views [5,3,256,256]` in ImageDream's order."""
 
@@ -50,7 +59,8 @@ class Lgm:
     `model` and `multiview` may be passed in, for tests and for other weights; otherwise they are
     found as `phy124.weights.store` describes. `align` rotates the result to match the picture
     (`lgm.align`), at the price of a small rendering every `align_step` degrees and a second pass.
-    `steps` is ImageDream's number of steps.
+    `steps`, `sampler` and `precision` are those of ImageDream's diffusion
+    (`phy124.generators.options`).
     """
 
     def __init__(
@@ -62,16 +72,23 @@ class Lgm:
         dtype: torch.dtype | None = None,
         align: bool = False,
         align_step: int = 1,
-        steps: int = 30,
+        steps: int | None = None,
+        sampler: Sampler | None = None,
+        precision: Precision | None = None,
         model: LgmModel | None = None,
         multiview: Views | None = None,
     ) -> None:
         self.weights, self.option = weights, option
-        self.align, self.align_step, self.steps = align, align_step, steps
-        self.device = device or ("cuda" if torch.cuda.is_available() else "cpu")
-        # Half precision halves memory on a GPU and only slows a CPU down.
-        self.dtype = dtype or (torch.float16 if self.device == "cuda" else torch.float32)
+        self.align, self.align_step = align, align_step
+        self.steps = steps or STEPS
+        self.sampler: Sampler = sampler or SAMPLER
+        self.device = torch_device(device)
+        # On a CPU LGM itself takes a small part of the time, and its positions show each bit.
+        gpu = self.device.startswith("cuda")
+        self.dtype = dtype or (torch.float16 if gpu else torch.float32)
+        self.diffusion_dtype = dtype_of(precision, self.device, PARAMETERS)
         self.model, self.multiview = model, multiview
+        self._finds_views = multiview is None
 
     def __call__(
         self,
@@ -88,9 +105,10 @@ class Lgm:
             InputError: If weights are missing or the picture is not a cut-out.
         """
         image = over_white(framed(np.asarray(image_rgba)))
-        self._prepare()
+        self._prepare_multiview()
         assert self.multiview is not None
         views = self.multiview(image, seed=seed, progress=progress)
+        self._make_room()
         return self.from_views(views[list(VIEW_ORDER)], image=image, progress=progress)
 
     def from_views(
@@ -131,20 +149,47 @@ class Lgm:
 
     def _prepare_model(self) -> None:
         if self.model is None:
-            single = have("lgm-fp32", self.weights) and not have("lgm", self.weights)
-            (path,) = require("lgm-fp32" if single else "lgm", self.weights).values()
-            self.model = load(path, self.option, device=self.device, dtype=self.dtype)
+            self.model = load(self._file(), self.option, device=self.device, dtype=self.dtype)
 
-    def _prepare(self) -> None:
-        if self.multiview is None:
-            require("imagedream", self.weights)  # before anything large is read
-        self._prepare_model()
-        if self.multiview is None:
-            from phy124.generators.imagedream import ImageDream
+    def _file(self) -> Path:
+        """LGM's weights; raises InputError if there are none."""
+        single = have("lgm-fp32", self.weights) and not have("lgm", self.weights)
+        (path,) = require("lgm-fp32" if single else "lgm", self.weights).values()
+        return path
 
-            self.multiview = ImageDream(
-                weights=self.weights, device=self.device, dtype=self.dtype, steps=self.steps
-            )
+    def _prepare_multiview(self) -> None:
+        """Make sure of all weights before anything large is read; LGM's is read last."""
+        if self.multiview is not None:
+            return
+        require("imagedream", self.weights)
+        if self.model is None:
+            self._file()
+        from phy124.generators.imagedream import ImageDream
+
+        self.multiview = ImageDream(
+            weights=self.weights, device=self.device, dtype=self.dtype,
+            unet_dtype=self.diffusion_dtype, steps=self.steps, sampler=self.sampler,
+        )  # fmt: skip
+
+    def effort(self) -> Effort:
+        """What making one object will take."""
+        fast = speed_of(self.device, self.diffusion_dtype)
+        exact = fast if self.dtype == self.diffusion_dtype else speed_of(self.device, self.dtype)
+        seconds = STEP.times(self.steps).at(fast)
+        seconds += AROUND.at(exact) + WORK.times(1 + self.align).at(exact)
+        precision = str(self.diffusion_dtype).removeprefix("torch.")
+        settings = {
+            "steps": self.steps, "sampler": self.sampler, "precision": precision,
+            "device": self.device,
+        }  # fmt: skip
+        words = f"{self.steps} steps of {self.sampler} in {precision} on {self.device}"
+        return Effort(seconds, settings, words)
+
+    def _make_room(self) -> None:
+        """Release ImageDream's networks if LGM's would not fit beside them."""
+        room = MEMORY * self.dtype.itemsize
+        if self._finds_views and self.model is None and is_short(room, self.device):
+            self.multiview = None
 
 
 def framed(image_rgba: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -1,0 +1,17 @@
+"""How much ImageDream computes; needs no torch.
+
+Operations were counted by torch's FlopCounterMode; tests/test_generator_options.py counts again.
+"""
+
+from __future__ import annotations
+
+from phy124.generators.effort import Work
+
+STEPS = 30
+"""Steps of the diffusion that LGM takes."""
+STEP = Work(662.4e9, 1045.9e9, 473.6e9)
+"""One step of the U-Net: five frames without the picture and five with it."""
+AROUND = Work(371.2e9, 3358.3e9, 33.9e9)
+"""Encoders of text and picture, and the autoencoder: one picture in, five out."""
+PARAMETERS = 941_672_900
+"""Numbers in the U-Net."""

@@ -1,0 +1,62 @@
+"""Where a generator's networks run, and the numbers they compute with."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import torch
+
+from phy124.generators.options import Precision
+from phy124.runtime.memory import free_memory
+
+SPARE = 0.8
+"""Largest fraction of the free memory that a network may take."""
+FLAGS = ("avx512_bf16", "amx_bf16")
+"""Processor features that multiply bfloat16, by their names in Linux and in torch."""
+
+
+def torch_device(name: str | None) -> str:
+    """torch's name of a device; None: a GPU if torch can use one."""
+    usable = torch.cuda.is_available()
+    if name is None:
+        return "cuda" if usable else "cpu"
+    if name.startswith("cuda") and not usable:
+        told = f"This torch cannot use {name}: the generator runs on the CPU."
+        warnings.warn(told, stacklevel=2)
+        return "cpu"
+    return name
+
+
+def dtype_of(precision: Precision | None, device: str, numbers: int) -> torch.dtype:
+    """The precision asked for, or the fastest that is exact enough and fits into memory.
+
+    Args:
+        precision: What the user asks for.
+        device: Where the network runs.
+        numbers: How many the network has.
+    """
+    if precision is not None:
+        return getattr(torch, precision)
+    if device.startswith("cuda"):
+        return torch.float16
+    fast = multiplies_bfloat16()
+    return torch.bfloat16 if fast or is_short(4.0 * numbers) else torch.float32
+
+
+def is_short(needed: float, device: str = "cpu") -> bool:
+    """Whether so many bytes would take nearly all the memory that a device has left."""
+    gpu = device.startswith("cuda")
+    return needed > SPARE * (torch.cuda.mem_get_info(device)[0] if gpu else free_memory())
+
+
+def multiplies_bfloat16() -> bool:
+    """Whether this processor has instructions that multiply bfloat16 (AVX512-BF16, AMX)."""
+    features = getattr(torch.cpu, "get_capabilities", dict)()  # older ones have none
+    if features:
+        return any(features.get(flag, False) for flag in FLAGS)
+    try:
+        told = Path("/proc/cpuinfo").read_text("utf-8").split()
+    except OSError:
+        return False
+    return any(flag in told for flag in FLAGS)

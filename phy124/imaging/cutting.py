@@ -1,0 +1,52 @@
+"""How the object is cut out of its picture: the choices, declared once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field
+
+from phy124.errors import InputError
+from phy124.imaging.cutout import METHODS
+from phy124.imaging.objects import Point
+from phy124.section import Section
+
+
+class Cutting(Section):
+    """How the object is cut out of its picture."""
+
+    foreground: str = Field(
+        default="auto",
+        description=f"How the object is cut out: auto, {', '.join(METHODS)}; or give a mask.",
+    )
+    mask: Path | None = Field(
+        default=None,
+        description="Picture of the same size that is white where the object is; replaces cutting "
+        "out.",
+    )
+    pick: str | None = Field(
+        default=None,
+        description="Which object, if there are several: a place on it, X,Y as fractions of width "
+        "and height.",
+    )
+
+    @property
+    def point(self) -> Point | None:
+        """The place picked.
+
+        Raises:
+            InputError: It is not two numbers.
+        """
+        if self.pick is None:
+            return None
+        try:
+            x, y = map(float, self.pick.split(","))
+        except ValueError:
+            limit, remedy = "It is no place in the picture.", "Give two fractions such as 0.3,0.5."
+            raise InputError("pick", self.pick, limit, remedy) from None
+        return x, y
+
+    def given(self) -> dict[str, Any]:
+        """The choices as `phy124.pipeline.static` takes them."""
+        return {"method": self.foreground, "mask": self.mask, "pick": self.point}

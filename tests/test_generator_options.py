@@ -1,0 +1,222 @@
+"""Options of generators: who takes them, who refuses them, and what is told before the work."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from phy124 import generators
+from phy124.__main__ import main
+from phy124.accuracy.forecast import Forecast
+from phy124.accuracy.probe import SubstepCost
+from phy124.errors import InputError
+from phy124.generators.effort import Effort, Work, effort_of
+from phy124.generators.options import GeneratorOptions
+from phy124.pipeline import static
+from support.shapes import ball
+
+STEPS = GeneratorOptions(steps=7)
+
+
+class Slow:
+    """A generator that says it takes minutes, and counts how often it is used."""
+
+    calls = 0
+
+    def effort(self):
+        return Effort(400.0, {"steps": 7}, "7 steps")
+
+    def __call__(self, image_rgba, *, seed, progress):
+        self.calls += 1
+        return ball(300)
+
+
+@pytest.fixture
+def picture(tmp_path):
+    pixels = np.zeros((40, 40, 4), np.uint8)
+    pixels[8:32, 8:32] = 200, 90, 30, 255
+    Image.fromarray(pixels).save(tmp_path / "square.png")
+    return tmp_path / "square.png"
+
+
+@pytest.mark.parametrize(
+    ("chosen", "options", "message"),
+    [
+        ("relief", STEPS, "steps = 7: relief has no such option. It has none"),
+        ("a.ply", STEPS, "steps = 7: A file of Gaussians has no such option"),
+        ("cmd: x {image} {out}", STEPS, "steps = 7: A command has no such option"),
+        (Slow(), STEPS, "steps = 7: Slow has no such option"),
+        ("dreamgaussian", GeneratorOptions(sampler="ddim"), "no such option. It has steps."),
+    ],
+)
+def test_an_option_that_a_generator_does_not_have_is_refused(chosen, options, message):
+    with pytest.raises(InputError) as refusal:
+        generators.make(chosen, options=options)
+    assert message in str(refusal.value)
+
+
+def test_a_factory_gets_the_options_and_the_device_that_it_names(monkeypatch):
+    def factory(*, device=None, steps=20):
+        return (device, steps)
+
+    monkeypatch.setitem(generators.GENERATORS, "mine", factory)
+    assert generators.make("mine", options=STEPS, device="cuda:0") == ("cuda:0", 7)
+    assert generators.make("mine") == (None, 20)
+
+
+def test_the_command_line_refuses_what_cannot_be(picture, capsys):
+    assert main(["generate", str(picture), "--steps", "5"]) == 2
+    assert "relief has no such option" in capsys.readouterr().err
+    assert main(["generate", str(picture), "--generator", "lgm", "--steps", "0"]) == 2
+    assert "steps" in capsys.readouterr().err
+
+
+def test_what_takes_long_is_told_before_and_in_the_report(picture):
+    slow, order = Slow(), []
+    made = static(picture, generator=slow, foretold=lambda effort: order.append(slow.calls))
+    assert order == [0] and slow.calls == 1
+    assert made.about["effort"] == {"steps": 7, "predicted": 400.0}
+    assert effort_of(static) is None
+
+
+class Foreseen:
+    """A forecaster that forecasts one second of simulation."""
+
+    def __init__(self, device):
+        self.device = device
+
+    def forecast(self, gaussians, scene, *, crop):
+        return Forecast({"simulate": 1.0}, (), 1, 1, 1, {}, SubstepCost(1e-9, 1e-9))
+
+
+def test_a_dry_run_does_not_run_what_takes_long(picture, monkeypatch, capsys):
+    slow = Slow()
+    monkeypatch.setattr("phy124.commands.plan.Forecaster", Foreseen)
+    monkeypatch.setitem(generators.GENERATORS, "slow", lambda: slow)
+    told = ["--generator", "slow", "--gaussians", "500"]
+    assert main(["generate", str(picture), "--dry-run", *told]) == 0
+    out = capsys.readouterr().out
+    assert slow.calls == 0
+    assert "generator: slow, 7 steps; likely 5.3 to 10.0 min" in out
+    assert "  generate      400.00 s\n" in out, "not as measured"
+    assert "relief made in its place" in out
+
+
+def test_options_of_pictures_need_a_picture(capsys):
+    assert main(["accuracy", "drop", "--pick", "0.2,0.3"]) == 2
+    assert "--pick is for a picture" in capsys.readouterr().err
+
+
+def test_seconds_are_work_over_speed():
+    work = Work(100.0, 60.0, 30.0)
+    assert work.at(Work(10.0, 20.0, 30.0)) == 14.0
+    assert work.times(3).at(Work(10.0, 20.0, 30.0)) == 42.0
+
+
+def test_lgm_tells_its_effort_and_passes_its_options_on(monkeypatch):
+    pytest.importorskip("torch")
+    from phy124.generators import imagedream
+    from phy124.generators.lgm import generator as lgm
+
+    monkeypatch.setattr(imagedream, "ImageDream", SimpleNamespace, raising=False)
+
+    told = GeneratorOptions(steps=10, sampler="dpmsolver++", precision="float32")
+    monkeypatch.setattr(lgm, "speed_of", lambda device, dtype: Work(1e11, 1e11, 1e11))
+    monkeypatch.setattr(lgm, "require", lambda name, weights: {name: "file"})
+    long, short = (generators.make("lgm", options=o) for o in (GeneratorOptions(), told))
+    around = (371.2 + 3358.3 + 33.9 + 98.8 + 1486.6 + 194.9) / 100
+    assert short.effort().seconds == pytest.approx(around + 10 * 21.819, rel=1e-3)
+    assert long.effort().seconds - short.effort().seconds == pytest.approx(20 * 21.819, rel=1e-3)
+    assert "10 steps of dpmsolver++ in float32 on cpu" in short.effort().words
+    short._prepare_multiview()
+    views = short.multiview
+    assert (views.steps, views.sampler, str(views.unet_dtype)) == (
+        10, "dpmsolver++", "torch.float32",
+    )  # fmt: skip
+
+
+def test_where_memory_is_short_numbers_are_shorter_and_networks_not_kept(monkeypatch):
+    torch = pytest.importorskip("torch")
+    from phy124.generators import precision
+
+    monkeypatch.setattr(precision, "multiplies_bfloat16", lambda: False)
+    for free, chosen in ((6e9, "float32"), (4e9, "bfloat16")):
+        monkeypatch.setattr(precision, "free_memory", lambda free=free: free)
+        made = generators.make("lgm")
+        assert str(made.diffusion_dtype) == f"torch.{chosen}"
+        assert made.dtype == torch.float32
+    for free, kept in ((2e9, False), (6e9, True)):
+        monkeypatch.setattr(precision, "free_memory", lambda free=free: free)
+        made.multiview = "networks"
+        made._make_room()
+        assert (made.multiview is not None) is kept
+
+
+def test_the_processor_says_whether_it_multiplies_bfloat16(monkeypatch):
+    torch = pytest.importorskip("torch")
+    from phy124.generators import precision
+
+    for features, chosen in (
+        ({"avx512_bf16": True}, torch.bfloat16),
+        ({"amx_bf16": True}, torch.bfloat16),
+        ({"avx512_f": True}, torch.float32),
+    ):
+        monkeypatch.setattr(torch.cpu, "get_capabilities", lambda f=features: f, raising=False)
+        assert precision.dtype_of(None, "cpu", 10) == chosen
+    assert precision.dtype_of(None, "cuda:0", 10) == torch.float16
+    assert precision.dtype_of("float32", "cuda:0", 10) == torch.float32
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    with pytest.warns(UserWarning, match="cannot use cuda:0: the generator runs on the CPU"):
+        assert precision.torch_device("cuda:0") == "cpu"
+
+
+def test_speed_is_measured_by_kind():
+    torch = pytest.importorskip("torch")
+    from phy124.generators import effort
+
+    kinds = []
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(effort, "_seconds", lambda work, wait: kinds.append(work) or 0.5)
+        speed = effort.speed_of("cpu", torch.float32)
+    assert len(kinds) == 3 and min(speed) > 1e9
+    ran = []
+    assert effort._seconds(lambda: ran.append(1), lambda: None) >= 0 and len(ran) == 3
+
+
+@pytest.mark.slow
+def test_the_work_of_the_networks_is_what_torch_counts():
+    torch = pytest.importorskip("torch")
+    from torch.utils.flop_counter import FlopCounterMode
+
+    from phy124.generators.imagedream import Config, MultiViewUNet, encoders
+    from phy124.generators.imagedream.work import AROUND, PARAMETERS, STEP
+    from phy124.generators.lgm import OPTIONS, LgmModel
+    from phy124.generators.lgm.generator import WORK
+
+    def counted(network, *shapes, call=None, **more) -> Work:
+        network.requires_grad_(False)
+        with FlopCounterMode(display=False) as counter, torch.inference_mode():
+            (call or network)(*(torch.empty(shape) for shape in shapes), **more)
+        by = {str(k).split(".")[-1]: v for k, v in counter.get_flop_counts()["Global"].items()}
+        linear = by.get("addmm", 0) + by.get("mm", 0)
+        return Work(linear, by.get("convolution", 0), by.get("bmm", 0))
+
+    with torch.device("meta"):
+        unet, vae = MultiViewUNet(Config()), encoders.vae()
+        given = [(5, 4, 32, 32), (5,), (5, 77, 1024)]
+        step = counted(
+            unet, *given, num_frames=5, camera=torch.empty(5, 16),
+            ip=torch.empty(5, 257, 1280), ip_img=torch.empty(1, 4, 32, 32),
+        )  # fmt: skip
+        assert sum(p.numel() for p in unet.parameters()) == PARAMETERS
+        around = [
+            counted(encoders.image_encoder(), (1, 3, 224, 224)),
+            counted(encoders.text_encoder(), input_ids=torch.zeros(1, 77, dtype=torch.long)),
+            counted(vae, (1, 3, 256, 256), call=vae.encode),
+            counted(vae, (1, 4, 32, 32), call=vae.decode).times(5),
+        ]
+        lgm = counted(LgmModel(OPTIONS["big"]), (1, 4, 9, 256, 256))
+    around = map(sum, zip(*around, strict=True))
+    for found, told in ((step.times(2), STEP), (around, AROUND), (lgm, WORK)):
+        assert tuple(found) == pytest.approx(tuple(told), rel=1e-3)
