@@ -13,7 +13,7 @@ import math
 from array import array
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 from pydantic.fields import FieldInfo
 
@@ -78,7 +78,8 @@ Each field of a section is a parameter.
 def _start(field: FieldInfo) -> Any:
     """The first value of the parameter of a field; ROS parameters have no None."""
     if field.default is None:
-        return {int | None: 0, float | None: 0.0}.get(field.annotation, "")
+        kinds = get_args(field.annotation)
+        return 0 if int in kinds else 0.0 if float in kinds else ""
     return field.default
 
 

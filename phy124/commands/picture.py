@@ -43,7 +43,11 @@ class PictureOptions:
         }  # fmt: skip
 
     def refuse_without_picture(self) -> None:
-        """Raise InputError if anything is told of a picture although there is none."""
+        """Check that nothing is told of a picture where there is none.
+
+        Raises:
+            InputError: Something is.
+        """
         self.reading.refuse("image", "none")
         usual = PictureOptions()
         for option, value in vars(self).items():

@@ -124,7 +124,11 @@ def make(
 
 
 def _factory(name: str) -> Callable[..., Generator]:
-    """What makes the generator of a name; raises InputError if there is none."""
+    """What makes the generator of a name.
+
+    Raises:
+        InputError: There is none.
+    """
     factory = GENERATORS.get(name) or registered("generators", name)
     if factory is None:
         limit = "There is no such generator."

@@ -154,7 +154,11 @@ def _cut_view(
 
 
 def _refuse_cutting(generator: str, **told: Any) -> None:
-    """Raise InputError if anything is told of a picture that the generator does not look at."""
+    """Check that nothing is told of a picture that the generator does not look at.
+
+    Raises:
+        InputError: Something is.
+    """
     for name, value in told.items():
         if value is not None:
             limit = f"{generator} does not look at a picture."

@@ -152,7 +152,11 @@ class Lgm:
             self.model = load(self._file(), self.option, device=self.device, dtype=self.dtype)
 
     def _file(self) -> Path:
-        """LGM's weights; raises InputError if there are none."""
+        """LGM's weights.
+
+        Raises:
+            InputError: There are none.
+        """
         single = have("lgm-fp32", self.weights) and not have("lgm", self.weights)
         (path,) = require("lgm-fp32" if single else "lgm", self.weights).values()
         return path
