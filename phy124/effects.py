@@ -32,6 +32,8 @@ class Cost(NamedTuple):
 UNKNOWN = Cost()
 NODE = 1.8
 """Cost of clearing and updating one node of the grid [ns]."""
+CONTACT = 20
+"""Cost for each particle of sharing out what one wall gives [ns]."""
 DENSE = 100**3
 """Number of nodes of the dense grid that PhysGaussian's scenes use."""
 
@@ -200,6 +202,10 @@ def _of_rest(scene: Scene, rested: bool) -> Iterator[Effect]:
 def _of_frames(scene: Scene, sh_degree: int) -> Iterator[Effect]:
     """What frames hold besides places and shapes."""
     yield Effect("velocities", scene.velocities, "not asked for; they follow from the positions")
+    walls = len(scene.boundaries)
+    asked = scene.keeps_contacts and walls > 0
+    cost = Cost(particle=CONTACT * walls)
+    yield Effect("contact forces", asked, "not asked for, or nothing is solid", cost)
     drawn = ", ".join(scene.view.outputs)
     yield Effect(f"outputs {drawn}".strip(), bool(drawn), "not asked for: only colours are drawn")
     turned = sh_degree > 0

@@ -117,6 +117,8 @@ class Frame:
     gaussians: Gaussians
     velocities: Array | None = None
     """Velocities of the centres [N,3], m/s, if they were asked for."""
+    contacts: Array | None = None
+    """Mean force of the walls on each since the frame before [N,3], N, if it was asked for."""
 
 
 def rotation_matrices(quats: NDArray) -> NDArray[np.float64]:

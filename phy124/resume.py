@@ -126,24 +126,25 @@ def _frames(run: Simulation) -> Tensors:
         for name in ("means", "quats", "scales"):
             stack = [getattr(frame.gaussians, name) for frame in run.frames]
             tensors[f"frames.{name}"] = np.stack(stack)
-        velocities = [f.velocities for f in run.frames if f.velocities is not None]
-        if velocities:
-            tensors["frames.velocities"] = np.stack(velocities)
+        for name in ("velocities", "contacts"):
+            kept = [getattr(f, name) for f in run.frames if getattr(f, name) is not None]
+            if kept:
+                tensors[f"frames.{name}"] = np.stack(kept)
     if run.rotations:
         tensors["frames.rotations"] = np.stack(run.rotations)
     return tensors
 
 
 def _put_frames(run: Simulation, tensors: Tensors) -> None:
-    rest, velocities = run.gaussians, tensors.get("frames.velocities")
+    rest, kept = run.gaussians, [tensors.get(f"frames.{n}") for n in ("velocities", "contacts")]
     times = tensors["frames.times"].tolist()
     for index, time in enumerate(times):
         means, quats, scales = (
             tensors[f"frames.{name}"][index] for name in ("means", "quats", "scales")
         )
         gaussians = Gaussians(means, quats, scales, rest.opacities, rest.sh)
-        v = None if velocities is None else velocities[index]
-        run.frames.append(Frame(run.count - len(times) + index, time, gaussians, v))
+        more = [None if values is None else values[index] for values in kept]
+        run.frames.append(Frame(run.count - len(times) + index, time, gaussians, *more))
     run.rotations = list(tensors.get("frames.rotations", []))
 
 

@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -14,12 +15,12 @@ from phy124.gaussians import Frame, Gaussians, quaternions
 from phy124.io.clip import Clip
 from phy124.rendering.film import film, refuse_unfilmable
 from phy124.rendering.framing import cameras
-from phy124.rendering.outputs import QUANTITIES, Seen
+from phy124.rendering.outputs import QUANTITIES, Seen, spread
 from phy124.rendering.render import Renderer
 from phy124.scene import Scene, View
 
 SIZE = 64
-ALL = list(QUANTITIES)
+ALL = [name for name in QUANTITIES if name != "force"]
 
 
 def discs(points, normals, sigma: float) -> Gaussians:
@@ -175,7 +176,8 @@ def test_exr_files_hold_the_values(tmp_path, clip):
     exr = pytest.importorskip("OpenEXR", reason="the extra exr is not installed")
     film(clip, view(output_format="exr"), tmp_path, device="cpu")
     exact, _ = Seen(clip, cameras(clip, view(), "front"), ALL).rasters(Renderer(), 0)
-    for name, quantity in QUANTITIES.items():
+    for name in ALL:
+        quantity = QUANTITIES[name]
         path = tmp_path / f"front-outputs/{name}_0001.exr"
         with exr.File(str(path), separate_channels=True) as file:
             found = {n: channel.pixels for n, channel in file.channels().items()}
@@ -213,3 +215,37 @@ def test_exr_without_its_package_is_refused_with_the_command(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "OpenEXR", None)
     with pytest.raises(InputError, match=r"needs the package OpenEXR\. Run `.*exr"):
         refuse_unfilmable(Scene(view=view(output_format="exr")))
+
+
+def test_forces_add_up_to_all_that_the_walls_give(tmp_path, clip):
+    rng = np.random.default_rng(3)
+    low = clip.means[:, :, 2] < clip.means[:, :, 2].min() + 0.1
+    contacts = np.where(low[..., None], rng.uniform(-0.1, 1.0, clip.means.shape), 0.0)
+    touched = replace(clip, contacts=contacts.astype(np.float32), report={"grid": {"dx": 0.06}})
+    chosen = view(outputs=["depth", "force"], distance=2.0)
+    film(touched, chosen, tmp_path, device="cpu")
+    folder = tmp_path / "front-outputs"
+    told = json.loads((folder / "outputs.json").read_text())
+    about, frame = told["outputs"]["force"], told["frames"][1]
+    raw = cv2.imread(str(folder / frame["files"]["force"]), cv2.IMREAD_UNCHANGED)[..., ::-1]
+    values = (raw.astype(float) - about["zero"]) * about["scale"]
+    assert frame["force"] == pytest.approx(contacts[1].sum(axis=0), rel=1e-5)
+    assert values.sum(axis=(0, 1)) == pytest.approx(frame["force"], rel=0.01)
+    exact, _ = Seen(touched, cameras(touched, chosen, "front"), ["force"]).rasters(Renderer(), 1)
+    assert exact["force"].sum(axis=(0, 1)) == pytest.approx(frame["force"], rel=1e-4)
+    rows = np.flatnonzero(values[..., 2].sum(axis=1) > 0.1)
+    assert rows.min() > SIZE / 2, "in the lower half"
+
+
+def test_a_force_is_where_it_acts():
+    camera = Camera.orbit(0, 0, 2.0, SIZE)
+    image = spread(np.array([[0.0, 0, 5.0]], np.float32), np.zeros((1, 3), np.float32), camera, 0.0)
+    assert image[31:33, 31:33, 2] == pytest.approx(np.full((2, 2), 1.25)) and image.sum() == 5
+    outside = np.array([[0.0, 9.0, 0.0]], np.float32)
+    assert not spread(np.ones((1, 3), np.float32), outside, camera, 0.1).any()
+
+
+def test_a_clip_without_forces_is_refused_before_anything_is_made(tmp_path, clip):
+    with pytest.raises(InputError, match=r"kept no forces.*Simulate it again with --outputs force"):
+        film(clip, view(outputs=["alpha", "force"], formats=["png"]), tmp_path, device="cpu")
+    assert not list(tmp_path.iterdir())

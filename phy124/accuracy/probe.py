@@ -27,7 +27,7 @@ LONGEST_PROBE, ROUNDS = 0.6, 5
 
 Large objects are probed with fewer substeps.
 """
-FILMED, TRIES = (1, 5), 2
+FILMED, TRIES = (2, 6), 2
 """Numbers of frames filmed, to tell a video's fixed cost from that of its frames, and how often;
 the fastest is used."""
 NODE_STAGES = ("clear", "grid")
@@ -182,4 +182,5 @@ def _moving(gaussians: Gaussians, scene: Scene, count: int) -> Clip:
         gaussians.sh,
         np.arange(count) / scene.time.fps,
         scene=scene.data(),
+        contacts=np.zeros((count, n, 3), np.float32) if scene.keeps_contacts else None,
     )

@@ -25,7 +25,7 @@ from phy124.io.files import replacing
 FORMAT = "phy124-clip"
 VERSION = "1"
 REQUIRED = ("means", "quats", "scales", "opacities", "sh", "times")
-OPTIONAL = ("rotations", "velocities")
+OPTIONAL = ("rotations", "velocities", "contacts")
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +52,8 @@ class Clip:
     """The resolved Scene as plain data."""
     report: dict[str, Any] = field(default_factory=dict)
     """The report of the run; `complete` is False if it stopped early."""
+    contacts: Array | None = None
+    """Mean forces of the walls since the frame before [T,N,3], N, if they were asked for."""
 
     def __post_init__(self) -> None:
         t, n = self.means.shape[:2]
@@ -63,6 +65,7 @@ class Clip:
             "times": (t,),
             "rotations": (t, n, 4),
             "velocities": (t, n, 3),
+            "contacts": (t, n, 3),
         }
         for name, shape in shapes.items():
             value = getattr(self, name)
@@ -86,7 +89,10 @@ class Clip:
         def stack(name: str) -> Array:
             return np.stack([getattr(f.gaussians, name) for f in frames])
 
-        velocities = [f.velocities for f in frames if f.velocities is not None]
+        def kept(name: str) -> Array | None:
+            found = [getattr(f, name) for f in frames]
+            return None if any(one is None for one in found) else np.stack(found)
+
         return cls(
             means=stack("means"),
             quats=stack("quats"),
@@ -95,7 +101,8 @@ class Clip:
             sh=first.sh,
             times=np.array([f.time for f in frames], dtype=np.float64),
             rotations=rotations,
-            velocities=np.stack(velocities) if len(velocities) == len(frames) else None,
+            velocities=kept("velocities"),
+            contacts=kept("contacts"),
         )
 
     @property
@@ -120,7 +127,8 @@ class Clip:
         v = None if self.velocities is None else self.velocities[index]
         if v is None and velocities:
             v = self.velocity(index)
-        return Frame(index, float(self.times[index]), gaussians, v)
+        forces = None if self.contacts is None else self.contacts[index]
+        return Frame(index, float(self.times[index]), gaussians, v, forces)
 
     def frames(self, *, velocities: bool = False) -> Iterator[Frame]:
         """All frames in order, with one in memory at a time if the clip is memory-mapped."""

@@ -61,13 +61,16 @@ class ExternalWork:
 
     def forces(self, forces: Sequence[Attachable]) -> list[Attachable]:
         """The forces as one, measured before and after they act."""
-        return [_Measured(forces, self._attach_push)] if forces else []
+        return [Measured(forces, self._attach_push)] if forces else []
 
-    def boundaries(self, boundaries: Sequence[Boundary]) -> list[Attachable]:
-        """The boundaries as one, measured before and after they act."""
+    def boundaries(
+        self, boundaries: Sequence[Boundary], inner: Sequence[Attachable] | None = None
+    ) -> list[Attachable]:
+        """The boundaries, or what they are wrapped in, as one, measured before and after."""
         if not boundaries:
             return []
-        return [_Measured(boundaries, lambda *run: self._attach_walls(boundaries, *run))]
+        inner = boundaries if inner is None else inner
+        return [Measured(inner, lambda *run: self._attach_walls(boundaries, *run))]
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
         """The stage that ends each substep; none if the uniform acceleration does not vary."""
@@ -184,7 +187,7 @@ class ExternalWork:
     ) -> tuple[Stage, Stage]:
         """The stages before and after walls."""
         del state, tracks
-        reach, (copy, sums) = _reach(walls, model), wall_kernels(model.real)
+        reach, (copy, sums) = reach_of(walls, model), wall_kernels(model.real)
         rows: tuple[int, ...] = ()
         read: list[wp.array] = []
 
@@ -205,26 +208,26 @@ class ExternalWork:
         return Stage(STAGE, before), Stage(STAGE, after)
 
 
-class _Measured:
+class Measured:
     """Forces or boundaries as one, with a stage before and one after theirs if they have any."""
 
     def __init__(
         self,
         inner: Sequence[Attachable],
-        attach: Callable[[Model, State, Tracks], tuple[Stage, Stage]],
+        attach: Callable[[Model, State, Tracks], tuple[Stage, ...]],
     ) -> None:
         self._inner, self._attach = inner, attach
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Their stages, between the two that measure."""
+        """Their stages, between the first and the others of those that measure."""
         stages = [stage for one in self._inner for stage in one.attach(model, state, tracks)]
         if not stages:
             return []
-        before, after = self._attach(model, state, tracks)
-        return [before, *stages, after]
+        before, *after = self._attach(model, state, tracks)
+        return [before, *stages, *after]
 
 
-def _reach(walls: Sequence[Boundary], model: Model) -> Corners:
+def reach_of(walls: Sequence[Boundary], model: Model) -> Corners:
     """Corners of a box that contains every node a wall may touch [m]."""
     lower, upper = np.full(3, np.inf), np.full(3, -np.inf)
     for wall in walls:

@@ -42,11 +42,12 @@ class Scenery:
             for name in ("means", "quats", "scales")
         )
         sh = rest.sh if rest.sh_degree == 0 else self._filled(rest.sh, moved.sh)
-        velocities = frame.velocities
-        if velocities is not None:
-            velocities = self._filled(np.zeros_like(rest.means), velocities)
+        velocities, contacts = (
+            None if some is None else self._filled(np.zeros_like(rest.means), some)
+            for some in (frame.velocities, frame.contacts)
+        )
         gaussians = Gaussians(means, quats, scales, rest.opacities, sh)
-        return replace(frame, gaussians=gaussians, velocities=velocities)
+        return replace(frame, gaussians=gaussians, velocities=velocities, contacts=contacts)
 
     def turns(self, rotations: Array) -> Array:
         """Rotations of all [N,4] from those of the Gaussians that move."""

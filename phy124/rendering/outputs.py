@@ -1,18 +1,22 @@
-"""Outputs: depth, alpha, normals, flow and velocity per pixel, for those who make training data.
+"""Outputs: depth, normals, flow, force and others per pixel, for those who make training data.
 
 Each is drawn by the renderer that draws the colours: the value takes the place of the colour, so
 that a pixel has the mean of the Gaussians it shows, weighted by what each contributes to it,
 
     value = sum_i w_i value_i / sum_i w_i,    w_i = alpha_i prod_{j<i} (1 - alpha_j).
+
+Forces are not mean values but add up, so they are spread over the pixels instead.
 """
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -38,6 +42,9 @@ from phy124.scene.view import Output
 Values = NDArray[np.float64]
 FARTHEST_FLOW = 4
 """Largest flow that is kept, in pictures: beyond, a Gaussian passes through the camera."""
+
+SHARP = 0.3
+"""Blur that makes no difference, px."""
 
 
 class Quantity(NamedTuple):
@@ -67,6 +74,12 @@ QUANTITIES: dict[Output, Quantity] = {
         "the last frame has none.",
     ),
     "velocity": Quantity("m/s", ("X", "Y", "Z"), True, "Velocity in the world's axes."),
+    "force": Quantity(
+        "N/px", ("X", "Y", "Z"), True,
+        "Mean force of the walls on the object since the frame before, in the world's axes, each "
+        "pixel with its part of it, hidden ones included: all pixels add up to the frame's force. "
+        "It is known to a cell of the grid and blurred by half a cell.",
+    ),
 }  # fmt: skip
 """What each output holds; `channels` are the names in an EXR file."""
 
@@ -83,6 +96,19 @@ def refuse_outputs(view: View, frames: int) -> None:
         raise InputError("view.outputs", moving[0], limit, "Leave it out, or keep two frames.")
     if view.outputs and view.output_format == "exr":
         refuse_missing_exr()
+
+
+def refuse_unkept(clip: Clip, view: View) -> None:
+    """Make sure that a clip has what the outputs of a view show.
+
+    Raises:
+        InputError: It has not.
+    """
+    refuse_outputs(view, len(clip))
+    if "force" in view.outputs and clip.contacts is None:
+        limit = "this clip kept no forces of the walls."
+        remedy = "Simulate it again with --outputs force, or contacts = true."
+        raise InputError("view.outputs", "force", limit, remedy)
 
 
 def write_outputs(
@@ -108,9 +134,9 @@ def write_outputs(
         The folder made.
 
     Raises:
-        InputError: The clip has too few frames, or a package is missing.
+        InputError: The clip has not what is asked for, or a package is missing.
     """
-    refuse_outputs(view, len(clip))
+    refuse_unkept(clip, view)
     path, seen = folder / f"{side}-outputs", Seen(clip, cameras(clip, view, side), view.outputs)
     steps = seen.steps() if view.output_format == "png" else {}
     renderer, rows = Renderer(device=device), []
@@ -171,6 +197,8 @@ class Seen:
             found["normals"] = found["normals"] / np.maximum(lengths, 1e-12)
         if "alpha" in self.outputs:
             found["alpha"] = alpha[..., None]
+        if "force" in self.outputs:
+            found["force"] = self._force(frame)
         return {name: found[name] for name in self.outputs if name in found}, alpha > 0
 
     def steps(self) -> dict[Output, float]:
@@ -183,9 +211,19 @@ class Seen:
                 for name, values in self.values(frame).items():
                     most = np.abs(values[drawn]).max(initial=0.0)
                     largest[name] = max(largest[name], float(most))
+        if "force" in self.outputs:
+            forces = (self._force(self._frame(index)) for index in range(len(self.clip)))
+            largest["force"] = max(float(np.abs(force).max()) for force in forces)
         return {
             name: step_of(largest[name], signed=QUANTITIES[name].signed) for name in self.outputs
         }
+
+    def _force(self, frame: Frame) -> Array:
+        """The forces on the Gaussians of a frame, as a picture [H,W,3], N."""
+        assert frame.contacts is not None  # `refuse_unkept`
+        cell = self.clip.report.get("grid", {}).get("dx", 0.0)
+        camera = self.cameras[frame.index]
+        return spread(frame.contacts, frame.gaussians.means, camera, cell / 2)
 
     def _frame(self, index: int) -> Frame:
         return self.clip.frame(index, velocities="velocity" in self.outputs)
@@ -256,11 +294,42 @@ def flow(before: Array, camera: Camera, after: Array, following: Camera) -> Valu
     return np.where(seen[:, None], np.clip(end - start, -most, most), 0.0)
 
 
+def spread(values: Array, points: Array, camera: Camera, blur: float) -> Array:
+    """A picture [H,W,C] whose pixels add up to the values [N,C] of the points in it.
+
+    Args:
+        values: What each point adds.
+        points: Where they are [N,3], m.
+        camera: Where from.
+        blur: Standard deviation of the blur, m.
+    """
+    pixels, depths = camera.project(points)
+    chosen = values.any(axis=1) & (depths > NEAR)
+    image = np.zeros((camera.height, camera.width, values.shape[1]))
+    if not chosen.any():
+        return image.astype(np.float32)
+    at, given = pixels[chosen] - 0.5, values[chosen]
+    first = np.floor(at)
+    for corner in itertools.product((0.0, 1.0), repeat=2):
+        node = first + np.array(corner)
+        x, y = node.T
+        weight = np.prod(1 - np.abs(at - node), axis=1)
+        inside = (x >= 0) & (y >= 0) & (x < camera.width) & (y < camera.height)
+        where = y[inside].astype(int), x[inside].astype(int)
+        np.add.at(image, where, weight[inside, None] * given[inside])
+    sigma = blur * camera.focal / float(np.median(depths[chosen]))
+    if sigma > SHARP:
+        image = cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
+    return image.astype(np.float32)
+
+
 def _write(
     path: Path, name: Output, raster: Array, covered: NDArray[np.bool_],
     steps: Mapping[Output, float],
 ) -> None:  # fmt: skip
     quantity = QUANTITIES[name]
+    # A force is known everywhere: where nothing is touched it is zero.
+    covered = np.ones_like(covered) if name == "force" else covered
     if path.suffix == ".exr":
         write_exr(path, raster, quantity.channels)
     else:
@@ -268,13 +337,17 @@ def _write(
 
 
 def _row(clip: Clip, index: int, camera: Camera, files: Mapping[Output, str]) -> dict[str, Any]:
-    """What is said of a frame: its instant, its camera and its files."""
+    """What is said of a frame: its instant, its camera, its files, and the force of all walls."""
+    total = {}
+    if "force" in files and clip.contacts is not None:
+        total["force"] = clip.contacts[index].astype(np.float64).sum(axis=0).tolist()
     return {
         "frame": index,
         "time": float(clip.times[index]),
         "intrinsics": camera.intrinsics.tolist(),
         "world_to_camera": camera.view.tolist(),
         "files": dict(files),
+        **total,
     }
 
 
@@ -290,7 +363,7 @@ def _description(
         "world": "right-handed, metres, z up, the object faces +x",
         "camera": "OpenCV: x right, y down, z forward; the centre of pixel (i, j) is "
         "(i + 0.5, j + 0.5)",
-        "uncovered": "0 in all channels",
+        "uncovered": "0 in all channels (a force is covered everywhere)",
         "outputs": dict(_described(view, steps)),
         "frames": rows,
     }

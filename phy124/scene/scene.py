@@ -68,6 +68,10 @@ class Scene(Section):
         default=False,
         description="Keep the velocity of each Gaussian; speeds also follow from the places.",
     )
+    contacts: bool = Field(
+        default=False,
+        description="Keep the mean force of the walls on each Gaussian; outputs of force do so.",
+    )
     view: View = Field(default=View(), description="How the clip is filmed.")
 
     @model_validator(mode="before")
@@ -84,6 +88,11 @@ class Scene(Section):
     def acting(self) -> list[AnyForce]:
         """The forces whose strength is not zero."""
         return [force for force in self.forces if not force.idle]
+
+    @property
+    def keeps_contacts(self) -> bool:
+        """Whether the force of the walls on each Gaussian is kept."""
+        return self.contacts or "force" in self.view.outputs
 
     @property
     def materials(self) -> list[AnyMaterial]:

@@ -22,7 +22,7 @@ from phy124.section import Section
 ViewName = Literal["front", "right", "back", "left", "orbit"]
 Format = Literal["mp4", "webp", "gif", "png", "usd", "ply"]
 StageName = Literal["plain", "studio", "transparent"]
-Output = Literal["depth", "alpha", "normals", "flow", "velocity"]
+Output = Literal["depth", "alpha", "normals", "flow", "velocity", "force"]
 Degrees = Annotated[float, Field(ge=-360, le=360)]
 
 
@@ -92,7 +92,7 @@ class View(Section):
         default=(),
         examples=[["depth", "flow"]],
         description="Quantities of each pixel besides its colour, for training data: depth [m], "
-        "alpha, normals, flow [px/frame], velocity [m/s].",
+        "alpha, normals, flow [px/frame], velocity [m/s], force of the walls [N/px].",
     )
     output_format: Literal["png", "exr"] = Field(
         default="png", description="Of outputs: png, 16 bits, or exr, 32-bit floats."

@@ -21,6 +21,7 @@ from phy124.io.clip import Clip
 from phy124.limits import refuse_hopeless, stiffest_part
 from phy124.materials import AnyMaterial
 from phy124.monitor import diagnosis
+from phy124.monitor.contacts import Contacts
 from phy124.monitor.external_work import ExternalWork
 from phy124.monitor.sleep import Sleep
 from phy124.monitor.watchdog import Violation, Watchdog
@@ -30,24 +31,14 @@ from phy124.particles.scenery import Scenery
 from phy124.parts import stiffnesses, with_materials, with_properties
 from phy124.placing import among_all, belongs, place, renumbered
 from phy124.progress import Progress, silent
-from phy124.remedies import advice, hurry, remedies
+from phy124.remedies import hurry, remedies
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
 from phy124.simulation.solver import judged_as, solver_of
+from phy124.simulation.stopped import Stopped
 
 MAX_STRETCH = 4.0
 """Largest growth of the Gaussians of flowing material, whose F_total has no bound."""
-
-
-class Stopped(RuntimeError):
-    """The simulation ended early because its results would be wrong; the message says why.
-
-    `remedies` are changes to the scene, each of which helps by itself.
-    """
-
-    def __init__(self, why: str, remedies: Sequence[Remedy] = ()) -> None:
-        self.remedies = tuple(remedies)
-        super().__init__(f"{why} {advice(remedies)}".strip())
 
 
 class Interrupted(Cancelled):
@@ -119,10 +110,11 @@ class Simulation:
             judged = judged_as(scene, self.materials)
             self.demand = refuse_hopeless(self.gaussians, self.particles, judged, device, keep=keep)
         with self.watch.stage("compile"):
-            external = ExternalWork()
+            external, self.contacts = ExternalWork(), Contacts(asked=scene.keeps_contacts)
             self.solver = solver_of(
-                self.particles, self.materials, stiffness, scene, device, threads, external
-            )
+                self.particles, self.materials, stiffness, scene, device, threads, external,
+                self.contacts,
+            )  # fmt: skip
             self.watchdog = Watchdog(self.solver, external, balance=scene.checks.balance)
             flows = any(m.device_law.project is not None for m in self.materials)
             self.deformer = Deformer(
@@ -212,6 +204,7 @@ class Simulation:
         return Clip(
             made.means, made.quats, made.scales, self.gaussians.opacities, self.gaussians.sh,
             made.times, made.rotations, made.velocities, self.numbered.data(), self.report(),
+            made.contacts,
         )  # fmt: skip
 
     def report(self) -> dict[str, Any]:
@@ -286,7 +279,8 @@ class Simulation:
         )
         if self.deformer.rotations is not None:
             self.rotations.append(self.scenery.turns(self.deformer.rotations))
-        return self.scenery.whole(frame)
+        forces = self.contacts.forces(self.scenery, self.particles, self.scene.time.fps)
+        return self.scenery.whole(replace(frame, contacts=forces))
 
     def _again(self, index: int, time: float) -> Frame:
         """The last frame once more: nothing has moved since."""
@@ -324,6 +318,7 @@ class Simulation:
         """Try a frame; returns what is wrong with it, or None. A failure resets the state."""
         solver, watchdog = self.solver, self.watchdog
         solver.repair.begin(solver.clock)
+        self.contacts.begin()
         watchdog.before()
         before = solver.snapshot(), watchdog.external.snapshot()
         try:

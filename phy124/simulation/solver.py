@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from phy124.boundaries import Ground
 from phy124.materials import AnyMaterial
+from phy124.monitor.contacts import Contacts
 from phy124.monitor.external_work import ExternalWork
-from phy124.mpm import Model, Solver, State
+from phy124.mpm import Attachable, Model, Solver, State
 from phy124.particles import Particles
 from phy124.scene import Scene
 
@@ -27,6 +28,7 @@ def solver_of(
     device: str,
     threads: int | None,
     external: ExternalWork,
+    contacts: Contacts,
 ) -> Solver:
     """The solver at time 0.
 
@@ -38,11 +40,17 @@ def solver_of(
         device: Warp device, "cpu" or "cuda:0".
         threads: CPU threads, 1 or 2; None: two if that is faster and a core is free.
         external: Adds up what forces and walls give, if the scene's balance is checked.
+        contacts: Adds up what walls give to each particle, if that is asked for.
     """
     x = particles.x.astype(np.float64)
     v, C = _motion(x, particles.mass, scene)
     floors = [b.height for b in scene.boundaries if isinstance(b, Ground)]
     balance = scene.checks.balance
+    walls: Sequence[Attachable] = scene.boundaries
+    if contacts.asked:
+        walls = contacts.boundaries(scene.boundaries)
+    if balance:
+        walls = external.boundaries(scene.boundaries, walls)
     ceiling = math.inf if scene.time.substep is None else scene.time.substep
     model = Model.of(
         x,
@@ -60,8 +68,8 @@ def solver_of(
         model,
         State.of(model, v, C),
         forces=external.forces(scene.acting) if balance else scene.acting,
-        boundaries=external.boundaries(scene.boundaries) if balance else scene.boundaries,
-        accumulators=[external] if balance else [],
+        boundaries=walls,
+        accumulators=[*([external] if balance else []), *([contacts] if contacts.asked else [])],
         ceiling=ceiling,
         threads=threads,
         measure_every=scene.checks.measure,

@@ -1,0 +1,138 @@
+"""Contacts: what walls give to each particle in a substep.
+
+A wall changes the velocity of nodes. With the weights w_ip by which the particles' mass came to a
+node, its impulse m_i (v_after - v_before) is shared out as m_p w_ip (v_after - v_before): the
+shares of all particles are the whole, since m_i = sum_p m_p w_ip.
+"""
+
+from functools import cache
+from typing import Any
+
+import warp as wp
+
+from phy124.kernels.build import kernel
+from phy124.kernels.diagnostics import wide
+from phy124.kernels.spline import spline
+from phy124.kernels.transfer import first_node, in_window, types
+
+
+@cache
+def make_contact_copy(real: Any):
+    """Kernel over rows of nodes in a box: stores their velocities before a wall acts."""
+    t = types(real)
+
+    @kernel(f"phy124_contact_copy_{real.__name__}", seconds=0.15)
+    def contact_copy(
+        # model
+        box: wp.array(dtype=wp.vec3i), window: wp.array(dtype=wp.vec3i),
+        # state in
+        grid: wp.array(dtype=t.vec4),
+        # out
+        kept_out: wp.array(dtype=t.vec4), low_out: wp.array(dtype=int),
+        high_out: wp.array(dtype=int),
+    ):  # fmt: skip
+        i, j = wp.tid()
+        size = window[1]
+        low = box[0]
+        count = box[1]
+        row = ((i + low[0]) * size[1] + j + low[1]) * size[2] + low[2]
+        for k in range(count[2]):
+            kept_out[(i * count[1] + j) * count[2] + k] = grid[row + k]
+        if i == 0 and j == 0:
+            for axis in range(3):
+                low_out[axis] = size[axis]
+                high_out[axis] = -1
+
+    return contact_copy
+
+
+@cache
+def make_contact_reach(real: Any):
+    """Kernel over the same rows: how the wall has changed each velocity, in place of the kept one,
+    and the lowest and the highest node that it has changed.
+    """
+    t = types(real)
+
+    @kernel(f"phy124_contact_reach_{real.__name__}", seconds=0.2)
+    def contact_reach(
+        # model
+        box: wp.array(dtype=wp.vec3i), window: wp.array(dtype=wp.vec3i),
+        # state in
+        grid: wp.array(dtype=t.vec4),
+        # out
+        kept_out: wp.array(dtype=t.vec4), low_out: wp.array(dtype=int),
+        high_out: wp.array(dtype=int),
+    ):  # fmt: skip
+        i, j = wp.tid()
+        size = window[1]
+        low = box[0]
+        count = box[1]
+        row = ((i + low[0]) * size[1] + j + low[1]) * size[2] + low[2]
+        lowest = count[2]
+        highest = int(-1)
+        for k in range(count[2]):
+            q = grid[row + k]
+            n = (i * count[1] + j) * count[2] + k
+            d = q - kept_out[n]
+            if q[3] <= real(0.0):
+                d = t.vec4()
+            kept_out[n] = d
+            if d[0] != real(0.0) or d[1] != real(0.0) or d[2] != real(0.0):
+                lowest = wp.min(lowest, k)
+                highest = k
+        if highest >= 0:
+            wp.atomic_min(low_out, 0, i + low[0])
+            wp.atomic_min(low_out, 1, j + low[1])
+            wp.atomic_min(low_out, 2, lowest + low[2])
+            wp.atomic_max(high_out, 0, i + low[0])
+            wp.atomic_max(high_out, 1, j + low[1])
+            wp.atomic_max(high_out, 2, highest + low[2])
+
+    return contact_reach
+
+
+@cache
+def make_contacts(real: Any):
+    """Kernel over particles: adds its share of what changed since `contact_copy`."""
+    t = types(real)
+
+    @kernel(f"phy124_contacts_{real.__name__}", seconds=0.4)
+    def contacts(
+        # model
+        mass: wp.array(dtype=real), lattice: t.vec4, box: wp.array(dtype=wp.vec3i),
+        window: wp.array(dtype=wp.vec3i),
+        # state in
+        x: wp.array(dtype=t.vec3), changes: wp.array(dtype=t.vec4),
+        lowest: wp.array(dtype=int), highest: wp.array(dtype=int),
+        # out
+        impulse_out: wp.array(dtype=wp.vec3d),
+    ):  # fmt: skip
+        p = wp.tid()
+        g = (x[p] - wp.vector(lattice[0], lattice[1], lattice[2])) / lattice[3]
+        low = first_node(g)
+        size = window[1]
+        first = low - window[0]
+        if not in_window(first, size):
+            return
+        for axis in range(3):
+            if first[axis] + 2 < lowest[axis] or first[axis] > highest[axis]:
+                return
+        start = first - box[0]
+        count = box[1]
+        wx = spline(g[0] - real(low[0]))
+        wy = spline(g[1] - real(low[1]))
+        wz = spline(g[2] - real(low[2]))
+        change = t.vec4()
+        for i in range(3):
+            a = start[0] + i
+            for j in range(3):
+                b = start[1] + j
+                if a >= 0 and a < count[0] and b >= 0 and b < count[1]:
+                    w = wx[i] * wy[j]
+                    n = (a * count[1] + b) * count[2] + start[2]
+                    for k in range(3):
+                        if start[2] + k >= 0 and start[2] + k < count[2]:
+                            change += (w * wz[k]) * changes[n + k]
+        impulse_out[p] += wp.float64(mass[p]) * wide(change)
+
+    return contacts

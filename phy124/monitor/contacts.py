@@ -1,0 +1,145 @@
+"""Contacts: the force of the walls on each particle, if it is asked for.
+
+The impulse that walls give to the nodes around a particle is summed in every substep, in the
+fraction of the nodes' mass that is the particle's. The sum over all particles is the impulse that
+`phy124.monitor.external_work` counts for the walls.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from phy124.boundaries import Boundary
+from phy124.gaussians import Array, Gaussians
+from phy124.kernels import contacts as kernels
+from phy124.monitor.external_work import Measured, reach_of
+from phy124.mpm import Attachable, Grid, Model, Stage, State
+from phy124.particles import Particles
+from phy124.particles.scenery import Scenery
+from phy124.tracks import Tracks
+
+STAGE = "contacts"
+"""Name of the stages that sum them."""
+
+
+class Contacts:
+    """The impulses of one frame; give the solver the result of `boundaries` and this object."""
+
+    def __init__(self, *, asked: bool = True) -> None:
+        self.asked = asked
+        """Whether anything is summed."""
+        self._impulses: dict[bool, wp.array] = {}
+        self._bearers: NDArray[np.int64] | None = None
+
+    def boundaries(self, walls: Sequence[Boundary]) -> Sequence[Attachable]:
+        """The walls, each measured before and after it acts."""
+        return [Measured([wall], partial(self._attach, wall)) for wall in walls]
+
+    def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
+        """Nothing more: the walls have the stages."""
+        del model, state, tracks
+        return []
+
+    def begin(self) -> None:
+        """Start a frame."""
+        for impulses in self._impulses.values():
+            impulses.zero_()
+
+    def impulses(self, count: int) -> NDArray[np.float64]:
+        """What each of so many particles was given since the frame began [P,3], N s."""
+        total = np.zeros((count, 3))
+        for impulses in self._impulses.values():
+            total += impulses.numpy()
+        return total
+
+    def forces(self, scenery: Scenery, particles: Particles, fps: float) -> Array | None:
+        """Mean force on each Gaussian that moves since the frame began [N,3], N; None if not asked.
+
+        Args:
+            scenery: The Gaussians.
+            particles: The particles at rest; the force on those inside is the nearest Gaussian's.
+            fps: Frames per second.
+        """
+        if not self.asked:
+            return None
+        moving = scenery.moving
+        if self._bearers is None:
+            self._bearers = bearers(moving, particles)
+        columns = fps * self.impulses(len(particles)).T
+        sums = [np.bincount(self._bearers, column, len(moving)) for column in columns]
+        return np.stack(sums, axis=1).astype(np.float32)
+
+    def snapshot(self) -> dict[str, Any]:
+        """The sums as they are now."""
+        return {str(int(second)): wp.clone(sums) for second, sums in self._impulses.items()}
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Set the sums back to a snapshot."""
+        for second, sums in self._impulses.items():
+            kept = snapshot.get(str(int(second)))
+            sums.zero_() if kept is None else wp.copy(sums, kept)
+
+    def _attach(
+        self, wall: Boundary, model: Model, state: State, tracks: Tracks
+    ) -> tuple[Stage, Stage, Stage]:
+        """The stages before and after a wall."""
+        del tracks
+        reach = reach_of([wall], model)
+        copy, changed, share = contact_kernels(model.real)
+        rows: tuple[int, ...] = ()
+        read: list[wp.array] = []
+        kept: list[wp.array] = []
+
+        def before(grid: Grid) -> wp.Launch | None:
+            nonlocal rows, read, kept
+            start, extent = grid.nodes_within(*reach)
+            corners = np.stack([start, extent]).astype(np.int32)
+            box = wp.array(corners, dtype=wp.vec3i, device=model.device)
+            nodes = wp.empty(int(np.prod(extent)), dtype=grid.vec4, device=model.device)
+            corner = [wp.zeros(3, dtype=int, device=model.device) for _ in range(2)]
+            rows, read = tuple(extent[:2].tolist()), [box, grid.window, grid.nodes]
+            kept = [nodes, *corner]
+            return model.launch(copy, rows, read, kept)
+
+        def between(grid: Grid) -> wp.Launch | None:
+            del grid
+            return model.launch(changed, rows, read, kept)
+
+        def after(grid: Grid) -> wp.Launch | None:
+            own, (box, window, _) = self._own(grid, model), read
+            if not np.prod(rows):
+                return None
+            inputs = [model.mass, grid.lattice, box, window, state.x, *kept]
+            return model.launch(share, len(model), inputs, [own])
+
+        return Stage(STAGE, before), Stage(STAGE, between), Stage(STAGE, after)
+
+    def _own(self, grid: Grid, model: Model) -> wp.array:
+        """The sums of a worker: both look at all particles, each at its own layers of nodes."""
+        second = bool(grid.layers and grid.layers[0] > 0)
+        if second not in self._impulses:
+            self._impulses[second] = wp.zeros(len(model), dtype=wp.vec3d, device=model.device)
+        return self._impulses[second]
+
+
+def bearers(gaussians: Gaussians, particles: Particles) -> NDArray[np.int64]:
+    """The Gaussian that stands for each particle [P]: its own, or the nearest one at rest."""
+    from scipy.spatial import KDTree
+
+    nearest = KDTree(gaussians.means).query(particles.x)[1]
+    return np.where(particles.gaussian >= 0, particles.gaussian, nearest)
+
+
+def contact_kernels(real: Any) -> tuple[Any, Any, Any]:
+    """What measures contacts: before a wall acts, and twice after it."""
+    return (
+        kernels.make_contact_copy(real),
+        kernels.make_contact_reach(real),
+        kernels.make_contacts(real),
+    )
