@@ -101,8 +101,10 @@ def test_what_has_not_changed_is_not_done_again(order):
 
 def test_another_view_does_not_simulate(order):
     first, _ = _run(order)
-    other = replace(order, scene=order.scene.replaced({"view.elevation": 40.0}))
-    done, events = _run(other)
+    view = {"view.elevation": 40.0, "view.cameras": [{"kind": "dolly"}], "view.outputs": ["depth"]}
+    done, events = _run(replace(order, scene=order.scene.replaced(view)))
+    made = {path.name for path in done.films.iterdir()}
+    assert {"front.mp4", "dolly.mp4"} <= made and not any("outputs" in name for name in made)
     assert done.clip == first.clip and done.films != first.films
     assert _stages(events) == {"render", "save"}
 

@@ -56,3 +56,10 @@ def test_a_force_is_added_with_its_own_defaults(page):
     page.locator('select[aria-label="Add to forces"]').select_option("wind")
     after = sent(page, f"scene.forces.length > {len(before)}").forces
     assert after == (*before, *Scene.from_data({"forces": [{"kind": "wind"}]}).forces)
+
+
+@pytest.mark.parametrize("kind", ["path"])
+def test_a_camera_is_added_with_its_own_defaults(page, kind):
+    page.locator('select[aria-label="Add to cameras"]').select_option(kind)
+    made = sent(page, "scene.view.cameras.length === 1").view.cameras
+    assert made == Scene.from_data({"view": {"cameras": [{"kind": kind}]}}).view.cameras
