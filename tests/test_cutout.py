@@ -300,7 +300,7 @@ def test_colours_of_the_object_around_it_are_told(monkeypatch, beside, told):
     found = foreground(picture, "grabcut")
     assert (found.alike > 0.1) == told
     assert any("of what surrounds the cut-out has its colours" in w for w in found.warnings) == told
-    # Of what a person or a network found, colours tell nothing.
+    # Of what a person gave, colours tell nothing.
     given = foreground(picture, mask=Image.fromarray(255 * mask.astype(np.uint8)))
     assert given.warnings == ()
 
@@ -363,3 +363,18 @@ def test_an_animation_that_begins_empty_says_so(tmp_path):
     path = saved(tmp_path, empty, "a.webp", save_all=True, append_images=[disc()[0]])
     with pytest.raises(InputError, match=r"No object .* Only the first of its 2 frames was looked"):
         cut_out(path)
+
+
+def test_an_unsure_network_is_told_and_a_person_cropped_at_three_edges_is_not(monkeypatch):
+    """Grey clothes before a dark wall, at the bottom left and right edges; the legs are a guess."""
+    y, x = np.mgrid[:100, :100]
+    person = (abs(x - 50) < 20) | ((abs(y - 70) < 12) & (y > 20))
+    image = Image.fromarray(np.where(person[..., None], [150, 140, 130], 20).astype(np.uint8))
+    monkeypatch.setitem(METHODS, "u2netp", found_as(person))
+    assert len(foreground(image, "u2netp").touches) >= 3
+    assert foreground(image, "u2netp").warnings == ()
+    alpha = np.where(person & (y > 80), 140, 255 * person).astype(np.uint8)
+    unsure = Method(lambda picture: False, lambda picture, deadline: alpha)
+    monkeypatch.setitem(METHODS, "u2netp", unsure)
+    (told,) = foreground(image, "u2netp").warnings
+    assert "half transparent away from its outline" in told

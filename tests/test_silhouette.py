@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+import scipy.ndimage as ndi
 
-from phy124.imaging.silhouette import alike, pieces, touched, unseen
+from phy124.imaging.silhouette import alike, pieces, touched, undecided, unseen
 
 Y, X = np.mgrid[:120, :160]
 DISK = np.hypot(X - 80, Y - 60) < 30
@@ -43,3 +44,13 @@ def test_surroundings_of_the_objects_colours_are_alike(rng):
     striped = np.where((DISK | (X > 80))[..., None], red, blue)
     assert 0.3 < alike(striped, DISK) < 0.7
     assert alike(np.full((120, 160, 3), 90, np.uint8), np.zeros_like(DISK)) == 0.0
+
+
+def test_what_is_half_transparent_away_from_the_outline_is_undecided():
+    """A soft edge is not, in a picture of any size."""
+    for factor, blur in ((1, 1.0), (8, 2.0)):
+        disk = np.kron(DISK, np.ones((factor, factor))) > 0
+        alpha = (255 * ndi.gaussian_filter(disk.astype(float), blur)).astype(np.uint8)
+        assert undecided(alpha) < 0.005
+        alpha[disk & (np.arange(disk.shape[1]) > disk.shape[1] // 2)] = 140
+        assert undecided(alpha) > 0.2

@@ -18,7 +18,7 @@ from phy124.imaging.grabcut import grabcut
 from phy124.imaging.image import ANY_FORMAT, open_image, size_in_file
 from phy124.imaging.matting import decontaminated
 from phy124.imaging.objects import Point, largest, looked_for, object_at
-from phy124.imaging.silhouette import alike, pieces, touched, unseen
+from phy124.imaging.silhouette import alike, pieces, touched, undecided, unseen
 from phy124.runtime import isolated
 
 Alpha = NDArray[np.uint8]
@@ -36,6 +36,8 @@ UNSEEN = 0.12
 """Suspicious fraction of outline without an edge in the picture; correct cut-outs have 0.05."""
 ALIKE = 0.1
 """Suspicious fraction of surroundings in the object's colours; correct cut-outs have 0.09."""
+UNDECIDED = 0.02
+"""Suspicious part of a network's cut-out that is half transparent away from its outline."""
 REMEDY = (
     "Use a picture with one object on a plain background, all of it visible, give a mask (white "
     "where the object is), or save the cut-out object as PNG with transparency."
@@ -71,6 +73,8 @@ class Cutout:
     """Fraction of the outline where the picture shows no edge."""
     alike: float
     """Fraction of the surroundings whose colours are more common in the object than around it."""
+    undecided: float = 0.0
+    """Half transparent area away from the outline, relative to the object."""
     frames: int = 1
     """Number of frames if the file is an animation; only the first was used."""
     objects: int = 1
@@ -87,11 +91,13 @@ class Cutout:
     def warnings(self) -> tuple[str, ...]:
         """Reasons to doubt that this is the intended object, as sentences."""
         given, found = self.method in ("alpha", "mask", "brush"), []
+        by_network = self.method in NETWORKS
         if self.frames > 1:
             found.append(f"The picture is an animation of {self.frames} frames; the first is used.")
         if self.objects > 1:
             found.append(f"{self.objects} separate objects were found; the largest is taken.")
-        if len(self.touches) >= SIDES and self.method != "alpha":
+        # People are often cropped; what a network finds is no table in the foreground.
+        if len(self.touches) >= SIDES and self.method != "alpha" and not by_network:
             found.append(
                 f"The cut-out touches {len(self.touches)} edges of the picture "
                 f"({', '.join(self.touches)}): background may have been taken for the object."
@@ -106,10 +112,15 @@ class Cutout:
             found.append(
                 f"{self.unseen:.0%} of the cut-out's outline runs where the picture has no edge."
             )
-        if self.alike > ALIKE and self.method == "grabcut":
+        if self.undecided > UNDECIDED and by_network:
             found.append(
-                f"{self.alike:.0%} of what surrounds the cut-out has its colours, by which it was "
-                "found: part of the object may be missing, or background taken for it."
+                f"{self.undecided:.0%} of the cut-out is half transparent away from its outline: "
+                "the network was not sure what belongs to the object."
+            )
+        if self.alike > ALIKE and not given:
+            found.append(
+                f"{self.alike:.0%} of what surrounds the cut-out has its colours: part of the "
+                "object may be missing, or background taken for it."
             )
         return tuple(found)
 
@@ -126,6 +137,7 @@ class Cutout:
             "touches": list(self.touches),
             "unseen": round(self.unseen, 4),
             "alike": round(self.alike, 4),
+            "undecided": round(self.undecided, 4),
             "frames": self.frames,
             "objects": self.objects,
             "warnings": list(self.warnings),
@@ -227,7 +239,8 @@ def looked_at(picture: Image.Image, method: str, frames: int = 1, objects: int =
     rgb, alpha = np.split(np.asarray(picture), (3,), axis=2)
     solid = alpha[..., 0] > 127
     looks = pieces(solid), touched(solid), unseen(rgb, solid), alike(rgb, solid)
-    return Cutout(picture, method, float(solid.mean()), *looks, frames, objects)
+    vague = undecided(alpha[..., 0])
+    return Cutout(picture, method, float(solid.mean()), *looks, vague, frames, objects)
 
 
 def has_alpha(image: Image.Image) -> bool:
@@ -337,6 +350,8 @@ METHODS: dict[str, Method] = {
     "grabcut": Method(_always, _grabcut, "GrabCut"),
 }
 """Ways to find the object, best first."""
+NETWORKS = ("u2net", "u2netp")
+"""Those that are networks."""
 TAKEN_WHOLE = ("alpha", "mask")
 """What a person has cut out may be in several pieces."""
 GIVEN = {"mask": "the mask that was given", "brush": "brush strokes"}

@@ -1,4 +1,4 @@
-"""Measures of a mask's plausibility: pieces, touched edges, invisible outline, shared colours."""
+"""Measures of a mask's plausibility: pieces, touched edges, its outline, shared colours."""
 
 from __future__ import annotations
 
@@ -20,6 +20,10 @@ SIDE = 320
 """Longest side at which the outline is examined, pixels."""
 FAINT = 2.0
 """Change of colour too small to be seen as an edge, in units of CIE Lab."""
+WIDE, FITTED = 2.0, 640
+"""Half the width of a soft edge, pixels, in a picture of this longest side; it grows with that."""
+HALF = 25
+"""Alpha from which a pixel is neither clear nor, counted from 255, opaque."""
 AROUND = 0.125
 """How far the surroundings of an object extend, in longest sides."""
 BINS = (12, 24, 24)
@@ -68,6 +72,18 @@ def alike(rgb: NDArray[np.uint8], solid: Solid) -> float:
     kinds = np.asarray(np.ravel_multi_index(tuple(np.moveaxis(bins, 2, 0)), BINS, mode="clip"))
     commoner = _fractions(kinds[inside]) > _fractions(kinds[around])
     return float(commoner[kinds[around]].mean())
+
+
+def undecided(alpha: NDArray[np.uint8]) -> float:
+    """Area that is half transparent away from the outline of an alpha [H,W], per area inside it.
+
+    An edge is soft for some pixels; farther away whoever made the alpha did not know.
+    """
+    inside = (alpha > 127).astype(np.uint8)
+    reach = WIDE * max(1.0, max(alpha.shape) / FITTED)
+    away = np.maximum(*(cv2.distanceTransform(m, cv2.DIST_L2, 3) for m in (inside, 1 - inside)))
+    half = (alpha > HALF) & (alpha < 255 - HALF)
+    return float((half & (away > reach)).sum() / max(1, int(inside.sum())))
 
 
 def _fractions(kinds: NDArray[np.int_]) -> NDArray[np.float64]:
