@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,8 +17,9 @@ from phy124.imaging import u2net
 from phy124.imaging.grabcut import grabcut
 from phy124.imaging.image import ANY_FORMAT, open_image, size_in_file
 from phy124.imaging.matting import decontaminated
-from phy124.imaging.objects import Point, largest, looked_for, object_at
+from phy124.imaging.objects import Point, largest, looked_for, object_at, pixel_at
 from phy124.imaging.silhouette import alike, pieces, touched, undecided, unseen
+from phy124.imaging.touching import part_at, parted
 from phy124.runtime import isolated
 
 Alpha = NDArray[np.uint8]
@@ -79,6 +80,8 @@ class Cutout:
     """Number of frames if the file is an animation; only the first was used."""
     objects: int = 1
     """Number of separate objects that were found; only the largest was taken."""
+    touching: bool = False
+    """Whether it looks like two objects that touch; both were taken."""
     file: Path | None = None
     """The picture's file, if it was opened from one."""
 
@@ -90,39 +93,50 @@ class Cutout:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Reasons to doubt that this is the intended object, as sentences."""
-        given, found = self.method in ("alpha", "mask", "brush"), []
-        by_network = self.method in NETWORKS
+        return (*self._several(), *self._size(), *self._outline())
+
+    def _several(self) -> Iterator[str]:
+        """Whether something else may be meant."""
         if self.frames > 1:
-            found.append(f"The picture is an animation of {self.frames} frames; the first is used.")
+            yield f"The picture is an animation of {self.frames} frames; the first is used."
         if self.objects > 1:
-            found.append(f"{self.objects} separate objects were found; the largest is taken.")
+            yield f"{self.objects} separate objects were found; the largest is taken."
+        if self.touching:
+            yield "These may be two objects that touch; if so, pick the one that is meant."
+        if self.pieces >= PIECES:
+            yield f"The cut-out is in {self.pieces} pieces."
+
+    def _size(self) -> Iterator[str]:
+        """Whether it is implausibly large or small."""
         # People are often cropped; what a network finds is no table in the foreground.
-        if len(self.touches) >= SIDES and self.method != "alpha" and not by_network:
-            found.append(
+        if len(self.touches) >= SIDES and self.method not in ("alpha", *NETWORKS):
+            yield (
                 f"The cut-out touches {len(self.touches)} edges of the picture "
                 f"({', '.join(self.touches)}): background may have been taken for the object."
             )
-        if self.pieces >= PIECES:
-            found.append(f"The cut-out is in {self.pieces} pieces.")
         if self.coverage < TINY:
-            found.append(f"The cut-out is tiny: {self.coverage:.1%} of the picture.")
+            yield f"The cut-out is tiny: {self.coverage:.1%} of the picture."
         if self.coverage > MUCH and self.method != "alpha":
-            found.append(f"The cut-out is nearly all of the picture ({self.coverage:.0%}).")
-        if self.unseen > UNSEEN and not given:
-            found.append(
+            yield f"The cut-out is nearly all of the picture ({self.coverage:.0%})."
+
+    def _outline(self) -> Iterator[str]:
+        """Whether what was searched for, instead of given, was found."""
+        if self.method in ("alpha", "mask", "brush"):
+            return
+        if self.unseen > UNSEEN:
+            yield (
                 f"{self.unseen:.0%} of the cut-out's outline runs where the picture has no edge."
             )
-        if self.undecided > UNDECIDED and by_network:
-            found.append(
+        if self.undecided > UNDECIDED and self.method in NETWORKS:
+            yield (
                 f"{self.undecided:.0%} of the cut-out is half transparent away from its outline: "
                 "the network was not sure what belongs to the object."
             )
-        if self.alike > ALIKE and not given:
-            found.append(
+        if self.alike > ALIKE:
+            yield (
                 f"{self.alike:.0%} of what surrounds the cut-out has its colours: part of the "
                 "object may be missing, or background taken for it."
             )
-        return tuple(found)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the picture as PNG or WebP without loss."""
@@ -140,6 +154,7 @@ class Cutout:
             "undecided": round(self.undecided, 4),
             "frames": self.frames,
             "objects": self.objects,
+            "touching": self.touching,
             "warnings": list(self.warnings),
         }
 
@@ -209,9 +224,11 @@ def foreground(
     elif method not in TAKEN_WHOLE:
         alpha, count = largest(alpha)
     _check_fraction(alpha, method, frames)
+    searched = pick is None and method not in TAKEN_WHOLE
+    touching = searched and parted(np.asarray(image.convert("RGB")), alpha) is not None
     image.putalpha(Image.fromarray(alpha))
     cut = image if method == "alpha" else cleaned(image, alpha)
-    return looked_at(cut, method, frames, count)
+    return replace(looked_at(cut, method, frames, count), touching=touching)
 
 
 def cleaned(image: Image.Image, alpha: Alpha) -> Image.Image:
@@ -270,7 +287,7 @@ def _picked(
         limit = "No object was found at this place of the picture."
         remedy = "Choose the middle of the object, or mark it with a mask, on the page by brush."
         raise InputError("pick", f"{pick[0]:g},{pick[1]:g}", limit, remedy)
-    return found
+    return part_at(np.asarray(image.convert("RGB")), found, pixel_at(pick, image.size))
 
 
 def _check_point(pick: Point | None) -> None:

@@ -68,7 +68,7 @@ def object_at(alpha: Alpha, point: Point) -> Alpha | None:
     """The alpha [H,W] of the object at a point alone; None if there is none."""
     solid = (alpha > 127).astype(np.uint8)
     away = cv2.distanceTransform(1 - solid, cv2.DIST_L2, 5)
-    place = _pixel(point, (alpha.shape[1], alpha.shape[0]))
+    place = pixel_at(point, (alpha.shape[1], alpha.shape[0]))
     if not solid.any() or away[place] > NEAR * max(alpha.shape):
         return None
     nearest = Objects.of(alpha).nearest
@@ -90,7 +90,7 @@ def looked_for(
     best, fewest = None, 5
     for box in _windows(image.size, point):
         left, top, right, bottom = box
-        inside = _pixel(point, image.size)
+        inside = pixel_at(point, image.size)
         place = (inside[1] - left + 0.5) / (right - left), (inside[0] - top + 0.5) / (bottom - top)
         found = object_at(find(image.crop(box)), place)
         if found is None or np.mean(found > 127) < MINIMUM:
@@ -105,7 +105,7 @@ def looked_for(
 
 
 def _windows(size: tuple[int, int], point: Point) -> Iterator[Box]:
-    row, column = _pixel(point, size)
+    row, column = pixel_at(point, size)
     for fraction in WINDOWS:
         side = round(fraction * max(size))
         width, height = min(side, size[0]), min(side, size[1])
@@ -114,7 +114,7 @@ def _windows(size: tuple[int, int], point: Point) -> Iterator[Box]:
         yield left, top, left + width, top + height
 
 
-def _pixel(point: Point, size: tuple[int, int]) -> tuple[int, int]:
+def pixel_at(point: Point, size: tuple[int, int]) -> tuple[int, int]:
     """Row and column of a point in a picture of this width and height."""
     column, row = (min(int(f * n), n - 1) for f, n in zip(point, size, strict=True))
     return row, column

@@ -11,7 +11,7 @@ from phy124.errors import InputError
 
 Field = NDArray[np.float64]
 Solid = NDArray[np.bool_]
-UNLIKE = 0.7
+UNLIKE = 0.5
 """Least overlap of the front's silhouette with the mirrored one from behind."""
 EMPTY = 0.05
 """Largest fraction of the heights at which one picture shows something and the other nothing."""
