@@ -2,9 +2,10 @@
 
 Each solid is drawn from the front; what `relief` makes of that picture is compared from eight other
 sides (`support.truths.VIEWS`): the overlap of the silhouettes (IoU), the pictures on white (PSNR),
-depth and volume as the physics fills it. `--only NAME...` takes some of them, `--depth` gives the
-true depth map, `--pictures FILE` writes what was compared (truth above), `--json FILE` the figures,
-`--against FILE` shows the change since then. `--examples FILE` draws demo/examples from all sides.
+depth and volume as the physics fills it. `--only NAME...` takes some of them; `--depth`, `--side`
+and `--back` give `relief` the true depth map and pictures of these sides; `--pictures FILE` writes
+what was compared (truth above), `--json FILE` the figures, `--against FILE` shows the change since
+then. `--examples FILE` draws demo/examples from all sides.
 """
 
 import argparse
