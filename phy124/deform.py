@@ -55,7 +55,8 @@ class Deformer:
         gaussians: Gaussians,
         particles: Bound | None = None,
         *,
-        max_stretch: float | None = None,
+        max_stretch: float | NDArray | None = None,
+        rounds: NDArray | None = None,
         device: str = "cpu",
     ) -> None:
         """Bind clean Gaussians to the particles made from them.
@@ -64,23 +65,32 @@ class Deformer:
             gaussians: The object at rest, N Gaussians.
             particles: The particles that `make_particles` made of it; None: one particle per
                 Gaussian, in order.
-            max_stretch: Longest axis allowed, relative to the longest axis at rest. For liquids and
-                plastic flow, whose F grows without bound; None (elastic): no limit.
+            max_stretch: Longest axis allowed, relative to the longest axis at rest, for all or
+                for each Gaussian [N]. For liquids and plastic flow, whose F grows without bound;
+                None (elastic): no limit.
+            rounds: Which Gaussians become balls as they are drawn out [N], so that what flows
+                shows no needles; None: none.
             device: Warp device that computes.
 
         Raises:
             InputError: `max_stretch` is below 1.
             ValueError: The particles belong to other Gaussians.
         """
-        if max_stretch is not None and not max_stretch >= 1:
+        limits = np.asarray(np.inf if max_stretch is None else max_stretch, np.float64)
+        if not (limits >= 1).all():
             limit = "Gaussians must be allowed at least their size at rest."
-            raise InputError("max_stretch", max_stretch, limit, "Give 1 or more, or leave it out.")
+            least = float(np.nanmin(limits))
+            raise InputError("max_stretch", least, limit, "Give 1 or more, or leave it out.")
         self.gaussians = gaussians
         self.rotations: Array | None = None
         """Polar rotations of the material at the last frame [N,4] wxyz; only if sh degree > 0."""
         n = len(gaussians)
         self._device = device
-        self._max_stretch = np.inf if max_stretch is None else max_stretch
+        self._max_stretch = wp.array(
+            np.broadcast_to(limits, n).copy(), dtype=wp.float64, device=device
+        )
+        balls = np.zeros(n, bool) if rounds is None else rounds
+        self._rounds = wp.array(balls, dtype=wp.bool, device=device)
         self._own = _own_particles(n, particles)
         self._field = None
         if self._own is None and particles is not None:
@@ -112,7 +122,7 @@ class Deformer:
         """
         x, F = self._checked(_host(x), (3,)), self._checked(_host(F), (3, 3))
         means, deformation = self._carried(x, F)
-        rest = [self._carrier, self._quats0, self._scales0, self._max_stretch]
+        rest = [self._carrier, self._quats0, self._scales0, self._max_stretch, self._rounds]
         frame = [self._inner, self._quats, self._scales]
         self._launch(field.deform_shapes, [*rest, deformation, *frame])
         sh = self._colours(deformation)
@@ -235,6 +245,14 @@ def _own_particles(count: int, particles: Bound | None) -> NDArray[np.int32] | N
 def _host(array: Any) -> NDArray:
     """A NumPy view of a Warp array, or of anything that NumPy accepts as an array."""
     return np.asarray(array.numpy() if isinstance(array, wp.array) else array)
+
+
+def of_gaussians(gaussians: Gaussians, particles: Bound, values: NDArray) -> NDArray:
+    """The values of particles [P], for each Gaussian that of its own or of the nearest one [N]."""
+    own = _own_particles(len(gaussians), particles)
+    if own is None:
+        own = KDTree(particles.x).query(gaussians.means, workers=-1)[1]
+    return values[own]
 
 
 def kernels() -> list[Any]:

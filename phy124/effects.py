@@ -158,6 +158,9 @@ def _of_materials(scene: Scene, materials: Sequence[AnyMaterial]) -> Iterator[Ef
     yield Effect("viscosity", rubbing, "no material rubs inside", Cost(particle=2))
     yield Effect("return mapping", plastic, f"{named} is elastic", Cost(particle=70))
     yield Effect("total F beside elastic F", plastic, f"{named} keeps all deformation in F")
+    loose = any(section.grains for section in materials)
+    why = f"{named} does not fall apart" if scene.grains else "grains is off"
+    yield Effect("grains inside", loose and scene.grains, why)
     several = len(laws) > 1 or len(scene.materials) > 1
     yield Effect("several materials", several, "all that moves is of one", Cost(particle=13))
     varies = scene.stiffness is not None or len(materials) > len(scene.materials)

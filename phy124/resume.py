@@ -136,7 +136,7 @@ def _frames(run: Simulation) -> Tensors:
 
 
 def _put_frames(run: Simulation, tensors: Tensors) -> None:
-    rest, kept = run.gaussians, [tensors.get(f"frames.{n}") for n in ("velocities", "contacts")]
+    rest, kept = run.shown, [tensors.get(f"frames.{n}") for n in ("velocities", "contacts")]
     times = tensors["frames.times"].tolist()
     for index, time in enumerate(times):
         means, quats, scales = (

@@ -35,7 +35,9 @@ class Difference:
 
 
 def difference(clip: Clip, reference: Clip, view: View, *, device: str = "cpu") -> Difference:
-    """Compare two clips of one object frame by frame; both must have the same frames.
+    """Compare two clips of one object frame by frame, without their grains.
+
+    Both must have the same frames.
 
     Args:
         clip: One clip.
@@ -46,6 +48,7 @@ def difference(clip: Clip, reference: Clip, view: View, *, device: str = "cpu") 
     Raises:
         ValueError: They do not belong together.
     """
+    clip, reference = clip.surface, reference.surface
     if clip.means.shape != reference.means.shape:
         raise ValueError(f"clips of {clip.means.shape} and {reference.means.shape} do not match")
     own = reference.own
@@ -67,7 +70,7 @@ def difference(clip: Clip, reference: Clip, view: View, *, device: str = "cpu") 
 
 def pixel_distance(clip: Clip, reference: Clip, view: View) -> float:
     """RMS distance in the picture of the first view over all frames [pixels]."""
-    squares = []
+    clip, reference, squares = clip.surface, reference.surface, []
     for index, camera in enumerate(cameras(reference, view, view.sides[0])):
         here, _ = camera.project(clip.means[index].astype(float))
         there, _ = camera.project(reference.means[index].astype(float))

@@ -189,7 +189,7 @@ class Forecaster:
         stages = {
             "simulate": substeps * per_substep + scene.time.frames * each_frame,
             "deform": scene.time.frames * time_shapes(simulation),
-            **(self._filming(simulation.gaussians, scene) if filming else {}),
+            **(self._filming(simulation.shown, scene) if filming else {}),
         }
         return Forecast(
             stages, (), particles, round(mean_nodes), substeps, limiters, rates,

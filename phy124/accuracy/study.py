@@ -197,7 +197,7 @@ class Study:
         clip = simulation.run()
         if not clip.report["complete"]:
             return None, f"{name} is left out: {clip.report['stopped']}"
-        self.clips[name] = clip
+        self.clips[name] = clip.surface
         solver, accuracy = simulation.solver, scene.resolution
         seconds, torn = simulation.watch.seconds, simulation.watchdog.tearing.note() or ""
         counts = solver.clock.limiters

@@ -114,6 +114,21 @@ class Clip:
                 own[slice(*part["gaussians"])] = False
         return own if own.any() else ~own
 
+    @property
+    def surface(self) -> Clip:
+        """The clip without the grains, whose number depends on the accuracy."""
+        grains = self.report.get("grains", 0)
+        if not grains:
+            return self
+        kept = slice(None, -grains)
+        each = {
+            name: None if array is None else array[:, kept]
+            for name in ("means", "quats", "scales", "rotations", "velocities")
+            for array in [getattr(self, name)]
+        }
+        each |= {"opacities": self.opacities[kept], "sh": self.sh[kept]}
+        return replace(self, **each, report={**self.report, "grains": 0})
+
     def frame(self, index: int, *, velocities: bool = False) -> Frame:
         """The Gaussians of one frame, with their colours rotated with the material.
 

@@ -19,6 +19,11 @@ EXACT = wp.constant(wp.float64(1e-14))
 IDENTITY_ZONE = wp.constant(wp.float64(2.414))
 """Trace above which a rotation is below 45 degrees, so that no relabelling of axes is closer."""
 LARGEST = wp.constant(wp.float64(3.0e38))
+TINY = wp.constant(wp.float64(1e-12))
+SOUND_SHAPE = wp.constant(wp.float64(1.5))
+ROUND_SHAPE = wp.constant(wp.float64(4.0))
+"""How many times more drawn out than at rest a Gaussian of what flows begins to be shown as a ball,
+and is one."""
 
 
 @wp.func
@@ -205,13 +210,30 @@ def nearest_labels(u: wp.mat33d, previous: wp.mat33d) -> wp.mat33d:
     return best
 
 
+@wp.func
+def rounded(lengths: wp.vec3d, rest: wp.vec3d):
+    """Axes of a Gaussian of what flows: the more it is drawn out, the closer they are to equal.
+
+    A ball of sqrt(a b), of its two longest axes a and b, covers as much of a picture as it does.
+    """
+    one = wp.float64(1.0)
+    longest = wp.max(lengths)
+    shortest = wp.max(wp.min(lengths), TINY * longest)
+    middle = lengths[0] + lengths[1] + lengths[2] - longest - wp.min(lengths)
+    drawn = longest / shortest * wp.min(rest) / wp.max(rest)
+    w = wp.clamp((drawn - SOUND_SHAPE) / (ROUND_SHAPE - SOUND_SHAPE), wp.float64(0.0), one)
+    ball = wp.sqrt(longest * wp.max(middle, shortest))
+    return (one - w) * lengths + w * wp.vec3d(ball, ball, ball)
+
+
 @kernel(MODULE, seconds=1.5)
 def deform_shapes(
     # model
     carrier: wp.array(dtype=wp.int32),
     quats0: wp.array(dtype=wp.vec4f),
     scales0: wp.array(dtype=wp.vec3f),
-    max_stretch: wp.float64,
+    max_stretch: wp.array(dtype=wp.float64),
+    rounds: wp.array(dtype=wp.bool),
     # state in
     deformation: wp.array(dtype=wp.mat33d),
     # in place: the previous frame becomes this one
@@ -234,8 +256,10 @@ def deform_shapes(
     q = quaternion_of(u * labels)
     if wp.dot(q, last) < wp.float64(0.0):
         q = -q
-    limit = wp.min(LARGEST, max_stretch * wp.max(s0))
+    limit = wp.min(LARGEST, max_stretch[i] * wp.max(s0))
     lengths = wp.transpose(labels) * lengths
+    if rounds[i]:
+        lengths = rounded(wp.vec3d(wp.abs(lengths[0]), wp.abs(lengths[1]), wp.abs(lengths[2])), s0)
     s = wp.vec3f()
     for k in range(3):
         s[k] = wp.float32(wp.min(wp.abs(lengths[k]), limit))

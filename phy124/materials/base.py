@@ -10,6 +10,9 @@ from pydantic import Field
 from phy124.kernels.transfer import Law
 from phy124.section import Section
 
+FLOWING = 4.0
+"""Longest axis of a Gaussian of what flows, relative to its longest axis at rest."""
+
 
 class Material(Section):
     """Base class of all materials: a density and a law on the device."""
@@ -19,6 +22,17 @@ class Material(Section):
     """How many of the first entries of `theta` are proportional to E; 0: it has no E to vary."""
     may_collapse: ClassVar[bool] = False
     """Whether it may stay flat after an impact, since its energy at J = 0 is finite."""
+
+    max_stretch: ClassVar[float | None] = None
+    """Longest axis of a Gaussian, relative to its longest axis at rest. None: `FLOWING` for laws
+    with a return mapping, whose F grows without bound, and no limit for others."""
+    rounds: ClassVar[bool] = False
+    """Whether its Gaussians become balls as they are drawn out, instead of needles."""
+    grains: ClassVar[bool] = False
+    """Whether it falls apart, so that its inside is shown, too."""
+
+    shade: ClassVar[float] = 0.0
+    """How much grains differ in brightness: standard deviation as a fraction."""
 
     sounder_law: ClassVar[str | None] = None
     """A law with the same fields that stays sound in harder impacts."""
@@ -33,6 +47,13 @@ class Material(Section):
         """The same on a grid of spacing `dx` [m] with a fraction `cfl` of the stable substep."""
         del dx, cfl
         return self.theta()
+
+    @property
+    def longest(self) -> float:
+        """`max_stretch` as a number."""
+        if self.max_stretch is not None:
+            return self.max_stretch
+        return math.inf if self.device_law.project is None else FLOWING
 
     def history(self) -> tuple[float, float]:
         """Initial history variables of a particle."""

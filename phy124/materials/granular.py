@@ -24,6 +24,10 @@ class Sand(Elastic):
     """Drucker-Prager sand without cohesion (Klar et al. 2016)."""
 
     law: Literal["sand"] = "sand"
+    max_stretch: ClassVar[float | None] = 1.0
+    rounds: ClassVar[bool] = True
+    grains: ClassVar[bool] = True
+    shade: ClassVar[float] = 0.15
     device_law: ClassVar[Law] = Law(
         name="sand",
         stress=hencky.hencky,
@@ -52,6 +56,10 @@ class Snow(Elastic):
     """Snow that packs and breaks (Stomakhin et al. 2013)."""
 
     law: Literal["snow"] = "snow"
+    max_stretch: ClassVar[float | None] = 1.5
+    rounds: ClassVar[bool] = True
+    grains: ClassVar[bool] = True
+    shade: ClassVar[float] = 0.04
     device_law: ClassVar[Law] = Law(
         name="snow",
         stress=granular.snow,

@@ -101,6 +101,9 @@ class Foam(Elastic):
     """Herschel-Bulkley viscoplastic solid, such as foam, cream or toothpaste: flows above yield."""
 
     law: Literal["foam"] = "foam"
+    max_stretch: ClassVar[float | None] = 2.0
+    rounds: ClassVar[bool] = True
+    grains: ClassVar[bool] = True
     device_law: ClassVar[Law] = Law(
         name="foam",
         stress=hencky.hencky,

@@ -70,7 +70,7 @@ class Comparison:
 
 
 def compare(a: Clip, b: Clip, views: tuple[Likeness, ...] = ()) -> Comparison:
-    """Compare clip `b` with clip `a`.
+    """Compare clip `b` with clip `a`, without their grains.
 
     Args:
         a: The reference.
@@ -81,6 +81,7 @@ def compare(a: Clip, b: Clip, views: tuple[Likeness, ...] = ()) -> Comparison:
         InputError: If they are not two motions of one object at the same instants.
     """
     check_comparable(a, b)
+    a, b = a.surface, b.surface
     size = _size(a)
     own = a.own
     squares = np.stack([_squares(x[own], y[own]) for x, y in zip(a.means, b.means, strict=True)])
@@ -106,7 +107,7 @@ def check_comparable(a: Clip, b: Clip) -> None:
     """
     if not len(a) or not a.opacities.size:
         raise _refusal("the first one is empty.", "Give clips with frames and Gaussians.")
-    one, other = len(a.opacities), len(b.opacities)
+    one, other = len(a.surface.opacities), len(b.surface.opacities)
     if one != other:
         raise _refusal(
             f"they have {one:,} and {other:,} Gaussians.",

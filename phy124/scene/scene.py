@@ -72,6 +72,11 @@ class Scene(Section):
         default=False,
         description="Keep the mean force of the walls on each Gaussian; outputs of force do so.",
     )
+    grains: bool = Field(
+        default=True,
+        description="Show the inside of what falls apart (sand, snow, foam) as grains; off: only "
+        "the Gaussians of its surface.",
+    )
     view: View = Field(default=View(), description="How the clip is filmed.")
 
     @model_validator(mode="before")
@@ -103,6 +108,11 @@ class Scene(Section):
     def dx(self) -> float:
         """Grid spacing [m]."""
         return self.object.size / self.resolution.cells
+
+    @property
+    def spacing(self) -> float:
+        """Distance of neighbouring particles [m]."""
+        return self.dx / self.resolution.particles_per_axis
 
     @classmethod
     def from_data(cls, data: dict[str, Any], source: str = "scene") -> Scene:

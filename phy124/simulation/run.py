@@ -34,10 +34,10 @@ from phy124.progress import Progress, silent
 from phy124.remedies import hurry, remedies
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
+from phy124.simulation.appearance import appearance
 from phy124.simulation.solver import judged_as, solver_of
 from phy124.simulation.stopped import Stopped
 
-MAX_STRETCH = 4.0
 """Largest growth of the Gaussians of flowing material, whose F_total has no bound."""
 
 
@@ -93,12 +93,11 @@ class Simulation:
             made = make_particles(
                 self.gaussians.select(own),
                 density=scene.material.density,
-                spacing=scene.dx / scene.resolution.particles_per_axis,
+                spacing=scene.spacing,
                 binding=scene.binding,
             )
             made = among_all(made, own)
             self.particles, moves = with_materials(made, self.gaussians.means, self.numbered, crop)
-            self.scenery = Scenery(self.gaussians, moves)
             self.materials: Sequence[AnyMaterial] = scene.materials
             if scene.properties is not None:
                 means, survivors = self.gaussians.means, self.cleaning.survivors
@@ -107,8 +106,11 @@ class Simulation:
                     self.particles, columns, scene.materials
                 )
             stiffness = stiffnesses(self.particles, self.gaussians.means[own], scene, crop)
+            look = appearance(self.gaussians, self.particles, moves, self.materials, scene)
+            self.shown, self.particles = look.gaussians, look.particles
+            self.scenery = Scenery(self.shown, look.moves)
             judged = judged_as(scene, self.materials)
-            self.demand = refuse_hopeless(self.gaussians, self.particles, judged, device, keep=keep)
+            self.demand = refuse_hopeless(self.shown, self.particles, judged, device, keep=keep)
         with self.watch.stage("compile"):
             external, self.contacts = ExternalWork(), Contacts(asked=scene.keeps_contacts)
             self.solver = solver_of(
@@ -116,17 +118,16 @@ class Simulation:
                 self.contacts,
             )  # fmt: skip
             self.watchdog = Watchdog(self.solver, external, balance=scene.checks.balance)
-            flows = any(m.device_law.project is not None for m in self.materials)
             self.deformer = Deformer(
                 self.scenery.moving,
                 self.particles,
-                max_stretch=MAX_STRETCH if flows else None,
+                max_stretch=look.max_stretch,
+                rounds=look.rounds,
                 device=device,
             )
-        timing = scene.time
-        solver = self.solver
+        s, timing = self.solver, scene.time
         self.sleep = Sleep(
-            solver.model, solver.state, solver.clock, solver.tracks,
+            s.model, s.state, s.clock, s.tracks,
             size=scene.object.size, frames=timing.frames, fps=timing.fps,
         )  # fmt: skip
         self.keep, self.count = keep, 0
@@ -202,7 +203,7 @@ class Simulation:
         rotations = np.stack(self.rotations) if self.rotations else None
         made = Clip.from_frames(self.frames, rotations)
         return Clip(
-            made.means, made.quats, made.scales, self.gaussians.opacities, self.gaussians.sh,
+            made.means, made.quats, made.scales, self.shown.opacities, self.shown.sh,
             made.times, made.rotations, made.velocities, self.numbered.data(), self.report(),
             made.contacts,
         )  # fmt: skip
@@ -222,7 +223,8 @@ class Simulation:
             "complete": self.stopped is None and self.count == self.scene.time.frames,
             "stopped": self.stopped,
             "remedies": [remedy.changes for remedy in self.remedies],
-            "gaussians": len(self.gaussians),
+            "gaussians": len(self.shown),
+            "grains": len(self.shown) - len(self.gaussians),
             "particles": len(self.particles),
             "mass": float(self.particles.mass.sum()),
             "cleaning": self.cleaning.sentences,

@@ -1,0 +1,100 @@
+"""Grains: small round Gaussians inside what falls apart, so that it is not an empty skin.
+
+The Gaussians of a generator lie on the surface. Where sand, snow or foam falls apart, they part,
+and what is seen between them is the background. So the particles inside get Gaussians, too: round
+ones, in the colours of the surface above them. They change nothing of the motion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from phy124.gaussians import SH_C0, Gaussians
+from phy124.materials import AnyMaterial
+from phy124.particles.seeding import Particles
+
+SIZE = 0.55
+"""Standard deviation of a grain, in distances of particles: a lattice of such is opaque."""
+CLEARANCE = 2.5
+"""A grain lies at least so many standard deviations below the surface at rest."""
+NEAREST = 0.5
+"""Particles nearer to a Gaussian get no grain, in distances of particles."""
+OPACITY = 0.95
+IDENTITY = (1, 0, 0, 0)
+
+
+def with_grains(
+    gaussians: Gaussians,
+    particles: Particles,
+    moves: NDArray[np.bool_],
+    materials: Sequence[AnyMaterial],
+    spacing: float,
+) -> tuple[Gaussians, Particles]:
+    """The Gaussians with one more for each particle inside what falls apart, at the end.
+
+    Args:
+        gaussians: The object at rest, N Gaussians, m.
+        particles: The particles that move; those without a Gaussian may get one.
+        moves: Which of the Gaussians move [N]; particles name their Gaussian among these.
+        materials: The materials of the particles; those with `grains` get some.
+        spacing: Distance of neighbouring particles, m.
+
+    Returns:
+        N + G Gaussians, and the particles, G of which now have one of them.
+    """
+    loose = np.array([section.grains for section in materials])[particles.material]
+    inside = np.flatnonzero(loose & (particles.gaussian < 0))
+    if not len(inside):
+        return gaussians, particles
+    depth, above = map(np.asarray, KDTree(gaussians.means).query(particles.x[inside], workers=-1))
+    clear = depth >= NEAREST * spacing
+    inside, depth, above = inside[clear], depth[clear], above[clear]
+    grains = _grains(gaussians, particles.x[inside], above, depth, spacing)
+    if (particles.gaussian >= 0).any():
+        owner = particles.gaussian.copy()
+        owner[inside] = moves.sum() + np.arange(len(inside))
+        particles = replace(particles, gaussian=owner)
+    return _joined(gaussians, grains), particles
+
+
+def shaded(gaussians: Gaussians, amounts: NDArray, seed: int) -> Gaussians:
+    """The Gaussians, each as much brighter or darker as chance has it.
+
+    Args:
+        gaussians: N Gaussians.
+        amounts: Standard deviation of each one's brightness, as a fraction of it [N].
+        seed: The same gives the same shades.
+    """
+    noise = np.random.default_rng(seed).standard_normal(len(gaussians))
+    brighter = (1 + amounts * noise.clip(-2, 2))[:, None]
+    sh = gaussians.sh.copy()
+    sh[:, 0] = ((0.5 + SH_C0 * sh[:, 0]) * brighter - 0.5) / SH_C0
+    return replace(gaussians, sh=sh)
+
+
+def _grains(
+    gaussians: Gaussians, x: NDArray, above: NDArray, depth: NDArray, spacing: float
+) -> Gaussians:
+    """Round Gaussians at x [G,3] in the colours of the Gaussians above them [G], seen from all
+    sides alike.
+    """
+    sh = np.zeros((len(x), *gaussians.sh.shape[1:]), gaussians.sh.dtype)
+    sh[:, 0] = gaussians.sh[above, 0]
+    size = np.minimum(SIZE * spacing, depth / CLEARANCE)
+    return Gaussians(
+        x,
+        np.tile(np.array(IDENTITY, np.float32), (len(x), 1)),
+        np.repeat(size[:, None], 3, axis=1),
+        np.full(len(x), OPACITY),
+        sh,
+    )
+
+
+def _joined(first: Gaussians, second: Gaussians) -> Gaussians:
+    names = ("means", "quats", "scales", "opacities", "sh")
+    return Gaussians(*(np.concatenate([getattr(g, n) for g in (first, second)]) for n in names))

@@ -1,0 +1,109 @@
+"""Grains: where they are, what they look like, and that nothing of the motion depends on them."""
+
+import numpy as np
+import pytest
+
+from phy124.deform import Deformer
+from phy124.gaussians import Gaussians
+from phy124.materials import Fluid, NeoHookean, Sand
+from phy124.particles.grains import CLEARANCE, SIZE, shaded, with_grains
+from phy124.particles.seeding import make_particles
+from phy124.scene import Scene
+from phy124.simulation import Simulation
+from support.shapes import ball
+
+SPACING = 0.08
+SAND = {
+    "material.law": "sand", "accuracy": {"cells": 8}, "time.frames": 3, "object.lift": 0.1,
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def body() -> Gaussians:
+    return ball(3000)
+
+
+def grained(body, material, binding="particles"):
+    made = make_particles(body, density=1000, spacing=SPACING, binding=binding)
+    return made, *with_grains(body, made, np.ones(len(body), bool), [material], SPACING)
+
+
+def test_every_particle_inside_gets_a_ball_in_the_colour_above_it(body):
+    made, shown, particles = grained(body, Sand())
+    grains = shown.select(np.arange(len(shown)) >= len(body))
+    assert len(grains) == (made.gaussian < 0).sum() > 300
+    owner = particles.gaussian - len(body)
+    inside = np.flatnonzero(owner >= 0)
+    np.testing.assert_array_equal(grains.means[owner[inside]], particles.x[inside])
+    for name in ("x", "volume", "density", "material"):
+        assert getattr(particles, name) is getattr(made, name), "nothing of the motion"
+    depth = 0.5 - np.linalg.norm(grains.means, axis=1)
+    assert (grains.scales == grains.scales[:, :1]).all()
+    assert grains.scales.max() == pytest.approx(SIZE * SPACING)
+    assert (CLEARANCE * grains.scales[:, 0] < depth + 0.02).all(), "none is seen at rest"
+    # The colour of a ball is its direction: that of a grain is the direction it lies in.
+    way = grains.means / np.linalg.norm(grains.means, axis=1, keepdims=True)
+    nearest = np.argmax(way @ body.means.T, axis=1)
+    far = np.linalg.norm(grains.means, axis=1) > 0.2
+    np.testing.assert_allclose(grains.rgb[far], body.rgb[nearest[far]], atol=0.15)
+
+
+def test_what_holds_together_and_what_runs_has_none(body):
+    for material in (NeoHookean(), Fluid()):
+        made, shown, particles = grained(body, material)
+        assert shown is body and particles is made
+
+
+def test_on_a_lattice_the_particles_carry_them_like_all_others(body):
+    made, shown, particles = grained(body, Sand(), "lattice")
+    assert len(shown) > len(body) + 300 and particles is made
+
+
+def test_shades_differ_by_grain_and_are_those_of_the_seed(body):
+    amounts = np.where(np.arange(len(body)) < 1000, 0.15, 0.0)
+    sandy = shaded(body, amounts, seed=3)
+    same = (body.rgb > 0.1).all(axis=1) & (body.rgb < 0.7).all(axis=1)
+    ratio = (sandy.rgb / body.rgb)[same]
+    np.testing.assert_allclose(ratio[:, 0], ratio[:, 2], rtol=1e-3, err_msg="only the brightness")
+    assert 0.1 < ratio[amounts[same] > 0].std() < 0.2
+    np.testing.assert_allclose(ratio[amounts[same] == 0], 1, rtol=1e-5)
+    np.testing.assert_array_equal(shaded(body, amounts, seed=3).sh, sandy.sh)
+    assert (shaded(body, amounts, seed=4).sh != sandy.sh).any()
+
+
+def test_grains_are_in_every_frame_and_change_no_motion(body):
+    scene = Scene.named("drop").replaced(SAND)
+    grainy = Simulation(body, scene).run()
+    plain = Simulation(body, scene.replaced({"grains": False})).run()
+    count = grainy.report["grains"]
+    assert plain.report["grains"] == 0 < count
+    assert grainy.means.shape[1] == len(plain.opacities) + count == len(grainy.opacities)
+    np.testing.assert_array_equal(grainy.surface.means, plain.means)
+    np.testing.assert_array_equal(grainy.surface.scales, plain.scales)
+    assert len(grainy.surface.opacities) == len(plain.opacities)
+    fall = 9.81 * grainy.times[1] ** 2 / 2
+    assert grainy.means[0, -count:, 2].mean() - grainy.means[1, -count:, 2].mean() == pytest.approx(
+        fall, rel=0.05
+    )
+
+
+def drawn_out(stretch: float, rounds: bool) -> np.ndarray:
+    """Scales of a disc that is drawn out along x, at constant volume."""
+    disc = Gaussians.from_rgb(
+        np.zeros((1, 3)), np.array([[1.0, 0, 0, 0]]), np.array([[0.04, 0.04, 0.01]]), np.ones(1),
+        np.ones((1, 3)),
+    )  # fmt: skip
+    F = np.diag([stretch, stretch**-0.5, stretch**-0.5])[None]
+    deformer = Deformer(disc, rounds=np.array([rounds]))
+    return deformer(np.zeros((1, 3)), F, index=0, time=0.0).gaussians.scales[0]
+
+
+def test_what_flows_becomes_a_ball_of_the_same_extent_instead_of_a_needle():
+    np.testing.assert_allclose(drawn_out(1.2, True), drawn_out(1.2, False), rtol=1e-6)
+    needle, round_ = drawn_out(9.0, False), drawn_out(9.0, True)
+    assert needle.max() / needle.min() > 50
+    assert round_.max() / round_.min() == pytest.approx(1)
+    longest = np.sort(needle)[1:]
+    assert round_[0] == pytest.approx(np.sqrt(longest.prod()), rel=1e-6)
+    ratios = [np.divide(*drawn_out(s, True)[[0, 2]]) for s in np.linspace(1, 6, 40)]
+    assert max(ratios) < 8, "and on the way it never becomes one"
