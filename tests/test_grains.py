@@ -72,7 +72,7 @@ def test_shades_differ_by_grain_and_are_those_of_the_seed(body):
 
 
 def test_grains_are_in_every_frame_and_change_no_motion(body):
-    scene = Scene.named("drop").replaced(SAND)
+    scene = Scene.named("drop").replaced({**SAND, "contacts": True, "velocities": True})
     grainy = Simulation(body, scene).run()
     plain = Simulation(body, scene.replaced({"grains": False})).run()
     count = grainy.report["grains"]
@@ -81,6 +81,9 @@ def test_grains_are_in_every_frame_and_change_no_motion(body):
     np.testing.assert_array_equal(grainy.surface.means, plain.means)
     np.testing.assert_array_equal(grainy.surface.scales, plain.scales)
     assert len(grainy.surface.opacities) == len(plain.opacities)
+    for name in ("velocities", "contacts"):
+        assert getattr(grainy, name).shape == grainy.means.shape
+        np.testing.assert_array_equal(getattr(grainy.surface, name), getattr(plain, name))
     fall = 9.81 * grainy.times[1] ** 2 / 2
     assert grainy.means[0, -count:, 2].mean() - grainy.means[1, -count:, 2].mean() == pytest.approx(
         fall, rel=0.05

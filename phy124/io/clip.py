@@ -123,7 +123,7 @@ class Clip:
         kept = slice(None, -grains)
         each = {
             name: None if array is None else array[:, kept]
-            for name in ("means", "quats", "scales", "rotations", "velocities")
+            for name in ("means", "quats", "scales", *OPTIONAL)
             for array in [getattr(self, name)]
         }
         each |= {"opacities": self.opacities[kept], "sh": self.sh[kept]}
