@@ -17,11 +17,12 @@ from phy124.io.export.html import write_html
 from phy124.io.files import staged
 from phy124.io.formats import FORMATS, WRITTEN, Format
 from phy124.rendering.film import cameras
+from phy124.rendering.framing import fitted
 from phy124.rendering.stage.build import stage_of
 from phy124.rendering.stage.packing import packed
 from phy124.scene import View
 
-from .work import Done, whole_in_view
+from .work import Done
 
 BRIDGE = __name__.partition("demo")[0] + "bridge"
 """Name of the bridge's package: `bridge` in a checkout, `phy124_bridge` if installed."""
@@ -65,7 +66,7 @@ class Export:
 
 def _html(done: Done, path: Path) -> None:
     clip = Clip.load(done.clip / "clip.safetensors")
-    view = whole_in_view(clip, View.model_validate(clip.scene["view"]))
+    view = fitted(clip, View.model_validate(clip.scene["view"]))
     around = packed(stage_of(clip, view), clip)
     first = cameras(clip, view, "front")[0]
     write_html(path, clip, first, background=view.background, stage=around)

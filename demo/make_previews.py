@@ -19,13 +19,12 @@ from phy124.imaging.cutout import cut_out
 from phy124.io.clip import Clip
 from phy124.pipeline import cameras
 from phy124.progress import silent
-from phy124.rendering.framing import departures
+from phy124.rendering.framing import departures, fitted
 from phy124.rendering.render import render_frames
 from phy124.scene import Scene, View, preset_names
 from phy124.simulation import Simulation
 
 from .substances import SUBSTANCES
-from .work.films import whole_in_view
 
 FOLDER = Path(__file__).parent
 OBJECTS = {
@@ -92,7 +91,7 @@ def _framed(clip: Clip, view: View) -> View:
     closer = view.model_copy(update={"distance": view.distance - 0.2})
     if not departures(clip, closer):
         return closer
-    whole = whole_in_view(clip, view)
+    whole = fitted(clip, view)
     return whole.model_copy(update={"distance": AROUND * whole.distance})
 
 

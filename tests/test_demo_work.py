@@ -25,13 +25,10 @@ from demo.work import (
     Step,
     easier,
     steps,
-    whole_in_view,
 )
 from phy124.errors import Cancelled, InputError
-from phy124.gaussians import Frame
 from phy124.io.clip import Clip
-from phy124.rendering.framing import departures
-from phy124.scene import Scene, View
+from phy124.scene import Scene
 from support.orders import small_order
 
 DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"
@@ -182,15 +179,6 @@ def test_the_viewer_gets_every_frame_while_it_is_computed(order):
     files = [event.file for event in events if isinstance(event, Live)]
     assert [Path(file).name for file in files] == ["0000.pack", "0001.pack", "0002.pack"]
     assert all(Path(file).read_bytes()[:2] == b"\x1f\x8b" for file in files)
-
-
-def test_a_motion_that_would_leave_the_picture_is_seen_from_farther_away(three_gaussians):
-    frames = [Frame(i, i / 10, three_gaussians.moved(1, np.array([0, 0.5 * i, 0]))) for i in (0, 1)]
-    clip = Clip.from_frames(frames)
-    view = whole_in_view(clip, View())
-    assert View().distance < view.distance and departures(clip, view) == []
-    chosen = View(distance=2.0)
-    assert whole_in_view(clip, chosen) is chosen
 
 
 def test_too_many_particles_are_refused(order):

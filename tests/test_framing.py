@@ -1,17 +1,18 @@
 """Framing: every view shows the whole object, follows it if asked, and says when it does not."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from phy124.rendering.framing import cameras, departures, framing
+from phy124.rendering.framing import FIT_AT_MOST, cameras, departures, fitted, framing
 from phy124.scene import View
 from support.clips import AWAY, flight
 
 
 def view(**changes) -> View:
-    return View.model_validate({"views": ["front"], "elevation": 0, "distance": 1.9} | changes)
+    return View.model_validate({"views": ["front"], "elevation": 0, "fit": False} | changes)
 
 
 def seen(clip, chosen, side="front") -> list[np.ndarray]:
@@ -109,3 +110,24 @@ def test_many_gaussians_cost_no_more_than_a_sample():
     (one,), (other,) = departures(clip, view()), departures(few, view())
     assert (one.frame, one.worst_frame) == (other.frame, other.worst_frame)
     assert one.outside == pytest.approx(other.outside, abs=0.03)
+
+
+def test_a_motion_that_would_leave_the_picture_is_seen_from_farther_away():
+    clip, fits = flight(AWAY), view(fit=True)
+    (left,) = departures(clip, view())
+    assert fitted(clip, fits).distance == left.distance > fits.distance
+    assert departures(clip, fits) == [] and framing(clip, fits)["notes"] == []
+    here, there = (cameras(clip, chosen, "front")[0] for chosen in (view(), fits))
+    ratio = math.dist(there.eye, there.target) / math.dist(here.eye, here.target)
+    assert ratio == pytest.approx(left.distance / fits.distance)
+    assert fitted(flight(AWAY[:2]), fits).distance == fits.distance
+
+
+def test_nobody_is_moved_who_follows_or_chose_a_distance_nor_too_far():
+    clip = flight(AWAY)
+    for changes in ({"distance": 2.0}, {"follow": True}):
+        chosen = view(fit=True, **changes)
+        assert cameras(clip, chosen, "front") == cameras(clip, view(**changes), "front")
+    far, fits = flight([(0, 0, 0), (0, 300, 0)]), view(fit=True)
+    assert fitted(far, fits).distance == FIT_AT_MOST * fits.distance
+    assert framing(far, fits)["notes"], "and what is still not seen is told"

@@ -121,7 +121,7 @@ def test_a_clip_is_filmed_by_moving_cameras_with_outputs_and_slowly(made, tmp_pa
 
 
 def test_an_object_that_leaves_the_picture_is_told_of(made, tmp_path, capsys):
-    gone = ["--scene", "push_right", "--set", "object.velocity=[0,20,0]", "--views", "front"]
+    gone = ["--scene", "push_right", "--set", "object.velocity=[0,200,0]", "--views", "front"]
     simulate = ["simulate", str(made / "gaussians.ply"), *QUICK, *gone, "--out", str(tmp_path)]
     assert main(simulate) == 0
     printed = capsys.readouterr().out

@@ -22,7 +22,7 @@ from phy124.runtime.stopwatch import Stopwatch
 from ..events import Done, Event, Glimpse, Live, Measured, Reused, Step
 from ..visitors import STAGES
 from .device import BEAT, DEVICE, held
-from .films import film, whole_in_view
+from .films import film
 from .limits import Limits, easier
 from .motion import gaussians_of, simulate
 from .order import Order, folders, made_already, made_gaussians, study_file
@@ -32,7 +32,6 @@ __all__ = [
     "BEAT", "DEVICE", "Done", "Event", "Glimpse", "Limits", "Live", "Measured", "Order",
     "Reused", "Step", "easier", "folders", "made_already", "made_gaussians",
     "steps", "study_file",
-    "whole_in_view",
 ]  # fmt: skip
 
 

@@ -9,7 +9,7 @@ from phy124 import pipeline
 from phy124.io.clip import Clip
 from phy124.io.export.html import pack
 from phy124.io.video import write_animation
-from phy124.rendering.framing import departures
+from phy124.rendering.framing import fitted
 from phy124.rendering.render import render_frames
 from phy124.rendering.stage.build import stage_of
 from phy124.rendering.stage.packing import packed
@@ -22,8 +22,6 @@ from .order import Order
 
 MOVING = 320
 """Side of the animated WebP [pixels]."""
-FARTHEST = 3.0
-"""Largest factor by which the camera moves away to see a whole motion."""
 
 
 def film(order: Order, clips: Path, out: Path, limits: Limits) -> None:
@@ -40,7 +38,7 @@ def film(order: Order, clips: Path, out: Path, limits: Limits) -> None:
     view = order.scene.view
     stage = "plain" if view.stage == "transparent" else view.stage
     view = view.model_copy(update={"formats": ("mp4",), "outputs": (), "stage": stage})
-    view = whole_in_view(clip, view)
+    view = fitted(clip, view)
     tell = limits.tell
     tell(Step("render", 0, len(clip) * len(view.sides)))
     with pipeline.staged(out) as folder:
@@ -88,12 +86,3 @@ def _videos(
         one = view.only(side)
         pipeline.film(clip, one, folder, device=order.device, progress=progress, watch=watch)
     return left_out
-
-
-def whole_in_view(clip: Clip, view: View) -> View:
-    """The view from far enough away to see the whole clip, unless the distance was chosen."""
-    left = departures(clip, view)
-    if view.distance != View().distance or view.follow or not left:
-        return view
-    distance = min(max(one.distance for one in left), FARTHEST * view.distance)
-    return view.model_copy(update={"distance": distance})

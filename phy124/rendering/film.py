@@ -14,6 +14,7 @@ from phy124.io.files import staged
 from phy124.io.video import FPS_RANGE, Picture, write_animation, write_mp4, write_pictures
 from phy124.progress import Progress, silent
 from phy124.rendering.framing import cameras as cameras
+from phy124.rendering.framing import fitted
 from phy124.rendering.outputs import refuse_outputs, refuse_unkept, write_outputs
 from phy124.rendering.render import render_frames
 from phy124.rendering.stage.build import Stage, stage_of
@@ -51,7 +52,7 @@ def film(
     Raises:
         InputError: The clip has not what an output shows, or a package is missing.
     """
-    folder, watch = Path(folder), watch or Stopwatch()
+    folder, watch, view = Path(folder), watch or Stopwatch(), fitted(clip, view)
     refuse_unkept(clip, view)
     made, stage = [], stage_of(clip, view, device=device)
     for name in view.formats:

@@ -23,8 +23,21 @@ OUTSIDE = 0.01
 """Fraction of the object that may be outside the picture without a warning."""
 STEP = 0.1
 """Recommended distances are multiples of this, in object sizes."""
+FIT_AT_MOST = 3.0
+"""How many times farther away than usual a camera stands at most to see the whole motion."""
 FARTHEST = 100.0
 """Largest distance a view may have, in object sizes."""
+
+
+def fitted(clip: Clip, view: View) -> View:
+    """The view from far enough away to see the whole motion, if it is to fit (`view.fit`)."""
+    if not view.fit:
+        return view
+    given = view.model_copy(update={"fit": False})
+    if view.follow or view.distance != View().distance:
+        return given
+    needed = max((one.distance for one in departures(clip, given)), default=view.distance)
+    return given.model_copy(update={"distance": min(needed, FIT_AT_MOST * view.distance)})
 
 
 def cameras(clip: Clip, view: View, side: str) -> list[Camera]:
@@ -33,6 +46,7 @@ def cameras(clip: Clip, view: View, side: str) -> list[Camera]:
     Portrait pictures are taken from farther away, so that their width shows as much as that of a
     square picture.
     """
+    view = fitted(clip, view)
     low, high = _box(clip, view)
     size = float((high - low).max())
     poses = _poses(clip, view, side)
@@ -85,7 +99,7 @@ def departures(clip: Clip, view: View) -> list[Departure]:
 
     A camera with a distance, an opening or a target of its own was meant to show what it shows.
     """
-    points = _sample(clip)
+    points, view = _sample(clip), fitted(clip, view)
     own = {camera.name for camera in view.cameras if camera.chosen}
     sides = [side for side in view.sides if side not in own]
     found = [_departure(points, cameras(clip, view, side), view, side) for side in sides]

@@ -106,6 +106,11 @@ class View(Section):
     distance: float = Field(
         default=1.9, ge=0.6, le=100, description="Camera distance, in object sizes."
     )
+    fit: bool = Field(
+        default=True,
+        description="Stand farther away, at most three times, if the motion would leave the "
+        "picture; not with follow, nor with a distance of one's own.",
+    )
     follow: bool = Field(
         default=False, description="The camera goes along and keeps what moves in the middle."
     )
