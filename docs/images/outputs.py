@@ -55,11 +55,8 @@ def shown(name: str, value: np.ndarray, covered: np.ndarray) -> np.ndarray:
         image[covered] = 0.9 - 0.8 * (value[covered] - near) / (far - near)
     elif name == "force":
         up = value[..., 2] / np.abs(value[..., 2]).max()
-        image -= np.clip(up, 0, 1)[..., None] * (0, 1, 1) + np.clip(-up, 0, 1)[..., None] * (
-            1,
-            1,
-            0,
-        )
+        push, pull = (np.clip(sign * up, 0, 1)[..., None] for sign in (1, -1))
+        image -= push * (0, 1, 1) + pull * (1, 1, 0)
     else:
         most = 1.0 if name == "normals" else np.abs(value[covered]).max()
         three = np.pad(value, [(0, 0), (0, 0), (0, 3 - value.shape[2])]) / most
