@@ -2,7 +2,7 @@
 
 This is the only place that knows how a camera looks at the world. Camera axes are OpenCV's: x
 right, y down, z forward; pixel (i, j) covers [i, i+1) x [j, j+1), so its centre is (i + 0.5, j +
-0.5), and the optical axis meets the image at (width/2, height/2).
+0.5), and the optical axis meets the image at (width/2, height/2) unless it is shifted.
 """
 
 from __future__ import annotations
@@ -34,6 +34,8 @@ class Camera:
     """Image height, pixels."""
     fov_y: float = FOV_Y
     """Vertical field of view, degrees."""
+    shift: tuple[float, float] = (0.0, 0.0)
+    """How far from the middle of the image the optical axis meets it, right and down, pixels."""
 
     @classmethod
     def orbit(
@@ -66,6 +68,11 @@ class Camera:
         """Focal length in pixels, the same along both axes."""
         return 0.5 * self.height / math.tan(0.5 * math.radians(self.fov_y))
 
+    @property
+    def centre(self) -> tuple[float, float]:
+        """Where the optical axis meets the image, pixels."""
+        return self.width / 2 + self.shift[0], self.height / 2 + self.shift[1]
+
     @cached_property
     def view(self) -> NDArray[np.float64]:
         """World-to-camera transform [4,4]."""
@@ -84,7 +91,8 @@ class Camera:
     def intrinsics(self) -> NDArray[np.float64]:
         """Camera-to-pixel matrix [3,3]."""
         f = self.focal
-        return np.array([[f, 0, self.width / 2], [0, f, self.height / 2], [0, 0, 1]])
+        x, y = self.centre
+        return np.array([[f, 0, x], [0, f, y], [0, 0, 1]])
 
     def project(self, points: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Pixel positions [N,2] and depths [N] m of world points [N,3]."""

@@ -12,11 +12,10 @@ from phy124.errors import InputError
 from phy124.gaussians import Frame, Gaussians
 from phy124.io.clip import Clip
 from phy124.kernels.splat.glass import FACE, LINE, RIM, TINT, WIDTH
-from phy124.kernels.splat.stage import POOL
 from phy124.rendering.film import film
 from phy124.rendering.render import Renderer, render_frames
 from phy124.rendering.stage.build import Stage, stage_of
-from phy124.rendering.stage.frame import Backdrop, Floor, Solid, StageFrame
+from phy124.rendering.stage.frame import POOL, Backdrop, Floor, Solid, StageFrame
 from phy124.scene import Scene, View
 from phy124.tracks import Tracks
 from support.clips import flight

@@ -24,7 +24,6 @@ EXTRAS = {
     "bridge": ("mcap",),
     "dds": ("cyclonedds",),
     "foxglove": ("foxglove",),
-    "exr": ("OpenEXR",),
     "usd": ("pxr",),
     "plots": ("matplotlib",),
 }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -20,11 +20,13 @@ from phy124.commands.cutout import IF_WRONG, described, doubt
 from phy124.commands.options import SceneOptions, default_out
 from phy124.commands.picture import PictureOptions, told
 from phy124.commands.plan import PlanOptions, announce, predict
+from phy124.errors import InputError
 from phy124.generators import needs_image
 from phy124.generators.effort import Effort
 from phy124.generators.ply_file import PlyFile, Reading
 from phy124.imaging.cutout import Cutout
 from phy124.imaging.painted import WHOLE
+from phy124.io.clip import Clip
 from phy124.particles.thinning import check_count
 from phy124.progress import Progress, silent
 from phy124.runtime.device import pick_device
@@ -43,6 +45,8 @@ class Generate:
     making: Annotated[PictureOptions, tyro.conf.arg(name="")] = field(
         default_factory=PictureOptions
     )
+    compose: bool = False
+    """Film the object in the picture as well, in place of itself (composed.mp4)."""
     out: Path | None = None
     """Folder of the results; default out/PICTURE-SCENE."""
     plan: Annotated[PlanOptions, tyro.conf.arg(name="")] = field(default_factory=PlanOptions)
@@ -53,6 +57,7 @@ class Generate:
         device = pick_device(self.options.device)
         out = self.out or default_out(str(self.image), self.options.scene)
         goal = self.plan.goal()
+        self._refuse_compose()
         if self.plan.resume:
             making = self.making
             if not needs_image(making.generator):
@@ -78,7 +83,34 @@ class Generate:
                 forecaster=self.plan.forecaster(device),
                 keep=True,
             )
+            if self.compose and not result.report["interrupted"]:
+                result = self._composed(result, device, bars)
         return show(result, as_json=self.options.json)
+
+    def _composed(self, result: pipeline.Result, device: str, bars: Bars) -> pipeline.Result:
+        """The result with its film in the photograph."""
+        clip = Clip.load(result.folder / "clip.safetensors")
+        view = Scene.from_data(clip.scene).view
+        with pipeline.staged(result.folder) as folder:
+            path, about = pipeline.into_photograph(
+                clip, view, self.image, result.folder, folder, device=device, progress=bars
+            )
+        files = (*result.files, result.folder / path.name)
+        report = {**result.report, "compose": about}
+        pipeline.write_json(result.folder / "report.json", report)
+        return replace(result, files=files, report=report)
+
+    def _refuse_compose(self) -> None:
+        """Refuse to compose without a picture of which the run makes a cut-out."""
+        if not self.compose:
+            return
+        if not needs_image(self.making.generator):
+            limit = f"{self.making.generator} does not look at a picture."
+            raise InputError("compose", self.image, limit, "Leave --compose out.")
+        if self.plan.resume:
+            later = "`phy124 render CLIP --compose PICTURE`"
+            limit = "a run that is continued has no picture."
+            raise InputError("compose", self.image, limit, f"Continue it first, then use {later}.")
 
     def _predict(self, scene: Scene, device: str) -> int:
         """Make the Gaussians and print how long the remaining stages would take."""
@@ -202,13 +234,20 @@ def show(result: pipeline.Result, *, as_json: bool) -> int:
             print(floor_sentence(report["capture"]["floor"]))
         for note in report["notes"]:
             print(f"note: {note}")
-        for path in result.files:
-            print(path)
+        print_files(result)
     if report["stopped"]:
         print(f"stopped early: {report['stopped']}", file=sys.stderr)
     if report["interrupted"]:
         return 130
     return 0 if report["complete"] else 3
+
+
+def print_files(result: pipeline.Result) -> None:
+    """Print how well the film in the photograph fits, if there is one, and the files."""
+    if composed := result.report.get("compose"):
+        print(f"in the picture: at first {composed['psnr']:.1f} dB inside the object")
+    for path in result.files:
+        print(path)
 
 
 def floor_sentence(floor: dict[str, Any]) -> str:

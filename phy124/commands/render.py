@@ -30,6 +30,8 @@ class Render:
     view: Annotated[ViewOptions, tyro.conf.arg(name="")] = field(default_factory=ViewOptions)
     set: tuple[str, ...] = field(default_factory=tuple)
     """Any other value of the view, as KEY=VALUE: elevation=30, background=[0,0,0]."""
+    compose: Path | None = None
+    """The photograph that the clip was made from: film it in there as well (composed.mp4)."""
     out: Path | None = None
     """Folder of the files; default beside the clip."""
     device: Device = "auto"
@@ -45,7 +47,13 @@ class Render:
         out = self.out or self.clip.parent
         with Bars(quiet=self.json, keeps=True) as bars, pipeline.staged(out) as folder:
             with suppress(Cancelled):
-                pipeline.film(clip, view, folder, device=pick_device(self.device), progress=bars)
+                device = pick_device(self.device)
+                pipeline.film(clip, view, folder, device=device, progress=bars)
+                if self.compose is not None:
+                    pipeline.into_photograph(
+                        clip, view, self.compose, self.clip.parent, folder,
+                        device=device, progress=bars,
+                    )  # fmt: skip
             files = [str(out / path.name) for path in sorted(folder.iterdir())]
             if bars.cancelled and not files:
                 raise Cancelled

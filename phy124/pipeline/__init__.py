@@ -22,6 +22,7 @@ from phy124.imaging.cutout import Cutout
 from phy124.io.clip import Clip
 from phy124.io.files import staged as staged
 from phy124.parts import WHOLE, Crop
+from phy124.pipeline.composing import into_photograph as into_photograph
 from phy124.pipeline.gaussians import Static as Static
 from phy124.pipeline.gaussians import static as static
 from phy124.pipeline.making import PAUSE, Making

@@ -47,8 +47,10 @@ def pinhole(camera: Camera) -> Any:
     view.rotation = wp.mat33(matrix[:3, :3].ravel())
     view.translation, view.eye = wp.vec3(*matrix[:3, 3]), wp.vec3(*camera.eye)
     view.focal, view.near = camera.focal, NEAR
-    view.centre = wp.vec2(width / 2, height / 2)
-    view.limit = FRUSTUM_MARGIN * view.centre / camera.focal
+    x, y = camera.centre
+    view.centre = wp.vec2(x, y)
+    farthest = wp.vec2(max(x, width - x), max(y, height - y))
+    view.limit = FRUSTUM_MARGIN * farthest / camera.focal
     view.width, view.height = width, height
     view.columns = math.ceil(width / screen.TILE)
     return view

@@ -11,9 +11,6 @@ from phy124.kernels.build import kernel
 from phy124.kernels.splat.glass import TINT, Solid, veil
 from phy124.kernels.splat.screen import Splat, View
 
-POOL = wp.constant(0.5)
-"""How much brighter the floor is in the middle, for a grey of 1/2."""
-
 
 @wp.struct
 class Setting:
@@ -26,6 +23,7 @@ class Setting:
     middle: wp.vec2  # of the square that the shadow map covers [m]
     reach: float  # half its side [m]
     cells: int  # along its side
+    pool: float  # how much brighter the floor is in the middle, for a grey of 1/2
 
 
 @wp.func
@@ -48,9 +46,9 @@ def shade_at(setting: Setting, shade: wp.array2d(dtype=float), u: float, v: floa
 
 @wp.func
 def pool_at(x: float, y: float) -> float:
-    """How much brighter the floor is at a place, in units of the map's reach."""
+    """How bright the pool of light is at a place, in units of the map's reach."""
     rest = wp.max(1.0 - 0.5 * (x * x + y * y), 0.0)
-    return POOL * rest * rest
+    return rest * rest
 
 
 @wp.func
@@ -134,7 +132,7 @@ def draw_setting(
     if limit < 1.0e30:
         u = view.eye[0] + limit * ray[0] - setting.middle[0]
         v = view.eye[1] + limit * ray[1] - setting.middle[1]
-        pool = pool_at(u / setting.reach, v / setting.reach)
+        pool = setting.pool * pool_at(u / setting.reach, v / setting.reach)
         scale = 0.5 * float(setting.cells) / setting.reach
         i = (u + setting.reach) * scale - 0.5
         j = (v + setting.reach) * scale - 0.5

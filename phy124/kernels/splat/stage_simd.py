@@ -8,7 +8,7 @@ from phy124.kernels.splat.stage import Setting
 
 DRAW_ROW = r"""
     const int width = view.width, cells = setting.cells;
-    const float pool_most = 0.5f, tint[3] = {0.36f, 0.44f, 0.52f};
+    const float pool_most = setting.pool, tint[3] = {0.36f, 0.44f, 0.52f};
     const float down = ((float)y + 0.5f) / (float)view.height;
     float plain[3], right[3], first[3];
     for (int c = 0; c < 3; ++c) {

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from phy124.gaussians import Array, Frame
 from phy124.io.clip import Clip
 from phy124.rendering.stage.backdrop import backdrop
-from phy124.rendering.stage.frame import Backdrop, Floor, Solid, StageFrame
+from phy124.rendering.stage.frame import POOL, Backdrop, Floor, Solid, StageFrame
 from phy124.rendering.stage.ground import floor_heights
 from phy124.rendering.stage.shadow import CELLS, GLASS, LAYERS, SLOPE, Caster
 from phy124.rendering.stage.solids import placed
@@ -39,6 +39,8 @@ class Stage:
     """Makes shadows; None: there is no floor."""
     own: NDArray[np.bool_] | None = None
     """Which Gaussians cast a shadow [N]; None: all."""
+    pool: float = POOL
+    """How much brighter the floor is in the middle."""
     shades: dict[int, Array] = field(default_factory=dict)
 
     def at(self, frame: Frame) -> StageFrame:
@@ -59,7 +61,8 @@ class Stage:
             own = gaussians if self.own is None else gaussians.select(self.own)
             glass = covered(self.caster, solids, height)
             self.shades[index] = self.caster.shade(own, height, glass)
-        return Floor(height, self.caster.middle, self.caster.reach, self.shades[index])
+        shade, caster = self.shades[index], self.caster
+        return Floor(height, caster.middle, caster.reach, shade, self.pool)
 
 
 def stage_of(

@@ -78,7 +78,7 @@ def setting(shown: StageFrame) -> Any:
     made.top, made.bottom = wp.vec3(*shown.backdrop.top), wp.vec3(*shown.backdrop.bottom)
     made.floor, made.reach, made.cells = int(floor is not None), 1.0, 0
     if floor is not None:
-        made.height, made.reach = floor.height, floor.reach
+        made.height, made.reach, made.pool = floor.height, floor.reach, floor.pool
         made.middle, made.cells = wp.vec2(*floor.middle), len(floor.shade)
     return made
 

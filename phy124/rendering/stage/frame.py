@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from phy124.gaussians import Array
 
 Colour = tuple[float, float, float]
+POOL = 0.5
+"""How much brighter the floor of a studio is in the middle, for a grey of 1/2."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +38,8 @@ class Floor:
     """Half the side of that square, m."""
     shade: Array
     """Fraction of the light that the shadow takes [cells along x, cells along y]."""
+    pool: float = POOL
+    """How much brighter it is in the middle, for a grey of 1/2."""
 
 
 @dataclass(frozen=True, eq=False)
