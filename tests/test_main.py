@@ -105,6 +105,21 @@ def test_render_makes_every_format_from_any_angle(made, tmp_path, capsys):
     assert "Choose the format webp, png or gif" in capsys.readouterr().err
 
 
+def test_a_clip_is_filmed_by_moving_cameras_with_outputs_and_slowly(made, tmp_path, capsys):
+    (tmp_path / "moves.toml").write_text('[[view.cameras]]\nkind = "dolly"\nname = "closer"\n')
+    clip = ["render", str(made / "clip.safetensors"), "--device", "cpu", "--size", "48"]
+    options = ["--cameras", str(tmp_path / "moves.toml"), "--outputs", "depth,flow", "--json"]
+    assert main([*clip, *options, "--speed", "0.25", "--out", str(tmp_path / "out")]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert [Path(name).name for name in told["files"]] == ["closer-outputs", "closer.mp4"]
+    assert "6 pictures per second" in told["notes"][-1]
+    made_files = sorted(path.name for path in (tmp_path / "out/closer-outputs").iterdir())
+    depths = [f"depth_000{i}.png" for i in (1, 2, 3)]
+    assert made_files == [*depths, "flow_0001.png", "flow_0002.png", "outputs.json"]
+    assert main([*clip, "--outputs", "force"]) == 2
+    assert "Simulate it again with --outputs force" in capsys.readouterr().err
+
+
 def test_an_object_that_leaves_the_picture_is_told_of(made, tmp_path, capsys):
     gone = ["--scene", "push_right", "--set", "object.velocity=[0,200,0]", "--views", "front"]
     simulate = ["simulate", str(made / "gaussians.ply"), *QUICK, *gone, "--out", str(tmp_path)]

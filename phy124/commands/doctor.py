@@ -24,6 +24,7 @@ EXTRAS = {
     "bridge": ("mcap",),
     "dds": ("cyclonedds",),
     "foxglove": ("foxglove",),
+    "exr": ("OpenEXR",),
     "usd": ("pxr",),
     "plots": ("matplotlib",),
 }

@@ -127,11 +127,11 @@ def errors(found: Gaussians, wanted: Gaussians, *, ordered: bool = True) -> Erro
 def many(rng: np.random.Generator, count: int, degree: int) -> Gaussians:
     """Gaussians of all orientations and many sizes, with colours and harmonics that bytes hold."""
     quats = rng.normal(size=(count, 4))
-    sh = rng.normal(size=(count, (degree + 1) ** 2, 3)) * 0.25
+    sh = rng.normal(size=(count, (degree + 1) ** 2, 3)) * 0.2
     return Gaussians(
         rng.normal(size=(count, 3)) * 0.4,
         quats / np.linalg.norm(quats, axis=1, keepdims=True),
         np.exp(rng.normal(size=(count, 3)) * 0.7 - 4),
         rng.uniform(0.02, 0.98, count),
-        sh.clip(-0.9, 0.9),
+        sh.clip(-0.5, 0.5),
     )

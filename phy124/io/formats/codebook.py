@@ -9,6 +9,9 @@ SIZE = 256
 ROUNDS = 20
 """Rounds of Lloyd's algorithm; the error falls by less than 1 % after ten."""
 
+COMPONENTS = 8
+"""Principal components by which vectors are told apart."""
+
 
 def codebook(values: NDArray) -> NDArray[np.float64]:
     """The 256 values, rising, whose nearest one is closest to `values [N]` in the mean square.
@@ -39,20 +42,31 @@ def palette(vectors: NDArray, most: int) -> tuple[NDArray[np.float32], NDArray[n
     """At most so many vectors that stand for all of `vectors [N,D]`, and which stands for each.
 
     Up to `most` vectors stand for themselves. More are halved at the median of their widest
-    coordinate until there are `most` cells, each with its mean.
+    principal component until there are `most` cells, each with its mean.
+
+    Args:
+        vectors: What is to be stood for.
+        most: Largest number of entries, a power of 2.
     """
     count = len(vectors)
     if count <= most:
         return np.asarray(vectors, np.float32), np.arange(count)
     cell = np.zeros(count, np.int64)
-    order = np.arange(count)
+    components = _principal(vectors)
     for level in range(int(np.log2(most))):
-        order = _halved(vectors, cell, 1 << level)
+        order = _halved(components, cell, 1 << level)
         cell[order] = np.arange(count) * (2 << level) // count
     sizes = np.bincount(cell, minlength=most)
     starts = np.concatenate([[0], np.cumsum(sizes)[:-1]])
     means = np.add.reduceat(vectors[np.argsort(cell, kind="stable")], starts, axis=0)
     return (means / sizes[:, None]).astype(np.float32), cell
+
+
+def _principal(vectors: NDArray) -> NDArray[np.float32]:
+    """The largest principal components [N,C]; along the others hardly anything differs."""
+    centred = vectors - vectors.mean(axis=0)
+    _, axes = np.linalg.eigh(centred.T @ centred)
+    return np.ascontiguousarray(centred @ axes[:, -COMPONENTS:], np.float32)
 
 
 def _halved(vectors: NDArray, cell: NDArray[np.int64], cells: int) -> NDArray[np.int64]:

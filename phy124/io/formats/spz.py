@@ -55,6 +55,8 @@ COLOUR = 0.15
 MOST_BITS = 16
 """Bits after the point that are written; fewer if the object is larger than 128 of its units."""
 REACH = (1 << 23) - 1
+GZIP_LEVEL = 4
+"""6 takes twice as long and saves 1 %."""
 LEVEL = 9
 """Zstandard's level: more takes longer and saves hardly anything."""
 WINDOW = 1 << 27
@@ -267,11 +269,11 @@ def _harmonics(rest: NDArray) -> NDArray[np.uint8]:
     """Bytes of the harmonics above degree 0, rounded to multiples of a step."""
     count = rest.shape[1]
     bits = np.repeat(HARMONIC_BITS, (3, 5, 7))[:count, None]
-    step = 1 << (8 - bits)
-    values = np.rint(rest * 128).astype(np.int64) + 128
+    step = (1 << (8 - bits)).astype(np.int16)
+    values = np.rint(rest * 128).clip(-128, 127).astype(np.int16) + 128
     return ((values + step // 2) // step * step).clip(0, 255).astype(np.uint8)
 
 
 def _gzipped(data: bytes) -> bytes:
-    packer = zlib.compressobj(6, wbits=31)
+    packer = zlib.compressobj(GZIP_LEVEL, wbits=31)
     return packer.compress(data) + packer.flush()
