@@ -7,13 +7,14 @@ import logging
 import os
 import threading
 import warnings
+from collections.abc import Awaitable, Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from starlette.middleware import Middleware
 from starlette.requests import Request
-from starlette.responses import JSONResponse, Response
+from starlette.responses import FileResponse, HTMLResponse, JSONResponse, Response
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
@@ -31,6 +32,11 @@ FOLDER = Path(__file__).parent
 LOG = logging.getLogger("phy124.web")
 SLACK = 64_000
 """Size of a request in addition to the upload itself [bytes]."""
+GONE = (
+    '<!doctype html><html lang="en"><title>phy124</title>'
+    "<p>This result is no longer kept. Ask whoever sent the link to make it again.</p></html>"
+)
+"""Page of a link whose result has gone."""
 SWEEP = 5.0
 """Time between two searches for visitors who have left [s]."""
 
@@ -56,6 +62,18 @@ class Assets(StaticFiles):
         answer = super().file_response(*arguments, **options)
         answer.headers["cache-control"] = "public, max-age=3600"
         return answer
+
+
+def shared_route(studio: Studio) -> Callable[[Request], Awaitable[Response]]:
+    """Shows the player of a result to anyone who has its link."""
+
+    async def shared(request: Request) -> Response:
+        path = studio.visitors.shared(request.path_params["token"])
+        if path is None:
+            return HTMLResponse(GONE, 404)
+        return FileResponse(path, media_type="text/html")
+
+    return shared
 
 
 def routes(studio: Studio) -> list[Route | Mount]:
@@ -89,6 +107,7 @@ def routes(studio: Studio) -> list[Route | Mount]:
 
     return [
         Route("/health", health),
+        Route("/phy124/shared/{token}", shared_route(studio)),
         upload_route(studio),
         Route("/phy124/jobs/{name}", job),
         Route("/phy124/here", here),

@@ -61,7 +61,7 @@ def build(studio: Studio) -> gr.Blocks:
         _wire_forecast(studio, cutout, scene, forecast)
         _wire_run(studio, cutout, done, scene, go, cancel, progress, forecast, results)
         takeaway.prepare(
-            handlers.prepare, [done, takeaway], takeaway, concurrency_id="export",
+            handlers.preparer(studio), [done, takeaway], takeaway, concurrency_id="export",
             concurrency_limit=2, trigger_mode="multiple", show_progress="hidden",
             api_visibility="private",
         )  # fmt: skip

@@ -69,6 +69,8 @@ class Visitor:
         """Key of a scene -> time predicted by a probe [s]."""
         self.jobs: dict[str, Job] = {}
         """The newest jobs by name, the oldest of them first."""
+        self.shared: dict[str, Path] = {}
+        """Files that anyone may see who has the link, by its token."""
         for stage in ("uploads", *STAGES):
             (folder / stage).mkdir(parents=True, exist_ok=True)
 
@@ -105,6 +107,15 @@ class Visitor:
     def touch(self) -> None:
         """Note a sign of life."""
         self.seen = time.time()
+
+    def share(self, path: Path) -> str:
+        """The token of a link to a file, which cannot be guessed; the same each time."""
+        for token, known in self.shared.items():
+            if known == path:
+                return token
+        token = secrets.token_urlsafe(16)
+        self.shared[token] = path
+        return token
 
     def new_stop_file(self) -> Path:
         """The path of a file whose existence asks a job to stop.
@@ -164,6 +175,13 @@ class Visitors:
                 return None
             visitor.touch()
             return visitor.jobs[name]
+
+    def shared(self, token: str) -> Path | None:
+        """The file of a link, as long as its visitor's files are kept; looking keeps nothing."""
+        with self._lock:
+            found = (v.shared[token] for v in self._known.values() if token in v.shared)
+            path = next(found, None)
+        return path if path is not None and path.exists() else None
 
     def get(self, name: str) -> Visitor:
         """The visitor of that name, a new one if it is not known.

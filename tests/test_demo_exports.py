@@ -6,17 +6,23 @@ import json
 import zipfile
 from dataclasses import replace
 from importlib.util import find_spec
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from PIL import Image
+from starlette.applications import Starlette
+from starlette.routing import Route
+from starlette.testclient import TestClient
 
 from demo.exports import EXPORTS, export
 from demo.forecast import Estimator
-from demo.handlers.results import _takeaway
+from demo.handlers.results import _takeaway, preparer
 from demo.pictures import corrected, cut_out
 from demo.report import as_html
+from demo.server import shared_route
 from demo.strokes import Stroke, painted, strokes_of
+from demo.visitors import Room, Visitors
 from demo.work import Done
 from phy124.accuracy.promises import promise
 from phy124.errors import InputError
@@ -70,7 +76,35 @@ def test_every_format_that_is_written_is_offered_with_its_size_and_what_opens_it
         np.testing.assert_allclose(there, clip.means[0], atol=1e-3)
     (told,) = [f for f in _takeaway(done)["files"] if f["file"].get("path") == str(path)]
     assert told["hint"] == offer.hint
-    assert {o["kind"] for o in _takeaway(done)["offers"]} == set(EXPORTS) - {name}
+    assert {o["kind"] for o in _takeaway(done)["offers"]} == {*EXPORTS, "share"} - {name}
+
+
+def studio_of(done: Done) -> SimpleNamespace:
+    """As much of a studio as links need, with one visitor, whose result is `done`."""
+    visitors = Visitors(done.films.parent / "visitors", Room(grace=90))
+    visitors.get("cookie me")
+    return SimpleNamespace(visitors=visitors, settings=SimpleNamespace(room=visitors.room))
+
+
+def test_a_link_shows_the_player_as_long_as_its_visitor_is_known(done, monkeypatch):
+    studio = studio_of(done)
+    monkeypatch.setattr("demo.handlers.results.visitor_of", lambda request: request)
+    prepare, asked = preparer(studio), SimpleNamespace(_data={"kind": "share"})
+    told = prepare(done, None, asked, "cookie me")["share"]
+    assert told == prepare(done, None, asked, "cookie me")["share"], "one link for one result"
+    assert "1.5 minutes" in told["lasts"]
+    assert "no longer stored" in prepare(done, None, asked, "cookie you")["message"]
+    app = Starlette(routes=[Route("/phy124/shared/{token}", shared_route(studio))])
+    with TestClient(app) as client:
+        answer = client.get(told["link"])
+        assert answer.status_code == 200 and "Phy124Player.mount" in answer.text
+        assert answer.headers["content-type"].startswith("text/html")
+        wrong = client.get("/phy124/shared/guessed")
+        assert wrong.status_code == 404 and "no longer kept" in wrong.text
+        seen = studio.visitors.get("cookie me").seen = 1.0
+        client.get(told["link"])
+        studio.visitors.sweep()
+        assert client.get(told["link"]).status_code == 404, f"{seen}: looking keeps nothing"
 
 
 def test_unknown_formats_and_failing_writers_leave_nothing(done):

@@ -5,7 +5,7 @@ Handlers know the session and Gradio's types; the work itself is in demo.jobs.
 
 from .event import Handler
 from .picture import chooser, corrector, cut_shower
-from .results import finisher, greeter, prepare
+from .results import finisher, greeter, preparer
 from .run import forecaster, measurer, refiner, starter, stopper
 
 __all__ = [
@@ -17,7 +17,7 @@ __all__ = [
     "forecaster",
     "greeter",
     "measurer",
-    "prepare",
+    "preparer",
     "refiner",
     "starter",
     "stopper",

@@ -20,12 +20,14 @@ from ..line import Job
 from ..report import as_html
 from ..visitors import Visitor
 from ..work import Done, Measured
-from .event import Handler, file_of, job_of
+from .event import Handler, data_of, file_of, job_of
 from .picture import shown_cutout
 from .run import rested, shown_job, with_stops, working
 
 NOT_SHOWN = [gr.skip()] * 5
 """Leaves the panels that `results` fills as they are."""
+SHARE = "share"
+"""What the panel asks for instead of a format to get a link."""
 REPORT = 2
 """Index of the report among these panels."""
 FILES = {
@@ -161,16 +163,29 @@ def _films(done: Done) -> list[Path]:
     return sorted(films, key=lambda path: place.get(path.stem, len(order)))
 
 
-def prepare(done: Done | None, shown: Any, event: gr.EventData) -> Any:
-    """Handler: a format was asked for; makes the file, which the panel then offers."""
-    kind = str(event._data.get("kind")) if event._data else ""
-    if done is None or not done.films.exists():
-        return {**(shown or {}), "message": "The result is no longer stored. Generate it again."}
-    try:
-        path = export(kind, done)
-    except InputError as error:
-        return {**_takeaway(done), "message": sentence(error)}
-    return {**_takeaway(done), "made": kind, "file": path.name}
+def preparer(studio: Studio) -> Handler:
+    """Handler: a format or a link was asked for; makes what the panel then offers."""
+
+    def prepare(
+        done: Done | None, shown: Any, event: gr.EventData, request: gr.Request
+    ) -> dict[str, Any]:
+        kind = str(data_of(event).get("kind"))
+        visitor = studio.visitors.known(visitor_of(request))
+        if done is None or visitor is None or not done.films.exists():
+            gone = "The result is no longer stored. Generate it again."
+            return {**(shown or {}), "message": gone}
+        try:
+            path = export("html" if kind == SHARE else kind, done)
+        except InputError as error:
+            return {**_takeaway(done), "message": sentence(error)}
+        if kind == SHARE:
+            minutes = studio.settings.room.grace / 60
+            lasts = f"It works while this page is open, and {minutes:g} minutes longer."
+            link = f"phy124/shared/{visitor.share(path)}"
+            return {**_takeaway(done), "share": {"link": link, "lasts": lasts}}
+        return {**_takeaway(done), "made": kind, "file": path.name}
+
+    return prepare
 
 
 def _takeaway(done: Done) -> dict[str, Any]:
@@ -189,6 +204,8 @@ def _takeaway(done: Done) -> dict[str, Any]:
         elif offer.available():
             told = {"kind": kind, "label": offer.label, "hint": offer.hint}
             offers.append({**told, "about": offer.about(clip)})
+    hint = "Plays in any browser as long as your files are kept here"
+    offers.append({"kind": SHARE, "label": "Link to share", "hint": hint})
     return {"files": files, "offers": offers}
 
 

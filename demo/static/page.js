@@ -332,9 +332,15 @@
       const button = ({ kind, label, hint, about }) => h('button', { type: 'button', class: 'file', 'data-kind': kind,
         onclick: (event) => { asked = kind; event.currentTarget.setAttribute('aria-busy', 'true'); trigger('prepare', { kind }); } },
       h('strong', {}, label), h('span', {}, hint), h('em', {}, about ? `Make, ~${size(about)}` : 'Make'));
+      const shared = ({ link, lasts }) => {
+        const url = new URL(link, document.baseURI).href;
+        const copy = h('button', { type: 'button', onclick: () => navigator.clipboard?.writeText(url).then(() => { copy.textContent = 'Copied'; }) }, 'Copy');
+        return h('p', { class: 'shared', role: 'status' }, h('a', { href: url, target: '_blank', rel: 'noopener' }, url), copy, h('span', {}, lasts));
+      };
       element.replaceChildren(value.files ? h('div', { class: 'files' }, ...value.files.map(link), ...value.offers.map(button))
         : h('p', { class: 'empty' }, 'Videos, the moving Gaussians and the scene can be taken away from here.'));
       if (value.message) element.append(h('p', { class: 'message', role: 'alert' }, value.message));
+      if (value.share) element.append(shared(value.share));
       const made = asked && value.made === asked ? element.querySelector(`[data-name="${value.file}"]`) : null;
       // Not opened by itself: browsers may block downloads that no click has asked for.
       if (made) { asked = null; made.classList.add('new'); made.focus(); }
