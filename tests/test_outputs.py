@@ -146,13 +146,15 @@ def clip():
     return moving(sphere(3000), [(0, 0, 0), (0, 0.1, 0)])
 
 
-def test_png_files_hold_the_values_to_half_a_step(tmp_path, clip):
-    chosen = view(formats=["png"], stage="transparent")
+@pytest.mark.parametrize("filter", ["dilate", "mip"])
+def test_png_files_hold_the_values_to_half_a_step(filter, tmp_path, clip):
+    chosen = view(formats=["png"], stage="transparent", filter=filter)
     made = film(clip, chosen, tmp_path, device="cpu")
     assert [path.name for path in made] == ["front-png", "front-outputs"]
     folder = tmp_path / "front-outputs"
     told = json.loads((folder / "outputs.json").read_text())
-    exact, covered = Seen(clip, cameras(clip, chosen, "front"), ALL).rasters(Renderer(), 0)
+    renderer = Renderer(filter=filter)
+    exact, covered = Seen(clip, cameras(clip, chosen, "front"), ALL).rasters(renderer, 0)
     files = told["frames"][0]["files"]
     assert list(files) == ALL and "flow" not in told["frames"][1]["files"]
     for name, file in files.items():

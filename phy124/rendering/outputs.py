@@ -139,7 +139,7 @@ def write_outputs(
     refuse_unkept(clip, view)
     path, seen = folder / f"{side}-outputs", Seen(clip, cameras(clip, view, side), view.outputs)
     steps = seen.steps() if view.output_format == "png" else {}
-    renderer, rows = Renderer(device=device), []
+    renderer, rows = Renderer(device=device, filter=view.filter), []
     with staged(path) as made:
         for index, camera in enumerate(seen.cameras):
             rasters, covered = seen.rasters(renderer, index)
