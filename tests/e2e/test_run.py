@@ -83,11 +83,22 @@ def _files_open(page, folder: Path) -> None:
     names = [offered.nth(i).get_attribute("data-name") for i in range(offered.count())]
     for name in names:
         _download(page, page.locator(f'#takeaway a[data-name="{name}"]'), folder / name)
-    for kind, name in (("html", "player.html"), ("ply", "phy124-ply.zip")):
+    for kind, name in (
+        ("html", "player.html"),
+        ("ply", "phy124-ply.zip"),
+        ("glb", "phy124-glb.glb"),
+    ):
         page.locator(f"#takeaway button[data-kind={kind}]").click()
         link = page.locator(f'#takeaway a[data-name="{name}"]')
         link.wait_for(timeout=LONG)
         _download(page, link, folder / name)
+    page.locator("#takeaway button[data-kind=share]").click()
+    link = page.locator("#takeaway .shared a")
+    link.wait_for(timeout=LONG)
+    stranger = page.context.browser.new_context()
+    seen = stranger.request.get(link.get_attribute("href"))
+    assert seen.ok and "Phy124Player.mount" in seen.text()
+    stranger.close()
     _check_files(folder)
 
 
