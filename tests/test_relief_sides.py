@@ -114,8 +114,16 @@ def test_a_thickness_makes_it_flatter():
     np.testing.assert_allclose(ratio, [0.5, 1.0, 1.0], atol=0.05)
 
 
-DUMBBELL = ellipse(30, 30, 80, 40) | ellipse(30, 30, 80, 120)
-TAILED = ellipse(40) | ellipse(20, 6, 125, 80)
+def test_highlights_are_removed_and_white_paint_is_not():
+    """White light adds as much of each colour; white paint what the ground lacks."""
+    ball = ellipse(60)
+    light = 150 * np.exp(-((X - 60) ** 2 + (Y - 55) ** 2) / 20)[..., None]
+    glossy = picture(ball, np.clip(np.array([150, 40, 30]) + light, 0, 255))
+    spotted = picture(ball, np.where(ellipse(6, 6, 60, 55)[..., None], 240, (150, 40, 30)))
+    for shown, least in ((glossy, 0.0), (spotted, 0.5)):
+        gaussians = relief(shown, count=3000, highlights="remove")
+        assert (gaussians.rgb[:, 2].max() > 0.3) == (least > 0.0)
+    assert relief(glossy, count=3000).rgb[:, 2].max() > 0.4
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Further pictures of an object, from the side and from behind, and how deep it is."""
+"""What is known of an object beside its front: further pictures, its depth, its lustre."""
 
 from __future__ import annotations
 
@@ -39,6 +39,12 @@ class OtherViews(Section):
         description="Depth of the object, relative to what relief guesses: 0.6 makes a fish flat.",
     )
 
+    highlights: Literal["keep", "remove"] = Field(
+        default="keep",
+        description="Highlights of the pictures: keep (relief paints them on the object, with "
+        "which they turn) or remove.",
+    )
+
     @property
     def pictures(self) -> dict[str, Path]:
         """The files that were given, by option."""
@@ -60,6 +66,8 @@ class OtherViews(Section):
         given: dict[str, Any] = dict(self.pictures)
         if self.thickness is not None:
             given["thickness"] = self.thickness
+        if self.highlights == "remove":
+            given["highlights"] = self.highlights
         for field, value in given.items():
             if field not in known:
                 limit = f"{name} does not use it."

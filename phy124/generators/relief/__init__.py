@@ -8,11 +8,15 @@ close that comes to solids known from all sides is in docs/results/relief.md.
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
+from phy124.generators.relief.highlights import matte
 from phy124.generators.relief.picture import Given, opened
 from phy124.generators.relief.several import Facing, from_sides
 from phy124.generators.relief.single import from_front
@@ -33,6 +37,7 @@ def relief(
     facing: Facing = "left",
     back: Given | None = None,
     thickness: float | None = None,
+    highlights: Literal["keep", "remove"] = "keep",
 ) -> Gaussians:
     """Inflate the opaque part of a picture.
 
@@ -52,6 +57,8 @@ def relief(
         back: The object from behind, cut out as well.
         thickness: Depth relative to what the silhouette suggests; None: as it suggests.
 
+        highlights: Whether highlights are painted on the object, with which they turn.
+
     Raises:
         InputError: If nothing in a picture is opaque, the depth map does not fit the picture, or
             the pictures contradict each other.
@@ -61,8 +68,12 @@ def relief(
     def step(done: int) -> None:
         progress("relief", done, STAGES)
 
+    def shown(given: Given, field: str) -> Image.Image:
+        picture = opened(given, field)
+        return matte(picture) if highlights == "remove" else picture
+
     step(0)
-    front, behind = opened(image_rgba), None if back is None else opened(back, "back")
+    front, behind = shown(image_rgba, "image"), None if back is None else shown(back, "back")
     if side is None:
         shell = from_front(
             front, count=count, rng=rng, step=step, depth=depth, back=behind,
@@ -71,7 +82,7 @@ def relief(
     else:
         _refuse_double(depth, thickness)
         shell = from_sides(
-            front, opened(side, "side"), facing=facing, back=behind, count=count, rng=rng, step=step
+            front, shown(side, "side"), facing=facing, back=behind, count=count, rng=rng, step=step
         )
     gaussians = shell.gaussians()
     step(STAGES)

@@ -1,0 +1,77 @@
+"""Highlights taken out of a picture: else they turn with the object.
+
+A highlight adds the light's own colour, white, to that of the surface: what a small bright spot has
+more than its surroundings is the same in red, green and blue, unless one of them is at its end.
+White paint on a coloured ground adds the colours that the ground lacks. On a grey ground both look
+alike, so that those are left alone.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from phy124.generators.relief.colours import clean_picture
+from phy124.generators.relief.picture import WORK, opaque_size
+
+Field = NDArray[np.float64]
+LARGEST = 0.065
+"""Radius of the largest highlight, in picture sizes."""
+SMALLEST = 3
+"""Radius of the smallest highlight, pixels; narrower ones are edges between colours."""
+BRIGHT = 0.08
+"""How much brighter it is than its surroundings, at least."""
+NEUTRAL = 0.15
+"""How much the added red, green and blue may differ, relative to the largest of them."""
+COLOURED = 0.15
+"""Least saturation of the surroundings."""
+FULL = 0.985
+"""Value from which a channel may have been cut."""
+RIM = 2
+"""Width of the highlight's faint rim, pixels."""
+
+
+def matte(picture: Image.Image) -> Image.Image:
+    """An RGBA picture whose highlights have the colours around them."""
+    scale = WORK / max(opaque_size(picture))
+    size = max(3, round(picture.width * scale)), max(3, round(picture.height * scale))
+    small = np.asarray(picture.resize(size, Image.Resampling.BILINEAR), np.float64) / 255
+    taken = np.asarray(cv2.resize(_light(small), picture.size, interpolation=cv2.INTER_LINEAR))
+    if not taken.any():
+        return picture
+    rgba = np.asarray(picture).astype(np.float64)
+    rgba[..., :3] = np.clip(rgba[..., :3] - 255 * taken, 0, 255)
+    return Image.fromarray(np.rint(rgba).astype(np.uint8))
+
+
+def _light(rgba: Field) -> Field:
+    """The light [H,W,3] that highlights add to a picture [H,W,4], the object `WORK` pixels long."""
+    rgb, inside = clean_picture(rgba).astype(np.float32), rgba[..., 3] > 0.5
+    disc = _disc(round(LARGEST * WORK))
+    # The darkest values near by, in spots of that size: what lies under a smaller highlight.
+    dark = cv2.erode(np.where(inside[..., None], rgb, np.float32(1)), disc, borderValue=(1, 1, 1))
+    under = np.asarray(cv2.dilate(dark, disc, borderValue=(0, 0, 0)), np.float32)
+    shine = inside & _white(rgb, under)
+    shine = cv2.morphologyEx(shine.astype(np.uint8), cv2.MORPH_OPEN, _disc(SMALLEST))
+    shine = cv2.dilate(shine, _disc(RIM)) * inside
+    filled = cv2.inpaint(np.rint(255 * rgb).astype(np.uint8), shine, 3, cv2.INPAINT_TELEA) / 255
+    return np.where(shine[..., None] > 0, np.maximum(rgb - filled, 0.0), 0.0)
+
+
+def _white(rgb: NDArray[np.float32], under: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Where a picture is its underlying colours [H,W,3] and white light [H,W]."""
+    added, full = rgb - under, rgb > FULL
+    light = np.where(full, -np.inf, added).max(axis=2, keepdims=True)
+    light = np.where(np.isfinite(light), light, added.max(axis=2, keepdims=True))
+    # A channel that was cut has less than the light added.
+    apart = np.where(full, np.maximum(added - light, 0), np.abs(added - light)).max(axis=2)
+    most = added.max(axis=2)
+    coloured = np.ptp(under, axis=2) > COLOURED * np.maximum(under.max(axis=2), 1e-3)
+    return (most > BRIGHT) & (apart < NEUTRAL * most) & coloured
+
+
+def _disc(radius: int) -> NDArray[np.uint8]:
+    side = 2 * radius + 1
+    return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)), np.uint8)
