@@ -163,7 +163,8 @@ def _of_materials(scene: Scene, materials: Sequence[AnyMaterial]) -> Iterator[Ef
     yield Effect("grains inside", loose and scene.grains, why)
     several = len(laws) > 1 or len(scene.materials) > 1
     yield Effect("several materials", several, "all that moves is of one", Cost(particle=13))
-    varies = scene.stiffness is not None or len(materials) > len(scene.materials)
+    told = scene.stiffness or scene.properties
+    varies = told is not None or len(materials) > len(scene.materials)
     yield Effect("stiffness per particle", varies, "E is the same everywhere")
 
 

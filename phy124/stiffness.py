@@ -2,21 +2,19 @@
 
 Every law's first parameters are proportional to E, so a field of factors multiplies them particle
 by particle: E(x) = share(x) E, with E the material's. Kernels then read a row of parameters per
-particle; a scene without such a field has one row for all.
+particle; a scene without such a field has one row for all. A fraction per Gaussian is a column of a
+file of properties (phy124/properties).
 """
 
 from __future__ import annotations
 
-import os
 from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
-from scipy.spatial import KDTree
 
 from phy124.bounds import FileName
-from phy124.errors import InputError
 from phy124.imaging.painted import Crop, brightness
 from phy124.section import Section
 
@@ -73,41 +71,4 @@ class Picture(_Field):
         return self.black + grey * (self.white - self.black)
 
 
-class Listed(_Field):
-    """Given by a file with a factor for each Gaussian; points between follow the nearest one."""
-
-    kind: Literal["array"] = "array"
-    file: FileName = Field(
-        examples=["shares.npy"],
-        description="NumPy file (.npy) of fractions of E, one per Gaussian.",
-    )
-
-    def fractions(self, x: NDArray, means: NDArray, crop: Crop) -> NDArray[np.float64]:
-        """Factor of the nearest Gaussian.
-
-        Raises:
-            InputError: If the file cannot be read or does not fit the object.
-        """
-        try:
-            listed = np.load(os.fspath(self.file), allow_pickle=False)
-            listed = np.asarray(listed, dtype=np.float64)
-        except (OSError, ValueError, EOFError, TypeError) as error:
-            limit = f"it cannot be read ({error})."
-            raise InputError(
-                "stiffness.file", self.file, limit, "Give numbers saved by numpy.save."
-            ) from None
-        if listed.shape != (len(means),):
-            raise InputError(
-                "stiffness.file", self.file,
-                f"it holds an array {listed.shape}, the object has {len(means)} Gaussians.",
-                "Give one fraction per Gaussian of the gaussians.ply that a run writes.",
-            )  # fmt: skip
-        if not ((listed >= MINIMUM) & (listed <= 1)).all():
-            raise InputError(
-                "stiffness.file", self.file, f"a fraction is outside {MINIMUM:g} to 1.",
-                "Divide by the largest value and give that to the material's E.",
-            )  # fmt: skip
-        return listed[KDTree(means).query(x)[1]]
-
-
-AnyStiffness = Annotated[Gradient | Picture | Listed, Field(discriminator="kind")]
+AnyStiffness = Annotated[Gradient | Picture, Field(discriminator="kind")]

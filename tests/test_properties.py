@@ -11,10 +11,10 @@ from phy124.errors import InputError
 from phy124.io.ply import write_ply
 from phy124.materials import Fluid, NeoHookean, Sand
 from phy124.particles import Particles
-from phy124.parts import with_properties
 from phy124.properties import Properties, read_table
 from phy124.scene import Scene
 from phy124.simulation import Simulation
+from phy124.simulation.materials import with_properties
 from support.shapes import ball, lattice
 from support.solvers import make_solver
 from test_stiffness import AT, E, bar, length, pulled
@@ -88,7 +88,7 @@ def test_points_of_pixie_give_laws_by_number(tmp_path, rng):
     rows["material_id"] = np.where(rows["z"] > 0.5, 2, 0)
     found = Properties(file=ply(tmp_path / "p.ply", rows)).columns(x[:150], x, None)
     assert (found["law"] == np.where(rows["z"] > 0.5, "sand", "neo_hookean")).all()
-    made, materials = with_properties(particles(x[:150]), found, [NeoHookean()])
+    made, materials, _ = with_properties(particles(x[:150]), found, [NeoHookean()])
     laws = [materials[i].law for i in made.material]
     assert laws == sorted(laws) and laws.count("sand") == (rows["z"] > 0.5).sum()
     assert {m.E for m in materials} == {2e5} and (made.density == 400).all()
@@ -149,7 +149,9 @@ def test_a_bar_of_layers_stretches_by_the_sum_of_their_compliances(tmp_path, mon
     file = saved(tmp_path / "bar.npz", voxel_data=voxels(x, youngs_modulus=E * layers(x[:, 2]),
                                                           density=1000))  # fmt: skip
     columns = Properties(file=file).columns(x, x[1:], None)
-    made, materials = with_properties(particles(x), {"E": columns["E"]}, [NeoHookean(E=E, nu=0.0)])
+    made, materials, _ = with_properties(
+        particles(x), {"E": columns["E"]}, [NeoHookean(E=E, nu=0.0)]
+    )
     assert len(materials) == 3
 
     def solver(x, volume, law, **options):
@@ -192,7 +194,7 @@ def test_columns_of_the_gaussians_own_file(tmp_path):
         ({"E": np.full(10, 1e20)}, "E = 1e.20: it must be a number from 1 to 1e13"),
         ({"nu": np.linspace(0.1, 0.7, 10)}, r"nu = 0\.7: it must be"),
         ({"E": np.ones((2, 5))}, "columns are not equally long"),
-        ({"colour": np.ones(10)}, "none of E, nu, density, damping and law"),
+        ({"colour": np.ones(10)}, "none of E, nu, density, damping, fraction and law"),
         ({"law": np.full(10, "jam")}, "law jam: there is no such law"),
         ({"law": np.full(10, 17)}, "law 17 is not known"),
         ({"law": np.full(10, 4), "E": np.ones(10)}, "law fluid has no E"),
@@ -224,7 +226,7 @@ def test_what_has_no_field_of_that_name_keeps_its_own():
     x = lattice(1, 1, 4, spacing=0.1)
     base = replace(particles(x), material=np.array([0, 0, 1, 1], np.int32))
     columns = {"E": np.array([1e5, 2e5, 3e5, 4e5])}
-    made, materials = with_properties(base, columns, [NeoHookean(), Fluid()])
+    made, materials, _ = with_properties(base, columns, [NeoHookean(), Fluid()])
     assert [getattr(materials[i], "E", None) for i in made.material] == [1e5, 2e5, None, None]
 
 
@@ -246,3 +248,58 @@ def test_points_are_laid_over_the_object_without_its_surroundings(tmp_path):
     assert (properties.columns(x, means, None, own)["E"] == rows["youngs_modulus"]).all()
     with pytest.raises(InputError, match="fill a box"):
         properties.columns(x, means, None)
+
+
+def test_a_fraction_of_e_per_gaussian_is_a_file_of_numbers(tmp_path):
+    means = np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0]], float)
+    file = tmp_path / "e.npy"
+    np.save(file, [0.1, 0.5, 1.0])
+    x = np.array([[0.1, 0, 0], [1.4, 0, 0], [9, 0, 0]])
+    assert Properties(file=file).columns(x, means, None)["fraction"].tolist() == [0.1, 0.5, 1.0]
+    own = np.array([True, False, True, False, True])
+    around = np.insert(means, [1, 2], 5.0, axis=0)
+    assert Properties(file=file).columns(x, around, None, own)["fraction"].tolist() == [0.1, 0.5, 1]
+    np.save(file, [0.1, np.nan, 1.0])
+    with pytest.raises(InputError, match="1 values of fraction are not finite"):
+        Properties(file=file).columns(x, means, None)
+    np.save(file, [0.1, 0.5, 1.5])
+    with pytest.raises(InputError, match=r"outside 0\.0001 to 1.*largest value"):
+        Properties(file=file).columns(x, means, None)
+
+
+def test_fractions_multiply_e_as_stiffness_does(tmp_path):
+    """Of a file, of a gradient, and of both; laws that have no E that may vary refuse them."""
+    gaussians = ball(200)
+    fractions = np.linspace(0.2, 1, len(gaussians))
+    np.save(tmp_path / "f.npy", fractions)
+    np.savez(tmp_path / "ef.npz", E=np.full(len(gaussians), 5e4), fraction=fractions)
+    tiny = Scene.from_data({"accuracy": {"cells": 6, "particles_per_axis": 1}})
+    field = {"stiffness": {"kind": "gradient", "axis": "z", "first": 1.0, "last": 0.5}}
+
+    def rows(changes) -> np.ndarray:
+        run = Simulation(gaussians, tiny.replaced({**changes, "binding": "particles"}))
+        return run.solver.model.groups[0].theta.numpy()[:, 0]
+
+    plain, listed = rows({}), rows({"properties": {"file": str(tmp_path / "f.npy")}})
+    assert len(plain) == 1 and np.ptp(listed / plain) > 0.7
+    graded = rows(field)
+    both = rows({**field, "properties": {"file": str(tmp_path / "f.npy")}})
+    assert both == pytest.approx(listed * graded / plain, rel=1e-6)
+    stiffer = rows({"properties": {"file": str(tmp_path / "ef.npz")}})
+    scale = rows({"material.E": 5e4}) / plain
+    assert stiffer == pytest.approx(listed * scale, rel=1e-6)
+    with pytest.raises(InputError, match="fluid has no Young's modulus that may vary"):
+        rows({"material": {"law": "fluid"}, "properties": {"file": str(tmp_path / "f.npy")}})
+
+
+def test_stiffness_of_kind_array_is_read_as_properties(tmp_path):
+    file = str(tmp_path / "f.npy")
+    np.save(file, np.ones(3))
+    old = {"stiffness": {"kind": "array", "file": file}}
+    with pytest.warns(FutureWarning, match="stiffness of kind array is an old name: it is read as"):
+        scene = Scene.from_data(old)
+    assert scene == Scene.from_data({"properties": {"file": file}})
+    with pytest.warns(FutureWarning, match="read as properties"):
+        assert Scene().replaced(old) == scene
+    with pytest.raises(InputError, match=r"the scene has properties as well.*column `fraction`"):
+        Scene.from_data({**old, "properties": {"file": file}})

@@ -30,9 +30,8 @@ OBJECT = ball(30)
 def declared(tmp_path_factory) -> list[Leaf]:
     """All values of a scene; where a file must be named there is one."""
     folder: Path = tmp_path_factory.mktemp("files")
-    np.save(folder / "shares.npy", np.ones(30))
     Image.new("L", (8, 8), 128).save(folder / "grey.png")
-    return leaves({"array": str(folder / "shares.npy"), "picture": str(folder / "grey.png")})
+    return leaves({"picture": str(folder / "grey.png")})
 
 
 def with_value(leaf: Leaf, value: Any) -> Scene | InputError:

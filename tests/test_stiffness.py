@@ -11,7 +11,7 @@ from phy124.materials import Fluid, NeoHookean, Plasticine, Rigid
 from phy124.region import Region
 from phy124.scene import Scene
 from phy124.simulation import Simulation
-from phy124.stiffness import Gradient, Listed, Picture
+from phy124.stiffness import Gradient, Picture
 from support.shapes import ball, lattice
 from support.solvers import make_solver
 
@@ -128,22 +128,6 @@ def test_a_picture_says_how_stiff(tmp_path):
     x = np.stack([np.zeros(5), np.linspace(-1, 1, 5), [0, 1, 0, 1, 0]], axis=1)
     field = Picture(file=str(tmp_path / "grey.png"), black=0.2, white=1.0)
     assert field.fractions(x, x, WHOLE) == pytest.approx(np.linspace(0.2, 1, 5), abs=0.01)
-
-
-def test_a_file_says_how_stiff_each_gaussian_is(tmp_path):
-    means = np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0]], float)
-    np.save(tmp_path / "e.npy", [0.1, 0.5, 1.0])
-    field = Listed(file=str(tmp_path / "e.npy"))
-    x = np.array([[0.1, 0, 0], [1.4, 0, 0], [9, 0, 0]])
-    assert field.fractions(x, means, WHOLE).tolist() == [0.1, 0.5, 1.0]
-    with pytest.raises(InputError, match="the object has 2 Gaussians"):
-        field.fractions(x, means[:2], WHOLE)
-    np.save(tmp_path / "e.npy", [0.1, np.nan, 1.0])
-    with pytest.raises(InputError, match=r"outside 0\.0001 to 1"):
-        field.fractions(x, means, WHOLE)
-    (tmp_path / "e.npy").write_text("hello")
-    with pytest.raises(InputError, match="it cannot be read"):
-        field.fractions(x, means, WHOLE)
 
 
 def test_the_soft_end_gives_way_more_and_the_report_says_so():

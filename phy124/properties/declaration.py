@@ -21,11 +21,12 @@ ALIKE = 0.2
 
 
 class Properties(Section):
-    """E, nu, density, damping and law of each point of the object, from a file."""
+    """E, nu, density, damping, law or a fraction of E of each point of the object, from a file."""
 
     file: FileName = Field(
         examples=["materials.npz"],
-        description="Points with columns (.ply), or arrays per Gaussian, point or voxel (.npz).",
+        description="Points with columns (.ply), arrays per Gaussian, point or voxel (.npz), or a "
+        "fraction of E per Gaussian (.npy).",
     )
     sampling: Literal["nearest", "trilinear"] = Field(
         default="nearest", description="How values between points follow; trilinear needs voxels."
@@ -42,7 +43,7 @@ class Properties(Section):
         survivors: NDArray[np.bool_] | None,
         own: NDArray[np.bool_] | None = None,
     ) -> dict[str, NDArray[Any]]:
-        """The file's values for each particle: E, nu, density, damping [P], names of laws [P].
+        """The file's values for each particle [P], by `phy124.properties.EVERY` column it has.
 
         Args:
             x: Particles at rest [P,3], m.
@@ -60,7 +61,10 @@ class Properties(Section):
             return nearest(x, means, values)
         if len(table) == len(means) and self.sampling == "nearest":
             return nearest(x, means, table.columns)
-        points = self._fitted(table, means if own is None else means[own])
+        means = means if own is None else means[own]
+        if table.points is None and len(table) == len(means):
+            return nearest(x, means, table.columns)
+        points = self._fitted(table, means)
         if self.sampling == "nearest":
             return nearest(x, points, table.columns)
         return trilinear(x, points, table.columns)

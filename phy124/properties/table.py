@@ -12,9 +12,14 @@ from numpy.typing import NDArray
 
 from phy124.errors import InputError
 from phy124.io.ply import read_rows
+from phy124.stiffness import MINIMUM
 
 COLUMNS = ("E", "nu", "density", "damping")
 """Columns that a file may have besides the law: fields of a material [Pa, 1, kg/m^3, Pa s]."""
+FRACTION = "fraction"
+"""A column that multiplies E, whoever gives that; the only one of an .npy file."""
+EVERY = (*COLUMNS, FRACTION, "law")
+"""All columns."""
 NAMES = {
     "youngs_modulus": "E", "poissons_ratio": "nu", "poisson_ratio": "nu", "rho": "density",
     "material_id": "law", "voxel_coords_world": "points", "query_coords_world": "points",
@@ -25,7 +30,7 @@ LAWS = {
 }  # fmt: skip
 """Number of a law in PhysGaussian and Pixie -> its name; 6 is immovable there and rigid here."""
 MAX_POINTS = 5_000_000
-FORMS = "Give .ply with columns, or .npz with arrays of E, nu, density, damping or law."
+FORMS = "Give .ply with columns, or .npz with arrays of E, nu, density, damping, law or fraction."
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +38,7 @@ class Table:
     """K points, or voxels that are not empty, and their properties."""
 
     columns: dict[str, NDArray[Any]]
-    """E, nu, density, damping [K], float64, and names of laws [K], as far as the file has them."""
+    """Of `EVERY`, as far as the file has them: numbers, float64, and names of laws [K]."""
     points: NDArray[np.float64] | None
     """Positions in the file's own axes and units [K,3]; None: in the order of the Gaussians."""
     whole: bool = False
@@ -54,9 +59,9 @@ def read_table(path: Path) -> Table:
     if points is None and any(np.ndim(value) == 3 for value in given.values()):
         whole = not {"lower", "upper"} <= given.keys()
         given, points = _voxels(path, given)
-    columns = {name: given[name] for name in (*COLUMNS, "law") if name in given}
+    columns = {name: given[name] for name in EVERY if name in given}
     if not columns:
-        raise _refusal(path, "it holds none of E, nu, density, damping and law.", FORMS)
+        raise _refusal(path, "it holds none of E, nu, density, damping, fraction and law.", FORMS)
     sizes = {np.shape(value) for value in (*columns.values(), *_first(points))}
     if len(sizes) > 1 or len(size := sizes.pop()) != 1:
         raise _refusal(path, "its columns are not equally long.", "Write one value per point.")
@@ -66,6 +71,8 @@ def read_table(path: Path) -> Table:
     checked = {
         n: _laws(path, c) if n == "law" else _numbers(path, n, c) for n, c in columns.items()
     }
+    if FRACTION in columns:
+        _check_fractions(path, _numbers(path, FRACTION, columns[FRACTION]))
     return Table(checked, points, whole)
 
 
@@ -74,6 +81,8 @@ def _columns_of(path: Path) -> dict[str, NDArray[Any]]:
         rows = read_rows(path)
         return {name: rows[name] for name in rows.dtype.names or ()}
     try:
+        if path.suffix.lower() == ".npy":
+            return {FRACTION: np.load(path, allow_pickle=False)}
         with np.load(path, allow_pickle=False) as archive:
             found = {name: archive[name] for name in archive.files}
     except (OSError, ValueError, EOFError, KeyError, TypeError, zipfile.BadZipFile) as error:
@@ -107,7 +116,7 @@ def _voxels(path: Path, given: dict[str, Any]) -> tuple[dict[str, Any], NDArray[
 
     Without `lower` and `upper`, the first and last centre, the voxels fill a box of side 1.
     """
-    dense = {name: given[name] for name in (*COLUMNS, "law") if name in given}
+    dense = {name: given[name] for name in EVERY if name in given}
     shape = next(iter(dense.values())).shape
     if len(shape) != 3 or any(np.shape(value) != shape for value in dense.values()):
         remedy = "Give arrays [X,Y,Z] of one shape."
@@ -146,6 +155,17 @@ def _numbers(path: Path, name: str, values: NDArray[Any]) -> NDArray[np.float64]
         bad = int((~np.isfinite(found)).sum())
         raise _refusal(path, f"{bad:,} values of {name} are not finite.", "Leave those points out.")
     return found
+
+
+def _check_fractions(path: Path, fractions: NDArray[np.float64]) -> None:
+    """Check that E is neither raised nor so far lowered that waves all but stand still.
+
+    Raises:
+        InputError: It is.
+    """
+    if not ((fractions >= MINIMUM) & (fractions <= 1)).all():
+        remedy = "Divide by the largest value and give that to the material's E."
+        raise _refusal(path, f"a fraction is outside {MINIMUM:g} to 1.", remedy)
 
 
 def _laws(path: Path, values: NDArray[Any]) -> NDArray[np.str_]:

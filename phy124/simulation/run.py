@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
@@ -19,7 +19,6 @@ from phy124.gaussians import Frame, Gaussians
 from phy124.imaging.painted import WHOLE, Crop
 from phy124.io.clip import Clip
 from phy124.limits import refuse_hopeless, stiffest_part
-from phy124.materials import AnyMaterial
 from phy124.monitor import diagnosis
 from phy124.monitor.contacts import Contacts
 from phy124.monitor.external_work import ExternalWork
@@ -28,13 +27,14 @@ from phy124.monitor.watchdog import Violation, Watchdog
 from phy124.mpm import Unstable
 from phy124.particles import clean, make_particles
 from phy124.particles.scenery import Scenery
-from phy124.parts import stiffnesses, with_materials, with_properties
+from phy124.parts import with_materials
 from phy124.placing import among_all, belongs, place, renumbered
 from phy124.progress import Progress, silent
 from phy124.remedies import hurry, remedies
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
 from phy124.simulation.appearance import appearance
+from phy124.simulation.materials import varied
 from phy124.simulation.solver import judged_as, solver_of
 from phy124.simulation.stopped import Stopped
 
@@ -98,14 +98,10 @@ class Simulation:
             )
             made = among_all(made, own)
             self.particles, moves = with_materials(made, self.gaussians.means, self.numbered, crop)
-            self.materials: Sequence[AnyMaterial] = scene.materials
-            if scene.properties is not None:
-                means, survivors = self.gaussians.means, self.cleaning.survivors
-                columns = scene.properties.columns(self.particles.x, means, survivors, own)
-                self.particles, self.materials = with_properties(
-                    self.particles, columns, scene.materials
-                )
-            stiffness = stiffnesses(self.particles, self.gaussians.means[own], scene, crop)
+            self.particles, self.materials, stiffness = varied(
+                self.particles, scene, self.gaussians.means,
+                survivors=self.cleaning.survivors, own=own, crop=crop,
+            )  # fmt: skip
             look = appearance(self.gaussians, self.particles, moves, self.materials, scene)
             self.shown, self.particles = look.gaussians, look.particles
             self.scenery = Scenery(self.shown, look.moves)
