@@ -292,3 +292,9 @@ def test_a_forecast_can_be_measured_on_the_object_itself(three_gaussians):
     forecast = measured(three_gaussians, scene, "cpu", rest=1.0)
     assert forecast.seconds > 1.0 and forecast.promise.error is None
     assert forecast.substeps > 0 and forecast.particles >= 3
+
+
+def test_the_page_shows_every_preset_on_the_stage_and_offers_no_transparent_one():
+    offer = catalogue(Settings())
+    assert {card["scene"]["view"]["stage"] for card in offer["presets"]} == {"studio"}
+    assert offer["schema"]["$defs"]["View"]["properties"]["stage"]["enum"] == ["plain", "studio"]
