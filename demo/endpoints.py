@@ -9,6 +9,7 @@ import gradio as gr
 from gradio.components import Component
 
 from phy124.errors import InputError
+from phy124.generators.depth_map import DepthMap
 from phy124.scene import PRESETS, Scene, ViewName, preset_names
 from phy124.scene.refusals import shortened
 
@@ -35,6 +36,8 @@ def endpoints(studio: Studio) -> None:
         frames = _unread(gr.Number(14, label="frames", precision=0, minimum=1))
         changes = gr.JSON({}, label="changes")
         pick = gr.JSON([], label="pick")  # None would make it a required argument
+        depth = photo(studio, label="depth")
+        near = _unread(gr.Radio(["white", "black"], value="white", label="near"))
         views = _unread(gr.CheckboxGroup(VIEWS, label="views"))
         size = _unread(gr.Number(512, label="size", precision=0, minimum=16))
         elevation = _unread(gr.Number(10, label="elevation", minimum=-89, maximum=89))
@@ -44,7 +47,8 @@ def endpoints(studio: Studio) -> None:
         # Each of these only follows a job, which waits for its turn in our own queue.
         shared = {"concurrency_id": "programs", "concurrency_limit": studio.settings.max_queue}
         gr.Button().click(
-            _generate(studio), [picture, preset, accuracy, frames, changes, formats, pick],
+            _generate(studio),
+            [picture, preset, accuracy, frames, changes, formats, pick, depth, near],
             [run, files, report], api_name="generate", **shared,
         )  # fmt: skip
         gr.Button().click(
@@ -54,7 +58,7 @@ def endpoints(studio: Studio) -> None:
         gr.Button().click(_evaluate, run, report, api_name="evaluate")
         error, said = gr.Number(label="error"), gr.Textbox(label="sentence")
         gr.Button().click(
-            _measure(studio), [picture, preset, accuracy, frames, changes, pick],
+            _measure(studio), [picture, preset, accuracy, frames, changes, pick, depth, near],
             [error, said, gr.JSON(label="levels")], api_name="measure", **shared,
         )  # fmt: skip
 
@@ -68,22 +72,23 @@ def _unread(component: Component) -> Any:
 def _generate(studio: Studio) -> Handler:
     def generate(
         image: str | None, preset: str, accuracy: str, frames: int, changes: Any, formats: Any,
-        pick: Any, request: gr.Request,
+        pick: Any, request: gr.Request, depth: str | None = None, near: str = "white",
     ) -> Iterator[tuple[Any, ...]]:  # fmt: skip
         """Turn a picture into a moving object: its files and its report."""
         name = visitor_of(request)
         kinds = _chosen("formats", formats or [], list(EXPORTS))
         scene, cutting = _cut(studio, name, image, preset, accuracy, frames, changes, pick)
+        deep = _depth(studio, name, depth, near)
         visitor, data = studio.visitors.get(name), scene.data()
         for _ in _followed(cutting, visitor, "image"):
             yield (gr.skip(),) * 3
         cutout = cutting.progress.result.path
-        job = _begun(studio.run, name, cutout, data)
+        job = _begun(studio.run, name, cutout, data, deep)
         for _ in _followed(job, visitor, "run"):
             yield (gr.skip(),) * 3
         done = job.progress.result
         made = [str(export(kind, done)) for kind in kinds]
-        yield (done, cutout, data), _paths(done) + made, read_report(done)
+        yield (done, cutout, data, deep), _paths(done) + made, read_report(done)
 
     return generate
 
@@ -91,15 +96,16 @@ def _generate(studio: Studio) -> Handler:
 def _measure(studio: Studio) -> Handler:
     def measure(
         image: str | None, preset: str, accuracy: str, frames: int, changes: Any,
-        pick: Any, request: gr.Request,
+        pick: Any, request: gr.Request, depth: str | None = None, near: str = "white",
     ) -> Iterator[tuple[Any, ...]]:  # fmt: skip
         """Measure the error of a scene as a fraction of its size, and the seconds of each grid."""
         name = visitor_of(request)
         scene, cutting = _cut(studio, name, image, preset, accuracy, frames, changes, pick)
+        deep = _depth(studio, name, depth, near)
         visitor = studio.visitors.get(name)
         for _ in _followed(cutting, visitor, "image"):
             yield (gr.skip(),) * 3
-        job = _begun(studio.measure, name, cutting.progress.result.path, scene.data())
+        job = _begun(studio.measure, name, cutting.progress.result.path, scene.data(), deep)
         for _ in _followed(job, visitor, "measure"):
             yield (gr.skip(),) * 3
         study = read_study(job.progress.result.study)
@@ -152,11 +158,11 @@ def _render(studio: Studio) -> Handler:
         """Film this session's last run again; nothing is simulated."""
         if run is None:
             raise refusal(NOTHING_YET)
-        _, cutout, data = run
+        _, cutout, data, deep = run
         name = visitor_of(request)
         view = {**data["view"], "size": size, "elevation": elevation}
         view["views"] = _chosen("views", views or [], VIEWS) or data["view"]["views"]
-        job = _begun(studio.run, name, cutout, {**data, "view": view})
+        job = _begun(studio.run, name, cutout, {**data, "view": view}, deep)
         for _ in _followed(job, studio.visitors.get(name), "run"):
             yield gr.skip(), gr.skip()
         yield _paths(job.progress.result), read_report(job.progress.result)
@@ -164,9 +170,18 @@ def _render(studio: Studio) -> Handler:
     return render
 
 
-def _begun(begin: Callable[..., Job], name: str, cutout: str, data: dict[str, Any]) -> Job:
+def _depth(studio: Studio, name: str, given: str | None, near: str) -> DepthMap:
     try:
-        return begin(name, cutout, data)
+        return studio.depth_of(name, given, near)
+    except InputError as error:
+        raise refusal(complaint(error)) from None
+
+
+def _begun(
+    begin: Callable[..., Job], name: str, cutout: str, data: dict[str, Any], depth: DepthMap
+) -> Job:
+    try:
+        return begin(name, cutout, data, depth)
     except InputError as error:
         raise refusal(complaint(error)) from None
 

@@ -18,14 +18,18 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+from pydantic import ValidationError
+
 from phy124.accuracy.compiling import seconds_to_compile
 from phy124.errors import Cancelled, InputError
+from phy124.generators.depth_map import DepthMap
 from phy124.imaging.cutout import title_of
 from phy124.imaging.objects import Point
 from phy124.io.clip import Clip
 from phy124.runtime.device import pick_device
 from phy124.runtime.isolated import Deadline
 from phy124.scene import Scene
+from phy124.scene.refusals import refusal
 
 from .catalogue import check_limits, check_time, scene_of
 from .forecast import Estimate, Estimator, measured, promise_of
@@ -38,6 +42,7 @@ from .studies import Measurement, grids, on_grid
 from .visitors import Visitor, Visitors, key
 from .work import (
     DEVICE,
+    UNKNOWN_DEPTH,
     Done,
     Order,
     made_already,
@@ -146,6 +151,21 @@ class Studio:
         job = Job("cut", visitor.new_stop_file(), subject=str(upload))
         return self._submit(visitor, job, self.cuts, work)
 
+    def depth_of(self, name: str, given: Any, near: Any) -> DepthMap:
+        """The depth map that a program has sent, if any.
+
+        Raises:
+            InputError: It is not an upload of this visitor, or cannot be used.
+        """
+        if given is None:
+            return UNKNOWN_DEPTH
+        upload = self.visitors.own(name, given)
+        check_picture(upload, self.settings)
+        try:
+            return DepthMap(depth=upload, near=near)
+        except ValidationError as error:
+            raise refusal(error, "near", DepthMap) from None
+
     def forecast(self, name: str, cutout: str | None, data: Any) -> str:
         """The forecast of a run in words, or why it is not allowed."""
         visitor = self.visitors.known(name)
@@ -188,13 +208,14 @@ class Studio:
         """A forecast in words, with the error measured on this scene if there is one."""
         return replace(told, promise=promise_of(scene, self.study(name, cutout, scene))).sentence
 
-    def run(self, name: str, cutout: str | None, data: Any) -> Job:
+    def run(self, name: str, cutout: str | None, data: Any, depth: DepthMap = UNKNOWN_DEPTH) -> Job:
         """Start the whole chain.
 
         Args:
             name: The visitor's name.
             cutout: Path of the cut-out.
             data: The scene as plain data.
+            depth: Depth map of the picture.
 
         Raises:
             InputError: Something in the request cannot be used.
@@ -207,16 +228,19 @@ class Studio:
         ).seconds
         expected = visitor.forecasts.get(key(scene.data()), usual)
         job = Job("run", visitor.new_stop_file(), expected)
-        order = self._order(visitor, picture, scene, job.stop)
+        order = replace(self._order(visitor, picture, scene, job.stop), depth=depth)
         return self._submit(visitor, job, self.runs, lambda job: self._run(visitor, order, job))
 
-    def measure(self, name: str, cutout: str | None, data: Any) -> Job:
+    def measure(
+        self, name: str, cutout: str | None, data: Any, depth: DepthMap = UNKNOWN_DEPTH
+    ) -> Job:
         """Start to measure the error of a scene.
 
         Args:
             name: The visitor's name.
             cutout: Path of the cut-out.
             data: The scene as plain data.
+            depth: Depth map of the picture.
 
         Raises:
             InputError: Something in the request cannot be used.
@@ -229,7 +253,8 @@ class Studio:
         check_time(self.forecaster.min_study(scene, levels, gaussians=count), self.settings)
         expected = self.study_seconds(name, cutout, scene)
         job = Job("measure", visitor.new_stop_file(), expected, stages=MEASURING)
-        order = replace(self._order(visitor, picture, scene, job.stop), levels=levels)
+        order = self._order(visitor, picture, scene, job.stop)
+        order = replace(order, depth=depth, levels=levels)
         return self._submit(visitor, job, self.runs, lambda job: self._run(visitor, order, job))
 
     def study(self, name: str, cutout: str | None, scene: Scene) -> Measurement | None:

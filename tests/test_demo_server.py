@@ -10,6 +10,7 @@ import urllib.request
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import numpy as np
 import pytest
 from PIL import Image
 
@@ -160,6 +161,26 @@ def test_endpoints_have_typed_arguments(client):
     }
     assert kinds["frames"] == "int"
     assert "'draft'" in kinds["accuracy"] and "'press'" in kinds["preset"]
+
+
+def test_a_depth_map_changes_the_object_and_must_fit(client, tmp_path):
+    from gradio_client import handle_file
+
+    y, x = np.mgrid[-1:1:64j, -1:1:64j]
+    hill = (60_000 * np.exp(-2 * (x**2 + y**2))).astype(np.uint16)
+    sent = {}
+    for name, values in (("fits", hill), ("wide", hill[:20])):
+        Image.fromarray(values).save(tmp_path / f"{name}.png")
+        sent[name] = handle_file(str(tmp_path / f"{name}.png"))
+    guessed = _generate(client)[1]
+    measured = _generate(client, pick=[], depth=sent["fits"], near="white")[1]
+    assert measured["particles"] != guessed["particles"]
+    for name, near, message in (
+        ("wide", "white", "has 64 x 20 pixels, the picture"),
+        ("fits", "blue", "near: "),
+    ):
+        with pytest.raises(Exception, match=message):
+            _generate(client, pick=[], depth=sent[name], near=near)
 
 
 @pytest.mark.parametrize(

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from phy124.cost import GAUSSIANS
+from phy124.generators.depth_map import DepthMap
 from phy124.scene import Scene
 
 from ..visitors import key
 
+UNKNOWN_DEPTH = DepthMap()
+"""No depth map."""
 VIEWED = ("view", "accuracy", "description")
 """Fields that the stored errors of a scene's motion do not depend on."""
 
@@ -31,6 +35,8 @@ class Order:
     generator: str = "relief"
     gaussians: int = GAUSSIANS
     """Number of Gaussians that `relief` makes."""
+    depth: DepthMap = UNKNOWN_DEPTH
+    """Depth map of the picture, for `relief`."""
     device: str = "auto"
     about: tuple[tuple[str, str], ...] = ()
     """Further entries of the report."""
@@ -54,7 +60,15 @@ def made_already(order: Order) -> dict[str, bool]:
 
 def made_gaussians(order: Order) -> Path:
     """The file of the Gaussians of an order."""
-    made = key(order.cutout.read_bytes(), order.generator, order.gaussians, order.scene.seed)
+    told: list[Any] = [
+        order.cutout.read_bytes(),
+        order.generator,
+        order.gaussians,
+        order.scene.seed,
+    ]
+    if order.depth.depth is not None:
+        told += [order.depth.depth.read_bytes(), order.depth.near]
+    made = key(*told)
     return order.folder / "gaussians" / f"{made}.safetensors"
 
 
