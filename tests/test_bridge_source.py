@@ -22,6 +22,7 @@ from bridge.source import LiveOptions, LiveRun, make_object
 from phy124.capture import capture
 from phy124.errors import InputError
 from phy124.generators.ply_file import PlyFile, Reading
+from phy124.imaging.cutting import Cutting
 from phy124.io.ply import write_ply
 from phy124.progress import silent
 from phy124.scene import Scene
@@ -129,9 +130,14 @@ def test_a_doubtful_cut_out_is_said(tmp_path, monkeypatch, caplog):
     doubtful = SimpleNamespace(
         picture=picture, warnings=("It is in 9 pieces.",), method="u2net", data=dict
     )
-    monkeypatch.setattr("phy124.pipeline.gaussians.cut_out", lambda *_, **__: doubtful)
+    asked = []
+    monkeypatch.setattr(
+        "phy124.pipeline.gaussians.cut_out", lambda *_, **given: asked.append(given) or doubtful
+    )
     monkeypatch.setattr("phy124.generators.GENERATORS", {"relief": lambda: lambda *_, **__: "made"})
-    made = make_object(tmp_path / "photo.png", LiveOptions(), Scene(), "cpu", silent)
+    options = LiveOptions(cutting=Cutting(pick="0.2,0.7"))
+    made = make_object(tmp_path / "photo.png", options, Scene(), "cpu", silent)
+    assert asked[0]["pick"] == (0.2, 0.7)
     assert made.gaussians == "made"
     first, second = caplog.messages
     assert first == "It is in 9 pieces."

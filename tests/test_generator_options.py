@@ -103,6 +103,20 @@ def test_a_dry_run_does_not_run_what_takes_long(picture, monkeypatch, capsys):
     assert "relief made in its place" in out
 
 
+@pytest.mark.parametrize("command", [["generate"], ["accuracy", "drop", "--image"]])
+def test_commands_cut_out_what_was_picked(command, picture, monkeypatch, tmp_path):
+    asked = []
+
+    def cut_out(image, method, **given):
+        asked.append((method, given["pick"]))
+        raise InputError("image", image, "That is enough.", "Stop.")
+
+    monkeypatch.setattr("phy124.pipeline.gaussians.cut_out", cut_out)
+    told = ["--pick", "0.2,0.7", "--method", "grabcut", "--out", str(tmp_path / "out")]
+    assert main([*command, str(picture), *told]) == 2
+    assert asked == [("grabcut", (0.2, 0.7))]
+
+
 def test_options_of_pictures_need_a_picture(capsys):
     assert main(["accuracy", "drop", "--pick", "0.2,0.3"]) == 2
     assert "--pick is for a picture" in capsys.readouterr().err

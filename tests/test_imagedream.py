@@ -187,10 +187,11 @@ def test_bfloat16_in_the_network_leaves_the_latents_exact(unet, vae, monkeypatch
     for dtype in (torch.float32, torch.bfloat16):
         parts = TinyParts(copy.deepcopy(unet).to(dtype), vae)
         monkeypatch.setattr(pipeline, "SIZE", 64)
-        made[dtype] = ImageDream(steps=1, parts=parts, unet_dtype=dtype)(image, seed=3)
+        told = {"steps": 1, "sampler": "dpmsolver++", "parts": parts, "unet_dtype": dtype}
+        made[dtype] = ImageDream(**told)(image, seed=3)
         assert made[dtype].dtype == torch.float32
     apart = (made[torch.bfloat16] - made[torch.float32]).std() / made[torch.float32].std()
-    assert 1e-6 < float(apart) < 0.02
+    assert 1e-6 < float(apart) < 0.1
 
 
 def solved(sampler: str, steps: int) -> float:
