@@ -179,8 +179,14 @@ def test_every_step_equals_the_original(unet, vae, expected, condition):
     np.testing.assert_allclose(views[:, ::8, ::8], expected["out_stride8"], **PIPELINE)
 
 
-def test_bfloat16_in_the_network_leaves_the_latents_exact(unet, vae, monkeypatch):
-    """Only the noise is predicted in it; a step adds what differs to float32 latents."""
+def test_bfloat16_in_the_network_leaves_the_latents_exact(
+    unet, vae, expected, condition, monkeypatch
+):
+    """Only the noise is predicted in it; guidance and steps are float32."""
+    short, start = copy.deepcopy(unet).to(torch.bfloat16), expected["init_latents"]
+    with torch.inference_mode():
+        noise = predict(short, start, expected["timesteps_3"][0], condition.to(torch.bfloat16))
+    assert noise.dtype == torch.float32
     monkeypatch.setattr(pipeline, "decode", lambda vae, latents: latents)
     image = torch.rand(3, 16, 16, generator=torch.Generator().manual_seed(0))
     made = {}
