@@ -27,7 +27,7 @@ class GeneratorOptions(Section):
     steps: int | None = Field(
         default=None,
         ge=1,
-        le=1000,
+        le=500,
         description="Steps of the generator's diffusion (lgm: 30) or of its fit (dreamgaussian: "
         "500); fewer take less time and are less exact.",
     )
