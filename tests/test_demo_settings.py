@@ -128,7 +128,7 @@ def test_what_is_no_scene_is_refused(data):
 
 FILES = [
     {"stiffness": {"kind": "picture", "file": "/etc/hostname"}},
-    {"stiffness": {"kind": "array", "file": "/dev/zero"}},
+    {"properties": {"file": "/dev/zero"}},
     {"parts": [{"mask": "/no/such/file.png", "material": {"law": "sand"}}]},
     {"parts": [{"mask": "/dev/random", "material": {"law": "sand"}}]},
 ]

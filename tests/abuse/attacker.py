@@ -106,7 +106,7 @@ class Attacker:
         few = {"view.views": ["front"], "view.size": 64}
         given = {
             "preset": "drop", "accuracy": "draft", "frames": 2, "changes": few, "formats": [],
-            "pick": [],
+            "pick": [], "depth": None, "near": "white",
         }  # fmt: skip
         data = [image, *{**given, **options}.values()]
         status, text, _ = self.post("/gradio_api/call/generate", {"data": data})
