@@ -1,4 +1,4 @@
-# make demo | app | bridge | test | test-browser | bench | accuracy | docs | dist | lint | clean
+# make demo | app | bridge | test | test-browser | bench | accuracy | docs | gallery | dist | lint | clean
 # Everything is installed into .venv; a stamp per set of packages says that it is there.
 
 PYTHON ?= python3
@@ -6,7 +6,7 @@ BIN := .venv/bin
 # Python compiles what it imports by itself; most of what is installed never is.
 INSTALL := $(BIN)/pip install --quiet --no-compile --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: demo app bridge test test-default test-page test-slow test-browser bench accuracy docs dist lint clean chromium
+.PHONY: demo app bridge test test-default test-page test-slow test-browser bench accuracy docs gallery dist lint clean chromium
 
 demo: .venv/base
 	$(BIN)/phy124 generate demo/examples/duck.png --scene press --stage studio --out out/duck-press
@@ -43,6 +43,9 @@ accuracy: .venv/test
 
 docs: .venv/docs
 	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going --jobs 2 docs out/docs
+
+gallery: .venv/base
+	$(BIN)/python docs/images/gallery.py
 
 dist: .venv/base
 	$(INSTALL) build

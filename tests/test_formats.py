@@ -1,7 +1,5 @@
 """Formats of Gaussians: what is written reads back, and what other programs wrote is read."""
 
-import json
-import struct
 import zlib
 from pathlib import Path
 
@@ -15,7 +13,6 @@ from phy124.io.content import MAX_GAUSSIANS
 from phy124.io.formats import (
     FORMATS,
     WRITTEN,
-    glb,
     is_file_of_gaussians,
     read_as_is,
     read_gaussians,
@@ -167,129 +164,6 @@ def test_tags_of_a_ply_are_written(tmp_path, three_gaussians):
         assert b"comment antialiased " + words[1] + b"\n" in head
 
 
-def edited(data: bytes, change) -> bytes:
-    """A GLB with another description."""
-    (size,) = struct.unpack_from("<I", data, 12)
-    tree = json.loads(data[20 : 20 + size])
-    change(tree)
-    text = json.dumps(tree).encode()
-    text += b" " * (-len(text) % 4)
-    rest = data[20 + size :]
-    head = struct.pack("<4sII", b"glTF", 2, 20 + len(text) + len(rest))
-    return head + struct.pack("<II", len(text), 0x4E4F534A) + text + rest
-
-
-def glb_with(path: Path, gaussians: Gaussians, change) -> Path:
-    """A GLB whose description is changed."""
-    write_gaussians(path, gaussians)
-    path.write_bytes(edited(path.read_bytes(), change))
-    return path
-
-
-def test_scales_of_a_glb_from_before_the_ratified_text_are_logarithms(tmp_path, three_gaussians):
-    logs = Gaussians(**{**vars(three_gaussians), "scales": np.log(three_gaussians.scales)})
-    write_gaussians(tmp_path / "a.glb", logs)
-    found = read_gaussians(tmp_path / "a.glb").gaussians
-    np.testing.assert_allclose(found.scales, three_gaussians.scales, rtol=1e-6)
-
-
-def test_nodes_of_a_glb_move_turn_and_scale_their_gaussians(tmp_path, rng):
-    wanted = many(rng, 50, 3)
-    half = float(np.sqrt(0.5))
-
-    def change(tree):
-        tree["nodes"] = [
-            {"children": [1, 2], "translation": [0, 10, 0]},
-            {"mesh": 0},
-            {"mesh": 0, "rotation": [0, half, 0, half], "scale": [2, 2, 2]},
-        ]
-
-    found = read_gaussians(glb_with(tmp_path / "a.glb", wanted, change)).gaussians
-    assert len(found) == 100
-    halves = [found.select(np.arange(50)), found.select(np.arange(50, 100))]
-    plain, other = sorted(halves, key=lambda g: g.scales.sum())
-    up = np.array([0, 0, 10])
-    assert_same(plain, wanted.moved(1, up))
-    turn = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]])  # about our z, which is the file's y
-    assert_same(other, turned(wanted, turn).moved(2, up))
-
-
-def _set(path: str, value) -> object:
-    def change(tree):
-        *keys, last = [int(key) if key.isdigit() else key for key in path.split("/")]
-        for key in keys:
-            tree = tree[key]
-        if value is None:
-            del tree[last]
-        else:
-            tree[last] = value
-
-    return change
-
-
-SPLATS = "meshes/0/primitives/0/extensions/KHR_gaussian_splatting"
-
-
-@pytest.mark.parametrize(
-    ("path", "value", "words"),
-    [
-        (f"{SPLATS}/kernel", "box", "kernel is box"),
-        (f"{SPLATS}/extensions", {"KHR_x_spz_2": {}}, "compressed by KHR_x_spz_2, a draft"),
-        (SPLATS, None, "no mesh has KHR_gaussian_splatting"),
-        ("nodes/0/scale", [1, 2, 1], "unevenly"),
-        ("nodes/0/scale", [-1, 1, 1], "mirrors"),
-        ("nodes/0/children", [0], "go in a circle"),
-        ("accessors/0/count", 10**9, "announces 1,000,000,000"),
-        ("accessors/2/count", 7, "reaches beyond"),
-        ("accessors/0/componentType", 5123, "malformed"),
-        ("accessors/0/sparse", {}, "sparse"),
-        ("buffers/0/uri", "a.bin", "in another file"),
-        ("bufferViews/0/byteOffset", 1 << 60, "cut short"),
-        ("meshes", 3, "malformed"),
-        ("scene", "x", "malformed"),
-        ("asset", 3, "malformed"),
-        ("meshes/0/primitives/0/attributes/KHR_gaussian_splatting:SCALE", None, "no KHR.*SCALE"),
-    ],
-)
-def test_glb_of_other_kinds_are_refused(tmp_path, three_gaussians, path, value, words):
-    file = glb_with(tmp_path / "a.glb", three_gaussians, _set(path, value))
-    with pytest.raises(InputError, match=words):
-        read_gaussians(file)
-
-
-def test_integers_and_linear_light_of_a_glb(tmp_path, three_gaussians):
-    """Rotations in int16, opacities in uint8; colours of linear light become those of displays."""
-    write_gaussians(tmp_path / "a.glb", three_gaussians)
-    data = bytearray((tmp_path / "a.glb").read_bytes())
-    body = data.index(b"BIN\0") + 4
-    rotations, opacities = [0, 0], [0]
-
-    def change(tree):
-        views, accessors = tree["bufferViews"], tree["accessors"]
-        rotations[:] = views[2]["byteOffset"], accessors[2]["count"]
-        opacities[0] = views[4]["byteOffset"]
-        accessors[2] |= {"componentType": 5122, "normalized": True}
-        accessors[4] |= {"componentType": 5121, "normalized": True}
-        tree["meshes"][0]["primitives"][0]["extensions"]["KHR_gaussian_splatting"] |= {
-            "colorSpace": "lin_rec709_display"
-        }
-
-    edited(bytes(data), change)
-    quats = np.roll(read_as_is(tmp_path / "a.glb").gaussians.quats, -1, axis=1)
-    at = body + rotations[0]
-    data[at : at + 24] = np.rint(quats * 32767).astype("<i2").tobytes()
-    at = body + opacities[0]
-    data[at : at + 3] = np.rint(three_gaussians.opacities * 255).astype(np.uint8).tobytes()
-    (tmp_path / "a.glb").write_bytes(edited(bytes(data), change))
-    found = read_gaussians(tmp_path / "a.glb").gaussians
-    np.testing.assert_allclose(found.opacities, three_gaussians.opacities, atol=0.5 / 255)
-    dots = np.abs((found.quats * three_gaussians.quats).sum(axis=1))
-    np.testing.assert_allclose(dots, 1, atol=1e-6)
-    linear = np.clip(three_gaussians.rgb, 0, 1)
-    shown = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    np.testing.assert_allclose(found.rgb, shown, atol=1e-5)
-
-
 def test_far_objects_fit_into_spz(tmp_path, three_gaussians):
     for size in (1e-3, 1.0, 1e3, 1e5):
         wanted = three_gaussians.moved(size, np.zeros(3))
@@ -369,21 +243,6 @@ def test_a_palette_holds_few_vectors_exactly_and_many_nearly(rng):
         assert len(entries) == most and labels.max() == most - 1
         error[most] = float(np.square(entries[labels] - few).mean())
     assert error[256] < 0.05 < error[16] < 1
-
-
-def test_glb_reads_in_the_library_of_another_container(tmp_path, rng):
-    fourdgs = pytest.importorskip("fourdgs", reason="the extra fourdgs is not installed")
-    wanted = many(rng, 200, 3)
-    write_gaussians(tmp_path / "a.glb", wanted)
-    found = fourdgs.from_gltf(str(tmp_path / "a.glb")).gaussians
-    there = turned(wanted, orientation(*glb.Y_UP).T)
-    np.testing.assert_allclose(found.positions, there.means, atol=1e-6)
-    np.testing.assert_allclose(found.scales, there.scales, rtol=1e-6)
-    np.testing.assert_allclose(found.rotations, np.roll(there.quats, -1, axis=1), atol=1e-6)
-    np.testing.assert_allclose(found.colors[:, :3], there.rgb, atol=1e-6)
-    np.testing.assert_allclose(found.colors[:, 3], there.opacities, atol=1e-6)
-    channels = there.sh[:, 1:].transpose(0, 2, 1).reshape(200, -1)
-    assert np.abs(found.sh * (8 / 255) - 4 - channels).max() <= 0.51 * 8 / 255
 
 
 def test_the_guide_shows_every_format_as_it_is_declared():

@@ -290,9 +290,8 @@ def _gap(goal: Goal, one: Clip, other: Clip, scene: Scene) -> float:
     """RMS distance of two clips in the goal's unit."""
     if goal.kind == "pixels":
         return pixel_distance(one, other, scene.view)
-    one, other = one.surface, other.surface
     unit = scene.object.size if goal.kind == "fraction" else 1.0
-    return float(distances([one.means, other.means])[0, 1]) / unit
+    return float(distances([one.surface.means, other.surface.means])[0, 1]) / unit
 
 
 def _coarsest(goal: Goal, known: int, error: float, order: float, *, above: int = 0) -> int | None:

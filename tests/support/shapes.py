@@ -23,6 +23,23 @@ def random_gaussians(rng: np.random.Generator, count: int = 50, degree: int = 0)
     return Gaussians(rng.normal(size=(count, 3)), quats, scales, opacities, sh)
 
 
+def splats(
+    rng: np.random.Generator,
+    count: int = 600,
+    *,
+    sizes: float = 0.03,
+    degree: int = 0,
+    spread: float = 0.35,
+) -> Gaussians:
+    """Gaussians of every shape in a ball, some faint, some nearly opaque."""
+    means = rng.normal(size=(count, 3)) * spread
+    quats = rng.normal(size=(count, 4))
+    scales = sizes * np.exp(0.7 * rng.normal(size=(count, 3)))
+    sh = rng.normal(size=(count, (degree + 1) ** 2, 3)) * 0.8 / (1 + degree)
+    opacities = np.minimum(1, 1.2 * rng.beta(1.2, 1, count))  # a few are at the cap of alpha
+    return Gaussians(means, quats, scales, opacities, sh)
+
+
 def lattice(*counts: int, spacing: float, corner: Sequence[float] = (0, 0, 0)) -> np.ndarray:
     """Particles [N,3] in the middles of cubes of edge `spacing`, which fill a box from `corner`."""
     lines = [(np.arange(count) + 0.5) * spacing for count in counts]
