@@ -7,7 +7,7 @@ None of them is part of the test extra: numba behind gsply is large, and one nee
     PHY124_NODE_MODULES=FOLDER/node_modules python -m pytest -m slow tests/test_formats_foreign.py
 
 npm's spz-js cannot judge: it reads version 2 alone, and we write 3 and 4. What it writes is read by
-tests/test_formats.py and test_formats_glb.py.
+tests/test_formats.py.
 """
 
 from __future__ import annotations
