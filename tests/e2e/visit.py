@@ -66,8 +66,15 @@ class Visit:
         self.page.locator("#go").click()
 
     def finished(self) -> None:
-        self.page.wait_for_selector(".film video", timeout=LONG)
-        self.page.wait_for_selector("#go:not([disabled])", timeout=LONG)
+        """Wait for the videos; a failure shows what the page says instead."""
+        from playwright.sync_api import TimeoutError
+
+        try:
+            self.page.wait_for_selector(".film video", timeout=LONG)
+            self.page.wait_for_selector("#go:not([disabled])", timeout=LONG)
+        except TimeoutError as late:
+            said = " | ".join(self.page.locator(f"#{at}").inner_text() for at in ("left", "right"))
+            raise AssertionError(f"no videos; the page says: {said}; {self.complaints}") from late
 
 
 def _canvas(page) -> np.ndarray:
