@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from phy124.rendering.framing import FIT_AT_MOST, cameras, departures, fitted, framing
+from phy124.rendering.framing import FIT_AT_MOST, ROOM, cameras, departures, fitted, framing
 from phy124.scene import View
 from support.clips import AWAY, flight
 
@@ -115,11 +115,11 @@ def test_many_gaussians_cost_no_more_than_a_sample():
 def test_a_motion_that_would_leave_the_picture_is_seen_from_farther_away():
     clip, fits = flight(AWAY), view(fit=True)
     (left,) = departures(clip, view())
-    assert fitted(clip, fits).distance == left.distance > fits.distance
+    assert fitted(clip, fits).distance == ROOM * left.distance > fits.distance
     assert departures(clip, fits) == [] and framing(clip, fits)["notes"] == []
     here, there = (cameras(clip, chosen, "front")[0] for chosen in (view(), fits))
     ratio = math.dist(there.eye, there.target) / math.dist(here.eye, here.target)
-    assert ratio == pytest.approx(left.distance / fits.distance)
+    assert ratio == pytest.approx(ROOM * left.distance / fits.distance)
     assert fitted(flight(AWAY[:2]), fits).distance == fits.distance
 
 

@@ -25,6 +25,8 @@ STEP = 0.1
 """Recommended distances are multiples of this, in object sizes."""
 FIT_AT_MOST = 3.0
 """How many times farther away than usual a camera stands at most to see the whole motion."""
+ROOM = 1.15
+"""How much farther it stands than the middles of nearly all Gaussians ask for."""
 FARTHEST = 100.0
 """Largest distance a view may have, in object sizes."""
 
@@ -36,7 +38,10 @@ def fitted(clip: Clip, view: View) -> View:
     given = view.model_copy(update={"fit": False})
     if view.follow or view.distance != View().distance:
         return given
-    needed = max((one.distance for one in departures(clip, given)), default=view.distance)
+    left = departures(clip, given)
+    if not left:
+        return given
+    needed = ROOM * max(one.distance for one in left)
     return given.model_copy(update={"distance": min(needed, FIT_AT_MOST * view.distance)})
 
 
