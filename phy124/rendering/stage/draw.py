@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -68,7 +68,7 @@ class Surroundings:
         wp.launch(stage.draw_glass, pixels, inputs=inputs, outputs=[veil], device=self.device)
         return veil
 
-    def _given(self, array: NDArray, dtype: Any) -> wp.array:
+    def _given(self, array: NDArray | list[Any], dtype: Any) -> wp.array:
         return wp.array(array, dtype=dtype, device=self.device, copy=False)
 
 
@@ -83,12 +83,18 @@ def setting(shown: StageFrame) -> Any:
     return made
 
 
-def rows(solids: tuple[Solid, ...]) -> NDArray:
-    """Solids as an array of `glass.Solid`."""
-    made = np.zeros(len(solids), np.dtype(cast("Any", glass.Solid).numpy_dtype()))
-    for row, solid in zip(made, solids, strict=True):
-        for name in ("centre", "axes", "half", "radius"):
-            row[name] = getattr(solid, name)
+def rows(solids: tuple[Solid, ...]) -> list[Any]:
+    """Solids as structs of the device.
+
+    Not as a structured NumPy array: once among many pictures drawn by several threads, its type was
+    found to differ from the struct's, though it did not.
+    """
+    made = []
+    for solid in solids:
+        row = glass.Solid()
+        row.centre, row.half = wp.vec3(*solid.centre), wp.vec3(*solid.half)
+        row.axes, row.radius = wp.mat33(*np.ravel(solid.axes)), float(solid.radius)
+        made.append(row)
     return made
 
 
