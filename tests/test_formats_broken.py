@@ -11,7 +11,6 @@ import sys
 import warnings
 import zipfile
 import zlib
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +20,7 @@ from PIL import Image
 
 from phy124.errors import InputError
 from phy124.io.formats import read_gaussians, spz
+from support.damage import cut, flip
 from support.quantisation import many
 
 FOREIGN = Path(__file__).parent / "support" / "formats"
@@ -37,20 +37,6 @@ KINDS = {
 LIMIT = 128 * 2**20
 """Memory that reading a broken file of up to 1 MB may take beyond what Python has [bytes]."""
 ROOT = Path(__file__).parents[1]
-Damage = Callable[[bytes, random.Random], bytes]
-
-
-def cut(data: bytes, rng: random.Random) -> bytes:
-    """The end is missing."""
-    return data[: rng.randrange(len(data))]
-
-
-def flip(data: bytes, rng: random.Random) -> bytes:
-    """A few bytes are others."""
-    damaged = bytearray(data)
-    for _ in range(rng.choice([1, 4, 64])):
-        damaged[rng.randrange(len(damaged))] = rng.randrange(256)
-    return bytes(damaged)
 
 
 def flip_head(data: bytes, rng: random.Random) -> bytes:

@@ -5,7 +5,6 @@ import json
 import random
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -16,25 +15,12 @@ from phy124.__main__ import main
 from phy124.io.ply import write_ply
 from phy124.scene import Scene
 from phy124.simulation import Simulation
+from support.damage import cut, flip
 from support.shapes import ball
 
 STATUSES = {0, 1, 2, 3}
 """Done, refused by the machine, refused by us, stopped early."""
 QUICK = ["--accuracy", "draft", "--frames", "2", "--size", "16", "--views", "front"]
-Damage = Callable[[bytes, random.Random], bytes]
-
-
-def cut(data: bytes, rng: random.Random) -> bytes:
-    """The end is missing."""
-    return data[: rng.randrange(len(data))]
-
-
-def flip(data: bytes, rng: random.Random) -> bytes:
-    """A few bytes are others."""
-    damaged = bytearray(data)
-    for _ in range(rng.choice([1, 4, 64])):
-        damaged[rng.randrange(len(damaged))] = rng.randrange(256)
-    return bytes(damaged)
 
 
 def flip_head(data: bytes, rng: random.Random) -> bytes:
