@@ -16,6 +16,7 @@ from phy124.boundaries import (
 )
 from phy124.kernels import collide
 from phy124.kernels.build import kernel
+from phy124.mpm import Grid
 from support.distances import distances
 
 DX = 0.1
@@ -105,3 +106,65 @@ def test_walls_answer_as_their_contact_says(rng):
     )
     assert np.any(fraction[~leaving] == 0)
     assert np.any(fraction[~leaving] > 0)
+
+
+SIZE = 14
+"""Nodes per axis of the grids that walls act on below."""
+
+
+def nodes_of_a_body(rng) -> np.ndarray:
+    """Velocities and masses of nodes [SIZE^3,4] that are heavy, light or empty, all in motion."""
+    q = rng.standard_normal((SIZE**3, 4))
+    q[:, 3] = rng.choice([0, 1e-3, 1.0], SIZE**3, p=(0.2, 0.2, 0.6)) * rng.uniform(0.5, 1, SIZE**3)
+    return q
+
+
+def touched(wall, q: np.ndarray, *, order: np.ndarray | None = None) -> np.ndarray:
+    """The nodes after a wall; `order` [n,3] lists them one by one, None: all in one launch."""
+    grid = Grid([0, 0, 0], DX, real=wp.float64, device="cpu")
+    grid.rebase(np.zeros(3, int), np.full(3, SIZE))
+    grid.nodes.numpy()[:-1] = q
+    launches = [(wp.vec3i(), (SIZE, SIZE, SIZE))]
+    wp.launch(
+        collide.make_keep(wp.float64), launches[0][1], [wp.vec3i(), grid.window, grid.nodes],
+        [grid.kept], device="cpu",
+    )  # fmt: skip
+    if order is not None:
+        launches = [(wp.vec3i(*node), (1, 1, 1)) for node in order.tolist()]
+    values = wp.zeros(1, dtype=wp.vec4d, device="cpu")
+    shape = wp.mat33d(*np.ravel(wall.geometry(None)))
+    for start, dim in launches:
+        inputs = [shape, 0.4, -0.15 * DX, 0, start, wp.vec2i(0, SIZE), np.inf]
+        inputs += [grid.lattice, grid.window, values, values, grid.kept]
+        made = collide.make_contact(wall.outline(), "separate", False, wp.float64)
+        wp.launch(made, dim, inputs, [grid.nodes], device="cpu")
+    return grid.nodes.numpy()[:-1].copy()
+
+
+@pytest.mark.parametrize(
+    "wall",
+    [
+        Ground(height=0.57),
+        Box(lower=(0.3, 0.3, 0.3), upper=(1.02, 0.95, 0.77)),
+        Sphere(centre=(0.6, 0.64, 0.7), radius=0.33),
+        Capsule(start=(0.2, 0.5, 0.5), end=(0.9, 0.8, 0.6), radius=0.22),
+    ],
+    ids=lambda wall: wall.kind,
+)
+def test_what_a_wall_does_does_not_depend_on_the_order_of_the_nodes(wall, rng):
+    before = nodes_of_a_body(rng)
+    at_once = touched(wall, before)
+    order = np.indices((SIZE,) * 3).reshape(3, -1).T
+    shuffled = touched(wall, before, order=rng.permutation(order))
+    np.testing.assert_array_equal(shuffled, at_once)
+    changed = (at_once != before).any(axis=1)
+    assert 50 < changed.sum() < SIZE**3 / 2
+    np.testing.assert_array_equal(at_once[:, 3], before[:, 3])
+
+
+def test_the_face_of_a_box_acts_as_a_plane_does(rng):
+    """Each node of a column changes by itself at a box, all three by the first at a plane."""
+    before = nodes_of_a_body(rng)
+    plane = touched(Ground(height=0.57), before)
+    face = touched(Box(lower=(-9, -9, -9), upper=(9, 9, 0.57)), before)
+    np.testing.assert_allclose(face, plane, rtol=1e-12, atol=1e-13)

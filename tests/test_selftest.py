@@ -109,7 +109,7 @@ SABOTAGE = {
                  "if changed:", "if not self.clock.substeps:"),
     28: Sabotage("the second worker overwrites the first", "kernels/grid.py",
                  "q += nodes_b[n - first_b]", "q = nodes_b[n - first_b]"),
-    29: Sabotage("walls answer before the body has come to them", "kernels/collide.py",
+    29: Sabotage("walls answer before the body has come to them", "kernels/columns.py",
                  "m[1] * covered(far) >= full", "m[0] > full"),
     30: Sabotage("what is too fast is told to be softer", "remedies.py",
                  '"speed": ("push",)', '"speed": ("softer",)'),

@@ -14,7 +14,7 @@ from pydantic import Field
 
 from phy124.boundaries.motion import AnyMotion
 from phy124.errors import InputError
-from phy124.kernels.collide import make_collider, make_contact
+from phy124.kernels.collide import FLAT, make_collider, make_contact, make_keep
 from phy124.kernels.transfer import types
 from phy124.mpm import Grid, Model, Stage, State
 from phy124.region import Vector
@@ -87,6 +87,10 @@ class Boundary(Section):
         """Whether contact is at the surface, between the nodes; otherwise it is node by node."""
         return self.reach(dx) is None
 
+    def crosses(self, dx: float) -> bool:
+        """Whether nodes respond to it in columns that cross, and so need a copy of all of them."""
+        return self.met(dx) and self.outline() not in FLAT
+
     @property
     def moves(self) -> bool:
         """Whether it ever moves."""
@@ -99,7 +103,8 @@ class Boundary(Section):
 
     def kernels(self, real: Any, dx: float) -> list[Any]:
         """The kernels of its walls on a grid of spacing `dx` [m]."""
-        return [part.kernel(real, dx, moving=part.tracked) for part in self.parts()]
+        kept = [make_keep(real)] if any(part.crosses(dx) for part in self.parts()) else []
+        return kept + [part.kernel(real, dx, moving=part.tracked) for part in self.parts()]
 
     def kernel(self, real: Any, dx: float, *, moving: bool) -> Any:
         """The kernel of a simple wall."""
@@ -131,7 +136,7 @@ class Boundary(Section):
         return np.inf
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """One collider stage.
+        """Its collider, after a copy of the nodes if their columns cross.
 
         Args:
             model: What stays the same during the run.
@@ -143,7 +148,10 @@ class Boundary(Section):
         """
         self.refuse_thin(model)
         del state
-        return [Stage(type(self).__name__.lower(), self._recorder(model, tracks))]
+        name, recorders = type(self).__name__.lower(), [self._recorder(model, tracks)]
+        if self.crosses(model.dx):
+            recorders.insert(0, self._keeper(model))
+        return [Stage(name, recorder) for recorder in recorders]
 
     def refuse_thin(self, model: Model) -> None:
         """Make sure that nothing passes through the solid.
@@ -163,12 +171,26 @@ class Boundary(Section):
         """Signed distance below which a node responds [m]; None: as suits the material."""
         return None
 
+    def _keeper(self, model: Model) -> Callable[[Grid], wp.Launch | None]:
+        """Records the copy of the nodes that its collider reads: up to two cells beyond its own."""
+        low, high = self._swept_bounds(model)
+
+        def record(grid: Grid) -> wp.Launch | None:
+            start, extent = grid.nodes_within(low - 2 * grid.dx, high + 2 * grid.dx)
+            inputs = [wp.vec3i(*start.tolist()), grid.window, grid.nodes]
+            return model.launch(make_keep(model.real), tuple(extent), inputs, [grid.kept])
+
+        return record
+
+    def _swept_bounds(self, model: Model) -> Corners:
+        """Corners of a box that contains every node that may ever respond to it [m]."""
+        bounds, track = self.bounds(model), self.track(model)
+        return bounds if track is None else swept(bounds, track)
+
     def _recorder(self, model: Model, tracks: Tracks) -> Callable[[Grid], wp.Launch | None]:
         t, track = types(model.real), self.track(model)
         slot = 0 if track is None else tracks.add(track)
-        bounds = self.bounds(model)
-        if track is not None:
-            bounds = swept(bounds, track)
+        bounds, crosses = self._swept_bounds(model), self.crosses(model.dx)
         shape = t.mat33(*np.ravel(self.geometry(model)))
         met, reach = self.met(model.dx), self.reach(model.dx)
         kernel = self.kernel(model.real, model.dx, moving=track is not None)
@@ -181,6 +203,8 @@ class Boundary(Section):
                 wall.append(wp.vec2i(*(grid.layers or (0, int(grid.size[0])))))
                 wall.append(lightest(model))
             inputs = [*wall, grid.lattice, grid.window, tracks.values, tracks.rates]
+            if met:
+                inputs.append(grid.kept if crosses else grid.nodes)
             return model.launch(kernel, tuple(extent), inputs, [grid.nodes])
 
         return record

@@ -3,46 +3,23 @@
 Node n of the window is at origin + (window[0] + (i, j, k)) dx. A collider is built from a distance
 function and a response, so an absent shape or mode costs nothing.
 
-`make_contact` places contact at the wall itself, between the nodes. Along the axis closest to the
-wall's normal, the velocity relative to the wall is to be linear in the distance and zero on the
-wall: the first node at least half a cell in front of the wall leads, and the two behind it follow
-with the ratios g of their distances (quadratic B-splines reproduce linear functions, and reach no
-further behind). Momentum is projected onto such velocities, v_1 = sum(g m v) / sum(g^2 m), which
-never adds energy and pushes on all three nodes alike; without this a wall is as soft as a layer one
-cell thick. (Extended B-splines: Hoellig, Reif, Wipper 2001.) The wall acts once the material has
-reached it, as the masses of the nodes on its two sides show: see `covered`.
-
-Held material ends in the same way at the surface of its region: the nodes inside are held, and the
-one next to the surface follows the one in front of it so that the velocity is zero where the region
-ends, g = (1, -w0 / w1, 0) with the weights w of the nodes there.
+`make_contact` places contact at the wall itself, between the nodes: see phy124/kernels/columns.py.
+At a flat wall every node is in one column. At a curved one columns cross: there each node looks at
+its own column as it was before this wall acted, in the copy that `make_keep` makes, and changes
+only itself, so that the result does not depend on the order of the nodes.
 
 `make_collider` is the usual rule, node by node, for regions that are held only in some directions.
 """
 
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import warp as wp
 
 from phy124.kernels.build import kernel
+from phy124.kernels.columns import RESPONSES, add_rows, along_wall, relative, tied, xyz
 from phy124.kernels.distance import SHAPES
-from phy124.kernels.friction import all_of_it, coulomb, none_of_it, separate, slip, sticky
-from phy124.kernels.spline import spline
 from phy124.kernels.transfer import types
-
-
-@wp.func
-def covered(u: Any):
-    """Fraction of a quadratic B-spline beyond a plane that is u cells before its centre."""
-    one = type(u)(1.0)
-    sixth = type(u)(1.0 / 6.0)
-    reach = wp.max(type(u)(1.5) - wp.abs(u), type(u)(0.0))
-    tail = sixth * reach * reach * reach
-    if u < type(u)(-0.5):
-        return tail
-    if u > type(u)(0.5):
-        return one - tail
-    return type(u)(0.5) + u * (type(u)(0.75) - u * u * type(u)(1.0 / 3.0))
 
 
 @wp.func
@@ -82,18 +59,6 @@ def front(s: Any, axis: int, dx: Any):
 
 
 @wp.func
-def xyz(q: Any):
-    """The first three components: a node's velocity, a distance's normal, or a track's value."""
-    return wp.vector(q[0], q[1], q[2])
-
-
-@wp.func
-def relative(q0: Any, q1: Any, q2: Any, wall: Any):
-    """The velocities of a column's nodes relative to a wall [node, axis]."""
-    return wp.matrix_from_rows(xyz(q0) - wall, xyz(q1) - wall, xyz(q2) - wall)
-
-
-@wp.func
 def holds(size: wp.vec3i, span: wp.vec2i, node: wp.vec3i):
     """Whether a node is in the window and in the layers that a launch may touch."""
     return (
@@ -117,112 +82,42 @@ def laden(grid: wp.array(dtype=Any), size: wp.vec3i, span: wp.vec2i, node: wp.ve
     return q[3] > type(q[3])(0.0)
 
 
-FULL = wp.constant(0.8)
-"""Fraction of the expected mass above which a body has reached the wall (a gap of 0.15 cells)."""
+FLAT = {"half_space"}
+"""Shapes whose normal is the same everywhere, so that no node is in two columns."""
 
 
-@wp.func
-def arrived(m: Any, near: Any, far: Any, lightest: Any):
-    """Whether material has reached a wall: nodes `near` and `far` cells in front have masses m.
+@cache
+def make_keep(real: Any):
+    """Kernel over the nodes of a sub-box: copies them."""
+    t = types(real)
 
-    A body that touches the wall covers their splines in a known ratio; with a gap, less is on the
-    nearer node. The ratio does not depend on how dense or wide the body is. Irregular particles
-    scatter about it, and a body must not stand on the few fullest columns only. If something
-    heavier lies on it, the farther node counts as at most a full node of the `lightest` material.
-    """
-    behind = wp.min(m[0], lightest * covered(far))
-    full = type(near)(FULL) * behind * covered(near)
-    return m[1] > type(near)(0.0) and m[1] * covered(far) >= full
+    @kernel(f"phy124_keep_{real.__name__}", seconds=0.15)
+    def keep(
+        # model
+        start: wp.vec3i, window: wp.array(dtype=wp.vec3i),
+        # state in
+        grid: wp.array(dtype=t.vec4),
+        # out
+        kept_out: wp.array(dtype=t.vec4),
+    ):  # fmt: skip
+        i, j, k = wp.tid()
+        n = wp.dot(wp.vec3i(i, j, k) + start, strides(window[1]))
+        kept_out[n] = grid[n]
 
-
-@wp.func
-def joined(m: Any, near: Any, far: Any, lightest: Any):
-    """Whether the node next to the surface of a region that holds has mass."""
-    return not m[1] <= type(near)(0.0)
-
-
-@wp.func
-def linear(distances: Any, across: Any):
-    """Ratios g of a velocity that is linear in the distance and zero on the wall."""
-    return distances / distances[0]
-
-
-@wp.func
-def ending(distances: Any, across: Any):
-    """Ratios g of a velocity that is zero where the region ends; `across` is the cell size [m]."""
-    one = type(across)(1.0)
-    w = spline(distances[0] / across)
-    return wp.vector(one, -w[0] / w[1], type(across)(0.0))
-
-
-@wp.func
-def tied(v: Any, m: Any, g: Any):
-    """Change of the velocities [node, axis] of masses m that makes them follow with ratios g."""
-    weight = wp.cw_mul(g, m)
-    return wp.outer(g, (wp.transpose(v) @ weight) / wp.dot(weight, g)) - v
-
-
-@wp.func
-def along_wall(change: Any, normal: Any):
-    """The part of changes [node, axis] that is along a wall."""
-    return change - wp.outer(change * normal, normal)
-
-
-@wp.func
-def pressing(pressed: Any):
-    """Whether the wall pushes: it lets go of material that leaves."""
-    return pressed > type(pressed)(0.0)
-
-
-@wp.func
-def either_way(pressed: Any):
-    """Always true: the wall does not let go of material that leaves."""
-    return True
-
-
-@wp.func
-def add_rows(grid: wp.array(dtype=Any), first: int, step: int, m: Any, change: Any):
-    """Add changes of velocity [node, axis] to a column's nodes, where there is mass."""
-    for row in range(3):
-        if m[row] > type(m[row])(0.0):
-            grid[first + row * step] += wp.vector(
-                change[row, 0], change[row, 1], change[row, 2], type(m[row])(0.0)
-            )
-
-
-class Response(NamedTuple):
-    """How nodes respond to a wall: one by one, or as a column of three."""
-
-    answer: Any
-    """`(v, wall, n, friction) -> v` of a node by itself."""
-    acts: Any
-    """`(m, near, far, lightest)`: whether the wall acts on a column yet."""
-    ratios: Any
-    """`(distances, across) -> g`, how the velocities of a column follow the first."""
-    pushes: Any
-    """`(pressed)`: whether it acts, by the impulse per mass along its normal."""
-    hold: Any
-    """`(along, pressed, friction)`: the fraction of the motion along the wall that it takes."""
-
-
-RESPONSES = {
-    "sticky": Response(sticky, arrived, linear, either_way, all_of_it),
-    "slip": Response(slip, arrived, linear, either_way, none_of_it),
-    "separate": Response(separate, arrived, linear, pressing, coulomb),
-    "held": Response(sticky, joined, ending, either_way, all_of_it),
-}
+    return keep
 
 
 @cache
 def make_contact(shape: str, response: str, moving: bool, real: Any):
     """Kernel over the nodes of a sub-box: columns of three nodes at a wall respond to it.
 
-    The thread of a column's first node handles all three. Nodes further behind, or in columns
-    without material in front, respond one by one below `reach` [m] of signed distance; so do
-    columns that leave `span`, the layers first <= i < last that this launch may touch. A moving
-    shape is displaced by the value of its track, and its wall moves at the track's rate, while the
-    track is active. `lightest` is the mass of a node inside the lightest of several materials [kg],
-    or infinite.
+    At a flat wall the thread of a column's first node handles all three, in `grid_out`; at others
+    each node changes only itself and reads `kept`, the nodes as they were. Nodes further behind, or
+    in columns without material in front, respond one by one below `reach` [m] of signed distance;
+    so do columns that leave `span`, the layers first <= i < last that this launch may touch. A
+    moving shape is displaced by the value of its track, and its wall moves at the track's rate,
+    while the track is active. `lightest` is the mass of a node inside the lightest of several
+    materials [kg], or infinite.
 
     Args:
         shape: Name of a distance function.
@@ -233,6 +128,7 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
     t = types(real)
     distance = SHAPES[shape]
     answer, acts, ratios, pushes, hold = RESPONSES[response]
+    flat = shape in FLAT
     name = f"phy124_contact_{shape}_{response}_{'moving' if moving else 'still'}_{real.__name__}"
 
     @kernel(name, seconds=0.4)
@@ -242,6 +138,8 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
         lightest: real,
         lattice: t.vec4, window: wp.array(dtype=wp.vec3i),
         values: wp.array(dtype=t.vec4), rates: wp.array(dtype=t.vec4),
+        # state in
+        kept: wp.array(dtype=t.vec4),
         # in place
         grid_out: wp.array(dtype=t.vec4),
     ):  # fmt: skip
@@ -283,20 +181,28 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
         s2 = distance(place(lattice, low + end) - moved, geometry)
         column = front(s0, axis, dx) and s2[3] <= real(0.0)
 
+        before = kept
+        if wp.static(flat):
+            before = grid_out
+
         # A node without such a column responds by itself.
-        if not (column and laden(grid_out, size, span, lead) and holds(size, span, end)):
+        if not (column and laden(before, size, span, lead) and holds(size, span, end)):
             if s[3] < reach:
                 v = answer(xyz(grid_out[n]), wall, xyz(s), friction)
                 grid_out[n] = wp.vector(v[0], v[1], v[2], grid_out[n][3])
             return
-        if not leads:
-            return
+        if wp.static(flat):
+            if not leads:
+                return
+        else:
+            s1 = distance(place(lattice, low + lead + back) - moved, geometry)
 
         # The column follows the wall; masses are shares, for squares of momenta in small units
         # would be nothing in float32.
-        q0 = grid_out[n]
-        q1 = grid_out[n + step]
-        q2 = grid_out[n + 2 * step]
+        first = wp.dot(lead, stride)
+        q0 = before[first]
+        q1 = before[first + step]
+        q2 = before[first + 2 * step]
         mass = q0[3] + q1[3] + q2[3]
         m = wp.vector(q0[3], q1[3], q2[3]) / mass
         normal = xyz(s0)
@@ -309,7 +215,13 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
             drag = along_wall(change, normal)
             if pushes(pressed):
                 taken = hold(wp.transpose(drag) * m, pressed, friction)
-                add_rows(grid_out, n, step, m, wp.outer(stop, normal) + drag * taken)
+                change = wp.outer(stop, normal) + drag * taken
+                if wp.static(flat):
+                    add_rows(grid_out, n, step, m, change)
+                else:
+                    own = change[wp.dot(here - lead, back)]
+                    q = grid_out[n]
+                    grid_out[n] = wp.vector(q[0] + own[0], q[1] + own[1], q[2] + own[2], q[3])
 
     return contact
 

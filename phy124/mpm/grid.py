@@ -32,6 +32,7 @@ class Grid:
         self.window = wp.zeros(2, dtype=wp.vec3i, device=device)
         self.low, self.size = np.zeros(3, int), np.zeros(3, int)
         self.nodes = wp.zeros(0, dtype=t.vec4, device=device)
+        self._kept: wp.array | None = None
         self.stale = True
         """Whether the window does not belong to the current positions of the particles."""
         self.layers: tuple[int, int] | None = None
@@ -82,6 +83,14 @@ class Grid:
         self.window.assign(np.stack([low, size]).astype(np.int32))
         # One node more than the window, since the SIMD rows read four nodes at a time.
         self.nodes = wp.zeros(self.count + 1, dtype=self.vec4, device=self.device)
+        self._kept = None
+
+    @property
+    def kept(self) -> wp.array:
+        """An array like `nodes`, made when it is first needed: what they are before a wall acts."""
+        if self._kept is None:
+            self._kept = wp.empty_like(self.nodes)
+        return self._kept
 
     def reach(self, lower: NDArray, upper: NDArray) -> tuple[NDArray, NDArray]:
         """First node, and one past the last, that particles between two corners [m] can touch."""

@@ -1,0 +1,144 @@
+"""Columns: three nodes in a row at a wall, which respond to it together.
+
+Contact is at the wall itself, between the nodes. Along the axis closest to the
+wall's normal, the velocity relative to the wall is to be linear in the distance and zero on the
+wall: the first node at least half a cell in front of the wall leads, and the two behind it follow
+with the ratios g of their distances (quadratic B-splines reproduce linear functions, and reach no
+further behind). Momentum is projected onto such velocities, v_1 = sum(g m v) / sum(g^2 m), which
+never adds energy and pushes on all three nodes alike; without this a wall is as soft as a layer one
+cell thick. (Extended B-splines: Hoellig, Reif, Wipper 2001.) The wall acts once the material has
+reached it, as the masses of the nodes on its two sides show: see `covered`.
+
+Held material ends in the same way at the surface of its region: the nodes inside are held, and the
+one next to the surface follows the one in front of it so that the velocity is zero where the region
+ends, g = (1, -w0 / w1, 0) with the weights w of the nodes there.
+"""
+
+from typing import Any, NamedTuple
+
+import warp as wp
+
+from phy124.kernels.friction import all_of_it, coulomb, none_of_it, separate, slip, sticky
+from phy124.kernels.spline import spline
+
+
+@wp.func
+def covered(u: Any):
+    """Fraction of a quadratic B-spline beyond a plane that is u cells before its centre."""
+    one = type(u)(1.0)
+    sixth = type(u)(1.0 / 6.0)
+    reach = wp.max(type(u)(1.5) - wp.abs(u), type(u)(0.0))
+    tail = sixth * reach * reach * reach
+    if u < type(u)(-0.5):
+        return tail
+    if u > type(u)(0.5):
+        return one - tail
+    return type(u)(0.5) + u * (type(u)(0.75) - u * u * type(u)(1.0 / 3.0))
+
+
+@wp.func
+def xyz(q: Any):
+    """The first three components: a node's velocity, a distance's normal, or a track's value."""
+    return wp.vector(q[0], q[1], q[2])
+
+
+@wp.func
+def relative(q0: Any, q1: Any, q2: Any, wall: Any):
+    """The velocities of a column's nodes relative to a wall [node, axis]."""
+    return wp.matrix_from_rows(xyz(q0) - wall, xyz(q1) - wall, xyz(q2) - wall)
+
+
+FULL = wp.constant(0.8)
+"""Fraction of the expected mass above which a body has reached the wall (a gap of 0.15 cells)."""
+
+
+@wp.func
+def arrived(m: Any, near: Any, far: Any, lightest: Any):
+    """Whether material has reached a wall: nodes `near` and `far` cells in front have masses m.
+
+    A body that touches the wall covers their splines in a known ratio; with a gap, less is on the
+    nearer node. The ratio does not depend on how dense or wide the body is. Irregular particles
+    scatter about it, and a body must not stand on the few fullest columns only. If something
+    heavier lies on it, the farther node counts as at most a full node of the `lightest` material.
+    """
+    behind = wp.min(m[0], lightest * covered(far))
+    full = type(near)(FULL) * behind * covered(near)
+    return m[1] > type(near)(0.0) and m[1] * covered(far) >= full
+
+
+@wp.func
+def joined(m: Any, near: Any, far: Any, lightest: Any):
+    """Whether the node next to the surface of a region that holds has mass."""
+    return not m[1] <= type(near)(0.0)
+
+
+@wp.func
+def linear(distances: Any, across: Any):
+    """Ratios g of a velocity that is linear in the distance and zero on the wall."""
+    return distances / distances[0]
+
+
+@wp.func
+def ending(distances: Any, across: Any):
+    """Ratios g of a velocity that is zero where the region ends; `across` is the cell size [m]."""
+    one = type(across)(1.0)
+    w = spline(distances[0] / across)
+    return wp.vector(one, -w[0] / w[1], type(across)(0.0))
+
+
+@wp.func
+def tied(v: Any, m: Any, g: Any):
+    """Change of the velocities [node, axis] of masses m that makes them follow with ratios g."""
+    weight = wp.cw_mul(g, m)
+    return wp.outer(g, (wp.transpose(v) @ weight) / wp.dot(weight, g)) - v
+
+
+@wp.func
+def along_wall(change: Any, normal: Any):
+    """The part of changes [node, axis] that is along a wall."""
+    return change - wp.outer(change * normal, normal)
+
+
+@wp.func
+def pressing(pressed: Any):
+    """Whether the wall pushes: it lets go of material that leaves."""
+    return pressed > type(pressed)(0.0)
+
+
+@wp.func
+def either_way(pressed: Any):
+    """Always true: the wall does not let go of material that leaves."""
+    return True
+
+
+@wp.func
+def add_rows(grid: wp.array(dtype=Any), first: int, step: int, m: Any, change: Any):
+    """Add changes of velocity [node, axis] to a column's nodes, where there is mass."""
+    for row in range(3):
+        if m[row] > type(m[row])(0.0):
+            grid[first + row * step] += wp.vector(
+                change[row, 0], change[row, 1], change[row, 2], type(m[row])(0.0)
+            )
+
+
+class Response(NamedTuple):
+    """How nodes respond to a wall: one by one, or as a column of three."""
+
+    answer: Any
+    """`(v, wall, n, friction) -> v` of a node by itself."""
+    acts: Any
+    """`(m, near, far, lightest)`: whether the wall acts on a column yet."""
+    ratios: Any
+    """`(distances, across) -> g`, how the velocities of a column follow the first."""
+    pushes: Any
+    """`(pressed)`: whether it acts, by the impulse per mass along its normal."""
+    hold: Any
+    """`(along, pressed, friction)`: the fraction of the motion along the wall that it takes."""
+
+
+RESPONSES = {
+    "sticky": Response(sticky, arrived, linear, either_way, all_of_it),
+    "slip": Response(slip, arrived, linear, either_way, none_of_it),
+    "separate": Response(separate, arrived, linear, pressing, coulomb),
+    "held": Response(sticky, joined, ending, either_way, all_of_it),
+}
