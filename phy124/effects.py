@@ -210,6 +210,8 @@ def _of_frames(scene: Scene, sh_degree: int) -> Iterator[Effect]:
     asked = scene.keeps_contacts and walls > 0
     cost = Cost(particle=CONTACT * walls)
     yield Effect("contact forces", asked, "not asked for, or nothing is solid", cost)
+    kept = scene.keeps_wrenches and walls > 0
+    yield Effect("force and torque per wall", kept, "not asked for, or nothing is solid")
     drawn = ", ".join(scene.view.outputs)
     yield Effect(f"outputs {drawn}".strip(), bool(drawn), "not asked for: only colours are drawn")
     turned = sh_degree > 0

@@ -7,7 +7,9 @@ scales in metres). The field names are gsplat's.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,6 +108,15 @@ class Gaussians:
         return axes @ axes.transpose(0, 2, 1)
 
 
+class Wrench(NamedTuple):
+    """Mean force and torque that the object exerts on a wall, since the frame before."""
+
+    force: NDArray[np.float64]
+    """Force [3], N."""
+    torque: NDArray[np.float64]
+    """Torque about the object's centre of mass [3], N m."""
+
+
 @dataclass(frozen=True, eq=False)
 class Frame:
     """The Gaussians at one instant."""
@@ -119,6 +130,8 @@ class Frame:
     """Velocities of the centres [N,3], m/s, if they were asked for."""
     contacts: Array | None = None
     """Mean force of the walls on each since the frame before [N,3], N, if it was asked for."""
+    wrenches: dict[str, Wrench] | None = None
+    """What the object exerts on each wall, by the wall's name, if it was asked for."""
 
 
 def rotation_matrices(quats: NDArray) -> NDArray[np.float64]:
@@ -154,3 +167,14 @@ def quaternions(rotations: NDArray) -> NDArray[np.float64]:
     )
     q = columns[np.arange(len(r)), best]
     return q / np.linalg.norm(q, axis=1, keepdims=True)
+
+
+def stacked(frames: Sequence[Frame]) -> NDArray[np.float64]:
+    """The wrenches of frames that have them [T,W,2,3], walls in their order."""
+    rows = [[[*wrench] for wrench in (frame.wrenches or {}).values()] for frame in frames]
+    return np.array(rows, np.float64).reshape(len(frames), -1, 2, 3)
+
+
+def of_walls(walls: Sequence[str], wrenches: NDArray) -> dict[str, Wrench]:
+    """The wrenches of one frame [W,2,3] by the names of the walls."""
+    return {wall: Wrench(*wrench) for wall, wrench in zip(walls, wrenches, strict=True)}

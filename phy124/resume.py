@@ -15,7 +15,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 
 from phy124.errors import InputError
-from phy124.gaussians import Frame, Gaussians
+from phy124.gaussians import Frame, Gaussians, of_walls, stacked
 from phy124.harmonics import rotate_sh
 from phy124.io.files import replacing
 from phy124.progress import Progress, silent
@@ -130,6 +130,8 @@ def _frames(run: Simulation) -> Tensors:
             kept = [getattr(f, name) for f in run.frames if getattr(f, name) is not None]
             if kept:
                 tensors[f"frames.{name}"] = np.stack(kept)
+    if run.wrenches.asked and run.frames:
+        tensors["frames.wrenches"] = stacked(run.frames)
     if run.rotations:
         tensors["frames.rotations"] = np.stack(run.rotations)
     return tensors
@@ -137,14 +139,16 @@ def _frames(run: Simulation) -> Tensors:
 
 def _put_frames(run: Simulation, tensors: Tensors) -> None:
     rest, kept = run.shown, [tensors.get(f"frames.{n}") for n in ("velocities", "contacts")]
-    times = tensors["frames.times"].tolist()
+    times, walls = tensors["frames.times"].tolist(), tensors.get("frames.wrenches")
     for index, time in enumerate(times):
         means, quats, scales = (
             tensors[f"frames.{name}"][index] for name in ("means", "quats", "scales")
         )
         gaussians = Gaussians(means, quats, scales, rest.opacities, rest.sh)
         more = [None if values is None else values[index] for values in kept]
-        run.frames.append(Frame(run.count - len(times) + index, time, gaussians, *more))
+        wrenches = None if walls is None else of_walls(run.wrenches.walls, walls[index])
+        frame = Frame(run.count - len(times) + index, time, gaussians, *more, wrenches)
+        run.frames.append(frame)
     run.rotations = list(tensors.get("frames.rotations", []))
 
 

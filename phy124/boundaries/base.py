@@ -119,6 +119,10 @@ class Boundary(Section):
         """The simple walls that it consists of."""
         return [self]
 
+    def part_names(self) -> list[str]:
+        """What tells its simple walls apart, in their order."""
+        return [str(number) for number in range(1, len(self.parts()) + 1)]
+
     def outline(self) -> str:
         """Name of its distance function."""
         return self.shape

@@ -121,6 +121,15 @@ class Container(Movable):
         """Its walls."""
         return self.sides()
 
+    def part_names(self) -> list[str]:
+        """The axis across each wall, and whether it is at its low or high end: `z_low`, a floor."""
+        normals = [side.normal for side in self.sides()]
+        axes = [int(np.argmax(np.abs(normal))) for normal in normals]
+        return [
+            f"{'xyz'[axis]}_{'low' if normal[axis] > 0 else 'high'}"
+            for axis, normal in zip(axes, normals, strict=True)
+        ]
+
     def sides(self) -> list[HalfSpace]:
         """Its walls; a side far beyond any scene counts as open."""
         walls = []

@@ -133,6 +133,10 @@ class Gripper(Boundary):
         """Its pads."""
         return self.pads()
 
+    def part_names(self) -> list[str]:
+        """The axis in which it closes, and on which side the pad is: `y_low`, `y_high`."""
+        return [f"{self.axis}_low", f"{self.axis}_high"]
+
     def pads(self) -> list[Box]:
         """The two pads as moving boxes."""
         along = {"x": 0, "y": 1}[self.axis]

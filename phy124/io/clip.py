@@ -18,7 +18,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 
 from phy124.errors import InputError
-from phy124.gaussians import Array, Frame, Gaussians
+from phy124.gaussians import Array, Frame, Gaussians, of_walls, stacked
 from phy124.harmonics import rotate_sh
 from phy124.io.files import replacing
 
@@ -26,6 +26,7 @@ FORMAT = "phy124-clip"
 VERSION = "1"
 REQUIRED = ("means", "quats", "scales", "opacities", "sh", "times")
 OPTIONAL = ("rotations", "velocities", "contacts")
+WALLS = "wrenches"
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +55,11 @@ class Clip:
     """The report of the run; `complete` is False if it stopped early."""
     contacts: Array | None = None
     """Mean forces of the walls since the frame before [T,N,3], N, if they were asked for."""
+    wrenches: NDArray[np.float64] | None = None
+    """Mean force [N] and torque about the object's centre of mass [N m] that the object exerts on
+    each of W walls since the frame before [T,W,2,3], if they were asked for."""
+    walls: tuple[str, ...] = ()
+    """Names of the walls [W]."""
 
     def __post_init__(self) -> None:
         t, n = self.means.shape[:2]
@@ -66,6 +72,7 @@ class Clip:
             "rotations": (t, n, 4),
             "velocities": (t, n, 3),
             "contacts": (t, n, 3),
+            "wrenches": (t, len(self.walls), 2, 3),
         }
         for name, shape in shapes.items():
             value = getattr(self, name)
@@ -103,6 +110,8 @@ class Clip:
             rotations=rotations,
             velocities=kept("velocities"),
             contacts=kept("contacts"),
+            wrenches=stacked(frames) if all(f.wrenches is not None for f in frames) else None,
+            walls=tuple(frames[0].wrenches or ()),
         )
 
     @property
@@ -143,7 +152,8 @@ class Clip:
         if v is None and velocities:
             v = self.velocity(index)
         forces = None if self.contacts is None else self.contacts[index]
-        return Frame(index, float(self.times[index]), gaussians, v, forces)
+        walls = None if self.wrenches is None else of_walls(self.walls, self.wrenches[index])
+        return Frame(index, float(self.times[index]), gaussians, v, forces, walls)
 
     def frames(self, *, velocities: bool = False) -> Iterator[Frame]:
         """All frames in order, with one in memory at a time if the clip is memory-mapped."""
@@ -184,13 +194,15 @@ class Clip:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write one safetensors file; it appears whole or not at all."""
-        names = REQUIRED + tuple(n for n in OPTIONAL if getattr(self, n) is not None)
+        more = (*OPTIONAL, WALLS)
+        names = REQUIRED + tuple(n for n in more if getattr(self, n) is not None)
         tensors = {name: np.ascontiguousarray(getattr(self, name)) for name in names}
         metadata = {
             "format": FORMAT,
             "version": VERSION,
             "scene": json.dumps(self.scene),
             "report": json.dumps(self.report),
+            "walls": json.dumps(self.walls),
         }
         with replacing(path) as temporary:
             save_file(tensors, temporary, metadata)
@@ -207,13 +219,15 @@ class Clip:
         missing = [name for name in REQUIRED if name not in arrays]
         if missing:
             raise _refusal(path, f"the tensors {', '.join(missing)} are missing.")
-        known = {name: arrays[name] for name in REQUIRED + OPTIONAL if name in arrays}
+        names = (*REQUIRED, *OPTIONAL, WALLS)
+        known = {name: arrays[name] for name in names if name in arrays}
         try:
             scene, report = json.loads(metadata["scene"]), json.loads(metadata["report"])
-        except ValueError as error:
+            walls = tuple(json.loads(metadata.get("walls", "[]")))
+        except (ValueError, TypeError) as error:
             raise _refusal(path, f"its scene or report is damaged ({error}).") from error
         try:
-            return cls(**known, scene=scene, report=report)
+            return cls(**known, scene=scene, report=report, walls=walls)
         except (ValueError, IndexError) as error:
             raise _refusal(path, f"its tensors do not fit together ({error}).") from error
 

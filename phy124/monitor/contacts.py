@@ -37,9 +37,12 @@ class Contacts:
         self._impulses: dict[bool, wp.array] = {}
         self._bearers: NDArray[np.int64] | None = None
 
-    def boundaries(self, walls: Sequence[Boundary]) -> Sequence[Attachable]:
-        """The walls, each measured before and after it acts."""
-        return [Measured([wall], partial(self._attach, wall)) for wall in walls]
+    def boundaries(
+        self, walls: Sequence[Boundary], inner: Sequence[Attachable] | None = None
+    ) -> list[Attachable]:
+        """The walls, or what each is wrapped in, measured before and after they act."""
+        each = zip(walls, walls if inner is None else inner, strict=True)
+        return [Measured([one], partial(self._attach, wall)) for wall, one in each]
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
         """Nothing more: the walls have the stages."""

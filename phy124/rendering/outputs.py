@@ -337,10 +337,15 @@ def _write(
 
 
 def _row(clip: Clip, index: int, camera: Camera, files: Mapping[Output, str]) -> dict[str, Any]:
-    """What is said of a frame: its instant, its camera, its files, and the force of all walls."""
-    total = {}
+    """What is said of a frame: its instant, its camera, its files, and the walls' forces."""
+    total: dict[str, Any] = {}
     if "force" in files and clip.contacts is not None:
         total["force"] = clip.contacts[index].astype(np.float64).sum(axis=0).tolist()
+        walls = (clip.frame(index).wrenches or {}).items()
+        total["walls"] = {
+            wall: {name: part.tolist() for name, part in wrench._asdict().items()}
+            for wall, wrench in walls
+        }
     return {
         "frame": index,
         "time": float(clip.times[index]),
@@ -363,6 +368,8 @@ def _description(
         "world": "right-handed, metres, z up, the object faces +x",
         "camera": "OpenCV: x right, y down, z forward; the centre of pixel (i, j) is "
         "(i + 0.5, j + 0.5)",
+        "walls": "force [N] that the object exerts on each wall, and torque about the object's "
+        "centre of mass [N m], in the world's axes; all add up to the opposite of force",
         "uncovered": "0 in all channels (a force is covered everywhere)",
         "outputs": dict(_described(view, steps)),
         "frames": rows,

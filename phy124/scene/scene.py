@@ -72,6 +72,10 @@ class Scene(Section):
         default=False,
         description="Keep the mean force of the walls on each Gaussian; outputs of force do so.",
     )
+    wrenches: bool = Field(
+        default=False,
+        description="Keep force and torque that the object exerts on each wall; contacts do so.",
+    )
     grains: bool = Field(
         default=True,
         description="Show the inside of what falls apart (sand, snow, foam) as grains; off: only "
@@ -98,6 +102,11 @@ class Scene(Section):
     def keeps_contacts(self) -> bool:
         """Whether the force of the walls on each Gaussian is kept."""
         return self.contacts or "force" in self.view.outputs
+
+    @property
+    def keeps_wrenches(self) -> bool:
+        """Whether the force and torque on each wall are kept."""
+        return self.wrenches or self.keeps_contacts
 
     @property
     def materials(self) -> list[AnyMaterial]:

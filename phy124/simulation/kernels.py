@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from phy124 import deform, tracks
-from phy124.monitor import contacts, diagnostics, external_work, tearing
+from phy124.monitor import contacts, diagnostics, external_work, tearing, wrenches
 from phy124.mpm import repair, substep
 from phy124.mpm.model import PRECISIONS, form_of
 from phy124.scene import Scene
@@ -30,5 +30,7 @@ def kernels(scene: Scene) -> Iterator[Any]:
         yield from boundary.kernels(real, scene.dx)
     if scene.boundaries and scene.checks.balance:
         yield from external_work.wall_kernels(real)
+    if scene.boundaries and scene.keeps_wrenches:
+        yield from wrenches.wrench_kernels(real)
     if scene.boundaries and scene.keeps_contacts:
         yield from contacts.contact_kernels(real)

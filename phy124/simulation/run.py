@@ -24,6 +24,7 @@ from phy124.monitor.contacts import Contacts
 from phy124.monitor.external_work import ExternalWork
 from phy124.monitor.sleep import Sleep
 from phy124.monitor.watchdog import Violation, Watchdog
+from phy124.monitor.wrenches import Wrenches, summary
 from phy124.mpm import Unstable
 from phy124.particles import clean, make_particles
 from phy124.particles.scenery import Scenery
@@ -37,8 +38,6 @@ from phy124.simulation.appearance import appearance
 from phy124.simulation.materials import varied
 from phy124.simulation.solver import judged_as, solver_of
 from phy124.simulation.stopped import Stopped
-
-"""Largest growth of the Gaussians of flowing material, whose F_total has no bound."""
 
 
 class Interrupted(Cancelled):
@@ -109,9 +108,10 @@ class Simulation:
             self.demand = refuse_hopeless(self.shown, self.particles, judged, device, keep=keep)
         with self.watch.stage("compile"):
             external, self.contacts = ExternalWork(), Contacts(asked=scene.keeps_contacts)
+            self.wrenches = Wrenches(asked=scene.keeps_wrenches)
             self.solver = solver_of(
                 self.particles, self.materials, stiffness, scene, device, threads, external,
-                self.contacts,
+                self.contacts, self.wrenches,
             )  # fmt: skip
             self.watchdog = Watchdog(self.solver, external, balance=scene.checks.balance)
             self.deformer = Deformer(
@@ -198,11 +198,8 @@ class Simulation:
             raise ValueError("this run does not keep its frames")
         rotations = np.stack(self.rotations) if self.rotations else None
         made = Clip.from_frames(self.frames, rotations)
-        return Clip(
-            made.means, made.quats, made.scales, self.shown.opacities, self.shown.sh,
-            made.times, made.rotations, made.velocities, self.numbered.data(), self.report(),
-            made.contacts,
-        )  # fmt: skip
+        shown = {"opacities": self.shown.opacities, "sh": self.shown.sh}
+        return replace(made, **shown, scene=self.numbered.data(), report=self.report())
 
     def report(self) -> dict[str, Any]:
         """What the run did; the keys are documented in docs/reference/report.md."""
@@ -234,6 +231,7 @@ class Simulation:
             "frames": self.count,
             "static": self.scenery.count,
             "sleep": self.sleep.report(),
+            "walls": summary(self.frames) if self.keep else None,
             "effects": effects.data(
                 particles=len(self.particles),
                 substeps=solver.clock.substeps,
@@ -278,7 +276,8 @@ class Simulation:
         if self.deformer.rotations is not None:
             self.rotations.append(self.scenery.turns(self.deformer.rotations))
         forces = self.contacts.forces(self.scenery, self.particles, self.scene.time.fps)
-        return self.scenery.whole(replace(frame, contacts=forces))
+        wrenches = self.wrenches.contacts(self.solver.model, state, self.scene.time.fps)
+        return self.scenery.whole(replace(frame, contacts=forces, wrenches=wrenches))
 
     def _again(self, index: int, time: float) -> Frame:
         """The last frame once more: nothing has moved since."""
@@ -317,6 +316,7 @@ class Simulation:
         solver, watchdog = self.solver, self.watchdog
         solver.repair.begin(solver.clock)
         self.contacts.begin()
+        self.wrenches.begin()
         watchdog.before()
         before = solver.snapshot(), watchdog.external.snapshot()
         try:

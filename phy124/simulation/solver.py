@@ -12,6 +12,7 @@ from phy124.boundaries import Ground
 from phy124.materials import AnyMaterial
 from phy124.monitor.contacts import Contacts
 from phy124.monitor.external_work import ExternalWork
+from phy124.monitor.wrenches import Wrenches
 from phy124.mpm import Attachable, Model, Solver, State
 from phy124.particles import Particles
 from phy124.scene import Scene
@@ -29,6 +30,7 @@ def solver_of(
     threads: int | None,
     external: ExternalWork,
     contacts: Contacts,
+    wrenches: Wrenches,
 ) -> Solver:
     """The solver at time 0.
 
@@ -41,16 +43,20 @@ def solver_of(
         threads: CPU threads, 1 or 2; None: two if that is faster and a core is free.
         external: Adds up what forces and walls give, if the scene's balance is checked.
         contacts: Adds up what walls give to each particle, if that is asked for.
+        wrenches: Adds up what each wall is given, if that is asked for.
     """
     x = particles.x.astype(np.float64)
     v, C = _motion(x, particles.mass, scene)
     floors = [b.height for b in scene.boundaries if isinstance(b, Ground)]
     balance = scene.checks.balance
     walls: Sequence[Attachable] = scene.boundaries
+    if wrenches.asked:
+        walls = wrenches.boundaries(scene.boundaries)
     if contacts.asked:
-        walls = contacts.boundaries(scene.boundaries)
+        walls = contacts.boundaries(scene.boundaries, walls)
     if balance:
         walls = external.boundaries(scene.boundaries, walls)
+    sums = [*([external] if balance else []), *(one for one in (contacts, wrenches) if one.asked)]
     ceiling = math.inf if scene.time.substep is None else scene.time.substep
     model = Model.of(
         x,
@@ -69,7 +75,7 @@ def solver_of(
         State.of(model, v, C),
         forces=external.forces(scene.acting) if balance else scene.acting,
         boundaries=walls,
-        accumulators=[*([external] if balance else []), *([contacts] if contacts.asked else [])],
+        accumulators=sums,
         ceiling=ceiling,
         threads=threads,
         measure_every=scene.checks.measure,

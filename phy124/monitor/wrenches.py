@@ -1,0 +1,182 @@
+"""Wrenches: force and torque that the object exerts on each wall, if they are asked for.
+
+What a wall gives to the nodes is summed in every substep, as impulse and as its moment. What the
+object exerts on the wall is the opposite. Its torque is taken about the object's centre of mass at
+the instant of the frame.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from phy124.boundaries import Boundary
+from phy124.gaussians import Frame, Wrench
+from phy124.kernels import wrenches as kernels
+from phy124.kernels.external_work import make_wall_copy
+from phy124.monitor.external_work import reach_of
+from phy124.mpm import Attachable, Grid, Model, Stage, State
+from phy124.tracks import Tracks
+
+STAGE = "wrenches"
+"""Name of the stages that sum them."""
+Vector3 = NDArray[np.float64]
+
+
+class Wrenches:
+    """The sums of one frame; give the solver the result of `boundaries` and this object."""
+
+    def __init__(self, *, asked: bool = True) -> None:
+        self.asked = asked
+        """Whether anything is summed."""
+        self._sums: dict[str, dict[int, wp.array]] = {}
+        """Sums of each wall, for each worker by the first layer of nodes that it updates."""
+
+    @property
+    def walls(self) -> tuple[str, ...]:
+        """Names of the walls, in the order of the scene."""
+        return tuple(self._sums)
+
+    def boundaries(self, walls: Sequence[Boundary]) -> list[Attachable]:
+        """The boundaries, each of whose walls is measured before and after it acts."""
+        return [
+            _Separated(self, wall, name) for name, wall in zip(names(walls), walls, strict=True)
+        ]
+
+    def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
+        """Nothing more: the walls have the stages."""
+        del model, state, tracks
+        return []
+
+    def begin(self) -> None:
+        """Start a frame."""
+        for sums in self._arrays().values():
+            sums.zero_()
+
+    def contacts(self, model: Model, state: State, fps: float) -> dict[str, Wrench] | None:
+        """Mean wrench on each wall since the frame began; None if not asked.
+
+        Args:
+            model: The particles.
+            state: Where they are; the torques are about their centre of mass.
+            fps: Frames per second.
+        """
+        if not self.asked:
+            return None
+        mass, x = (array.numpy().astype(np.float64) for array in (model.mass, state.x))
+        middle = mass @ x / mass.sum()
+        return {wall: self._wrench(wall, middle, fps) for wall in self._sums}
+
+    def snapshot(self) -> dict[str, Any]:
+        """The sums as they are now."""
+        return {name: wp.clone(sums) for name, sums in self._arrays().items()}
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Set the sums back to a snapshot."""
+        for name, sums in self._arrays().items():
+            kept = snapshot.get(name)
+            sums.zero_() if kept is None else wp.copy(sums, kept)
+
+    def measured(self, name: str, wall: Boundary, model: Model) -> tuple[Stage, Stage]:
+        """The stages before and after a wall, whose sums have a name."""
+        self._sums[name] = {}
+        reach = reach_of([wall], model)
+        copy, wrench = wrench_kernels(model.real)
+        rows: tuple[int, ...] = ()
+        read: list[wp.array] = []
+
+        def before(grid: Grid) -> wp.Launch | None:
+            nonlocal rows, read
+            start, extent = grid.nodes_within(*reach)
+            corners = np.stack([start, extent]).astype(np.int32)
+            box = wp.array(corners, dtype=wp.vec3i, device=model.device)
+            kept = wp.empty(int(np.prod(extent)), dtype=grid.vec4, device=model.device)
+            rows, read = tuple(extent[:2].tolist()), [box, grid.window, grid.nodes, kept]
+            return model.launch(copy, rows, read[:3], read[3:])
+
+        def after(grid: Grid) -> wp.Launch | None:
+            return model.launch(wrench, rows, [grid.lattice, *read], [self._own(name, grid, model)])
+
+        return Stage(STAGE, before), Stage(STAGE, after)
+
+    def _own(self, name: str, grid: Grid, model: Model) -> wp.array:
+        """The sums of a wall and worker, so that two threads never add to the same ones."""
+        first, sums = grid.layers[0] if grid.layers else 0, self._sums[name]
+        if first not in sums:
+            sums[first] = wp.zeros(kernels.SUMS, dtype=wp.float64, device=model.device)
+        return sums[first]
+
+    def _arrays(self) -> dict[str, wp.array]:
+        return {
+            f"{name} {first}": array
+            for name, sums in self._sums.items()
+            for first, array in sums.items()
+        }
+
+    def _wrench(self, wall: str, middle: Vector3, fps: float) -> Wrench:
+        total = np.zeros(kernels.SUMS)
+        for sums in self._sums[wall].values():
+            total += sums.numpy()
+        impulse, moment = np.split(-total, [kernels.MOMENT])
+        return Wrench(fps * impulse, fps * (moment - np.cross(middle, impulse)))
+
+
+class _Separated:
+    """A boundary with a stage before and one after each of its walls."""
+
+    def __init__(self, wrenches: Wrenches, wall: Boundary, name: str) -> None:
+        self._wrenches, self._wall, self._name = wrenches, wall, name
+
+    def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
+        """Its stages between those that measure: each wall by itself if each has one stage."""
+        wall = self._wall
+        stages, parts = wall.attach(model, state, tracks), wall.parts()
+        if len(parts) != len(stages) or len(parts) == 1:
+            before, after = self._wrenches.measured(self._name, wall, model)
+            return [before, *stages, after]
+        found = []
+        for stage, part, side in zip(stages, parts, wall.part_names(), strict=True):
+            before, after = self._wrenches.measured(f"{self._name}_{side}", part, model)
+            found += [before, stage, after]
+        return found
+
+
+def names(walls: Sequence[Boundary]) -> list[str]:
+    """A name for each boundary: its kind, numbered from the second of a kind on."""
+    found: Counter[str] = Counter()
+    named = []
+    for wall in walls:
+        kind = str(getattr(wall, "kind", type(wall).__name__.lower()))
+        found[kind] += 1
+        named.append(kind if found[kind] == 1 else f"{kind}_{found[kind]}")
+    return named
+
+
+def summary(frames: Sequence[Frame]) -> dict[str, Any] | None:
+    """For each wall its largest force, when that was, and the wrench of the last frame.
+
+    Args:
+        frames: All frames of a run; those before the first substep have no forces.
+    """
+    if not frames or frames[-1].wrenches is None:
+        return None
+    found = {}
+    for wall, last in frames[-1].wrenches.items():
+        forces = [float(np.linalg.norm(f.wrenches[wall].force)) for f in frames if f.wrenches]
+        worst = int(np.argmax(forces))
+        found[wall] = {
+            "largest_force": forces[worst],
+            "at": frames[worst].time,
+            "last": {"force": last.force.tolist(), "torque": last.torque.tolist()},
+        }
+    return found
+
+
+def wrench_kernels(real: Any) -> tuple[Any, Any]:
+    """What measures a wall: before and after it acts."""
+    return make_wall_copy(real), kernels.make_wall_wrench(real)

@@ -1,0 +1,121 @@
+"""Wrenches: what the object exerts on each wall adds up to all that the walls give."""
+
+import json
+
+import numpy as np
+import pytest
+
+from phy124 import resume
+from phy124.boundaries import Box, Container, Gripper, Ground
+from phy124.io.clip import Clip
+from phy124.materials import NeoHookean
+from phy124.monitor.diagnostics import diagnose
+from phy124.monitor.external_work import IMPULSES, WALLS, ExternalWork
+from phy124.monitor.wrenches import Wrenches, names, summary
+from phy124.region import Region
+from phy124.scene import Scene
+from phy124.simulation import Simulation
+from support.shapes import ball, block
+from support.solvers import make_solver
+
+SCENE = {"accuracy": {"cells": 8}, "time.frames": 4, "time.fps": 60.0, "wrenches": True}
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_they_add_up_to_the_change_of_both_momenta(threads):
+    walls, x = [Ground(height=0.0), Box(upper=(0.4, 1, 0.4))], block(middle=(0, 0, 0.5))
+    external, wrenches = ExternalWork(), Wrenches()
+    solver = make_solver(
+        x, np.full(len(x), 1e-4), [NeoHookean(E=1e4)], dx=0.125,
+        v=np.tile((1.0, 0.3, -2.0), (len(x), 1)), threads=threads,
+        boundaries=external.boundaries(walls, wrenches.boundaries(walls)),
+        accumulators=[external, wrenches], precision="float64",
+    )  # fmt: skip
+    external.open(solver.clock)
+    fps, given, before = 20, np.zeros(3), diagnose(solver).angular
+    for frame in range(3):
+        wrenches.begin()
+        solver.advance((frame + 1) / fps)
+        found = wrenches.contacts(solver.model, solver.state, fps)
+        total = external._total(*WALLS)[IMPULSES]
+        force = sum(wrench.force for wrench in found.values())
+        assert np.allclose(-force / fps, total - given, rtol=1e-12, atol=1e-12)
+        given, mass = total, solver.model.mass.numpy()
+        middle = mass @ solver.state.x.numpy() / mass.sum()
+        torque = sum(wrench.torque for wrench in found.values())
+        angular = diagnose(solver).angular
+        gained = angular - before
+        about_origin = torque + np.cross(middle, force)
+        assert np.allclose(
+            -about_origin / fps, gained, rtol=1e-9, atol=1e-9 * np.abs(angular).max()
+        )
+        before = angular
+    assert found.keys() == {"ground", "box"}
+    assert np.linalg.norm(torque) > 0.01, "it tumbles"
+    kept = wrenches.snapshot()
+    solver.advance(0.2)
+    wrenches.restore(kept)
+    again = wrenches.contacts(solver.model, solver.state, fps)
+    assert np.array_equal(again["box"].force, found["box"].force)
+
+
+def test_a_body_at_rest_weighs_on_the_ground():
+    scene = Scene.named("drop").replaced({**SCENE, "material.damping": 60, "time.frames": 60})
+    scene = scene.replaced({"object.lift": 0.0, "object.size": 0.2, "material.E": 2e4})
+    clip = Simulation(ball(400), scene).run()
+    weight = 9.81 * clip.report["mass"]
+    assert not clip.wrenches[0].any()
+    (force, torque) = clip.frame(59).wrenches["ground"]
+    assert force[2] == pytest.approx(-weight, rel=0.01)
+    assert np.abs(force[:2]).max() < 0.01 * weight
+    assert np.abs(torque).max() < 0.01 * weight * 0.1
+    assert clip.report["walls"]["ground"]["last"]["force"] == force.tolist()
+    assert clip.report["walls"]["ground"]["largest_force"] >= weight
+
+
+def test_walls_of_one_boundary_are_told_apart():
+    tray = Container(inside=Region(lower=(-1, -1, 0), upper=(1, 1, 1e6)))
+    assert tray.part_names() == ["x_low", "x_high", "y_low", "y_high", "z_low"]
+    assert Gripper(axis="x").part_names() == ["x_low", "x_high"]
+    assert names([Ground(), Box(), Box()]) == ["ground", "box", "box_2"]
+    gripper = {"kind": "gripper", "closed": 0.8, "opening": 1.0, "close": 0.1, "thick": 0.5}
+    scene = Scene.named("drop").replaced({**SCENE, "boundaries": [gripper], "time.fps": 24.0})
+    clip = Simulation(ball(400), scene).run()
+    assert clip.walls == ("gripper_y_low", "gripper_y_high")
+    low, high = clip.wrenches[-1, :, 0, 1]
+    assert low < 0 < high, "the ball pushes the pads apart"
+    assert abs(low + high) < 0.2 * high
+
+
+def test_clips_keep_them_and_old_clips_have_none(tmp_path):
+    scene = Scene.named("press").replaced(SCENE)
+    plain = Simulation(ball(300), scene.replaced({"wrenches": False}), threads=1).run()
+    clip = Simulation(ball(300), scene, threads=1).run()
+    assert plain.wrenches is None and plain.walls == () and plain.report["walls"] is None
+    assert np.array_equal(plain.means, clip.means) and np.array_equal(plain.scales, clip.scales)
+    clip.save(tmp_path / "clip.safetensors")
+    loaded = Clip.load(tmp_path / "clip.safetensors")
+    assert loaded.walls == ("ground", "press")
+    assert np.array_equal(loaded.wrenches, clip.wrenches)
+    assert np.array_equal(loaded.surface.wrenches, clip.wrenches)
+    plain.save(tmp_path / "plain.safetensors")
+    assert Clip.load(tmp_path / "plain.safetensors").frame(1).wrenches is None
+    json.dumps(clip.report, allow_nan=False)
+
+
+def test_a_paused_run_goes_on_with_them(tmp_path):
+    scene = Scene.named("press").replaced(SCENE)
+    whole = Simulation(ball(300), scene, threads=1).run()
+    run = Simulation(ball(300), scene, threads=1)
+    for frame in run:
+        if frame.index == 1:
+            break
+    resume.save(run, tmp_path / "pause.safetensors")
+    again = resume.load(tmp_path / "pause.safetensors").run()
+    assert np.array_equal(whole.wrenches, again.wrenches)
+
+
+def test_without_walls_there_are_none():
+    run = Simulation(ball(300), Scene.named("spin").replaced({**SCENE, "boundaries": []}))
+    clip = run.run()
+    assert clip.wrenches.shape == (4, 0, 2, 3) and summary(run.frames) == {}
