@@ -145,9 +145,9 @@ def _put_frames(run: Simulation, tensors: Tensors) -> None:
             tensors[f"frames.{name}"][index] for name in ("means", "quats", "scales")
         )
         gaussians = Gaussians(means, quats, scales, rest.opacities, rest.sh)
-        more = [None if values is None else values[index] for values in kept]
+        v, forces = (None if values is None else values[index] for values in kept)
         wrenches = None if walls is None else of_walls(run.wrenches.walls, walls[index])
-        frame = Frame(run.count - len(times) + index, time, gaussians, *more, wrenches)
+        frame = Frame(run.count - len(times) + index, time, gaussians, v, forces, wrenches)
         run.frames.append(frame)
     run.rotations = list(tensors.get("frames.rotations", []))
 
