@@ -7,6 +7,7 @@ the instant of the frame.
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
 from collections.abc import Sequence
 from typing import Any
@@ -133,17 +134,24 @@ class _Separated:
         self._wrenches, self._wall, self._name = wrenches, wall, name
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Its stages between those that measure: each wall by itself if each has one stage."""
+        """Its stages between those that measure: each wall by itself if all have as many."""
         wall = self._wall
         stages, parts = wall.attach(model, state, tracks), wall.parts()
-        if len(parts) != len(stages) or len(parts) == 1:
-            before, after = self._wrenches.measured(self._name, wall, model)
-            return [before, *stages, after]
-        found = []
-        for stage, part, side in zip(stages, parts, wall.part_names(), strict=True):
-            before, after = self._wrenches.measured(f"{self._name}_{side}", part, model)
-            found += [before, stage, after]
-        return found
+        each, more = divmod(len(stages), len(parts))
+        if len(parts) == 1 or more:
+            return self._between(self._name, wall, stages, model)
+        named = zip(wall.part_names(), parts, itertools.count(0, each))
+        return [
+            stage
+            for name, part, first in named
+            for stage in self._between(
+                f"{self._name}_{name}", part, stages[first : first + each], model
+            )
+        ]
+
+    def _between(self, name: str, wall: Boundary, stages: list[Stage], model: Model) -> list[Stage]:
+        before, after = self._wrenches.measured(name, wall, model)
+        return [before, *stages, after]
 
 
 def names(walls: Sequence[Boundary]) -> list[str]:
