@@ -23,7 +23,7 @@ from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
 from phy124.simulation import Simulation
 
-FORMAT = "phy124-pause-3"
+FORMAT = "phy124-pause-4"
 GAUSSIANS = ("means", "quats", "scales", "opacities", "sh")
 Tensors = dict[str, NDArray]
 ARRAY = "array"
@@ -59,6 +59,7 @@ def load(
     path: str | os.PathLike[str],
     *,
     device: str = "cpu",
+    threads: int | None = None,
     progress: Progress = silent,
     watch: Stopwatch | None = None,
 ) -> Simulation:
@@ -67,6 +68,8 @@ def load(
     Args:
         path: The file.
         device: Warp's name of the device.
+        threads: CPU threads; None: as many as before the pause, so that the run goes on bit for
+            bit. With another number it goes on to within rounding, which its report notes.
         progress: Called as ("simulate", frames done, frames in all).
         watch: A stopwatch to which the seconds spent before the pause are added.
 
@@ -84,14 +87,25 @@ def load(
         progress=progress,
         watch=watch,
         crop=(left, top, right, bottom),
-        threads=metadata["threads"],
+        threads=metadata["threads"] if threads is None else threads,
         keep=metadata["frames"]["keep"],
     )
     watch.add(metadata["spent"]["stages"], metadata["spent"]["total"])
     run.restore(_whole(metadata["run"], tensors, "run"))
+    run.remarks += _threads_differ(metadata["threads"], len(run.solver.workers))
     _put_frames(run, tensors)
     _turn_last(run)
     return run
+
+
+def _threads_differ(before: int, now: int) -> list[str]:
+    """A note if a run goes on with another number of threads."""
+    if before == now:
+        return []
+    return [
+        f"The run was paused with {before} CPU thread(s) and went on with {now}: from there on it "
+        "is what it would have been to within rounding, not bit for bit."
+    ]
 
 
 def read_about(path: str | os.PathLike[str]) -> dict[str, Any]:

@@ -134,7 +134,7 @@ def test_a_busy_machine_is_less_sure():
     ],
 )
 def test_others_are_seen_by_what_they_leave_of_the_cores(monkeypatch, one, two, thread, simulation):
-    monkeypatch.setattr(load, "_cores", lambda: 2)
+    monkeypatch.setattr(load, "cores", lambda: 2)
     monkeypatch.setattr(load, "_received", {1: one, 2: two}.get)
     assert Load.measured() == Load(thread, simulation)
 

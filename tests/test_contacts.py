@@ -10,7 +10,7 @@ from phy124.forces import Gravity
 from phy124.io.clip import Clip
 from phy124.materials import NeoHookean
 from phy124.monitor.contacts import Contacts
-from phy124.monitor.external_work import IMPULSES, WALLS, ExternalWork
+from phy124.monitor.external_work import IMPULSES, WALL, ExternalWork
 from phy124.scene import Scene
 from phy124.simulation import Simulation
 from support.shapes import ball, block
@@ -36,7 +36,7 @@ def test_the_shares_of_all_particles_are_what_the_walls_give(threads):
     for frame in range(3):
         contacts.begin()
         solver.advance((frame + 1) / 20)
-        total = external._total(*WALLS)[IMPULSES]
+        total = external._total(WALL)[IMPULSES]
         impulses = contacts.impulses(len(x))
         assert np.allclose(impulses.sum(axis=0), total - before, rtol=1e-9, atol=1e-12)
         assert not impulses[(start[:, 2] > 0.8)].any(), "only what is near"

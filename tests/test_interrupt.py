@@ -230,24 +230,24 @@ def test_ctrl_c_anywhere_in_a_substep_of_two_threads_does_not_hang():
     assert results == [False]
 
 
-@pytest.mark.parametrize("reports", [1, 5])
-def test_an_exception_between_two_barriers_ends_the_second_thread(reports):
+@pytest.mark.parametrize(("reports", "threads"), [(1, 2), (5, 4)])
+def test_an_exception_between_two_barriers_ends_the_other_threads(reports, threads):
     from phy124.simulation import Simulation
 
-    run = Simulation(ball(800), SCENE, threads=2)
+    run = Simulation(ball(800), SCENE, threads=threads)
     before = threading.active_count()
-    second = run.solver._second
-    hand_over, calls = second._hand_over, 0
+    team = run.solver._team
+    hand_over, calls = team._hand_over, 0
 
     def interrupted(task):
         nonlocal calls
         calls += 1
         if calls == reports:
-            second._queue.append(task)
+            team._queue.append(task)
             raise KeyboardInterrupt
         hand_over(task)
 
-    second._hand_over = interrupted
+    team._hand_over = interrupted
     with pytest.raises(KeyboardInterrupt):
         run.run()
     assert threading.active_count() == before

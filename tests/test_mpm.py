@@ -176,7 +176,7 @@ def test_each_thread_measures_its_own_particles(rng):
         assert all("measure" in worker.timings for worker in s.workers)
     one, two = (np.array(s.clock.extremes) for s in runs.values())
     np.testing.assert_allclose(one, two, rtol=1e-4)
-    own = [Maxima.of(worker.maxima.numpy()) for worker in runs[2].workers]
+    own = [Maxima.of(part.maxima.numpy()) for part in runs[2].slabs.parts]
     assert own[0].upper[0] < own[1].upper[0]
 
 

@@ -1,36 +1,71 @@
-"""The second thread works in order and hands its errors over; barriers can be abandoned."""
+"""A team does its tasks together and hands its errors over; barriers can be abandoned."""
 
 import threading
 import time
 
 import pytest
 
-from phy124.mpm.threads import Barrier, SecondThread, free_cores
+from phy124.mpm.threads import Barrier, Team
+
+SIZES = (2, 5)
 
 
-def test_tasks_are_done_in_order_beside_the_first_thread():
+@pytest.mark.parametrize("size", SIZES)
+def test_tasks_are_done_in_order_by_each_member_beside_the_first_thread(size):
     done = []
-    second = SecondThread(lambda task: done.append((task, threading.get_ident())))
-    with second.running():
-        assert second.alive
+    team = Team(size, lambda member, task: done.append((member, task, threading.get_ident())))
+    with team.running():
+        assert team.alive
         for task in range(5):
-            second.put(task)
-        second.join()
-        assert [task for task, _ in done] == list(range(5))
-    assert not second.alive
-    assert {thread for _, thread in done} != {threading.get_ident()}
+            team.put(task)
+        team.join()
+        for member in range(1, size):
+            assert [task for who, task, _ in done if who == member] == list(range(5))
+    assert not team.alive
+    threads = {thread for *_, thread in done}
+    assert len(threads) == size - 1 and threading.get_ident() not in threads
 
 
-def test_an_error_is_raised_by_the_first_thread_once():
-    def fail(task):
-        raise ZeroDivisionError(task)
+@pytest.mark.parametrize("size", SIZES)
+def test_nobody_begins_a_task_before_all_have_done_the_last(size):
+    done: list[int] = []
 
-    second = SecondThread(fail)
-    with second.running():
+    def work(member, task):
+        assert len(done) >= task * (size - 1)
+        time.sleep(0.002 * (member == task))
+        done.append(task)
+
+    team = Team(size, work)
+    with team.running():
+        for task in range(size + 2):
+            team.put(task)
+        team.join()
+    assert sorted(done) == sorted(list(range(size + 2)) * (size - 1))
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_an_error_is_raised_by_the_first_thread_once(size):
+    def fail(member, task):
+        if member == size - 1:
+            raise ZeroDivisionError(task)
+
+    team = Team(size, fail)
+    with team.running():
         with pytest.raises(ZeroDivisionError, match="first"):
-            second.put("first")  # which raises it itself if the task is quick
-            second.join()
-        second.join()
+            team.put("first")  # which raises it itself if the task is quick
+            team.join()
+        team.join()
+
+
+def test_a_thread_that_ends_itself_does_not_keep_the_others_waiting():
+    def end(member, task):
+        raise SystemExit(f"member {member}")
+
+    team, before = Team(4, end), threading.active_count()
+    with pytest.raises(SystemExit, match="member"), team.running():
+        team.put("task")
+        team.join()
+    assert threading.active_count() == before
 
 
 def test_a_barrier_that_is_abandoned_lets_go():
@@ -39,24 +74,22 @@ def test_a_barrier_that_is_abandoned_lets_go():
     assert not barrier.wait(0)
 
 
-def test_cores_are_counted():
-    assert isinstance(free_cores(), int)
+@pytest.mark.parametrize(("late", "others"), [(0.0, 1), (0.05, 1), (0.02, 4)])
+def test_nobody_leaves_a_barrier_before_all_have_come(late, others):
+    barrier, came = Barrier(1 + others), []
 
-
-@pytest.mark.parametrize("late", [0.0, 0.05])
-def test_nobody_leaves_a_barrier_before_all_have_come(late):
-    barrier, came = Barrier(2), []
-
-    def other():
+    def other(party):
         for _ in range(3):
             time.sleep(late)
-            came.append("other")
-            barrier.wait(1)
+            came.append(party)
+            barrier.wait(party)
 
-    helper = threading.Thread(target=other)
-    helper.start()
+    helpers = [threading.Thread(target=other, args=(1 + party,)) for party in range(others)]
+    for helper in helpers:
+        helper.start()
     for rounds in (1, 2, 3):
         barrier.wait(0)
-        assert len(came) >= rounds
-    helper.join(timeout=5)
-    assert not helper.is_alive()
+        assert len(came) >= rounds * others
+    for helper in helpers:
+        helper.join(timeout=300)
+        assert not helper.is_alive()

@@ -1,48 +1,106 @@
-"""Workers share the particles evenly and the layers of the grid without gap."""
+"""Workers share the particles evenly, and each has nodes enough for its own."""
 
 import itertools
-from types import SimpleNamespace
 
 import numpy as np
-import warp as wp
+import pytest
 
-from phy124.mpm.grid import MARGIN, Grid
-from phy124.mpm.workers import cut, fit_part, layers_of, timed
+from phy124.materials import NeoHookean
+from phy124.mpm import workers
+from phy124.mpm.slabs import GROWN
+from phy124.mpm.workers import MIN_PARTICLES, timed, usable_workers
+from support.shapes import cloud
+from support.solvers import make_solver
 
-
-def grid(low=(0, 0, 0), size=(0, 0, 0)) -> Grid:
-    made = Grid((0.0, 0.0, 0.0), 0.1, real=wp.float32, device="cpu")
-    made.low, made.size = np.array(low), np.array(size)
-    return made
-
-
-def test_each_run_of_particles_is_cut_evenly():
-    assert cut([(0, 10), (10, 11)], 2) == [[(0, 5), (10, 10)], [(5, 10), (10, 11)]]
-    for parts in (1, 2, 3):
-        parts_of = cut([(3, 100)], parts)
-        assert parts_of[0][0][0] == 3 and parts_of[-1][0][1] == 100
-        assert all(a[0][1] == b[0][0] for a, b in itertools.pairwise(parts_of))
+DX = 1 / 8
 
 
-def test_two_workers_update_all_layers_once():
-    first = SimpleNamespace(nodes=grid([2, 0, 0], [10, 4, 4]))
-    second = SimpleNamespace(nodes=grid([8, 0, 0], [12, 4, 4]))
-    whole = grid([0, 0, 0], [22, 4, 4])
-    (start, middle), (again, end) = layers_of([first, second], whole)
-    assert start == 0 and middle == again == 10 and end == 22
-    assert layers_of([first], whole) == [None]
+def solver(count: int, x: np.ndarray | None = None, **options):
+    """Particles of a bar that is longest along y."""
+    if x is None:
+        x = cloud(600, size=1.0, corner=0.0, dx=DX) * (1, 3, 1)
+    volume = np.full(len(x), 3 / len(x))
+    return make_solver(x, volume, [NeoHookean(E=1e4)], dx=DX, threads=count, **options)
 
 
-def test_private_nodes_are_whole_layers_and_stay_while_there_is_room():
-    whole, part = grid(), grid()
-    whole.fit(np.zeros(3), np.full(3, 2.0))
-    low, high = np.full(3, 0.3), np.full(3, 0.6)
-    assert fit_part(part, whole, low, high, force=False)
-    assert (part.size[1:] == whole.size[1:]).all() and (part.low[1:] == whole.low[1:]).all()
-    assert part.low[0] >= whole.low[0] and part.size[0] <= whole.size[0]
-    assert not fit_part(part, whole, low, high, force=False)
-    assert fit_part(part, whole, low, high, force=True)
-    assert fit_part(part, whole, low + 0.1 * MARGIN, high + 0.1 * MARGIN, force=False)
+def particles_of(part) -> np.ndarray:
+    """Indices of the particles of a part."""
+    every = np.arange(part.particles.start, part.particles.stop)
+    return every[part.chosen.numpy()] if len(part.chosen) else every
+
+
+@pytest.mark.parametrize("count", [2, 3, 7])
+def test_slabs_are_even_and_lie_one_behind_the_other_along_the_longest_axis(count):
+    s = solver(count)
+    x, owned = s.model.rest, [particles_of(part) for part in s.slabs.parts]
+    assert sorted(np.concatenate(owned)) == list(range(len(x)))
+    assert max(map(len, owned)) - min(map(len, owned)) <= 1
+    for one, next_one in itertools.pairwise(owned):
+        assert x[one, 1].max() <= x[next_one, 1].min() + DX
+
+
+def test_a_run_that_is_sorted_along_the_axis_is_cut_without_a_list_of_indices():
+    x = cloud(600, size=1.0, corner=0.0, dx=DX) * (3, 1, 1)
+    x = x[np.argsort(np.floor((x[:, 0] - x[:, 0].min()) / DX), kind="stable")]
+    assert all(len(part.chosen) == 0 for part in solver(4, x).slabs.parts)
+
+
+def test_more_workers_than_particles_leave_some_without_any():
+    s = solver(5, np.array([[0.5, 0.5, 0.5], [0.6, 0.6, 0.6]]))
+    assert [len(worker.parts) for worker in s.workers].count(0) == 3
+    s.step(1e-4, 1e-4)
+
+
+@pytest.mark.parametrize("count", [2, 4])
+def test_private_nodes_hold_a_slab_and_a_halo_and_never_the_same_memory(count):
+    s = solver(count)
+    s.step(1e-4, 1e-4)
+    for part in s.slabs.parts:
+        reach = s.grid.reach(
+            *(f(s.model.rest[particles_of(part)], axis=0) for f in (np.min, np.max))
+        )
+        assert (part.nodes.low <= reach[0]).all()
+        assert (part.nodes.low + part.nodes.size >= reach[1]).all()
+        assert part.nodes.size[1] < s.grid.size[1]
+    spans = [
+        (p.nodes.nodes.ptr, p.nodes.nodes.ptr + 16 * (p.nodes.count + 1)) for p in s.slabs.parts
+    ]
+    assert all(end <= start for (_, end), (start, _) in itertools.pairwise(spans))
+
+
+def test_slabs_that_overlap_after_a_turn_are_cut_anew():
+    """A bar turns from y to x: its slabs lie across the new axis afterwards."""
+    s = solver(4)
+    s.step(1e-4, 1e-4)
+    first = s.slabs.share
+    x = s.state.x.numpy()
+    s.state.x.assign(x @ np.array([[0, 1, 0], [1, 0, 0], [0, 0, 1]]) @ np.eye(3))
+    turned = s.state.x.numpy()
+    s.grid.stale = True
+    s.clock.since_measured = s.clock.interval
+    s.step(1e-4, 1e-4)
+    assert s.slabs.share < GROWN * first
+    ends = [turned[particles_of(part), 0] for part in s.slabs.parts]
+    assert all(a.max() <= b.min() + 1.1 * DX for a, b in itertools.pairwise(ends))
+
+
+def test_workers_are_as_many_as_asked_for_or_as_pay(monkeypatch):
+    class Model:
+        device = "cpu"
+
+        def __init__(self, count):
+            self.count = count
+
+        def __len__(self):
+            return self.count
+
+    monkeypatch.setattr(workers, "free_cores", lambda: 8)
+    assert usable_workers(Model(MIN_PARTICLES)) == 1
+    assert usable_workers(Model(3 * MIN_PARTICLES)) == 3
+    assert usable_workers(Model(100 * MIN_PARTICLES)) == 8
+    assert usable_workers(Model(10), 5) == 5
+    monkeypatch.setattr(Model, "device", "cuda:0")
+    assert usable_workers(Model(100 * MIN_PARTICLES), 5) == 1
 
 
 def test_time_is_added_up_by_name():

@@ -95,7 +95,7 @@ def reach(
     Raises:
         InputError: No grid meets the goal; it says what the best would achieve.
     """
-    forecaster = forecaster or Forecaster(device)
+    forecaster = forecaster or Forecaster(device, options.get("threads"))
     runs = _Runs(gaussians, scene, device, progress, watch or Stopwatch(), options)
     if goal.kind == "seconds":
         return _in_time(goal, runs, forecaster, elapsed)
@@ -336,7 +336,7 @@ def in_time(
         InputError: Even the coarsest grid would take longer; it says how long.
     """
     runs = _Runs(gaussians, scene, device, silent, Stopwatch(), options)
-    found = _finest(goal, runs, forecaster or Forecaster(device), elapsed)
+    found = _finest(goal, runs, forecaster or Forecaster(device, options.get("threads")), elapsed)
     return found.simulation.scene, found.forecast
 
 

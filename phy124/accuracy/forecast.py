@@ -159,6 +159,8 @@ class Forecaster:
     """Makes forecasts on one device; remembers rates and pilots, so that a second one is fast."""
 
     device: str = "cpu"
+    threads: int | None = None
+    """CPU threads; None: as many as suit."""
     _known: dict[Any, Any] = field(default_factory=dict, repr=False)
 
     def forecast(self, gaussians: Gaussians, scene: Scene, *, crop: Crop = WHOLE) -> Forecast:
@@ -173,7 +175,9 @@ class Forecaster:
             InputError: As `Simulation` does.
         """
         watch = Stopwatch()
-        simulation = Simulation(gaussians, scene, device=self.device, watch=watch, crop=crop)
+        simulation = Simulation(
+            gaussians, scene, device=self.device, watch=watch, crop=crop, threads=self.threads
+        )
         made = self.of(simulation)
         return made.with_measured("particles", watch.seconds["particles"])
 
@@ -216,7 +220,7 @@ class Forecaster:
         """Times of pictures, videos and saving [s]."""
         view = scene.view
         key = ("film", len(gaussians), view, scene.time.frames)
-        return self._remember(key, lambda: time_film(gaussians, scene, self.device))
+        return self._remember(key, lambda: time_film(gaussians, scene, self.device, self.threads))
 
     def _remember(self, key: Any, make: Any, keep: Any = None) -> Any:
         """A value that is made once; `keep` keeps the object alive whose id is in the key."""

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import time
 import zlib
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+
+from phy124.runtime.cores import cores
 
 SPIN = 0.3
 """Time for which threads spin to measure how much of a core each gets [s]."""
@@ -45,7 +46,7 @@ class Load:
             return cls()
         one = _received(1)
         thread = 1.0 if one > ALONE else 1 / one
-        free = one > ALONE and (_cores() == 1 or _received(2) > ALONE)
+        free = one > ALONE and (cores() == 1 or _received(2) > ALONE)
         return cls(thread, thread if free else SECOND_THREAD * thread)
 
     def of(self, stage: str) -> float:
@@ -98,7 +99,3 @@ def _spun(seconds: float) -> float:
         zlib.crc32(BLOCK)
         passed, got = time.perf_counter() - begun, time.thread_time() - own
     return max(got, 1e-3) / passed
-
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -141,7 +141,9 @@ def time_shapes(simulation: Simulation) -> float:
     return timed(lambda: deform(x, F, index=1, time=0.0, velocities=v))
 
 
-def time_film(gaussians: Gaussians, scene: Scene, device: str) -> dict[str, float]:
+def time_film(
+    gaussians: Gaussians, scene: Scene, device: str, threads: int | None = None
+) -> dict[str, float]:
     """Times of pictures and videos [s], from filming a few frames from one side."""
     one = scene.view.model_copy(update={"views": ("front",)}).only("front")
     views, frames = len(scene.view.sides), scene.time.frames
@@ -151,7 +153,8 @@ def time_film(gaussians: Gaussians, scene: Scene, device: str) -> dict[str, floa
     for count in (few, *TRIES * FILMED):
         watch = Stopwatch()
         with tempfile.TemporaryDirectory() as folder:
-            film(_moving(gaussians, scene, count), one, folder, device=device, watch=watch)
+            clip, options = _moving(gaussians, scene, count), {"device": device, "threads": threads}
+            film(clip, one, folder, watch=watch, **options)
         seconds[count].append(watch.seconds)
     with tempfile.TemporaryDirectory() as folder:
         clip = _moving(gaussians, scene, more)

@@ -78,9 +78,10 @@ class Generate:
                 out,
                 **self._options(bars),
                 device=device,
+                threads=self.options.threads,
                 progress=bars,
                 goal=goal,
-                forecaster=self.plan.forecaster(device),
+                forecaster=self.plan.forecaster(device, self.options.threads),
                 keep=True,
             )
             if self.compose and not result.report["interrupted"]:
@@ -122,7 +123,7 @@ class Generate:
             )  # fmt: skip
         return predict(
             made.gaussians, made.scene, self.plan, device, made.crop, watch,
-            as_json=self.options.json, effort=made.effort,
+            as_json=self.options.json, effort=made.effort, threads=self.options.threads,
         )  # fmt: skip
 
     def _options(self, bars: Bars) -> dict[str, Any]:
@@ -176,8 +177,9 @@ class Simulate:
                 read = self._read(file, scene, bars)
             about = {"generator": str(self.file), "cleaning": read.cleaning, **read.about}
             result = pipeline.simulate(
-                read.gaussians, read.scene, out, device=device, progress=bars, watch=watch,
-                about=about, goal=goal, forecaster=self.plan.forecaster(device), keep=True,
+                read.gaussians, read.scene, out, device=device, threads=self.options.threads,
+                progress=bars, watch=watch, about=about, goal=goal,
+                forecaster=self.plan.forecaster(device, self.options.threads), keep=True,
             )  # fmt: skip
         return show(result, as_json=self.options.json)
 
@@ -190,8 +192,9 @@ class Simulate:
         with Bars(quiet=self.options.json) as bars, watch.stage("read"):
             read = self._read(file, scene, bars)
         return predict(
-            read.gaussians, read.scene, self.plan, device, WHOLE, watch, as_json=self.options.json
-        )
+            read.gaussians, read.scene, self.plan, device, WHOLE, watch, as_json=self.options.json,
+            threads=self.options.threads,
+        )  # fmt: skip
 
 
 def go_on(out: Path, options: SceneOptions, scene: Scene, goal: Goal | None = None) -> int:
@@ -206,7 +209,13 @@ def go_on(out: Path, options: SceneOptions, scene: Scene, goal: Goal | None = No
     device = pick_device(options.device)
     with Bars(quiet=options.json, keeps=True) as bars:
         result = pipeline.go_on(
-            out, scene, any_accuracy=goal is not None, device=device, progress=bars, keep=True
+            out,
+            scene,
+            any_accuracy=goal is not None,
+            device=device,
+            threads=options.threads,
+            progress=bars,
+            keep=True,
         )
     return show(result, as_json=options.json)
 

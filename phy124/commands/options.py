@@ -122,6 +122,8 @@ class SceneOptions:
     set: tuple[str, ...] = field(default_factory=tuple)
     """Any other value of the scene, as KEY=VALUE: material.E=2e4, boundaries.0.friction=0.1."""
     device: Device = "auto"
+    threads: int | None = None
+    """CPU threads that simulate and draw; absent: one for each core that is free."""
     json: bool = False
     """Print the report as JSON and nothing else."""
 

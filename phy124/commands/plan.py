@@ -52,9 +52,9 @@ class PlanOptions:
             return Goal.error(self.max_error)
         return None if self.max_seconds is None else Goal.time(self.max_seconds)
 
-    def forecaster(self, device: str) -> Forecaster | None:
+    def forecaster(self, device: str, threads: int | None) -> Forecaster | None:
         """The forecaster, if the report is to compare its prediction."""
-        return Forecaster(device) if self.forecast else None
+        return Forecaster(device, threads) if self.forecast else None
 
 
 def announce(scene: Scene, *, as_json: bool) -> None:
@@ -69,7 +69,7 @@ def announce(scene: Scene, *, as_json: bool) -> None:
 
 def predict(
     gaussians: Gaussians, scene: Scene, plan: PlanOptions, device: str, crop: Crop,
-    watch: Stopwatch, *, as_json: bool, effort: Effort | None = None,
+    watch: Stopwatch, *, as_json: bool, effort: Effort | None = None, threads: int | None = None,
 ) -> int:  # fmt: skip
     """Print how long a run would take, the grid chosen for a given time, and the promised error.
 
@@ -82,14 +82,17 @@ def predict(
         watch: The durations of the stages so far.
         as_json: Print JSON and nothing else.
         effort: What a generator for which `relief` stood in will take.
+        threads: CPU threads; None: as many as suit.
     """
-    forecaster, goal, spent = Forecaster(device), plan.goal(), dict(watch.seconds)
+    forecaster, goal, spent = Forecaster(device, threads), plan.goal(), dict(watch.seconds)
     if effort is not None:
         spent.pop("generate")
     if goal is None:
         forecast = forecaster.forecast(gaussians, scene, crop=crop)
     else:
-        options: dict[str, Any] = {"device": device, "forecaster": forecaster, "crop": crop}
+        options: dict[str, Any] = {
+            "device": device, "forecaster": forecaster, "crop": crop, "threads": threads,
+        }  # fmt: skip
         elapsed = sum(spent.values()) + (effort.seconds if effort else 0.0)
         scene, forecast = in_time(goal, gaussians, scene, elapsed=elapsed, **options)
     if effort is not None:

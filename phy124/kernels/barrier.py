@@ -21,7 +21,7 @@ if (mine[0] == 0) {
     }
     mine[0] = now + 1;
 }
-for (int i = 0; i < 100000; ++i)
+for (int i = 0; i < spins; ++i)
     if (__atomic_load_n(generation, __ATOMIC_ACQUIRE) != mine[0] - 1) {
         mine[0] = 0;
         return;
@@ -30,7 +30,9 @@ for (int i = 0; i < 100000; ++i)
 
 
 @wp.func_native(MEET)
-def meet_native(counter: wp.array(dtype=int), ticket: wp.array(dtype=int), parties: int):
+def meet_native(
+    counter: wp.array(dtype=int), ticket: wp.array(dtype=int), parties: int, spins: int
+):  # fmt: skip
     """Arrive once, then check whether the others have; the ticket is non-zero until they have."""
     ...
 
@@ -38,9 +40,9 @@ def meet_native(counter: wp.array(dtype=int), ticket: wp.array(dtype=int), parti
 @kernel("phy124_barrier")
 def meet(
     # model
-    parties: int,
+    parties: int, spins: int,
     # out
     counter_out: wp.array(dtype=int), ticket_out: wp.array(dtype=int),
 ):  # fmt: skip
-    """One thread's attempt to pass; `ticket_out[0]` is zero once it has."""
-    meet_native(counter_out, ticket_out, parties)
+    """One thread's attempt to pass, in so many looks; `ticket_out[0]` is zero once it has."""
+    meet_native(counter_out, ticket_out, parties, spins)

@@ -161,7 +161,8 @@ def make_uniform_sums(real: Any):
     """Kernel of one thread: adds impulse and work of the uniform acceleration in a substep.
 
     It acts after forces on particles and before walls, so `walls_out` stores the walls' sums up to
-    the previous substep. `base` is the momentum without the open sums.
+    the previous substep. `base` is the momentum without the open sums. Of `pushes` and `walls`,
+    there is one row of sums for each worker.
     """
     t = types(real)
 
@@ -170,8 +171,8 @@ def make_uniform_sums(real: Any):
         # model
         mass: wp.float64, clock: wp.array(dtype=real), values: wp.array(dtype=t.vec4),
         # state in
-        base: wp.array(dtype=wp.float64), push: wp.array(dtype=wp.float64),
-        wall_a: wp.array(dtype=wp.float64), wall_b: wp.array(dtype=wp.float64),
+        base: wp.array(dtype=wp.float64), pushes: wp.array2d(dtype=wp.float64),
+        walls: wp.array2d(dtype=wp.float64),
         # out
         walls_out: wp.array(dtype=wp.float64), given_out: wp.array(dtype=wp.float64),
     ):  # fmt: skip
@@ -180,8 +181,11 @@ def make_uniform_sums(real: Any):
         J = factor * wp.vec3d(wp.float64(a[0]), wp.float64(a[1]), wp.float64(a[2]))
         p = wp.vec3d()
         for c in range(3):
-            p[c] = base[c] + push[c] + walls_out[c] + given_out[c]
-            walls_out[c] = wall_a[c] + wall_b[c]
+            p[c] = base[c] + walls_out[c] + given_out[c]
+            walls_out[c] = wp.float64(0.0)
+            for worker in range(walls.shape[0]):
+                p[c] += pushes[worker, c]
+                walls_out[c] += walls[worker, c]
         work = wp.dot(J, p + J / wp.float64(2.0)) / mass
         add_given(given_out, J, work, wp.length(J), wp.abs(work))
 

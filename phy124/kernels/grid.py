@@ -37,34 +37,48 @@ def make_update(real: Any):
 
 @cache
 def make_merge(real: Any):
-    """Kernel: as `update`, after adding what two workers scattered into nodes of their own.
+    """Kernel over rows of nodes: as `update`, after adding what several workers scattered.
 
-    Worker A covers the nodes first_a <= n < last_a of the shared window, worker B likewise.
+    Each box of private nodes lies in the window; `boxes` holds its lowest node and its extent,
+    `starts` its first node in `pool`, where its nodes follow each other like those of a window.
+    The boxes are added in order, whoever adds them.
     """
     t = types(real)
 
     @kernel(f"phy124_merge_{real.__name__}")
     def merge(
         # model
-        start: int, first_a: int, last_a: int, first_b: int, last_b: int,
+        layer: int, window: wp.array(dtype=wp.vec3i), boxes: wp.array(dtype=wp.vec3i),
+        starts: wp.array(dtype=int),
         clock: wp.array(dtype=real), values: wp.array(dtype=t.vec4),
         # state in
-        nodes_a: wp.array(dtype=t.vec4), nodes_b: wp.array(dtype=t.vec4),
+        pool: wp.array(dtype=t.vec4),
         # out
         grid_out: wp.array(dtype=t.vec4),
     ):  # fmt: skip
-        n = start + wp.tid()
-        q = t.vec4()
-        if n >= first_a and n < last_a:
-            q = nodes_a[n - first_a]
-        if n >= first_b and n < last_b:
-            q += nodes_b[n - first_b]
-        m = q[3]
-        if m > real(0.0):
-            a = values[0]
-            kick = clock[0]
-            q = wp.vector(q[0] / m + kick * a[0], q[1] / m + kick * a[1], q[2] / m + kick * a[2], m)
-        grid_out[n] = q
+        i, j = wp.tid()
+        size = window[1]
+        row = ((layer + i) * size[1] + j) * size[2]
+        for k in range(size[2]):
+            grid_out[row + k] = t.vec4()
+        for b in range(starts.shape[0]):
+            low = boxes[2 * b] - window[0]
+            extent = boxes[2 * b + 1]
+            across = layer + i - low[0]
+            along = j - low[1]
+            if across >= 0 and across < extent[0] and along >= 0 and along < extent[1]:
+                own = starts[b] + (across * extent[1] + along) * extent[2]
+                for k in range(extent[2]):
+                    grid_out[row + low[2] + k] += pool[own + k]
+        a = values[0]
+        kick = clock[0]
+        for k in range(size[2]):
+            q = grid_out[row + k]
+            m = q[3]
+            if m > real(0.0):
+                grid_out[row + k] = wp.vector(
+                    q[0] / m + kick * a[0], q[1] / m + kick * a[1], q[2] / m + kick * a[2], m
+                )
 
     return merge
 

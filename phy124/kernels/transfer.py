@@ -9,6 +9,8 @@ successive substeps and positions drift by the current one, which makes free fal
 There is a kernel for each law and precision. Each variant has a module with its own name, since
 Warp hashes the set of functions that a closure uses, but not their roles.
 
+The transfers run over the `chosen` particles, or over all of a slice if none are chosen.
+
 Parameters of all laws: F, the deformation gradient; C, the velocity gradient [1/s]; h, the history
 variables of the particle; theta, the parameters of the law; dt, the length of the substep [s].
 """
@@ -84,6 +86,14 @@ def in_window(first: wp.vec3i, size: wp.vec3i):
         and first[1] <= size[1] - 3
         and first[2] <= size[2] - 3
     )
+
+
+@wp.func
+def member(chosen: wp.array(dtype=int), i: int):
+    """Index of the i-th of the chosen particles; of an empty list, i itself."""
+    if chosen.shape[0] > 0:
+        return chosen[i]
+    return i
 
 
 @wp.func
@@ -173,6 +183,7 @@ def make_p2g(law: Law, real: Any, form: str):
     @kernel(name, seconds=0.6)
     def p2g(
         # model
+        chosen: wp.array(dtype=int),
         mass: wp.array(dtype=real), volume: wp.array(dtype=real), theta: wp.array(dtype=theta_type),
         lattice: t.vec4, window: wp.array(dtype=wp.vec3i), clock: wp.array(dtype=real),
         # state in
@@ -181,7 +192,7 @@ def make_p2g(law: Law, real: Any, form: str):
         # out
         grid_out: wp.array(dtype=t.vec4),
     ):  # fmt: skip
-        p = wp.tid()
+        p = member(chosen, wp.tid())
         dx = lattice[3]
         g = (x[p] - wp.vector(lattice[0], lattice[1], lattice[2])) / dx
         low = first_node(g)
@@ -220,6 +231,7 @@ def make_g2p(law: Law, real: Any, form: str):
     @kernel(name, seconds=0.5)
     def g2p(
         # model
+        chosen: wp.array(dtype=int),
         theta: wp.array(dtype=theta_type), lattice: t.vec4, window: wp.array(dtype=wp.vec3i),
         clock: wp.array(dtype=real),
         # state in
@@ -230,7 +242,7 @@ def make_g2p(law: Law, real: Any, form: str):
         F_out: wp.array(dtype=t.mat33), history_out: wp.array(dtype=t.vec2),
         total_out: wp.array(dtype=t.mat33),
     ):  # fmt: skip
-        p = wp.tid()
+        p = member(chosen, wp.tid())
         dx = lattice[3]
         g = (x_out[p] - wp.vector(lattice[0], lattice[1], lattice[2])) / dx
         low = first_node(g)
@@ -286,7 +298,7 @@ def make_measure(law: Law, real: Any):
     @kernel(f"phy124_measure_{law.name}_{real.__name__}", seconds=2.4)
     def measure(
         # model
-        first: int, each: int, stride: int,
+        first: int, each: int, stride: int, count: int, chosen: wp.array(dtype=int),
         theta: wp.array(dtype=theta_type), mass: wp.array(dtype=real),
         volume: wp.array(dtype=real), domain: wp.array(dtype=t.vec3),
         # state in
@@ -301,8 +313,9 @@ def make_measure(law: Law, real: Any):
         low = t.vec3(real(-wp.inf))
         high = t.vec3(real(-wp.inf))
         for k in range(each):
-            p = wp.tid() * first + k * stride
-            if p < x.shape[0]:
+            i = wp.tid() * first + k * stride
+            if i < count:
+                p = member(chosen, i)
                 h = t.vec2()
                 if wp.static(has_history):
                     h = history[p]

@@ -34,7 +34,8 @@ class Contacts:
     def __init__(self, *, asked: bool = True) -> None:
         self.asked = asked
         """Whether anything is summed."""
-        self._impulses: dict[bool, wp.array] = {}
+        self._impulses: dict[int, wp.array] = {}
+        """Those that each worker adds up."""
         self._bearers: NDArray[np.int64] | None = None
 
     def boundaries(
@@ -80,12 +81,12 @@ class Contacts:
 
     def snapshot(self) -> dict[str, Any]:
         """The sums as they are now."""
-        return {str(int(second)): wp.clone(sums) for second, sums in self._impulses.items()}
+        return {str(worker): wp.clone(sums) for worker, sums in self._impulses.items()}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Set the sums back to a snapshot."""
-        for second, sums in self._impulses.items():
-            kept = snapshot.get(str(int(second)))
+        for worker, sums in self._impulses.items():
+            kept = snapshot.get(str(worker))
             sums.zero_() if kept is None else wp.copy(sums, kept)
 
     def _attach(
@@ -124,11 +125,11 @@ class Contacts:
         return Stage(STAGE, before), Stage(STAGE, between), Stage(STAGE, after)
 
     def _own(self, grid: Grid, model: Model) -> wp.array:
-        """The sums of a worker: both look at all particles, each at its own layers of nodes."""
-        second = bool(grid.layers and grid.layers[0] > 0)
-        if second not in self._impulses:
-            self._impulses[second] = wp.zeros(len(model), dtype=wp.vec3d, device=model.device)
-        return self._impulses[second]
+        """The sums of a worker: all look at all particles, each at its own layers of nodes."""
+        if grid.worker not in self._impulses:
+            zeros = wp.zeros(len(model), dtype=wp.vec3d, device=model.device)
+            self._impulses[grid.worker] = zeros
+        return self._impulses[grid.worker]
 
 
 def bearers(gaussians: Gaussians, particles: Particles) -> NDArray[np.int64]:

@@ -8,7 +8,7 @@ kernel of one thread adds its impulse and work at the end of each substep.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import warp as wp
@@ -23,10 +23,11 @@ from phy124.tracks import Tracks
 
 STAGE = "external work"
 """Name of the stages that sum external work."""
-PUSH, UNIFORM = "push", "uniform"
-WALLS = ("wall", "wall of the second worker")
-"""Accumulators: forces on particles, walls for each worker, a uniform acceleration that varies."""
-ACCUMULATORS = (PUSH, *WALLS, UNIFORM)
+PUSH, WALL, UNIFORM = "push", "wall", "uniform"
+"""What is summed: forces on particles, walls, and a uniform acceleration that varies."""
+SOURCES = (PUSH, WALL, UNIFORM)
+ROOM = 16
+"""Numbers kept for the sums of one worker, so that no two workers write to one line of cache."""
 IMPULSES = slice(kernels.IMPULSE, kernels.IMPULSE + 3)
 """Where the impulse stands among the sums."""
 Sums = NDArray[np.float64]
@@ -54,7 +55,8 @@ class ExternalWork:
 
     def __init__(self) -> None:
         self._device: dict[str, wp.array] = {}
-        self._closed: dict[str, Sums] = {name: np.zeros(kernels.GIVEN) for name in ACCUMULATORS}
+        """Open sums: those of each worker since its launches were recorded last [W,ROOM]."""
+        self._closed: dict[str, Sums] = {name: np.zeros(kernels.GIVEN) for name in SOURCES}
         self._momentum, self._opened = np.zeros(3), 0.0
         """Momentum of the object at the start of the frame, without what the open sums hold
         [kg m/s], and the time up to which velocities had been kicked when counting began [s]."""
@@ -83,7 +85,7 @@ class ExternalWork:
 
     def open(self, clock: Clock) -> None:
         """Start counting from the current state."""
-        for name in ACCUMULATORS:
+        for name in SOURCES:
             self._closed[name] = np.zeros(kernels.GIVEN)
         for sums in self._device.values():
             sums.zero_()
@@ -122,10 +124,11 @@ class ExternalWork:
         """Return to a snapshot."""
         self._closed = {name: np.array(sums) for name, sums in snapshot["closed"].items()}
         for name, sums in snapshot["open"].items():
-            if name in self._device:
-                self._device[name].assign(sums)
+            open_sums = np.array(sums)
+            if name in self._device and self._device[name].shape == open_sums.shape:
+                self._device[name].assign(open_sums)
             else:
-                self._closed[name] += np.array(sums)
+                self._closed[name] += open_sums[:, : kernels.GIVEN].sum(axis=0)
         for name in self._device.keys() - snapshot["open"].keys():
             self._device[name].zero_()
         self._momentum, self._opened = np.array(snapshot["momentum"]), snapshot["opened"]
@@ -133,26 +136,33 @@ class ExternalWork:
     def _total(self, *names: str) -> Sums:
         """Total of all sums so far, or of those named."""
         total = np.zeros(kernels.GIVEN)
-        for name in names or ACCUMULATORS:
+        for name in names or SOURCES:
             total += self._closed[name]
             if name in self._device:
-                total += self._device[name].numpy()
+                total += self._open(name)
         return total
 
-    def _accumulator(self, name: str) -> wp.array:
+    def _open(self, name: str) -> Sums:
+        """Sums of all workers since their launches were recorded last."""
+        rows: NDArray[Any] = self._device[name].numpy()
+        return rows[:, : kernels.GIVEN].sum(axis=0)
+
+    def _accumulator(self, name: str, grid: Grid) -> wp.array:
         """Sums that belong to one launch, so that two threads never add to the same ones."""
-        if name in self._device:
-            self._closed[name] = self._closed[name] + self._device[name].numpy()
-        self._device[name] = wp.zeros(kernels.GIVEN, dtype=wp.float64, device=self._model.device)
-        return self._device[name]
+        if grid.worker == 0:
+            if name in self._device:
+                self._closed[name] = self._closed[name] + self._open(name)
+            self._device[name] = self._zeros(grid)
+        return cast("wp.array", self._device[name][grid.worker])
+
+    def _zeros(self, grid: Grid) -> wp.array:
+        return wp.zeros((grid.workers, ROOM), dtype=wp.float64, device=self._model.device)
 
     def _record_uniform(self, grid: Grid) -> wp.Launch | None:
         """The launch that sums what the uniform acceleration adds, after everything else."""
-        del grid
-        model, tracks, own = self._model, self._tracks, self._accumulator(UNIFORM)
+        model, tracks, own = self._model, self._tracks, self._accumulator(UNIFORM, grid)
         self._set_base()
-        none = wp.zeros(kernels.GIVEN, dtype=wp.float64, device=model.device)
-        others = [self._device.get(name, none) for name in (PUSH, *WALLS)]
+        others = [self._device.get(name, self._zeros(grid)) for name in (PUSH, WALL)]
         inputs = [model.total_mass, tracks.clock, tracks.values, self._base, *others]
         kernel = kernels.make_uniform_sums(model.real)
         return model.launch(kernel, 1, inputs, [self._walls_before, own])
@@ -160,8 +170,8 @@ class ExternalWork:
     def _set_base(self) -> None:
         """Store the momentum without the open sums, which include the walls' last impulse."""
         self._base.assign(self._momentum + sum(sums[IMPULSES] for sums in self._closed.values()))
-        walls = [self._device[name].numpy()[IMPULSES] for name in WALLS if name in self._device]
-        self._walls_before.assign(np.sum(walls, axis=0) if walls else np.zeros(3))
+        walls = self._open(WALL)[IMPULSES] if WALL in self._device else np.zeros(3)
+        self._walls_before.assign(walls)
 
     def _attach_push(self, model: Model, state: State, tracks: Tracks) -> tuple[Stage, Stage]:
         """The stages before and after forces on particles."""
@@ -174,11 +184,10 @@ class ExternalWork:
             return model.launch(kernel, len(model), [state.v, state.C], kept)
 
         def after(grid: Grid) -> wp.Launch | None:
-            del grid
             threads, *fraction = shared_out(len(model), model.device)
             inputs = [*fraction, model.mass, model.dx, state.v, state.C, *kept]
             kernel = kernels.make_push_sums(model.real)
-            return model.launch(kernel, threads, inputs, [self._accumulator(PUSH)])
+            return model.launch(kernel, threads, inputs, [self._accumulator(PUSH, grid)])
 
         return Stage(STAGE, before), Stage(STAGE, after)
 
@@ -201,9 +210,7 @@ class ExternalWork:
             return model.launch(copy, rows, read[:3], read[3:])
 
         def after(grid: Grid) -> wp.Launch | None:
-            second = bool(grid.layers and grid.layers[0] > 0)
-            own = self._accumulator(WALLS[second])
-            return model.launch(sums, rows, read, [own])
+            return model.launch(sums, rows, read, [self._accumulator(WALL, grid)])
 
         return Stage(STAGE, before), Stage(STAGE, after)
 

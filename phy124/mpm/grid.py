@@ -37,6 +37,8 @@ class Grid:
         """Whether the window does not belong to the current positions of the particles."""
         self.layers: tuple[int, int] | None = None
         """Layers first <= i < last that the launches being recorded may touch; None: all."""
+        self.worker, self.workers = 0, 1
+        """The worker that the launches being recorded belong to, and how many workers there are."""
 
     @property
     def count(self) -> int:
@@ -44,13 +46,13 @@ class Grid:
         return int(np.prod(self.size))
 
     @contextmanager
-    def only(self, layers: tuple[int, int] | None) -> Iterator[None]:
-        """Within this context, launches are recorded for the layers first <= i < last."""
-        self.layers = layers
+    def only(self, layers: tuple[int, int] | None, worker: int = 0) -> Iterator[None]:
+        """Within this context, launches are a worker's, for the layers first <= i < last."""
+        self.layers, self.worker = layers, worker
         try:
             yield
         finally:
-            self.layers = None
+            self.layers, self.worker = None, 0
 
     def fit(self, lower: NDArray, upper: NDArray) -> bool:
         """Cover the particles with room to move; returns whether the window changed.
@@ -79,11 +81,15 @@ class Grid:
 
     def rebase(self, low: NDArray, size: NDArray) -> None:
         """Cover `size` [3] nodes from the node `low` [3] on; all nodes are cleared."""
-        self.low, self.size, self.stale = low, size, False
-        self.window.assign(np.stack([low, size]).astype(np.int32))
         # One node more than the window, since the SIMD rows read four nodes at a time.
-        self.nodes = wp.zeros(self.count + 1, dtype=self.vec4, device=self.device)
+        count = int(np.prod(size)) + 1
+        self.use(low, size, wp.zeros(count, dtype=self.vec4, device=self.device))
+
+    def use(self, low: NDArray, size: NDArray, nodes: wp.array) -> None:
+        """Cover `size` [3] nodes from the node `low` [3] on with nodes given, one more."""
+        self.low, self.size, self.nodes, self.stale = low, size, nodes, False
         self._kept = None
+        self.window.assign(np.stack([low, size]).astype(np.int32))
 
     @property
     def kept(self) -> wp.array:

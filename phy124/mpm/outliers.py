@@ -20,7 +20,7 @@ from phy124.mpm.grid import MARGIN, Grid
 from phy124.mpm.model import Model
 from phy124.mpm.stage import Recorded
 from phy124.mpm.state import State
-from phy124.mpm.workers import Worker
+from phy124.mpm.workers import Part
 from phy124.tracks import Tracks
 
 MAX_NODES = 2**25
@@ -93,31 +93,28 @@ class Outliers:
         self._centre(x[np.abs(x - np.median(x, axis=0)).max(axis=1).argmin()])
         return True
 
-    def around(
-        self, worker: Worker, gather: list[Recorded], grid: Grid, tracks: Tracks
-    ) -> list[Recorded]:
-        """The gather of a worker; if it has outliers, with launches around it that move those.
+    def around(self, part: Part, gather: Recorded, grid: Grid, tracks: Tracks) -> list[Recorded]:
+        """The gather of a part; if it has outliers, with launches around it that move those.
 
         Args:
-            worker: The worker.
-            gather: Its recorded gather.
+            part: Some of the particles.
+            gather: Their recorded gather.
             grid: The grid that it gathers from.
             tracks: Holds the uniform acceleration.
         """
-        out = self.indices.numpy()
-        mine = [out[(out >= start) & (out < stop)] for start, stop in worker.runs]
-        model, state, count = self._model, self._state, sum(map(len, mine))
+        mine = part.among(np.asarray(self.indices.numpy(), np.int32))
+        model, state, count = self._model, self._state, len(mine)
         if not count:
-            return gather
-        chosen = wp.array(np.concatenate(mine), dtype=int, device=model.device)
+            return [gather]
+        chosen = wp.array(mine, dtype=int, device=model.device)
         kept = wp.empty(count, dtype=state.x.dtype, device=model.device)
         away = wp.empty(count, dtype=int, device=model.device)
-        inputs = [chosen, grid.lattice, worker.nodes.window, grid.window]
+        inputs = [chosen, grid.lattice, part.nodes.window, grid.window]
         hide = model.launch(make_hide(model.real), count, inputs, [state.x, kept, away])
         inputs = [chosen, tracks.clock, tracks.values, kept, away]
         outputs = [state.x, state.residue, state.v]
         fly = model.launch(make_fly(model.real), count, inputs, outputs)
-        return [("ballistic", hide), *gather, ("ballistic", fly)]
+        return [("ballistic", hide), gather, ("ballistic", fly)]
 
     def _centre(self, middle: NDArray) -> None:
         low, high = middle - self._half, middle + self._half

@@ -1,7 +1,7 @@
 """Solver: explicit MLS-MPM substeps of stable length.
 
-The launches of a substep are recorded (phy124/mpm/substep.py) and repeated by one thread, by two
-threads with half of the particles each (phy124/mpm/workers.py), or by a CUDA device alone
+The launches of a substep are recorded (phy124/mpm/substep.py) and repeated by one thread, by
+several with a part of the particles each (phy124/mpm/workers.py), or by a CUDA device alone
 (phy124/mpm/graph.py).
 """
 
@@ -25,18 +25,17 @@ from phy124.mpm.model import Model
 from phy124.mpm.outliers import Outliers
 from phy124.mpm.rejection import StepRejection
 from phy124.mpm.repair import Repair
+from phy124.mpm.slabs import Slabs
 from phy124.mpm.stage import Accumulator, Attachable, Named
 from phy124.mpm.state import State
 from phy124.mpm.substep import Recorder
-from phy124.mpm.threads import SecondThread
+from phy124.mpm.threads import Team
 from phy124.mpm.workers import (
     GATHER,
     SCATTER,
     UPDATE,
     Timings,
-    Worker,
-    fit_part,
-    make_workers,
+    lone_worker,
     timed,
     usable_workers,
 )
@@ -71,7 +70,7 @@ class Solver:
             boundaries: Boundaries, in the order in which they act.
             accumulators: Sums that grow in every substep.
             ceiling: Longest substep allowed [s].
-            threads: CPU threads, 1 or 2; None: two if that is faster and a core is free.
+            threads: CPU threads; None: as many as have a free core and enough particles.
             graph: Run frames as one graph on the device; None: on CUDA.
             measure_every: Substeps between two measurements of the limits, where that is safe.
 
@@ -91,18 +90,18 @@ class Solver:
         self.tracks.upload(self.clock.values)
         self.outliers = Outliers(model, self.state)
         self.repair = Repair(model, self.state)
-        count = usable_workers(model) if threads is None else threads
-        self.workers = make_workers(model, self.grid, count)
+        count = usable_workers(model, threads)
+        self.slabs = Slabs(model, self.state, self.grid, count) if count > 1 else None
+        self.workers = self.slabs.workers if self.slabs else [lone_worker(model, self.grid)]
         self._recorder = Recorder(
-            model, self.state, self.grid, self.tracks, self.outliers, self.workers
+            model, self.state, self.grid, self.tracks, self.outliers, self.workers, self.slabs
         )
         self._stray = wp.zeros(1, dtype=int, device=model.device)
-        for worker in self.workers:
-            worker.measures = self._recorder.measures(worker, self._stray)
+        self._record_measures()
         self._sample = self.tracks.record()
         self._sample.launch()
         self._pushes: list[Named] = []
-        self._second = SecondThread[int](self._run_second)
+        self._team = Team[int](count, self._run_member)
         self.rejection = StepRejection(model, self.state, self.tracks, self._forces, accumulators)
         self._graph = Graph(model, self.clock, self.grid, self.workers[0], self._stray)
         self.on_device = usable(model.device) if graph is None else graph
@@ -123,7 +122,7 @@ class Solver:
         Raises:
             Unstable: A particle left the grid's window or is no longer finite.
         """
-        with self._second_thread():
+        with self._threads():
             while self.clock.time < until:
                 if not self._run_graph(until):
                     self._stable_step(until)
@@ -147,22 +146,34 @@ class Solver:
             "clock": self.clock.snapshot(),
             "outliers": self.outliers.snapshot(),
             "repair": self.repair.snapshot(),
-            "windows": [[g.low.tolist(), g.size.tolist()] for g in self._grids()],
+            "window": [self.grid.low.tolist(), self.grid.size.tolist()],
+            "slabs": self.slabs.snapshot() if self.slabs else {},
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Return to a snapshot."""
+        """Return to a snapshot; after one of another number of threads, to within rounding."""
         self.state.restore(snapshot["state"])
         self.clock.restore(snapshot["clock"])
         self._set_interval()
         self.outliers.restore(snapshot["outliers"])
         self.repair.restore(snapshot["repair"])
         self._stray.zero_()
-        for grid, (low, size) in zip(self._grids(), snapshot["windows"], strict=True):
-            grid.rebase(np.array(low), np.array(size))
-        self.grid.stale = self.clock.due
+        low, size = snapshot["window"]
+        self.grid.rebase(np.array(low), np.array(size))
+        known = self._restore_slabs(snapshot["slabs"])
+        self.grid.stale = self.clock.due or not known
         if not self.grid.stale:
             self._record()
+
+    def _restore_slabs(self, snapshot: dict[str, Any]) -> bool:
+        """Return to a snapshot of as many slabs; False if it is of another number of threads."""
+        if self.slabs is None:
+            return True
+        known = self.slabs.restore(snapshot)
+        self._record_measures()
+        if not known:
+            self.clock.since_measured = self.clock.interval
+        return known
 
     def _stable_step(self, until: float) -> None:
         """One substep: of a stable length that divides the remaining time evenly."""
@@ -203,36 +214,36 @@ class Solver:
         self._run(UPDATE)
 
     def _run(self, phase: int) -> None:
-        """Run a phase; two threads wait for each other before it."""
-        if self._second.alive:
-            timed(self.timings, "wait", lambda: self._second.put(phase))
+        """Run a phase; threads wait for each other before it."""
+        if self._team.alive:
+            timed(self.timings, "wait", lambda: self._team.put(phase))
             self.workers[0].run(phase)
         else:
             for worker in self.workers:
                 worker.run(phase)
 
     def _join(self) -> None:
-        """Wait until the second thread has finished its part."""
-        if self._second.alive:
-            timed(self.timings, "wait", self._second.join)
+        """Wait until the other threads have finished their parts."""
+        if self._team.alive:
+            timed(self.timings, "wait", self._team.join)
 
-    def _run_second(self, phase: int) -> None:
-        """Run a phase in the second thread."""
-        worker = self.workers[1]
+    def _run_member(self, member: int, phase: int) -> None:
+        """Run a phase in one of the other threads."""
+        worker = self.workers[member]
         if phase == MEASURE:
             timed(worker.timings, "measure", worker.measure)
         else:
             worker.run(phase)
 
     @contextmanager
-    def _second_thread(self) -> Iterator[None]:
-        """Within this context, the second worker runs on a thread of its own."""
+    def _threads(self) -> Iterator[None]:
+        """Within this context, each worker runs on a thread of its own."""
         if len(self.workers) == 1:
             yield
             return
         # This loads every kernel.
         self._measure_if_due()
-        with self._second.running():
+        with self._team.running():
             yield
 
     def _run_graph(self, until: float) -> bool:
@@ -259,38 +270,53 @@ class Solver:
         found = self._maxima()
         if self.outliers.confine(*Maxima.of(found.max(axis=0)).corners):
             found = self._maxima()
-        overall = found.max(axis=0)
-        measured = Maxima.of(overall)
+        measured = Maxima.of(found.max(axis=0))
         self.clock.extremes = measured.extremes.after(self.clock.extremes)
         # A particle that has come back to the others may be outside the window.
         self.grid.stale |= self.outliers.changed
         changed = self.grid.fit(*measured.corners)
-        for worker, own in zip(self.workers, found, strict=True):
-            changed |= self._fit(worker, np.where(np.isfinite(own), own, overall), changed)
+        changed |= self._fit_slabs(found, changed)
         if changed:
             self._record()
         self._set_interval()
         self.clock.since_measured = 0
 
-    def _fit(self, worker: Worker, own: NDArray[np.float64], force: bool) -> bool:
-        """Fit a worker's private nodes to its particles; returns whether they changed."""
-        if worker.nodes is self.grid:
+    def _fit_slabs(self, found: NDArray[np.float64], force: bool) -> bool:
+        """Fit private nodes to their particles, if need be of new slabs; whether they changed."""
+        slabs = self.slabs
+        if slabs is None or not slabs.fit(found, force=force):
             return False
-        return fit_part(worker.nodes, self.grid, *Maxima.of(own).corners, force=force)
+        if slabs.outgrown:
+            slabs.cut(*Maxima.of(found.max(axis=0)).corners)
+            self._record_measures()
+            slabs.fit(self._maxima(), force=True)
+        return True
+
+    def _record_measures(self) -> None:
+        """Record what measures the particles of each worker."""
+        for worker in self.workers:
+            worker.measures = self._recorder.measures(worker, self._stray)
 
     def _maxima(self) -> NDArray[np.float64]:
-        """What each worker measures, one row each [W,9]; raises Unstable."""
-        if self._second.alive:
-            self._second.put(MEASURE)
+        """What was measured: a row for each part of each worker, or one for a lone worker.
+
+        Raises:
+            Unstable: A particle is no longer finite.
+        """
+        if self._team.alive:
+            self._team.put(MEASURE)
             self.workers[0].measure()
-            self._second.join()
+            self._team.join()
         else:
             for worker in self.workers:
                 worker.measure()
         lost = int(self._stray.numpy()[0])
         if lost:
             raise Unstable(f"{lost} particles are NaN or infinite")
-        return np.array([worker.maxima.numpy() for worker in self.workers], dtype=np.float64)
+        rows = [self.workers[0].maxima]
+        if self.slabs is not None:
+            rows = [part.maxima for part in self.slabs.parts]
+        return np.array([row.numpy() for row in rows], dtype=np.float64)
 
     def _set_interval(self) -> None:
         clock = self.clock
@@ -302,8 +328,3 @@ class Solver:
         self._pushes = self._recorder.pushes(self._forces)
         self._recorder.record(self.boundaries, self._sums)
         self._graph.forget()
-
-    def _grids(self) -> list[Grid]:
-        """The shared grid, and the private grids of workers that have one."""
-        private = [worker.nodes for worker in self.workers if worker.nodes is not self.grid]
-        return [self.grid, *private]

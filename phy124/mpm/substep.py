@@ -17,11 +17,12 @@ from phy124.kernels.grid import make_merge, make_update
 from phy124.kernels.reduction import shared_out
 from phy124.kernels.transfer import Law
 from phy124.mpm.grid import Grid
-from phy124.mpm.model import Group, Model
+from phy124.mpm.model import Model
 from phy124.mpm.outliers import Outliers
+from phy124.mpm.slabs import Slabs
 from phy124.mpm.stage import Named, Recorded, Stage, launches
 from phy124.mpm.state import State, part_of
-from phy124.mpm.workers import Worker, layers_of
+from phy124.mpm.workers import Part, Worker
 from phy124.tracks import Tracks
 
 
@@ -59,6 +60,8 @@ class Recorder:
     tracks: Tracks
     outliers: Outliers
     workers: Sequence[Worker]
+    slabs: Slabs | None
+    """Those of several workers."""
 
     def pushes(self, stages: Sequence[Stage]) -> list[Named]:
         """The launches that act on particles before the scatter."""
@@ -71,58 +74,67 @@ class Recorder:
             walls: Stages of boundaries, after the update.
             sums: Stages that end the substep.
         """
-        for worker, layers in zip(self.workers, layers_of(self.workers, self.grid), strict=True):
-            parts = list(worker.parts(self.model.groups))
-            scatter = [self._p2g(group, part, worker.nodes) for group, part in parts]
-            with self.grid.only(layers):
+        for index, worker in enumerate(self.workers):
+            layers = self._layers(index)
+            scatter = [self._p2g(part) for part in worker.parts]
+            with self.grid.only(layers, index):
                 update = [self._update(layers)]
                 update += [(wall.name, wall.record(self.grid)) for wall in walls]
-            gather = [self._g2p(group, part) for group, part in parts]
-            gather = self.outliers.around(worker, gather, self.grid, self.tracks)
-            clear: tuple[str, Callable[[], Any]] = ("clear", worker.nodes.nodes.zero_)
+            gather = [record for part in worker.parts for record in self._gather(part)]
+            clear: tuple[str, Callable[[], Any]] = ("clear", self._clear(index))
             worker.phases = [[clear, *launches(scatter)], launches(update), launches(gather)]
         self.workers[0].phases[2] += launches([(s.name, s.record(self.grid)) for s in sums])
+
+    def _layers(self, worker: int) -> tuple[int, int] | None:
+        """The layers of the shared grid that a worker updates; None: all."""
+        if self.slabs is None:
+            return None
+        first, last = (
+            int(self.grid.size[0]) * place // len(self.workers) for place in (worker, worker + 1)
+        )
+        return first, last
+
+    def _clear(self, worker: int) -> Callable[[], Any]:
+        """Clears the nodes that a worker scatters to."""
+        return self.grid.nodes.zero_ if self.slabs is None else self.slabs.runs[worker].zero_
 
     def measures(self, worker: Worker, stray: wp.array) -> list[wp.Launch]:
         """The launches that measure the limits of the substep among a worker's particles."""
         model, s, found = self.model, self.state, []
-        for group, part in worker.parts(model.groups):
-            threads, *fraction = shared_out(part.stop - part.start, model.device)
+        for part in worker.parts:
+            group, run = part.group, part.particles
+            threads, *fraction = shared_out(part.count, model.device)
             kernel = Transfers.of(group.law, model.real, model.form).measure
-            read = [group.rows(part), model.mass[part], model.volume[part], self.outliers.corners]
-            state = [s.x[part], s.v[part], s.C[part], s.F[part], part_of(s.history, part)]
-            inputs, outputs = [*fraction, *read, *state], [worker.maxima, stray]
-            found.append(model.launch(kernel, threads, inputs, outputs))
+            read = [group.rows(run), model.mass[run], model.volume[run], self.outliers.corners]
+            state = [s.x[run], s.v[run], s.C[run], s.F[run], part_of(s.history, run)]
+            inputs = [*fraction, part.count, part.chosen, *read, *state]
+            found.append(model.launch(kernel, threads, inputs, [part.maxima, stray]))
         return [launch for launch in found if launch is not None]
 
-    def _p2g(self, group: Group, part: slice, nodes: Grid) -> Recorded:
-        model, s, law = self.model, self.state, group.law
+    def _p2g(self, part: Part) -> Recorded:
+        model, s, law, run = self.model, self.state, part.group.law, part.particles
         kernel = Transfers.of(law, model.real, model.form).p2g
-        read = [model.mass[part], model.volume[part], group.rows(part)]
-        state = [s.x[part], s.v[part], s.C[part], s.F[part], part_of(s.history, part)]
-        inputs = [*read, nodes.lattice, nodes.window, self.tracks.clock, *state]
-        count = part.stop - part.start
-        return f"p2g {law.name}", model.launch(kernel, count, inputs, [nodes.nodes])
+        read = [part.chosen, model.mass[run], model.volume[run], part.group.rows(run)]
+        state = [s.x[run], s.v[run], s.C[run], s.F[run], part_of(s.history, run)]
+        inputs = [*read, part.nodes.lattice, part.nodes.window, self.tracks.clock, *state]
+        return f"p2g {law.name}", model.launch(kernel, part.count, inputs, [part.nodes.nodes])
 
-    def _g2p(self, group: Group, part: slice) -> Recorded:
-        model, s, grid, law = self.model, self.state, self.grid, group.law
+    def _gather(self, part: Part) -> list[Recorded]:
+        model, s, grid, run = self.model, self.state, self.grid, part.particles
+        law = part.group.law
         kernel = Transfers.of(law, model.real, model.form).g2p
-        inputs = [group.rows(part), grid.lattice, grid.window, self.tracks.clock, grid.nodes]
-        outputs = [s.x[part], s.residue[part], s.v[part], s.C[part], s.F[part]]
-        outputs += [part_of(s.history, part), part_of(s.total, part)]
-        count = part.stop - part.start
-        return f"g2p {law.name}", model.launch(kernel, count, inputs, outputs)
+        read = [part.chosen, part.group.rows(run)]
+        inputs = [*read, grid.lattice, grid.window, self.tracks.clock, grid.nodes]
+        outputs = [s.x[run], s.residue[run], s.v[run], s.C[run], s.F[run]]
+        outputs += [part_of(s.history, run), part_of(s.total, run)]
+        record = f"g2p {law.name}", model.launch(kernel, part.count, inputs, outputs)
+        return self.outliers.around(part, record, grid, self.tracks)
 
     def _update(self, layers: tuple[int, int] | None) -> Recorded:
-        model, grid, inputs = self.model, self.grid, [self.tracks.clock, self.tracks.values]
-        if layers is None:
+        model, grid, slabs = self.model, self.grid, self.slabs
+        inputs = [self.tracks.clock, self.tracks.values]
+        if layers is None or slabs is None:
             return "grid", model.launch(make_update(model.real), grid.count, inputs, [grid.nodes])
-        layer = int(grid.size[1] * grid.size[2])
-        ranges = []
-        for other in self.workers:
-            first = int(other.nodes.low[0] - grid.low[0]) * layer
-            ranges += [first, first + other.nodes.count]
-        nodes = [other.nodes.nodes for other in self.workers]
-        start, count = layers[0] * layer, (layers[1] - layers[0]) * layer
-        inputs = [start, *ranges, *inputs, *nodes]
-        return "grid", model.launch(make_merge(model.real), count, inputs, [grid.nodes])
+        rows = (layers[1] - layers[0], int(grid.size[1]))
+        inputs = [layers[0], grid.window, slabs.boxes, slabs.starts, *inputs, slabs.pool]
+        return "grid", model.launch(make_merge(model.real), rows, inputs, [grid.nodes])

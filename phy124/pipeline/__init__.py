@@ -36,6 +36,7 @@ from phy124.rendering.film import cameras as cameras
 from phy124.rendering.film import film as film
 from phy124.rendering.film import rate as rate
 from phy124.rendering.film import refuse_unfilmable
+from phy124.runtime.cores import refuse_threads
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
 from phy124.scene.files import refuse_missing
@@ -50,6 +51,7 @@ def generate(
     out: PathLike,
     *,
     device: str = "cpu",
+    threads: int | None = None,
     progress: Progress = silent,
     goal: Goal | None = None,
     forecaster: Forecaster | None = None,
@@ -63,6 +65,7 @@ def generate(
         scene: What happens to the object.
         out: The folder to write.
         device: Warp device, and where the generator runs.
+        threads: CPU threads that simulate and draw; None: one for each core that is free.
         progress: Called with (stage, done, total); may raise Cancelled.
         goal: An error or a time; the accuracy is chosen to meet it (`phy124.accuracy.choose`).
         forecaster: Predicts the time of the run; the report compares it with the time taken.
@@ -73,6 +76,7 @@ def generate(
         InputError: The picture, the scene or the options cannot be used.
         Cancelled: `progress` raised it.
     """
+    refuse_threads(threads)
     scene.refuse_nameless()
     refuse_missing(scene)
     refuse_unfilmable(scene)
@@ -91,6 +95,7 @@ def generate(
             goal=goal,
             forecaster=forecaster,
             keep=keep,
+            threads=threads,
         )
 
 
@@ -100,6 +105,7 @@ def simulate(
     out: PathLike,
     *,
     device: str = "cpu",
+    threads: int | None = None,
     progress: Progress = silent,
     watch: Stopwatch | None = None,
     about: dict[str, Any] | None = None,
@@ -118,6 +124,7 @@ def simulate(
         scene: What happens to it.
         out: The folder to write.
         device: Warp device.
+        threads: CPU threads that simulate and draw; None: one for each core that is free.
         progress: Called with (stage, done, total); may raise Cancelled.
         watch: Where the durations of the stages are recorded.
         about: What the report says about how the Gaussians were made.
@@ -140,10 +147,14 @@ def simulate(
     if films:
         refuse_unfilmable(scene)
     watch = watch or Stopwatch()
-    making = Making(Path(out), device, progress, watch, dict(about or {}), keep, cutout, films)
+    making = Making(
+        Path(out), device, progress, watch, dict(about or {}), keep, cutout, films, threads
+    )
 
     def moved() -> tuple[Simulation, Clip]:
-        options: dict[str, Any] = {"device": device, "progress": progress, "watch": watch}
+        options: dict[str, Any] = {
+            "device": device, "threads": threads, "progress": progress, "watch": watch,
+        }  # fmt: skip
         if goal is not None:
             reached = reach(goal, gaussians, scene, elapsed=watch.total, crop=crop, **options)
             making.about["goal"] = reached.about
@@ -163,6 +174,7 @@ def go_on(
     *,
     any_accuracy: bool = False,
     device: str = "cpu",
+    threads: int | None = None,
     progress: Progress = silent,
     keep: bool = False,
 ) -> Result:
@@ -173,12 +185,15 @@ def go_on(
         scene: The scene that it must have; None: any.
         any_accuracy: Whether its accuracy may differ from the scene's, as it does with a goal.
         device: Warp device.
+        threads: CPU threads; None: as many as before. With another number the run goes on within
+            rounding.
         progress: Called with (stage, done, total); may raise Cancelled.
         keep: Whether it is kept again if `progress` cancels it.
 
     Raises:
         InputError: There is no interrupted run, or it has another scene.
     """
+    refuse_threads(threads)
     path, watch = Path(out) / PAUSE, Stopwatch()
     if not path.is_file():
         limit = "no interrupted run was left there."
@@ -190,10 +205,10 @@ def go_on(
             asked["accuracy"] = paused["accuracy"]
         _refuse_other(asked, paused, out)
     about = {name: value for name, value in about.items() if name not in ("scene", "frames")}
-    making = Making(Path(out), device, progress, watch, about, keep)
+    making = Making(Path(out), device, progress, watch, about, keep, threads=threads)
 
     def moved() -> tuple[Simulation, Clip]:
-        run = resume.load(path, device=device, progress=progress, watch=watch)
+        run = resume.load(path, device=device, threads=threads, progress=progress, watch=watch)
         return run, run.run()
 
     return making.result(moved)

@@ -61,6 +61,8 @@ class Making:
     cutout: Cutout | None = None
     films: bool = True
     """Whether videos are made."""
+    threads: int | None = None
+    """CPU threads that draw; None: as many as there are cores."""
     predicted: Forecast | None = None
 
     def result(self, moved: Callable[[], tuple[Simulation, Clip]]) -> Result:
@@ -88,6 +90,7 @@ class Making:
         if not self.films:
             return False
         options: dict[str, Any] = {"device": self.device, "watch": self.watch}
+        options["threads"] = self.threads
         try:
             film(clip, scene.view, folder, progress=self.progress, **options)
         except Cancelled:

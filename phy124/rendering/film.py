@@ -30,6 +30,7 @@ def film(
     folder: PathLike,
     *,
     device: str = "cpu",
+    threads: int | None = None,
     progress: Progress = silent,
     watch: Stopwatch | None = None,
 ) -> list[Path]:
@@ -42,6 +43,7 @@ def film(
         view: Sides, size, background, formats and outputs.
         folder: An existing folder.
         device: Warp's name of the device that draws.
+        threads: CPU threads that draw videos and pictures; None: as many as there are cores.
         progress: Called as ("render SIDE", pictures done, pictures in all) for each side, and as
             ("outputs SIDE", ...) where there are any.
         watch: A stopwatch that counts drawing and encoding.
@@ -63,7 +65,8 @@ def film(
         for side in view.sides:
             before = watch.seconds.get("render", 0.0)
             with watch.stage("encode"):
-                images = watch.each("render", _images(clip, view, side, stage, device, progress))
+                drawn = _images(clip, view, side, stage, device, threads, progress)
+                images = watch.each("render", drawn)
                 made.append(ENCODERS[name](folder, side, images, playback(rate(clip), view)))
             watch.seconds["encode"] -= watch.seconds.get("render", 0.0) - before
     if view.outputs:
@@ -74,8 +77,9 @@ def film(
 
 
 def _images(
-    clip: Clip, view: View, side: str, stage: Stage | None, device: str, progress: Progress
-) -> Generator[Picture, None, None]:
+    clip: Clip, view: View, side: str, stage: Stage | None, device: str, threads: int | None,
+    progress: Progress,
+) -> Generator[Picture, None, None]:  # fmt: skip
     return render_frames(
         clip.frames(),
         cameras(clip, view, side),
@@ -83,6 +87,7 @@ def _images(
         stage=stage and stage.at,
         filter=view.filter,
         device=device,
+        threads=threads,
         progress=lambda _, done, total: progress(f"render {side}", done, total),
     )
 

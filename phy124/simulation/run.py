@@ -32,6 +32,7 @@ from phy124.parts import with_materials
 from phy124.placing import among_all, belongs, place, renumbered
 from phy124.progress import Progress, silent
 from phy124.remedies import hurry, remedies
+from phy124.runtime.cores import refuse_threads
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
 from phy124.simulation.appearance import appearance
@@ -75,12 +76,13 @@ class Simulation:
             progress: Called with ("simulate", frame, frames); may raise Cancelled.
             watch: Where the durations of the stages are recorded.
             crop: Where the object is in the picture that the masks of parts were painted on.
-            threads: CPU threads, 1 or 2; None: two if that is faster and a core is free.
+            threads: CPU threads; None: as many as have a free core and enough particles.
             keep: Keep all frames for `clip`; otherwise the frames may exceed the memory.
 
         Raises:
             InputError: The Gaussians or the scene cannot be used.
         """
+        refuse_threads(threads)
         self.scene, self.device, self.progress = scene, device, progress
         self.given, self.crop = gaussians, crop
         self.watch = watch or Stopwatch()
@@ -132,6 +134,8 @@ class Simulation:
         self.rotations: list[NDArray] = []
         self.retried: list[int] = []
         self.stopped: str | None = None
+        self.remarks: list[str] = []
+        """What the report notes besides what the run itself finds."""
         self.remedies: tuple[Remedy, ...] = ()
         """What would help, if it has stopped."""
 
@@ -387,7 +391,7 @@ class Simulation:
         """What the user should know about the materials and about how the run went."""
         notes = [note for section in self.scene.materials for note in section.notes()]
         stiff = stiffest_part(self.scene)
-        return notes + ([stiff] if stiff else []) + self.watchdog.notes()
+        return notes + ([stiff] if stiff else []) + self.watchdog.notes() + self.remarks
 
     def _reporter(self, index: int) -> Callable[[], None]:
         return lambda: self.progress("simulate", index, self.scene.time.frames)

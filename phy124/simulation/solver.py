@@ -40,7 +40,7 @@ def solver_of(
         stiffness: Fraction of its material's E that each particle has [P]; None: all of it.
         scene: What happens to them.
         device: Warp device, "cpu" or "cuda:0".
-        threads: CPU threads, 1 or 2; None: two if that is faster and a core is free.
+        threads: CPU threads; None: as many as have a free core and enough particles.
         external: Adds up what forces and walls give, if the scene's balance is checked.
         contacts: Adds up what walls give to each particle, if that is asked for.
         wrenches: Adds up what each wall is given, if that is asked for.

@@ -1,0 +1,189 @@
+"""Slabs: which particles several workers have, and the private nodes they scatter to.
+
+The particles of each group are cut across the longest axis into slabs of equal numbers, one for
+each worker. The nodes of a slab are those its particles can touch until they are measured again:
+beside its own layers only a halo of a few. As the object turns or flows, slabs come to overlap;
+once their nodes have become `GROWN` times as many, relative to the window, it is cut anew.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import Any, cast
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from phy124.kernels.maxima import COUNT
+from phy124.kernels.transfer import types
+from phy124.mpm.grid import MARGIN, Grid
+from phy124.mpm.maxima import Maxima
+from phy124.mpm.model import Group, Model
+from phy124.mpm.state import State
+from phy124.mpm.workers import Part, Worker
+
+GROWN = 1.25
+"""How many times as many nodes the slabs may have, per node of the window, before a new cut."""
+GAP, LINE = 1, 4
+"""Nodes between two slabs, since SIMD rows touch one node more, and nodes per line of cache: no
+two workers ever write to the same one."""
+
+
+class Slabs:
+    """The parts of several workers."""
+
+    def __init__(self, model: Model, state: State, grid: Grid, count: int) -> None:
+        """Cut the particles for the first time.
+
+        Args:
+            model: The particles.
+            state: Where they are.
+            grid: The shared grid.
+            count: Number of workers.
+        """
+        self._model, self._state, self._grid = model, state, grid
+        grid.workers = count
+        length = COUNT * len(model.groups)
+        self.workers = [
+            Worker(wp.zeros(length, dtype=model.real, device=model.device)) for _ in range(count)
+        ]
+        self.pool = wp.zeros(0, dtype=types(model.real).vec4, device=model.device)
+        """The nodes of all slabs."""
+        self.boxes = wp.zeros(0, dtype=wp.vec3i, device=model.device)
+        """Lowest node and extent of each."""
+        self.starts = wp.zeros(0, dtype=int, device=model.device)
+        """Where each begins in the pool."""
+        self.runs: list[wp.array] = []
+        """The nodes of each worker."""
+        self._owner = np.zeros(len(model), np.int16)
+        self._share = 0.0
+        """Nodes of slabs per node of the window when it was cut."""
+        self.cut(model.rest.min(axis=0), model.rest.max(axis=0))
+
+    @property
+    def parts(self) -> list[Part]:
+        """The parts of all workers."""
+        return [part for worker in self.workers for part in worker.parts]
+
+    @property
+    def share(self) -> float:
+        """Nodes of all slabs per node of the window."""
+        return sum(part.nodes.count for part in self.parts) / max(self._grid.count, 1)
+
+    @property
+    def outgrown(self) -> bool:
+        """Whether the slabs overlap so much more than when they were cut that this pays again."""
+        if self._share == 0:
+            self._share = self.share
+        return self.share > GROWN * self._share
+
+    def cut(self, lower: NDArray, upper: NDArray) -> None:
+        """Give each worker a slab of the particles, which lie between two corners [m]."""
+        x: NDArray[Any] = self._state.x.numpy()
+        axis = int(np.argmax(upper - lower))
+        layer = np.floor((x[:, axis] - x.dtype.type(lower[axis])) / self._model.dx)
+        layer = np.clip(layer, 0, np.iinfo(np.int16).max).astype(np.int16)
+        count = len(self.workers)
+        for group in self._model.groups:
+            # Within a layer they stay in order, so that neighbours in space stay so in memory.
+            order = group.start + np.argsort(layer[group.particles], kind="stable")
+            edges = np.linspace(0, len(group), count + 1).astype(int)
+            for worker in range(count):
+                self._owner[order[edges[worker] : edges[worker + 1]]] = worker
+        self._share = 0.0
+        self._share_out()
+
+    def fit(self, rows: NDArray[np.float64], *, force: bool) -> bool:
+        """Make the nodes of every slab cover its particles; returns whether they changed.
+
+        Args:
+            rows: What was measured among the particles of each part [parts,COUNT].
+            force: Whether the shared window has changed.
+        """
+        reaches = [self._reach(row) for row in rows]
+        if not force and all(map(_roomy, self.parts, reaches)):
+            return False
+        # All at once, so that none needs it again soon.
+        low, high = self._grid.low, self._grid.low + self._grid.size
+        boxes = []
+        for reach in reaches:
+            first, last = reach or (low, low - 2 * MARGIN)
+            start = np.clip(first - MARGIN, low, high)
+            boxes.append((start, np.clip(last + MARGIN, start, high) - start))
+        self.place(boxes)
+        return True
+
+    def _reach(self, row: NDArray[np.float64]) -> tuple[NDArray, NDArray] | None:
+        """The nodes that measured particles can touch; None if they all are outliers."""
+        return self._grid.reach(*Maxima.of(row).corners) if np.isfinite(row).all() else None
+
+    def place(self, boxes: Sequence[tuple[NDArray, NDArray]]) -> None:
+        """Give every slab the nodes from `low` [3] on, `size` [3] of them; all are cleared."""
+        rooms = [-(-(int(np.prod(size)) + GAP) // LINE) * LINE for _, size in boxes]
+        starts = [0, *itertools.accumulate(rooms)]
+        device = self._model.device
+        self.pool = wp.zeros(starts[-1], dtype=self.pool.dtype, device=device)
+        corners = np.array([corner for box in boxes for corner in box], np.int32).reshape(-1, 3)
+        self.boxes = wp.array(corners, dtype=wp.vec3i, device=device)
+        self.starts = wp.array(starts[:-1], dtype=int, device=device)
+        for part, (low, size), start, room in zip(self.parts, boxes, starts, rooms, strict=False):
+            part.nodes.use(np.array(low), np.array(size), self._nodes(start, start + room))
+        ends = itertools.accumulate((len(worker.parts) for worker in self.workers), initial=0)
+        self.runs = [self._nodes(starts[a], starts[b]) for a, b in itertools.pairwise(ends)]
+
+    def _nodes(self, first: int, last: int) -> wp.array:
+        """A run of nodes of the pool."""
+        return cast("wp.array", self.pool[first:last])
+
+    def snapshot(self) -> dict[str, Any]:
+        """The state that `restore` needs, as plain data and arrays."""
+        boxes = [[part.nodes.low.tolist(), part.nodes.size.tolist()] for part in self.parts]
+        count = len(self.workers)
+        return {"workers": count, "owner": self._owner.copy(), "share": self._share, "boxes": boxes}
+
+    def restore(self, snapshot: dict[str, Any]) -> bool:
+        """Return to a snapshot; False if it is of another number of workers."""
+        if snapshot.get("workers") != len(self.workers):
+            x: NDArray[Any] = self._state.x.numpy()
+            self.cut(x.min(axis=0), x.max(axis=0))
+            return False
+        owner = np.asarray(snapshot["owner"], np.int16)
+        if not np.array_equal(owner, self._owner):
+            self._owner = owner.copy()
+            self._share_out()
+        self._share = snapshot["share"]
+        self.place([(np.array(low), np.array(size)) for low, size in snapshot["boxes"]])
+        return True
+
+    def _share_out(self) -> None:
+        """Give the workers their parts."""
+        for index, worker in enumerate(self.workers):
+            found = [self._part(index, group) for group in self._model.groups]
+            worker.parts = [part for part in found if part is not None]
+
+    def _part(self, index: int, group: Group) -> Part | None:
+        """A worker's part of a group, if it has one."""
+        model = self._model
+        own = np.flatnonzero(self._owner[group.particles] == index)
+        if len(own) == 0:
+            return None
+        first, last = int(own[0]), int(own[-1]) + 1
+        run, chosen = slice(group.start + first, group.start + last), own[:0]
+        if last - first > len(own):
+            run, chosen = group.particles, own
+        nodes = Grid(model.origin, model.dx, real=model.real, device=model.device)
+        place = COUNT * model.groups.index(group)
+        maxima = cast("wp.array", self.workers[index].maxima[place : place + COUNT])
+        indices = wp.array(chosen.astype(np.int32), dtype=int, device=model.device)
+        return Part(group, run, indices, len(own), nodes, maxima)
+
+
+def _roomy(part: Part, reach: tuple[NDArray, NDArray] | None) -> bool:
+    """Whether a part's particles have room to move until they are measured again."""
+    if reach is None:
+        return True
+    nodes, (low, high) = part.nodes, reach
+    spare = min((low - nodes.low).min(), (nodes.low + nodes.size - high).min())
+    return bool(spare >= MARGIN // 2)

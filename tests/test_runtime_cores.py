@@ -1,0 +1,34 @@
+"""Cores are counted once: those of this process, physical ones, and those nobody else wants."""
+
+import os
+
+import pytest
+
+from phy124.runtime import cores
+
+
+def test_there_are_no_more_free_cores_than_cores():
+    assert 1 <= cores.free_cores() <= cores.physical_cores() <= cores.cores()
+
+
+def test_two_hardware_threads_of_one_core_count_once(monkeypatch, tmp_path):
+    if not hasattr(os, "sched_getaffinity"):
+        pytest.skip("this system does not say which cores a process may use")
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1, 4, 5})
+    monkeypatch.setattr(cores, "SIBLINGS", str(tmp_path / "{}"))
+    for one, siblings in ((0, "0,4"), (1, "1,5"), (4, "0,4"), (5, "1,5")):
+        (tmp_path / str(one)).write_text(siblings)
+    assert cores.physical_cores() == 2 and cores.cores() == 4
+
+
+@pytest.mark.parametrize(("others", "free"), [(0, 2), (1, 2), (3, 1), (9, 1)])
+def test_what_others_run_takes_hardware_threads_first(monkeypatch, others, free):
+    monkeypatch.setattr(cores, "cores", lambda: 4)
+    monkeypatch.setattr(cores, "physical_cores", lambda: 2)
+    monkeypatch.setattr(cores, "_others_running", lambda: others)
+    assert cores.free_cores() == free
+
+
+def test_where_the_system_does_not_tell_all_cores_are_physical(monkeypatch):
+    monkeypatch.setattr(cores, "SIBLINGS", "/nowhere/{}")
+    assert cores.physical_cores() == cores.cores()
