@@ -144,7 +144,14 @@ def time_shapes(simulation: Simulation) -> float:
 def time_film(
     gaussians: Gaussians, scene: Scene, device: str, threads: int | None = None
 ) -> dict[str, float]:
-    """Times of pictures and videos [s], from filming a few frames from one side."""
+    """Times of pictures and videos [s], from filming a few frames from one side.
+
+    Args:
+        gaussians: The object.
+        scene: The scene.
+        device: Warp's name of the device that draws.
+        threads: CPU threads; None: as many as there are cores.
+    """
     one = scene.view.model_copy(update={"views": ("front",)}).only("front")
     views, frames = len(scene.view.sides), scene.time.frames
     few, more = FILMED
