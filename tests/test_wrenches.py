@@ -10,7 +10,7 @@ from phy124.boundaries import Box, Container, Gripper, Ground
 from phy124.io.clip import Clip
 from phy124.materials import NeoHookean
 from phy124.monitor.diagnostics import diagnose
-from phy124.monitor.external_work import IMPULSES, WALLS, ExternalWork
+from phy124.monitor.external_work import IMPULSES, WALL, ExternalWork
 from phy124.monitor.wrenches import Wrenches, names, summary
 from phy124.region import Region
 from phy124.scene import Scene
@@ -37,7 +37,7 @@ def test_they_add_up_to_the_change_of_both_momenta(threads):
         wrenches.begin()
         solver.advance((frame + 1) / fps)
         found = wrenches.contacts(solver.model, solver.state, fps)
-        total = external._total(*WALLS)[IMPULSES]
+        total = external._total(WALL)[IMPULSES]
         force = sum(wrench.force for wrench in found.values())
         assert np.allclose(-force / fps, total - given, rtol=1e-12, atol=1e-12)
         given, mass = total, solver.model.mass.numpy()

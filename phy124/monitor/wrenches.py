@@ -36,7 +36,7 @@ class Wrenches:
         self.asked = asked
         """Whether anything is summed."""
         self._sums: dict[str, dict[int, wp.array]] = {}
-        """Sums of each wall, for each worker by the first layer of nodes that it updates."""
+        """Sums of each wall, for each worker."""
 
     @property
     def walls(self) -> tuple[str, ...]:
@@ -107,16 +107,16 @@ class Wrenches:
 
     def _own(self, name: str, grid: Grid, model: Model) -> wp.array:
         """The sums of a wall and worker, so that two threads never add to the same ones."""
-        first, sums = grid.layers[0] if grid.layers else 0, self._sums[name]
-        if first not in sums:
-            sums[first] = wp.zeros(kernels.SUMS, dtype=wp.float64, device=model.device)
-        return sums[first]
+        sums = self._sums[name]
+        if grid.worker not in sums:
+            sums[grid.worker] = wp.zeros(kernels.SUMS, dtype=wp.float64, device=model.device)
+        return sums[grid.worker]
 
     def _arrays(self) -> dict[str, wp.array]:
         return {
-            f"{name} {first}": array
+            f"{name} {worker}": array
             for name, sums in self._sums.items()
-            for first, array in sums.items()
+            for worker, array in sums.items()
         }
 
     def _wrench(self, wall: str, middle: Vector3, fps: float) -> Wrench:
