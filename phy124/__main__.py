@@ -11,13 +11,14 @@ early and kept its good frames, 130 interrupted. Errors that a user can correct 
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import sys
 import traceback
 import warnings
-from collections.abc import Sequence
-from contextlib import ExitStack, redirect_stdout
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager, redirect_stdout
 from typing import Any
 
 from phy124 import __version__
@@ -58,37 +59,67 @@ def _run(arguments: list[str], *, quiet: bool, verbose: bool) -> int:
     with ExitStack() as stack:
         stack.enter_context(warnings.catch_warnings())
         warnings.showwarning = _note
-        import warp as wp
-
-        from phy124.commands.bars import silence
-        from phy124.runtime.startup import start
-
-        command = _parsed(arguments)
-        start()
-        talkative = verbose and "--json" not in arguments
-        wp.config.log_level = wp.LOG_INFO if talkative else wp.LOG_ERROR
+        with _no_collection():
+            command = _parsed(arguments)
+        if "warp" in sys.modules:  # Some commands, as `weights`, do without.
+            _start(talkative=verbose and "--json" not in arguments)
         if quiet:
+            from phy124.commands.bars import silence
+
             stack.enter_context(silence())
             stack.enter_context(redirect_stdout(stack.enter_context(open(os.devnull, "w"))))
         return command.run()
 
 
-def _parsed(arguments: list[str]) -> Any:
-    """The command with its options."""
-    from pydantic import ValidationError
+@contextmanager
+def _no_collection() -> Iterator[None]:
+    """Within this context no garbage is looked for: what imports make stays, and there is a lot."""
+    was = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was:
+            gc.enable()
 
-    from phy124.arguments.parsing import parsed
-    from phy124.commands import COMMANDS
+
+def _start(*, talkative: bool) -> None:
+    """Start Warp."""
+    import warp as wp
+
+    from phy124.runtime.startup import start
+
+    start()
+    wp.config.log_level = wp.LOG_INFO if talkative else wp.LOG_ERROR
+
+
+def _parsed(arguments: list[str]) -> Any:
+    """The command with its options; the list of all commands is printed instead, and ends this."""
+    from phy124.arguments.parsing import asks_for_commands, parsed
+    from phy124.commands import COMMANDS, outline
+
+    commands = outline() if asks_for_commands(arguments) else COMMANDS
+    with _worded():
+        command = parsed(arguments, commands, program="phy124", description=__doc__)
     from phy124.commands.kinds import refuse_other_kind
 
+    refuse_other_kind(arguments[0], command)
+    return command
+
+
+@contextmanager
+def _worded() -> Iterator[None]:
+    """Within this context, what pydantic refuses is raised as InputError."""
     try:
-        command = parsed(arguments, COMMANDS, program="phy124", description=__doc__)
-    except ValidationError as error:
+        yield
+    except ValueError as error:
+        from pydantic import ValidationError
+
+        if not isinstance(error, ValidationError):
+            raise
         from phy124.scene.refusals import refusal_of_options
 
         raise refusal_of_options(error) from None
-    refuse_other_kind(arguments[0], command)
-    return command
 
 
 def _judged(problem: BaseException) -> tuple[int, str]:

@@ -1,5 +1,6 @@
 """What is typed wrongly is refused in plain sentences; what every command can do."""
 
+import inspect
 import io
 import os
 import subprocess
@@ -11,7 +12,7 @@ from tyro import _errors
 from phy124 import __version__
 from phy124.__main__ import main
 from phy124.arguments.parsing import option_names
-from phy124.commands import COMMANDS
+from phy124.commands import COMMANDS, outline
 from phy124.commands.bars import Bars, silence
 from phy124.commands.kinds import KINDS, TAKES, USES
 from phy124.commands.options import SceneOptions, ViewOptions
@@ -97,6 +98,11 @@ def test_no_command_is_a_wish_for_help(capsys):
     assert all(name in printed for name in (*COMMANDS, "--quiet", "--verbose", "--version"))
 
 
+def test_commands_are_listed_with_the_first_sentence_of_their_classes():
+    for name, listed in outline().items():
+        assert inspect.cleandoc(listed.__doc__) == inspect.getdoc(COMMANDS[name])
+
+
 def test_quiet_prints_nothing_but_problems(capsys):
     assert main(["scenes", "--quiet"]) == 0
     assert capsys.readouterr() == ("", "")
@@ -105,6 +111,12 @@ def test_quiet_prints_nothing_but_problems(capsys):
     with silence(), Bars() as bars:
         bars("simulate", 1, 1)
     assert capsys.readouterr().err == ""
+
+
+def test_compiling_is_told_as_what_happens_once(capsys):
+    with Bars() as bars:
+        bars("compile", 0, 13)
+    assert capsys.readouterr().err == "compile kernels, once: 0 of 13\n"
 
 
 def test_verbose_says_where_in_the_code(capsys):

@@ -42,13 +42,19 @@ def parsed(
 
     arguments = arguments or ["--help"]
     _refuse(arguments, commands, program, empty)
+    name = arguments[0]
     with _plainly(arguments, commands, program):
         return tyro.extras.subcommand_cli_from_dict(
-            dict(commands),
+            {name: commands[name]} if name in commands else dict(commands),
             prog=program,
             description=description,
             args=gathered(arguments, commands),
         )
+
+
+def asks_for_commands(arguments: Sequence[str]) -> bool:
+    """Whether the list of all commands is asked for, and nothing else can happen."""
+    return not arguments or arguments[0] in ("-h", "--help")
 
 
 @contextmanager

@@ -1,34 +1,65 @@
-"""One class per command of the command line: its fields are its options, `run` does the work."""
+"""One class per command of the command line: its fields are its options, `run` does the work.
 
-from phy124.commands.accuracy import ShowAccuracy
-from phy124.commands.compare import Compare
-from phy124.commands.convert import Convert, Export
-from phy124.commands.cutout import CutOut
-from phy124.commands.doctor import Doctor
-from phy124.commands.effects import ShowEffects
-from phy124.commands.evaluate import Evaluate
-from phy124.commands.generate import Generate, Simulate
-from phy124.commands.orient import Orient
-from phy124.commands.render import Render
-from phy124.commands.scenes import Scenes
-from phy124.commands.stress import Stress
-from phy124.commands.weights import Weights
+A command's module is imported when the command is asked for, and none to list them all.
+"""
 
-COMMANDS = {
-    "generate": Generate,
-    "simulate": Simulate,
-    "cutout": CutOut,
-    "orient": Orient,
-    "render": Render,
-    "export": Export,
-    "convert": Convert,
-    "scenes": Scenes,
-    "stress": Stress,
-    "effects": ShowEffects,
-    "accuracy": ShowAccuracy,
-    "evaluate": Evaluate,
-    "compare": Compare,
-    "weights": Weights,
-    "doctor": Doctor,
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator, Mapping
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+
+MODULES = {
+    "generate": ("generate", "Generate"),
+    "simulate": ("generate", "Simulate"),
+    "cutout": ("cutout", "CutOut"),
+    "orient": ("orient", "Orient"),
+    "render": ("render", "Render"),
+    "export": ("convert", "Export"),
+    "convert": ("convert", "Convert"),
+    "scenes": ("scenes", "Scenes"),
+    "stress": ("stress", "Stress"),
+    "effects": ("effects", "ShowEffects"),
+    "accuracy": ("accuracy", "ShowAccuracy"),
+    "evaluate": ("evaluate", "Evaluate"),
+    "compare": ("compare", "Compare"),
+    "weights": ("weights", "Weights"),
+    "warm": ("warm", "Warm"),
+    "doctor": ("doctor", "Doctor"),
 }
-"""Name on the command line -> class."""
+"""Name on the command line -> module here, and the class in it."""
+
+
+class Commands(Mapping[str, type]):
+    """Name on the command line -> class, imported when it is looked up."""
+
+    def __getitem__(self, name: str) -> type:
+        module, kind = MODULES[name]
+        return getattr(import_module(f"{__name__}.{module}"), kind)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(MODULES)
+
+    def __len__(self) -> int:
+        return len(MODULES)
+
+
+COMMANDS = Commands()
+
+
+def outline() -> dict[str, type]:
+    """Name -> class without options, but with the command's docstring: enough to list them."""
+    return {
+        name: type(kind, (), {"__doc__": _docstrings(module)[kind]})
+        for name, (module, kind) in MODULES.items()
+    }
+
+
+@cache
+def _docstrings(module: str) -> dict[str, str | None]:
+    """Class -> docstring of a module here, which is read without being imported."""
+    code = Path(__file__).with_name(f"{module}.py").read_text("utf-8")
+    classes = [node for node in ast.parse(code).body if isinstance(node, ast.ClassDef)]
+    return {node.name: ast.get_docstring(node) for node in classes}

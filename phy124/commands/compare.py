@@ -12,14 +12,15 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from phy124 import pipeline
 from phy124.commands.bars import Bars
 from phy124.commands.options import CameraOptions, Device
 from phy124.errors import Cancelled
 from phy124.io.clip import Clip
+from phy124.io.files import staged
 from phy124.io.video import Picture, write_mp4
 from phy124.metrics.comparison import Likeness, Pictures, check_comparable, compare
 from phy124.progress import Progress
+from phy124.rendering.film import cameras, playback, rate
 from phy124.rendering.render import render_frames
 from phy124.runtime.device import pick_device
 from phy124.scene import Scene, View
@@ -49,7 +50,7 @@ class Compare:
         out = self.out or paths[0].parent / f"compare-{_name(paths[1])}"
         device = pick_device(self.device)
         seen = []
-        with Bars(quiet=self.json, keeps=True) as bars, pipeline.staged(out) as folder:
+        with Bars(quiet=self.json, keeps=True) as bars, staged(out) as folder:
             with suppress(Cancelled):
                 for side in view.sides:
                     seen.append(_filmed(a, b, view, side, folder, device, bars))
@@ -76,7 +77,7 @@ def _filmed(
     a: Clip, b: Clip, view: View, side: str, folder: Path, device: str, progress: Progress
 ) -> Likeness:
     """Film both from one side, next to each other, and measure their difference meanwhile."""
-    measured, seen = Pictures(), pipeline.cameras(a, view, side)
+    measured, seen = Pictures(), cameras(a, view, side)
 
     def images(clip: Clip) -> Iterator[Picture]:
         return render_frames(
@@ -89,5 +90,5 @@ def _filmed(
             measured.add(left, right)
             yield np.concatenate([left, right], axis=1)
 
-    write_mp4(folder / f"{side}.mp4", pairs(), fps=pipeline.playback(pipeline.rate(a), view))
+    write_mp4(folder / f"{side}.mp4", pairs(), fps=playback(rate(a), view))
     return measured.likeness(side)

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from phy124 import pipeline
 from phy124.camera import VIEWS
 from phy124.commands.bars import Bars
 from phy124.commands.options import Device
@@ -19,6 +18,7 @@ from phy124.io.clip import Clip
 from phy124.io.files import replacing
 from phy124.metrics import Evaluation, evaluate, similarity
 from phy124.progress import Progress
+from phy124.rendering.film import cameras
 from phy124.rendering.render import render_frames
 from phy124.runtime.device import pick_device
 from phy124.scene import Scene, View
@@ -88,7 +88,7 @@ class Evaluate:
     ) -> Iterator[np.ndarray]:
         return render_frames(
             clip.frames(),
-            pipeline.cameras(clip, view, name),
+            cameras(clip, view, name),
             background=view.background,
             device=device,
             progress=progress,

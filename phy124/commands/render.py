@@ -10,12 +10,12 @@ from typing import Annotated
 
 import tyro
 
-from phy124 import pipeline
 from phy124.commands.bars import Bars
 from phy124.commands.options import Device, ViewOptions
 from phy124.errors import Cancelled
 from phy124.io.clip import Clip
-from phy124.rendering.film import choppy
+from phy124.io.files import staged
+from phy124.rendering.film import choppy, film
 from phy124.rendering.framing import framing
 from phy124.runtime.device import pick_device
 from phy124.scene import Scene, assignments, together
@@ -45,12 +45,14 @@ class Render:
         others = {f"view.{key}": value for key, value in assignments(self.set).items()}
         view = Scene.from_data(clip.scene, str(self.clip)).replaced(together(changes, others)).view
         out = self.out or self.clip.parent
-        with Bars(quiet=self.json, keeps=True) as bars, pipeline.staged(out) as folder:
+        with Bars(quiet=self.json, keeps=True) as bars, staged(out) as folder:
             with suppress(Cancelled):
                 device = pick_device(self.device)
-                pipeline.film(clip, view, folder, device=device, progress=bars)
+                film(clip, view, folder, device=device, progress=bars)
                 if self.compose is not None:
-                    pipeline.into_photograph(
+                    from phy124.pipeline.composing import into_photograph
+
+                    into_photograph(
                         clip, view, self.compose, self.clip.parent, folder,
                         device=device, progress=bars,
                     )  # fmt: skip

@@ -6,6 +6,8 @@ import json
 from contextlib import suppress
 from dataclasses import dataclass
 
+from phy124 import selftest as stress
+from phy124.commands.bars import Bars
 from phy124.errors import Cancelled
 
 
@@ -20,9 +22,6 @@ class Stress:
 
     def run(self) -> int:
         """Print the table; returns status 1 if a case fails."""
-        from phy124 import selftest as stress
-        from phy124.commands.bars import Bars
-
         total, rows = len(stress.CASES) * len(stress.settings()), []
         with Bars(quiet=self.json, keeps=True) as bars, suppress(Cancelled):
             for row in stress.run(long=self.all):

@@ -13,7 +13,6 @@ import warnings
 import zlib
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageOps
@@ -105,6 +104,8 @@ def size_in_file(image: Image.Image) -> tuple[int, int]:
 
 def reduced(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """A picture [H,W,3] at a longest side of at most `LOOK_SIDE` pixels."""
+    import cv2
+
     height, width = rgb.shape[:2]
     scale = min(1.0, LOOK_SIDE / max(height, width))
     size = (max(8, round(width * scale)), max(8, round(height * scale)))
@@ -134,6 +135,8 @@ def recenter(image: NDArray, mask: NDArray, *, border_ratio: float = 0.2) -> NDA
     Raises:
         InputError: If the mask covers less than two pixels along an axis.
     """
+    import cv2
+
     values = image.astype(np.float32) / 255 if image.dtype == np.uint8 else image
     size, channels = max(image.shape[:2]), image.shape[2]
     rows, columns = np.nonzero(mask)

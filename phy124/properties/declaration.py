@@ -11,7 +11,6 @@ from pydantic import Field
 from phy124.bounds import FileName
 from phy124.errors import InputError
 from phy124.io.axes import orientation
-from phy124.properties.sampling import nearest, trilinear
 from phy124.properties.table import Table, read_table
 from phy124.section import Section
 
@@ -54,6 +53,9 @@ class Properties(Section):
         Raises:
             InputError: If the file cannot be read or does not fit the object.
         """
+        # Not with the module: SciPy takes longer to import than most scenes to read.
+        from phy124.properties.sampling import nearest, trilinear
+
         table = read_table(self.file)
         count = len(means) if survivors is None else len(survivors)
         if len(table) == count and survivors is not None and not survivors.all():
