@@ -68,6 +68,7 @@ clean:
 
 .venv/demo: .venv/python pyproject.toml
 	$(INSTALL) --editable ".[demo]"
+	$(BIN)/phy124 warm
 	touch $@ .venv/base
 
 .venv/bridge: .venv/python pyproject.toml

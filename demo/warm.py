@@ -13,31 +13,19 @@ import numpy as np
 from PIL import Image
 
 from phy124 import pipeline
-from phy124.camera import Camera
 from phy124.gaussians import Gaussians
 from phy124.imaging.cutout import foreground
-from phy124.rendering.render import Renderer
+from phy124.pipeline.warming import warm
 from phy124.runtime.device import pick_device
 from phy124.scene import Scene, preset_names
-from phy124.simulation import Simulation
 
 COUNT = 500
 EXAMPLE = Path(__file__).parent / "examples/duck.png"
 
 
 def warm_up(device: str) -> None:
-    """Simulate and draw two frames of each preset with a small ball."""
-    device = pick_device(device)
-    ball = _ball()
-    Renderer(device=device)(ball, Camera((3, 0, 0), (0, 0, 0), 64, 64))
-    for name in preset_names():
-        few = {
-            "accuracy": {"cells": 8, "particles_per_axis": 1.0},
-            "time.frames": 2,
-            "time.fps": 240.0,
-        }
-        for _ in Simulation(ball, Scene.named(name).replaced(few), device=device):
-            pass
+    """Compile and load what all presets need."""
+    warm([Scene.named(name) for name in preset_names()], pick_device(device))
 
 
 def tiny_run(device: str) -> tuple[dict[str, Any], Scene]:

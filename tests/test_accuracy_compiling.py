@@ -6,7 +6,8 @@ import pytest
 import warp as wp
 from warp._src.context import Module
 
-from phy124.accuracy.compiling import is_compiled, seconds_to_compile
+from phy124.accuracy.compiling import seconds_to_compile
+from phy124.runtime.compiling import is_compiled
 from phy124.scene import Scene
 from phy124.simulation import Simulation
 from phy124.simulation.kernels import kernels
@@ -41,6 +42,8 @@ def test_all_that_takes_long_is_listed(name, changes, monkeypatch):
         return load(module, *arguments, **options)
 
     monkeypatch.setattr(Module, "load", noted)
+    # Else all that is listed would be loaded, whether a run launches it or not.
+    monkeypatch.setattr("phy124.simulation.run.compile_missing", lambda *_: 0)
     scene = Scene.named(name).replaced({**QUICK, **changes})
     Simulation(ball(300), scene).run()
     listed = {kernel.module.name: kernel.seconds for kernel in kernels(scene)}
@@ -62,6 +65,10 @@ def test_what_the_cache_does_not_have_takes_time(monkeypatch, tmp_path):
     made.mkdir()
     assert not is_compiled(missing[0])
     assert seconds_to_compile(scene, "cuda:0") == 0
+    longest = max(kernel.seconds for kernel in missing)
+    monkeypatch.setattr("phy124.accuracy.compiling.cores", lambda: 99)
+    assert seconds_to_compile(scene) == longest, "no module is compiled by two cores"
+    monkeypatch.setattr("phy124.accuracy.compiling.cores", lambda: 1)
     before = seconds_to_compile(scene)
     (made / "any.cpu.o").touch()
     assert is_compiled(missing[0])

@@ -105,8 +105,8 @@ def test_levels_alone_are_run_where_nothing_else_is_asked():
 def test_a_level_that_is_stopped_is_left_out():
     scene = Scene.named("drop").replaced({"time.frames": 3, "view.size": 32, "binding": "lattice"})
 
-    def progress(_: str, done: int, total: int) -> None:
-        if done == 1:
+    def progress(stage: str, done: int, total: int) -> None:
+        if (stage, done) == ("study", 1):
             raise Stopped("the time is up")
 
     report = Study(ball(300), scene, levels=(8, 10), thorough=False, progress=progress).run()

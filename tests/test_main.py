@@ -64,6 +64,15 @@ def test_the_report_has_the_documented_keys(made):
     assert report == Clip.load(made / "clip.safetensors").report
 
 
+def test_a_warm_scene_is_said_to_be(made, capsys):
+    assert main(["warm", "press", "--device", "cpu"]) == 0
+    assert main(["warm", "press", "--device", "cpu"]) == 0
+    printed, problems = capsys.readouterr()
+    assert printed.splitlines()[-1].startswith("press: all was compiled already; ")
+    assert problems.splitlines()[-1] == "try: 1 of 1"
+    assert main(["warm", "dance"]) == 2
+
+
 def test_the_scene_file_repeats_the_run(made):
     scene = Scene.from_toml(made / "scene.toml")
     assert scene == Scene.named("press").replaced(
@@ -258,13 +267,22 @@ sys.exit(main(["generate", {str(DUCK)!r}, "--out", {str(tmp_path / "out")!r}]))
 HEAVY = {"torch", "diffusers", "gradio", "mcap", "transformers", "rclpy"}
 
 
+LIBRARIES = HEAVY | {"warp", "numpy", "scipy", "cv2", "PIL", "pydantic"}
+
+
 @pytest.mark.parametrize(
-    ("imported", "absent"),
-    [("phy124", HEAVY | {"warp"}), ("phy124.pipeline, phy124.commands", HEAVY)],
+    ("code", "absent"),
+    [
+        ("import phy124, phy124.commands", LIBRARIES | {"tyro"}),
+        ("import phy124.scene", HEAVY | {"scipy", "cv2"}),
+        ("import phy124.pipeline, phy124.commands.generate", HEAVY),
+        ("from phy124.__main__ import main; main(['--help'])", LIBRARIES),
+        ("from phy124.__main__ import main; main(['weights'])", HEAVY | {"warp", "scipy", "cv2"}),
+    ],
 )
-def test_importing_is_light(imported, absent):
-    """Neither the package nor the default path pulls in what only some need."""
-    code = f"import sys, {imported}; print(*sys.modules)"
+def test_importing_is_light(code, absent):
+    """Neither the package nor a command pulls in what only others need."""
+    code = f"import atexit, sys; atexit.register(lambda: print(*sys.modules)); {code}"
     run = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     assert absent & set(run.stdout.split()) == set()
 

@@ -94,8 +94,12 @@ class Watching:
         """Measures of stability for each frame, in SI units."""
         limits.tell(Step("simulate", 0, order.scene.time.frames, self.note))
 
-    def progress(self, _: str, done: int, total: int) -> None:
+    def progress(self, stage: str, done: int, total: int) -> None:
         """Report the progress of the run; raises the exception that ends it."""
+        if stage == "compile":
+            note = f"compiling, {done} of {total}"
+            self.limits.tell(Step("simulate", 0, self.order.scene.time.frames, note))
+            return
         self.limits.simulated(Step("simulate", done, total, self.note))
 
     def see(self, run: Simulation, frame: Frame) -> None:

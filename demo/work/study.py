@@ -33,7 +33,9 @@ def measure(order: Order, limits: Limits) -> Measured:
     with Image.open(order.cutout) as cutout:
         crop = crop_of(cutout)
 
-    def progress(_: str, done: int, total: int) -> None:
+    def progress(stage: str, done: int, total: int) -> None:
+        if stage != "study":
+            return
         note = f"D/{order.levels[done]}" if done < total else ""
         event = Step("measure", done, total, note)
         limits.simulated(event) if done < total else limits.tell(event)

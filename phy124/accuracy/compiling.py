@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any
-
 import warp as wp
 
+from phy124.runtime.compiling import is_compiled
+from phy124.runtime.cores import cores
 from phy124.scene import Scene
 from phy124.simulation.kernels import kernels
 
 
 def seconds_to_compile(scene: Scene, device: str = "cpu") -> float:
-    """Processor time to compile a scene's kernels [s]; 0 if they are compiled, or on a GPU.
+    """Time to compile a scene's kernels on all cores [s]; 0 if they are compiled, or on a GPU.
 
     Only one thread may call this at a time, and none while a solver is built, since kernels are
     created for it. Kernels of forces on a part of the object (0.3 s each) are not counted.
@@ -20,12 +19,5 @@ def seconds_to_compile(scene: Scene, device: str = "cpu") -> float:
     if device != "cpu" or wp.config.kernel_cache_dir is None:
         return 0.0
     needed = {kernel.module.name: kernel for kernel in kernels(scene)}
-    return sum(kernel.seconds for kernel in needed.values() if not is_compiled(kernel))
-
-
-def is_compiled(kernel: Any) -> bool:
-    """Whether a kernel's module is loaded, or its current version is in the cache."""
-    if kernel.module.execs:
-        return True
-    folder = Path(str(wp.config.kernel_cache_dir)) / kernel.module.get_module_identifier(1)
-    return any(folder.glob("*.o"))
+    seconds = [kernel.seconds for kernel in needed.values() if not is_compiled(kernel)]
+    return max(sum(seconds) / cores(), max(seconds, default=0.0))

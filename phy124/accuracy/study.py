@@ -153,8 +153,10 @@ class Study:
         self.progress("study", len(plan), len(plan))
         return self._judged(rows, tuple(skipped))
 
-    def _still(self, number: int, count: int, *_: object) -> None:
+    def _still(self, number: int, count: int, stage: str = "study", *steps: int) -> None:
         """Report progress in the middle of a setting."""
+        if stage == "compile":
+            self.progress(stage, *steps)
         self.progress("study", number, count)
 
     def _plan(self) -> Iterator[tuple[str, Scene]]:

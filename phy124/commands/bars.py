@@ -17,6 +17,8 @@ from phy124.runtime.signals import handled, interrupt
 _silent: ContextVar[bool] = ContextVar("_silent", default=False)
 BETWEEN_LINES = 10.0
 """Time between two lines about the same stage where no bar can be drawn [s]."""
+TITLES = {"compile": "compile kernels, once"}
+"""Stage -> its name for users, where that is another."""
 
 
 @contextmanager
@@ -66,6 +68,7 @@ class Bars:
             raise Cancelled
         if self.quiet:
             return
+        stage = TITLES.get(stage, stage)
         if sys.stderr.isatty():
             self._draw(stage, done, total)
         else:

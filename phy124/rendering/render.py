@@ -32,6 +32,7 @@ from phy124.rendering.pinhole import NEAR as NEAR
 from phy124.rendering.pinhole import pinhole
 from phy124.rendering.stage import draw
 from phy124.rendering.stage.frame import StageFrame
+from phy124.runtime.compiling import compile_missing
 from phy124.runtime.cores import cores
 
 Colour = tuple[float, float, float]
@@ -91,8 +92,7 @@ class Renderer:
         # The GPU's way of binning goes with its way of blending, so a CPU can test both.
         self._per_pixel = blend == "pixel"
         binned = binning.bin_parallel if self._per_pixel else binning.bin_serial
-        for kernel in (project.project, binned, self._blend):
-            wp.load_module(kernel.module, self.device)
+        compile_missing((project.project, binned, self._blend), str(self.device))
         self._buffers: dict[str, wp.array] = {}
         self._constants: dict[str, tuple[Any, Array, wp.array]] = {}
 

@@ -12,8 +12,8 @@ from phy124.mpm.model import PRECISIONS, form_of
 from phy124.scene import Scene
 
 
-def kernels(scene: Scene) -> Iterator[Any]:
-    """What a run of a scene launches in one thread on the CPU.
+def kernels(scene: Scene, device: str = "cpu") -> Iterator[Any]:
+    """What a run of a scene launches in one thread.
 
     Forces on a part of the object are left out: their modules take 0.3 s each.
     """
@@ -21,7 +21,7 @@ def kernels(scene: Scene) -> Iterator[Any]:
     real = PRECISIONS[precision]
     laws = {section.device_law.name: section.device_law for section in scene.materials}
     yield from tracks.kernels(real)
-    yield from substep.kernels(laws.values(), real, form_of(precision, "cpu"))
+    yield from substep.kernels(laws.values(), real, form_of(precision, device))
     yield from repair.kernels(laws.values(), real)
     yield from deform.kernels()
     yield from diagnostics.kernels(laws.values(), real)

@@ -32,10 +32,12 @@ from phy124.parts import with_materials
 from phy124.placing import among_all, belongs, place, renumbered
 from phy124.progress import Progress, silent
 from phy124.remedies import hurry, remedies
+from phy124.runtime.compiling import compile_missing
 from phy124.runtime.cores import refuse_threads
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
 from phy124.simulation.appearance import appearance
+from phy124.simulation.kernels import kernels
 from phy124.simulation.materials import varied
 from phy124.simulation.solver import judged_as, solver_of
 from phy124.simulation.stopped import Stopped
@@ -73,7 +75,7 @@ class Simulation:
             gaussians: The object at any size, standing upright, facing +x.
             scene: What happens to it.
             device: Warp device, "cpu" or "cuda:0".
-            progress: Called with ("simulate", frame, frames); may raise Cancelled.
+            progress: Called with ("simulate" or "compile", done, all); may raise Cancelled.
             watch: Where the durations of the stages are recorded.
             crop: Where the object is in the picture that the masks of parts were painted on.
             threads: CPU threads; None: as many as have a free core and enough particles.
@@ -109,6 +111,7 @@ class Simulation:
             judged = judged_as(scene, self.materials)
             self.demand = refuse_hopeless(self.shown, self.particles, judged, device, keep=keep)
         with self.watch.stage("compile"):
+            compile_missing(kernels(scene, device), device, progress)
             external, self.contacts = ExternalWork(), Contacts(asked=scene.keeps_contacts)
             self.wrenches = Wrenches(asked=scene.keeps_wrenches)
             self.solver = solver_of(

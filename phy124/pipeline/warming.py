@@ -1,0 +1,44 @@
+"""Compiles ahead of time what runs of some scenes launch, so that no run waits for it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from phy124.accuracy.ball import ball
+from phy124.kernels.splat import shadow, stage, stage_simd
+from phy124.progress import Progress, silent
+from phy124.rendering.render import Renderer
+from phy124.runtime.compiling import compile_missing
+from phy124.runtime.cores import cores
+from phy124.scene import Scene
+from phy124.simulation import Simulation
+from phy124.simulation.kernels import kernels
+
+STAGE = (shadow.cover, stage.draw_setting, stage_simd.draw_setting_simd)
+"""One kernel of each module that draws a stage."""
+FEW = {"accuracy.cells": 8, "accuracy.particles_per_axis": 1.0, "time.frames": 2, "time.fps": 240.0}
+"""What makes a run of any scene short; its precision stays, as kernels depend on it."""
+
+
+def warm(scenes: Sequence[Scene], device: str = "cpu", progress: Progress = silent) -> int:
+    """Compile the kernels of scenes, of the renderer and of the stage.
+
+    Args:
+        scenes: The scenes.
+        device: Warp device.
+        progress: Called with ("compile", modules done, modules) if any are missing, and with
+            ("try", scenes done, scenes); may raise Cancelled.
+
+    Returns:
+        How many modules were compiled side by side.
+    """
+    drawn = STAGE if device == "cpu" else STAGE[:2]
+    listed = [kernel for scene in scenes for kernel in kernels(scene, device)]
+    compiled = compile_missing([*listed, *drawn], device, progress)
+    Renderer(device=device)
+    # Forces and the second thread bring small kernels that are not listed: short runs find them.
+    threads = min(2, cores()) if device == "cpu" else None
+    for done, scene in enumerate(scenes, 1):
+        Simulation(ball(300), scene.replaced(FEW), device=device, threads=threads).run()
+        progress("try", done, len(scenes))
+    return compiled

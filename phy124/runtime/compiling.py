@@ -1,0 +1,62 @@
+"""Compiles kernels side by side before they are needed; Warp would compile one after the other.
+
+Threads are enough, as the compiler runs outside Python's lock. Processes that compile the same
+kernels do not disturb each other: each writes a folder of its own and renames it when complete.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from pathlib import Path
+from typing import Any
+
+import warp as wp
+
+from phy124.progress import Progress, silent
+from phy124.runtime.cores import cores
+
+
+def compile_missing(
+    kernels: Iterable[Any], device: str = "cpu", progress: Progress = silent
+) -> int:
+    """Compile and load those modules of kernels that are not in Warp's cache.
+
+    Args:
+        kernels: What will be launched.
+        device: Warp device.
+        progress: Called with ("compile", modules done, modules), if any are missing.
+
+    Returns:
+        How many were missing.
+
+    Raises:
+        Cancelled: `progress` raised it; modules that are being compiled are finished first.
+    """
+    missing = {k.module.name: k for k in kernels if not is_compiled(k, device)}
+    if not missing:
+        return 0
+    # The longest first, or it would be compiled alone at the end.
+    modules = [k.module for k in sorted(missing.values(), key=lambda k: -k.seconds)]
+    progress("compile", 0, len(modules))
+    with ThreadPoolExecutor(min(cores(), len(modules))) as pool:
+        waiting = [pool.submit(wp.load_module, module, device) for module in modules]
+        try:
+            for done, finished in enumerate(as_completed(waiting), 1):
+                finished.result()
+                progress("compile", done, len(modules))
+        finally:
+            pool.shutdown(cancel_futures=True)
+    return len(modules)
+
+
+def is_compiled(kernel: Any, device: str = "cpu") -> bool:
+    """Whether a kernel's module is loaded, or its current version is in the cache."""
+    if kernel.module.execs:
+        return True
+    if wp.config.kernel_cache_dir is None:
+        return False
+    ending = "*.o" if device == "cpu" else "*.meta"
+    block = 1 if device == "cpu" else kernel.module.options["block_dim"]
+    folder = Path(str(wp.config.kernel_cache_dir)) / kernel.module.get_module_identifier(block)
+    return any(folder.glob(ending))
