@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import warp as wp
 
+from phy124.accuracy.pilot import fly
 from phy124.boundaries import Ground, Press
 from phy124.forces import Acceleration, Gravity, Wind
 from phy124.materials import NeoHookean, Sand
@@ -110,6 +111,60 @@ def test_the_host_looks_before_the_strain_of_a_frame_grows_large(monkeypatch):
         alone.advance(0.5, after=lambda alone=alone, times=times: times.append(alone.clock.time))
         looks.append(len(times))
     assert looks[0] > 1.5 * looks[1]
+
+
+def test_it_sees_the_fastest_instant_of_what_the_device_did_alone():
+    """A bounce is over within one visit; sleep and the watchdog must see how fast it was."""
+    seen = []
+    for solver in solvers(NeoHookean(E=3e4)):
+        peaks = []
+        solver.advance(0.35, after=lambda s=solver, p=peaks: p.append(s.clock.recent[:2]))
+        seen.append(np.max(peaks, axis=0))
+    np.testing.assert_array_equal(*seen)
+    assert seen[1][0] > 1.5 * solver.clock.extremes.speed
+
+
+def test_the_host_may_stop_a_run_every_few_substeps(monkeypatch):
+    monkeypatch.setattr("phy124.mpm.graph.MOST", 7)
+    host, alone = solvers(NeoHookean(E=3e4))
+    taken = []
+    host.advance(0.25)
+    alone.advance(0.25, after=lambda: taken.append(alone.clock.substeps))
+    assert_same(host, alone)
+    assert np.diff([0, *taken]).max() <= 7
+
+
+def test_particles_that_leave_the_grid_do_not_end_the_graph():
+    x = np.concatenate([block(), [[60.0, 0, 40.0]]])
+    v = np.tile([0.5, 0, -1.0], (len(x), 1))
+    runs = [
+        make_solver(
+            x, np.full(len(x), 1 / len(x)), [NeoHookean(E=3e4)], dx=1 / 8, v=v, threads=1,
+            graph=graph, boundaries=[Ground()], forces=[Gravity()],
+        )
+        for graph in (False, True)
+    ]  # fmt: skip
+    for solver in runs:
+        for until in FRAMES[:6]:
+            solver.advance(until)
+    assert runs[1].outliers.count == 1
+    assert_same(*runs)
+    taken = runs[1].timings["graph"][1]
+    assert taken > 5 * runs[1].clock.substeps, "it was left to the host"
+
+
+@pytest.mark.parametrize("name", ["drop", "press", "wind"])
+def test_a_forecast_counts_the_substeps_of_the_device(name, monkeypatch):
+    scene = Scene.named(name).replaced({"accuracy": {"cells": 8}, "time.frames": 5})
+    made = []
+    for alone in (False, True):
+        monkeypatch.setattr("phy124.mpm.solver.usable", lambda device, alone=alone: alone)
+        pilot = fly(ball(400), scene)
+        made.append(pilot.substeps(8))
+        run = Simulation(ball(400), scene)
+        run.run()
+        assert made[-1][0] == pytest.approx(run.solver.clock.substeps, rel=0.1)
+    assert made[0] == made[1]
 
 
 @pytest.mark.parametrize("name", preset_names())

@@ -182,7 +182,7 @@ def left_out(path, frames: int, acts: Track | None = None) -> list[int]:
     at = SimpleNamespace(x=0.0)
     state = SimpleNamespace(x=SimpleNamespace(numpy=lambda: np.array([[at.x, 0.0, 0.0]])))
     values = SimpleNamespace(numpy=lambda: np.zeros((1, 4)))
-    clock = SimpleNamespace(extremes=SimpleNamespace(speed=0.0, gradient=0.0))
+    clock = SimpleNamespace(recent=SimpleNamespace(speed=0.0, gradient=0.0))
     tracks = SimpleNamespace(tracks=[acts or Track.constant(UP)], values=values)
     run = (SimpleNamespace(dx=0.1), state, clock, tracks)
     sleeper, slept = Sleep(*run, size=1.0, frames=frames, fps=fps), []
@@ -191,7 +191,7 @@ def left_out(path, frames: int, acts: Track | None = None) -> list[int]:
             slept.append(index)
             continue
         at.x = path(index)
-        clock.extremes.speed = abs(path(index) - path(index - 1)) * fps
+        clock.recent.speed = abs(path(index) - path(index - 1)) * fps
         sleeper.computed(index, 1)
     return slept
 

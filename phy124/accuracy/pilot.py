@@ -85,19 +85,17 @@ def fly(gaussians: Gaussians, scene: Scene, *, device: str = "cpu", crop: Crop =
     simulation = Simulation(gaussians, coarse, device=device, crop=crop)
     solver, timing = simulation.solver, scene.time
     counts = {name: np.zeros(timing.frames - 1) for name in LIMITERS}
-    nodes, rest, frame = [], 0.0, 0
-
-    def after() -> None:
-        limit = solver.clock.stable()
-        counts[limit.limiter][frame] += solver.clock.last_dt / limit.dt
-
+    nodes, rest = [], 0.0
     stopped = False
     try:
         solver.step(0.0, 0.0)
         stiffness = solver.clock.extremes.stiffness
         rest = math.sqrt(stiffness) / (solver.clock.cfl * solver.model.dx) / timing.fps
         for frame in range(timing.frames - 1):
-            solver.advance((frame + 1) / timing.fps, after=after)
+            before = dict(solver.clock.needed)
+            solver.advance((frame + 1) / timing.fps)
+            for name, needed in solver.clock.needed.items():
+                counts[name][frame] = needed - before.get(name, 0.0)
             nodes.append(solver.grid.count)
     except Unstable:
         stopped = True

@@ -14,7 +14,7 @@ from pydantic import Field
 
 from phy124.boundaries.motion import AnyMotion
 from phy124.errors import InputError
-from phy124.kernels.collide import FLAT, make_collider, make_contact, make_keep
+from phy124.kernels.collide import FLAT, make_collider, make_contact, make_settle
 from phy124.kernels.transfer import types
 from phy124.mpm import Grid, Model, Stage, State
 from phy124.region import Vector
@@ -32,6 +32,8 @@ belong to no column.
 """
 MARGIN = 2.0
 """How far in front of a wall [cells] nodes may respond to it."""
+SWEEPS = 2
+"""How often columns that cross respond in a substep: each sees the others' changes in the next."""
 THINNEST = 1.0
 """Smallest half thickness of a solid [cells]: nodes must lie inside it to stop anything."""
 Corners = tuple[NDArray[np.float64], NDArray[np.float64]]
@@ -88,7 +90,7 @@ class Boundary(Section):
         return self.reach(dx) is None
 
     def crosses(self, dx: float) -> bool:
-        """Whether nodes respond to it in columns that cross, and so need a copy of all of them."""
+        """Whether nodes respond to it in columns that cross, so that some are in several."""
         return self.met(dx) and self.outline() not in FLAT
 
     @property
@@ -103,8 +105,8 @@ class Boundary(Section):
 
     def kernels(self, real: Any, dx: float) -> list[Any]:
         """The kernels of its walls on a grid of spacing `dx` [m]."""
-        kept = [make_keep(real)] if any(part.crosses(dx) for part in self.parts()) else []
-        return kept + [part.kernel(real, dx, moving=part.tracked) for part in self.parts()]
+        settle = [make_settle(real)] if any(part.crosses(dx) for part in self.parts()) else []
+        return [part.kernel(real, dx, moving=part.tracked) for part in self.parts()] + settle
 
     def kernel(self, real: Any, dx: float, *, moving: bool) -> Any:
         """The kernel of a simple wall."""
@@ -140,7 +142,7 @@ class Boundary(Section):
         return np.inf
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Its collider, after a copy of the nodes if their columns cross.
+        """Its collider; if columns cross, then what settles how their nodes change.
 
         Args:
             model: What stays the same during the run.
@@ -154,7 +156,7 @@ class Boundary(Section):
         del state
         name, recorders = type(self).__name__.lower(), [self._recorder(model, tracks)]
         if self.crosses(model.dx):
-            recorders.insert(0, self._keeper(model))
+            recorders = SWEEPS * [*recorders, self._settler(model)]
         return [Stage(name, recorder) for recorder in recorders]
 
     def refuse_thin(self, model: Model) -> None:
@@ -175,14 +177,14 @@ class Boundary(Section):
         """Signed distance below which a node responds [m]; None: as suits the material."""
         return None
 
-    def _keeper(self, model: Model) -> Callable[[Grid], wp.Launch | None]:
-        """Records the copy of the nodes that its collider reads: up to two cells beyond its own."""
+    def _settler(self, model: Model) -> Callable[[Grid], wp.Launch | None]:
+        """Records what changes the nodes of its columns: up to two cells beyond its collider's."""
         low, high = self._swept_bounds(model)
 
         def record(grid: Grid) -> wp.Launch | None:
             start, extent = grid.nodes_within(low - 2 * grid.dx, high + 2 * grid.dx)
-            inputs = [wp.vec3i(*start.tolist()), grid.window, grid.nodes]
-            return model.launch(make_keep(model.real), tuple(extent), inputs, [grid.kept])
+            inputs, outputs = [wp.vec3i(*start.tolist()), grid.window], [grid.changes, grid.nodes]
+            return model.launch(make_settle(model.real), tuple(extent), inputs, outputs)
 
         return record
 
@@ -207,9 +209,10 @@ class Boundary(Section):
                 wall.append(wp.vec2i(*(grid.layers or (0, int(grid.size[0])))))
                 wall.append(lightest(model))
             inputs = [*wall, grid.lattice, grid.window, tracks.values, tracks.rates]
+            outputs = [grid.nodes]
             if met:
-                inputs.append(grid.kept if crosses else grid.nodes)
-            return model.launch(kernel, tuple(extent), inputs, [grid.nodes])
+                outputs.append(grid.changes if crosses else grid.nodes)
+            return model.launch(kernel, tuple(extent), inputs, outputs)
 
         return record
 

@@ -4,9 +4,10 @@ Node n of the window is at origin + (window[0] + (i, j, k)) dx. A collider is bu
 function and a response, so an absent shape or mode costs nothing.
 
 `make_contact` places contact at the wall itself, between the nodes: see phy124/kernels/columns.py.
-At a flat wall every node is in one column. At a curved one columns cross: there each node looks at
-its own column as it was before this wall acted, in the copy that `make_keep` makes, and changes
-only itself, so that the result does not depend on the order of the nodes.
+At a flat wall every node is in one column. At a curved one columns cross: there the nodes stay as
+they are until all columns have said how they should change, and `make_settle` gives each node the
+mean of that, so that the result does not depend on the order of the nodes. (The sum would be twice
+too much where columns agree: it squeezed bodies flat.)
 
 `make_collider` is the usual rule, node by node, for regions that are held only in some directions.
 """
@@ -87,37 +88,42 @@ FLAT = {"half_space"}
 
 
 @cache
-def make_keep(real: Any):
-    """Kernel over the nodes of a sub-box: copies them."""
+def make_settle(real: Any):
+    """Kernel over the nodes of a sub-box: changes each by the mean of what its columns want.
+
+    `changes_out` holds the sum of the changes and their number, and is zero afterwards.
+    """
     t = types(real)
 
-    @kernel(f"phy124_keep_{real.__name__}", seconds=0.15)
-    def keep(
+    @kernel(f"phy124_settle_{real.__name__}", seconds=0.15)
+    def settle(
         # model
         start: wp.vec3i, window: wp.array(dtype=wp.vec3i),
-        # state in
-        grid: wp.array(dtype=t.vec4),
-        # out
-        kept_out: wp.array(dtype=t.vec4),
+        # in place
+        changes_out: wp.array(dtype=t.vec4), grid_out: wp.array(dtype=t.vec4),
     ):  # fmt: skip
         i, j, k = wp.tid()
         n = wp.dot(wp.vec3i(i, j, k) + start, strides(window[1]))
-        kept_out[n] = grid[n]
+        c = changes_out[n]
+        if c[3] > real(0.0):
+            q = grid_out[n]
+            c /= c[3]
+            grid_out[n] = wp.vector(q[0] + c[0], q[1] + c[1], q[2] + c[2], q[3])
+            changes_out[n] = t.vec4()
 
-    return keep
+    return settle
 
 
 @cache
 def make_contact(shape: str, response: str, moving: bool, real: Any):
     """Kernel over the nodes of a sub-box: columns of three nodes at a wall respond to it.
 
-    At a flat wall the thread of a column's first node handles all three, in `grid_out`; at others
-    each node changes only itself and reads `kept`, the nodes as they were. Nodes further behind, or
-    in columns without material in front, respond one by one below `reach` [m] of signed distance;
-    so do columns that leave `span`, the layers first <= i < last that this launch may touch. A
-    moving shape is displaced by the value of its track, and its wall moves at the track's rate,
-    while the track is active. `lightest` is the mass of a node inside the lightest of several
-    materials [kg], or infinite.
+    The thread of a column's first node handles all three. Nodes further behind, or in columns
+    without material in front, respond one by one below `reach` [m] of signed distance; so do
+    columns that leave `span`, the layers first <= i < last that this launch may touch. A moving
+    shape is displaced by the value of its track, and its wall moves at the track's rate, while the
+    track is active. `lightest` is the mass of a node inside the lightest of several materials [kg],
+    or infinite. A flat wall changes `grid_out`, others `changes_out` (see `make_settle`).
 
     Args:
         shape: Name of a distance function.
@@ -138,10 +144,8 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
         lightest: real,
         lattice: t.vec4, window: wp.array(dtype=wp.vec3i),
         values: wp.array(dtype=t.vec4), rates: wp.array(dtype=t.vec4),
-        # state in
-        kept: wp.array(dtype=t.vec4),
         # in place
-        grid_out: wp.array(dtype=t.vec4),
+        grid_out: wp.array(dtype=t.vec4), changes_out: wp.array(dtype=t.vec4),
     ):  # fmt: skip
         i, j, k = wp.tid()
         size = window[1]
@@ -181,28 +185,24 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
         s2 = distance(place(lattice, low + end) - moved, geometry)
         column = front(s0, axis, dx) and s2[3] <= real(0.0)
 
-        before = kept
-        if wp.static(flat):
-            before = grid_out
-
         # A node without such a column responds by itself.
-        if not (column and laden(before, size, span, lead) and holds(size, span, end)):
+        if not (column and laden(grid_out, size, span, lead) and holds(size, span, end)):
             if s[3] < reach:
                 v = answer(xyz(grid_out[n]), wall, xyz(s), friction)
-                grid_out[n] = wp.vector(v[0], v[1], v[2], grid_out[n][3])
+                if wp.static(flat):
+                    grid_out[n] = wp.vector(v[0], v[1], v[2], grid_out[n][3])
+                else:
+                    v -= xyz(grid_out[n])
+                    changes_out[n] += wp.vector(v[0], v[1], v[2], real(1.0))
             return
-        if wp.static(flat):
-            if not leads:
-                return
-        else:
-            s1 = distance(place(lattice, low + lead + back) - moved, geometry)
+        if not leads:
+            return
 
         # The column follows the wall; masses are shares, for squares of momenta in small units
         # would be nothing in float32.
-        first = wp.dot(lead, stride)
-        q0 = before[first]
-        q1 = before[first + step]
-        q2 = before[first + 2 * step]
+        q0 = grid_out[n]
+        q1 = grid_out[n + step]
+        q2 = grid_out[n + 2 * step]
         mass = q0[3] + q1[3] + q2[3]
         m = wp.vector(q0[3], q1[3], q2[3]) / mass
         normal = xyz(s0)
@@ -217,11 +217,9 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
                 taken = hold(wp.transpose(drag) * m, pressed, friction)
                 change = wp.outer(stop, normal) + drag * taken
                 if wp.static(flat):
-                    add_rows(grid_out, n, step, m, change)
+                    add_rows(grid_out, n, step, m, change, real(0.0))
                 else:
-                    own = change[wp.dot(here - lead, back)]
-                    q = grid_out[n]
-                    grid_out[n] = wp.vector(q[0] + own[0], q[1] + own[1], q[2] + own[2], q[3])
+                    add_rows(changes_out, n, step, m, change, real(1.0))
 
     return contact
 

@@ -112,12 +112,14 @@ def either_way(pressed: Any):
 
 
 @wp.func
-def add_rows(grid: wp.array(dtype=Any), first: int, step: int, m: Any, change: Any):
-    """Add changes of velocity [node, axis] to a column's nodes, where there is mass."""
+def add_rows(
+    nodes: wp.array(dtype=Any), first: int, step: int, m: Any, change: Any, fourth: Any
+):  # fmt: skip
+    """Add changes of velocity [node, axis], and a number, to a column's nodes with mass."""
     for row in range(3):
         if m[row] > type(m[row])(0.0):
-            grid[first + row * step] += wp.vector(
-                change[row, 0], change[row, 1], change[row, 2], type(m[row])(0.0)
+            nodes[first + row * step] += wp.vector(
+                change[row, 0], change[row, 1], change[row, 2], fourth
             )
 
 

@@ -13,7 +13,7 @@ from phy124.kernels import maxima as at
 from phy124.kernels.build import kernel
 
 DONE, LOOK, CAREFUL = 1, 2, 3
-"""Why substeps end: the time is reached, the host must measure, or the next may be violent."""
+"""Why substeps end: the time is reached, the host must look, or the next may be violent."""
 ELASTIC, SPEED, GRADIENT, VISCOUS, USER = range(5)
 """The limits of a substep."""
 
@@ -44,6 +44,10 @@ class Limits:
     """Fraction of an earlier stiffness that still counts."""
     strain: wp.float64
     """Sum of |C| dt after which control returns to the host."""
+    most: wp.int32
+    """Number of substeps after which control returns to the host."""
+    apart: wp.int32
+    """1 if particles have left the grid, so that only the host can measure."""
     origin: wp.vec3d
     """Position of node 0 [m]."""
     margin: wp.int32
@@ -68,6 +72,10 @@ class Progress:
     """Largest |C| [1/s]."""
     stiffness: wp.float64
     """Largest A / rho0 [m^2/s^2]."""
+    fastest: wp.float64
+    """Largest speed so far [m/s]."""
+    steepest: wp.float64
+    """Largest gradient so far [1/s]."""
     strain: wp.float64
     """Sum of |C| dt so far."""
     taken: wp.int32
@@ -164,7 +172,8 @@ def violent(dt: wp.float64, s: Progress, given: Limits):
 def make_timestep(real: Any):
     """Kernel of one thread: finishes a substep, then chooses the next or ends with a reason.
 
-    `look_out` says whether the particles are to be measured after the next one.
+    `look_out` says whether the particles are to be measured after the next one. `needed_out` sums
+    the lengths of substeps in units of what each limit allowed.
     """
 
     @kernel(f"phy124_timestep_{real.__name__}")
@@ -175,37 +184,41 @@ def make_timestep(real: Any):
         maxima: wp.array(dtype=real), stray: wp.array(dtype=int),
         # out
         progress_out: wp.array(dtype=Progress), clock_out: wp.array(dtype=real),
-        limiters_out: wp.array(dtype=int), on_out: wp.array(dtype=int),
-        look_out: wp.array(dtype=int),
+        limiters_out: wp.array(dtype=int), needed_out: wp.array(dtype=wp.float64),
+        on_out: wp.array(dtype=int), look_out: wp.array(dtype=int),
     ):  # fmt: skip
         given = limits[0]
         s = finish(progress_out[0], given)
         s.reason = 0
-        look = s.strain > given.strain
-        if s.since >= given.every:
-            s.speed = wp.float64(maxima[wp.static(at.SPEED)])
-            s.gradient = wp.float64(maxima[wp.static(at.GRADIENT)])
-            s.stiffness = wp.max(
-                wp.float64(maxima[wp.static(at.STIFFNESS)]), given.memory * s.stiffness
-            )
+        look = s.strain > given.strain or s.taken >= given.most
+        if s.since >= given.every and s.time < given.until:
             low = -corner(maxima, wp.static(at.LOW))
             high = corner(maxima, wp.static(at.HIGH))
-            look = look or stray[0] > 0 or not roomy(low, high, window, given)
+            look = look or given.apart > 0 or stray[0] > 0 or not roomy(low, high, window, given)
+            # What the host has to look at, it also measures itself.
             if not look:
+                s.speed = wp.float64(maxima[wp.static(at.SPEED)])
+                s.gradient = wp.float64(maxima[wp.static(at.GRADIENT)])
+                s.stiffness = wp.max(
+                    wp.float64(maxima[wp.static(at.STIFFNESS)]), given.memory * s.stiffness
+                )
                 s.since = 0
+        s.fastest = wp.max(s.fastest, s.speed)
+        s.steepest = wp.max(s.steepest, s.gradient)
         if s.time >= given.until:
             s.reason = wp.static(DONE)
         elif look:
             s.reason = wp.static(LOOK)
         else:
-            dt, which = limiter(s, given)
+            longest, which = limiter(s, given)
             rest = given.until - s.time
-            dt = rest / wp.max(wp.float64(1.0), wp.ceil(rest / dt - wp.float64(1e-9)))
+            dt = rest / wp.max(wp.float64(1.0), wp.ceil(rest / longest - wp.float64(1e-9)))
             if violent(dt, s, given):
                 s.reason = wp.static(CAREFUL)
             else:
                 s.next = dt
                 limiters_out[which] = limiters_out[which] + 1
+                needed_out[which] = needed_out[which] + dt / longest
                 clock_out[0] = real((s.last + dt) / wp.float64(2.0))
                 clock_out[1] = real(dt)
                 clock_out[2] = real(s.time)

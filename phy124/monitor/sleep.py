@@ -72,7 +72,7 @@ class Sleep:
 
     def look(self) -> None:
         """Call after a substep: notes the speed of the fastest particle, rotation included."""
-        extremes = self._clock.extremes
+        extremes = self._clock.recent
         self._fastest = max(self._fastest, extremes.speed, extremes.gradient * self._dx)
 
     def computed(self, index: int, substeps: int) -> None:

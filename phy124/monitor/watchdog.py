@@ -146,7 +146,7 @@ class Watchdog:
             self.external.begin(self.last.momentum)
 
         def after() -> None:
-            self._fastest = max(self._fastest, self.clock.extremes.speed)
+            self._fastest = max(self._fastest, self.clock.recent.speed)
 
         return after
 

@@ -30,8 +30,12 @@ class Clock:
         """Time [s], substeps taken, length of the last one [s]."""
         self.limiters: dict[str, int] = {}
         """Number of substeps that each limit determined."""
-        self.extremes = Extremes(0.0, 0.0, 0.0)
-        """The values that limit substeps, as measured last."""
+        self.needed: dict[str, float] = {}
+        """The same before rounding up to whole substeps in each frame: a substep counts as its
+        length in units of what its limit allowed."""
+        self.extremes = self.recent = Extremes(0.0, 0.0, 0.0)
+        """The values that limit substeps, as measured last; and their maxima over the substeps
+        since the host looked last, which are several if the device takes them alone."""
         self.interval = self.since_measured = min(measure_every, MEASURE_EVERY)
         """Substeps between two measurements at present, and substeps since the last one."""
         self.values = wp.zeros(3, dtype=model.real, device=model.device)
@@ -66,9 +70,10 @@ class Clock:
         self.substeps += 1
         self.since_measured += self.interval if violent else 1
 
-    def count(self, limiter: str, substeps: int = 1) -> None:
-        """Count substeps that a limit determined."""
+    def count(self, limiter: str, substeps: int = 1, *, needed: float) -> None:
+        """Count substeps that a limit determined; `needed` is their sum before rounding up."""
         self.limiters[limiter] = self.limiters.get(limiter, 0) + substeps
+        self.needed[limiter] = self.needed.get(limiter, 0.0) + needed
 
     def snapshot(self) -> dict[str, Any]:
         """The state to continue from, as plain data."""
@@ -85,5 +90,5 @@ class Clock:
         """Return to a snapshot."""
         self.time, self.last_dt = snapshot["time"], snapshot["last_dt"]
         self.substeps, self.since_measured = snapshot["substeps"], snapshot["since_measured"]
-        self.extremes = Extremes(*snapshot["extremes"])
+        self.extremes = self.recent = Extremes(*snapshot["extremes"])
         self.limiters = dict(snapshot["limiters"])

@@ -2,10 +2,10 @@
 
 On CUDA a launch from Python costs more than many of the kernels. Here one substep is captured as
 the body of a loop on the device. Its last kernel (phy124/kernels/timestep.py) chooses the next
-substep; it ends the loop when the frame is reached, or when only the host can continue: because the
-window must follow the particles, or because the next substep may have to be rejected
-(phy124/mpm/rejection.py). The same graph runs on the CPU, where the tests compare it with the
-host's loop bit for bit.
+substep; it ends the loop when the frame is reached, when only the host can continue (because the
+window must follow the particles, or because the next substep may have to be rejected, see
+phy124/mpm/rejection.py), and after `MOST` substeps, so that a run can be stopped. The same graph
+runs on the CPU, where the tests compare it with the host's loop bit for bit.
 """
 
 from __future__ import annotations
@@ -31,6 +31,9 @@ LIMITERS = ("elastic", "speed", "gradient", "viscous", "user")
 """The limits of a substep, in the order of phy124/kernels/timestep.py."""
 STRAIN = 1.0
 """Sum of |C| dt after which control returns to the host, so that broken particles are repaired."""
+MOST = 100
+"""Number of substeps after which control returns to the host, which may stop the run; to return
+costs about as much as one substep. A constant, so that the same run takes the same substeps."""
 
 
 class Graph:
@@ -53,6 +56,7 @@ class Graph:
         self._limits = wp.zeros(1, dtype=cast("type", timestep.Limits), device=device)
         self._progress = wp.zeros(1, dtype=cast("type", timestep.Progress), device=device)
         self._limiters = wp.zeros(len(LIMITERS), dtype=int, device=device)
+        self._needed = wp.zeros(len(LIMITERS), dtype=wp.float64, device=device)
         self._on, self._look = (wp.zeros(1, dtype=int, device=device) for _ in range(2))
         self._captured: Any = None
         self._per_substep, self._reason = 0, 0
@@ -62,7 +66,12 @@ class Graph:
         self._captured = None
 
     def run(
-        self, until: float, rejection: StepRejection, launches: Callable[[], Iterable[Callable]]
+        self,
+        until: float,
+        rejection: StepRejection,
+        launches: Callable[[], Iterable[Callable]],
+        *,
+        apart: bool = False,
     ) -> bool:
         """Take substeps up to a time, as many as the device can take alone.
 
@@ -70,6 +79,7 @@ class Graph:
             until: The time [s].
             rejection: Decides which substeps may be violent.
             launches: The launches of one substep, in order.
+            apart: Whether particles have left the grid, so that only the host can measure.
 
         Returns:
             False if the host has to take the next substep.
@@ -77,7 +87,7 @@ class Graph:
         Raises:
             Unstable: As in the host's loop.
         """
-        self._upload(until, rejection)
+        self._upload(until, rejection, apart)
         if self._captured is None:
             self._captured = self._capture(list(launches()))
         timings, taken = self._worker.timings, self._clock.substeps
@@ -93,7 +103,8 @@ class Graph:
     def _capture(self, launches: list[Callable]) -> Any:
         model = self._model
         inputs = [self._limits, self._grid.window, self._worker.maxima, self._stray]
-        outputs = [self._progress, self._clock.values, self._limiters, self._on, self._look]
+        outputs = [self._progress, self._clock.values, self._limiters, self._needed]
+        outputs += [self._on, self._look]
         choose = model.launch(timestep.make_timestep(model.real), 1, inputs, outputs)
         assert choose is not None
         self._per_substep = len(launches) + 1
@@ -109,7 +120,7 @@ class Graph:
             wp.capture_while(self._on, substep)
         return capture.graph
 
-    def _upload(self, until: float, rejection: StepRejection) -> None:
+    def _upload(self, until: float, rejection: StepRejection, apart: bool) -> None:
         clock, dx = self._clock, self._model.dx
         limits = {
             "until": until,
@@ -123,6 +134,8 @@ class Graph:
             "acceleration": rejection.acceleration,
             "memory": MEMORY,
             "strain": STRAIN,
+            "most": MOST,
+            "apart": apart,
             "origin": self._grid.origin,
             "margin": MARGIN,
             "every": clock.interval,
@@ -132,6 +145,7 @@ class Graph:
         now = {"time": clock.time, "last": clock.last_dt, "since": since, **extremes}
         self._progress.assign(_row(self._progress, now))
         self._limiters.zero_()
+        self._needed.zero_()
 
     def _download(self) -> int:
         """Update the clock from the device; returns the code of the reason to stop."""
@@ -140,9 +154,12 @@ class Graph:
         clock.substeps += int(state["taken"])
         clock.since_measured = int(state["since"])
         clock.extremes = Extremes(*(float(state[name]) for name in Extremes._fields))
-        for name, count in zip(LIMITERS, self._limiters.numpy().tolist(), strict=True):
+        fastest, steepest = float(state["fastest"]), float(state["steepest"])
+        clock.recent = clock.extremes._replace(speed=fastest, gradient=steepest)
+        counts, needed = self._limiters.numpy().tolist(), self._needed.numpy().tolist()
+        for name, count, sum_ in zip(LIMITERS, counts, needed, strict=True):
             if count:
-                clock.count(name, count)
+                clock.count(name, count, needed=sum_)
         return int(state["reason"])
 
 

@@ -32,7 +32,7 @@ class Grid:
         self.window = wp.zeros(2, dtype=wp.vec3i, device=device)
         self.low, self.size = np.zeros(3, int), np.zeros(3, int)
         self.nodes = wp.zeros(0, dtype=t.vec4, device=device)
-        self._kept: wp.array | None = None
+        self._changes: wp.array | None = None
         self.stale = True
         """Whether the window does not belong to the current positions of the particles."""
         self.layers: tuple[int, int] | None = None
@@ -88,15 +88,15 @@ class Grid:
     def use(self, low: NDArray, size: NDArray, nodes: wp.array) -> None:
         """Cover `size` [3] nodes from the node `low` [3] on with nodes given, one more."""
         self.low, self.size, self.nodes, self.stale = low, size, nodes, False
-        self._kept = None
+        self._changes = None
         self.window.assign(np.stack([low, size]).astype(np.int32))
 
     @property
-    def kept(self) -> wp.array:
-        """An array like `nodes`, made when it is first needed: what they are before a wall acts."""
-        if self._kept is None:
-            self._kept = wp.empty_like(self.nodes)
-        return self._kept
+    def changes(self) -> wp.array:
+        """How a wall changes each node, made when first needed; zero between two walls."""
+        if self._changes is None:
+            self._changes = wp.zeros_like(self.nodes)
+        return self._changes
 
     def reach(self, lower: NDArray, upper: NDArray) -> tuple[NDArray, NDArray]:
         """First node, and one past the last, that particles between two corners [m] can touch."""

@@ -188,7 +188,7 @@ class Solver:
         if dt == rest:
             clock.time = until
         clock.last_dt = dt
-        clock.count(limit.limiter)
+        clock.count(limit.limiter, needed=dt / limit.dt)
 
     def _careful_step(self, dt: float) -> float:
         """A substep of at most `dt` in which no node moves more than a cell; returns its length."""
@@ -248,11 +248,12 @@ class Solver:
 
     def _run_graph(self, until: float) -> bool:
         """Take substeps on the device alone; False if the host has to take the next one."""
-        alone = self.on_device and len(self.workers) == 1 and not self.outliers.bounded
+        alone = self.on_device and len(self.workers) == 1
         if not alone or self.rejection.sudden(self.clock):
             return False
         self._measure_if_due()
-        return self._graph.run(until, self.rejection, self._launches)
+        apart = self.outliers.bounded
+        return self._graph.run(until, self.rejection, self._launches, apart=apart)
 
     def _launches(self) -> Iterable[Callable[[], Any]]:
         """The launches of one substep of a single worker, in order."""
@@ -272,6 +273,7 @@ class Solver:
             found = self._maxima()
         measured = Maxima.of(found.max(axis=0))
         self.clock.extremes = measured.extremes.after(self.clock.extremes)
+        self.clock.recent = self.clock.extremes
         # A particle that has come back to the others may be outside the window.
         self.grid.stale |= self.outliers.changed
         changed = self.grid.fit(*measured.corners)
