@@ -12,6 +12,7 @@ with the material, to within 1e-5 of the covariance.
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Protocol
 
 import numpy as np
@@ -58,6 +59,7 @@ class Deformer:
         max_stretch: float | NDArray | None = None,
         rounds: NDArray | None = None,
         device: str = "cpu",
+        threads: int = 1,
     ) -> None:
         """Bind clean Gaussians to the particles made from them.
 
@@ -71,6 +73,7 @@ class Deformer:
             rounds: Which Gaussians become balls as they are drawn out [N], so that what flows
                 shows no needles; None: none.
             device: Warp device that computes.
+            threads: CPU threads that share the Gaussians; the result does not depend on it.
 
         Raises:
             InputError: `max_stretch` is below 1.
@@ -85,6 +88,7 @@ class Deformer:
         self.rotations: Array | None = None
         """Polar rotations of the material at the last frame [N,4] wxyz; only if sh degree > 0."""
         n = len(gaussians)
+        self._share = _Share(n, device, threads)
         self._device = device
         self._max_stretch = wp.array(
             np.broadcast_to(limits, n).copy(), dtype=wp.float64, device=device
@@ -94,7 +98,7 @@ class Deformer:
         self._own = _own_particles(n, particles)
         self._field = None
         if self._own is None and particles is not None:
-            self._field = _Field(gaussians, particles.x, device)
+            self._field = _Field(gaussians, particles.x, self._share)
         self._count = n if particles is None else len(particles.x)
         carrier: NDArray = np.arange(n) if self._own is None else self._own
         self._carrier = wp.array(carrier, dtype=wp.int32, device=device)
@@ -124,7 +128,7 @@ class Deformer:
         means, deformation = self._carried(x, F)
         rest = [self._carrier, self._quats0, self._scales0, self._max_stretch, self._rounds]
         frame = [self._inner, self._quats, self._scales]
-        self._launch(field.deform_shapes, [*rest, deformation, *frame])
+        self._share.launch(field.deform_shapes, rest, [deformation], frame)
         sh = self._colours(deformation)
         quats, scales = _host(self._quats).copy(), _host(self._scales).copy()
         gaussians = Gaussians(means, quats, scales, self.gaussians.opacities, sh)
@@ -144,9 +148,6 @@ class Deformer:
     def _kept(self) -> dict[str, wp.array]:
         arrays = (self._quats, self._scales, self._inner, self._turned)
         return dict(zip(("quats", "scales", "inner", "turned"), arrays, strict=True))
-
-    def _launch(self, kernel: Any, inputs: list[Any]) -> None:
-        wp.launch(kernel, dim=len(self.gaussians), inputs=inputs, device=self._device)
 
     def _checked(self, values: NDArray, shape: tuple[int, ...]) -> NDArray[np.float64]:
         if values.shape != (self._count, *shape):
@@ -168,7 +169,7 @@ class Deformer:
         rest = self.gaussians
         if rest.sh_degree == 0:
             return rest.sh
-        self._launch(field.turn_of_material, [self._carrier, deformation, self._turned])
+        self._share.launch(field.turn_of_material, [self._carrier], [deformation], [self._turned])
         self.rotations = turned = _host(self._turned).copy()
         still = (turned == (1, 0, 0, 0)).all()
         return rest.sh if still else rotate_sh(rest.sh, turned)
@@ -180,26 +181,64 @@ class Deformer:
         return own.astype(np.float32)
 
 
+class _Share:
+    """Launches over Gaussians, divided among CPU threads."""
+
+    def __init__(self, count: int, device: str, threads: int) -> None:
+        self.device = device
+        threads = max(1, min(threads, count)) if device == "cpu" else 1
+        self._runs = [
+            slice(count * k // threads, count * (k + 1) // threads) for k in range(threads)
+        ]
+
+    def launch(self, kernel: Any, read: list, shared: list, written: list) -> None:
+        """Launch a kernel over the Gaussians.
+
+        Args:
+            kernel: The kernel.
+            read: Its first arguments, one entry per Gaussian.
+            shared: Those after them, of which a Gaussian reads any entries.
+            written: The last ones, one entry per Gaussian.
+        """
+        launches = [
+            wp.launch(
+                kernel,
+                dim=run.stop - run.start,
+                inputs=[*(one[run] for one in read), *shared, *(one[run] for one in written)],
+                device=self.device,
+                record_cmd=True,
+            )
+            for run in self._runs
+        ]
+        if len(launches) == 1:
+            launches[0].launch()
+            return
+        # Recorded launches have loaded the kernel, which threads must not do at the same time.
+        with ThreadPoolExecutor(len(launches)) as pool:
+            list(pool.map(lambda launch: launch.launch(), launches))
+
+
 class _Field:
     """Gaussians carried by nearby particles: neighbours and weights, found once at rest."""
 
-    def __init__(self, gaussians: Gaussians, rest: NDArray[np.float32], device: str) -> None:
+    def __init__(self, gaussians: Gaussians, rest: NDArray[np.float32], share: _Share) -> None:
         self.neighbours, self.weights = carriers(gaussians.means, rest)
-        n, self.device = len(gaussians), device
-        self._rest = [
+        n, device = len(gaussians), share.device
+        self.device, self._share = device, share
+        self._own = [
             wp.array(self.neighbours, dtype=wp.int32, device=device),
             wp.array(self.weights, dtype=wp.float32, device=device),
             wp.array(gaussians.means, dtype=wp.vec3f, device=device),
-            wp.array(rest, dtype=wp.vec3f, device=device),
         ]
-        self._means = wp.empty_like(self._rest[2])
+        self._rest = wp.array(rest, dtype=wp.vec3f, device=device)
+        self._means = wp.empty_like(self._own[2])
         self._deformation = wp.array(np.zeros((n, 3, 3)), dtype=wp.mat33d, device=device)
 
     def carry(self, x: NDArray[np.float64], deformation: wp.array) -> tuple[NDArray, wp.array]:
         """Centres [N,3], m, and deformation gradients [N,3,3] of the Gaussians."""
         position = wp.array(x, dtype=wp.vec3d, device=self.device)
-        inputs = [*self._rest, position, deformation, self._means, self._deformation]
-        wp.launch(field.carry, dim=len(self._means), inputs=inputs, device=self.device)
+        shared, written = [self._rest, position, deformation], [self._means, self._deformation]
+        self._share.launch(field.carry, self._own, shared, written)
         return _host(self._means).copy(), self._deformation
 
     def interpolate(self, values: NDArray[np.float64]) -> NDArray[np.float32]:

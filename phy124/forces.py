@@ -7,7 +7,7 @@ holds its strength over time and, if it acts on chosen particles, one stage of t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, cast
 
 import numpy as np
 import warp as wp
@@ -246,11 +246,11 @@ class ZoneForce(Force):
             )
 
         def record(grid: Grid) -> wp.Launch | None:
-            del grid
-            inputs = [*place, slot, tracks.clock, tracks.values, state.x]
-            return model.launch(kernel, len(model), inputs, [state.v])
+            run = grid.run(len(model))
+            inputs = [*place, slot, tracks.clock, tracks.values, state.x[run]]
+            return model.launch(kernel, run.stop - run.start, inputs, [state.v[run]])
 
-        return [Stage("zone", record)]
+        return [Stage("zone", record, by_run=True)]
 
 
 class Wind(Force):
@@ -309,11 +309,11 @@ class SetVelocity(Force):
         motion = [t.vec3(*self.v), t.vec3(*self.centre), t.vec3(*self.spin)]
 
         def record(grid: Grid) -> wp.Launch | None:
-            del grid
-            inputs = [chosen, slot, *motion, tracks.values, state.x]
-            return model.launch(kernel, len(chosen), inputs, [state.v, state.C])
+            own = _within(chosen, grid.run(len(model)))
+            inputs = [own, slot, *motion, tracks.values, state.x]
+            return model.launch(kernel, len(own), inputs, [state.v, state.C])
 
-        return [Stage("set_velocity", record, self.sudden)]
+        return [Stage("set_velocity", record, self.sudden, by_run=True)]
 
 
 OwnForce = (
@@ -376,8 +376,14 @@ def _stage(
     slot = tracks.add(track)
 
     def record(grid: Grid) -> wp.Launch | None:
-        del grid
-        given = [chosen, slot, *inputs, tracks.clock, tracks.values, *read]
-        return model.launch(kernel, len(chosen), given, [state.v])
+        own = _within(chosen, grid.run(len(model)))
+        given = [own, slot, *inputs, tracks.clock, tracks.values, *read]
+        return model.launch(kernel, len(own), given, [state.v])
 
-    return [Stage(name, record, force.sudden, force.in_newtons)]
+    return [Stage(name, record, force.sudden, force.in_newtons, by_run=True)]
+
+
+def _within(chosen: wp.array, run: slice) -> wp.array:
+    """Those of the chosen particles, which are in order, that are in a run of them."""
+    first, last = np.searchsorted(chosen.numpy(), [run.start, run.stop]).tolist()
+    return cast("wp.array", chosen[first:last])

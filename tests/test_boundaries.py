@@ -357,14 +357,26 @@ def test_plates_squeeze_by_the_way_they_went(axis, offset):
     assert abs(squeezed(axis, offset)) < 0.12
 
 
-def test_a_wall_across_the_threads_is_met_by_single_nodes():
-    """Its columns would belong to both threads; the answer is rougher there, and bitwise again."""
-    wall = HalfSpace(point=(0.22, 0, 0), normal=(-1, 0, 0))
-    tall = block(size=(0.4, 0.4, 0.8))
+WALLS_ACROSS = {
+    "plane": [HalfSpace(point=(0.22, 0, 0), normal=(-1, 0, 0)), Ground()],
+    "slope": [HalfSpace(point=(0.2, 0, 0.05), normal=(-1, 0, 0.3))],
+    "ball": [Sphere(centre=(0.1, 0.1, -0.05), radius=0.12), Ground(height=-0.05)],
+    "box": [Box(lower=(-0.1, -0.1, -0.3), upper=(0.15, 0.15, 0.03))],
+    "held": [Held(lower=(0.0, 0.0, 0.0), upper=(0.1, 0.2, 0.1))],
+}
 
-    def run() -> np.ndarray:
-        s = solver(tall, wall, Ground(), v=np.tile([0.5, 0, 0], (len(tall), 1)), threads=2)
-        s.advance(0.1)
+
+@pytest.mark.parametrize("walls", WALLS_ACROSS.values(), ids=WALLS_ACROSS)
+def test_walls_do_not_depend_on_where_the_threads_part(walls):
+    """Their columns lead from the layers of one thread to those of the next."""
+    x = block(size=(0.2, 0.2, 0.2))
+    v = np.tile([0.5, 0.1, -0.5], (len(x), 1))
+
+    def run(threads: int) -> np.ndarray:
+        s = solver(x, *walls, v=v, threads=threads)
+        s.advance(0.03)
         return s.state.x.numpy()
 
-    assert np.array_equal(run(), run())
+    one, several = run(1), run(5)
+    np.testing.assert_allclose(several, one, atol=2e-6)
+    assert np.array_equal(several, run(5))

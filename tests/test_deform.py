@@ -309,3 +309,17 @@ def test_axes_that_become_equal_do_not_flicker(rng):
         found = moved(balls, pressed + noise, deformer)
         assert turns(found.quats, last.quats).max() < 0.1
         last = found
+
+
+@pytest.mark.parametrize("binding", ["particles", "lattice"])
+def test_threads_share_the_gaussians_without_a_trace(gaussians, binding):
+    """Each Gaussian is deformed by itself, so any number of threads gives the same bits."""
+    particles = make_particles(gaussians, density=1, spacing=0.2, binding=binding)
+    F = np.eye(3) + np.random.default_rng(0).normal(0, 0.1, (len(particles), 3, 3))
+    frames = []
+    for threads in (1, 3, len(gaussians) + 2):
+        deformer = Deformer(gaussians, particles, threads=threads)
+        frames.append(deformer(particles.x, F, index=0, time=0).gaussians)
+    for frame in frames[1:]:
+        for name in ("means", "quats", "scales", "sh"):
+            assert np.array_equal(getattr(frame, name), getattr(frames[0], name)), name

@@ -135,7 +135,8 @@ def time_shapes(simulation: Simulation) -> float:
     solver, particles = simulation.solver, simulation.particles
     rng = np.random.default_rng(0)
     F = np.eye(3) + 0.05 * rng.standard_normal((len(particles), 3, 3))
-    deform = Deformer(simulation.scenery.moving, particles, device=simulation.device)
+    options: dict[str, Any] = {"device": simulation.device, "threads": len(solver.workers)}
+    deform = Deformer(simulation.scenery.moving, particles, **options)
     x, v = solver.state.x, solver.state.v if simulation.scene.velocities else None
     deform(x, F, index=0, time=0.0, velocities=v)
     return timed(lambda: deform(x, F, index=1, time=0.0, velocities=v))

@@ -157,7 +157,15 @@ class Boundary(Section):
         name, recorders = type(self).__name__.lower(), [self._recorder(model, tracks)]
         if self.crosses(model.dx):
             recorders = SWEEPS * [*recorders, self._settler(model)]
-        return [Stage(name, recorder) for recorder in recorders]
+        alone = self.spans(model)
+        return [Stage(name, recorder, alone=alone) for recorder in recorders]
+
+    def spans(self, model: Model) -> bool:
+        """Whether its columns can lead from one layer of nodes to the next, which has another i."""
+        if not self.met(model.dx):
+            return False
+        _, normal, _ = self.geometry(model)
+        return self.outline() not in FLAT or abs(normal[0]) > 0.999 * max(map(abs, normal[1:]))
 
     def refuse_thin(self, model: Model) -> None:
         """Make sure that nothing passes through the solid.

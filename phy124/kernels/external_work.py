@@ -183,8 +183,9 @@ def make_uniform_sums(real: Any):
         for c in range(3):
             p[c] = base[c] + walls_out[c] + given_out[c]
             walls_out[c] = wp.float64(0.0)
-            for worker in range(walls.shape[0]):
+            for worker in range(pushes.shape[0]):
                 p[c] += pushes[worker, c]
+            for worker in range(walls.shape[0]):
                 walls_out[c] += walls[worker, c]
         work = wp.dot(J, p + J / wp.float64(2.0)) / mass
         add_given(given_out, J, work, wp.length(J), wp.abs(work))

@@ -152,17 +152,17 @@ class ExternalWork:
         if grid.worker == 0:
             if name in self._device:
                 self._closed[name] = self._closed[name] + self._open(name)
-            self._device[name] = self._zeros(grid)
+            self._device[name] = self._zeros(grid.workers)
         return cast("wp.array", self._device[name][grid.worker])
 
-    def _zeros(self, grid: Grid) -> wp.array:
-        return wp.zeros((grid.workers, ROOM), dtype=wp.float64, device=self._model.device)
+    def _zeros(self, workers: int) -> wp.array:
+        return wp.zeros((workers, ROOM), dtype=wp.float64, device=self._model.device)
 
     def _record_uniform(self, grid: Grid) -> wp.Launch | None:
         """The launch that sums what the uniform acceleration adds, after everything else."""
         model, tracks, own = self._model, self._tracks, self._accumulator(UNIFORM, grid)
         self._set_base()
-        others = [self._device.get(name, self._zeros(grid)) for name in (PUSH, WALL)]
+        others = [self._device.get(name, self._zeros(0)) for name in (PUSH, WALL)]
         inputs = [model.total_mass, tracks.clock, tracks.values, self._base, *others]
         kernel = kernels.make_uniform_sums(model.real)
         return model.launch(kernel, 1, inputs, [self._walls_before, own])
@@ -179,17 +179,19 @@ class ExternalWork:
         kept = [wp.empty_like(state.v), wp.empty_like(state.C)]
 
         def before(grid: Grid) -> wp.Launch | None:
-            del grid
-            kernel = kernels.make_push_copy(model.real)
-            return model.launch(kernel, len(model), [state.v, state.C], kept)
+            run, kernel = grid.run(len(model)), kernels.make_push_copy(model.real)
+            copies = [array[run] for array in kept]
+            return model.launch(kernel, len(copies[0]), [state.v[run], state.C[run]], copies)
 
         def after(grid: Grid) -> wp.Launch | None:
-            threads, *fraction = shared_out(len(model), model.device)
-            inputs = [*fraction, model.mass, model.dx, state.v, state.C, *kept]
+            run = grid.run(len(model))
+            threads, *fraction = shared_out(run.stop - run.start, model.device)
+            pushed = [array[run] for array in (state.v, state.C, *kept)]
+            inputs = [*fraction, model.mass[run], model.dx, *pushed]
             kernel = kernels.make_push_sums(model.real)
             return model.launch(kernel, threads, inputs, [self._accumulator(PUSH, grid)])
 
-        return Stage(STAGE, before), Stage(STAGE, after)
+        return Stage(STAGE, before, by_run=True), Stage(STAGE, after, by_run=True)
 
     def _attach_walls(
         self, walls: Sequence[Boundary], model: Model, state: State, tracks: Tracks

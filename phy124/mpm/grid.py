@@ -46,13 +46,21 @@ class Grid:
         return int(np.prod(self.size))
 
     @contextmanager
-    def only(self, layers: tuple[int, int] | None, worker: int = 0) -> Iterator[None]:
-        """Within this context, launches are a worker's, for the layers first <= i < last."""
-        self.layers, self.worker = layers, worker
+    def only(
+        self, layers: tuple[int, int] | None, worker: int = 0, workers: int = 1
+    ) -> Iterator[None]:
+        """Within this context, launches are recorded for one of some workers.
+
+        Args:
+            layers: They are for the layers first <= i < last; None: for all.
+            worker: The number of the worker.
+            workers: How many there are.
+        """
+        self.layers, self.worker, self.workers = layers, worker, workers
         try:
             yield
         finally:
-            self.layers, self.worker = None, 0
+            self.layers, self.worker, self.workers = None, 0, 1
 
     def fit(self, lower: NDArray, upper: NDArray) -> bool:
         """Cover the particles with room to move; returns whether the window changed.
@@ -103,6 +111,11 @@ class Grid:
         low = np.floor((lower - self.origin) / self.dx - 0.5).astype(int)
         high = np.floor((upper - self.origin) / self.dx - 0.5).astype(int) + 3
         return low, high
+
+    def run(self, particles: int) -> slice:
+        """The particles, of so many, that launches being recorded may push: a run for a worker."""
+        ends = (self.worker, self.worker + 1)
+        return slice(*(particles * end // self.workers for end in ends))
 
     def nodes_within(self, lower: NDArray, upper: NDArray) -> tuple[NDArray, NDArray]:
         """First node (in the window) and extent of the nodes of `layers` in a box [m]."""

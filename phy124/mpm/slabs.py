@@ -44,7 +44,6 @@ class Slabs:
             count: Number of workers.
         """
         self._model, self._state, self._grid = model, state, grid
-        grid.workers = count
         length = COUNT * len(model.groups)
         self.workers = [
             Worker(wp.zeros(length, dtype=model.real, device=model.device)) for _ in range(count)

@@ -26,14 +26,12 @@ from phy124.mpm.outliers import Outliers
 from phy124.mpm.rejection import StepRejection
 from phy124.mpm.repair import Repair
 from phy124.mpm.slabs import Slabs
-from phy124.mpm.stage import Accumulator, Attachable, Named
+from phy124.mpm.stage import Accumulator, Attachable
 from phy124.mpm.state import State
 from phy124.mpm.substep import Recorder
 from phy124.mpm.threads import Team
 from phy124.mpm.workers import (
     GATHER,
-    SCATTER,
-    UPDATE,
     Timings,
     lone_worker,
     timed,
@@ -41,7 +39,7 @@ from phy124.mpm.workers import (
 )
 from phy124.tracks import Tracks
 
-MEASURE = 3
+MEASURE = -2
 """Given instead of a phase to measure the limits."""
 
 
@@ -100,7 +98,6 @@ class Solver:
         self._record_measures()
         self._sample = self.tracks.record()
         self._sample.launch()
-        self._pushes: list[Named] = []
         self._team = Team[int](count, self._run_member)
         self.rejection = StepRejection(model, self.state, self.tracks, self._forces, accumulators)
         self._graph = Graph(model, self.clock, self.grid, self.workers[0], self._stray)
@@ -208,10 +205,8 @@ class Solver:
         self.clock.begin(kick, drift)
         if self.tracks.vary:
             timed(self.timings, "tracks", self._sample.launch)
-        for name, launch in self._pushes:
-            timed(self.timings, name, launch)
-        self._run(SCATTER)
-        self._run(UPDATE)
+        for phase in range(len(self.workers[0].phases) - 1):
+            self._run(phase)
 
     def _run(self, phase: int) -> None:
         """Run a phase; threads wait for each other before it."""
@@ -259,7 +254,7 @@ class Solver:
         """The launches of one substep of a single worker, in order."""
         if self.tracks.vary:
             yield self._sample.launch
-        for _, launch in itertools.chain(self._pushes, *self.workers[0].phases):
+        for _, launch in itertools.chain(*self.workers[0].phases):
             yield launch
 
     def _measure_if_due(self) -> None:
@@ -327,6 +322,5 @@ class Solver:
 
     def _record(self) -> None:
         """Record the launches of one substep, in order."""
-        self._pushes = self._recorder.pushes(self._forces)
-        self._recorder.record(self.boundaries, self._sums)
+        self._recorder.record(self._forces, self.boundaries, self._sums)
         self._graph.forget()

@@ -24,6 +24,10 @@ class Stage(NamedTuple):
     """Whether it may change a velocity abruptly, whatever its strength."""
     in_newtons: bool = False
     """Whether its track is a force on each particle [N] and not an acceleration [m/s^2]."""
+    by_run: bool = False
+    """Whether a force is recorded for each worker, and pushes the particles of `Grid.run` only."""
+    alone: bool = False
+    """Whether one worker launches it for all layers of the grid while the others wait."""
 
 
 class Attachable(Protocol):

@@ -22,7 +22,7 @@ from phy124.mpm.outliers import Outliers
 from phy124.mpm.slabs import Slabs
 from phy124.mpm.stage import Named, Recorded, Stage, launches
 from phy124.mpm.state import State, part_of
-from phy124.mpm.workers import Part, Worker
+from phy124.mpm.workers import GATHER, Part, Worker
 from phy124.tracks import Tracks
 
 
@@ -63,27 +63,52 @@ class Recorder:
     slabs: Slabs | None
     """Those of several workers."""
 
-    def pushes(self, stages: Sequence[Stage]) -> list[Named]:
-        """The launches that act on particles before the scatter."""
-        return launches([(stage.name, stage.record(self.grid)) for stage in stages])
-
-    def record(self, walls: Sequence[Stage], sums: Sequence[Stage]) -> None:
-        """Give every worker its scatter, update and gather.
+    def record(
+        self, pushes: Sequence[Stage], walls: Sequence[Stage], sums: Sequence[Stage]
+    ) -> None:
+        """Give every worker its phases.
 
         Args:
+            pushes: Stages of forces on particles, before the scatter.
             walls: Stages of boundaries, after the update.
             sums: Stages that end the substep.
         """
         for index, worker in enumerate(self.workers):
             layers = self._layers(index)
             scatter = [self._p2g(part) for part in worker.parts]
-            with self.grid.only(layers, index):
-                update = [self._update(layers)]
-                update += [(wall.name, wall.record(self.grid)) for wall in walls]
+            update = self._update_phases(walls, index, layers)
             gather = [record for part in worker.parts for record in self._gather(part)]
             clear: tuple[str, Callable[[], Any]] = ("clear", self._clear(index))
-            worker.phases = [[clear, *launches(scatter)], launches(update), launches(gather)]
-        self.workers[0].phases[2] += launches([(s.name, s.record(self.grid)) for s in sums])
+            worker.phases = [[clear, *launches(scatter)], *map(launches, update), launches(gather)]
+            if pushes:
+                worker.phases.insert(0, self._push(pushes, index))
+        self.workers[0].phases[GATHER] += launches([(s.name, s.record(self.grid)) for s in sums])
+
+    def _push(self, stages: Sequence[Stage], worker: int) -> list[Named]:
+        """A worker's share of the pushes; the first has them all unless all can be shared."""
+        if all(stage.by_run for stage in stages):
+            with self.grid.only(None, worker, len(self.workers)):
+                return launches([(stage.name, stage.record(self.grid)) for stage in stages])
+        if worker > 0:
+            return []
+        return launches([(stage.name, stage.record(self.grid)) for stage in stages])
+
+    def _update_phases(
+        self, walls: Sequence[Stage], worker: int, layers: tuple[int, int] | None
+    ) -> list[list[Recorded]]:
+        """A worker's phases of update and walls; the first worker does some walls alone."""
+        with self.grid.only(layers, worker, len(self.workers)):
+            phases, alone = [[self._update(layers)]], False
+        for wall in walls:
+            if layers is not None and wall.alone != alone:
+                phases.append([])
+                alone = wall.alone
+            if not alone:
+                with self.grid.only(layers, worker, len(self.workers)):
+                    phases[-1].append((wall.name, wall.record(self.grid)))
+            elif worker == 0:
+                phases[-1].append((wall.name, wall.record(self.grid)))
+        return phases
 
     def _layers(self, worker: int) -> tuple[int, int] | None:
         """The layers of the shared grid that a worker updates; None: all."""

@@ -25,8 +25,8 @@ from phy124.runtime.cores import free_cores
 
 MIN_PARTICLES = 10_000
 """Of a worker; with fewer, its barriers cost more than it brings."""
-SCATTER, UPDATE, GATHER = range(3)
-"""The phases of a substep between which workers wait for each other."""
+GATHER = -1
+"""The last phase of a substep; workers wait for each other between phases."""
 Timings = dict[str, list[float]]
 """Stage -> seconds and number of launches."""
 
@@ -63,7 +63,7 @@ class Worker:
     """What measuring finds: once for all of its parts, or `COUNT` numbers for each."""
     parts: list[Part] = field(default_factory=list)
     phases: list[list[Named]] = field(default_factory=list)
-    """Launches of scatter, update and gather."""
+    """Launches of pushes, if any; of scatter; of update and walls in one or more; of gather."""
     measures: list[wp.Launch] = field(default_factory=list)
     """Launches that measure what limits the substep."""
     timings: Timings = field(default_factory=dict)

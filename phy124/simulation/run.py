@@ -125,6 +125,7 @@ class Simulation:
                 max_stretch=look.max_stretch,
                 rounds=look.rounds,
                 device=device,
+                threads=len(self.solver.workers),
             )
         s, timing = self.solver, scene.time
         self.sleep = Sleep(
