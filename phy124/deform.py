@@ -200,7 +200,7 @@ class _Share:
             shared: Those after them, of which a Gaussian reads any entries.
             written: The last ones, one entry per Gaussian.
         """
-        launches = [
+        launches: list[Any] = [
             wp.launch(
                 kernel,
                 dim=run.stop - run.start,
