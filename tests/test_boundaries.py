@@ -359,24 +359,31 @@ def test_plates_squeeze_by_the_way_they_went(axis, offset):
 
 WALLS_ACROSS = {
     "plane": [HalfSpace(point=(0.22, 0, 0), normal=(-1, 0, 0)), Ground()],
-    "slope": [HalfSpace(point=(0.2, 0, 0.05), normal=(-1, 0, 0.3))],
     "ball": [Sphere(centre=(0.1, 0.1, -0.05), radius=0.12), Ground(height=-0.05)],
+    "slope": [HalfSpace(point=(0.2, 0, 0.05), normal=(-1, 0, 0.3))],
     "box": [Box(lower=(-0.1, -0.1, -0.3), upper=(0.15, 0.15, 0.03))],
     "held": [Held(lower=(0.0, 0.0, 0.0), upper=(0.1, 0.2, 0.1))],
 }
 
 
-@pytest.mark.parametrize("walls", WALLS_ACROSS.values(), ids=WALLS_ACROSS)
+@pytest.mark.parametrize(
+    "walls",
+    [
+        pytest.param(walls, id=name, marks=[] if name in ("plane", "ball") else [pytest.mark.slow])
+        for name, walls in WALLS_ACROSS.items()
+    ],
+)
 def test_walls_do_not_depend_on_where_the_threads_part(walls):
     """Their columns lead from the layers of one thread to those of the next."""
     x = block(size=(0.2, 0.2, 0.2))
     v = np.tile([0.5, 0.1, -0.5], (len(x), 1))
 
     def run(threads: int) -> np.ndarray:
-        s = solver(x, *walls, v=v, threads=threads)
+        # In float64, since rounding may decide in which substep a wall begins to act.
+        s = solver(x, *walls, v=v, threads=threads, precision="float64")
         s.advance(0.03)
         return s.state.x.numpy()
 
     one, several = run(1), run(5)
-    np.testing.assert_allclose(several, one, atol=2e-6)
+    np.testing.assert_allclose(several, one, rtol=0, atol=1e-13)
     assert np.array_equal(several, run(5))
