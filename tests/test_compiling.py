@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from phy124.kernels.build import kernel
 from phy124.progress import silent
 from phy124.runtime import compiling
 from phy124.runtime.compiling import compile_missing, is_compiled
+from phy124.runtime.headers import headers_folder
 
 SMALL = """
 import sys
@@ -48,8 +50,12 @@ def small(name: str):
 
 @pytest.fixture
 def empty_cache(monkeypatch, tmp_path):
+    """No kernels, but the compiler's headers if there are any."""
     wp.init()  # Otherwise it would choose another folder later.
+    headers = headers_folder()
     monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
+    if headers.exists():
+        headers_folder().symlink_to(headers)
 
 
 def test_what_is_missing_is_compiled_with_progress_and_the_rest_without(empty_cache):
@@ -67,6 +73,7 @@ def test_what_is_missing_is_compiled_with_progress_and_the_rest_without(empty_ca
 def test_modules_are_compiled_at_the_same_time(monkeypatch):
     """Each waits for the other, which one after the other would do for ever."""
     both = threading.Barrier(2)
+    monkeypatch.setattr(compiling, "has_headers", lambda: True)
     monkeypatch.setattr(compiling, "cores", lambda: 2)
     monkeypatch.setattr(wp, "load_module", lambda *_: both.wait(timeout=60))
     assert compile_missing([small("left"), small("right")]) == 2
@@ -95,6 +102,29 @@ def test_an_error_of_the_compiler_is_raised(monkeypatch):
         compile_missing([small("broken")], progress=silent)
 
 
+def test_all_threads_share_the_headers_of_earlier_runs(empty_cache):
+    runtime = wp._src.context.runtime
+    with ThreadPoolExecutor(1) as other:
+        found = {runtime.get_clang_pch_dir(), other.submit(runtime.get_clang_pch_dir).result()}
+    assert found == {str(headers_folder())}
+
+
+def test_headers_that_cannot_be_kept_are_made_where_warp_makes_them(monkeypatch):
+    wp.init()
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", "/dev/null/none")
+    assert "wp_pch_" in wp._src.context.runtime.get_clang_pch_dir()
+
+
+def test_without_headers_the_first_module_is_compiled_alone(monkeypatch):
+    """Or every thread would make them."""
+    order = []
+    monkeypatch.setattr(compiling, "has_headers", lambda: False)
+    monkeypatch.setattr(wp, "load_module", lambda *_: order.append(threading.current_thread()))
+    assert compile_missing([small(f"few_{n}") for n in range(3)]) == 3
+    assert [thread is threading.current_thread() for thread in order] == [True, False, False]
+
+
+@pytest.mark.slow
 def test_two_processes_that_compile_the_same_do_not_disturb_each_other(tmp_path):
     program = tmp_path / "small.py"
     program.write_text(SMALL)
@@ -117,3 +147,4 @@ def test_two_processes_that_compile_the_same_do_not_disturb_each_other(tmp_path)
         assert int(printed) <= 3
     modules = [*(tmp_path / "cache").rglob("wp_phy124_test_*")]
     assert len([path for path in modules if path.is_dir()]) == 3, "and no half of one is left"
+    assert len([*(tmp_path / "cache").rglob("headers_*/*")]) == 1

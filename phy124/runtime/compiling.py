@@ -15,6 +15,7 @@ import warp as wp
 
 from phy124.progress import Progress, silent
 from phy124.runtime.cores import cores
+from phy124.runtime.headers import has_headers
 
 
 def compile_missing(
@@ -38,16 +39,21 @@ def compile_missing(
         return 0
     # The longest first, or it would be compiled alone at the end.
     modules = [k.module for k in sorted(missing.values(), key=lambda k: -k.seconds)]
-    progress("compile", 0, len(modules))
-    with ThreadPoolExecutor(min(cores(), len(modules))) as pool:
+    total = len(modules)
+    progress("compile", 0, total)
+    if device == "cpu" and not has_headers():
+        # With the first module headers are compiled, which otherwise every thread would do.
+        wp.load_module(modules.pop(), device)
+        progress("compile", 1, total)
+    with ThreadPoolExecutor(min(cores(), len(modules)) or 1) as pool:
         waiting = [pool.submit(wp.load_module, module, device) for module in modules]
         try:
-            for done, finished in enumerate(as_completed(waiting), 1):
+            for done, finished in enumerate(as_completed(waiting), total - len(modules) + 1):
                 finished.result()
-                progress("compile", done, len(modules))
+                progress("compile", done, total)
         finally:
             pool.shutdown(cancel_futures=True)
-    return len(modules)
+    return total
 
 
 def is_compiled(kernel: Any, device: str = "cpu") -> bool:

@@ -13,12 +13,15 @@ from pathlib import Path
 
 import warp as wp
 
+from phy124.runtime.headers import keep_headers
+
 NO_DRIVER = b"Could not find or load the NVIDIA CUDA driver"
 """What Warp writes on every machine without a GPU."""
 
 
 def prepare() -> None:
     """Before Warp starts: keep standard output free, and choose a writable kernel folder."""
+    keep_headers()
     if wp.config.log_level == wp.LOG_INFO:
         wp.config.log_level = wp.LOG_WARNING
     usual = kernel_folder()
