@@ -17,6 +17,7 @@ from phy124.materials import Elastic
 from phy124.scene import GOOD_FOR, PRESETS, Scene, preset_names
 from phy124.scene.files import files_named
 
+from .known import options as known_options
 from .pictures import check_picture
 from .settings import Settings
 from .substances import chips
@@ -47,6 +48,7 @@ def catalogue(settings: Settings) -> dict[str, Any]:
             {"name": name, "cells": accuracy.cells, "why": f"For {GOOD_FOR[name]}."}
             for name, accuracy in PRESETS.items()
         ],
+        "known": known_options(),
         "softness": _anchors(),
         "weights": WEIGHTS,
         "limits": {

@@ -10,16 +10,19 @@ from gradio.components import Component
 
 from phy124.errors import InputError
 from phy124.generators.depth_map import DepthMap
+from phy124.generators.other_views import OtherViews
 from phy124.scene import PRESETS, Scene, ViewName, preset_names
 from phy124.scene.refusals import shortened
+from phy124.section import Section
 
 from .exports import EXPORTS, export
 from .handlers import Handler
 from .identity import visitor_of
-from .jobs import Studio, complaint, read_report, read_study
+from .jobs import Studio, complaint, read_report
 from .line import Job
 from .photo import photo, refusal
 from .strokes import place_of
+from .studies import read_study
 from .visitors import Visitor
 from .work import BEAT, Done
 
@@ -37,7 +40,12 @@ def endpoints(studio: Studio) -> None:
         changes = gr.JSON({}, label="changes")
         pick = gr.JSON([], label="pick")  # None would make it a required argument
         depth = photo(studio, label="depth")
-        near = _unread(gr.Radio(["white", "black"], value="white", label="near"))
+        near = _choice(DepthMap, "near")
+        side, back = photo(studio, label="side"), photo(studio, label="back")
+        facing = _choice(OtherViews, "facing")
+        thickness = _unread(gr.Number(label="thickness"))
+        highlights = _choice(OtherViews, "highlights")
+        known = [depth, near, side, facing, back, thickness, highlights]
         views = _unread(gr.CheckboxGroup(VIEWS, label="views"))
         size = _unread(gr.Number(512, label="size", precision=0, minimum=16))
         elevation = _unread(gr.Number(10, label="elevation", minimum=-89, maximum=89))
@@ -48,7 +56,7 @@ def endpoints(studio: Studio) -> None:
         shared = {"concurrency_id": "programs", "concurrency_limit": studio.settings.max_queue}
         gr.Button().click(
             _generate(studio),
-            [picture, preset, accuracy, frames, changes, formats, pick, depth, near],
+            [picture, preset, accuracy, frames, changes, formats, pick, *known],
             [run, files, report], api_name="generate", **shared,
         )  # fmt: skip
         gr.Button().click(
@@ -58,7 +66,7 @@ def endpoints(studio: Studio) -> None:
         gr.Button().click(_evaluate, run, report, api_name="evaluate")
         error, said = gr.Number(label="error"), gr.Textbox(label="sentence")
         gr.Button().click(
-            _measure(studio), [picture, preset, accuracy, frames, changes, pick, depth, near],
+            _measure(studio), [picture, preset, accuracy, frames, changes, pick, *known],
             [error, said, gr.JSON(label="levels")], api_name="measure", **shared,
         )  # fmt: skip
 
@@ -69,26 +77,38 @@ def _unread(component: Component) -> Any:
     return component
 
 
+def _choice(section: type[Section], option: str) -> Any:
+    """A component for an option that is one of a few words."""
+    declared = section.model_fields[option]
+    words = list(get_args(declared.annotation))
+    return _unread(gr.Radio(words, value=declared.default, label=option))
+
+
 def _generate(studio: Studio) -> Handler:
     def generate(
         image: str | None, preset: str, accuracy: str, frames: int, changes: Any, formats: Any,
         pick: Any, request: gr.Request, depth: str | None = None, near: str = "white",
+        side: str | None = None, facing: str = "left", back: str | None = None,
+        thickness: float | None = None, highlights: str = "keep",
     ) -> Iterator[tuple[Any, ...]]:  # fmt: skip
         """Turn a picture into a moving object: its files and its report."""
         name = visitor_of(request)
         kinds = _chosen("formats", formats or [], list(EXPORTS))
-        scene, cutting = _cut(studio, name, image, preset, accuracy, frames, changes, pick)
-        deep = _depth(studio, name, depth, near)
+        told = {
+            "depth": depth, "near": near, "side": side, "facing": facing, "back": back,
+            "thickness": thickness, "highlights": highlights,
+        }  # fmt: skip
+        scene, cutting = _cut(studio, name, image, preset, accuracy, frames, changes, pick, told)
         visitor, data = studio.visitors.get(name), scene.data()
         for _ in _followed(cutting, visitor, "image"):
             yield (gr.skip(),) * 3
         cutout = cutting.progress.result.path
-        job = _begun(studio.run, name, cutout, data, deep)
+        job = _begun(studio.run, name, cutout, data, told)
         for _ in _followed(job, visitor, "run"):
             yield (gr.skip(),) * 3
         done = job.progress.result
         made = [str(export(kind, done)) for kind in kinds]
-        yield (done, cutout, data, deep), _paths(done) + made, read_report(done)
+        yield (done, cutout, data, told), _paths(done) + made, read_report(done)
 
     return generate
 
@@ -97,15 +117,20 @@ def _measure(studio: Studio) -> Handler:
     def measure(
         image: str | None, preset: str, accuracy: str, frames: int, changes: Any,
         pick: Any, request: gr.Request, depth: str | None = None, near: str = "white",
+        side: str | None = None, facing: str = "left", back: str | None = None,
+        thickness: float | None = None, highlights: str = "keep",
     ) -> Iterator[tuple[Any, ...]]:  # fmt: skip
         """Measure the error of a scene as a fraction of its size, and the seconds of each grid."""
         name = visitor_of(request)
-        scene, cutting = _cut(studio, name, image, preset, accuracy, frames, changes, pick)
-        deep = _depth(studio, name, depth, near)
+        told = {
+            "depth": depth, "near": near, "side": side, "facing": facing, "back": back,
+            "thickness": thickness, "highlights": highlights,
+        }  # fmt: skip
+        scene, cutting = _cut(studio, name, image, preset, accuracy, frames, changes, pick, told)
         visitor = studio.visitors.get(name)
         for _ in _followed(cutting, visitor, "image"):
             yield (gr.skip(),) * 3
-        job = _begun(studio.measure, name, cutting.progress.result.path, scene.data(), deep)
+        job = _begun(studio.measure, name, cutting.progress.result.path, scene.data(), told)
         for _ in _followed(job, visitor, "measure"):
             yield (gr.skip(),) * 3
         study = read_study(job.progress.result.study)
@@ -119,7 +144,7 @@ def _measure(studio: Studio) -> Handler:
 
 def _cut(
     studio: Studio, name: str, image: str | None, preset: str, accuracy: str, frames: int,
-    changes: Any, pick: Any,
+    changes: Any, pick: Any, told: dict[str, Any],
 ) -> tuple[Scene, Job]:  # fmt: skip
     """The scene that a program asks for, and the job that cuts out its picture."""
     # A name of no preset could be that of a file.
@@ -129,6 +154,7 @@ def _cut(
         changed = _changes(changes)
         length = {} if "time.seconds" in changed else {"time.frames": frames}
         scene = Scene.named(preset).replaced({"accuracy": accuracy, **length, **changed})
+        studio.known(name, told)
         return scene, studio.cut(name, image, pick=place_of(pick))
     except InputError as error:
         raise refusal(complaint(error)) from None
@@ -158,11 +184,11 @@ def _render(studio: Studio) -> Handler:
         """Film this session's last run again; nothing is simulated."""
         if run is None:
             raise refusal(NOTHING_YET)
-        _, cutout, data, deep = run
+        _, cutout, data, told = run
         name = visitor_of(request)
         view = {**data["view"], "size": size, "elevation": elevation}
         view["views"] = _chosen("views", views or [], VIEWS) or data["view"]["views"]
-        job = _begun(studio.run, name, cutout, {**data, "view": view}, deep)
+        job = _begun(studio.run, name, cutout, {**data, "view": view}, told)
         for _ in _followed(job, studio.visitors.get(name), "run"):
             yield gr.skip(), gr.skip()
         yield _paths(job.progress.result), read_report(job.progress.result)
@@ -170,18 +196,11 @@ def _render(studio: Studio) -> Handler:
     return render
 
 
-def _depth(studio: Studio, name: str, given: str | None, near: str) -> DepthMap:
-    try:
-        return studio.depth_of(name, given, near)
-    except InputError as error:
-        raise refusal(complaint(error)) from None
-
-
 def _begun(
-    begin: Callable[..., Job], name: str, cutout: str, data: dict[str, Any], depth: DepthMap
+    begin: Callable[..., Job], name: str, cutout: str, data: dict[str, Any], told: dict[str, Any]
 ) -> Job:
     try:
-        return begin(name, cutout, data, depth)
+        return begin(name, cutout, data, told)
     except InputError as error:
         raise refusal(complaint(error)) from None
 

@@ -18,31 +18,26 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from pydantic import ValidationError
-
 from phy124.accuracy.compiling import seconds_to_compile
 from phy124.errors import Cancelled, InputError
-from phy124.generators.depth_map import DepthMap
-from phy124.imaging.cutout import title_of
 from phy124.imaging.objects import Point
 from phy124.io.clip import Clip
 from phy124.runtime.device import pick_device
 from phy124.runtime.isolated import Deadline
 from phy124.scene import Scene
-from phy124.scene.refusals import refusal
 
 from .catalogue import check_limits, check_time, scene_of
 from .forecast import Estimate, Estimator, measured, promise_of
+from .known import Known, known_of
 from .line import Job, Line
-from .pictures import check_picture, corrected, cut_by, cut_out, viewable
+from .pictures import check_picture, cut_by, cut_once, viewable
 from .progress import MEASURING
 from .settings import Settings
 from .strokes import Stroke
-from .studies import Measurement, grids, on_grid
+from .studies import Measurement, grids, on_grid, read_study
 from .visitors import Visitor, Visitors, key
 from .work import (
     DEVICE,
-    UNKNOWN_DEPTH,
     Done,
     Order,
     made_already,
@@ -119,8 +114,9 @@ class Studio:
         return median(self.searches) if self.searches else None
 
     def cut(
-        self, name: str, picture: Any, strokes: Sequence[Stroke] = (), pick: Point | None = None
-    ) -> Job:
+        self, name: str, picture: Any, strokes: Sequence[Stroke] = (), pick: Point | None = None,
+        kind: str = "cut",
+    ) -> Job:  # fmt: skip
         """Start to cut the object out of an uploaded picture.
 
         Args:
@@ -128,6 +124,7 @@ class Studio:
             picture: The path of the upload, as the request gives it.
             strokes: Brush strokes that correct the cut-out.
             pick: A place on the object that is meant, if there are several.
+            kind: "cut", or "view" if it is not the picture that the object is made of.
 
         Raises:
             InputError: It is not an upload of this visitor, or the queue is full.
@@ -143,44 +140,43 @@ class Studio:
             shown = viewable(upload)
             job.subject = str(shown)
             start = time.monotonic()
-            path, doubts, searched = _cut(visitor, shown, strokes, pick, deadline)
+            path, doubts, searched = cut_once(visitor, shown, strokes, pick, deadline)
             if searched:
                 self.searches.append(time.monotonic() - start)
             job.end("done", result=Cutout(str(path), str(shown), doubts, cut_by(path), pick))
 
-        job = Job("cut", visitor.new_stop_file(), subject=str(upload))
+        job = Job(kind, visitor.new_stop_file(), subject=str(upload))
         return self._submit(visitor, job, self.cuts, work)
 
-    def depth_of(self, name: str, given: Any, near: Any) -> DepthMap:
-        """The depth map that a program has sent, if any.
+    def forecast(self, name: str, cutout: str | None, data: Any, told: Any = None) -> str:
+        """The forecast of a run in words, or why it is not allowed.
 
-        Raises:
-            InputError: It is not an upload of this visitor, or cannot be used.
+        Args:
+            name: The visitor's name.
+            cutout: Path of the cut-out, if there is one.
+            data: The scene as plain data.
+            told: What else is known of the object, by option (`demo.known`).
         """
-        if given is None:
-            return UNKNOWN_DEPTH
-        upload = self.visitors.own(name, given)
-        check_picture(upload, self.settings)
-        try:
-            return DepthMap(depth=upload, near=near)
-        except ValidationError as error:
-            raise refusal(error, "near", DepthMap) from None
-
-    def forecast(self, name: str, cutout: str | None, data: Any) -> str:
-        """The forecast of a run in words, or why it is not allowed."""
         visitor = self.visitors.known(name)
         try:
             scene = self._scene(visitor, data)
             self._check_time(scene)
+            ready = self._ready(name, cutout, scene, told)
         except InputError as error:
             return complaint(error)
-        ready = self._ready(visitor, cutout, scene)
         count, compiling = self.settings.gaussians, self._compiling(scene)
-        told = self.forecaster(scene, gaussians=count, compiling=compiling, **ready)
-        return self._said(told, name, cutout, scene)
+        estimate = self.forecaster(scene, gaussians=count, compiling=compiling, **ready)
+        return self._said(estimate, name, cutout, scene, told)
 
-    def refine(self, name: str, cutout: str | None, data: Any) -> str | None:
-        """The forecast by a probe; None unless the Gaussians exist and the device is free."""
+    def refine(self, name: str, cutout: str | None, data: Any, told: Any = None) -> str | None:
+        """The forecast by a probe; None unless the Gaussians exist and the device is free.
+
+        Args:
+            name: The visitor's name.
+            cutout: Path of the cut-out, if there is one.
+            data: The scene as plain data.
+            told: What else is known of the object, by option.
+        """
         visitor = self.visitors.known(name)
         if self.forks or visitor is None or not cutout or not Path(cutout).exists():
             return None
@@ -188,7 +184,7 @@ class Studio:
             return None
         try:
             scene = self._scene(visitor, data)
-            order = self._order(visitor, Path(cutout), scene, visitor.folder / "never")
+            order = self._order(visitor, Path(cutout), scene, self.known(name, told))
             ready = made_already(order)
             device = pick_device(self.settings.device)
             if not ready["generated"] or ready["simulated"]:
@@ -202,45 +198,51 @@ class Studio:
             return complaint(error)
         finally:
             DEVICE.release()
-        return self._said(forecast, name, cutout, scene)
+        return self._said(forecast, name, cutout, scene, told)
 
-    def _said(self, told: Estimate, name: str, cutout: str | None, scene: Scene) -> str:
+    def _said(
+        self, estimate: Estimate, name: str, cutout: str | None, scene: Scene, told: Any
+    ) -> str:
         """A forecast in words, with the error measured on this scene if there is one."""
-        return replace(told, promise=promise_of(scene, self.study(name, cutout, scene))).sentence
+        promise = promise_of(scene, self.study(name, cutout, scene, told))
+        return replace(estimate, promise=promise).sentence
 
-    def run(self, name: str, cutout: str | None, data: Any, depth: DepthMap = UNKNOWN_DEPTH) -> Job:
+    def known(self, name: str, told: Any) -> Known:
+        """What a visitor tells of the object beside its picture; raises InputError."""
+        return known_of(self.visitors, self.settings, name, told)
+
+    def run(self, name: str, cutout: str | None, data: Any, told: Any = None) -> Job:
         """Start the whole chain.
 
         Args:
             name: The visitor's name.
             cutout: Path of the cut-out.
             data: The scene as plain data.
-            depth: Depth map of the picture.
+            told: What else is known of the object, by option (`demo.known`).
 
         Raises:
             InputError: Something in the request cannot be used.
         """
         visitor, picture, scene = self._asked(name, cutout, data)
         self._check_time(scene)
-        ready = self._ready(visitor, cutout, scene)
+        known = self.known(name, told)
+        ready = self._ready(name, cutout, scene, told)
         usual = self.forecaster(
             scene, gaussians=self.settings.gaussians, compiling=self._compiling(scene), **ready
         ).seconds
         expected = visitor.forecasts.get(key(scene.data()), usual)
         job = Job("run", visitor.new_stop_file(), expected)
-        order = replace(self._order(visitor, picture, scene, job.stop), depth=depth)
+        order = replace(self._order(visitor, picture, scene, known), stop=job.stop)
         return self._submit(visitor, job, self.runs, lambda job: self._run(visitor, order, job))
 
-    def measure(
-        self, name: str, cutout: str | None, data: Any, depth: DepthMap = UNKNOWN_DEPTH
-    ) -> Job:
+    def measure(self, name: str, cutout: str | None, data: Any, told: Any = None) -> Job:
         """Start to measure the error of a scene.
 
         Args:
             name: The visitor's name.
             cutout: Path of the cut-out.
             data: The scene as plain data.
-            depth: Depth map of the picture.
+            told: What else is known of the object, by option (`demo.known`).
 
         Raises:
             InputError: Something in the request cannot be used.
@@ -251,22 +253,40 @@ class Studio:
             check_limits(on_grid(scene, cells), self.settings)
         count = self.settings.gaussians
         check_time(self.forecaster.min_study(scene, levels, gaussians=count), self.settings)
-        expected = self.study_seconds(name, cutout, scene)
+        known = self.known(name, told)
+        expected = self.study_seconds(name, cutout, scene, told)
         job = Job("measure", visitor.new_stop_file(), expected, stages=MEASURING)
-        order = self._order(visitor, picture, scene, job.stop)
-        order = replace(order, depth=depth, levels=levels)
+        order = self._order(visitor, picture, scene, known)
+        order = replace(order, stop=job.stop, levels=levels)
         return self._submit(visitor, job, self.runs, lambda job: self._run(visitor, order, job))
 
-    def study(self, name: str, cutout: str | None, scene: Scene) -> Measurement | None:
-        """The errors measured for this visitor's object in this scene, if they were."""
+    def study(
+        self, name: str, cutout: str | None, scene: Scene, told: Any = None
+    ) -> Measurement | None:
+        """The errors measured for this visitor's object in this scene, if they were.
+
+        Args:
+            name: The visitor's name.
+            cutout: Path of the cut-out, if there is one.
+            scene: The scene.
+            told: What else is known of the object, by option.
+        """
         visitor = self.visitors.known(name)
         if visitor is None or not cutout or not Path(cutout).exists():
             return None
-        return read_study(study_file(self._order(visitor, Path(cutout), scene, visitor.folder)))
+        order = self._order(visitor, Path(cutout), scene, self.known(name, told))
+        return read_study(study_file(order))
 
-    def study_seconds(self, name: str, cutout: str | None, scene: Scene) -> float:
-        """Time it would take to measure them [s]."""
-        ready = self._ready(self.visitors.known(name), cutout, scene)
+    def study_seconds(self, name: str, cutout: str | None, scene: Scene, told: Any = None) -> float:
+        """Time it would take to measure them [s].
+
+        Args:
+            name: The visitor's name.
+            cutout: Path of the cut-out, if there is one.
+            scene: The scene.
+            told: What else is known of the object, by option.
+        """
+        ready = self._ready(name, cutout, scene, told)
         return self.forecaster.study(
             scene, grids(scene), gaussians=self.settings.gaussians,
             generated=ready.get("generated", False),
@@ -284,11 +304,12 @@ class Studio:
         """The scene that was chosen; it may name the visitor's own uploads and no other files."""
         return scene_of(data, self.settings, visitor and visitor.folder / "uploads")
 
-    def _ready(self, visitor: Visitor | None, cutout: str | None, scene: Scene) -> dict[str, bool]:
+    def _ready(self, name: str, cutout: str | None, scene: Scene, told: Any) -> dict[str, bool]:
         """Which stages need not be run again for this visitor."""
+        visitor = self.visitors.known(name)
         if visitor is None or not cutout or not Path(cutout).exists():
             return {}
-        return made_already(self._order(visitor, Path(cutout), scene, visitor.folder / "never"))
+        return made_already(self._order(visitor, Path(cutout), scene, self.known(name, told)))
 
     def _compiling(self, scene: Scene) -> float:
         """Time until a scene's kernels are compiled [s]; 0 while a run may be compiling them."""
@@ -303,10 +324,12 @@ class Studio:
         count = self.settings.gaussians
         check_time(self.forecaster.minimum(scene, gaussians=count), self.settings)
 
-    def _order(self, visitor: Visitor, cutout: Path, scene: Scene, stop: Path) -> Order:
-        limits = self.settings
+    def _order(self, visitor: Visitor, cutout: Path, scene: Scene, known: Known) -> Order:
+        """An order that nobody stops."""
+        limits, never = self.settings, visitor.folder / "never"
         return Order(
-            visitor.folder, cutout, scene, stop, limits.max_seconds, limits.max_particles,
+            visitor.folder, cutout, scene, never, limits.max_seconds, limits.max_particles,
+            known=known,
             device=limits.device, gaussians=limits.gaussians, about=(("generator", "relief"),),
         )  # fmt: skip
 
@@ -318,6 +341,7 @@ class Studio:
         return job
 
     def _run(self, visitor: Visitor, order: Order, job: Job) -> None:
+        order.known.cut(Deadline(self.settings.max_cut_seconds, job.check))
         load, events = self.forecaster.load(), self.work(order)
         try:
             for event in events:
@@ -356,40 +380,11 @@ def _guarded(job: Job, work: Callable[[Job], None]) -> None:
         job.stop.unlink(missing_ok=True)
 
 
-def _cut(
-    visitor: Visitor, upload: Path, strokes: Sequence[Stroke], pick: Point | None,
-    deadline: Deadline,
-) -> tuple[Path, tuple[str, ...], bool]:  # fmt: skip
-    """The cut-out of an upload, doubts about it, and whether the object had to be searched for.
-
-    It is made once, and corrected by strokes.
-    """
-    folder, given = visitor.folder / "cutouts", [upload.read_bytes(), *(pick or ())]
-    first = folder / f"{key(*given)}.png"
-    if not strokes and first.exists():
-        return first, (), False
-    if not strokes:
-        doubts = cut_out(upload, first, pick, deadline)
-        return first, doubts, cut_by(first) != title_of("alpha")
-    path = folder / f"{key(*given, [stroke.model_dump() for stroke in strokes])}.png"
-    if not path.exists():
-        corrected(upload, first if first.exists() else None, strokes, path, deadline)
-    return path, (), False
-
-
 def close_now(events: Iterator[Any]) -> None:
     """Close the generator of a job's events now, not when it is garbage collected."""
     close = getattr(events, "close", None)
     if close is not None:
         close()
-
-
-def read_study(path: Path) -> Measurement | None:
-    """The errors measured on a scene, if they were."""
-    try:
-        return Measurement.model_validate_json(path.read_text("utf-8"))
-    except FileNotFoundError:
-        return None
 
 
 def read_report(done: Done) -> dict[str, Any]:

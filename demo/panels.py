@@ -9,6 +9,7 @@ import gradio as gr
 HEAD = '<script src="phy124/static/page.js"></script>'
 PICTURE = HEAD + '<script src="phy124/static/brush.js"></script>'
 PICTURE += '<script src="phy124/static/picture.js"></script>'
+KNOWN = HEAD + '<script src="phy124/static/known.js"></script>'
 EDITOR = HEAD + '<script src="phy124/static/scene.js"></script>'
 PLAYER = (
     HEAD
@@ -32,6 +33,16 @@ def picture() -> gr.HTML:
     "cut" reports that cutting out has ended.
     """
     return _panel("picture", PICTURE, events="'choose' 'correct' 'cut'")
+
+
+def known() -> gr.HTML:
+    """What else is known of the object; its value holds that by option.
+
+    Events: "choose" names a picture that was sent for an option, "view" reports that it has been
+    cut out, "change" that the value has changed. Handlers give an answer as the value, which the
+    panel replaces.
+    """
+    return _panel("known", KNOWN, events="'choose' 'view' 'change'")
 
 
 def progress() -> gr.HTML:

@@ -25,6 +25,7 @@ from phy124.runtime.isolated import PATIENT, Deadline, Unfinished
 
 from .settings import Settings
 from .strokes import Stroke, painted
+from .visitors import Visitor, key
 
 HOW = "cutout"
 """Key of the text in a PNG that says how it was cut out."""
@@ -90,6 +91,39 @@ def cut_out(
     found = foreground(open_image(picture), pick=pick, deadline=deadline)
     _save(found, path)
     return found.warnings
+
+
+def cutout_file(visitor: Visitor, picture: Path, *more: Any) -> Path:
+    """Where a visitor's cut-out of a picture lies; `more` says what else it depends on."""
+    return visitor.folder / "cutouts" / f"{key(picture.read_bytes(), *more)}.png"
+
+
+def cut_once(
+    visitor: Visitor, upload: Path, strokes: Sequence[Stroke], pick: Point | None,
+    deadline: Deadline,
+) -> tuple[Path, tuple[str, ...], bool]:  # fmt: skip
+    """The cut-out of an upload, doubts about it, and whether the object had to be searched for.
+
+    It is made once, and corrected by strokes.
+
+    Args:
+        visitor: Whose it is.
+        upload: The picture.
+        strokes: The brush strokes.
+        pick: A place on the object that is meant, if there are several.
+        deadline: When to give up.
+    """
+    place = pick or ()
+    first = cutout_file(visitor, upload, *place)
+    if not strokes and first.exists():
+        return first, (), False
+    if not strokes:
+        doubts = cut_out(upload, first, pick, deadline)
+        return first, doubts, cut_by(first) != title_of("alpha")
+    path = cutout_file(visitor, upload, *place, [stroke.model_dump() for stroke in strokes])
+    if not path.exists():
+        corrected(upload, first if first.exists() else None, strokes, path, deadline)
+    return path, (), False
 
 
 def corrected(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from pydantic import BaseModel, ConfigDict
 
 from phy124.accuracy import promises
@@ -91,3 +93,11 @@ def on_grid(scene: Scene, cells: int) -> Scene:
     """
     accuracy = scene.resolution.model_copy(update={"cells": cells, "precision": "float32"})
     return scene.model_copy(update={"accuracy": accuracy})
+
+
+def read_study(path: Path) -> Measurement | None:
+    """The errors measured on a scene, if they were."""
+    try:
+        return Measurement.model_validate_json(path.read_text("utf-8"))
+    except FileNotFoundError:
+        return None

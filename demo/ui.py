@@ -48,7 +48,7 @@ def build(studio: Studio) -> gr.Blocks:
         cutout, done = gr.State(None), gr.State(None)
         with gr.Row(elem_id="columns"):
             with gr.Column(elem_id="left"):
-                picture = _picture()
+                picture, known = _picture()
                 scene = _scene()
                 forecast, go, cancel = _go()
             with gr.Column(elem_id="right"):
@@ -57,9 +57,10 @@ def build(studio: Studio) -> gr.Blocks:
                 history = panels.history()
                 videos, report, takeaway = _results()
         results = [viewer, videos, report, takeaway, history]
-        _wire_picture(studio, picture, cutout)
-        _wire_forecast(studio, cutout, scene, forecast)
-        _wire_run(studio, cutout, done, scene, go, cancel, progress, forecast, results)
+        _wire_picture(studio, picture, cutout, known)
+        asked = [cutout, scene, known]
+        _wire_forecast(studio, asked, forecast)
+        _wire_run(studio, asked, done, go, cancel, progress, forecast, results)
         takeaway.prepare(
             handlers.preparer(studio), [done, takeaway], takeaway, concurrency_id="export",
             concurrency_limit=2, trigger_mode="multiple", show_progress="hidden",
@@ -89,10 +90,10 @@ def _heading(number: int, title: str) -> gr.HTML:
     return gr.HTML(f"<h2><b>{number}</b>{title}</h2>", apply_default_css=False)
 
 
-def _picture() -> gr.HTML:
+def _picture() -> tuple[gr.HTML, gr.HTML]:
     with gr.Column(elem_id="picture-panel"):
         _heading(1, "Picture")
-        return panels.picture()
+        return panels.picture(), panels.known()
 
 
 def _scene() -> gr.HTML:
@@ -122,29 +123,31 @@ def _results() -> tuple[gr.HTML, gr.HTML, gr.HTML]:
     return videos, report, takeaway
 
 
-def _wire_picture(studio: Studio, picture: Any, cutout: Any) -> None:
-    picture.choose(handlers.chooser(studio), None, [picture, cutout], **QUIET)
+def _wire_picture(studio: Studio, picture: Any, cutout: Any, known: Any) -> None:
+    picture.choose(handlers.chooser(studio), None, [picture, cutout, known], **QUIET)
     picture.correct(handlers.corrector(studio), [picture, cutout], picture, **QUIET)
     picture.cut(handlers.cut_shower(studio), [picture, cutout], [picture, cutout], **QUIET)
+    known.choose(handlers.view_chooser(studio), None, known, **QUIET)
+    known.view(handlers.view_shower(studio), None, known, **QUIET)
 
 
-def _wire_forecast(studio: Studio, cutout: Any, scene: Any, forecast: Any) -> None:
+def _wire_forecast(studio: Studio, asked: list[Any], forecast: Any) -> None:
     told = gr.on(
-        [scene.change, cutout.change], handlers.forecaster(studio), [cutout, scene], forecast,
+        [component.change for component in asked], handlers.forecaster(studio), asked, forecast,
         trigger_mode="always_last", **QUIET,
     )  # fmt: skip
-    told.then(handlers.refiner(studio), [cutout, scene], forecast, **QUIET)
+    told.then(handlers.refiner(studio), asked, forecast, **QUIET)
 
 
 def _wire_run(
-    studio: Studio, cutout: Any, done: Any, scene: Any, go: Any, cancel: Any, progress: Any,
+    studio: Studio, asked: list[Any], done: Any, go: Any, cancel: Any, progress: Any,
     forecast: Any, results: list[Any],
 ) -> None:  # fmt: skip
     start, started = handlers.starter(studio), [progress, go, cancel]
     for again in (go.click, progress.again):
-        again(start, [cutout, scene], started, **QUIET)
-    forecast.measure(handlers.measurer(studio), [cutout, scene], started, **QUIET)
+        again(start, asked, started, **QUIET)
+    forecast.measure(handlers.measurer(studio), asked, started, **QUIET)
     cancel.click(handlers.stopper(studio), None, None, **QUIET)
     finish, shown = handlers.finisher(studio), [forecast, done, go, cancel, *results]
-    progress.finished(finish, [cutout, scene, done], shown, **QUIET)
-    results[-1].show(finish, [cutout, scene, done], shown, **QUIET)
+    progress.finished(finish, [*asked, done], shown, **QUIET)
+    results[-1].show(finish, [*asked, done], shown, **QUIET)

@@ -25,6 +25,7 @@ import stat
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -234,10 +235,9 @@ class Visitors:
         folder = self.get(name).folder / "uploads"
         path = folder / Path(str(given)).name
         if str(given) == str(self.arrivals / path.name):
-            try:
+            # Of what one request names several times, the first time has moved it here.
+            with suppress(OSError, ValueError):
                 os.rename(given, path)
-            except (OSError, ValueError):
-                path = folder
         elif str(given) != str(path):
             path = folder
         if not is_plain_file(path):

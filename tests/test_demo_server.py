@@ -175,6 +175,11 @@ def test_a_depth_map_changes_the_object_and_must_fit(client, tmp_path):
     guessed = _generate(client)[1]
     measured = _generate(client, pick=[], depth=sent["fits"], near="white")[1]
     assert measured["particles"] != guessed["particles"]
+    alone = {"pick": [], "depth": None, "near": "white", "side": None, "facing": "left"}
+    alone |= {"back": None}
+    assert _generate(client, **alone, thickness=0.3)[1]["particles"] < 0.6 * guessed["particles"]
+    with pytest.raises(Exception, match=r"thickness: .*a number from 0\.05 to 4"):
+        _generate(client, **alone, thickness=9)
     for name, near, message in (
         ("wide", "white", "has 64 x 20 pixels, the picture"),
         ("fits", "blue", "near: "),

@@ -10,10 +10,10 @@ import pytest
 
 from demo import handlers
 from demo.forecast import promise_of
-from demo.jobs import Cutout, Studio, read_study
+from demo.jobs import Cutout, Studio
 from demo.line import Job
 from demo.settings import Settings
-from demo.studies import GRIDS, Level, Measurement, grids
+from demo.studies import GRIDS, Level, Measurement, grids, read_study
 from demo.visitors import Visitors
 from demo.work import DEVICE, Limits, Measured, Reused, Step, steps, study_file
 from phy124.errors import Cancelled, InputError
@@ -124,7 +124,7 @@ def test_measuring_is_offered_where_nothing_was_measured_and_then_told(visit):
 
     def shown(data):
         text = studio.forecast("a", cutout, data)
-        return handlers.run.with_stops(studio, "a", cutout, data, text)
+        return handlers.run.with_stops(studio, "a", cutout, data, None, text)
 
     assert "data-measure" not in shown(Scene.named("drop").data())
     before = shown(data)
@@ -157,7 +157,7 @@ def test_the_report_of_a_run_tells_what_was_measured_on_its_scene_later(visit, m
     shown.study.write_text(_found(0.08, 0.06, 0.04).model_dump_json(), "utf-8")
     study.end("done", result=Measured(shown.study))
     event = gr.EventData(None, {"job": study.name})
-    finished = handlers.finisher(studio)(Cutout(cutout, ""), data, shown, event, None)
+    finished = handlers.finisher(studio)(Cutout(cutout, ""), data, None, shown, event, None)
     assert finished[1] == gr.skip(), "the same run is shown"
     assert "Error measured</td><td>about 6.0%" in finished[-5 + handlers.results.REPORT]
     again = studio.run("a", cutout, {**data, "view": {**data["view"], "elevation": 40.0}})

@@ -4,6 +4,7 @@ Handlers know the session and Gradio's types; the work itself is in demo.jobs.
 """
 
 from .event import Handler
+from .known import view_chooser, view_shower
 from .picture import chooser, corrector, cut_shower
 from .results import finisher, greeter, preparer
 from .run import forecaster, measurer, refiner, starter, stopper
@@ -21,4 +22,6 @@ __all__ = [
     "refiner",
     "starter",
     "stopper",
+    "view_chooser",
+    "view_shower",
 ]

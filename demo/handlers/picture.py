@@ -21,19 +21,19 @@ EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
 def chooser(studio: Studio) -> Handler:
-    """Handler: a picture was sent; starts to cut it out and forgets the one before."""
+    """Handler: a picture was sent; starts to cut it out and forgets all about the one before."""
 
-    def choose(event: gr.EventData, request: gr.Request) -> tuple[Any, Any]:
+    def choose(event: gr.EventData, request: gr.Request) -> tuple[Any, Any, Any]:
         path, example = data_of(event).get("upload"), data_of(event).get("example")
         if path is None and example is None:
-            return {}, None
+            return {}, None, {}
         try:
             if example is not None:
                 path = _sent_example(studio, visitor_of(request), example)
             job = studio.cut(visitor_of(request), path)
         except InputError as error:
-            return _not_cut(error), None
-        return {**_cutting(studio, job), "picture": _picture(job)}, None
+            return _not_cut(error), None, {}
+        return {**_cutting(studio, job), "picture": _picture(job)}, None, {}
 
     return choose
 

@@ -15,9 +15,10 @@ from phy124.scene import Scene
 
 from ..exports import EXPORTS, export
 from ..identity import visitor_of
-from ..jobs import Studio, read_report, read_study, sentence
+from ..jobs import Studio, read_report, sentence
 from ..line import Job
 from ..report import as_html
+from ..studies import read_study
 from ..visitors import Visitor
 from ..work import Done, Measured
 from .event import Handler, data_of, file_of, job_of
@@ -43,13 +44,13 @@ def finisher(studio: Studio) -> Handler:
     """Handler: a job has ended; shows the results of a run, or the forecast after a study."""
 
     def finish(
-        cutout: Any, scene: Any, shown: Any, event: gr.EventData, request: gr.Request
+        cutout: Any, scene: Any, told: Any, shown: Any, event: gr.EventData, request: gr.Request
     ) -> tuple[Any, ...]:
         name, job = visitor_of(request), job_of(studio, request, event)
         if job is not None and isinstance(job.progress.result, Measured) and cutout and scene:
-            text = studio.forecast(name, cutout.path, scene)
-            told = with_stops(studio, name, cutout.path, scene, text, opened=True)
-            return told, gr.skip(), *rested(), *_with_report(studio, name, shown)
+            text = studio.forecast(name, cutout.path, scene, told)
+            line = with_stops(studio, name, cutout.path, scene, told, text, opened=True)
+            return line, gr.skip(), *rested(), *_with_report(studio, name, shown)
         if job is None or not job.over or not _is_there(job.progress.result):
             return gr.skip(), gr.skip(), *rested(), *NOT_SHOWN
         return gr.skip(), job.progress.result, *rested(), *results(studio, name, job)

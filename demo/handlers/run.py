@@ -27,18 +27,20 @@ from .event import Handler
 def forecaster(studio: Studio) -> Handler:
     """Handler: the scene changed; returns its forecast."""
 
-    def forecast(cutout: Any, scene: Any, request: gr.Request) -> str:
+    def forecast(cutout: Any, scene: Any, told: Any, request: gr.Request) -> str:
         if not scene:
             return ""
         name, path = visitor_of(request), cutout.path if cutout else None
-        return with_stops(studio, name, path, scene, studio.forecast(name, path, scene))
+        text = studio.forecast(name, path, scene, told)
+        return with_stops(studio, name, path, scene, told, text)
 
     return forecast
 
 
 def with_stops(
-    studio: Studio, name: str, cutout: str | None, data: Any, text: str, *, opened: bool = False
-) -> str:
+    studio: Studio, name: str, cutout: str | None, data: Any, told: Any, text: str, *,
+    opened: bool = False,
+) -> str:  # fmt: skip
     """A forecast as one line of HTML that opens to a table of all stops of the accuracy slider.
 
     Below it stands the error measured on this scene, or a button that measures it.
@@ -48,17 +50,19 @@ def with_stops(
         name: The visitor's name.
         cutout: Path of the cut-out, if there is one.
         data: The scene as plain data.
+        told: What else is known of the object.
         text: The forecast.
         opened: Whether the line is open.
     """
     visitor = studio.visitors.known(name)
     try:
         scene = scene_of(data, studio.settings, visitor and visitor.folder / "uploads")
+        study = studio.study(name, cutout, scene, told)
+        error = _error_line(studio, name, cutout, scene, told, study)
     except InputError:
         return f"<p>{escape(text)}</p>"
     known = visitor.forecasts.get(key(scene.data())) if visitor else None
     count = studio.settings.gaussians
-    study = studio.study(name, cutout, scene)
     stops = studio.forecaster.stops(scene, gaussians=count, seconds=known, study=study)
     table = stops_table(stops, scene.accuracy)
     if study is not None:
@@ -68,20 +72,21 @@ def with_stops(
         return f"<p>{escape(text)}</p>{table}"
     return (
         f"<details{' open' if opened else ''}><summary>{escape(brief)}</summary>"
-        f"<p>{escape(rest)}</p>{table}</details>{_error_line(studio, name, cutout, scene, study)}"
+        f"<p>{escape(rest)}</p>{table}</details>{error}"
     )
 
 
 def _error_line(
-    studio: Studio, name: str, cutout: str | None, scene: Scene, study: Measurement | None
-) -> str:
+    studio: Studio, name: str, cutout: str | None, scene: Scene, told: Any,
+    study: Measurement | None,
+) -> str:  # fmt: skip
     """The error measured on this scene, or a button that measures it."""
     said = promise_of(scene, study)
     if study is not None:
         return f'<p class="measured">{said.measured}</p>'
     if not said.unmeasured:
         return ""
-    seconds = studio.study_seconds(name, cutout, scene)
+    seconds = studio.study_seconds(name, cutout, scene, told)
     span = spoken(studio.forecaster.load().span(seconds, unsure=GUESS))
     button = '<button type="button" class="quiet" data-measure>Measure</button>'
     return f"<p>{UNMEASURED.capitalize()}; {button} takes {span}.</p>"
@@ -90,10 +95,12 @@ def _error_line(
 def refiner(studio: Studio) -> Handler:
     """Handler: the scene changed; returns a forecast by a probe of the object if that is quick."""
 
-    def refine(cutout: Any, scene: Any, request: gr.Request) -> Any:
+    def refine(cutout: Any, scene: Any, told: Any, request: gr.Request) -> Any:
         name = visitor_of(request)
-        text = studio.refine(name, cutout.path, scene) if cutout and scene else None
-        return gr.skip() if text is None else with_stops(studio, name, cutout.path, scene, text)
+        text = studio.refine(name, cutout.path, scene, told) if cutout and scene else None
+        if text is None:
+            return gr.skip()
+        return with_stops(studio, name, cutout.path, scene, told, text)
 
     return refine
 
@@ -101,9 +108,9 @@ def refiner(studio: Studio) -> Handler:
 def starter(studio: Studio) -> Handler:
     """Handler: Generate was pressed; starts a run that the progress panel follows, or refuses."""
 
-    def start(cutout: Any, scene: Any, request: gr.Request) -> tuple[Any, ...]:
+    def start(cutout: Any, scene: Any, told: Any, request: gr.Request) -> tuple[Any, ...]:
         try:
-            job = studio.run(visitor_of(request), cutout.path if cutout else None, scene)
+            job = studio.run(visitor_of(request), cutout.path if cutout else None, scene, told)
         except InputError as error:
             state = "full" if error.field == "queue" else "refused"
             return Progress(state=state, message=sentence(error)).data(), *rested()
@@ -115,9 +122,9 @@ def starter(studio: Studio) -> Handler:
 def measurer(studio: Studio) -> Handler:
     """Handler: Measure was pressed; starts to measure the scene's error, or refuses."""
 
-    def start_study(cutout: Any, scene: Any, request: gr.Request) -> tuple[Any, ...]:
+    def start_study(cutout: Any, scene: Any, told: Any, request: gr.Request) -> tuple[Any, ...]:
         try:
-            job = studio.measure(visitor_of(request), cutout.path if cutout else None, scene)
+            job = studio.measure(visitor_of(request), cutout.path if cutout else None, scene, told)
         except InputError as error:
             return Progress(state="refused", message=sentence(error)).data(), *rested()
         return shown_job(job), *working()

@@ -86,15 +86,11 @@
     async send(file) {
       if (!file) return;
       this.say('Sending the picture …');
-      const form = new FormData();
       const small = await reduced(file, this.offer.limits);
-      form.append('files', small, small.name || file.name || 'picture.png');
       this.input.value = '';
-      let answer;
-      try { answer = await fetch('gradio_api/upload', { method: 'POST', body: form }); }
-      catch { return this.refuse('The picture could not be sent: the connection was lost.', () => this.send(file)); }
-      if (!answer.ok) return this.refuse(answer.status === 413 ? this.offer.limits.too_large : await answer.text());
-      this.choose({ upload: (await answer.json())[0] });
+      const { path, message, lost } = await sent(small, this.offer.limits);
+      if (message) return this.refuse(message, lost && (() => this.send(file)));
+      this.choose({ upload: path });
     }
 
     choose(what) {
@@ -166,5 +162,16 @@
     return new File([made], `picture.${made.type.split('/')[1]}`, { type: made.type });
   }
 
-  Object.assign(globalThis.Phy124, { picture, reduced });
+  /** Send a file: its path there, or why it was not taken, and whether the connection was lost. */
+  async function sent(file, limits) {
+    const form = new FormData();
+    form.append('files', file, file.name || 'picture.png');
+    let answer;
+    try { answer = await fetch('gradio_api/upload', { method: 'POST', body: form }); }
+    catch { return { message: 'The picture could not be sent: the connection was lost.', lost: true }; }
+    if (!answer.ok) return { message: answer.status === 413 ? limits.too_large : await answer.text() };
+    return { path: (await answer.json())[0] };
+  }
+
+  Object.assign(globalThis.Phy124, { picture, reduced, sent });
 })();

@@ -25,11 +25,11 @@ from .device import BEAT, DEVICE, held
 from .films import film
 from .limits import Limits, easier
 from .motion import gaussians_of, simulate
-from .order import UNKNOWN_DEPTH, Order, folders, made_already, made_gaussians, study_file
+from .order import Order, folders, made_already, made_gaussians, study_file
 from .study import measure
 
 __all__ = [
-    "BEAT", "DEVICE", "UNKNOWN_DEPTH",
+    "BEAT", "DEVICE",
     "Done", "Event", "Glimpse", "Limits", "Live", "Measured", "Order",
     "Reused", "Step", "easier", "folders", "made_already", "made_gaussians",
     "steps", "study_file",

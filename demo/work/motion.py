@@ -34,7 +34,7 @@ def gaussians_of(order: Order, path: Path, tell: Tell) -> Gaussians:
         return Clip.load(path).frame(0).gaussians
     tell(Step("generate", 0, 1))
     make = asked_for(make_generator(order.generator), order.gaussians)
-    make = order.depth.given_to(make, order.generator)
+    make = order.known.given_to(make, order.generator)
     with Image.open(order.cutout) as cutout:
         gaussians = make(
             cutout,

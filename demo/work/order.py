@@ -7,13 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from phy124.cost import GAUSSIANS
-from phy124.generators.depth_map import DepthMap
 from phy124.scene import Scene
 
+from ..known import NOTHING_MORE, Known
 from ..visitors import key
 
-UNKNOWN_DEPTH = DepthMap()
-"""No depth map."""
 VIEWED = ("view", "accuracy", "description")
 """Fields that the stored errors of a scene's motion do not depend on."""
 
@@ -35,8 +33,8 @@ class Order:
     generator: str = "relief"
     gaussians: int = GAUSSIANS
     """Number of Gaussians that `relief` makes."""
-    depth: DepthMap = UNKNOWN_DEPTH
-    """Depth map of the picture, for `relief`."""
+    known: Known = NOTHING_MORE
+    """What `relief` is told of the object beside its picture."""
     device: str = "auto"
     about: tuple[tuple[str, str], ...] = ()
     """Further entries of the report."""
@@ -65,9 +63,8 @@ def made_gaussians(order: Order) -> Path:
         order.generator,
         order.gaussians,
         order.scene.seed,
+        order.known.data(),
     ]
-    if order.depth.depth is not None:
-        told += [order.depth.depth.read_bytes(), order.depth.near]
     made = key(*told)
     return order.folder / "gaussians" / f"{made}.safetensors"
 

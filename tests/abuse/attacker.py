@@ -80,7 +80,7 @@ class Attacker:
         cutting = self.press("picture", "choose", [], upload=path)[0]["job"]
         assert self.followed(cutting)["state"] == "done"
         self.press("picture", "cut", [None, None], job=cutting)
-        run = self.press("go", "click", [None, scene])[0]["job"]
+        run = self.press("go", "click", [None, scene, None])[0]["job"]
         told = list(self.following(run))
         shown = self.press("progress", "finished", [], job=run)
         assert told[-1]["state"] == "done" and any(shown), told[-1]
@@ -106,7 +106,8 @@ class Attacker:
         few = {"view.views": ["front"], "view.size": 64}
         given = {
             "preset": "drop", "accuracy": "draft", "frames": 2, "changes": few, "formats": [],
-            "pick": [], "depth": None, "near": "white",
+            "pick": [], "depth": None, "near": "white", "side": None, "facing": "left",
+            "back": None, "thickness": None, "highlights": "keep",
         }  # fmt: skip
         data = [image, *{**given, **options}.values()]
         status, text, _ = self.post("/gradio_api/call/generate", {"data": data})

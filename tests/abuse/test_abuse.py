@@ -79,16 +79,26 @@ def alive(server):
 def test_no_file_of_the_server_is_read_as_a_picture(server, attacker, path, meta):
     """Neither its content nor whether it exists is told."""
     image = {"path": path, **({"meta": {"_type": "gradio.FileData"}} if meta else {})}
-    answer = attacker.generate(image)
-    assert "root:" not in answer and ("error" in answer or "not in the cache" in answer), answer
-    if not meta:
-        assert NOT_HERE in answer
+    for given in (
+        {"image": image},
+        {"image": None, "side": image},
+        {"image": None, "depth": image},
+    ):
+        answer = attacker.generate(**given)
+        assert "root:" not in answer and ("error" in answer or "not in the cache" in answer), answer
+        if not meta:
+            assert NOT_HERE in answer
     assert attacker.choose(path) == NOT_HERE
+    for option in ("side", "depth"):
+        (told,) = attacker.press("known", "choose", [], option=option, upload=path)
+        assert told["answer"] == {"option": option, "message": NOT_HERE}
 
 
 def test_nobody_reads_the_picture_of_somebody_else(server, attacker):
     theirs = Attacker(server).uploaded(DUCK)
     assert attacker.choose(theirs) == NOT_HERE
+    shown = attacker.press("scene", "change", [None, _scene(), {"side": theirs}])[0]
+    assert theirs not in shown
     assert NOT_HERE in attacker.generate({"path": theirs})
 
 
@@ -242,7 +252,7 @@ SCRIPT = "<img src=x onerror=alert(1)>"
 
 def test_nothing_that_is_pasted_becomes_a_script(attacker):
     for scene in ({SCRIPT: 1}, {"material": {"law": SCRIPT}}, {"description": SCRIPT, SCRIPT: 1}):
-        shown = attacker.press("scene", "change", [None, scene])[0]
+        shown = attacker.press("scene", "change", [None, scene, None])[0]
         assert SCRIPT not in shown, shown
 
 
@@ -307,7 +317,7 @@ def test_tickets_push_nobody_out(server):
     before = server.health()["visitors"]
     for _ in range(70):
         ticket = Attacker(server)
-        answer = ticket.press("go", "click", [None, {}])
+        answer = ticket.press("go", "click", [None, {}, None])
         assert answer[0]["state"] == "refused"
     assert server.health()["visitors"] <= before
     assert json.loads(good.get("/phy124/here")[1]) == {"known": True}

@@ -1,0 +1,120 @@
+"""What a visitor tells of the object beside its picture: other views, a depth map, a thickness.
+
+Names, ranges and choices are those of the command line, whose classes declare them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from phy124.errors import InputError
+from phy124.generators.depth_map import DepthMap
+from phy124.generators.other_views import OtherViews
+from phy124.imaging.cutout import cut_out as opened
+from phy124.runtime.isolated import Deadline
+from phy124.scene.refusals import refusal
+from phy124.section import Section
+
+from .pictures import check_picture, cut_out, cutout_file, viewable
+from .settings import Settings
+from .visitors import Visitors
+
+PICTURES = ("side", "back", "depth")
+"""Options that name a picture."""
+NO_DEPTH, NO_VIEWS = DepthMap(), OtherViews()
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is known of an object beside its picture from the front."""
+
+    depth: DepthMap = NO_DEPTH
+    views: OtherViews = NO_VIEWS
+    """Names the cut-outs of its pictures, which `cut` makes."""
+    sent: tuple[Path, ...] = ()
+    """Those pictures as they were sent."""
+
+    def cut(self, deadline: Deadline) -> None:
+        """Cut the object out of the other views, unless that is done.
+
+        Raises:
+            InputError: No object can be found in one.
+        """
+        for (field, made), picture in zip(self.views.pictures.items(), self.sent, strict=True):
+            if made.exists():
+                continue
+            try:
+                cut_out(viewable(picture), made, deadline=deadline)
+            except InputError as error:
+                limit = f"{field.capitalize()}: {error.limit}"
+                raise InputError(field, error.value, limit, error.remedy) from error
+
+    def given_to(self, generator: Any, name: str) -> Any:
+        """The generator, told of all this."""
+        generator = self.depth.given_to(generator, name)
+        return self.views.given_to(generator, name, lambda field, path: opened(path, field=field))
+
+    def data(self) -> list[Any]:
+        """What Gaussians depend on, as plain data; names of files stand for their content."""
+        return [self.depth.model_dump(mode="json"), self.views.model_dump(mode="json")]
+
+
+NOTHING_MORE = Known()
+
+
+def options() -> dict[str, Any]:
+    """The JSON schemas of all that can be told, by option."""
+    return {**_fields(OtherViews), **_fields(DepthMap)}
+
+
+def _fields(section: type[Section]) -> dict[str, Any]:
+    return section.model_json_schema()["properties"]
+
+
+def known_of(visitors: Visitors, settings: Settings, name: str, told: Any) -> Known:
+    """What a visitor tells, checked.
+
+    Args:
+        visitors: Whose pictures may be named.
+        settings: The page's limits.
+        name: The visitor's name.
+        told: Values by option; absent and None are the defaults.
+
+    Raises:
+        InputError: An option has an invalid value, or names no upload of this visitor.
+    """
+    if not isinstance(told, dict | None):
+        limit = "It must be an object of values by option."
+        raise InputError("known", type(told).__name__, limit, 'Give {"thickness": 0.6}, say.')
+    given = {option: value for option, value in (told or {}).items() if value is not None}
+    sent = {option: _sent(visitors, settings, name, given[option]) for option in PICTURES
+            if option in given}  # fmt: skip
+    depth = {option: given.pop(option) for option in DepthMap.model_fields if option in given}
+    views = given | dict(_cutouts(visitors, name, sent))
+    if "depth" in sent:
+        depth["depth"] = sent.pop("depth")
+    return Known(_checked(DepthMap, depth), _checked(OtherViews, views), tuple(sent.values()))
+
+
+def _sent(visitors: Visitors, settings: Settings, name: str, given: Any) -> Path:
+    upload = visitors.own(name, given)
+    check_picture(upload, settings)
+    return upload
+
+
+def _cutouts(visitors: Visitors, name: str, sent: dict[str, Path]) -> Iterator[tuple[str, Path]]:
+    for option, picture in sent.items():
+        if option in OtherViews.model_fields:
+            yield option, cutout_file(visitors.get(name), picture)
+
+
+def _checked(section: type[Any], values: dict[str, Any]) -> Any:
+    try:
+        return section.model_validate(values)
+    except ValidationError as error:
+        raise refusal(error, "known", section) from None

@@ -1,0 +1,140 @@
+/* What else is known of the object: pictures from the side and from behind, a depth map, how thick it
+ * is. Words, ranges and choices are those of the command line. Its value holds what was told, by
+ * option; the server answers in place of the value, which is then told again. */
+'use strict';
+(() => {
+  const { h, follow } = globalThis.Phy124;
+  const PICTURES = { side: 'facing', back: null, depth: 'near' }; // option -> the choice that belongs to it
+  const ACCEPT = 'image/png,image/jpeg,image/webp';
+  const HEIC = ',image/heic,image/heif,.heic,.heif';
+  const words = (name) => name.replace(/^./, (c) => c.toUpperCase());
+
+  async function known(element, props, watch, trigger) {
+    const offer = await (await fetch('phy124/catalogue.json')).json();
+    const panel = new Known(element, offer, trigger, (value) => { props.value = value; trigger('change'); });
+    watch('value', () => panel.take(props.value));
+  }
+
+  class Known {
+    constructor(element, offer, trigger, send) {
+      Object.assign(this, { options: offer.known, limits: offer.limits, trigger, send, told: {}, views: {} });
+      for (const option of Object.keys(PICTURES)) this.views[option] = new View(option, this);
+      this.thickness();
+      this.highlights = h('input', { type: 'checkbox', onchange: (event) => this.tell({ highlights: event.target.checked ? 'remove' : null }) });
+      this.summary = h('summary', {}, 'Advanced: side, back, depth, thickness');
+      element.replaceChildren(h('details', { class: 'more' }, this.summary, h('div', { class: 'views' }, ...Object.values(this.views).map((view) => view.element)),
+        h('div', { class: 'knob', title: this.options.thickness.description }, h('div', { class: 'knob-head' }, h('span', { class: 'knob-name' }, 'Thickness'), this.deep), this.slider),
+        h('label', { class: 'check', title: this.options.highlights.description }, this.highlights, 'Remove highlights')));
+    }
+
+    thickness() {
+      const { minimum, maximum } = this.options.thickness.anyOf.find((s) => s.type === 'number');
+      this.deep = h('output', {});
+      this.slider = h('input', { type: 'range', min: minimum, max: maximum, step: minimum, value: 1, 'aria-label': 'Thickness, relative to the guess',
+        oninput: (event) => this.tell({ thickness: Number(event.target.value) === 1 ? null : Number(event.target.value) }) });
+      this.say();
+    }
+
+    say() {
+      // A picture from the side says already how deep the object is.
+      this.slider.disabled = Boolean(this.told.side);
+      this.deep.textContent = this.told.side ? 'as the side shows' : this.told.thickness ? `${this.told.thickness} of the guess` : 'as guessed';
+    }
+
+    tell(changes) {
+      Object.assign(this.told, changes);
+      if (this.told.side) { this.told.thickness = null; this.slider.value = 1; }
+      this.say();
+      this.send({ ...this.told });
+    }
+
+    /** What the server said: an answer about one picture, or nothing at all for a new object. */
+    take(value) {
+      if (value && value.answer) this.views[value.answer.option]?.take(value.answer);
+      else if (!value || !Object.keys(value).length) this.clear();
+    }
+
+    clear() {
+      this.told = {};
+      [this.slider.value, this.highlights.checked] = [1, false];
+      for (const view of Object.values(this.views)) view.clear();
+      this.say();
+    }
+  }
+
+  /** A picture beside the one from the front, and how it is meant. */
+  class View {
+    constructor(option, panel) {
+      Object.assign(this, { option, panel, following: null });
+      const hint = panel.options[option].description;
+      this.input = h('input', { type: 'file', accept: option === 'depth' ? ACCEPT : ACCEPT + HEIC, 'aria-label': words(option), onchange: () => this.choose(this.input.files[0]) });
+      this.shown = h('img', { alt: `What was sent: ${option}`, hidden: true });
+      this.remove = h('button', { type: 'button', class: 'quiet', hidden: true, 'aria-label': `Remove: ${option}`, onclick: () => { this.clear(); this.tell(null); } }, 'Remove');
+      this.status = h('p', { class: 'picture-status', role: 'status' });
+      this.element = h('div', { class: 'view', title: hint }, h('span', { class: 'knob-name' }, words(option)),
+        h('label', {}, this.input, this.shown, h('span', { class: 'view-hint' }, 'Choose')), this.choice(PICTURES[option]), this.remove, this.status);
+    }
+
+    choice(name) {
+      if (!name) return null;
+      const schema = this.panel.options[name];
+      this.chosen = h('select', { 'aria-label': words(name), title: schema.description, onchange: (event) => this.panel.tell({ [name]: event.target.value }) },
+        ...schema.enum.map((value) => h('option', { value, selected: value === schema.default }, `${name}: ${value}`)));
+      return this.chosen;
+    }
+
+    tell(path) { this.panel.tell({ [this.option]: path }); }
+
+    clear() {
+      this.following = null;
+      this.show(null);
+      this.say('');
+      if (!this.chosen) return;
+      this.chosen.value = this.panel.options[PICTURES[this.option]].default;
+      this.panel.told[PICTURES[this.option]] = null;
+    }
+
+    say(text, bad = false) {
+      this.status.textContent = text;
+      this.status.classList.toggle('bad', bad);
+    }
+
+    show(url) {
+      this.shown.hidden = this.remove.hidden = !url;
+      if (url) this.shown.src = url; else this.shown.removeAttribute('src');
+    }
+
+    /** Nothing is generated from what was there before, whatever becomes of this file. */
+    async choose(file) {
+      if (!file) return;
+      this.clear();
+      this.tell(null);
+      this.say('Sending …');
+      this.input.value = '';
+      const { reduced, sent } = globalThis.Phy124;
+      // A depth map's 16 bits would not survive the browser.
+      const answer = await sent(this.option === 'depth' ? file : await reduced(file, this.panel.limits), this.panel.limits);
+      if (!answer.path) return this.say(answer.message, true);
+      this.say('Looking at it …');
+      this.panel.trigger('choose', { option: this.option, upload: answer.path });
+    }
+
+    take({ job, message, picture, cutout, by, doubts }) {
+      if (message) return this.say(message, true);
+      if (job) return this.await(job);
+      this.show((cutout || picture).url);
+      this.say([by && `Cut out by ${by}.`, doubts].filter(Boolean).join(' '), Boolean(doubts));
+      this.tell(picture.path);
+    }
+
+    await(job) {
+      this.following = job;
+      this.say('Cutting the object out …');
+      follow(job, () => this.following === job, () => {
+        if (this.following === job) this.panel.trigger('view', { option: this.option, job });
+      });
+    }
+  }
+
+  Object.assign(globalThis.Phy124, { known });
+})();

@@ -1,0 +1,38 @@
+"""What else is known of the object, told on the page."""
+
+from __future__ import annotations
+
+import pytest
+from visit import DUCK, LONG, Visit
+
+pytestmark = pytest.mark.browser
+
+TEDDY = DUCK.with_name("teddy.png")
+
+
+def test_a_side_is_cut_out_sets_the_depth_and_goes_with_the_picture(browser, server, tmp_path):
+    visit = Visit(browser, server)
+    visit.upload()
+    page, slider = visit.page, visit.page.get_by_label("Thickness, relative to the guess")
+    page.get_by_text("Advanced: side, back").click()
+    slider.fill("0.6")
+    assert "0.6 of the guess" in page.locator("#known").inner_text()
+    (tmp_path / "text.png").write_text("this is no picture")
+    page.get_by_label("Side", exact=True).set_input_files(tmp_path / "text.png")
+    page.locator("#known").get_by_text("It is not a PNG, JPEG").wait_for(timeout=LONG)
+    page.get_by_label("Side", exact=True).set_input_files(TEDDY)
+    page.locator("#known").get_by_text("Cut out by the picture's own").wait_for(timeout=LONG)
+    assert slider.is_disabled()
+    assert "as the side shows" in page.locator("#known").inner_text()
+    page.get_by_label("Depth", exact=True).set_input_files(DUCK)
+    page.get_by_role("button", name="Remove: depth").wait_for(timeout=LONG)
+    visit.choose(frames=2)
+    visit.generate()
+    page.get_by_text("The picture from the side says already").first.wait_for(timeout=LONG)
+    page.get_by_role("button", name="Remove: depth").click()
+    visit.generate()
+    visit.finished()
+    page.get_by_label("Example: teddy").click()
+    page.locator("#known .view img[src]").wait_for(state="detached", timeout=LONG)
+    assert slider.is_enabled() and visit.complaints == []
+    visit.context.close()

@@ -1,0 +1,138 @@
+"""What a visitor tells of the object beside its picture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from demo.jobs import Studio
+from demo.known import NOTHING_MORE, Known
+from demo.settings import Settings
+from demo.visitors import Visitors
+from demo.work import made_gaussians
+from phy124.errors import InputError
+from phy124.generators.depth_map import DepthMap
+from phy124.generators.other_views import OtherViews
+from phy124.generators.relief import relief
+from phy124.runtime.isolated import Deadline
+from phy124.scene import Scene
+
+DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"
+SOON = Deadline(60)
+
+
+@pytest.fixture
+def studio(tmp_path) -> Studio:
+    return Studio(Settings(max_megapixels=1), Visitors(tmp_path))
+
+
+def _sent(studio: Studio, picture: bytes = b"", name: str = "a") -> str:
+    studio.visitors.get(name)
+    return str(studio.visitors.store(name, picture or DUCK.read_bytes(), ".png"))
+
+
+def test_it_is_declared_where_the_command_line_declares_it(studio):
+    from demo.catalogue import catalogue
+
+    offered = catalogue(studio.settings)["known"]
+    assert set(offered) == {*OtherViews.model_fields, *DepthMap.model_fields}
+    assert offered["thickness"]["description"] == OtherViews.model_fields["thickness"].description
+
+
+@pytest.mark.parametrize(
+    ("told", "message"),
+    [
+        ({"thickness": 9}, "thickness = 9: .*a number from 0.05 to 4"),
+        ({"thickness": "thin"}, "thickness = "),
+        ({"facing": "up"}, "facing = .*left"),
+        ({"near": "blue"}, "near = .*white"),
+        ({"highlights": True}, "highlights = "),
+        ({"colour": "red"}, "colour = "),
+        ({"answer": {"option": "side"}}, "answer = "),
+        ([0.6], "known = .*object of values"),
+        ({"side": "/etc/passwd"}, "picture is not here"),
+        ({"back": str(DUCK)}, "picture is not here"),
+        ({"depth": ["duck.png"]}, "picture is not here"),
+    ],
+)
+def test_what_cannot_be_used_is_refused_readably(studio, told, message):
+    with pytest.raises(InputError, match=message):
+        studio.known("a", told)
+
+
+def test_other_pictures_have_the_limits_of_the_first(studio, tmp_path):
+    Image.new("RGB", (1200, 1200), "red").save(tmp_path / "large.png")
+    large = _sent(studio, (tmp_path / "large.png").read_bytes())
+    for option in ("side", "back", "depth"):
+        with pytest.raises(InputError, match="more than 1 million pixels"):
+            studio.known("a", {option: large})
+    theirs = _sent(studio, name="b")
+    with pytest.raises(InputError, match="not here"):
+        studio.known("a", {"side": theirs})
+
+
+def test_a_program_names_a_picture_as_often_as_it_likes(studio):
+    arrived = str(studio.visitors.store(None, DUCK.read_bytes(), ".png"))
+    once, twice = (studio.known("a", {"depth": arrived}) for _ in range(2))
+    assert once == twice
+    with pytest.raises(InputError, match="not here"):
+        studio.known("b", {"depth": arrived})
+
+
+def test_nothing_told_and_only_defaults_told_are_the_same(studio):
+    told = {"side": None, "facing": "left", "near": None, "thickness": None}
+    assert studio.known("a", told) == studio.known("a", None) == NOTHING_MORE
+    assert NOTHING_MORE.given_to(relief, "relief") is relief
+
+
+def test_other_views_are_cut_out_once_and_reach_the_generator(studio):
+    known = studio.known("a", {"side": _sent(studio), "facing": "right", "highlights": "remove"})
+    (cut,) = known.views.pictures.values()
+    assert not cut.exists()
+    known.cut(SOON)
+    made = cut.stat().st_mtime_ns
+    known.cut(SOON)
+    assert cut.stat().st_mtime_ns == made
+    given = known.given_to(relief, "relief").keywords
+    assert (given["facing"], given["highlights"]) == ("right", "remove")
+    assert given["side"].getchannel("A").tobytes() == Image.open(DUCK).getchannel("A").tobytes()
+
+
+def test_the_page_cuts_it_out_where_a_run_finds_it_and_shows_it_as_no_first_picture(studio):
+    side = _sent(studio)
+    job = studio.cut("a", side, kind="view")
+    assert job.wait(60)
+    known = studio.known("a", {"side": side})
+    assert str(known.views.side) == job.progress.result.path
+    visitor = studio.visitors.get("a")
+    assert visitor.latest("cut") is None and visitor.latest("view") is job
+
+
+def test_a_view_without_an_object_is_named(studio, tmp_path):
+    Image.new("RGB", (64, 64), "red").save(tmp_path / "red.png")
+    known = studio.known("a", {"back": _sent(studio, (tmp_path / "red.png").read_bytes())})
+    with pytest.raises(InputError, match="Back: No object was found") as refused:
+        known.cut(SOON)
+    assert refused.value.field == "back"
+
+
+def test_gaussians_are_made_anew_exactly_when_something_else_is_told(studio):
+    side, visitor = _sent(studio), studio.visitors.get("a")
+    same = studio.visitors.store("a", DUCK.read_bytes(), ".png")
+    scene = Scene.named("press")
+
+    def file_of(told) -> Path:
+        return made_gaussians(studio._order(visitor, DUCK, scene, studio.known("a", told)))
+
+    told = [None, {"side": side}, {"side": side, "facing": "right"}, {"back": side}]
+    told += [{"thickness": 0.6}, {"highlights": "remove"}, {"depth": side}]
+    told += [{"depth": side, "near": "black"}]
+    files = [file_of(one) for one in told]
+    assert len(set(files)) == len(files)
+    assert file_of({"side": str(same)}) == files[1]
+
+
+def test_known_things_stay_plain_data(studio):
+    assert Known().data() == [DepthMap().model_dump(), OtherViews().model_dump()]
