@@ -58,6 +58,7 @@ class Deformer:
         *,
         max_stretch: float | NDArray | None = None,
         rounds: NDArray | None = None,
+        holds: NDArray | None = None,
         device: str = "cpu",
         threads: int = 1,
     ) -> None:
@@ -72,6 +73,9 @@ class Deformer:
                 None (elastic): no limit.
             rounds: Which Gaussians become balls as they are drawn out [N], so that what flows
                 shows no needles; None: none.
+            holds: Largest stretch that the material of each Gaussian can hold [N]. Where F is
+                larger, the material is torn, and its Gaussians are shown as stretched by so much;
+                None: no limit.
             device: Warp device that computes.
             threads: CPU threads that share the Gaussians; the result does not depend on it.
 
@@ -95,6 +99,8 @@ class Deformer:
         )
         balls = np.zeros(n, bool) if rounds is None else rounds
         self._rounds = wp.array(balls, dtype=wp.bool, device=device)
+        most = np.full(n, np.inf) if holds is None else holds
+        self._holds = wp.array(most, dtype=wp.float64, device=device)
         self._own = _own_particles(n, particles)
         self._field = None
         if self._own is None and particles is not None:
@@ -126,7 +132,8 @@ class Deformer:
         """
         x, F = self._checked(_host(x), (3,)), self._checked(_host(F), (3, 3))
         means, deformation = self._carried(x, F)
-        rest = [self._carrier, self._quats0, self._scales0, self._max_stretch, self._rounds]
+        limits = [self._holds, self._max_stretch, self._rounds]
+        rest = [self._carrier, self._quats0, self._scales0, *limits]
         frame = [self._inner, self._quats, self._scales]
         self._share.launch(field.deform_shapes, rest, [deformation], frame)
         sh = self._colours(deformation)

@@ -161,6 +161,9 @@ def _of_materials(scene: Scene, materials: Sequence[AnyMaterial]) -> Iterator[Ef
     loose = any(section.grains for section in materials)
     why = f"{named} does not fall apart" if scene.grains else "grains is off"
     yield Effect("grains inside", loose and scene.grains, why)
+    elastic = any(section.device_law.project is None for section in materials)
+    why = "nothing elastic could be torn" if scene.grains else "grains is off"
+    yield Effect("inside shown once it is torn", elastic and scene.grains, why)
     several = len(laws) > 1 or len(scene.materials) > 1
     yield Effect("several materials", several, "all that moves is of one", Cost(particle=13))
     told = scene.stiffness or scene.properties

@@ -323,3 +323,27 @@ def test_threads_share_the_gaussians_without_a_trace(gaussians, binding):
     for frame in frames[1:]:
         for name in ("means", "quats", "scales", "sh"):
             assert np.array_equal(getattr(frame, name), getattr(frames[0], name)), name
+
+
+def test_torn_material_is_shown_stretched_as_far_as_it_can_hold(gaussians, rng):
+    turn = rotations(1, rng)[0]
+    limit = np.full(len(gaussians), 2.4)
+    torn = turn @ np.diag([300.0, 0.2, 0.01])
+    power = np.log(2.4) / np.log(300)
+    seen = turn @ np.diag(np.array([300.0, 0.2, 0.01]) ** power)
+    held = moved(gaussians, torn, Deformer(gaussians, holds=limit))
+    wanted = seen @ gaussians.covariances() @ seen.T
+    np.testing.assert_allclose(held.covariances(), wanted, rtol=1e-4, atol=1e-5 * wanted.max())
+    longest = gaussians.scales.max(axis=1)
+    assert (held.scales.max(axis=1) <= 2.4001 * longest).all()
+    assert (moved(gaussians, torn).scales.max(axis=1) > 20 * longest).any()
+    whole = np.diag([2.3, 1.5, 0.7])  # its norm is above the limit, its stretch is not
+    same = moved(gaussians, whole, Deformer(gaussians, holds=limit))
+    assert np.array_equal(same.scales, moved(gaussians, whole).scales)
+
+
+def test_a_flattened_needle_stays_finite(gaussians):
+    limit = np.full(len(gaussians), 2.4)
+    F = np.diag([1e4, 1e-9, 0.0])
+    held = moved(gaussians, F, Deformer(gaussians, holds=limit))
+    assert np.isfinite(held.scales).all() and np.isfinite(held.quats).all()

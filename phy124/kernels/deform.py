@@ -226,12 +226,33 @@ def rounded(lengths: wp.vec3d, rest: wp.vec3d):
     return (one - w) * lengths + w * wp.vec3d(ball, ball, ball)
 
 
+@wp.func
+def within(f: wp.mat33d, limit: wp.float64) -> wp.mat33d:
+    """F with its logarithmic strain scaled down until its largest stretch is `limit`.
+
+    F = U S V^T becomes U S^p V^T with p = log(limit) / log(s_1): continuous as s_1 passes the
+    limit, with the same rotation, and the shape at rest is stretched as if nothing were torn.
+    """
+    if wp.ddot(f, f) <= limit * limit:
+        return f
+    us, v = orthogonal_columns(f, wp.identity(n=3, dtype=wp.float64), EXACT)
+    s = wp.vec3d(wp.length(column(us, 0)), wp.length(column(us, 1)), wp.length(column(us, 2)))
+    longest = wp.max(s)
+    if longest <= limit:
+        return f
+    power = wp.log(limit) / wp.log(longest) - wp.float64(1.0)
+    for k in range(3):
+        s[k] = wp.pow(wp.max(s[k], TINY * longest), power)
+    return us * wp.diag(s) * wp.transpose(v)
+
+
 @kernel(MODULE, seconds=1.5)
 def deform_shapes(
     # model
     carrier: wp.array(dtype=wp.int32),
     quats0: wp.array(dtype=wp.vec4f),
     scales0: wp.array(dtype=wp.vec3f),
+    holds: wp.array(dtype=wp.float64),
     max_stretch: wp.array(dtype=wp.float64),
     rounds: wp.array(dtype=wp.bool),
     # state in
@@ -248,7 +269,7 @@ def deform_shapes(
     last = wp.vec4d(quats_out[i])
     previous = matrix_of(last)
     v = matrix_of(wp.vec4d(inner_out[i]))
-    a = deformation[carrier[i]] * matrix_of(wp.vec4d(quats0[i])) * wp.diag(s0) * v
+    a = within(deformation[carrier[i]], holds[i]) * matrix_of(wp.vec4d(quats0[i])) * wp.diag(s0) * v
     a, v = orthogonal_columns(a, v, TOLERANCE)
     lengths = wp.vec3d(wp.length(column(a, 0)), wp.length(column(a, 1)), wp.length(column(a, 2)))
     u = orientation(a, lengths, previous)

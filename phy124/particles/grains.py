@@ -51,15 +51,32 @@ def with_grains(
     inside = np.flatnonzero(loose & (particles.gaussian < 0))
     if not len(inside):
         return gaussians, particles
-    depth, above = map(np.asarray, KDTree(gaussians.means).query(particles.x[inside], workers=-1))
-    clear = depth >= NEAREST * spacing
-    inside, depth, above = inside[clear], depth[clear], above[clear]
-    grains = _grains(gaussians, particles.x[inside], above, depth, spacing)
+    grains, _, clear = grains_at(gaussians, particles.x[inside], spacing)
+    inside = inside[clear]
     if (particles.gaussian >= 0).any():
         owner = particles.gaussian.copy()
         owner[inside] = moves.sum() + np.arange(len(inside))
         particles = replace(particles, gaussian=owner)
-    return _joined(gaussians, grains), particles
+    return joined(gaussians, grains), particles
+
+
+def grains_at(
+    gaussians: Gaussians, x: NDArray, spacing: float
+) -> tuple[Gaussians, NDArray[np.int64], NDArray[np.bool_]]:
+    """Grains at those of the places [P,3] that do not lie in a Gaussian already.
+
+    Args:
+        gaussians: The object at rest.
+        x: Places of particles inside, m.
+        spacing: Distance of neighbouring particles, m.
+
+    Returns:
+        G grains, for each the Gaussian above it [G], and which places have one [P].
+    """
+    depth, above = map(np.asarray, KDTree(gaussians.means).query(x, workers=-1))
+    clear = depth >= NEAREST * spacing
+    depth, above = depth[clear], above[clear]
+    return _grains(gaussians, x[clear], above, depth, spacing), above, clear
 
 
 def shaded(gaussians: Gaussians, amounts: NDArray, seed: int) -> Gaussians:
@@ -95,6 +112,7 @@ def _grains(
     )
 
 
-def _joined(first: Gaussians, second: Gaussians) -> Gaussians:
+def joined(first: Gaussians, second: Gaussians) -> Gaussians:
+    """The Gaussians of both, in order."""
     names = ("means", "quats", "scales", "opacities", "sh")
     return Gaussians(*(np.concatenate([getattr(g, n) for g in (first, second)]) for n in names))

@@ -78,8 +78,8 @@ class Scene(Section):
     )
     grains: bool = Field(
         default=True,
-        description="Show the inside of what falls apart (sand, snow, foam) as grains; off: only "
-        "the Gaussians of its surface.",
+        description="Show the inside of what falls apart (sand, snow, foam) or is torn as grains; "
+        "off: only the Gaussians of its surface.",
     )
     view: View = Field(default=View(), description="How the clip is filmed.")
 

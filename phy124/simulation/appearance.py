@@ -10,7 +10,10 @@ from numpy.typing import NDArray
 
 from phy124.deform import of_gaussians
 from phy124.gaussians import Gaussians
+from phy124.io.clip import Clip
 from phy124.materials import AnyMaterial
+from phy124.materials.base import FLOWING
+from phy124.monitor.tearing import APART
 from phy124.particles import Particles
 from phy124.particles.grains import shaded, with_grains
 from phy124.scene import Scene
@@ -29,6 +32,34 @@ class Appearance(NamedTuple):
     """Longest axis of each that moves, relative to its longest axis at rest; may be infinite."""
     rounds: NDArray[np.bool_]
     """Which of those that move become balls as they are drawn out."""
+    holds: NDArray[np.float64]
+    """Largest stretch that the material of each that moves can hold; may be infinite."""
+    kinds: NDArray[np.int64]
+    """The material of each that moves."""
+
+    def shapes(self, clip: Clip, materials: Sequence[AnyMaterial]) -> dict[str, dict[str, float]]:
+        """How long the Gaussians of each law become in a clip, and how opaque they are.
+
+        Args:
+            clip: The clip; Gaussians that it has beyond these are balls.
+            materials: The materials.
+
+        Returns:
+            For each law the largest ratio of the longest axis to the middle one, `needle`, and to
+            the shortest one, `axis_ratio`, and the largest `opacity`.
+        """
+        laws, moving = np.array([section.law for section in materials]), np.flatnonzero(self.moves)
+        found = {}
+        for law in np.unique(laws[self.kinds]):
+            own = moving[laws[self.kinds] == law]
+            needle = flat = 1.0
+            for scales in clip.scales:
+                axes = np.sort(np.maximum(scales[own], np.finfo(np.float32).tiny), axis=1)
+                needle = max(needle, float((axes[:, 2] / axes[:, 1]).max()))
+                flat = max(flat, float((axes[:, 2] / axes[:, 0]).max()))
+            opacity = float(clip.opacities[own].max())
+            found[str(law)] = {"needle": needle, "axis_ratio": flat, "opacity": opacity}
+        return found
 
 
 def appearance(
@@ -63,4 +94,17 @@ def appearance(
         max_stretch=np.array([section.longest for section in materials])[kinds],
         # Grains are below the surface: as balls they would show through where it is thin.
         rounds=rounds & (np.flatnonzero(moves) < surface),
+        kinds=kinds,
+        holds=np.array([_holds(section, scene) for section in materials])[kinds],
     )
+
+
+def _holds(section: AnyMaterial, scene: Scene) -> float:
+    """Largest stretch of F that a material can hold.
+
+    Elastic material is torn where its particles have been drawn so far apart that they share no
+    nodes. The F of plastic flow has no bound.
+    """
+    if section.device_law.project is None:
+        return APART * scene.resolution.particles_per_axis
+    return np.inf if section.rounds else FLOWING

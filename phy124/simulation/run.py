@@ -13,18 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.deform import Deformer
-from phy124.effects import Effects
 from phy124.errors import Cancelled, Remedy
 from phy124.gaussians import Frame, Gaussians
 from phy124.imaging.painted import WHOLE, Crop
 from phy124.io.clip import Clip
-from phy124.limits import refuse_hopeless, stiffest_part
+from phy124.limits import refuse_hopeless
 from phy124.monitor import diagnosis
 from phy124.monitor.contacts import Contacts
 from phy124.monitor.external_work import ExternalWork
 from phy124.monitor.sleep import Sleep
 from phy124.monitor.watchdog import Violation, Watchdog
-from phy124.monitor.wrenches import Wrenches, summary
+from phy124.monitor.wrenches import Wrenches
 from phy124.mpm import Unstable
 from phy124.particles import clean, make_particles
 from phy124.particles.scenery import Scenery
@@ -37,8 +36,10 @@ from phy124.runtime.cores import refuse_threads
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
 from phy124.simulation.appearance import appearance
+from phy124.simulation.interior import Interior
 from phy124.simulation.kernels import kernels
 from phy124.simulation.materials import varied
+from phy124.simulation.report import counted, report_of
 from phy124.simulation.solver import judged_as, solver_of
 from phy124.simulation.stopped import Stopped
 
@@ -105,9 +106,12 @@ class Simulation:
                 self.particles, scene, self.gaussians.means,
                 survivors=self.cleaning.survivors, own=own, crop=crop,
             )  # fmt: skip
-            look = appearance(self.gaussians, self.particles, moves, self.materials, scene)
-            self.shown, self.particles = look.gaussians, look.particles
+            self.look = appearance(self.gaussians, self.particles, moves, self.materials, scene)
+            look, self.shown, self.particles = self.look, self.look.gaussians, self.look.particles
             self.scenery = Scenery(self.shown, look.moves)
+            self.interior = Interior(
+                self.shown, self.particles, self.materials, spacing=scene.spacing, dx=scene.dx
+            )
             judged = judged_as(scene, self.materials)
             self.demand = refuse_hopeless(self.shown, self.particles, judged, device, keep=keep)
         with self.watch.stage("compile"):
@@ -124,6 +128,7 @@ class Simulation:
                 self.particles,
                 max_stretch=look.max_stretch,
                 rounds=look.rounds,
+                holds=look.holds,
                 device=device,
                 threads=len(self.solver.workers),
             )
@@ -207,50 +212,13 @@ class Simulation:
         rotations = np.stack(self.rotations) if self.rotations else None
         made = Clip.from_frames(self.frames, rotations)
         shown = {"opacities": self.shown.opacities, "sh": self.shown.sh}
-        return replace(made, **shown, scene=self.numbered.data(), report=self.report())
+        made = replace(made, **shown, scene=self.numbered.data())
+        whole = self.interior.added_to(made)
+        return whole.with_report(self.report() | counted(self, whole))
 
     def report(self) -> dict[str, Any]:
         """What the run did; the keys are documented in docs/reference/report.md."""
-        solver = self.solver
-        effects = Effects.of(
-            self.scene,
-            sh_degree=self.gaussians.sh_degree,
-            device=self.device,
-            static=self.scenery.count,
-            slept=self.sleep.sentence(),
-            materials=self.materials,
-        )
-        return {
-            "complete": self.stopped is None and self.count == self.scene.time.frames,
-            "stopped": self.stopped,
-            "remedies": [remedy.changes for remedy in self.remedies],
-            "gaussians": len(self.shown),
-            "grains": len(self.shown) - len(self.gaussians),
-            "particles": len(self.particles),
-            "mass": float(self.particles.mass.sum()),
-            "cleaning": self.cleaning.sentences,
-            "notes": self._notes(),
-            "grid": {"dx": solver.model.dx, "window": solver.grid.size.tolist()},
-            "substeps": solver.clock.substeps,
-            "threads": len(solver.workers),
-            "limiters": solver.clock.limiters,
-            "substep": self._substep(),
-            "balance": self.watchdog.report(),
-            "frames": self.count,
-            "static": self.scenery.count,
-            "sleep": self.sleep.report(),
-            "walls": summary(self.frames) if self.keep else None,
-            "effects": effects.data(
-                particles=len(self.particles),
-                substeps=solver.clock.substeps,
-                nodes=solver.grid.count,
-                threads=len(solver.workers),
-            ),
-            "substep_stages": [
-                {"name": name, "seconds": seconds, "launches": launches}
-                for name, (seconds, launches) in solver.timings.items()
-            ],
-        }
+        return report_of(self)
 
     def snapshot(self) -> dict[str, Any]:
         """The state from which the run can go on, without the frames: arrays and plain data."""
@@ -263,6 +231,7 @@ class Simulation:
             "external": self.watchdog.external.snapshot(),
             "sleep": self.sleep.snapshot(),
             "deformer": self.deformer.snapshot(),
+            "interior": self.interior.snapshot(),
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
@@ -274,6 +243,7 @@ class Simulation:
         self.watchdog.external.restore(snapshot["external"])
         self.sleep.restore(snapshot["sleep"])
         self.deformer.restore(snapshot["deformer"])
+        self.interior.restore(snapshot["interior"])
 
     def _frame(self, index: int, time: float) -> Frame:
         state = self.solver.state
@@ -283,6 +253,8 @@ class Simulation:
         )
         if self.deformer.rotations is not None:
             self.rotations.append(self.scenery.turns(self.deformer.rotations))
+        if self.keep and self.scene.grains and self.watchdog.tearing.likely:
+            self.interior.look(index, state.x.numpy())
         forces = self.contacts.forces(self.scenery, self.particles, self.scene.time.fps)
         wrenches = self.wrenches.contacts(self.solver.model, state, self.scene.time.fps)
         return self.scenery.whole(replace(frame, contacts=forces, wrenches=wrenches))
@@ -376,26 +348,6 @@ class Simulation:
         """Fraction of the scene's duration that has been simulated."""
         timing = self.scene.time
         return self.solver.clock.time * timing.fps / max(timing.frames - 1, 1)
-
-    def _substep(self) -> dict[str, Any]:
-        """How long the substeps were and what limited them."""
-        clock, asked = self.solver.clock, self.scene.time.substep
-        taken = max(sum(clock.limiters.values()), 1)
-        mean = (clock.time - self.sleep.skipped / self.scene.time.fps) / taken
-        return {
-            "mean": mean,
-            "asked": asked,
-            "split": asked is not None and mean < 0.99 * asked,
-            "fractions": {name: count / taken for name, count in clock.limiters.items()},
-            "rejected": self.solver.rejection.rejected,
-            "retried": self.retried,
-        }
-
-    def _notes(self) -> list[str]:
-        """What the user should know about the materials and about how the run went."""
-        notes = [note for section in self.scene.materials for note in section.notes()]
-        stiff = stiffest_part(self.scene)
-        return notes + ([stiff] if stiff else []) + self.watchdog.notes() + self.remarks
 
     def _reporter(self, index: int) -> Callable[[], None]:
         return lambda: self.progress("simulate", index, self.scene.time.frames)

@@ -1,0 +1,89 @@
+"""The report of a run as plain data; its keys are documented in docs/reference/report.md."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from phy124.effects import Effects
+from phy124.io.clip import Clip
+from phy124.limits import stiffest_part
+from phy124.monitor.wrenches import summary
+
+Run = Any
+"""A `Simulation`, which is built on this module."""
+
+
+def report_of(run: Run) -> dict[str, Any]:
+    """What a run did."""
+    solver = run.solver
+    effects = Effects.of(
+        run.scene,
+        sh_degree=run.gaussians.sh_degree,
+        device=run.device,
+        static=run.scenery.count,
+        slept=run.sleep.sentence(),
+        materials=run.materials,
+    )
+    return {
+        "complete": run.stopped is None and run.count == run.scene.time.frames,
+        "stopped": run.stopped,
+        "remedies": [remedy.changes for remedy in run.remedies],
+        "gaussians": len(run.shown),
+        "grains": len(run.shown) - len(run.gaussians),
+        "particles": len(run.particles),
+        "mass": float(run.particles.mass.sum()),
+        "cleaning": run.cleaning.sentences,
+        "notes": _notes(run),
+        "grid": {"dx": solver.model.dx, "window": solver.grid.size.tolist()},
+        "substeps": solver.clock.substeps,
+        "threads": len(solver.workers),
+        "limiters": solver.clock.limiters,
+        "substep": _substep(run),
+        "balance": run.watchdog.report(),
+        "frames": run.count,
+        "static": run.scenery.count,
+        "sleep": run.sleep.report(),
+        "walls": summary(run.frames) if run.keep else None,
+        "effects": effects.data(
+            particles=len(run.particles),
+            substeps=solver.clock.substeps,
+            nodes=solver.grid.count,
+            threads=len(solver.workers),
+        ),
+        "substep_stages": [
+            {"name": name, "seconds": seconds, "launches": launches}
+            for name, (seconds, launches) in solver.timings.items()
+        ],
+    }
+
+
+def counted(run: Run, clip: Clip) -> dict[str, Any]:
+    """What is known once the clip is whole: its Gaussians, and the shapes they took."""
+    whole = len(clip.opacities)
+    return {
+        "gaussians": whole,
+        "grains": whole - len(run.gaussians),
+        "shapes": run.look.shapes(clip, run.materials),
+    }
+
+
+def _substep(run: Run) -> dict[str, Any]:
+    """How long the substeps were and what limited them."""
+    clock, asked = run.solver.clock, run.scene.time.substep
+    taken = max(sum(clock.limiters.values()), 1)
+    mean = (clock.time - run.sleep.skipped / run.scene.time.fps) / taken
+    return {
+        "mean": mean,
+        "asked": asked,
+        "split": asked is not None and mean < 0.99 * asked,
+        "fractions": {name: count / taken for name, count in clock.limiters.items()},
+        "rejected": run.solver.rejection.rejected,
+        "retried": run.retried,
+    }
+
+
+def _notes(run: Run) -> list[str]:
+    """What the user should know about the materials and about how the run went."""
+    notes = [note for section in run.scene.materials for note in section.notes()]
+    stiff = stiffest_part(run.scene)
+    return notes + ([stiff] if stiff else []) + run.watchdog.notes() + run.remarks

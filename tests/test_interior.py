@@ -1,0 +1,79 @@
+"""Interior: what is torn shows its inside, in the colours above it, and only where it is torn."""
+
+import numpy as np
+import pytest
+from scipy.spatial import KDTree
+
+from phy124 import resume
+from phy124.monitor.tearing import APART
+from phy124.particles.grains import SIZE
+from phy124.scene import Scene
+from phy124.simulation import Simulation
+from support.shapes import ball
+
+TORN = {
+    "accuracy": {"cells": 8}, "time.frames": 6, "object.lift": 0.1, "object.spin": (0, 0, 40.0),
+    "material.E": 1e4, "forces": [], "boundaries": [], "checks.balance": False,
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def torn():
+    run = Simulation(ball(400), Scene.named("drop").replaced(TORN), threads=1)
+    return run, run.run()
+
+
+def test_what_lies_open_is_drawn_in_the_colour_above_it(torn):
+    run, clip = torn
+    added = clip.report["grains"]
+    assert added == len(clip.opacities) - len(run.gaussians) > 20
+    assert clip.report["gaussians"] == len(clip.opacities)
+    scales, means = clip.scales[:, -added:], clip.means[:, -added:]
+    spacing = run.scene.spacing
+    assert scales[-1].max() == pytest.approx(SIZE * spacing)
+    assert scales[0].max() < 0.01 * spacing, "nothing is torn at the start"
+    open_now = scales[-1, :, 0] > 0.1 * scales[-1, :, 0].max()
+    x = run.solver.state.x.numpy()
+    assert KDTree(x).query(means[-1][open_now])[0].max() < 1e-6, "where a particle is"
+    above = KDTree(clip.means[0, :-added]).query(means[0])
+    assert above[0].max() < 1e-6, "until then it hides in the Gaussian above it"
+    own = clip.sh[-added:, 0]
+    assert (np.abs(own[:, None] - clip.sh[None, :-added, 0]).max(axis=2).min(axis=1) == 0).all()
+
+
+def test_the_motion_and_the_surface_are_the_same_without_it(torn):
+    run, clip = torn
+    off = run.scene.replaced({"grains": False})
+    plain = Simulation(ball(400), off, threads=1).run()
+    assert len(plain.opacities) == len(run.gaussians) and plain.report["grains"] == 0
+    for name in ("means", "quats", "scales"):
+        assert np.array_equal(getattr(plain, name), getattr(clip.surface, name))
+
+
+def test_nothing_is_added_where_nothing_tears():
+    scene = Scene.named("press").replaced({"accuracy": {"cells": 8}, "time.frames": 4})
+    clip = Simulation(ball(400), scene, threads=1).run()
+    assert clip.means.shape[1] == clip.report["gaussians"] and clip.report["grains"] == 0
+
+
+def test_a_paused_run_goes_on_with_what_lay_open(torn, tmp_path):
+    run, whole = torn
+    again = Simulation(ball(400), run.scene, threads=1)
+    for frame in again:
+        if frame.index == 4:
+            break
+    resume.save(again, tmp_path / "pause.safetensors")
+    clip = resume.load(tmp_path / "pause.safetensors").run()
+    assert np.array_equal(clip.means, whole.means) and np.array_equal(clip.scales, whole.scales)
+
+
+def test_the_largest_shapes_of_each_law_are_reported(torn):
+    _, clip = torn
+    shapes = clip.report["shapes"]["neo_hookean"]
+    axes = np.sort(clip.surface.scales, axis=2)
+    assert shapes["needle"] == pytest.approx((axes[..., 2] / axes[..., 1]).max(), rel=1e-5)
+    assert shapes["axis_ratio"] == pytest.approx((axes[..., 2] / axes[..., 0]).max(), rel=1e-5)
+    assert shapes["opacity"] == clip.opacities[:400].max()
+    longest = clip.surface.scales.max(axis=2) / clip.surface.scales[0].max(axis=1)
+    assert clip.report["balance"]["tearing"]["stretch"] > 3
+    assert longest.max() < 1.001 * APART * 2, "no needles, though it is torn"
