@@ -260,14 +260,39 @@ def bilinear(shade, cells):
     return np.where(inside, near * (1 - part[..., 1]) + far * part[..., 1], 0)
 
 
-@pytest.mark.parametrize("blend", ["simd", "plain", "pixel"])
-def test_every_form_of_the_renderer_draws_the_same_stage(blend):
-    stage = staged([{"kind": "ground"}, {"kind": "press"}, {"kind": "sphere"}])
+AROUND = [
+    {"kind": "ground"},
+    {"kind": "press"},
+    {"kind": "sphere"},
+    {"kind": "capsule", "start": [-0.3, -0.6, 0.1], "end": [0.4, 0.5, 1.0], "radius": 0.06},
+    {"kind": "container", "inside": {"lower": [-0.8, -0.8, 0.0], "upper": [0.8, 0.8, 1e9]}},
+    {"kind": "half_space", "point": [-0.4, 0.0, 0.0], "normal": [0.8, 0.2, 0.6]},
+]
+
+
+@pytest.mark.parametrize("distance", [2.0, 0.6])
+@pytest.mark.parametrize("blend", ["plain", "pixel"])
+def test_every_form_of_the_renderer_draws_the_same_stage(blend, distance):
+    """From outside, and from among the walls, some of which are then behind the camera."""
+    stage = staged(AROUND)
     frame = Frame(0, 0.0, ball(500).moved(1.0, np.array([0, 0, 0.5])))
-    camera = Camera.orbit(20, 10, 2.0, (50, 40), (0, 0, 0.5))
+    camera = Camera.orbit(20, 10, distance, (90, 70), (0, 0, 0.5))
     image = Renderer(device="cpu", blend=blend)(frame.gaussians, camera, stage=stage.at(frame))
     other = Renderer(device="cpu")(frame.gaussians, camera, stage=stage.at(frame))
     assert np.abs(image - other).max() < 1 / 255
+
+
+def test_a_box_that_stands_on_the_floor_has_one_shade():
+    """Its lower face lies on the floor: not before it at some pixels and behind it at others."""
+    box = Solid(np.array([0.0, 0.0, 0.37]), np.eye(3), np.array([0.4, 0.4, 0.27]))
+    floor = Floor(0.1, (0.0, 0.0), 2.0, np.zeros((8, 8), np.float32), pool=0.0)
+    stage = StageFrame(Backdrop((0.8, 0.8, 0.8), (0.8, 0.8, 0.8)), floor, (box,))
+    nothing = ball(10).select(np.zeros(0, int))
+    camera = Camera.orbit(25, 75, 3.0, 64, (0.0, 0.0, 0.2))
+    for blend in ("simd", "pixel"):
+        image = Renderer(device="cpu", blend=blend)(nothing, camera, stage=stage)
+        seen = FACE * TINT[0] + (1 - FACE) * 0.8
+        np.testing.assert_allclose(image[28:36, 28:36, 0], seen, atol=1e-5)
 
 
 def test_seen_from_below_there_is_no_floor():

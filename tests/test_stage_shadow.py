@@ -85,6 +85,21 @@ def test_many_small_gaussians_cast_the_shadow_of_the_disc_that_they_fill(rng):
     assert shade.max() <= LAMP + SKY
 
 
+def test_one_that_stands_for_others_is_as_much_wider(rng, monkeypatch):
+    """Lying on the floor, where nothing blurs it, a thinned disc has no gaps."""
+    n = 24_000
+    angle, radius = rng.uniform(0, 2 * np.pi, n), 0.4 * np.sqrt(rng.uniform(0, 1, n))
+    means = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.zeros(n)], axis=1)
+    quats, scales = np.tile([1.0, 0, 0, 0], (n, 1)), np.full((n, 3), 0.006)
+    disc = Gaussians.from_rgb(means, quats, scales, np.full(n, 0.9), np.ones((n, 3)))
+    caster = Caster((0.0, 0.0), 1.0, 0.25)
+    whole = caster.shade(disc, 0.0)
+    monkeypatch.setattr(shadow, "SAMPLE", n // 6)
+    x, y = caster.places()
+    inside = np.hypot(x[:, None], y[None]) < 0.35
+    assert caster.shade(disc, 0.0)[inside].min() > 0.95 * whole[inside].min()
+
+
 @pytest.mark.parametrize(
     "broken",
     [

@@ -52,5 +52,5 @@ def pinhole(camera: Camera) -> Any:
     farthest = wp.vec2(max(x, width - x), max(y, height - y))
     view.limit = FRUSTUM_MARGIN * farthest / camera.focal
     view.width, view.height = width, height
-    view.columns = math.ceil(width / screen.TILE)
+    view.columns, view.rows = (math.ceil(side / screen.TILE) for side in (width, height))
     return view

@@ -26,7 +26,7 @@ from phy124.camera import Camera
 from phy124.errors import InputError
 from phy124.gaussians import Array, Frame, Gaussians
 from phy124.kernels.splat import bin as binning
-from phy124.kernels.splat import blend, blend_simd, project, screen
+from phy124.kernels.splat import blend, blend_simd, project, screen, stage_simd
 from phy124.progress import Progress, silent
 from phy124.rendering.pinhole import NEAR as NEAR
 from phy124.rendering.pinhole import pinhole
@@ -47,6 +47,8 @@ BLENDS = {
 }
 """Forms of the last stage: a tile per thread in vectorised C++ (CPU only), the same in Warp,
 and a pixel per thread (what CUDA runs)."""
+BLEND_STAGED = stage_simd.blend_staged_simd
+"""The form `simd` with a stage behind the Gaussians."""
 FILTERS = {"dilate": (0.3, False), "mip": (0.1, True)}
 """What keeps splats from falling between pixels -> what is added to their screen covariance, px^2,
 and whether they become as much fainter: no in 3D Gaussian Splatting, which makes thin things
@@ -127,34 +129,43 @@ class Renderer:
         image = self._buffer("image", pixels, wp.vec3)
         coverage = self._buffer("coverage", pixels, wp.float32)
         counts = self._project(gaussians, view)
-        around = None if stage is None else draw.Surroundings(stage, camera, view, self.device)
-        if around is not None and around.glazed:
-            around.tint(self._given(gaussians.means, wp.vec3), self._buffers["splats"])
+        around = stage and self._surroundings(stage, view, gaussians)
+        fused = around if around is not None and around.simd else None
+        kernel, more = (BLEND_STAGED, fused.inputs()) if fused else (self._blend, [])
         for first, last in _runs(counts, MAX_PAIRS):
             lists = self._bin(len(gaussians), view, counts, first, last)
             wp.launch(
-                self._blend,
+                kernel,
                 dim=(last - first) * (screen.TILE**2 if self._per_pixel else 1),
-                inputs=[view, colour, first, *lists, self._buffers["splats"]],
+                inputs=[view, colour, first, *more, *lists, self._buffers["splats"]],
                 outputs=[image, coverage],
                 device=self.device,
             )
-        if around is not None:
-            glass = self._buffer("glass", pixels if around.glazed else 0, wp.float32)
-            around.draw(image, coverage, glass, simd=not self._per_pixel and self.device.is_cpu)
+        if around is not None and not around.simd:
+            around.draw(image, coverage)
         # Copied: the buffers are written again by the next call.
         channels = [image.numpy()[:pixels]] + [coverage.numpy()[:pixels, None]] * alpha
         drawn = np.concatenate(channels, axis=1, dtype=np.float32)
         return drawn.reshape(camera.height, camera.width, -1)
 
+    def _surroundings(
+        self, stage: StageFrame, view: Any, gaussians: Gaussians
+    ) -> draw.Surroundings:
+        """The stage on the device; what is seen through its glass is tinted."""
+        simd = self._blend is BLENDS["simd"]
+        around = draw.Surroundings(stage, view, self.device, simd=simd)
+        if around.glazed:
+            around.tint(self._given(gaussians.means, wp.vec3), self._buffers["splats"])
+        return around
+
     def _project(self, gaussians: Gaussians, view: Any) -> NDArray[np.int64]:
         """Fill `splats`, and `order` by depth; return how many splats touch each tile [tiles]."""
-        n, rows = len(gaussians), math.ceil(view.height / screen.TILE)
+        n = len(gaussians)
         splats, tiles = self._buffer("splats", n, screen.Splat), self._buffer("tiles", n, wp.vec4i)
         # Sorting needs room for twice as many.
         depths = self._buffer("depths", 2 * n, wp.float32)
         order = self._buffer("order", 2 * n, wp.int32)
-        shape = (rows + 1, view.columns + 1)
+        shape = (view.rows + 1, view.columns + 1)
         corners: Any = self._buffer("corners", math.prod(shape), wp.int32)
         corners.zero_()
         corners = corners[: math.prod(shape)].reshape(shape)

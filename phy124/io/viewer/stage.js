@@ -10,7 +10,7 @@ globalThis.Phy124Stage = (() => {
   const GLASS = `
     uniform highp sampler2D uSolids;
     uniform vec3 uEye;
-    const float FACE = 0.10, LINE = 0.45, RIM = 0.50, WIDTH = 1.5;
+    const float FACE = 0.10, LINE = 0.45, RIM = 0.50, WIDTH = 1.5, NEARLY = 0.9999;
     const vec3 TINT = vec3(0.36, 0.44, 0.52);
 
     float edgeOf(vec3 extents, vec3 at, float pixel) {
@@ -89,7 +89,7 @@ globalThis.Phy124Stage = (() => {
       if (hit.y <= max(hit.x, 0.0) || hit.x >= limit) return 0.0;
       float clear = 1.0;
       if (hit.x > 0.0) clear *= 1.0 - hit.z;
-      if (hit.y < limit) clear *= 1.0 - hit.w;
+      if (hit.y < NEARLY * limit) clear *= 1.0 - hit.w;
       float chord = (hit.y - max(hit.x, 0.0)) * length(ray);
       return (1.0 - clear) * clamp(chord / (WIDTH * pixel * hit.y), 0.0, 1.0);
     }

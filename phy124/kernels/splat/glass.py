@@ -13,6 +13,8 @@ RIM = wp.constant(0.50)
 """Opacity of a round face seen at a grazing angle."""
 WIDTH = wp.constant(1.5)
 """Width of an edge, and of the soft outline of a face [px]."""
+NEARLY = wp.constant(0.9999)
+"""Part of the way to what is behind at which a face counts as lying on it, unseen."""
 TINT = wp.constant(wp.vec3(0.36, 0.44, 0.52))
 """Colour of the glass."""
 
@@ -25,6 +27,15 @@ class Solid:
     axes: wp.mat33  # a unit vector in each row
     half: wp.vec3  # half sizes [m]; of a capsule half the length of its axis, 0, 0
     radius: float  # of a capsule [m]; 0: a box
+
+
+@wp.struct
+class Outline:
+    """A solid on the screen: a convex polygon that contains it."""
+
+    sides: wp.types.matrix(shape=(6, 3), dtype=float)  # a, b, c: inside is a x + b y + c >= 0 [px]
+    count: int  # of its sides; 0: it may be anywhere
+    nearest: float  # least depth of a corner of its box [m]
 
 
 @wp.struct
@@ -153,8 +164,17 @@ def veil(solid: Solid, origin: wp.vec3, ray: wp.vec3, limit: float, pixel: float
     clear = float(1.0)
     if hit.enters > 0.0:
         clear *= 1.0 - hit.first
-    if hit.leaves < limit:
+    if hit.leaves < NEARLY * limit:
         clear *= 1.0 - hit.second
     # A ray that only grazes the solid sees it fade.
     chord = (hit.leaves - wp.max(hit.enters, 0.0)) * wp.length(ray)
     return (1.0 - clear) * wp.clamp(chord / (WIDTH * pixel * hit.leaves), 0.0, 1.0)
+
+
+@wp.func
+def within(outline: Outline, x: float, y: float) -> bool:
+    """Whether a solid may be seen at a place of the screen [px]."""
+    for k in range(outline.count):
+        if outline.sides[k, 0] * x + outline.sides[k, 1] * y + outline.sides[k, 2] < 0.0:
+            return False
+    return True

@@ -5,6 +5,7 @@ import warp as wp
 from phy124 import harmonics
 from phy124.gaussians import SH_C0
 from phy124.kernels.build import kernel
+from phy124.kernels.reduction import finite
 from phy124.kernels.splat.screen import MIN_ALPHA, Splat, View, tiles_of
 
 LOG2_E = wp.constant(1.4426950408889634)
@@ -40,14 +41,16 @@ def colour_towards(sh: wp.array2d(dtype=wp.vec3), i: int, degree: int, d: wp.vec
 
 
 @wp.func
-def screen_axes(p: wp.vec3, quat: wp.vec4, scale: wp.vec3, view: View) -> wp.mat33:
-    """Rows 0, 1: the Gaussian's axes on the screen [px]; their dot products are its covariance."""
+def screen_axes(p: wp.vec3, quat: wp.vec4, scale: wp.vec3, view: View):
+    """The Gaussian's axes on the screen in two rows [px]; their dot products are its covariance."""
     u = wp.clamp(p[0] / p[2], -view.limit[0], view.limit[0])
     v = wp.clamp(p[1] / p[2], -view.limit[1], view.limit[1])
     f = view.focal / p[2]
-    jacobian = wp.mat33(f, 0.0, -f * u, 0.0, f, -f * v, 0.0, 0.0, 0.0)
     turn = wp.quat_to_matrix(wp.normalize(wp.quat(quat[1], quat[2], quat[3], quat[0])))
-    return jacobian * view.rotation * turn * wp.diag(scale)
+    # The Jacobian's rows, turned to the world.
+    across = f * (view.rotation[0] - u * view.rotation[2])
+    down = f * (view.rotation[1] - v * view.rotation[2])
+    return wp.matrix_from_rows(wp.cw_mul(across * turn, scale), wp.cw_mul(down * turn, scale))
 
 
 @wp.func
@@ -87,7 +90,7 @@ def splat_of(p: wp.vec3, quat: wp.vec4, scale: wp.vec3, opacity: float, view: Vi
     d = yy + low
     mean = view.focal * wp.vec2(p[0], p[1]) / p[2] + view.centre
     # Normalising would turn a NaN quaternion into none at all.
-    if not (wp.isfinite(quat) and wp.isfinite(det) and wp.isfinite(mean) and wp.isfinite(opacity)):
+    if not finite(quat[0] + quat[1] + quat[2] + quat[3] + det + mean[0] + mean[1] + opacity):
         return splat
     if view.keeps_light != 0:
         opacity *= wp.sqrt(area / det)
@@ -130,9 +133,12 @@ def project(
     tiles = tiles_of(splat)
     if tiles[2] > tiles[0]:
         depth = p[2]
-        colour = colour_towards(sh, i, degree, wp.normalize(means[i] - view.eye))
+        towards = wp.vec3()
+        if degree > 0:
+            towards = wp.normalize(means[i] - view.eye)
+        colour = colour_towards(sh, i, degree, towards)
         splat.colour = wp.max(colour, wp.vec3(0.0, 0.0, 0.0))
-        if not wp.isfinite(colour):
+        if not finite(colour[0] + colour[1] + colour[2]):
             splat.box = wp.vec4i(0, 0, 0, 0)
             tiles = wp.vec4i(0, 0, 0, 0)
         else:

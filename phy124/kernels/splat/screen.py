@@ -28,6 +28,7 @@ class View:
     width: int  # [px]
     height: int  # [px]
     columns: int  # tiles per row
+    rows: int  # of tiles
     low_pass: float  # added to screen covariances [px^2]
     low_area: float  # its square, rounded: not to be contracted with a sum [px^4]
     keeps_light: int  # whether what is widened by it becomes fainter

@@ -3,8 +3,9 @@
 import warp as wp
 
 from phy124.kernels.build import kernel
+from phy124.kernels.reduction import finite
 
-NARROW = wp.constant(0.6)
+NARROW = wp.constant(0.8)
 """A Gaussian narrower than this [cells] counts as a point between four cells."""
 REACH = wp.constant(3.5)
 """How far a wider Gaussian is followed [standard deviations]."""
@@ -51,30 +52,33 @@ def cover(
     n = wp.tid()
     # Not a number is less than nothing and not more.
     opacity = wp.min(opacities[n], 0.99)
-    if not (opacity > 0.004 and wp.isfinite(means[n]) and wp.isfinite(scales[n])):
+    mean = means[n]
+    scale = scales[n]
+    sums = mean[0] + mean[1] + mean[2] + scale[0] + scale[1] + scale[2]
+    if not (opacity > 0.004 and finite(sums)):
         return
-    height = wp.max(means[n][2] - origin[2], 0.0)
+    height = wp.max(mean[2] - origin[2], 0.0)
     last = float(layers_out.shape[0] - 1)
     level = last * wp.sqrt(wp.min(height / tallest, 1.0))
     layer = wp.min(int(level), layers_out.shape[0] - 2)
     upper = level - float(layer)
     q = quats[n]
     turn = wp.quat_to_matrix(wp.normalize(wp.quat(q[1], q[2], q[3], q[0])))
-    axes = (
-        wp.mat33(1.0, 0.0, slope[0], 0.0, 1.0, slope[1], 0.0, 0.0, 0.0) * turn * wp.diag(scales[n])
-    )
     # Screen axes as in project.py, in cells.
-    a = wp.dot(axes[0], axes[0]) / (cell * cell)
-    b = wp.dot(axes[0], axes[1]) / (cell * cell)
-    c = wp.dot(axes[1], axes[1]) / (cell * cell)
-    x = (means[n][0] - origin[0] + height * slope[0]) / cell - 0.5
-    y = (means[n][1] - origin[1] + height * slope[1]) / cell - 0.5
+    radii = wp.sqrt(weight) / cell * scale
+    across = wp.cw_mul(turn[0] + slope[0] * turn[2], radii)
+    along = wp.cw_mul(turn[1] + slope[1] * turn[2], radii)
+    a = wp.dot(across, across)
+    b = wp.dot(across, along)
+    c = wp.dot(along, along)
+    x = (mean[0] - origin[0] + height * slope[0]) / cell - 0.5
+    y = (mean[1] - origin[1] + height * slope[1]) / cell - 0.5
     size = float(wp.max(layers_out.shape[1], layers_out.shape[2]))
     if not (x > -size and y > -size and x < 2.0 * size and y < 2.0 * size):
         return
     if wp.max(a, c) < NARROW * NARROW:
         area = wp.sqrt(wp.max(a * c - b * b, 0.0))
-        amount = weight * 6.2831853 * thickness(opacity) * area
+        amount = 6.2831853 * thickness(opacity) * area
         i = int(wp.floor(x))
         j = int(wp.floor(y))
         u = x - float(i)
@@ -89,7 +93,7 @@ def cover(
     a += 0.1
     c += 0.1
     det = a * c - b * b
-    if not (wp.isfinite(det) and det > 0.0):
+    if not (finite(det) and det > 0.0):
         return
     peak = opacity * wp.min(wide / wp.sqrt(det), 1.0)
     reach_x = wp.min(REACH * wp.sqrt(a), 2.0 * size)
@@ -102,4 +106,4 @@ def cover(
             v = float(j) - y
             power = (c * u * u - 2.0 * b * u * v + a * v * v) / det
             alpha = peak * wp.exp(-0.5 * power)
-            put(layers_out, i, j, layer, upper, -weight * wp.log(1.0 - alpha))
+            put(layers_out, i, j, layer, upper, -wp.log(1.0 - alpha))

@@ -8,7 +8,7 @@ its depth, without a depth per pixel.
 import warp as wp
 
 from phy124.kernels.build import kernel
-from phy124.kernels.splat.glass import TINT, Solid, veil
+from phy124.kernels.splat.glass import TINT, Outline, Solid, veil, within
 from phy124.kernels.splat.screen import Splat, View
 
 
@@ -70,36 +70,75 @@ def floor_along(setting: Setting, eye: wp.vec3, ray: wp.vec3) -> float:
     return 1.0e30
 
 
+@wp.func
+def corner_on_screen(view: View, solid: Solid, corner: int) -> wp.vec3:
+    """One of the eight corners of a solid's box: its place on the screen [px] and its depth [m].
+
+    The bits of its number say on which side of the middle it is along each axis.
+    """
+    away = solid.half + wp.vec3(solid.radius, solid.radius, solid.radius)
+    for axis in range(3):
+        if (corner >> axis) & 1 == 0:
+            away[axis] = -away[axis]
+    p = view.rotation * (solid.centre + wp.transpose(solid.axes) * away) + view.translation
+    return wp.vec3(
+        view.focal * p[0] / p[2] + view.centre[0], view.focal * p[1] / p[2] + view.centre[1], p[2]
+    )
+
+
+@wp.func
+def turned(view: View, solid: Solid, axis: int, upper: bool) -> bool:
+    """Whether a face of a solid's box is turned to the camera."""
+    along = wp.dot(solid.axes[axis], view.eye - solid.centre)
+    reach = solid.half[axis] + solid.radius
+    if upper:
+        return along > reach
+    return along < -reach
+
+
 @kernel("phy124_stage")
-def draw_glass(
+def outline(
     # model
     view: View,
-    setting: Setting,
     solids: wp.array(dtype=Solid),
-    boxes: wp.array(dtype=wp.vec4i),
-    around: wp.vec4i,
-    # state in
-    coverage: wp.array(dtype=float),
     # out
-    glass_out: wp.array(dtype=float),
+    outlines_out: wp.array(dtype=Outline),
 ):
-    """One thread per pixel of the box `around` all solids: opacity of those before the floor.
+    """One thread per solid: where on the screen it is.
 
-    Each solid is inside its box of pixels, x0, y0, x1, y1.
+    The sides of an outline are the edges of the solid's box between a face that is turned to the
+    camera and one that is not; they are half a pixel farther out. A box around the camera, or
+    partly behind it, has none.
     """
-    wide = around[2] - around[0]
-    x = around[0] + wp.tid() % wide
-    y = around[1] + wp.tid() / wide
-    if 1.0 - coverage[y * view.width + x] <= 1.0e-3:
-        return
-    ray = ray_through(view, x, y)
-    limit = floor_along(setting, view.eye, ray)
-    clear = float(1.0)
-    for k in range(solids.shape[0]):
-        box = boxes[k]
-        if x >= box[0] and x < box[2] and y >= box[1] and y < box[3]:
-            clear *= 1.0 - veil(solids[k], view.eye, ray, limit, 1.0 / view.focal)
-    glass_out[y * view.width + x] = 1.0 - clear
+    solid = solids[wp.tid()]
+    found = Outline()
+    found.nearest = float(1.0e30)
+    middle = wp.vec3()
+    for corner in range(8):
+        at = corner_on_screen(view, solid, corner)
+        found.nearest = wp.min(found.nearest, at[2])
+        middle += 0.125 * at
+    if found.nearest > 1.0e-3:
+        for edge in range(12):
+            # Four edges along each axis, between faces across the two others.
+            axis = edge / 4
+            second = (axis + 1) % 3
+            third = (axis + 2) % 3
+            up = edge & 1
+            far = (edge >> 1) & 1
+            if turned(view, solid, second, up == 1) != turned(view, solid, third, far == 1):
+                corner = (up << second) | (far << third)
+                start = corner_on_screen(view, solid, corner)
+                along = corner_on_screen(view, solid, corner | (1 << axis)) - start
+                inwards = wp.normalize(wp.vec2(-along[1], along[0]))
+                reach = wp.dot(inwards, wp.vec2(middle[0] - start[0], middle[1] - start[1]))
+                if reach < 0.0:
+                    inwards = -inwards
+                found.sides[found.count, 0] = inwards[0]
+                found.sides[found.count, 1] = inwards[1]
+                found.sides[found.count, 2] = 0.5 - wp.dot(inwards, wp.vec2(start[0], start[1]))
+                found.count += 1
+    outlines_out[wp.tid()] = found
 
 
 @kernel("phy124_stage")
@@ -109,8 +148,9 @@ def draw_setting(
     setting: Setting,
     shade: wp.array2d(dtype=float),
     picture: wp.array(dtype=wp.vec3),
+    solids: wp.array(dtype=Solid),
+    outlines: wp.array(dtype=Outline),
     # state in
-    glass: wp.array(dtype=float),
     coverage: wp.array(dtype=float),
     # in place: light of the Gaussians, then the picture
     image_out: wp.array(dtype=wp.vec3),
@@ -138,8 +178,11 @@ def draw_setting(
         j = (v + setting.reach) * scale - 0.5
         bright = colour + pool * wp.cw_mul(colour, wp.vec3(1.0, 1.0, 1.0) - colour)
         colour = (1.0 - shade_at(setting, shade, i, j)) * bright
-    if glass.shape[0] > 0:
-        colour += glass[pixel] * (TINT - colour)
+    clear = float(1.0)
+    for k in range(solids.shape[0]):
+        if within(outlines[k], float(x) + 0.5, float(y) + 0.5):
+            clear *= 1.0 - veil(solids[k], view.eye, ray, limit, 1.0 / view.focal)
+    colour = TINT + clear * (colour - TINT)
     image_out[pixel] = wp.min(image_out[pixel] + open * colour, wp.vec3(1.0, 1.0, 1.0))
 
 
@@ -148,7 +191,7 @@ def tint_splats(
     # model
     view: View,
     solids: wp.array(dtype=Solid),
-    boxes: wp.array(dtype=wp.vec4i),
+    outlines: wp.array(dtype=Outline),
     # state in
     means: wp.array(dtype=wp.vec3),
     # in place
@@ -157,13 +200,10 @@ def tint_splats(
     """One thread per Gaussian: the colour of what is seen through glass."""
     i = wp.tid()
     mean = splats_out[i].mean
+    ray = means[i] - view.eye
+    pixel = wp.dot(view.rotation[2], ray) / view.focal
+    clear = float(1.0)
     for k in range(solids.shape[0]):
-        box = boxes[k]
-        x = wp.clamp(mean[0], float(box[0]), float(box[2]))
-        y = wp.clamp(mean[1], float(box[1]), float(box[3]))
-        if x == mean[0] and y == mean[1]:
-            ray = means[i] - view.eye
-            depth = wp.dot(view.rotation[2], ray)
-            alpha = veil(solids[k], view.eye, ray, 1.0, depth / view.focal)
-            colour = splats_out[i].colour
-            splats_out[i].colour = colour + alpha * (TINT - colour)
+        if within(outlines[k], mean[0], mean[1]):
+            clear *= 1.0 - veil(solids[k], view.eye, ray, 1.0, pixel)
+    splats_out[i].colour = TINT + clear * (splats_out[i].colour - TINT)

@@ -124,22 +124,23 @@ def covered(caster: Caster, solids: tuple[Solid, ...], floor: float) -> Array | 
     for solid in solids:
         reach = np.abs(solid.axes.T) @ solid.half + solid.radius
         height = max(float(solid.centre[2] - reach[2]) - floor, 0.0)
-        dark = -np.log(1 - GLASS) * _footprint(caster, solid, height)
+        dark = np.float32(-np.log(1 - GLASS)) * _footprint(caster, solid, height)
         layer, upper = caster.layer(height)
-        depth[layer] += (1 - upper) * dark
-        depth[layer + 1] += upper * dark
+        depth[layer] += np.float32(1 - upper) * dark
+        depth[layer + 1] += np.float32(upper) * dark
     return depth
 
 
-def _footprint(caster: Caster, solid: Solid, height: float) -> NDArray[np.bool_]:
-    """Which cells of the floor the lamp would show a solid in [CELLS,CELLS]."""
-    x, y = caster.places()
-    x = x[:, None] - height * SLOPE[0] - solid.centre[0]
-    y = y[None, :] - height * SLOPE[1] - solid.centre[1]
+def _footprint(caster: Caster, solid: Solid, height: float) -> Array:
+    """The cells of the floor that a solid keeps from the lamp, 1 or 0 [CELLS,CELLS]."""
+    middle = solid.centre[:2] + height * np.array(SLOPE)
+    x, y = (place - np.float32(at) for place, at in zip(caster.places(), middle, strict=True))
     if solid.radius == 0:
         reach = np.abs(solid.axes.T) @ solid.half
-        return (np.abs(x) <= reach[0]) & (np.abs(y) <= reach[1])
+        return np.outer(np.abs(x) <= reach[0], np.abs(y) <= reach[1]).astype(np.float32)
+    x, y = x[:, None], y[None, :]
     ax, ay = solid.axes[0, :2]
     along = x * ax + y * ay
     near = np.clip(along / max(ax * ax + ay * ay, 1e-12), -solid.half[0], solid.half[0])
-    return (x - near * ax) ** 2 + (y - near * ay) ** 2 <= solid.radius**2
+    away = (x - near * ax) ** 2 + (y - near * ay) ** 2
+    return (away <= solid.radius**2).astype(np.float32)

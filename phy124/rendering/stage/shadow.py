@@ -14,6 +14,7 @@ Both are convolutions, so that a map costs one Fourier transform for each layer 
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -37,8 +38,8 @@ SOFTNESS = 0.25
 """Standard deviation of the lamp's image, per metre of height."""
 LAMP, SKY = 0.22, 0.32
 """Fractions of the floor's light that come from the lamp and the sky; the rest has no shadow."""
-SAMPLE = 8192
-"""About so many Gaussians, evenly picked, stand for all of them."""
+SAMPLE = 65536
+"""About so many Gaussians, evenly picked and as much wider, stand for more of them."""
 GLASS = 0.25
 """Coverage of a boundary, which is drawn as glass."""
 EDGE = 0.1
@@ -82,10 +83,14 @@ class Caster:
             glass: Optical depth of the boundaries [LAYERS,CELLS,CELLS].
         """
         depth = self._depth(gaussians, floor)
-        depth = depth if glass is None else depth + glass
+        if glass is not None:
+            depth += glass
         # What the floor sees of each layer through those below it.
-        through = np.exp(-depth.cumsum(axis=0))
-        seen = -np.diff(through, axis=0, prepend=np.float32(1))
+        for lower, layer in itertools.pairwise(depth):
+            layer += lower
+        through = np.exp(-depth)
+        seen = 1 - through
+        seen[1:] = through[:-1] - through[1:]
         total = np.sum(np.asarray(fft.rfft2(seen)) * self._response, axis=0)
         shade = np.asarray(fft.irfft2(total, (CELLS, CELLS))) * self._window
         return np.clip(shade, 0, LAMP + SKY).astype(np.float32)
