@@ -6,7 +6,14 @@ import re
 import pytest
 import warp as wp
 
-from phy124.kernels import collide, grid, push, timestep, transfer
+from phy124.kernels import (
+    collide,
+    external_work,
+    grid,
+    push,
+    timestep,
+    transfer,
+)
 from phy124.materials import FixedCorotated, NeoHookean, Sand
 from phy124.scene import Scene, preset_names
 from phy124.simulation import Simulation
@@ -28,7 +35,13 @@ def test_transfers_compile_for_cuda(law, tmp_path):
     (tmp_path / "p2g").mkdir()
     (tmp_path / "g2p").mkdir()
     scatter = ptx(transfer.make_p2g(law, wp.float32, "plain"), tmp_path / "p2g")
-    assert ".visible .entry" in ptx(transfer.make_g2p(law, wp.float32, "plain"), tmp_path / "g2p")
+    gather = ptx(transfer.make_g2p(law, wp.float32, "plain"), tmp_path / "g2p")
+    assert ".visible .entry" in gather
+    # 27 nodes, the four numbers of each read at once.
+    assert len(re.findall(r"ld\S*\.v4\.f32", gather)) == 27
+    # A position that is no number gets a node of its own, since NaN would be converted to 0.
+    for text in (scatter, gather):
+        assert re.search(r"(mov|selp)\S+\s+%r\d+,.*-2147483648", text)
     assert ".target sm_90" in scatter
     # 27 nodes, the four numbers of each added at once and without return values.
     assert len(re.findall(r"red\.global\.add\.v4\.f32", scatter)) == 27
@@ -47,6 +60,19 @@ def test_grid_and_pushes_compile_for_cuda(tmp_path):
     for name, kernel in kernels.items():
         (tmp_path / name).mkdir()
         assert ".visible .entry" in ptx(kernel, tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("kernel", "numbers"),
+    [
+        (transfer.make_measure(NeoHookean().device_law, wp.float32), 9),
+        (external_work.make_wall_sums(wp.float32), 2 * external_work.GIVEN),
+    ],
+    ids=["measure", "wall sums"],
+)
+def test_a_warp_reduces_before_it_writes(kernel, numbers, tmp_path):
+    """Five exchanges for each 32-bit number, so that one of 32 threads writes."""
+    assert len(re.findall(r"shfl\.sync\.bfly", ptx(kernel, tmp_path))) == 5 * numbers
 
 
 @pytest.mark.slow

@@ -12,33 +12,34 @@ import warp as wp
 
 from phy124.kernels.build import kernel
 from phy124.kernels.diagnostics import wide
+from phy124.kernels.reduction import lower_to, raise_to
 from phy124.kernels.spline import spline
 from phy124.kernels.transfer import first_node, in_window, types
 
 
 @cache
 def make_contact_copy(real: Any):
-    """Kernel over rows of nodes in a box: stores their velocities before a wall acts."""
+    """Kernel over parts of rows in a box, `each` nodes long: stores what they are before a wall."""
     t = types(real)
 
     @kernel(f"phy124_contact_copy_{real.__name__}", seconds=0.15)
     def contact_copy(
         # model
-        box: wp.array(dtype=wp.vec3i), window: wp.array(dtype=wp.vec3i),
+        each: int, box: wp.array(dtype=wp.vec3i), window: wp.array(dtype=wp.vec3i),
         # state in
         grid: wp.array(dtype=t.vec4),
         # out
         kept_out: wp.array(dtype=t.vec4), low_out: wp.array(dtype=int),
         high_out: wp.array(dtype=int),
     ):  # fmt: skip
-        i, j = wp.tid()
+        i, j, part = wp.tid()
         size = window[1]
         low = box[0]
         count = box[1]
         row = ((i + low[0]) * size[1] + j + low[1]) * size[2] + low[2]
-        for k in range(count[2]):
+        for k in range(part * each, part * each + each):
             kept_out[(i * count[1] + j) * count[2] + k] = grid[row + k]
-        if i == 0 and j == 0:
+        if i == 0 and j == 0 and part == 0:
             for axis in range(3):
                 low_out[axis] = size[axis]
                 high_out[axis] = -1
@@ -48,7 +49,7 @@ def make_contact_copy(real: Any):
 
 @cache
 def make_contact_reach(real: Any):
-    """Kernel over the same rows: how the wall has changed each velocity, in place of the kept one,
+    """Kernel over the same parts: how the wall has changed each velocity, in place of the kept one,
     and the lowest and the highest node that it has changed.
     """
     t = types(real)
@@ -56,21 +57,21 @@ def make_contact_reach(real: Any):
     @kernel(f"phy124_contact_reach_{real.__name__}", seconds=0.2)
     def contact_reach(
         # model
-        box: wp.array(dtype=wp.vec3i), window: wp.array(dtype=wp.vec3i),
+        each: int, box: wp.array(dtype=wp.vec3i), window: wp.array(dtype=wp.vec3i),
         # state in
         grid: wp.array(dtype=t.vec4),
         # out
         kept_out: wp.array(dtype=t.vec4), low_out: wp.array(dtype=int),
         high_out: wp.array(dtype=int),
     ):  # fmt: skip
-        i, j = wp.tid()
+        i, j, part = wp.tid()
         size = window[1]
         low = box[0]
         count = box[1]
         row = ((i + low[0]) * size[1] + j + low[1]) * size[2] + low[2]
         lowest = count[2]
         highest = int(-1)
-        for k in range(count[2]):
+        for k in range(part * each, part * each + each):
             q = grid[row + k]
             n = (i * count[1] + j) * count[2] + k
             d = q - kept_out[n]
@@ -80,13 +81,14 @@ def make_contact_reach(real: Any):
             if d[0] != real(0.0) or d[1] != real(0.0) or d[2] != real(0.0):
                 lowest = wp.min(lowest, k)
                 highest = k
+        first = size
+        last = wp.vec3i(-1)
         if highest >= 0:
-            wp.atomic_min(low_out, 0, i + low[0])
-            wp.atomic_min(low_out, 1, j + low[1])
-            wp.atomic_min(low_out, 2, lowest + low[2])
-            wp.atomic_max(high_out, 0, i + low[0])
-            wp.atomic_max(high_out, 1, j + low[1])
-            wp.atomic_max(high_out, 2, highest + low[2])
+            first = low + wp.vec3i(i, j, lowest)
+            last = low + wp.vec3i(i, j, highest)
+        for axis in range(3):
+            lower_to(low_out, axis, first[axis])
+            raise_to(high_out, axis, last[axis])
 
     return contact_reach
 

@@ -11,6 +11,7 @@ from typing import Any
 import warp as wp
 
 from phy124.kernels.build import kernel
+from phy124.kernels.reduction import add_to, raise_to
 from phy124.kernels.spectral import to_double
 from phy124.kernels.transfer import Law, types
 
@@ -34,9 +35,9 @@ def wide(a: Any):
 @wp.func
 def add3(sums: wp.array(dtype=wp.float64), at: int, a: wp.vec3d):
     """Add a vector to three sums."""
-    wp.atomic_add(sums, at, a[0])
-    wp.atomic_add(sums, at + 1, a[1])
-    wp.atomic_add(sums, at + 2, a[2])
+    add_to(sums, at, a[0])
+    add_to(sums, at + 1, a[1])
+    add_to(sums, at + 2, a[2])
 
 
 @wp.func
@@ -123,9 +124,9 @@ def make_totals(law: Law, real: Any):
                     wp.atomic_add(counts_out, BROKEN, 1)
                     wp.atomic_min(first_out, BROKEN, start + p)
         for i in range(wp.static(SUMS)):
-            wp.atomic_add(sums_out, i, sums[i])
-        wp.atomic_max(range_out, LEAST_J, -min_J)
-        wp.atomic_max(range_out, LARGEST_J, max_J)
+            add_to(sums_out, i, sums[i])
+        raise_to(range_out, LEAST_J, -min_J)
+        raise_to(range_out, LARGEST_J, max_J)
 
     return totals
 

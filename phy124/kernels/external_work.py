@@ -11,6 +11,7 @@ import warp as wp
 
 from phy124.kernels.build import kernel
 from phy124.kernels.diagnostics import add3, kinetic_energy, wide
+from phy124.kernels.reduction import add_to
 from phy124.kernels.transfer import types
 
 IMPULSE, WORK, MOVED, TURNED, GIVEN = 0, 3, 4, 5, 6
@@ -27,9 +28,9 @@ def add_given(
 ):  # fmt: skip
     """Add one impulse and its work to the `GIVEN` sums."""
     add3(given, IMPULSE, impulse)
-    wp.atomic_add(given, WORK, work)
-    wp.atomic_add(given, MOVED, moved)
-    wp.atomic_add(given, TURNED, turned)
+    add_to(given, WORK, work)
+    add_to(given, MOVED, moved)
+    add_to(given, TURNED, turned)
 
 
 @cache
@@ -88,24 +89,24 @@ def make_push_sums(real: Any):
 
 @cache
 def make_wall_copy(real: Any):
-    """Kernel over rows of nodes in a sub-box: stores their velocities before walls act."""
+    """Kernel over parts of rows in a box, `each` nodes long: stores what they are before walls."""
     t = types(real)
 
     @kernel(f"phy124_wall_copy_{real.__name__}", seconds=0.15)
     def wall_copy(
         # model
-        box: wp.array(dtype=wp.vec3i), window: wp.array(dtype=wp.vec3i),
+        each: int, box: wp.array(dtype=wp.vec3i), window: wp.array(dtype=wp.vec3i),
         # state in
         grid: wp.array(dtype=t.vec4),
         # out
         kept_out: wp.array(dtype=t.vec4),
     ):  # fmt: skip
-        i, j = wp.tid()
+        i, j, part = wp.tid()
         size = window[1]
         low = box[0]
         count = box[1]
         row = ((i + low[0]) * size[1] + j + low[1]) * size[2] + low[2]
-        for k in range(count[2]):
+        for k in range(part * each, part * each + each):
             kept_out[(i * count[1] + j) * count[2] + k] = grid[row + k]
 
     return wall_copy
@@ -113,7 +114,7 @@ def make_wall_copy(real: Any):
 
 @cache
 def make_wall_sums(real: Any):
-    """Kernel over the same rows: adds impulse and work of the walls to the `GIVEN` sums.
+    """Kernel over the same parts: adds impulse and work of the walls to the `GIVEN` sums.
 
     The work of an impulse J is J . v with the velocity after it, which moves the material: zero for
     walls at rest, negative for friction. With the velocity before it, stress that presses on a wall
@@ -124,13 +125,13 @@ def make_wall_sums(real: Any):
     @kernel(f"phy124_wall_sums_{real.__name__}", seconds=0.2)
     def wall_sums(
         # model
-        box: wp.array(dtype=wp.vec3i), window: wp.array(dtype=wp.vec3i),
+        each: int, box: wp.array(dtype=wp.vec3i), window: wp.array(dtype=wp.vec3i),
         # state in
         grid: wp.array(dtype=t.vec4), kept: wp.array(dtype=t.vec4),
         # out
         given_out: wp.array(dtype=wp.float64),
     ):  # fmt: skip
-        i, j = wp.tid()
+        i, j, part = wp.tid()
         size = window[1]
         low = box[0]
         count = box[1]
@@ -139,7 +140,7 @@ def make_wall_sums(real: Any):
         work = wp.float64(0.0)
         moved = wp.float64(0.0)
         turned = wp.float64(0.0)
-        for k in range(count[2]):
+        for k in range(part * each, part * each + each):
             q = grid[row + k]
             if q[3] > real(0.0):
                 d = q - kept[(i * count[1] + j) * count[2] + k]
@@ -150,8 +151,7 @@ def make_wall_sums(real: Any):
                     work += gain
                     moved += wp.length(J)
                     turned += wp.abs(gain)
-        if moved > wp.float64(0.0):
-            add_given(given_out, impulse, work, moved, turned)
+        add_given(given_out, impulse, work, moved, turned)
 
     return wall_sums
 

@@ -6,6 +6,7 @@ from typing import Any
 import warp as wp
 
 from phy124.kernels.build import kernel
+from phy124.kernels.reduction import raise_to
 from phy124.kernels.transfer import types
 
 
@@ -101,7 +102,6 @@ def make_grid_speed(real: Any):
             # A comparison with NaN is false, and NaN must not count as slow.
             if not wp.isfinite(square):
                 square = real(1.0e38)
-            if square > fastest_out[0]:
-                wp.atomic_max(fastest_out, 0, square)
+            raise_to(fastest_out, 0, square)
 
     return grid_speed

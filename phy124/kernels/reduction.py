@@ -1,10 +1,13 @@
 """Reductions: sums at the nodes of the grid, and sums and maxima over all particles.
 
 On a GPU, atomic operations on one address are serialised, so each thread first reduces its own
-part. From compute capability 9.0 on, a GPU adds four float32 to a node in one transaction; older
-ones, float64 and the CPU add component by component.
+part, and then the 32 threads of a warp theirs: one of them writes for all. Where some of a warp
+are elsewhere (at the end of a launch, or in another branch), each writes for itself. From compute
+capability 9.0 on, a GPU adds four float32 to a node in one transaction; older ones, float64 and
+the CPU add component by component.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import warp as wp
@@ -23,6 +26,15 @@ def shared_out(particles: int, device: str) -> tuple[int, int, int, int]:
         return -(-particles // EACH), EACH, EACH, 1
     threads = min(particles, MOST_THREADS)
     return threads, 1, -(-particles // threads), threads
+
+
+def along_rows(extent: Sequence[int], device: str) -> tuple[tuple[int, int, int], int]:
+    """Threads (i, j, part) over a box of nodes, and how many nodes of row (i, j) each has.
+
+    On the CPU that is the whole row, on a GPU one node.
+    """
+    x, y, z = (int(count) for count in extent)
+    return ((x, y, 1), z) if device == "cpu" else ((x, y, z), 1)
 
 
 ADD = """
@@ -60,8 +72,84 @@ def greater(a: Any, b: Any):
     return wp.where(b > a, b, a)
 
 
-@wp.func
-def raise_to(maxima: wp.array(dtype=Any), index: int, value: Any):
-    """Raise a maximum. Comparing first avoids most of the atomic operations."""
-    if value > maxima[index]:
-        wp.atomic_max(maxima, index, value)
+LOAD = """
+#if defined(__CUDA_ARCH__)
+const float4 q = *(const float4*)((const float*)grid.data + 4 * (long long)node);
+return wp::vec_t<4, float>(q.x, q.y, q.z, q.w);
+#else
+return wp::index(grid, node);
+#endif
+"""
+
+
+@wp.func_native(LOAD)
+def load(grid: wp.array(dtype=wp.vec4), node: int) -> wp.vec4:
+    """A node; a GPU reads its four numbers at once, which Warp's alignment of 4 bytes forbids."""
+    ...
+
+
+@wp.func_native("return wp::index(grid, node);")
+def load(grid: wp.array(dtype=wp.vec4d), node: int) -> wp.vec4d:  # noqa: F811
+    """A node in float64."""
+    ...
+
+
+def by_warp(combine: str, write: str) -> str:
+    """Native code that combines `value` over a warp before one thread of it writes."""
+    return f"""
+auto whole = value;
+#if defined(__CUDA_ARCH__)
+if (__activemask() == 0xffffffffu) {{
+    for (int step = 16; step > 0; step >>= 1) {{
+        const auto other = __shfl_xor_sync(0xffffffffu, whole, step);
+        whole = {combine};
+    }}
+    if ((threadIdx.x & 31) != 0) return;
+}}
+#endif
+{write}
+"""
+
+
+SUM = by_warp("whole + other", "if (whole != 0.0) wp::atomic_add(sums, index, whole);")
+# Comparing first avoids most of the atomic operations.
+RAISE = by_warp(
+    "other > whole ? other : whole",
+    "if (whole > wp::index(maxima, index)) wp::atomic_max(maxima, index, whole);",
+)
+
+
+LOWER = by_warp(
+    "other < whole ? other : whole",
+    "if (whole < wp::index(minima, index)) wp::atomic_min(minima, index, whole);",
+)
+
+
+@wp.func_native(SUM)
+def add_to(sums: wp.array(dtype=wp.float64), index: int, value: wp.float64):
+    """Add to a sum over all threads."""
+    ...
+
+
+@wp.func_native(RAISE)
+def raise_to(maxima: wp.array(dtype=wp.float32), index: int, value: wp.float32):
+    """Raise a maximum over all threads."""
+    ...
+
+
+@wp.func_native(RAISE)
+def raise_to(maxima: wp.array(dtype=wp.float64), index: int, value: wp.float64):  # noqa: F811
+    """Raise a maximum over all threads in float64."""
+    ...
+
+
+@wp.func_native(RAISE)
+def raise_to(maxima: wp.array(dtype=int), index: int, value: int):  # noqa: F811
+    """Raise a maximum over all threads of integers."""
+    ...
+
+
+@wp.func_native(LOWER)
+def lower_to(minima: wp.array(dtype=int), index: int, value: int):
+    """Lower a minimum over all threads of integers."""
+    ...

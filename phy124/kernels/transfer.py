@@ -23,7 +23,7 @@ import warp as wp
 from phy124.kernels import simd
 from phy124.kernels.build import kernel
 from phy124.kernels.maxima import GRADIENT, HIGH, LOW, SPEED, STIFFNESS
-from phy124.kernels.reduction import add, finite, greater, raise_to
+from phy124.kernels.reduction import add, finite, greater, load, raise_to
 from phy124.kernels.spline import offsets, spline
 
 
@@ -63,18 +63,28 @@ def types(real: Any) -> Types:
     return Types(real, *sizes, matrix((3, 3), real), matrix((4, 4), real))
 
 
+NOWHERE = wp.constant(wp.vec3i(-(2**31)))
+"""The node of a position that is no number."""
+
+
 @wp.func
 def first_node(g: Any):
-    """The lowest of the three nodes per axis that a particle at grid coordinates g touches."""
+    """The lowest of the three nodes per axis that a particle at grid coordinates g touches.
+
+    GPUs and some CPUs convert NaN to 0, which is a node like any other.
+    """
     half = type(g[0])(0.5)
-    return wp.vec3i(
+    first = wp.vec3i(
         int(wp.floor(g[0] - half)), int(wp.floor(g[1] - half)), int(wp.floor(g[2] - half))
     )
+    if not finite(g[0] + g[1] + g[2]):
+        first = NOWHERE
+    return first
 
 
 @wp.func
 def in_window(first: wp.vec3i, size: wp.vec3i):
-    """Whether all 27 nodes are inside the window; for a NaN position (on a CPU) they are not.
+    """Whether all 27 nodes are inside the window.
 
     For positions far away devices give the smallest or largest integer, so nothing is added to it.
     """
@@ -145,9 +155,9 @@ def gather(grid: wp.array(dtype=Any), size: wp.vec3i, first: wp.vec3i, f: Any):
         for j in range(3):
             n = ((first[0] + i) * size[1] + first[1] + j) * size[2] + first[2]
             w = wx[i] * wy[j]
-            middle = (w * wz[1]) * grid[n + 1]
-            last = (w * wz[2]) * grid[n + 2]
-            row = (w * wz[0]) * grid[n] + middle + last
+            middle = (w * wz[1]) * load(grid, n + 1)
+            last = (w * wz[2]) * load(grid, n + 2)
+            row = (w * wz[0]) * load(grid, n) + middle + last
             mean += row
             by_x += step[i] * row
             by_y += step[j] * row

@@ -15,7 +15,7 @@ IMPULSE, MOMENT, SUMS = 0, 3, 6
 
 @cache
 def make_wall_wrench(real: Any):
-    """Kernel over rows of nodes in a box: adds what a wall has given since `make_wall_copy`.
+    """Kernel over the parts of `make_wall_copy`: adds what a wall has given since then.
 
     The moment of an impulse is taken about the origin of the world. The gather keeps the angular
     momentum of the nodes (APIC, Jiang et al. 2015), so it is what the material is given.
@@ -25,13 +25,13 @@ def make_wall_wrench(real: Any):
     @kernel(f"phy124_wall_wrench_{real.__name__}", seconds=0.2)
     def wall_wrench(
         # model
-        lattice: t.vec4, box: wp.array(dtype=wp.vec3i), window: wp.array(dtype=wp.vec3i),
+        lattice: t.vec4, each: int, box: wp.array(dtype=wp.vec3i), window: wp.array(dtype=wp.vec3i),
         # state in
         grid: wp.array(dtype=t.vec4), kept: wp.array(dtype=t.vec4),
         # out
         sums_out: wp.array(dtype=wp.float64),
     ):  # fmt: skip
-        i, j = wp.tid()
+        i, j, part = wp.tid()
         size = window[1]
         low = box[0]
         count = box[1]
@@ -40,8 +40,7 @@ def make_wall_wrench(real: Any):
         dx = wp.float64(lattice[3])
         impulse = wp.vec3d()
         moment = wp.vec3d()
-        touched = bool(False)
-        for k in range(count[2]):
+        for k in range(part * each, part * each + each):
             q = grid[row + k]
             if q[3] > real(0.0):
                 d = q - kept[(i * count[1] + j) * count[2] + k]
@@ -53,9 +52,7 @@ def make_wall_wrench(real: Any):
                     J = wp.float64(q[3]) * wide(d)
                     impulse += J
                     moment += wp.cross(at, J)
-                    touched = True
-        if touched:
-            add3(sums_out, IMPULSE, impulse)
-            add3(sums_out, MOMENT, moment)
+        add3(sums_out, IMPULSE, impulse)
+        add3(sums_out, MOMENT, moment)
 
     return wall_wrench

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from phy124.boundaries import Boundary
 from phy124.gaussians import Array, Gaussians
 from phy124.kernels import contacts as kernels
+from phy124.kernels.reduction import along_rows
 from phy124.monitor.external_work import Measured, reach_of
 from phy124.mpm import Attachable, Grid, Model, Stage, State
 from phy124.particles import Particles
@@ -96,28 +97,29 @@ class Contacts:
         del tracks
         reach = reach_of([wall], model)
         copy, changed, share = contact_kernels(model.real)
-        rows: tuple[int, ...] = ()
-        read: list[wp.array] = []
+        threads: tuple[int, ...] = ()
+        read: list[Any] = []
         kept: list[wp.array] = []
 
         def before(grid: Grid) -> wp.Launch | None:
-            nonlocal rows, read, kept
+            nonlocal threads, read, kept
             start, extent = grid.nodes_within(*reach)
             corners = np.stack([start, extent]).astype(np.int32)
             box = wp.array(corners, dtype=wp.vec3i, device=model.device)
             nodes = wp.empty(int(np.prod(extent)), dtype=grid.vec4, device=model.device)
             corner = [wp.zeros(3, dtype=int, device=model.device) for _ in range(2)]
-            rows, read = tuple(extent[:2].tolist()), [box, grid.window, grid.nodes]
+            threads, each = along_rows(extent, model.device)
+            read = [each, box, grid.window, grid.nodes]
             kept = [nodes, *corner]
-            return model.launch(copy, rows, read, kept)
+            return model.launch(copy, threads, read, kept)
 
         def between(grid: Grid) -> wp.Launch | None:
             del grid
-            return model.launch(changed, rows, read, kept)
+            return model.launch(changed, threads, read, kept)
 
         def after(grid: Grid) -> wp.Launch | None:
-            own, (box, window, _) = self._own(grid, model), read
-            if not np.prod(rows):
+            own, (_, box, window, _) = self._own(grid, model), read
+            if not np.prod(threads):
                 return None
             inputs = [model.mass, grid.lattice, box, window, state.x, *kept]
             return model.launch(share, len(model), inputs, [own])

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from phy124.boundaries import Boundary
 from phy124.boundaries.base import Corners, swept
 from phy124.kernels import external_work as kernels
-from phy124.kernels.reduction import shared_out
+from phy124.kernels.reduction import along_rows, shared_out
 from phy124.mpm import Attachable, Clock, Grid, Model, Stage, State
 from phy124.tracks import Tracks
 
@@ -199,20 +199,21 @@ class ExternalWork:
         """The stages before and after walls."""
         del state, tracks
         reach, (copy, sums) = reach_of(walls, model), wall_kernels(model.real)
-        rows: tuple[int, ...] = ()
-        read: list[wp.array] = []
+        threads: tuple[int, ...] = ()
+        read: list[Any] = []
 
         def before(grid: Grid) -> wp.Launch | None:
-            nonlocal rows, read
+            nonlocal threads, read
             start, extent = grid.nodes_within(*reach)
             corners = np.stack([start, extent]).astype(np.int32)
             box = wp.array(corners, dtype=wp.vec3i, device=model.device)
             kept = wp.empty(int(np.prod(extent)), dtype=grid.vec4, device=model.device)
-            rows, read = tuple(extent[:2].tolist()), [box, grid.window, grid.nodes, kept]
-            return model.launch(copy, rows, read[:3], read[3:])
+            threads, each = along_rows(extent, model.device)
+            read = [each, box, grid.window, grid.nodes, kept]
+            return model.launch(copy, threads, read[:4], read[4:])
 
         def after(grid: Grid) -> wp.Launch | None:
-            return model.launch(sums, rows, read, [self._accumulator(WALL, grid)])
+            return model.launch(sums, threads, read, [self._accumulator(WALL, grid)])
 
         return Stage(STAGE, before), Stage(STAGE, after)
 

@@ -20,6 +20,7 @@ from phy124.boundaries import Boundary
 from phy124.gaussians import Frame, Wrench
 from phy124.kernels import wrenches as kernels
 from phy124.kernels.external_work import make_wall_copy
+from phy124.kernels.reduction import along_rows
 from phy124.monitor.external_work import reach_of
 from phy124.mpm import Attachable, Grid, Model, Stage, State
 from phy124.tracks import Tracks
@@ -88,20 +89,23 @@ class Wrenches:
         self._sums[name] = {}
         reach = reach_of([wall], model)
         copy, wrench = wrench_kernels(model.real)
-        rows: tuple[int, ...] = ()
-        read: list[wp.array] = []
+        threads: tuple[int, ...] = ()
+        read: list[Any] = []
 
         def before(grid: Grid) -> wp.Launch | None:
-            nonlocal rows, read
+            nonlocal threads, read
             start, extent = grid.nodes_within(*reach)
             corners = np.stack([start, extent]).astype(np.int32)
             box = wp.array(corners, dtype=wp.vec3i, device=model.device)
             kept = wp.empty(int(np.prod(extent)), dtype=grid.vec4, device=model.device)
-            rows, read = tuple(extent[:2].tolist()), [box, grid.window, grid.nodes, kept]
-            return model.launch(copy, rows, read[:3], read[3:])
+            threads, each = along_rows(extent, model.device)
+            read = [each, box, grid.window, grid.nodes, kept]
+            return model.launch(copy, threads, read[:4], read[4:])
 
         def after(grid: Grid) -> wp.Launch | None:
-            return model.launch(wrench, rows, [grid.lattice, *read], [self._own(name, grid, model)])
+            return model.launch(
+                wrench, threads, [grid.lattice, *read], [self._own(name, grid, model)]
+            )
 
         return Stage(STAGE, before), Stage(STAGE, after)
 
