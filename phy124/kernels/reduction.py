@@ -7,7 +7,7 @@ capability 9.0 on, a GPU adds four float32 to a node in one transaction; older o
 the CPU add component by component.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from typing import Any
 
 import warp as wp
@@ -28,7 +28,7 @@ def shared_out(particles: int, device: str) -> tuple[int, int, int, int]:
     return threads, 1, -(-particles // threads), threads
 
 
-def along_rows(extent: Sequence[int], device: str) -> tuple[tuple[int, int, int], int]:
+def along_rows(extent: Iterable[int], device: str) -> tuple[tuple[int, int, int], int]:
     """Threads (i, j, part) over a box of nodes, and how many nodes of row (i, j) each has.
 
     On the CPU that is the whole row, on a GPU one node.
