@@ -1,11 +1,14 @@
 """The stage of a clip: where its floor, plates, walls and clamps are, and how it is drawn."""
 
 import math
+from dataclasses import replace
+from typing import Literal, get_args
 
 import numpy as np
 import pytest
 import warp as wp
 
+from phy124.boundaries import Boundary, HalfSpace, Wall
 from phy124.camera import Camera
 from phy124.effects import Effects
 from phy124.errors import InputError
@@ -118,6 +121,66 @@ def test_solids_and_clamps_are_drawn_as_what_they_are():
     assert foot.half[2] == pytest.approx(0.1, abs=0.02)
     assert foot.centre[2] - foot.half[2] == pytest.approx(0.01, abs=0.02)
     assert len(at(stage, 2).solids) == 5  # it has let go
+
+
+EVERY = {kind.model_fields["kind"].default: kind for kind in get_args(Wall)}
+
+
+@pytest.mark.parametrize("kind", EVERY)
+def test_every_kind_of_boundary_is_drawn_and_where_it_has_moved(kind):
+    """Seen from above and beside: against the same picture without it."""
+    moves = {"kind": "path", "times": [0, 0.5], "points": [[0, 0, 0], [0.1, 0.1, 0.2]]}
+    movable = "motion" in EVERY[kind].model_fields
+    stage = staged([{"kind": kind, **({"motion": moves} if movable else {})}])
+    first, last = at(stage, 0), at(stage, 2)
+    if EVERY[kind].model_fields.get("height"):  # it is the floor
+        assert (first.floor.height, last.floor.height) == pytest.approx((0.0, 0.2))
+    elif kind == "half_space":  # level as it is by default
+        assert first.floor.height == 0.0 and last.floor.height == pytest.approx(0.2)
+    else:
+        for one, other in zip(first.solids, last.solids, strict=True):
+            assert not movable or other.centre - one.centre == pytest.approx([0.1, 0.1, 0.2])
+        nothing = ball(10).select(np.zeros(0, int))
+        camera = Camera.orbit(30, 25, 4.0, 64, (0, 0, 0.5))
+        for shown in (first, last):
+            seen, bare = (
+                Renderer(device="cpu")(nothing, camera, stage=replace(shown, solids=solids))
+                for solids in (shown.solids, ())
+            )
+            assert (np.abs(seen - bare).max(axis=2) > 0.01).sum() > 20
+
+
+class Slope(HalfSpace):
+    """A boundary that a program defines: a plane of its own."""
+
+    kind: Literal["slope"] = "slope"
+    normal: tuple[float, float, float] = (0.6, 0.0, 0.8)
+
+
+class Cushion(Boundary):
+    """One that responds in a way of its own and says only where it is."""
+
+    kind: Literal["cushion"] = "cushion"
+
+    def extent(self, model):
+        return np.array([-0.5, -0.4, 0.0]), np.array([0.5, 0.4, 0.2])
+
+
+class Wind(Boundary):
+    """One that does not even say where it is."""
+
+    kind: Literal["gust"] = "gust"
+
+
+def test_boundaries_from_outside_are_drawn_as_far_as_they_say_what_they_are():
+    boundaries = (Slope(), Cushion(), Wind())
+    clip = Clip.from_frames([Frame(0, 0.0, ball(500).moved(1.0, [0, 0, 0.5]))])
+    scene = Scene(boundaries=boundaries).data()
+    scene["boundaries"].append({"kind": "from a package that is not here"})
+    shown = stage_of(replace(clip, scene=scene), STUDIO).at(HERE)
+    slope, cushion = shown.solids
+    assert slope.axes[0] == pytest.approx([0.6, 0, 0.8])
+    assert cushion.centre == pytest.approx([0, 0, 0.1]) and cushion.half[0] == pytest.approx(0.5)
 
 
 def test_the_device_samples_the_same_tracks():

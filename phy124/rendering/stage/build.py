@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from phy124.boundaries import Boundary, Wall
 from phy124.gaussians import Array, Frame
 from phy124.io.clip import Clip
+from phy124.plugins import registered
 from phy124.rendering.stage.backdrop import backdrop
 from phy124.rendering.stage.frame import POOL, Backdrop, Floor, Solid, StageFrame
 from phy124.rendering.stage.ground import floor_heights
@@ -88,8 +92,7 @@ def stage_of(
     rest = rest[np.isfinite(rest).all(axis=1)]
     if view.stage == "plain" or not len(rest):
         return Stage(behind, np.zeros(len(clip)), (), None)
-    boundaries = Scene.from_data({"boundaries": clip.scene.get("boundaries", [])}).boundaries
-    walls = placed(boundaries, rest)
+    walls = placed(_boundaries(clip), rest)
     heights = floor_heights(walls, rest, clip.times)
     shown = tuple(
         (wall.solid(), wall.displacements(clip.times), wall.present(clip.times))
@@ -98,6 +101,32 @@ def stage_of(
     )
     own = None if clip.own.all() else clip.own
     return Stage(behind, heights, shown, _caster(clip, rest, heights, device), own)
+
+
+def _boundaries(clip: Clip) -> Sequence[Boundary]:
+    """The boundaries of a clip's scene.
+
+    Of those from outside these are known: registered ones, and those of a class that this program
+    has defined.
+    """
+    own = {kind.model_fields["kind"].default for kind in get_args(Wall)}
+    defined = {kind.model_fields["kind"].default: kind for kind in _kinds(Boundary)}
+    known: list[Any] = []
+    for told in clip.scene.get("boundaries", []):
+        kind = told.get("kind")
+        if kind in own or registered("boundaries", kind) is not None:
+            known.append(told)
+        elif kind in defined:
+            known.append(defined[kind].model_validate(told))
+    return Scene.from_data({"boundaries": known}).boundaries
+
+
+def _kinds(base: type[Boundary]) -> Iterator[type[Boundary]]:
+    """All subclasses that name their kind."""
+    for kind in base.__subclasses__():
+        if "kind" in kind.model_fields:
+            yield kind
+        yield from _kinds(kind)
 
 
 def _caster(clip: Clip, rest: NDArray, heights: NDArray, device: str) -> Caster:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Any, get_args
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from phy124.boundaries import Boundary, Container, Wall
+from phy124.boundaries import Boundary, Container
 from phy124.boundaries.base import AtRest
 from phy124.rendering.stage.frame import Solid
 from phy124.tracks import Track
@@ -61,16 +62,12 @@ class Placed:
 
     def solid(self) -> Solid:
         """What is drawn of it at rest."""
-        return SHAPES.get(self.outline, _box)(self)
+        return SHAPES[self.outline](self)
 
 
 def placed(boundaries: Sequence[Boundary], rest: NDArray) -> list[Placed]:
-    """The simple walls of boundaries around an object at rest [N,3], m.
-
-    Boundaries from outside, of whose shape nothing is known, are left out.
-    """
-    known = [one for one in boundaries if isinstance(one, get_args(Wall))]
-    return [wall for one in known for wall in _walls(one, rest)]
+    """The simple walls of boundaries around an object at rest [N,3], m."""
+    return [wall for one in boundaries for wall in _walls(one, rest)]
 
 
 def _walls(boundary: Boundary, rest: NDArray) -> Iterator[Placed]:
@@ -84,9 +81,25 @@ def _walls(boundary: Boundary, rest: NDArray) -> Iterator[Placed]:
         inside = (np.array(boundary.inside.lower), np.array(boundary.inside.upper))
         span = (np.maximum(inside[0], low - 2 * size), np.minimum(inside[1], high + room))
     for part in boundary.parts():
-        shape = np.array(part.geometry(body), float)
-        wall = Placed(part.outline(), shape, part.track(body), part.holds, span)
-        yield replace(wall, span=_held(wall, rest)) if part.holds else wall
+        outline, shape = _shape(part, body)
+        if shape is not None:
+            wall = Placed(outline, shape, part.track(body), part.holds, span)
+            yield replace(wall, span=_held(wall, rest)) if part.holds else wall
+
+
+def _shape(part: Boundary, body: AtRest) -> tuple[str, NDArray[np.float64] | None]:
+    """The distance function of a simple wall and what it reads.
+
+    One from outside may respond in a way of its own. Then it is drawn as the box that contains it;
+    one that does not say where it is cannot be drawn.
+    """
+    with suppress(NotImplementedError, AttributeError):
+        if (outline := part.outline()) in SHAPES:
+            return outline, np.array(part.geometry(body), float)
+    low, high = np.array(part.extent(cast(Any, body)), float)
+    if not np.isfinite([low, high]).all():
+        return "box", None
+    return "box", np.stack([(low + high) / 2, (high - low) / 2, np.zeros(3)])
 
 
 def _around(low: NDArray, high: NDArray) -> Corners:
@@ -152,6 +165,14 @@ def _box(wall: Placed) -> Solid:
     return Solid(wall.shape[0], np.eye(3), np.abs(wall.shape[1]))
 
 
+def _cylinder(wall: Placed) -> Solid:
+    """The box around a cylinder, or around what it holds."""
+    if wall.holds:
+        return _between(*wall.span)
+    point, axis, sizes = wall.shape
+    return Solid(point, np.eye(3), _around_cylinder(axis, sizes))
+
+
 def _ball(wall: Placed) -> Solid:
     return Solid(wall.shape[0], np.eye(3), np.zeros(3), float(wall.shape[1][0]))
 
@@ -165,6 +186,7 @@ def _capsule(wall: Placed) -> Solid:
 
 
 SHAPES: dict[str, Any] = {
-    "half_space": _panel, "box": _box, "cylinder": _box, "sphere": _ball, "capsule": _capsule,
+    "half_space": _panel, "box": _box, "cylinder": _cylinder, "sphere": _ball,
+    "capsule": _capsule,
 }  # fmt: skip
-"""Distance function of a boundary -> what is drawn of it; others are drawn as boxes."""
+"""Distance function of a boundary -> what is drawn of it."""
