@@ -1,5 +1,6 @@
 """What all tests share: golden data, tiny objects, one quiet Warp."""
 
+import gc
 import os
 import signal
 
@@ -23,6 +24,18 @@ from phy124.gaussians import Gaussians
 
 ROOT = Path(__file__).parents[1]
 GOLDEN = Path(os.environ.get("PHY124_GOLDEN", ROOT / "../shared/golden"))
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection() -> None:
+    """Collecting imports much and throws nothing away, so there is no garbage to look for."""
+    gc.disable()
+
+
+def pytest_collection_finish() -> None:
+    """From here on garbage is collected again, but not looked for among what was imported."""
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -17,7 +17,6 @@ from starlette.testclient import TestClient
 
 from demo.exports import EXPORTS, export
 from demo.forecast import Estimator
-from demo.handlers.results import _takeaway, preparer
 from demo.pictures import corrected, cut_out
 from demo.report import as_html
 from demo.server import shared_route
@@ -58,13 +57,23 @@ def test_the_player_is_made(done):
     assert "Phy124Player.mount" in export("html", done).read_text("utf-8")
 
 
+@pytest.fixture
+def results():
+    """The page's results; not imported with this module, as only few test processes need gradio."""
+    from demo.handlers import results
+
+    return results
+
+
 @pytest.mark.skipif(find_spec("mcap") is None, reason="the extra bridge is not installed")
 def test_a_recording_is_made_by_the_bridge(done):
     assert export("mcap", done).read_bytes()[1:5] == b"MCAP"
 
 
 @pytest.mark.parametrize("name", [name for name in WRITTEN if name != "ply"])
-def test_every_format_that_is_written_is_offered_with_its_size_and_what_opens_it(done, name):
+def test_every_format_that_is_written_is_offered_with_its_size_and_what_opens_it(
+    done, name, results
+):
     offer = EXPORTS[name]
     assert offer.hint == f"Opens in {FORMATS[name].opens_in}" and offer.available()
     path = export(name, done)
@@ -74,9 +83,9 @@ def test_every_format_that_is_written_is_offered_with_its_size_and_what_opens_it
     if FORMATS[name].encode:
         there = read_gaussians(path).gaussians.means
         np.testing.assert_allclose(there, clip.means[0], atol=1e-3)
-    (told,) = [f for f in _takeaway(done)["files"] if f["file"].get("path") == str(path)]
+    (told,) = [f for f in results._takeaway(done)["files"] if f["file"].get("path") == str(path)]
     assert told["hint"] == offer.hint
-    assert {o["kind"] for o in _takeaway(done)["offers"]} == {*EXPORTS, "share"} - {name}
+    assert {o["kind"] for o in results._takeaway(done)["offers"]} == {*EXPORTS, "share"} - {name}
 
 
 def studio_of(done: Done) -> SimpleNamespace:
@@ -86,10 +95,10 @@ def studio_of(done: Done) -> SimpleNamespace:
     return SimpleNamespace(visitors=visitors, settings=SimpleNamespace(room=visitors.room))
 
 
-def test_a_link_shows_the_player_as_long_as_its_visitor_is_known(done, monkeypatch):
+def test_a_link_shows_the_player_as_long_as_its_visitor_is_known(done, results, monkeypatch):
     studio = studio_of(done)
     monkeypatch.setattr("demo.handlers.results.visitor_of", lambda request: request)
-    prepare, asked = preparer(studio), SimpleNamespace(_data={"kind": "share"})
+    prepare, asked = results.preparer(studio), SimpleNamespace(_data={"kind": "share"})
     told = prepare(done, None, asked, "cookie me")["share"]
     assert told == prepare(done, None, asked, "cookie me")["share"], "one link for one result"
     assert "1.5 minutes" in told["lasts"]

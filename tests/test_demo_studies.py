@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import gradio as gr
 import pytest
 
-from demo import handlers
 from demo.forecast import promise_of
 from demo.jobs import Cutout, Studio
 from demo.line import Job
@@ -109,6 +107,14 @@ def test_torn_grids_are_kept_as_such(study, monkeypatch):
 
 
 @pytest.fixture
+def handlers():
+    """The page's handlers; not imported with this module, as few test processes need gradio."""
+    from demo import handlers
+
+    return handlers
+
+
+@pytest.fixture
 def visit(tmp_path):
     """A studio, a visitor's cut-out, and a scene of which nothing was measured."""
     studio = Studio(Settings(gaussians=1000, device="cpu"), Visitors(tmp_path))
@@ -119,7 +125,7 @@ def visit(tmp_path):
     return studio, cut.progress.result.path, scene.data()
 
 
-def test_measuring_is_offered_where_nothing_was_measured_and_then_told(visit):
+def test_measuring_is_offered_where_nothing_was_measured_and_then_told(visit, handlers):
     studio, cutout, data = visit
 
     def shown(data):
@@ -141,7 +147,11 @@ def test_measuring_is_offered_where_nothing_was_measured_and_then_told(visit):
     assert "error not measured" not in after
 
 
-def test_the_report_of_a_run_tells_what_was_measured_on_its_scene_later(visit, monkeypatch):
+def test_the_report_of_a_run_tells_what_was_measured_on_its_scene_later(
+    visit, handlers, monkeypatch
+):
+    import gradio as gr
+
     for module in (handlers.results, handlers.event):
         monkeypatch.setattr(module, "visitor_of", lambda _: "a")
     studio, cutout, data = visit
