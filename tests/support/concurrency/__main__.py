@@ -1,0 +1,16 @@
+"""`python -m support.concurrency races | order GROUP CACHE`: what was found, as JSON."""
+
+import json
+import sys
+
+import warp as wp
+
+from support.concurrency.order import apart
+from support.concurrency.races import races
+
+ASKED = {"races": races, "order": apart}
+
+if __name__ == "__main__":
+    wp.config.log_level = wp.LOG_ERROR
+    what, group, cache = sys.argv[1:]
+    print(json.dumps(ASKED[what](group, cache)))

@@ -1,0 +1,46 @@
+"""Clips whose dependence on the order of threads is measured: every preset, law and solid."""
+
+from collections.abc import Callable
+from typing import Any
+
+from phy124.io.clip import Clip
+from phy124.scene import Scene
+from phy124.scene.scene import preset_names
+from phy124.simulation import Simulation
+from support.scenes import LAWS, OTHER_SOLIDS, SOLIDS
+from support.shapes import ball
+
+Clips = dict[str, Callable[[], Clip]]
+SHORT = {"accuracy": {"cells": 8}, "time.frames": 8}
+
+
+def clip(preset: str, **changes: Any) -> Clip:
+    """Of a ball, all forms and threads as they were chosen."""
+    scene = Scene.named(preset).replaced({**SHORT, **changes})
+    return Simulation(ball(500), scene, threads=1).run()
+
+
+def presets() -> Clips:
+    """As they are."""
+    return {name: lambda name=name: clip(name) for name in preset_names()}
+
+
+def laws() -> Clips:
+    """A ball of each material hits the ground."""
+    fall = {"object.lift": 0.02, "object.velocity": [0.5, 0.2, -2.0]}
+    return {
+        name: lambda given=given: clip("drop", material=given, **fall)
+        for name, given in LAWS.items()
+    }
+
+
+def solids() -> Clips:
+    """A ball hits each boundary, off its middle."""
+    fall = {"object.lift": 0.02, "object.velocity": [0.5, 0.2, -2.0]}
+    return {
+        name: lambda wall=wall: clip("drop", boundaries=[wall], **fall)
+        for name, wall in {**SOLIDS, **OTHER_SOLIDS}.items()
+    }
+
+
+CLIPS: dict[str, Callable[[], Clips]] = {"presets": presets, "laws": laws, "solids": solids}

@@ -1,0 +1,63 @@
+"""Which words of memory threads of one launch race for."""
+
+from collections import Counter
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from support.concurrency.record import ATOMIC, READ, WRITE
+
+WORD = 4
+PAIRS = {
+    "write-write": (WRITE, WRITE),
+    "read-write": (READ, WRITE),
+    "write-atomic": (WRITE, ATOMIC),
+    "read-atomic": (READ, ATOMIC),
+}
+"""What two threads may not do to one word, unless nobody minds which of them is first."""
+
+
+def conflicts(entries: NDArray, arrays: Mapping[str, tuple[int, int]]) -> Counter[str]:
+    """Number of words by kind and array, such as "read-write grid_out".
+
+    Args:
+        entries: The accesses of one launch.
+        arrays: Where its arrays lie: first address, and one past the last.
+    """
+    words, kinds, tasks = _by_word(_shared(entries, arrays))
+    if not len(words):
+        return Counter()
+    place, first = np.unique(words, return_inverse=True)
+    low = np.full((3, len(place)), np.iinfo(np.int64).max)
+    high = np.full((3, len(place)), -1, np.int64)
+    np.minimum.at(low, (kinds, first), tasks)
+    np.maximum.at(high, (kinds, first), tasks)
+    found: Counter[str] = Counter()
+    for pair, (one, other) in PAIRS.items():
+        both = (high[one] >= 0) & (high[other] >= 0)
+        several = np.minimum(low[one], low[other]) < np.maximum(high[one], high[other])
+        for word in place[both & several]:
+            found[f"{pair} {_name(int(word), arrays)}"] += 1
+    return found
+
+
+def _shared(entries: NDArray, arrays: Mapping[str, tuple[int, int]]) -> NDArray:
+    """Accesses inside the arrays; others are of memory that each thread has for itself."""
+    inside = np.zeros(len(entries), bool)
+    for start, stop in arrays.values():
+        inside |= (entries["address"] >= start) & (entries["address"] < stop)
+    return entries[inside]
+
+
+def _by_word(entries: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+    """Address of the word, kind and thread of every access, once for each of its words."""
+    length = np.maximum(entries["bytes"] // WORD, 1).astype(np.int64)
+    row = np.repeat(np.arange(len(entries)), length)
+    within = np.arange(len(row)) - np.repeat(np.cumsum(length) - length, length)
+    words = entries["address"][row].astype(np.int64) + WORD * within
+    return words, entries["kind"][row], entries["task"][row].astype(np.int64)
+
+
+def _name(address: int, arrays: Mapping[str, tuple[int, int]]) -> str:
+    return next(name for name, (start, stop) in arrays.items() if start <= address < stop)

@@ -1,0 +1,80 @@
+"""Kernels of which it is known whether their threads race."""
+
+import numpy as np
+import warp as wp
+
+THREADS = 64
+NAMES = (
+    "write_write", "read_write", "write_atomic", "read_atomic",
+    "mass_and_momentum", "mass", "counted", "own",
+)  # fmt: skip
+VECTORS = {"mass_and_momentum": wp.vec4, "mass": wp.vec4, "own": wp.vec3}
+"""Type of the elements, where they are no numbers."""
+
+
+@wp.kernel(module="phy124_control", enable_backward=False)
+def write_write(values_out: wp.array(dtype=float)):
+    """Neighbours write the same number."""
+    i = wp.tid()
+    values_out[i / 2] = float(i)
+
+
+@wp.kernel(module="phy124_control", enable_backward=False)
+def read_write(values_out: wp.array(dtype=float)):
+    """Each reads what its neighbour writes."""
+    i = wp.tid()
+    values_out[i] = values_out[(i + 1) % 64] + 1.0
+
+
+@wp.kernel(module="phy124_control", enable_backward=False)
+def write_atomic(values_out: wp.array(dtype=float)):
+    """One writes what all add to."""
+    i = wp.tid()
+    if i == 0:
+        values_out[0] = 1.0
+    wp.atomic_add(values_out, 0, 1.0)
+
+
+@wp.kernel(module="phy124_control", enable_backward=False)
+def read_atomic(values_out: wp.array(dtype=float)):
+    """Each looks before it raises a maximum: harmless, but told."""
+    value = float(wp.tid())
+    if value > values_out[0]:
+        wp.atomic_max(values_out, 0, value)
+
+
+@wp.kernel(module="phy124_control", enable_backward=False)
+def mass_and_momentum(nodes_out: wp.array(dtype=wp.vec4)):
+    """Each looks at one component of a vector while others add to it."""
+    i = wp.tid()
+    if nodes_out[0][1] == 0.0:
+        wp.atomic_add(nodes_out, 0, wp.vec4(0.0, float(i + 1), 0.0, 0.0))
+
+
+@wp.kernel(module="phy124_control", enable_backward=False)
+def mass(nodes_out: wp.array(dtype=wp.vec4)):
+    """Each looks at one component of a vector while others add to another: no race."""
+    i = wp.tid()
+    if nodes_out[0][3] == 0.0:
+        wp.atomic_add(nodes_out, 0, wp.vec4(0.0, float(i + 1), 0.0, 0.0))
+
+
+@wp.kernel(module="phy124_control", enable_backward=False)
+def counted(values_out: wp.array(dtype=float)):
+    """All add to one number: no race."""
+    wp.atomic_add(values_out, 0, 1.0)
+
+
+@wp.kernel(module="phy124_control", enable_backward=False)
+def own(values_out: wp.array(dtype=wp.vec3)):
+    """Each reads and writes its own element: no race."""
+    i = wp.tid()
+    values_out[i] = values_out[i] + wp.vec3(1.0, 2.0, 3.0)
+
+
+def run(name: str) -> np.ndarray:
+    """What one of them leaves."""
+    kernel = globals()[name]
+    values = wp.zeros(THREADS, dtype=VECTORS.get(name, float), device="cpu")
+    wp.launch(kernel, THREADS, inputs=[values], device="cpu")
+    return values.numpy()

@@ -1,0 +1,28 @@
+"""The forms that kernels have on a GPU, run on the CPU."""
+
+from phy124.kernels import reduction
+
+THREADS = 2**7
+"""Few, so that each sums several of few particles."""
+
+
+def shared_out(particles: int, device: str) -> tuple[int, int, int, int]:
+    """As `reduction.shared_out` on a GPU of few threads."""
+    threads = min(particles, THREADS)
+    return threads, 1, -(-particles // threads), threads
+
+
+def choose() -> None:
+    """Choose them; before anything else of phy124 is imported, as names are bound then."""
+    reduction.shared_out = shared_out
+    from phy124.mpm import model, solver
+    from phy124.rendering import render
+
+    model.form_of = lambda precision, device: "plain"
+    solver.usable_workers = lambda model, asked=None: asked or 1
+    usual = render.Renderer.__init__
+
+    def by_pixel(self, *, device=None, blend="auto", filter="dilate") -> None:
+        usual(self, device=device, blend="pixel" if blend == "auto" else blend, filter=filter)
+
+    render.Renderer.__init__ = by_pixel

@@ -1,0 +1,46 @@
+"""How much a run depends on the order in which the threads of each launch come."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from support.concurrency import gpu_forms
+from support.concurrency.record import Record
+from support.concurrency.watched import Given, install
+
+
+class Mixer:
+    """Runs launches in order, or each in an order of its own."""
+
+    def __init__(self) -> None:
+        self._record = Record()
+        self._rng: np.random.Generator | None = None
+
+    def seed(self, seed: int | None) -> None:
+        """Choose other orders; None: one thread after another."""
+        self._rng = None if seed is None else np.random.default_rng(seed)
+
+    def __call__(self, given: Given, launch: Callable[[], None]) -> None:
+        """Run a launch."""
+        self._record.in_order()
+        if self._rng is not None and given.threads > 1:
+            self._record.shuffled(given.threads, self._rng)
+        launch()
+
+
+def apart(group: str, cache: str, seeds: tuple[int, ...] = (1, 2)) -> dict[str, list[float]]:
+    """Run -> largest distance [m] between its clip in order and in other orders."""
+    mixer = Mixer()
+    install(mixer, cache)
+    gpu_forms.choose()
+    from support.concurrency.clips import CLIPS
+
+    found: dict[str, list[float]] = {}
+    for name, run in CLIPS[group]().items():
+        mixer.seed(None)
+        means = run().means
+        found[name] = []
+        for seed in seeds:
+            mixer.seed(seed)
+            found[name].append(float(np.abs(run().means - means).max()))
+    return found

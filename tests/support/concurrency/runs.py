@@ -1,0 +1,145 @@
+"""What is run to see every kernel at work: groups of small scenes.
+
+The forms of a GPU have been chosen before this is imported (gpu_forms.py).
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from phy124.accuracy import problems
+from phy124.camera import Camera
+from phy124.materials import NeoHookean
+from phy124.rendering.render import Renderer
+from phy124.rendering.stage.build import stage_of
+from phy124.scene import Scene, View
+from phy124.scene.scene import preset_names
+from phy124.selftest.case import Setting
+from phy124.selftest.laws import every_deformation
+from phy124.simulation import Simulation
+from support.scenes import FORCES, LAWS, OTHER_SOLIDS, SOLIDS, SWING
+from support.shapes import ball, splats
+from support.solvers import make_solver
+
+SMALL = {"accuracy": {"cells": 8}, "time.frames": 3, "time.fps": 400.0}
+FALLING = {"object.lift": 0.0, "object.velocity": [0.3, 0.1, -1.5]}
+Runs = dict[str, Callable[[], object]]
+
+
+def simulate(preset: str = "drop", count: int = 300, **changes: Any) -> Simulation:
+    """A few frames of a small ball that comes down."""
+    scene = Scene.named(preset).replaced({**SMALL, **changes})
+    run = Simulation(ball(count), scene, threads=1)
+    run.run()
+    return run
+
+
+def laws() -> Runs:
+    """Every law, in both precisions that scenes have for the first."""
+    fall = {law: {"material": given, **FALLING} for law, given in LAWS.items()}
+    fall["float64"] = {**FALLING, "accuracy": {"cells": 8, "precision": "float64"}}
+    return {name: lambda given=given: simulate(**given) for name, given in fall.items()}
+
+
+def walls() -> Runs:
+    """Every boundary, still and moving, with every contact; a law that flows meets some of them."""
+    found: Runs = {}
+    for name, wall in SOLIDS.items():
+        for contact in ("separate", "slip", "sticky"):
+            motion = {"motion": SWING} if contact == "separate" else {}
+            met = {**wall, "contact": contact, **motion}
+            found[f"{name}, {contact}"] = lambda met=met: simulate(boundaries=[met], **FALLING)
+        found[f"{name}, still"] = lambda wall=wall: simulate(boundaries=[wall], **FALLING)
+    for name, wall in OTHER_SOLIDS.items():
+        found[name] = lambda wall=wall: simulate(boundaries=[wall], **FALLING)
+    sand = {"material": {"law": "sand"}, **FALLING}
+    for name in ("sphere", "capsule", "box"):
+        found[f"sand on a {name}"] = lambda wall=SOLIDS[name]: simulate(boundaries=[wall], **sand)
+    return found
+
+
+def forces() -> Runs:
+    """Every force, beside gravity."""
+    gravity = {"kind": "gravity"}
+    return {
+        name: lambda force=force: simulate(forces=[gravity, force], **FALLING)
+        for name, force in FORCES.items()
+    }
+
+
+def monitors() -> Runs:
+    """What looks at a run and mends it: contacts, repair, particles far away, rejected substeps."""
+    return {
+        "contacts": lambda: simulate(contacts=True, wrenches=True, **FALLING),
+        "lattice": lambda: simulate(binding="lattice", **FALLING),
+        "sleep": lambda: simulate(**{"time.frames": 12, "time.fps": 24.0}),
+        "a violent blow": lambda: simulate(**{**FALLING, "object.velocity": [0, 0, -60.0]}),
+        "tearing sand": lambda: simulate("sand"),
+        "particles far away": far_away,
+        "stress at a point": probed,
+        "a vortex": lambda: problems.vortex(6, time=0.01),
+        "two workers": in_two_parts,
+    }
+
+
+def far_away() -> None:
+    """Most particles in a cube, one a thousand cubes away."""
+    rng = np.random.default_rng(0)
+    x = rng.uniform(-0.3, 0.3, (200, 3))
+    x[-1] = 1000.0
+    solver = make_solver(x, np.full(len(x), 1e-3), [NeoHookean(E=1e4)], dx=0.1)
+    solver.advance(0.01)
+
+
+def probed() -> None:
+    """Laws alone, for any deformation."""
+    every_deformation(Setting("cpu", "float32"))
+
+
+def in_two_parts() -> None:
+    """Two workers in turn, each with nodes of its own."""
+    x = np.sort(np.random.default_rng(0).uniform(-0.3, 0.3, (200, 3)), axis=0)
+    solver = make_solver(x, np.full(len(x), 1e-3), [NeoHookean(E=1e4)], dx=0.1, threads=2)
+    for _ in range(3):
+        solver.step(1e-4, 1e-4)
+
+
+def pictures() -> Runs:
+    """Gaussians, alone and on a stage with walls of glass; colours that turn with the material."""
+    renderer = Renderer(device="cpu")
+    return {
+        "square": lambda: renderer(ball(800), Camera.orbit(30, 20, 1.4, 64)),
+        "wide": lambda: renderer(ball(800), Camera.orbit(80, 5, 1.4, (75, 37))),
+        "by tiles": lambda: Renderer(blend="plain")(ball(800), Camera.orbit(30, 20, 1.4, 64)),
+        "on a stage": on_a_stage,
+        "colours": lambda: Simulation(splats(np.random.default_rng(0), 200, degree=1), few()).run(),
+    }
+
+
+def few(name: str = "spin") -> Scene:
+    """A preset with few frames and cells."""
+    return Scene.named(name).replaced({"accuracy": {"cells": 8}, "time.frames": 3})
+
+
+def on_a_stage() -> None:
+    """A plate above a floor."""
+    clip = Simulation(ball(300), few("press"), threads=1).run()
+    frame, view = next(clip.frames()), View(stage="studio")
+    stage = stage_of(clip, view)
+    assert stage is not None
+    Renderer()(frame.gaussians, Camera.orbit(30, 20, 3.0, (64, 48)), stage=stage.at(frame))
+
+
+def presets() -> Runs:
+    """Every preset as it is."""
+    return {
+        name: lambda name=name: Simulation(ball(300), few(name), threads=1).run()
+        for name in preset_names()
+    }
+
+
+GROUPS: dict[str, Callable[[], Runs]] = {
+    "laws": laws, "walls": walls, "forces": forces,
+    "monitors": monitors, "pictures": pictures, "presets": presets,
+}  # fmt: skip

@@ -1,0 +1,47 @@
+"""Parts of scenes: every law, every boundary and every force, by name."""
+
+from typing import Any
+
+UPPER = {"lower": [-1, -1, 0.5], "upper": [1, 1, 2]}
+LAWS: dict[str, dict[str, Any]] = {
+    **{law: {"law": law} for law in (
+        "neo_hookean", "fixed_corotated", "hencky", "rigid",
+        "metal", "plasticine", "foam", "sand", "snow", "fluid",
+    )},
+    **{f"damped {law}": {"law": law, "damping": 10.0} for law in (
+        "neo_hookean", "fixed_corotated", "hencky",
+    )},
+}  # fmt: skip
+SWING = {"kind": "swing", "amplitude": [0.05, 0.02, 0.05], "frequency": 20.0}
+SOLIDS: dict[str, dict[str, Any]] = {
+    "ground": {"kind": "ground"},
+    "half_space": {"kind": "half_space", "point": [0, 0, 0.15], "normal": [0.3, 0.2, 0.93]},
+    "box": {"kind": "box", "lower": [-0.25, -0.3, -0.3], "upper": [0.3, 0.25, 0.2]},
+    "sphere": {"kind": "sphere", "centre": [0.1, 0.05, 0.1], "radius": 0.3},
+    "capsule": {"kind": "capsule", "start": [-0.4, 0, 0], "end": [0.4, 0.1, 0.1], "radius": 0.25},
+    "container": {"kind": "container",
+                  "inside": {"lower": [-0.4, -0.4, 0.1], "upper": [0.4, 0.4, 2]}},
+    "held": {"kind": "held", "upper": [10, 10, 0.3]},
+    "held cylinder": {"kind": "held", "lower": [-0.2, -0.2, -1], "upper": [0.2, 0.2, 2],
+                      "cylinder": "z"},
+    "foot": {"kind": "foot"},
+}  # fmt: skip
+OTHER_SOLIDS: dict[str, dict[str, Any]] = {
+    "press": {"kind": "press", "top": 0.9, "down": 0.004},
+    "gripper": {"kind": "gripper", "opening": 0.9, "closed": 0.6, "close": 0.004, "thick": 0.3},
+    "foot that lets go": {"kind": "foot", "end": 0.004},
+    "held in one direction": {"kind": "held", "upper": [10, 10, 0.3], "contact": "slip"},
+}
+FORCES: dict[str, dict[str, Any]] = {
+    "acceleration": {"kind": "acceleration", "a": [0, 3, 0]},
+    "varying acceleration": {"kind": "acceleration", "a": [0, 3, 0],
+                             "profile": {"kind": "sine", "frequency": 30.0}},
+    "acceleration of a region": {"kind": "acceleration", "a": [0, 3, 0], "region": UPPER},
+    "force": {"kind": "force", "f": [0, 1, 0], "region": UPPER},
+    "impulse": {"kind": "impulse", "p": [0, 0.1, 0], "region": UPPER},
+    "particle_force": {"kind": "particle_force", "f": [0, 1e-4, 0]},
+    "zone": {"kind": "zone", "place": UPPER},
+    "wind": {"kind": "wind", "v": [3, 0, 0]},
+    "attraction": {"kind": "attraction"},
+    "set_velocity": {"kind": "set_velocity", "v": [0, 0, 1], "region": UPPER, "end": 0.005},
+}  # fmt: skip

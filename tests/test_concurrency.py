@@ -1,0 +1,173 @@
+"""Kernels as a GPU runs them: no two threads of a launch race, and their order does not matter.
+
+The slow tests compile every kernel a second time, with notes of what it reads and writes
+(tests/support/concurrency), and take some minutes.
+"""
+
+import ast
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from support.concurrency.conflicts import conflicts
+from support.concurrency.parts import by_parts
+from support.concurrency.record import ATOMIC, ENTRY, READ, WRITE, unusable
+from support.pages import ROOT
+
+GROUPS = ("laws", "walls", "forces", "monitors", "pictures", "presets")
+KERNELS = ROOT / "phy124/kernels"
+HARMLESS = {
+    "read-atomic maxima_out": "a maximum is compared with before it is raised, atomically",
+    "read-atomic fastest_out": "likewise",
+}
+"""What may race, and why nobody minds."""
+ALONE = {
+    "meet": "the barrier of two CPU threads",
+    "bin_serial": "a single thread, for CPUs",
+    "blend_tiles_simd": "rows for the vector units of a CPU",
+    "draw_setting_simd": "likewise",
+    "timestep": "a single thread, inside a graph",
+}
+"""Kernels that are not looked at, and why they need not be."""
+TOLERANCE = 1e-4
+"""Largest distance between clips of a body of 1 m whose threads came in different orders [m]. Most
+differ by 1e-7; by 2e-5 where a plate comes down within 4 ms."""
+
+needs_memory = pytest.mark.skipif(unusable() is not None, reason=str(unusable()))
+
+
+def asked(what: str, group: str, cache: Path) -> dict[str, Any]:
+    """What a process of its own finds, whose kernels are not those of this one."""
+    command = [sys.executable, "-m", "support.concurrency", what, group, str(cache)]
+    paths = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
+    environment = {**os.environ, "PYTHONPATH": paths}
+    done = subprocess.run(
+        command, env=environment, capture_output=True, text=True, cwd=ROOT, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory) -> Path:
+    return tmp_path_factory.mktemp("kernels with notes")
+
+
+@pytest.fixture(scope="module")
+def races(cache):
+    """What a group of runs shows; each runs once."""
+    known: dict[str, dict[str, Any]] = {}
+
+    def of(group: str) -> dict[str, Any]:
+        if group not in known:
+            known[group] = asked("races", group, cache)
+        return known[group]
+
+    return of
+
+
+@pytest.mark.slow
+@needs_memory
+def test_races_that_are_there_are_found(races):
+    raced = {name.partition("/")[2]: what for name, what in races("controls")["raced"].items()}
+    assert {name: list(what) for name, what in raced.items()} == {
+        "write_write": ["write-write values_out"],
+        "read_write": ["read-write values_out"],
+        "write_atomic": ["write-atomic values_out"],
+        "read_atomic": ["read-atomic values_out"],
+        "mass_and_momentum": ["read-atomic nodes_out"],
+    }
+    assert raced["write_write"]["write-write values_out"] == {"write_write": 32}
+    assert raced["read_write"]["read-write values_out"] == {"read_write": 64}
+
+
+@pytest.mark.slow
+@needs_memory
+@pytest.mark.parametrize("group", GROUPS)
+def test_no_two_threads_of_a_launch_race(group, races):
+    raced = {
+        f"{kernel}: {what}": runs
+        for kernel, found in races(group)["raced"].items()
+        for what, runs in found.items()
+        if what not in HARMLESS
+    }
+    assert raced == {}
+
+
+@pytest.mark.slow
+@needs_memory
+def test_every_kernel_was_looked_at(races):
+    seen = {name.partition("/")[2] for group in GROUPS for name in races(group)["seen"]}
+    assert set(kernels()) - seen == set(ALONE)
+
+
+@pytest.mark.slow
+@needs_memory
+@pytest.mark.parametrize("group", ["presets", "laws", "solids"])
+def test_the_order_of_threads_does_not_matter(group, cache):
+    apart = asked("order", group, cache)
+    assert {name: found for name, found in apart.items() if max(found) > TOLERANCE} == {}
+
+
+def kernels() -> list[str]:
+    """Names of all kernels, from the source."""
+    return [
+        node.name
+        for path in KERNELS.rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text("utf-8")))
+        if isinstance(node, ast.FunctionDef)
+        for decorator in node.decorator_list
+        if isinstance(decorator, ast.Call) and ast.unparse(decorator.func) == "kernel"
+    ]
+
+
+def noted(*accesses: tuple[int, int, int, int]) -> np.ndarray:
+    """Accesses: address, thread, bytes and kind."""
+    return np.array(list(accesses), ENTRY)
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "found"),
+    [
+        ((0, 1, 4, WRITE), (0, 2, 4, WRITE), {"write-write a": 1}),
+        ((0, 1, 16, WRITE), (8, 2, 8, READ), {"read-write a": 2}),
+        ((0, 1, 4, WRITE), (0, 2, 4, ATOMIC), {"write-atomic a": 1}),
+        ((0, 1, 4, READ), (0, 2, 4, ATOMIC), {"read-atomic a": 1}),
+        ((0, 1, 4, READ), (0, 2, 4, READ), {}),
+        ((0, 1, 4, ATOMIC), (0, 2, 4, ATOMIC), {}),
+        ((0, 1, 4, WRITE), (0, 1, 4, READ), {}),
+        ((0, 1, 4, WRITE), (4, 2, 4, WRITE), {}),
+        ((0, 1, 1, WRITE), (1, 2, 1, WRITE), {}),
+        ((64, 1, 4, WRITE), (64, 2, 4, WRITE), {}),  # in no array: memory of one thread
+    ],
+)
+def test_which_accesses_of_two_threads_race(one, other, found):
+    assert conflicts(noted(one, other), {"a": (0, 32)}) == found
+    assert conflicts(noted(other, one), {"a": (0, 32)}) == found
+
+
+TEXT = """
+static bool f(wp::vec_t<4, wp::float32>* var_1)
+{
+    wp::vec_t<4, wp::float32> var_2;
+    wp::vec_t<4, wp::float32> var_3;
+    const wp::int32 var_4 = 3;
+    var_3 = wp::load(var_1);
+    var_2 = wp::copy(var_3);
+    var_5 = wp::extract(var_2, var_4);
+}
+"""
+
+
+def test_only_components_that_are_used_count_as_read():
+    assert "var_3 = wp::load_parts(var_1, 8u);" in by_parts(TEXT)
+    whole = TEXT.replace("}\n", "    var_6 = wp::add(var_2, var_2);\n}\n")
+    assert by_parts(whole) == whole
+    unknown = TEXT.replace("const wp::int32 var_4 = 3;", "wp::int32 var_4;")
+    assert by_parts(unknown) == unknown

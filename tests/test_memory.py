@@ -1,0 +1,66 @@
+"""No result depends on what memory held before it was written to."""
+
+import numpy as np
+import pytest
+import warp as wp
+
+from phy124.camera import Camera
+from phy124.rendering.render import Renderer
+from phy124.rendering.stage.build import stage_of
+from phy124.scene import Scene, View
+from phy124.scene.scene import preset_names
+from phy124.simulation import Simulation
+from support.poison import poisoned
+from support.shapes import ball
+
+FEW = {"accuracy": {"cells": 8}, "time.frames": 3}
+SPHERE = {"kind": "sphere", "centre": [0.1, 0.05, 0.1], "radius": 0.3}
+REGION = {"lower": [-1, -1, 0.4], "upper": [1, 1, 2]}
+EVERYTHING = {
+    "drop on a lattice": ("drop", {"binding": "lattice", "boundaries": [SPHERE]}),
+    "sand with contacts": ("sand", {"contacts": True}),
+    "pushed": ("wind", {"forces": [{"kind": "wind"}, {"kind": "acceleration", "region": REGION}]}),
+    **{law: ("drop", {"material": {"law": law}}) for law in (
+        "fixed_corotated", "hencky", "rigid", "metal", "plasticine", "foam", "snow", "fluid",
+    )},
+    **{name: (name, {}) for name in preset_names()},
+}  # fmt: skip
+FIRST = ("drop on a lattice",)
+"""Those that every run of the tests looks at."""
+
+
+def results(preset, changes) -> dict[str, np.ndarray]:
+    """Numbers that a run makes, and pictures of its end."""
+    run = Simulation(ball(300), Scene.named(preset).replaced({**FEW, **changes}), threads=1)
+    clip, camera = run.run(), Camera.orbit(30, 20, 2.5, (70, 50))
+    frame, balance = run.frames[-1], run.watchdog.balance
+    found = {"means": clip.means, "quats": clip.quats, "scales": clip.scales}
+    found["balance"] = np.array([balance.energy_gain, balance.momentum_gain])
+    stage = stage_of(clip, View(stage="studio"))
+    for blend in ("simd", "plain", "pixel"):
+        draw = Renderer(device="cpu", blend=blend)
+        found[blend] = draw(frame.gaussians, camera, alpha=True)
+        found[f"{blend} on a stage"] = draw(frame.gaussians, camera, stage=stage.at(frame))
+    return found
+
+
+@pytest.mark.parametrize(
+    "name",
+    [name if name in FIRST else pytest.param(name, marks=pytest.mark.slow) for name in EVERYTHING],
+)
+def test_memory_that_is_not_initialised_changes_nothing(name):
+    usual = results(*EVERYTHING[name])
+    with poisoned() as count:
+        other = results(*EVERYTHING[name])
+    assert count.warp > 10
+    for what, array in usual.items():
+        np.testing.assert_array_equal(other[what], array, err_msg=what)
+
+
+def test_what_is_not_written_is_seen():
+    """The control: without it the test above could not fail."""
+    with poisoned() as count:
+        taken = wp.empty(3, dtype=wp.vec3, device="cpu").numpy()
+    assert np.isnan(taken).all() and count.warp == 1
+    with poisoned():
+        assert (wp.empty_like(wp.zeros(2, dtype=int, device="cpu")).numpy() == -1).all()
