@@ -17,6 +17,8 @@ from phy124.kernels import (
 from phy124.materials import FixedCorotated, NeoHookean, Sand
 from phy124.scene import Scene, preset_names
 from phy124.simulation import Simulation
+from support import device_kernels
+from support.cubin import ARCHITECTURES, usage
 from support.shapes import ball
 
 CPU_ONLY = ("_simd", "_serial", "barrier")
@@ -92,3 +94,41 @@ def test_every_module_of_the_presets_compiles_for_cuda(tmp_path):
         wp.compile_aot_module(module, arch=90, module_dir=str(tmp_path / module.name), use_ptx=True)
         assert list((tmp_path / module.name).glob("*.ptx")), module.name
     assert len(modules) >= 15
+
+
+MOST_REGISTERS = 128
+"""Above, fewer than 512 threads share the 65,536 registers of a multiprocessor."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("law", device_kernels.laws())
+def test_main_kernels_have_room_for_their_registers(law):
+    kernels = device_kernels.main(device_kernels.laws()[law]).values()
+    for kernel in (*kernels, grid.make_update(wp.float32)):
+        for architecture in ARCHITECTURES:
+            for name, taken in usage(kernel, architecture).items():
+                assert taken.registers <= MOST_REGISTERS, (name, architecture, taken)
+                assert taken.spilled == 0, (name, architecture, taken)
+
+
+@pytest.mark.slow
+def test_spills_are_seen():
+    """A kernel that keeps more numbers than there are registers."""
+
+    @wp.kernel(module="phy124_spills", enable_backward=False)
+    def greedy(values: wp.array(dtype=float), values_out: wp.array(dtype=float)):
+        i = wp.tid()
+        a = wp.matrix(shape=(16, 16), dtype=float)
+        for row in range(16):
+            for column in range(16):
+                a[row, column] = values[256 * i + 16 * row + column]
+        wp.atomic_add(values_out, 0, 1.0)
+        b = a * wp.transpose(a)
+        for row in range(16):
+            for column in range(16):
+                values_out[256 * i + 16 * row + column] = b[row, column]
+
+    (taken,) = usage(greedy, 90).values()
+    assert taken.registers > MOST_REGISTERS and taken.spilled > 0
+    (modest,) = usage(grid.make_update(wp.float32), 90).values()
+    assert 8 <= modest.registers < 64 and modest.stack == modest.spilled == 0

@@ -13,9 +13,7 @@ CPU time of one thread, unless the row says wall; the least of several turns.
 
 import json
 import resource
-import struct
 import sys
-import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -42,6 +40,7 @@ from phy124.simulation import Simulation
 from phy124.tracks import Sine
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
+from support import cubin
 from support.shapes import cloud
 from support.solvers import make_solver
 
@@ -225,28 +224,9 @@ def registers() -> None:
     row = {}
     for name, material in kinds.items():
         for build in (transfer.make_p2g, transfer.make_g2p):
-            with tempfile.TemporaryDirectory() as folder:
-                module = build(material.device_law, wp.float32, "plain").module
-                wp.compile_aot_module(module, arch=90, module_dir=folder, use_ptx=False)
-                (cubin,) = Path(folder).glob("*.cubin")
-                row[f"{name}_{build.__name__[-3:]}"] = register_count(cubin.read_bytes())
+            kernel = build(material.device_law, wp.float32, "plain")
+            row[f"{name}_{build.__name__[-3:]}"] = cubin.registers(kernel, 90)
     show("registers", row)
-
-
-def register_count(cubin: bytes) -> int:
-    """Registers per thread: attribute 0x2f of a cubin's ELF section .nv.info."""
-    start = struct.unpack_from("<Q", cubin, 0x28)[0]
-    size, count, names = struct.unpack_from("<HHH", cubin, 0x3A)
-    sections = [struct.unpack_from("<IIQQQQ", cubin, start + i * size) for i in range(count)]
-    for name, _, _, _, at, length in sections:
-        if cubin[sections[names][4] + name :].startswith(b".nv.info\0"):
-            end = at + length
-            while at < end:
-                kind, attribute, extent = struct.unpack_from("<BBH", cubin, at)
-                if (kind, attribute) == (4, 0x2F):
-                    return struct.unpack_from("<II", cubin, at + 4)[1]
-                at += 4 + (extent if kind == 4 else 0)
-    raise ValueError("the cubin does not say how many registers its kernel takes")
 
 
 def window() -> None:

@@ -1,0 +1,97 @@
+"""Every kernel that a GPU may run, by what it belongs to."""
+
+from collections.abc import Iterator
+from itertools import product
+from typing import Any
+
+import warp as wp
+
+from phy124.kernels import (
+    ballistic,
+    collide,
+    contacts,
+    deform,
+    diagnostics,
+    external_work,
+    grid,
+    profile,
+    push,
+    soundness,
+    stretch,
+    timestep,
+    transfer,
+)
+from phy124.kernels.splat import bin as bins
+from phy124.kernels.splat import blend, project, shadow, stage
+from phy124.kernels.transfer import Law
+from phy124.materials import (
+    FixedCorotated,
+    Fluid,
+    Foam,
+    Hencky,
+    Metal,
+    NeoHookean,
+    Plasticine,
+    Rigid,
+    Sand,
+    Snow,
+)
+
+MATERIALS = (
+    NeoHookean(), NeoHookean(damping=1.0), FixedCorotated(), FixedCorotated(damping=1.0),
+    Hencky(), Hencky(damping=1.0), Rigid(), Metal(), Plasticine(), Foam(), Sand(), Snow(), Fluid(),
+)  # fmt: skip
+Named = tuple[str, Any]
+
+
+def laws() -> dict[str, Law]:
+    """The thirteen, by name; a rigid body is moved by the kernels of neo-Hookean solids."""
+    return {name_of(section): section.device_law for section in MATERIALS}
+
+
+def name_of(section: Any) -> str:
+    """As tables call it."""
+    return section.law + (", damped" if getattr(section, "damping", 0) else "")
+
+
+def main(law: Law, real: Any = wp.float32) -> dict[str, Any]:
+    """What takes nearly all of the time of a substep."""
+    return {
+        "p2g": transfer.make_p2g(law, real, "plain"),
+        "g2p": transfer.make_g2p(law, real, "plain"),
+    }
+
+
+def of_law(law: Law, real: Any = wp.float32) -> dict[str, Any]:
+    """Every kernel that is built for a law."""
+    return {
+        **main(law, real),
+        "measure": transfer.make_measure(law, real),
+        "totals": diagnostics.make_totals(law, real),
+        "energies": diagnostics.make_energies(law, real),
+    }
+
+
+def others(real: Any = wp.float32) -> Iterator[Named]:
+    """Kernels for all laws; of walls, those that move."""
+    makers = (
+        grid.make_update, grid.make_merge, grid.make_grid_speed, profile.make_sampler,
+        timestep.make_timestep, soundness.make_reset, soundness.make_limit_total,
+        stretch.make_apart, ballistic.make_hide, ballistic.make_fly,
+        contacts.make_contact_copy, contacts.make_contact_reach, contacts.make_contacts,
+        external_work.make_push_copy, external_work.make_push_sums, external_work.make_wall_copy,
+        external_work.make_wall_sums, external_work.make_uniform_sums,
+        push.make_zone, push.make_drag, push.make_attract, push.make_set_velocity,
+    )  # fmt: skip
+    for make in makers:
+        yield make.__name__.removeprefix("make_"), make(real)
+    yield "accelerate", push.make_accelerate(real, True)
+    for shape, response in product(collide.SHAPES, ("separate", "sticky")):
+        yield f"contact {shape}, {response}", collide.make_contact(shape, response, True, real)
+    for shape in ("box", "cylinder", "half_space"):
+        yield f"contact {shape}, held", collide.make_contact(shape, "held", True, real)
+    yield "collide box, slip", collide.make_collider("box", "slip", True, real)
+    for module in (deform.carry, project.project, bins.bin_parallel, blend.blend_pixels):
+        yield module.key, module
+    yield stage.draw_setting.key, stage.draw_setting
+    yield shadow.cover.key, shadow.cover
