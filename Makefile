@@ -1,4 +1,5 @@
-# make demo | app | bridge | test | test-browser | bench | accuracy | docs | gallery | dist | lint | clean
+# make demo | app | bridge | test | test-browser | bench | cuda-report | gpu | accuracy | docs | gallery
+#   | dist | lint | clean
 # Everything is installed into .venv; a stamp per set of packages says that it is there.
 
 PYTHON ?= python3
@@ -6,7 +7,7 @@ BIN := .venv/bin
 # Python compiles what it imports by itself; most of what is installed never is.
 INSTALL := $(BIN)/pip install --quiet --no-compile --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: demo app bridge test test-default test-page test-slow test-browser bench accuracy docs gallery dist lint clean chromium
+.PHONY: demo app bridge test test-default test-page test-slow test-browser bench cuda-report gpu accuracy docs gallery dist lint clean chromium
 
 demo: .venv/base
 	$(BIN)/phy124 generate demo/examples/duck.png --scene press --stage studio --out out/duck-press
@@ -35,6 +36,12 @@ chromium:
 
 bench: .venv/test
 	for script in tests/benchmarks/*.py; do $(BIN)/python $$script || exit 1; done
+
+cuda-report: .venv/test
+	$(BIN)/python tests/benchmarks/cuda_report.py --docs
+
+gpu: .venv/test
+	$(BIN)/python tests/benchmarks/gpu
 
 accuracy: .venv/test
 	$(BIN)/python tests/benchmarks/forecast.py --docs

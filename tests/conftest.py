@@ -61,6 +61,22 @@ def golden() -> Path:
     return GOLDEN
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    what = "where tests marked gpu run; cpu rehearses them, with the graphs that a GPU uses"
+    parser.addoption("--device", default="cuda:0", help=what)
+
+
+@pytest.fixture
+def gpu(request, monkeypatch) -> str:
+    """The device of tests marked gpu; skips where it is absent."""
+    name = request.config.getoption("--device")
+    if name == "cpu":
+        monkeypatch.setattr("phy124.mpm.solver.usable", lambda device: True)
+    elif not wp.is_cuda_available():
+        pytest.skip("this machine has no CUDA device (--device cpu rehearses)")
+    return name
+
+
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(0)

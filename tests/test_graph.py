@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import warp as wp
 
 from phy124.accuracy.pilot import fly
 from phy124.boundaries import Ground, Press
@@ -184,11 +183,9 @@ def test_every_preset_moves_the_same_by_the_device_alone(name, monkeypatch):
 
 @pytest.mark.gpu
 @pytest.mark.parametrize("name", preset_names())
-def test_cuda_moves_as_the_cpu_does(name):
-    if not wp.is_cuda_available():
-        pytest.skip("no CUDA device")
+def test_cuda_moves_as_the_cpu_does(name, gpu):
     scene = Scene.named(name).replaced({"accuracy": {"cells": 8}, "time.frames": 6})
-    cpu, cuda = (Simulation(ball(500), scene, device=device) for device in ("cpu", "cuda:0"))
+    cpu, cuda = (Simulation(ball(500), scene, device=device) for device in ("cpu", gpu))
     cpu.run()
     cuda.run()
     assert "graph" in cuda.solver.timings or cuda.solver.rejection.sudden(cuda.solver.clock)

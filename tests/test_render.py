@@ -347,9 +347,7 @@ def test_refusals(three_gaussians, options, call, words):
 
 
 @pytest.mark.gpu
-def test_cuda_agrees_with_the_cpu(renderers, rng):
-    if not wp.is_cuda_available():
-        pytest.skip("no CUDA device")
+def test_cuda_agrees_with_the_cpu(renderers, rng, gpu):
     g, camera = cloud(rng, 5000, degree=3), Camera.orbit(30, 20, 1.4, (250, 190))
-    error = np.abs(Renderer(device="cuda")(g, camera) - renderers["simd"](g, camera))
+    error = np.abs(Renderer(device=gpu)(g, camera) - renderers["simd"](g, camera))
     assert error.max() <= 1 / 255 and (error > 1e-3).mean() < 0.001

@@ -13,7 +13,7 @@ from support.shapes import ball
 FEW = {"accuracy": {"cells": 8, "particles_per_axis": 1.0}, "time.frames": 3, "view.size": 48}
 
 
-def small_order(folder: Path) -> Order:
+def small_order(folder: Path, device: str = "cpu") -> Order:
     """A small ball instead of a generator's work."""
     write_ply(folder / "ball.ply", ball(400))
     visitor = Visitor(folder / "visitor")
@@ -22,5 +22,5 @@ def small_order(folder: Path) -> Order:
     scene = Scene.named("drop").replaced({**FEW, "view.views": ["front"]})
     return Order(
         visitor.folder, cutout, scene, visitor.new_stop_file(), 60, 10**6,
-        generator=str(folder / "ball.ply"), device="cpu",
+        generator=str(folder / "ball.ply"), device=device,
     )  # fmt: skip

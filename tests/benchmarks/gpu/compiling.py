@@ -1,0 +1,36 @@
+"""Seconds until the first frame of a scene, with an empty folder of kernels and with a full one."""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+
+from arguments import device_asked
+
+RUN = """
+import sys
+from phy124.scene import Scene
+from phy124.selftest.inputs import shell
+from phy124.simulation import Simulation
+few = {"accuracy": {"cells": 8}, "time.frames": 2}
+Simulation(shell(500), Scene.named("press").replaced(few), device=sys.argv[1]).run()
+"""
+
+
+def seconds(device: str, folder: str) -> float:
+    """Wall seconds of a process."""
+    start = time.perf_counter()
+    environment = {**os.environ, "WARP_CACHE_PATH": folder}
+    command = [sys.executable, "-c", RUN, device]
+    subprocess.run(command, env=environment, check=True)
+    return time.perf_counter() - start
+
+
+if __name__ == "__main__":
+    asked = device_asked(__doc__).device
+    with tempfile.TemporaryDirectory() as empty:
+        for kernels in ("cold", "warm", "warm again"):
+            row = {"what": "compiling", "kernels": kernels, "seconds": seconds(asked, empty)}
+            print(json.dumps(row), flush=True)

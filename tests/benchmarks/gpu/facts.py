@@ -1,0 +1,67 @@
+"""What the machine is: card, driver, toolkit, memory; what Warp, torch and gsplat make of it."""
+
+import json
+import shutil
+import subprocess
+from importlib.util import find_spec
+from typing import Any
+
+import warp as wp
+from arguments import device_asked
+
+from phy124.commands.doctor import examine
+
+QUERY = "name,driver_version,compute_cap,memory.total,clocks.max.sm,clocks.max.memory,power.limit"
+
+
+def smi() -> str | None:
+    """What the driver's own program says, or None."""
+    program = shutil.which("nvidia-smi")
+    if program is None:
+        return None
+    command = [program, f"--query-gpu={QUERY}", "--format=csv"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    return (done.stdout or done.stderr).strip()
+
+
+def warp_facts(name: str) -> dict[str, Any]:
+    """A device as Warp sees it."""
+    device: Any = wp.get_device(name)
+    found = {
+        "warp": wp.__version__,
+        "name": device.name,
+        "toolkit": wp.get_cuda_toolkit_version(),
+        "driver": wp.get_cuda_driver_version(),
+        "devices": wp.get_cuda_device_count(),
+    }
+    if device.is_cuda:
+        found |= {
+            "architecture": device.arch,
+            "multiprocessors": device.sm_count,
+            "memory_gib": device.total_memory / 2**30,
+            "free_gib": device.free_memory / 2**30,
+            "memory_pool": device.is_mempool_enabled,
+            "conditional_graphs": wp.is_conditional_graph_supported(),
+        }
+    return found
+
+
+def torch_facts() -> dict[str, Any]:
+    """Whether torch can use the card, and whether gsplat is there."""
+    found: dict[str, Any] = {"gsplat": find_spec("gsplat") is not None}
+    if find_spec("torch"):
+        import torch
+
+        found |= {"torch": torch.__version__, "cuda": torch.version.cuda}
+        found["usable"] = torch.cuda.is_available()
+    return found
+
+
+if __name__ == "__main__":
+    asked = device_asked(__doc__).device
+    doctor = examine()
+    for what, facts in (
+        ("doctor", doctor), ("nvidia-smi", smi()), ("warp", warp_facts(asked)),
+        ("torch", torch_facts()),
+    ):  # fmt: skip
+        print(json.dumps({"what": what, "facts": facts}, default=str), flush=True)

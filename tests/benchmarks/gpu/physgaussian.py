@@ -1,0 +1,69 @@
+"""PhysGaussian's own solver on the same device, beside ours: seconds per substep.
+
+`python tests/benchmarks/gpu/physgaussian.py FOLDER --device cuda:0`: the folder that holds its
+mpm_solver_warp (XPandora/PhysGaussian), which is not part of this repository. Fixed corotated, the
+paper's substep, a cube above a floor; both without their first turn, which compiles.
+"""
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import warp as wp
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+sys.path.insert(0, str(Path(__file__).parents[2]))
+from device import SUBSTEP, pace
+from mpm import cube
+
+from phy124.materials import FixedCorotated
+from support.shapes import cloud
+
+COUNTS = ((20_000, 100), (65_536, 64), (65_536, 100))
+SUBSTEPS = 200
+
+
+def theirs(folder: str, count: int, cells: int, device: str) -> float:
+    """Seconds per substep."""
+    sys.path.insert(0, folder)
+    import torch
+    from mpm_solver_warp import MPM_Simulator_WARP
+
+    x = torch.as_tensor(cloud(count, size=1.0, corner=0.5, dx=2 / cells), dtype=torch.float32)
+    solver = MPM_Simulator_WARP(10)
+    given = (x.to(device), torch.full((count,), 1 / count, device=device))
+    solver.load_initial_data_from_torch(*given, n_grid=cells, grid_lim=2.0)
+    material = {"material": "jelly", "E": 1e5, "nu": 0.3, "density": 200, "g": [0, 0, -9.81]}
+    solver.set_parameters_dict(material, device=device)
+    solver.finalize_mu_lam(device=device)
+    solver.add_surface_collider((0, 0, 0.5), (0, 0, 1), "sticky", 0.0)
+    best = np.inf
+    for turn in range(4):
+        start = time.perf_counter()
+        for substep in range(SUBSTEPS):
+            solver.p2g2p(substep, SUBSTEP, device=device)
+        wp.synchronize()
+        if turn:
+            best = min(best, (time.perf_counter() - start) / SUBSTEPS)
+    return float(best)
+
+
+def main(folder: str, device: str) -> None:
+    """A row per size."""
+    for count, cells in COUNTS:
+        ours = pace(cube(count, cells, FixedCorotated, "plain", 1, device), SUBSTEPS)
+        row = {"what": "physgaussian", "particles": count, "cells": cells}
+        row |= {"ours_us": round(ours * 1e6, 1)}
+        row |= {"theirs_us": round(theirs(folder, count, cells, device) * 1e6, 1)}
+        print(json.dumps(row), flush=True)
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", help="folder that holds mpm_solver_warp")
+    parser.add_argument("--device", default="cuda:0")
+    asked = parser.parse_args()
+    main(asked.folder, asked.device)

@@ -1,0 +1,43 @@
+"""A GPU moves everything as the CPU does: every law, solid, force and binding."""
+
+import numpy as np
+import pytest
+
+from phy124.scene import Scene
+from phy124.simulation import Simulation
+from support.scenes import FORCES, LAWS, OTHER_SOLIDS, SOLIDS
+from support.shapes import ball
+
+pytestmark = pytest.mark.gpu
+TOLERANCE = 1e-3
+"""Largest distance of a Gaussian of a body of 1 m after a few frames [m]; sums round otherwise."""
+FALLING = {"object.lift": 0.02, "object.velocity": [0.5, 0.2, -2.0]}
+GRAVITY = {"kind": "gravity"}
+SCENES = {
+    **{f"law {name}": {"material": given} for name, given in LAWS.items()},
+    **{f"wall {name}": {"boundaries": [wall]} for name, wall in (SOLIDS | OTHER_SOLIDS).items()},
+    **{f"force {name}": {"forces": [GRAVITY, force]} for name, force in FORCES.items()},
+    "lattice": {"binding": "lattice"},
+    "float64": {"accuracy": {"cells": 8, "precision": "float64"}},
+    "contacts and velocities": {"contacts": True, "velocities": True},
+    "two materials": {
+        "parts": [{"region": {"upper": [1, 1, 0.5]}, "material": {"law": "fluid"}}],
+    },
+    "stiffness that varies": {"stiffness": {"kind": "gradient", "first": 1.0, "last": 0.3}},
+}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_a_gpu_moves_it_as_the_cpu_does(name, gpu):
+    changes = {"accuracy": {"cells": 8}, "time.frames": 6, **FALLING, **SCENES[name]}
+    scene = Scene.named("drop").replaced(changes)
+    here, there = (
+        Simulation(ball(500), scene, device=device, threads=1) for device in ("cpu", gpu)
+    )
+    ours, theirs = here.run(), there.run()
+    assert theirs.report["complete"], theirs.report["stopped"]
+    assert "graph" in there.solver.timings or there.solver.rejection.sudden(there.solver.clock)
+    np.testing.assert_allclose(theirs.means, ours.means, atol=TOLERANCE)
+    np.testing.assert_allclose(theirs.scales, ours.scales, atol=TOLERANCE)
+    if ours.contacts is not None:
+        assert np.abs(theirs.contacts).max() == pytest.approx(np.abs(ours.contacts).max(), rel=0.05)

@@ -1,0 +1,87 @@
+"""What surrounds a motion on a GPU: pauses, forecasts, rest, failures."""
+
+import numpy as np
+import pytest
+
+from phy124 import resume
+from phy124.accuracy.pilot import fly
+from phy124.errors import Cancelled
+from phy124.scene import Scene
+from phy124.simulation import Interrupted, Simulation
+from support.shapes import ball
+
+pytestmark = pytest.mark.gpu
+FEW = {"accuracy": {"cells": 8}, "time.frames": 6}
+ROUNDING = 1e-3
+"""Largest distance between two runs of one scene on a GPU [m]: atomic sums come in any order."""
+
+
+def scene(preset: str = "press", **changes) -> Scene:
+    return Scene.named(preset).replaced({**FEW, **changes})
+
+
+@pytest.mark.parametrize("law", ["neo_hookean", "sand"])
+def test_a_paused_run_goes_on(law, gpu, tmp_path):
+    given = scene(material={"law": law})
+    whole = Simulation(ball(800), given, device=gpu).run()
+    run = Simulation(ball(800), given, device=gpu)
+    for frame in run:
+        if frame.index == 2:
+            break
+    resume.save(run, tmp_path / "pause.safetensors")
+    clip = resume.load(tmp_path / "pause.safetensors", device=gpu).run()
+    np.testing.assert_allclose(clip.means, whole.means, atol=ROUNDING)
+    assert clip.report["substeps"] == pytest.approx(whole.report["substeps"], abs=2)
+
+
+def test_a_run_can_be_cancelled_and_goes_on(gpu, tmp_path):
+    told = []
+
+    def progress(stage: str, done: int, total: int) -> None:
+        told.append(done)
+        if done == 3:
+            raise Cancelled
+
+    with pytest.raises(Interrupted) as cut:
+        Simulation(ball(500), scene(), device=gpu, progress=progress).run()
+    resume.save(cut.value.run, tmp_path / "pause.safetensors")
+    assert len(resume.load(tmp_path / "pause.safetensors", device=gpu).run()) == 6
+
+
+@pytest.mark.parametrize("preset", ["push_right", "sway", "press"])
+def test_a_forecast_counts_the_substeps_that_are_taken(preset, gpu):
+    given = scene(preset)
+    foretold, _ = fly(ball(500), given, device=gpu).substeps(8)
+    taken = Simulation(ball(500), given, device=gpu).run().report["substeps"]
+    assert foretold == pytest.approx(taken, rel=0.25)
+
+
+def test_a_body_at_rest_sleeps(gpu):
+    given = scene("drop", **{"object.lift": 0.0, "time.frames": 30, "forces": []})
+    run = Simulation(ball(500), given, device=gpu)
+    run.run()
+    assert run.sleep.skipped > 0
+
+
+def test_a_violent_blow_is_tried_in_small_steps(gpu):
+    given = scene("drop", **{"object.velocity": [0, 0, -60.0], "time.fps": 400.0})
+    run = Simulation(ball(500), given, device=gpu)
+    clip = run.run()
+    assert clip.report["complete"] and np.isfinite(clip.means).all()
+
+
+def test_a_particle_that_is_not_finite_is_named_and_nothing_crashes(gpu):
+    run = Simulation(ball(300), scene("drop"), device=gpu)
+    frames = iter(run)
+    next(frames)
+    x = run.solver.state.x.numpy()
+    x[7] = np.nan
+    run.solver.state.x.assign(x)
+    with pytest.raises(Exception, match="NaN or infinite"):
+        for _ in frames:
+            pass
+
+
+def test_the_same_run_twice_is_the_same_within_rounding(gpu):
+    one, other = (Simulation(ball(800), scene(), device=gpu).run() for _ in range(2))
+    np.testing.assert_allclose(one.means, other.means, atol=ROUNDING)
