@@ -14,7 +14,7 @@ from phy124.scene import Scene
 from phy124.simulation import Simulation
 from phy124.simulation.kernels import kernels
 
-STAGE = (shadow.cover, stage.draw_setting, stage_simd.draw_setting_simd)
+STAGE = (shadow.cover, stage.draw_setting, stage_simd.blend_staged_simd)
 """One kernel of each module that draws a stage."""
 FEW = {"accuracy.cells": 8, "accuracy.particles_per_axis": 1.0, "time.frames": 2, "time.fps": 240.0}
 """What makes a run of any scene short; its precision stays, as kernels depend on it."""
