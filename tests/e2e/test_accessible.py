@@ -50,6 +50,7 @@ def test_axe_finds_nothing_in_any_state(browser, server, tmp_path, look):
     found["refused"] = _violations(page)
     visit.upload(DUCK)
     page.get_by_text("Correct the cut-out").click()
+    page.locator("#known summary").click()
     page.get_by_text("More: every setting").click()
     page.locator("#forecast summary").click()
     page.wait_for_timeout(300)
