@@ -1,0 +1,42 @@
+"""Forces a scene can name: how each of them pushes particles or the whole body.
+
+A force is its own section of the scene file. `attach` adds what it needs to a run: a track that
+holds its strength over time and, if it acts on chosen particles, one stage of the substep.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field, SerializeAsAny
+
+from phy124.forces.attraction import Attraction
+from phy124.forces.base import Force
+from phy124.forces.body import Acceleration, Gravity, Impulse, TotalForce
+from phy124.forces.particle import ParticleForce
+from phy124.forces.velocity import SetVelocity
+from phy124.forces.wind import Wind
+from phy124.forces.zone import ZoneForce
+from phy124.plugins import OpenTo
+
+__all__ = [
+    "Acceleration", "AnyForce", "Attraction", "Force", "Gravity", "Impulse", "OwnForce",
+    "ParticleForce", "SetVelocity", "TotalForce", "Wind", "ZoneForce",
+]  # fmt: skip
+
+OwnForce = (
+    Gravity
+    | Acceleration
+    | TotalForce
+    | Impulse
+    | ParticleForce
+    | ZoneForce
+    | Wind
+    | Attraction
+    | SetVelocity
+)
+"""The forces that phy124 has."""
+AnyForce = SerializeAsAny[
+    Annotated[OwnForce, Field(discriminator="kind"), OpenTo(Force, "kind", "forces", OwnForce)]
+]
+"""One of them, or one from outside (phy124/plugins.py)."""

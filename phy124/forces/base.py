@@ -1,0 +1,170 @@
+"""What all forces have in common: a profile within a window of time, and a region of the body."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, ClassVar, cast
+
+import numpy as np
+import warp as wp
+from pydantic import Field, model_validator
+
+from phy124.bounds import LONGEST
+from phy124.errors import InputError
+from phy124.kernels import push as kernels
+from phy124.mpm import Grid, Model, Stage, State
+from phy124.region import Region, Vector
+from phy124.section import Section
+from phy124.tracks import FOREVER, AnyProfile, Constant, Track, Tracks
+
+
+class Force(Section):
+    """Base class of all forces: a profile within a window of time, and a region of the body."""
+
+    sudden: ClassVar[bool] = False
+    """Whether it may change a velocity abruptly, whatever its strength."""
+    in_newtons: ClassVar[bool] = False
+    """Whether its track is a force on each particle [N] and not an acceleration [m/s^2]."""
+    strengths: ClassVar[tuple[str, ...]] = ()
+    """The fields that set its strength."""
+    joins: ClassVar[bool] = False
+    """Whether, without a region, it is a uniform acceleration of the whole body."""
+
+    start: float = Field(default=0.0, ge=0, le=LONGEST, description="Acts from here on [s].")
+    end: float | None = Field(
+        default=None,
+        gt=0,
+        le=LONGEST,
+        examples=[0.5],
+        description="Time at which it stops acting [s]; absent: never.",
+    )
+    region: Region | None = Field(
+        default=None, description="Particles it acts on, by rest position; all if absent."
+    )
+    profile: AnyProfile = Field(
+        default=Constant(), description="Its strength over time: constant, ramp, sine, keyframes."
+    )
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Force:
+        if self.end is not None and self.start >= self.end:
+            raise ValueError(
+                f"start {self.start} s must be before end {self.end} s; let it end later"
+            )
+        return self
+
+    @property
+    def idle(self) -> bool:
+        """Whether its strength is zero, so that it never pushes; wind of zero speed still drags."""
+        strengths = [getattr(self, name) for name in self.strengths]
+        return bool(strengths) and not np.any(strengths)
+
+    def gentler(self) -> dict[str, Any]:
+        """Its fields with values that push half as hard."""
+        values = {name: getattr(self, name) for name in self.strengths}
+        return {
+            name: [x / 2 for x in value] if isinstance(value, tuple) else value / 2
+            for name, value in values.items()
+        }
+
+    @property
+    def uniform(self) -> bool:
+        """Whether it joins the grid update, which costs no launch of its own."""
+        return self.joins and self.region is None
+
+    @property
+    def varies(self) -> bool:
+        """Whether its strength changes over time."""
+        return self.start > 0 or self.end is not None or self.profile.kind != "constant"
+
+    def track(self, value: Vector, *, mean: bool = True) -> Track:
+        """The value times the profile inside the window of time, zero outside.
+
+        Args:
+            value: The force at full strength, in its own units.
+            mean: Whether each substep reads the mean over its duration instead of one instant.
+        """
+        end = FOREVER if self.end is None else self.end
+        return Track.scaled(value, self.profile, self.start, end, mean=mean)
+
+    def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
+        """The stages it needs in each substep; none if it joins the uniform acceleration.
+
+        Args:
+            model: What stays the same during the run.
+            state: The particles' positions, velocities and so on, which its launches change.
+            tracks: Where it registers what changes over time.
+        """
+        raise NotImplementedError
+
+    def chosen(self, model: Model) -> wp.array:
+        """Indices of the particles it acts on.
+
+        Raises:
+            InputError: The region holds no particle.
+        """
+        x = model.rest
+        inside = np.ones(len(x), bool) if self.region is None else self.region.contains(x)
+        if not inside.any():
+            raise InputError(
+                "forces.region", self.region,
+                f"the region of {type(self).__name__} holds no particle.",
+                "Make it larger, or move it onto the object as it stands at the start.",
+            )  # fmt: skip
+        return wp.array(np.flatnonzero(inside).astype(np.int32), device=model.device)
+
+
+def accelerate(force: Force, a: Vector, model: Model, state: State, tracks: Tracks) -> list[Stage]:
+    """A uniform acceleration joins the grid update; one on a region needs its own launch."""
+    if force.uniform:
+        tracks.accelerate(force.track(a))
+        return []
+    return push(force, a, model, state, tracks)
+
+
+def push(force: Force, value: Vector, model: Model, state: State, tracks: Tracks) -> list[Stage]:
+    """One launch over the chosen particles: an acceleration, or newtons on each."""
+    kernel = kernels.make_accelerate(model.real, force.in_newtons)
+    name = "particle_force" if force.in_newtons else "region_force"
+    track, inputs = force.track(value), [model.mass]
+    return stage(force, name, kernel, track, inputs, model, state, tracks)
+
+
+def per_mass(force: Force, f: Vector, model: Model) -> Vector:
+    """A vector divided by the total mass of the chosen particles."""
+    chosen = np.asarray(force.chosen(model).numpy(), dtype=np.int64)
+    total = float(np.take(model.mass.numpy(), chosen).sum(dtype=np.float64))
+    return f[0] / total, f[1] / total, f[2] / total
+
+
+def stage(
+    force: Force,
+    name: str,
+    kernel: Any,
+    track: Track,
+    inputs: list,
+    model: Model,
+    state: State,
+    tracks: Tracks,
+    *,
+    read: Sequence[wp.array] = (),
+) -> list[Stage]:
+    """One launch over the chosen particles that reads a track and changes velocities.
+
+    `inputs` of the kernel are constant, `read` is of the state.
+    """
+    chosen = force.chosen(model)
+    slot = tracks.add(track)
+
+    def record(grid: Grid) -> wp.Launch | None:
+        own = within(chosen, grid.run(len(model)))
+        given = [own, slot, *inputs, tracks.clock, tracks.values, *read]
+        return model.launch(kernel, len(own), given, [state.v])
+
+    return [Stage(name, record, force.sudden, force.in_newtons, by_run=True)]
+
+
+def within(chosen: wp.array, run: slice) -> wp.array:
+    """Those of the chosen particles, which are in order, that are in a run of them."""
+    first, last = np.searchsorted(chosen.numpy(), [run.start, run.stop]).tolist()
+    return cast("wp.array", chosen[first:last])

@@ -1,0 +1,99 @@
+"""Forces that push the body alike everywhere, or a region of it."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from phy124.bounds import SHORTEST, Push
+from phy124.forces.base import Force, accelerate, per_mass
+from phy124.mpm import Model, Stage, State
+from phy124.region import Vector
+from phy124.tracks import Track, Tracks
+
+
+class Gravity(Force):
+    """The same acceleration everywhere, downwards by default."""
+
+    kind: Literal["gravity"] = "gravity"
+    strengths: ClassVar[tuple[str, ...]] = ("g",)
+    joins: ClassVar[bool] = True
+    g: Push = Field(default=(0.0, 0.0, -9.81), description="Acceleration [m/s^2].")
+
+    def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
+        """Add to the uniform acceleration, or push chosen particles."""
+        return accelerate(self, self.g, model, state, tracks)
+
+
+class Acceleration(Force):
+    """An acceleration; the presets use it, since it does not depend on the particle count."""
+
+    kind: Literal["acceleration"] = "acceleration"
+    strengths: ClassVar[tuple[str, ...]] = ("a",)
+    joins: ClassVar[bool] = True
+    a: Push = Field(default=(0.0, 1.0, 0.0), description="Acceleration [m/s^2].")
+
+    def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
+        """Add to the uniform acceleration, or push chosen particles."""
+        return accelerate(self, self.a, model, state, tracks)
+
+
+class TotalForce(Force):
+    """A force in newtons on a region, spread over its particles by mass."""
+
+    kind: Literal["force"] = "force"
+    strengths: ClassVar[tuple[str, ...]] = ("f",)
+    joins: ClassVar[bool] = True
+    f: Push = Field(default=(0.0, 1.0, 0.0), description="Total force [N].")
+
+    def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
+        """Accelerate the region by f divided by its mass."""
+        return accelerate(self, per_mass(self, self.f, model), model, state, tracks)
+
+
+class Impulse(Force):
+    """A blow: gives a region a total momentum, whatever the substeps and the profile are."""
+
+    kind: Literal["impulse"] = "impulse"
+    strengths: ClassVar[tuple[str, ...]] = ("p",)
+    joins: ClassVar[bool] = True
+    p: Push = Field(default=(0.0, 1.0, 0.0), description="Total momentum it gives [N s].")
+    duration: float = Field(default=0.01, ge=SHORTEST, le=10, description="Time it takes [s].")
+
+    @model_validator(mode="after")
+    def _whole(self) -> Impulse:
+        if self.end is not None:
+            raise ValueError("an impulse ends after its duration; leave end out")
+        if self.profile.period or self._mean() <= 0:
+            raise ValueError(
+                "the profile of an impulse must not repeat, and its mean must be positive; "
+                "use constant"
+            )
+        return self
+
+    @property
+    def varies(self) -> bool:
+        """Always true, since it ends."""
+        return True
+
+    def track(self, value: Vector, *, mean: bool = True) -> Track:
+        """The value times the profile over its duration, zero outside."""
+        end = self.start + self.duration
+        track = Track.scaled(value, self.profile, self.start, end, mean=mean)
+        # A force that starts at time 0 counts as having acted before; a blow at time 0 does not.
+        return Track(track.keys, self.start, end, track.origin, track.period, mean)
+
+    def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
+        """Accelerate the region by p divided by its mass and by the profile's integral."""
+        x, y, z = per_mass(self, self.p, model)
+        time = self.duration * self._mean()
+        return accelerate(self, (x / time, y / time, z / time), model, state, tracks)
+
+    def _mean(self) -> float:
+        """Mean of the profile over the duration."""
+        times, factors = self.profile.table()
+        inside = np.unique(np.clip(np.append(times, [0, self.duration]), 0, self.duration))
+        at = np.interp(inside, times, factors)
+        return float(((at[1:] + at[:-1]) / 2 * np.diff(inside)).sum()) / self.duration
