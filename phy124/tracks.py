@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from phy124.bounds import LONGEST, SHORTEST, Factor, Instant
-from phy124.kernels.profile import JOINS, MEAN, make_sampler
+from phy124.kernels.profile import JOINS, LIMITED, MEAN, make_sampler
 from phy124.kernels.transfer import types
 from phy124.region import Vector
 from phy124.section import Section
@@ -177,6 +177,29 @@ class Track:
         """Whether it changes in time."""
         return len(self.keys) > 1 or self.start > -FOREVER or self.end < FOREVER
 
+    def acts(self, start: float, end: float) -> bool:
+        """Whether it is active at any time from `start` to `end` [s]."""
+        return start < self.end and end > self.start
+
+    def changes(self, start: float, end: float) -> bool:
+        """Whether its value may change from `start` to `end` [s]."""
+        begins_or_ends = start <= self.start <= end or start <= self.end <= end
+        return begins_or_ends or (len(self.keys) > 1 and self.acts(start, end))
+
+    def largest(self, start: float, end: float) -> float:
+        """Upper bound of the norm of its values from `start` to `end` [s]; 0 if it is inactive."""
+        if not self.acts(start, end):
+            return 0.0
+        return max(math.hypot(*value) for _, value in self.keys)
+
+    def fastest(self, start: float, end: float) -> float:
+        """Largest norm of its rate from `start` to `end` [s]."""
+        fastest, start, end = 0.0, start - self.origin, end - self.origin
+        for (t, a), (u, b) in itertools.pairwise(self.keys):
+            if u > t and (self.period > 0 or (t < end and u > start)):
+                fastest = max(fastest, math.dist(a, b) / (u - t))
+        return fastest
+
     def values(self, times: NDArray) -> NDArray[np.float64]:
         """Values at some instants [T,3], whether active or not; what the device samples."""
         since = np.asarray(times, float) - self.origin
@@ -194,9 +217,14 @@ class Tracks:
         self.flags: list[int] = [0]
         self.real, self.device = real, device
 
-    def add(self, track: Track) -> int:
-        """Add a track and return its slot."""
-        return self._append(track, MEAN if track.mean else 0)
+    def add(self, track: Track, *, limited: bool = False) -> int:
+        """Add a track and return its slot.
+
+        Args:
+            track: What varies in time.
+            limited: Whether a stage with a limit reads it, so that its values bound nothing.
+        """
+        return self._append(track, (MEAN if track.mean else 0) | (LIMITED if limited else 0))
 
     def accelerate(self, track: Track) -> None:
         """Add a uniform acceleration [m/s^2] to slot 0, where the grid update reads it."""

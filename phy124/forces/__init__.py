@@ -13,15 +13,17 @@ from pydantic import Field, SerializeAsAny
 from phy124.forces.attraction import Attraction
 from phy124.forces.base import Force
 from phy124.forces.body import Acceleration, Gravity, Impulse, TotalForce
+from phy124.forces.grab import Grab
 from phy124.forces.particle import ParticleForce
 from phy124.forces.velocity import SetVelocity
 from phy124.forces.wind import Wind
+from phy124.forces.wrench import WrenchForce
 from phy124.forces.zone import ZoneForce
 from phy124.plugins import OpenTo
 
 __all__ = [
-    "Acceleration", "AnyForce", "Attraction", "Force", "Gravity", "Impulse", "OwnForce",
-    "ParticleForce", "SetVelocity", "TotalForce", "Wind", "ZoneForce",
+    "Acceleration", "AnyForce", "Attraction", "Force", "Grab", "Gravity", "Impulse", "OwnForce",
+    "ParticleForce", "SetVelocity", "TotalForce", "Wind", "WrenchForce", "ZoneForce",
 ]  # fmt: skip
 
 OwnForce = (
@@ -34,6 +36,8 @@ OwnForce = (
     | Wind
     | Attraction
     | SetVelocity
+    | Grab
+    | WrenchForce
 )
 """The forces that phy124 has."""
 AnyForce = SerializeAsAny[

@@ -17,6 +17,8 @@ MEAN = 1
 """Flag of a track that is averaged over the kick."""
 JOINS = 2
 """Flag of a track that adds to the uniform acceleration in slot 0."""
+LIMITED = 4
+"""Flag of a track whose stage says itself how much it may accelerate a particle."""
 
 
 @wp.func

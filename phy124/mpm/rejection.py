@@ -8,7 +8,6 @@ huge acceleration.
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable, Sequence
 
@@ -16,7 +15,7 @@ import numpy as np
 import warp as wp
 
 from phy124.kernels.grid import make_grid_speed
-from phy124.kernels.profile import JOINS
+from phy124.kernels.profile import JOINS, LIMITED
 from phy124.mpm.clock import MEASURE_EVERY, Clock
 from phy124.mpm.grid import Grid
 from phy124.mpm.model import Model
@@ -56,17 +55,30 @@ class StepRejection:
         self._model, self._tracks, self._accumulators = model, tracks, accumulators
         self._pushed = [state.v, state.C] if pushes else []
         self._fastest = wp.zeros(1, dtype=model.real, device=model.device)
-        self.acceleration = _max_acceleration(model, tracks, pushes)
-        """Upper bound of the acceleration of a particle by forces [m/s^2]."""
-        self.wall = _max_rate(tracks)
-        """Largest speed of a wall [m/s]."""
+        self._pushes = pushes
+        self.begin(-math.inf, math.inf)
         self._pushy = any(stage.sudden for stage in pushes)
         self.rejected = 0
         """Number of substeps that were rejected."""
 
+    def begin(self, start: float, end: float) -> None:
+        """Bound what forces and walls do from `start` to `end` [s].
+
+        Only that counts, so that a push does not shorten the substeps of another frame. Kicks
+        reach back by half a substep, so the time of a frame before it counts, too.
+        """
+        before = start - (end - start) if math.isfinite(start) else start
+        self.acceleration = _max_acceleration(
+            self._model, self._tracks, self._pushes, before, end
+        )
+        """Upper bound of the acceleration of a particle by forces [m/s^2]."""
+        self.wall = _max_rate(self._tracks, before, end)
+        """Largest speed of a wall [m/s]."""
+        self._changing = any(track.changes(before, end) for track in self._tracks.tracks)
+
     def sudden(self, clock: Clock) -> bool:
         """Whether a force may change velocities abruptly in the next substep."""
-        return self._pushy and (self._tracks.vary or clock.substeps < FIRST)
+        return self._pushy and (self._changing or clock.substeps < FIRST)
 
     def must_try(self, clock: Clock, dt: float) -> bool:
         """Whether a substep of length `dt` [s] may move something by more than a cell."""
@@ -128,24 +140,23 @@ class StepRejection:
         return math.sqrt(float(np.asarray(self._fastest.numpy())[0]))
 
 
-def _max_acceleration(model: Model, tracks: Tracks, pushes: Sequence[Stage]) -> float:
-    """An upper bound of the acceleration of any particle by forces at any time [m/s^2]."""
+def _max_acceleration(
+    model: Model, tracks: Tracks, pushes: Sequence[Stage], start: float, end: float
+) -> float:
+    """An upper bound of the acceleration of any particle by forces in that time [m/s^2]."""
     joined, alone = 0.0, 0.0
     for track, flag in zip(tracks.tracks, tracks.flags, strict=True):
-        value = max(math.hypot(*value) for _, value in track.keys)
+        value = 0.0 if flag & LIMITED else track.largest(start, end)
         joined, alone = (joined + value, alone) if flag & JOINS else (joined, alone + value)
     if not pushes:
         return joined
     if any(stage.in_newtons for stage in pushes):
         alone /= min(1.0, float(model.mass.numpy().min()))
-    return joined + alone
+    limits = [stage.limit(start, end) for stage in pushes if stage.limit]
+    return joined + alone + sum(limits)
 
 
-def _max_rate(tracks: Tracks) -> float:
-    """How fast a wall moves at most [m/s]."""
-    fastest = 0.0
-    for track, flag in zip(tracks.tracks, tracks.flags, strict=True):
-        for (start, a), (end, b) in itertools.pairwise(track.keys) if not flag else ():
-            if end > start:
-                fastest = max(fastest, math.dist(a, b) / (end - start))
-    return fastest
+def _max_rate(tracks: Tracks, start: float, end: float) -> float:
+    """How fast a wall moves at most in that time [m/s]."""
+    flagged = zip(tracks.tracks, tracks.flags, strict=True)
+    return max((track.fastest(start, end) for track, flag in flagged if not flag), default=0.0)

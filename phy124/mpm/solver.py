@@ -80,29 +80,53 @@ class Solver:
         self.state = State.of(model) if state is None else state
         self.clock = Clock(model, ceiling=ceiling, measure_every=measure_every)
         self.grid = Grid(model.origin, model.dx, real=model.real, device=model.device)
-        self.tracks = Tracks(real=model.real, device=model.device)
-        self._forces, self.boundaries, self._sums = (
-            [stage for one in some for stage in one.attach(model, self.state, self.tracks)]
-            for some in (forces, boundaries, accumulators)
-        )
-        self.tracks.upload(self.clock.values)
         self.outliers = Outliers(model, self.state)
         self.repair = Repair(model, self.state)
         count = usable_workers(model, threads)
         self.slabs = Slabs(model, self.state, self.grid, count) if count > 1 else None
         self.workers = self.slabs.workers if self.slabs else [lone_worker(model, self.grid)]
-        self._recorder = Recorder(
-            model, self.state, self.grid, self.tracks, self.outliers, self.workers, self.slabs
-        )
         self._stray = wp.zeros(1, dtype=int, device=model.device)
-        self._record_measures()
-        self._sample = self.tracks.record()
-        self._sample.launch()
         self._team = Team[int](count, self._run_member)
-        self.rejection = StepRejection(model, self.state, self.tracks, self._forces, accumulators)
         self._graph = Graph(model, self.clock, self.grid, self.workers[0], self._stray)
         self.on_device = usable(model.device) if graph is None else graph
         """Whether frames run as graphs."""
+        self.bind(forces, boundaries, accumulators)
+        self._record_measures()
+
+    def bind(
+        self,
+        forces: Sequence[Attachable] = (),
+        boundaries: Sequence[Attachable] = (),
+        accumulators: Sequence[Accumulator] = (),
+    ) -> None:
+        """Replace what acts on the state, from the next substep on.
+
+        Args:
+            forces: Forces, in the order in which they act.
+            boundaries: Boundaries, in the order in which they act.
+            accumulators: Sums that grow in every substep.
+
+        Raises:
+            InputError: The region of a force holds no particle, or a boundary is too thin for the
+                grid; everything is then as it was.
+        """
+        model, state = self.model, self.state
+        tracks = Tracks(real=model.real, device=model.device)
+        acting, walls, sums = (
+            [stage for one in some for stage in one.attach(model, state, tracks)]
+            for some in (forces, boundaries, accumulators)
+        )
+        tracks.upload(self.clock.values)
+        self.tracks, self._forces, self.boundaries, self._sums = tracks, acting, walls, sums
+        self._recorder = Recorder(
+            model, state, self.grid, tracks, self.outliers, self.workers, self.slabs
+        )
+        self._sample = tracks.record()
+        self._sample.launch()
+        self._pushes: list[Named] = []
+        self.rejection = StepRejection(model, state, tracks, acting, accumulators)
+        if self.grid.count:
+            self._record()
 
     @property
     def timings(self) -> Timings:
@@ -119,6 +143,7 @@ class Solver:
         Raises:
             Unstable: A particle left the grid's window or is no longer finite.
         """
+        self.rejection.begin(self.clock.time, until)
         with self._threads():
             while self.clock.time < until:
                 if not self._run_graph(until):

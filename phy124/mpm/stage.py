@@ -28,6 +28,9 @@ class Stage(NamedTuple):
     """Whether a force is recorded for each worker, and pushes the particles of `Grid.run` only."""
     alone: bool = False
     """Whether one worker launches it for all layers of the grid while the others wait."""
+    limit: Callable[[float, float], float] | None = None
+    """How much it accelerates a particle at most [m/s^2] from one time to another [s]; None: as
+    much as its track has."""
 
 
 class Attachable(Protocol):

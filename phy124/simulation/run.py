@@ -40,7 +40,7 @@ from phy124.simulation.interior import Interior
 from phy124.simulation.kernels import kernels
 from phy124.simulation.materials import varied
 from phy124.simulation.report import counted, report_of
-from phy124.simulation.solver import judged_as, solver_of
+from phy124.simulation.solver import acting, judged_as, solver_of
 from phy124.simulation.stopped import Stopped
 
 
@@ -155,21 +155,41 @@ class Simulation:
             Stopped: A frame is wrong, or the run has taken twice its time budget.
             Cancelled: `progress` raised it.
         """
-        timing = self.scene.time
-        for index in range(self.count, timing.frames):
-            at = index / timing.fps
-            asleep = index > 0 and self._sleeps(index)
-            if index and not asleep:
-                self._advance(index, at)
-            with self.watch.stage("deform"):
-                frame = self._again(index, at) if asleep else self._frame(index, at)
-            if not self.keep:
-                self.frames.clear()
-                del self.rotations[:-1]
-            self.frames.append(frame)
-            self.count += 1
-            self.progress("simulate", index + 1, timing.frames)
-            yield frame
+        while self.count < self.scene.time.frames:
+            yield self.step()
+
+    def step(self) -> Frame:
+        """The next frame, also after the last one of the scene.
+
+        Raises:
+            Stopped: The frame is wrong, or the run has taken twice its time budget.
+            Cancelled: `progress` raised it.
+        """
+        index, timing = self.count, self.scene.time
+        at = index / timing.fps
+        asleep = index > 0 and self._sleeps(index)
+        if index and not asleep:
+            self._advance(index, at)
+        with self.watch.stage("deform"):
+            frame = self._again(index, at) if asleep else self._frame(index, at)
+        if not self.keep:
+            self.frames.clear()
+            del self.rotations[:-1]
+        self.frames.append(frame)
+        self.count += 1
+        self.progress("simulate", index + 1, timing.frames)
+        return frame
+
+    def change(self, scene: Scene) -> None:
+        """Go on under the forces and boundaries of another scene, from the next substep on.
+
+        Raises:
+            InputError: One of them does not fit the object or the grid; nothing has changed.
+        """
+        rejected = self.solver.rejection.rejected
+        self.solver.bind(*acting(scene, self.watchdog.external, self.contacts, self.wrenches))
+        self.solver.rejection.rejected = rejected
+        self.scene = scene
 
     def _sleeps(self, index: int) -> bool:
         """Whether a frame needs no substeps; if so, only the time is advanced."""

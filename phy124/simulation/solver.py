@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from phy124.materials import AnyMaterial
 from phy124.monitor.contacts import Contacts
 from phy124.monitor.external_work import ExternalWork
 from phy124.monitor.wrenches import Wrenches
-from phy124.mpm import Attachable, Model, Solver, State
+from phy124.mpm import Accumulator, Attachable, Model, Solver, State
 from phy124.particles import Particles
 from phy124.scene import Scene
 
@@ -48,15 +49,6 @@ def solver_of(
     x = particles.x.astype(np.float64)
     v, C = _motion(x, particles.mass, scene)
     floors = [b.height for b in scene.boundaries if isinstance(b, Ground)]
-    balance = scene.checks.balance
-    walls: Sequence[Attachable] = scene.boundaries
-    if wrenches.asked:
-        walls = wrenches.boundaries(scene.boundaries)
-    if contacts.asked:
-        walls = contacts.boundaries(scene.boundaries, walls)
-    if balance:
-        walls = external.boundaries(scene.boundaries, walls)
-    sums = [*([external] if balance else []), *(one for one in (contacts, wrenches) if one.asked)]
     ceiling = math.inf if scene.time.substep is None else scene.time.substep
     model = Model.of(
         x,
@@ -73,13 +65,43 @@ def solver_of(
     return Solver(
         model,
         State.of(model, v, C),
-        forces=external.forces(scene.acting) if balance else scene.acting,
-        boundaries=walls,
-        accumulators=sums,
+        **acting(scene, external, contacts, wrenches)._asdict(),
         ceiling=ceiling,
         threads=threads,
         measure_every=scene.checks.measure,
     )
+
+
+class Acting(NamedTuple):
+    """What acts on a state, as the solver takes it."""
+
+    forces: Sequence[Attachable]
+    boundaries: Sequence[Attachable]
+    accumulators: Sequence[Accumulator]
+
+
+def acting(
+    scene: Scene, external: ExternalWork, contacts: Contacts, wrenches: Wrenches
+) -> Acting:
+    """The forces and boundaries of a scene, between what measures them if that is asked for.
+
+    Args:
+        scene: Names them.
+        external: Adds up what they give, if the scene's balance is checked.
+        contacts: Adds up what walls give to each particle, if that is asked for.
+        wrenches: Adds up what each wall gives, if that is asked for.
+    """
+    forces: Sequence[Attachable] = scene.acting
+    walls: Sequence[Attachable] = scene.boundaries
+    sums: list[Accumulator] = [one for one in (contacts, wrenches) if one.asked]
+    if wrenches.asked:
+        walls = wrenches.boundaries(scene.boundaries)
+    if contacts.asked:
+        walls = contacts.boundaries(scene.boundaries, walls)
+    if scene.checks.balance:
+        forces, walls = external.forces(forces), external.boundaries(scene.boundaries, walls)
+        sums.insert(0, external)
+    return Acting(forces, walls, sums)
 
 
 def _motion(x: NDArray, mass: NDArray, scene: Scene) -> tuple[NDArray, NDArray]:

@@ -1,0 +1,118 @@
+"""Forces on a part of the body as a whole: a weighted ball of material about a point at rest."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from phy124.errors import InputError
+from phy124.kernels import held as kernels
+from phy124.kernels.reduction import shared_out
+from phy124.mpm import Grid, Model, Stage, State
+from phy124.region import Vector
+from phy124.tracks import Tracks
+
+
+def weights(rest: NDArray, point: Vector | None, radius: float) -> NDArray[np.float64]:
+    """How firmly each particle belongs to the part [P]: (1 - (d / radius)^2)^2, or 1 everywhere.
+
+    Args:
+        rest: Positions at rest [P,3], m.
+        point: Middle of the part at rest [m]; None: the whole body.
+        radius: Beyond this distance [m] nothing belongs to it.
+    """
+    if point is None:
+        return np.ones(len(rest))
+    ratio = np.linalg.norm(rest - np.array(point), axis=1) / radius
+    weight: NDArray[np.float64] = np.where(ratio < 1, (1 - ratio**2) ** 2, 0.0)
+    return weight
+
+
+class Part(NamedTuple):
+    """The particles of a part on the device, and the means that are computed in every substep."""
+
+    chosen: wp.array
+    share: wp.array
+    """w m / sum(w m) of each, float64."""
+    per_force: wp.array
+    """Acceleration of each by a newton [1/kg]."""
+    means: wp.array
+    second: wp.array
+    mass: float
+    """sum(w m) [kg]."""
+    drawn: float
+    """Mass that a force on the part feels at first: f / (acceleration of X) [kg]."""
+    reach: float
+    """Distance of its farthest particle from X at rest [m]."""
+    inertia: float
+    """Its smallest moment of inertia at rest [kg m^2]."""
+
+    @classmethod
+    def of(cls, model: Model, point: Vector | None, radius: float, field: str) -> Part:
+        """The part about a point at rest.
+
+        Args:
+            model: Its masses and positions at rest.
+            point: Middle of the part [m]; None: the whole body.
+            radius: Its radius [m].
+            field: Where the point stands in the scene.
+
+        Raises:
+            InputError: It holds no particle.
+        """
+        weight = weights(model.rest, point, radius)
+        index = np.flatnonzero(weight)
+        if not len(index):
+            away = float(np.linalg.norm(model.rest - np.array(point), axis=1).min())
+            raise InputError(
+                field, point, f"no material is within {radius:g} m of it at rest.",
+                f"Give a point on the object as it stands at the start (the nearest material is "
+                f"{away:.3g} m away), or a larger radius.",
+            )  # fmt: skip
+        weight, device = weight[index], model.device
+        mass = weight * model.mass.numpy()[index].astype(np.float64)
+        total = float(mass.sum())
+        share = mass / total
+        r = model.rest[index] - share @ model.rest[index]
+        second = np.einsum("p,pi,pj->ij", share, r, r)
+        moments = np.trace(second) - np.linalg.eigvalsh(second)
+        return cls(
+            wp.array(index.astype(np.int32), device=device),
+            wp.array(share, dtype=wp.float64, device=device),
+            wp.array(weight / total, dtype=model.real, device=device),
+            wp.zeros(2, dtype=wp.vec3d, device=device),
+            wp.zeros(1, dtype=wp.mat33d, device=device),
+            total,
+            total / float(share @ weight),
+            float(np.linalg.norm(r, axis=1).max()),
+            total * float(max(moments.min(), 1e-6 * np.trace(second))),
+        )
+
+    def centred(
+        self, name: str, slot: int, model: Model, state: State, tracks: Tracks, *, turned: bool
+    ) -> Iterator[Stage]:
+        """The stages that find its centre, and its second moments where it is `turned`."""
+        real, (count, *parted) = model.real, shared_out(len(self.chosen), model.device)
+
+        def forget(grid: Grid) -> wp.Launch | None:
+            del grid
+            return model.launch(kernels.forget, 1, [], [self.means, self.second])
+
+        def centre(grid: Grid) -> wp.Launch | None:
+            del grid
+            read = [*parted, self.chosen, self.share, slot, tracks.values, state.x, state.v]
+            return model.launch(kernels.make_centre(real), count, read, [self.means])
+
+        def second(grid: Grid) -> wp.Launch | None:
+            del grid
+            read = [*parted, self.chosen, self.share, slot, tracks.values, state.x, self.means]
+            return model.launch(kernels.make_second(real), count, read, [self.second])
+
+        yield Stage(name, forget)
+        yield Stage(name, centre)
+        if turned:
+            yield Stage(name, second)
