@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import ClassVar, Literal
 
-import numpy as np
 import warp as wp
 from pydantic import Field, model_validator
 
@@ -35,9 +34,7 @@ class Grab(Force):
         default=((0.0, 0.0, 0.5), (0.0, 0.0, 1.0)), description="Where it is drawn to then [m]."
     )
     stiffness: float = Field(default=1e4, ge=0, le=1e12, description="Of the spring [N/m].")
-    damping: float = Field(
-        default=1.0, ge=0, le=1e3, description="Of what is held, as a multiple of the critical."
-    )
+    damping: float = Field(default=1e3, ge=0, le=1e12, description="Of the damper [N s/m].")
     strength: float = Field(default=1e4, ge=0, le=1e9, description="Largest force [N].")
 
     @model_validator(mode="after")
@@ -64,8 +61,7 @@ class Grab(Force):
         """Find the centre of what is held, and draw it."""
         part = Part.of(model, self.point, self.radius, "forces.point")
         slot = tracks.add(self.target(), limited=True)
-        damping = 2 * self.damping * np.sqrt(self.stiffness * part.drawn)
-        spring = wp.vec4d(self.stiffness, damping, part.drawn, self.strength)
+        spring = wp.vec4d(self.stiffness, self.damping, part.drawn, self.strength)
         kernel = kernels.make_draw(model.real)
 
         def record(grid: Grid) -> wp.Launch | None:

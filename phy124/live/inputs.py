@@ -1,0 +1,115 @@
+"""Inputs: what hands did to a live run, as forces and motions of a scene that grow with time.
+
+All times are those of frames, so that a run of the finished scene takes the same substeps.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from phy124.boundaries.base import Movable
+from phy124.boundaries.motion import Path
+from phy124.forces import AnyForce, Grab, Gravity, Wrench
+from phy124.region import Vector
+from phy124.scene import Scene
+
+
+@dataclass
+class Held:
+    """A grab, of which each frame adds a target."""
+
+    start: float
+    """When it began [s]."""
+    options: dict[str, Any]
+    """Fields of `Grab` that stay."""
+    times: list[float]
+    """Since the start [s]."""
+    targets: list[Vector]
+    end: float | None = None
+    """When it let go [s]; None: it still holds."""
+
+    def force(self) -> Grab:
+        """As a force of a scene."""
+        found = {"start": self.start, "end": self.end, **self.options}
+        return Grab(times=tuple(self.times), targets=tuple(self.targets), **found)
+
+
+@dataclass
+class Moved:
+    """A boundary's displacement, to which each frame in which it moves adds a point."""
+
+    times: list[float] = field(default_factory=lambda: [0.0])
+    points: list[Vector] = field(default_factory=lambda: [(0.0, 0.0, 0.0)])
+
+
+class Inputs:
+    """What was done so far, on top of a scene."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.base = scene
+        self.grabs: list[Held] = []
+        self.wrenches: list[Wrench] = []
+        self.gravity: list[Gravity] = []
+        self.moved: dict[int, Moved] = {}
+
+    @property
+    def holding(self) -> Held | None:
+        """The grab that holds, if any."""
+        return next((held for held in self.grabs if held.end is None), None)
+
+    def weigh(self, g: Vector, now: float) -> None:
+        """Another gravity from now on [m/s^2]."""
+        if self.gravity and self.gravity[-1].start == now:
+            self.gravity.pop()
+        self.gravity.append(Gravity(g=g, start=now))
+
+    def scene(self) -> Scene:
+        """The scene with everything that was done to it."""
+        boundaries = list(self.base.boundaries)
+        for index, moved in self.moved.items():
+            path = Path(times=tuple(moved.times), points=tuple(moved.points), smooth=False)
+            boundaries[index] = boundaries[index].model_copy(update={"motion": path})
+        forces = [*self._weights(), *self.wrenches, *(held.force() for held in self.grabs)]
+        return self.base.model_copy(
+            update={"forces": tuple(forces), "boundaries": tuple(boundaries)}
+        )
+
+    def forget(self, since: float) -> None:
+        """Take back all that was done from a time on [s]; what acts then ends there."""
+        self.grabs = [held for held in self.grabs if held.start < since]
+        for held in self.grabs:
+            kept = sum(held.start + time <= since + 1e-9 for time in held.times)
+            del held.times[max(kept, 2) :], held.targets[max(kept, 2) :]
+            held.end = since if held.end is None else min(held.end, since)
+        self.wrenches = [
+            wrench.model_copy(update={"end": min(wrench.end or since, since)})
+            for wrench in self.wrenches
+            if wrench.start < since
+        ]
+        self.gravity = [one for one in self.gravity if one.start < since or one.start == 0.0]
+        for moved in self.moved.values():
+            kept = sum(time <= since + 1e-9 for time in moved.times)
+            del moved.times[max(kept, 1) :], moved.points[max(kept, 1) :]
+        self.moved = {i: moved for i, moved in self.moved.items() if len(moved.times) > 1}
+
+    def _weights(self) -> list[AnyForce]:
+        """The forces of the scene; its gravity ends where another one begins."""
+        if not self.gravity:
+            return list(self.base.forces)
+        first, found = self.gravity[0].start, []
+        for force in self.base.forces:
+            if not isinstance(force, Gravity) or force.region is not None:
+                found.append(force)
+            elif force.start < first:
+                end = first if force.end is None else min(force.end, first)
+                found.append(force.model_copy(update={"end": end}))
+        ends = [*(one.start for one in self.gravity[1:]), None]
+        changed = zip(self.gravity, ends, strict=True)
+        return found + [one.model_copy(update={"end": end}) for one, end in changed]
+
+
+def movable(scene: Scene, index: int) -> bool:
+    """Whether a boundary of the scene can be moved by hand."""
+    wall = scene.boundaries[index]
+    return isinstance(wall, Movable) and wall.motion is None

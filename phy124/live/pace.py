@@ -1,0 +1,62 @@
+"""Pace: frames in real time, or slower where the machine cannot; late frames never queue up."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+
+REMEMBERED = 24
+"""Frames over which the real-time factor is averaged."""
+
+
+class Pace:
+    """Call `wait` after each frame; it returns when the next one is due.
+
+    A frame that comes late moves all later ones: time slows down instead of being caught up.
+    """
+
+    def __init__(
+        self,
+        fps: float,
+        *,
+        clock: Callable[[], float] = time.perf_counter,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        """Start now.
+
+        Args:
+            fps: Frames per second of simulated time.
+            clock: Seconds of a clock that never goes back.
+            sleep: Waits for so many seconds.
+        """
+        self.speed = 1.0
+        """Simulated seconds per second that are wanted; below 1: slow motion."""
+        self._fps, self._clock, self._sleep = fps, clock, sleep
+        self._due = clock()
+        self._shown: deque[float] = deque([self._due], maxlen=REMEMBERED)
+
+    def wait(self) -> float:
+        """Wait until the next frame is due; returns the real-time factor."""
+        self._due += 1 / (self._fps * self.speed)
+        now = self._clock()
+        if now < self._due:
+            self._sleep(self._due - now)
+        else:
+            self._due = now
+        self._shown.append(self._clock())
+        return self.factor
+
+    @property
+    def factor(self) -> float:
+        """Simulated seconds per second over the last frames."""
+        first, last = self._shown[0], self._shown[-1]
+        if last <= first:
+            return self.speed
+        return (len(self._shown) - 1) / self._fps / (last - first)
+
+    def restart(self) -> None:
+        """Begin anew, after a pause."""
+        self._due = self._clock()
+        self._shown.clear()
+        self._shown.append(self._due)
