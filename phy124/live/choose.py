@@ -66,7 +66,11 @@ def held_rate(
     """
     rate = number("rate", rate, 0.01, 100)
     allowed = SPARE / (scene.time.fps * rate)
-    cells = FIRST if max_error is None else _exact_enough(scene, number("max_error", max_error, 1e-6, 1))
+    cells = (
+        FIRST
+        if max_error is None
+        else _exact_enough(scene, number("max_error", max_error, 1e-6, 1))
+    )
     spent = _trial(gaussians, _on(scene, cells), options)
     if max_error is None:
         cells, spent = _finest(gaussians, scene, cells, spent, allowed, options)

@@ -13,11 +13,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.errors import InputError
-from phy124.forces import Wrench
-from phy124.gaussians import Frame, Gaussians
+from phy124.forces import WrenchForce
+from phy124.gaussians import Frame, Gaussians, Wrench
 from phy124.io.clip import Clip
 from phy124.live.inputs import Held, Inputs, Moved, movable
-from phy124.live.limits import FASTEST, LIFTS, PUSHES, STRONGEST, Limits, number, vector
+from phy124.live.limits import (
+    FASTEST,
+    LIFTS,
+    PUSHES,
+    STANDARD_GRAVITY,
+    STRONGEST,
+    Limits,
+    bounded,
+    number,
+    vector,
+)
 from phy124.region import Vector
 from phy124.scene import Scene
 from phy124.simulation import Simulation, Stopped
@@ -50,7 +60,7 @@ class Live:
             InputError: The Gaussians or the scene cannot be used.
         """
         timing = scene.time.model_copy(update={"sleep": False, "budget": FOREVER})
-        self._scene = scene.model_copy(update={"time": timing})
+        self._scene = scene.model_copy(update={"time": timing, "wrenches": True})
         self._gaussians, self._options = gaussians, options
         self.notes: list[str] = []
         """Sentences about inputs that were made smaller and about frames that failed."""
@@ -60,7 +70,9 @@ class Live:
     def reset(self) -> None:
         """Begin anew, with nothing done to the object."""
         self._inputs = Inputs(self._scene)
-        self._run = Simulation(self._gaussians, self._scene, keep=False, **self._options)
+        self._run = Simulation(
+            self._gaussians, self._scene, keep=False, changes=True, **self._options
+        )
         self._target: Vector | None = None
         self._offsets: dict[int, Vector] = {}
         self._changed = False
@@ -80,7 +92,8 @@ class Live:
     def particles(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Positions [P,3], m, and deformation gradients [P,3,3] of all particles now."""
         state = self._run.solver.state
-        return np.asarray(state.x.numpy()), np.asarray(state.deformation.numpy())
+        x, F = np.asarray(state.x.numpy()), np.asarray(state.deformation.numpy())
+        return x.astype(np.float32), F.astype(np.float32)
 
     def frames(self, count: int) -> Iterator[Frame]:
         """So many frames, one after the other; inputs may be given between them."""
@@ -89,14 +102,14 @@ class Live:
 
     def step(self) -> Frame:
         """The next frame; after one that is not sound, the last one that can be made again."""
-        first = self._run.count == 0
-        if not first:
+        if self._run.count:
             self._lead()
-            self._apply()
+        self._apply()
         try:
             frame = self._run.step()
         except Stopped as stop:
             frame = self._go_back(str(stop))
+        self._frame = frame
         if self._run.count % KEPT_EVERY == 0:
             self._kept = [*self._kept[-1:], (self.time, self._run.snapshot())]
         return frame
@@ -195,7 +208,7 @@ class Live:
         given = self._said(*limits.force("push.force", force))
         turn = self._said(*limits.torque("push.torque", torque))
         self._inputs.wrenches.append(
-            Wrench(force=given, torque=turn, point=point, radius=radius, start=now,
+            WrenchForce(force=given, torque=turn, point=point, radius=radius, start=now,
                    end=now + seconds)
         )  # fmt: skip
         self._changed = True
@@ -206,8 +219,8 @@ class Live:
         Raises:
             InputError: These are not three finite numbers.
         """
-        given, said = _gravity(g)
-        self._inputs.weigh(self._said(given, said), self.time)
+        given = bounded("gravity", g, 10 * STANDARD_GRAVITY, "m/s^2")
+        self._inputs.weigh(self._said(*given), self.time)
         self._changed = True
 
     def move(self, wall: int, to: Sequence[float]) -> None:
@@ -226,13 +239,15 @@ class Live:
             raise InputError("move.wall", wall, why, "Choose a boundary that has no motion yet.")
         self._offsets[wall] = self._said(*self.limits.place("move.to", to))
 
+    def contacts(self) -> dict[str, Wrench]:
+        """Mean force [N] and torque [N m] on each wall over the last frame, by its name."""
+        return dict(self._frame.wrenches or {})
+
     def session(self) -> Scene:
         """The scene that does what was done, for as long as it has lasted."""
         frames = max(self._run.count, 1)
         scene = self._inputs.scene()
-        return scene.model_copy(
-            update={"time": scene.time.model_copy(update={"frames": frames})}
-        )
+        return scene.model_copy(update={"time": scene.time.model_copy(update={"frames": frames})})
 
     def clip(self) -> Clip:
         """The session as a clip, simulated again: the frames are the same, bit for bit."""
@@ -315,9 +330,3 @@ class Live:
     def _note(self, sentence: str) -> None:
         if self.notes[-1:] != [sentence]:
             self.notes = [*self.notes, sentence][-NOTES:]
-
-
-def _gravity(g: Sequence[float]) -> tuple[Vector, str]:
-    from phy124.live.limits import STANDARD_GRAVITY, bounded
-
-    return bounded("gravity", g, 10 * STANDARD_GRAVITY, "m/s^2")

@@ -10,7 +10,7 @@ from typing import Any
 
 from phy124.boundaries.base import Movable
 from phy124.boundaries.motion import Path
-from phy124.forces import AnyForce, Grab, Gravity, Wrench
+from phy124.forces import AnyForce, Grab, Gravity, WrenchForce
 from phy124.region import Vector
 from phy124.scene import Scene
 
@@ -49,7 +49,7 @@ class Inputs:
     def __init__(self, scene: Scene) -> None:
         self.base = scene
         self.grabs: list[Held] = []
-        self.wrenches: list[Wrench] = []
+        self.wrenches: list[WrenchForce] = []
         self.gravity: list[Gravity] = []
         self.moved: dict[int, Moved] = {}
 

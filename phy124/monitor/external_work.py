@@ -53,7 +53,13 @@ class ExternalWork:
     Call `open` before the first frame and `begin` before every frame.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, changes: bool = False) -> None:
+        """Begin with nothing.
+
+        Args:
+            changes: Whether other forces and boundaries may act later in the run.
+        """
+        self._changes = changes
         self._device: dict[str, wp.array] = {}
         """Open sums: those of each worker since its launches were recorded last [W,ROOM]."""
         self._closed: dict[str, Sums] = {name: np.zeros(kernels.GIVEN) for name in SOURCES}
@@ -81,7 +87,12 @@ class ExternalWork:
         self._base, self._walls_before = (
             wp.zeros(3, dtype=wp.float64, device=model.device) for _ in range(2)
         )
-        return [Stage(STAGE, self._record_uniform)] if tracks.vary else []
+        return [Stage(STAGE, self._record_uniform)] if self._varies else []
+
+    @property
+    def _varies(self) -> bool:
+        """Whether the uniform acceleration is summed substep by substep."""
+        return self._changes or self._tracks.vary
 
     def open(self, clock: Clock) -> None:
         """Start counting from the current state."""
@@ -93,7 +104,7 @@ class ExternalWork:
 
     def begin(self, momentum: Sums) -> None:
         """Start a frame with this momentum [kg m/s]; the work of varying forces depends on it."""
-        if self._tracks.vary:
+        if self._varies:
             self._momentum = momentum - self._total()[IMPULSES]
             self._set_base()
 
@@ -102,7 +113,7 @@ class ExternalWork:
         [kg m].
         """
         total = self._total()
-        if not self._tracks.vary:
+        if not self._varies:
             values: NDArray[Any] = self._tracks.values.numpy()
             a = values[0, :3].astype(np.float64)
             impulse = self._model.total_mass * a * (clock.time - clock.last_dt / 2 - self._opened)

@@ -68,9 +68,7 @@ class StepRejection:
         reach back by half a substep, so the time of a frame before it counts, too.
         """
         before = start - (end - start) if math.isfinite(start) else start
-        self.acceleration = _max_acceleration(
-            self._model, self._tracks, self._pushes, before, end
-        )
+        self.acceleration = _max_acceleration(self._model, self._tracks, self._pushes, before, end)
         """Upper bound of the acceleration of a particle by forces [m/s^2]."""
         self.wall = _max_rate(self._tracks, before, end)
         """Largest speed of a wall [m/s]."""

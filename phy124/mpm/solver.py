@@ -123,7 +123,6 @@ class Solver:
         )
         self._sample = tracks.record()
         self._sample.launch()
-        self._pushes: list[Named] = []
         self.rejection = StepRejection(model, state, tracks, acting, accumulators)
         if self.grid.count:
             self._record()

@@ -69,6 +69,7 @@ class Simulation:
         crop: Crop = WHOLE,
         threads: int | None = None,
         keep: bool = True,
+        changes: bool = False,
     ) -> None:
         """Place the object, make its particles and build the solver.
 
@@ -81,6 +82,7 @@ class Simulation:
             crop: Where the object is in the picture that the masks of parts were painted on.
             threads: CPU threads; None: as many as have a free core and enough particles.
             keep: Keep all frames for `clip`; otherwise the frames may exceed the memory.
+            changes: Whether `change` may be called.
 
         Raises:
             InputError: The Gaussians or the scene cannot be used.
@@ -116,7 +118,8 @@ class Simulation:
             self.demand = refuse_hopeless(self.shown, self.particles, judged, device, keep=keep)
         with self.watch.stage("compile"):
             compile_missing(kernels(scene, device), device, progress)
-            external, self.contacts = ExternalWork(), Contacts(asked=scene.keeps_contacts)
+            external = ExternalWork(changes=changes)
+            self.contacts = Contacts(asked=scene.keeps_contacts)
             self.wrenches = Wrenches(asked=scene.keeps_wrenches)
             self.solver = solver_of(
                 self.particles, self.materials, stiffness, scene, device, threads, external,

@@ -80,9 +80,7 @@ class Acting(NamedTuple):
     accumulators: Sequence[Accumulator]
 
 
-def acting(
-    scene: Scene, external: ExternalWork, contacts: Contacts, wrenches: Wrenches
-) -> Acting:
+def acting(scene: Scene, external: ExternalWork, contacts: Contacts, wrenches: Wrenches) -> Acting:
     """The forces and boundaries of a scene, between what measures them if that is asked for.
 
     Args:
