@@ -79,6 +79,7 @@ _MODULES = {
     "io.ply": ["read_ply", "write_ply"],
     "io.video": ["write_mp4"],
     "materials": ["Material"],
+    "live": ["Live"],
     "metrics.comparison": ["compare"],
     "pipeline": ["Result", "generate", "simulate"],
     "rendering.film": ["film"],

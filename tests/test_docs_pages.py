@@ -16,6 +16,7 @@ RUN = {
     "extending.md": "test_plug_and_play.py",
     "filming.md": "test_cameras.py",
     "formats.md": "test_formats.py",
+    "live.md": "test_live.py",
     "pictures.md": "test_docs_pages.py",
     "plugins.md": "test_docs_pages.py",
     "scene.md": "test_scene_reference.py",

@@ -115,7 +115,15 @@ class Force(Section):
 
 
 def accelerate(force: Force, a: Vector, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-    """A uniform acceleration joins the grid update; one on a region needs its own launch."""
+    """A uniform acceleration joins the grid update; one on a region needs its own launch.
+
+    Args:
+        force: Its region, and its strength over time.
+        a: Acceleration at full strength [m/s^2].
+        model: What stays the same during the run.
+        state: The particles, whose velocities change.
+        tracks: Where its strength is registered.
+    """
     if force.uniform:
         tracks.accelerate(force.track(a))
         return []
@@ -123,7 +131,15 @@ def accelerate(force: Force, a: Vector, model: Model, state: State, tracks: Trac
 
 
 def push(force: Force, value: Vector, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-    """One launch over the chosen particles: an acceleration, or newtons on each."""
+    """One launch over the chosen particles: an acceleration, or newtons on each.
+
+    Args:
+        force: Its region, and its strength over time.
+        value: Acceleration [m/s^2] or force on each particle [N] at full strength.
+        model: What stays the same during the run.
+        state: The particles, whose velocities change.
+        tracks: Where its strength is registered.
+    """
     kernel = kernels.make_accelerate(model.real, force.in_newtons)
     name = "particle_force" if force.in_newtons else "region_force"
     track, inputs = force.track(value), [model.mass]
@@ -151,7 +167,16 @@ def stage(
 ) -> list[Stage]:
     """One launch over the chosen particles that reads a track and changes velocities.
 
-    `inputs` of the kernel are constant, `read` is of the state.
+    Args:
+        force: Its region.
+        name: Under which reports list its time.
+        kernel: Takes the chosen particles, the track's slot, `inputs`, clock, values and `read`.
+        track: Its strength over time.
+        inputs: What the kernel reads that is constant.
+        model: What stays the same during the run.
+        state: The particles, whose velocities change.
+        tracks: Where its strength is registered.
+        read: What the kernel reads of the state.
     """
     chosen = force.chosen(model)
     slot = tracks.add(track)

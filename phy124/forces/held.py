@@ -95,7 +95,16 @@ class Part(NamedTuple):
     def centred(
         self, name: str, slot: int, model: Model, state: State, tracks: Tracks, *, turned: bool
     ) -> Iterator[Stage]:
-        """The stages that find its centre, and its second moments where it is `turned`."""
+        """The stages that find its centre, and its second moments about it.
+
+        Args:
+            name: Under which reports list their time.
+            slot: The track; nothing is computed while it is inactive.
+            model: What stays the same during the run.
+            state: The particles' positions and velocities.
+            tracks: Have the track's value.
+            turned: Whether second moments are needed.
+        """
         real, (count, *parted) = model.real, shared_out(len(self.chosen), model.device)
 
         def forget(grid: Grid) -> wp.Launch | None:

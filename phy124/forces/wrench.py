@@ -58,8 +58,8 @@ class WrenchForce(Force):
 
         def limit(start: float, end: float) -> float:
             pushed = tracks.tracks[push].largest(start, end) / part.mass
-            torque = tracks.tracks[turn].largest(start, end)
-            return pushed + (MARGIN * torque * part.reach / part.inertia if torque else 0.0)
+            turning = MARGIN * part.reach / part.inertia if part.inertia else 0.0
+            return pushed + turning * tracks.tracks[turn].largest(start, end)
 
         stage = Stage(self.kind, record, limit=limit)
         if not turned:

@@ -11,6 +11,6 @@ same accuracy bit for bit, or at a finer one.
 
 from phy124.live.choose import Choice, held_rate
 from phy124.live.engine import Live
-from phy124.live.pace import Pace
+from phy124.live.real_time import RealTime
 
-__all__ = ["Choice", "Live", "Pace", "held_rate"]
+__all__ = ["Choice", "Live", "RealTime", "held_rate"]

@@ -96,7 +96,13 @@ def vector(field: str, value: Sequence[float]) -> Vector:
 
 
 def number(field: str, value: float, least: float, most: float) -> float:
-    """A finite number from `least` to `most`.
+    """A finite number within bounds.
+
+    Args:
+        field: What it is called.
+        value: What was given.
+        least: The smallest that can be used.
+        most: The largest.
 
     Raises:
         InputError: It is not.
@@ -112,7 +118,13 @@ def number(field: str, value: float, least: float, most: float) -> float:
 
 
 def bounded(field: str, value: Sequence[float], most: float, unit: str) -> tuple[Vector, str]:
-    """A vector no longer than `most`, and a sentence if it was.
+    """A vector no longer than a limit, and a sentence if it was.
+
+    Args:
+        field: What it is called.
+        value: What was given.
+        most: The largest length.
+        unit: In which the sentence has it.
 
     Raises:
         InputError: It is not three finite numbers.

@@ -4,8 +4,7 @@ Each scene is run on a series of grids with the bindings `particles` and `lattic
 distances from the limit that the grids of `particles` approach (`phy124.accuracy.convergence`), so
 a bias of `lattice` counts against it; "own" is its error from its own limit. Seconds are processor
 seconds of dynamics and shapes, of all threads. `lattice` dominates a run of `particles` if one of
-its runs has no larger error in less time. Arguments are names of scenes; none: all of them. With
-`--docs` the table of docs/results/accuracy.md is renewed.
+its runs has no larger error in less time. Arguments are names of scenes; none: all of them.
 """
 
 import sys
@@ -25,8 +24,8 @@ from phy124.simulation import Simulation
 
 sys.path.insert(0, str(Path(__file__).parent))
 from promises import FLOWING, SPRINGY, scene_of
-from tables import DOCS, machine, markdown, renew
 
+ROOT = Path(__file__).parents[2]
 PARTICLES = (16, 24, 32, 48)
 LATTICE = (16, 20, 24, 28, 32, 48)
 PICTURES = ("duck", "sunflower")
@@ -100,7 +99,7 @@ def main() -> None:
         if chosen and name not in chosen:
             continue
         if picture not in statics:
-            image = DOCS.parent / f"demo/examples/{picture}.png"
+            image = ROOT / f"demo/examples/{picture}.png"
             statics[picture] = pipeline.static(image).gaussians
         found = compared(statics[picture], scene)
         if found:

@@ -1,4 +1,4 @@
-"""Pace: frames in real time, or slower where the machine cannot; late frames never queue up."""
+"""Real time: frames when they are due, or slower where the machine cannot; none queue up."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ REMEMBERED = 24
 """Frames over which the real-time factor is averaged."""
 
 
-class Pace:
+class RealTime:
     """Call `wait` after each frame; it returns when the next one is due.
 
     A frame that comes late moves all later ones: time slows down instead of being caught up.

@@ -1,0 +1,237 @@
+"""Live runs: inputs act from the next frame on, are bounded, and become a scene."""
+
+import numpy as np
+import pytest
+
+from phy124.accuracy.ball import ball
+from phy124.errors import InputError
+from phy124.gaussians import Gaussians
+from phy124.live import Live, RealTime, held_rate
+from phy124.scene import Scene
+from support.pages import ROOT, blocks
+
+GROUND = [{"kind": "ground"}, {"kind": "sphere", "centre": [0, 0.8, 0.2], "radius": 0.25}]
+
+
+def thing() -> Gaussians:
+    return ball(400)
+
+
+def scene(**changes: object) -> Scene:
+    base = Scene.named("drop").replaced({"accuracy": {"cells": 8}, "binding": "lattice"})
+    return base.replaced({"object.lift": 0.1, "boundaries": GROUND, "time.fps": 24.0, **changes})
+
+
+def live(**changes: object) -> Live:
+    return Live(thing(), scene(**changes), threads=1)
+
+
+def middle(frame) -> np.ndarray:
+    return frame.gaussians.means.astype(np.float64).mean(axis=0)
+
+
+def play(run: Live) -> list:
+    """Half a second of everything a hand can do, and its frames."""
+    frames = [run.step(), run.step()]
+    run.grab((0, 0, 0.9))
+    for step in range(4):
+        run.to((0, 0.05 * step, 1.1))
+        frames.append(run.step())
+    run.release()
+    run.push((200, 0, 0), torque=(0, 0, 50), seconds=0.1)
+    run.move(1, (0, -0.4, 0))
+    frames += run.frames(2)
+    run.gravity((0, 0, -3))
+    run.push((0, 50, 0), at=middle(frames[-1]) + (0, 0, 0.3), seconds=0.05)
+    frames += run.frames(3)
+    return frames
+
+
+def test_a_session_is_a_scene_that_gives_the_same_frames_bit_for_bit():
+    run = live()
+    frames = play(run)
+    read = Scene.from_data(run.session().data())
+    assert read == run.session() and read.time.frames == len(frames)
+    clip = run.clip()
+    for index, frame in enumerate(frames):
+        assert np.array_equal(frame.gaussians.means, clip.means[index]), index
+        assert np.array_equal(frame.gaussians.quats, clip.quats[index]), index
+    assert clip.report["complete"] and not run.notes
+
+
+def test_what_is_held_follows_the_hand_and_falls_when_it_lets_go():
+    run = live(boundaries=[])
+    run.step()
+    run.grab((0, 0, 1.0))
+    for frame in run.frames(40):  # noqa: B007
+        run.to((0.2, 0.3, 1.6))
+    # It hangs: the point held is below the hand by the weight over the spring's stiffness.
+    sag = run.limits.weight / run.limits.stiffness
+    top = frame.gaussians.means[frame.gaussians.means[:, 2] > middle(frame)[2] + 0.3].mean(axis=0)
+    assert np.allclose(top[:2], (0.2, 0.3), atol=0.05)
+    assert middle(frame)[2] == pytest.approx(1.6 - sag - 0.5, abs=0.1)
+    run.release()
+    start = middle(run.step())
+    fallen = list(run.frames(6))[-1]
+    assert middle(fallen)[2] < start[2] - 0.2
+
+
+def test_a_push_gives_the_momentum_of_its_force_and_time():
+    run = live(forces=[], boundaries=[])
+    run.step()
+    run.push((60, 0, 0), seconds=0.1)
+    frames = list(run.frames(5))
+    speed = np.linalg.norm(middle(frames[-1]) - middle(frames[-2])) * 24
+    assert speed == pytest.approx(60 * 0.1 / run.limits.mass, rel=1e-3)
+
+
+def test_gravity_changes_at_once_and_a_wall_moves_at_hand_speed():
+    run = live(boundaries=GROUND)
+    run.step()
+    run.gravity((0, 0, 0))
+    still = [middle(frame)[2] for frame in run.frames(3)]
+    assert np.ptp(still) < 1e-6
+    run.move(1, (0, 0, 4))
+    run.step()
+    path = run.session().boundaries[1].motion
+    assert path.points[-1][2] == pytest.approx(5 / 24)
+
+
+def test_the_wrench_on_the_ground_is_the_weight_of_what_rests():
+    run = live(**{"object.lift": 0.0, "material.damping": 30.0})
+    down = [run.step() and run.contacts()["ground"].force[2] for _ in range(40)]
+    assert np.mean(down[-10:]) == pytest.approx(-run.limits.weight, rel=0.02)
+
+
+def test_a_frame_that_fails_drops_the_inputs_and_goes_on(monkeypatch):
+    run = live()
+    list(run.frames(14))
+    run.push((0, 0, 100), seconds=10)
+    run.step()
+    sound, fails = type(run._run).step, iter([True, True, False])
+
+    def step(self):
+        if next(fails, False):
+            from phy124.simulation import Stopped
+
+            raise Stopped("frame 15 is not sound.", ())
+        return sound(self)
+
+    monkeypatch.setattr(type(run._run), "step", step)
+    frame = run.step()
+    # It failed without the push, too, so it went back to the state kept after 12 frames.
+    assert frame.index == 12 and "frame 15 is not sound" in run.notes[0]
+    assert not [f for f in run.session().forces if f.kind == "wrench"]
+    assert np.isfinite(frame.gaussians.means).all()
+
+
+@pytest.mark.parametrize(
+    ("call", "field"),
+    [
+        (lambda run: run.grab((np.nan, 0, 0)), "grab.point"),
+        (lambda run: run.grab((50, 0, 0)), "grab.point"),
+        (lambda run: run.grab((0, 0, 0.9), radius=0), "grab.radius"),
+        (lambda run: run.to((0, 0, 0)), "to"),
+        (lambda run: run.push("north"), "push.force"),
+        (lambda run: run.push((1, 0, 0), seconds=-1), "push.seconds"),
+        (lambda run: run.push((1, 0, 0), at=(0, 9, 0)), "push.at"),
+        (lambda run: run.gravity((0, 0, np.inf)), "gravity"),
+        (lambda run: run.move(7, (0, 0, 0)), "move.wall"),
+        (lambda run: run.move(2, (0, 0, 0)), "move.wall"),
+    ],
+)
+def test_what_cannot_be_done_is_refused_and_the_run_goes_on(call, field):
+    swings = {"kind": "sphere", "centre": [0, 0.8, 0.2], "motion": {"kind": "swing"}}
+    run = live(boundaries=[*GROUND, swings])
+    run.step()
+    with pytest.raises(InputError) as refused:
+        call(run)
+    assert refused.value.field == field and refused.value.remedy
+    assert np.isfinite(run.step().gaussians.means).all()
+
+
+def test_what_is_too_much_is_made_smaller_and_said():
+    run = live()
+    run.step()
+    run.push((1e30, 0, 0), seconds=0.01)
+    run.grab((0, 0, 0.9))
+    run.to((0, 0, 2.3e11))
+    for frame in run.frames(5):
+        assert np.isfinite(frame.gaussians.means).all()
+    assert len(run.notes) == 2 and "most there is" in run.notes[0]
+    for _ in range(14):
+        run.push((1, 0, 0), seconds=9)
+    run.push((1, 0, 0), seconds=9)
+    with pytest.raises(InputError, match="push"):
+        run.push((1, 0, 0), seconds=9)
+        run.push((1, 0, 0), seconds=9)
+
+
+def test_random_hands_never_break_it(seed=7, inputs=60):
+    rng, run = np.random.default_rng(seed), live()
+    extremes = [0.0, -1.0, 1e-30, 1e9, 1e30, -1e30, np.nan, np.inf]
+
+    def value() -> float:
+        return float(rng.choice(extremes) if rng.random() < 0.5 else rng.normal())
+
+    def triple() -> tuple:
+        return value(), value(), value()
+
+    calls = [
+        lambda: run.grab(triple()), lambda: run.to(triple()), run.release,
+        lambda: run.push(triple(), torque=triple(), seconds=value()),
+        lambda: run.push(triple(), at=triple()), lambda: run.gravity(triple()),
+        lambda: run.move(int(rng.integers(-1, 3)), triple()),
+        lambda: run.grab(middle(run.step()) + 0.4 * rng.normal(size=3), radius=0.5),
+    ]  # fmt: skip
+    for _ in range(inputs):
+        try:
+            calls[rng.integers(len(calls))]()
+        except InputError as refused:
+            assert refused.remedy
+        if rng.random() < 0.5:
+            assert np.isfinite(run.step().gaussians.means).all()
+
+
+def test_the_grid_is_as_fine_as_this_machine_holds():
+    slow = held_rate(thing(), scene(), rate=100, threads=1)
+    assert slow.scene.resolution.cells == 8 and slow.scene.binding == "lattice"
+    exact = held_rate(thing(), scene(), max_error=0.05, threads=1)
+    assert exact.error <= 0.05 and "at most" in exact.sentence
+    with pytest.raises(InputError, match="rate"):
+        held_rate(thing(), scene(), rate=float("nan"))
+
+
+@pytest.mark.slow
+def test_the_example_of_the_page_runs_and_its_session_is_read(tmp_path, monkeypatch, capsys):
+    (tmp_path / "demo").symlink_to(ROOT / "demo")
+    monkeypatch.chdir(tmp_path)
+    page = ROOT / "docs/guide/live.md"
+    exec("\n".join(b.text for b in blocks() if b.page == page and b.words[0] == "python"), {})
+    assert "real time" in capsys.readouterr().out
+    session = Scene.named("session.toml")
+    assert session.time.frames == 49 and {f.kind for f in session.forces} >= {"grab", "wrench"}
+
+
+def test_late_frames_slow_time_down_and_never_queue_up():
+    now, waits = [0.0], []
+
+    def sleep(seconds: float) -> None:
+        waits.append(seconds)
+        now[0] += seconds
+
+    clock = RealTime(10, clock=lambda: now[0], sleep=sleep)
+    for _ in range(30):
+        now[0] += 0.02
+        clock.wait()
+    assert clock.factor == pytest.approx(1) and waits[-1] == pytest.approx(0.08)
+    now[0] += 5
+    clock.wait()
+    before = len(waits)
+    clock.wait()
+    # The five seconds are not caught up: the next frame is due a tenth of a second later.
+    assert len(waits) == before + 1 and waits[-1] == pytest.approx(0.1)
+    for _ in range(30):
+        now[0] += 0.2
+        clock.wait()
+    assert clock.factor == pytest.approx(0.5)
