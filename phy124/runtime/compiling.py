@@ -16,6 +16,7 @@ import warp as wp
 from phy124.progress import Progress, silent
 from phy124.runtime.cores import cores
 from phy124.runtime.headers import has_headers
+from phy124.runtime.startup import start
 
 
 def compile_missing(
@@ -34,6 +35,8 @@ def compile_missing(
     Raises:
         Cancelled: `progress` raised it; modules that are being compiled are finished first.
     """
+    # Otherwise the first thread would do it, and discard what the others know of their modules.
+    start()
     missing = {k.module.name: k for k in kernels if not is_compiled(k, device)}
     if not missing:
         return 0
