@@ -84,7 +84,7 @@ def window(setting: Setting) -> list[Check]:
 
 
 def repeats(setting: Setting) -> list[Check]:
-    """Repeated runs are bitwise equal; two threads agree with one."""
+    """Repeated runs are bitwise equal for each number of threads; they agree with each other."""
     x = block(8, 0.5, middle=(0, 0, 0.4))
     v = np.random.default_rng(0).normal(size=x.shape)
 
@@ -97,11 +97,12 @@ def repeats(setting: Setting) -> list[Check]:
     one = run(1)
     checks = [equal("one thread: bitwise equal", np.array_equal(one, run(1)))]
     if setting.device == "cpu":
-        two = run(2)
-        checks += [
-            equal("two threads: bitwise equal", np.array_equal(two, run(2))),
-            at_most("two threads against one", relative(two, one), 1e-5),
-        ]
+        for threads, name in ((2, "two"), (5, "five")):
+            several = run(threads)
+            checks += [
+                equal(f"{name} threads: bitwise equal", np.array_equal(several, run(threads))),
+                at_most(f"{name} threads against one", relative(several, one), 1e-5),
+            ]
     return checks
 
 

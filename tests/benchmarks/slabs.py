@@ -1,0 +1,177 @@
+"""How far threads would speed up the solver: what each of N workers does in a substep, counted.
+
+Each worker's phases run one after the other on one thread, and the processor time of each is taken,
+so that a machine of two cores tells what one of sixteen would do, as far as its memory kept pace.
+A substep lasts as long as the slowest worker of each phase. Python's global lock is held by one
+thread at a time, for every launch: with N workers it is held N times as long, and no substep can
+be shorter. Waiting at barriers comes on top; how often threads meet is counted.
+
+    python tests/benchmarks/slabs.py          one JSON line per object and number of threads
+    python tests/benchmarks/slabs.py halo     nodes of slabs over the frames of presets
+    python tests/benchmarks/slabs.py pair     one and two threads in turn on this machine
+"""
+
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from support.shapes import cloud
+from support.solvers import make_solver
+
+from phy124.boundaries import Ground, Sphere
+from phy124.forces import Gravity
+from phy124.materials import NeoHookean
+from phy124.monitor.external_work import ExternalWork
+from phy124.mpm import Solver, slabs
+from phy124.scene import Scene
+from phy124.simulation import Simulation
+
+COUNTS = (1, 2, 4, 8, 16)
+OBJECTS = {
+    "cube, 24 cells": (110_592, 24, (1.0, 1.0, 1.0)),
+    "column, 48 cells": (98_304, 48, (0.4, 0.4, 1.0)),
+    "cube, 48 cells": (884_736, 48, (1.0, 1.0, 1.0)),
+}
+"""Particles, cells of the longest side, and sides [m]: eight particles in a cell."""
+NODE_BYTES = 16
+
+
+def body(name: str, threads: int, *, ball: bool = False) -> Solver:
+    """An object that falls on the floor, or on a ball, its balance checked as in every run."""
+    count, cells, sides = OBJECTS[name]
+    x = cloud(count, size=1.0, corner=0.0, dx=1 / cells) * sides
+    work, volume = ExternalWork(), np.full(count, np.prod(sides) / count)
+    wall = Sphere(centre=(sides[0] / 2, sides[1] / 2, -0.2), radius=0.22) if ball else Ground()
+    s = make_solver(
+        x, volume, [NeoHookean(E=1e5)], dx=1 / cells, forces=[Gravity()],
+        boundaries=work.boundaries([wall]), accumulators=[work], threads=threads,
+    )  # fmt: skip
+    s.clock.ceiling = 1e-4
+    work.open(s.clock)
+    s.step(1e-4, 1e-4)
+    return s
+
+
+def counted(name: str, threads: int, *, ball: bool, rounds: int = 5) -> dict[str, Any]:
+    """What the slowest worker of each phase takes, least of some rounds, and the nodes of slabs."""
+    s = body(name, threads, ball=ball)
+    spent = np.full((rounds, len(s.workers[0].phases), threads), np.inf)
+    for turn in range(rounds):
+        s._measure_if_due()
+        s.clock.begin(1e-4, 1e-4)
+        for phase in range(spent.shape[1]):
+            for index, worker in enumerate(s.workers):
+                start = time.thread_time_ns()
+                worker.run(phase)
+                spent[turn, phase, index] = (time.thread_time_ns() - start) / 1000
+        s.clock.finish(1e-4)
+    least = spent.min(axis=0)
+    private = s.slabs.pool.shape[0] * NODE_BYTES if s.slabs else 0
+    return {
+        "object": name + (" on a ball" if ball else ""),
+        "threads": threads,
+        "slab_nodes_per_window_node": round(s.slabs.share, 2) if s.slabs else 0,
+        "private_MB": round(private / 1e6, 2),
+        "full_windows_MB": round((threads > 1) * threads * s.grid.count * NODE_BYTES / 1e6, 2),
+        "meetings": len(least) + 1 if threads > 1 else 0,
+        "phases_us": np.round(least.max(axis=1)).astype(int).tolist(),
+        "substep_us": round(float(least.max(axis=1).sum())),
+        "work_us": round(float(least.sum())),
+        "launches": sum(len(phase) for worker in s.workers for phase in worker.phases),
+    }
+
+
+def lock_us() -> float:
+    """How long one launch by a worker holds Python's lock [us], from launches over a few nodes."""
+    s = make_solver(
+        np.random.default_rng(0).uniform(size=(16, 3)), np.full(16, 1 / 16), [NeoHookean()],
+        dx=1.0, threads=2,
+    )  # fmt: skip
+    s.step(1e-6, 1e-6)
+    worker, rounds = s.workers[1], 2000
+    launches, start = sum(map(len, worker.phases)), time.thread_time()
+    for _ in range(rounds):
+        for phase in range(len(worker.phases)):
+            worker.run(phase)
+    return (time.thread_time() - start) / rounds / launches * 1e6
+
+
+def halo() -> None:
+    """Nodes of slabs per node of the window over a run, as they are cut and if never cut anew."""
+    scenes = {
+        "spin": ("spin", {"object.spin": [0.0, 6.0, 0.0]}),
+        "sand": ("sand", {}),
+        "water": ("water", {}),
+        "press": ("press", {}),
+    }
+    usual = slabs.GROWN
+    for name, (preset, changes) in scenes.items():
+        scene = Scene.named(preset).replaced({"accuracy.cells": 20, "time.frames": 30, **changes})
+        for threads in (2, 4, 16):
+            row: dict[str, Any] = {"scene": name, "threads": threads}
+            for label, grown in (("cut anew", usual), ("never", np.inf)):
+                slabs.GROWN = grown
+                run, shares, count = Simulation(bar(), scene, threads=threads), [], 0
+                cut = run.solver.slabs.cut
+
+                def counting(*args: Any, cut: Any = cut) -> None:
+                    nonlocal count
+                    count += 1
+                    cut(*args)
+
+                run.solver.slabs.cut = counting
+                for _ in run:
+                    shares.append(run.solver.slabs.share)
+                row[label] = [round(f(shares[1:]), 2) for f in (np.mean, np.max)]
+                row[f"{label}, cuts"] = count
+            print(json.dumps(row), flush=True)
+    slabs.GROWN = usual
+
+
+def bar() -> Any:
+    """The bar with a knob whose clips `fingerprints.py` compares."""
+    from fingerprints import body as made
+
+    return made(1500)
+
+
+def pair(rounds: int = 6, substeps: int = 40) -> None:
+    """Wall and processor time of a substep with one and two threads in turn, least of rounds."""
+    name = next(iter(OBJECTS))
+    solvers = {threads: body(name, threads) for threads in (1, 2)}
+    least: dict[int, list[float]] = {}
+    for _ in range(rounds):
+        for threads, s in solvers.items():
+            wall, cpu, before = time.perf_counter(), time.process_time(), s.clock.substeps
+            s.advance(s.clock.time + substeps * 1e-4)
+            done = s.clock.substeps - before
+            found = [(time.perf_counter() - wall) / done, (time.process_time() - cpu) / done]
+            least[threads] = np.minimum(found, least.get(threads, found)).tolist()
+    for threads, (wall, cpu) in least.items():
+        row = {"object": name, "threads": threads, "wall_ms": wall * 1e3, "cpu_ms": cpu * 1e3}
+        print(json.dumps({k: round(v, 2) if isinstance(v, float) else v for k, v in row.items()}))
+
+
+def main() -> None:
+    """All counts, or what is asked for."""
+    asked = sys.argv[1:]
+    if asked == ["halo"]:
+        halo()
+    elif asked == ["pair"]:
+        pair()
+    else:
+        print(json.dumps({"lock_us_per_launch": round(lock_us(), 1)}))
+        for name in OBJECTS:
+            for threads in COUNTS:
+                print(json.dumps(counted(name, threads, ball=False)), flush=True)
+        for threads in COUNTS:
+            print(json.dumps(counted(next(iter(OBJECTS)), threads, ball=True)), flush=True)
+
+
+if __name__ == "__main__":
+    main()
