@@ -45,6 +45,7 @@ def save(
         "run": _plain(run.snapshot(), tensors, "run"),
         "scene": run.scene.data(),
         "threads": len(run.solver.workers),
+        "along": run.along,
         "frames": {"count": run.count, "keep": run.keep},
         "crop": run.crop,
         "about": about or {},
@@ -88,6 +89,7 @@ def load(
         watch=watch,
         crop=(left, top, right, bottom),
         threads=metadata["threads"] if threads is None else threads,
+        along=metadata["along"],
         keep=metadata["frames"]["keep"],
     )
     watch.add(metadata["spent"]["stages"], metadata["spent"]["total"])

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from phy124.materials import NeoHookean
-from phy124.mpm import workers
-from phy124.mpm.slabs import GROWN
+from phy124.mpm import slabs, workers
+from phy124.mpm.slabs import GROWN, layers
 from phy124.mpm.workers import MIN_PARTICLES, timed, usable_workers
 from support.shapes import cloud
 from support.solvers import make_solver
@@ -19,6 +19,7 @@ def solver(count: int, x: np.ndarray | None = None, **options):
     """Particles of a bar that is longest along y."""
     if x is None:
         x = cloud(600, size=1.0, corner=0.0, dx=DX) * (1, 3, 1)
+        x = x[np.argsort(layers(x, 1, DX), kind="stable")]
     volume = np.full(len(x), 3 / len(x))
     return make_solver(x, volume, [NeoHookean(E=1e4)], dx=DX, threads=count, **options)
 
@@ -39,10 +40,8 @@ def test_slabs_are_even_and_lie_one_behind_the_other_along_the_longest_axis(coun
         assert x[one, 1].max() <= x[next_one, 1].min() + DX
 
 
-def test_a_run_that_is_sorted_along_the_axis_is_cut_without_a_list_of_indices():
-    x = cloud(600, size=1.0, corner=0.0, dx=DX) * (3, 1, 1)
-    x = x[np.argsort(np.floor((x[:, 0] - x[:, 0].min()) / DX), kind="stable")]
-    assert all(len(part.chosen) == 0 for part in solver(4, x).slabs.parts)
+def test_slabs_are_runs_in_memory_at_first():
+    assert all(len(part.chosen) == 0 for part in solver(4).slabs.parts)
 
 
 def test_more_workers_than_particles_leave_some_without_any():
@@ -68,39 +67,42 @@ def test_private_nodes_hold_a_slab_and_a_halo_and_never_the_same_memory(count):
     assert all(end <= start for (_, end), (start, _) in itertools.pairwise(spans))
 
 
-def test_slabs_that_overlap_after_a_turn_are_cut_anew():
-    """A bar turns from y to x: its slabs lie across the new axis afterwards."""
-    s = solver(4)
-    s.step(1e-4, 1e-4)
-    first = s.slabs.share
-    x = s.state.x.numpy()
-    s.state.x.assign(x @ np.array([[0, 1, 0], [1, 0, 0], [0, 0, 1]]) @ np.eye(3))
-    turned = s.state.x.numpy()
+def turn(s) -> None:
+    """Turn the bar from y to x, and measure it."""
+    s.state.x.assign(s.state.x.numpy()[:, [1, 0, 2]])
     s.grid.stale = True
     s.clock.since_measured = s.clock.interval
     s.step(1e-4, 1e-4)
+
+
+def test_slabs_that_overlap_after_a_turn_are_cut_anew():
+    """They lie across the axis that is longest then."""
+    s = solver(4)
+    s.step(1e-4, 1e-4)
+    first = s.slabs.share
+    turn(s)
     assert s.slabs.share < GROWN * first
-    ends = [turned[particles_of(part), 0] for part in s.slabs.parts]
+    x = s.state.x.numpy()
+    ends = [x[particles_of(part), 0] for part in s.slabs.parts]
     assert all(a.max() <= b.min() + 1.1 * DX for a, b in itertools.pairwise(ends))
 
 
+def test_slabs_that_are_few_nodes_stay_though_they_overlap(monkeypatch):
+    """Lists of indices cost more than overlapping nodes do."""
+    monkeypatch.setattr(slabs, "NODES", 1000)
+    s = solver(4)
+    s.step(1e-4, 1e-4)
+    turn(s)
+    assert all(len(part.chosen) == 0 for part in s.slabs.parts)
+
+
 def test_workers_are_as_many_as_asked_for_or_as_pay(monkeypatch):
-    class Model:
-        device = "cpu"
-
-        def __init__(self, count):
-            self.count = count
-
-        def __len__(self):
-            return self.count
-
     monkeypatch.setattr(workers, "free_cores", lambda: 8)
-    assert usable_workers(Model(MIN_PARTICLES)) == 1
-    assert usable_workers(Model(3 * MIN_PARTICLES)) == 3
-    assert usable_workers(Model(100 * MIN_PARTICLES)) == 8
-    assert usable_workers(Model(10), 5) == 5
-    monkeypatch.setattr(Model, "device", "cuda:0")
-    assert usable_workers(Model(100 * MIN_PARTICLES), 5) == 1
+    assert usable_workers(MIN_PARTICLES, "cpu") == 1
+    assert usable_workers(3 * MIN_PARTICLES, "cpu") == 3
+    assert usable_workers(100 * MIN_PARTICLES, "cpu") == 8
+    assert usable_workers(10, "cpu", 5) == 5
+    assert usable_workers(100 * MIN_PARTICLES, "cuda:0", 5) == 1
 
 
 def test_time_is_added_up_by_name():

@@ -38,7 +38,7 @@ def make_update(real: Any):
 
 @cache
 def make_merge(real: Any):
-    """Kernel over rows of nodes: as `update`, after adding what several workers scattered.
+    """Kernel over rows of nodes: adds what several workers scattered.
 
     Each box of private nodes lies in the window; `boxes` holds its lowest node and its extent,
     `starts` its first node in `pool`, where its nodes follow each other like those of a window.
@@ -51,7 +51,6 @@ def make_merge(real: Any):
         # model
         layer: int, window: wp.array(dtype=wp.vec3i), boxes: wp.array(dtype=wp.vec3i),
         starts: wp.array(dtype=int),
-        clock: wp.array(dtype=real), values: wp.array(dtype=t.vec4),
         # state in
         pool: wp.array(dtype=t.vec4),
         # out
@@ -71,15 +70,6 @@ def make_merge(real: Any):
                 own = starts[b] + (across * extent[1] + along) * extent[2]
                 for k in range(extent[2]):
                     grid_out[row + low[2] + k] += pool[own + k]
-        a = values[0]
-        kick = clock[0]
-        for k in range(size[2]):
-            q = grid_out[row + k]
-            m = q[3]
-            if m > real(0.0):
-                grid_out[row + k] = wp.vector(
-                    q[0] / m + kick * a[0], q[1] / m + kick * a[1], q[2] / m + kick * a[2], m
-                )
 
     return merge
 

@@ -1,9 +1,11 @@
 """Slabs: which particles several workers have, and the private nodes they scatter to.
 
-The particles of each group are cut across the longest axis into slabs of equal numbers, one for
-each worker. The nodes of a slab are those its particles can touch until they are measured again:
-beside its own layers only a halo of a few. As the object turns or flows, slabs come to overlap;
-once their nodes have become `GROWN` times as many, relative to the window, it is cut anew.
+The particles of each group are cut in the order they have, in which they lie layer by layer along
+the longest axis (phy124/simulation/ordering.py), into slabs of equal numbers, one for each worker.
+The nodes of a slab are those its particles can touch until they are measured again: beside its own
+layers only a halo of a few. As the object turns or flows, slabs come to overlap. Once all their
+nodes are too many, the particles are cut anew where they are now; workers then find theirs by lists
+of indices, which makes a substep up to twice as expensive, and so is the exception.
 """
 
 from __future__ import annotations
@@ -24,8 +26,9 @@ from phy124.mpm.model import Group, Model
 from phy124.mpm.state import State
 from phy124.mpm.workers import Part, Worker
 
-GROWN = 1.25
-"""How many times as many nodes the slabs may have, per node of the window, before a new cut."""
+NODES, GROWN = 16, 1.25
+"""Nodes of slabs per particle from which a new cut may pay, or memory would grow without bound; and
+how many times as many they must be, per node of the window, as after the last cut."""
 GAP, LINE = 1, 4
 """Nodes between two slabs, since SIMD rows touch one node more, and nodes per line of cache: no
 two workers ever write to the same one."""
@@ -59,7 +62,7 @@ class Slabs:
         self._owner = np.zeros(len(model), np.int16)
         self._share = 0.0
         """Nodes of slabs per node of the window when it was cut."""
-        self.cut(model.rest.min(axis=0), model.rest.max(axis=0))
+        self.cut()
 
     @property
     def parts(self) -> list[Part]:
@@ -73,26 +76,31 @@ class Slabs:
 
     @property
     def outgrown(self) -> bool:
-        """Whether the slabs overlap so much more than when they were cut that this pays again."""
+        """Whether there are so many more nodes than after the last cut that a new one pays."""
         if self._share == 0:
             self._share = self.share
-        return self.share > GROWN * self._share
+        return len(self.pool) > NODES * len(self._model) and self.share > GROWN * self._share
 
-    def cut(self, lower: NDArray, upper: NDArray) -> None:
-        """Give each worker a slab of the particles, which lie between two corners [m]."""
-        x: NDArray[Any] = self._state.x.numpy()
-        axis = int(np.argmax(upper - lower))
-        layer = np.floor((x[:, axis] - x.dtype.type(lower[axis])) / self._model.dx)
-        layer = np.clip(layer, 0, np.iinfo(np.int16).max).astype(np.int16)
+    def cut(self, order: NDArray[np.integer] | None = None) -> None:
+        """Give each worker equal numbers of each group, in the order they have or another [P]."""
         count = len(self.workers)
+        order = np.arange(len(self._model)) if order is None else order
         for group in self._model.groups:
-            # Within a layer they stay in order, so that neighbours in space stay so in memory.
-            order = group.start + np.argsort(layer[group.particles], kind="stable")
-            edges = np.linspace(0, len(group), count + 1).astype(int)
+            edges = group.start + np.linspace(0, len(group), count + 1).astype(int)
             for worker in range(count):
                 self._owner[order[edges[worker] : edges[worker + 1]]] = worker
         self._share = 0.0
         self._share_out()
+
+    def cut_anew(self, lower: NDArray, upper: NDArray) -> None:
+        """Cut across the axis that is longest now; the particles lie between two corners [m]."""
+        x: NDArray[Any] = self._state.x.numpy()
+        layer = layers(np.clip(x, lower, upper), int(np.argmax(upper - lower)), self._model.dx)
+        sorted_ones = [
+            group.start + np.argsort(layer[group.particles], kind="stable")
+            for group in self._model.groups
+        ]
+        self.cut(np.concatenate(sorted_ones))
 
     def fit(self, rows: NDArray[np.float64], *, force: bool) -> bool:
         """Make the nodes of every slab cover its particles; returns whether they changed.
@@ -145,8 +153,7 @@ class Slabs:
     def restore(self, snapshot: dict[str, Any]) -> bool:
         """Return to a snapshot; False if it is of another number of workers."""
         if snapshot.get("workers") != len(self.workers):
-            x: NDArray[Any] = self._state.x.numpy()
-            self.cut(x.min(axis=0), x.max(axis=0))
+            self.cut()
             return False
         owner = np.asarray(snapshot["owner"], np.int16)
         if not np.array_equal(owner, self._owner):
@@ -177,6 +184,12 @@ class Slabs:
         maxima = cast("wp.array", self.workers[index].maxima[place : place + COUNT])
         indices = wp.array(chosen.astype(np.int32), dtype=int, device=model.device)
         return Part(group, run, indices, len(own), nodes, maxima)
+
+
+def layers(x: NDArray, axis: int, dx: float) -> NDArray[np.int16]:
+    """Number of the layer of cells of size dx [m], along an axis, in which each point is [P]."""
+    layer = np.floor((x[:, axis] - x[:, axis].min()) / dx)
+    return np.minimum(layer, np.iinfo(np.int16).max).astype(np.int16)
 
 
 def _roomy(part: Part, reach: tuple[NDArray, NDArray] | None) -> bool:

@@ -82,7 +82,7 @@ class Solver:
         self.grid = Grid(model.origin, model.dx, real=model.real, device=model.device)
         self.outliers = Outliers(model, self.state)
         self.repair = Repair(model, self.state)
-        count = usable_workers(model, threads)
+        count = usable_workers(len(model), model.device, threads)
         self.slabs = Slabs(model, self.state, self.grid, count) if count > 1 else None
         self.workers = self.slabs.workers if self.slabs else [lone_worker(model, self.grid)]
         self._stray = wp.zeros(1, dtype=int, device=model.device)
@@ -308,7 +308,7 @@ class Solver:
         if slabs is None or not slabs.fit(found, force=force):
             return False
         if slabs.outgrown:
-            slabs.cut(*Maxima.of(found.max(axis=0)).corners)
+            slabs.cut_anew(*Maxima.of(found.max(axis=0)).corners)
             self._record_measures()
             slabs.fit(self._maxima(), force=True)
         return True

@@ -98,7 +98,7 @@ class Recorder:
     ) -> list[list[Recorded]]:
         """A worker's phases of update and walls; the first worker does some walls alone."""
         with self.grid.only(layers, worker, len(self.workers)):
-            phases, alone = [[self._update(layers)]], False
+            phases, alone = [self._update(layers)], False
         for wall in walls:
             if layers is not None and wall.alone != alone:
                 phases.append([])
@@ -155,11 +155,15 @@ class Recorder:
         record = f"g2p {law.name}", model.launch(kernel, part.count, inputs, outputs)
         return self.outliers.around(part, record, grid, self.tracks)
 
-    def _update(self, layers: tuple[int, int] | None) -> Recorded:
+    def _update(self, layers: tuple[int, int] | None) -> list[Recorded]:
         model, grid, slabs = self.model, self.grid, self.slabs
-        inputs = [self.tracks.clock, self.tracks.values]
-        if layers is None or slabs is None:
-            return "grid", model.launch(make_update(model.real), grid.count, inputs, [grid.nodes])
-        rows = (layers[1] - layers[0], int(grid.size[1]))
-        inputs = [layers[0], grid.window, slabs.boxes, slabs.starts, *inputs, slabs.pool]
-        return "grid", model.launch(make_merge(model.real), rows, inputs, [grid.nodes])
+        inputs, found = [self.tracks.clock, self.tracks.values], []
+        count, nodes = grid.count, grid.nodes
+        if layers is not None and slabs is not None:
+            rows = (layers[1] - layers[0], int(grid.size[1]))
+            boxes = [layers[0], grid.window, slabs.boxes, slabs.starts, slabs.pool]
+            found.append(("grid", model.launch(make_merge(model.real), rows, boxes, [nodes])))
+            nodes = grid.slab(*layers)
+            count = len(nodes)
+        update = model.launch(make_update(model.real), count, inputs, [nodes])
+        return [*found, ("grid", update)]

@@ -90,13 +90,13 @@ def lone_worker(model: Model, grid: Grid) -> Worker:
     return Worker(maxima, parts)
 
 
-def usable_workers(model: Model, asked: int | None = None) -> int:
+def usable_workers(particles: int, device: str, asked: int | None = None) -> int:
     """As many as are asked for, or as have a free core and enough particles; one on a GPU."""
-    if model.device != "cpu":
+    if device != "cpu":
         return 1
     if asked is not None:
         return asked
-    enough = len(model) // MIN_PARTICLES
+    enough = particles // MIN_PARTICLES
     return 1 if enough < 2 else min(enough, free_cores())
 
 

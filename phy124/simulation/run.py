@@ -25,6 +25,7 @@ from phy124.monitor.sleep import Sleep
 from phy124.monitor.watchdog import Violation, Watchdog
 from phy124.monitor.wrenches import Wrenches
 from phy124.mpm import Unstable
+from phy124.mpm.workers import usable_workers
 from phy124.particles import clean, make_particles
 from phy124.particles.scenery import Scenery
 from phy124.parts import with_materials
@@ -39,6 +40,7 @@ from phy124.simulation.appearance import appearance
 from phy124.simulation.interior import Interior
 from phy124.simulation.kernels import kernels
 from phy124.simulation.materials import varied
+from phy124.simulation.ordering import axis_of, ordered
 from phy124.simulation.report import counted, report_of
 from phy124.simulation.solver import acting, judged_as, solver_of
 from phy124.simulation.stopped import Stopped
@@ -68,6 +70,7 @@ class Simulation:
         watch: Stopwatch | None = None,
         crop: Crop = WHOLE,
         threads: int | None = None,
+        along: int | None = None,
         keep: bool = True,
         changes: bool = False,
     ) -> None:
@@ -81,6 +84,7 @@ class Simulation:
             watch: Where the durations of the stages are recorded.
             crop: Where the object is in the picture that the masks of parts were painted on.
             threads: CPU threads; None: as many as have a free core and enough particles.
+            along: Axis along which particles are ordered; None: as suits the number of threads.
             keep: Keep all frames for `clip`; otherwise the frames may exceed the memory.
             changes: Whether `change` may be called.
 
@@ -110,6 +114,11 @@ class Simulation:
             )  # fmt: skip
             self.look = appearance(self.gaussians, self.particles, moves, self.materials, scene)
             look, self.shown, self.particles = self.look, self.look.gaussians, self.look.particles
+            threads = usable_workers(len(self.particles), device, threads)
+            self.along = axis_of(self.particles, threads) if along is None else along
+            self.particles, stiffness = ordered(
+                self.particles, self.materials, stiffness, scene.dx, self.along
+            )
             self.scenery = Scenery(self.shown, look.moves)
             self.interior = Interior(
                 self.shown, self.particles, self.materials, spacing=scene.spacing, dx=scene.dx
