@@ -35,6 +35,10 @@ BYTES_PER_GAUSSIAN = 40
 """Of one frame of the clip."""
 
 
+BYTES_PER_SHAPE = 250
+"""Of a Gaussian on the device that deforms it."""
+
+
 @dataclass(frozen=True)
 class Rates:
     """What the stages cost on this machine."""
@@ -191,6 +195,8 @@ class Demand(NamedTuple):
     seconds: float
     memory: float
     """Bytes."""
+    state: float
+    """Bytes of it that are on the device while it runs."""
 
 
 def demand_of(
@@ -209,7 +215,7 @@ def demand_of(
     work = Work.done(scene, rest_substeps(scene), len(particles), scene.time.frames, nodes=nodes)
     rates = USUAL["cuda" if device.startswith("cuda") else "cpu"]
     double = 2 if scene.resolution.precision == "float64" else 1
-    memory = double * (
-        BYTES_PER_PARTICLE * len(particles) + BYTES_PER_NODE * nodes
-    ) + BYTES_PER_GAUSSIAN * len(gaussians) * (scene.time.frames if keep else 1)
-    return Demand(work.substeps, rates.seconds(work)["simulate"], memory)
+    state = double * (BYTES_PER_PARTICLE * len(particles) + BYTES_PER_NODE * nodes)
+    memory = state + BYTES_PER_GAUSSIAN * len(gaussians) * (scene.time.frames if keep else 1)
+    state += BYTES_PER_SHAPE * len(gaussians)
+    return Demand(work.substeps, rates.seconds(work)["simulate"], memory, state)

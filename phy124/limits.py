@@ -5,6 +5,7 @@ The estimate is rough on purpose (phy124/cost.py). A refusal names a setting tha
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
@@ -66,6 +67,25 @@ def refuse_hopeless(
             _would_fit(found),
             found,
         )
+    _refuse_large(demand, scene, device)
+    return demand
+
+
+def _refuse_large(demand: Demand, scene: Scene, device: str) -> None:
+    """Make sure that memory is there, the device's first.
+
+    Raises:
+        InputError: It is not.
+    """
+    on_device = math.inf if device == "cpu" else free_memory(device)
+    if demand.state > MEMORY_FRACTION * on_device:
+        raise InputError(
+            "device",
+            device,
+            f"the run is forecast to take {demand.state / 1e9:.1f} GB of its memory, "
+            f"{on_device / 1e9:.1f} GB are free.",
+            "Use a coarser accuracy or fewer Gaussians, or choose cpu.",
+        )
     free = free_memory()
     if demand.memory > MEMORY_FRACTION * free:
         most = int(scene.time.frames * MEMORY_FRACTION * free / demand.memory)
@@ -79,7 +99,6 @@ def refuse_hopeless(
             else "Use fewer Gaussians or a coarser accuracy.",
             [plain("time.frames", most)] if most > 1 else [],
         )
-    return demand
 
 
 def _refuse_far(scene: Scene) -> None:

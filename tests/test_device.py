@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import threading
+from types import SimpleNamespace
+
 import pytest
+import warp as wp
 
 from phy124.errors import InputError
+from phy124.rendering.render import Renderer
 from phy124.runtime import startup
-from phy124.runtime.device import pick_device
+from phy124.runtime.device import one_at_a_time, pick_device
+from phy124.runtime.driver import Driver
+from phy124.simulation import Simulation
 
 
 def test_looking_for_a_device_starts_warp_quietly(monkeypatch):
@@ -19,3 +26,49 @@ def test_looking_for_a_device_starts_warp_quietly(monkeypatch):
 def test_a_device_that_is_not_there_is_refused_with_those_that_are():
     with pytest.raises(InputError, match=r"no such device.*cpu"):
         pick_device("cuda:17")
+
+
+OLD = Driver((12, 2), (13, 0))
+
+
+def test_a_driver_that_is_too_old_is_named_with_the_one_that_is_needed(monkeypatch):
+    monkeypatch.setattr(wp, "is_cuda_available", lambda: False)
+    monkeypatch.setattr("phy124.runtime.device.driver", lambda: OLD)
+    words = r"CUDA 12\.2, and this Warp needs 13\.0.*updated to release 580"
+    with pytest.warns(UserWarning, match=words):
+        assert pick_device("auto") == "cpu"
+    with pytest.raises(InputError, match=words):
+        pick_device("cuda:0")
+    assert str(OLD) == OLD.problem
+
+
+def test_a_driver_that_will_do_or_is_not_there_is_no_problem():
+    for driver, words in ((Driver((13, 1), (13, 0)), "CUDA 13.1"), (Driver(None, (13, 0)), "none")):
+        assert driver.problem is None and str(driver) == words
+
+
+def test_freed_memory_of_a_gpu_is_kept(monkeypatch):
+    kept = {}
+    monkeypatch.setattr(wp, "get_devices", lambda: ["cpu", "cuda:1"])
+    monkeypatch.setattr(wp, "is_mempool_enabled", lambda device: True)
+    monkeypatch.setattr(wp, "set_mempool_release_threshold", kept.__setitem__)
+    assert pick_device("cuda:1") == "cuda:1"
+    assert kept == {"cuda:1": 2**30}
+
+
+@one_at_a_time
+def enter(place, other) -> bool:
+    """Whether another thread can enter while this one is inside."""
+    if other is None:
+        return True
+    inside = threading.Thread(target=enter, args=(other, None), daemon=True)
+    inside.start()
+    inside.join(0.2 if place.device != "cpu" else 20)
+    return not inside.is_alive()
+
+
+def test_on_a_gpu_nobody_draws_while_a_graph_may_be_captured():
+    cpu, gpu = SimpleNamespace(device="cpu"), SimpleNamespace(device="cuda:1")
+    assert enter(cpu, cpu) and not enter(gpu, gpu)
+    for method in (Simulation._advance, Simulation._frame, Renderer.__call__):
+        assert hasattr(method, "__wrapped__")

@@ -183,6 +183,11 @@ def test_the_processor_says_whether_it_multiplies_bfloat16(monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     with pytest.warns(UserWarning, match="cannot use cuda:0: the generator runs on the CPU"):
         assert precision.torch_device("cuda:0") == "cpu"
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
+    assert precision.torch_device("cuda:1") == "cuda:1"
+    with pytest.warns(UserWarning, match="cannot use cuda:2"):
+        assert precision.torch_device("cuda:2") == "cpu"
 
 
 def test_speed_is_measured_by_kind():

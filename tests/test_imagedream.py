@@ -233,6 +233,24 @@ def test_networks_are_in_memory_one_after_the_other(tmp_path, monkeypatch):
     assert parts.unet == [torch.bfloat16] and parts.unet is parts.unet
 
 
+def test_encoders_are_read_once_if_there_is_room(tmp_path, monkeypatch):
+    read = []
+    monkeypatch.setattr(pipeline, "require", lambda name, weights: defaultdict(lambda: tmp_path))
+    monkeypatch.setattr(encoders, "vae", lambda path: torch.nn.Linear(1, 1))
+    for kind, answer in (("text", "empty_prompt"), ("image", "picture_tokens")):
+        network = torch.nn.Linear(1, 1)
+        monkeypatch.setattr(
+            encoders, f"{kind}_encoder", lambda path, k=kind, n=network: read.append(k) or n
+        )
+        monkeypatch.setattr(encoders, answer, lambda *given: torch.zeros(1))
+    for short in (False, True):
+        monkeypatch.setattr(pipeline, "is_short", lambda needed, device, s=short: s)
+        parts = pipeline.TrainedParts(None, "cpu", torch.float32)
+        for _ in range(2):
+            parts.text(), parts.picture(torch.zeros(3, 8, 8))
+    assert read == ["text", "image", "text", "image", "image"]
+
+
 def test_picture_latents_are_a_sample_of_the_posterior(vae, expected):
     """The golden latents hold the sampling noise, so they are tested for its size and mean."""
     image = expected["image"].permute(2, 0, 1)

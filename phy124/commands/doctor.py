@@ -12,12 +12,14 @@ from pathlib import Path
 from typing import Any
 
 from phy124.commands.weights import data, lines, summary
+from phy124.runtime.driver import driver
 from phy124.runtime.installation import install_command
 from phy124.runtime.startup import start
 from phy124.weights.store import status
 
 EXTRAS = {
     "lgm": ("torch", "diffusers", "transformers"),
+    "gpu": ("gsplat",),
     "eval": ("torch", "transformers"),
     "heic": ("pi_heif",),
     "demo": ("gradio", "pi_heif"),
@@ -68,6 +70,7 @@ def examine() -> dict[str, Any]:
         "warp": wp.__version__,
         "cores": os.cpu_count(),
         "devices": [f"{device} ({device.name})" for device in wp.get_devices()],
+        "driver": str(driver()),
         "encoder": _encoder(),
         "cache": wp.config.kernel_cache_dir,
         "extras": {

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 ROUNDS = 2
@@ -62,7 +63,8 @@ def speed_of(device: str, dtype: Any) -> Work:
         (2 * 9 * 640 * 640 * 5 * 16 * 16, lambda: F.conv2d(maps, filters, padding=1)),
         (4 * 5 * 2560**2 * 64, lambda: F.scaled_dot_product_attention(heads, heads, heads)),
     ]
-    wait = torch.cuda.synchronize if device.startswith("cuda") else (lambda: None)
+    gpu = device.startswith("cuda")
+    wait = partial(torch.cuda.synchronize, device) if gpu else (lambda: None)
     with torch.inference_mode():
         return Work(*(operations / _seconds(work, wait) for operations, work in kinds))
 

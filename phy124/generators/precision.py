@@ -21,7 +21,8 @@ def torch_device(name: str | None) -> str:
     usable = torch.cuda.is_available()
     if name is None:
         return "cuda" if usable else "cpu"
-    if name.startswith("cuda") and not usable:
+    number = int(name.partition(":")[2] or 0) if name.startswith("cuda") else -1
+    if number >= (torch.cuda.device_count() if usable else 0):
         told = f"This torch cannot use {name}: the generator runs on the CPU."
         warnings.warn(told, stacklevel=2)
         return "cpu"

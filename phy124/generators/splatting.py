@@ -2,19 +2,21 @@
 
 Kerbl et al. 2023, "3D Gaussian Splatting", and Zwicker et al. 2002 (EWA) for the projection. The
 reference here is plain torch, tile by tile: suitable for small pictures and for gradients on the
-CPU. On CUDA gsplat (Apache-2.0) is used instead if it is installed. Final pictures are drawn by
-`phy124.rendering.render`.
+CPU. On CUDA gsplat (the extra `gpu`) is used instead if it is installed. Final pictures are drawn
+by `phy124.rendering.render`.
 """
 
 from __future__ import annotations
 
 import importlib.util
+import warnings
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from phy124.generators.orbit import focal, orbit, to_opencv
+from phy124.runtime.installation import install_command
 
 TILE = 16
 """Side of a tile, pixels."""
@@ -26,6 +28,9 @@ STOP = 1e-4
 """A pixel is finished once less light than this passes through."""
 GUARD = 1.3
 """The Jacobian is evaluated at most this far out, in fields of view; beyond, it would explode."""
+
+
+SLOW = f"This takes many times longer than with gsplat; `{install_command('gpu')}` installs it."
 
 
 @dataclass(frozen=True)
@@ -82,8 +87,10 @@ def rasterize(
         view: The camera.
         background: Colour [3] behind the Gaussians.
     """
-    if means.is_cuda and importlib.util.find_spec("gsplat"):
-        return _with_gsplat(means, quats, scales, opacities, colors, view, background)
+    if means.is_cuda:
+        if importlib.util.find_spec("gsplat"):
+            return _with_gsplat(means, quats, scales, opacities, colors, view, background)
+        warnings.warn(SLOW, stacklevel=2)
     centres, depths, covariances = project(means, quats, scales, view)
     if centres.requires_grad:
         centres.retain_grad()

@@ -34,6 +34,7 @@ from phy124.rendering.stage import draw
 from phy124.rendering.stage.frame import StageFrame
 from phy124.runtime.compiling import compile_missing
 from phy124.runtime.cores import cores
+from phy124.runtime.device import one_at_a_time
 
 Colour = tuple[float, float, float]
 WHITE: Colour = (1.0, 1.0, 1.0)
@@ -98,6 +99,7 @@ class Renderer:
         self._buffers: dict[str, wp.array] = {}
         self._constants: dict[str, tuple[Any, Array, wp.array]] = {}
 
+    @one_at_a_time
     def __call__(
         self,
         gaussians: Gaussians,

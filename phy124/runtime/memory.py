@@ -7,8 +7,16 @@ import os
 from pathlib import Path
 
 
-def free_memory() -> float:
-    """Memory that programs may still take [bytes]; infinity where the system does not tell."""
+def free_memory(device: str = "cpu") -> float:
+    """Memory that programs may still take [bytes]; infinity where the system does not tell.
+
+    Args:
+        device: Warp's name of the device whose memory is meant.
+    """
+    if device != "cpu":
+        import warp as wp
+
+        return float(wp.get_device(device).free_memory)
     try:
         for line in Path("/proc/meminfo").read_text().splitlines():
             if line.startswith("MemAvailable:"):

@@ -34,6 +34,7 @@ from phy124.progress import Progress, silent
 from phy124.remedies import hurry, remedies
 from phy124.runtime.compiling import compile_missing
 from phy124.runtime.cores import refuse_threads
+from phy124.runtime.device import one_at_a_time
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
 from phy124.simulation.appearance import appearance
@@ -277,6 +278,7 @@ class Simulation:
         self.deformer.restore(snapshot["deformer"])
         self.interior.restore(snapshot["interior"])
 
+    @one_at_a_time
     def _frame(self, index: int, time: float) -> Frame:
         state = self.solver.state
         velocities = state.v if self.scene.velocities else None
@@ -297,6 +299,7 @@ class Simulation:
             self.rotations.append(self.rotations[-1])
         return replace(self.frames[-1], index=index, time=time)
 
+    @one_at_a_time
     def _advance(self, index: int, until: float) -> None:
         """Take substeps up to a frame's time; after a failure, once more with half the substep."""
         before = self.solver.clock.substeps

@@ -20,11 +20,14 @@ from phy124.generators.imagedream import encoders
 from phy124.generators.imagedream.cameras import cameras
 from phy124.generators.imagedream.sampling import scheduler_of
 from phy124.generators.imagedream.unet import load_unet
-from phy124.generators.imagedream.work import STEPS
+from phy124.generators.imagedream.work import PARAMETERS, STEPS
 from phy124.generators.options import Sampler
+from phy124.generators.precision import is_short
 from phy124.progress import Progress, silent
 from phy124.weights.store import require
 
+BESIDE = 2.0
+"""Room that must be left for the picture's encoder to be kept, in U-Nets."""
 FRAMES = 5
 """Number of frames: four views and the picture."""
 SIZE = 256
@@ -65,9 +68,11 @@ class Parts(Protocol):
 
 
 class TrainedParts:
-    """The public networks; the encoders are read before the U-Net and released after use.
+    """The public networks; the encoders are read before the U-Net.
 
-    So none of the three large networks is in memory together with another.
+    The encoder of pictures is kept for the next one if there is room for the U-Net beside it.
+    Otherwise it is released after use, so that neither is in memory together with another. The
+    text is always the same and is encoded once.
     """
 
     def __init__(
@@ -80,6 +85,7 @@ class TrainedParts:
         self._files = require("imagedream", weights)
         self._place = {"device": device, "dtype": dtype}
         self._unet_dtype = unet_dtype or dtype
+        self._vision: Any = None
         vae = encoders.vae(self._files["vae/diffusion_pytorch_model.safetensors"])
         # Past diffusers' own `to`, which complains about a precision that is not mixed here.
         self.vae = nn.Module.to(vae, **self._place)
@@ -92,13 +98,22 @@ class TrainedParts:
 
     def text(self) -> Tensor:
         """Text tokens [1,77,1024]."""
+        return self._text
+
+    @cached_property
+    def _text(self) -> Tensor:
         encoder = encoders.text_encoder(self._files["text_encoder/model.safetensors"])
         return encoders.empty_prompt(encoder.to(**self._place))
 
     def picture(self, image: Tensor) -> Tensor:
         """Picture tokens [1,257,1280]."""
-        encoder = encoders.image_encoder(self._files["image_encoder/model.safetensors"])
-        return encoders.picture_tokens(encoder.to(**self._place), image)
+        encoder = self._vision
+        if encoder is None:
+            encoder = encoders.image_encoder(self._files["image_encoder/model.safetensors"])
+            encoder = encoder.to(**self._place)
+        room = BESIDE * PARAMETERS * (self._unet_dtype.itemsize)
+        self._vision = None if is_short(room, str(self._place["device"])) else encoder
+        return encoders.picture_tokens(encoder, image)
 
 
 class ImageDream:
