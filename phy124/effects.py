@@ -226,6 +226,10 @@ def _of_pictures(scene: Scene) -> Iterator[Effect]:
     stage = scene.view.stage
     why = f"view.stage is {stage}: pictures show the object alone"
     yield Effect("floor, its shadow, boundaries in pictures", stage == "studio", why)
+    shiny = sorted({section.law for section in scene.materials if section.shines})
+    why = "nothing is fluid or metal" if scene.view.shine else "view.shine is off"
+    gloss = bool(shiny) and scene.view.shine
+    yield Effect(f"shine of {' and '.join(shiny) or 'surfaces'}", gloss, why)
 
 
 def _of_numerics(scene: Scene, device: str) -> Iterator[Effect]:

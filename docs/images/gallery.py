@@ -19,6 +19,7 @@ from phy124.generators.relief import relief
 from phy124.imaging.cutout import cut_out
 from phy124.io.clip import Clip
 from phy124.rendering.render import render_frames
+from phy124.rendering.shine import shine_of
 from phy124.rendering.stage.build import stage_of
 from phy124.scene import Scene
 from phy124.simulation import Simulation
@@ -45,10 +46,14 @@ def shown(clip: Clip, scene: Scene) -> list[np.ndarray]:
     """The middle frame and the last one, on a stage."""
     view = scene.view.model_copy(update={"size": (SIZE, SIZE), "stage": "studio"})
     index, seen = [len(clip) // 2, len(clip) - 1], pipeline.cameras(clip, view, "front")
-    stage, frames = stage_of(clip, view), [clip.frame(i) for i in index]
+    stage, shine = stage_of(clip, view), shine_of(clip, view)
+    frames, chosen = [clip.frame(i) for i in index], [seen[i] for i in index]
     return list(
         render_frames(
-            frames, [seen[i] for i in index], background=view.background, stage=stage and stage.at
+            frames if shine is None else shine.frames(frames, chosen),
+            chosen,
+            background=view.background,
+            stage=stage and stage.at,
         )
     )
 

@@ -34,6 +34,9 @@ class Material(Section):
     shade: ClassVar[float] = 0.0
     """How much grains differ in brightness: standard deviation as a fraction."""
 
+    shines: ClassVar[bool] = False
+    """Whether pictures show its gloss (phy124/rendering/shine.py)."""
+
     sounder_law: ClassVar[str | None] = None
     """A law with the same fields that stays sound in harder impacts."""
 

@@ -33,6 +33,8 @@ class Fluid(Material):
     law: Literal["fluid"] = "fluid"
     max_stretch: ClassVar[float | None] = 1.5
     rounds: ClassVar[bool] = True
+    grains: ClassVar[bool] = True
+    shines: ClassVar[bool] = True
     device_law: ClassVar[Law] = Law(
         name="fluid",
         stress=fluid.tait,

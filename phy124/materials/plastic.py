@@ -25,6 +25,7 @@ class Metal(Elastic):
     """
 
     law: Literal["metal"] = "metal"
+    shines: ClassVar[bool] = True
     device_law: ClassVar[Law] = Law(
         name="metal",
         stress=hencky.hencky,

@@ -17,6 +17,7 @@ from phy124.rendering.framing import cameras as cameras
 from phy124.rendering.framing import fitted
 from phy124.rendering.outputs import refuse_outputs, refuse_unkept, write_outputs
 from phy124.rendering.render import render_frames
+from phy124.rendering.shine import Shine, shine_of
 from phy124.rendering.stage.build import Stage, stage_of
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene, View
@@ -56,7 +57,7 @@ def film(
     """
     folder, watch, view = Path(folder), watch or Stopwatch(), fitted(clip, view)
     refuse_unkept(clip, view)
-    made, stage = [], stage_of(clip, view, device=device)
+    made, stage, shine = [], stage_of(clip, view, device=device), shine_of(clip, view)
     for name in view.formats:
         if name in EXPORTS:
             with watch.stage("export"):
@@ -65,10 +66,13 @@ def film(
         for side in view.sides:
             before = watch.seconds.get("render", 0.0)
             with watch.stage("encode"):
-                drawn = _images(clip, view, side, stage, device, threads, progress)
+                drawn = _images(clip, view, side, stage, shine, device, threads, progress)
                 images = watch.each("render", drawn)
                 made.append(ENCODERS[name](folder, side, images, playback(rate(clip), view)))
             watch.seconds["encode"] -= watch.seconds.get("render", 0.0) - before
+    if shine is not None and shine.seconds:
+        watch.seconds["shine"] = watch.seconds.get("shine", 0.0) + shine.seconds
+        watch.seconds["render"] -= shine.seconds
     if view.outputs:
         options: dict[str, Any] = {"device": device, "progress": progress}
         with watch.stage("outputs"):
@@ -77,12 +81,13 @@ def film(
 
 
 def _images(
-    clip: Clip, view: View, side: str, stage: Stage | None, device: str, threads: int | None,
-    progress: Progress,
+    clip: Clip, view: View, side: str, stage: Stage | None, shine: Shine | None, device: str,
+    threads: int | None, progress: Progress,
 ) -> Generator[Picture, None, None]:  # fmt: skip
+    seen = cameras(clip, view, side)
     return render_frames(
-        clip.frames(),
-        cameras(clip, view, side),
+        clip.frames() if shine is None else shine.frames(clip.frames(), seen),
+        seen,
         background=None if view.stage == "transparent" else view.background,
         stage=stage and stage.at,
         filter=view.filter,

@@ -121,6 +121,11 @@ class View(Section):
         "Gaussian Splatting does; mip also makes them fainter, as Mip-Splatting does, so that thin "
         "things do not grow thicker in small pictures.",
     )
+    shine: bool = Field(
+        default=True,
+        description="Light what is fluid or metal by the normals of its surface: highlights and "
+        "reflections; off: the colours that its Gaussians have.",
+    )
     stage: StageName = Field(
         default="plain",
         description="plain: the object before the background; studio: on a floor with its shadow, "

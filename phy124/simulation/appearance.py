@@ -37,6 +37,20 @@ class Appearance(NamedTuple):
     kinds: NDArray[np.int64]
     """The material of each that moves."""
 
+    def shine(self, materials: Sequence[AnyMaterial]) -> dict[str, list[list[int]]]:
+        """Which Gaussians are of a law that shines: runs of the first and one past the last.
+
+        Args:
+            materials: The materials.
+        """
+        laws = np.array([section.law for section in materials])[self.kinds]
+        found = {}
+        for law in sorted({section.law for section in materials if section.shines}):
+            own = np.zeros(len(self.moves) + 2, np.int8)
+            own[np.flatnonzero(self.moves)[laws == law] + 1] = 1
+            found[law] = np.flatnonzero(np.diff(own)).reshape(-1, 2).tolist()
+        return found
+
     def shapes(self, clip: Clip, materials: Sequence[AnyMaterial]) -> dict[str, dict[str, float]]:
         """How long the Gaussians of each law become in a clip, and how opaque they are.
 

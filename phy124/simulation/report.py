@@ -63,6 +63,7 @@ def counted(run: Run, clip: Clip) -> dict[str, Any]:
     return {
         "gaussians": whole,
         "grains": whole - len(run.gaussians),
+        "shine": run.look.shine(run.materials),
         "shapes": run.look.shapes(clip, run.materials),
     }
 
