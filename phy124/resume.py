@@ -1,4 +1,7 @@
-"""Saves a paused simulation as one safetensors file and continues it later, bit for bit."""
+"""Saves a paused simulation as one safetensors file and continues it later.
+
+On a CPU that is bit for bit; on a GPU, which sums in no fixed order, to within rounding.
+"""
 
 from __future__ import annotations
 

@@ -7,11 +7,13 @@ import sys
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import pytest
 import warp as wp
 
 from phy124.__main__ import main
 from phy124.selftest import CASES, Setting, examine
+from phy124.selftest.bodies import alike
 
 PACKAGE = Path(__file__).parents[1] / "phy124"
 DEVICES = ["cpu", pytest.param("cuda:0", marks=pytest.mark.gpu)]
@@ -124,8 +126,17 @@ sys.path.insert(0, sys.argv[1])
 import phy124
 assert phy124.__file__.startswith(sys.argv[1]), phy124.__file__
 from phy124.selftest import CASES, Setting, examine
+from phy124.selftest.bodies import alike
 print(examine(CASES[int(sys.argv[2]) - 1], Setting())[0].verdict)
 """
+
+
+def test_equal_bits_are_asked_of_a_cpu_only():
+    one, other = np.ones(3), np.ones(3) + [0, 0, 1e-6]
+    for device, holds in (("cpu", False), ("cuda:0", True)):
+        assert alike("x", other, one, Setting(device)).holds == holds
+        assert alike("x", one, one, Setting(device)).holds
+    assert not alike("x", other, one, Setting("cuda:0", "float64")).holds
 
 
 def test_every_case_has_a_sabotage():

@@ -33,7 +33,7 @@ class PlanOptions:
     max_seconds: float | None = None
     """Choose the finest accuracy that takes at most so many seconds in all."""
     resume: bool = False
-    """Continue the run that was interrupted in the folder of the results, bit for bit."""
+    """Continue the run that was interrupted in the folder of the results."""
 
     def goal(self) -> Goal | None:
         """The error or time asked for, if any.

@@ -14,9 +14,11 @@ from phy124.kernels.transfer import types
 from phy124.materials import Material, NeoHookean
 from phy124.monitor.diagnostics import diagnose
 from phy124.mpm import Model, Solver, State
-from phy124.selftest.case import Setting
+from phy124.selftest.case import Check, Setting, at_most, equal
 
 Array = NDArray[np.float64]
+REORDERED = {"float32": 1e-5, "float64": 1e-12}
+"""Relative difference that another order of sums may make in these short runs."""
 DX = 0.125
 """Grid spacing of the bodies [m], a power of two."""
 JELLY = NeoHookean(E=1e4, nu=0.3)
@@ -151,6 +153,21 @@ def steps(solver: Solver, count: int, dt: float, each: Callable[[], None] | None
 def relative(value: Array, reference: Array) -> float:
     """Largest difference, as a fraction of the reference's largest entry."""
     return float(np.abs(value - reference).max() / max(np.abs(reference).max(), math.ulp(0.0)))
+
+
+def alike(what: str, value: Array, reference: Array, setting: Setting) -> Check:
+    """Equal bits on a CPU. A GPU adds to nodes in no fixed order, so there it is to rounding.
+
+    Args:
+        what: What is compared.
+        value: What was measured.
+        reference: What it should be.
+        setting: Device and precision.
+    """
+    if setting.device == "cpu":
+        return equal(f"bitwise equal {what}", np.array_equal(value, reference))
+    difference = relative(value, reference)
+    return at_most(f"{what}: difference / size", difference, REORDERED[setting.precision])
 
 
 def _scalar(solver: Solver) -> type:
