@@ -26,6 +26,7 @@ from demo.work import (
     easier,
     steps,
 )
+from demo.work.motion import Watching
 from phy124.errors import Cancelled, InputError
 from phy124.io.clip import Clip
 from phy124.scene import Scene
@@ -47,6 +48,12 @@ def _run(order: Order) -> tuple[Done, list]:
 
 def _stages(events) -> set[str]:
     return {event.stage for event in events if isinstance(event, Step)}
+
+
+def test_a_visitor_sees_that_kernels_are_compiled(order):
+    told = []
+    Watching(order, Limits(order, told.append)).progress("compile", 3, 13)
+    assert told[-1] == Step("simulate", 0, 3, "compiling, 3 of 13")
 
 
 def test_everything_is_made(order):
