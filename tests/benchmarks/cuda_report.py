@@ -6,9 +6,11 @@ them per thread fewer than 512 threads fit, and little is left to hide the time 
 """
 
 import sys
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
+from typing import NamedTuple
 
 import warp as wp
 from tables import DOCS, markdown, renew
@@ -23,14 +25,25 @@ Row = dict[int, dict[str, Usage]]
 """Architecture -> kernel -> what it takes."""
 
 
-def chosen() -> dict[str, tuple[str, str]]:
-    """Row -> what makes its kernel again in another process: a group and a name."""
-    laws, found = device_kernels.laws(), {}
+class Chosen(NamedTuple):
+    """A row of the tables, and how another process makes its kernel again."""
+
+    row: str
+    group: str
+    name: str
+    module: str
+    """Rows of the same module are measured once."""
+
+
+def chosen() -> Iterator[Chosen]:
+    """All rows."""
+    laws = device_kernels.laws()
     for name, real in [*((name, "float32") for name in laws), ("neo_hookean", "float64")]:
-        for kernel in device_kernels.of_law(laws[name]):
+        for kernel, made in device_kernels.of_law(laws[name], getattr(wp, real)).items():
             row = f"{kernel} {name}" + (f", {real}" if real != "float32" else "")
-            found[row] = (f"{name}/{real}", kernel)
-    return found | {name: ("others", name) for name, _ in device_kernels.others()}
+            yield Chosen(row, f"{name}/{real}", kernel, made.module.name)
+    for name, made in device_kernels.others():
+        yield Chosen(name, "others", name, made.module.name)
 
 
 def measured(group: str, name: str) -> Row:
@@ -54,20 +67,25 @@ def cell(taken: dict[str, Usage]) -> str:
 
 def main(*, docs: bool) -> None:
     """Both tables: kernels of each law, and all others."""
-    rows = chosen()
+    rows = list(chosen())
+    once = {row.module: row for row in rows}
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
-        tasks = {row: pool.submit(measured, *how) for row, how in rows.items()}
-        found = {row: task.result() for row, task in tasks.items()}
-    heads = ["kernel", *(f"sm_{number} ({card})" for number, card in ARCHITECTURES.items())]
-    for name, own in (("laws", True), ("others", False)):
-        lines = [
-            [row, *map(cell, found[row].values())]
-            for row, (group, _) in rows.items() if (group != "others") == own
-        ]  # fmt: skip
-        table = markdown(heads, lines)
-        print(table, flush=True)
+        tasks = {name: pool.submit(measured, row.group, row.name) for name, row in once.items()}
+        found = {name: task.result() for name, task in tasks.items()}
+    for name, text in tables(rows, found).items():
+        print(text, flush=True)
         if docs:
-            renew(PAGE, f"registers of {name}", table)
+            renew(PAGE, f"registers of {name}", text)
+
+
+def tables(rows: list[Chosen], found: dict[str, Row]) -> dict[str, str]:
+    """Kernels of laws, and all others, as Markdown."""
+    heads = ["kernel", *(f"sm_{number} ({card})" for number, card in ARCHITECTURES.items())]
+    lines: dict[str, list[list[str]]] = {"laws": [], "others": []}
+    for row in rows:
+        own = "others" if row.group == "others" else "laws"
+        lines[own].append([row.row, *map(cell, found[row.module].values())])
+    return {name: markdown(heads, some) for name, some in lines.items()}
 
 
 if __name__ == "__main__":
