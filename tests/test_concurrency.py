@@ -31,7 +31,8 @@ ALONE = {
     "meet": "the barrier of two CPU threads",
     "bin_serial": "a single thread, for CPUs",
     "blend_tiles_simd": "rows for the vector units of a CPU",
-    "draw_setting_simd": "likewise",
+    "blend_staged_simd": "likewise",
+    "tint_splats_simd": "likewise",
     "timestep": "a single thread, inside a graph",
 }
 """Kernels that are not looked at, and why they need not be."""

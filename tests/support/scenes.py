@@ -44,4 +44,7 @@ FORCES: dict[str, dict[str, Any]] = {
     "wind": {"kind": "wind", "v": [3, 0, 0]},
     "attraction": {"kind": "attraction"},
     "set_velocity": {"kind": "set_velocity", "v": [0, 0, 1], "region": UPPER, "end": 0.005},
+    "grab": {"kind": "grab", "point": [0.2, 0, 0.6], "times": [0.0, 0.01],
+             "targets": [[0, 0, 0], [0.05, 0, 0.05]]},
+    "wrench": {"kind": "wrench", "torque": [0.0, 0.0, 0.5]},
 }  # fmt: skip

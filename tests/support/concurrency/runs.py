@@ -11,6 +11,7 @@ import numpy as np
 from phy124.accuracy import problems
 from phy124.camera import Camera
 from phy124.materials import NeoHookean
+from phy124.monitor.diagnostics import energies
 from phy124.rendering.render import Renderer
 from phy124.rendering.stage.build import stage_of
 from phy124.scene import Scene, View
@@ -39,7 +40,13 @@ def laws() -> Runs:
     """Every law, in both precisions that scenes have for the first."""
     fall = {law: {"material": given, **FALLING} for law, given in LAWS.items()}
     fall["float64"] = {**FALLING, "accuracy": {"cells": 8, "precision": "float64"}}
-    return {name: lambda given=given: simulate(**given) for name, given in fall.items()}
+    return {name: lambda given=given: looked_at(**given) for name, given in fall.items()}
+
+
+def looked_at(**changes: Any) -> None:
+    """A run, and the energy of each particle at its end, as a run that fails asks for it."""
+    solver = simulate(**changes).solver
+    energies(solver.model, solver.state)
 
 
 def walls() -> Runs:
