@@ -23,6 +23,7 @@
       this.highlights = h('input', { type: 'checkbox', onchange: (event) => this.tell({ highlights: event.target.checked ? 'remove' : null }) });
       this.summary = h('summary', {}, 'Advanced: side, back, depth, thickness');
       element.replaceChildren(h('details', { class: 'more' }, this.summary, h('div', { class: 'views' }, ...Object.values(this.views).map((view) => view.element)),
+        ...Object.values(this.views).map((view) => view.status),
         h('div', { class: 'knob', title: this.options.thickness.description }, h('div', { class: 'knob-head' }, h('span', { class: 'knob-name' }, 'Thickness'), this.deep), this.slider),
         h('label', { class: 'check', title: this.options.highlights.description }, this.highlights, 'Remove highlights')));
     }
@@ -70,9 +71,9 @@
       this.input = h('input', { type: 'file', accept: option === 'depth' ? ACCEPT : ACCEPT + HEIC, 'aria-label': words(option), onchange: () => this.choose(this.input.files[0]) });
       this.shown = h('img', { alt: `What was sent: ${option}`, hidden: true });
       this.remove = h('button', { type: 'button', class: 'quiet', hidden: true, 'aria-label': `Remove: ${option}`, onclick: () => { this.clear(); this.tell(null); } }, 'Remove');
-      this.status = h('p', { class: 'picture-status', role: 'status' });
+      this.status = h('p', { class: 'picture-status', role: 'status' }); // too long for its narrow column
       this.element = h('div', { class: 'view', title: hint }, h('span', { class: 'knob-name' }, words(option)),
-        h('label', {}, this.input, this.shown, h('span', { class: 'view-hint' }, 'Choose')), this.choice(PICTURES[option]), this.remove, this.status);
+        h('label', {}, this.input, this.shown, h('span', { class: 'view-hint' }, 'Choose')), this.choice(PICTURES[option]), this.remove);
     }
 
     choice(name) {
@@ -95,7 +96,7 @@
     }
 
     say(text, bad = false) {
-      this.status.textContent = text;
+      this.status.textContent = text && `${words(this.option)}: ${text}`;
       this.status.classList.toggle('bad', bad);
     }
 
