@@ -83,8 +83,8 @@ def test_what_takes_long_is_told_before_and_in_the_report(picture):
 class Foreseen:
     """A forecaster that forecasts one second of simulation."""
 
-    def __init__(self, device):
-        self.device = device
+    def __init__(self, device, threads):
+        self.device, self.threads = device, threads
 
     def forecast(self, gaussians, scene, *, crop):
         return Forecast({"simulate": 1.0}, (), 1, 1, 1, {}, SubstepCost(1e-9, 1e-9))
