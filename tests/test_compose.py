@@ -12,6 +12,7 @@ from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.io.clip import Clip
 from phy124.rendering.compose import Photograph, compose
+from phy124.rendering.compose.adjoint import Adjoint
 from phy124.rendering.compose.colours import matched
 from phy124.rendering.compose.matching import match
 from phy124.rendering.render import Renderer, to_bytes
@@ -71,12 +72,26 @@ def test_colours_come_closer_to_the_photograph_where_they_are_seen():
     sh[:, 0] += np.random.default_rng(0).normal(scale=0.5, size=sh[:, 0].shape)
     g = patched()
     wrong = Gaussians(g.means, g.quats, g.scales, g.opacities, sh)
-    before = matched(g, true, photograph)[1]
-    better, quality = matched(wrong, true, photograph)
-    assert 20 < quality < before
+    before = matched(g, true, photograph).psnr
+    found = matched(wrong, true, photograph)
+    better = found.sh
+    assert 30 < found.psnr <= before
     behind = g.means[:, 0] < -0.2
     np.testing.assert_array_equal(better[behind], sh[behind])
+    assert (found.sizes[behind] == 1).all()
     assert np.abs(better - sh).max() > 0.1
+
+
+def test_sums_by_gaussian_are_the_adjoint_of_drawing(rng):
+    """<W c, r> = <c, W^T r>, for colours that nothing clips."""
+    g, camera = patched(400), Camera((2.0, 0.0, 0.5), (0.0, 0.0, 0.5), *SIZE, 40.0)
+    colours = rng.uniform(0.1, 0.5, (400, 3))
+    lit = Gaussians.from_rgb(g.means, g.quats, g.scales, 0.6 * g.opacities, colours)
+    renderer, values = Adjoint(device="cpu"), rng.normal(size=(*SIZE[::-1], 3))
+    drawn = renderer(lit, camera, (0, 0, 0), alpha=True)
+    sums, weights = renderer.sums(lit, camera, values)
+    assert (colours * sums).sum() == pytest.approx((drawn[..., :3] * values).sum(), rel=1e-3)
+    assert weights.sum() == pytest.approx(drawn[..., 3].sum(), rel=1e-3)
 
 
 def test_what_is_behind_the_object_is_filled_in_from_around():

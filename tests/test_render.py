@@ -291,11 +291,11 @@ def test_bounded_lists_give_the_same_image(renderers, rng, form, monkeypatch):
 
 def test_runs_cover_every_tile_once_within_the_limit():
     counts = np.array([5, 0, 0, 7, 30, 1, 1, 1, 0])
-    runs = list(render._runs(counts, 10))
+    runs = list(render.runs(counts, 10))
     assert [a for a, _ in runs[1:]] == [b for _, b in runs[:-1]]
     assert runs[0][0] == 0 and runs[-1][1] == len(counts)
     assert all(counts[a:b].sum() <= 10 or b - a == 1 for a, b in runs)
-    assert list(render._runs(counts, 100)) == [(0, 9)]
+    assert list(render.runs(counts, 100)) == [(0, 9)]
 
 
 @pytest.mark.parametrize("form", FORMS)

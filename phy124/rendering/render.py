@@ -124,17 +124,15 @@ class Renderer:
         Raises:
             InputError: If the camera or the background cannot be used.
         """
-        view, pixels = pinhole(camera), camera.width * camera.height
-        view.low_pass, view.keeps_light = self._filter
-        view.low_area = float(np.float32(view.low_pass) ** 2)
+        pixels = camera.width * camera.height
+        view, counts = self.prepared(gaussians, camera)
         colour = wp.vec3(*_checked_background(BLACK if stage else background))
         image = self._buffer("image", pixels, wp.vec3)
         coverage = self._buffer("coverage", pixels, wp.float32)
-        counts = self._project(gaussians, view)
         around = stage and self._surroundings(stage, view, gaussians)
         fused = around if around is not None and around.simd else None
         kernel, more = (BLEND_STAGED, fused.inputs()) if fused else (self._blend, [])
-        for first, last in _runs(counts, MAX_PAIRS):
+        for first, last in runs(counts, MAX_PAIRS):
             lists = self._bin(len(gaussians), view, counts, first, last)
             wp.launch(
                 kernel,
@@ -149,6 +147,13 @@ class Renderer:
         channels = [image.numpy()[:pixels]] + [coverage.numpy()[:pixels, None]] * alpha
         drawn = np.concatenate(channels, axis=1, dtype=np.float32)
         return drawn.reshape(camera.height, camera.width, -1)
+
+    def prepared(self, gaussians: Gaussians, camera: Camera) -> tuple[Any, NDArray[np.int64]]:
+        """The camera as a `screen.View`, and how many projected splats touch each tile [tiles]."""
+        view = pinhole(camera)
+        view.low_pass, view.keeps_light = self._filter
+        view.low_area = float(np.float32(view.low_pass) ** 2)
+        return view, self._project(gaussians, view)
 
     def _surroundings(
         self, stage: StageFrame, view: Any, gaussians: Gaussians
@@ -386,7 +391,7 @@ def _checked_background(background: Colour) -> Colour:
     return background
 
 
-def _runs(counts: NDArray[np.int64], limit: int) -> Iterator[tuple[int, int]]:
+def runs(counts: NDArray[np.int64], limit: int) -> Iterator[tuple[int, int]]:
     """Runs of tiles [first, last) with at most `limit` entries each, or of a single tile."""
     sums, first = np.cumsum(counts), 0
     while first < len(counts):

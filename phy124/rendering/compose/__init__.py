@@ -46,19 +46,20 @@ def compose(
 
     Returns:
         The file, and how well its first picture matches the photograph inside the object, in dB:
-        `psnr`, and `psnr_before` its colours were matched.
+        `psnr`, and `psnr_before` its colours and sizes were matched.
     """
     first = clip.frame(0).gaussians
     camera, before = match(first, photograph, device=device)
-    sh, quality = matched(first, camera, photograph, device=device)
-    clip, stage = replace(clip, sh=sh), _surroundings(clip, view, photograph, device)
+    better = matched(first, camera, photograph, device=device)
+    stage = _surroundings(clip, view, photograph, device)
+    clip = replace(clip, sh=better.sh, scales=clip.scales * better.sizes[:, None])
     images = render_frames(
         clip.frames(), [camera] * len(clip), stage=stage.at, device=device, filter=view.filter,
         progress=lambda _, done, total: progress("compose", done, total),
     )  # fmt: skip
     path = Path(folder) / "composed.mp4"
     write_mp4(path, images, fps=playback(rate(clip), view))
-    return path, {"psnr": round(quality, 2), "psnr_before": round(before, 2)}
+    return path, {"psnr": round(better.psnr, 2), "psnr_before": round(before, 2)}
 
 
 def _surroundings(clip: Clip, view: View, photograph: Photograph, device: str) -> Stage:

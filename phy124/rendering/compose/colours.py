@@ -1,36 +1,48 @@
-"""Colours of Gaussians that come closer to the photograph than those the generator gave them."""
+"""Colours and sizes of Gaussians that come closer to the photograph than their generator's."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter, minimum_filter
+from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 
 from phy124.camera import Camera
 from phy124.gaussians import SH_C0, Array, Gaussians
+from phy124.rendering.compose.adjoint import Adjoint
 from phy124.rendering.compose.matching import likeness
 from phy124.rendering.compose.photograph import Photograph
 from phy124.rendering.render import BLACK, Renderer
 
-ROUNDS = 16
-"""Largest number of corrections; they end as soon as one makes the picture worse."""
-STEP, BLUR = 1.5, 1.0
-"""Part of the difference that a correction adds, and its blur, about as wide as a splat [px]."""
-AROUND = 5
+ROUNDS = 12
+"""Number of corrections."""
+SIZES = (1.0, 0.8)
+"""Sizes of the splats that are tried: generators let them overlap more than they must."""
+AROUND = 9
 """Side of the square whose colours a Gaussian may take [px]."""
 BEHIND = 0.03
 """How far behind what is seen a Gaussian counts as seen, in depths of the object."""
 
 
+@dataclass(frozen=True, eq=False)
+class Matched:
+    """How Gaussians come closest to a photograph."""
+
+    psnr: float
+    """Of their picture inside the object, dB."""
+    sh: Array
+    """Their harmonics [N,K,3]."""
+    sizes: Array
+    """Their sizes, relative to those they had [N]."""
+
+
 def matched(
     gaussians: Gaussians, camera: Camera, photograph: Photograph, *, device: str = "cpu"
-) -> tuple[Array, float]:
-    """Harmonics [N,K,3] of the best match, and its PSNR inside the object, dB.
+) -> Matched:
+    """Colours and sizes that come closest to the photograph.
 
-    What differs at a Gaussian's place in the picture is added to its colour, again and again
-    (Landweber's iteration); Gaussians that the camera does not see keep theirs.
+    Gaussians that the camera does not see keep theirs.
 
     Args:
         gaussians: The object as the photograph shows it.
@@ -38,25 +50,51 @@ def matched(
         photograph: The photograph.
         device: Warp's name of the device that draws.
     """
-    renderer = Renderer(device=device)
-    pixels, _ = camera.project(gaussians.means.astype(float))
+    renderer = Adjoint(device=device)
     seen = _seen(renderer, gaussians, camera, photograph)
-    best, quality = gaussians.sh, likeness(renderer, gaussians, camera, photograph)
+    found = [
+        Matched(
+            likeness(renderer, gaussians, camera, photograph),
+            gaussians.sh,
+            np.ones(len(seen), np.float32),
+        )
+    ]
+    for size in SIZES:
+        sizes = np.where(seen, np.float32(size), np.float32(1))
+        sized = replace(gaussians, scales=gaussians.scales * sizes[:, None])
+        better = _fitted(renderer, sized, seen, camera, photograph)
+        found.append(Matched(likeness(renderer, better, camera, photograph), better.sh, sizes))
+    return max(found, key=lambda one: one.psnr)
+
+
+def _fitted(
+    renderer: Adjoint, gaussians: Gaussians, seen: NDArray, camera: Camera, photograph: Photograph
+) -> Gaussians:
+    """With the colours of the least squares, which are near those that the photograph has nearby.
+
+    With W, which takes colours to pixels, the mean of what a Gaussian's pixels lack, W^T r / W^T 1,
+    is added to its colour (SIRT), with Nesterov's momentum.
+    """
     photo, inside = photograph.rgb / np.float32(255), photograph.alpha[..., None] > 0.9
-    # Colours that the photograph has nearby: without these bounds edges get rings.
-    lowest = sampled(minimum_filter(photo, (AROUND, AROUND, 1)), pixels[seen]) - 0.5
-    highest = sampled(maximum_filter(photo, (AROUND, AROUND, 1)), pixels[seen]) - 0.5
-    for _ in range(ROUNDS):
-        missing = (photo - renderer(replace(gaussians, sh=best), camera)) * inside
-        missing = gaussian_filter(missing, (BLUR, BLUR, 0))
-        tried = best.copy()
-        now = SH_C0 * best[seen, 0] + STEP * sampled(missing, pixels[seen])
-        tried[seen, 0] = np.clip(now, lowest, highest) / SH_C0
-        reached = likeness(renderer, replace(gaussians, sh=tried), camera, photograph)
-        if reached <= quality:
-            break
-        best, quality = tried, reached
-    return best, quality
+    pixels, _ = camera.project(gaussians.means[seen].astype(float))
+    # Without these bounds edges get rings.
+    lowest = sampled(minimum_filter(photo, (AROUND, AROUND, 1)), pixels) - 0.5
+    highest = sampled(maximum_filter(photo, (AROUND, AROUND, 1)), pixels) - 0.5
+    now = ahead = gaussians.sh[seen, 0]
+    for number in range(1, ROUNDS + 1):
+        missing = (photo - renderer(_coloured(gaussians, seen, ahead), camera)) * inside
+        sums, weights = renderer.sums(gaussians, camera, missing)
+        step = sums[seen] / np.maximum(weights[seen, None], 1e-3)
+        last, now = now, np.clip(SH_C0 * ahead + step, lowest, highest) / SH_C0
+        ahead = now + (number - 1) / (number + 2) * (now - last)
+    return _coloured(gaussians, seen, now)
+
+
+def _coloured(gaussians: Gaussians, seen: NDArray[np.bool_], colours: NDArray) -> Gaussians:
+    """Gaussians of which those that are seen have these constant harmonics."""
+    sh = gaussians.sh.copy()
+    sh[seen, 0] = colours
+    return replace(gaussians, sh=sh)
 
 
 def _seen(

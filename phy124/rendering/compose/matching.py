@@ -16,16 +16,6 @@ DISTANCES = (2.0, 1.6, 3.0)
 of LGM, and a longer lens."""
 ROUNDS = 3
 """How often the camera is corrected."""
-MARGIN = 0.015
-"""Surroundings of the object that are filled in with it, in longest sides of the photograph."""
-HOLE = 320
-"""Longest side at which holes are filled in [pixels]: slower and no better if it is larger."""
-ROUNDS = 3
-"""How often the camera is corrected."""
-MARGIN = 0.015
-"""Surroundings of the object that are filled in with it, in longest sides of the photograph."""
-HOLE = 320
-"""Longest side at which holes are filled in [pixels]: slower and no better if it is larger."""
 
 
 def match(

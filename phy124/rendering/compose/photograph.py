@@ -12,19 +12,8 @@ from phy124.errors import InputError
 
 LARGEST = 1024
 """Longest side of the pictures [pixels]."""
-DISTANCES = (2.0, 1.6, 3.0)
-"""Distances of the photograph's camera that are tried, in sizes of the silhouette: that of relief,
-of LGM, and a longer lens."""
-ROUNDS = 3
-"""How often the camera is corrected."""
 MARGIN = 0.015
 """Surroundings of the object that are filled in with it, in longest sides of the photograph."""
-HOLE = 320
-"""Longest side at which holes are filled in [pixels]: slower and no better if it is larger."""
-MARGIN = 0.015
-"""Surroundings of the object that are filled in with it, in longest sides of the photograph."""
-HOLE = 320
-"""Longest side at which holes are filled in [pixels]: slower and no better if it is larger."""
 HOLE = 320
 """Longest side at which holes are filled in [pixels]: slower and no better if it is larger."""
 
