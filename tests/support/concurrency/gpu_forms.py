@@ -1,5 +1,7 @@
 """The forms that kernels have on a GPU, run on the CPU."""
 
+from collections.abc import Iterable
+
 from phy124.kernels import reduction
 
 THREADS = 2**7
@@ -12,9 +14,15 @@ def shared_out(particles: int, device: str) -> tuple[int, int, int, int]:
     return threads, 1, -(-particles // threads), threads
 
 
+def along_rows(extent: Iterable[int], device: str) -> tuple[tuple[int, int, int], int]:
+    """As `reduction.along_rows` on a GPU: a thread per node."""
+    x, y, z = (int(count) for count in extent)
+    return (x, y, z), 1
+
+
 def choose() -> None:
     """Choose them; before anything else of phy124 is imported, as names are bound then."""
-    reduction.shared_out = shared_out
+    reduction.shared_out, reduction.along_rows = shared_out, along_rows
     from phy124.mpm import model, solver
     from phy124.rendering import render
 

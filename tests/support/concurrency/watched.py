@@ -1,8 +1,9 @@
 """Kernels that note their accesses: changes Warp's C++ before it is compiled for the CPU.
 
-A kernel reads by `wp::load`, writes by `wp::array_store` or `wp::store` and adds by `wp::atomic_*`;
-macros put a note before each. Adding nothing to a component of a vector is not noted. These names
-are those of Warp 1.19: the positive controls of tests/test_concurrency.py fail if they change.
+A kernel reads by `wp::load` (native snippets by `wp::index`), writes by `wp::array_store` or
+`wp::store` and adds by `wp::atomic_*`; macros put a note before each. Adding nothing to a component
+of a vector is not noted. These names are those of Warp 1.19: the positive controls of
+tests/test_concurrency.py fail if they change.
 """
 
 import re
@@ -58,7 +59,11 @@ def wrapped() -> str:
             f"{ARRAY}> inline {result} seen_{name}(const A<T>& a, {integers}, {given})"
             f"{{ {noted}; return {name}(a, {indices}, {passed}); }}"
         )
-    macros = ["load", "store", *(name for name, _, _ in names)]
+    found.append(
+        f"{ARRAY}> inline T& seen_index(const A<T>& a, int i)"
+        f"{{ seen::note(&index(a, i), sizeof(T), {READ}); return index(a, i); }}"
+    )
+    macros = ["load", "store", "index", *(name for name, _, _ in names)]
     lines = [f"#define {name}(...) seen_{name}(__VA_ARGS__)" for name in macros]
     return "\n".join([NOTE, "namespace wp {", *found, "}", *lines, ""])
 
