@@ -24,7 +24,9 @@ from phy124.io.formats import (
     write_gaussians,
     written_as,
 )
+from phy124.particles.merging import fewer, fewer_in
 
+MERGE = tyro.conf.arg(metavar="N")
 AXIS = tyro.conf.arg(metavar="AXIS")
 TO = "; ".join(f"{name}: {FORMATS[name].title}" for name in WRITTEN)
 
@@ -44,6 +46,8 @@ class Convert:
     front: Annotated[str | None, help_of(Reading, "front")] = None
     dialect: Annotated[str | None, help_of(Reading, "dialect")] = None
     rotate: Annotated[str | None, help_of(Reading, "rotate")] = None
+    merge: Annotated[int | None, MERGE] = None
+    """Join neighbouring Gaussians until there are at most so many, with their mass and colour."""
     json: bool = False
     """Print what was done as JSON and nothing else."""
 
@@ -58,6 +62,8 @@ class Convert:
             self.file, up=self.up, front=self.front, dialect=self.dialect, rotate=self.rotate
         )
         gaussians = content.gaussians
+        if self.merge is not None:
+            gaussians = fewer(gaussians, self.merge)
         write_gaussians(self.out, gaussians, chosen.name, antialiased=content.antialiased)
         notes = [*_dropped(content.dropped), *lost(gaussians, chosen)]
         return _show([self.out], len(gaussians), chosen, notes, as_json=self.json)
@@ -76,6 +82,8 @@ class Export:
     """Write every frame: as one file, or as one numbered file each."""
     out: Path | None = None
     """File to write, or with --all a folder or a name ending in .zip; default beside the clip."""
+    merge: Annotated[int | None, MERGE] = None
+    """Join Gaussians that stay neighbours until there are at most so many."""
     json: bool = False
     """Print what was done as JSON and nothing else."""
 
@@ -92,6 +100,8 @@ class Export:
         if self.frame is not None and not 0 <= self.frame < len(clip):
             limit = f"The clip has the frames 0 to {len(clip) - 1}."
             raise InputError("frame", self.frame, limit, "Choose one of them.")
+        if self.merge is not None:
+            clip = fewer_in(clip, self.merge)
         with Bars(quiet=self.json) as bars:
             files = self._write(clip, chosen, bars)
         first = clip.frame(self.frame or 0).gaussians

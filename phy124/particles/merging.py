@@ -1,0 +1,157 @@
+"""Merging: neighbouring Gaussians are joined until there are fewer, for files that must be small.
+
+Two Gaussians become one with the mean and the covariance of both, each weighted by its mass
+(opacity times volume), and with the mean of their colours. Its opacity is what the mass needs;
+where that is more than `OPAQUE`, it becomes larger instead.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from phy124.errors import InputError
+from phy124.gaussians import Gaussians, quaternions
+from phy124.io.clip import Clip
+
+COLOUR = 0.1
+"""How far apart two colours count as far as the object is long, in object sizes per unit."""
+NEIGHBOURS = 6
+"""Among how many nearest ones a partner is looked for."""
+OPAQUE = 0.99
+"""Largest opacity."""
+SAMPLES = 5
+"""Number of frames that decide which Gaussians of a clip stay together."""
+
+
+def groups(places: NDArray, count: int) -> NDArray[np.int64]:
+    """Which of `count` groups each point belongs to [N]; neighbours are joined two by two.
+
+    Args:
+        places: Points in any number of dimensions [N,D].
+        count: How many groups are wanted; at least 1.
+    """
+    label = np.arange(len(places))
+    while len(places) > count:
+        near, other = KDTree(places).query(places, k=min(NEIGHBOURS, len(places)), workers=-1)
+        first, distance = np.repeat(np.arange(len(places)), near.shape[1]), near.ravel()
+        second = other.ravel()
+        pairs = np.flatnonzero(first < second)
+        if not len(pairs):
+            pairs = np.flatnonzero(first != second)
+        joined, left = np.arange(len(places)), len(places) - count
+        free = np.ones(len(places), bool)
+        for pair in pairs[np.argsort(distance[pairs], kind="stable")]:
+            a, b = first[pair], second[pair]
+            if left and free[a] and free[b]:
+                free[a] = free[b] = False
+                joined[b] = a
+                left -= 1
+        _, number = np.unique(joined, return_inverse=True)
+        sizes = np.bincount(label)
+        weights = np.bincount(number, sizes)
+        places = np.stack(
+            [np.bincount(number, sizes * column) / weights for column in places.T], axis=1
+        )
+        label = number[label]
+    return label
+
+
+def merged(
+    gaussians: Gaussians, group: NDArray[np.int64], opacities: NDArray | None = None
+) -> Gaussians:
+    """One Gaussian for each of G groups, with the mass, the mean and the colour of all in it.
+
+    Args:
+        gaussians: N Gaussians.
+        group: Which group each belongs to [N].
+        opacities: Opacities that they are to have [G], and the size that the mass then needs;
+            None: those that leave the covariance as it is, where that can be.
+    """
+    volume = gaussians.scales.astype(np.float64).prod(axis=1)
+    mass = np.maximum(gaussians.opacities * volume, 1e-300)
+    total = np.bincount(group, mass)
+
+    def mean(values: NDArray) -> NDArray[Any]:
+        flat = values.reshape(len(values), -1).astype(np.float64)
+        columns = [np.bincount(group, mass * column) / total for column in flat.T]
+        return np.stack(columns, axis=1).reshape(len(total), *values.shape[1:])
+
+    means = mean(gaussians.means)
+    away = gaussians.means - means[group]
+    spread = mean(gaussians.covariances() + away[:, :, None] * away[:, None, :])
+    lengths, axes = np.linalg.eigh(spread)
+    axes[:, :, 0] *= np.sign(np.linalg.det(axes))[:, None]
+    scales = np.sqrt(np.maximum(lengths, 1e-24))
+    opacity = total / scales.prod(axis=1)
+    shown = np.minimum(opacity, OPAQUE) if opacities is None else opacities
+    scales *= (opacity / np.maximum(shown, 1e-12))[:, None] ** (1 / 3)
+    alone = np.bincount(group) == 1
+    quats = quaternions(axes).astype(np.float32)
+    result = Gaussians(means, quats, scales, shown, mean(gaussians.sh))
+    same = np.zeros(len(total), np.int64)
+    same[group] = np.arange(len(group))
+    for name in ("means", "quats", "scales", "opacities", "sh"):
+        getattr(result, name)[alone] = getattr(gaussians, name)[same[alone]]
+    return result
+
+
+def fewer(gaussians: Gaussians, count: int) -> Gaussians:
+    """The Gaussians, merged until there are at most so many.
+
+    Args:
+        gaussians: The Gaussians.
+        count: How many there may be.
+
+    Raises:
+        InputError: There would be none.
+    """
+    refuse_none(count)
+    if len(gaussians) <= count:
+        return gaussians
+    return merged(gaussians, groups(_places([gaussians.means], gaussians.rgb), count))
+
+
+def fewer_in(clip: Clip, count: int) -> Clip:
+    """The clip, in which those Gaussians are merged that stay together, with their plain colours.
+
+    Args:
+        clip: The clip.
+        count: How many Gaussians there may be.
+
+    Raises:
+        InputError: There would be none.
+    """
+    refuse_none(count)
+    if clip.means.shape[1] <= count:
+        return clip
+    chosen = np.unique(np.linspace(0, len(clip) - 1, SAMPLES).astype(int))
+    first = clip.frame(0).gaussians
+    group = groups(_places([clip.means[index] for index in chosen], first.rgb), count)
+    opacities = merged(first, group).opacities
+    frames = []
+    for frame in replace(clip, rotations=None, sh=clip.sh[:, :1]).frames():
+        joined = merged(frame.gaussians, group, opacities)
+        frames.append(replace(frame, gaussians=joined, velocities=None, contacts=None))
+    report = {**clip.report, "gaussians": len(opacities), "grains": 0, "shine": {}}
+    return replace(Clip.from_frames(frames), scene=clip.scene, report=report)
+
+
+def refuse_none(count: int) -> None:
+    """Make sure that something is left.
+
+    Raises:
+        InputError: Nothing would be.
+    """
+    if count < 1:
+        raise InputError("merge", count, "nothing would be left.", "Give 1 or more.")
+
+
+def _places(means: list[NDArray], rgb: NDArray) -> NDArray:
+    """Points in which Gaussians are near that are so in all frames, and in colour [N,3T+3]."""
+    size = max(float(np.ptp(means[0], axis=0).max()), 1e-12)
+    return np.concatenate([*(x / size / len(means) ** 0.5 for x in means), COLOUR * rgb], axis=1)
