@@ -87,6 +87,21 @@ def test_slabs_that_overlap_after_a_turn_are_cut_anew():
     assert all(a.max() <= b.min() + 1.1 * DX for a, b in itertools.pairwise(ends))
 
 
+def test_slabs_that_were_cut_anew_are_part_of_what_a_run_goes_on_from():
+    s, fresh = solver(4), solver(4)
+    s.step(1e-4, 1e-4)
+    turn(s)
+    fresh.restore(s.snapshot())
+    pairs = zip(s.slabs.parts, fresh.slabs.parts, strict=True)
+    assert all(np.array_equal(particles_of(a), particles_of(b)) for a, b in pairs)
+    for one in (s, fresh):
+        one.state.v.assign(np.random.default_rng(0).normal(size=s.model.rest.shape))
+        for _ in range(6):
+            one.step(1e-4, 1e-4)
+    assert np.array_equal(s.state.x.numpy(), fresh.state.x.numpy())
+    assert fresh.slabs.share == s.slabs.share
+
+
 def test_slabs_that_are_few_nodes_stay_though_they_overlap(monkeypatch):
     """Lists of indices cost more than overlapping nodes do."""
     monkeypatch.setattr(slabs, "NODES", 1000)
