@@ -7,7 +7,7 @@ from phy124.kernels.reduction import finite
 
 NARROW = wp.constant(0.8)
 """A Gaussian narrower than this [cells] counts as a point between four cells."""
-REACH = wp.constant(3.5)
+REACH = wp.constant(3.0)
 """How far a wider Gaussian is followed [standard deviations]."""
 
 

@@ -15,6 +15,7 @@ Both are convolutions, so that a map costs one Fourier transform for each layer 
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -97,7 +98,7 @@ class Caster:
 
     def _depth(self, gaussians: Gaussians, floor: float) -> Array:
         """Optical depth of the Gaussians in each layer."""
-        step = 1 + len(gaussians) // SAMPLE
+        step = max(1, math.ceil(len(gaussians) / SAMPLE))
         layers = wp.zeros((LAYERS, CELLS, CELLS), dtype=float, device=self.device)
 
         def given(array: Array, dtype: object) -> wp.array:
