@@ -23,11 +23,10 @@ def along_rows(extent: Iterable[int], device: str) -> tuple[tuple[int, int, int]
 def choose() -> None:
     """Choose them; before anything else of phy124 is imported, as names are bound then."""
     reduction.shared_out, reduction.along_rows = shared_out, along_rows
-    from phy124.mpm import model, solver
+    from phy124.mpm import model
     from phy124.rendering import render
 
     model.form_of = lambda precision, device: "plain"
-    solver.usable_workers = lambda model, asked=None: asked or 1
     usual = render.Renderer.__init__
 
     def by_pixel(self, *, device=None, blend="auto", filter="dilate") -> None:

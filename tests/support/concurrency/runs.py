@@ -120,7 +120,9 @@ def pictures() -> Runs:
         "wide": lambda: renderer(ball(800), Camera.orbit(80, 5, 1.4, (75, 37))),
         "by tiles": lambda: Renderer(blend="plain")(ball(800), Camera.orbit(30, 20, 1.4, 64)),
         "on a stage": on_a_stage,
-        "colours": lambda: Simulation(splats(np.random.default_rng(0), 200, degree=1), few()).run(),
+        "colours": lambda: Simulation(
+            splats(np.random.default_rng(0), 200, degree=1), few(), threads=1
+        ).run(),
     }
 
 
