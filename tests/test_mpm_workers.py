@@ -68,7 +68,7 @@ def test_private_nodes_hold_a_slab_and_a_halo_and_never_the_same_memory(count):
 
 
 def mix(s) -> None:
-    """Let particles change places, so that each slab reaches through the whole bar; measure them."""
+    """Let particles change places, so that slabs reach through all of the bar; measure."""
     s.state.x.assign(np.random.default_rng(0).permutation(s.state.x.numpy()))
     s.grid.stale = True
     s.clock.since_measured = s.clock.interval
