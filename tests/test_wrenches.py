@@ -1,6 +1,7 @@
 """Wrenches: what the object exerts on each wall adds up to all that the walls give."""
 
 import json
+import runpy
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from phy124.monitor.wrenches import Wrenches, names, summary
 from phy124.region import Region
 from phy124.scene import Scene
 from phy124.simulation import Simulation
+from support.pages import ROOT
 from support.shapes import ball, block
 from support.solvers import make_solver
 
@@ -119,3 +121,15 @@ def test_without_walls_there_are_none():
     run = Simulation(ball(300), Scene.named("spin").replaced({**SCENE, "boundaries": []}))
     clip = run.run()
     assert clip.wrenches.shape == (4, 0, 2, 3) and summary(run.frames) == {}
+
+
+@pytest.mark.slow
+def test_a_pressed_ball_follows_hertz_the_closer_the_finer_the_grid():
+    program = runpy.run_path(str(ROOT / "tests/benchmarks/hertz.py"))
+    errors = [
+        [force / program["tatara"](depth) - 1 for depth, force in program["pressed"](cells).items()]
+        for cells in (24, 32)
+    ]
+    coarse, fine = np.abs(errors)
+    assert fine[1] < 0.06 and fine[2] < 0.04, "docs/results/accuracy.md has the figures"
+    assert fine[0] < 0.85 * coarse[0]
