@@ -387,3 +387,15 @@ def test_walls_do_not_depend_on_where_the_threads_part(walls):
     one, several = run(1), run(5)
     np.testing.assert_allclose(several, one, rtol=0, atol=1e-13)
     assert np.array_equal(several, run(5))
+
+
+def test_a_pad_does_not_magnify_rounding(rng):
+    """What is hardly pushed must not count suddenly, or results depend on the order of threads."""
+    pads = Gripper(centre=(0.2, 0.2, 0.2), opening=0.5, closed=0.3, thick=0.3, close=0.05)
+    x = block()
+    ends = []
+    for noise in (0.0, 1e-8):
+        s = solver(x + noise * rng.standard_normal(x.shape), pads)
+        s.advance(0.1)
+        ends.append(s.state.x.numpy())
+    assert 0 < np.abs(ends[0] - ends[1]).max() < 1e-5

@@ -91,7 +91,8 @@ FLAT = {"half_space"}
 def make_settle(real: Any):
     """Kernel over the nodes of a sub-box: changes each by the mean of what its columns want.
 
-    `changes_out` holds the sum of the changes and their number, and is zero afterwards.
+    `changes_out` holds the sums of changes times weights and of weights, and is zero afterwards. A
+    column weighs as much as it changes, so that one that is hardly pushed does not count suddenly.
     """
     t = types(real)
 
@@ -193,7 +194,8 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
                     grid_out[n] = wp.vector(v[0], v[1], v[2], grid_out[n][3])
                 else:
                     v -= xyz(grid_out[n])
-                    changes_out[n] += wp.vector(v[0], v[1], v[2], real(1.0))
+                    weight = wp.length(v)
+                    changes_out[n] += weight * wp.vector(v[0], v[1], v[2], real(1.0))
             return
         if not leads:
             return
@@ -219,7 +221,8 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
                 if wp.static(flat):
                     add_rows(grid_out, n, step, m, change, real(0.0))
                 else:
-                    add_rows(changes_out, n, step, m, change, real(1.0))
+                    weight = wp.sqrt(wp.ddot(change, change))
+                    add_rows(changes_out, n, step, m, weight * change, weight)
 
     return contact
 
