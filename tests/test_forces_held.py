@@ -59,6 +59,7 @@ def test_a_spring_of_any_stiffness_brings_the_point_to_its_target():
         held = grab(POINT, (0.02, 0.05, 0), stiffness=stiffness, damping=900.0, every=0.1)
         s = solver(held.model_copy(update={"strength": 1e9}))
         s.advance(0.8)
+        assert s.rejection.rejected == 0
         np.testing.assert_allclose(centre(s, held), (0.02, 0.05, 0), atol=2e-3)
 
 

@@ -55,6 +55,20 @@ def test_a_track_is_active_in_its_window_only():
     assert [sample(track, t)[1] for t in (0.0, 0.19, 0.2, 0.39, 0.4, 5.0)] == [0, 0, 1, 1, 0, 0]
 
 
+def test_what_a_track_does_at_most_is_asked_for_a_time():
+    keys = ((0.0, (0.0, 0.0, 0.0)), (1.0, (3.0, 4.0, 0.0)), (3.0, (3.0, 4.0, 0.0)))
+    track = Track(keys, start=2.0, end=5.0, origin=2.0)
+    times = [(0, 1), (2.5, 2.6), (3.5, 4), (5.5, 9)]
+    assert [track.acts(*time) for time in times] == [False, True, True, False]
+    assert [track.largest(*time) for time in times] == [0, 5, 5, 0]
+    assert [track.fastest(*time) for time in times] == [0, 5, 0, 0]
+    steady = scaled(Constant(), 2.0, 5.0)
+    assert [steady.changes(*time) for time in [(0, 1), (1, 2.5), (3, 4), (4, 6)]] == [0, 1, 0, 1]
+    assert track.changes(3, 4) and not scaled(Constant()).changes(0, 9)
+    # One that repeats is as fast at any time.
+    assert scaled(Sine(frequency=1.0)).fastest(70.1, 70.2) == pytest.approx(12.56, rel=0.01)
+
+
 def test_rates_are_slopes_and_zero_outside():
     track = Track(((0.0, (0.0, 0.0, 0.0)), (0.5, (3.0, 0.0, 0.0))), origin=1.0)
     assert [sample(track, t)[2] for t in (0.5, 1.0, 1.2, 1.5, 9.0)] == [0, 6, 6, 0, 0]
