@@ -63,23 +63,24 @@ def types(real: Any) -> Types:
     return Types(real, *sizes, matrix((3, 3), real), matrix((4, 4), real))
 
 
-NOWHERE = wp.constant(wp.vec3i(-(2**31)))
-"""The node of a position that is no number."""
+NOWHERE = wp.constant(-1e9)
+"""Grid coordinate of a position that is no number: in no window."""
+
+
+@wp.func
+def lowest_node(g: Any):
+    """The lowest of the three nodes of an axis, for a grid coordinate that may be no number.
+
+    GPUs and some CPUs convert NaN to 0, which is a node like any other.
+    """
+    start = g - type(g)(0.5)
+    return int(wp.floor(wp.where(start > type(g)(NOWHERE), start, type(g)(NOWHERE))))
 
 
 @wp.func
 def first_node(g: Any):
-    """The lowest of the three nodes per axis that a particle at grid coordinates g touches.
-
-    GPUs and some CPUs convert NaN to 0, which is a node like any other.
-    """
-    half = type(g[0])(0.5)
-    first = wp.vec3i(
-        int(wp.floor(g[0] - half)), int(wp.floor(g[1] - half)), int(wp.floor(g[2] - half))
-    )
-    if not finite(g[0] + g[1] + g[2]):
-        first = NOWHERE
-    return first
+    """The lowest of the three nodes per axis that a particle at grid coordinates g touches."""
+    return wp.vec3i(lowest_node(g[0]), lowest_node(g[1]), lowest_node(g[2]))
 
 
 @wp.func
