@@ -12,6 +12,7 @@ from phy124.accuracy import problems
 from phy124.camera import Camera
 from phy124.materials import NeoHookean
 from phy124.monitor.diagnostics import energies
+from phy124.rendering.compose.adjoint import Adjoint
 from phy124.rendering.render import Renderer
 from phy124.rendering.stage.build import stage_of
 from phy124.scene import Scene, View
@@ -119,11 +120,18 @@ def pictures() -> Runs:
         "square": lambda: renderer(ball(800), Camera.orbit(30, 20, 1.4, 64)),
         "wide": lambda: renderer(ball(800), Camera.orbit(80, 5, 1.4, (75, 37))),
         "by tiles": lambda: Renderer(blend="plain")(ball(800), Camera.orbit(30, 20, 1.4, 64)),
+        "backwards": backwards,
         "on a stage": on_a_stage,
         "colours": lambda: Simulation(
             splats(np.random.default_rng(0), 200, degree=1), few(), threads=1
         ).run(),
     }
+
+
+def backwards() -> None:
+    """From pixels to the Gaussians that show in them."""
+    camera = Camera.orbit(30, 20, 1.4, (48, 32))
+    Adjoint(device="cpu").sums(ball(300), camera, np.ones((32, 48, 3)))
 
 
 def few(name: str = "spin") -> Scene:
