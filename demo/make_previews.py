@@ -19,8 +19,8 @@ from phy124.imaging.cutout import cut_out
 from phy124.io.clip import Clip
 from phy124.pipeline import cameras
 from phy124.progress import silent
+from phy124.rendering.frames import render_frames
 from phy124.rendering.framing import departures, fitted
-from phy124.rendering.render import render_frames
 from phy124.scene import Scene, View, preset_names
 from phy124.simulation import Simulation
 

@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from phy124.metrics.comparison import compare
     from phy124.pipeline import Result, generate, simulate
     from phy124.rendering.film import film
-    from phy124.rendering.render import Renderer, render, render_frames
+    from phy124.rendering.frames import render_frames
+    from phy124.rendering.render import Renderer, render
     from phy124.scene import Scene, preset_names
     from phy124.simulation import Simulation, Stopped
 
@@ -83,7 +84,8 @@ _MODULES = {
     "metrics.comparison": ["compare"],
     "pipeline": ["Result", "generate", "simulate"],
     "rendering.film": ["film"],
-    "rendering.render": ["Renderer", "render", "render_frames"],
+    "rendering.frames": ["render_frames"],
+    "rendering.render": ["Renderer", "render"],
     "scene": ["Scene", "preset_names"],
     "simulation": ["Simulation", "Stopped"],
 }

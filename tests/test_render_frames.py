@@ -9,8 +9,10 @@ import pytest
 from phy124.camera import Camera
 from phy124.errors import Cancelled, InputError
 from phy124.gaussians import Frame
+from phy124.rendering import frames as drawing
 from phy124.rendering import render
-from phy124.rendering.render import Renderer, render_frames
+from phy124.rendering.frames import render_frames
+from phy124.rendering.render import Renderer
 from support.shapes import splats as cloud
 
 
@@ -86,10 +88,10 @@ def test_it_stays_close_to_its_reader_and_stops_when_closed(rng):
     images = render_frames(endless(), Camera.orbit(0, 0, 1.5, 32), device="cpu", threads=2)
     for _ in range(5):
         next(images)
-    assert len(taken) <= 5 + 2 * render.LOOK_AHEAD
+    assert len(taken) <= 5 + 2 * drawing.LOOK_AHEAD
     images.close()
     assert not render_threads()
-    assert len(taken) <= 5 + 2 * render.LOOK_AHEAD
+    assert len(taken) <= 5 + 2 * drawing.LOOK_AHEAD
 
 
 def test_cancelling_and_errors_end_the_threads(rng):

@@ -16,7 +16,8 @@ from phy124.gaussians import Frame, Gaussians
 from phy124.io.clip import Clip
 from phy124.kernels.splat.glass import FACE, LINE, RIM, TINT, WIDTH
 from phy124.rendering.film import film
-from phy124.rendering.render import Renderer, render_frames
+from phy124.rendering.frames import render_frames
+from phy124.rendering.render import Renderer
 from phy124.rendering.stage.build import Stage, stage_of
 from phy124.rendering.stage.frame import POOL, Backdrop, Floor, Solid, StageFrame
 from phy124.scene import Scene, View

@@ -15,7 +15,7 @@ from phy124.errors import InputError
 from phy124.gaussians import Frame
 from phy124.io import video
 from phy124.io.video import write_animation, write_mp4
-from phy124.rendering.render import render_frames
+from phy124.rendering.frames import render_frames
 from support.videos import ffmpeg, read_video, stream
 
 

@@ -9,8 +9,8 @@ from phy124 import pipeline
 from phy124.io.clip import Clip
 from phy124.io.export.html import pack
 from phy124.io.video import write_animation
+from phy124.rendering.frames import render_frames
 from phy124.rendering.framing import fitted
-from phy124.rendering.render import render_frames
 from phy124.rendering.stage.build import stage_of
 from phy124.rendering.stage.packing import packed
 from phy124.runtime.stopwatch import Stopwatch

@@ -19,7 +19,7 @@ from phy124.generators import make
 from phy124.imaging.cutout import cut_out
 from phy124.io.clip import Clip
 from phy124.io.video import write_animation
-from phy124.rendering.render import render_frames
+from phy124.rendering.frames import render_frames
 from phy124.scene import Scene, preset_names
 
 HERE = Path(__file__).parent

@@ -18,7 +18,7 @@ from phy124.gaussians import Gaussians
 from phy124.generators.relief import relief
 from phy124.imaging.cutout import cut_out
 from phy124.io.clip import Clip
-from phy124.rendering.render import render_frames
+from phy124.rendering.frames import render_frames
 from phy124.rendering.shine import shine_of
 from phy124.rendering.stage.build import stage_of
 from phy124.scene import Scene

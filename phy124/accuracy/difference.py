@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from phy124.io.clip import Clip
 from phy124.metrics import psnr, ssim
 from phy124.rendering.film import cameras
-from phy124.rendering.render import render_frames
+from phy124.rendering.frames import render_frames
 from phy124.scene import View
 
 

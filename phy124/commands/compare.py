@@ -21,7 +21,7 @@ from phy124.io.video import Picture, write_mp4
 from phy124.metrics.comparison import Likeness, Pictures, check_comparable, compare
 from phy124.progress import Progress
 from phy124.rendering.film import cameras, playback, rate
-from phy124.rendering.render import render_frames
+from phy124.rendering.frames import render_frames
 from phy124.runtime.device import pick_device
 from phy124.scene import Scene, View
 

@@ -19,7 +19,7 @@ from phy124.io.files import replacing
 from phy124.metrics import Evaluation, evaluate, similarity
 from phy124.progress import Progress
 from phy124.rendering.film import cameras
-from phy124.rendering.render import render_frames
+from phy124.rendering.frames import render_frames
 from phy124.runtime.device import pick_device
 from phy124.scene import Scene, View
 from phy124.weights.store import looking_in

@@ -13,10 +13,10 @@ from phy124.io.export import write_ply_sequence, write_usd
 from phy124.io.files import staged
 from phy124.io.video import FPS_RANGE, Picture, write_animation, write_mp4, write_pictures
 from phy124.progress import Progress, silent
+from phy124.rendering.frames import render_frames
 from phy124.rendering.framing import cameras as cameras
 from phy124.rendering.framing import fitted
 from phy124.rendering.outputs import refuse_outputs, refuse_unkept, write_outputs
-from phy124.rendering.render import render_frames
 from phy124.rendering.shine import Shine, shine_of
 from phy124.rendering.stage.build import Stage, stage_of
 from phy124.runtime.stopwatch import Stopwatch

@@ -8,14 +8,8 @@ Every splat is drawn exactly as far as it reaches 1/255, so that no cut-off is v
 
 from __future__ import annotations
 
-import itertools
 import math
-import operator
-from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import replace
-from queue import SimpleQueue
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -24,16 +18,14 @@ from numpy.typing import NDArray
 
 from phy124.camera import Camera
 from phy124.errors import InputError
-from phy124.gaussians import Array, Frame, Gaussians
+from phy124.gaussians import Array, Gaussians
 from phy124.kernels.splat import bin as binning
 from phy124.kernels.splat import blend, blend_simd, project, screen, stage_simd
-from phy124.progress import Progress, silent
 from phy124.rendering.pinhole import NEAR as NEAR
 from phy124.rendering.pinhole import pinhole
 from phy124.rendering.stage import draw
 from phy124.rendering.stage.frame import StageFrame
 from phy124.runtime.compiling import compile_missing
-from phy124.runtime.cores import cores
 from phy124.runtime.device import one_at_a_time
 
 Colour = tuple[float, float, float]
@@ -54,8 +46,6 @@ FILTERS = {"dilate": (0.3, False), "mip": (0.1, True)}
 """What keeps splats from falling between pixels -> what is added to their screen covariance, px^2,
 and whether they become as much fainter: no in 3D Gaussian Splatting, which makes thin things
 thicker the smaller they are seen; yes in Mip-Splatting (Yu et al. 2024, section 4.2)."""
-LOOK_AHEAD = 2
-"""How many frames per thread `render_frames` may be ahead of its reader."""
 
 
 class Renderer:
@@ -273,94 +263,9 @@ def render(
     return Renderer(device=device)(gaussians, camera, background, alpha=alpha)
 
 
-def render_frames(
-    frames: Iterable[Frame],
-    cameras: Camera | Iterable[Camera],
-    *,
-    size: int | tuple[int, int] | None = None,
-    background: Colour | None = WHITE,
-    device: str | None = None,
-    stage: Callable[[Frame], StageFrame] | None = None,
-    filter: str = "dilate",
-    threads: int | None = None,
-    progress: Progress = silent,
-) -> Generator[NDArray[np.uint8], None, None]:
-    """Images [H,W,3] uint8 of the frames, in order, until frames or cameras run out.
-
-    Without a background they are [H,W,4]: unblended colours, the last channel being the coverage.
-    Closing the iterator stops the threads; it never runs far ahead of its reader.
-
-    Args:
-        frames: What to draw; a clip's `frames()`, or `itertools.repeat` of a still one.
-        cameras: One camera for all frames, or one each.
-        size: Width and height in pixels, or one number for both, instead of the cameras' own.
-        background: Colour behind the Gaussians, 0..1; None for none.
-        device: Warp's name of the device; default: CUDA if there is one.
-        stage: What stands behind and around the Gaussians of a frame instead of the background.
-        filter: What keeps splats from falling between pixels, one of `FILTERS`.
-        threads: Number of frames drawn at once on a CPU, where kernels use one core each; None: as
-            many as there are cores.
-        progress: Called as ("render", frames done, frames in all or 0 if unknown).
-
-    Raises:
-        InputError: If there is no such device, or a camera or the background cannot be used.
-    """
-    total = operator.length_hint(frames, 0) or operator.length_hint(cameras, 0)
-    every = itertools.repeat(cameras) if isinstance(cameras, Camera) else cameras
-    first = Renderer(device=device, filter=filter)
-    threads = cores() if threads is None else threads
-    threads = 1 if first.device.is_cuda else max(1, min(threads, total or threads))
-    # Kernels are loaded by now: loading them from several threads at once is not safe in Warp.
-    renderers: SimpleQueue[Renderer] = SimpleQueue()
-    for renderer in [first] + [Renderer(device=device, filter=filter) for _ in range(threads - 1)]:
-        renderers.put(renderer)
-
-    def draw(frame: Frame, camera: Camera) -> NDArray[np.uint8]:
-        renderer = renderers.get()
-        try:
-            around = None if stage is None else stage(frame)
-            seen = _resized(camera, size)
-            return _picture(renderer, frame.gaussians, seen, background, around)
-        finally:
-            renderers.put(renderer)
-
-    pool = ThreadPoolExecutor(threads, thread_name_prefix="render")
-    try:
-        tasks = (pool.submit(draw, *task) for task in zip(frames, every, strict=False))
-        for done, image in enumerate(_in_order(tasks, LOOK_AHEAD * threads), 1):
-            progress("render", done, total)
-            yield image
-    finally:
-        pool.shutdown(cancel_futures=True)
-
-
-def _picture(
-    renderer: Renderer,
-    gaussians: Gaussians,
-    camera: Camera,
-    background: Colour | None,
-    stage: StageFrame | None,
-) -> NDArray[np.uint8]:
-    """One image as bytes; without a background, with coverage and unmultiplied colours."""
-    if background is not None or stage is not None:
-        return to_bytes(renderer(gaussians, camera, background or BLACK, stage=stage))
-    image = renderer(gaussians, camera, BLACK, alpha=True)
-    image[..., :3] /= np.maximum(image[..., 3:], 1e-6)
-    return to_bytes(np.minimum(image, 1))
-
-
 def to_bytes(image: Array) -> NDArray[np.uint8]:
     """An image in 0..1 as bytes, rounded to the nearest."""
     return (image * 255 + 0.5).astype(np.uint8)
-
-
-def _in_order(tasks: Iterator[Future], ahead: int) -> Iterator[Any]:
-    """Results of tasks in order; at most `ahead` tasks are started beyond the one returned."""
-    waiting = deque(itertools.islice(tasks, ahead))
-    while waiting:
-        result = waiting.popleft().result()
-        waiting.extend(itertools.islice(tasks, 1))
-        yield result
 
 
 def _device(name: str | None) -> Any:
@@ -371,13 +276,6 @@ def _device(name: str | None) -> Any:
         raise InputError(
             "device", name, f"this machine has no such device ({error}).", f"Choose from {names}."
         ) from error
-
-
-def _resized(camera: Camera, size: int | tuple[int, int] | None) -> Camera:
-    if size is None:
-        return camera
-    width, height = (size, size) if isinstance(size, int) else size
-    return replace(camera, width=width, height=height)
 
 
 def _checked_background(background: Colour) -> Colour:

@@ -20,7 +20,8 @@ import warp as wp
 from phy124.camera import Camera
 from phy124.gaussians import Frame, Gaussians
 from phy124.io.clip import Clip
-from phy124.rendering.render import Renderer, render_frames
+from phy124.rendering.frames import render_frames
+from phy124.rendering.render import Renderer
 from phy124.rendering.stage.build import Stage, stage_of
 from phy124.scene import View
 

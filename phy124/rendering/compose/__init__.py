@@ -19,7 +19,8 @@ from phy124.rendering.compose.colours import matched
 from phy124.rendering.compose.matching import match
 from phy124.rendering.compose.photograph import Photograph as Photograph
 from phy124.rendering.film import playback, rate
-from phy124.rendering.render import BLACK, render_frames
+from phy124.rendering.frames import render_frames
+from phy124.rendering.render import BLACK
 from phy124.rendering.stage.build import Stage, stage_of
 from phy124.rendering.stage.frame import Backdrop
 from phy124.scene import View
