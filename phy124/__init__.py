@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from phy124.io.formats import read_gaussians, write_gaussians
     from phy124.io.ply import read_ply, write_ply
     from phy124.io.video import write_mp4
+    from phy124.live import Live
     from phy124.materials import Material
     from phy124.metrics.comparison import compare
     from phy124.pipeline import Result, generate, simulate
@@ -45,6 +46,7 @@ __all__ = [
     "Gaussians",
     "Generator",
     "InputError",
+    "Live",
     "Material",
     "Renderer",
     "Result",

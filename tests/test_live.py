@@ -202,7 +202,7 @@ def test_the_grid_is_as_fine_as_this_machine_holds():
     slow = held_rate(thing(), scene(), rate=100, threads=1)
     assert slow.scene.resolution.cells == 8 and slow.scene.binding == "lattice"
     exact = held_rate(thing(), scene(), max_error=0.05, threads=1)
-    assert exact.error <= 0.05 and "at most" in exact.sentence
+    assert exact.promise.error <= 0.05 and "at most" in exact.sentence
     with pytest.raises(InputError, match="rate"):
         held_rate(thing(), scene(), rate=float("nan"))
 

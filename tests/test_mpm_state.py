@@ -53,13 +53,14 @@ def test_a_clock_returns_to_a_snapshot_and_measures_after_violence():
     clock = Clock(model())
     clock.since_measured = 0
     clock.finish(1e-3)
-    clock.count("elastic")
+    clock.count("elastic", needed=0.7)
     assert not clock.due
     kept = clock.snapshot()
     clock.finish(1e-3, violent=True)
     assert clock.due and clock.time == 2e-3
     clock.restore(kept)
     assert (clock.time, clock.substeps, clock.limiters) == (1e-3, 1, {"elastic": 1})
+    assert clock.needed == {"elastic": 0.7}
 
 
 def test_maxima_are_read_with_their_names():

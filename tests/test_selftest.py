@@ -84,7 +84,7 @@ SABOTAGE = {
     15: Sabotage("far particles stand still", "mpm/outliers.py",
                  "if not count:", "if count >= 0:"),
     16: Sabotage("truncation instead of floor", "kernels/transfer.py",
-                 "int(wp.floor(g[0] - half))", "int(g[0] - half)"),
+                 "return int(wp.floor(", "return int(("),
     17: Sabotage("a picometre is added to every axis", "kernels/deform.py",
                  "s0 = wp.vec3d(scales0[i])", "s0 = wp.vec3d(scales0[i]) + wp.vec3d("
                  "wp.float64(1e-12), wp.float64(1e-12), wp.float64(1e-12))"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from typing import Any, NamedTuple
 
-from phy124.accuracy.promises import promise
+from phy124.accuracy.promises import Promise, promise
 from phy124.gaussians import Gaussians
 from phy124.live.limits import number
 from phy124.scene import Scene
@@ -29,18 +29,15 @@ class Choice(NamedTuple):
     scene: Scene
     factor: float
     """Simulated seconds per second that the trial reached."""
-    error: float | None
-    """Error promised, in sizes of the object; None: not measured for such scenes."""
+    promise: Promise
+    """What error it is promised."""
 
     @property
     def sentence(self) -> str:
         """For people."""
-        cells = self.scene.resolution.cells
-        off = "error not measured"
-        if self.error is not None:
-            off = f"error at most {self.error:.1%} of the size"
         slow = "" if self.factor >= 1 else "; time runs slower than in reality"
-        return f"{cells} cells across the object, {off}, {self.factor:.1f}x real time{slow}."
+        cells = f"{self.scene.resolution.cells} cells across the object"
+        return f"{cells}, {self.factor:.1f}x real time{slow}. {self.promise.brief}"
 
 
 def held_rate(
@@ -75,7 +72,7 @@ def held_rate(
     if max_error is None:
         cells, spent = _finest(gaussians, scene, cells, spent, allowed, options)
     chosen = _on(scene, cells)
-    return Choice(chosen, 1 / (scene.time.fps * spent), promise(chosen).error)
+    return Choice(chosen, 1 / (scene.time.fps * spent), promise(chosen))
 
 
 def _on(scene: Scene, cells: int) -> Scene:

@@ -84,6 +84,7 @@ class Clock:
             "since_measured": self.since_measured,
             "extremes": list(self.extremes),
             "limiters": dict(self.limiters),
+            "needed": dict(self.needed),
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
@@ -91,4 +92,4 @@ class Clock:
         self.time, self.last_dt = snapshot["time"], snapshot["last_dt"]
         self.substeps, self.since_measured = snapshot["substeps"], snapshot["since_measured"]
         self.extremes = self.recent = Extremes(*snapshot["extremes"])
-        self.limiters = dict(snapshot["limiters"])
+        self.limiters, self.needed = dict(snapshot["limiters"]), dict(snapshot["needed"])
