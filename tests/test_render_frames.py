@@ -52,7 +52,7 @@ def test_frames_come_in_order_whatever_the_threads(renderers, rng, threads):
 
 @pytest.mark.parametrize("count", [1, 3, 7])
 def test_as_many_frames_at_once_as_there_are_cores(rng, monkeypatch, count):
-    monkeypatch.setattr(render, "cores", lambda: count)
+    monkeypatch.setattr(drawing, "cores", lambda: count)
     made = []
 
     class Counted(Renderer):
@@ -60,7 +60,7 @@ def test_as_many_frames_at_once_as_there_are_cores(rng, monkeypatch, count):
             made.append(self)
             super().__init__(**options)
 
-    monkeypatch.setattr(render, "Renderer", Counted)
+    monkeypatch.setattr(drawing, "Renderer", Counted)
     images = list(render_frames(moving(rng, 5), Camera.orbit(0, 0, 1.5, 32), device="cpu"))
     assert len(images) == 5 and len(made) == min(count, 5)
     assert not render_threads()
