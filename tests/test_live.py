@@ -1,5 +1,7 @@
 """Live runs: inputs act from the next frame on, are bounded, and become a scene."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -171,6 +173,16 @@ def test_what_is_too_much_is_made_smaller_and_said():
         run.push((1, 0, 0), seconds=9)
 
 
+def test_what_flies_away_begins_anew():
+    run = live(boundaries=[])
+    run.step()
+    run.gravity((1e9, 0, 0))
+    frames = list(run.frames(30))
+    ways = [middle(frame)[0] for frame in frames]
+    assert 20 < max(ways) < 60 and frames[-1].index < 30
+    assert "begins anew" in run.notes[-1] and run.time < 1
+
+
 @pytest.mark.parametrize("inputs", [60, pytest.param(1000, marks=pytest.mark.slow)])
 def test_random_hands_never_break_it(inputs):
     rng, run = np.random.default_rng(7), live()
@@ -216,6 +228,20 @@ def test_the_example_of_the_page_runs_and_its_session_is_read(tmp_path, monkeypa
     assert "real time" in capsys.readouterr().out
     session = Scene.named("session.toml")
     assert session.time.frames == 49 and {f.kind for f in session.forces} >= {"grab", "wrench"}
+
+
+@pytest.mark.slow
+def test_the_notebook_runs(monkeypatch, capsys):
+    monkeypatch.chdir(ROOT)
+    cells = json.loads((ROOT / "docs/guide/live.ipynb").read_text("utf-8"))["cells"]
+    names: dict = {}
+    for cell in cells:
+        if cell["cell_type"] == "code":
+            exec("".join(cell["source"]), names)
+    assert "37 frames" in capsys.readouterr().out
+    ways = [middle(frame)[1] for frame in names["frames"]]
+    assert max(ways) > ways[0] + 0.1
+    assert names["strip"].size == (192 * 7, 192)
 
 
 def test_late_frames_slow_time_down_and_never_queue_up():

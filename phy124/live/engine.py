@@ -36,6 +36,8 @@ FOREVER = 1e8
 """A live run has no budget of time of its own [s]; what shows it has."""
 KEPT_EVERY = 12
 """Frames between two states that are kept to go back to."""
+LOST = 50.0
+"""Distance from the middle of the scene [sizes] at which nobody holds it any more."""
 NOTES = 20
 """Sentences that are kept."""
 
@@ -109,6 +111,10 @@ class Live:
             frame = self._run.step()
         except Stopped as stop:
             frame = self._go_back(str(stop))
+        if self._lost(frame):
+            self._note(f"It is more than {LOST:g} of its sizes away and begins anew.")
+            self.reset()
+            frame = self._run.step()
         self._frame = frame
         if self._run.count % KEPT_EVERY == 0:
             self._kept = [*self._kept[-1:], (self.time, self._run.snapshot())]
@@ -287,6 +293,11 @@ class Live:
         if self._changed:
             self._run.change(self._inputs.scene())
             self._changed = False
+
+    def _lost(self, frame: Frame) -> bool:
+        """Whether the object has flown so far that each frame would take ever more substeps."""
+        middle = frame.gaussians.means.mean(axis=0, dtype=np.float64)
+        return bool(np.linalg.norm(middle) > LOST * self._scene.object.size)
 
     def _go_back(self, why: str) -> Frame:
         """Drop the inputs and try again from where it was, then from earlier, then anew."""
