@@ -70,6 +70,15 @@ def test_what_is_missing_is_compiled_with_progress_and_the_rest_without(empty_ca
     assert compile_missing(made, progress=pytest.fail) == 0
 
 
+def test_warp_is_started_before_anything_is_loaded(empty_cache, monkeypatch):
+    """A thread that starts it would discard what the others know of their modules."""
+    done, load = [], wp.load_module
+    monkeypatch.setattr(compiling, "start", lambda: done.append("start"))
+    monkeypatch.setattr(wp, "load_module", lambda *given: (done.append("load"), load(*given)))
+    assert compile_missing([small("started")]) == 1
+    assert done == ["start", "load"]
+
+
 def test_modules_are_compiled_at_the_same_time(monkeypatch):
     """Each waits for the other, which one after the other would do for ever."""
     both = threading.Barrier(2)

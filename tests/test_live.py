@@ -73,6 +73,7 @@ def test_what_is_held_follows_the_hand_and_falls_when_it_lets_go():
     assert np.allclose(top[:2], (0.2, 0.3), atol=0.05)
     assert middle(frame)[2] == pytest.approx(1.6 - sag - 0.5, abs=0.1)
     run.release()
+    assert run.session().forces[-1].end == pytest.approx(run.time, abs=1e-9)
     start = middle(run.step())
     fallen = list(run.frames(6))[-1]
     assert middle(fallen)[2] < start[2] - 0.2
