@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from phy124.boundaries import Boundary
 from phy124.gaussians import Array, Gaussians
 from phy124.kernels import contacts as kernels
-from phy124.kernels.reduction import along_rows
-from phy124.monitor.external_work import Measured, reach_of
+from phy124.monitor.external_work import Measured
+from phy124.monitor.near import NodesNear
 from phy124.mpm import Attachable, Grid, Model, Stage, State
 from phy124.particles import Particles
 from phy124.particles.scenery import Scenery
@@ -95,33 +95,26 @@ class Contacts:
     ) -> tuple[Stage, Stage, Stage]:
         """The stages before and after a wall."""
         del tracks
-        reach = reach_of([wall], model)
+        near = NodesNear([wall], model)
         copy, changed, share = contact_kernels(model.real)
-        threads: tuple[int, ...] = ()
-        read: list[Any] = []
-        kept: list[wp.array] = []
+        corners: list[wp.array] = []
 
         def before(grid: Grid) -> wp.Launch | None:
-            nonlocal threads, read, kept
-            start, extent = grid.nodes_within(*reach)
-            corners = np.stack([start, extent]).astype(np.int32)
-            box = wp.array(corners, dtype=wp.vec3i, device=model.device)
-            nodes = wp.empty(int(np.prod(extent)), dtype=grid.vec4, device=model.device)
-            corner = [wp.zeros(3, dtype=int, device=model.device) for _ in range(2)]
-            threads, each = along_rows(extent, model.device)
-            read = [each, box, grid.window, grid.nodes]
-            kept = [nodes, *corner]
-            return model.launch(copy, threads, read, kept)
+            nonlocal corners
+            near.fit(grid)
+            # Each worker has its own, since it is recorded with its own layers of nodes.
+            corners = [wp.zeros(3, dtype=int, device=model.device) for _ in range(2)]
+            return model.launch(copy, near.threads, near.read, [near.kept, *corners])
 
         def between(grid: Grid) -> wp.Launch | None:
             del grid
-            return model.launch(changed, threads, read, kept)
+            return model.launch(changed, near.threads, near.read, [near.kept, *corners])
 
         def after(grid: Grid) -> wp.Launch | None:
-            own, (_, box, window, _) = self._own(grid, model), read
-            if not np.prod(threads):
+            own, (_, box, window, _) = self._own(grid, model), near.read
+            if not np.prod(near.threads):
                 return None
-            inputs = [model.mass, grid.lattice, box, window, state.x, *kept]
+            inputs = [model.mass, grid.lattice, box, window, state.x, near.kept, *corners]
             return model.launch(share, len(model), inputs, [own])
 
         return Stage(STAGE, before), Stage(STAGE, between), Stage(STAGE, after)

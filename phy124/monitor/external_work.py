@@ -15,9 +15,9 @@ import warp as wp
 from numpy.typing import NDArray
 
 from phy124.boundaries import Boundary
-from phy124.boundaries.base import Corners, swept
 from phy124.kernels import external_work as kernels
-from phy124.kernels.reduction import along_rows, shared_out
+from phy124.kernels.reduction import shared_out
+from phy124.monitor.near import NodesNear
 from phy124.mpm import Attachable, Clock, Grid, Model, Stage, State
 from phy124.tracks import Tracks
 
@@ -209,22 +209,15 @@ class ExternalWork:
     ) -> tuple[Stage, Stage]:
         """The stages before and after walls."""
         del state, tracks
-        reach, (copy, sums) = reach_of(walls, model), wall_kernels(model.real)
-        threads: tuple[int, ...] = ()
-        read: list[Any] = []
+        near, (copy, sums) = NodesNear(walls, model), wall_kernels(model.real)
 
         def before(grid: Grid) -> wp.Launch | None:
-            nonlocal threads, read
-            start, extent = grid.nodes_within(*reach)
-            corners = np.stack([start, extent]).astype(np.int32)
-            box = wp.array(corners, dtype=wp.vec3i, device=model.device)
-            kept = wp.empty(int(np.prod(extent)), dtype=grid.vec4, device=model.device)
-            threads, each = along_rows(extent, model.device)
-            read = [each, box, grid.window, grid.nodes, kept]
-            return model.launch(copy, threads, read[:4], read[4:])
+            near.fit(grid)
+            return model.launch(copy, near.threads, near.read, [near.kept])
 
         def after(grid: Grid) -> wp.Launch | None:
-            return model.launch(sums, threads, read, [self._accumulator(WALL, grid)])
+            inputs = [*near.read, near.kept]
+            return model.launch(sums, near.threads, inputs, [self._accumulator(WALL, grid)])
 
         return Stage(STAGE, before), Stage(STAGE, after)
 
@@ -246,17 +239,6 @@ class Measured:
             return []
         before, *after = self._attach(model, state, tracks)
         return [before, *stages, *after]
-
-
-def reach_of(walls: Sequence[Boundary], model: Model) -> Corners:
-    """Corners of a box that contains every node a wall may touch [m]."""
-    lower, upper = np.full(3, np.inf), np.full(3, -np.inf)
-    for wall in walls:
-        corners, track = wall.bounds(model), wall.track(model)
-        if track is not None:
-            corners = swept(corners, track)
-        lower, upper = np.minimum(lower, corners[0]), np.maximum(upper, corners[1])
-    return lower, upper
 
 
 def wall_kernels(real: Any) -> tuple[Any, Any]:

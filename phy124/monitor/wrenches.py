@@ -20,8 +20,7 @@ from phy124.boundaries import Boundary
 from phy124.gaussians import Frame, Wrench
 from phy124.kernels import wrenches as kernels
 from phy124.kernels.external_work import make_wall_copy
-from phy124.kernels.reduction import along_rows
-from phy124.monitor.external_work import reach_of
+from phy124.monitor.near import NodesNear
 from phy124.mpm import Attachable, Grid, Model, Stage, State
 from phy124.tracks import Tracks
 
@@ -87,25 +86,15 @@ class Wrenches:
     def measured(self, name: str, wall: Boundary, model: Model) -> tuple[Stage, Stage]:
         """The stages before and after a wall, whose sums have a name."""
         self._sums[name] = {}
-        reach = reach_of([wall], model)
-        copy, wrench = wrench_kernels(model.real)
-        threads: tuple[int, ...] = ()
-        read: list[Any] = []
+        near, (copy, wrench) = NodesNear([wall], model), wrench_kernels(model.real)
 
         def before(grid: Grid) -> wp.Launch | None:
-            nonlocal threads, read
-            start, extent = grid.nodes_within(*reach)
-            corners = np.stack([start, extent]).astype(np.int32)
-            box = wp.array(corners, dtype=wp.vec3i, device=model.device)
-            kept = wp.empty(int(np.prod(extent)), dtype=grid.vec4, device=model.device)
-            threads, each = along_rows(extent, model.device)
-            read = [each, box, grid.window, grid.nodes, kept]
-            return model.launch(copy, threads, read[:4], read[4:])
+            near.fit(grid)
+            return model.launch(copy, near.threads, near.read, [near.kept])
 
         def after(grid: Grid) -> wp.Launch | None:
-            return model.launch(
-                wrench, threads, [grid.lattice, *read], [self._own(name, grid, model)]
-            )
+            inputs = [grid.lattice, *near.read, near.kept]
+            return model.launch(wrench, near.threads, inputs, [self._own(name, grid, model)])
 
         return Stage(STAGE, before), Stage(STAGE, after)
 
