@@ -13,6 +13,7 @@ import warp as wp
 from phy124.kernels.build import kernel
 from phy124.kernels.diagnostics import wide
 from phy124.kernels.reduction import lower_to, raise_to
+from phy124.kernels.rows import row_in_copy, row_in_grid
 from phy124.kernels.spline import spline
 from phy124.kernels.transfer import first_node, in_window, types
 
@@ -33,15 +34,13 @@ def make_contact_copy(real: Any):
         high_out: wp.array(dtype=int),
     ):  # fmt: skip
         i, j, part = wp.tid()
-        size = window[1]
-        low = box[0]
-        count = box[1]
-        row = ((i + low[0]) * size[1] + j + low[1]) * size[2] + low[2]
+        row = row_in_grid(box, window, i, j)
+        copy = row_in_copy(box, i, j)
         for k in range(part * each, part * each + each):
-            kept_out[(i * count[1] + j) * count[2] + k] = grid[row + k]
+            kept_out[copy + k] = grid[row + k]
         if i == 0 and j == 0 and part == 0:
             for axis in range(3):
-                low_out[axis] = size[axis]
+                low_out[axis] = window[1][axis]
                 high_out[axis] = -1
 
     return contact_copy
@@ -65,15 +64,13 @@ def make_contact_reach(real: Any):
         high_out: wp.array(dtype=int),
     ):  # fmt: skip
         i, j, part = wp.tid()
-        size = window[1]
-        low = box[0]
-        count = box[1]
-        row = ((i + low[0]) * size[1] + j + low[1]) * size[2] + low[2]
-        lowest = count[2]
+        row = row_in_grid(box, window, i, j)
+        copy = row_in_copy(box, i, j)
+        lowest = box[1][2]
         highest = int(-1)
         for k in range(part * each, part * each + each):
             q = grid[row + k]
-            n = (i * count[1] + j) * count[2] + k
+            n = copy + k
             d = q - kept_out[n]
             if q[3] <= real(0.0):
                 d = t.vec4()
@@ -81,11 +78,11 @@ def make_contact_reach(real: Any):
             if d[0] != real(0.0) or d[1] != real(0.0) or d[2] != real(0.0):
                 lowest = wp.min(lowest, k)
                 highest = k
-        first = size
+        first = window[1]
         last = wp.vec3i(-1)
         if highest >= 0:
-            first = low + wp.vec3i(i, j, lowest)
-            last = low + wp.vec3i(i, j, highest)
+            first = box[0] + wp.vec3i(i, j, lowest)
+            last = box[0] + wp.vec3i(i, j, highest)
         for axis in range(3):
             lower_to(low_out, axis, first[axis])
             raise_to(high_out, axis, last[axis])

@@ -12,6 +12,7 @@ import warp as wp
 from phy124.kernels.build import kernel
 from phy124.kernels.diagnostics import add3, kinetic_energy, wide
 from phy124.kernels.reduction import add_to
+from phy124.kernels.rows import row_in_copy, row_in_grid
 from phy124.kernels.transfer import types
 
 IMPULSE, WORK, MOVED, TURNED, GIVEN = 0, 3, 4, 5, 6
@@ -102,12 +103,10 @@ def make_wall_copy(real: Any):
         kept_out: wp.array(dtype=t.vec4),
     ):  # fmt: skip
         i, j, part = wp.tid()
-        size = window[1]
-        low = box[0]
-        count = box[1]
-        row = ((i + low[0]) * size[1] + j + low[1]) * size[2] + low[2]
+        row = row_in_grid(box, window, i, j)
+        copy = row_in_copy(box, i, j)
         for k in range(part * each, part * each + each):
-            kept_out[(i * count[1] + j) * count[2] + k] = grid[row + k]
+            kept_out[copy + k] = grid[row + k]
 
     return wall_copy
 
@@ -132,10 +131,8 @@ def make_wall_sums(real: Any):
         given_out: wp.array(dtype=wp.float64),
     ):  # fmt: skip
         i, j, part = wp.tid()
-        size = window[1]
-        low = box[0]
-        count = box[1]
-        row = ((i + low[0]) * size[1] + j + low[1]) * size[2] + low[2]
+        row = row_in_grid(box, window, i, j)
+        copy = row_in_copy(box, i, j)
         impulse = wp.vec3d()
         work = wp.float64(0.0)
         moved = wp.float64(0.0)
@@ -143,7 +140,7 @@ def make_wall_sums(real: Any):
         for k in range(part * each, part * each + each):
             q = grid[row + k]
             if q[3] > real(0.0):
-                d = q - kept[(i * count[1] + j) * count[2] + k]
+                d = q - kept[copy + k]
                 if d[0] != real(0.0) or d[1] != real(0.0) or d[2] != real(0.0):
                     J = wp.float64(q[3]) * wide(d)
                     gain = wp.dot(J, wide(q))

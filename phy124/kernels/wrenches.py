@@ -7,6 +7,7 @@ import warp as wp
 
 from phy124.kernels.build import kernel
 from phy124.kernels.diagnostics import add3, wide
+from phy124.kernels.rows import row_in_copy, row_in_grid
 from phy124.kernels.transfer import types
 
 IMPULSE, MOMENT, SUMS = 0, 3, 6
@@ -32,10 +33,8 @@ def make_wall_wrench(real: Any):
         sums_out: wp.array(dtype=wp.float64),
     ):  # fmt: skip
         i, j, part = wp.tid()
-        size = window[1]
-        low = box[0]
-        count = box[1]
-        row = ((i + low[0]) * size[1] + j + low[1]) * size[2] + low[2]
+        row = row_in_grid(box, window, i, j)
+        copy = row_in_copy(box, i, j)
         origin = wide(wp.vector(lattice[0], lattice[1], lattice[2]))
         dx = wp.float64(lattice[3])
         impulse = wp.vec3d()
@@ -43,9 +42,9 @@ def make_wall_wrench(real: Any):
         for k in range(part * each, part * each + each):
             q = grid[row + k]
             if q[3] > real(0.0):
-                d = q - kept[(i * count[1] + j) * count[2] + k]
+                d = q - kept[copy + k]
                 if d[0] != real(0.0) or d[1] != real(0.0) or d[2] != real(0.0):
-                    node = window[0] + low + wp.vec3i(i, j, k)
+                    node = window[0] + box[0] + wp.vec3i(i, j, k)
                     at = origin + dx * wp.vec3d(
                         wp.float64(node[0]), wp.float64(node[1]), wp.float64(node[2])
                     )
