@@ -30,6 +30,8 @@ ALONE = {
     "bin_serial": "a single thread, for CPUs",
     "blend_tiles_simd": "rows for the vector units of a CPU",
     "blend_staged_simd": "likewise",
+    "cover_simd": "likewise",
+    "project_simd": "likewise",
     "tint_splats_simd": "likewise",
     "timestep": "a single thread, inside a graph",
 }

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from phy124.gaussians import Gaussians, rotation_matrices
+from phy124.kernels.splat.shadow import cover
 from phy124.rendering.stage import shadow
 from phy124.rendering.stage.shadow import CELLS, LAMP, SKY, SLOPE, SOFTNESS, Caster
 
@@ -98,6 +99,22 @@ def test_one_that_stands_for_others_is_as_much_wider(rng, monkeypatch):
     x, y = caster.places()
     inside = np.hypot(x[:, None], y[None]) < 0.35
     assert caster.shade(disc, 0.0)[inside].min() > 0.95 * whole[inside].min()
+
+
+def test_both_forms_of_the_kernel_cover_the_same_cells(rng, monkeypatch):
+    """Sixteen at a time and one by one: points, discs, needles, at the border and unusable ones."""
+    n = 203
+    means, scales = rng.uniform(-1.6, 1.6, (n, 3)), np.exp(rng.uniform(-9, -1, (n, 3)))
+    means[5], scales[7], scales[20] = np.nan, np.inf, 1e30
+    opacities = rng.uniform(0, 1, n)
+    opacities[9] = np.nan
+    cloud = Gaussians.from_rgb(means, rng.normal(size=(n, 4)), scales, opacities, np.ones((n, 3)))
+    caster = Caster((0.0, 0.0), 1.5, 1.0)
+    fast = caster._depth(cloud, 0.0)
+    monkeypatch.setattr(shadow, "covering", lambda device: (cover, 1))
+    slow = caster._depth(cloud, 0.0)
+    assert (slow > 0.01).sum() > 1000
+    np.testing.assert_allclose(fast, slow, atol=2e-5)
 
 
 @pytest.mark.parametrize(

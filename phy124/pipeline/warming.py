@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from phy124.accuracy.ball import ball
-from phy124.kernels.splat import shadow, stage, stage_simd
+from phy124.kernels.splat import shadow, shadow_simd, stage, stage_simd
 from phy124.progress import Progress, silent
 from phy124.rendering.render import Renderer
 from phy124.runtime.compiling import compile_missing
@@ -14,7 +14,10 @@ from phy124.scene import Scene
 from phy124.simulation import Simulation
 from phy124.simulation.kernels import kernels
 
-STAGE = (shadow.cover, stage.draw_setting, stage_simd.blend_staged_simd)
+STAGE = {
+    "cpu": (shadow_simd.cover_simd, stage.draw_setting, stage_simd.blend_staged_simd),
+    "cuda": (shadow.cover, stage.draw_setting),
+}
 """One kernel of each module that draws a stage."""
 FEW = {"accuracy.cells": 8, "accuracy.particles_per_axis": 1.0, "time.frames": 2, "time.fps": 240.0}
 """What makes a run of any scene short; its precision stays, as kernels depend on it."""
@@ -32,7 +35,7 @@ def warm(scenes: Sequence[Scene], device: str = "cpu", progress: Progress = sile
     Returns:
         How many modules were compiled side by side.
     """
-    drawn = STAGE if device == "cpu" else STAGE[:2]
+    drawn = STAGE["cpu" if device == "cpu" else "cuda"]
     listed = [kernel for scene in scenes for kernel in kernels(scene, device)]
     compiled = compile_missing([*listed, *drawn], device, progress)
     Renderer(device=device)

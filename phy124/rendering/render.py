@@ -20,7 +20,7 @@ from phy124.camera import Camera
 from phy124.errors import InputError
 from phy124.gaussians import Array, Gaussians
 from phy124.kernels.splat import bin as binning
-from phy124.kernels.splat import blend, blend_simd, project, screen, stage_simd
+from phy124.kernels.splat import blend, blend_simd, project, project_simd, screen, stage_simd
 from phy124.rendering.pinhole import NEAR as NEAR
 from phy124.rendering.pinhole import pinhole
 from phy124.rendering.stage import draw
@@ -85,7 +85,10 @@ class Renderer:
         # The GPU's way of binning goes with its way of blending, so a CPU can test both.
         self._per_pixel = blend == "pixel"
         binned = binning.bin_parallel if self._per_pixel else binning.bin_serial
-        compile_missing((project.project, binned, self._blend), str(self.device))
+        # A form of projection goes with it too: how many Gaussians a thread has, and the kernel.
+        vectorised = 16, project_simd.project_simd
+        self._projection = vectorised if blend == "simd" else (1, project.project)
+        compile_missing((self._projection[1], binned, self._blend), str(self.device))
         self._buffers: dict[str, wp.array] = {}
         self._constants: dict[str, tuple[Any, Array, wp.array]] = {}
 
@@ -166,9 +169,10 @@ class Renderer:
         corners: Any = self._buffer("corners", math.prod(shape), wp.int32)
         corners.zero_()
         corners = corners[: math.prod(shape)].reshape(shape)
+        each, kernel = self._projection
         wp.launch(
-            project.project,
-            dim=n,
+            kernel,
+            dim=math.ceil(n / each),
             inputs=[
                 self._given(gaussians.means, wp.vec3),
                 self._given(gaussians.quats, wp.vec4),

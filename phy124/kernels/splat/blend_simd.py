@@ -1,16 +1,18 @@
 """Blending by tile for CPUs: `blend.blend_tiles` in C++ whose pixel rows the compiler vectorises.
 
 A row of a tile is 16 floats: one AVX-512, two AVX2 or four NEON registers. The loop over a row has
-no branch; a finished pixel (T < 0) and a skipped splat contribute a weight of zero instead. Inside
-a snippet `float(x)` and `int(x)` are macros of Warp, so casts are written in C style.
+no branch; a finished pixel (T < 0) and a skipped splat contribute a weight of zero instead.
 """
 
 import warp as wp
 
 from phy124.kernels.build import kernel
+from phy124.kernels.splat.elementary_simd import FUNCTIONS
 from phy124.kernels.splat.screen import Splat, View
 
-BLEND_TILE = r"""
+BLEND_TILE = (
+    FUNCTIONS
+    + r"""
     alignas(64) float T[256], R[256], G[256], B[256], centres[16];
     const int left = tile % view.columns * 16, top = tile / view.columns * 16;
     for (int j = 0; j < 256; ++j) {
@@ -50,16 +52,7 @@ BLEND_TILE = r"""
                 const float dx = centres[x] - middle;
                 float power = cx * dx * dx + row;            // in powers of 2, never positive
                 power = power > -30.0f ? power : -30.0f;     // also where it is NaN
-                // 2^power = 2^whole 2^rest: adding 1.5 2^23 rounds to the nearest whole number,
-                // whose bits then go into the exponent. The polynomial is Taylor's, |rest| <= 1/2.
-                const float shifted = power + 12582912.0f;
-                const float rest = power - (shifted - 12582912.0f);
-                union { float value; int bits; } whole, result;
-                whole.value = shifted;
-                result.value = 1.0f + rest * (0.693147181f + rest * (0.240226507f
-                    + rest * (0.0555041087f + rest * (0.00961812911f + rest * 0.00133335581f))));
-                result.bits += whole.bits << 23;
-                float alpha = opacity * result.value;
+                float alpha = opacity * power_of_2(power);
                 alpha = alpha < 0.99f ? alpha : 0.99f;
                 const float t = Tr[x], left_over = t * (1.0f - alpha);
                 const bool hit = alpha >= 0.00392156863f && t > 0.0f;
@@ -95,6 +88,7 @@ BLEND_TILE = r"""
             alpha_out.data[pixel] = 1.0f - t;
         }
 """
+)
 
 
 @wp.func_native(BLEND_TILE)

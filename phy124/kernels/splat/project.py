@@ -41,6 +41,15 @@ def colour_towards(sh: wp.array2d(dtype=wp.vec3), i: int, degree: int, d: wp.vec
 
 
 @wp.func
+def colour_seen(sh: wp.array2d(dtype=wp.vec3), i: int, degree: int, away: wp.vec3) -> wp.vec3:
+    """Colour of Gaussian i, which is `away` from the camera, unclamped."""
+    towards = wp.vec3()
+    if degree > 0:
+        towards = wp.normalize(away)
+    return colour_towards(sh, i, degree, towards)
+
+
+@wp.func
 def screen_axes(p: wp.vec3, quat: wp.vec4, scale: wp.vec3, view: View):
     """The Gaussian's axes on the screen in two rows [px]; their dot products are its covariance."""
     u = wp.clamp(p[0] / p[2], -view.limit[0], view.limit[0])
@@ -133,10 +142,7 @@ def project(
     tiles = tiles_of(splat)
     if tiles[2] > tiles[0]:
         depth = p[2]
-        towards = wp.vec3()
-        if degree > 0:
-            towards = wp.normalize(means[i] - view.eye)
-        colour = colour_towards(sh, i, degree, towards)
+        colour = colour_seen(sh, i, degree, means[i] - view.eye)
         splat.colour = wp.max(colour, wp.vec3(0.0, 0.0, 0.0))
         if not finite(colour[0] + colour[1] + colour[2]):
             splat.box = wp.vec4i(0, 0, 0, 0)

@@ -50,13 +50,13 @@ def cover(
     per metre that they fall, `weight` how many Gaussians each one stands for.
     """
     n = wp.tid()
-    # Not a number is less than nothing and not more.
-    opacity = wp.min(opacities[n], 0.99)
     mean = means[n]
     scale = scales[n]
     sums = mean[0] + mean[1] + mean[2] + scale[0] + scale[1] + scale[2]
-    if not (opacity > 0.004 and finite(sums)):
+    # Not a number is not more than anything.
+    if not (opacities[n] > 0.004 and finite(sums)):
         return
+    opacity = wp.min(opacities[n], 0.99)
     height = wp.max(mean[2] - origin[2], 0.0)
     last = float(layers_out.shape[0] - 1)
     level = last * wp.sqrt(wp.min(height / tallest, 1.0))
@@ -76,8 +76,9 @@ def cover(
     size = float(wp.max(layers_out.shape[1], layers_out.shape[2]))
     if not (x > -size and y > -size and x < 2.0 * size and y < 2.0 * size):
         return
+    # Lagrange's identity: the determinant without cancellation.
+    area = wp.length(wp.cross(across, along))
     if wp.max(a, c) < NARROW * NARROW:
-        area = wp.sqrt(wp.max(a * c - b * b, 0.0))
         amount = 6.2831853 * thickness(opacity) * area
         i = int(wp.floor(x))
         j = int(wp.floor(y))
@@ -89,13 +90,12 @@ def cover(
         put(layers_out, i + 1, j + 1, layer, upper, amount * u * v)
         return
     # A needle is as wide as a cell's fraction, as in project.py; its depth shrinks with that.
-    wide = wp.sqrt(wp.max(a * c - b * b, 0.0))
+    det = area * area + 0.1 * (a + c) + 0.01
     a += 0.1
     c += 0.1
-    det = a * c - b * b
     if not (finite(det) and det > 0.0):
         return
-    peak = opacity * wp.min(wide / wp.sqrt(det), 1.0)
+    peak = opacity * wp.min(area / wp.sqrt(det), 1.0)
     reach_x = wp.min(REACH * wp.sqrt(a), 2.0 * size)
     reach_y = wp.min(REACH * wp.sqrt(c), 2.0 * size)
     for i in range(int(wp.max(wp.ceil(x - reach_x), 0.0)), int(wp.min(x + reach_x + 1.0, size))):

@@ -14,10 +14,10 @@ Both are convolutions, so that a map costs one Fourier transform for each layer 
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -27,6 +27,7 @@ from scipy.special import k1
 
 from phy124.gaussians import Array, Gaussians
 from phy124.kernels.splat.shadow import cover
+from phy124.kernels.splat.shadow_simd import cover_simd
 
 CELLS = 128
 """Cells along a side of the map."""
@@ -45,6 +46,11 @@ GLASS = 0.25
 """Coverage of a boundary, which is drawn as glass."""
 EDGE = 0.1
 """Part of the map, at each border, in which the shadow fades."""
+
+
+def covering(device: str) -> tuple[Any, int]:
+    """The kernel that covers the floor on a device, and how many Gaussians a thread has."""
+    return (cover_simd, 16) if wp.get_device(device).is_cpu else (cover, 1)
 
 
 @dataclass(frozen=True)
@@ -86,13 +92,14 @@ class Caster:
         depth = self._depth(gaussians, floor)
         if glass is not None:
             depth += glass
-        # What the floor sees of each layer through those below it.
-        for lower, layer in itertools.pairwise(depth):
-            layer += lower
-        through = np.exp(-depth)
-        seen = 1 - through
-        seen[1:] = through[:-1] - through[1:]
-        total = np.sum(np.asarray(fft.rfft2(seen)) * self._response, axis=0)
+        # What the floor sees of each layer through those below it; a layer fits into the cache.
+        total = np.zeros(self._response.shape[1:], np.complex64)
+        below, open = np.zeros((CELLS, CELLS), np.float32), np.ones((CELLS, CELLS), np.float32)
+        for layer, response in zip(depth, self._response, strict=True):
+            below += layer
+            through = np.exp(-below)
+            total += np.asarray(fft.rfft2(open - through)) * response
+            open = through
         shade = np.asarray(fft.irfft2(total, (CELLS, CELLS))) * self._window
         return np.clip(shade, 0, LAMP + SKY).astype(np.float32)
 
@@ -110,7 +117,9 @@ class Caster:
         inputs += [given(gaussians.opacities, float), given(gaussians.means, wp.vec3)]
         inputs += [given(gaussians.quats, wp.vec4), given(gaussians.scales, wp.vec3)]
         count = len(gaussians.opacities[::step])
-        wp.launch(cover, count, inputs=inputs, outputs=[layers], device=self.device)
+        kernel, each = covering(self.device)
+        threads = math.ceil(count / each)
+        wp.launch(kernel, threads, inputs=inputs, outputs=[layers], device=self.device)
         return np.asarray(layers.numpy(), np.float32)
 
     @cached_property

@@ -23,8 +23,10 @@ def along_rows(extent: Iterable[int], device: str) -> tuple[tuple[int, int, int]
 def choose() -> None:
     """Choose them; before anything else of phy124 is imported, as names are bound then."""
     reduction.shared_out, reduction.along_rows = shared_out, along_rows
+    from phy124.kernels.splat.shadow import cover
     from phy124.mpm import model
     from phy124.rendering import render
+    from phy124.rendering.stage import shadow
 
     model.form_of = lambda precision, device: "plain"
     usual = render.Renderer.__init__
@@ -33,3 +35,4 @@ def choose() -> None:
         usual(self, device=device, blend="pixel" if blend == "auto" else blend, filter=filter)
 
     render.Renderer.__init__ = by_pixel
+    shadow.covering = lambda device: (cover, 1)
