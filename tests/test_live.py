@@ -8,7 +8,7 @@ import pytest
 from phy124.accuracy.ball import ball
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
-from phy124.live import Live, RealTime, held_rate
+from phy124.live import Live, RealTime, choose, held_rate
 from phy124.scene import Scene
 from support.pages import ROOT, blocks
 
@@ -218,6 +218,22 @@ def test_the_grid_is_as_fine_as_this_machine_holds():
     assert exact.promise.error <= 0.05 and "at most" in exact.sentence
     with pytest.raises(InputError, match="rate"):
         held_rate(thing(), scene(), rate=float("nan"))
+
+
+def test_the_finest_grid_that_keeps_up_is_told_from_one_trial(monkeypatch):
+    tried = []
+
+    def trial(gaussians: Gaussians, on: Scene, options: dict) -> choose.Cost:
+        tried.append(on.resolution.cells)
+        return choose.Cost(12, substeps=0.002, others=0.01)
+
+    monkeypatch.setattr(choose, "_trial", trial)
+    # A frame may take 0.8 / 24 = 33 ms: 25.4 of 20 cells and 42 of 24 fit and do not.
+    held = held_rate(thing(), scene())
+    assert held.scene.resolution.cells == 20 and tried == [12]
+    assert held.factor == pytest.approx(1 / (24 * (0.01 + 0.002 * (20 / 12) ** 4)))
+    assert held_rate(thing(), scene(), rate=0.5).scene.resolution.cells == 24
+    assert held_rate(thing(), scene(), rate=4).scene.resolution.cells == 8
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""How fine a live run may be on this machine: a short trial, and the finest grid that keeps up."""
+"""How fine a live run may be on this machine: a trial of half a second tells what grids take."""
 
 from __future__ import annotations
 
@@ -7,20 +7,34 @@ from typing import Any, NamedTuple
 
 from phy124.accuracy.promises import Promise, promise
 from phy124.gaussians import Gaussians
+from phy124.live.engine import Live
 from phy124.live.limits import number
+from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
-from phy124.simulation import Simulation, Stopped
 
 CELLS = (8, 10, 12, 14, 16, 20, 24, 28, 32)
 """Grids that may be chosen."""
-FIRST = 12
-"""The grid that is tried first."""
+TRIED = 12
+"""The grid of the trial, unless an error is asked for."""
 SPARE = 0.8
 """Fraction of a frame's time that the run may take."""
-FRAMES, SECONDS = 4, 0.2
-"""A trial has as many frames, and ends after so much time [s]."""
+WARM, FRAMES, SECONDS = 2, 6, 0.2
+"""A trial has so many frames before it counts, so many that count, and no more time [s]."""
 COST_POWER = 4
-"""The cost of a frame grows with this power of the cells: particles in space, and substeps."""
+"""Substeps cost as this power of the cells: particles fill space, and substeps get shorter."""
+
+
+class Cost(NamedTuple):
+    """What a frame takes on the grid that was tried [s]."""
+
+    cells: int
+    substeps: float
+    others: float
+    """Shapes of the Gaussians and whatever else does not depend on the grid."""
+
+    def on(self, cells: int) -> float:
+        """On another grid."""
+        return self.others + self.substeps * (cells / self.cells) ** COST_POWER
 
 
 class Choice(NamedTuple):
@@ -28,7 +42,7 @@ class Choice(NamedTuple):
 
     scene: Scene
     factor: float
-    """Simulated seconds per second that the trial reached."""
+    """Simulated seconds per second that the machine can do, told from the trial."""
     promise: Promise
     """What error it is promised."""
 
@@ -62,17 +76,15 @@ def held_rate(
         InputError: The object or the scene cannot be used, or a number is out of bounds.
     """
     rate = number("rate", rate, 0.01, 100)
-    allowed = SPARE / (scene.time.fps * rate)
-    cells = (
-        FIRST
-        if max_error is None
-        else _exact_enough(scene, number("max_error", max_error, 1e-6, 1))
-    )
-    spent = _trial(gaussians, _on(scene, cells), options)
     if max_error is None:
-        cells, spent = _finest(gaussians, scene, cells, spent, allowed, options)
+        cost = _trial(gaussians, _on(scene, TRIED), options)
+        allowed = SPARE / (scene.time.fps * rate)
+        cells = max((n for n in CELLS if cost.on(n) <= allowed), default=CELLS[0])
+    else:
+        cells = _exact_enough(scene, number("max_error", max_error, 1e-6, 1))
+        cost = _trial(gaussians, _on(scene, cells), options)
     chosen = _on(scene, cells)
-    return Choice(chosen, 1 / (scene.time.fps * spent), promise(chosen))
+    return Choice(chosen, 1 / (scene.time.fps * cost.on(cells)), promise(chosen))
 
 
 def _on(scene: Scene, cells: int) -> Scene:
@@ -90,35 +102,23 @@ def _exact_enough(scene: Scene, error: float) -> int:
     return CELLS[-1]
 
 
-def _finest(
-    gaussians: Gaussians, scene: Scene, tried: int, spent: float, allowed: float,
-    options: dict[str, Any],
-) -> tuple[int, float]:  # fmt: skip
-    """The finest grid that takes no longer per frame than allowed [s], and its seconds."""
-    known = {tried: spent}
-    fits = [n for n in CELLS if spent * (n / tried) ** COST_POWER <= allowed]
-    index = CELLS.index(fits[-1]) if fits else 0
-    while CELLS[index] not in known:
-        known[CELLS[index]] = _trial(gaussians, _on(scene, CELLS[index]), options)
-        if known[CELLS[index]] > allowed and index > 0:
-            index -= 1
-    return CELLS[index], known[CELLS[index]]
-
-
-def _trial(gaussians: Gaussians, scene: Scene, options: dict[str, Any]) -> float:
-    """Seconds per frame of the first frames, without the very first, which may compile."""
-    timing = scene.time.model_copy(update={"sleep": False, "budget": 1e8})
-    run = Simulation(
-        gaussians, scene.model_copy(update={"time": timing}), keep=False, **options
-    )  # fmt: skip
-    spent: list[float] = []
-    try:
-        run.step()
-        run.step()
-        while len(spent) < FRAMES and sum(spent) < SECONDS:
-            begun = time.perf_counter()
-            run.step()
-            spent.append(time.perf_counter() - begun)
-    except Stopped:
-        return max(spent, default=1.0)
-    return sorted(spent)[len(spent) // 2]
+def _trial(gaussians: Gaussians, scene: Scene, options: dict[str, Any]) -> Cost:
+    """What frames take while a hand swings the object by its top, which costs most."""
+    watch = Stopwatch()
+    live = Live(gaussians, scene, **options, watch=watch)
+    means = live.step().gaussians.means
+    x, y, z = means[means[:, 2].argmax()].tolist()
+    live.grab((x, y, z))
+    sway = 0.3 * live.limits.size
+    frames: list[tuple[float, float]] = []
+    for count in range(WARM + FRAMES):
+        live.to((x, y + (sway if count % 2 else -sway), z))
+        begun, before = time.perf_counter(), watch.seconds.get("simulate", 0.0)
+        live.step()
+        substeps = watch.seconds.get("simulate", 0.0) - before
+        frames.append((time.perf_counter() - begun, substeps))
+        if sum(whole for whole, _ in frames[WARM:]) > SECONDS:
+            break
+    counted = sorted(frames[WARM:])
+    whole, substeps = counted[len(counted) // 2]
+    return Cost(scene.resolution.cells, substeps, whole - substeps)
