@@ -5,10 +5,11 @@ import pytest
 from PIL import Image
 
 from phy124.__main__ import main
-from phy124.commands.orient import SIZE, candidates
+from phy124.commands.orient import SIZE
 from phy124.gaussians import Gaussians
 from phy124.io.axes import FRONTS
 from phy124.io.ply import write_ply
+from phy124.rendering.orienting import candidates
 
 
 @pytest.fixture

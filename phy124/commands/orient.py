@@ -11,22 +11,18 @@ import tyro
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from phy124.camera import Camera
 from phy124.commands.options import Device
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
-from phy124.generators.ply_file import PlyFile, Reading, normalised
+from phy124.generators.ply_file import Reading
 from phy124.io.axes import FRONTS
 from phy124.io.files import replacing
-from phy124.particles.thinning import thinned
+from phy124.rendering.orienting import candidates, drawn, samples
 from phy124.rendering.render import Renderer
 from phy124.runtime.device import pick_device
 
 SIZE = 320
 """Side of one picture, pixels."""
-ENOUGH = 30_000
-"""Gaussians that show which way is up."""
-TURNS = ("x", "y", "z", "-x", "-y", "-z")
 
 
 @dataclass(frozen=True)
@@ -53,7 +49,8 @@ class Orient:
         if self.up is not None and self.up not in FRONTS:
             raise InputError("up", self.up, "It is no axis.", f"Choose one of {', '.join(FRONTS)}.")
         renderer = Renderer(device=pick_device(self.device))
-        tiles = [_tile(renderer, self._read(reading), reading) for reading in candidates(self.up)]
+        gaussians = samples(str(self.file))
+        tiles = [_tile(renderer, gaussians, reading) for reading in candidates(self.up)]
         if self.out is None:
             out.parent.mkdir(exist_ok=True)
         with replacing(out) as temporary:
@@ -61,23 +58,10 @@ class Orient:
         print(out)
         return 0
 
-    def _read(self, reading: Reading) -> Gaussians:
-        opened = PlyFile(str(self.file), reading).open()
-        return normalised(thinned(opened.gaussians, ENOUGH, seed=0), str(self.file))
-
-
-def candidates(up: str | None) -> list[Reading]:
-    """The ways up, each with its usual front; of a known way up, its fronts."""
-    if up is None:
-        return [Reading(up=axis, front=FRONTS[axis]) for axis in ("-y", "y", "z", "-z", "x", "-x")]
-    return [Reading(up=up, front=axis) for axis in TURNS if axis[-1] != up[-1]]
-
 
 def _tile(renderer: Renderer, gaussians: Gaussians, reading: Reading) -> NDArray[np.uint8]:
-    """The object from its front, a little from above, with its options below [H,W,3]."""
-    camera = Camera.orbit(20.0, 15.0, 1.6, SIZE)
-    picture = np.asarray(renderer(gaussians, camera))[..., :3]
-    tile = Image.fromarray((np.clip(picture, 0, 1) * 255).round().astype(np.uint8))
+    """The object from its front, with its options below [H,W,3]."""
+    tile = Image.fromarray(drawn(renderer, gaussians, reading, SIZE))
     words = f"--up={reading.up} --front={reading.front}"
     ImageDraw.Draw(tile).text((8, SIZE - 20), words, fill=(60, 60, 60))
     return np.asarray(tile)

@@ -89,6 +89,8 @@ class Opened(NamedTuple):
     """From the file's axes to ours [3,3]."""
     cleaning: list[str]
     """A sentence for each reason why some were dropped."""
+    axes: tuple[str, str | None] = Y_DOWN
+    """Directions of the file that point up and to the front, as the file or its format has them."""
 
 
 @dataclass(frozen=True)
@@ -170,6 +172,7 @@ class PlyFile:
                 for why, count in left_out.items()
                 if count
             ],
+            content.axes,
         )
 
     def _hint(self, content: Content) -> None:

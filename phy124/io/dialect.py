@@ -1,16 +1,22 @@
-"""Which program may have written a PLY file: told by its columns and by where its points lie.
+"""Which program may have written a file, told by its columns and by where its points lie, and
+which way up it hence is.
 
 Few programs sign their files, so this is a guess from what each is known to write
-(docs/guide/plugins.md); it is told to the user, never acted upon.
+(docs/guide/plugins.md); it is told to the user, never acted upon without a look at it.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from phy124.io.axes import DIALECTS, FRONTS
+from phy124.io.content import Y_UP
+from phy124.io.formats import recognised
+from phy124.io.ply import VERTICAL
 from phy124.io.plyheader import Header, read_header
 
 ENOUGH = 10_000
@@ -26,6 +32,48 @@ UNIT = 1e-3
 """How far the length of a unit quaternion may be off 1."""
 
 
+class Axes(NamedTuple):
+    """Which directions of a file point up and to the front."""
+
+    up: str
+    front: str
+    said: bool
+    """Whether the file or its format says so; else it is a guess."""
+    program: str | None = None
+    """The program that the file looks like, and why, if that is unusual."""
+
+
+def likely_axes(path: Path, axes: tuple[str, str | None]) -> Axes:
+    """The axes that a file most likely has.
+
+    Args:
+        path: The file.
+        axes: Those with which its reader has read it.
+
+    Raises:
+        InputError: If the file is missing or of no format that is read.
+    """
+    up, front = axes[0], axes[1] or FRONTS[axes[0]]
+    form = recognised(path)
+    if form.name != "ply":
+        # glTF and SPZ define their axes; the others have them by habit.
+        return Axes(up, front, form.axes == Y_UP)
+    likely = likely_dialect(path)
+    if likely is not None and axes[0] == DIALECTS["3dgs"][0]:
+        return Axes(*DIALECTS[likely[0]], False, likely[1])
+    return Axes(up, front, _names_its_axes(read_header(path)))
+
+
+def _names_its_axes(header: Header) -> bool:
+    """Whether a comment says which way is up; a bare y may be meant either way."""
+    named = [found[1].lower() for text in header.comments if (found := VERTICAL.fullmatch(text))]
+    return _signed(header) or any(name != "y" for name in named)
+
+
+def _signed(header: Header) -> bool:
+    return any(program in text for text in header.comments for program in SIGNED)
+
+
 def likely_dialect(path: Path) -> tuple[str, str] | None:
     """The dialect that a file may have, and what of it says so; None for the usual one.
 
@@ -34,8 +82,7 @@ def likely_dialect(path: Path) -> tuple[str, str] | None:
     """
     header = read_header(path)
     names = header.row.names or ()
-    signed = any(program in text for text in header.comments for program in SIGNED)
-    if signed or header.ascii or "f_rest_0" in names or not set(LGM) <= set(names):
+    if _signed(header) or header.ascii or "f_rest_0" in names or not set(LGM) <= set(names):
         return None
     rows = np.fromfile(path, header.row, min(header.count, ENOUGH), offset=header.start)
     reach, unit = _reach(rows), _unit(rows)
