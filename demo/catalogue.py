@@ -13,10 +13,12 @@ from typing import Any
 
 from phy124.cost import count_particles
 from phy124.errors import InputError
+from phy124.io.formats import ENDINGS
 from phy124.materials import Elastic
 from phy124.scene import GOOD_FOR, PRESETS, Scene, preset_names
 from phy124.scene.files import files_named
 
+from .gaussian_files import SMALLER
 from .known import options as known_options
 from .pictures import check_picture
 from .settings import Settings
@@ -56,7 +58,9 @@ def catalogue(settings: Settings) -> dict[str, Any]:
             "size": settings.max_pixels,
             "bytes": settings.max_bytes,
             "megapixels": settings.max_megapixels,
-            "too_large": f"{settings.too_large} {settings.make_smaller}",
+            "file_bytes": settings.max_file_bytes,
+            "too_large": f"{settings.file_too_large} {SMALLER}",
+            "file_endings": ENDINGS,
         },
     }
 

@@ -18,9 +18,12 @@ from phy124.section import Section
 from .exports import EXPORTS, export
 from .handlers import Handler
 from .identity import visitor_of
-from .jobs import Studio, complaint, read_report
+from .jobs import Studio, read_report
+from .known import AXES
 from .line import Job
 from .photo import photo, refusal
+from .sentences import complaint
+from .source import Source
 from .strokes import place_of
 from .studies import read_study
 from .visitors import Visitor
@@ -45,7 +48,8 @@ def endpoints(studio: Studio) -> None:
         facing = _choice(OtherViews, "facing")
         thickness = _unread(gr.Number(label="thickness"))
         highlights = _choice(OtherViews, "highlights")
-        known = [depth, near, side, facing, back, thickness, highlights]
+        up, front = (_unread(gr.Textbox(None, label=option)) for option in AXES)
+        known = [depth, near, side, facing, back, thickness, highlights, up, front]
         views = _unread(gr.CheckboxGroup(VIEWS, label="views"))
         size = _unread(gr.Number(512, label="size", precision=0, minimum=16))
         elevation = _unread(gr.Number(10, label="elevation", minimum=-89, maximum=89))
@@ -89,26 +93,27 @@ def _generate(studio: Studio) -> Handler:
         image: str | None, preset: str, accuracy: str, frames: int, changes: Any, formats: Any,
         pick: Any, request: gr.Request, depth: str | None = None, near: str = "white",
         side: str | None = None, facing: str = "left", back: str | None = None,
-        thickness: float | None = None, highlights: str = "keep",
+        thickness: float | None = None, highlights: str = "keep", up: str | None = None,
+        front: str | None = None,
     ) -> Iterator[tuple[Any, ...]]:  # fmt: skip
-        """Turn a picture into a moving object: its files and its report."""
+        """Turn a picture or a file of Gaussians into a moving object: its files and its report."""
         name = visitor_of(request)
         kinds = _chosen("formats", formats or [], list(EXPORTS))
         told = {
             "depth": depth, "near": near, "side": side, "facing": facing, "back": back,
-            "thickness": thickness, "highlights": highlights,
+            "thickness": thickness, "highlights": highlights, "up": up, "front": front,
         }  # fmt: skip
         scene, cutting = _cut(studio, name, image, preset, accuracy, frames, changes, pick, told)
         visitor, data = studio.visitors.get(name), scene.data()
         for _ in _followed(cutting, visitor, "image"):
             yield (gr.skip(),) * 3
-        cutout = cutting.progress.result.path
-        job = _begun(studio.run, name, cutout, data, told)
+        source = cutting.progress.result
+        job = _begun(studio.run, name, source, data, told)
         for _ in _followed(job, visitor, "run"):
             yield (gr.skip(),) * 3
         done = job.progress.result
         made = [str(export(kind, done)) for kind in kinds]
-        yield (done, cutout, data, told), _paths(done) + made, read_report(done)
+        yield (done, source, data, told), _paths(done) + made, read_report(done)
 
     return generate
 
@@ -118,19 +123,20 @@ def _measure(studio: Studio) -> Handler:
         image: str | None, preset: str, accuracy: str, frames: int, changes: Any,
         pick: Any, request: gr.Request, depth: str | None = None, near: str = "white",
         side: str | None = None, facing: str = "left", back: str | None = None,
-        thickness: float | None = None, highlights: str = "keep",
+        thickness: float | None = None, highlights: str = "keep", up: str | None = None,
+        front: str | None = None,
     ) -> Iterator[tuple[Any, ...]]:  # fmt: skip
         """Measure the error of a scene as a fraction of its size, and the seconds of each grid."""
         name = visitor_of(request)
         told = {
             "depth": depth, "near": near, "side": side, "facing": facing, "back": back,
-            "thickness": thickness, "highlights": highlights,
+            "thickness": thickness, "highlights": highlights, "up": up, "front": front,
         }  # fmt: skip
         scene, cutting = _cut(studio, name, image, preset, accuracy, frames, changes, pick, told)
         visitor = studio.visitors.get(name)
         for _ in _followed(cutting, visitor, "image"):
             yield (gr.skip(),) * 3
-        job = _begun(studio.measure, name, cutting.progress.result.path, scene.data(), told)
+        job = _begun(studio.measure, name, cutting.progress.result, scene.data(), told)
         for _ in _followed(job, visitor, "measure"):
             yield (gr.skip(),) * 3
         study = read_study(job.progress.result.study)
@@ -146,7 +152,7 @@ def _cut(
     studio: Studio, name: str, image: str | None, preset: str, accuracy: str, frames: int,
     changes: Any, pick: Any, told: dict[str, Any],
 ) -> tuple[Scene, Job]:  # fmt: skip
-    """The scene that a program asks for, and the job that cuts out its picture."""
+    """The scene that a program asks for, and the job that opens its picture or file."""
     # A name of no preset could be that of a file.
     _chosen("preset", [preset], preset_names())
     _chosen("accuracy", [accuracy], list(PRESETS))
@@ -155,7 +161,7 @@ def _cut(
         length = {} if "time.seconds" in changed else {"time.frames": frames}
         scene = Scene.named(preset).replaced({"accuracy": accuracy, **length, **changed})
         studio.known(name, told)
-        return scene, studio.cut(name, image, pick=place_of(pick))
+        return scene, studio.take(name, image, place_of(pick))
     except InputError as error:
         raise refusal(complaint(error)) from None
 
@@ -184,11 +190,11 @@ def _render(studio: Studio) -> Handler:
         """Film this session's last run again; nothing is simulated."""
         if run is None:
             raise refusal(NOTHING_YET)
-        _, cutout, data, told = run
+        _, source, data, told = run
         name = visitor_of(request)
         view = {**data["view"], "size": size, "elevation": elevation}
         view["views"] = _chosen("views", views or [], VIEWS) or data["view"]["views"]
-        job = _begun(studio.run, name, cutout, {**data, "view": view}, told)
+        job = _begun(studio.run, name, source, {**data, "view": view}, told)
         for _ in _followed(job, studio.visitors.get(name), "run"):
             yield gr.skip(), gr.skip()
         yield _paths(job.progress.result), read_report(job.progress.result)
@@ -197,10 +203,10 @@ def _render(studio: Studio) -> Handler:
 
 
 def _begun(
-    begin: Callable[..., Job], name: str, cutout: str, data: dict[str, Any], told: dict[str, Any]
+    begin: Callable[..., Job], name: str, source: Source, data: dict[str, Any], told: dict[str, Any]
 ) -> Job:
     try:
-        return begin(name, cutout, data, told)
+        return begin(name, source, data, told)
     except InputError as error:
         raise refusal(complaint(error)) from None
 

@@ -39,38 +39,45 @@ INERT = "default-src 'none'; style-src 'unsafe-inline'; sandbox"
 
 
 class BodyLimit:
-    """Refuses requests that are larger than an upload may be, whatever size they declare."""
+    """Refuses requests that are too large, whatever size they declare.
 
-    def __init__(self, app: ASGIApp, most: int, message: str) -> None:
-        self.app, self.most, self.message = app, most, message
+    `most` is for those to the address `uploads`, `other` for all others: each the number of bytes
+    and what is said to larger ones.
+    """
+
+    def __init__(
+        self, app: ASGIApp, uploads: str, most: tuple[int, str], other: tuple[int, str]
+    ) -> None:
+        self.app, self.uploads, self.limits = app, uploads, (other, most)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer 413, or pass the request on."""
         if scope["type"] != "http":
             return await self.app(scope, receive, send)
+        most, message = self.limits[scope["path"] == self.uploads]
         length = dict(scope["headers"]).get(b"content-length", b"0")
-        if not length.isdigit() or int(length) > self.most:
-            return await self._refuse(scope, receive, send)
+        if not length.isdigit() or int(length) > most:
+            return await self._refuse(message, scope, receive, send)
         read = 0
 
         async def counted() -> Message:
             nonlocal read
             message = await receive()
             read += len(message.get("body", b""))
-            if read > self.most:
+            if read > most:
                 # To the application it looks as if the client had disconnected.
                 return {"type": "http.disconnect"}
             return message
 
         await self.app(scope, counted, send)
 
-    async def _refuse(self, scope: Scope, receive: Receive, send: Send) -> None:
+    async def _refuse(self, said: str, scope: Scope, receive: Receive, send: Send) -> None:
         # Read and discard the rest: a client that is still sending would not read an answer.
         read, more = 0, True
         while more and read < DRAIN:
             message = await receive()
             read, more = read + len(message.get("body", b"")), message.get("more_body", False)
-        answer = PlainTextResponse(self.message, 413, {"connection": "close"})
+        answer = PlainTextResponse(said, 413, {"connection": "close"})
         await answer(scope, receive, send)
 
 

@@ -19,20 +19,23 @@ from statistics import median
 from typing import Any
 
 from phy124.accuracy.compiling import seconds_to_compile
-from phy124.errors import Cancelled, InputError
+from phy124.errors import InputError
 from phy124.imaging.objects import Point
-from phy124.io.clip import Clip
+from phy124.io.formats import is_file_of_gaussians
 from phy124.runtime.device import pick_device
 from phy124.runtime.isolated import Deadline
 from phy124.scene import Scene
 
 from .catalogue import check_limits, check_time, scene_of
 from .forecast import Estimate, Estimator, measured, promise_of
+from .gaussian_files import check_file, opened
 from .known import Known, known_of
-from .line import Job, Line
+from .line import Job, Line, guarded
 from .pictures import check_picture, cut_by, cut_once, viewable
-from .progress import MEASURING
+from .progress import MEASURING, READING, STAGES
+from .sentences import complaint
 from .settings import Settings
+from .source import Cutout, GaussianFile, Source, is_there
 from .strokes import Stroke
 from .studies import Measurement, grids, on_grid, read_study
 from .visitors import Visitor, Visitors, key
@@ -40,43 +43,17 @@ from .work import (
     DEVICE,
     Done,
     Order,
+    gaussians_of,
     made_already,
     made_gaussians,
     steps,
     study_file,
 )
 
-STOPPED = "Stopped. Nothing was changed."
 CUTTERS = 2
 """Number of pictures that are cut out at the same time."""
 UNFINISHED = 3
 """Largest number of unfinished jobs of one visitor."""
-
-
-def sentence(error: InputError) -> str:
-    """An error for the visitor, without paths of the server."""
-    text = f"{error.limit} {error.remedy}"
-    return text[:1].upper() + text[1:]
-
-
-def complaint(error: InputError) -> str:
-    """An error for a program, beginning with the field."""
-    return f"{error.field}: {sentence(error)}"
-
-
-@dataclass(frozen=True)
-class Cutout:
-    """A picture with its object cut out."""
-
-    path: str
-    picture: str
-    """The uploaded picture in a format that browsers can show."""
-    doubts: tuple[str, ...] = ()
-    """Reasons to doubt that the right object was found; shown once."""
-    by: str = ""
-    """What cut it out, for a sentence."""
-    pick: Point | None = None
-    """The place on it that was clicked."""
 
 
 @dataclass
@@ -113,6 +90,43 @@ class Studio:
         """How long it takes to find an object; None before it was ever measured."""
         return median(self.searches) if self.searches else None
 
+    def take(self, name: str, sent: Any, pick: Point | None = None) -> Job:
+        """Start to cut the object out of an uploaded picture, or to read a file of Gaussians.
+
+        Args:
+            name: The visitor's name.
+            sent: The path of the upload, as the request gives it.
+            pick: A place on the object that is meant, if a picture has several.
+
+        Raises:
+            InputError: It is not an upload of this visitor, or the queue is full.
+        """
+        upload = self._upload(name, sent)
+        if not is_file_of_gaussians(upload):
+            return self.cut(name, sent, pick=pick)
+        if pick is not None:
+            limit = "A file of Gaussians holds one object only."
+            raise InputError("pick", pick, limit, "Leave it out.")
+        return self._read(self.visitors.get(name), upload)
+
+    def _upload(self, name: str, sent: Any) -> Path:
+        """The visitor's own upload that a request names; raises InputError."""
+        if not sent:
+            raise InputError("image", "none", "There is no picture yet.", "Choose one first.")
+        return self.visitors.own(name, sent)
+
+    def _read(self, visitor: Visitor, upload: Path) -> Job:
+        """Start to read a file of Gaussians."""
+        check_file(upload, self.settings)
+
+        def work(job: Job) -> None:
+            deadline = Deadline(self.settings.max_cut_seconds, job.check)
+            out = visitor.folder / "objects" / upload.stem
+            job.end("done", result=opened(upload, out, self.settings.gaussians, deadline))
+
+        job = Job("read", visitor.new_stop_file(), subject=str(upload))
+        return self._submit(visitor, job, self.cuts, work)
+
     def cut(
         self, name: str, picture: Any, strokes: Sequence[Stroke] = (), pick: Point | None = None,
         kind: str = "cut",
@@ -129,9 +143,7 @@ class Studio:
         Raises:
             InputError: It is not an upload of this visitor, or the queue is full.
         """
-        if not picture:
-            raise InputError("image", "none", "There is no picture yet.", "Choose one first.")
-        upload = self.visitors.own(name, picture)
+        upload = self._upload(name, picture)
         check_picture(upload, self.settings)
         visitor = self.visitors.get(name)
 
@@ -148,168 +160,172 @@ class Studio:
         job = Job(kind, visitor.new_stop_file(), subject=str(upload))
         return self._submit(visitor, job, self.cuts, work)
 
-    def forecast(self, name: str, cutout: str | None, data: Any, told: Any = None) -> str:
+    def forecast(self, name: str, source: Source | None, data: Any, told: Any = None) -> str:
         """The forecast of a run in words, or why it is not allowed.
 
         Args:
             name: The visitor's name.
-            cutout: Path of the cut-out, if there is one.
+            source: What the object is made of, if it is there.
             data: The scene as plain data.
             told: What else is known of the object, by option (`demo.known`).
         """
         visitor = self.visitors.known(name)
         try:
             scene = self._scene(visitor, data)
-            self._check_time(scene)
-            ready = self._ready(name, cutout, scene, told)
+            self._check_time(source, scene)
+            ready = self._ready(name, source, scene, told)
         except InputError as error:
             return complaint(error)
-        count, compiling = self.settings.gaussians, self._compiling(scene)
+        count, compiling = self.count(source), self._compiling(scene)
         estimate = self.forecaster(scene, gaussians=count, compiling=compiling, **ready)
-        return self._said(estimate, name, cutout, scene, told)
+        return self._said(estimate, name, source, scene, told)
 
-    def refine(self, name: str, cutout: str | None, data: Any, told: Any = None) -> str | None:
+    def refine(self, name: str, source: Source | None, data: Any, told: Any = None) -> str | None:
         """The forecast by a probe; None unless the Gaussians exist and the device is free.
 
         Args:
             name: The visitor's name.
-            cutout: Path of the cut-out, if there is one.
+            source: What the object is made of, if it is there.
             data: The scene as plain data.
             told: What else is known of the object, by option.
         """
         visitor = self.visitors.known(name)
-        if self.forks or visitor is None or not cutout or not Path(cutout).exists():
+        if self.forks or visitor is None or source is None or not is_there(source):
             return None
         if not DEVICE.acquire(blocking=False):
             return None
         try:
             scene = self._scene(visitor, data)
-            order = self._order(visitor, Path(cutout), scene, self.known(name, told))
+            order = self._order(visitor, source, scene, self.known(name, told))
             ready = made_already(order)
             device = pick_device(self.settings.device)
             if not ready["generated"] or ready["simulated"]:
                 return None
             if seconds_to_compile(scene, device):
                 return None
-            gaussians = Clip.load(made_gaussians(order)).frame(0).gaussians
+            gaussians = gaussians_of(order, made_gaussians(order))
             forecast = measured(gaussians, scene, device, self.forecaster.rates.rest)
             visitor.forecasts[key(scene.data())] = forecast.seconds
         except InputError as error:
             return complaint(error)
         finally:
             DEVICE.release()
-        return self._said(forecast, name, cutout, scene, told)
+        return self._said(forecast, name, source, scene, told)
 
     def _said(
-        self, estimate: Estimate, name: str, cutout: str | None, scene: Scene, told: Any
+        self, estimate: Estimate, name: str, source: Source | None, scene: Scene, told: Any
     ) -> str:
         """A forecast in words, with the error measured on this scene if there is one."""
-        promise = promise_of(scene, self.study(name, cutout, scene, told))
+        promise = promise_of(scene, self.study(name, source, scene, told))
         return replace(estimate, promise=promise).sentence
 
     def known(self, name: str, told: Any) -> Known:
         """What a visitor tells of the object beside its picture; raises InputError."""
         return known_of(self.visitors, self.settings, name, told)
 
-    def run(self, name: str, cutout: str | None, data: Any, told: Any = None) -> Job:
+    def run(self, name: str, source: Source | None, data: Any, told: Any = None) -> Job:
         """Start the whole chain.
 
         Args:
             name: The visitor's name.
-            cutout: Path of the cut-out.
+            source: What the object is made of.
             data: The scene as plain data.
             told: What else is known of the object, by option (`demo.known`).
 
         Raises:
             InputError: Something in the request cannot be used.
         """
-        visitor, picture, scene = self._asked(name, cutout, data)
-        self._check_time(scene)
+        visitor, source, scene = self._asked(name, source, data)
+        self._check_time(source, scene)
         known = self.known(name, told)
-        ready = self._ready(name, cutout, scene, told)
+        ready = self._ready(name, source, scene, told)
         usual = self.forecaster(
-            scene, gaussians=self.settings.gaussians, compiling=self._compiling(scene), **ready
+            scene, gaussians=self.count(source), compiling=self._compiling(scene), **ready
         ).seconds
         expected = visitor.forecasts.get(key(scene.data()), usual)
-        job = Job("run", visitor.new_stop_file(), expected)
-        order = replace(self._order(visitor, picture, scene, known), stop=job.stop)
+        stages = STAGES if isinstance(source, Cutout) else STAGES | READING
+        job = Job("run", visitor.new_stop_file(), expected, stages=stages)
+        order = replace(self._order(visitor, source, scene, known), stop=job.stop)
         return self._submit(visitor, job, self.runs, lambda job: self._run(visitor, order, job))
 
-    def measure(self, name: str, cutout: str | None, data: Any, told: Any = None) -> Job:
+    def measure(self, name: str, source: Source | None, data: Any, told: Any = None) -> Job:
         """Start to measure the error of a scene.
 
         Args:
             name: The visitor's name.
-            cutout: Path of the cut-out.
+            source: What the object is made of.
             data: The scene as plain data.
             told: What else is known of the object, by option (`demo.known`).
 
         Raises:
             InputError: Something in the request cannot be used.
         """
-        visitor, picture, scene = self._asked(name, cutout, data)
+        visitor, source, scene = self._asked(name, source, data)
         levels = grids(scene)
         for cells in levels:
             check_limits(on_grid(scene, cells), self.settings)
-        count = self.settings.gaussians
+        count = self.count(source)
         check_time(self.forecaster.min_study(scene, levels, gaussians=count), self.settings)
         known = self.known(name, told)
-        expected = self.study_seconds(name, cutout, scene, told)
-        job = Job("measure", visitor.new_stop_file(), expected, stages=MEASURING)
-        order = self._order(visitor, picture, scene, known)
+        expected = self.study_seconds(name, source, scene, told)
+        stages = MEASURING if isinstance(source, Cutout) else MEASURING | READING
+        job = Job("measure", visitor.new_stop_file(), expected, stages=stages)
+        order = self._order(visitor, source, scene, known)
         order = replace(order, stop=job.stop, levels=levels)
         return self._submit(visitor, job, self.runs, lambda job: self._run(visitor, order, job))
 
     def study(
-        self, name: str, cutout: str | None, scene: Scene, told: Any = None
+        self, name: str, source: Source | None, scene: Scene, told: Any = None
     ) -> Measurement | None:
         """The errors measured for this visitor's object in this scene, if they were.
 
         Args:
             name: The visitor's name.
-            cutout: Path of the cut-out, if there is one.
+            source: What the object is made of, if it is there.
             scene: The scene.
             told: What else is known of the object, by option.
         """
         visitor = self.visitors.known(name)
-        if visitor is None or not cutout or not Path(cutout).exists():
+        if visitor is None or source is None or not is_there(source):
             return None
-        order = self._order(visitor, Path(cutout), scene, self.known(name, told))
+        order = self._order(visitor, source, scene, self.known(name, told))
         return read_study(study_file(order))
 
-    def study_seconds(self, name: str, cutout: str | None, scene: Scene, told: Any = None) -> float:
+    def study_seconds(
+        self, name: str, source: Source | None, scene: Scene, told: Any = None
+    ) -> float:
         """Time it would take to measure them [s].
 
         Args:
             name: The visitor's name.
-            cutout: Path of the cut-out, if there is one.
+            source: What the object is made of, if it is there.
             scene: The scene.
             told: What else is known of the object, by option.
         """
-        ready = self._ready(name, cutout, scene, told)
+        ready = self._ready(name, source, scene, told)
         return self.forecaster.study(
-            scene, grids(scene), gaussians=self.settings.gaussians,
+            scene, grids(scene), gaussians=self.count(source),
             generated=ready.get("generated", False),
             compiling=self._compiling(on_grid(scene, grids(scene)[0])),
         )  # fmt: skip
 
-    def _asked(self, name: str, cutout: str | None, data: Any) -> tuple[Visitor, Path, Scene]:
-        """The visitor, the cut-out and the scene of a request; raises InputError."""
+    def _asked(self, name: str, source: Source | None, data: Any) -> tuple[Visitor, Source, Scene]:
+        """The visitor, the object's source and the scene of a request; raises InputError."""
         visitor = self.visitors.known(name)
-        if visitor is None or not cutout or not Path(cutout).exists():
+        if visitor is None or source is None or not is_there(source):
             raise InputError("image", "none", "There is no picture yet.", "Choose one first.")
-        return visitor, Path(cutout), self._scene(visitor, data)
+        return visitor, source, self._scene(visitor, data)
 
     def _scene(self, visitor: Visitor | None, data: Any) -> Scene:
         """The scene that was chosen; it may name the visitor's own uploads and no other files."""
         return scene_of(data, self.settings, visitor and visitor.folder / "uploads")
 
-    def _ready(self, name: str, cutout: str | None, scene: Scene, told: Any) -> dict[str, bool]:
+    def _ready(self, name: str, source: Source | None, scene: Scene, told: Any) -> dict[str, bool]:
         """Which stages need not be run again for this visitor."""
         visitor = self.visitors.known(name)
-        if visitor is None or not cutout or not Path(cutout).exists():
+        if visitor is None or source is None or not is_there(source):
             return {}
-        return made_already(self._order(visitor, Path(cutout), scene, self.known(name, told)))
+        return made_already(self._order(visitor, source, scene, self.known(name, told)))
 
     def _compiling(self, scene: Scene) -> float:
         """Time until a scene's kernels are compiled [s]; 0 while a run may be compiling them."""
@@ -320,23 +336,29 @@ class Studio:
         finally:
             DEVICE.release()
 
-    def _check_time(self, scene: Scene) -> None:
-        count = self.settings.gaussians
+    def count(self, source: Source | None) -> int:
+        """Number of Gaussians of an object."""
+        return source.count if isinstance(source, GaussianFile) else self.settings.gaussians
+
+    def _check_time(self, source: Source | None, scene: Scene) -> None:
+        count = self.count(source)
         check_time(self.forecaster.minimum(scene, gaussians=count), self.settings)
 
-    def _order(self, visitor: Visitor, cutout: Path, scene: Scene, known: Known) -> Order:
-        """An order that nobody stops."""
+    def _order(self, visitor: Visitor, source: Source, scene: Scene, known: Known) -> Order:
+        """An order that nobody stops; raises InputError if what is known is no use for it."""
         limits, never = self.settings, visitor.folder / "never"
+        cutout = Path(source.path) if isinstance(source, Cutout) else None
+        known = known.suited(source)
         return Order(
             visitor.folder, cutout, scene, never, limits.max_seconds, limits.max_particles,
-            known=known,
-            device=limits.device, gaussians=limits.gaussians, about=(("generator", "relief"),),
+            generator="relief" if cutout else source.path, known=known,
+            device=limits.device, gaussians=limits.gaussians, about=known.about(source),
         )  # fmt: skip
 
     def _submit(self, visitor: Visitor, job: Job, line: Line, work: Callable[[Job], None]) -> Job:
         if sum(not other.over for other in list(visitor.jobs.values())) >= UNFINISHED:
             raise InputError("queue", "yours", "You have work waiting.", "Let it end or cancel it.")
-        line.submit(job, lambda job: _guarded(job, work))
+        line.submit(job, lambda job: guarded(job, work))
         visitor.remember(job)
         return job
 
@@ -364,20 +386,6 @@ class Studio:
                 device = self.settings.device
                 self.forecaster.calibrate(partial(tiny_run, device), partial(example_run, device))
         self.warm.set()
-
-
-def _guarded(job: Job, work: Callable[[Job], None]) -> None:
-    """Do a job; if it is refused or cancelled, end it with a sentence."""
-    job.progress.begin()
-    try:
-        job.check()
-        work(job)
-    except Cancelled:
-        job.end("stopped", STOPPED)
-    except InputError as error:
-        job.end("refused", sentence(error))
-    finally:
-        job.stop.unlink(missing_ok=True)
 
 
 def close_now(events: Iterator[Any]) -> None:

@@ -1,4 +1,5 @@
-"""What a visitor tells of the object beside its picture: other views, a depth map, a thickness.
+"""What a visitor tells of the object beside its picture: other views, a depth map, a thickness; or
+which way up a file of Gaussians is.
 
 Names, ranges and choices are those of the command line, whose classes declare them.
 """
@@ -6,27 +7,33 @@ Names, ranges and choices are those of the command line, whose classes declare t
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 
 from phy124.errors import InputError
+from phy124.generators import make as make_generator
 from phy124.generators.depth_map import DepthMap
 from phy124.generators.other_views import OtherViews
+from phy124.generators.ply_file import Reading
 from phy124.imaging.cutout import cut_out as opened
+from phy124.io.axes import orientation
 from phy124.runtime.isolated import Deadline
 from phy124.scene.refusals import refusal
 from phy124.section import Section
 
 from .pictures import check_picture, cut_out, cutout_file, viewable
 from .settings import Settings
+from .source import Cutout, Source
 from .visitors import Visitors
 
 PICTURES = ("side", "back", "depth")
 """Options that name a picture."""
-NO_DEPTH, NO_VIEWS = DepthMap(), OtherViews()
+AXES = ("up", "front")
+"""Options for a file of Gaussians."""
+NO_DEPTH, NO_VIEWS, NO_READING = DepthMap(), OtherViews(), Reading()
 
 
 @dataclass(frozen=True)
@@ -38,6 +45,8 @@ class Known:
     """Names the cut-outs of its pictures, which `cut` makes."""
     sent: tuple[Path, ...] = ()
     """Those pictures as they were sent."""
+    reading: Reading = NO_READING
+    """Which way up the file of Gaussians is."""
 
     def cut(self, deadline: Deadline) -> None:
         """Cut the object out of the other views, unless that is done.
@@ -54,14 +63,40 @@ class Known:
                 limit = f"{field.capitalize()}: {error.limit}"
                 raise InputError(field, error.value, limit, error.remedy) from error
 
-    def given_to(self, generator: Any, name: str) -> Any:
-        """The generator, told of all this."""
-        generator = self.depth.given_to(generator, name)
+    def suited(self, source: Source) -> Known:
+        """The same for this object: the axes of a file are its most likely ones unless told.
+
+        Raises:
+            InputError: Something was told that is no use for such an object.
+        """
+        if isinstance(source, Cutout):
+            _refuse(self.reading, "It is for a file of Gaussians.")
+            return self
+        _refuse(self.depth, "A file of Gaussians needs none.")
+        _refuse(self.views, "A file of Gaussians has all sides already.")
+        up, front = self.reading.up, self.reading.front
+        front = front or (None if up else source.axes.front)
+        return replace(self, reading=Reading(up=up or source.axes.up, front=front))
+
+    def about(self, source: Source) -> tuple[tuple[str, Any], ...]:
+        """Entries of the report that say what the object was made of."""
+        if isinstance(source, Cutout):
+            return (("generator", "relief"),)
+        file = {**self.reading.model_dump(include=set(AXES)), "program": source.axes.program}
+        told = {"generator": source.format, "file": file, "cleaning": list(source.notes)}
+        return tuple(told.items())
+
+    def generator(self, name: str) -> Any:
+        """The generator of a name or a file, told of all this."""
+        if self.reading != NO_READING:
+            return make_generator(name, self.reading)
+        generator = self.depth.given_to(make_generator(name), name)
         return self.views.given_to(generator, name, lambda field, path: opened(path, field=field))
 
     def data(self) -> list[Any]:
         """What Gaussians depend on, as plain data; names of files stand for their content."""
-        return [self.depth.model_dump(mode="json"), self.views.model_dump(mode="json")]
+        told = (self.depth, self.views, self.reading)
+        return [section.model_dump(mode="json") for section in told]
 
 
 NOTHING_MORE = Known()
@@ -95,10 +130,15 @@ def known_of(visitors: Visitors, settings: Settings, name: str, told: Any) -> Kn
     sent = {option: _sent(visitors, settings, name, given[option]) for option in PICTURES
             if option in given}  # fmt: skip
     depth = {option: given.pop(option) for option in DepthMap.model_fields if option in given}
+    axes = {option: given.pop(option) for option in AXES if option in given}
     views = given | dict(_cutouts(visitors, name, sent))
     if "depth" in sent:
         depth["depth"] = sent.pop("depth")
-    return Known(_checked(DepthMap, depth), _checked(OtherViews, views), tuple(sent.values()))
+    reading = _checked(Reading, axes)
+    orientation(reading.up, reading.front)  # refuses directions that are none
+    return Known(
+        _checked(DepthMap, depth), _checked(OtherViews, views), tuple(sent.values()), reading
+    )
 
 
 def _sent(visitors: Visitors, settings: Settings, name: str, given: Any) -> Path:
@@ -111,6 +151,12 @@ def _cutouts(visitors: Visitors, name: str, sent: dict[str, Path]) -> Iterator[t
     for option, picture in sent.items():
         if option in OtherViews.model_fields:
             yield option, cutout_file(visitors.get(name), picture)
+
+
+def _refuse(section: Section, why: str) -> None:
+    """Refuse what is told in a section; raises InputError."""
+    for option, value in section.model_dump(exclude_defaults=True).items():
+        raise InputError(option, value, why, "Leave it out.")
 
 
 def _checked(section: type[Any], values: dict[str, Any]) -> Any:

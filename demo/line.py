@@ -17,7 +17,9 @@ from pathlib import Path
 from phy124.errors import Cancelled, InputError
 
 from .progress import STAGES, Progress
+from .sentences import sentence
 
+STOPPED = "Stopped. Nothing was changed."
 FAILED = "An error of this server, which is in its log. Try again, or change the scene."
 LOG = logging.getLogger("phy124.web")
 
@@ -77,7 +79,7 @@ class Job:
     def cancel(self) -> None:
         """Remove it from the queue if it waits, ask it to stop if it runs."""
         if self.line is not None and self.line.drop(self):
-            self.end("stopped", "Stopped. Nothing was changed.")
+            self.end("stopped", STOPPED)
         elif not self.over and self.stop.parent.is_dir():
             self.stop.touch()
 
@@ -163,3 +165,17 @@ class Line:
             job.end("failed", FAILED)
             with self._changed:
                 self._running.discard(job)
+
+
+def guarded(job: Job, work: Callable[[Job], None]) -> None:
+    """Do a job; if it is refused or cancelled, end it with a sentence."""
+    job.progress.begin()
+    try:
+        job.check()
+        work(job)
+    except Cancelled:
+        job.end("stopped", STOPPED)
+    except InputError as error:
+        job.end("refused", sentence(error))
+    finally:
+        job.stop.unlink(missing_ok=True)

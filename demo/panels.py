@@ -9,7 +9,8 @@ import gradio as gr
 HEAD = '<script src="phy124/static/page.js"></script>'
 PICTURE = HEAD + '<script src="phy124/static/brush.js"></script>'
 PICTURE += '<script src="phy124/static/picture.js"></script>'
-KNOWN = HEAD + '<script src="phy124/static/known.js"></script>'
+KNOWN = HEAD + '<script src="phy124/static/ways.js"></script>'
+KNOWN += '<script src="phy124/static/known.js"></script>'
 EDITOR = HEAD + '<script src="phy124/static/scene.js"></script>'
 PLAYER = (
     HEAD
@@ -40,7 +41,7 @@ def known() -> gr.HTML:
 
     Events: "choose" names a picture that was sent for an option, "view" reports that it has been
     cut out, "change" that the value has changed. Handlers give an answer as the value, which the
-    panel replaces.
+    panel replaces, and so are the ways up of a file of Gaussians.
     """
     return _panel("known", KNOWN, events="'choose' 'view' 'change'")
 

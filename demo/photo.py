@@ -20,7 +20,7 @@ from phy124.errors import InputError
 if TYPE_CHECKING:
     from .jobs import Studio
 
-NO_FILE = "image: This is no picture file. Send the file itself, by handle_file(PATH) in Python."
+NO_FILE = "image: This is no file. Send the file itself, by handle_file(PATH) in Python."
 BROKEN = "image: The picture's data: URL is broken. Send the file itself."
 
 

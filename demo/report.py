@@ -39,7 +39,7 @@ def as_html(
         parts.append(f'<p class="notice">Stopped early: {escape(str(report["stopped"]))}</p>')
     parts += [f'<p class="note">{escape(str(note))}</p>' for note in report.get("notes", [])]
     parts += [_accuracy(report, scene, predicted, said), _pareto(report, said, stops)]
-    parts += [_cut_out(report), _stages(report), _motion(report)]
+    parts += [_cut_out(report), _file(report), _stages(report), _motion(report)]
     parts += [_effects(report), _left_out(report)]
     return f'<div class="report">{"".join(parts)}</div>'
 
@@ -122,6 +122,16 @@ def _cut_out(report: dict[str, Any]) -> str:
         ("Fraction of the picture", f"{cutout['coverage']:.1%}"),
     ]
     return _section("Cut-out", _table([*rows, *(("Doubt", d) for d in cutout["warnings"])]))
+
+
+def _file(report: dict[str, Any]) -> str:
+    """How a file of Gaussians was read, and what was left out of it."""
+    file = report.get("file")
+    if not file:
+        return ""
+    rows = [("Format", report["generator"]), ("Up, front", f"{file['up']}, {file['front']}")]
+    rows += [("Looks like", file["program"])] if file["program"] else []
+    return _section("File", _table([*rows, *(("Note", said) for said in report["cleaning"])]))
 
 
 def _motion(report: dict[str, Any]) -> str:

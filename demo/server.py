@@ -20,9 +20,10 @@ from starlette.staticfiles import StaticFiles
 
 from phy124.io.export.html import VIEWER
 
+from .gaussian_files import SMALLER
 from .guard import BodyLimit, Doorkeeper, Headed, Patient, allow_connections, own_names
 from .identity import cookie_of
-from .uploads import upload_route
+from .uploads import ADDRESS, upload_route
 
 if TYPE_CHECKING:
     from .jobs import Studio
@@ -124,13 +125,15 @@ def launch(page: Any, studio: Studio, **options: Any) -> None:
     settings = studio.settings
     page.queue(max_size=settings.max_queue, default_concurrency_limit=1, api_open=False)
     space = os.environ.get("SPACE_HOST", "")
-    most = int(settings.max_bytes * 4 / 3) + SLACK
+    # A program may send a picture as a data: URL.
+    other = int(settings.max_bytes * 4 / 3) + SLACK, f"{settings.too_large} {settings.make_smaller}"
+    most = settings.max_file_bytes
     page.launch(
         server_name=settings.host,
         server_port=settings.port,
         share=False,
         show_error=False,
-        max_file_size=settings.max_bytes,
+        max_file_size=most,
         allowed_paths=[],
         run_history=False,
         ssr_mode=False,
@@ -144,7 +147,10 @@ def launch(page: Any, studio: Studio, **options: Any) -> None:
                 Middleware(Headed, embedded=bool(space)),
                 Middleware(Doorkeeper, hosts=own_names(settings.hosts, space)),
                 Middleware(
-                    BodyLimit, most=most, message=f"{settings.too_large} {settings.make_smaller}"
+                    BodyLimit,
+                    uploads=ADDRESS,
+                    other=other,
+                    most=(most + SLACK, f"{settings.file_too_large} {SMALLER}"),
                 ),
             ],
             "routes": routes(studio),

@@ -30,10 +30,18 @@ class Settings(Section):
     device: str = Field(default="auto", description=CHOICES)
     folder: str = Field(default="", description="Where visitors' files lie; empty: a new one.")
     gaussians: int = Field(
-        default=50_000, ge=1000, le=500_000, description="Gaussians made of a picture."
+        default=50_000,
+        ge=1000,
+        le=500_000,
+        description="Gaussians made of a picture, most of a file.",
     )
-    max_upload_mb: float = Field(default=8, gt=0, le=1000, description="Largest upload [MB].")
-    max_megapixels: float = Field(default=25, gt=0, le=50, description="Largest picture [million].")
+    max_upload_mb: float = Field(default=8, gt=0, le=1000, description="Largest picture [MB].")
+    max_file_mb: float = Field(
+        default=64, gt=0, le=1000, description="Largest file of Gaussians [MB]."
+    )
+    max_megapixels: float = Field(
+        default=25, gt=0, le=50, description="Pixels of a picture [million]."
+    )
     max_frames: int = Field(default=72, ge=1, le=10_000, description="Frames of one run.")
     max_particles: int = Field(default=400_000, ge=1000, description="Particles of one run.")
     max_cells: int = Field(default=64, ge=4, le=256, description="Grid cells across the object.")
@@ -92,6 +100,17 @@ class Settings(Section):
     def too_large(self) -> str:
         """The limit stated for a larger upload."""
         return f"The picture is larger than the {self.max_upload_mb:g} MB that this page takes."
+
+    @property
+    def max_file_bytes(self) -> int:
+        """Largest upload of any kind [bytes]."""
+        return int(max(self.max_file_mb, self.max_upload_mb) * 1e6)
+
+    @property
+    def file_too_large(self) -> str:
+        """The limit stated for a larger file."""
+        most = self.max_file_bytes / 1e6
+        return f"The file is larger than the {most:g} MB that this page takes."
 
     @property
     def make_smaller(self) -> str:

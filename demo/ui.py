@@ -45,7 +45,7 @@ def build(studio: Studio) -> gr.Blocks:
     """The whole page."""
     with gr.Blocks(title="phy124", fill_width=True, analytics_enabled=False) as page:
         gr.HTML(MASTHEAD, apply_default_css=False)
-        cutout, done = gr.State(None), gr.State(None)
+        source, done = gr.State(None), gr.State(None)
         with gr.Row(elem_id="columns"):
             with gr.Column(elem_id="left"):
                 picture, known = _picture()
@@ -57,8 +57,8 @@ def build(studio: Studio) -> gr.Blocks:
                 history = panels.history()
                 videos, report, takeaway = _results()
         results = [viewer, videos, report, takeaway, history]
-        _wire_picture(studio, picture, cutout, known)
-        asked = [cutout, scene, known]
+        _wire_picture(studio, picture, source, known)
+        asked = [source, scene, known]
         _wire_forecast(studio, asked, forecast)
         _wire_run(studio, asked, done, go, cancel, progress, forecast, results)
         takeaway.prepare(
@@ -68,7 +68,7 @@ def build(studio: Studio) -> gr.Blocks:
         )  # fmt: skip
         page.load(
             handlers.greeter(studio), None,
-            [picture, cutout, progress, done, go, cancel, *results], **QUIET,
+            [picture, source, known, progress, done, go, cancel, *results], **QUIET,
         )  # fmt: skip
         endpoints(studio)
     fetch_nothing(page)
@@ -123,10 +123,11 @@ def _results() -> tuple[gr.HTML, gr.HTML, gr.HTML]:
     return videos, report, takeaway
 
 
-def _wire_picture(studio: Studio, picture: Any, cutout: Any, known: Any) -> None:
-    picture.choose(handlers.chooser(studio), None, [picture, cutout, known], **QUIET)
-    picture.correct(handlers.corrector(studio), [picture, cutout], picture, **QUIET)
-    picture.cut(handlers.cut_shower(studio), [picture, cutout], [picture, cutout], **QUIET)
+def _wire_picture(studio: Studio, picture: Any, source: Any, known: Any) -> None:
+    picture.choose(handlers.chooser(studio), None, [picture, source, known], **QUIET)
+    picture.correct(handlers.corrector(studio), [picture, source], picture, **QUIET)
+    shown = [picture, source]
+    picture.cut(handlers.cut_shower(studio), shown, [*shown, known], **QUIET)
     known.choose(handlers.view_chooser(studio), None, known, **QUIET)
     known.view(handlers.view_shower(studio), None, known, **QUIET)
 

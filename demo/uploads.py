@@ -1,4 +1,5 @@
-"""The route that receives pictures and stores them in the folder of the visitor who sends them.
+"""The route that receives pictures and files of Gaussians, and stores them in the folder of the
+visitor who sends them.
 
 It replaces Gradio's own, which keeps uploads in folders that belong to nobody.
 """
@@ -16,21 +17,23 @@ from starlette.responses import JSONResponse, PlainTextResponse, Response
 from starlette.routing import Route
 
 from phy124.errors import InputError
+from phy124.io.formats import ENDINGS
 
+from .gaussian_files import SMALLER
 from .identity import cookie_of
 
 if TYPE_CHECKING:
     from .jobs import Studio
 
 ADDRESS = "/gradio_api/upload"
-SUFFIXES = {".png", ".jpg", ".jpeg", ".webp", ".heic", ".heif"}
+SUFFIXES = {".png", ".jpg", ".jpeg", ".webp", ".heic", ".heif", *ENDINGS}
 """Suffixes that uploads keep; others are removed."""
 MOST = 4
 """Largest number of files in one request."""
 
 
 def upload_route(studio: Studio) -> Route:
-    """The route to which the page and programs send pictures; it answers with their paths."""
+    """The route to which the page and programs send files; it answers with their paths."""
 
     async def receive(request: Request) -> Response:
         try:
@@ -48,12 +51,12 @@ def upload_route(studio: Studio) -> Route:
 
 async def _keep(studio: Studio, visitor: str | None, part: UploadFile) -> str:
     limits = studio.settings
-    if (part.size or 0) > limits.max_bytes:
-        raise InputError("image", "large", limits.too_large, limits.make_smaller)
+    # A picture may be less: that is told, in words, to whoever uses it as one.
+    if (part.size or 0) > limits.max_file_bytes:
+        raise InputError("image", "large", limits.file_too_large, SMALLER)
     suffix = Path(part.filename or "").suffix.lower()
-    data = await part.read()
     ending = suffix if suffix in SUFFIXES else ""
-    return str(await run_in_threadpool(studio.visitors.store, visitor, data, ending))
+    return str(await run_in_threadpool(studio.visitors.store, visitor, part.file, ending))
 
 
 def _status(error: InputError) -> int:

@@ -3,9 +3,10 @@
 The result of a stage is stored under a key made of everything it depends on, so a stage runs again
 exactly when something it depends on has changed:
 
-    uploads/NAME                  pictures as they were sent
+    uploads/NAME                  pictures and files of Gaussians as they were sent
     cutouts/KEY.png               picture, brush strokes
-    gaussians/KEY.safetensors     cut-out, generator, seed
+    objects/NAME/                 file of Gaussians
+    gaussians/KEY.safetensors     cut-out or file, generator, seed
     clips/KEY/                    Gaussians and the scene without its view
     films/KEY/                    clip and view
     studies/KEY.json              Gaussians and the scene without its view and grid
@@ -17,6 +18,7 @@ for a grace period after the last one. It is then removed with everything in it.
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import os
 import secrets
@@ -28,16 +30,16 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from phy124.errors import InputError
 
 if TYPE_CHECKING:
     from .line import Job
 
-STAGES = ("cutouts", "gaussians", "clips", "films", "studies")
+STAGES = ("cutouts", "objects", "gaussians", "clips", "films", "studies")
 UPLOADS = 8
-"""Number of pictures kept for one visitor."""
+"""Number of uploads kept for one visitor."""
 AWAY = 150.0
 """Silence after which a page counts as closed [s]; an open one reports every minute."""
 ARRIVED = 600.0
@@ -96,9 +98,9 @@ class Visitor:
         for name in [n for n, j in self.jobs.items() if j.over][: max(0, len(self.jobs) - most)]:
             del self.jobs[name]
 
-    def latest(self, kind: str) -> Job | None:
-        """The newest job of a kind."""
-        return next((j for j in reversed(list(self.jobs.values())) if j.kind == kind), None)
+    def latest(self, *kinds: str) -> Job | None:
+        """The newest job of these kinds."""
+        return next((j for j in reversed(list(self.jobs.values())) if j.kind in kinds), None)
 
     def stop(self) -> None:
         """Cancel all jobs that are running or waiting."""
@@ -198,32 +200,36 @@ class Visitors:
                 visitor = self._known[name] = Visitor(self.root / secrets.token_urlsafe(24))
             return visitor
 
-    def store(self, name: str | None, data: bytes, suffix: str) -> Path:
+    def store(self, name: str | None, data: bytes | BinaryIO, suffix: str) -> Path:
         """Store an upload.
 
         Args:
             name: The visitor's name; None: it belongs to nobody yet.
-            data: The content.
+            data: The content, or a file with it.
             suffix: The suffix of the file's name.
 
         Raises:
             InputError: There is no room for it.
         """
+        file = io.BytesIO(data) if isinstance(data, bytes) else data
+        size = file.seek(0, os.SEEK_END)
         with self._lock:
-            while sum(_sizes(self.root)) + len(data) > self.room.all:
+            while sum(_sizes(self.root)) + size > self.room.all:
                 self._make_room()
         if name is None:
             folder = self.arrivals
         else:
             visitor = self.get(name)
             visitor.trim(self.room)
-            if visitor.size() + len(data) > self.room.each:
+            if visitor.size() + size > self.room.each:
                 raise InputError(
                     "picture", "full", "Your files take all the room here.", "Send a smaller one."
                 )
             folder = visitor.folder / "uploads"
         path = folder / f"{secrets.token_urlsafe(18)}{suffix}"
-        path.write_bytes(data)
+        file.seek(0)
+        with open(path, "wb") as stored:
+            shutil.copyfileobj(file, stored)
         return path
 
     def own(self, name: str, given: Any) -> Path:

@@ -167,7 +167,7 @@ def test_a_full_queue_of_runs_takes_cut_outs_all_the_same(tmp_path):
     for name in ("a", "b", "c"):
         job = _cut(studio, name)
         assert job.wait(60) and job.progress.state == "done"
-        made[name] = job.progress.result.path
+        made[name] = job.progress.result
     studio.run("a", made["a"], scene)
     until(lambda: studio.runs.running == 1)
     studio.run("b", made["b"], scene)

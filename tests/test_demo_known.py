@@ -10,11 +10,13 @@ from PIL import Image
 from demo.jobs import Studio
 from demo.known import NOTHING_MORE, Known
 from demo.settings import Settings
+from demo.source import Cutout
 from demo.visitors import Visitors
 from demo.work import made_gaussians
 from phy124.errors import InputError
 from phy124.generators.depth_map import DepthMap
 from phy124.generators.other_views import OtherViews
+from phy124.generators.ply_file import Reading
 from phy124.generators.relief import relief
 from phy124.runtime.isolated import Deadline
 from phy124.scene import Scene
@@ -84,7 +86,7 @@ def test_a_program_names_a_picture_as_often_as_it_likes(studio):
 def test_nothing_told_and_only_defaults_told_are_the_same(studio):
     told = {"side": None, "facing": "left", "near": None, "thickness": None}
     assert studio.known("a", told) == studio.known("a", None) == NOTHING_MORE
-    assert NOTHING_MORE.given_to(relief, "relief") is relief
+    assert NOTHING_MORE.generator("relief") is relief
 
 
 def test_other_views_are_cut_out_once_and_reach_the_generator(studio):
@@ -95,7 +97,7 @@ def test_other_views_are_cut_out_once_and_reach_the_generator(studio):
     made = cut.stat().st_mtime_ns
     known.cut(SOON)
     assert cut.stat().st_mtime_ns == made
-    given = known.given_to(relief, "relief").keywords
+    given = known.generator("relief").keywords
     assert (given["facing"], given["highlights"]) == ("right", "remove")
     assert given["side"].getchannel("A").tobytes() == Image.open(DUCK).getchannel("A").tobytes()
 
@@ -121,10 +123,10 @@ def test_a_view_without_an_object_is_named(studio, tmp_path):
 def test_gaussians_are_made_anew_exactly_when_something_else_is_told(studio):
     side, visitor = _sent(studio), studio.visitors.get("a")
     same = studio.visitors.store("a", DUCK.read_bytes(), ".png")
-    scene = Scene.named("press")
+    scene, duck = Scene.named("press"), Cutout(str(DUCK), str(DUCK))
 
     def file_of(told) -> Path:
-        return made_gaussians(studio._order(visitor, DUCK, scene, studio.known("a", told)))
+        return made_gaussians(studio._order(visitor, duck, scene, studio.known("a", told)))
 
     told = [None, {"side": side}, {"side": side, "facing": "right"}, {"back": side}]
     told += [{"thickness": 0.6}, {"highlights": "remove"}, {"depth": side}]
@@ -135,4 +137,4 @@ def test_gaussians_are_made_anew_exactly_when_something_else_is_told(studio):
 
 
 def test_known_things_stay_plain_data(studio):
-    assert Known().data() == [DepthMap().model_dump(), OtherViews().model_dump()]
+    assert Known().data() == [s().model_dump() for s in (DepthMap, OtherViews, Reading)]

@@ -14,9 +14,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from phy124.io import ply
+from phy124.io.axes import orientation, turned
 from support.hostile import bomb
 from support.pages import blocks
 from support.served import ROOT, TIMEOUT, Server, serving
+from support.shapes import ball
 
 DUCK = ROOT / "demo" / "examples" / "duck.png"
 GIGABYTE = 1 << 30
@@ -34,7 +37,7 @@ def server(tmp_path_factory):
     folder = tmp_path_factory.mktemp("web")
     # Half a minute of grace only: the tests look at what is left behind.
     with serving(
-        folder, gaussians=1000, max_queue=4, max_upload_mb=2, grace_minutes=0.5
+        folder, gaussians=1000, max_queue=4, max_upload_mb=2, max_file_mb=3, grace_minutes=0.5
     ) as running:
         yield running
 
@@ -68,12 +71,14 @@ class _Closing:
         self.client.close()
 
 
-def _generate(client, picture=DUCK, **options):
+def _generate(client, picture=DUCK, known=None, **options):
     from gradio_client import handle_file
 
     given = {"preset": "drop", "accuracy": "draft", "frames": 2, "changes": FEW, "formats": []}
     image = handle_file(str(picture)) if isinstance(picture, Path) else picture
-    return client.predict(image, *{**given, **options}.values(), api_name="/generate")
+    return client.predict(
+        image, *{**given, **options}.values(), api_name="/generate", **(known or {})
+    )
 
 
 def _get(url: str) -> tuple[int, bytes]:
@@ -113,6 +118,21 @@ def test_the_page_names_no_other_machine(server):
     page = _get(server.url)[1].decode()
     hosts = set(re.findall(r'(?:src|href)="https?://([^/"]+)', page))
     assert hosts <= {server.url.removeprefix("http://")}
+
+
+def test_a_program_sends_a_file_of_gaussians_and_says_which_way_is_up(client, tmp_path):
+    file = tmp_path / "ball.ply"
+    file.write_bytes(ply.encode(turned(ball(300), orientation("y", "z").T)))
+    _, report = _generate(client, file, known={"up": "y"})
+    assert report["file"] == {"up": "y", "front": None, "program": None}
+    assert (report["gaussians"], report["generator"]) == (300, "3DGS PLY")
+    for picture, told, message in (
+        (DUCK, {"up": "y"}, "up: It is for a file of Gaussians"),
+        (file, {"thickness": 0.5}, "thickness: A file of Gaussians has all sides"),
+        (file, {"front": "w"}, "front: It is not an axis"),
+    ):
+        with pytest.raises(Exception, match=message):
+            _generate(client, picture, known=told)
 
 
 def test_generate_then_render_then_evaluate(client):
@@ -214,11 +234,14 @@ def test_pictures_that_cannot_be_used_are_refused_readably(client, tmp_path, nam
 def test_uploads_beyond_the_limit_are_refused_however_they_come(server, client, tmp_path):
     (tmp_path / "large.png").write_bytes(bytes(100_000_000))
     with pytest.raises(
-        Exception, match=r"exceeds the maximum file size of 2000000 bytes|larger than the 2 MB"
+        Exception, match=r"exceeds the maximum file size of 3000000 bytes|larger than the 3 MB"
     ):
         _generate(client, tmp_path / "large.png")
+    (tmp_path / "large.png").write_bytes(bytes(2_500_000))
+    with pytest.raises(Exception, match="The picture is larger than the 2 MB"):
+        _generate(client, tmp_path / "large.png")
     status, text = _post(f"{server.url}/gradio_api/upload", bytes(20_000_000))
-    assert status == 413 and b"larger than the 2 MB that this page takes" in text
+    assert status == 413 and b"larger than the 3 MB that this page takes" in text
     packed = base64.b64encode(bytes(2_500_000)).decode()
     inside = {"path": "a.png", "url": f"data:image/png;base64,{packed}"}
     data = json.dumps({"data": [inside, "drop", "draft", 2, {}, []]}).encode()
@@ -289,9 +312,9 @@ def test_a_chunked_upload_without_a_length_is_cut_off(server):
         ({"changes": [1, 2]}, r"changes: They must be an object"),
         ({"changes": "text"}, "changes|JSON"),
         ({"picture": None}, "image: There is no picture yet"),
-        ({"picture": "duck.png"}, "image: This is no picture file. Send the file itself"),
-        ({"picture": ["duck.png"]}, "image: This is no picture file"),
-        ({"picture": {"path": 5}}, "image: This is no picture file"),
+        ({"picture": "duck.png"}, "image: This is no file. Send the file itself"),
+        ({"picture": ["duck.png"]}, "image: This is no file"),
+        ({"picture": {"path": 5}}, "image: This is no file"),
     ],
 )
 def test_values_are_checked_on_the_server(client, options, message):

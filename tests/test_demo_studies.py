@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from demo.forecast import promise_of
-from demo.jobs import Cutout, Studio
+from demo.jobs import Studio
 from demo.line import Job
 from demo.settings import Settings
 from demo.studies import GRIDS, Level, Measurement, grids, read_study
@@ -122,7 +122,7 @@ def visit(tmp_path):
     cut = studio.cut("a", str(studio.visitors.store("a", DUCK.read_bytes(), ".png")))
     assert cut.wait(60)
     scene = Scene.named("drop").replaced({"material.law": "hencky", "time.frames": 2})
-    return studio, cut.progress.result.path, scene.data()
+    return studio, cut.progress.result, scene.data()
 
 
 def test_measuring_is_offered_where_nothing_was_measured_and_then_told(visit, handlers):
@@ -167,7 +167,7 @@ def test_the_report_of_a_run_tells_what_was_measured_on_its_scene_later(
     shown.study.write_text(_found(0.08, 0.06, 0.04).model_dump_json(), "utf-8")
     study.end("done", result=Measured(shown.study))
     event = gr.EventData(None, {"job": study.name})
-    finished = handlers.finisher(studio)(Cutout(cutout, ""), data, None, shown, event, None)
+    finished = handlers.finisher(studio)(cutout, data, None, shown, event, None)
     assert finished[1] == gr.skip(), "the same run is shown"
     assert "Error measured</td><td>about 6.0%" in finished[-5 + handlers.results.REPORT]
     again = studio.run("a", cutout, {**data, "view": {**data["view"], "elevation": 40.0}})

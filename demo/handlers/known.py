@@ -9,9 +9,10 @@ import gradio as gr
 from phy124.errors import InputError
 
 from ..identity import visitor_of
-from ..jobs import Studio, sentence
+from ..jobs import Studio
+from ..sentences import sentence
 from .event import Handler, data_of, file_of, job_of
-from .picture import shown_cutout
+from .picture import shown_source
 
 
 def view_chooser(studio: Studio) -> Handler:
@@ -41,7 +42,7 @@ def view_shower(studio: Studio) -> Handler:
         option, made = str(data_of(event).get("option")), job.progress.result
         if made is None:
             return _answer(option, message=job.progress.message)
-        return _answer(option, **shown_cutout(made), doubts=" ".join(made.doubts))
+        return _answer(option, **shown_source(made), doubts=" ".join(made.doubts))
 
     return show
 

@@ -15,14 +15,16 @@ from phy124.scene import Scene
 
 from ..exports import EXPORTS, export
 from ..identity import visitor_of
-from ..jobs import Studio, read_report, sentence
+from ..jobs import Studio, read_report
 from ..line import Job
 from ..report import as_html
+from ..sentences import sentence
+from ..source import GaussianFile, is_there
 from ..studies import read_study
 from ..visitors import Visitor
 from ..work import Done, Measured
 from .event import Handler, data_of, file_of, job_of
-from .picture import shown_cutout
+from .picture import shown_source, ways
 from .run import rested, shown_job, with_stops, working
 
 NOT_SHOWN = [gr.skip()] * 5
@@ -44,12 +46,12 @@ def finisher(studio: Studio) -> Handler:
     """Handler: a job has ended; shows the results of a run, or the forecast after a study."""
 
     def finish(
-        cutout: Any, scene: Any, told: Any, shown: Any, event: gr.EventData, request: gr.Request
+        source: Any, scene: Any, told: Any, shown: Any, event: gr.EventData, request: gr.Request
     ) -> tuple[Any, ...]:
         name, job = visitor_of(request), job_of(studio, request, event)
-        if job is not None and isinstance(job.progress.result, Measured) and cutout and scene:
-            text = studio.forecast(name, cutout.path, scene, told)
-            line = with_stops(studio, name, cutout.path, scene, told, text, opened=True)
+        if job is not None and isinstance(job.progress.result, Measured) and source and scene:
+            text = studio.forecast(name, source, scene, told)
+            line = with_stops(studio, name, source, scene, told, text, opened=True)
             return line, gr.skip(), *rested(), *_with_report(studio, name, shown)
         if job is None or not job.over or not _is_there(job.progress.result):
             return gr.skip(), gr.skip(), *rested(), *NOT_SHOWN
@@ -78,25 +80,25 @@ def greeter(studio: Studio) -> Handler:
     def greet(request: gr.Request) -> tuple[Any, ...]:
         visitor = studio.visitors.known(visitor_of(request))
         if visitor is None:
-            return gr.skip(), None, gr.skip(), None, *rested(), *NOT_SHOWN
-        cut, run = visitor.latest("cut"), visitor.latest("run")
+            return gr.skip(), None, gr.skip(), gr.skip(), None, *rested(), *NOT_SHOWN
+        taken, run = visitor.latest("cut", "read"), visitor.latest("run")
         study = visitor.latest("measure")
         if study is not None and not study.over and (run is None or run.over):
             run = study
-        return *_found_picture(visitor, cut), *_found_run(studio, visitor_of(request), run)
+        return *_found_source(visitor, taken), *_found_run(studio, visitor_of(request), run)
 
     return greet
 
 
-def _found_picture(visitor: Visitor, cut: Job | None) -> tuple[Any, Any]:
-    """The picture panel and the cut-out of a visitor who has returned."""
-    if cut is not None and not cut.over:
-        return {"job": cut.name}, None
+def _found_source(visitor: Visitor, taken: Job | None) -> tuple[Any, Any, Any]:
+    """The picture panel, the source and the panel of what is known, for who has returned."""
+    if taken is not None and not taken.over:
+        return {"job": taken.name, "reads": taken.kind == "read"}, None, gr.skip()
     made = next((j.progress.result for j in reversed(list(visitor.jobs.values()))
-                 if j.kind == "cut" and j.progress.result), None)  # fmt: skip
-    if made is None or not Path(made.path).exists() or not Path(made.picture).exists():
-        return gr.skip(), None
-    return shown_cutout(made), made
+                 if j.kind in ("cut", "read") and j.progress.result), None)  # fmt: skip
+    if made is None or not is_there(made) or not Path(made.picture).exists():
+        return gr.skip(), None, gr.skip()
+    return shown_source(made), made, ways(made) if isinstance(made, GaussianFile) else gr.skip()
 
 
 def _found_run(studio: Studio, name: str, run: Job | None) -> tuple[Any, ...]:
@@ -118,7 +120,10 @@ def results(studio: Studio, name: str, job: Job) -> list[Any]:
     films = [{"name": path.stem, "file": file_of(path)} for path in _films(done)]
     length = float(clip.times[-1] - clip.times[0])
     return [
-        {"pack": file_of(done.films / "clip.pack")},
+        {
+            "pack": file_of(done.films / "clip.pack"),
+            "invented": read_report(done).get("generator") == "relief",
+        },
         {"films": films, "length": length},
         report_of(studio, job),
         _takeaway(done),

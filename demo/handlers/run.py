@@ -16,9 +16,11 @@ from phy124.scene import Scene
 from ..catalogue import scene_of
 from ..forecast import promise_of, stops_table
 from ..identity import visitor_of
-from ..jobs import Studio, sentence
+from ..jobs import Studio
 from ..line import Job
 from ..progress import Progress
+from ..sentences import sentence
+from ..source import Source
 from ..studies import Measurement
 from ..visitors import key
 from .event import Handler
@@ -27,18 +29,18 @@ from .event import Handler
 def forecaster(studio: Studio) -> Handler:
     """Handler: the scene changed; returns its forecast."""
 
-    def forecast(cutout: Any, scene: Any, told: Any, request: gr.Request) -> str:
+    def forecast(source: Source | None, scene: Any, told: Any, request: gr.Request) -> str:
         if not scene:
             return ""
-        name, path = visitor_of(request), cutout.path if cutout else None
-        text = studio.forecast(name, path, scene, told)
-        return with_stops(studio, name, path, scene, told, text)
+        name = visitor_of(request)
+        text = studio.forecast(name, source, scene, told)
+        return with_stops(studio, name, source, scene, told, text)
 
     return forecast
 
 
 def with_stops(
-    studio: Studio, name: str, cutout: str | None, data: Any, told: Any, text: str, *,
+    studio: Studio, name: str, source: Source | None, data: Any, told: Any, text: str, *,
     opened: bool = False,
 ) -> str:  # fmt: skip
     """A forecast as one line of HTML that opens to a table of all stops of the accuracy slider.
@@ -48,7 +50,7 @@ def with_stops(
     Args:
         studio: What all visitors share.
         name: The visitor's name.
-        cutout: Path of the cut-out, if there is one.
+        source: What the object is made of, if it is there.
         data: The scene as plain data.
         told: What else is known of the object.
         text: The forecast.
@@ -57,12 +59,12 @@ def with_stops(
     visitor = studio.visitors.known(name)
     try:
         scene = scene_of(data, studio.settings, visitor and visitor.folder / "uploads")
-        study = studio.study(name, cutout, scene, told)
-        error = _error_line(studio, name, cutout, scene, told, study)
+        study = studio.study(name, source, scene, told)
+        error = _error_line(studio, name, source, scene, told, study)
     except InputError:
         return f"<p>{escape(text)}</p>"
     known = visitor.forecasts.get(key(scene.data())) if visitor else None
-    count = studio.settings.gaussians
+    count = studio.count(source)
     stops = studio.forecaster.stops(scene, gaussians=count, seconds=known, study=study)
     table = stops_table(stops, scene.accuracy)
     if study is not None:
@@ -77,7 +79,7 @@ def with_stops(
 
 
 def _error_line(
-    studio: Studio, name: str, cutout: str | None, scene: Scene, told: Any,
+    studio: Studio, name: str, source: Source | None, scene: Scene, told: Any,
     study: Measurement | None,
 ) -> str:  # fmt: skip
     """The error measured on this scene, or a button that measures it."""
@@ -86,7 +88,7 @@ def _error_line(
         return f'<p class="measured">{said.measured}</p>'
     if not said.unmeasured:
         return ""
-    seconds = studio.study_seconds(name, cutout, scene, told)
+    seconds = studio.study_seconds(name, source, scene, told)
     span = spoken(studio.forecaster.load().span(seconds, unsure=GUESS))
     button = '<button type="button" class="quiet" data-measure>Measure</button>'
     return f"<p>{UNMEASURED.capitalize()}; {button} takes {span}.</p>"
@@ -95,12 +97,12 @@ def _error_line(
 def refiner(studio: Studio) -> Handler:
     """Handler: the scene changed; returns a forecast by a probe of the object if that is quick."""
 
-    def refine(cutout: Any, scene: Any, told: Any, request: gr.Request) -> Any:
+    def refine(source: Source | None, scene: Any, told: Any, request: gr.Request) -> Any:
         name = visitor_of(request)
-        text = studio.refine(name, cutout.path, scene, told) if cutout and scene else None
+        text = studio.refine(name, source, scene, told) if source and scene else None
         if text is None:
             return gr.skip()
-        return with_stops(studio, name, cutout.path, scene, told, text)
+        return with_stops(studio, name, source, scene, told, text)
 
     return refine
 
@@ -108,9 +110,9 @@ def refiner(studio: Studio) -> Handler:
 def starter(studio: Studio) -> Handler:
     """Handler: Generate was pressed; starts a run that the progress panel follows, or refuses."""
 
-    def start(cutout: Any, scene: Any, told: Any, request: gr.Request) -> tuple[Any, ...]:
+    def start(source: Source | None, scene: Any, told: Any, request: gr.Request) -> tuple[Any, ...]:
         try:
-            job = studio.run(visitor_of(request), cutout.path if cutout else None, scene, told)
+            job = studio.run(visitor_of(request), source, scene, told)
         except InputError as error:
             state = "full" if error.field == "queue" else "refused"
             return Progress(state=state, message=sentence(error)).data(), *rested()
@@ -122,9 +124,11 @@ def starter(studio: Studio) -> Handler:
 def measurer(studio: Studio) -> Handler:
     """Handler: Measure was pressed; starts to measure the scene's error, or refuses."""
 
-    def start_study(cutout: Any, scene: Any, told: Any, request: gr.Request) -> tuple[Any, ...]:
+    def start_study(
+        source: Source | None, scene: Any, told: Any, request: gr.Request
+    ) -> tuple[Any, ...]:
         try:
-            job = studio.measure(visitor_of(request), cutout.path if cutout else None, scene, told)
+            job = studio.measure(visitor_of(request), source, scene, told)
         except InputError as error:
             return Progress(state="refused", message=sentence(error)).data(), *rested()
         return shown_job(job), *working()

@@ -1,5 +1,5 @@
 /* What else is known of the object: pictures from the side and from behind, a depth map, how thick it
- * is. Words, ranges and choices are those of the command line. Its value holds what was told, by
+ * is; or which way up a file of Gaussians is. Words, ranges and choices are those of the command line. Its value holds what was told, by
  * option; the server answers in place of the value, which is then told again. */
 'use strict';
 (() => {
@@ -17,15 +17,16 @@
 
   class Known {
     constructor(element, offer, trigger, send) {
-      Object.assign(this, { options: offer.known, limits: offer.limits, trigger, send, told: {}, views: {} });
+      Object.assign(this, { element, options: offer.known, limits: offer.limits, trigger, send, told: {}, views: {} });
       for (const option of Object.keys(PICTURES)) this.views[option] = new View(option, this);
       this.thickness();
       this.highlights = h('input', { type: 'checkbox', onchange: (event) => this.tell({ highlights: event.target.checked ? 'remove' : null }) });
       this.summary = h('summary', {}, 'Advanced: side, back, depth, thickness');
-      element.replaceChildren(h('details', { class: 'more' }, this.summary, h('div', { class: 'views' }, ...Object.values(this.views).map((view) => view.element)),
+      this.pictured = h('details', { class: 'more' }, this.summary, h('div', { class: 'views' }, ...Object.values(this.views).map((view) => view.element)),
         ...Object.values(this.views).map((view) => view.status),
         h('div', { class: 'knob', title: this.options.thickness.description }, h('div', { class: 'knob-head' }, h('span', { class: 'knob-name' }, 'Thickness'), this.deep), this.slider),
-        h('label', { class: 'check', title: this.options.highlights.description }, this.highlights, 'Remove highlights')));
+        h('label', { class: 'check', title: this.options.highlights.description }, this.highlights, 'Remove highlights'));
+      element.replaceChildren(this.pictured);
     }
 
     thickness() {
@@ -49,14 +50,22 @@
       this.send({ ...this.told });
     }
 
-    /** What the server said: an answer about one picture, or nothing at all for a new object. */
+    /** What the server said: an answer about one picture, a file's orientations, or nothing at all for a new object. */
     take(value) {
-      if (value && value.answer) this.views[value.answer.option]?.take(value.answer);
+      if (value?.ways) this.turn(value.ways);
+      else if (value && value.answer) this.views[value.answer.option]?.take(value.answer);
       else if (!value || !Object.keys(value).length) this.clear();
+    }
+
+    turn(ways) {
+      const chosen = new globalThis.Phy124.Ways(ways, (axes) => { this.told = axes; this.send(axes); });
+      this.element.replaceChildren(chosen.element);
+      chosen.choose();
     }
 
     clear() {
       this.told = {};
+      this.element.replaceChildren(this.pictured);
       [this.slider.value, this.highlights.checked] = [1, false];
       for (const view of Object.values(this.views)) view.clear();
       this.say();

@@ -186,16 +186,16 @@
     const panel = new ViewerPanel(element);
     Object.assign(live, { begin: () => panel.begin(), add: (url) => panel.add(url), drop: () => panel.drop() });
     Object.assign(globalThis.Phy124, { compare: (url, title) => panel.compare(url, title) });
-    watch('value', () => panel.show(props.value?.pack?.url));
-    panel.show(props.value?.pack?.url);
+    watch('value', () => panel.show(props.value?.pack?.url, props.value?.invented));
+    panel.show(props.value?.pack?.url, props.value?.invented);
   }
 
   class ViewerPanel {
     constructor(element) { Object.assign(this, { element, player: null, url: false, growing: null, other: null }); }
 
-    async show(url) {
+    async show(url, invented) {
       if (url === this.url && !this.growing) return;
-      this.url = url;
+      Object.assign(this, { url, invented });
       const pose = this.player && this.growing ? { ...this.player.pose } : null;
       this.growing = null;
       if (!url) { this.clear(); return this.element.replaceChildren(welcome()); }
@@ -203,7 +203,8 @@
       if (this.url !== url) return;
       this.clear();
       const host = h('div', { class: 'viewer-host' });
-      this.element.replaceChildren(h('div', { class: 'viewer-row' }, host), h('p', { class: 'invented' }, 'The front is your picture; the back is invented from the outline.'));
+      this.element.replaceChildren(h('div', { class: 'viewer-row' }, host),
+        ...(invented ? [h('p', { class: 'invented' }, 'The front is your picture; the back is invented from the outline.')] : []));
       if (!bytes) { host.textContent = 'The result is no longer on the server. Generate it again.'; return; }
       this.player = await this.mount(host, bytes, pose);
       this.element.player = this.player;
@@ -250,8 +251,7 @@
     /** The run failed: the previous result is shown again. */
     drop() {
       if (!this.growing) return;
-      const url = this.url;
-      this.show(url);
+      this.show(this.url, this.invented);
     }
 
     /** Another result beside this one, seen from the same place at the same time. */

@@ -1,5 +1,6 @@
 /* The picture panel: choose a picture (file, drop, paste, camera, example), see its cut-out, correct
- * it by brush. Large photographs are reduced here, before they are sent. */
+ * it by brush. Large photographs are reduced here, before they are sent. A file of Gaussians may take the
+ * picture's place. */
 'use strict';
 (() => {
   const { h, follow } = globalThis.Phy124;
@@ -23,14 +24,15 @@
       element.replaceChildren(h('div', { class: 'pictures' }, this.drop, this.preview), this.status, this.again,
         this.examples(), this.brush.element);
       document.addEventListener('paste', (event) => this.paste(event));
+      document.addEventListener('phy124-way', (event) => { if (this.props.value?.file) this.shown.src = event.detail; });
       watch('value', () => this.show());
       this.show();
     }
 
     dropzone() {
-      const input = this.input = h('input', { type: 'file', accept: ACCEPT, 'aria-label': 'Choose a picture', onchange: () => this.send(input.files[0]) });
+      const input = this.input = h('input', { type: 'file', accept: [ACCEPT, ...this.offer.limits.file_endings].join(), 'aria-label': 'Choose a picture or a file of Gaussians', onchange: () => this.send(input.files[0]) });
       this.shown = h('img', { alt: 'Your picture', title: 'Click the object that is meant', hidden: true, onclick: (event) => this.pick(event) });
-      this.hint = h('span', { class: 'photo-hint' }, h('strong', {}, 'Choose a picture'), 'or drop or paste it here');
+      this.hint = h('span', { class: 'photo-hint' }, h('strong', {}, 'Choose a picture'), 'or drop or paste it here', h('small', {}, `Gaussians, too: ${this.offer.limits.file_endings.join(' ')}`));
       const zone = h('div', { id: 'photo' }, h('label', {}, input, this.shown, this.hint),
         h('button', { type: 'button', class: 'quiet another', 'aria-label': 'Another picture', onclick: () => input.click() }, 'Another'),
         h('button', { type: 'button', class: 'quiet camera', onclick: () => this.photograph() }, 'Camera'));
@@ -44,6 +46,7 @@
     /** A click on the picture that is shown, whose sides may be blank: the object there is meant. */
     pick(event) {
       event.preventDefault(); // the label would ask for another file
+      if (this.props.value?.file) return;
       const box = this.shown.getBoundingClientRect(), { naturalWidth, naturalHeight } = this.shown;
       const scale = Math.min(box.width / naturalWidth, box.height / naturalHeight);
       const x = 0.5 + (event.clientX - box.left - box.width / 2) / (scale * naturalWidth);
@@ -85,16 +88,18 @@
     /** Send a file, reduced if it is large, and have it cut out. */
     async send(file) {
       if (!file) return;
-      this.say('Sending the picture …');
-      const small = await reduced(file, this.offer.limits);
+      const { limits } = this.offer, gaussians = isOfGaussians(file, limits);
+      if (gaussians && file.size > limits.file_bytes) return this.refuse(limits.too_large);
+      this.say(`Sending the ${gaussians ? 'file' : 'picture'} …`);
+      const small = gaussians ? file : await reduced(file, limits);
       this.input.value = '';
-      const { path, message, lost } = await sent(small, this.offer.limits);
+      const { path, message, lost } = await sent(small, limits);
       if (message) return this.refuse(message, lost && (() => this.send(file)));
-      this.choose({ upload: path });
+      this.choose({ upload: path }, gaussians);
     }
 
-    choose(what) {
-      this.say('Cutting the object out …');
+    choose(what, reads = false) {
+      this.say(reads ? 'Reading the file …' : 'Cutting the object out …');
       this.last = () => this.trigger('choose', what);
       this.last();
     }
@@ -124,25 +129,29 @@
       this.hint.hidden = Boolean(photo);
       this.preview.hidden = !cut;
       if (cut) this.preview.firstChild.src = cut; else this.preview.firstChild.removeAttribute('src');
-      this.brush.load(photo, cut);
-      if (value.job) return this.await(value.job, value.seconds);
+      this.drop.classList.toggle('file', Boolean(value.file));
+      this.brush.load(value.file ? null : photo, cut);
+      if (value.job) return this.await(value);
       if (value.message) { this.say(value.message, true); this.again.hidden = !value.again; }
+      else if (value.file) this.say(value.file);
       else if (photo) this.say([cut && `The object is cut out by ${value.by}.`, value.doubts].filter(Boolean).join(' '), Boolean(value.doubts));
       else { this.say(this.local || '', Boolean(this.local)); this.local = null; }
     }
 
-    await(job, seconds) {
+    await({ job, seconds, reads }) {
       if (this.following === job) return;
       this.following = job;
-      this.say(`Cutting the object out${seconds ? `, about ${seconds} s` : ''} …`);
+      this.say(reads ? 'Reading the file, and drawing it all ways up …' : `Cutting the object out${seconds ? `, about ${seconds} s` : ''} …`);
       follow(job, (told) => {
         if (this.following !== job) return false;
-        if (told.state === 'waiting' && told.place) this.say(`Waiting to be cut out, ${told.place} before this picture`);
+        if (told.state === 'waiting' && told.place) this.say(`Waiting to be ${reads ? 'read' : 'cut out'}, ${told.place} before this ${reads ? 'file' : 'picture'}`);
         else if (told.state === 'lost') this.say('The connection was lost. Trying again …');
         return true;
       }, () => { if (this.following === job) { this.following = null; this.trigger('cut', { job }); } });
     }
   }
+
+  const isOfGaussians = (file, limits) => limits.file_endings.some((ending) => (file.name || '').toLowerCase().endsWith(ending));
 
   /** A picture file no longer and larger than the server needs; one that this browser cannot read as it is. */
   async function reduced(file, limits) {
@@ -168,7 +177,7 @@
     form.append('files', file, file.name || 'picture.png');
     let answer;
     try { answer = await fetch('gradio_api/upload', { method: 'POST', body: form }); }
-    catch { return { message: 'The picture could not be sent: the connection was lost.', lost: true }; }
+    catch { return { message: 'The file could not be sent: the connection was lost.', lost: true }; }
     if (!answer.ok) return { message: answer.status === 413 ? limits.too_large : await answer.text() };
     return { path: (await answer.json())[0] };
   }

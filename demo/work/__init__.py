@@ -31,7 +31,7 @@ from .study import measure
 __all__ = [
     "BEAT", "DEVICE",
     "Done", "Event", "Glimpse", "Limits", "Live", "Measured", "Order",
-    "Reused", "Step", "easier", "folders", "made_already", "made_gaussians",
+    "Reused", "Step", "easier", "folders", "gaussians_of", "made_already", "made_gaussians",
     "steps", "study_file",
 ]  # fmt: skip
 

@@ -7,12 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
 from phy124 import pipeline
 from phy124.errors import InputError
 from phy124.gaussians import Frame, Gaussians
-from phy124.generators import make as make_generator
 from phy124.io.clip import Clip
 from phy124.io.files import replacing
 from phy124.particles.thinning import asked_for
@@ -27,15 +25,14 @@ from .order import Order
 from .shows import glimpses, lives
 
 
-def gaussians_of(order: Order, path: Path, tell: Tell) -> Gaussians:
+def gaussians_of(order: Order, path: Path, tell: Tell = lambda event: None) -> Gaussians:
     """The Gaussians of an order, made if they do not exist yet."""
     if path.exists():
         tell(Reused("generate"))
         return Clip.load(path).frame(0).gaussians
     tell(Step("generate", 0, 1))
-    make = asked_for(make_generator(order.generator), order.gaussians)
-    make = order.known.given_to(make, order.generator)
-    with Image.open(order.cutout) as cutout:
+    make = asked_for(order.known.generator(order.generator), order.gaussians)
+    with order.picture() as cutout:
         gaussians = make(
             cutout,
             seed=order.scene.seed,
@@ -58,7 +55,7 @@ def simulate(
         watch: Where the durations of the stages are recorded.
     """
     watching = Watching(order, limits)
-    with Image.open(order.cutout) as cutout:
+    with order.picture() as cutout:
         crop = crop_of(cutout)
         about = {**dict(order.about), HOW: how_cut(cutout), "motion": watching.motion}
     pipeline.simulate(

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from PIL import Image
+
 from phy124.cost import GAUSSIANS
 from phy124.scene import Scene
 
@@ -22,8 +24,8 @@ class Order:
 
     folder: Path
     """The visitor's folder."""
-    cutout: Path
-    """The cut-out, a picture with alpha."""
+    cutout: Path | None
+    """The cut-out, a picture with alpha; None for a file of Gaussians."""
     scene: Scene
     stop: Path
     """The file whose existence asks the job to stop."""
@@ -31,15 +33,20 @@ class Order:
     """Longest wall-clock time [s]."""
     max_particles: int
     generator: str = "relief"
+    """Name of the generator, or the file of Gaussians."""
     gaussians: int = GAUSSIANS
     """Number of Gaussians that `relief` makes."""
     known: Known = NOTHING_MORE
-    """What `relief` is told of the object beside its picture."""
+    """What is told of the object beside its picture or file."""
     device: str = "auto"
     about: tuple[tuple[str, str], ...] = ()
     """Further entries of the report."""
     levels: tuple[int, ...] = ()
     """Grids on which the scene's error is to be measured; empty: the scene is filmed instead."""
+
+    def picture(self) -> Image.Image:
+        """The cut-out, or a picture of nothing."""
+        return Image.open(self.cutout) if self.cutout else Image.new("RGBA", (1, 1))
 
 
 def folders(order: Order) -> tuple[Path, Path]:
@@ -53,13 +60,14 @@ def folders(order: Order) -> tuple[Path, Path]:
 def made_already(order: Order) -> dict[str, bool]:
     """Which stages of an order need not be run again, as arguments for the forecast."""
     clips, films = ((folder / "report.json").exists() for folder in folders(order))
-    return {"generated": made_gaussians(order).exists(), "simulated": clips, "filmed": films}
+    generated = order.cutout is None or made_gaussians(order).exists()
+    return {"generated": generated, "simulated": clips, "filmed": films}
 
 
 def made_gaussians(order: Order) -> Path:
     """The file of the Gaussians of an order."""
     told: list[Any] = [
-        order.cutout.read_bytes(),
+        order.cutout.read_bytes() if order.cutout else b"",
         order.generator,
         order.gaussians,
         order.scene.seed,

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from PIL import Image
-
 from phy124.accuracy.study import Study
 from phy124.errors import InputError
 from phy124.io.files import replacing
@@ -30,7 +28,7 @@ def measure(order: Order, limits: Limits) -> Measured:
         limits.tell(Reused("measure"))
         return Measured(path)
     gaussians = gaussians_of(order, made_gaussians(order), limits.tell)
-    with Image.open(order.cutout) as cutout:
+    with order.picture() as cutout:
         crop = crop_of(cutout)
 
     def progress(stage: str, done: int, total: int) -> None:

@@ -31,6 +31,7 @@ from tables import DOCS, markdown, renew
 from demo.forecast import Estimate
 from demo.jobs import Studio
 from demo.settings import Settings
+from demo.source import Cutout
 from demo.visitors import Visitors
 from phy124.runtime.startup import kernel_folder
 from phy124.scene import Scene
@@ -84,14 +85,14 @@ class Page:
         self.studio.warm_up()
         self.studio.visitors.get("a")
 
-    def cut(self, name: str) -> str:
+    def cut(self, name: str) -> Cutout:
         """A picture, cut out."""
         data = (ROOT / f"demo/examples/{name}.png").read_bytes()
         job = self.studio.cut("a", str(self.studio.visitors.store("a", data, ".png")))
         job.wait(600)
-        return job.progress.result.path
+        return job.progress.result
 
-    def run(self, cutout: str, scene: Scene, *, probe: bool = False) -> dict[str, Any]:
+    def run(self, cutout: Cutout, scene: Scene, *, probe: bool = False) -> dict[str, Any]:
         """One run and its forecast."""
         data = scene.data()
         self.studio.forecaster._looked = -1e9

@@ -1,0 +1,45 @@
+"""A file of Gaussians in place of a picture: which way is up is chosen by its pictures."""
+
+from __future__ import annotations
+
+import pytest
+from visit import LONG, Visit
+
+from phy124.io import ply
+from phy124.io.axes import orientation, turned
+from support.shapes import ball
+
+pytestmark = pytest.mark.browser
+
+
+def test_a_file_is_turned_by_keyboard_and_moved(browser, server, tmp_path):
+    data = ply.encode(turned(ball(500), orientation("y", "z").T))
+    unsigned = [line for line in data.splitlines(keepends=True) if b"comment" not in line]
+    (tmp_path / "ball.ply").write_bytes(b"".join(unsigned))
+    (tmp_path / "broken.ply").write_bytes(data[:200])
+    visit = Visit(browser, server)
+    page, chooser = visit.page, visit.page.locator("#photo input[type=file]")
+    chooser.set_input_files(tmp_path / "broken.ply")
+    page.get_by_text("It is cut short within its header.").wait_for(timeout=LONG)
+    chooser.set_input_files(tmp_path / "ball.ply")
+    first = page.get_by_role("radio", name="Up: -y")
+    first.wait_for(timeout=LONG)
+    assert page.get_by_role("radio", name="Front: ").count() == 4
+    page.get_by_text("3DGS PLY, 500 Gaussians.").wait_for(timeout=LONG)
+    before = page.locator("#photo img").get_attribute("src")
+    first.focus()
+    first.press("ArrowRight")
+    assert page.get_by_role("radio", name="Up: y").is_checked()
+    assert page.get_by_role("radio", name="Front: z", exact=True).is_checked()
+    assert page.locator("#photo img").get_attribute("src") != before
+    assert not page.locator("#brush").is_visible()
+    visit.choose(frames=2)
+    visit.generate()
+    visit.finished()
+    assert page.locator(".invented").count() == 0
+    page.get_by_role("tab", name="Report").click()
+    page.get_by_role("row", name="Up, front y, z").wait_for(timeout=LONG)
+    page.get_by_label("Example: teddy").click()
+    page.get_by_text("Advanced: side, back").wait_for(timeout=LONG)
+    assert first.count() == 0 and visit.complaints == []
+    visit.context.close()

@@ -1,0 +1,165 @@
+"""Files of Gaussians in place of a picture: read apart, drawn all ways up, or refused in words."""
+
+from __future__ import annotations
+
+import resource
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from demo import gaussian_files
+from demo.catalogue import catalogue
+from demo.jobs import Studio
+from demo.settings import Settings
+from demo.source import Cutout, GaussianFile
+from demo.visitors import Visitors
+from demo.work import gaussians_of, made_gaussians
+from phy124.errors import InputError
+from phy124.generators.ply_file import PlyFile, Reading
+from phy124.io import ply
+from phy124.io.axes import orientation, turned
+from phy124.io.dialect import Axes
+from phy124.io.formats import ENDINGS
+from phy124.rendering.orienting import UPS
+from phy124.runtime.isolated import Deadline, Unfinished
+from phy124.scene import Scene
+from support.shapes import ball
+
+DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"
+SOON = Deadline(60)
+HEAD, ROWS = ply.encode(turned(ball(1200), orientation("y", "z").T)).split(b"end_header\n")
+# No program has signed it.
+HEAD = b"".join(line for line in HEAD.splitlines(keepends=True) if b"comment" not in line)
+
+
+def of(rows: bytes = ROWS, head: bytes = HEAD) -> bytes:
+    return head + b"end_header\n" + rows
+
+
+def changed(**columns: float) -> bytes:
+    """The file with other values of some properties."""
+    names = [line.split()[-1].decode() for line in HEAD.splitlines() if b"property" in line]
+    table = np.frombuffer(ROWS, "<f4").reshape(-1, len(names)).copy()
+    for name, value in columns.items():
+        table[:, names.index(name)] = value
+    return of(table.tobytes())
+
+
+@pytest.fixture(autouse=True)
+def unlimited(monkeypatch):
+    """Read in this process, which is quicker and must not be limited."""
+    monkeypatch.setattr(resource, "setrlimit", lambda *_: None)
+    monkeypatch.setattr(gaussian_files.isolated, "run", lambda work, *given, deadline: work(*given))
+
+
+@pytest.fixture
+def studio(tmp_path) -> Studio:
+    return Studio(Settings(gaussians=1000, max_file_mb=0.5, max_upload_mb=0.1), Visitors(tmp_path))
+
+
+def sent(studio: Studio, data: bytes, ending: str = ".ply") -> str:
+    studio.visitors.get("a")
+    return str(studio.visitors.store("a", data, ending))
+
+
+def read(studio: Studio, data: bytes) -> GaussianFile:
+    job = studio.take("a", sent(studio, data))
+    assert job.wait(60) and job.progress.result, job.progress.message
+    return job.progress.result
+
+
+def test_a_file_is_reduced_drawn_in_24_ways_and_moved_as_the_one_that_is_chosen(studio):
+    file = read(studio, of())
+    assert (file.format, file.axes[:3]) == ("3DGS PLY", ("-y", "x", False))
+    assert file.count <= 1000 and "The file has 1,200 Gaussians; fewer" in file.notes[0]
+    with Image.open(file.picture) as picture:
+        assert picture.size == (gaussian_files.SIZE,) * 2
+    made = {path.stem for path in file.pictures.glob("*.webp")}
+    assert len(made) == 24 and {name.split("_")[0] for name in made} == set(UPS)
+    visitor, scene = studio.visitors.get("a"), Scene.named("press")
+
+    def order(told):
+        return studio._order(visitor, file, scene, studio.known("a", told))
+
+    chosen, other = order({"up": "y", "front": "z"}), order(None)
+    assert (other.known.reading.up, other.known.reading.front) == ("-y", "x")
+    assert order({"up": "z"}).known.reading == Reading(up="z")
+    assert made_gaussians(chosen) != made_gaussians(other)
+    standing = gaussians_of(chosen, made_gaussians(chosen))
+    wanted = PlyFile(file.path, Reading(up="y", front="z"))()
+    np.testing.assert_array_equal(standing.means, wanted.means)
+    assert dict(chosen.about)["file"] == {"up": "y", "front": "z", "program": file.axes.program}
+
+
+@pytest.mark.parametrize(
+    ("data", "limit"),
+    [
+        (of()[:200], "cut short within its header"),
+        (of(ROWS[:-5000]), "cut short: "),
+        (of(head=HEAD.replace(b"1200", b"1000000000")), "announces 1,000,000,000 Gaussians; the"),
+        (changed(x=np.nan), "None of its Gaussians has finite values"),
+        (changed(opacity=-20), "fainter than"),
+        (changed(x=0, y=0, z=0), "lie in one point"),
+        (of(ROWS[: len(ROWS) // 1200], HEAD.replace(b"1200", b"1")), "lie in one point"),
+        (DUCK.read_bytes(), "It is not a PLY file"),
+        (b"", "It is empty"),
+    ],
+)
+def test_a_broken_file_gets_one_sentence_and_leaves_nothing(studio, data, limit):
+    job = studio.take("a", sent(studio, data))
+    assert job.wait(60) and job.progress.state == "refused"
+    assert limit in job.progress.message and str(studio.visitors.root) not in job.progress.message
+    assert not any((studio.visitors.get("a").folder / "objects").iterdir())
+
+
+@pytest.mark.parametrize(
+    ("broken", "limit"),
+    [
+        (Unfinished("did not finish within 60 s"), "Reading it did not finish within 60 s. Reduce"),
+        (Unfinished("broke down (exit status -6: /x)"), "Reading it broke down. Reduce the file"),
+        (MemoryError(), "more than the 3 GB of memory"),
+    ],
+)
+def test_a_file_that_takes_too_much_is_refused(tmp_path, monkeypatch, broken, limit):
+    def fail(*_, deadline):
+        raise broken
+
+    monkeypatch.setattr(gaussian_files.isolated, "run", fail)
+    with pytest.raises(InputError, match=limit):
+        gaussian_files.opened(tmp_path / "a.ply", tmp_path, 1000, SOON)
+
+
+def test_a_file_is_known_by_its_content_and_has_limits_of_its_own(studio):
+    assert studio.take("a", sent(studio, of(), ".png")).kind == "read"
+    with pytest.raises(InputError, match=r"larger than the 0\.5 MB"):
+        studio.take("a", sent(studio, of(10 * ROWS)))
+    with pytest.raises(InputError, match="one object only"):
+        studio.take("a", sent(studio, of()), (0.5, 0.5))
+    assert catalogue(studio.settings)["limits"]["file_endings"] == ENDINGS
+
+
+def test_what_is_told_must_suit_the_object(studio):
+    file = GaussianFile("a.ply", "3DGS PLY", 10, Axes("-y", "-z", False))
+    for told, source, option in (
+        ({"up": "y"}, Cutout("", ""), "up"),
+        ({"thickness": 0.5}, file, "thickness"),
+        ({"near": "black"}, file, "near"),
+    ):
+        with pytest.raises(InputError, match="Leave it out") as refused:
+            studio.known("a", told).suited(source)
+        assert refused.value.field == option
+    for told in ({"up": "w"}, {"up": "y", "front": "-y"}):
+        with pytest.raises(InputError, match=r"axis"):
+            studio.known("a", told)
+
+
+def test_the_forecast_is_that_of_the_file(studio):
+    file, scene = read(studio, of()), Scene.named("press").data()
+    small = replace(file, count=file.count // 8)
+    both = [studio.forecaster(Scene.from_data(scene), gaussians=studio.count(one), generated=True)
+            for one in (file, small)]  # fmt: skip
+    assert both[0].seconds > both[1].seconds
+    assert studio.forecast("a", file, scene) == both[0].sentence
