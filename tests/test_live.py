@@ -88,6 +88,21 @@ def test_a_push_gives_the_momentum_of_its_force_and_time():
     assert speed == pytest.approx(60 * 0.1 / run.limits.mass, rel=1e-3)
 
 
+def test_a_push_takes_the_place_of_the_one_before_it_of_its_name():
+    run = live(forces=[], boundaries=[])
+    run.step()
+    for _ in range(4):
+        run.push((60, 0, 0), seconds=10, name="tool")
+        run.step()
+    run.push((0, 0, 0), name="tool")
+    start, *_, last = [run.step() and run.centre for _ in range(4)]
+    # It has acted for four frames, once at a time.
+    speed = (last - start)[0] / 3 * 24
+    assert speed == pytest.approx(60 * 4 / 24 / run.limits.mass, rel=1e-3)
+    assert len(run.session().forces) == 5
+    assert np.array_equal(run.clip().means[-1], run._frame.gaussians.means)
+
+
 def test_gravity_changes_at_once_and_a_wall_moves_at_hand_speed():
     run = live(boundaries=GROUND, **{"object.lift": 0.5})
     falls = [middle(frame)[2] for frame in run.frames(4)]

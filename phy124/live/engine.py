@@ -77,6 +77,7 @@ class Live:
         )
         self._target: Vector | None = None
         self._offsets: dict[int, Vector] = {}
+        self._named: dict[str, WrenchForce] = {}
         self._changed = False
         self._kept: list[tuple[float, dict[str, Any]]] = []
 
@@ -96,6 +97,23 @@ class Live:
         state = self._run.solver.state
         x, F = np.asarray(state.x.numpy()), np.asarray(state.deformation.numpy())
         return x.astype(np.float32), F.astype(np.float32)
+
+    @property
+    def centre(self) -> NDArray[np.float64]:
+        """The object's centre of mass now [3], m."""
+        x = np.asarray(self._run.solver.state.x.numpy(), dtype=np.float64)
+        mass = self._run.particles.mass.astype(np.float64)
+        return mass @ x / mass.sum()
+
+    @property
+    def holds(self) -> bool:
+        """Whether something is held."""
+        return self._inputs.holding is not None
+
+    @property
+    def scene(self) -> Scene:
+        """What happens without inputs."""
+        return self._scene
 
     def frames(self, count: int) -> Iterator[Frame]:
         """So many frames, one after the other; inputs may be given between them."""
@@ -185,6 +203,7 @@ class Live:
         at: Sequence[float] | None = None,
         radius: float | None = None,
         seconds: float = 0.1,
+        name: str = "",
     ) -> None:
         """Push the object for a while, and then no more.
 
@@ -194,13 +213,16 @@ class Live:
             at: A place on the object as it is now [m]; None: on the whole of it.
             radius: Material so close to it is pushed [m], less towards the rim.
             seconds: How long [s].
+            name: It takes the place of the push of this name before it, which ends; empty: it
+                acts beside all others.
 
         Raises:
             InputError: A number cannot be used, no part of the object is there, or too many pushes
                 act already.
         """
         now, limits = self.time, self.limits
-        acting = sum(one.end is None or one.end > now for one in self._inputs.wrenches)
+        before = self._named.get(name or "")
+        acting = sum(one.end > now for one in self._inputs.wrenches if one.end and one != before)
         if acting >= PUSHES:
             limit = f"{acting} pushes act at this moment, the most there may be."
             raise InputError("push", len(self._inputs.wrenches), limit, "Wait for one to end.")
@@ -213,10 +235,13 @@ class Live:
         point = None if place is None else self._rest_of("push.at", place, radius)
         given = self._said(*limits.force("push.force", force))
         turn = self._said(*limits.torque("push.torque", torque))
-        self._inputs.wrenches.append(
-            WrenchForce(force=given, torque=turn, point=point, radius=radius, start=now,
-                   end=now + seconds)
-        )  # fmt: skip
+        push = WrenchForce(
+            force=given, torque=turn, point=point, radius=radius, start=now, end=now + seconds
+        )
+        self._inputs.end_push(before, now)
+        self._inputs.wrenches.append(push)
+        if name:
+            self._named[name] = push
         self._changed = True
 
     def gravity(self, g: Sequence[float]) -> None:
@@ -291,7 +316,8 @@ class Live:
     def _apply(self) -> None:
         """Let the run go on under what has been done since."""
         if self._changed:
-            self._run.change(self._inputs.scene())
+            # The first kick of a frame also looks back, half a substep.
+            self._run.change(self._inputs.scene(self.time - 1 / self._scene.time.fps))
             self._changed = False
 
     def _lost(self, frame: Frame) -> bool:

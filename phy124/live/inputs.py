@@ -64,13 +64,20 @@ class Inputs:
             self.gravity.pop()
         self.gravity.append(Gravity(g=g, start=now))
 
-    def scene(self) -> Scene:
-        """The scene with everything that was done to it."""
+    def end_push(self, before: WrenchForce | None, now: float) -> None:
+        """Let a push act no longer from now on [s]; if it has not begun, it never was."""
+        if before in self.wrenches:
+            index = self.wrenches.index(before)
+            self.wrenches[index : index + 1] = _ended(before, now)
+
+    def scene(self, since: float = 0.0) -> Scene:
+        """The scene with everything that was done to it, without pushes over by then [s]."""
         boundaries = list(self.base.boundaries)
         for index, moved in self.moved.items():
             path = Path(times=tuple(moved.times), points=tuple(moved.points), smooth=False)
             boundaries[index] = boundaries[index].model_copy(update={"motion": path})
-        forces = [*self._weights(), *self.wrenches, *(held.force() for held in self.grabs)]
+        pushes = [push for push in self.wrenches if push.end is None or push.end > since]
+        forces = [*self._weights(), *pushes, *(held.force() for held in self.grabs)]
         return self.base.model_copy(
             update={"forces": tuple(forces), "boundaries": tuple(boundaries)}
         )
@@ -107,6 +114,14 @@ class Inputs:
         ends = [*(one.start for one in self.gravity[1:]), None]
         changed = zip(self.gravity, ends, strict=True)
         return found + [one.model_copy(update={"end": end}) for one, end in changed]
+
+
+def _ended(push: WrenchForce, now: float) -> list[WrenchForce]:
+    """The part of a push before a time [s], if any."""
+    if push.start >= now:
+        return []
+    end = now if push.end is None else min(push.end, now)
+    return [push.model_copy(update={"end": end})]
 
 
 def movable(scene: Scene, index: int) -> bool:
