@@ -13,7 +13,9 @@ from phy124.plugins import names, registered
 from phy124.runtime.installation import install_command
 
 from . import PROGRAM
+from .controls import Controls
 from .options import Options
+from .parameters import RUNNING, RUNNING_LIVE
 from .sink import LiveSink
 from .sinks.dds import DdsSink, require_cyclonedds
 from .sinks.foxglove import PORT, FoxgloveSink, require_foxglove
@@ -78,6 +80,7 @@ def open_sink(
     clock: bool = False,
     port: int = PORT,
     ros_args: Sequence[str] = (),
+    controls: Controls | None = None,
 ) -> LiveSink:
     """The live sink of a chosen backend, not entered yet.
 
@@ -89,18 +92,24 @@ def open_sink(
         clock: rclpy: publish /clock.
         port: Foxglove and registered sinks: the port to use.
         ros_args: rclpy: `--ros-args` and the arguments after it.
+        controls: All that come with the bridge: what is heard and offered besides frames.
 
     Raises:
         InputError: An option does not suit the backend, or a registered sink is broken.
     """
     _refuse_unsuitable(backend, network, clock, ros_args)
     if backend == "rclpy":
-        return RclpySink(options, clock=clock, args=[backend, *ros_args])
+        given = [backend, *ros_args]
+        running = RUNNING if controls is None else RUNNING_LIVE
+        return RclpySink(options, clock=clock, args=given, running=running, controls=controls)
     if backend == "dds":
-        return DdsSink(options, network=network)
-    if backend == "foxglove":
+        return DdsSink(options, network=network, controls=controls)
+    if backend == "foxglove" and controls is None:
         host = "0.0.0.0" if network else "127.0.0.1"
         return FoxgloveSink(options, duration=duration, host=host, port=port)
+    if controls is not None:
+        limit = "A run is not steered through this backend."
+        raise InputError("backend", backend, limit, "Use rclpy or dds.")
     return _registered_sink(backend, options, duration=duration, network=network, port=port)
 
 

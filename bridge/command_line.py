@@ -14,7 +14,7 @@ from phy124.arguments.parsing import parsed
 from phy124.errors import InputError
 
 from . import PROGRAM
-from .commands import COMMANDS, Play
+from .commands import COMMANDS, Play, Steer
 
 MAY_BE_EMPTY = ("--parent-frame",)
 
@@ -39,8 +39,8 @@ def _command(arguments: list[str], description: str | None) -> Any:
     command = parsed(own, COMMANDS, program=PROGRAM, description=description, empty=MAY_BE_EMPTY)
     if not ros:
         return command
-    if not isinstance(command, Play):
-        limit = "Only `play` takes arguments for ROS 2."
+    if not isinstance(command, (Play, Steer)):
+        limit = "Only `play` and `live` take arguments for ROS 2."
         raise InputError("--ros-args", " ".join(ros[1:]), limit, "Leave them out.")
     return replace(command, ros_args=tuple(ros))
 

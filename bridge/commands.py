@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
@@ -19,13 +20,16 @@ from .backends import choose, known, open_sink
 from .info import describe, diagnose
 from .live import follow, play
 from .options import Options
-from .player import Player
+from .player import Player, checked_speed
 from .recover import recover
 from .sink import LiveSink, Sink
 from .sinks.background import Background
 from .sinks.foxglove import PORT
 from .sinks.mcap import Compression, McapSink
 from .source import LiveOptions, LiveRun, opened
+from .steering.loop import controls, steer
+from .steering.run import SteeredRun, checked_duration
+from .steering.source import SteeredOptions, steered
 
 STOPPED_EARLY = 3
 """Exit status of a simulation that kept its good frames but did not reach the end."""
@@ -181,6 +185,76 @@ class Play:
 
 
 @dataclass(frozen=True)
+class Steer:
+    """Simulate an object that peers push, hold, pause and step over ROS 2 topics and services."""
+
+    source: tyro.conf.Positional[Path]
+    """A picture, a file of Gaussians, or a clip.safetensors, whose object begins at rest."""
+    backend: Backend = "auto"
+    """rclpy (needs ROS 2), dds (ROS 2 topics without ROS 2) or foxglove; auto: rclpy, otherwise
+    dds."""
+    speed: float = 1.0
+    """Simulated seconds per second; slower where the machine does not keep up."""
+    paused: bool = False
+    """Show the object at rest and wait to be played or stepped."""
+    push_seconds: float = 0.1
+    """How long a wrench on ~/push acts if no other follows [s]."""
+    frames: int | None = None
+    """End after so many frames; default: when it is interrupted or quit."""
+    session: Path | None = None
+    """At the end write what was done as a scene, which `phy124 generate --scene` plays again."""
+    record: Path | None = None
+    """Also record the frames to this bag folder or .mcap file."""
+    network: bool = False
+    """Also reach other machines; otherwise only this one."""
+    port: int = PORT
+    """Foxglove: port of the websocket."""
+    messages: Messages = field(default_factory=Options)
+    simulated: Annotated[SteeredOptions, tyro.conf.arg(name=""), tyro.conf.OmitArgPrefixes] = field(
+        default_factory=SteeredOptions
+    )
+    ros_args: tyro.conf.Suppress[tuple[str, ...]] = ()
+    """rclpy: the arguments from --ros-args on."""
+
+    def run(self, say: Say) -> int:
+        """Simulate until it is quit, or Ctrl-C."""
+        checked_speed(self.speed)
+        checked_duration(self.push_seconds)
+        backend = choose(self.backend)
+        messages = self.messages.model_copy(update={"epoch": self.messages.epoch or time.time()})
+        velocities = messages.profile == "full"
+        live, accuracy = steered(
+            self.source, self.simulated, speed=self.speed, velocities=velocities
+        )
+        say(accuracy)
+        run = SteeredRun(
+            live, messages, push_seconds=self.push_seconds, speed=self.speed, paused=self.paused
+        )
+        offered = controls(run, accuracy, action=backend == "rclpy")
+        try:
+            with ExitStack() as stack:
+                records = self._records(stack, messages, live)
+                sink = open_sink(
+                    backend, messages, network=self.network, port=self.port,
+                    ros_args=self.ros_args, controls=offered,
+                )  # fmt: skip
+                sink = stack.enter_context(sink)
+                say(f"Publishing through {backend}. {sink.audience()}".rstrip())
+                steer(run, sink, messages, records=records, frames=self.frames)
+        finally:
+            if self.session is not None and run.shown:
+                self.session.write_text(live.session().to_toml(), encoding="utf-8")
+                say(f"{run.shown} frames shown; what was done is in {self.session}")
+        return 0
+
+    def _records(self, stack: ExitStack, messages: Options, live: Any) -> list[Sink]:
+        if self.record is None:
+            return []
+        bag = McapSink(self.record, messages, scene=live.scene.data())
+        return [stack.enter_context(Background(bag))]
+
+
+@dataclass(frozen=True)
 class Info:
     """Describe the contents of a clip or a recording."""
 
@@ -222,7 +296,14 @@ class Doctor:
         return 0
 
 
-COMMANDS = {"record": Record, "play": Play, "info": Info, "recover": Recover, "doctor": Doctor}
+COMMANDS = {
+    "record": Record,
+    "play": Play,
+    "live": Steer,
+    "info": Info,
+    "recover": Recover,
+    "doctor": Doctor,
+}
 """Name on the command line -> class."""
 
 

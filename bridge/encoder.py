@@ -40,6 +40,11 @@ class FrameEncoder:
         static = [TF_STATIC] if self.options.parent_frame else []
         return [*static, POINTS, *([ELLIPSOIDS] if self.options.ellipsoids else [])]
 
+    @property
+    def main(self) -> Topic:
+        """The topic that has the Gaussians of every frame."""
+        return POINTS
+
     def stamp(self, seconds: float) -> int:
         """Time stamp [ns since 1970] of an instant of the clip [s]."""
         return self.epoch + round(seconds * cdr.NANO)

@@ -29,16 +29,29 @@ SCALARS: dict[str, Any] = {
 @cache
 def idl_type(name: str) -> type[IdlStruct]:
     """The final, keyless DDS type of a ROS message, with the name that ROS 2 uses."""
-    package, _, base = name.split("/")
-    mangled = f"{package}::msg::dds_::{base}_"
+    return _struct(name, {})
+
+
+@cache
+def service_type(name: str) -> type[IdlStruct]:
+    """The type of a service's request or response behind the header of rmw_cyclonedds_cpp."""
+    return _struct(name, {"client": types.uint64, "number": types.int64})
+
+
+def _struct(name: str, before: dict[str, Any]) -> type[IdlStruct]:
+    package, kind, base = name.split("/")
     members = {member.name: _member(member) for member in fields(name)}
-    return annotations.final(make_idl_struct(base, mangled, members))
+    mangled = f"{package}::{kind}::dds_::{base}_"
+    return annotations.final(make_idl_struct(base, mangled, {**before, **members}))
 
 
 @cache
 def encoded_type(name: str) -> type[IdlStruct]:
-    """The same type for writers whose samples are CDR payloads already; see `sample`."""
-    kind = idl_type.__wrapped__(name)
+    """The same type for writers whose samples are CDR payloads already; see `sample`.
+
+    That of a response has the header, too.
+    """
+    kind = (service_type if name.endswith("_Response") else idl_type).__wrapped__(name)
     # DataWriter.write calls serialize(); this skips the field-by-field encoder, which is slow.
     setattr(kind, "serialize", _payload)  # noqa: B010
     return kind

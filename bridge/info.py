@@ -24,6 +24,11 @@ WANTED_BUFFER = 4 << 20
 """Receive buffer for a frame of 65,536 points of 60 bytes [bytes]."""
 SHARED = (("NumPy", "numpy", 1), ("OpenCV", "cv2", 4))
 """Packages that phy124 and ROS 2 share: name, module, newest major version Jazzy accepts."""
+OPTIONAL = {
+    "simulation_interfaces": "`live` offers ~/step and ~/reset (std_srvs) instead of its services",
+    "splat_interfaces": "there is no profile `splats` through rclpy",
+}
+"""Package of ROS 2 -> what is lacking without it."""
 BUFFERS = Path("/proc/sys/net/core")
 SHORT = {
     "rmem_max": "too small for 65,536 points per frame",
@@ -106,10 +111,21 @@ def diagnose() -> list[str]:
         lines.append(f"{outlet}: {'ready' if error is None else f'{error.limit} {error.remedy}'}")
     live = next((name for name in AUTOMATIC if missing(name) is None), None)
     lines.append(f"play --backend auto: {live or 'not possible, only recording'}")
+    if missing("rclpy") is None:
+        lines += [_optional(package, lacking) for package, lacking in OPTIONAL.items()]
     for name in ("ROS_DISTRO", "ROS_DOMAIN_ID", "RMW_IMPLEMENTATION", "CYCLONEDDS_URI"):
         lines.append(f"{name}: {os.environ.get(name) or 'not set'}")
     lines += [_beside_ros(name, module, newest) for name, module, newest in SHARED]
     return lines + [_buffer_advice(name) for name in SHORT if (BUFFERS / name).is_file()]
+
+
+def _optional(package: str, lacking: str) -> str:
+    """Whether a ROS 2 package that is not part of every installation is there."""
+    if find_spec(package) is not None:
+        return f"{package}: ready"
+    distro = os.environ.get("ROS_DISTRO", "jazzy")
+    name = f"ros-{distro}-{package.replace('_', '-')}"
+    return f"{package}: not installed, so {lacking}; `sudo apt install {name}` brings it"
 
 
 def _beside_ros(name: str, module: str, newest: int) -> str:

@@ -26,6 +26,7 @@ SLOW = (
 )
 WORDS = ("play", "pause", "toggle", "next", "restart")
 """Commands without a value; each is a method of `Player`."""
+KNOWN = f"{', '.join(WORDS)}, seek SECONDS, speed FACTOR, rate HZ, loop on|off"
 log = logging.getLogger(__name__)
 
 
@@ -126,15 +127,15 @@ def command(player: Player, text: str, now: float) -> None:
     if word in WORDS and not values:
         getattr(player, word)(now)
     elif word == "seek":
-        player.seek(_number(text, values), now)
+        player.seek(number(text, values), now)
     elif word == "speed":
-        player.set_speed(_number(text, values), now)
+        player.set_speed(number(text, values), now)
     elif word == "rate":
-        player.set_rate(_number(text, values) or None)
+        player.set_rate(number(text, values) or None)
     elif text in ("loop on", "loop off"):
         player.loop = text == "loop on"
     else:
-        raise _unknown(text)
+        raise unknown(text)
 
 
 class Pacer:
@@ -188,7 +189,7 @@ class Pacer:
         if word in ("play", "pause", "toggle") and not values:
             self.paused = not self.paused if word == "toggle" else word == "pause"
         elif word == "speed":
-            speed = checked_speed(_number(text, values))
+            speed = checked_speed(number(text, values))
             with self._lock:
                 self.speed, self._anchor = speed, None
         else:
@@ -220,14 +221,25 @@ def _attempt(action: Callable[[], None]) -> str | None:
     return None
 
 
-def _number(text: str, values: list[str]) -> float:
+def number(text: str, values: list[str], known: str = KNOWN) -> float:
+    """The one number of a command.
+
+    Args:
+        text: The command.
+        values: Its words after the first.
+        known: The commands there are.
+
+    Raises:
+        InputError: There is not one.
+    """
     try:
         (number,) = map(float, values)
     except ValueError:
-        raise _unknown(text) from None
+        raise unknown(text, known) from None
     return number
 
 
-def _unknown(text: str) -> InputError:
-    limit = f"Known are: {', '.join(WORDS)}, seek SECONDS, speed FACTOR, rate HZ, loop on|off."
+def unknown(text: str, known: str = KNOWN) -> InputError:
+    """The refusal of a command that is not among those known."""
+    limit = f"Known are: {known}."
     return InputError("command", repr(text), limit, "Send one of them.")

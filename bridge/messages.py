@@ -1,7 +1,9 @@
 """The ROS 2 messages that the bridge uses: definitions and RIHS01 type hashes of ROS 2 Jazzy.
 
 Constants are left out of the definitions, as they are not part of the wire format. The tests
-compare every definition and hash with those of rosbags.
+compare every definition and hash of ROS 2 itself with those of rosbags. Two more packages are
+Apache-2.0, of which names and types are here: simulation_interfaces 2.1.0 and splat_interfaces (of
+RVizSplat).
 """
 
 from __future__ import annotations
@@ -11,6 +13,10 @@ from dataclasses import dataclass
 from functools import cache
 
 SEPARATOR = "=" * 80
+
+NOTHING = "uint8 structure_needs_at_least_one_member"
+"""What ROS 2 puts in a message without members."""
+RESULT = "simulation_interfaces/Result result"
 
 DEFINITIONS: dict[str, str] = {
     "builtin_interfaces/msg/Time": "int32 sec\nuint32 nanosec",
@@ -46,6 +52,18 @@ DEFINITIONS: dict[str, str] = {
         "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/Transform transform"
     ),
     "tf2_msgs/msg/TFMessage": "geometry_msgs/TransformStamped[] transforms",
+    "geometry_msgs/msg/Wrench": "geometry_msgs/Vector3 force\ngeometry_msgs/Vector3 torque",
+    "geometry_msgs/msg/WrenchStamped": "std_msgs/Header header\ngeometry_msgs/Wrench wrench",
+    "geometry_msgs/msg/PointStamped": "std_msgs/Header header\ngeometry_msgs/Point point",
+    "geometry_msgs/msg/PoseWithCovariance": "geometry_msgs/Pose pose\nfloat64[36] covariance",
+    "geometry_msgs/msg/PoseWithCovarianceStamped": (
+        "std_msgs/Header header\ngeometry_msgs/PoseWithCovariance pose"
+    ),
+    "splat_interfaces/msg/Splat": (
+        "geometry_msgs/PoseWithCovarianceStamped pose\nuint8 opacity\nuint8 harmonics_deg\n"
+        "float32[] spherical_harmonics"
+    ),
+    "splat_interfaces/msg/SplatArray": "splat_interfaces/Splat[] splats",
     "visualization_msgs/msg/UVCoordinate": "float32 u\nfloat32 v",
     "visualization_msgs/msg/MeshFile": "string filename\nuint8[] data",
     "visualization_msgs/msg/Marker": (
@@ -58,6 +76,27 @@ DEFINITIONS: dict[str, str] = {
         "bool mesh_use_embedded_materials"
     ),
     "visualization_msgs/msg/MarkerArray": "visualization_msgs/Marker[] markers",
+    "simulation_interfaces/msg/Result": "uint8 result\nstring error_message",
+    "simulation_interfaces/msg/SimulationState": "uint8 state",
+    "simulation_interfaces/msg/SimulatorFeatures": (
+        "uint16[] features\nstring[] spawn_formats\nstring custom_info"
+    ),
+    "simulation_interfaces/srv/GetSimulatorFeatures_Request": NOTHING,
+    "simulation_interfaces/srv/GetSimulatorFeatures_Response": (
+        "simulation_interfaces/SimulatorFeatures features"
+    ),
+    "simulation_interfaces/srv/GetSimulationState_Request": NOTHING,
+    "simulation_interfaces/srv/GetSimulationState_Response": (
+        "simulation_interfaces/SimulationState state\nsimulation_interfaces/Result result"
+    ),
+    "simulation_interfaces/srv/SetSimulationState_Request": (
+        "simulation_interfaces/SimulationState state"
+    ),
+    "simulation_interfaces/srv/SetSimulationState_Response": RESULT,
+    "simulation_interfaces/srv/StepSimulation_Request": "uint64 steps",
+    "simulation_interfaces/srv/StepSimulation_Response": RESULT,
+    "simulation_interfaces/srv/ResetSimulation_Request": "uint8 scope",
+    "simulation_interfaces/srv/ResetSimulation_Response": RESULT,
     "rmw_dds_common/msg/Gid": "uint8[16] data",
     "rmw_dds_common/msg/NodeEntitiesInfo": (
         "string<=256 node_namespace\nstring<=256 node_name\n"
@@ -67,7 +106,10 @@ DEFINITIONS: dict[str, str] = {
         "rmw_dds_common/Gid gid\nrmw_dds_common/NodeEntitiesInfo[] node_entities_info_seq"
     ),
 }
-"""Type name -> its own lines, in which inner messages are named `package/Name`."""
+"""Type name -> its own lines, in which inner messages are named `package/Name`.
+
+The two halves of a service are messages `package/srv/Name_Request` and `_Response`.
+"""
 
 HASHES: dict[str, str] = {
     "diagnostic_msgs/msg/DiagnosticArray": (
@@ -94,8 +136,47 @@ HASHES: dict[str, str] = {
     "rmw_dds_common/msg/ParticipantEntitiesInfo": (
         "RIHS01_91a0593bacdcc50ea9bdcf849a938b128412cc1ea821245c663bcd26f83c295e"
     ),
+    "geometry_msgs/msg/WrenchStamped": (
+        "RIHS01_8dc3deaf06b2ab281f9f9a742a8961c328ca7cec16e3fd6586d3a5c83fa78f77"
+    ),
+    "geometry_msgs/msg/PointStamped": (
+        "RIHS01_4c0296af86e01e562e9e0405d138a01537247580076c58ea38d7923ac1045897"
+    ),
+    "splat_interfaces/msg/SplatArray": (
+        "RIHS01_68c90e8e9ff1b2237789f7b7712b746a699fe37a3bed11d685f8d6698b4f5abf"
+    ),
+    "simulation_interfaces/srv/GetSimulatorFeatures_Request": (
+        "RIHS01_982b8c1adef1d556f6ecdc019d1269fc39413626a9222d73b4fc874bd798b7db"
+    ),
+    "simulation_interfaces/srv/GetSimulatorFeatures_Response": (
+        "RIHS01_ede4dc8227cbb2f86a24612c999dcaa67d17dab21dab566cefdc233e7a2a65d1"
+    ),
+    "simulation_interfaces/srv/GetSimulationState_Request": (
+        "RIHS01_c6d65bc5c0a95ca2886bc57f146f803e01722c84ddb5acd5f32a4417f55eecfb"
+    ),
+    "simulation_interfaces/srv/GetSimulationState_Response": (
+        "RIHS01_dc80ce852a5ab04c2b23cdd47910cee1bcc46e0f1931cac85825e6916b15517f"
+    ),
+    "simulation_interfaces/srv/SetSimulationState_Request": (
+        "RIHS01_73283477d36ba619db2ac37a3e599077ca244502c9d8ca2a7183afcb2224f476"
+    ),
+    "simulation_interfaces/srv/SetSimulationState_Response": (
+        "RIHS01_6351aebf2bbf06e2993977918b944240f7403b532a9e4a344c53e71a56afd174"
+    ),
+    "simulation_interfaces/srv/StepSimulation_Request": (
+        "RIHS01_cda33f6887815f3dce0f90e61fd8efd39bda13ae264ddede15c33fbad890630e"
+    ),
+    "simulation_interfaces/srv/StepSimulation_Response": (
+        "RIHS01_5b4acf2d0ce7c3fc125d0bef2acb9b5a81377e80db6b696b81beeffb9824fb5c"
+    ),
+    "simulation_interfaces/srv/ResetSimulation_Request": (
+        "RIHS01_2c766d09c3aa30f01fadc55a42fd760b63db358c7d1d3b6a64ea9978225ffbc7"
+    ),
+    "simulation_interfaces/srv/ResetSimulation_Response": (
+        "RIHS01_718428121e0f1755720878d3c28f1688da7581ee5a5d56d26d10d941a28a50a0"
+    ),
 }
-"""Type of a topic -> its hash (REP-2011)."""
+"""Type of a topic, or of half a service -> its hash (REP-2011)."""
 
 
 @dataclass(frozen=True)

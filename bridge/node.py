@@ -15,6 +15,7 @@ from pydantic import ValidationError
 
 from phy124.runtime.signals import handled, interrupt
 
+from .controls import PLAYER
 from .live import follow, play
 from .options import Options
 from .parameters import (
@@ -28,7 +29,7 @@ from .parameters import (
     section_of,
 )
 from .player import Player
-from .ros_node import NODE, ros_node
+from .ros_node import ros_node
 from .sinks.rclpy import RclpySink
 from .source import LiveOptions, LiveRun, opened
 
@@ -93,7 +94,7 @@ def _live_through(args: list[str] | None, work: Callable[[Any], None]) -> None:
     except (ValueError, ImportError) as error:
         # There is no node yet that could log it.
         refused = _one_line(error)
-        sys.stderr.write(f"[FATAL] [{NODE}]: {refused}\n")
+        sys.stderr.write(f"[FATAL] [{PLAYER}]: {refused}\n")
     if refused is not None:
         raise SystemExit(1)
 

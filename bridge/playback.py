@@ -8,8 +8,16 @@ from typing import Protocol
 class Playback(Protocol):
     """The state of playback: a `Player`, or a running simulation."""
 
-    paused: bool
-    finished: bool
+    @property
+    def paused(self) -> bool:
+        """Whether time stands still."""
+        ...
+
+    @property
+    def finished(self) -> bool:
+        """Whether it is over."""
+        ...
+
     speed: float
     rate: float | None
     """At most so many frames per second; None: every frame."""

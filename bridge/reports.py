@@ -6,7 +6,7 @@ import logging
 import math
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -47,6 +47,7 @@ class Reports:
         *,
         node: str,
         clock: bool = False,
+        values: Callable[[], Mapping[str, Any]] = dict,
         now: Callable[[], float] = time.monotonic,
     ) -> None:
         """Ready; nothing is due before the first `change`.
@@ -57,13 +58,14 @@ class Reports:
             audience: Called once a second.
             node: Full name of the node.
             clock: Publish /clock.
+            values: What /diagnostics says besides.
             now: The clock that playback uses [s].
         """
         self._encoder, self._send, self._audience = encoder, send, audience
         self._node, self._now = node, now
         self._playback: Playback | None = None
         self._due = {"diagnostics": math.inf, "clock": math.inf}
-        self._clock = clock
+        self._clock, self._more = clock, values
         self._namesakes = 0
         self._lock = threading.Lock()
         self._before: tuple[float, float, int] | None = None  # clock, stamp, frames in trouble
@@ -121,6 +123,7 @@ class Reports:
             "frames lost": audience.lost,
             "other nodes of this name": audience.namesakes,
             "real-time factor": f"{factor:.3f}",
+            **self._more(),
         }
         level = WARN if trouble > known or audience.namesakes else OK
         header = {"stamp": ros_time(self._encoder.stamp(stamp))}

@@ -12,14 +12,14 @@ from typing import Any
 
 from phy124.errors import InputError
 
+from .controls import PLAYER
 from .ros_log import logged_by
-
-NAMESPACE, NODE = "phy124", "player"
+from .topics import NAMESPACE
 
 
 @contextmanager
-def ros_node(args: list[str] | None = None, name: str = NODE) -> Iterator[Any]:
-    """The node /phy124/player, from start to clean shutdown; raises InputError."""
+def ros_node(args: list[str] | None = None, name: str = PLAYER) -> Iterator[Any]:
+    """The node /phy124/NAME, from start to clean shutdown; raises InputError."""
     import rclpy
     from rclpy.node import Node
     from rclpy.signals import SignalHandlerOptions

@@ -55,7 +55,7 @@ setup(
     version="0.2.0",
     description="phy124's moving Gaussians as ROS 2 topics and MCAP files",
     license="MIT",
-    packages=[NAME, f"{NAME}.sinks"],
+    packages=[NAME, f"{NAME}.sinks", f"{NAME}.steering"],
     package_dir={NAME: HERE},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Protocol
 from phy124.gaussians import Frame
 
 from .playback import Playback
+from .topics import Message
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -62,6 +63,9 @@ class LiveSink(Sink, Protocol):
 
     def show(self, playback: Playback) -> None:
         """Publish the state of playback; called at the start and at each change."""
+
+    def send(self, message: Message) -> None:
+        """Publish one message on a topic of the sink's `Controls`."""
 
     def audience(self) -> str:
         """One line: who receives the frames, and what they need."""

@@ -9,10 +9,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
+NAMESPACE = "phy124"
+
 
 @dataclass(frozen=True)
 class Topic:
-    """A topic, its message type and the quality of service its publisher offers."""
+    """A topic, its message type and the quality of service its publisher offers.
+
+    A name that begins with a tilde is below that of the node, as in ROS 2.
+    """
 
     name: str
     type: str
@@ -37,12 +42,29 @@ ELLIPSOIDS = Topic("/phy124/ellipsoids", "visualization_msgs/msg/MarkerArray", d
 TF_STATIC = Topic("/tf_static", "tf2_msgs/msg/TFMessage", depth=1)
 # ROS publishes the clock as best effort and volatile, so that is what subscribers expect.
 CLOCK = Topic("/clock", "rosgraph_msgs/msg/Clock", depth=1, reliable=False, transient_local=False)
-STATUS = Topic("/phy124/player/status", "diagnostic_msgs/msg/DiagnosticStatus", depth=1)
+STATUS = Topic("~/status", "diagnostic_msgs/msg/DiagnosticStatus", depth=1)
 DIAGNOSTICS = Topic(
     "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", depth=10, transient_local=False
 )
 COMMAND = Topic("/phy124/command", "std_msgs/msg/String", depth=10, transient_local=False)
 """Subscribed to, not published; the commands are those of `live.command`."""
-RECORDED = {topic.name: topic for topic in (TF_STATIC, POINTS, ELLIPSOIDS)}
+TF = Topic("/tf", "tf2_msgs/msg/TFMessage", depth=100, transient_local=False)
+PUSH = Topic("~/push", "geometry_msgs/msg/WrenchStamped", depth=10, transient_local=False)
+GRAB = Topic("~/grab", "geometry_msgs/msg/PointStamped", depth=10, transient_local=False)
+"""Subscribed to by a run that is steered."""
+SPLATS = Topic("/phy124/gaussian_splats", "splat_interfaces/msg/SplatArray", depth=1)
+RECORDED = {topic.name: topic for topic in (TF_STATIC, POINTS, ELLIPSOIDS, SPLATS)}
 """Topics in recordings. The clock is not among them, as it would conflict with that of
 `ros2 bag play --clock`."""
+
+
+def contact(wall: str) -> Topic:
+    """Where the force on a wall is published, by the wall's name."""
+    return Topic(
+        f"~/contact/{wall}", "geometry_msgs/msg/WrenchStamped", depth=10, transient_local=False
+    )
+
+
+def full_name(name: str, node: str) -> str:
+    """The name of a topic or service of a node, without tilde."""
+    return name.replace("~", f"/{NAMESPACE}/{node}", 1) if name.startswith("~") else name

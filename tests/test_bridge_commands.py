@@ -106,7 +106,10 @@ def test_play_and_record_beside(clip, monkeypatch, capsys):
         (["play", "CLIP", "--speed", "0"], "speed = 0.0: The speed must lie between"),
         (["play", "CLIP", "--clock", "--backend", "dds"], "does not publish /clock"),
         (["play", "CLIP", "--backend", "dds", "--ros-args", "-p", "a:=1"], "is no ROS 2 node"),
-        (["info", "CLIP", "--ros-args", "-p", "a:=1"], "Only `play` takes arguments for ROS 2"),
+        (
+            ["info", "CLIP", "--ros-args", "-p", "a:=1"],
+            "Only `play` and `live` take arguments for ROS 2",
+        ),
         (["record", "CLIP", "--rotation", "1", "0", "0", "0"], "Earlier versions had w x y z"),
         (["info", "."], "There is no recording"),
         (["recover", "none"], "There is no recording"),

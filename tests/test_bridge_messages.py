@@ -9,10 +9,13 @@ from bridge.messages import DEFINITIONS, HASHES, definition
 
 JAZZY = get_typestore(Stores.ROS2_JAZZY)
 DDS_ONLY = "rmw_dds_common/msg/ParticipantEntitiesInfo"
-RECORDED = [name for name in HASHES if name != DDS_ONLY]
+ELSEWHERE = ("simulation_interfaces/", "splat_interfaces/")
+"""Packages that are not among those of ROS 2 itself."""
+OWN = [name for name in HASHES if not name.startswith(ELSEWHERE)]
+RECORDED = [name for name in OWN if name != DDS_ONLY]
 
 
-@pytest.mark.parametrize("name", HASHES)
+@pytest.mark.parametrize("name", OWN)
 def test_definition_is_that_of_jazzy(name):
     theirs = JAZZY.generate_msgdef(name, ros_version=2)[0]
     plain = [line for line in theirs.splitlines() if not re.match(r"\w+ \w+=", line)]
@@ -24,7 +27,9 @@ def test_definition_is_that_of_jazzy(name):
 def test_hash_follows_from_the_definition(name):
     store = get_typestore(Stores.EMPTY)
     for inner, text in DEFINITIONS.items():
-        store.register(get_types_from_msg(text, inner))
+        types = get_types_from_msg(text, inner)
+        # rosbags takes the halves of a service for messages in a folder more.
+        store.register({key.replace("/srv/msg/", "/srv/"): kind for key, kind in types.items()})
     assert store.hash_rihs01(name) == HASHES[name]
 
 

@@ -18,7 +18,7 @@ from ruamel.yaml import YAML
 
 import phy124
 from bridge import parameters, topics
-from bridge.node import NODE
+from bridge.controls import PLAYER
 from bridge.options import Options
 from bridge.topics import ELLIPSOIDS, POINTS
 
@@ -68,13 +68,14 @@ def test_package_xml_names_all_of_ros_that_is_used_and_nothing_noble_lacks():
         "ros_node.py",
         "parameters.py",
         "services.py",
+        "standard_services.py",
         "ros_log.py",
         "sinks/rclpy.py",
     ]
     used = set().union(*map(imported, [*map(BRIDGE.joinpath, files), LAUNCH]))
     ros = {n for n in used if n.startswith(("rcl", "launch", "ament", "rosbag", "std_"))}
     every = {name: value for name, value in vars(topics).items() if isinstance(value, topics.Topic)}
-    messages = {topic.type.split("/")[0] for topic in every.values()}
+    messages = {topic.type.split("/")[0] for topic in every.values()} - {"splat_interfaces"}
     assert {"rclpy", "launch", "launch_ros", "ament_index_python", "rosbag2_interfaces"} <= ros
     assert ros | messages | {"python3-numpy", "python3-tqdm"} <= depends.keys()
     # Noble has pydantic 1.10, and RViz is only looked for.
@@ -196,7 +197,7 @@ def given(node):
 def test_launch_starts_the_player_and_rviz(launched):
     player, rviz = nodes(launched(clip="a.safetensors", rate="10", namespace="robot1"))
     assert (player.package, player.executable) == (NAME, "player")
-    assert (player.namespace, player.name) == ("/robot1", NODE)
+    assert (player.namespace, player.name) == ("/robot1", PLAYER)
     # What is not given is left to the parameter file.
     assert given(player) == {"clip": "clip", "rate": "rate"}
     assert player.parameters[1]["rate"].value_type is float

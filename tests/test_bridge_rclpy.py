@@ -6,11 +6,12 @@ import pytest
 
 from bridge import delivery, live
 from bridge.backends import open_sink
+from bridge.controls import Controls, Service
 from bridge.options import Options
 from bridge.player import Player
 from bridge.reports import CLOCK_RATE
 from bridge.sinks.rclpy import RclpySink, require_rclpy
-from bridge.topics import POINTS, Message
+from bridge.topics import POINTS, PUSH, Message, contact
 from phy124.errors import InputError
 from support import ros_double
 from support.clips import random_clip
@@ -70,7 +71,7 @@ def test_publishing_while_ros_shuts_down_is_the_end_not_an_error(ros):
 
 def test_other_errors_of_publishing_are_not_hidden(ros):
     with pytest.raises(TypeError), RclpySink() as sink:
-        sink._send(Message(POINTS, 0, "no bytes"))
+        sink.send(Message(POINTS, 0, "no bytes"))
 
 
 def test_node_ends_if_opening_fails(ros, monkeypatch):
@@ -250,3 +251,78 @@ def test_rclpy_does_not_pretend_to_know_networks(ros):
 def test_without_ros_it_says_what_to_do():
     with pytest.raises(InputError, match="Source your ROS 2 installation"):
         require_rclpy()
+
+
+def standing():
+    """What a steered run offers, without a run."""
+    log = []
+
+    def steps(count):
+        for done in range(count):
+            if "playing" in log:
+                raise InputError("steps", count, "it is playing.", "Pause it first.")
+            log.append(done)
+            yield done + 1
+
+    def step(request):
+        return {"result": {"result": 1, "error_message": f"{request.steps} asked"}}
+
+    heard = {PUSH: log.append}
+    service = Service("~/step_simulation", "simulation_interfaces/srv/StepSimulation", step)
+    published = (contact("ground"),)
+    return log, Controls("live", published, heard, (service,), steps, clock=True)
+
+
+def test_a_steered_run_has_its_topics_and_the_standard_services(ros):
+    log, offered = standing()
+    with RclpySink(Options(epoch=1.0), controls=offered) as sink:
+        (made,) = ros.nodes
+        sink.send(Message(contact("ground"), 0, b"bytes"))
+        made.subscriptions["~/push"][1]("a wrench")
+        response = SimpleNamespace(result=ros_double.simulation_result())
+        kind, serve = made.services["~/step_simulation"]
+        serve(SimpleNamespace(steps=3), response)
+    assert made.get_fully_qualified_name() == "/phy124/live" and log == ["a wrench"]
+    assert made.publishers["~/contact/ground"].sent == [b"bytes"] and "/clock" in made.publishers
+    assert (kind.__name__, response.result.result) == ("StepSimulation", 1)
+    assert response.result.error_message == "3 asked"
+
+
+def driven(coroutine, each=lambda: None):
+    """The result of a coroutine, with other callbacks in between."""
+    while True:
+        try:
+            coroutine.send(None)
+        except StopIteration as end:
+            return end.value
+        each()
+
+
+def test_steps_as_an_action_can_be_cancelled_and_refused(ros):
+    log, offered = standing()
+    with RclpySink(Options(), controls=offered):
+        _, execute, _ = ros.nodes[0].actions["~/simulate_steps"]
+        goal = ros_double.GoalHandle(3)
+        answer = driven(execute(goal))
+        assert (goal.ended, answer.result.result) == ("succeeded", 1)
+        assert goal.feedback == [(1, 2), (2, 1), (3, 0)]
+        goal = ros_double.GoalHandle(9)
+        answer = driven(execute(goal), lambda: setattr(goal, "is_cancel_requested", True))
+        assert goal.ended == "canceled" and "after 2 of 9" in answer.result.error_message
+        log.append("playing")
+        goal = ros_double.GoalHandle(9)
+        answer = driven(execute(goal))
+    assert goal.ended == "aborted" and "Pause it first" in answer.result.error_message
+
+
+def test_without_simulation_interfaces_there_are_triggers(ros, monkeypatch):
+    monkeypatch.setitem(ros_double.sys.modules, "simulation_interfaces.srv", None)
+    asked = []
+    ros.script.append(lambda made: made.call("~/step"))
+    ros.script.append(lambda made: made.call("~/reset"))
+    with RclpySink(controls=standing()[1]) as sink:
+        sink.listen(0.0, asked.append)
+        sink.listen(0.0, asked.append)
+        assert {"~/play", "~/pause", "~/step", "~/reset"} <= ros.nodes[0].services.keys()
+    assert asked == ["next", "restart"]
+    assert "apt install" in "".join(text for _, text in ros.nodes[0].logger.lines)

@@ -2,7 +2,7 @@
 
 ROS 2 nodes accept it because of its mangled topic and type names, XCDR version 1, the type hash in
 the endpoints' user data, and a sample on `ros_discovery_info` that names the node (Jazzy's
-rmw_dds_common). Services are not offered, since their headers differ between middlewares.
+rmw_dds_common). Services are offered as `dds_services` says.
 """
 
 from __future__ import annotations
@@ -17,17 +17,18 @@ from phy124.gaussians import Frame
 from phy124.runtime.installation import install_command
 
 from ..cdr import encode
+from ..controls import Controls, Hear
 from ..delivery import Delivery
 from ..discovery import Discovery
 from ..encoder import FrameEncoder
-from ..messages import HASHES
 from ..options import Options
 from ..playback import Playback
 from ..reports import Audience, Reports
 from ..sink import Obey
-from ..topics import COMMAND, POINTS, Message, Topic
+from ..topics import COMMAND, NAMESPACE, Message, Topic, full_name
+from .dds_quality import quality
+from .dds_services import DdsServices
 
-NAMESPACE, NODE = "/phy124", "player"
 DISCOVERY = Topic("ros_discovery_info", "rmw_dds_common/msg/ParticipantEntitiesInfo", depth=1)
 MANY = 1000
 """Largest number of participants whose nodes are examined."""
@@ -40,12 +41,19 @@ class DdsSink:
 
     monotonic = True
 
-    def __init__(self, options: Options | None = None, *, network: bool = False) -> None:
+    def __init__(
+        self,
+        options: Options | None = None,
+        *,
+        network: bool = False,
+        controls: Controls | None = None,
+    ) -> None:
         """Ready to enter.
 
         Args:
             options: How frames become messages.
             network: Reach other machines. A CYCLONEDDS_URI overrides this and ROS's variables.
+            controls: What is heard and offered besides frames; None: what a player has.
 
         Raises:
             InputError: cyclonedds is missing, or ROS's variables are wrong.
@@ -53,10 +61,15 @@ class DdsSink:
         require_cyclonedds()
         self._encoder = FrameEncoder((options or Options()).live())
         self._discovery = Discovery.from_environment(network=network)
+        self._controls = controls or Controls()
+        self._node = self._controls.node
         self._reports = Reports(
-            self._encoder, self._send, self._audience, node=f"{NAMESPACE}/{NODE}"
+            self._encoder, self.send, self._audience, node=f"/{NAMESPACE}/{self._node}",
+            clock=self._controls.clock, values=self._controls.values,
+        )  # fmt: skip
+        self._delivery = Delivery(
+            self._acknowledged, self._encoder.main.depth, self._reports.send_due
         )
-        self._delivery = Delivery(self._acknowledged, POINTS.depth, self._reports.send_due)
 
     def __enter__(self) -> DdsSink:
         """Join the domain (ROS_DOMAIN_ID) and offer the topics."""
@@ -70,7 +83,7 @@ class DdsSink:
             remedy = "Check CYCLONEDDS_URI and the network interfaces, or unset CYCLONEDDS_URI."
             raise InputError("dds", domain, limit, remedy) from error
         for message in self._encoder.static():
-            self._send(message)
+            self.send(message)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -80,7 +93,14 @@ class DdsSink:
         finally:
             # DDS entities are deleted with their last reference, children before parents.
             self._writers.clear()
-            del self._waitset, self._commands, self._nodes, self._participant, self._domain
+            self._heard.clear()
+            del self._services, self._waitset, self._nodes, self._participant, self._domain
+
+    def send(self, message: Message) -> None:
+        """Publish one message."""
+        from ..idl import sample
+
+        self._writers[message.topic.name].write(sample(message.topic.type, message.data))
 
     def audience(self) -> str:
         """One line: who receives the frames, and the command they need."""
@@ -93,18 +113,21 @@ class DdsSink:
         messages = self._encoder.encode(frame)
         self._delivery.before_frame()
         for message in messages:
-            self._send(message)
+            self.send(message)
 
     def listen(self, seconds: float, obey: Obey) -> None:
-        """Wait for messages on /phy124/command and carry them out."""
+        """Wait for messages and requests and carry them out."""
+        self._obey = obey
         self._reports.send_due()
         wait = min(seconds, self._reports.wait())
         if wait > 0:
             self._waitset.wait(int(wait * 1e9))
-        for sample in self._commands.take(16):
-            # A sample without data means that a publisher has left.
-            if hasattr(sample, "data"):
-                obey(sample.data)
+        for reader, hear in self._heard:
+            for sample in reader.take(16):
+                # An invalid sample means that a publisher has left.
+                if sample.sample_info.valid_data:
+                    hear(sample)
+        self._services.serve()
 
     def show(self, playback: Playback) -> None:
         """Publish the status."""
@@ -112,11 +135,11 @@ class DdsSink:
 
     def subscribers(self) -> int:
         """Number of current readers of the points."""
-        return len(self._writers[POINTS.name].get_matched_subscriptions())
+        return len(self._writers[self._encoder.main.name].get_matched_subscriptions())
 
     def _acknowledged(self, seconds: float) -> bool:
         try:
-            return self._writers[POINTS.name].wait_for_acks(int(seconds * 1e9))
+            return self._writers[self._encoder.main.name].wait_for_acks(int(seconds * 1e9))
         except AttributeError:
             # cyclonedds 11.0.1 should return False for a timeout, but raises a NameError instead.
             return False
@@ -131,14 +154,17 @@ class DdsSink:
 
         self._domain = None if URI in os.environ else _domain(domain, self._discovery)
         self._participant = DomainParticipant(domain, Qos(Policy.Userdata(b"enclave=/;")))
-        topics = [*self._encoder.topics, *self._reports.topics]
+        topics = [*self._encoder.topics, *self._reports.topics, *self._controls.published]
         self._writers = {topic.name: self._writer(topic) for topic in topics}
-        self._commands = self._reader(COMMAND)
+        heard: dict[Topic, Hear] = {COMMAND: self._command, **self._controls.heard}
+        self._heard = [(self._reader(topic), hear) for topic, hear in heard.items()]
         # All nodes write to this topic, and it has no key to distinguish them.
         self._nodes = self._reader(replace(DISCOVERY, depth=MANY))
         self._waitset = WaitSet(self._participant)
         unread = SampleState.NotRead | ViewState.Any | InstanceState.Any
-        self._waitset.attach(ReadCondition(self._commands, unread))
+        self._services = DdsServices(self._participant, self._controls.services, self._node)
+        for reader in (*(reader for reader, _ in self._heard), *self._services.readers):
+            self._waitset.attach(ReadCondition(reader, unread))
         self._others: dict[int, bool] = {}
         self._introduce()
 
@@ -148,7 +174,7 @@ class DdsSink:
 
         from ..idl import encoded_type
 
-        dds_topic = DdsTopic(self._participant, _mangled(topic), encoded_type(topic.type))
+        dds_topic = DdsTopic(self._participant, self._mangled(topic), encoded_type(topic.type))
         return DataWriter(self._participant, dds_topic, qos=quality(topic))
 
     def _reader(self, topic: Topic) -> Any:
@@ -157,21 +183,30 @@ class DdsSink:
 
         from ..idl import idl_type
 
-        dds_topic = DdsTopic(self._participant, _mangled(topic), idl_type(topic.type))
-        return DataReader(self._participant, dds_topic, qos=quality(topic))
+        dds_topic = DdsTopic(self._participant, self._mangled(topic), idl_type(topic.type))
+        return DataReader(self._participant, dds_topic, qos=quality(topic, ignore_own=True))
+
+    def _mangled(self, topic: Topic) -> str:
+        name = full_name(topic.name, self._node)
+        return name if name == DISCOVERY.name else f"rt{name}"
+
+    def _command(self, message: Any) -> None:
+        self._obey(message.data)
 
     def _introduce(self) -> None:
         """Tell ROS 2 the node's name; otherwise it shows as _CREATED_BY_BARE_DDS_APP_."""
-        gids = [_gid(writer) for writer in self._writers.values()]
+        readers = [*(reader for reader, _ in self._heard), *self._services.readers]
         node = {
-            "node_namespace": NAMESPACE,
-            "node_name": NODE,
-            "reader_gid_seq": [_gid(self._commands)],
-            "writer_gid_seq": gids,
+            "node_namespace": f"/{NAMESPACE}",
+            "node_name": self._node,
+            "reader_gid_seq": [_gid(reader) for reader in readers],
+            "writer_gid_seq": [
+                _gid(writer) for writer in (*self._writers.values(), *self._services.writers)
+            ],
         }
         info = {"gid": _gid(self._participant), "node_entities_info_seq": [node]}
         self._writers[DISCOVERY.name] = self._writer(DISCOVERY)
-        self._send(Message(DISCOVERY, 0, encode(DISCOVERY.type, info)))
+        self.send(Message(DISCOVERY, 0, encode(DISCOVERY.type, info)))
 
     def _namesakes(self) -> int:
         """Number of other participants with a node of this name."""
@@ -180,33 +215,10 @@ class DdsSink:
             if hasattr(sample, "gid") and bytes(sample.gid.data) != own:
                 names = {(n.node_namespace, n.node_name) for n in sample.node_entities_info_seq}
                 writer = sample.sample_info.publication_handle
-                self._others[writer] = (NAMESPACE, NODE) in names
+                self._others[writer] = (f"/{NAMESPACE}", self._node) in names
         # cyclonedds gives the one kind of handles signed and the other unsigned.
         here = {handle % 2**64 for handle in self._nodes.get_matched_publications()}
         return sum(named for writer, named in self._others.items() if writer in here)
-
-    def _send(self, message: Message) -> None:
-        from ..idl import sample
-
-        self._writers[message.topic.name].write(sample(message.topic.type, message.data))
-
-
-def quality(topic: Topic) -> Any:
-    """The DDS quality of service of a topic, including the type hash."""
-    from cyclonedds.qos import Policy, Qos
-    from cyclonedds.util import duration
-
-    last = Policy.History.KeepLast(topic.depth)
-    kept = Policy.DurabilityService(0, last, -1, -1, -1)
-    reliable = Policy.Reliability.Reliable(duration(milliseconds=100))
-    transient = [Policy.Durability.TransientLocal, kept]
-    return Qos(
-        reliable if topic.reliable else Policy.Reliability.BestEffort,
-        *(transient if topic.transient_local else [Policy.Durability.Volatile]),
-        last,
-        Policy.DataRepresentation(use_cdrv0_representation=True),
-        Policy.Userdata(f"typehash={HASHES[topic.type]};".encode()),
-    )
 
 
 def require_cyclonedds() -> None:
@@ -235,10 +247,6 @@ def _domain(domain: int, discovery: Discovery) -> Any:
         except DDSException:
             log.debug("DDS cannot start with %s", configuration)
     return Domain(domain, last)
-
-
-def _mangled(topic: Topic) -> str:
-    return topic.name if topic.name == DISCOVERY.name else f"rt{topic.name}"
 
 
 def _gid(entity: Any) -> dict[str, bytes]:

@@ -116,6 +116,10 @@ class FoxgloveSink:
         self._answers, self._sought = None, False
         self._server.broadcast_playback_state(state)
 
+    def send(self, message: Message) -> None:
+        """Send one message to all viewers."""
+        self._log([message])
+
     def audience(self) -> str:
         """One line: the address to open."""
         there = self._host if self._host != "0.0.0.0" else "this machine's name"

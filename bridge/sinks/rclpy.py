@@ -18,16 +18,18 @@ from typing import Any
 from phy124.errors import InputError
 from phy124.gaussians import Frame
 
+from ..controls import Controls
 from ..delivery import Delivery
 from ..encoder import FrameEncoder
 from ..options import LIVE_POINTS, Options
 from ..parameters import RUNNING, Parameter, Running, declare
 from ..playback import Playback
 from ..reports import Audience, Reports
-from ..ros_node import NAMESPACE, NODE, ros_node
+from ..ros_node import ros_node
 from ..services import Services
 from ..sink import Obey
-from ..topics import COMMAND, POINTS, Message, Topic
+from ..standard_services import offer_standard
+from ..topics import COMMAND, NAMESPACE, Message, Topic
 
 
 class RclpySink:
@@ -43,6 +45,7 @@ class RclpySink:
         node: Any = None,
         args: list[str] | None = None,
         running: Mapping[str, Parameter] = RUNNING,
+        controls: Controls | None = None,
     ) -> None:
         """Ready to enter.
 
@@ -52,13 +55,15 @@ class RclpySink:
             node: The node to use; None makes one and ends it with the sink.
             args: The arguments from --ros-args on, for the node that is made.
             running: Parameters that can be set while it plays; declared unless they are already.
+            controls: What is heard and offered besides frames; None: what a player has.
 
         Raises:
             InputError: rclpy cannot be imported.
         """
         require_rclpy()
         self._encoder = FrameEncoder((options or Options()).live())
-        self._clock, self._given, self._args = clock, node, args
+        self._controls = controls or Controls(clock=clock)
+        self._given, self._args = node, args
         self._parameters, self._running = running, None
         self._playback: Playback | None = None
         self._obey: Obey = self._remember
@@ -70,21 +75,25 @@ class RclpySink:
         from rclpy.executors import SingleThreadedExecutor
 
         with ExitStack() as stack:
-            self._node = self._given or stack.enter_context(ros_node(self._args))
+            own = self._controls
+            self._node = self._given or stack.enter_context(ros_node(self._args, own.node))
             self._name = self._node.get_fully_qualified_name()
             self._reports = Reports(
-                self._encoder, self._send, self._audience, node=self._name, clock=self._clock
-            )
+                self._encoder, self.send, self._audience, node=self._name, clock=own.clock,
+                values=own.values,
+            )  # fmt: skip
             tick = self._reports.send_due
-            self._delivery = Delivery(self._acknowledged, POINTS.depth, tick)
-            topics = [*self._encoder.topics, *self._reports.topics]
+            self._delivery = Delivery(self._acknowledged, self._encoder.main.depth, tick)
+            topics = [*self._encoder.topics, *self._reports.topics, *own.published]
             self._publishers = {topic.name: self._publisher(topic) for topic in topics}
             for message in self._encoder.static():
-                self._send(message)
+                self.send(message)
             Services(self._node, self._ask, lambda: self._playback)
-            self._node.create_subscription(
-                message_class(COMMAND.type), relative(COMMAND), self._heard, quality(COMMAND)
-            )
+            offer_standard(self._node, own, self._ask)
+            for topic, hear in {COMMAND: self._heard, **own.heard}.items():
+                self._node.create_subscription(
+                    message_class(topic.type), relative(topic), hear, quality(topic)
+                )
             self._executor = SingleThreadedExecutor(context=self._node.context)
             stack.callback(self._executor.shutdown)
             self._executor.add_node(self._node)
@@ -106,7 +115,7 @@ class RclpySink:
         with self._until_shutdown():
             self._delivery.before_frame()
         for message in messages:
-            self._send(message)
+            self.send(message)
 
     def listen(self, seconds: float, obey: Obey) -> None:
         """Spin the node for at most so many seconds; raises KeyboardInterrupt if ROS shuts down."""
@@ -156,14 +165,17 @@ class RclpySink:
     def _heard(self, message: Any) -> None:
         self._obey(message.data)
 
-    def _send(self, message: Message) -> None:
+    def send(self, message: Message) -> None:
+        """Publish one message."""
         with self._until_shutdown():
             self._publishers[message.topic.name].publish(message.data)
 
     def _acknowledged(self, seconds: float) -> bool:
         from rclpy.duration import Duration
 
-        return self._publishers[POINTS.name].wait_for_all_acked(Duration(seconds=seconds))
+        return self._publishers[self._encoder.main.name].wait_for_all_acked(
+            Duration(seconds=seconds)
+        )
 
     def _say_goodbye(self) -> None:
         """Wait for the last frames, unless ROS has been shut down elsewhere."""
@@ -171,7 +183,7 @@ class RclpySink:
             self._delivery.farewell()
 
     def _audience(self) -> Audience:
-        publisher = self._publishers[POINTS.name]
+        publisher = self._publishers[self._encoder.main.name]
         named = [
             f"{space.rstrip('/')}/{name}"
             for name, space in self._node.get_node_names_and_namespaces()
@@ -218,9 +230,6 @@ def message_class(name: str) -> Any:
 
 def relative(topic: Topic) -> str:
     """The bridge's own topics are relative to the node or its namespace; others are absolute."""
-    own = f"/{NAMESPACE}/{NODE}/"
-    if topic.name.startswith(own):
-        return f"~/{topic.name.removeprefix(own)}"
     return topic.name.removeprefix(f"/{NAMESPACE}/")
 
 

@@ -23,6 +23,7 @@ MESSAGES = {
     "visualization_msgs": "MarkerArray",
     "rosgraph_msgs": "Clock",
     "std_msgs": "String",
+    "splat_interfaces": "SplatArray",
 }
 
 
@@ -231,6 +232,7 @@ class Node:
         self.services, self.subscriptions = {}, {}
         self.declared: dict[str, Parameter] = {}
         self.descriptors: dict[str, ParameterDescriptor] = {}
+        self.actions: dict[str, tuple] = {}
         self.logger = Logger()
         self._checks, self._afters = [], []
         self.made.append(self)
@@ -371,6 +373,53 @@ def refusal(parameter, descriptor, check_read_only) -> str:
     return ""
 
 
+def simulation_result() -> SimpleNamespace:
+    return SimpleNamespace(result=0, error_message="")
+
+
+class SimulateSteps:
+    """simulation_interfaces.action.SimulateSteps."""
+
+    class Result:
+        def __init__(self) -> None:
+            self.result = simulation_result()
+
+    class Feedback:
+        def __init__(self) -> None:
+            self.completed_steps = self.remaining_steps = 0
+
+
+class GoalHandle:
+    """rclpy.action.server.ServerGoalHandle."""
+
+    def __init__(self, steps: int) -> None:
+        self.request = SimpleNamespace(steps=steps)
+        self.is_cancel_requested, self.ended = False, ""
+        self.feedback: list[tuple[int, int]] = []
+
+    def publish_feedback(self, feedback: Any) -> None:
+        assert isinstance(feedback, SimulateSteps.Feedback)
+        self.feedback.append((feedback.completed_steps, feedback.remaining_steps))
+
+    def succeed(self) -> None:
+        self.ended = "succeeded"
+
+    def abort(self) -> None:
+        self.ended = "aborted"
+
+    def canceled(self) -> None:
+        assert self.is_cancel_requested
+        self.ended = "canceled"
+
+
+class ActionServer:
+    """rclpy.action.ActionServer, whose callback is a coroutine that tests drive."""
+
+    def __init__(self, node, kind, name, execute_callback, *, cancel_callback) -> None:
+        node.context_must_be_ok("context is invalid")
+        node.actions[name] = (kind, execute_callback, cancel_callback)
+
+
 class Executor:
     """Runs one scripted callback per spin."""
 
@@ -441,6 +490,13 @@ def install(monkeypatch: Any) -> SimpleNamespace:
         IntegerRange=IntegerRange,
         SetParametersResult=SetParametersResult,
     )
+    names = ("WrenchStamped", "PointStamped")
+    module("geometry_msgs.msg", **{name: type(name, (), {}) for name in names})
+    kinds = ("GetSimulatorFeatures", "GetSimulationState", "SetSimulationState")
+    kinds += ("StepSimulation", "ResetSimulation")
+    module("simulation_interfaces.srv", **{name: type(name, (), {}) for name in kinds})
+    module("simulation_interfaces.action", SimulateSteps=SimulateSteps)
+    module("rclpy.action", ActionServer=ActionServer, CancelResponse=SimpleNamespace(ACCEPT=2))
     module("std_srvs.srv", Trigger=type("Trigger", (), {}))
     services = ("Seek", "SetRate", "TogglePaused", "IsPaused", "PlayNext")
     module("rosbag2_interfaces.srv", **{name: type(name, (), {}) for name in services})

@@ -1,0 +1,142 @@
+"""Inputs: what peers do to the object, from messages, applied between two frames.
+
+Of several messages between two frames the newest counts: the last wrench of each frame of
+reference, and the last place of the grab. However many come, the work with them is the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from phy124.errors import InputError
+
+from ..controls import Hear
+from ..options import Options
+from ..topics import GRAB, PUSH, TF, TF_STATIC, Topic
+from .remarks import Remarks
+from .transforms import Transforms
+
+if TYPE_CHECKING:
+    from phy124.live import Live
+
+MOST = 16
+"""Frames of reference from which the object is pushed between two frames."""
+READER_DEPTH = 100
+"""Messages of /tf_static that are read at once: each node that sends some has one."""
+
+
+def centre_frame(options: Options) -> str:
+    """The frame at the object's centre of mass, with the axes of the world."""
+    return f"{options.frame_id}_com"
+
+
+class Inputs:
+    """Wrenches, a grab and transforms that peers sent."""
+
+    def __init__(self, live: Live, options: Options, seconds: float, remarks: Remarks) -> None:
+        """Nothing heard yet.
+
+        Args:
+            live: What they act on.
+            options: Names of the frames.
+            seconds: How long a wrench acts if no other follows [s].
+            remarks: Where it is said what was refused.
+        """
+        self._live, self._seconds, self._remarks = live, seconds, remarks
+        self._transforms = Transforms(options.frame_id)
+        self._whole = ("", options.frame_id, centre_frame(options))
+        self._pushes: dict[str, Any] = {}
+        self._grab: Any = None
+        self._let_go = False
+        if options.parent_frame:
+            self._transforms.hear(_static(options))
+
+    @property
+    def heard(self) -> Mapping[Topic, Hear]:
+        """The topics that are subscribed to."""
+        static = Topic(TF_STATIC.name, TF_STATIC.type, depth=READER_DEPTH)
+        return {PUSH: self.push, GRAB: self.grab, TF: self.transform, static: self.transform}
+
+    def push(self, message: Any) -> None:
+        """Take a WrenchStamped."""
+        frame = message.header.frame_id
+        if frame in self._pushes or len(self._pushes) < MOST:
+            self._pushes[frame] = message
+        else:
+            said = f"more than {MOST} frames push at once; {frame!r} is left out."
+            self._remarks.add(f"~/push: {said}")
+
+    def grab(self, message: Any) -> None:
+        """Take a PointStamped; one without a frame lets go."""
+        self._grab = message if message.header.frame_id else None
+        self._let_go = self._let_go or self._grab is None
+
+    def transform(self, message: Any) -> None:
+        """Take a TFMessage."""
+        self._attempt(lambda: self._transforms.hear(message))
+
+    def apply(self) -> None:
+        """Do to the object what was asked since the last frame."""
+        if self._let_go:
+            self._live.release()
+        for message in self._pushes.values():
+            self._attempt(lambda message=message: self._push(message))
+        if self._grab is not None:
+            self._attempt(self._hold)
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget what was asked since the last frame."""
+        self._pushes, self._grab, self._let_go = {}, None, False
+
+    def _push(self, message: Any) -> None:
+        frame, wrench = message.header.frame_id, message.wrench
+        force, torque = _numbers(wrench.force), _numbers(wrench.torque)
+        whole = frame in self._whole
+        place = np.eye(4) if whole else self._transforms.pose(frame)
+        nothing = not (force.any() or torque.any())
+        self._live.push(
+            (place[:3, :3] @ force).tolist(),
+            torque=(place[:3, :3] @ torque).tolist(),
+            at=None if whole or nothing else place[:3, 3].tolist(),
+            seconds=self._seconds,
+            name=f"push {frame}",
+        )
+
+    def _hold(self) -> None:
+        """Take hold of the object, or draw what is held."""
+        frame = self._grab.header.frame_id
+        place = self._transforms.pose(frame)
+        target = (place @ [*_numbers(self._grab.point), 1.0])[:3].tolist()
+        if self._live.holds:
+            self._live.to(target)
+        else:
+            self._live.grab(target)
+
+    def _attempt(self, action: Callable[[], None]) -> None:
+        """Do something; if it is refused, the run goes on, and the reason is said."""
+        try:
+            action()
+        except InputError as error:
+            self._remarks.add(str(error))
+
+
+def _numbers(vector: Any) -> np.ndarray:
+    return np.array([vector.x, vector.y, vector.z], dtype=np.float64)
+
+
+def _static(options: Options) -> Any:
+    """The TFMessage that the sinks publish, as they would hear it."""
+    x, y, z = options.translation
+    qx, qy, qz, qw = options.rotation
+    transform = SimpleNamespace(
+        translation=SimpleNamespace(x=x, y=y, z=z),
+        rotation=SimpleNamespace(x=qx, y=qy, z=qz, w=qw),
+    )
+    header = SimpleNamespace(frame_id=options.parent_frame)
+    one = SimpleNamespace(header=header, child_frame_id=options.frame_id, transform=transform)
+    return SimpleNamespace(transforms=[one])

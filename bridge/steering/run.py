@@ -1,0 +1,190 @@
+"""SteeredRun: a live run with a state, whose frames go out as they are made.
+
+It is not thread-safe: sinks call it from `listen`, on the thread that also makes the frames. What
+peers ask for acts from the next frame on, so the same requests at the same frames give the same
+bytes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from phy124.errors import InputError
+from phy124.gaussians import Frame
+
+from ..live import number, unknown
+from ..options import Options
+from ..player import checked_speed
+from .inputs import Inputs
+from .remarks import Remarks
+from .states import MOST_STEPS, State
+
+if TYPE_CHECKING:
+    from phy124.live import Live
+
+WORDS = ("play", "pause", "toggle", "next", "restart")
+"""Commands without a value."""
+DURATIONS = (0.001, 3600.0)
+"""Shortest and longest time that a wrench acts [s]."""
+KNOWN = f"{', '.join(WORDS)}, step COUNT, speed FACTOR"
+
+
+def checked_duration(seconds: float) -> float:
+    """How long a wrench acts [s].
+
+    Raises:
+        InputError: It is out of range.
+    """
+    shortest, longest = DURATIONS
+    if not shortest <= seconds <= longest:
+        limit = f"It must lie between {shortest:g} and {longest:g}."
+        raise InputError("push_seconds", seconds, limit, "The default is 0.1.")
+    return seconds
+
+
+class SteeredRun:
+    """A live run that peers push, pause, step and reset; also what sinks show as playback."""
+
+    rate: float | None = None
+    loop, dropped = False, 0
+    """Each frame is shown once."""
+
+    def __init__(
+        self,
+        live: Live,
+        options: Options,
+        *,
+        push_seconds: float = 0.1,
+        speed: float = 1.0,
+        paused: bool = False,
+    ) -> None:
+        """Ready to `advance` to the first frame.
+
+        Args:
+            live: The run.
+            options: How frames become messages.
+            push_seconds: How long a wrench acts if no other follows [s].
+            speed: Simulated seconds per second.
+            paused: Start paused.
+
+        Raises:
+            InputError: The speed or the duration is out of range.
+        """
+        self.live, self.remarks = live, Remarks()
+        self.inputs = Inputs(live, options, checked_duration(push_seconds), self.remarks)
+        self.state = State.PAUSED if paused else State.PLAYING
+        self.speed = checked_speed(speed)
+        self.shown, self.position = 0, 0.0
+        self.show: Callable[[Frame], object] = lambda frame: None
+        """Takes each frame, whose time is that since the start or the last reset of time."""
+        self.changed: Callable[[], object] = lambda: None
+        """Called when the state or the speed has changed."""
+        self._ticks, self._note = 0, ""
+
+    @property
+    def fps(self) -> float:
+        """Frames per simulated second."""
+        return self.live.scene.time.fps
+
+    @property
+    def paused(self) -> bool:
+        """Whether time stands still."""
+        return self.state in (State.PAUSED, State.STOPPED)
+
+    @property
+    def finished(self) -> bool:
+        """Whether it is over."""
+        return self.state is State.QUITTING
+
+    def stamp_at(self, now: float) -> float:
+        """Time of the newest frame [s], since later times have not been computed."""
+        del now
+        return self.position
+
+    def advance(self) -> None:
+        """Make and show the next frame."""
+        self.inputs.apply()
+        frame = self.live.step()
+        self._say_notes()
+        self.position = self._ticks / self.fps
+        self._ticks, self.shown = self._ticks + 1, self.shown + 1
+        self.show(replace(frame, time=self.position))
+
+    def steps(self, count: float) -> Iterator[int]:
+        """Make so many frames, as fast as they come; an item after each: how many there were.
+
+        Raises:
+            InputError: It is not paused, or the number is out of range.
+        """
+        self._must_be_paused(count)
+        if not (0 <= count <= MOST_STEPS and count == int(count)):
+            limit = f"it must be a whole number up to {MOST_STEPS:,}."
+            raise InputError("steps", count, limit, "Ask for fewer at once.")
+        for done in range(int(count)):
+            self._must_be_paused(count)
+            self.advance()
+            yield done + 1
+
+    def _must_be_paused(self, count: float) -> None:
+        if self.state is not State.PAUSED:
+            limit = f"steps are made while it is paused, and it is {self.state.name.lower()}."
+            raise InputError("steps", count, limit, "Pause it first.")
+
+    def enter(self, state: State) -> None:
+        """Go to another state; to be stopped is to be reset and to wait."""
+        if state is State.STOPPED:
+            self._begin_anew(time=True)
+        self.state = state
+        self.changed()
+
+    def reset(self, *, time: bool = True, state: bool = True) -> None:
+        """Begin anew: the object at rest where it was at the start, the time at 0, or both."""
+        if state:
+            self._begin_anew(time=time)
+        elif time:
+            self._ticks, self.position = 0, 0.0
+        self.changed()
+
+    def command(self, text: str) -> None:
+        """Carry out a command of `/phy124/command`.
+
+        Raises:
+            InputError: There is none like it, or it cannot be carried out now.
+        """
+        word, *values = text.split() or [""]
+        if word in WORDS and not values:
+            self._carry_out(word)
+        elif word == "step":
+            for _ in self.steps(number(text, values, KNOWN)):
+                pass
+        elif word == "speed":
+            self.speed = checked_speed(number(text, values, KNOWN))
+            self.changed()
+        else:
+            raise unknown(text, KNOWN)
+
+    def _carry_out(self, word: str) -> None:
+        if word == "next":
+            for _ in self.steps(1):
+                pass
+        elif word == "restart":
+            self.reset()
+        else:
+            plays = word == "play" or (word == "toggle" and self.paused)
+            self.enter(State.PLAYING if plays else State.PAUSED)
+
+    def _begin_anew(self, *, time: bool) -> None:
+        self.live.reset()
+        self.inputs.clear()
+        if time:
+            self._ticks = 0
+        self.advance()
+
+    def _say_notes(self) -> None:
+        """Say what the run had to note since the last frame."""
+        newest = self.live.notes[-1] if self.live.notes else ""
+        if newest != self._note:
+            self._note = newest
+            self.remarks.add(newest)

@@ -1,0 +1,93 @@
+"""What is steered: a picture, a file of Gaussians or a clip's object, on a grid that keeps up."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import tyro
+
+from phy124.errors import InputError
+
+from ..source import LiveOptions, make_object, opened
+
+if TYPE_CHECKING:
+    from phy124.gaussians import Gaussians
+    from phy124.live import Live
+    from phy124.scene import Scene
+
+CLIP = ".safetensors"
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class SteeredOptions(LiveOptions):
+    """What is simulated, and how exactly."""
+
+    live: tyro.conf.Suppress[bool] = True
+    scene: str = ""
+    """Preset (see `phy124 scenes`) or path of a .toml file; default: that of a clip, otherwise
+    drop."""
+    threads: int | None = None
+    """Threads of the processor that simulate; default: as many as have a free core."""
+    max_error: float | None = None
+    """Take the coarsest grid that promises an error below this fraction of the object's size, fast
+    enough or not; default: the finest grid that keeps up with time."""
+
+
+def steered(
+    source: Path, options: SteeredOptions, *, speed: float, velocities: bool
+) -> tuple[Live, str]:
+    """A live run of a source, and a sentence on how exact it is.
+
+    The grid is chosen for this machine, unless the options name an accuracy.
+
+    Args:
+        source: A picture, a file of Gaussians or a clip.
+        options: What is simulated.
+        speed: Simulated seconds per second that are wanted.
+        velocities: Whether frames have velocities.
+
+    Raises:
+        InputError: There is no such file, or it or the scene cannot be used.
+    """
+    import warp
+
+    from phy124.accuracy.promises import promise
+    from phy124.live import Live, held_rate
+    from phy124.runtime.device import pick_device
+    from phy124.scene import assignments
+
+    if not source.is_file():
+        limit = "There is no such file."
+        raise InputError("source", source, limit, "Give a picture, a file of Gaussians or a clip.")
+    # A user need not see Warp's messages while it compiles.
+    warp.config.log_level = warp.LOG_ERROR
+    device = pick_device(options.device)
+    gaussians, scene = _object(source, options, device)
+    scene = scene.replaced({"velocities": velocities})
+    given = {"device": device, "threads": options.threads}
+    if "accuracy" in {name.split(".")[0] for name in assignments(options.set)}:
+        said = f"{scene.resolution.cells} cells across the object. {promise(scene).brief}"
+        return Live(gaussians, scene, **given), said
+    rate, error = max(speed, 0.01), options.max_error
+    chosen = held_rate(gaussians, scene, rate=rate, max_error=error, **given)
+    return Live(gaussians, chosen.scene, **given), chosen.sentence
+
+
+def _object(source: Path, options: SteeredOptions, device: str) -> tuple[Gaussians, Scene]:
+    """The object at rest, and what happens to it."""
+    from phy124.progress import silent
+    from phy124.scene import Scene, assignments
+
+    changes = assignments(options.set)
+    if source.suffix == CLIP:
+        clip = opened(source)
+        own = Scene.from_data(clip.scene) if clip.scene and not options.scene else None
+        scene = own or Scene.named(options.scene or "drop")
+        return clip.frame(0).gaussians, scene.replaced(changes)
+    scene = Scene.named(options.scene or "drop").replaced(changes)
+    made = make_object(source, options, scene, device, silent)
+    return made.gaussians, made.scene

@@ -1,0 +1,119 @@
+"""The standard services of simulators: simulation_interfaces 2.1.0, for a run that is steered.
+
+A run has one object and one scene, so of the standard's features it has those of time: states,
+steps and resets.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import Any
+
+from phy124.errors import InputError
+
+from ..controls import Service
+from .run import SteeredRun
+from .states import State
+
+PACKAGE = "simulation_interfaces"
+
+
+class Code(IntEnum):
+    """`simulation_interfaces/msg/Result`, and the codes of SetSimulationState."""
+
+    FEATURE_UNSUPPORTED = 0
+    OK = 1
+    OPERATION_FAILED = 4
+    ALREADY_IN_TARGET_STATE = 101
+
+
+class Feature(IntEnum):
+    """`simulation_interfaces/msg/SimulatorFeatures`, those that a run has."""
+
+    SIMULATION_RESET = 20
+    SIMULATION_RESET_TIME = 21
+    SIMULATION_RESET_STATE = 22
+    SIMULATION_STATE_GETTING = 24
+    SIMULATION_STATE_SETTING = 25
+    SIMULATION_STATE_PAUSE = 26
+    STEP_SIMULATION_SINGLE = 31
+    STEP_SIMULATION_MULTIPLE = 32
+    STEP_SIMULATION_ACTION = 33
+
+
+SCOPE_DEFAULT, SCOPE_TIME, SCOPE_STATE = 0, 1, 2
+"""Of ResetSimulation."""
+
+
+class Standard:
+    """The services of a run."""
+
+    def __init__(self, run: SteeredRun, *, action: bool) -> None:
+        """Of `run`; `action` says whether its steps are offered as an action, too."""
+        self._run, self._action = run, action
+
+    @property
+    def services(self) -> tuple[Service, ...]:
+        """All of them."""
+        served = {
+            "GetSimulatorFeatures": ("get_simulator_features", self.features),
+            "GetSimulationState": ("get_simulation_state", self.state),
+            "SetSimulationState": ("set_simulation_state", self.set_state),
+            "StepSimulation": ("step_simulation", self.step),
+            "ResetSimulation": ("reset_simulation", self.reset),
+        }
+        return tuple(
+            Service(f"~/{name}", f"{PACKAGE}/srv/{kind}", serve)
+            for kind, (name, serve) in served.items()
+        )
+
+    def features(self, request: Any) -> dict[str, Any]:
+        """What it can do."""
+        del request
+        left_out = () if self._action else (Feature.STEP_SIMULATION_ACTION,)
+        found = [int(feature) for feature in Feature if feature not in left_out]
+        said = "phy124: one deformable object; ~/push, ~/grab (docs/guide/bridge.md)"
+        return {"features": {"features": found, "spawn_formats": [], "custom_info": said}}
+
+    def state(self, request: Any) -> dict[str, Any]:
+        """Whether it plays."""
+        del request
+        return {"state": {"state": int(self._run.state)}, "result": result(Code.OK)}
+
+    def set_state(self, request: Any) -> dict[str, Any]:
+        """Play, pause, stop (which resets), or quit."""
+        wanted = request.state.state
+        if wanted not in tuple(State):
+            said = f"There is no state {wanted} here: 0 stopped, 1 playing, 2 paused, 3 quitting."
+            return {"result": result(Code.FEATURE_UNSUPPORTED, said)}
+        if self._run.state == wanted:
+            return {"result": result(Code.ALREADY_IN_TARGET_STATE, "It is in that state already.")}
+        self._run.enter(State(wanted))
+        return {"result": result(Code.OK)}
+
+    def step(self, request: Any) -> dict[str, Any]:
+        """Make steps while it is paused."""
+        try:
+            for _ in self._run.steps(request.steps):
+                pass
+        except InputError as error:
+            return {"result": result(Code.OPERATION_FAILED, str(error))}
+        return {"result": result(Code.OK)}
+
+    def reset(self, request: Any) -> dict[str, Any]:
+        """Begin anew, the time, the state of the object, or both."""
+        scope = request.scope
+        if scope != SCOPE_DEFAULT and not scope & (SCOPE_TIME | SCOPE_STATE):
+            said = f"Of the scopes there are time (1) and state (2) here, not {scope}."
+            return {"result": result(Code.FEATURE_UNSUPPORTED, said)}
+        everything = scope == SCOPE_DEFAULT
+        self._run.reset(
+            time=everything or bool(scope & SCOPE_TIME),
+            state=everything or bool(scope & SCOPE_STATE),
+        )
+        return {"result": result(Code.OK)}
+
+
+def result(code: Code, said: str = "") -> dict[str, Any]:
+    """A `simulation_interfaces/msg/Result`."""
+    return {"result": int(code), "error_message": said}

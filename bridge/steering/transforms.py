@@ -1,0 +1,85 @@
+"""Transforms: where the frames of messages are, from what was heard on /tf and /tf_static.
+
+Only the latest transform of each frame is kept; times are not interpolated.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.errors import InputError
+
+MOST = 1000
+"""Frames that are kept."""
+DEEPEST = 64
+"""Links from a frame to the root of its tree."""
+Pose = NDArray[np.float64]
+"""Rotation and translation as a matrix [4,4], m."""
+
+
+class Transforms:
+    """A tree of frames, seen from the world of the object."""
+
+    def __init__(self, world: str) -> None:
+        self.world = world
+        self._links: dict[str, tuple[str, Pose]] = {}
+
+    def hear(self, message: Any) -> None:
+        """Keep the transforms of a TFMessage.
+
+        Raises:
+            InputError: One of them is no rotation, is not finite, or there are too many frames.
+        """
+        for one in message.transforms:
+            child = one.child_frame_id
+            if child not in self._links and len(self._links) >= MOST:
+                limit = f"{MOST} frames are known already."
+                raise InputError("tf", child, limit, "Publish fewer frames.")
+            self._links[child] = one.header.frame_id, _pose(child, one.transform)
+
+    def pose(self, frame: str) -> Pose:
+        """Where a frame is in the world.
+
+        Raises:
+            InputError: No transform says where.
+        """
+        root, there = self._up(frame)
+        base, here = self._up(self.world)
+        if root != base:
+            limit = f"no transform leads from it to {self.world}."
+            remedy = f"Publish it on /tf, or give the frame {self.world}."
+            raise InputError("frame_id", frame, limit, remedy)
+        return np.linalg.inv(here) @ there
+
+    def _up(self, frame: str) -> tuple[str, Pose]:
+        """The root of a frame's tree, and where the frame is in it."""
+        pose = np.eye(4)
+        for _ in range(DEEPEST):
+            if frame not in self._links:
+                return frame, pose
+            frame, link = self._links[frame]
+            pose = link @ pose
+        limit = f"it has more than {DEEPEST} frames above it, or is above itself."
+        raise InputError("frame_id", frame, limit, "Correct the tree of frames.")
+
+
+def _pose(name: str, transform: Any) -> Pose:
+    """The matrix of a `geometry_msgs/msg/Transform`."""
+    q, t = transform.rotation, transform.translation
+    quaternion, place = np.array([q.x, q.y, q.z, q.w]), np.array([t.x, t.y, t.z])
+    length = float(np.linalg.norm(quaternion))
+    if not (np.isfinite(place).all() and 0.5 < length < 2):
+        limit = "its transform is not a rotation and three finite numbers."
+        raise InputError("tf", name, limit, "Publish a unit quaternion x y z w and metres.")
+    x, y, z, w = quaternion / length
+    pose = np.eye(4)
+    pose[:3, :3] = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+    pose[:3, 3] = place
+    return pose

@@ -1,0 +1,218 @@
+"""Push an object along a square: a controller in a process of its own, over DDS, without ROS 2.
+
+    python -m bridge live demo/examples/duck.png --set forces=[] boundaries=[]
+    python docs/guide/push_square.py --plot square.png
+
+It reads where the object's centre of mass is from /tf and answers each time with a force on
+/phy124/live/push: proportional to the error and to its rate. It needs cyclonedds and NumPy.
+"""
+
+import argparse
+import csv
+import os
+import sys
+import time
+from dataclasses import dataclass, field
+
+import numpy as np
+from cyclonedds.core import InstanceState, ReadCondition, SampleState, ViewState, WaitSet
+from cyclonedds.domain import DomainParticipant
+from cyclonedds.idl import IdlStruct
+from cyclonedds.idl.annotations import final
+from cyclonedds.idl.types import float64, int32, sequence, uint32
+from cyclonedds.pub import DataWriter
+from cyclonedds.qos import Policy, Qos
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
+
+FRAME = "phy124_com"
+QOS = Qos(
+    Policy.Reliability.Reliable(100_000_000),
+    Policy.History.KeepLast(10),
+    Policy.DataRepresentation(use_cdrv0_representation=True),
+)
+
+
+@final
+@dataclass
+class Time(IdlStruct, typename="builtin_interfaces::msg::dds_::Time_"):
+    """builtin_interfaces/msg/Time."""
+
+    sec: int32 = 0
+    nanosec: uint32 = 0
+
+
+@final
+@dataclass
+class Header(IdlStruct, typename="std_msgs::msg::dds_::Header_"):
+    """std_msgs/msg/Header."""
+
+    stamp: Time = field(default_factory=Time)
+    frame_id: str = ""
+
+
+@final
+@dataclass
+class Vector3(IdlStruct, typename="geometry_msgs::msg::dds_::Vector3_"):
+    """geometry_msgs/msg/Vector3."""
+
+    x: float64 = 0.0
+    y: float64 = 0.0
+    z: float64 = 0.0
+
+
+@final
+@dataclass
+class Quaternion(IdlStruct, typename="geometry_msgs::msg::dds_::Quaternion_"):
+    """geometry_msgs/msg/Quaternion."""
+
+    x: float64 = 0.0
+    y: float64 = 0.0
+    z: float64 = 0.0
+    w: float64 = 1.0
+
+
+@final
+@dataclass
+class Transform(IdlStruct, typename="geometry_msgs::msg::dds_::Transform_"):
+    """geometry_msgs/msg/Transform."""
+
+    translation: Vector3
+    rotation: Quaternion
+
+
+@final
+@dataclass
+class TransformStamped(IdlStruct, typename="geometry_msgs::msg::dds_::TransformStamped_"):
+    """geometry_msgs/msg/TransformStamped."""
+
+    header: Header
+    child_frame_id: str
+    transform: Transform
+
+
+@final
+@dataclass
+class TFMessage(IdlStruct, typename="tf2_msgs::msg::dds_::TFMessage_"):
+    """tf2_msgs/msg/TFMessage."""
+
+    transforms: sequence[TransformStamped]
+
+
+@final
+@dataclass
+class Wrench(IdlStruct, typename="geometry_msgs::msg::dds_::Wrench_"):
+    """geometry_msgs/msg/Wrench."""
+
+    force: Vector3
+    torque: Vector3
+
+
+@final
+@dataclass
+class WrenchStamped(IdlStruct, typename="geometry_msgs::msg::dds_::WrenchStamped_"):
+    """geometry_msgs/msg/WrenchStamped."""
+
+    header: Header
+    wrench: Wrench
+
+
+def corner(seconds: float, side: float, each: float) -> np.ndarray:
+    """Where on the square the centre should be [m, m]; a side takes `each` seconds."""
+    corners = np.array([(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)], float) * side
+    lap = seconds / each % 4
+    index = int(lap)
+    return corners[index] + (lap - index) * (corners[index + 1] - corners[index])
+
+
+class Controller:
+    """Turns places of the centre of mass into forces."""
+
+    def __init__(self, mass: float, hertz: float, side: float, each: float) -> None:
+        self.stiffness = mass * (2 * np.pi * hertz) ** 2
+        self.damping = 2 * mass * 2 * np.pi * hertz
+        self.side, self.each = side, each
+        self.start = self.last = None
+        self.rows: list[tuple[float, ...]] = []
+
+    def force(self, now: float, place: np.ndarray) -> np.ndarray:
+        """The force [N] for a place at a time [m, s]."""
+        if self.start is None or self.last is None or now <= self.last[0]:
+            self.start, self.last = (now, place), (now, np.zeros(3))
+        begun, origin = self.start
+        target = origin + np.append(corner(now - begun, self.side, self.each), 0.0)
+        then, before = self.last
+        error = target - place
+        rate = (error - before) / (now - then) if now > then else np.zeros(3)
+        self.last = now, error
+        self.rows.append((now - begun, *place, *target, float(np.linalg.norm(error))))
+        return self.stiffness * error + self.damping * rate
+
+
+def plot(rows: list[tuple[float, ...]], path: str) -> None:
+    """Draw the way and the error over time."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    t, x, y, _, tx, ty, _, error = np.array(rows).T
+    figure, (way, time_line) = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
+    way.plot(tx, ty, "--", color="0.6", label="target")
+    way.plot(x, y, color="C0", label="centre of mass")
+    way.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+    way.legend()
+    time_line.plot(t, 1000 * error, color="C3")
+    time_line.set(xlabel="simulated time [s]", ylabel="error [mm]", ylim=(0, None))
+    time_line.grid(alpha=0.3)
+    figure.savefig(path, dpi=110)
+
+
+def main() -> None:
+    """Control it for some laps."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--mass", type=float, default=200.0, help="of the object [kg]")
+    parser.add_argument("--hertz", type=float, default=1.0, help="how stiff the control is [Hz]")
+    parser.add_argument("--side", type=float, default=0.6, help="of the square [m]")
+    parser.add_argument("--each", type=float, default=2.0, help="time for a side [s]")
+    parser.add_argument("--laps", type=float, default=1.0)
+    parser.add_argument("--csv", help="write time, place, target and error there")
+    parser.add_argument("--plot", help="draw a picture there")
+    args = parser.parse_args()
+
+    participant = DomainParticipant(int(os.environ.get("ROS_DOMAIN_ID", "0")))
+    reader = DataReader(participant, Topic(participant, "rt/tf", TFMessage), qos=QOS)
+    pushes = Topic(participant, "rt/phy124/live/push", WrenchStamped)
+    writer = DataWriter(participant, pushes, qos=QOS)
+    waitset = WaitSet(participant)
+    any_state = SampleState.NotRead | ViewState.Any | InstanceState.Any
+    waitset.attach(ReadCondition(reader, any_state))
+    controller = Controller(args.mass, args.hertz, args.side, args.each)
+    begun = time.monotonic()
+    while not controller.rows or controller.rows[-1][0] < 4 * args.each * args.laps:
+        waitset.wait(100_000_000)
+        for message in reader.take(10):
+            for one in getattr(message, "transforms", ()):
+                if one.child_frame_id != FRAME:
+                    continue
+                stamp, at = one.header.stamp, one.transform.translation
+                now = stamp.sec + stamp.nanosec * 1e-9
+                force = controller.force(now, np.array([at.x, at.y, at.z]))
+                wrench = Wrench(Vector3(*force.tolist()), Vector3())
+                writer.write(WrenchStamped(Header(one.header.stamp, FRAME), wrench))
+    errors = np.array([row[-1] for row in controller.rows])
+    rate = len(errors) / (time.monotonic() - begun)
+    mean, largest = 1000 * errors.mean(), 1000 * errors.max()
+    sys.stdout.write(
+        f"{len(errors)} answers, {rate:.1f} a second; "
+        f"error: mean {mean:.1f} mm, largest {largest:.1f} mm\n"
+    )
+    if args.csv:
+        with open(args.csv, "w", newline="") as file:
+            csv.writer(file).writerows(controller.rows)
+    if args.plot:
+        plot(controller.rows, args.plot)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

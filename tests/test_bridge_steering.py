@@ -1,0 +1,268 @@
+"""Runs that are steered: states, steps and what peers do, without any middleware."""
+
+import logging
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from bridge.encoder import FrameEncoder
+from bridge.steering.contacts import contact_messages
+from bridge.steering.remarks import Remarks
+from bridge.steering.standard import Code, Feature, Standard
+from bridge.steering.states import State
+from bridge.steering.transforms import Transforms
+from phy124.accuracy.ball import ball
+from phy124.errors import InputError
+from phy124.simulation import Simulation
+from support.ros_messages import JAZZY
+from support.steered import (
+    EPOCH,
+    OPTIONS,
+    WEIGHTLESS,
+    point,
+    scene,
+    steered,
+    transform,
+    wrench,
+)
+
+
+def asked(**members):
+    return SimpleNamespace(**members)
+
+
+def state(number):
+    return asked(state=asked(state=number))
+
+
+def bytes_of(frame):
+    return [message.data for message in FrameEncoder(OPTIONS).encode(frame)]
+
+
+def test_steps_by_service_give_the_bytes_of_a_plain_run():
+    run, seen = steered(), []
+    run.show = lambda frame: seen.append(bytes_of(frame))
+    run.advance()
+    answers = [Standard(run, action=False).step(asked(steps=steps)) for steps in (1, 4)]
+    assert [answer["result"]["result"] for answer in answers] == [Code.OK, Code.OK]
+    plain = Simulation(ball(400), scene(), threads=1)
+    assert seen == [bytes_of(plain.step()) for _ in range(6)]
+
+
+def test_states_and_resets():
+    run, shown = steered(), []
+    run.show = lambda frame: shown.append((frame.index, round(24 * frame.time)))
+    standard = Standard(run, action=True)
+
+    def enter(number):
+        return standard.set_state(state(number))["result"]["result"]
+
+    run.advance()
+    assert enter(State.PAUSED) == Code.ALREADY_IN_TARGET_STATE
+    assert standard.step(asked(steps=2))["result"]["result"] == Code.OK
+    assert enter(State.PLAYING) == Code.OK and not run.paused
+    refused = standard.step(asked(steps=1))["result"]
+    assert (
+        refused["result"] == Code.OPERATION_FAILED and "Pause it first" in refused["error_message"]
+    )
+    assert enter(5) == Code.FEATURE_UNSUPPORTED
+    # Time, the object, both.
+    for scope in (1, 2, 0):
+        assert standard.reset(asked(scope=scope))["result"]["result"] == Code.OK
+        run.advance()
+    assert standard.reset(asked(scope=4))["result"]["result"] == Code.FEATURE_UNSUPPORTED
+    assert enter(State.STOPPED) == Code.OK and run.paused
+    assert shown == [(0, 0), (1, 1), (2, 2), (3, 0), (0, 1), (1, 2), (0, 0), (1, 1), (0, 0)]
+    assert standard.state(None)["state"] == {"state": State.STOPPED}
+    assert enter(State.QUITTING) == Code.OK and run.finished
+    features = standard.features(None)["features"]["features"]
+    assert Feature.STEP_SIMULATION_ACTION in features
+    assert len(Standard(run, action=False).features(None)["features"]["features"]) == 8
+
+
+def test_commands_are_those_of_the_services():
+    run = steered()
+    run.advance()
+    for text in ("step 2", "next", "toggle", "speed 0.5", "pause"):
+        run.command(text)
+    assert (run.shown, run.paused, run.speed) == (4, True, 0.5)
+    run.command("restart")
+    assert run.position == 0 and run.live.count == 1
+    for text in ("dance", "step", "step nan", "step -1", "step 1e400", "step 1.5", "seek 1"):
+        with pytest.raises(InputError):
+            run.command(text)
+
+
+def test_a_wrench_acts_until_it_is_replaced_or_over():
+    run = steered(changes=WEIGHTLESS)
+    places = []
+    run.show = lambda frame: places.append(run.live.centre)
+    run.advance()
+    for _ in range(3):
+        run.inputs.push(wrench((0, 0, 60), frame="phy124_com"))
+        run.advance()
+    for _ in range(5):
+        run.advance()
+    speeds = np.diff(places, axis=0)[:, 2] * 24
+    expected = 60 * (2 / 24 + 0.1) / run.live.limits.mass
+    assert speeds[-1] == pytest.approx(expected, rel=2e-3)
+    assert speeds[-2] == pytest.approx(speeds[-1], rel=1e-3)
+
+
+def test_a_wrench_acts_at_its_frame_and_along_its_axes():
+    run = steered(changes=WEIGHTLESS)
+    run.advance()
+    half = np.sqrt(0.5)
+    run.inputs.transform(transform("phy124", "arm", (0, 0, 0.5), (0, 0, half, half)))
+    run.inputs.transform(transform("arm", "tool", (0.45, 0, 0)))
+    run.inputs.push(wrench((60, 0, 0), frame="tool"))
+    run.advance()
+    (force,) = run.live.session().forces
+    # A quarter turn about z: the tool's x is the world's y.
+    assert np.allclose(force.force, (0, 60, 0)) and force.point[1] == pytest.approx(0.45, abs=0.1)
+    assert not run.remarks.count
+
+
+def test_a_grab_holds_until_a_message_without_a_frame():
+    run = steered(changes=WEIGHTLESS)
+    run.advance()
+    run.inputs.grab(point((0, 0, 0.9)))
+    run.advance()
+    assert run.live.holds
+    for step in range(6):
+        run.inputs.grab(point((0, 0.05 * step, 0.9), frame="map"))
+        run.advance()
+    assert run.live.holds and run.live.centre[1] > 0.01
+    run.inputs.grab(point((0, 0, 0), frame=""))
+    run.advance()
+    assert not run.live.holds and not run.remarks.count
+    assert len(run.live.session().forces[0].targets) == 8
+
+
+BAD = {
+    "NaN": (lambda i: i.push(wrench((np.nan, 0, 0))), "finite"),
+    "NaN grab": (lambda i: i.grab(point((0, np.nan, 0))), "finite"),
+    "too strong": (lambda i: i.push(wrench((1e30, 0, 0))), "was made"),
+    "no frame": (lambda i: i.push(wrench((1, 0, 0), frame="nowhere")), "no transform leads"),
+    "empty space": (lambda i: i.grab(point((0, 0, 3))), "away from it"),
+    "no rotation": (lambda i: i.transform(transform("phy124", "a", (0, 0, 0), (0,) * 4)), "unit"),
+    "a ring": (
+        lambda i: [
+            i.transform(transform("a", "b", (0, 0, 0))),
+            i.transform(transform("b", "a", (0, 0, 0))),
+            i.push(wrench((1, 0, 0), frame="a")),
+        ],
+        "above itself",
+    ),
+    "many frames": (
+        lambda i: [i.push(wrench((1, 0, 0), frame=f"f{n}")) for n in range(17)], "at once",
+    ),
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def resting():
+    run = steered()
+    run.advance()
+    return run
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_what_cannot_be_done_is_said_and_the_run_goes_on(case, resting, caplog):
+    send, said = BAD[case]
+    resting.remarks.__init__()
+    with caplog.at_level(logging.WARNING):
+        send(resting.inputs)
+        resting.advance()
+    assert resting.remarks.count and said in caplog.text
+    assert np.isfinite(resting.live.centre).all()
+
+
+def test_what_is_held_cannot_be_drawn_to_mars():
+    run = steered()
+    run.advance()
+    for place in ((0, 0, 0.6), (0, 0, 2.3e11), (0, 0, 2.3e11)):
+        run.inputs.grab(point(place))
+        run.advance()
+    assert "to = 2.3e+11 m was made" in run.remarks.last and run.remarks.count == 1
+    assert np.linalg.norm(run.live.centre) < 2
+
+
+def test_of_ten_thousand_messages_the_newest_counts(monkeypatch):
+    run = steered(changes=WEIGHTLESS)
+    run.advance()
+    for strength in range(10_000):
+        run.inputs.push(wrench((strength, 0, 0)))
+        run.inputs.grab(point((0, 0, 0.6)))
+    run.advance()
+    pushes = [force for force in run.live.session().forces if force.kind == "wrench"]
+    assert [push.force[0] for push in pushes] == [9999]
+
+
+@pytest.mark.slow
+def test_a_thousand_random_messages_never_break_it():
+    rng, run = np.random.default_rng(3), steered(paused=False)
+    extremes = [0.0, -1.0, 1e-30, 1e9, 1e30, -1e30, np.nan, np.inf]
+    frames = ["", "phy124", "phy124_com", "map", "tool", "nowhere"]
+
+    def three():
+        half = rng.random() < 0.5
+        return [float(rng.choice(extremes) if half else rng.normal()) for _ in range(3)]
+
+    run.advance()
+    for _ in range(1000):
+        frame = str(rng.choice(frames))
+        send = rng.integers(4)
+        if send == 0:
+            run.inputs.push(wrench(three(), three(), frame))
+        elif send == 1:
+            run.inputs.grab(point(three(), frame))
+        elif send == 2:
+            run.inputs.grab(point(run.live.centre, "phy124"))
+        else:
+            run.inputs.transform(transform("phy124", "tool", three(), rng.normal(size=4)))
+        if rng.random() < 0.3:
+            run.advance()
+            assert np.isfinite(run.live.centre).all()
+    assert run.remarks.count
+
+
+def test_a_flood_of_remarks_is_a_line_a_second(caplog):
+    now = [0.0]
+    remarks = Remarks(clock=lambda: now[0])
+    for index in range(1000):
+        now[0] += 0.01
+        remarks.add(f"Number {index}.")
+    assert remarks.count == 1000 and remarks.last == "Number 999."
+    assert 9 <= len(caplog.records) <= 11
+
+
+def test_transforms_lead_from_any_frame_of_the_tree():
+    tree = Transforms("phy124")
+    tree.hear(transform("map", "phy124", (1, 0, 0)))
+    tree.hear(transform("map", "robot", (1, 2, 0)))
+    assert np.allclose(tree.pose("robot")[:3, 3], (0, 2, 0))
+    assert np.allclose(tree.pose("map")[:3, 3], (-1, 0, 0))
+    for number in range(998):
+        tree.hear(transform("map", f"f{number}", (0, 0, 0)))
+    with pytest.raises(InputError, match="Publish fewer"):
+        tree.hear(transform("map", "one more", (0, 0, 0)))
+
+
+def test_the_wrench_on_a_wall_is_about_the_frame_at_the_centre_of_mass():
+    run = steered(changes={"object.lift": 0.0})
+    for _ in range(4):
+        run.advance()
+    messages = contact_messages(run.live.contacts(), run.live.centre, OPTIONS, run.position)
+    found = {m.topic.name: JAZZY.deserialize_cdr(m.data, m.topic.type) for m in messages}
+    (link,) = found["/tf"].transforms
+    assert (link.header.frame_id, link.child_frame_id) == ("phy124", "phy124_com")
+    assert link.transform.translation.z == pytest.approx(run.live.centre[2])
+    ground = found["~/contact/ground"]
+    assert ground.header.frame_id == "phy124_com"
+    assert (ground.header.stamp.sec, ground.header.stamp.nanosec) == (EPOCH, 125_000_000)
+    wanted = run.live.contacts()["ground"]
+    force, torque = ground.wrench.force, ground.wrench.torque
+    assert (force.x, force.y, force.z) == tuple(wanted.force) and force.z < 0
+    assert (torque.x, torque.y, torque.z) == tuple(wanted.torque)
