@@ -20,6 +20,7 @@ from phy124.rendering.frames import render_frames
 from phy124.rendering.render import Renderer
 from phy124.rendering.stage.build import Stage, stage_of
 from phy124.rendering.stage.frame import POOL, Backdrop, Floor, Solid, StageFrame
+from phy124.rendering.stage.order import AMONG, BEFORE, BEHIND, bounds, ranks
 from phy124.scene import Scene, View
 from phy124.tracks import Tracks
 from support.clips import flight
@@ -287,6 +288,32 @@ def test_what_is_behind_glass_takes_its_colour_and_what_is_before_it_does_not():
         image = renderer(dots([place]), camera, stage=stage)[32, 32]
         assert plain[0] > 0.95
         assert image == pytest.approx(seen * plain + (1 - seen) * np.array(list(TINT)), abs=0.01)
+
+
+@pytest.mark.parametrize("blend", ["simd", "pixel"])
+def test_glass_before_all_gaussians_looks_as_glass_among_them_does(blend):
+    """One out of sight, before the pane, has each Gaussian behind it tinted on its own."""
+    camera, renderer = Camera.orbit(0, 0, 2.0, 65), Renderer(device="cpu", blend=blend)
+    pane = Solid(np.array([0.5, 0, 0]), np.eye(3), np.array([0.05, 0.4, 0.4]))
+    stage = StageFrame(Backdrop((0.1, 0.1, 0.1), (0.9, 0.9, 0.9)), None, (pane,))
+    seen = [(0.0, y, z) for y in (-0.2, 0.0, 0.1) for z in (-0.1, 0.2)]
+    eye = np.array(camera.eye)
+    assert ranks([pane], eye, bounds(dots(seen).means)) == BEFORE
+    assert ranks([pane], eye, bounds(dots([*seen, (1.5, 2.0, 0)]).means)) == AMONG
+    assert ranks([pane], eye, bounds(dots([(0.8, 2.0, 0)]).means)) == BEHIND
+    laid = renderer(dots(seen), camera, stage=stage)
+    tinted = renderer(dots([*seen, (1.5, 2.0, 0)]), camera, stage=stage)
+    assert np.abs(laid - renderer(dots(seen), camera, stage=replace(stage, solids=()))).max() > 0.1
+    np.testing.assert_allclose(laid, tinted, atol=1e-3)
+
+
+@pytest.mark.parametrize("count", [1, 63, 64, 200])
+def test_bounds_are_those_of_all_points(rng, count):
+    points = rng.normal(size=(count, 3)).astype(np.float32)
+    np.testing.assert_array_equal(bounds(points), [points.min(axis=0), points.max(axis=0)])
+    points[count // 2] = np.nan
+    box, solid = bounds(points), Solid(np.zeros(3), np.eye(3), np.full(3, 0.1))
+    assert ranks([solid], np.array([9.0, 0, 0]), box) == AMONG
 
 
 def test_floor_and_backdrop_are_what_is_written_down():

@@ -151,10 +151,10 @@ class Renderer:
     def _surroundings(
         self, stage: StageFrame, view: Any, gaussians: Gaussians
     ) -> draw.Surroundings:
-        """The stage on the device; what is seen through its glass is tinted."""
+        """The stage on the device; what is seen through glass among the Gaussians is tinted."""
         simd = self._blend is BLENDS["simd"]
-        around = draw.Surroundings(stage, view, self.device, simd=simd)
-        if around.glazed:
+        around = draw.Surroundings(stage, view, gaussians.means, self.device, simd=simd)
+        if around.among:
             around.tint(self._given(gaussians.means, wp.vec3), self._buffers["splats"])
         return around
 

@@ -1,8 +1,9 @@
 """What stands around the object: backdrop, floor with its shadow, and boundaries as glass.
 
-Whatever is not a Gaussian is drawn behind all of them, pixel by pixel; a Gaussian that is seen
-through glass takes on its colour instead. Blending is linear, so this equals inserting the glass at
-its depth, without a depth per pixel.
+Whatever is not a Gaussian is drawn behind all of them, pixel by pixel, and glass before all of them
+is laid over their light. A Gaussian that is seen through glass among them takes on its colour
+instead. Blending is linear, so this equals inserting the glass at its depth, without a depth per
+pixel.
 """
 
 import warp as wp
@@ -24,6 +25,7 @@ class Setting:
     reach: float  # half its side [m]
     cells: int  # along its side
     pool: float  # how much brighter the floor is in the middle, for a grey of 1/2
+    before: int  # how many of the solids, the first ones, are before all Gaussians
 
 
 @wp.func
@@ -160,7 +162,9 @@ def draw_setting(
     open = 1.0 - coverage[pixel]
     # Of what is behind, Gaussians may let through less than a byte can tell.
     if open <= 1.0e-3:
-        return
+        if setting.before == 0:
+            return
+        open = float(0.0)
     x = pixel % view.width
     y = pixel / view.width
     down = (float(y) + 0.5) / float(view.height)
@@ -179,11 +183,15 @@ def draw_setting(
         bright = colour + pool * wp.cw_mul(colour, wp.vec3(1.0, 1.0, 1.0) - colour)
         colour = (1.0 - shade_at(setting, shade, i, j)) * bright
     clear = float(1.0)
+    lens = float(1.0)
     for k in range(solids.shape[0]):
         if within(outlines[k], float(x) + 0.5, float(y) + 0.5):
             clear *= 1.0 - veil(solids[k], view.eye, ray, limit, 1.0 / view.focal)
+            if k < setting.before:
+                lens = clear
+    light = lens * image_out[pixel] + (1.0 - lens) * (1.0 - open) * TINT
     colour = TINT + clear * (colour - TINT)
-    image_out[pixel] = wp.min(image_out[pixel] + open * colour, wp.vec3(1.0, 1.0, 1.0))
+    image_out[pixel] = wp.min(light + open * colour, wp.vec3(1.0, 1.0, 1.0))
 
 
 @kernel("phy124_stage")
@@ -197,7 +205,7 @@ def tint_splats(
     # in place
     splats_out: wp.array(dtype=Splat),
 ):
-    """One thread per Gaussian: the colour of what is seen through glass."""
+    """One thread per Gaussian: the colour of what is seen through glass among them."""
     i = wp.tid()
     mean = splats_out[i].mean
     ray = means[i] - view.eye

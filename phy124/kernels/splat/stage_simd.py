@@ -1,14 +1,14 @@
 """The stage for CPUs: `stage.draw_setting` and `stage.tint_splats` in C++, sixteen at a time.
 
-Each tile is drawn right after its Gaussians. Where the corners of a tile see the same two faces of
-a box, away from its edges, so does all of the tile, since faces are convex: its opacity is one
-number there.
+Each tile is drawn with its Gaussians, before they are stored. Where the corners of a tile see the
+same two faces of a box, away from its edges, so does all of the tile, since faces are convex: its
+opacity is one number there.
 """
 
 import warp as wp
 
 from phy124.kernels.build import kernel
-from phy124.kernels.splat.blend_simd import blend_tile
+from phy124.kernels.splat.blend_simd import STORE_TILE, SUM_TILE
 from phy124.kernels.splat.glass import Outline, Solid
 from phy124.kernels.splat.glass_simd import GLASS
 from phy124.kernels.splat.screen import Splat, View
@@ -16,24 +16,16 @@ from phy124.kernels.splat.stage import Setting
 
 OPEN = r"""
     typedef float Row __attribute__((vector_size(64), aligned(4)));
-    const int width = view.width;
-    const int left = tile % view.columns * 16, top = tile / view.columns * 16;
-    const int right = left + 16 < width ? left + 16 : width, count = right - left;
-    const int bottom = top + 16 < view.height ? top + 16 : view.height, rows = bottom - top;
     // How much of what is behind is seen; Gaussians may let through less than a byte can tell.
     const Row none = {0.0f};
     Row open[16], widest = none;
-    for (int y = 0; y < rows; ++y) {
-        const float* covered = coverage.data + (top + y) * width + left;
-        Row rest = none;
-        if (count == 16) rest = 1.0f - *(const Row*)covered;
-        else for (int x = 0; x < count; ++x) rest[x] = 1.0f - covered[x];
+    for (int y = 0; y < 16; ++y) {
+        const Row t = *(const Row*)(T + 16 * y), rest = t < none ? -t : t;
         open[y] = rest > 1e-3f ? rest : none;
         widest = open[y] > widest ? open[y] : widest;
     }
-    float most_open = 0.0f;
-    for (int x = 0; x < 16; ++x) most_open = widest[x] > most_open ? widest[x] : most_open;
-    if (most_open == 0.0f) return;
+    const float most_open = __builtin_reduce_max(widest);
+    if (most_open == 0.0f && setting.before == 0) return;
 """
 
 AIM = r"""
@@ -57,12 +49,16 @@ AIM = r"""
 """
 
 CLEAR = r"""
-    Row clear[16];  // what solids let through
-    for (int y = 0; y < 16; ++y) clear[y] = none + 1.0f;
+    Row clear[16], lens[16];  // what solids let through, all and those before the Gaussians
+    for (int y = 0; y < 16; ++y) clear[y] = lens[y] = none + 1.0f;
+    bool laid = false;
     const float middle_x = 0.5f * (float)(left + right), middle_y = 0.5f * (float)(top + bottom);
     const float half_x = 0.5f * (float)(count - 1), half_y = 0.5f * (float)(rows - 1);
-    for (int k = 0; k < solids.shape[0]; ++k) {
+    const int shown = most_open == 0.0f ? setting.before : solids.shape[0];
+    for (int k = 0; k < shown; ++k) {
+        if (k == setting.before) for (int y = 0; y < 16; ++y) lens[y] = clear[y];
         if (beside(outlines.data[k], middle_x, middle_y, half_x, half_y)) continue;
+        laid = laid || k < setting.before;
         Veil veil;
         for (int i = 0; i < 16; ++i) {
             xs[i] = middle_x + (i & 1 ? half_x : -half_x);
@@ -86,6 +82,8 @@ CLEAR = r"""
             clear[y] *= 1.0f - *(const Row*)veil.alpha;
         }
     }
+    if (shown == setting.before) for (int y = 0; y < 16; ++y) lens[y] = clear[y];
+    if (most_open == 0.0f && !laid) return;
 """
 
 LIGHT = r"""
@@ -94,7 +92,7 @@ LIGHT = r"""
     const float last = (float)(cells - 1), nearer = 1.0f / setting.reach;
     const float scale = 0.5f * (float)cells * nearer, middle = 0.5f * last;
     const float ex = view.eye[0] - setting.middle[0], ey = view.eye[1] - setting.middle[1];
-    float light[16], pool[16], at_i[16], at_j[16];
+    float light[16] = {0.0f}, pool[16] = {0.0f}, at_i[16], at_j[16];
     // What the floor takes of the backdrop's light along rays, and adds to it in the middle.
     const auto shine = [&]() {
         #pragma clang loop vectorize(enable) interleave(disable) unroll(disable)
@@ -127,48 +125,29 @@ LIGHT = r"""
 """
 
 DRAW = r"""
-    // Three colours of sixteen pixels lie side by side in three rows.
-    #define SPREAD(a, ...) __builtin_shufflevector(a, a, __VA_ARGS__)
-    #define FIRST(a) SPREAD(a, 0, 0, 0, 1, 1, 1, 2, 2, 2, 3, 3, 3, 4, 4, 4, 5)
-    #define SECOND(a) SPREAD(a, 5, 5, 6, 6, 6, 7, 7, 7, 8, 8, 8, 9, 9, 9, 10, 10)
-    #define THIRD(a) SPREAD(a, 10, 11, 11, 11, 12, 12, 12, 13, 13, 13, 14, 14, 14, 15, 15, 15)
     const bool pictured = picture.shape[0] > 0;
-    float first[48], change[48], tints[48];
-    for (int j = 0; j < 16; ++j)
-        for (int c = 0; c < 3; ++c) {
-            first[3 * j + c] = setting.top[c];
-            change[3 * j + c] = setting.bottom[c] - setting.top[c];
-            tints[3 * j + c] = TINT[c];
-        }
     for (int i = 0; i < 16; ++i) xs[i] = (float)(left + i) + 0.5f;
     for (int y = 0; y < rows; ++y) {
         const float at = (float)(top + y) + 0.5f, down = at / (float)view.height;
-        for (int i = 0; i < 16; ++i) ys[i] = at;
-        aim(rays, xs, ys);
-        shine();
-        const Row seen = open[y] * clear[y] * *(const Row*)light, added = seen * *(const Row*)pool;
-        const Row hidden = open[y] * (1.0f - clear[y]);
-        const int start = (top + y) * width + left;
-        float* image = (float*)(image_out.data + start);
-        const float* photo = (const float*)(picture.data + start);
-        float part[48], shown[48];
-        if (count < 16) {  // at the right border
-            for (int j = 0; j < 3 * count; ++j) part[j] = image[j];
-            if (pictured) for (int j = 0; j < 3 * count; ++j) shown[j] = photo[j];
-            photo = shown;
+        const bool some = __builtin_reduce_max(open[y]) > 0.0f;
+        if (!some && !laid) continue;
+        if (some) {
+            for (int i = 0; i < 16; ++i) ys[i] = at;
+            aim(rays, xs, ys);
+            shine();
         }
-        float* drawn = count < 16 ? part : image;
-        const auto draw = [&](int k, Row a, Row b, Row d) {
-            const Row plain = *(const Row*)(first + k) + down * *(const Row*)(change + k);
-            const Row behind = pictured ? *(const Row*)(photo + k) : plain;
-            const Row now = *(const Row*)(drawn + k) + a * behind
-                + b * behind * (1.0f - behind) + d * *(const Row*)(tints + k);
-            *(Row*)(drawn + k) = now < 1.0f ? now : none + 1.0f;
-        };
-        draw(0, FIRST(seen), FIRST(added), FIRST(hidden));
-        draw(16, SECOND(seen), SECOND(added), SECOND(hidden));
-        draw(32, THIRD(seen), THIRD(added), THIRD(hidden));
-        if (count < 16) for (int j = 0; j < 3 * count; ++j) image[j] = part[j];
+        const Row seen = open[y] * clear[y] * *(const Row*)light, added = seen * *(const Row*)pool;
+        const Row hidden = open[y] * (1.0f - clear[y]) + (1.0f - open[y]) * (1.0f - lens[y]);
+        for (int c = 0; c < 3; ++c) {
+            Row behind = none + (setting.top[c] + down * (setting.bottom[c] - setting.top[c]));
+            if (pictured) {
+                const auto* photo = picture.data + (top + y) * view.width + left;
+                for (int x = 0; x < count; ++x) behind[x] = photo[x][c];
+            }
+            Row& drawn = *(Row*)((c == 0 ? R : c == 1 ? G : B) + 16 * y);
+            drawn = lens[y] * drawn + seen * behind + added * behind * (1.0f - behind)
+                + hidden * TINT[c];
+        }
     }
 """
 
@@ -218,19 +197,27 @@ TINT_GROUP = (
 )
 
 
-@wp.func_native(GLASS + OPEN + AIM + CLEAR + LIGHT + DRAW)
-def draw_tile(
+DRAW_STAGE = f"const auto draw_stage = [&]() {{ {GLASS + OPEN + AIM + CLEAR + LIGHT + DRAW} }};"
+
+
+@wp.func_native(SUM_TILE + DRAW_STAGE + "draw_stage();" + STORE_TILE)
+def blend_staged_tile(
     tile: int,
+    starts: wp.array(dtype=int),
+    ends: wp.array(dtype=int),
+    pairs: wp.array(dtype=int),
+    splats: wp.array(dtype=Splat),
     view: View,
+    background: wp.vec3,
     setting: Setting,
     shade: wp.array2d(dtype=float),
     picture: wp.array(dtype=wp.vec3),
     solids: wp.array(dtype=Solid),
     outlines: wp.array(dtype=Outline),
-    coverage: wp.array(dtype=float),
     image_out: wp.array(dtype=wp.vec3),
+    alpha_out: wp.array(dtype=float),
 ):
-    """Draw what is behind the Gaussians of one tile of 16 x 16 pixels."""
+    """Blend one tile of 16 x 16 pixels, and draw the stage around it."""
     ...
 
 
@@ -254,10 +241,12 @@ def blend_staged_simd(
     image_out: wp.array(dtype=wp.vec3),
     alpha_out: wp.array(dtype=float),
 ):
-    """One thread per tile: its splats, and the stage behind them while it is in the cache."""
+    """One thread per tile: its splats, and the stage around them before they are stored."""
     tile = first + wp.tid()
-    blend_tile(tile, starts, ends, pairs, splats, view, background, image_out, alpha_out)
-    draw_tile(tile, view, setting, shade, picture, solids, outlines, alpha_out, image_out)
+    blend_staged_tile(
+        tile, starts, ends, pairs, splats, view, background, setting, shade, picture, solids,
+        outlines, image_out, alpha_out,
+    )  # fmt: skip
 
 
 @wp.func_native(TINT_GROUP)

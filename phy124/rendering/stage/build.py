@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, get_args
 
@@ -14,9 +14,10 @@ from phy124.gaussians import Array, Frame
 from phy124.io.clip import Clip
 from phy124.plugins import registered
 from phy124.rendering.stage.backdrop import backdrop
-from phy124.rendering.stage.frame import POOL, Backdrop, Floor, Solid, StageFrame
+from phy124.rendering.stage.frame import POOL, Backdrop, Box, Floor, Solid, StageFrame
 from phy124.rendering.stage.ground import floor_heights
-from phy124.rendering.stage.shadow import CELLS, GLASS, LAYERS, SLOPE, Caster
+from phy124.rendering.stage.order import bounds
+from phy124.rendering.stage.shadow import GLASS, SLOPE, Caster, Glass
 from phy124.rendering.stage.solids import placed
 from phy124.scene import Scene, View
 
@@ -32,7 +33,7 @@ LARGEST = 4.0
 
 @dataclass(eq=False)
 class Stage:
-    """What stands around the object, by frame; shadows are kept from view to view."""
+    """What stands around the object, by frame; shadows and boxes are kept from view to view."""
 
     backdrop: Backdrop
     heights: NDArray[np.float64]
@@ -46,6 +47,7 @@ class Stage:
     pool: float = POOL
     """How much brighter the floor is in the middle."""
     shades: dict[int, Array] = field(default_factory=dict)
+    boxes: dict[int, Box] = field(default_factory=dict)
 
     def at(self, frame: Frame) -> StageFrame:
         """What is around the object in a frame of the clip."""
@@ -54,7 +56,10 @@ class Stage:
             for solid, moved, there in self.walls
             if there[frame.index]
         )
-        return StageFrame(self.backdrop, self._floor(frame, solids), solids)
+        if frame.index not in self.boxes:
+            self.boxes[frame.index] = bounds(frame.gaussians.means)
+        box = self.boxes[frame.index]
+        return StageFrame(self.backdrop, self._floor(frame, solids), solids, box)
 
     def _floor(self, frame: Frame, solids: tuple[Solid, ...]) -> Floor | None:
         if self.caster is None:
@@ -63,8 +68,7 @@ class Stage:
         if index not in self.shades:
             gaussians = frame.gaussians
             own = gaussians if self.own is None else gaussians.select(self.own)
-            glass = covered(self.caster, solids, height)
-            self.shades[index] = self.caster.shade(own, height, glass)
+            self.shades[index] = self.caster.shade(own, height, glass(self.caster, solids, height))
         shade, caster = self.shades[index], self.caster
         return Floor(height, caster.middle, caster.reach, shade, self.pool)
 
@@ -145,31 +149,32 @@ def _caster(clip: Clip, rest: NDArray, heights: NDArray, device: str) -> Caster:
     return Caster((float(x), float(y)), max(reach, 0.1 * size), tallest, device)
 
 
-def covered(caster: Caster, solids: tuple[Solid, ...], floor: float) -> Array | None:
-    """Optical depth of what is drawn as glass, at the height of its lowest point, or None."""
-    if not solids:
-        return None
-    depth = np.zeros((LAYERS, CELLS, CELLS), np.float32)
+def glass(caster: Caster, solids: Iterable[Solid], floor: float) -> Iterator[Glass]:
+    """What is drawn as glass, as optical depth in cells of two layers, at its lowest point."""
+    dark = np.float32(-np.log(1 - GLASS))
     for solid in solids:
         reach = np.abs(solid.axes.T) @ solid.half + solid.radius
         height = max(float(solid.centre[2] - reach[2]) - floor, 0.0)
-        dark = np.float32(-np.log(1 - GLASS)) * _footprint(caster, solid, height)
         layer, upper = caster.layer(height)
-        depth[layer] += np.float32(1 - upper) * dark
-        depth[layer + 1] += np.float32(upper) * dark
-    return depth
+        along_x, along_y, inside = _footprint(caster, solid, height)
+        yield (layer, along_x, along_y), np.float32(1 - upper) * dark * inside
+        yield (layer + 1, along_x, along_y), np.float32(upper) * dark * inside
 
 
-def _footprint(caster: Caster, solid: Solid, height: float) -> Array:
-    """The cells of the floor that a solid keeps from the lamp, 1 or 0 [CELLS,CELLS]."""
+def _footprint(caster: Caster, solid: Solid, height: float) -> tuple[slice, slice, Array]:
+    """What a solid keeps from the lamp: rows and columns of cells, and 1 or 0 in them."""
     middle = solid.centre[:2] + height * np.array(SLOPE)
-    x, y = (place - np.float32(at) for place, at in zip(caster.places(), middle, strict=True))
+    places = [place - np.float32(at) for place, at in zip(caster.places(), middle, strict=True)]
+    reach = np.abs(solid.axes.T) @ solid.half + solid.radius
+    along_x, along_y = (
+        slice(*np.searchsorted(place, (-far, far)))
+        for place, far in zip(places, reach[:2], strict=True)
+    )
     if solid.radius == 0:
-        reach = np.abs(solid.axes.T) @ solid.half
-        return np.outer(np.abs(x) <= reach[0], np.abs(y) <= reach[1]).astype(np.float32)
-    x, y = x[:, None], y[None, :]
+        return along_x, along_y, np.ones((1, 1), np.float32)
+    x, y = places[0][along_x, None], places[1][None, along_y]
     ax, ay = solid.axes[0, :2]
     along = x * ax + y * ay
     near = np.clip(along / max(ax * ax + ay * ay, 1e-12), -solid.half[0], solid.half[0])
     away = (x - near * ax) ** 2 + (y - near * ay) ** 2
-    return (away <= solid.radius**2).astype(np.float32)
+    return along_x, along_y, (away <= solid.radius**2).astype(np.float32)

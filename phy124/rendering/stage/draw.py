@@ -3,48 +3,57 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from phy124.gaussians import Array
 from phy124.kernels.splat import glass, stage, stage_simd
 from phy124.rendering.stage.frame import Backdrop, Solid, StageFrame
+from phy124.rendering.stage.order import AMONG, BEFORE, bounds, ranks
 
 
 class Surroundings:
     """A stage on a device, seen by one camera; for one picture."""
 
-    def __init__(self, shown: StageFrame, view: Any, device: Any, *, simd: bool) -> None:
+    def __init__(
+        self, shown: StageFrame, view: Any, means: Array, device: Any, *, simd: bool
+    ) -> None:
         """Put the solids on the device.
 
         Args:
             shown: The stage.
             view: Where it is seen from, a `screen.View`.
+            means: Where the Gaussians are [N,3], m.
             device: Warp device.
             simd: Whether to draw sixteen pixels at a time, for the vector units of a CPU.
         """
         self.shown, self.view, self.device, self.simd = shown, view, device, simd
-        self.glazed = bool(shown.solids)
-        self._floats = wp.array(rows(shown.solids), dtype=wp.float32, device=device)
+        order = ranks(shown.solids, np.array(view.eye), shown.box or bounds(means))
+        self._before, self.among = int((order == BEFORE).sum()), int((order == AMONG).sum())
+        sorted_rows = rows(shown.solids)[np.argsort(order, kind="stable")]
+        self._floats = wp.array(sorted_rows, dtype=wp.float32, device=device)
         kind: Any = glass.Solid
         # Not from a structured NumPy array: once among many pictures drawn by several threads, its
         # type was found to differ from the struct's, though it did not.
         solids = wp.array(ptr=self._floats.ptr, shape=len(shown.solids), dtype=kind, device=device)
         kind = glass.Outline
         outlines = wp.empty(len(shown.solids), dtype=kind, device=device)
-        if self.glazed:
+        if len(solids):
             wp.launch(
                 stage.outline, len(solids), inputs=[view, solids], outputs=[outlines], device=device
             )
         self._solids = [solids, outlines]
 
     def tint(self, means: wp.array, splats: wp.array) -> None:
-        """Give splats that are seen through the glass its colour."""
+        """Give splats that are seen through glass among them its colour."""
+        those = slice(self._before, self._before + self.among)
         kernel = stage_simd.tint_splats_simd if self.simd else stage.tint_splats
         threads = math.ceil(len(means) / 16) if self.simd else len(means)
-        inputs = [self.view, *self._solids, means]
+        inputs = [self.view, *(array[those] for array in self._solids), means]
         wp.launch(kernel, threads, inputs=inputs, outputs=[splats], device=self.device)
 
     def inputs(self) -> list[Any]:
@@ -52,7 +61,7 @@ class Surroundings:
         floor, view = self.shown.floor, self.view
         shade = np.zeros((2, 2), np.float32) if floor is None else floor.shade
         behind = picture(self.shown.backdrop, view.width, view.height)
-        given = [setting(self.shown), self._given(shade, wp.float32)]
+        given = [setting(self.shown, self._before), self._given(shade, wp.float32)]
         return [*given, self._given(behind, wp.vec3), *self._solids]
 
     def draw(self, image: wp.array, coverage: wp.array) -> None:
@@ -70,18 +79,19 @@ class Surroundings:
         return wp.array(array, dtype=dtype, device=self.device, copy=False)
 
 
-def setting(shown: StageFrame) -> Any:
-    """Backdrop and floor, a `stage.Setting`."""
+def setting(shown: StageFrame, before: int) -> Any:
+    """Backdrop and floor, and how many solids are before all Gaussians, a `stage.Setting`."""
     made, floor = stage.Setting(), shown.floor
     made.top, made.bottom = wp.vec3(*shown.backdrop.top), wp.vec3(*shown.backdrop.bottom)
     made.floor, made.reach, made.cells = int(floor is not None), 1.0, 0
+    made.before = before
     if floor is not None:
         made.height, made.reach, made.pool = floor.height, floor.reach, floor.pool
         made.middle, made.cells = wp.vec2(*floor.middle), len(floor.shade)
     return made
 
 
-def rows(solids: tuple[Solid, ...]) -> NDArray[np.float32]:
+def rows(solids: Sequence[Solid]) -> NDArray[np.float32]:
     """Solids as the device's structs have their fields, sixteen numbers each [S,16]."""
     made = np.empty((len(solids), 16), np.float32)
     for row, solid in zip(made, solids, strict=True):

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from phy124.gaussians import Array
 
 Colour = tuple[float, float, float]
+Box = tuple[Array, Array]
+"""Lowest and highest corner [3], m."""
 POOL = 0.5
 """How much brighter the floor of a studio is in the middle, for a grey of 1/2."""
 
@@ -63,3 +65,5 @@ class StageFrame:
     backdrop: Backdrop
     floor: Floor | None = None
     solids: tuple[Solid, ...] = ()
+    box: Box | None = None
+    """A box around all Gaussians, if it is known; for the order of solids and them."""

@@ -15,6 +15,7 @@ Both are convolutions, so that a map costs one Fourier transform for each layer 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -46,6 +47,8 @@ GLASS = 0.25
 """Coverage of a boundary, which is drawn as glass."""
 EDGE = 0.1
 """Part of the map, at each border, in which the shadow fades."""
+Glass = tuple[tuple[int, slice, slice], Array]
+"""Cells of a layer, and how much darker they are."""
 
 
 def covering(device: str) -> tuple[Any, int]:
@@ -81,17 +84,17 @@ class Caster:
         layer = min(int(level), LAYERS - 2)
         return layer, level - layer
 
-    def shade(self, gaussians: Gaussians, floor: float, glass: Array | None = None) -> Array:
+    def shade(self, gaussians: Gaussians, floor: float, glass: Iterable[Glass] = ()) -> Array:
         """Fraction of the light that the shadow takes [CELLS,CELLS], along x and y.
 
         Args:
             gaussians: What stands in the light.
             floor: Height of the floor, m.
-            glass: Optical depth of the boundaries [LAYERS,CELLS,CELLS].
+            glass: Optical depth of the boundaries.
         """
         depth = self._depth(gaussians, floor)
-        if glass is not None:
-            depth += glass
+        for cells, dark in glass:
+            depth[cells] += dark
         # What the floor sees of each layer through those below it; a layer fits into the cache.
         total = np.zeros(self._response.shape[1:], np.complex64)
         below, open = np.zeros((CELLS, CELLS), np.float32), np.ones((CELLS, CELLS), np.float32)
