@@ -14,7 +14,8 @@ from phy124.gaussians import Frame
 from . import cdr
 from .layout import Profile, cloud, evenly
 from .options import Options
-from .topics import ELLIPSOIDS, POINTS, TF_STATIC, Message, Topic
+from .splats import splat_array
+from .topics import ELLIPSOIDS, POINTS, SPLATS, TF_STATIC, Message, Topic
 
 SPHERE = 2
 """`visualization_msgs/msg/Marker.SPHERE`."""
@@ -38,12 +39,12 @@ class FrameEncoder:
     def topics(self) -> list[Topic]:
         """The topics that will be published, the static transform first."""
         static = [TF_STATIC] if self.options.parent_frame else []
-        return [*static, POINTS, *([ELLIPSOIDS] if self.options.ellipsoids else [])]
+        return [*static, self.main, *([ELLIPSOIDS] if self.options.ellipsoids else [])]
 
     @property
     def main(self) -> Topic:
         """The topic that has the Gaussians of every frame."""
-        return POINTS
+        return SPLATS if self._profile == "splats" else POINTS
 
     def stamp(self, seconds: float) -> int:
         """Time stamp [ns since 1970] of an instant of the clip [s]."""
@@ -72,10 +73,16 @@ class FrameEncoder:
         stamp = self.stamp(frame.time)
         header = {"stamp": cdr.time(stamp), "frame_id": self.options.frame_id}
         shown = self._thinned(frame)
-        messages = [_message(POINTS, stamp, cloud(shown, self._profile, header))]
+        messages = [self._gaussians(shown, stamp, header)]
         if self.options.ellipsoids:
             messages.append(_message(ELLIPSOIDS, stamp, self._ellipsoids(frame, header)))
         return messages
+
+    def _gaussians(self, shown: Frame, stamp: int, header: dict[str, Any]) -> Message:
+        if self._profile == "splats":
+            data = splat_array(shown.gaussians, stamp, self.options.frame_id)
+            return Message(SPLATS, stamp, data)
+        return _message(POINTS, stamp, cloud(shown, self._profile, header))
 
     def _thinned(self, frame: Frame) -> Frame:
         if self._profile == "full" and frame.velocities is None:

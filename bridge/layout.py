@@ -10,6 +10,7 @@ nothing is rotated.
 - `small`, 10 bytes: x y z as int16 steps, r g b a as uint8. The row has 16 bytes after its last
   point: four float32, the centre x y z [m] and the step [m]. A position is centre + step * (x, y,
   z); -32768 stands for NaN.
+- `splats` is no PointCloud2, see `splats`.
 - `ply`, 68 bytes or more: the names and raw values of a 3DGS PLY (Kerbl et al. 2023), which splat
   viewers read: colours as harmonics, opacity as logit, scales as logarithm, rot_0 = w.
 """
@@ -24,7 +25,7 @@ from numpy.typing import NDArray
 from phy124.gaussians import Frame, Gaussians
 from phy124.io.ply import raw_table
 
-Profile = Literal["viz", "full", "small", "ply"]
+Profile = Literal["viz", "full", "small", "ply", "splats"]
 FLOAT32 = 7
 """`sensor_msgs/msg/PointField.FLOAT32`."""
 DATATYPES = {"<f4": FLOAT32, "<i2": 3, "|u1": 2}

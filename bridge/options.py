@@ -13,6 +13,8 @@ from .layout import Profile
 LIVE_PROFILE: Profile = "viz"
 LIVE_POINTS = 32_768
 """Gaussians per frame that ordinary subscribers receive at 30 Hz (docs/guide/bridge.md)."""
+LIVE_SPLATS = 8_192
+"""Most Gaussians per frame of the profile `splats`, of 384 bytes each."""
 LAST_SECOND = 2**31 - 1
 """`builtin_interfaces/msg/Time` counts seconds in an int32."""
 
@@ -23,8 +25,8 @@ class Options(Section):
     profile: Profile | None = Field(
         default=None,
         description="Numbers per point: viz (x y z rgb), full (also opacity, scales, orientation, "
-        "velocity), small (10 bytes: int16 positions, 8-bit colours) or ply (raw 3DGS values for "
-        "splat viewers). Default: full in files, viz live.",
+        "velocity), small (10 bytes: int16 positions, 8-bit colours), ply (raw 3DGS values for "
+        "splat viewers) or splats (a SplatArray for RVizSplat). Default: full in files, viz live.",
     )
     frame_id: str = Field(
         default="phy124", min_length=1, description="Coordinate frame of the object's world."
@@ -45,7 +47,7 @@ class Options(Section):
         default=None,
         ge=1,
         description=f"Largest number of Gaussians, evenly picked. Default: {LIVE_POINTS} live, "
-        "all in files.",
+        f"all in files. Of splats there are never more than {LIVE_SPLATS} live.",
     )
     ellipsoids: int = Field(
         default=0, ge=0, le=10_000, description="Number of covariance ellipsoids sent as markers."
@@ -100,7 +102,7 @@ class Options(Section):
     def live(self) -> Options:
         """The same, with defaults for which all frames arrive at 30 Hz."""
         chosen = {
-            "max_points": self.max_points or LIVE_POINTS,
+            "max_points": live_points(self.profile, self.max_points),
             "profile": self.profile or LIVE_PROFILE,
         }
         return self.model_copy(update=chosen)
@@ -108,6 +110,13 @@ class Options(Section):
     def recorded(self) -> Options:
         """The same, with defaults that keep everything."""
         return self.model_copy(update={"profile": self.profile or "full"})
+
+
+def live_points(profile: Profile | None, asked: int | None) -> int:
+    """Number of Gaussians per frame of a live profile; `asked` 0 or None: the default."""
+    if profile == "splats":
+        return min(asked or LIVE_SPLATS, LIVE_SPLATS)
+    return asked or LIVE_POINTS
 
 
 def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:

@@ -20,7 +20,7 @@ from bridge.options import LIVE_POINTS, Options, angles, quaternion
         ({"rotation": (float("nan"), 0, 0, 0)}, "finite"),
         ({"max_points": 0}, "greater than or equal to 1"),
         ({"epoch": 2.0**31}, "less than"),
-        ({"profile": "splat"}, "'viz', 'full', 'small' or 'ply'"),
+        ({"profile": "splat"}, "'viz', 'full', 'small', 'ply' or 'splats'"),
         ({"qos": 1}, "Extra inputs"),
     ],
 )

@@ -22,7 +22,7 @@ PARAMETERS = {
     "clip": (str, "A clip.safetensors made by phy124; this or source is needed."),
     "source": (str, "A picture or a file of Gaussians, simulated while it is shown."),
     "scene": (str, "With source: preset (see `phy124 scenes`) or path of a .toml file."),
-    "profile": (str, "Numbers per point: viz, full, small or ply."),
+    "profile": (str, "Numbers per point: viz, full, small, ply or splats."),
     "frame_id": (str, "Coordinate frame of the object's world."),
     "speed": (float, "Clip seconds per second."),
     "rate": (float, "At most so many frames per second; 0: every frame."),

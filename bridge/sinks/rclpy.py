@@ -21,7 +21,7 @@ from phy124.gaussians import Frame
 from ..controls import Controls
 from ..delivery import Delivery
 from ..encoder import FrameEncoder
-from ..options import LIVE_POINTS, Options
+from ..options import Options, live_points
 from ..parameters import RUNNING, Parameter, Running, declare
 from ..playback import Playback
 from ..reports import Audience, Reports
@@ -151,7 +151,7 @@ class RclpySink:
     def _apply(self, name: str, value: Any) -> None:
         """Carry out the change of a parameter."""
         if name == "max_points":
-            self._encoder.limit(value or LIVE_POINTS)
+            self._encoder.limit(live_points(self._encoder.options.profile, value))
         elif value != self._values[name]:
             word = ("off", "on")[value] if name == "loop" else repr(value)
             self._obey(f"{name} {word}")
