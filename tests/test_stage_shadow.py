@@ -3,10 +3,13 @@
 import numpy as np
 import pytest
 
-from phy124.gaussians import Gaussians, rotation_matrices
+from phy124.gaussians import Frame, Gaussians, rotation_matrices
+from phy124.io.clip import Clip
 from phy124.kernels.splat.shadow import cover
 from phy124.rendering.stage import shadow
+from phy124.rendering.stage.build import stage_of
 from phy124.rendering.stage.shadow import CELLS, LAMP, SKY, SLOPE, SOFTNESS, Caster
+from phy124.scene import View
 
 
 def one(mean, scales, opacity=0.7, quat=(1.0, 0, 0, 0)) -> Gaussians:
@@ -42,6 +45,7 @@ SHAPES = {
 def test_the_lamps_shadow_of_one_gaussian_is_its_projection(name, monkeypatch):
     monkeypatch.setattr(shadow, "LAMP", 1.0)
     monkeypatch.setattr(shadow, "SKY", 0.0)
+    monkeypatch.setattr(shadow, "FAINT", 1e-9)
     caster = Caster((0.05, 0.0), 1.5, 1.2)
     seen = caster.shade(SHAPES[name], 0.2)
     wanted = projected(SHAPES[name], caster, 0.2)
@@ -99,6 +103,27 @@ def test_one_that_stands_for_others_is_as_much_wider(rng, monkeypatch):
     x, y = caster.places()
     inside = np.hypot(x[:, None], y[None]) < 0.35
     assert caster.shade(disc, 0.0)[inside].min() > 0.95 * whole[inside].min()
+
+
+def test_the_shade_ends_before_the_map_does(rng, monkeypatch):
+    """Water that stands up along four walls in the last frame only, a heap before."""
+    monkeypatch.setattr(shadow, "EDGE", 1e-9)  # nothing fades because of the border
+    n, quiet = 2000, 12
+    along, height = rng.uniform(-0.9, 0.9, n), rng.uniform(0, 1, n)
+    side = np.where(rng.integers(0, 2, n), 0.9, -0.9)
+    across = rng.integers(0, 2, n)
+    walls = np.stack([np.where(across, along, side), np.where(across, side, along), height], axis=1)
+    places = [*[walls * [0.3, 0.3, 0.2]] * quiet, walls]
+    quats, scales = np.tile([1.0, 0, 0, 0], (n, 1)), np.full((n, 3), 0.04)
+    frames = [
+        Frame(i, i / 24, Gaussians.from_rgb(at, quats, scales, np.full(n, 0.9), np.ones((n, 3))))
+        for i, at in enumerate(places)
+    ]
+    stage = stage_of(Clip.from_frames(frames), View(stage="studio"), rest=walls)
+    shade = stage.at(frames[-1]).floor.shade
+    border = np.concatenate([shade[[0, -1]].ravel(), shade[:, [0, -1]].ravel()])
+    # The rest fades over a tenth of the map, a quarter of a level of a picture per cell.
+    assert shade.max() > 0.4 and border.max() < 3 / 255
 
 
 def test_both_forms_of_the_kernel_cover_the_same_cells(rng, monkeypatch):

@@ -24,8 +24,8 @@ from phy124.scene import Scene, View
 SAMPLE = 4096
 """Number of Gaussians whose path decides how much of the floor the shadow map covers."""
 OUTLIERS = (0.5, 99.5)
-"""Percentiles of their places that it covers."""
-ROOM = 0.7
+"""Percentiles of their places, in each frame, that it covers."""
+ROOM = 0.9
 """Floor around them that it covers too, in heights of the object."""
 LARGEST = 4.0
 """Half its largest side, in object sizes."""
@@ -138,9 +138,10 @@ def _caster(clip: Clip, rest: NDArray, heights: NDArray, device: str) -> Caster:
     chosen = np.flatnonzero(clip.own)
     points = clip.means[:, chosen[:: 1 + len(chosen) // SAMPLE]].astype(np.float64)
     points[..., 2] -= heights[:, None]
-    points = points[np.isfinite(points).all(axis=2)]
-    points[:, :2] += np.outer(np.maximum(points[:, 2], 0), SLOPE)
-    low, high = np.percentile(points, OUTLIERS, axis=0)
+    points[..., :2] += np.maximum(points[..., 2:], 0) * np.array(SLOPE)
+    points[~np.isfinite(points)] = np.nan
+    ends = np.nanpercentile(points, OUTLIERS, axis=1)
+    low, high = np.nanmin(ends[0], axis=0), np.nanmax(ends[1], axis=0)
     size = float(np.ptp(rest, axis=0).max())
     room = ROOM * float(np.ptp(rest[:, 2]))
     reach = min(float((high - low)[:2].max()) / 2 + room, LARGEST * size)

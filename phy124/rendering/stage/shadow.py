@@ -45,6 +45,8 @@ SAMPLE = 65536
 """About so many Gaussians, evenly picked and as much wider, stand for more of them."""
 GLASS = 0.25
 """Coverage of a boundary, which is drawn as glass."""
+FAINT = 2 / 255
+"""A shade of this much is halved, and of less disappears: the sky's would never end."""
 EDGE = 0.1
 """Part of the map, at each border, in which the shadow fades."""
 Glass = tuple[tuple[int, slice, slice], Array]
@@ -104,7 +106,8 @@ class Caster:
             total += np.asarray(fft.rfft2(open - through)) * response
             open = through
         shade = np.asarray(fft.irfft2(total, (CELLS, CELLS))) * self._window
-        return np.clip(shade, 0, LAMP + SKY).astype(np.float32)
+        shade = np.clip(shade, 0, LAMP + SKY)
+        return (shade * (shade / (shade + FAINT))).astype(np.float32)
 
     def _depth(self, gaussians: Gaussians, floor: float) -> Array:
         """Optical depth of the Gaussians in each layer."""
