@@ -49,10 +49,12 @@ def endpoints(studio: Studio) -> None:
         thickness = _unread(gr.Number(label="thickness"))
         highlights = _choice(OtherViews, "highlights")
         up, front = (_unread(gr.Textbox(None, label=option)) for option in AXES)
+        compose = _unread(gr.Checkbox(False, label="compose"))
         known = [depth, near, side, facing, back, thickness, highlights, up, front]
         views = _unread(gr.CheckboxGroup(VIEWS, label="views"))
         size = _unread(gr.Number(512, label="size", precision=0, minimum=16))
         elevation = _unread(gr.Number(10, label="elevation", minimum=-89, maximum=89))
+        speed = _unread(gr.Number(label="speed"))
         formats = _unread(gr.CheckboxGroup(list(EXPORTS), value=[], label="formats"))
         run = gr.State(None)
         files, report = gr.File(file_count="multiple", label="files"), gr.JSON(label="report")
@@ -60,11 +62,11 @@ def endpoints(studio: Studio) -> None:
         shared = {"concurrency_id": "programs", "concurrency_limit": studio.settings.max_queue}
         gr.Button().click(
             _generate(studio),
-            [picture, preset, accuracy, frames, changes, formats, pick, *known],
+            [picture, preset, accuracy, frames, changes, formats, pick, *known, compose],
             [run, files, report], api_name="generate", **shared,
         )  # fmt: skip
         gr.Button().click(
-            _render(studio), [run, views, size, elevation], [files, report],
+            _render(studio), [run, views, size, elevation, speed, compose], [files, report],
             api_name="render", **shared,
         )  # fmt: skip
         gr.Button().click(_evaluate, run, report, api_name="evaluate")
@@ -94,7 +96,7 @@ def _generate(studio: Studio) -> Handler:
         pick: Any, request: gr.Request, depth: str | None = None, near: str = "white",
         side: str | None = None, facing: str = "left", back: str | None = None,
         thickness: float | None = None, highlights: str = "keep", up: str | None = None,
-        front: str | None = None,
+        front: str | None = None, compose: bool = False,
     ) -> Iterator[tuple[Any, ...]]:  # fmt: skip
         """Turn a picture or a file of Gaussians into a moving object: its files and its report."""
         name = visitor_of(request)
@@ -102,6 +104,7 @@ def _generate(studio: Studio) -> Handler:
         told = {
             "depth": depth, "near": near, "side": side, "facing": facing, "back": back,
             "thickness": thickness, "highlights": highlights, "up": up, "front": front,
+            "compose": compose,
         }  # fmt: skip
         scene, cutting = _cut(studio, name, image, preset, accuracy, frames, changes, pick, told)
         visitor, data = studio.visitors.get(name), scene.data()
@@ -185,8 +188,9 @@ def _changes(given: Any) -> dict[str, Any]:
 
 def _render(studio: Studio) -> Handler:
     def render(
-        run: Any, views: list[str], size: int, elevation: float, request: gr.Request
-    ) -> Iterator[tuple[Any, ...]]:
+        run: Any, views: list[str], size: int, elevation: float, request: gr.Request,
+        speed: float | None = None, compose: bool = False,
+    ) -> Iterator[tuple[Any, ...]]:  # fmt: skip
         """Film this session's last run again; nothing is simulated."""
         if run is None:
             raise refusal(NOTHING_YET)
@@ -194,6 +198,8 @@ def _render(studio: Studio) -> Handler:
         name = visitor_of(request)
         view = {**data["view"], "size": size, "elevation": elevation}
         view["views"] = _chosen("views", views or [], VIEWS) or data["view"]["views"]
+        view |= {} if speed is None else {"speed": speed, "fps": None}
+        told = {**told, "compose": compose}
         job = _begun(studio.run, name, source, {**data, "view": view}, told)
         for _ in _followed(job, studio.visitors.get(name), "run"):
             yield gr.skip(), gr.skip()

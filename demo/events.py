@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -60,3 +61,10 @@ class Measured:
 
 Event = Step | Glimpse | Live | Reused | Done | Measured
 Tell = Callable[[Event], None]
+
+
+def close_now(events: Iterator[Any]) -> None:
+    """Close the generator of a job's events now, not when it is garbage collected."""
+    close = getattr(events, "close", None)
+    if close is not None:
+        close()

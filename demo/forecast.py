@@ -10,7 +10,7 @@ import math
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 from typing import Any
 
@@ -95,6 +95,7 @@ class Estimator:
         generated: bool = False,
         simulated: bool = False,
         filmed: bool = False,
+        composed: float = 0.0,
         compiling: float = 0.0,
     ) -> Estimate:
         """The forecast of a run.
@@ -105,9 +106,11 @@ class Estimator:
             generated: Whether the Gaussians exist already.
             simulated: Whether the clip exists already.
             filmed: Whether the films exist already.
+            composed: Pixels drawn for the film in the photograph.
             compiling: Time until the kernels are compiled if nothing else runs [s].
         """
         work, load = Work.of(scene, gaussians), self.load()
+        work = replace(work, pixels=work.pixels + composed)
         costs = self.rates.seconds(work) | {"rest": self.rates.rest, "compile": compiling}
         done = {
             "generate": generated or simulated, "simulate": simulated, "deform": simulated,

@@ -27,6 +27,7 @@ from phy124.runtime.isolated import Deadline
 from phy124.scene import Scene
 
 from .catalogue import check_limits, check_time, scene_of
+from .events import close_now
 from .forecast import Estimate, Estimator, measured, promise_of
 from .gaussian_files import check_file, opened
 from .known import Known, known_of
@@ -204,7 +205,9 @@ class Studio:
             if seconds_to_compile(scene, device):
                 return None
             gaussians = gaussians_of(order, made_gaussians(order))
-            forecast = measured(gaussians, scene, device, self.forecaster.rates.rest)
+            rates = self.forecaster.rates
+            rest = rates.rest + rates.pixel * ready["composed"]
+            forecast = measured(gaussians, scene, device, rest)
             visitor.forecasts[key(scene.data())] = forecast.seconds
         except InputError as error:
             return complaint(error)
@@ -239,9 +242,8 @@ class Studio:
         self._check_time(source, scene)
         known = self.known(name, told)
         ready = self._ready(name, source, scene, told)
-        usual = self.forecaster(
-            scene, gaussians=self.count(source), compiling=self._compiling(scene), **ready
-        ).seconds
+        count, compiling = self.count(source), self._compiling(scene)
+        usual = self.forecaster(scene, gaussians=count, compiling=compiling, **ready).seconds
         expected = visitor.forecasts.get(key(scene.data()), usual)
         stages = STAGES if isinstance(source, Cutout) else STAGES | READING
         job = Job("run", visitor.new_stop_file(), expected, stages=stages)
@@ -320,8 +322,8 @@ class Studio:
         """The scene that was chosen; it may name the visitor's own uploads and no other files."""
         return scene_of(data, self.settings, visitor and visitor.folder / "uploads")
 
-    def _ready(self, name: str, source: Source | None, scene: Scene, told: Any) -> dict[str, bool]:
-        """Which stages need not be run again for this visitor."""
+    def _ready(self, name: str, source: Source | None, scene: Scene, told: Any) -> dict[str, Any]:
+        """Which stages need not be run again for this visitor, as `made_already` tells it."""
         visitor = self.visitors.known(name)
         if visitor is None or source is None or not is_there(source):
             return {}
@@ -349,10 +351,11 @@ class Studio:
         limits, never = self.settings, visitor.folder / "never"
         cutout = Path(source.path) if isinstance(source, Cutout) else None
         known = known.suited(source)
+        photograph = Path(source.picture) if known.photographed.compose else None
         return Order(
             visitor.folder, cutout, scene, never, limits.max_seconds, limits.max_particles,
-            generator="relief" if cutout else source.path, known=known,
-            device=limits.device, gaussians=limits.gaussians, about=known.about(source),
+            generator="relief" if cutout else source.path, known=known, photograph=photograph,
+            device=limits.device, gaussians=self.count(source), about=known.about(source),
         )  # fmt: skip
 
     def _submit(self, visitor: Visitor, job: Job, line: Line, work: Callable[[Job], None]) -> Job:
@@ -386,13 +389,6 @@ class Studio:
                 device = self.settings.device
                 self.forecaster.calibrate(partial(tiny_run, device), partial(example_run, device))
         self.warm.set()
-
-
-def close_now(events: Iterator[Any]) -> None:
-    """Close the generator of a job's events now, not when it is garbage collected."""
-    close = getattr(events, "close", None)
-    if close is not None:
-        close()
 
 
 def read_report(done: Done) -> dict[str, Any]:

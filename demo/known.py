@@ -1,5 +1,5 @@
-"""What a visitor tells of the object beside its picture: other views, a depth map, a thickness; or
-which way up a file of Gaussians is.
+"""What a visitor tells of the object beside its picture: other views, a depth map, a thickness, and
+whether it is filmed in there; or which way up a file of Gaussians is.
 
 Names, ranges and choices are those of the command line, whose classes declare them.
 """
@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
+from pydantic import Field, ValidationError
 
 from phy124.errors import InputError
 from phy124.generators import make as make_generator
@@ -36,6 +36,19 @@ AXES = ("up", "front")
 NO_DEPTH, NO_VIEWS, NO_READING = DepthMap(), OtherViews(), Reading()
 
 
+class Photographed(Section):
+    """Whether the object is filmed in its photograph."""
+
+    compose: bool = Field(
+        default=False,
+        description="Film the object in the photograph as well, in place of itself, with its "
+        "shadow; takes longer.",
+    )
+
+
+NOT_PHOTOGRAPHED = Photographed()
+
+
 @dataclass(frozen=True)
 class Known:
     """What is known of an object beside its picture from the front."""
@@ -47,6 +60,8 @@ class Known:
     """Those pictures as they were sent."""
     reading: Reading = NO_READING
     """Which way up the file of Gaussians is."""
+    photographed: Photographed = NOT_PHOTOGRAPHED
+    """Whether it is filmed in its photograph, which changes nothing of the Gaussians."""
 
     def cut(self, deadline: Deadline) -> None:
         """Cut the object out of the other views, unless that is done.
@@ -74,6 +89,7 @@ class Known:
             return self
         _refuse(self.depth, "A file of Gaussians needs none.")
         _refuse(self.views, "A file of Gaussians has all sides already.")
+        _refuse(self.photographed, "A file of Gaussians comes with no photograph.")
         up, front = self.reading.up, self.reading.front
         front = front or (None if up else source.axes.front)
         return replace(self, reading=Reading(up=up or source.axes.up, front=front))
@@ -104,7 +120,7 @@ NOTHING_MORE = Known()
 
 def options() -> dict[str, Any]:
     """The JSON schemas of all that can be told, by option."""
-    return {**_fields(OtherViews), **_fields(DepthMap)}
+    return {**_fields(OtherViews), **_fields(DepthMap), **_fields(Photographed)}
 
 
 def _fields(section: type[Section]) -> dict[str, Any]:
@@ -131,14 +147,16 @@ def known_of(visitors: Visitors, settings: Settings, name: str, told: Any) -> Kn
             if option in given}  # fmt: skip
     depth = {option: given.pop(option) for option in DepthMap.model_fields if option in given}
     axes = {option: given.pop(option) for option in AXES if option in given}
+    film = {option: given.pop(option) for option in Photographed.model_fields if option in given}
     views = given | dict(_cutouts(visitors, name, sent))
     if "depth" in sent:
         depth["depth"] = sent.pop("depth")
     reading = _checked(Reading, axes)
     orientation(reading.up, reading.front)  # refuses directions that are none
     return Known(
-        _checked(DepthMap, depth), _checked(OtherViews, views), tuple(sent.values()), reading
-    )
+        _checked(DepthMap, depth), _checked(OtherViews, views), tuple(sent.values()), reading,
+        _checked(Photographed, film),
+    )  # fmt: skip
 
 
 def _sent(visitors: Visitors, settings: Settings, name: str, given: Any) -> Path:

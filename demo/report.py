@@ -121,6 +121,8 @@ def _cut_out(report: dict[str, Any]) -> str:
         ("Method", title_of(cutout["method"])),
         ("Fraction of the picture", f"{cutout['coverage']:.1%}"),
     ]
+    if "compose" in report:
+        rows.append(("In the photograph", f"{report['compose']['psnr']:.1f} dB inside it at first"))
     return _section("Cut-out", _table([*rows, *(("Doubt", d) for d in cutout["warnings"])]))
 
 

@@ -39,7 +39,7 @@ def test_it_is_declared_where_the_command_line_declares_it(studio):
     from demo.catalogue import catalogue
 
     offered = catalogue(studio.settings)["known"]
-    assert set(offered) == {*OtherViews.model_fields, *DepthMap.model_fields}
+    assert set(offered) == {*OtherViews.model_fields, *DepthMap.model_fields, "compose"}
     assert offered["thickness"]["description"] == OtherViews.model_fields["thickness"].description
 
 
@@ -51,6 +51,7 @@ def test_it_is_declared_where_the_command_line_declares_it(studio):
         ({"facing": "up"}, "facing = .*left"),
         ({"near": "blue"}, "near = .*white"),
         ({"highlights": True}, "highlights = "),
+        ({"compose": "yes, please"}, "compose = "),
         ({"colour": "red"}, "colour = "),
         ({"answer": {"option": "side"}}, "answer = "),
         ([0.6], "known = .*object of values"),

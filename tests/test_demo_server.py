@@ -142,9 +142,14 @@ def test_generate_then_render_then_evaluate(client):
     names = {Path(path).name for path in files}
     assert {"front.mp4", "clip.safetensors", "scene.toml", "report.json", "phy124-ply.zip"} <= names
     assert report["frames"] == 2 and report["generator"] == "relief"
-    films, again = client.predict(["back", "orbit"], 48, 20, api_name="/render")
-    assert {"back.mp4", "orbit.mp4"} <= {Path(path).name for path in films}
+    films, again = client.predict(
+        ["back", "orbit"], 48, 20, speed=0.25, compose=True, api_name="/render"
+    )
+    assert {"back.mp4", "orbit.mp4", "composed.mp4"} <= {Path(path).name for path in films}
     assert again["substeps"] == report["substeps"]
+    assert again["playback"]["speed"] == 0.25 and again["compose"]["psnr"] > 20
+    with pytest.raises(Exception, match=r"view\.speed"):
+        client.predict(["back"], 48, 20, speed=0, api_name="/render")
     figures = client.predict(api_name="/evaluate")
     assert len(figures["motion"]["min_J"]) == 2
 

@@ -24,6 +24,7 @@ from demo.work import (
     Reused,
     Step,
     easier,
+    made_already,
     steps,
 )
 from demo.work.motion import Watching
@@ -217,3 +218,28 @@ def test_motion_is_reported_per_frame(order):
     # A ball in free fall: v = g t but for the half substep that velocities are behind.
     assert motion["max_speed"] == pytest.approx([0, 9.81 * 0.05, 9.81 * 0.1], abs=0.04)
     assert motion["min_J"] == pytest.approx([1, 1, 1], abs=1e-4)
+
+
+def test_it_is_filmed_in_its_photograph_once_and_nothing_else_is_made_again(order, monkeypatch):
+    from phy124.rendering.compose import colours
+
+    monkeypatch.setattr(colours, "ROUNDS", 1)
+    photograph = order.folder / "uploads" / "a.png"
+    Image.new("RGB", (90, 60), "white").save(photograph)
+    with Image.new("RGBA", (90, 60)) as cutout:
+        cutout.paste((200, 40, 30, 255), (30, 15, 60, 45))
+        cutout.save(order.cutout)
+    first, _ = _run(order)
+    shown = replace(order, photograph=photograph)
+    assert made_already(order)["composed"] == 0 < made_already(shown)["composed"]
+    done, events = _run(shown)
+    assert (done.clip, _stages(events)) == (first.clip, {"render", "save"})
+    assert done.films != first.films
+    assert (done.films / "composed.mp4").stat().st_size > 1000
+    assert any(event.note == "composed" for event in events if isinstance(event, Step))
+    report = json.loads((done.films / "report.json").read_text("utf-8"))
+    assert {"psnr", "psnr_before"} == set(report["compose"])
+    monkeypatch.setattr(Limits, "spent", property(lambda limits: 0.9))
+    again, _ = _run(replace(shown, scene=order.scene.replaced({"view.elevation": 40.0})))
+    report = json.loads((again.films / "report.json").read_text("utf-8"))
+    assert "No time was left for the photograph." in report["notes"]

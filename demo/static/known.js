@@ -1,6 +1,7 @@
 /* What else is known of the object: pictures from the side and from behind, a depth map, how thick it
- * is; or which way up a file of Gaussians is. Words, ranges and choices are those of the command line. Its value holds what was told, by
- * option; the server answers in place of the value, which is then told again. */
+ * is, and whether it is filmed in its photograph; or which way up a file of Gaussians is. Words, ranges
+ * and choices are those of the command line. Its value holds what was told, by option; the server answers
+ * in place of the value, which is then told again. */
 'use strict';
 (() => {
   const { h, follow } = globalThis.Phy124;
@@ -27,6 +28,13 @@
         h('div', { class: 'knob', title: this.options.thickness.description }, h('div', { class: 'knob-head' }, h('span', { class: 'knob-name' }, 'Thickness'), this.deep), this.slider),
         h('label', { class: 'check', title: this.options.highlights.description }, this.highlights, 'Remove highlights'));
       element.replaceChildren(this.pictured);
+      this.filming();
+    }
+
+    /** Below the settings of the scene; hidden by the style as long as no picture is cut out. */
+    filming() {
+      this.compose = h('input', { type: 'checkbox', onchange: (event) => this.tell({ compose: event.target.checked || null }) });
+      document.querySelector('#scene-panel').append(h('label', { class: 'check compose', title: this.options.compose.description }, this.compose, 'Film it in the photograph, too'));
     }
 
     thickness() {
@@ -66,7 +74,7 @@
     clear() {
       this.told = {};
       this.element.replaceChildren(this.pictured);
-      [this.slider.value, this.highlights.checked] = [1, false];
+      [this.slider.value, this.highlights.checked, this.compose.checked] = [1, false, false];
       for (const view of Object.values(this.views)) view.clear();
       this.say();
     }

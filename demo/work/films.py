@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 from phy124 import pipeline
 from phy124.io.clip import Clip
@@ -17,6 +18,7 @@ from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import View
 
 from ..events import Step
+from .composing import composed
 from .limits import FILMING, Limits
 from .order import Order
 
@@ -43,6 +45,7 @@ def film(order: Order, clips: Path, out: Path, limits: Limits) -> None:
     tell(Step("render", 0, len(clip) * len(view.sides)))
     with pipeline.staged(out) as folder:
         left_out = _videos(clip, view, order, folder, limits, watch)
+        about = _in_photograph(clip, view, order, folder, limits, watch)
         tell(Step("save", 0, 2))
         with watch.stage("save"):
             first = pipeline.cameras(clip, view, "front")[0]
@@ -63,7 +66,9 @@ def film(order: Order, clips: Path, out: Path, limits: Limits) -> None:
         report = json.loads((clips / "report.json").read_text("utf-8"))
         report["stages"] = [*report["stages"], *watch.data()]
         report["seconds"] += watch.total
-        report |= pipeline.framed(clip, view)
+        report |= pipeline.framed(clip, view) | about
+        if order.photograph and not about:
+            left_out.append("the photograph")
         if left_out:
             names = " and ".join(left_out)
             report["notes"] = [*report.get("notes", []), f"No time was left for {names}."]
@@ -86,3 +91,19 @@ def _videos(
         one = view.only(side)
         pipeline.film(clip, one, folder, device=order.device, progress=progress, watch=watch)
     return left_out
+
+
+def _in_photograph(
+    clip: Clip, view: View, order: Order, folder: Path, limits: Limits, watch: Stopwatch
+) -> dict[str, Any]:  # fmt: skip
+    """Write the video in the photograph, if one is asked for and there is time; returns an entry
+    of the report.
+    """
+    if order.photograph is None or limits.spent > FILMING:
+        return {}
+
+    def progress(_: str, done: int, total: int) -> None:
+        limits.tell(Step("render", done, total, "composed"))
+
+    with watch.stage("compose"):
+        return {"compose": composed(clip, view, order, folder, progress)}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,10 @@ from ..visitors import key
 
 VIEWED = ("view", "accuracy", "description")
 """Fields that the stored errors of a scene's motion do not depend on."""
+
+COMPOSING, EACH = 140, 1300
+"""Finding camera and colours of a photograph takes as long as drawing so many pictures of its size,
+and so many pixels for each Gaussian."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +43,8 @@ class Order:
     """Number of Gaussians that `relief` makes."""
     known: Known = NOTHING_MORE
     """What is told of the object beside its picture or file."""
+    photograph: Path | None = None
+    """The picture to film the object in as well, in a format that browsers can show."""
     device: str = "auto"
     about: tuple[tuple[str, str], ...] = ()
     """Further entries of the report."""
@@ -54,14 +61,28 @@ def folders(order: Order) -> tuple[Path, Path]:
     physics = {name: value for name, value in order.scene.data().items() if name != "view"}
     clips = order.folder / "clips" / key(made_gaussians(order).name, physics)
     view = order.scene.view.model_dump(mode="json")
-    return clips, order.folder / "films" / key(clips.name, view)
+    more = ["composed"] if order.photograph else []
+    return clips, order.folder / "films" / key(clips.name, view, *more)
 
 
-def made_already(order: Order) -> dict[str, bool]:
-    """Which stages of an order need not be run again, as arguments for the forecast."""
+def made_already(order: Order) -> dict[str, Any]:
+    """Which stages of an order need not be run again, as arguments for the forecast.
+
+    With them, under `composed`, the pixels that take as long as filming it in its photograph.
+    """
     clips, films = ((folder / "report.json").exists() for folder in folders(order))
     generated = order.cutout is None or made_gaussians(order).exists()
-    return {"generated": generated, "simulated": clips, "filmed": films}
+    made = {"generated": generated, "simulated": clips, "filmed": films}
+    return {**made, "composed": _pixels_to_compose(order)}
+
+
+def _pixels_to_compose(order: Order) -> float:
+    if order.photograph is None:
+        return 0.0
+    with Image.open(order.photograph) as picture:
+        picture.thumbnail(order.scene.view.size)
+        area = math.prod(picture.size)
+    return area * (COMPOSING + order.scene.time.frames) + EACH * order.gaussians
 
 
 def made_gaussians(order: Order) -> Path:

@@ -27,12 +27,15 @@ def test_a_side_is_cut_out_sets_the_depth_and_goes_with_the_picture(browser, ser
     page.get_by_label("Depth", exact=True).set_input_files(DUCK)
     page.get_by_role("button", name="Remove: depth").wait_for(timeout=LONG)
     visit.choose(frames=2)
+    page.get_by_label("Film it in the photograph, too").check()
     visit.generate()
     page.get_by_text("The picture from the side says already").first.wait_for(timeout=LONG)
     page.get_by_role("button", name="Remove: depth").click()
     visit.generate()
     visit.finished()
+    assert page.get_by_label("Video, composed").count() == 1
     page.get_by_label("Example: teddy").click()
     page.locator("#known .view img[src]").wait_for(state="detached", timeout=LONG)
+    assert not page.get_by_label("Film it in the photograph, too").is_checked()
     assert slider.is_enabled() and visit.complaints == []
     visit.context.close()

@@ -33,6 +33,7 @@ def test_a_file_is_turned_by_keyboard_and_moved(browser, server, tmp_path):
     assert page.get_by_role("radio", name="Front: z", exact=True).is_checked()
     assert page.locator("#photo img").get_attribute("src") != before
     assert not page.locator("#brush").is_visible()
+    assert not page.get_by_label("Film it in the photograph, too").is_visible()
     visit.choose(frames=2)
     visit.generate()
     visit.finished()

@@ -43,15 +43,19 @@ def compose(
         photograph: The photograph.
         folder: An existing folder.
         device: Warp's name of the device that draws.
-        progress: Called as ("compose", pictures done, pictures in all).
+        progress: Called as ("compose", pictures done, pictures in all); may raise Cancelled.
 
     Returns:
         The file, and how well its first picture matches the photograph inside the object, in dB:
         `psnr`, and `psnr_before` its colours and sizes were matched.
     """
+
+    def each() -> None:
+        progress("compose", 0, len(clip))
+
     first = clip.frame(0).gaussians
-    camera, before = match(first, photograph, device=device)
-    better = matched(first, camera, photograph, device=device)
+    camera, before = match(first, photograph, device=device, each=each)
+    better = matched(first, camera, photograph, device=device, each=each)
     stage = _surroundings(clip, view, photograph, device)
     clip = replace(clip, sh=better.sh, scales=clip.scales * better.sizes[:, None])
     images = render_frames(

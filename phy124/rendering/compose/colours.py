@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,7 +39,12 @@ class Matched:
 
 
 def matched(
-    gaussians: Gaussians, camera: Camera, photograph: Photograph, *, device: str = "cpu"
+    gaussians: Gaussians,
+    camera: Camera,
+    photograph: Photograph,
+    *,
+    device: str = "cpu",
+    each: Callable[[], object] = lambda: None,
 ) -> Matched:
     """Colours and sizes that come closest to the photograph.
 
@@ -49,6 +55,7 @@ def matched(
         camera: The photograph's camera.
         photograph: The photograph.
         device: Warp's name of the device that draws.
+        each: Called before each correction; may raise Cancelled.
     """
     renderer = Adjoint(device=device)
     seen = _seen(renderer, gaussians, camera, photograph)
@@ -62,14 +69,15 @@ def matched(
     for size in SIZES:
         sizes = np.where(seen, np.float32(size), np.float32(1))
         sized = replace(gaussians, scales=gaussians.scales * sizes[:, None])
-        better = _fitted(renderer, sized, seen, camera, photograph)
+        better = _fitted(renderer, sized, seen, camera, photograph, each)
         found.append(Matched(likeness(renderer, better, camera, photograph), better.sh, sizes))
     return max(found, key=lambda one: one.psnr)
 
 
 def _fitted(
-    renderer: Adjoint, gaussians: Gaussians, seen: NDArray, camera: Camera, photograph: Photograph
-) -> Gaussians:
+    renderer: Adjoint, gaussians: Gaussians, seen: NDArray, camera: Camera, photograph: Photograph,
+    each: Callable[[], object],
+) -> Gaussians:  # fmt: skip
     """With the colours of the least squares, which are near those that the photograph has nearby.
 
     With W, which takes colours to pixels, the mean of what a Gaussian's pixels lack, W^T r / W^T 1,
@@ -82,6 +90,7 @@ def _fitted(
     highest = sampled(maximum_filter(photo, (AROUND, AROUND, 1)), pixels) - 0.5
     now = ahead = gaussians.sh[seen, 0]
     for number in range(1, ROUNDS + 1):
+        each()
         missing = (photo - renderer(_coloured(gaussians, seen, ahead), camera)) * inside
         sums, weights = renderer.sums(gaussians, camera, missing)
         step = sums[seen] / np.maximum(weights[seen, None], 1e-3)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -19,14 +20,26 @@ ROUNDS = 3
 
 
 def match(
-    gaussians: Gaussians, photograph: Photograph, *, device: str = "cpu"
+    gaussians: Gaussians,
+    photograph: Photograph,
+    *,
+    device: str = "cpu",
+    each: Callable[[], object] = lambda: None,
 ) -> tuple[Camera, float]:
-    """The photograph's camera, and the PSNR of its picture inside the object, dB."""
+    """The photograph's camera, and the PSNR of its picture inside the object, dB.
+
+    Args:
+        gaussians: The object as the photograph shows it.
+        photograph: The photograph.
+        device: Warp's name of the device that draws.
+        each: Called before each correction; may raise Cancelled.
+    """
     renderer = Renderer(device=device)
     tried = []
     for distance in DISTANCES:
         camera = _first(gaussians, photograph, distance)
         for _ in range(ROUNDS):
+            each()
             tried.append((likeness(renderer, gaussians, camera, photograph), camera))
             camera = _corrected(renderer, gaussians, camera, photograph)
         tried.append((likeness(renderer, gaussians, camera, photograph), camera))
