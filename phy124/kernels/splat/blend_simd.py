@@ -24,7 +24,7 @@ SUM_TILE = (
         R[j] = G[j] = B[j] = 0.0f;
     }
     {
-        float centres[16];
+        alignas(64) float centres[16];
         for (int j = 0; j < 16; ++j) centres[j] = (float)(left + j) + 0.5f;
         const float nearest = centres[0], farthest = centres[15];
         const float HALF_LOG2_E = 0.72134752f;
@@ -46,8 +46,8 @@ SUM_TILE = (
                 const float dy = (float)y + 0.5f - splat.mean[1];
                 const float middle = splat.mean[0] + splat.shear * dy, row = cy * dy * dy;
                 // A row whose nearest pixel is out of reach stays as it is.
-                const float before = middle < farthest ? middle : farthest;
-                const float inside = before > nearest ? before : nearest;
+                const float inside =
+                    middle < nearest ? nearest : middle > farthest ? farthest : middle;
                 if (cx * (inside - middle) * (inside - middle) + row < least) continue;
                 const int at = (y - top) * 16;
                 float* __restrict Tr = T + at;
