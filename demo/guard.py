@@ -82,7 +82,9 @@ class BodyLimit:
 
 
 class Doorkeeper:
-    """Refuses requests under other host names, and those that would fetch from other sites."""
+    """Refuses requests under other host names, those that would fetch from other sites, and sockets
+    that the page of another site opens.
+    """
 
     def __init__(self, app: ASGIApp, hosts: frozenset[str]) -> None:
         self.app, self.hosts = app, hosts
@@ -93,7 +95,16 @@ class Doorkeeper:
             refusal = self._refusal(scope)
             if refusal is not None:
                 return await refusal(scope, receive, send)
+        if scope["type"] == "websocket" and not self._from_own_page(Headers(scope=scope)):
+            # Before it is accepted, this is answered by 403.
+            return await send({"type": "websocket.close", "code": 1008})
         await self.app(scope, receive, send)
+
+    def _from_own_page(self, headers: Headers) -> bool:
+        """Whether a page of this server opens a socket: browsers let those of others do so, too."""
+        host = headers.get("host", "")
+        origin = headers.get("origin", "").partition("://")[2]
+        return is_own_name(host, self.hosts) and origin.lower() == host.lower()
 
     def _refusal(self, scope: Scope) -> PlainTextResponse | None:
         if not is_own_name(Headers(scope=scope).get("host", ""), self.hosts):

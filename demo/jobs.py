@@ -39,6 +39,7 @@ from .settings import Settings
 from .source import Cutout, GaussianFile, Source, is_there
 from .strokes import Stroke
 from .studies import Measurement, grids, on_grid, read_study
+from .touch import Table
 from .visitors import Visitor, Visitors, key
 from .work import (
     DEVICE,
@@ -75,6 +76,7 @@ class Studio:
         most = self.settings.max_queue
         self.runs = Line("device", workers=1, most=most)
         self.cuts = Line("cut-out", workers=CUTTERS, most=4 * most)
+        self.touches = Table(self.settings.max_touch)
 
     @property
     def busy(self) -> bool:
@@ -249,6 +251,11 @@ class Studio:
         job = Job("run", visitor.new_stop_file(), expected, stages=stages)
         order = replace(self._order(visitor, source, scene, known), stop=job.stop)
         return self._submit(visitor, job, self.runs, lambda job: self._run(visitor, order, job))
+
+    def order(self, name: str, source: Source | None, data: Any, told: Any) -> Order:
+        """What a visitor asks for, as an order that nobody stops; raises InputError."""
+        visitor, source, scene = self._asked(name, source, data)
+        return self._order(visitor, source, scene, self.known(name, told))
 
     def measure(self, name: str, source: Source | None, data: Any, told: Any = None) -> Job:
         """Start to measure the error of a scene.

@@ -12,6 +12,12 @@ PICTURE += '<script src="phy124/static/picture.js"></script>'
 KNOWN = HEAD + '<script src="phy124/static/ways.js"></script>'
 KNOWN += '<script src="phy124/static/known.js"></script>'
 EDITOR = HEAD + '<script src="phy124/static/scene.js"></script>'
+TOUCH = (
+    HEAD
+    + '<script src="phy124/static/lattice.js"></script>'
+    + '<script src="phy124/static/splats.js"></script>'
+    + '<script src="phy124/static/touch.js"></script>'
+)
 PLAYER = (
     HEAD
     + '<script src="phy124/viewer/vendor/playcanvas.min.js"></script>'
@@ -54,6 +60,14 @@ def progress() -> gr.HTML:
 def viewer() -> gr.HTML:
     """The 4D viewer."""
     return _panel("viewer", PLAYER)
+
+
+def touch() -> gr.HTML:
+    """The object in the visitor's hand; its value says where the live run is.
+
+    Events: "begin" asks for a live run, "save" for the clip of what was done.
+    """
+    return _panel("touch", TOUCH, events="'begin' 'save'")
 
 
 def forecast() -> gr.HTML:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from starlette.middleware import Middleware
 from starlette.requests import Request
 from starlette.responses import FileResponse, HTMLResponse, JSONResponse, Response
-from starlette.routing import Mount, Route
+from starlette.routing import BaseRoute, Mount, Route
 from starlette.staticfiles import StaticFiles
 
 from phy124.io.export.html import VIEWER
@@ -23,6 +23,8 @@ from phy124.io.export.html import VIEWER
 from .gaussian_files import SMALLER
 from .guard import BodyLimit, Doorkeeper, Headed, Patient, allow_connections, own_names
 from .identity import cookie_of
+from .touch import socket_route
+from .touch.orders import LARGEST
 from .uploads import ADDRESS, upload_route
 
 if TYPE_CHECKING:
@@ -77,8 +79,8 @@ def shared_route(studio: Studio) -> Callable[[Request], Awaitable[Response]]:
     return shared
 
 
-def routes(studio: Studio) -> list[Route | Mount]:
-    """The page's own routes: uploads, jobs, scripts, pictures, the catalogue of scenes, health."""
+def routes(studio: Studio) -> list[BaseRoute]:
+    """The page's own routes: uploads, jobs, live runs, scripts, pictures, the scenes, health."""
     from .catalogue import catalogue
 
     offered = json.dumps(catalogue(studio.settings)).encode()
@@ -110,6 +112,7 @@ def routes(studio: Studio) -> list[Route | Mount]:
         Route("/health", health),
         Route("/phy124/shared/{token}", shared_route(studio)),
         upload_route(studio),
+        socket_route(studio.touches, studio.settings),
         Route("/phy124/jobs/{name}", job),
         Route("/phy124/here", here),
         Route("/phy124/catalogue.json", scenes),
@@ -159,11 +162,15 @@ def launch(page: Any, studio: Studio, **options: Any) -> None:
     )
     # uvicorn looks this up for each new connection.
     page.server.config.http_protocol_class = partial(Patient, most=allow_connections())
+    page.server.config.ws_max_size = LARGEST
+    # What is sent is dense already.
+    page.server.config.ws_per_message_deflate = False
     try:
         while page.server.thread.is_alive():
             page.server.thread.join(SWEEP)
             _sweep(studio)
     finally:
+        studio.touches.close()
         studio.visitors.close()
         page.close(verbose=False)
 

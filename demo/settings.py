@@ -52,6 +52,11 @@ class Settings(Section):
         default=60, gt=0, description="Wall-clock time of one cut-out [s]."
     )
     max_queue: int = Field(default=16, ge=1, description="Requests that may wait.")
+    max_touch: int = Field(default=2, ge=1, le=64, description="Live runs at the same time.")
+    touch_minutes: float = Field(default=10, gt=0, description="Longest live run [min].")
+    touch_idle_minutes: float = Field(
+        default=2, gt=0, description="A live run that nobody touches for so long is ended [min]."
+    )
     max_clips: int = Field(default=3, ge=1, description="Results kept per visitor.")
     max_visitors: int = Field(default=64, ge=1, description="Visitors whose files are kept.")
     max_visitor_mb: float = Field(default=1000, gt=0, description="Files of one visitor [MB].")

@@ -50,9 +50,10 @@ def build(studio: Studio) -> gr.Blocks:
             with gr.Column(elem_id="left"):
                 picture, known = _picture()
                 scene = _scene()
-                forecast, go, cancel = _go()
+                forecast, go, cancel, grab = _go()
             with gr.Column(elem_id="right"):
                 progress = panels.progress()
+                touch = panels.touch()
                 viewer = panels.viewer()
                 history = panels.history()
                 videos, report, takeaway = _results()
@@ -60,6 +61,9 @@ def build(studio: Studio) -> gr.Blocks:
         _wire_picture(studio, picture, source, known)
         asked = [source, scene, known]
         _wire_forecast(studio, asked, forecast)
+        for again in (grab.click, touch.begin):
+            again(handlers.toucher(studio), asked, touch, **QUIET)
+        touch.save(handlers.saver(studio), [source, known], [progress, go, cancel], **QUIET)
         _wire_run(studio, asked, done, go, cancel, progress, forecast, results)
         takeaway.prepare(
             handlers.preparer(studio), [done, takeaway], takeaway, concurrency_id="export",
@@ -102,13 +106,14 @@ def _scene() -> gr.HTML:
         return panels.scene()
 
 
-def _go() -> tuple[gr.HTML, gr.Button, gr.Button]:
+def _go() -> tuple[gr.HTML, gr.Button, gr.Button, gr.Button]:
     with gr.Column(elem_id="go-panel"):
         forecast = panels.forecast()
         with gr.Row(elem_id="go-row"):
             go = gr.Button("Generate", variant="primary", elem_id="go", scale=3)
+            grab = gr.Button("Touch", elem_id="begin-touch", scale=1, min_width=80)
             cancel = gr.Button("Cancel", elem_id="cancel", visible=False, scale=1, min_width=96)
-    return forecast, go, cancel
+    return forecast, go, cancel, grab
 
 
 def _results() -> tuple[gr.HTML, gr.HTML, gr.HTML]:

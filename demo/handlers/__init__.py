@@ -8,6 +8,7 @@ from .known import view_chooser, view_shower
 from .picture import chooser, corrector, cut_shower
 from .results import finisher, greeter, preparer
 from .run import forecaster, measurer, refiner, starter, stopper
+from .touch import saver, toucher
 
 __all__ = [
     "Handler",
@@ -20,8 +21,10 @@ __all__ = [
     "measurer",
     "preparer",
     "refiner",
+    "saver",
     "starter",
     "stopper",
+    "toucher",
     "view_chooser",
     "view_shower",
 ]

@@ -31,6 +31,7 @@ from phy124.live.limits import (
 from phy124.region import Vector
 from phy124.scene import Scene
 from phy124.simulation import Simulation, Stopped
+from phy124.simulation.appearance import Appearance
 
 FOREVER = 1e8
 """A live run has no budget of time of its own [s]; what shows it has."""
@@ -115,6 +116,16 @@ class Live:
         """What happens without inputs."""
         return self._scene
 
+    @property
+    def rest(self) -> NDArray[np.float64]:
+        """Positions of all particles at rest [P,3], m."""
+        return self._run.solver.model.rest
+
+    @property
+    def look(self) -> Appearance:
+        """How the object is shown: its Gaussians at rest, and which of them move."""
+        return self._run.look
+
     def frames(self, count: int) -> Iterator[Frame]:
         """So many frames, one after the other; inputs may be given between them."""
         for _ in range(count):
@@ -180,7 +191,7 @@ class Live:
         Raises:
             InputError: Nothing is held, or these are not three finite numbers.
         """
-        if self._inputs.holding is None:
+        if not self.holds:
             raise InputError("to", target, "nothing is held.", "Call grab first.")
         self._target = self._said(*self.limits.place("to", target))
 

@@ -87,7 +87,7 @@ def vector(field: str, value: Sequence[float]) -> Vector:
     """
     try:
         found = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         found = np.full(1, np.nan)
     if found.shape != (3,) or not np.isfinite(found).all():
         raise InputError(field, value, "it must be three finite numbers.", "Give [x, y, z].")
@@ -110,7 +110,7 @@ def number(field: str, value: float, least: float, most: float) -> float:
     limit = f"it must be a number from {least:g} to {most:g}."
     try:
         found = float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InputError(field, value, limit, "Give such a number.") from None
     if not least <= found <= most:
         raise InputError(field, value, limit, "Give such a number.")

@@ -1,0 +1,311 @@
+/* Touch: a live run in the visitor's hand, over a socket (demo/touch).
+ *
+ * Press on the object and drag: it is held there. Beside it, dragging turns the view. Each frame is
+ * acknowledged once it is drawn, so a slow browser skips frames; and it draws as many of the Gaussians,
+ * enlarged, as it can in time.
+ */
+'use strict';
+(() => {
+  const { h, calm, announce } = globalThis.Phy124;
+  const FEWEST = 1500, SLOW = 36, FAST = 14, NEAR = 28, STEP = 0.06;
+  const GRAVITIES = { Earth: 9.81, Mars: 3.71, Moon: 1.62, None: 0 };
+  const KEYS = { ArrowLeft: ['right', -1], ArrowRight: ['right', 1], ArrowUp: ['up', 1], ArrowDown: ['up', -1], PageUp: ['ahead', 1], PageDown: ['ahead', -1] };
+
+  function touch(element, props, watch, trigger) {
+    let hand = null;
+    const show = () => {
+      const { ticket, message } = props.value || {};
+      hand?.leave();
+      hand = null;
+      element.replaceChildren();
+      if (message) element.replaceChildren(h('p', { class: 'message', role: 'alert' }, message));
+      if (ticket) hand = element.hand = new Hand(element, ticket, trigger);
+    };
+    watch('value', show);
+    show();
+  }
+
+  class Hand {
+    constructor(element, ticket, trigger) {
+      Object.assign(this, { element, trigger, seq: 0, sent: new Map(), delays: [], bytes: 0, frames: 0, keyed: null, held: null, touches: new Map() });
+      this.build();
+      document.querySelector('#viewer')?.classList.add('behind');
+      const address = new URL(`phy124/touch/${ticket}`, document.baseURI);
+      address.protocol = address.protocol.replace('http', 'ws');
+      this.socket = new WebSocket(address);
+      this.socket.binaryType = 'arraybuffer';
+      this.socket.onmessage = ({ data }) => this.take(data);
+      this.socket.onclose = () => this.ended('The connection to the live run was lost.');
+    }
+
+    /* ---- what is seen ---------------------------------------------------------------------- */
+
+    build() {
+      const button = (label, act) => h('button', { type: 'button', class: 'quiet', onclick: act }, label);
+      this.canvas = h('canvas', { tabindex: 0, role: 'application', 'aria-label': 'The object. Drag it to hold and throw it. Enter takes hold of its top, arrow keys, Page Up and Page Down move it, Enter lets go; with Shift, arrow keys turn the view.' });
+      this.status = h('p', { class: 'touch-status', role: 'status' }, 'Starting …');
+      this.rate = h('p', { class: 'touch-rate' });
+      const gravity = h('select', { 'aria-label': 'Gravity', onchange: () => this.say({ do: 'gravity', value: GRAVITIES[gravity.value] }) },
+        ...Object.keys(GRAVITIES).map((name) => h('option', { value: name }, name)));
+      this.soft = h('input', { type: 'range', min: -1, max: 1, step: 0.05, value: 0, 'aria-label': 'Softness' });
+      this.soft.addEventListener('input', () => this.say({ do: 'soften', value: 10 ** -Number(this.soft.value) }));
+      this.gravity = gravity;
+      this.saving = button('Save as clip', () => this.say({ do: 'save' }));
+      this.tools = h('div', { class: 'touch-tools' }, button('Reset', () => this.reset()),
+        h('label', {}, 'Gravity', gravity), h('label', { class: 'touch-soft' }, 'Stiffer', this.soft, 'Softer'),
+        this.saving, button('End', () => this.leave()));
+      this.box = h('section', { class: 'touch', 'aria-label': 'Touch' }, h('div', { class: 'touch-view' }, this.canvas, this.rate), this.status, this.tools);
+      this.element.replaceChildren(this.box);
+      this.listen();
+      this.box.scrollIntoView({ block: 'nearest', behavior: calm() ? 'auto' : 'smooth' });
+    }
+
+    begin(buffer) {
+      const lattice = this.lattice = new Phy124Lattice(buffer, 1);
+      this.ground = lattice.ground ?? 0;
+      this.count = lattice.splats;
+      this.sharp = 1;
+      this.home = { azimuth: 25, elevation: 14, radius: 3 * lattice.size, target: [0, 0, this.ground + 0.55 * lattice.size] };
+      this.pose = { ...this.home };
+      this.splats = new Phy124Splats(this.canvas, lattice);
+      this.splats.look(this.pose);
+      this.status.textContent = `Drag the object. ${lattice.sentence}`;
+      this.canvas.classList.add('ready');
+    }
+
+    /** What the socket brings: text is for people, of bytes the first is a letter. */
+    take(data) {
+      if (typeof data === 'string') return this.told(JSON.parse(data));
+      this.bytes += data.byteLength;
+      const letter = String.fromCharCode(new Uint8Array(data, 0, 1)[0]);
+      if (letter === 'b') return this.begin(data);
+      this.frame = data;
+      if (!this.drawing) this.drawing = requestAnimationFrame(() => this.show());
+    }
+
+    told({ kind, text }) {
+      if (kind === 'ended') return this.ended(text);
+      this.status.textContent = text;
+      announce(text);
+      if (kind === 'saved') { this.trigger('save'); this.leave(); }
+    }
+
+    show() {
+      this.drawing = null;
+      if (this.gone || !this.splats) return;
+      const begun = performance.now();
+      if (this.frame) {
+        this.head = this.lattice.take(this.frame, 1);
+        this.frame = null;
+        this.news = true;
+      }
+      this.fit();
+      this.lattice.ride(this.count);
+      this.splats.draw(this.count);
+      this.rate.textContent = this.head && this.head.factor < 0.95 ? `${this.head.factor.toFixed(1)}× real time` : '';
+      const { gl } = this.splats, fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
+      gl.flush();
+      this.drawing = -1;
+      this.drawn(fence, begun);
+    }
+
+    /** Wait until the picture is there, then ask for the next one. */
+    drawn(fence, begun) {
+      const { gl } = this.splats, now = performance.now();
+      if (this.gone) return;
+      if (gl.getSyncParameter(fence, gl.SYNC_STATUS) !== gl.SIGNALED && now - begun < 2000) { setTimeout(() => this.drawn(fence, begun), 3); return; }
+      gl.deleteSync(fence);
+      this.drawing = null;
+      this.adapt(now - begun);
+      if (this.news) { this.news = false; this.acknowledge(now); }
+      if (this.frame) this.drawing = requestAnimationFrame(() => this.show());
+    }
+
+    acknowledge(now) {
+      this.frames++;
+      for (const [seq, at] of this.sent) if (seq <= this.head.heard) { this.delays.push(now - at); this.sent.delete(seq); }
+      if (this.delays.length > 5000) this.delays.splice(0, 1000);
+      this.send({ do: 'seen' });
+    }
+
+    /** Draw fewer Gaussians, then fewer pixels, while pictures take too long. */
+    adapt(ms) {
+      this.slow = 0.8 * (this.slow ?? ms) + 0.2 * ms;
+      const most = this.lattice.splats, least = Math.min(FEWEST, most);
+      if (this.slow > SLOW && this.count > least) this.count = Math.max(least, Math.round(0.85 * this.count));
+      else if (this.slow > SLOW) this.sharp = Math.max(0.5, 0.9 * this.sharp);
+      else if (this.slow < FAST && this.sharp < 1) this.sharp = Math.min(1, 1.1 * this.sharp);
+      else if (this.slow < FAST) this.count = Math.min(most, Math.round(1.1 * this.count));
+    }
+
+    fit() {
+      const ratio = Math.min(window.devicePixelRatio || 1, 2) * this.sharp, { clientWidth, clientHeight } = this.canvas;
+      const [width, height] = [clientWidth, clientHeight].map((side) => Math.max(2, Math.round(side * ratio)));
+      if (Math.abs(this.canvas.width - width) > 0.04 * width || Math.abs(this.canvas.height - height) > 0.04 * height) Object.assign(this.canvas, { width, height });
+    }
+
+    again() { if (!this.drawing) this.drawing = requestAnimationFrame(() => this.show()); }
+
+    /* ---- what is said ---------------------------------------------------------------------- */
+
+    send(message) { if (this.socket.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(message)); }
+
+    say(message) {
+      if (!this.splats) return;
+      this.seq++;
+      this.sent.set(this.seq, performance.now());
+      if (this.sent.size > 500) this.sent.clear();
+      this.send({ ...message, seq: this.seq });
+    }
+
+    reset() {
+      this.letGo();
+      this.soft.value = 0;
+      this.gravity.value = 'Earth';
+      if (this.home) { this.pose = { ...this.home }; this.splats.look(this.pose); }
+      this.say({ do: 'reset' });
+    }
+
+    /* ---- the hand -------------------------------------------------------------------------- */
+
+    /** Position of a pointer in pixels of the picture, from its middle, up. */
+    pointed(event) {
+      const box = this.canvas.getBoundingClientRect(), scale = this.canvas.width / box.width;
+      return [(event.clientX - box.left - box.width / 2) * scale, (box.height / 2 - event.clientY + box.top) * scale];
+    }
+
+    /** The place of the nearest Gaussian under a pointer; null beside the object. */
+    under([px, py]) {
+      const { splats, lattice, count } = this, { focal } = splats, reach = NEAR * this.canvas.width / this.canvas.clientWidth;
+      let best = null, least = Infinity;
+      for (let i = 0; i < count; i++) {
+        if (lattice.colours[4 * i + 3] < 60) continue;
+        const [x, y, z] = [lattice.centres[3 * i], lattice.centres[3 * i + 1], lattice.centres[3 * i + 2]], [r, u, a] = splats.seen(x, y, z);
+        if (a <= 0) continue;
+        const off = Math.hypot(focal * r / a - px, focal * u / a - py);
+        // Nearer to the eye counts, and nearer to the pointer.
+        const cost = a / lattice.size + (off / reach) ** 2;
+        if (off < reach && cost < least) { least = cost; best = [x, y, z]; }
+      }
+      return best;
+    }
+
+    /** The place under a pointer at a distance ahead of the eye. */
+    ahead([px, py], far) {
+      const { eye, right, up, ahead, focal } = this.splats;
+      return eye.map((e, c) => e + far * (ahead[c] + (px * right[c] + py * up[c]) / focal));
+    }
+
+    hold(place, id) {
+      this.held = { id, far: this.splats.seen(...place)[2], place };
+      this.canvas.classList.add('holds');
+      this.say({ do: 'grab', value: place });
+    }
+
+    letGo() {
+      if (!this.held) return;
+      this.held = null;
+      this.canvas.classList.remove('holds');
+      this.say({ do: 'release' });
+    }
+
+    listen() {
+      const on = (name, act) => this.canvas.addEventListener(name, act);
+      on('pointerdown', (event) => this.press(event));
+      on('pointermove', (event) => this.drag(event));
+      for (const end of ['pointerup', 'pointercancel']) on(end, (event) => this.lift(event));
+      on('wheel', (event) => { event.preventDefault(); this.zoom(Math.exp(event.deltaY * 0.001)); });
+      on('keydown', (event) => this.key(event));
+      on('blur', () => { if (this.held?.id === 'keys') this.letGo(); });
+      this.watcher = new ResizeObserver(() => { if (!this.element.isConnected) this.leave(); else this.again(); });
+      this.watcher.observe(this.canvas);
+    }
+
+    press(event) {
+      if (!this.splats) return;
+      this.canvas.setPointerCapture(event.pointerId);
+      this.touches.set(event.pointerId, [event.clientX, event.clientY]);
+      if (this.touches.size > 1) { this.spread = this.gap(); this.letGo(); return; }
+      const place = this.under(this.pointed(event));
+      if (place) { event.preventDefault(); this.canvas.focus({ preventScroll: true }); this.hold(place, event.pointerId); }
+    }
+
+    drag(event) {
+      const last = this.touches.get(event.pointerId);
+      if (!last) return;
+      this.touches.set(event.pointerId, [event.clientX, event.clientY]);
+      if (this.held?.id === event.pointerId) { this.held.place = this.ahead(this.pointed(event), this.held.far); this.say({ do: 'to', value: this.held.place }); return; }
+      if (this.touches.size === 2) { const gap = this.gap(); this.zoom(this.spread / gap); this.spread = gap; return; }
+      this.turn((last[0] - event.clientX) * 0.4, (event.clientY - last[1]) * 0.4);
+    }
+
+    lift(event) {
+      this.touches.delete(event.pointerId);
+      if (this.held?.id === event.pointerId) this.letGo();
+    }
+
+    gap() { const [a, b] = [...this.touches.values()]; return Math.max(1, Math.hypot(a[0] - b[0], a[1] - b[1])); }
+
+    turn(azimuth, elevation) {
+      this.pose.azimuth += azimuth;
+      this.pose.elevation = Math.min(85, Math.max(2, this.pose.elevation + elevation));
+      this.splats.look(this.pose);
+      this.again();
+    }
+
+    zoom(factor) {
+      if (!this.splats) return;
+      this.pose.radius = Math.min(5 * this.home.radius, Math.max(0.3 * this.home.radius, this.pose.radius * factor));
+      this.splats.look(this.pose);
+      this.again();
+    }
+
+    key(event) {
+      if (!this.splats || event.ctrlKey || event.metaKey || event.altKey) return;
+      const move = KEYS[event.key];
+      if (event.key === 'Enter' || event.key === ' ') {
+        event.preventDefault();
+        if (this.held) this.letGo(); else this.hold(this.top(), 'keys');
+      } else if (event.key === '+' || event.key === '-') { this.zoom(event.key === '+' ? 0.9 : 1.1); } else if (move) {
+        event.preventDefault();
+        const [way, sign] = move;
+        if (event.shiftKey || !this.held) { this.turn(way === 'right' ? 6 * sign : 0, way === 'up' ? 6 * sign : 0); return; }
+        const axis = this.splats[way], step = sign * STEP * this.lattice.size;
+        this.held.place = this.held.place.map((v, c) => v + step * axis[c]);
+        this.say({ do: 'to', value: this.held.place });
+      }
+    }
+
+    /** The highest of the Gaussians that are drawn. */
+    top() {
+      const { centres } = this.lattice;
+      let best = 0;
+      for (let i = 1; i < this.count; i++) if (centres[3 * i + 2] > centres[3 * best + 2]) best = i;
+      return [centres[3 * best], centres[3 * best + 1], centres[3 * best + 2]];
+    }
+
+    /* ---- the end --------------------------------------------------------------------------- */
+
+    ended(text) {
+      if (this.gone) return;
+      this.close();
+      this.status.textContent = text;
+      this.tools.replaceChildren(h('button', { type: 'button', class: 'primary', onclick: () => this.trigger('begin') }, 'Start again'),
+        h('button', { type: 'button', class: 'quiet', onclick: () => this.leave() }, 'Close'));
+      announce(text);
+    }
+
+    leave() { this.close(); this.box.remove(); document.querySelector('#viewer')?.classList.remove('behind'); }
+
+    close() {
+      if (this.gone) return;
+      this.gone = true;
+      this.watcher.disconnect();
+      this.socket.onclose = null;
+      this.socket.close();
+      this.splats?.dispose();
+    }
+  }
+
+  globalThis.Phy124 = Object.assign(globalThis.Phy124 || {}, { touch });
+})();

@@ -1,0 +1,67 @@
+"""The process of one live run: it is run by its path, and ends when its pipe does.
+
+Orders come on standard input: two pickles, `sys.path` and (function, arguments), then lines of
+text. The function gets a `Line` to hear them and to answer by messages: a letter, the length
+(uint32, little-endian), and the content.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import struct
+import sys
+import threading
+from collections import deque
+
+WAITING = 256
+"""Lines that are kept until somebody listens; of more, the newest."""
+
+
+class Line:
+    """The pipe to the server."""
+
+    def __init__(self, answers: int) -> None:
+        self._answers = answers
+        self._heard: deque[str] = deque(maxlen=WAITING)
+        self._any = threading.Event()
+
+    def tell(self, letter: bytes, content: bytes) -> None:
+        """Send a message."""
+        data = letter + struct.pack("<I", len(content)) + content
+        while data:
+            data = data[os.write(self._answers, data) :]
+
+    def heard(self) -> list[str]:
+        """What has been said since the last call."""
+        self._any.clear()
+        return [self._heard.popleft() for _ in range(len(self._heard))]
+
+    def wait(self, seconds: float) -> None:
+        """Wait until something is said, at most so long [s]."""
+        self._any.wait(seconds)
+
+    def listen(self) -> None:
+        """Hear lines until the other side is gone, and end the process then."""
+        for line in sys.stdin.buffer:
+            self._heard.append(line.decode("utf-8", "replace"))
+            self._any.set()
+        os._exit(0)
+
+
+def main() -> None:
+    """Call the function that is ordered."""
+    # Ctrl-C reaches the whole group of processes; the server decides.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    answers = os.dup(1)
+    os.dup2(2, 1)  # what libraries print is no part of the answer
+    sys.path[:] = pickle.load(sys.stdin.buffer)
+    function, arguments = pickle.load(sys.stdin.buffer)
+    line = Line(answers)
+    threading.Thread(target=line.listen, daemon=True).start()
+    function(*arguments, line)
+
+
+if __name__ == "__main__":
+    main()

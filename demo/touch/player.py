@@ -1,0 +1,190 @@
+"""What the process of a live run does: it makes the object, and plays what a hand does to it."""
+
+from __future__ import annotations
+
+import json
+import struct
+from dataclasses import dataclass
+from typing import Any
+
+from phy124.errors import InputError
+from phy124.live import Live, RealTime, held_rate
+from phy124.live.limits import number
+from phy124.runtime.device import pick_device
+from phy124.runtime.isolated import Deadline
+from phy124.scene import Scene
+
+from ..sentences import sentence
+from ..work.motion import gaussians_of
+from ..work.order import Order, made_gaussians
+from .child import Line
+from .lattice import Lattice
+
+FPS = 24.0
+"""Frames per second."""
+REST = 0.25
+"""Interval between two looks for messages while it pauses [s]."""
+PREPARING = 120.0
+"""Longest time to cut out other views of the object [s]."""
+TEXT, BINDING, FRAME, SESSION = b"t", b"b", b"f", b"s"
+"""First letters of messages: plain data for the page, a binding, a frame, a session."""
+HEAD = struct.Struct("<IIff")
+"""Of a frame: its number, that of the last message it answers to, its time [s], the real-time
+factor."""
+
+
+@dataclass(frozen=True)
+class Play:
+    """What a process is to play."""
+
+    order: Order
+    most_frames: int
+    """Frames of a session that is saved."""
+
+
+def play(what: Play, line: Line) -> None:
+    """Play until the pipe ends.
+
+    Args:
+        what: What to play.
+        line: The pipe to the server.
+    """
+    try:
+        player = Player(what, line)
+    except InputError as error:
+        return _say(line, kind="ended", text=sentence(error))
+    while True:
+        player.frame()
+
+
+class Player:
+    """One live run and what its visitor has said."""
+
+    def __init__(self, what: Play, line: Line) -> None:
+        """Make the object, choose a grid and tell the browser what it draws.
+
+        Raises:
+            InputError: The object cannot be made, or the scene cannot be used.
+        """
+        self._line, self._what = line, what
+        order = what.order
+        options = {"device": pick_device(order.device), "threads": 1}
+        _say(line, kind="doing", text="Making the Gaussians …")
+        order.known.cut(Deadline(PREPARING))
+        gaussians = gaussians_of(order, made_gaussians(order))
+        timing = order.scene.time.model_copy(update={"fps": FPS})
+        _say(line, kind="doing", text="Finding a grid that runs in real time here …")
+        chosen = held_rate(gaussians, order.scene.model_copy(update={"time": timing}), **options)
+        self.live = Live(gaussians, chosen.scene, **options)
+        self.live.step()
+        self._lattice, self._clock = Lattice(self.live), RealTime(FPS)
+        self._heard, self._paused, self._told = 0, False, 0
+        line.tell(BINDING, self._head(chosen.sentence) + self._lattice.binding())
+
+    def frame(self) -> None:
+        """Do what was said, make the next frame and wait until the one after it is due."""
+        for message in _newest_targets(self._line.heard()):
+            self._do(message)
+        if self._paused:
+            self._line.wait(REST)
+            return
+        self.live.step()
+        self._tell_notes()
+        head = HEAD.pack(self.live.count - 1, self._heard, self.live.time, self._clock.factor)
+        self._line.tell(FRAME, head + self._lattice.frame())
+        self._clock.wait()
+
+    def _do(self, message: dict[str, Any]) -> None:
+        """Do what a message asks; say so if that is impossible."""
+        seq, value = message.get("seq"), message.get("value")
+        self._heard = seq % 2**32 if isinstance(seq, int) else self._heard
+        try:
+            getattr(self, f"_{message['do']}")(value)
+        except InputError as error:
+            _say(self._line, kind="said", text=sentence(error))
+
+    def _grab(self, point: Any) -> None:
+        self.live.grab(point)
+
+    def _to(self, target: Any) -> None:
+        if self.live.holds:
+            self.live.to(target)
+
+    def _release(self, _: Any) -> None:
+        self.live.release()
+
+    def _gravity(self, g: Any) -> None:
+        self.live.gravity((0.0, 0.0, -number("gravity", g, 0, 100)))
+
+    def _speed(self, speed: Any) -> None:
+        self._clock.speed = number("speed", speed, 0.05, 1)
+        self._clock.restart()
+
+    def _pause(self, on: Any) -> None:
+        self._paused = on is True
+        self._clock.restart()
+
+    def _reset(self, _: Any) -> None:
+        self.live.reset()
+        self._pause(False)
+
+    def _save(self, _: Any) -> None:
+        """Send what was done as a scene, no longer than a run may be here."""
+        self._paused = True
+        scene = self.live.session()
+        kept = shortened(scene, self._what.most_frames)
+        seconds = kept.time.frames / FPS
+        cut = "" if kept is scene else f" of {scene.time.frames / FPS:.1f} s, the first"
+        text = f"Making the clip{cut} {seconds:.1f} s …"
+        self._line.tell(SESSION, json.dumps(kept.data()).encode())
+        _say(self._line, kind="saved", text=text)
+
+    def _tell_notes(self) -> None:
+        """Say what the engine has noted since the last frame."""
+        for note in self.live.notes[self._told :]:
+            _say(self._line, kind="said", text=note)
+        self._told = len(self.live.notes)
+
+    def _head(self, said: str) -> bytes:
+        """The numbers before a binding, as JSON that ends at a multiple of four bytes."""
+        grounds = [b.height for b in self.live.session().boundaries if b.kind == "ground"]
+        head = {
+            "splats": len(self._lattice.gaussians),
+            "nodes": len(self._lattice.nodes),
+            "size": self.live.limits.size,
+            "ground": grounds[0] if grounds else None,
+            "sentence": said,
+            "background": list(self._what.order.scene.view.background),
+        }
+        text = json.dumps(head).encode()
+        text += b" " * (-len(text) % 4)
+        return struct.pack("<I", len(text)) + text
+
+
+def shortened(scene: Scene, frames: int) -> Scene:
+    """A scene of at most so many frames, without the forces that begin after them.
+
+    Args:
+        scene: The scene.
+        frames: How many.
+    """
+    if scene.time.frames <= frames:
+        return scene
+    end = (frames - 1) / scene.time.fps
+    forces = tuple(force for force in scene.forces if getattr(force, "start", 0.0) < end)
+    timing = scene.time.model_copy(update={"frames": frames})
+    return scene.model_copy(update={"forces": forces, "time": timing})
+
+
+def _newest_targets(lines: list[str]) -> list[dict[str, Any]]:
+    """The messages in order; of targets that follow each other only the last."""
+    found: list[dict[str, Any]] = []
+    for message in map(json.loads, lines):
+        if found and message["do"] == "to" == found[-1]["do"]:
+            found.pop()
+        found.append(message)
+    return found
+
+
+def _say(line: Line, **what: str) -> None:
+    line.tell(TEXT, json.dumps(what).encode())

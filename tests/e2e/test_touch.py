@@ -1,0 +1,67 @@
+"""Touch in a real browser: the object is dragged, follows, comes back, and becomes a clip."""
+
+from __future__ import annotations
+
+import pytest
+from visit import LONG, Visit
+
+pytestmark = pytest.mark.browser
+HAND = "[...document.querySelectorAll('#touch, #touch *')].find((e) => e.hand).hand"
+TOP = f"""(() => {{
+    const hand = {HAND}, [r, u, a] = hand.splats.seen(...hand.top());
+    const box = hand.canvas.getBoundingClientRect();
+    const scale = box.width / hand.canvas.width * hand.splats.focal / a;
+    return [box.left + box.width / 2 + scale * r, box.top + box.height / 2 - scale * u];
+}})()"""
+AWAY = f"""(() => {{
+    // How far one of the highest Gaussians is from where it rests.
+    const {{ means, centres }} = {HAND}.lattice;
+    let top = 0;
+    for (let i = 1; i < 1000; i++) if (means[3 * i + 2] > means[3 * top + 2]) top = i;
+    return Math.hypot(...[0, 1, 2].map((c) => centres[3 * top + c] - means[3 * top + c]));
+}})()"""
+
+
+@pytest.fixture
+def visit(browser, server):
+    """A visitor who touches the duck, which is held at its foot."""
+    visit = Visit(browser, server)
+    visit.upload()
+    visit.page.locator(".card", has_text="Sway").click()
+    visit.page.wait_for_timeout(400)
+    visit.page.locator("#begin-touch").click()
+    visit.page.wait_for_selector(".touch canvas.ready", timeout=LONG)
+    visit.page.wait_for_function(f"{HAND}.frames > 5", timeout=LONG)
+    yield visit
+    visit.context.close()
+
+
+def test_the_object_follows_the_pointer_and_comes_back(visit):
+    page = visit.page
+    assert "cells across the object" in page.locator(".touch-status").inner_text()
+    start = page.evaluate(AWAY)
+    x, y = page.evaluate(TOP)
+    page.mouse.move(x, y + 8)
+    page.mouse.down()
+    page.wait_for_selector(".touch canvas.holds")
+    page.mouse.move(x + 120, y + 30, steps=6)
+    page.wait_for_function(f"{AWAY} > {start} + 0.08", timeout=LONG)
+    page.mouse.up()
+    page.wait_for_function(f"Math.abs({AWAY} - {start}) < 0.04", timeout=LONG)
+    assert page.evaluate(f"{HAND}.delays.length") > 0
+    assert not visit.complaints
+
+
+@pytest.mark.slow
+def test_keys_move_the_object_and_what_was_done_becomes_a_clip(visit):
+    page = visit.page
+    start = page.evaluate(AWAY)
+    page.locator(".touch canvas").focus()
+    page.keyboard.press("Enter")
+    for _ in range(5):
+        page.keyboard.press("ArrowRight")
+    page.wait_for_function(f"{AWAY} > {start} + 0.08", timeout=LONG)
+    page.get_by_role("button", name="Save as clip").click()
+    visit.finished()
+    assert page.locator(".touch").count() == 0, "the result is shown instead"
+    assert not visit.complaints

@@ -1,0 +1,280 @@
+"""Touch without a browser: tickets, the relay and its limits, and what travels to the browser."""
+
+from __future__ import annotations
+
+import json
+import struct
+import time
+
+import numpy as np
+import pytest
+
+pytest.importorskip("gradio", reason="the extra demo is not installed")
+
+from starlette.applications import Starlette
+from starlette.testclient import TestClient
+from starlette.websockets import WebSocketDisconnect
+
+from demo.guard import Doorkeeper
+from demo.identity import COOKIE
+from demo.settings import Settings
+from demo.touch import Table, lattice, orders, relay, socket_route
+from demo.touch.lattice import Lattice
+from demo.touch.player import BINDING, FRAME, HEAD, Player, shortened
+from phy124.accuracy.ball import ball
+from phy124.errors import InputError
+from phy124.live import Live
+from phy124.scene import Scene
+from support import touching
+
+ME, OTHER = "a" * 32, "b" * 32
+HOME = {"origin": "http://testserver"}
+
+
+@pytest.fixture
+def page(monkeypatch):
+    """A page with nothing but the socket; `page.process` is what runs in the other process."""
+    monkeypatch.setattr(relay, "Play", lambda order, frames: order)
+    made = {}
+
+    def start(process=touching.echo, **settings):
+        monkeypatch.setattr(relay, "play", process)
+        chosen = Settings(**settings)
+        table = Table(chosen.max_touch)
+        app = Doorkeeper(Starlette(routes=[socket_route(table, chosen)]), frozenset({"testserver"}))
+        made["client"] = TestClient(app).__enter__()
+        return table, made["client"]
+
+    yield start
+    made["client"].__exit__(None, None, None)
+
+
+def touched(client, table, visitor=ME, ticket=None, headers=HOME):
+    ticket = table.give(f"cookie {visitor}", None) if ticket is None else ticket
+    cookie = {"cookie": f"{COOKIE}={visitor}", **headers}
+    return client.websocket_connect(f"/phy124/touch/{ticket.name}", headers=cookie)
+
+
+def said(socket) -> str:
+    return json.loads(socket.receive_text())["text"]
+
+
+def test_a_slow_browser_gets_the_newest_frame_and_no_queue(page):
+    table, client = page(touching.flood)
+    with touched(client, table) as socket:
+        assert socket.receive_bytes() == BINDING + b"binding"
+        got, word = [], None
+        while word is None:
+            message = socket.receive()
+            word = message.get("text")
+            if word is None:
+                got.append(message["bytes"])
+        assert len(got) <= relay.ON_THE_WAY, "it has acknowledged none"
+        socket.send_text('{"do": "seen"}')
+        last = socket.receive_bytes()
+        assert last[:1] == FRAME and struct.unpack("<I", last[1:5]) == (touching.FRAMES - 1,)
+
+
+def test_a_crash_is_a_sentence_and_frees_the_place(page):
+    table, client = page(touching.crash, max_touch=1)
+    with touched(client, table) as socket:
+        assert socket.receive_bytes() == BINDING + b"binding"
+        assert said(socket) == relay.BROKEN
+        with pytest.raises(WebSocketDisconnect):
+            socket.receive_text()
+    assert len(table) == 0
+
+
+@pytest.mark.parametrize(
+    ("settings", "sentence"),
+    [({"touch_idle_minutes": 1e-3}, relay.IDLE), ({"touch_minutes": 1e-3}, relay.OVER)],
+)
+def test_a_run_ends_when_its_time_is_up(page, settings, sentence):
+    table, client = page(**settings)
+    with touched(client, table) as socket:
+        texts = [said(socket)]
+        while texts[-1] in ("ready",):
+            texts.append(said(socket))
+        assert texts[-1] == sentence.format(*settings.values())
+
+
+def test_what_is_no_order_is_refused_and_thousands_of_orders_do_no_harm(page):
+    table, client = page()
+    with touched(client, table) as socket:
+        assert said(socket) == "ready"
+        for bad in ("", "{", "[" * 900, '"grab"', '{"do": "delete"}', '{"do": ["to"]}', "x" * 2000):
+            socket.send_text(bad)
+            assert said(socket) == orders.NOT_UNDERSTOOD
+        socket.send_bytes(b"\xff\x00")
+        assert said(socket) == orders.NOT_UNDERSTOOD
+        for _ in range(2000):
+            socket.send_text('{"do": "pause"}')
+        assert said(socket) == orders.TOO_MANY
+        for _ in range(20):
+            time.sleep(0.01)
+            socket.send_text('{"do": "to", "value": 3}')
+        assert said(socket) == "to 3"
+
+
+def test_nobody_reaches_the_run_of_another(page):
+    table, client = page(max_touch=2)
+    mine = table.give(f"cookie {ME}", None)
+    for visitor, ticket in ((OTHER, mine), (ME, type(mine)("", None))):
+        with (
+            pytest.raises(WebSocketDisconnect) as end,
+            touched(client, table, visitor, ticket) as socket,
+        ):
+            socket.receive_text()
+        assert end.value.code == relay.GONE
+    for headers in ({"origin": "http://evil.example"}, {}, {"origin": "null"}):
+        with pytest.raises(WebSocketDisconnect), touched(client, table, ME, mine, headers):
+            pass
+    with touched(client, table, ME, mine) as socket, touched(client, table, OTHER) as second:
+        assert said(socket) == said(second) == "ready"
+        with pytest.raises(InputError, match="as many as this server can hold"):
+            table.give("cookie third", None)
+        socket.send_text('{"do": "save"}')
+        assert said(socket) == "save None"
+        assert table.own(f"cookie {ME}").session == {"forces": []}
+        assert table.own(f"cookie {OTHER}").session is None
+        table.give(f"cookie {ME}", None)
+        assert said(socket) == relay.REPLACED
+        second.send_text('{"do": "to", "value": 3}')
+        assert said(second) == "to 3"
+
+
+def test_a_ticket_that_nobody_uses_is_given_to_others(monkeypatch):
+    table = Table(1)
+    table.give("me", None)
+    with pytest.raises(InputError):
+        table.give("you", None)
+    monkeypatch.setattr("demo.touch.table.WAITS", -1)
+    assert table.take("you", table.give("you", None).name)
+
+
+class Spoken:
+    """A line of which everything is kept."""
+
+    def __init__(self) -> None:
+        self.told, self.orders = [], []
+
+    def tell(self, letter, content):
+        self.told.append((letter, content))
+
+    def heard(self):
+        found, self.orders = self.orders, []
+        return found
+
+    def wait(self, seconds):
+        pass
+
+
+def small(**changes) -> Scene:
+    base = Scene.named("drop").replaced({"accuracy": {"cells": 8}, "binding": "lattice"})
+    return base.replaced({"object.lift": 0.1, **changes})
+
+
+@pytest.fixture(scope="module")
+def live():
+    run = Live(ball(400), small(), threads=1)
+    run.step()
+    return run
+
+
+def bound(sent: bytes, splats: int, nodes: int) -> dict[str, np.ndarray]:
+    """The arrays of a binding, as the browser reads them."""
+    kinds = [
+        ("means", "<f4", splats, 3), ("sigma", "<f4", splats, 6), ("stretch", "<f4", splats, 1),
+        ("rest", "<f4", nodes, 3), ("near", "<u2", splats, 8), ("weights", "u1", splats, 8),
+        ("colours", "u1", splats, 4),
+    ]  # fmt: skip
+    found = {}
+    for name, kind, rows, columns in kinds:
+        size = rows * columns * np.dtype(kind).itemsize
+        found[name] = np.frombuffer(sent[:size], kind).reshape(rows, columns)
+        sent = sent[size:]
+    assert not sent
+    return found
+
+
+def test_gaussians_bound_in_the_browser_are_where_the_engine_has_them(live):
+    made = Lattice(live)
+    arrays = bound(made.binding(), len(made.gaussians), len(made.nodes))
+    live.push((0, 300, 100), torque=(100, 0, 0), seconds=0.1)
+    frame = list(live.frames(3))[-1]
+    sent = made.frame()
+    p = len(made.nodes)
+    assert len(sent) == 24 + 24 * p
+    box = np.frombuffer(sent[:24], "<f4").reshape(2, 3)
+    steps = np.frombuffer(sent[24 : 24 + 6 * p], "<u2").reshape(p, 3)
+    F = np.frombuffer(sent[24 + 6 * p :], "<i2").reshape(p, 3, 3) * (lattice.REACH / 32767)
+    x = box[0] + steps / 65535 * (box[1] - box[0])
+    near = arrays["near"]
+    weights = arrays["weights"] / arrays["weights"].sum(axis=1, keepdims=True)
+    away = np.einsum("nkij,nkj->nki", F[near], arrays["means"][:, None] - arrays["rest"][near])
+    means = (weights[..., None] * (x[near] + away)).sum(axis=1)
+    order = np.random.default_rng(0).permutation(len(means))
+    moved = np.abs(frame.gaussians.means - live.look.gaussians.means).max()
+    assert moved > 0.02
+    assert np.abs(means - frame.gaussians.means[order]).max() < 1e-3
+
+
+def test_a_frame_stays_below_three_megabytes_a_second(live):
+    few = Lattice(live, most=60)
+    assert 30 <= len(few.nodes) <= 60 and np.allclose(few.weights.sum(axis=1), 1, atol=1e-3)
+    assert 24 * (24 + 24 * lattice.MOST + HEAD.size) <= 3e6
+
+
+@pytest.fixture
+def player(monkeypatch, tmp_path):
+    monkeypatch.setattr("demo.touch.player.gaussians_of", lambda *_: ball(400))
+    monkeypatch.setattr("demo.touch.player.made_gaussians", lambda order: tmp_path)
+    monkeypatch.setattr("demo.touch.player.RealTime.wait", lambda self: 1.0)
+    monkeypatch.setattr(
+        "demo.touch.player.held_rate",
+        lambda gaussians, scene, **_: type("Choice", (), {"scene": scene, "sentence": "so"}),
+    )
+    known = type("Known", (), {"cut": lambda self, deadline: None})()
+    order = type("Order", (), {"device": "cpu", "scene": small(), "known": known})()
+    line = Spoken()
+    return Player(type("Play", (), {"order": order, "most_frames": 4})(), line), line
+
+
+def test_orders_that_cannot_be_done_are_said_and_the_run_goes_on(player):
+    run, line = player
+    mars = [2.25e11, 0, 0]
+    bad = [
+        ("grab", None), ("grab", "x"), ("grab", [float("nan"), 0, 0]), ("grab", mars),
+        ("grab", [10**400, 0, 0]), ("gravity", 1e30), ("gravity", {}), ("speed", float("nan")),
+    ]  # fmt: skip
+    line.orders = [json.dumps({"do": do, "value": value, "seq": 7}) for do, value in bad]
+    run.frame()
+    kinds = [letter for letter, _ in line.told]
+    assert kinds.count(b"t") - 2 == len(bad), "a sentence for each, after the two at the start"
+    line.orders = [json.dumps({"do": "grab", "value": [0, 0, 1.0]})]
+    run.frame()
+    line.orders = [json.dumps({"do": "to", "value": at, "seq": 9})
+                   for at in ([0, 0, 1.2], [1e30, 0, 0], mars)]  # fmt: skip
+    run.frame()
+    assert "the most there is here" in line.told[-2][1].decode(), "of three targets, the last"
+    assert HEAD.unpack(line.told[-1][1][: HEAD.size])[1] == 9
+    x, F = run.live.particles
+    assert np.isfinite(x).all() and np.isfinite(F).all()
+
+
+def test_a_saved_session_is_a_scene_no_longer_than_a_run_may_be(player):
+    run, line = player
+    for order in ({"do": "grab", "value": [0, 0, 1.0]}, None, None, None, None, {"do": "release"}):
+        line.orders = [json.dumps(order)] if order else []
+        run.frame()
+    line.orders = ['{"do": "gravity", "value": 1.62}', '{"do": "save"}']
+    count = run.live.count
+    run.frame()
+    assert run.live.count == count, "it pauses"
+    session = Scene.from_data(json.loads(dict(line.told)[b"s"]))
+    assert session.time.frames == 4 and "the first" in line.told[-1][1].decode()
+    assert {force.kind for force in session.forces} == {"gravity", "grab"}
+    assert shortened(session, 5) is session
+    line.orders = ['{"do": "reset"}']
+    run.frame()
+    assert run.live.count == 1
