@@ -31,7 +31,7 @@ from .events import close_now
 from .forecast import Estimate, Estimator, measured, promise_of
 from .gaussian_files import check_file, opened
 from .known import Known, known_of
-from .line import Job, Line, guarded
+from .line import Job, Line, close_now, guarded
 from .pictures import check_picture, cut_by, cut_once, viewable
 from .progress import MEASURING, READING, STAGES
 from .sentences import complaint
@@ -199,7 +199,7 @@ class Studio:
             return None
         try:
             scene = self._scene(visitor, data)
-            order = self._order(visitor, source, scene, self.known(name, told))
+            order = self.order(visitor, source, scene, self.known(name, told))
             ready = made_already(order)
             device = pick_device(self.settings.device)
             if not ready["generated"] or ready["simulated"]:
@@ -240,7 +240,7 @@ class Studio:
         Raises:
             InputError: Something in the request cannot be used.
         """
-        visitor, source, scene = self._asked(name, source, data)
+        visitor, source, scene = self.asked(name, source, data)
         self._check_time(source, scene)
         known = self.known(name, told)
         ready = self._ready(name, source, scene, told)
@@ -249,13 +249,8 @@ class Studio:
         expected = visitor.forecasts.get(key(scene.data()), usual)
         stages = STAGES if isinstance(source, Cutout) else STAGES | READING
         job = Job("run", visitor.new_stop_file(), expected, stages=stages)
-        order = replace(self._order(visitor, source, scene, known), stop=job.stop)
+        order = replace(self.order(visitor, source, scene, known), stop=job.stop)
         return self._submit(visitor, job, self.runs, lambda job: self._run(visitor, order, job))
-
-    def order(self, name: str, source: Source | None, data: Any, told: Any) -> Order:
-        """What a visitor asks for, as an order that nobody stops; raises InputError."""
-        visitor, source, scene = self._asked(name, source, data)
-        return self._order(visitor, source, scene, self.known(name, told))
 
     def measure(self, name: str, source: Source | None, data: Any, told: Any = None) -> Job:
         """Start to measure the error of a scene.
@@ -269,7 +264,7 @@ class Studio:
         Raises:
             InputError: Something in the request cannot be used.
         """
-        visitor, source, scene = self._asked(name, source, data)
+        visitor, source, scene = self.asked(name, source, data)
         levels = grids(scene)
         for cells in levels:
             check_limits(on_grid(scene, cells), self.settings)
@@ -279,7 +274,7 @@ class Studio:
         expected = self.study_seconds(name, source, scene, told)
         stages = MEASURING if isinstance(source, Cutout) else MEASURING | READING
         job = Job("measure", visitor.new_stop_file(), expected, stages=stages)
-        order = self._order(visitor, source, scene, known)
+        order = self.order(visitor, source, scene, known)
         order = replace(order, stop=job.stop, levels=levels)
         return self._submit(visitor, job, self.runs, lambda job: self._run(visitor, order, job))
 
@@ -297,7 +292,7 @@ class Studio:
         visitor = self.visitors.known(name)
         if visitor is None or source is None or not is_there(source):
             return None
-        order = self._order(visitor, source, scene, self.known(name, told))
+        order = self.order(visitor, source, scene, self.known(name, told))
         return read_study(study_file(order))
 
     def study_seconds(
@@ -318,7 +313,7 @@ class Studio:
             compiling=self._compiling(on_grid(scene, grids(scene)[0])),
         )  # fmt: skip
 
-    def _asked(self, name: str, source: Source | None, data: Any) -> tuple[Visitor, Source, Scene]:
+    def asked(self, name: str, source: Source | None, data: Any) -> tuple[Visitor, Source, Scene]:
         """The visitor, the object's source and the scene of a request; raises InputError."""
         visitor = self.visitors.known(name)
         if visitor is None or source is None or not is_there(source):
@@ -334,7 +329,7 @@ class Studio:
         visitor = self.visitors.known(name)
         if visitor is None or source is None or not is_there(source):
             return {}
-        return made_already(self._order(visitor, source, scene, self.known(name, told)))
+        return made_already(self.order(visitor, source, scene, self.known(name, told)))
 
     def _compiling(self, scene: Scene) -> float:
         """Time until a scene's kernels are compiled [s]; 0 while a run may be compiling them."""
@@ -353,7 +348,7 @@ class Studio:
         count = self.count(source)
         check_time(self.forecaster.minimum(scene, gaussians=count), self.settings)
 
-    def _order(self, visitor: Visitor, source: Source, scene: Scene, known: Known) -> Order:
+    def order(self, visitor: Visitor, source: Source, scene: Scene, known: Known) -> Order:
         """An order that nobody stops; raises InputError if what is known is no use for it."""
         limits, never = self.settings, visitor.folder / "never"
         cutout = Path(source.path) if isinstance(source, Cutout) else None

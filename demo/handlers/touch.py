@@ -24,7 +24,9 @@ def toucher(studio: Studio) -> Handler:
     def touch(source: Any, scene: Any, told: Any, request: gr.Request) -> dict[str, Any]:
         name = visitor_of(request)
         try:
-            ticket = studio.touches.give(name, studio.order(name, source, scene, told))
+            visitor, source, asked = studio.asked(name, source, scene)
+            order = studio.order(visitor, source, asked, studio.known(name, told))
+            ticket = studio.touches.give(name, order)
         except InputError as error:
             return {"message": sentence(error)}
         return {"ticket": ticket.name}

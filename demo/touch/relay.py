@@ -75,6 +75,13 @@ def _call(loop: asyncio.AbstractEventLoop, act: Callable[[], None]) -> None:
         loop.call_soon_threadsafe(act)
 
 
+async def _closed(process: asyncio.subprocess.Process) -> None:
+    """Wait for the end of a process, and read what is left, so that its pipes are closed."""
+    assert process.stdin is not None
+    process.stdin.close()
+    await process.communicate()
+
+
 class Relay:
     """One live run between a browser and its process."""
 
@@ -107,7 +114,8 @@ class Relay:
                 task.cancel()
             with suppress(ProcessLookupError):
                 process.kill()
-            await process.wait()
+            # Also if this task is cancelled.
+            await asyncio.shield(_closed(process))
         await self._goodbye(sentence)
 
     def _end(self, sentence: str) -> None:
