@@ -199,7 +199,7 @@ class Studio:
             return None
         try:
             scene = self._scene(visitor, data)
-            order = self.order(visitor, source, scene, self.known(name, told))
+            order = self.order((visitor, source, scene), self.known(name, told))
             ready = made_already(order)
             device = pick_device(self.settings.device)
             if not ready["generated"] or ready["simulated"]:
@@ -249,7 +249,7 @@ class Studio:
         expected = visitor.forecasts.get(key(scene.data()), usual)
         stages = STAGES if isinstance(source, Cutout) else STAGES | READING
         job = Job("run", visitor.new_stop_file(), expected, stages=stages)
-        order = replace(self.order(visitor, source, scene, known), stop=job.stop)
+        order = replace(self.order((visitor, source, scene), known), stop=job.stop)
         return self._submit(visitor, job, self.runs, lambda job: self._run(visitor, order, job))
 
     def measure(self, name: str, source: Source | None, data: Any, told: Any = None) -> Job:
@@ -274,7 +274,7 @@ class Studio:
         expected = self.study_seconds(name, source, scene, told)
         stages = MEASURING if isinstance(source, Cutout) else MEASURING | READING
         job = Job("measure", visitor.new_stop_file(), expected, stages=stages)
-        order = self.order(visitor, source, scene, known)
+        order = self.order((visitor, source, scene), known)
         order = replace(order, stop=job.stop, levels=levels)
         return self._submit(visitor, job, self.runs, lambda job: self._run(visitor, order, job))
 
@@ -292,7 +292,7 @@ class Studio:
         visitor = self.visitors.known(name)
         if visitor is None or source is None or not is_there(source):
             return None
-        order = self.order(visitor, source, scene, self.known(name, told))
+        order = self.order((visitor, source, scene), self.known(name, told))
         return read_study(study_file(order))
 
     def study_seconds(
@@ -314,7 +314,11 @@ class Studio:
         )  # fmt: skip
 
     def asked(self, name: str, source: Source | None, data: Any) -> tuple[Visitor, Source, Scene]:
-        """The visitor, the object's source and the scene of a request; raises InputError."""
+        """The visitor, the object's source and the scene of a request.
+
+        Raises:
+            InputError: There is no source, or no such scene.
+        """
         visitor = self.visitors.known(name)
         if visitor is None or source is None or not is_there(source):
             raise InputError("image", "none", "There is no picture yet.", "Choose one first.")
@@ -329,7 +333,7 @@ class Studio:
         visitor = self.visitors.known(name)
         if visitor is None or source is None or not is_there(source):
             return {}
-        return made_already(self.order(visitor, source, scene, self.known(name, told)))
+        return made_already(self.order((visitor, source, scene), self.known(name, told)))
 
     def _compiling(self, scene: Scene) -> float:
         """Time until a scene's kernels are compiled [s]; 0 while a run may be compiling them."""
@@ -348,9 +352,10 @@ class Studio:
         count = self.count(source)
         check_time(self.forecaster.minimum(scene, gaussians=count), self.settings)
 
-    def order(self, visitor: Visitor, source: Source, scene: Scene, known: Known) -> Order:
+    def order(self, asked: tuple[Visitor, Source, Scene], known: Known) -> Order:
         """An order that nobody stops; raises InputError if what is known is no use for it."""
-        limits, never = self.settings, visitor.folder / "never"
+        (visitor, source, scene), limits = asked, self.settings
+        never = visitor.folder / "never"
         cutout = Path(source.path) if isinstance(source, Cutout) else None
         known = known.suited(source)
         photograph = Path(source.picture) if known.photographed.compose else None

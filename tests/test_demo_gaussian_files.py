@@ -82,7 +82,7 @@ def test_a_file_is_reduced_drawn_in_24_ways_and_moved_as_the_one_that_is_chosen(
     visitor, scene = studio.visitors.get("a"), Scene.named("press")
 
     def order(told):
-        return studio.order(visitor, file, scene, studio.known("a", told))
+        return studio.order((visitor, file, scene), studio.known("a", told))
 
     chosen, other = order({"up": "y", "front": "z"}), order(None)
     assert (other.known.reading.up, other.known.reading.front) == ("-y", "x")

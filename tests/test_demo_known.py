@@ -127,7 +127,7 @@ def test_gaussians_are_made_anew_exactly_when_something_else_is_told(studio):
     scene, duck = Scene.named("press"), Cutout(str(DUCK), str(DUCK))
 
     def file_of(told) -> Path:
-        return made_gaussians(studio.order(visitor, duck, scene, studio.known("a", told)))
+        return made_gaussians(studio.order((visitor, duck, scene), studio.known("a", told)))
 
     told = [None, {"side": side}, {"side": side, "facing": "right"}, {"back": side}]
     told += [{"thickness": 0.6}, {"highlights": "remove"}, {"depth": side}]

@@ -24,8 +24,8 @@ def toucher(studio: Studio) -> Handler:
     def touch(source: Any, scene: Any, told: Any, request: gr.Request) -> dict[str, Any]:
         name = visitor_of(request)
         try:
-            visitor, source, asked = studio.asked(name, source, scene)
-            order = studio.order(visitor, source, asked, studio.known(name, told))
+            asked = studio.asked(name, source, scene)
+            order = studio.order(asked, studio.known(name, told))
             ticket = studio.touches.give(name, order)
         except InputError as error:
             return {"message": sentence(error)}

@@ -147,7 +147,7 @@ class Player:
 
     def _head(self, said: str) -> bytes:
         """The numbers before a binding, as JSON that ends at a multiple of four bytes."""
-        grounds = [b.height for b in self.live.session().boundaries if b.kind == "ground"]
+        grounds = [b.height for b in self.live.scene.boundaries if b.kind == "ground"]
         head = {
             "splats": len(self._lattice.gaussians),
             "nodes": len(self._lattice.nodes),
