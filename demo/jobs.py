@@ -31,7 +31,7 @@ from .events import close_now
 from .forecast import Estimate, Estimator, measured, promise_of
 from .gaussian_files import check_file, opened
 from .known import Known, known_of
-from .line import Job, Line, close_now, guarded
+from .line import Job, Line, guarded
 from .pictures import check_picture, cut_by, cut_once, viewable
 from .progress import MEASURING, READING, STAGES
 from .sentences import complaint
@@ -240,9 +240,8 @@ class Studio:
         Raises:
             InputError: Something in the request cannot be used.
         """
-        visitor, source, scene = self.asked(name, source, data)
+        (visitor, source, scene), known = self.asked(name, source, data), self.known(name, told)
         self._check_time(source, scene)
-        known = self.known(name, told)
         ready = self._ready(name, source, scene, told)
         count, compiling = self.count(source), self._compiling(scene)
         usual = self.forecaster(scene, gaussians=count, compiling=compiling, **ready).seconds
@@ -355,9 +354,8 @@ class Studio:
     def order(self, asked: tuple[Visitor, Source, Scene], known: Known) -> Order:
         """An order that nobody stops; raises InputError if what is known is no use for it."""
         (visitor, source, scene), limits = asked, self.settings
-        never = visitor.folder / "never"
         cutout = Path(source.path) if isinstance(source, Cutout) else None
-        known = known.suited(source)
+        known, never = known.suited(source), visitor.folder / "never"
         photograph = Path(source.picture) if known.photographed.compose else None
         return Order(
             visitor.folder, cutout, scene, never, limits.max_seconds, limits.max_particles,

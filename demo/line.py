@@ -11,9 +11,8 @@ import logging
 import secrets
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
 
 from phy124.errors import Cancelled, InputError
 
@@ -180,10 +179,3 @@ def guarded(job: Job, work: Callable[[Job], None]) -> None:
         job.end("refused", sentence(error))
     finally:
         job.stop.unlink(missing_ok=True)
-
-
-def close_now(events: Iterator[Any]) -> None:
-    """Close the generator of a job's events now, not when it is garbage collected."""
-    close = getattr(events, "close", None)
-    if close is not None:
-        close()
