@@ -108,6 +108,7 @@ class Attacker:
             "preset": "drop", "accuracy": "draft", "frames": 2, "changes": few, "formats": [],
             "pick": [], "depth": None, "near": "white", "side": None, "facing": "left",
             "back": None, "thickness": None, "highlights": "keep",
+            "up": None, "front": None, "compose": False,
         }  # fmt: skip
         data = [image, *{**given, **options}.values()]
         status, text, _ = self.post("/gradio_api/call/generate", {"data": data})

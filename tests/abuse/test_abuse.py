@@ -22,9 +22,11 @@ from attacker import Attacker
 from PIL import Image
 from proxy import in_front_of
 
+from phy124.io.ply import encode
 from phy124.scene import Scene
 from support.hostile import PHONE, bomb, heic_claiming
 from support.served import ROOT, TIMEOUT, serving
+from support.shapes import ball
 
 DUCK = (ROOT / "demo/examples/duck.png").read_bytes()
 GIGABYTE = 1 << 30
@@ -39,7 +41,8 @@ def server(tmp_path_factory):
     pytest.importorskip("gradio", reason="the extra demo is not installed")
     with serving(
         tmp_path_factory.mktemp("abuse"), files=FILES, gaussians=1000, max_upload_mb=2,
-        max_visitors=40, grace_minutes=0.3, max_cut_seconds=10, max_seconds=120, max_queue=6,
+        max_file_mb=3, max_visitors=40, grace_minutes=0.3, max_cut_seconds=10, max_seconds=120,
+        max_queue=6,
     ) as running:  # fmt: skip
         yield running
 
@@ -200,6 +203,7 @@ def _as(kind: str, colour: str = "white") -> bytes:
         return file.getvalue()
 
 
+BILLION = encode(ball(10)).replace(b"element vertex 10\n", b"element vertex 1000000000\n")
 ODD = {
     "bomb": (bomb(16_000), "million pixels"),
     "larger bomb": (bomb(30_000), "million pixels"),
@@ -217,6 +221,7 @@ ODD = {
     "heic bomb": (heic_claiming(30_000, 30_000), "million pixels"),
     "heic of a small name": (heic_claiming(64, 64), "broken"),
     "half a heic": (PHONE.read_bytes()[:900], "broken"),
+    "file of a billion Gaussians": (BILLION, "announces 1,000,000,000 Gaussians"),
     "one colour": (_as("PNG", "#808080"), "No object"),
     "another colour": (_as("JPEG", "#3366cc"), "No object"),
 }
