@@ -113,6 +113,13 @@ def test_a_missing_file_is_refused(tmp_path):
         Clip.load(tmp_path / "none.safetensors")
 
 
+def test_equal_clips_are_equal_files(tmp_path, clip):
+    for number in range(6):
+        clip.with_report({"frames": 3, "said": "Größe \u2028 \t"}).save(tmp_path / f"{number}")
+    assert len({(tmp_path / f"{number}").read_bytes() for number in range(6)}) == 1
+    assert Clip.load(tmp_path / "0").report["said"] == "Größe \u2028 \t"
+
+
 def test_a_failed_save_leaves_nothing(tmp_path, clip, monkeypatch):
     def refuse(*_):
         raise OSError("disk full")

@@ -26,6 +26,7 @@ MODULES = {
     "evaluate": ("evaluate", "Evaluate"),
     "compare": ("compare", "Compare"),
     "weights": ("weights", "Weights"),
+    "sweep": ("sweep", "Sweep"),
     "warm": ("warm", "Warm"),
     "doctor": ("doctor", "Doctor"),
 }

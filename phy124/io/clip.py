@@ -206,6 +206,7 @@ class Clip:
         }
         with replacing(path) as temporary:
             save_file(tensors, temporary, metadata)
+            _order_header(temporary)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Clip:
@@ -250,6 +251,18 @@ def _read_metadata(path: Path) -> dict[str, str]:
         found = metadata.get("version")
         raise _refusal(path, f"it has clip version {found}, this program reads {VERSION}.")
     return metadata
+
+
+def _order_header(path: Path) -> None:
+    """Sort what a file says of itself, so that equal clips are equal files: safetensors does not."""
+    with open(path, "r+b") as file:
+        length = int.from_bytes(file.read(8), "little")
+        header = json.loads(file.read(length))
+        header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
+        text = json.dumps(header, ensure_ascii=False, separators=(",", ":")).encode()
+        if len(text) <= length:  # spaces may follow, and nothing else may move
+            file.seek(8)
+            file.write(text.ljust(length))
 
 
 def _map_tensors(path: Path) -> dict[str, NDArray]:

@@ -1,0 +1,120 @@
+"""`phy124 sweep`: many clips, on all cores or a cluster."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from phy124.commands.bars import Bars
+from phy124.commands.options import Device
+from phy124.errors import InputError
+from phy124.runtime.cores import cores
+from phy124.runtime.device import pick_device
+from phy124.sweep import Plan, expected, refused, run
+from phy124.sweep import Sweep as Declared
+from phy124.sweep.archives import pack
+from phy124.sweep.report import lines, write_page
+from phy124.sweep.storage import Storage
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """Make the clips that a file declares: pictures, generators, values; or report on them.
+
+    `phy124 sweep SWEEP.toml --out DIR` makes what is not there yet, `phy124 sweep report DIR`
+    prints a table and writes a page with pictures.
+    """
+
+    file: tyro.conf.Positional[str]
+    """A .toml file (see docs/guide/sweeps.md), or the word report."""
+    folder: tyro.conf.Positional[str | None] = None
+    """After report: the --out of a sweep."""
+    out: str | None = None
+    """Folder, or address such as s3://bucket/sweep; default out/NAME."""
+    dry_run: bool = False
+    """Print what would be made, what it would cost, and what is refused."""
+    ray: str | None = None
+    """Address of a Ray cluster, such as auto or ray://host:10001."""
+    workers: int | None = None
+    """Worker processes on this machine; absent: one per core; 0: this process."""
+    shard: str = "1/1"
+    """The part to make, as 3/8: the third of eight."""
+    device: Device = "auto"
+    json: bool = False
+    """Print the outcome as JSON and nothing else."""
+
+    def run(self) -> int:
+        """Make the clips, or report on them."""
+        if self.file == "report":
+            return self._report()
+        self._refuse()
+        plan = Plan(Declared.from_toml(self.file))
+        device = pick_device(self.device)
+        if self.dry_run:
+            return self._foretell(plan, device)
+        out = self.out or f"out/{Path(self.file).stem}"
+        with Bars(quiet=self.json, keeps=True) as bars:
+            counts = run(
+                plan, out, ray=self.ray, workers=self.workers, shard=parts_of(self.shard),
+                device=device, progress=bars,
+            )  # fmt: skip
+        if plan.sweep.archive is not None:
+            pack(Storage(out), plan.sweep.archive)
+        told = {"out": out, "here": counts.here, **counts.ended}
+        if self.json:
+            print(json.dumps(told))
+        else:
+            made = ", ".join(f"{count} {status}" for status, count in counts.ended.items())
+            print(f"{made or 'nothing to do'}; {counts.here} were there already")
+            print(Storage(out).place("manifest.parquet"))
+        return 3 if counts.ended["failed"] else 0
+
+    def _report(self) -> int:
+        """Print the table and write the page."""
+        if self.folder is None:
+            limit = "report needs the folder of a sweep."
+            raise InputError("folder", None, limit, "Write phy124 sweep report DIR.")
+        storage = Storage(self.folder)
+        print("\n".join(lines(storage)))
+        print(write_page(storage))
+        return 0
+
+    def _foretell(self, plan: Plan, device: str) -> int:
+        """Print what the sweep would take."""
+        with Bars(quiet=self.json) as bars:
+            bad = list(refused(plan, bars))
+            told = expected(plan, device, bars)
+        workers = self.workers or cores()
+        if self.json:
+            rows = [{"index": item.index, "sentence": why} for item, why in bad]
+            print(json.dumps({**told._asdict(), "refused": rows}))
+            return 0
+        print(told.sentence(workers))
+        for item, why in bad:
+            print(f"refused: {item.index} {item.changes}: {why}", file=sys.stderr)
+        return 0
+
+    def _refuse(self) -> None:
+        """Check the options before any work."""
+        parts_of(self.shard)
+        if self.workers is not None and not 0 <= self.workers <= 1024:
+            raise InputError("workers", self.workers, "there can be 0 to 1024.", "Leave it out.")
+        if self.folder is not None:
+            limit = "only report has a folder after it."
+            raise InputError("folder", self.folder, limit, "Give the results' place after --out.")
+
+
+def parts_of(shard: str) -> tuple[int, int]:
+    """A part and the number of parts, of text such as 3/8.
+
+    Raises:
+        InputError: It is something else.
+    """
+    part, _, parts = shard.partition("/")
+    if not (part.isdecimal() and parts.isdecimal() and 1 <= int(part) <= int(parts)):
+        raise InputError("shard", shard, "it is no part of a whole.", "Write 1/8 to 8/8, say.")
+    return int(part), int(parts)

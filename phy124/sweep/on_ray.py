@@ -1,0 +1,147 @@
+"""Makes clips on the workers of Ray, on this machine or on a cluster.
+
+Ray keeps what workers share, gives a task to another worker when one dies, and makes what was lost
+with a node again. The driver hands out a few tasks per worker at a time, so its memory does not
+grow with the sweep.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections import OrderedDict
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
+
+from phy124.errors import InputError
+from phy124.runtime.cores import cores
+from phy124.runtime.installation import install_command
+from phy124.sweep.work import Order, Row, made, row_of
+
+RETRIES = 3
+"""How often a task is given to another worker, if workers die over it."""
+AHEAD = 3
+"""Tasks per worker that wait or run."""
+BEAT = 0.2
+"""Time between two looks at whether the work is to be stopped [s]."""
+SHARED = 64
+"""Sources whose Gaussians are kept for further clips."""
+
+
+def on_ray(
+    orders: Iterable[Order],
+    *,
+    beat: Callable[[], None],
+    address: str | None = None,
+    workers: int | None = None,
+    memory: float = 0.0,
+    gpus: float = 0.0,
+) -> Iterator[Row]:
+    """The rows of the orders, each as soon as its clip is made.
+
+    Args:
+        orders: What to make; read no further than workers can take.
+        beat: Called often meanwhile; may raise Cancelled.
+        address: Of a cluster; None: workers on this machine.
+        workers: How many of them, without an address; None: one per core.
+        memory: What a task takes [bytes].
+        gpus: What part of a GPU a task takes.
+
+    Raises:
+        InputError: Ray is not installed, or no cluster answers.
+        Cancelled: `beat` raised it.
+        OSError: A worker's machine cannot go on, for instance because its disk is full.
+    """
+    ray = _ray(address, workers)
+    try:
+        yield from _Tasks(ray, beat, memory=memory, gpus=gpus).rows(orders)
+    finally:
+        ray.shutdown()
+
+
+class _Tasks:
+    """The tasks that wait or run."""
+
+    def __init__(self, ray: Any, beat: Callable[[], None], *, memory: float, gpus: float) -> None:
+        self.ray, self.beat = ray, beat
+        needs = {"num_cpus": 1, "num_gpus": gpus, "max_retries": RETRIES}
+        self.make = ray.remote(**needs)(made)
+        self.move = ray.remote(**needs, memory=int(memory) or None)(row_of)
+        self.sources: OrderedDict[Any, Any] = OrderedDict()
+        self.waiting: dict[Any, Order] = {}
+
+    def rows(self, orders: Iterable[Order]) -> Iterator[Row]:
+        """Keep so many waiting that no worker is idle."""
+        try:
+            for order in orders:
+                self.waiting[self.move.remote(order, self._source(order))] = order
+                if len(self.waiting) >= self._most():
+                    yield self._next()
+            while self.waiting:
+                yield self._next()
+        finally:
+            for task in self.waiting:
+                self.ray.cancel(task, force=True)
+
+    def _most(self) -> int:
+        """How many may wait; a cluster may have grown or shrunk."""
+        return AHEAD * max(1, int(self.ray.cluster_resources().get("CPU", 1)))
+
+    def _source(self, order: Order) -> Any:
+        """The task that makes the Gaussians of an order, shared with others."""
+        key = order.source
+        if key not in self.sources:
+            self.sources[key] = self.make.remote(order)
+            while len(self.sources) > SHARED:
+                self.sources.popitem(last=False)
+        self.sources.move_to_end(key)
+        return self.sources[key]
+
+    def _next(self) -> Row:
+        """Wait for one of them."""
+        done: list[Any] = []
+        while not done:
+            self.beat()
+            done, _ = self.ray.wait([*self.waiting], num_returns=1, timeout=BEAT)
+        order = self.waiting.pop(done[0])
+        try:
+            return self.ray.get(done[0])
+        except self.ray.exceptions.RayTaskError as error:
+            if isinstance(error.cause, OSError):
+                raise error.cause from None
+            return _failed(order, str(error.cause))
+        except self.ray.exceptions.RayError as error:
+            return _failed(order, f"workers died over it {RETRIES + 1} times: {error}")
+
+
+def _failed(order: Order, sentence: str) -> Row:
+    """The row of a clip that could not be made."""
+    return {
+        "key": order.key, "index": order.index, "picture": order.picture,
+        "generator": order.generator, "set": order.changes, "status": "failed",
+        "sentence": sentence.strip().splitlines()[0] if sentence.strip() else "no reason given",
+    }  # fmt: skip
+
+
+def _ray(address: str | None, workers: int | None) -> Any:
+    """Ray, connected.
+
+    Raises:
+        InputError: It is not installed, or no cluster answers.
+    """
+    try:
+        import ray
+    except ImportError as error:
+        limit = "sweeps on several workers need the package ray, which is not installed."
+        remedy = f"Run `{install_command('sweep')}`, or use --workers 0."
+        raise InputError("workers", workers, limit, remedy) from error
+    quiet: dict[str, Any] = {"logging_level": logging.ERROR, "log_to_driver": False}
+    try:
+        if address is None:
+            ray.init(num_cpus=workers or cores(), include_dashboard=False, **quiet)
+        else:
+            ray.init(address=address, **quiet)
+    except (ConnectionError, RuntimeError, ValueError) as error:
+        limit = f"no cluster answers there ({error})."
+        remedy = "Start one with `ray start --head`, or leave --ray out."
+        raise InputError("ray", address, limit, remedy) from error
+    return ray

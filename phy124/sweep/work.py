@@ -1,0 +1,205 @@
+"""The work on one clip: it runs wherever a worker is, and its last act is to write its row."""
+
+from __future__ import annotations
+
+import io
+import json
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from PIL import Image
+
+from phy124.accuracy.promises import promise
+from phy124.errors import Cancelled, InputError
+from phy124.gaussians import Gaussians
+from phy124.generators import needs_image
+from phy124.io.clip import Clip
+from phy124.parts import Crop
+from phy124.pipeline import Static, cameras, film, static, write_json
+from phy124.pipeline.making import framed
+from phy124.progress import Progress, silent
+from phy124.rendering.render import render, to_bytes
+from phy124.runtime.startup import start
+from phy124.runtime.stopwatch import Stopwatch
+from phy124.scene import Scene
+from phy124.simulation import Interrupted, Simulation
+from phy124.sweep.storage import Storage, fetched
+
+Row = dict[str, Any]
+"""What the manifest says of a clip."""
+FINAL = ("done", "stopped", "refused")
+"""Statuses that another attempt would not change; "failed" is tried again by the next run."""
+THUMBNAIL = 96
+"""Size of the picture of a clip in the report [pixels]."""
+
+
+@dataclass(frozen=True)
+class Order:
+    """A clip to be made."""
+
+    key: str
+    index: int
+    picture: str
+    generator: str
+    changes: dict[str, Any]
+    scene: dict[str, Any]
+    """The whole scene, as plain data."""
+    gaussians: int | None
+    films: bool
+    out: str
+    """Address of the sweep's folder."""
+    device: str = "cpu"
+
+    @property
+    def read(self) -> bool:
+        """Whether its Gaussians are read from a file instead of being made from a picture."""
+        return not (needs_image(self.picture) and needs_image(self.generator))
+
+    @property
+    def source(self) -> tuple[Any, ...]:
+        """What its Gaussians depend on; clips of one source share them."""
+        # A file is read as its scene says.
+        own = self.key if self.read else self.scene.get("seed", 0)
+        return self.picture, self.generator, self.gaussians, self.device, own
+
+
+class Made(NamedTuple):
+    """The Gaussians of a picture, or why there are none."""
+
+    gaussians: Gaussians | None
+    crop: Crop | None
+    scene: dict[str, Any] | None
+    """The scene that fits them, if it differs from the one asked for."""
+    seconds: float
+    refusal: str | None = None
+
+
+def made(order: Order) -> Made:
+    """The Gaussians for a clip, and for all of the same source."""
+    start()
+    begun = time.perf_counter()
+    scene = Scene.from_data(order.scene)
+    try:
+        found = static_of(
+            order.picture,
+            order.generator,
+            scene if order.read else Scene(seed=scene.seed),
+            count=order.gaussians,
+            device=order.device,
+        )
+    except InputError as error:
+        return Made(None, None, None, time.perf_counter() - begun, str(error))
+    fitted = found.scene.data() if order.read else None
+    return Made(found.gaussians, found.crop, fitted, time.perf_counter() - begun)
+
+
+def static_of(address: str, generator: str, scene: Scene, **options: Any) -> Static:
+    """The Gaussians of a picture; those of a file of Gaussians are read, whatever the generator.
+
+    Raises:
+        InputError: The picture or the options cannot be used.
+    """
+    with fetched(address) as picture:
+        chosen = generator if needs_image(address) else str(picture)
+        return static(picture, scene, generator=chosen, **options)
+
+
+def row_of(order: Order, source: Made, progress: Progress = silent) -> Row:
+    """Make a clip, store it, and write its row.
+
+    Raises:
+        OSError: The machine cannot, for instance because a disk is full.
+        Cancelled: `progress` raised it; nothing of the clip is left.
+    """
+    start()
+    storage, watch = Storage(order.out), Stopwatch()
+    about: Row = {
+        "key": order.key, "index": order.index, "picture": order.picture,
+        "generator": order.generator, "set": order.changes,
+    }  # fmt: skip
+    try:
+        found = _result(order, source, storage, watch, progress)
+    except InputError as error:
+        found = {"status": "refused", "sentence": str(error)}
+    seconds = {"generate": source.seconds, **watch.seconds, "clip": watch.total}
+    row = {**about, **found, "seconds": seconds}
+    write_row(storage, row)
+    return row
+
+
+def write_row(storage: Storage, row: Row) -> None:
+    """Write what the manifest says of a clip; from now on it counts as made."""
+    storage.write(row_name(row["key"]), json.dumps(row).encode())
+
+
+def row_name(key: str) -> str:
+    """Name of the file of a row."""
+    return f"rows/{key[:2]}/{key}.json"
+
+
+def _result(
+    order: Order, source: Made, storage: Storage, watch: Stopwatch, progress: Progress
+) -> Row:
+    """Simulate, film and store one clip."""
+    if source.gaussians is None or source.crop is None:
+        return {"status": "refused", "sentence": source.refusal}
+    scene = Scene.from_data(source.scene or order.scene)
+    run = Simulation(
+        source.gaussians, scene, device=order.device, crop=source.crop, watch=watch, threads=1,
+        progress=progress,
+    )  # fmt: skip
+    try:
+        clip = run.run()
+    except Interrupted as cut:
+        raise Cancelled from cut
+    # Times differ from run to run, and equal orders shall give equal files.
+    report = {k: v for k, v in clip.report.items() if k != "substep_stages"}
+    folder = f"clips/{order.key[:2]}/{order.key}"
+    with tempfile.TemporaryDirectory(prefix="phy124-") as temporary:
+        here = Path(temporary)
+        with watch.stage("film"):
+            if order.films:
+                film(clip, scene.view, here, device=order.device, threads=1)
+                report |= framed(clip, scene.view)
+            (here / "thumbnail.webp").write_bytes(thumbnail(clip, scene))
+        clip.with_report(report).save(here / "clip.safetensors")
+        write_json(here / "report.json", report)
+        with watch.stage("store"):
+            size = storage.store(folder, here)
+    return {
+        "status": "done" if report["complete"] else "stopped",
+        "sentence": report["stopped"],
+        "folder": folder,
+        "bytes": size,
+        "error": promise(scene, report).error,
+        **_numbers(report),
+    }
+
+
+def _numbers(report: dict[str, Any]) -> Row:
+    """What the manifest says of a report."""
+    walls = report.get("walls") or {}
+    forces = [wall["largest_force"] for wall in walls.values()]
+    return {
+        "gaussians": report["gaussians"],
+        "particles": report["particles"],
+        "substeps": report["substeps"],
+        "frames": report["frames"],
+        "energy_gain": report["balance"]["energy_gain"],
+        "momentum_gain": report["balance"]["momentum_gain"],
+        "largest_force": max(forces, default=None),
+    }
+
+
+def thumbnail(clip: Clip, scene: Scene) -> bytes:
+    """A small picture of the middle of a clip, as WebP."""
+    view = scene.view.model_copy(update={"size": (THUMBNAIL, THUMBNAIL)})
+    middle = len(clip) // 2
+    camera = cameras(clip, view, "front")[middle]
+    picture = render(clip.frame(middle).gaussians, camera, device="cpu")
+    written = io.BytesIO()
+    Image.fromarray(to_bytes(picture)).save(written, "WEBP", quality=80)
+    return written.getvalue()

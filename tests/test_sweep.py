@@ -1,0 +1,248 @@
+"""Sweeps: what is planned, that it is made once and resumed, and what is read back."""
+
+import json
+import tarfile
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from phy124.errors import Cancelled, InputError
+from phy124.io.ply import write_ply
+from phy124.sweep import Dataset, Plan, Sweep, expected, refused, run
+from phy124.sweep import running
+from phy124.sweep.archives import pack
+from phy124.sweep.keys import key_of
+from phy124.sweep.manifest import read_manifest
+from phy124.sweep.report import lines, write_page
+from phy124.sweep.storage import Storage
+from support.shapes import ball
+
+
+@pytest.fixture(scope="module")
+def balls(tmp_path_factory) -> Path:
+    """Two files of Gaussians."""
+    folder = tmp_path_factory.mktemp("balls")
+    for name, count in (("a", 60), ("b", 80)):
+        write_ply(folder / f"{name}.ply", ball(count))
+    return folder
+
+
+def declared(balls: Path, **changes) -> Sweep:
+    data = {
+        "pictures": str(balls / "*.ply"),
+        "scene": "drop",
+        "set": {
+            "accuracy.cells": 8,
+            "binding": "lattice",
+            "time.frames": 3,
+            "material.E": {"first": 1e4, "last": 1e6, "count": 3, "spacing": "log"},
+        },
+    }
+    return Sweep.from_data({**data, **changes})
+
+
+@pytest.fixture(scope="module")
+def made(balls, tmp_path_factory):
+    """A small sweep, whole."""
+    out = tmp_path_factory.mktemp("sweep") / "out"
+    counts = run(Plan(declared(balls)), str(out), workers=0)
+    assert counts.ended == {"done": 6} and counts.here == 0
+    return out
+
+
+def files_of(out: Path) -> dict[str, bytes]:
+    """Clips and reports by their names."""
+    return {str(p.relative_to(out)): p.read_bytes() for p in sorted((out / "clips").rglob("*.*"))}
+
+
+def test_combinations_are_all_and_the_last_axis_changes_fastest(balls):
+    plan = Plan(declared(balls))
+    items = list(plan)
+    assert len(plan) == len(items) == 6
+    assert [Path(i.picture).name for i in items] == ["a.ply"] * 3 + ["b.ply"] * 3
+    assert [i.changes["material.E"] for i in items[:3]] == pytest.approx([1e4, 1e5, 1e6])
+    assert plan.item(4) == items[4]
+    assert plan.scene_of(items[4]).material.E == pytest.approx(1e5)
+    shared = [index for part in (1, 2, 3, 4) for index in plan.share(part, 4)]
+    assert sorted(shared) == list(range(6))
+
+
+def test_samples_fill_all_axes_evenly_and_follow_the_seed(balls):
+    axes = {
+        "material.E": {"log_uniform": [1e3, 1e7]},
+        "material.nu": {"uniform": [0.1, 0.4]},
+        "material.law": {"choice": ["hencky", "sand"], "weights": [3, 1]},
+    }
+    plan = Plan(declared(balls, set=axes, samples=2048, seed=5))
+    items = list(plan)
+    assert len(items) == 2048 and items[1500] == plan.item(1500)
+    decades = Counter(int(np.log10(i.changes["material.E"])) for i in items)
+    assert all(abs(decades[d] - 512) <= 4 for d in (3, 4, 5, 6))
+    laws = Counter(i.changes["material.law"] for i in items)
+    assert abs(laws["sand"] - 512) <= 4
+    assert np.mean([i.changes["material.nu"] for i in items]) == pytest.approx(0.25, abs=1e-3)
+    assert {Path(i.picture).name for i in items} == {"a.ply", "b.ply"}
+    assert list(Plan(plan.sweep)) == items
+    other = Plan(declared(balls, set=axes, samples=2048, seed=6))
+    assert other.item(0) != plan.item(0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"set": {"a": {"uniform": [2, 1]}}}, r"set\.a = .*2 is above 1"),
+        ({"set": {"material.nu": {"uniform": [0, 0.4]}}}, "Set samples"),
+        ({"set": {"a": []}}, "it has no values"),
+        ({"set": {"a": {"valeus": [1]}}}, "it has no values. Give one of choice"),
+        ({"set": {"a": {"first": 1, "last": 2}}}, r"set\.a\.count = nothing"),
+        ({"set": {"a": {"first": 0, "last": 2, "count": 2, "spacing": "log"}}}, "numbers above 0"),
+        ({"set": {"a": {"choice": [1, 2], "weights": [1]}}}, "2 values have 1 weights"),
+        ({"set": {"a": {"uniform": [float("nan"), 1]}}}, "= nan: it must be a number"),
+        ({"pictures": []}, "pictures"),
+        ({"pictures": "no/such/*.png"}, "there is no such file"),
+        ({"pictures": "s4://bucket/a.png"}, "s4:// needs a package"),
+        ({"samples": 0}, "samples = 0"),
+        ({"sample": 3}, "Did you mean samples"),
+        ({"scene": "dropp"}, "Did you mean drop"),
+        ({"set": {f"a{i}": {"first": 0, "last": 1, "count": 1000} for i in range(4)}}, "the most"),
+    ],
+)
+def test_a_sweep_that_cannot_be_made_is_refused(balls, changes, said):
+    with pytest.raises(InputError, match=said):
+        Plan(declared(balls, **changes))
+
+
+def test_clips_are_whole_and_told_in_the_manifest(made):
+    rows = read_manifest(Storage(str(made)))
+    assert [row["index"] for row in rows] == list(range(6))
+    for row in rows:
+        assert row["status"] == "done" and row["frames"] == 3 and row["largest_force"] >= 0
+        assert row["seconds.simulate"] > 0 and row["energy_gain"] <= 0.01
+        assert (made / row["folder"] / "thumbnail.webp").stat().st_size > 50
+    stiff = [row["substeps"] for row in rows[:3]]
+    assert stiff == sorted(stiff) and stiff[2] > 5 * stiff[0]
+    assert not [p for p in made.rglob("*") if p.name.startswith(".")]
+
+
+def test_a_second_run_makes_only_what_is_missing_and_the_same(made, balls, tmp_path):
+    before = files_of(made)
+    again = run(Plan(declared(balls)), str(made), workers=0)
+    assert again.here == 6 and not again.ended
+    lost = json.loads(next((made / "rows").rglob("*.json")).read_text())
+    (made / "rows" / lost["key"][:2] / f"{lost['key']}.json").unlink()
+    (made / lost["folder"] / "clip.safetensors").write_bytes(b"half of it")
+    repaired = run(Plan(declared(balls)), str(made), workers=0)
+    assert repaired.here == 5 and repaired.ended == {"done": 1}
+    assert files_of(made) == before
+
+
+def test_shares_of_several_machines_are_together_the_whole(made, balls, tmp_path):
+    for part in (1, 2, 3):
+        run(Plan(declared(balls)), str(tmp_path / "out"), workers=0, shard=(part, 3))
+    assert files_of(tmp_path / "out") == files_of(made)
+    assert len(read_manifest(Storage(str(tmp_path / "out")))) == 6
+
+
+def test_what_cannot_be_made_is_a_row_and_the_rest_goes_on(balls, tmp_path):
+    (tmp_path / "broken.ply").write_bytes(b"ply\nformat ascii 1.0\n")
+    sweep = declared(balls, pictures=[str(balls / "a.ply"), str(tmp_path / "broken.ply")])
+    axes = {
+        **sweep.model_dump(by_alias=True)["set"],
+        "material.E": [1e4],
+        "material.nu": [0.3, 0.7],
+    }
+    plan = Plan(declared(balls, pictures=list(sweep.pictures), set=axes))
+    assert [item.index for item, why in refused(plan)] == [1, 3]
+    counts = run(plan, str(tmp_path / "out"), workers=0)
+    assert counts.ended == {"done": 1, "refused": 3}
+    rows = {row["index"]: row for row in read_manifest(Storage(str(tmp_path / "out")))}
+    assert "material.nu = 0.7" in rows[1]["sentence"] and "broken.ply" in rows[2]["sentence"]
+    told = "\n".join(lines(Storage(str(tmp_path / "out"))))
+    assert "1 done, 3 refused" in told and "material.nu = 0.7" in told
+
+
+def test_the_key_knows_everything_that_makes_a_clip(balls, tmp_path):
+    plan = Plan(declared(balls))
+    item, other = plan.item(0), plan.item(1)
+    key = key_of(plan.sweep, item, plan.scene_of(item))
+    assert key == key_of(plan.sweep, item, plan.scene_of(item))
+    assert key != key_of(plan.sweep, item, plan.scene_of(other))
+    assert key != key_of(plan.sweep, plan.item(3), plan.scene_of(plan.item(3)))
+    filmed = declared(balls, films=True)
+    assert key != key_of(filmed, item, plan.scene_of(item))
+    fewer = declared(balls, gaussians=10)
+    assert key != key_of(fewer, item, plan.scene_of(item))
+
+
+def test_cancelling_keeps_what_is_made(balls, tmp_path):
+    def stop(stage: str, done: int, total: int) -> None:
+        if done == 2:
+            raise Cancelled
+
+    with pytest.raises(Cancelled):
+        run(Plan(declared(balls)), str(tmp_path), workers=0, progress=stop)
+    assert len(read_manifest(Storage(str(tmp_path)))) == 2
+    assert run(Plan(declared(balls)), str(tmp_path), workers=0).here == 2
+
+
+def test_a_full_disk_says_that_nothing_is_lost(balls, tmp_path, monkeypatch):
+    def full(orders, *, beat):
+        raise OSError(28, "No space left on device")
+        yield
+
+    monkeypatch.setattr(running, "in_turn", full)
+    with pytest.raises(OSError, match=r"no space is left at .* nothing that was made is lost"):
+        run(Plan(declared(balls)), str(tmp_path), workers=0)
+
+
+def test_the_clips_are_read_one_by_one(made):
+    data = Dataset(str(made))
+    assert len(data) == 6 and len(data[2].clip) == 3
+    assert [sample.row["index"] for sample in data] == list(range(6))
+    with pytest.raises(IndexError):
+        data[6]
+    with pytest.raises(InputError, match="no results of a sweep"):
+        Dataset(str(made / "clips"))
+
+
+def test_results_may_be_anywhere_that_fsspec_knows(balls, made):
+    address = "memory://sweeps/one"
+    run(Plan(declared(balls)), address, workers=0)
+    elsewhere, here = Dataset(address), Dataset(str(made))
+    assert [s.row["key"] for s in elsewhere] == [s.row["key"] for s in here]
+    assert np.array_equal(elsewhere[3].clip.means, here[3].clip.means)
+    assert run(Plan(declared(balls)), address, workers=0).here == 6
+
+
+def test_tar_files_hold_clips_beside_their_rows(made):
+    storage = Storage(str(made))
+    assert pack(storage, 4) == 2
+    first = storage.read("archives/000000.tar")
+    with tarfile.open(made / "archives" / "000000.tar") as tar:
+        names = tar.getnames()
+        row = json.load(tar.extractfile(names[1]))
+    assert len(names) == 8 and names[0] == f"{row['key']}.clip.safetensors" and row["index"] == 0
+    pack(storage, 4)
+    assert storage.read("archives/000000.tar") == first
+
+
+def test_the_report_has_a_picture_of_each_clip(made):
+    storage = Storage(str(made))
+    told = "\n".join(lines(storage))
+    assert told.startswith("6 clips: 6 done") and "by material.E:" in told
+    page = Path(write_page(storage)).read_text()
+    assert page.count("<img") == 6 and "largest force on a wall" in page
+
+
+def test_the_cost_is_told_from_a_few_clips(balls):
+    told = expected(
+        Plan(
+            declared(
+                balls, set={**declared(balls).model_dump(by_alias=True)["set"], "material.E": [1e4]}
+            )
+        )
+    )
+    assert told.clips == told.tried == 2 and told.seconds[0] > 0
+    assert "2 clips of" in told.sentence(workers=4) and told.bytes == 3 * 70 * 40
