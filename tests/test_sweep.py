@@ -10,8 +10,7 @@ import pytest
 
 from phy124.errors import Cancelled, InputError
 from phy124.io.ply import write_ply
-from phy124.sweep import Dataset, Plan, Sweep, expected, refused, run
-from phy124.sweep import running
+from phy124.sweep import Dataset, Plan, Sweep, expected, refused, run, running
 from phy124.sweep.archives import pack
 from phy124.sweep.keys import key_of
 from phy124.sweep.manifest import read_manifest
@@ -64,7 +63,8 @@ def test_combinations_are_all_and_the_last_axis_changes_fastest(balls):
     assert [Path(i.picture).name for i in items] == ["a.ply"] * 3 + ["b.ply"] * 3
     assert [i.changes["material.E"] for i in items[:3]] == pytest.approx([1e4, 1e5, 1e6])
     assert plan.item(4) == items[4]
-    assert plan.scene_of(items[4]).material.E == pytest.approx(1e5)
+    stiffness = plan.scene_of(items[4]).material.E
+    assert stiffness == pytest.approx(1e5)
     shared = [index for part in (1, 2, 3, 4) for index in plan.share(part, 4)]
     assert sorted(shared) == list(range(6))
 

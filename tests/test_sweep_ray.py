@@ -32,12 +32,12 @@ def sweep(tmp_path_factory) -> Sweep:
     pytest.importorskip("ray", reason="ray is not installed")
     folder = tmp_path_factory.mktemp("balls")
     for name in "ab":
-        write_ply(folder / f"{name}.ply", ball(4000))
-    spread = {"first": 1e4, "last": 1e6, "count": CLIPS // 2, "spacing": "log"}
+        write_ply(folder / f"{name}.ply", ball(1500))
+    spread = {"first": 1e4, "last": 1e5, "count": CLIPS // 2, "spacing": "log"}
     return Sweep.from_data({
         "pictures": str(folder / "*.ply"),
         "scene": "drop",
-        "set": {"accuracy.cells": 16, "time.frames": 14, "material.E": spread},
+        "set": {"accuracy.cells": 12, "time.frames": 12, "material.E": spread},
     })  # fmt: skip
 
 
@@ -76,6 +76,14 @@ def wait_for(condition, seconds: float = 600) -> None:
         time.sleep(0.1)
 
 
+def is_ours(process: int) -> bool:
+    """Whether this process is its ancestor: others may run sweeps, too."""
+    while process > 1 and process != os.getpid():
+        status = Path(f"/proc/{process}/stat").read_text()
+        process = int(status.rpartition(")")[2].split()[1])
+    return process == os.getpid()
+
+
 @contextmanager
 def killer(every: float) -> Iterator[list[int]]:
     """Within this context a worker that makes a clip is killed now and then."""
@@ -86,9 +94,10 @@ def killer(every: float) -> Iterator[list[int]]:
         while not done.wait(every):
             for entry in Path("/proc").glob("[0-9]*/cmdline"):
                 try:
-                    if entry.read_bytes().startswith(b"ray::row_of"):
-                        os.kill(int(entry.parent.name), signal.SIGKILL)
-                        killed.append(int(entry.parent.name))
+                    worker = int(entry.parent.name)
+                    if entry.read_bytes().startswith(b"ray::row_of") and is_ours(worker):
+                        os.kill(worker, signal.SIGKILL)
+                        killed.append(worker)
                         break
                 except OSError:
                     continue
@@ -108,7 +117,7 @@ def test_two_workers_make_what_one_process_makes(sweep, quiet, tmp_path):
 
 
 def test_workers_that_are_killed_change_nothing(sweep, quiet, tmp_path):
-    with killer(every=3.0) as killed:
+    with killer(every=2.0) as killed:
         counts = run(Plan(sweep), str(tmp_path), workers=2)
     assert len(killed) >= 2 and counts.ended == {"done": CLIPS}
     assert clips_of(tmp_path) == quiet

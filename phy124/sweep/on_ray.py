@@ -17,7 +17,7 @@ from phy124.runtime.cores import cores
 from phy124.runtime.installation import install_command
 from phy124.sweep.work import Order, Row, made, row_of
 
-RETRIES = 3
+RETRIES = 10
 """How often a task is given to another worker, if workers die over it."""
 AHEAD = 3
 """Tasks per worker that wait or run."""
