@@ -20,6 +20,7 @@ RUN = {
     "pictures.md": "test_docs_pages.py",
     "plugins.md": "test_docs_pages.py",
     "scene.md": "test_scene_reference.py",
+    "sweeps.md": "test_sweep.py",
     "web.md": "test_demo_server.py",
 }
 """Which test runs the Python and TOML of a page; test_docs_commands.py has the commands."""

@@ -16,6 +16,7 @@ from phy124.sweep.keys import key_of
 from phy124.sweep.manifest import read_manifest
 from phy124.sweep.report import lines, write_page
 from phy124.sweep.storage import Storage
+from support.pages import ROOT, blocks
 from support.shapes import ball
 
 
@@ -95,7 +96,7 @@ def test_samples_fill_all_axes_evenly_and_follow_the_seed(balls):
         ({"set": {"a": {"uniform": [2, 1]}}}, r"set\.a = .*2 is above 1"),
         ({"set": {"material.nu": {"uniform": [0, 0.4]}}}, "Set samples"),
         ({"set": {"a": []}}, "it has no values"),
-        ({"set": {"a": {"valeus": [1]}}}, "it has no values. Give one of choice"),
+        ({"set": {"a": {"numbers": [1]}}}, "it has no values. Give one of choice"),
         ({"set": {"a": {"first": 1, "last": 2}}}, r"set\.a\.count = nothing"),
         ({"set": {"a": {"first": 0, "last": 2, "count": 2, "spacing": "log"}}}, "numbers above 0"),
         ({"set": {"a": {"choice": [1, 2], "weights": [1]}}}, "2 values have 1 weights"),
@@ -246,3 +247,19 @@ def test_the_cost_is_told_from_a_few_clips(balls):
     )
     assert told.clips == told.tried == 2 and told.seconds[0] > 0
     assert "2 clips of" in told.sentence(workers=4) and told.bytes == 3 * 70 * 40
+
+
+@pytest.mark.slow
+def test_the_python_of_sweeps_md_runs_and_its_file_is_what_it_shows(tmp_path, monkeypatch, capsys):
+    page = ROOT / "docs/guide/sweeps.md"
+    for name in ("demo", "docs"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    monkeypatch.chdir(tmp_path)
+    shown = [b for b in blocks() if b.page == page]
+    (toml,) = [b.text for b in shown if b.words[0] == "toml"]
+    assert toml.strip() == (ROOT / "docs/guide/sweep.toml").read_text().strip()
+    for block in shown:
+        if block.words[0] == "python":
+            exec(block.text, {})
+    told = capsys.readouterr().out
+    assert "duck.png 100000" in told and "mean error of log10 E" in told

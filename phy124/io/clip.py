@@ -254,7 +254,7 @@ def _read_metadata(path: Path) -> dict[str, str]:
 
 
 def _order_header(path: Path) -> None:
-    """Sort what a file says of itself, so that equal clips are equal files: safetensors does not."""
+    """Sort what a file says of itself, which safetensors does not: equal clips, equal files."""
     with open(path, "r+b") as file:
         length = int.from_bytes(file.read(8), "little")
         header = json.loads(file.read(length))

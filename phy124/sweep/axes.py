@@ -167,7 +167,14 @@ Axis = Annotated[
 
 
 def between(first: float, last: float, part: float, *, log: bool = False) -> float:
-    """The number at a part of the way from one to another, which are met exactly."""
+    """The number at a part of the way from one to another, which are met exactly.
+
+    Args:
+        first: At part 0.
+        last: At part 1.
+        part: Between 0 and 1.
+        log: Whether the way is even in the logarithm; both ends are above 0 then.
+    """
     if part <= 0:
         return first
     if part >= 1:
