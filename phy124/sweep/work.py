@@ -99,6 +99,12 @@ def made(order: Order) -> Made:
 def static_of(address: str, generator: str, scene: Scene, **options: Any) -> Static:
     """The Gaussians of a picture; those of a file of Gaussians are read, whatever the generator.
 
+    Args:
+        address: Of the picture or file.
+        generator: What makes them, if it is a picture.
+        scene: What will happen to them.
+        **options: Those of `static`.
+
     Raises:
         InputError: The picture or the options cannot be used.
     """
