@@ -32,11 +32,12 @@ from .forecast import Estimate, Estimator, measured, promise_of
 from .gaussian_files import check_file, opened
 from .known import Known, known_of
 from .line import Job, Line, guarded
+from .ordering import count_of, order_of
 from .pictures import check_picture, cut_by, cut_once, viewable
 from .progress import MEASURING, READING, STAGES
 from .sentences import complaint
 from .settings import Settings
-from .source import Cutout, GaussianFile, Source, is_there
+from .source import Cutout, Source, is_there
 from .strokes import Stroke
 from .studies import Measurement, grids, on_grid, read_study
 from .touch import Table
@@ -209,7 +210,7 @@ class Studio:
             gaussians = gaussians_of(order, made_gaussians(order))
             rates = self.forecaster.rates
             rest = rates.rest + rates.pixel * ready["composed"]
-            forecast = measured(gaussians, scene, device, rest)
+            forecast = measured(gaussians, order.scene, device, rest)
             visitor.forecasts[key(scene.data())] = forecast.seconds
         except InputError as error:
             return complaint(error)
@@ -345,7 +346,7 @@ class Studio:
 
     def count(self, source: Source | None) -> int:
         """Number of Gaussians of an object."""
-        return source.count if isinstance(source, GaussianFile) else self.settings.gaussians
+        return count_of(source, self.settings)
 
     def _check_time(self, source: Source | None, scene: Scene) -> None:
         count = self.count(source)
@@ -353,15 +354,7 @@ class Studio:
 
     def order(self, asked: tuple[Visitor, Source, Scene], known: Known) -> Order:
         """An order that nobody stops; raises InputError if what is known is no use for it."""
-        (visitor, source, scene), limits = asked, self.settings
-        cutout = Path(source.path) if isinstance(source, Cutout) else None
-        known, never = known.suited(source), visitor.folder / "never"
-        photograph = Path(source.picture) if known.photographed.compose else None
-        return Order(
-            visitor.folder, cutout, scene, never, limits.max_seconds, limits.max_particles,
-            generator="relief" if cutout else source.path, known=known, photograph=photograph,
-            device=limits.device, gaussians=self.count(source), about=known.about(source),
-        )  # fmt: skip
+        return order_of(*asked, known, self.settings)
 
     def _submit(self, visitor: Visitor, job: Job, line: Line, work: Callable[[Job], None]) -> Job:
         if sum(not other.over for other in list(visitor.jobs.values())) >= UNFINISHED:

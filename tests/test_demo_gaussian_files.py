@@ -94,6 +94,18 @@ def test_a_file_is_reduced_drawn_in_24_ways_and_moved_as_the_one_that_is_chosen(
     assert dict(chosen.about)["file"] == {"up": "y", "front": "z", "program": file.axes.program}
 
 
+def test_regions_in_the_units_of_the_file_are_turned_with_it(studio):
+    file, visitor = read(studio, of()), studio.visitors.get("a")
+    region = {"lower": (-9, -9, -9), "upper": (9, 0, 9), "units": "file"}
+    part = {"region": region, "material": {"law": "neo_hookean", "E": 2e5}}
+    scene = Scene.named("press").replaced({"parts": [part]})
+    order = studio.order((visitor, file, scene), studio.known("a", {"up": "y", "front": "z"}))
+    turned_part = order.scene.parts[0].region
+    assert turned_part is not None and turned_part.units == "metres"
+    x = np.array([[0, 0, 0.4], [0, 0, -0.4]]) + [0, 0, scene.object.size / 2]
+    assert turned_part.contains(x).tolist() == [False, True], "what the file has below is below"
+
+
 @pytest.mark.parametrize(
     ("data", "limit"),
     [
