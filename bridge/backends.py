@@ -104,12 +104,12 @@ def open_sink(
         return RclpySink(options, clock=clock, args=given, running=running, controls=controls)
     if backend == "dds":
         return DdsSink(options, network=network, controls=controls)
-    if backend == "foxglove" and controls is None:
+    if backend == "foxglove":
         host = "0.0.0.0" if network else "127.0.0.1"
-        return FoxgloveSink(options, duration=duration, host=host, port=port)
+        return FoxgloveSink(options, duration=duration, host=host, port=port, controls=controls)
     if controls is not None:
         limit = "A run is not steered through this backend."
-        raise InputError("backend", backend, limit, "Use rclpy or dds.")
+        raise InputError("backend", backend, limit, f"Use {', '.join(OWN)}.")
     return _registered_sink(backend, options, duration=duration, network=network, port=port)
 
 

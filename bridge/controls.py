@@ -36,6 +36,8 @@ class Controls:
     services: tuple[Service, ...] = ()
     steps: Callable[[int], Any] | None = None
     """Makes so many steps, one for each item of the iterator that it returns."""
+    refused: Callable[[str], object] = lambda sentence: None
+    """Takes a sentence on what was refused."""
     clock: bool = False
     """Whether /clock is published."""
     values: Callable[[], Mapping[str, Any]] = dict

@@ -23,6 +23,7 @@ DEFINITIONS: dict[str, str] = {
     "builtin_interfaces/msg/Duration": "int32 sec\nuint32 nanosec",
     "std_msgs/msg/Header": "builtin_interfaces/Time stamp\nstring frame_id",
     "std_msgs/msg/String": "string data",
+    "std_msgs/msg/Float64": "float64 data",
     "diagnostic_msgs/msg/KeyValue": "string key\nstring value",
     "diagnostic_msgs/msg/DiagnosticStatus": (
         "byte level\nstring name\nstring message\nstring hardware_id\n"
@@ -112,6 +113,9 @@ The two halves of a service are messages `package/srv/Name_Request` and `_Respon
 """
 
 HASHES: dict[str, str] = {
+    "std_msgs/msg/Float64": (
+        "RIHS01_705ba9c3d1a09df43737eb67095534de36fd426c0587779bda2bc51fe790182a"
+    ),
     "diagnostic_msgs/msg/DiagnosticArray": (
         "RIHS01_5a8a36efb05fb25070fa0fb3810290c0e6cd4862b54a8fb975a1ee8dc55a333e"
     ),

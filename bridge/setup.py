@@ -63,6 +63,7 @@ setup(
         (f"share/{NAME}/launch", ["launch/player.launch.py"]),
         (f"share/{NAME}/config", ["config/player.yaml"]),
         (f"share/{NAME}/rviz", ["rviz/phy124.rviz"]),
+        (f"share/{NAME}/foxglove", ["foxglove/phy124.json"]),
     ],
     install_requires=["setuptools"],
     zip_safe=False,

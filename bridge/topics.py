@@ -52,6 +52,7 @@ TF = Topic("/tf", "tf2_msgs/msg/TFMessage", depth=100, transient_local=False)
 PUSH = Topic("~/push", "geometry_msgs/msg/WrenchStamped", depth=10, transient_local=False)
 GRAB = Topic("~/grab", "geometry_msgs/msg/PointStamped", depth=10, transient_local=False)
 """Subscribed to by a run that is steered."""
+FACTOR = Topic("~/real_time_factor", "std_msgs/msg/Float64", depth=1)
 SPLATS = Topic("/phy124/gaussian_splats", "splat_interfaces/msg/SplatArray", depth=1)
 RECORDED = {topic.name: topic for topic in (TF_STATIC, POINTS, ELLIPSOIDS, SPLATS)}
 """Topics in recordings. The clock is not among them, as it would conflict with that of

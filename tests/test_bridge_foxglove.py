@@ -1,102 +1,42 @@
-"""The Foxglove websocket, seen by a client of a few lines (RFC 6455 and Foxglove's protocol)."""
+"""The Foxglove websocket, seen by a client of a few lines."""
 
-import base64
 import json
-import os
-import socket
+import re
 import struct
+import subprocess
+import sys
+import threading
 import time
 from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
 from support.clips import random_clip
+from support.foxglove_client import PLAYBACK_STATE, Client
+from support.steered import steered
 
 pytest.importorskip("foxglove")
 
 from bridge import live
+from bridge.encoder import FrameEncoder
+from bridge.json_messages import from_json, schema
 from bridge.layout import points
 from bridge.messages import definition
 from bridge.options import Options
 from bridge.player import Player
 from bridge.sinks.foxglove import FoxgloveSink
+from bridge.steering import loop
+from bridge.steering.loop import controls
+from bridge.steering.states import State
+from bridge.topics import full_name
 from phy124.errors import InputError
 
+CLIENT = Path(__file__).parent / "support/foxglove_client.py"
 JAZZY = get_typestore(Stores.ROS2_JAZZY)
 EPOCH = 1_700_000_000
-TEXT, BINARY = 1, 2
-MESSAGE_DATA, PLAYBACK_STATE, PLAYBACK_REQUEST = 1, 5, 3
-
-
-class Client:
-    """A websocket client that can subscribe and move the playback controls."""
-
-    def __init__(self, port):
-        self.socket = socket.create_connection(("127.0.0.1", port), timeout=10)
-        key = base64.b64encode(os.urandom(16)).decode()
-        self.socket.sendall(
-            f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\n"
-            f"Connection: Upgrade\r\nSec-WebSocket-Key: {key}\r\nSec-WebSocket-Version: 13\r\n"
-            "Sec-WebSocket-Protocol: foxglove.sdk.v1\r\n\r\n".encode()
-        )
-        self.stream = self.socket.makefile("rb")
-        assert b"101" in self.stream.readline()
-        while self.stream.readline().strip():
-            pass
-        self.info = self.text("serverInfo")
-        self.channels = {}
-
-    def receive(self):
-        """The next text message as an object, or binary message as bytes."""
-        first, second = self.stream.read(2)
-        length = second & 0x7F
-        if length >= 126:
-            form = ">H" if length == 126 else ">Q"
-            (length,) = struct.unpack(form, self.stream.read(struct.calcsize(form)))
-        payload = self.stream.read(length)
-        return json.loads(payload) if first & 0x0F == TEXT else payload
-
-    def text(self, op):
-        while True:
-            message = self.receive()
-            if isinstance(message, dict) and message["op"] == op:
-                return message
-
-    def binary(self, opcode):
-        while True:
-            message = self.receive()
-            if isinstance(message, bytes) and message[0] == opcode:
-                return message[1:]
-
-    def send(self, payload, kind):
-        mask = os.urandom(4)
-        masked = bytes(byte ^ mask[i % 4] for i, byte in enumerate(payload))
-        assert len(masked) < 126
-        self.socket.sendall(bytes([0x80 | kind, 0x80 | len(masked)]) + mask + masked)
-
-    def subscribe(self, *topics):
-        while not set(topics) <= self.channels.keys():
-            for channel in self.text("advertise")["channels"]:
-                self.channels[channel["topic"]] = channel
-        wanted = [{"id": i, "channelId": self.channels[t]["id"]} for i, t in enumerate(topics)]
-        self.send(json.dumps({"op": "subscribe", "subscriptions": wanted}).encode(), TEXT)
-
-    def control(self, playing, speed=1.0, seek=None, request="r1"):
-        sought = struct.pack("<BQ", seek is not None, seek or 0)
-        name = request.encode()
-        body = struct.pack("<BBf", PLAYBACK_REQUEST, 0 if playing else 1, speed) + sought
-        self.send(body + struct.pack("<I", len(name)) + name, BINARY)
-
-    def data(self):
-        """Subscription, log time and payload of the next message."""
-        message = self.binary(MESSAGE_DATA)
-        return *struct.unpack("<IQ", message[:12]), message[12:]
-
-    def close(self):
-        self.stream.close()
-        self.socket.close()
 
 
 @contextmanager
@@ -183,3 +123,53 @@ def test_taken_port():
     sentence = r"cannot be opened.*choose another port"
     with FoxgloveSink(port=0) as first, pytest.raises(InputError, match=sentence):
         FoxgloveSink(port=first.port).__enter__()
+
+
+def quit_after(client, run):
+    client.wait()
+    run.state = State.QUITTING
+
+
+def test_a_viewer_in_another_process_steers_a_run():
+    run = steered(paused=False)
+    offered = controls(run, "coarse", action=False)
+    options = Options(epoch=EPOCH, profile="viz")
+    with FoxgloveSink(options, port=0, controls=offered) as sink:
+        command = [sys.executable, CLIENT, str(sink.port)]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as client:
+            # However the viewer ends, the run does, too.
+            threading.Thread(target=lambda: quit_after(client, run), daemon=True).start()
+            loop.steer(run, sink, options)
+            assert client.stdout is not None
+            said = json.loads(client.stdout.read())
+    ok = {"result": {"result": 1, "error_message": ""}}
+    assert said["pause"] == said["step"] == said["reset"] == said["quit"] == ok
+    assert "must be a uint64" in said["wrong"] and said["cdr"] == "Unsupported encoding"
+    assert 31 in said["features"]["features"]["features"] and said["contact"] > 60
+    # Two topics, four messages that are none, and a wrench that is no number.
+    assert run.remarks.count == 7
+
+
+def test_what_is_no_message_is_refused_in_a_sentence():
+    wrong = [b"{", b"[]", b'{"x": "1"}', b'{"y": true}', b'{"w": 1}', b"[" * 100_000]
+    for data in wrong:
+        with pytest.raises(InputError, match="Send JSON"):
+            from_json("geometry_msgs/msg/Point", data)
+    message = from_json("geometry_msgs/msg/PointStamped", b'{"point": {"y": 2}}')
+    assert (message.header.frame_id, message.point.x, message.point.y) == ("", 0.0, 2)
+    told = schema("simulation_interfaces/msg/SimulatorFeatures")["properties"]
+    assert told["features"] == {"type": "array", "items": {"type": "integer"}}
+    assert schema("geometry_msgs/msg/Point")["properties"]["x"] == {"type": "number"}
+
+
+def test_the_layout_shows_what_a_run_has():
+    import support.foxglove_layout as built
+
+    text = built.SHIPPED.read_text(encoding="utf-8")
+    assert text == built.text(), "run python tests/support/foxglove_layout.py"
+    run = steered()
+    offered = controls(run, "", action=False)
+    topics = {*offered.published, *offered.heard, *FrameEncoder(Options()).topics}
+    names = {full_name(each.name, offered.node) for each in (*topics, *offered.services)}
+    used = re.findall(r'"(/phy124[\w/]*)', text)
+    assert len(used) >= 10 and set(used) <= names

@@ -95,7 +95,11 @@ def test_setup_installs_what_ros_looks_for(setup_arguments):
     assert installed[marker] == [f"resource/{NAME}"]
     files = {file for group in installed.values() for file in group}
     assert all((BRIDGE / file).is_file() for file in files)
-    shipped = {p for folder in ("launch", "config", "rviz") for p in (BRIDGE / folder).iterdir()}
+    shipped = {
+        p
+        for folder in ("launch", "config", "rviz", "foxglove")
+        for p in (BRIDGE / folder).iterdir()
+    }
     assert {path.relative_to(BRIDGE).as_posix() for path in shipped if path.is_file()} <= files
 
 

@@ -1,11 +1,13 @@
 """FoxgloveSink: a websocket that Foxglove and Lichtblick open directly, with playback control.
 
-It sends the same CDR messages and ros2msg schemas as the other sinks; the package is foxglove-sdk.
+It sends the same CDR messages and ros2msg schemas as the other sinks; the package is foxglove-sdk,
+which Foxglove keeps. Who steers a run publishes and calls services as `foxglove_clients` says.
 """
 
 from __future__ import annotations
 
 import queue
+from contextlib import suppress
 from typing import Any
 
 from phy124.errors import InputError
@@ -14,12 +16,16 @@ from phy124.runtime.installation import install_command
 
 from ..bag import ENCODING
 from ..cdr import NANO
+from ..controls import Controls
 from ..encoder import FrameEncoder
 from ..messages import definition
 from ..options import Options
 from ..playback import Playback
+from ..reports import Audience, Reports
 from ..sink import Obey
-from ..topics import Message
+from ..topics import NAMESPACE, Message, Topic, full_name
+from .foxglove_clients import ENCODING as JSON
+from .foxglove_clients import Clients, Job
 
 PORT = 8765
 """Port that Foxglove tries first."""
@@ -35,6 +41,7 @@ class FoxgloveSink:
         duration: float | None = None,
         host: str = "127.0.0.1",
         port: int = PORT,
+        controls: Controls | None = None,
     ) -> None:
         """Ready to enter.
 
@@ -44,6 +51,7 @@ class FoxgloveSink:
                 None for a running simulation.
             host: Address to listen on; the default is this machine only.
             port: Port to listen on; 0 picks a free one.
+            controls: What is heard and offered besides frames; None: what a player has.
 
         Raises:
             InputError: foxglove-sdk is missing.
@@ -53,7 +61,13 @@ class FoxgloveSink:
         self.port = port
         self._encoder = FrameEncoder((options or Options()).live())
         self._duration, self._host = duration, host
-        self._requests: queue.Queue[list[str]] = queue.Queue()
+        self._controls = controls
+        self.clients = Clients(controls or Controls(), self.post)
+        """What viewers send."""
+        self._node = (controls or Controls()).node
+        self._reports = None if controls is None else self._reporting(controls)
+        self._viewers = 0
+        self._jobs: queue.Queue[Job] = queue.Queue()
         self._latest: list[Message] = []
         self._answers: str | None = None  # the request that the next state answers
         self._sought = False
@@ -71,17 +85,22 @@ class FoxgloveSink:
                 context=self._context,
                 server_listener=_listener(self),
                 playback_time_range=self._range(),
+                **self._steered(),
             )
         except RuntimeError as error:
             limit = f"The websocket cannot be opened ({error})."
             remedy = "Another viewer server may be running; choose another port."
             raise InputError("port", self.port, limit, remedy) from error
         self.port = self._server.port
-        self._channels = {topic.name: self._channel(topic) for topic in self._encoder.topics}
+        topics = [*self._encoder.topics]
+        if self._controls and self._reports:
+            topics += [*self._reports.topics, *self._controls.published]
+        self._channels = {topic.name: self._channel(topic) for topic in topics}
         return self
 
     def __exit__(self, *_: object) -> None:
         """Disconnect all viewers."""
+        self.clients.closed = True
         for channel in self._channels.values():
             channel.close()
         self._server.stop()
@@ -93,19 +112,20 @@ class FoxgloveSink:
 
     def listen(self, seconds: float, obey: Obey) -> None:
         """Carry out the viewers' commands; new viewers get the transform and the latest frame."""
-        try:
-            orders = self._requests.get(timeout=seconds) if seconds else self._requests.get_nowait()
-        except queue.Empty:
-            return
-        if not orders:
-            self._log([*self._encoder.static(), *self._latest])
-        for order in orders:
-            obey(order)
+        if self._reports:
+            self._reports.send_due()
+            seconds = min(seconds, self._reports.wait())
+        with suppress(queue.Empty):
+            job = self._jobs.get(timeout=seconds) if seconds else self._jobs.get_nowait()
+            job(obey)
+        self.clients.hear(obey)
 
     def show(self, playback: Playback) -> None:
         """Send the state of playback to the viewers."""
         from foxglove.websocket import PlaybackState, PlaybackStatus
 
+        if self._reports:
+            self._reports.change(playback)
         if self._duration is None:
             return
         status = PlaybackStatus.Paused if playback.paused else PlaybackStatus.Playing
@@ -125,9 +145,18 @@ class FoxgloveSink:
         there = self._host if self._host != "0.0.0.0" else "this machine's name"
         return f"Open ws://{there}:{self.port} in Foxglove."
 
-    def newcomer(self) -> None:
+    def post(self, job: Job) -> None:
+        """Called by the server's threads with what the thread that listens shall do."""
+        self._jobs.put(job)
+
+    def gone(self, topic: str) -> None:
+        """Called by the server's thread when a viewer subscribes no more."""
+        self._viewers -= topic == self._encoder.main.name
+
+    def newcomer(self, topic: str) -> None:
         """Called by the server's thread when a viewer subscribes."""
-        self._requests.put([])
+        self._viewers += topic == self._encoder.main.name
+        self.post(lambda obey: self._log([*self._encoder.static(), *self._latest]))
 
     def control(self, playing: bool, speed: float, seek: int | None, request: str) -> None:
         """Called by the server's thread when a viewer uses the playback controls.
@@ -143,23 +172,46 @@ class FoxgloveSink:
             orders.append(f"seek {(seek - self._encoder.epoch) / NANO!r}")
             self._sought = True
         self._answers = request
-        self._requests.put([*orders, "play" if playing else "pause"])
+        orders.append("play" if playing else "pause")
+        self.post(lambda obey: [obey(order) for order in orders])
 
     def _range(self) -> tuple[int, int] | None:
         if self._duration is None:
             return None
         return self._encoder.epoch, self._encoder.stamp(self._duration)
 
-    def _channel(self, topic: Any) -> Any:
+    def _reporting(self, controls: Controls) -> Reports:
+        return Reports(
+            self._encoder, self.send, lambda: Audience(self._viewers, 0),
+            node=f"/{NAMESPACE}/{controls.node}", clock=controls.clock, values=controls.values,
+        )  # fmt: skip
+
+    def _steered(self) -> dict[str, Any]:
+        """What the server is told if viewers steer the run."""
+        from foxglove.websocket import Capability
+
+        if self._controls is None:
+            return {}
+        return {
+            "capabilities": [Capability.ClientPublish, Capability.Services],
+            "supported_encodings": [JSON],
+            "services": self.clients.offered(),
+        }
+
+    def _channel(self, topic: Topic) -> Any:
         from foxglove import Channel, Schema
 
         text = definition(topic.type).encode()
         schema = Schema(name=topic.type, encoding="ros2msg", data=text)
-        return Channel(topic.name, message_encoding=ENCODING, schema=schema, context=self._context)
+        name = full_name(topic.name, self._node)
+        return Channel(name, message_encoding=ENCODING, schema=schema, context=self._context)
 
     def _log(self, messages: list[Message]) -> None:
+        # Reports have no stamp of their own.
+        now = self._latest[0].stamp if self._latest else self._encoder.epoch
         for message in messages:
-            self._channels[message.topic.name].log(message.data, log_time=message.stamp)
+            when = message.stamp or now
+            self._channels[message.topic.name].log(message.data, log_time=when)
 
 
 def _listener(sink: FoxgloveSink) -> Any:
@@ -168,8 +220,21 @@ def _listener(sink: FoxgloveSink) -> Any:
 
     class Listener(ServerListener):
         def on_subscribe(self, client: Any, channel: Any) -> None:
-            del client, channel
-            sink.newcomer()
+            del client
+            sink.newcomer(channel.topic)
+
+        def on_unsubscribe(self, client: Any, channel: Any) -> None:
+            del client
+            sink.gone(channel.topic)
+
+        def on_client_advertise(self, client: Any, channel: Any) -> None:
+            sink.clients.advertise(client.id, channel.id, channel.topic, channel.encoding)
+
+        def on_client_unadvertise(self, client: Any, client_channel_id: int) -> None:
+            sink.clients.unadvertise(client.id, client_channel_id)
+
+        def on_message_data(self, client: Any, client_channel_id: int, data: bytes) -> None:
+            sink.clients.message(client.id, client_channel_id, data)
 
         def on_playback_control_request(self, playback_control_request: Any) -> None:
             asked = playback_control_request

@@ -12,7 +12,7 @@ from phy124.gaussians import Wrench
 
 from .. import cdr
 from ..options import Options
-from ..topics import TF, Message, contact
+from ..topics import FACTOR, TF, Message, contact
 from .inputs import centre_frame
 
 
@@ -27,7 +27,7 @@ def contact_messages(
         options: Names of the frames, and the epoch.
         seconds: Time of the frame since the epoch [s].
     """
-    stamp = round((options.epoch or 0.0) * cdr.NANO) + round(seconds * cdr.NANO)
+    stamp = stamp_of(options, seconds)
     when, child = cdr.time(stamp), centre_frame(options)
     header = {"stamp": when, "frame_id": options.frame_id}
     transform = {"translation": centre.tolist(), "rotation": (0.0, 0.0, 0.0, 1.0)}
@@ -40,6 +40,22 @@ def contact_messages(
         }
         messages.append(_message(contact(wall), stamp, content))
     return messages
+
+
+def factor_message(factor: float, options: Options, seconds: float) -> Message:
+    """Simulated seconds per second.
+
+    Args:
+        factor: The number.
+        options: The epoch.
+        seconds: Time of the frame since the epoch [s].
+    """
+    return _message(FACTOR, stamp_of(options, seconds), {"data": factor})
+
+
+def stamp_of(options: Options, seconds: float) -> int:
+    """Time stamp [ns since 1970] of a time since the epoch [s]."""
+    return round((options.epoch or 0.0) * cdr.NANO) + round(seconds * cdr.NANO)
 
 
 def _message(topic: Any, stamp: int, content: dict[str, Any]) -> Message:

@@ -11,8 +11,8 @@ from phy124.gaussians import Frame
 from ..controls import Controls
 from ..options import Options
 from ..sink import LONGEST_WAIT, LiveSink, Sink
-from ..topics import TF, contact
-from .contacts import contact_messages
+from ..topics import FACTOR, TF, contact
+from .contacts import contact_messages, factor_message
 from .run import SteeredRun
 from .standard import Standard
 
@@ -34,10 +34,11 @@ def controls(run: SteeredRun, accuracy: str, *, action: bool) -> Controls:
     walls = names(run.live.scene.boundaries)
     return Controls(
         node=NODE,
-        published=(TF, *(contact(wall) for wall in walls)),
+        published=(TF, FACTOR, *(contact(wall) for wall in walls)),
         heard=run.inputs.heard,
         services=Standard(run, action=action).services,
         steps=run.steps if action else None,
+        refused=run.remarks.add,
         clock=True,
         values=lambda: {
             "accuracy": accuracy,
@@ -81,7 +82,7 @@ def steer(
         elif not run.finished:
             run.advance()
             clock.speed = run.speed
-            clock.wait()
+            sink.send(factor_message(clock.wait(), options, run.position))
     sink.show(run)
 
 

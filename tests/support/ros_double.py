@@ -22,7 +22,6 @@ MESSAGES = {
     "tf2_msgs": "TFMessage",
     "visualization_msgs": "MarkerArray",
     "rosgraph_msgs": "Clock",
-    "std_msgs": "String",
     "splat_interfaces": "SplatArray",
 }
 
@@ -494,6 +493,8 @@ def install(monkeypatch: Any) -> SimpleNamespace:
     module("geometry_msgs.msg", **{name: type(name, (), {}) for name in names})
     kinds = ("GetSimulatorFeatures", "GetSimulationState", "SetSimulationState")
     kinds += ("StepSimulation", "ResetSimulation")
+    names = ("String", "Float64")
+    module("std_msgs.msg", **{name: type(name, (), {}) for name in names})
     module("simulation_interfaces.srv", **{name: type(name, (), {}) for name in kinds})
     module("simulation_interfaces.action", SimulateSteps=SimulateSteps)
     module("rclpy.action", ActionServer=ActionServer, CancelResponse=SimpleNamespace(ACCEPT=2))
