@@ -1,4 +1,5 @@
-"""Makes the pictures of the page in docs/: light, dark and phone, after a run of the duck.
+"""Makes the pictures of the page in docs/: light, dark and phone, after a run of the duck, and the
+ways up of a file of Gaussians.
 
     make test && .venv/bin/python docs/images/screenshots.py
 
@@ -20,6 +21,9 @@ HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
 
+from phy124.generators.relief import relief  # noqa: E402
+from phy124.io.formats import write_gaussians  # noqa: E402
+from phy124.progress import silent  # noqa: E402
 from support.served import serving  # noqa: E402
 
 FLAGS = [
@@ -44,6 +48,7 @@ def main() -> None:
         browser = session.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
         for name, look in LOOKS.items():
             _take(browser, server.url, name, look)
+        _ways(browser, server.url, Path(folder) / "duck.splat")
         browser.close()
 
 
@@ -66,6 +71,20 @@ def _take(browser: Browser, url: str, name: str, look: dict) -> None:
         page.wait_for_timeout(1000)
         page.locator("#report").scroll_into_view_if_needed()
         _save(page.screenshot(), HERE / "web-report.jpg")
+    context.close()
+
+
+def _ways(browser: Browser, url: str, file: Path) -> None:
+    """The panel of a file of Gaussians that does not say which way is up."""
+    with Image.open(ROOT / "demo/examples/duck.png") as duck:
+        write_gaussians(file, relief(duck, seed=0, progress=silent))
+    context = browser.new_context(**LOOKS["light"], reduced_motion="reduce")
+    page = context.new_page()
+    page.goto(url)
+    page.locator("#photo input[type=file]").set_input_files(file)
+    page.locator(".ways img").first.wait_for(timeout=SECONDS)
+    page.wait_for_timeout(3000)
+    _save(page.locator("#picture-panel").screenshot(), HERE / "web-ways.jpg")
     context.close()
 
 
