@@ -141,9 +141,12 @@ class Relay:
         if self._socket.application_state is not WebSocketState.CONNECTED:
             return
         with suppress(RuntimeError, WebSocketDisconnect, asyncio.TimeoutError, OSError):
-            async with asyncio.timeout(PARTING):
-                await self._socket.send_text(json.dumps({"kind": "ended", "text": sentence}))
-                await self._socket.close()
+            await asyncio.wait_for(self._part(sentence), PARTING)
+
+    async def _part(self, sentence: str) -> None:
+        """Say the last sentence, and close."""
+        await self._socket.send_text(json.dumps({"kind": "ended", "text": sentence}))
+        await self._socket.close()
 
     async def _hear(self, process: asyncio.subprocess.Process) -> str:
         """Take what the process sends; of frames, only the newest is kept."""
