@@ -1,4 +1,4 @@
-# make demo | app | bridge | test | test-browser | bench | cuda-report | gpu | accuracy | docs | gallery
+# make demo | paper | app | bridge | test | test-browser | bench | cuda-report | gpu | accuracy | docs | gallery
 #   | dist | lint | clean
 # Everything is installed into .venv; a stamp per set of packages says that it is there.
 
@@ -7,10 +7,14 @@ BIN := .venv/bin
 # Python compiles what it imports by itself; most of what is installed never is.
 INSTALL := $(BIN)/pip install --quiet --no-compile --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: demo app bridge test test-default test-page test-slow test-browser bench cuda-report gpu accuracy docs gallery dist lint clean chromium
+.PHONY: demo paper app bridge test test-default test-page test-slow test-browser bench cuda-report gpu accuracy docs gallery dist lint clean chromium
 
 demo: .venv/base
 	$(BIN)/phy124 generate demo/examples/duck.png --scene press --stage studio --out out/duck-press
+
+# The paper's control experiment as the paper has it: every Gaussian is a particle.
+paper: .venv/base
+	$(BIN)/phy124 generate demo/examples/sunflower.png --scene push_right --set binding=particles --out out/paper
 
 app: .venv/demo
 	$(BIN)/python app.py

@@ -234,6 +234,9 @@ def _of_pictures(scene: Scene) -> Iterator[Effect]:
 
 def _of_numerics(scene: Scene, device: str) -> Iterator[Effect]:
     """Double precision: float64 against float32; singular values: Warp's svd3."""
+    own = scene.binding == "particles"
+    rides = "binding is lattice: Gaussians ride on the particles inside and around them"
+    yield Effect("every Gaussian a particle", own, rides)
     double = scene.resolution.precision == "float64"
     enough = "single precision is accurate enough: the grid limits it"
     yield Effect("double precision", double, enough, Cost(particle=48))

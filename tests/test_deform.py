@@ -285,7 +285,8 @@ def test_refusals_say_what_is_wrong(gaussians, three_gaussians):
     with pytest.raises(InputError, match=r"max_stretch = 0.5: .* size at rest"):
         Deformer(gaussians, max_stretch=0.5)
     with pytest.raises(ValueError, match="not made from these 2000 Gaussians"):
-        Deformer(gaussians, make_particles(three_gaussians, density=1, spacing=0.1))
+        other = make_particles(three_gaussians, density=1, spacing=0.1, binding="particles")
+        Deformer(gaussians, other)
     deformer = Deformer(three_gaussians)
     F = np.tile(IDENTITY, (3, 1, 1))
     with pytest.raises(FloatingPointError, match="1 of 3 particles are NaN or infinite"):

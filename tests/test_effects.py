@@ -59,6 +59,12 @@ def test_each_effect_either_runs_or_is_left_out_with_a_reason(name):
     assert all(whys(effects).values())
 
 
+def test_gaussians_are_particles_only_for_who_asks():
+    scene = Scene.named("press")
+    assert "binding is lattice" in whys(Effects.of(scene))["every Gaussian a particle"]
+    assert "every Gaussian a particle" in Effects.of(scene.replaced({"binding": "particles"})).ran
+
+
 def test_velocities_are_computed_only_for_who_asks():
     scene = Scene.named("push_right").replaced(QUICK)
     bare = Simulation(ball(300), scene).run()

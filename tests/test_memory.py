@@ -17,7 +17,7 @@ FEW = {"accuracy": {"cells": 8}, "time.frames": 3}
 SPHERE = {"kind": "sphere", "centre": [0.1, 0.05, 0.1], "radius": 0.3}
 REGION = {"lower": [-1, -1, 0.4], "upper": [1, 1, 2]}
 EVERYTHING = {
-    "drop on a lattice": ("drop", {"binding": "lattice", "boundaries": [SPHERE]}),
+    "every Gaussian a particle": ("drop", {"binding": "particles", "boundaries": [SPHERE]}),
     "sand with contacts": ("sand", {"contacts": True}),
     "pushed": ("wind", {"forces": [{"kind": "wind"}, {"kind": "acceleration", "region": REGION}]}),
     **{law: ("drop", {"material": {"law": law}}) for law in (
@@ -25,7 +25,7 @@ EVERYTHING = {
     )},
     **{name: (name, {}) for name in preset_names()},
 }  # fmt: skip
-FIRST = ("drop on a lattice",)
+FIRST = ("drop",)
 """Those that every run of the tests looks at."""
 
 

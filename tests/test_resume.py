@@ -17,7 +17,7 @@ SCENE = {"accuracy": {"cells": 10}, "time.frames": 6}
 
 @pytest.mark.parametrize(
     "changes",
-    [{"velocities": True}, {"binding": "lattice"}, {"material": {"law": "sand"}}],
+    [{"binding": "particles"}, {"velocities": True}, {"material": {"law": "sand"}}],
     ids=["particles", "lattice", "plastic"],
 )
 def test_a_paused_run_goes_on_bit_for_bit(tmp_path, changes):

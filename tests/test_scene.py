@@ -68,6 +68,11 @@ def test_a_scene_cannot_be_changed():
             "material = sand: it must be a table whose law is one of fixed_coro",
         ),
         ({"box": 1}, "box = 1: there is no such key. Known keys: accuracy, binding"),
+        (
+            {"accuracy": {"box": 1}},
+            "accuracy.box = 1: there is no such key. Known keys: cells, cfl",
+        ),
+        ({"accuracy": {"binding": 1}}, "there is no such key here. binding stands at the top"),
         ({"stiffness": {"kind": "picture"}}, "stiffness.file = nothing: it must be given: text"),
         ({"accuracy": "standart"}, "it must be one of draft, .* Did you mean standard"),
         (
@@ -246,8 +251,10 @@ def test_a_scene_is_said_in_one_line():
     assert said.startswith("foam (density ")
     assert "viscosity 50 Pa s^n, flow_index 0.7); parts static; gravity; ground, press" in said
     assert said.endswith(
-        "1 m over 32 cells, 2 particles per cell and axis, float32; 14 frames at 24/s"
+        "1 m over 32 cells, 2 particles per cell and axis, float32, "
+        "Gaussians riding on a lattice of particles; 14 frames at 24/s"
     )
+    assert "every Gaussian a particle;" in summary(scene.replaced({"binding": "particles"}))
     assert "\n" not in said
 
 

@@ -133,7 +133,7 @@ def test_all_ways_to_pick_them_and_later_parts_win(tmp_path):
         {"static": True, "gaussians": [20, 25]},
     ]
     scene = drop({"parts": picked})
-    particles = make_particles(given, density=1000.0, spacing=0.1)
+    particles = make_particles(given, density=1000.0, spacing=0.1, binding="particles")
     found, moves = with_materials(particles, given.means, scene)
     right = given.means[:, 1] > (given.means[:, 1].min() + given.means[:, 1].max()) / 2
     expected = ~right

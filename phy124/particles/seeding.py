@@ -19,8 +19,10 @@ from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.particles.solid import Solid, solid
 
-BINDINGS = ("particles", "lattice")
+BINDINGS = ("lattice", "particles")
 MAX_PARTICLES = 8_000_000
+THIN = 8
+"""Width of a thin part, in distances of particles."""
 SMALLEST = 0.01
 """Smallest volume of a particle, relative to the mean."""
 
@@ -54,7 +56,7 @@ def make_particles(
     *,
     density: float,
     spacing: float,
-    binding: str = "particles",
+    binding: str = "lattice",
     material: int = 0,
 ) -> Particles:
     """Particles for clean Gaussians in metres (see `clean`, `to_size`).
@@ -63,7 +65,8 @@ def make_particles(
         gaussians: The object, N Gaussians.
         density: Mass density, kg/m^3.
         spacing: Distance of neighbouring particles, m: grid spacing / particles per cell and axis.
-        binding: `particles` for each Gaussian and the fillers; `lattice` for the lattice alone.
+        binding: `lattice` for a lattice, denser where the object is thin; `particles` for each
+            Gaussian and the fillers.
         material: Index given to all particles.
 
     Raises:
@@ -79,7 +82,7 @@ def make_particles(
         x = np.concatenate([gaussians.means, lattice])
         owner = np.concatenate([np.arange(len(gaussians)), np.full(len(lattice), -1)])
     else:
-        x = np.concatenate([lattice, _carriers(gaussians, lattice, spacing)])
+        x = _carrying(gaussians, lattice, shape, spacing)
         owner = np.full(len(x), -1)
     x = x.astype(np.float32)
     order = _by_cell(x, 2 * spacing)
@@ -144,15 +147,27 @@ def _apart(points: NDArray, others: NDArray, distance: float) -> NDArray:
     return points[np.isinf(nearest)]
 
 
-def _carriers(gaussians: Gaussians, lattice: NDArray, spacing: float) -> NDArray[np.float64]:
-    """One particle per lattice cell at the Gaussians that the lattice misses: thin parts."""
-    missed = gaussians.means.astype(np.float64)
-    if len(lattice):
-        missed = _apart(missed, lattice, spacing)
-    cells = np.floor(missed / spacing).astype(np.int64)
+def _carrying(
+    gaussians: Gaussians, lattice: NDArray, shape: Solid, spacing: float
+) -> NDArray[np.float64]:
+    """The lattice, and particles at Gaussians: those that it misses, and all where it is thin.
+
+    Thin parts stretch most, and tear where particles come to lie a cell apart.
+    """
+    means = gaussians.means.astype(np.float64)
+    thin = shape.thin(means, THIN * spacing)
+    close, others = _middles(means[thin], 0.5 * spacing), means[~thin]
+    lattice = _apart(lattice, close, 0.5 * spacing) if len(close) else lattice
+    missed = _apart(others, lattice, spacing) if len(lattice) else others
+    return np.concatenate([lattice, close, _middles(missed, spacing)])
+
+
+def _middles(points: NDArray, side: float) -> NDArray[np.float64]:
+    """The middle of the points in each cell of a side."""
+    cells = np.floor(points / side).astype(np.int64)
     _, which, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
     which = which.reshape(-1)
-    sums = [np.bincount(which, missed[:, k], minlength=len(count)) for k in range(3)]
+    sums = [np.bincount(which, points[:, k], minlength=len(count)) for k in range(3)]
     return np.stack(sums, axis=1) / count[:, None]
 
 

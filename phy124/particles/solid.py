@@ -65,6 +65,17 @@ class Solid:
         at = np.asarray(points, dtype=np.float64) / self.voxel - self.first - 0.5
         return ndimage.map_coordinates(self.fraction, at.T, order=1) > 0.5
 
+    def thin(self, points: NDArray, width: float) -> Mask:
+        """Which points [M,3] m are outside, or in parts into which no cube of a width [m] fits."""
+        radius = max(1, round(0.5 * (width / self.voxel - 1)))
+        if 2 * radius >= min(self.fraction.shape):
+            return np.ones(len(points), bool)
+        core = ~_dilate(self.fraction <= 0.5, radius)
+        # More than they were, since cubes do not reach into the roundings of what is thick.
+        thick = _dilate(core, radius + max(1, radius // 2))
+        at = np.floor(np.asarray(points) / self.voxel).astype(np.int64) - self.first
+        return ~thick[tuple(np.clip(at, 0, np.array(thick.shape) - 1).T)]
+
     def aligned(self, spacing: float) -> Solid:
         """The same volume in voxels of about this size that fit a lattice of some spacing."""
         ratio = spacing / self.voxel

@@ -142,11 +142,14 @@ def _try(declared: Declaration, node: Node, value: Any) -> str:
 
 def _unknown(declared: Declaration, place: _Place) -> tuple[str, str]:
     """Limit and remedy for a key that does not exist."""
-    key, known = str(place.keys[-1]), sorted(place.around.get("properties", {}))
+    key = str(place.keys[-1])
+    known = sorted({k for one in declared.choices(place.around) for k in one.get("properties", ())})
     meant = _in_sections(declared, key) if len(place.keys) == 1 else []
     meant = meant or difflib.get_close_matches(key, known, 1)
     if meant:
         return "there is no such key.", f"Did you mean {' or '.join(meant)}?"
+    if key in declared.schema["properties"]:
+        return "there is no such key here.", f"{key} stands at the top of the scene."
     others = declared.schema.get("$defs", {}).values()
     if any(key in other.get("properties", {}) for other in others):
         own = [

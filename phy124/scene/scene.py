@@ -59,8 +59,9 @@ class Scene(Section):
         "or a table of cells, particles_per_axis, cfl and precision.",
     )
     binding: Literal["particles", "lattice"] = Field(
-        default="particles",
-        description="particles: each Gaussian is a particle (the paper); lattice: they ride along.",
+        default="lattice",
+        description="lattice: Gaussians ride on a lattice of particles, the faster; "
+        "particles: each Gaussian is a particle (the paper).",
     )
     time: Timing = Field(default=Timing(), description="Which instants are kept.")
     checks: Checks = Field(default=Checks(), description="How closely the run is watched.")

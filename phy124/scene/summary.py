@@ -9,6 +9,12 @@ from phy124.materials import AnyMaterial
 from phy124.scene.declaration import number
 from phy124.scene.scene import Scene
 
+RIDES = {
+    "lattice": "Gaussians riding on a lattice of particles",
+    "particles": "every Gaussian a particle",
+}
+"""The bindings, in words."""
+
 
 def summary(scene: Scene) -> str:
     """The law with its values, the forces, the boundaries, the grid and the frames, in one line."""
@@ -25,7 +31,7 @@ def summary(scene: Scene) -> str:
     said.append(
         f"{number(scene.object.size)} m over {accuracy.cells} cells, "
         f"{number(accuracy.particles_per_axis)} "
-        f"particles per cell and axis, {accuracy.precision}"
+        f"particles per cell and axis, {accuracy.precision}, {RIDES[scene.binding]}"
     )
     return "; ".join([*said, f"{time.frames} frames at {number(time.fps)}/s"])
 

@@ -23,7 +23,10 @@ VARIANTS = {
     **{f"drop {law}": ("drop", {"material.law": law}) for law in LAWS},
     "press float64": ("press", {"accuracy.precision": "float64"}),
     "sway damped": ("sway", {"material.damping": 5.0}),
-    "push_right lattice": ("push_right", {"binding": "lattice"}),
+    **{
+        f"{name} of particles": (name, {"binding": "particles"})
+        for name in ("press", "sand", "wind")
+    },
     "drop on a moving ball": ("drop", {"boundaries": WALLS}),
     "wind half substep": ("wind", {"accuracy.cfl": 0.3}),
 }

@@ -17,7 +17,7 @@ SCENES = {
     **{f"law {name}": {"material": given} for name, given in LAWS.items()},
     **{f"wall {name}": {"boundaries": [wall]} for name, wall in (SOLIDS | OTHER_SOLIDS).items()},
     **{f"force {name}": {"forces": [GRAVITY, force]} for name, force in FORCES.items()},
-    "lattice": {"binding": "lattice"},
+    "every Gaussian a particle": {"binding": "particles"},
     "float64": {"accuracy": {"cells": 8, "precision": "float64"}},
     "contacts and velocities": {"contacts": True, "velocities": True},
     "two materials": {
