@@ -38,9 +38,8 @@ REACH = 1.5
 LOOSE, FLAKE = 2e-3, 8
 """Smallest fraction of the elastic particles, and smallest number, that come off in a tear."""
 REMEDY = (
-    "A larger accuracy.particles_per_axis, a stiffer material, more material.damping or a gentler "
-    "motion helps; "
-    "a finer grid does not."
+    "A larger accuracy.particles_per_axis, binding = particles, a stiffer material, more "
+    "material.damping or a gentler motion helps; a finer grid does not."
 )
 
 
