@@ -128,7 +128,6 @@ def test_a_program_sends_a_file_of_gaussians_and_says_which_way_is_up(client, tm
     assert (report["gaussians"], report["generator"]) == (300, "3DGS PLY")
     for picture, told, message in (
         (DUCK, {"up": "y"}, "up: It is for a file of Gaussians"),
-        (file, {"thickness": 0.5}, "thickness: A file of Gaussians has all sides"),
         (file, {"front": "w"}, "front: It is not an axis"),
     ):
         with pytest.raises(Exception, match=message):

@@ -18,7 +18,7 @@ from ..visitors import key
 VIEWED = ("view", "accuracy", "description")
 """Fields that the stored errors of a scene's motion do not depend on."""
 
-COMPOSING, EACH = 140, 1300
+COMPOSING, EACH = 210, 1800
 """Finding camera and colours of a photograph takes as long as drawing so many pictures of its size,
 and so many pixels for each Gaussian."""
 
