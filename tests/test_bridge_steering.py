@@ -142,6 +142,13 @@ def test_a_grab_holds_until_a_message_without_a_frame():
 
 BAD = {
     "NaN": (lambda i: i.push(wrench((np.nan, 0, 0))), "finite"),
+    "infinite": (
+        lambda i: [
+            i.transform(transform("phy124", "t", (0, 0, 0.6), (0, 0, 0.6, 0.8))),
+            i.push(wrench((0, -np.inf, 0), frame="t")),
+        ],
+        "finite",
+    ),
     "NaN grab": (lambda i: i.grab(point((0, np.nan, 0))), "finite"),
     "too strong": (lambda i: i.push(wrench((1e30, 0, 0))), "was made"),
     "no frame": (lambda i: i.push(wrench((1, 0, 0), frame="nowhere")), "no transform leads"),

@@ -95,7 +95,8 @@ class Inputs:
 
     def _push(self, message: Any) -> None:
         frame, wrench = message.header.frame_id, message.wrench
-        force, torque = _numbers(wrench.force), _numbers(wrench.torque)
+        force = _numbers("push.force", wrench.force)
+        torque = _numbers("push.torque", wrench.torque)
         whole = frame in self._whole
         place = np.eye(4) if whole else self._transforms.pose(frame)
         nothing = not (force.any() or torque.any())
@@ -111,7 +112,7 @@ class Inputs:
         """Take hold of the object, or draw what is held."""
         frame = self._grab.header.frame_id
         place = self._transforms.pose(frame)
-        target = (place @ [*_numbers(self._grab.point), 1.0])[:3].tolist()
+        target = (place @ [*_numbers("grab.point", self._grab.point), 1.0])[:3].tolist()
         if self._live.holds:
             self._live.to(target)
         else:
@@ -120,13 +121,18 @@ class Inputs:
     def _attempt(self, action: Callable[[], None]) -> None:
         """Do something; if it is refused, the run goes on, and the reason is said."""
         try:
-            action()
+            # A huge number may become infinite on the way, which the run refuses.
+            with np.errstate(over="ignore", invalid="ignore"):
+                action()
         except InputError as error:
             self._remarks.add(str(error))
 
 
-def _numbers(vector: Any) -> np.ndarray:
-    return np.array([vector.x, vector.y, vector.z], dtype=np.float64)
+def _numbers(field: str, given: Any) -> np.ndarray:
+    """The three finite numbers of a vector or point; raises InputError."""
+    from phy124.live.limits import vector
+
+    return np.array(vector(field, (given.x, given.y, given.z)))
 
 
 def _static(options: Options) -> Any:

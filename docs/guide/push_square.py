@@ -188,7 +188,7 @@ def main() -> None:
     any_state = SampleState.NotRead | ViewState.Any | InstanceState.Any
     waitset.attach(ReadCondition(reader, any_state))
     controller = Controller(args.mass, args.hertz, args.side, args.each)
-    begun = time.monotonic()
+    begun = 0.0
     while not controller.rows or controller.rows[-1][0] < 4 * args.each * args.laps:
         waitset.wait(100_000_000)
         for message in reader.take(10):
@@ -197,6 +197,7 @@ def main() -> None:
                     continue
                 stamp, at = one.header.stamp, one.transform.translation
                 now = stamp.sec + stamp.nanosec * 1e-9
+                begun = begun or time.monotonic()
                 force = controller.force(now, np.array([at.x, at.y, at.z]))
                 wrench = Wrench(Vector3(*force.tolist()), Vector3())
                 writer.write(WrenchStamped(Header(one.header.stamp, FRAME), wrench))
