@@ -17,6 +17,7 @@ from pydantic import Field
 from phy124.bounds import FileName
 from phy124.imaging.painted import Crop, brightness
 from phy124.section import Section
+from phy124.tracks import Table
 
 MINIMUM = 1e-4
 """Smallest factor; waves are then a hundred times slower."""
@@ -72,3 +73,19 @@ class Picture(_Field):
 
 
 AnyStiffness = Annotated[Gradient | Picture, Field(discriminator="kind")]
+SOFTEST, STIFFEST = 0.01, 100.0
+"""Factors on E over time."""
+
+
+def check_profile(profile: Table) -> None:
+    """Check that all factors of a profile over time can be used.
+
+    Raises:
+        ValueError: One is too small or too large.
+    """
+    factors = profile.table()[1]
+    if not (factors.min() >= SOFTEST and factors.max() <= STIFFEST):
+        told = f"from {factors.min():g} to {factors.max():g}"
+        raise ValueError(
+            f"factors {told} are beyond {SOFTEST:g} to {STIFFEST:g}; choose them between"
+        )

@@ -70,7 +70,10 @@ def test_a_slow_browser_gets_the_newest_frame_and_no_queue(page):
             if word is None:
                 got.append(message["bytes"])
         assert len(got) <= relay.ON_THE_WAY, "it has acknowledged none"
-        socket.send_text('{"do": "seen"}')
+        for wrong in (None, "many", -5, 0):
+            socket.send_text(json.dumps({"do": "seen", "value": wrong}))
+        # It has drawn the second and left out the first.
+        socket.send_text(json.dumps({"do": "seen", "value": len(got)}))
         last = socket.receive_bytes()
         assert last[:1] == FRAME and struct.unpack("<I", last[1:5]) == (touching.FRAMES - 1,)
 

@@ -298,3 +298,29 @@ def test_late_frames_slow_time_down_and_never_queue_up():
         now[0] += 0.2
         clock.wait()
     assert clock.factor == pytest.approx(0.5)
+
+
+def test_softness_changes_at_the_next_frame_and_a_session_replays_it_bit_for_bit():
+    run = live(**{"object.lift": 0.0})
+    run.step()
+    run.grab((0, 0, 1.0))
+    frames = []
+    for index in range(8):
+        if index in (2, 3, 5):
+            run.soften({2: 0.2, 3: 0.1, 5: 30.0}[index])
+        run.to((0, 0, 1.25))
+        frames.append(run.step())
+    stretched = [np.ptp(frame.gaussians.means[:, 2]) for frame in frames]
+    assert stretched[4] > stretched[1] + 0.03 > stretched[7], "softer, then stiffer"
+    session = Scene.from_data(run.session().data())
+    assert [session.softness(index / 24) for index in range(9)] == [
+        1, 1, 0.2, 0.1, 0.1, 30.0, 30.0, 30.0, 30.0,
+    ]  # fmt: skip
+    clip = run.clip()
+    for index, frame in enumerate(frames):
+        assert np.array_equal(frame.gaussians.means, clip.means[index + 1]), index
+    assert clip.report["complete"] and not run.notes
+    assert clip.report["balance"]["energy_gain"] < 0, "stiffening a bent thing is work"
+    for wrong in (0, 1e30, float("nan"), None):
+        with pytest.raises(InputError, match=r"from 0\.01 to 100"):
+            run.soften(wrong)

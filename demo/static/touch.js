@@ -80,6 +80,7 @@
       const letter = String.fromCharCode(new Uint8Array(data, 0, 1)[0]);
       if (letter === 'b') return this.begin(data);
       this.frame = data;
+      this.got = (this.got ?? 0) + 1;
       if (!this.drawing) this.drawing = requestAnimationFrame(() => this.show());
     }
 
@@ -97,7 +98,7 @@
       if (this.frame) {
         this.head = this.lattice.take(this.frame, 1);
         this.frame = null;
-        this.news = true;
+        this.news = this.got;
       }
       this.fit();
       this.lattice.ride(this.count);
@@ -117,15 +118,16 @@
       gl.deleteSync(fence);
       this.drawing = null;
       this.adapt(now - begun);
-      if (this.news) { this.news = false; this.acknowledge(now); }
+      if (this.news) { this.acknowledge(now, this.news); this.news = 0; }
       if (this.frame) this.drawing = requestAnimationFrame(() => this.show());
     }
 
-    acknowledge(now) {
+    /** `got` frames have come when the newest of them was drawn; others may have been left out. */
+    acknowledge(now, got) {
       this.frames++;
       for (const [seq, at] of this.sent) if (seq <= this.head.heard) { this.delays.push(now - at); this.sent.delete(seq); }
       if (this.delays.length > 5000) this.delays.splice(0, 1000);
-      this.send({ do: 'seen' });
+      this.send({ do: 'seen', value: got });
     }
 
     /** Draw fewer Gaussians, then fewer pixels, while pictures take too long. */

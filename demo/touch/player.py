@@ -116,6 +116,9 @@ class Player:
     def _gravity(self, g: Any) -> None:
         self.live.gravity((0.0, 0.0, -number("gravity", g, 0, 100)))
 
+    def _soften(self, factor: Any) -> None:
+        self.live.soften(factor)
+
     def _speed(self, speed: Any) -> None:
         self._clock.speed = number("speed", speed, 0.05, 1)
         self._clock.restart()

@@ -92,7 +92,8 @@ class Relay:
         self._texts: asyncio.Queue[str] = asyncio.Queue(SAYINGS)
         self._binding: bytes | None = None
         self._news = asyncio.Event()
-        self._on_the_way = 0
+        self._sent = self._seen = 0
+        """Frames that were sent, and those of them that are no longer on their way."""
         self._budget = Budget()
         self._touched = self._begun = time.monotonic()
         self._ended: asyncio.Future[str] = asyncio.get_running_loop().create_future()
@@ -184,9 +185,9 @@ class Relay:
                 await self._socket.send_bytes(BINDING + binding)
             while not self._texts.empty():
                 await self._socket.send_text(self._texts.get_nowait())
-            if self._frame is not None and self._on_the_way < ON_THE_WAY:
+            if self._frame is not None and self._sent - self._seen < ON_THE_WAY:
                 frame, self._frame = self._frame, None
-                self._on_the_way += 1
+                self._sent += 1
                 await self._socket.send_bytes(FRAME + frame)
 
     async def _listen(self, process: asyncio.subprocess.Process) -> str:
@@ -203,12 +204,17 @@ class Relay:
                     self._say(json.dumps({"kind": "said", "text": refusal.said}))
                 continue
             if message["do"] == "seen":
-                self._on_the_way = max(0, self._on_the_way - 1)
-                self._news.set()
+                self._acknowledge(message.get("value"))
                 continue
             self._touched = time.monotonic()
             if process.stdin.transport.get_write_buffer_size() < PENDING:
                 process.stdin.write(json.dumps(message).encode() + b"\n")
+
+    def _acknowledge(self, count: Any) -> None:
+        """The browser has drawn the newest of so many frames; it may have left out others."""
+        if isinstance(count, int):
+            self._seen = min(max(count, self._seen), self._sent)
+        self._news.set()
 
     async def _watch(self) -> str:
         """End the run when it is not touched any more, or its time is up."""

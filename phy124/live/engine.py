@@ -32,6 +32,7 @@ from phy124.region import Vector
 from phy124.scene import Scene
 from phy124.simulation import Simulation, Stopped
 from phy124.simulation.appearance import Appearance
+from phy124.stiffness import SOFTEST, STIFFEST
 
 FOREVER = 1e8
 """A live run has no budget of time of its own [s]; what shows it has."""
@@ -263,6 +264,20 @@ class Live:
         """
         given = bounded("gravity", g, 10 * STANDARD_GRAVITY, "m/s^2")
         self._inputs.weigh(self._said(*given), self.time)
+        self._changed = True
+
+    def soften(self, factor: float) -> None:
+        """Multiply the Young's modulus of the scene by a factor from now on, 0.01 to 100.
+
+        Raises:
+            InputError: It is no such number, or the scene has a stiffness that changes by itself.
+        """
+        if self._scene.stiffness_profile is not None:
+            limit = "the scene's stiffness changes by itself."
+            raise InputError("soften", factor, limit, "Leave stiffness_profile out.")
+        given = number("soften", factor, SOFTEST, STIFFEST)
+        before = max(self._run.count - 2, 0) / self._scene.time.fps
+        self._inputs.soften(given, self.time, before)
         self._changed = True
 
     def move(self, wall: int, to: Sequence[float]) -> None:

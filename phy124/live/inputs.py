@@ -13,6 +13,7 @@ from phy124.boundaries.motion import Path
 from phy124.forces import AnyForce, Grab, Gravity, WrenchForce
 from phy124.region import Vector
 from phy124.scene import Scene
+from phy124.tracks import Keyframes
 
 
 @dataclass
@@ -52,6 +53,15 @@ class Inputs:
         self.wrenches: list[WrenchForce] = []
         self.gravity: list[Gravity] = []
         self.moved: dict[int, Moved] = {}
+        self.softness: list[tuple[float, float]] = [(0.0, 1.0)]
+        """Times [s] and the factors on Young's modulus at them."""
+
+    def soften(self, factor: float, now: float, before: float) -> None:
+        """Another factor on Young's modulus from now on; the frame before had the old one."""
+        kept = [key for key in self.softness if key[0] < now]
+        if kept and kept[-1][0] < before:
+            kept.append((before, kept[-1][1]))
+        self.softness = [*kept, (now, factor)]
 
     @property
     def holding(self) -> Held | None:
@@ -78,9 +88,18 @@ class Inputs:
             boundaries[index] = boundaries[index].model_copy(update={"motion": path})
         pushes = [push for push in self.wrenches if push.end is None or push.end > since]
         forces = [*self._weights(), *pushes, *(held.force() for held in self.grabs)]
-        return self.base.model_copy(
-            update={"forces": tuple(forces), "boundaries": tuple(boundaries)}
+        done = {"forces": tuple(forces), "boundaries": tuple(boundaries), **self._softened()}
+        return self.base.model_copy(update=done)
+
+    def _softened(self) -> dict[str, Keyframes]:
+        """The factors on Young's modulus, if any has changed."""
+        if self.softness == [(0.0, 1.0)]:
+            return {}
+        # A profile has two keys or more; after the last it stays.
+        times, factors = zip(
+            *self.softness, (self.softness[-1][0] + 1, self.softness[-1][1]), strict=True
         )
+        return {"stiffness_profile": Keyframes(times=times, factors=factors)}
 
     def forget(self, since: float) -> None:
         """Take back all that was done from a time on [s]; what acts then ends there."""
@@ -95,6 +114,7 @@ class Inputs:
             if wrench.start < since
         ]
         self.gravity = [one for one in self.gravity if one.start < since or one.start == 0.0]
+        self.softness = [key for key in self.softness if key[0] < since] or [(0.0, 1.0)]
         for moved in self.moved.values():
             kept = sum(time <= since + 1e-9 for time in moved.times)
             del moved.times[max(kept, 1) :], moved.points[max(kept, 1) :]

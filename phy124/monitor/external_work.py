@@ -102,6 +102,11 @@ class ExternalWork:
             sums.zero_()
         self._opened = clock.time - clock.last_dt / 2
 
+    def store(self, energy: float) -> None:
+        """Count energy [J] that is put into the object at rest, as by stiffening it."""
+        self._closed[PUSH] = self._closed[PUSH].copy()
+        self._closed[PUSH][[kernels.WORK, kernels.TURNED]] += energy, abs(energy)
+
     def begin(self, momentum: Sums) -> None:
         """Start a frame with this momentum [kg m/s]; the work of varying forces depends on it."""
         if self._varies:

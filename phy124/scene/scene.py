@@ -11,11 +11,12 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 import tomli_w
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, field_validator, model_validator
 
 from phy124.boundaries import AnyBoundary, Ground, Wall
-from phy124.bounds import Text
+from phy124.bounds import LONGEST, Text
 from phy124.errors import InputError, did_you_mean
 from phy124.forces import AnyForce, Gravity, OwnForce
 from phy124.materials import AnyMaterial, Law, NeoHookean
@@ -29,7 +30,8 @@ from phy124.scene.renamed import renewed
 from phy124.scene.sections import Checks, Object, Part, Timing
 from phy124.scene.view import View
 from phy124.section import Section
-from phy124.stiffness import AnyStiffness
+from phy124.stiffness import AnyStiffness, check_profile
+from phy124.tracks import AnyProfile, Track
 
 
 class Scene(Section):
@@ -47,6 +49,10 @@ class Scene(Section):
     parts: tuple[Part, ...] = Field(default=(), description="Parts of other materials.")
     stiffness: AnyStiffness | None = Field(
         default=None, description="How E varies inside the object; absent: not at all."
+    )
+    stiffness_profile: AnyProfile | None = Field(
+        default=None,
+        description="Factor on E over time, of each frame's start; absent: 1 at all times.",
     )
     properties: Properties | None = Field(
         default=None, description="Material point by point, from a file; absent: as given above."
@@ -88,6 +94,20 @@ class Scene(Section):
     @classmethod
     def _old_names(cls, data: Any) -> Any:
         return renewed(data)
+
+    @field_validator("stiffness_profile")
+    @classmethod
+    def _usable(cls, profile: AnyProfile | None) -> AnyProfile | None:
+        if profile is not None:
+            check_profile(profile)
+        return profile
+
+    def softness(self, time: float) -> float:
+        """Factor on Young's modulus at a time [s]."""
+        if self.stiffness_profile is None:
+            return 1.0
+        whole = Track.scaled((1.0, 0.0, 0.0), self.stiffness_profile, 0.0, LONGEST, mean=False)
+        return float(whole.values(np.array([time]))[0, 0])
 
     @property
     def resolution(self) -> Accuracy:

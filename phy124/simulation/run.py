@@ -43,6 +43,7 @@ from phy124.simulation.kernels import kernels
 from phy124.simulation.materials import varied
 from phy124.simulation.ordering import axis_of, ordered
 from phy124.simulation.report import counted, report_of
+from phy124.simulation.softening import Softening
 from phy124.simulation.solver import acting, judged_as, solver_of
 from phy124.simulation.stopped import Stopped
 
@@ -135,6 +136,7 @@ class Simulation:
                 self.particles, self.materials, stiffness, scene, device, threads, external,
                 self.contacts, self.wrenches,
             )  # fmt: skip
+            self.softening = Softening(self.solver, external, self.particles.material)
             self.watchdog = Watchdog(self.solver, external, balance=scene.checks.balance)
             self.deformer = Deformer(
                 self.scenery.moving,
@@ -206,7 +208,8 @@ class Simulation:
 
     def _sleeps(self, index: int) -> bool:
         """Whether a frame needs no substeps; if so, only the time is advanced."""
-        if not self.scene.time.sleep or self.solver.outliers.count:
+        changes = self.scene.stiffness_profile is not None
+        if changes or not self.scene.time.sleep or self.solver.outliers.count:
             return False
         time = self.sleep.skip_to(index)
         if time is None:
@@ -260,6 +263,7 @@ class Simulation:
             "retried": list(self.retried),
             "rejected": self.solver.rejection.rejected,
             "solver": self.solver.snapshot(),
+            "softening": self.softening.factor,
             "watchdog": self.watchdog.snapshot(),
             "external": self.watchdog.external.snapshot(),
             "sleep": self.sleep.snapshot(),
@@ -271,6 +275,7 @@ class Simulation:
         """Return to the state at which a snapshot was taken."""
         self.count, self.retried = snapshot["count"], list(snapshot["retried"])
         self.solver.rejection.rejected = snapshot["rejected"]
+        self.softening.restore(snapshot.get("softening", 1.0))
         self.solver.restore(snapshot["solver"])
         self.watchdog.restore(snapshot["watchdog"])
         self.watchdog.external.restore(snapshot["external"])
@@ -304,6 +309,7 @@ class Simulation:
         """Take substeps up to a frame's time; after a failure, once more with half the substep."""
         before = self.solver.clock.substeps
         with self.watch.stage("simulate"):
+            self.softening.follow(self.scene.softness((index - 1) / self.scene.time.fps))
             problem = self._try(index, until)
             if problem is not None:
                 self.retried.append(index)

@@ -1,0 +1,164 @@
+"""Touch in headless Chromium: time from the pointer to the picture, and growth of memory.
+
+    python -m tests.benchmarks.touch [--seconds 600] [--gaussians 50000] [--film touch.webp]
+
+The server, its live run and Chromium with software WebGL share the machine. A pointer that swings
+the object moves 30 times a second; a move is answered when the first frame that knows of it has
+been drawn. `--film` writes the viewer's pictures as an animated WebP.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import os
+import sys
+import tempfile
+import time
+from argparse import ArgumentParser
+from pathlib import Path
+
+import numpy as np
+
+sys.path[:0] = [str(Path(__file__).parents[1]), str(Path(__file__).parents[1] / "e2e")]
+
+from visit import FLAGS, LONG, Visit  # noqa: E402
+
+from support.served import serving  # noqa: E402
+
+HAND = "[...document.querySelectorAll('#touch, #touch *')].find((e) => e.hand).hand"
+TOP = f"""(() => {{
+    const hand = {HAND}, [r, u, a] = hand.splats.seen(...hand.top());
+    const box = hand.canvas.getBoundingClientRect();
+    const scale = box.width / hand.canvas.width * hand.splats.focal / a;
+    return [box.left + box.width / 2 + scale * r, box.top + box.height / 2 - scale * u];
+}})()"""
+SEEN = f"""(() => {{ const h = {HAND}; return {{ frames: h.frames, bytes: h.bytes, count: h.count,
+    splats: h.lattice.splats, nodes: h.lattice.nodes, factor: h.head?.factor ?? 1,
+    told: h.status.textContent, size: [h.canvas.width, h.canvas.height],
+    delays: h.delays.splice(0) }}; }})()"""
+FILM_SIZE, FILM_RATE = (480, 357), 12
+
+
+def main() -> None:
+    parser = ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seconds", type=float, default=30)
+    parser.add_argument("--gaussians", type=int, default=50_000)
+    parser.add_argument("--scene", default="Sway")
+    parser.add_argument("--film", type=Path)
+    given = parser.parse_args()
+    from playwright.sync_api import sync_playwright
+
+    minutes = {"touch_minutes": given.seconds / 60 + 10}
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        serving(Path(folder), gaussians=given.gaussians, **minutes) as server,
+        sync_playwright() as session,
+    ):
+        chromium = session.chromium.launch(executable_path="/usr/bin/chromium", args=FLAGS)
+        visit = Visit(chromium, server)
+        begin(visit, given.scene)
+        if given.film:
+            film(visit.page, given.film)
+        swing(visit.page, given.seconds, server)
+        assert not visit.complaints, visit.complaints
+
+
+def begin(visit: Visit, scene: str) -> None:
+    page = visit.page
+    visit.upload()
+    page.locator(".card", has_text=scene).first.click()
+    page.wait_for_timeout(500)
+    page.locator("#begin-touch").click()
+    page.wait_for_selector(".touch canvas.ready", timeout=LONG)
+    page.wait_for_function(f"{HAND}.frames > 20", timeout=LONG)
+    print(page.locator(".touch-status").inner_text())
+
+
+def press(page) -> tuple[float, float]:
+    x, y = page.evaluate(TOP)
+    page.mouse.move(x, y + 8)
+    page.mouse.down()
+    return x, y
+
+
+def swing(page, seconds: float, server) -> None:
+    """Swing the object, and print what was measured every minute."""
+    x, y = press(page)
+    page.evaluate(SEEN)
+    start, delays = time.monotonic(), []
+    first = last = (start, page.evaluate(SEEN))
+    memory = [resident(os.getpid(), server.process.pid)]
+    while time.monotonic() - start < seconds:
+        angle = 2 * math.pi * 0.4 * (time.monotonic() - start)
+        page.mouse.move(x + 70 * math.sin(angle), y - 20 * math.sin(0.7 * angle))
+        page.wait_for_timeout(33)
+        if time.monotonic() - last[0] > min(60, seconds / 2):
+            last = time.monotonic(), page.evaluate(SEEN)
+            delays += last[1]["delays"]
+            memory.append(resident(os.getpid(), server.process.pid))
+            report(first, last, delays, memory)
+    last = time.monotonic(), page.evaluate(SEEN)
+    delays += last[1]["delays"]
+    memory.append(resident(os.getpid(), server.process.pid))
+    report(first, last, delays, memory)
+
+
+def report(first, last, delays, memory) -> None:
+    (begun, before), (now, after) = first, last
+    rate = (after["frames"] - before["frames"]) / (now - begun)
+    sent = (after["bytes"] - before["bytes"]) / (now - begun) / 1e6
+    p50, p95 = np.percentile(delays, [50, 95]) if delays else (math.nan, math.nan)
+    drawn = f"{after['count']:,} of {after['splats']:,} Gaussians on {after['nodes']:,} nodes"
+    print(
+        f"{now - begun:.0f} s: pointer to picture p50 {p50:.0f} ms, p95 {p95:.0f} ms of "
+        f"{len(delays)}; {rate:.1f} frames/s, {after['factor']:.2f}x real time, {sent:.2f} MB/s; "
+        f"{drawn}, {after['size'][0]} x {after['size'][1]}; Chromium and server "
+        f"{memory[0] / 1e6:.0f} -> {memory[-1] / 1e6:.0f} MB; "
+        f"load {os.getloadavg()[0]:.1f}; {after['told'][:60]}",
+        flush=True,
+    )
+
+
+def resident(*roots: int) -> float:
+    """Resident memory of processes and all that they started [bytes]."""
+    parents, sizes = {}, {}
+    for path in Path("/proc").glob("[0-9]*"):
+        try:
+            told = path.joinpath("stat").read_text().rsplit(")", 1)[1].split()
+            parents[int(path.name)], sizes[int(path.name)] = int(told[1]), int(told[21]) * 4096
+        except (OSError, IndexError):
+            continue
+    found = 0
+    for process, size in sizes.items():
+        above = process
+        while above in parents and above not in roots:
+            above = parents[above]
+        found += size if above in roots else 0
+    return found
+
+
+def film(page, path: Path) -> None:
+    """Six seconds of lifting, swinging and dropping the object, at its own pace."""
+    from PIL import Image
+
+    x, y = press(page)
+    pictures = []
+    for index in range(6 * FILM_RATE):
+        t = index / FILM_RATE
+        if t < 4:
+            lift = 120 * min(t, 1)
+            page.mouse.move(x + 130 * math.sin(2.2 * t), y - lift + 20 * math.sin(5 * t))
+        elif t == 4:
+            page.mouse.up()
+        page.wait_for_timeout(1000 / FILM_RATE)
+        shot = page.locator(".touch-view").screenshot()
+        with Image.open(io.BytesIO(shot)) as picture:
+            pictures.append(picture.convert("RGB").resize(FILM_SIZE, Image.Resampling.LANCZOS))
+    options = {"duration": round(1000 / FILM_RATE), "loop": 0, "quality": 62, "method": 4}
+    pictures[0].save(path, save_all=True, append_images=pictures[1:], **options)
+    print(f"{path}: {len(pictures)} pictures, {path.stat().st_size / 1e6:.2f} MB")
+
+
+if __name__ == "__main__":
+    main()
