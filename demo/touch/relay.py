@@ -75,8 +75,9 @@ def _call(loop: asyncio.AbstractEventLoop, act: Callable[[], None]) -> None:
         loop.call_soon_threadsafe(act)
 
 
-async def _closed(process: asyncio.subprocess.Process) -> None:
+async def _closed(process: asyncio.subprocess.Process, tasks: list[asyncio.Task[None]]) -> None:
     """Wait for the end of a process, and read what is left, so that its pipes are closed."""
+    await asyncio.gather(*tasks, return_exceptions=True)
     assert process.stdin is not None
     process.stdin.close()
     await process.communicate()
@@ -116,7 +117,7 @@ class Relay:
             with suppress(ProcessLookupError):
                 process.kill()
             # Also if this task is cancelled.
-            await asyncio.shield(_closed(process))
+            await asyncio.shield(_closed(process, tasks))
         await self._goodbye(sentence)
 
     def _end(self, sentence: str) -> None:
