@@ -18,7 +18,7 @@ from .backends import AUTOMATIC, REQUIREMENTS, known, missing
 from .layout import FULL, SMALL, VIZ
 from .recover import records
 from .sinks.mcap import PART
-from .topics import POINTS
+from .topics import MAIN
 
 WANTED_BUFFER = 4 << 20
 """Receive buffer for a frame of 65,536 points of 60 bytes [bytes]."""
@@ -96,7 +96,7 @@ def describe_recording(path: Path, file: Path) -> list[str]:
     lines = [f"recording: {file}, {file.stat().st_size / 1e6:.1f} MB"]
     for number, channel in channels.items():
         lines.append(f"{channel.topic}: {len(times.get(number, []))} messages")
-        if channel.topic == POINTS.name and number in times:
+        if channel.topic in MAIN and number in times:
             seconds = np.ptp(times[number]) / 1e9
             lines.append(f"duration: {seconds:.3f} s")
     state = "complete" if whole else f"not finished or damaged; run `{PROGRAM} recover {path}`"

@@ -18,7 +18,7 @@ from phy124.errors import InputError
 
 from . import bag
 from .sinks.mcap import CHUNK, PART
-from .topics import POINTS, RECORDED
+from .topics import MAIN, RECORDED
 
 if TYPE_CHECKING:
     from mcap.writer import Writer
@@ -69,7 +69,7 @@ def recover(path: str | os.PathLike[str], output: str | os.PathLike[str] | None 
         temporary.unlink(missing_ok=True)
     if source.suffix == PART and output is None:
         source.unlink()
-    return Recovery(target, counts.messages[POINTS.name], repaired=True)
+    return Recovery(target, sum(counts.messages.get(name, 0) for name in MAIN), repaired=True)
 
 
 def records(file: Path) -> Iterator[Any]:
@@ -126,7 +126,7 @@ def _inspect(file: Path) -> tuple[bool, int]:
     for record in records(file):
         if record is None:
             damaged += 1
-        elif isinstance(record, Channel) and record.topic == POINTS.name:
+        elif isinstance(record, Channel) and record.topic in MAIN:
             points = record.id
         elif isinstance(record, Message):
             frames += record.channel_id == points

@@ -54,6 +54,8 @@ GRAB = Topic("~/grab", "geometry_msgs/msg/PointStamped", depth=10, transient_loc
 """Subscribed to by a run that is steered."""
 FACTOR = Topic("~/real_time_factor", "std_msgs/msg/Float64", depth=1)
 SPLATS = Topic("/phy124/gaussian_splats", "splat_interfaces/msg/SplatArray", depth=1)
+MAIN = (POINTS.name, SPLATS.name)
+"""Names of the topics of which one has the Gaussians of every frame."""
 RECORDED = {topic.name: topic for topic in (TF_STATIC, POINTS, ELLIPSOIDS, SPLATS)}
 """Topics in recordings. The clock is not among them, as it would conflict with that of
 `ros2 bag play --clock`."""

@@ -6,7 +6,9 @@ import pytest
 from bridge import cdr
 from bridge.bag import SUFFIX
 from bridge.encoder import FrameEncoder
+from bridge.info import describe
 from bridge.options import LIVE_SPLATS, Options
+from bridge.recover import recover
 from bridge.sinks.mcap import McapSink
 from bridge.splats import splat_array
 from bridge.topics import SPLATS
@@ -56,6 +58,10 @@ def test_all_gaussians_are_in_a_bag_and_some_live(tmp_path):
         read = list(make_reader(file).iter_messages(topics=[SPLATS.name]))
     assert len(read) == 2 and read[0][0].name == SPLATS.type
     assert int.from_bytes(read[1][2].data[4:8], "little") == LIVE_SPLATS + 8
+    assert "duration: 0.033 s" in describe(sink.path)
+    whole = sink.path.read_bytes()
+    sink.path.write_bytes(whole[: len(whole) // 2 + 100_000])
+    assert recover(sink.path).frames == 1
     live = FrameEncoder(Options(profile="splats", max_points=20_000).live())
     (message,) = live.encode(clip.frame(0))
     assert live.main is message.topic is SPLATS

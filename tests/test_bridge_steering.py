@@ -6,6 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from bridge import info
+from bridge.__main__ import main
 from bridge.encoder import FrameEncoder
 from bridge.steering.contacts import contact_messages
 from bridge.steering.remarks import Remarks
@@ -14,6 +16,7 @@ from bridge.steering.states import State
 from bridge.steering.transforms import Transforms
 from phy124.accuracy.ball import ball
 from phy124.errors import InputError
+from phy124.scene import Scene
 from phy124.simulation import Simulation
 from support.ros_messages import JAZZY
 from support.steered import (
@@ -273,3 +276,26 @@ def test_the_wrench_on_a_wall_is_about_the_frame_at_the_centre_of_mass():
     force, torque = ground.wrench.force, ground.wrench.torque
     assert (force.x, force.y, force.z) == tuple(wanted.force) and force.z < 0
     assert (torque.x, torque.y, torque.z) == tuple(wanted.torque)
+
+
+def test_the_command_steers_the_object_of_a_clip_and_keeps_the_session(tmp_path, capsys):
+    clip, session = tmp_path / "clip.safetensors", tmp_path / "session.toml"
+    own = scene(**{"time.frames": 2})
+    Simulation(ball(400), own, threads=1).run().save(clip)
+    given = ["--backend", "foxglove", "--port", "0", "--frames", "3", "--threads", "1"]
+    coarse = ["--set", "accuracy={cells=8}", "--session", str(session)]
+    assert main(["live", str(clip), *given, *coarse]) == 0
+    assert "8 cells across" in capsys.readouterr().out
+    kept = Scene.named(str(session))
+    assert kept.time.frames == 3 and kept.object == own.object
+    for wrong in (["--speed", "nan"], ["--push-seconds", "-1"]):
+        assert main(["live", str(clip), *wrong]) == 2
+    assert main(["live", str(tmp_path / "nothing.png")]) == 2
+
+
+def test_doctor_says_what_is_lacking_without_the_standard_interfaces(monkeypatch):
+    monkeypatch.setattr(info, "missing", lambda outlet: None)
+    monkeypatch.setenv("ROS_DISTRO", "kilted")
+    (line,) = [line for line in info.diagnose() if line.startswith("simulation_interfaces: ")]
+    assert "~/step and ~/reset (std_srvs)" in line
+    assert "apt install ros-kilted-simulation-interfaces" in line
