@@ -237,7 +237,8 @@ class Patient(H11Protocol):
 
     def _watch(self) -> None:
         missing = str(self.conn.their_state)
-        if missing not in ("IDLE", "SEND_BODY"):
+        # A connection that has become a socket is another protocol's.
+        if missing not in ("IDLE", "SEND_BODY") or self.transport.get_protocol() is not self:
             return self._stop()
         if missing != self.waiting_for:
             self._stop()

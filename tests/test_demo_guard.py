@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+from types import SimpleNamespace
 
 import pytest
 
-from demo.guard import FETCHES, Headed, is_own_name, own_names
+from demo.guard import FETCHES, Headed, Patient, is_own_name, own_names
 
 NAMES = own_names("demo.example, other.example", "space.hf.space")
 
@@ -76,3 +77,11 @@ def test_what_is_no_page_is_inert_and_streams_are_passed_through():
     assert "sandbox" in answer["content-security-policy"]
     assert answer["x-accel-buffering"] == "no" and answer["x-content-type-options"] == "nosniff"
     assert b"nonce" not in answer["body"]
+
+
+def test_a_connection_that_has_become_a_socket_is_not_closed_for_its_missing_body():
+    """The body of its request, which is none, is never read."""
+    became = SimpleNamespace(get_protocol=lambda: None)
+    state = SimpleNamespace(their_state="SEND_BODY")
+    waiting = SimpleNamespace(conn=state, transport=became, _stop=lambda: "stopped")
+    assert Patient._watch(waiting) == "stopped"
