@@ -177,6 +177,13 @@ def test_the_key_knows_everything_that_makes_a_clip(balls, tmp_path):
     assert key != key_of(fewer, item, plan.scene_of(item))
 
 
+def test_equal_clips_are_made_once(balls, tmp_path):
+    (tmp_path / "same.ply").write_bytes((balls / "a.ply").read_bytes())
+    pictures = [str(balls / "a.ply"), str(tmp_path / "same.ply")]
+    counts = run(Plan(declared(balls, pictures=pictures)), str(tmp_path / "out"), workers=0)
+    assert counts.ended == {"done": 3} and counts.here == 3
+
+
 def test_cancelling_keeps_what_is_made(balls, tmp_path):
     def stop(stage: str, done: int, total: int) -> None:
         if done == 2:

@@ -31,8 +31,8 @@ def sweep(tmp_path_factory) -> Sweep:
     """Some clips of a second each."""
     pytest.importorskip("ray", reason="ray is not installed")
     folder = tmp_path_factory.mktemp("balls")
-    for name in "ab":
-        write_ply(folder / f"{name}.ply", ball(1500))
+    for name, count in (("a", 1500), ("b", 1400)):
+        write_ply(folder / f"{name}.ply", ball(count))
     spread = {"first": 1e4, "last": 1e5, "count": CLIPS // 2, "spacing": "log"}
     return Sweep.from_data({
         "pictures": str(folder / "*.ply"),

@@ -24,7 +24,7 @@ class Counts:
     """How many clips ended how."""
 
     here: int = 0
-    """Those that an earlier run has left."""
+    """Those that an earlier run has left, or an equal clip of this one."""
     ended: Counter[str] = field(default_factory=Counter)
     """Status -> how many of this run."""
 
@@ -103,6 +103,7 @@ def _orders(
         if key in done:
             counts.here += 1
             continue
+        done.add(key)
         sweep = plan.sweep
         yield Order(
             key, index, item.picture, item.generator, item.changes, scene.data(),
