@@ -226,6 +226,23 @@ def test_random_hands_never_break_it(inputs):
             assert np.isfinite(run.step().gaussians.means).all()
 
 
+def test_who_binds_the_gaussians_elsewhere_gets_the_same_motion_without_their_shapes():
+    shaped, bare = live(), Live(thing(), scene(), threads=1, shapes=False)
+    for run in (shaped, bare):
+        run.step()
+        run.grab((0, 0, 0.9))
+        run.to((0, 0.3, 1.2))
+    frames = [(shaped.step(), bare.step()) for _ in range(3)]
+    for one, other in zip(shaped.particles, bare.particles, strict=True):
+        assert np.array_equal(one, other)
+    felt = [run.contacts()["ground"].force for run in (shaped, bare)]
+    assert np.array_equal(*felt)
+    first, last = frames[0][1].gaussians, frames[-1][1].gaussians
+    assert np.array_equal(first.means, last.means) and not np.array_equal(
+        first.means, frames[-1][0].gaussians.means
+    )
+
+
 def test_the_grid_is_as_fine_as_this_machine_holds():
     slow = held_rate(thing(), scene(), rate=100, threads=1)
     assert slow.scene.resolution.cells == 8 and slow.scene.binding == "lattice"

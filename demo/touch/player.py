@@ -68,7 +68,10 @@ class Player:
         """
         self._line, self._what = line, what
         order = what.order
-        options = {"device": pick_device(order.device), "threads": 1}
+        # The browser shapes the Gaussians, and wants a core of its own if it runs here.
+        options: dict[str, Any] = {
+            "device": pick_device(order.device), "threads": 1, "shapes": False,
+        }  # fmt: skip
         _say(line, kind="doing", text="Making the Gaussians …")
         order.known.cut(Deadline(PREPARING))
         gaussians = gaussians_of(order, made_gaussians(order))

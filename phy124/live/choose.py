@@ -70,7 +70,7 @@ def held_rate(
         rate: Simulated seconds per second, with a fifth of the time to spare.
         max_error: Largest error promised, in sizes of the object; the coarsest grid that has it
             is taken, fast enough or not. None: whatever the rate allows.
-        **options: Those of `Simulation`.
+        **options: Those of `Live`.
 
     Raises:
         InputError: The object or the scene cannot be used, or a number is out of bounds.

@@ -51,13 +51,17 @@ class Live:
     several threads: who gets inputs from elsewhere queues them.
     """
 
-    def __init__(self, gaussians: Gaussians, scene: Scene, **options: Any) -> None:
+    def __init__(
+        self, gaussians: Gaussians, scene: Scene, *, shapes: bool = True, **options: Any
+    ) -> None:
         """Build the run; the first frame is the object at rest.
 
         Args:
             gaussians: The object at any size, standing upright, facing +x.
             scene: What happens to it without inputs; its accuracy is kept (`held_rate` chooses
                 one that this machine runs in real time).
+            shapes: Whether frames show where the Gaussians are; False saves their time for who
+                binds them to `particles` elsewhere.
             **options: Those of `Simulation`, such as device and threads.
 
         Raises:
@@ -65,7 +69,7 @@ class Live:
         """
         timing = scene.time.model_copy(update={"sleep": False, "budget": FOREVER})
         self._scene = scene.model_copy(update={"time": timing, "wrenches": True})
-        self._gaussians, self._options = gaussians, options
+        self._gaussians, self._shapes, self._options = gaussians, shapes, options
         self.notes: list[str] = []
         """Sentences about inputs that were made smaller and about frames that failed."""
         self.reset()
@@ -75,8 +79,9 @@ class Live:
         """Begin anew, with nothing done to the object."""
         self._inputs = Inputs(self._scene)
         self._run = Simulation(
-            self._gaussians, self._scene, keep=False, changes=True, **self._options
-        )
+            self._gaussians, self._scene, keep=False, changes=True, shapes=self._shapes,
+            **self._options,
+        )  # fmt: skip
         self._target: Vector | None = None
         self._offsets: dict[int, Vector] = {}
         self._named: dict[str, WrenchForce] = {}
@@ -141,7 +146,7 @@ class Live:
             frame = self._run.step()
         except Stopped as stop:
             frame = self._go_back(str(stop))
-        if self._lost(frame):
+        if float(np.linalg.norm(self.centre)) > LOST * self._scene.object.size:
             self._note(f"It is more than {LOST:g} of its sizes away and begins anew.")
             self.reset()
             frame = self._run.step()
@@ -345,11 +350,6 @@ class Live:
             # The first kick of a frame also looks back, half a substep.
             self._run.change(self._inputs.scene(self.time - 1 / self._scene.time.fps))
             self._changed = False
-
-    def _lost(self, frame: Frame) -> bool:
-        """Whether the object has flown so far that each frame would take ever more substeps."""
-        middle = frame.gaussians.means.mean(axis=0, dtype=np.float64)
-        return bool(np.linalg.norm(middle) > LOST * self._scene.object.size)
 
     def _go_back(self, why: str) -> Frame:
         """Drop the inputs and try again from where it was, then from earlier, then anew."""

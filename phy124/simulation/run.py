@@ -75,6 +75,7 @@ class Simulation:
         along: int | None = None,
         keep: bool = True,
         changes: bool = False,
+        shapes: bool = True,
     ) -> None:
         """Place the object, make its particles and build the solver.
 
@@ -89,6 +90,7 @@ class Simulation:
             along: Axis along which particles are ordered; None: as suits the number of threads.
             keep: Keep all frames for `clip`; otherwise the frames may exceed the memory.
             changes: Whether `change` may be called.
+            shapes: Whether frames show where the Gaussians are; else they show them at rest.
 
         Raises:
             InputError: The Gaussians or the scene cannot be used.
@@ -152,8 +154,8 @@ class Simulation:
             s.model, s.state, s.clock, s.tracks,
             size=scene.object.size, frames=timing.frames, fps=timing.fps,
         )  # fmt: skip
-        self.keep, self.count = keep, 0
-        """Whether all frames are kept, and the number of frames so far."""
+        self.keep, self.shapes, self.count = keep, shapes, 0
+        """Whether all frames are kept, whether they are shaped, and how many there are so far."""
         self.frames: list[Frame] = []
         self.rotations: list[NDArray] = []
         self.retried: list[int] = []
@@ -287,9 +289,11 @@ class Simulation:
     def _frame(self, index: int, time: float) -> Frame:
         state = self.solver.state
         velocities = state.v if self.scene.velocities else None
-        frame = self.deformer(
-            state.x, state.deformation, index=index, time=time, velocities=velocities
-        )
+        frame = Frame(index, time, self.scenery.moving)
+        if self.shapes:
+            frame = self.deformer(
+                state.x, state.deformation, index=index, time=time, velocities=velocities
+            )
         if self.deformer.rotations is not None:
             self.rotations.append(self.scenery.turns(self.deformer.rotations))
         if self.keep and self.scene.grains and self.watchdog.tearing.likely:
