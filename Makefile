@@ -28,7 +28,7 @@ test-default: .venv/test
 	$(BIN)/pytest -n 2 --dist loadfile -m "not slow and not browser"
 
 test-page: .venv/test
-	if command -v chromium >/dev/null; then $(BIN)/pytest -m browser tests/e2e; fi
+	if command -v chromium >/dev/null; then $(BIN)/pytest -m "browser and not slow" tests/e2e; fi
 
 test-slow: .venv/test
 	$(BIN)/pytest -m "slow and not gpu and not weights and not ros"

@@ -79,8 +79,9 @@ def _module(module: griffe.Module, level: str) -> Iterator[str]:
 
 
 def _inside(module: griffe.Module) -> list[griffe.Module]:
-    """Public modules right under one, by name."""
-    found = [inner for inner in module.modules.values() if not inner.name.startswith("_")]
+    """Public modules right under one, by name; those that it only imports are not its own."""
+    own = [inner for inner in module.modules.values() if not inner.is_alias]
+    found = [inner for inner in own if not inner.name.startswith("_")]
     return sorted(found, key=lambda inner: inner.name)
 
 

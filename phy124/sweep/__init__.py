@@ -5,9 +5,9 @@ run(plan, "out/sweep")
 for row, clip in Dataset("out/sweep"): ...
 """
 
+from phy124.sweep.cost import Expected, expected, refused
 from phy124.sweep.dataset import Dataset, Sample
 from phy124.sweep.declaration import Sweep
-from phy124.sweep.expected import Expected, expected, refused
 from phy124.sweep.plan import Item, Plan
 from phy124.sweep.running import Counts, run
 
