@@ -6,15 +6,15 @@ import math
 from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
+from pydantic import Discriminator, Field, Tag, model_validator
+
+from phy124.section import Section
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 
 
-class _Kind(BaseModel):
+class _Kind(Section):
     """What all kinds have in common."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     @property
     def count(self) -> int | None:

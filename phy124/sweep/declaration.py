@@ -6,11 +6,12 @@ import os
 import re
 from typing import Annotated, Any
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import BeforeValidator, Field, ValidationError
 
 from phy124.errors import InputError
 from phy124.scene.files import read_toml
 from phy124.scene.refusals import refusal
+from phy124.section import Section
 from phy124.sweep.axes import NAMED, Axis, listed
 
 KIND = re.compile(rf"\.({'|'.join(NAMED.values())})\b")
@@ -21,10 +22,8 @@ Texts = Annotated[
 """Some texts; a single one may stand for itself."""
 
 
-class Sweep(BaseModel):
+class Sweep(Section):
     """What is computed: every combination of its axes, or a number of samples of them."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     pictures: Texts = Field(
         min_length=1,

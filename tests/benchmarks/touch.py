@@ -1,6 +1,6 @@
 """Touch in headless Chromium: time from the pointer to the picture, and growth of memory.
 
-    python -m tests.benchmarks.touch [--seconds 600] [--gaussians 50000] [--film touch.webp]
+    python tests/benchmarks/touch.py [--seconds 600] [--gaussians 50000] [--film touch.webp]
 
 The server, its live run and Chromium with software WebGL share the machine. A pointer that swings
 the object moves 30 times a second; a move is answered when the first frame that knows of it has
@@ -20,7 +20,8 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path[:0] = [str(Path(__file__).parents[1]), str(Path(__file__).parents[1] / "e2e")]
+sys.path.insert(0, str(Path(__file__).parents[1]))
+sys.path.insert(0, str(Path(__file__).parents[1] / "e2e"))
 
 from visit import FLAGS, LONG, Visit  # noqa: E402
 
