@@ -23,9 +23,9 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1]))
 sys.path.insert(0, str(Path(__file__).parents[1] / "e2e"))
 
-from visit import FLAGS, LONG, Visit  # noqa: E402
+from visit import FLAGS, LONG, Visit
 
-from support.served import serving  # noqa: E402
+from support.served import serving
 
 HAND = "[...document.querySelectorAll('#touch, #touch *')].find((e) => e.hand).hand"
 TOP = f"""(() => {{
