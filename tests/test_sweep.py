@@ -10,7 +10,7 @@ import pytest
 
 from phy124.errors import Cancelled, InputError
 from phy124.io.ply import write_ply
-from phy124.sweep import Dataset, Plan, Sweep, expected, refused, run, running
+from phy124.sweep import Dataset, Plan, Sweep, expected, in_turn, refused, run, running
 from phy124.sweep.archives import pack
 from phy124.sweep.keys import key_of
 from phy124.sweep.manifest import read_manifest
@@ -184,6 +184,34 @@ def test_equal_clips_are_made_once(balls, tmp_path):
     assert counts.ended == {"done": 3} and counts.here == 3
 
 
+def test_one_broken_clip_stops_no_other_and_is_tried_again(balls, tmp_path, monkeypatch):
+    whole, broken = in_turn.row_of, iter([OSError(5, "Input/output error"), RuntimeError("odd")])
+
+    def sometimes(order, source, progress):
+        if order.index in (1, 4) and (error := next(broken, None)):
+            raise error
+        return whole(order, source, progress)
+
+    monkeypatch.setattr(in_turn, "row_of", sometimes)
+    counts = run(Plan(declared(balls)), str(tmp_path), workers=0)
+    assert counts.ended == {"done": 4, "failed": 2}
+    rows = read_manifest(Storage(str(tmp_path)))
+    assert "Input/output error" in rows[1]["sentence"] and "RuntimeError" in rows[4]["sentence"]
+    again = run(Plan(declared(balls)), str(tmp_path), workers=0)
+    assert again.here == 4 and again.ended == {"done": 2}
+
+
+def test_a_mended_picture_takes_the_place_of_its_refusal(balls, tmp_path):
+    picture, out = tmp_path / "object.ply", str(tmp_path / "out")
+    picture.write_bytes(b"ply\nformat ascii 1.0\n")
+    sweep = declared(balls, pictures=str(picture))
+    assert run(Plan(sweep), out, workers=0).ended == {"refused": 3}
+    picture.write_bytes((balls / "a.ply").read_bytes())
+    assert run(Plan(sweep), out, workers=0).ended == {"done": 3}
+    rows = read_manifest(Storage(out))
+    assert [row["status"] for row in rows] == ["done"] * 3
+
+
 def test_cancelling_keeps_what_is_made(balls, tmp_path):
     def stop(stage: str, done: int, total: int) -> None:
         if done == 2:
@@ -201,7 +229,7 @@ def test_a_full_disk_says_that_nothing_is_lost(balls, tmp_path, monkeypatch):
         yield
 
     monkeypatch.setattr(running, "in_turn", full)
-    with pytest.raises(OSError, match=r"no space is left at .* nothing that was made is lost"):
+    with pytest.raises(OSError, match=r"no space is left at .* nothing made is lost"):
         run(Plan(declared(balls)), str(tmp_path), workers=0)
 
 

@@ -32,7 +32,7 @@ def _packed(storage: Storage, rows: list[dict[str, Any]]) -> bytes:
     with tarfile.open(fileobj=written, mode="w", format=tarfile.USTAR_FORMAT) as tar:
         for row in rows:
             # What differs from run to run stays outside.
-            told = {k: v for k, v in row.items() if not k.startswith("seconds.")}
+            told = {k: v for k, v in row.items() if not k.startswith(("seconds.", "written"))}
             clip = storage.read(f"{row['folder']}/clip.safetensors")
             for ending, content in (
                 ("clip.safetensors", clip),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
@@ -13,27 +14,24 @@ from phy124.section import Section
 Number = Annotated[float, Field(allow_inf_nan=False)]
 
 
-class _Kind(Section):
-    """What all kinds have in common."""
+class Counted(Section, ABC):
+    """Values that can be numbered."""
 
     @property
-    def count(self) -> int | None:
-        """Number of values; None if there are endlessly many."""
-        return None
+    @abstractmethod
+    def count(self) -> int:
+        """Number of values."""
 
+    @abstractmethod
     def value(self, index: int) -> Any:
         """One of the values, counted from 0."""
-        raise NotImplementedError
 
     def drawn(self, u: float) -> Any:
-        """The value at a place between 0 and 1, each as likely as it should be."""
-        count = self.count
-        if count is None:
-            raise NotImplementedError
-        return self.value(min(int(u * count), count - 1))
+        """The value at a place between 0 and 1, each as likely as the others."""
+        return self.value(min(int(u * self.count), self.count - 1))
 
 
-class Listed(_Kind):
+class Listed(Counted):
     """Some values, such as `{ values = [1e4, 1e5] }`; a plain list means the same."""
 
     values: tuple[Any, ...] = Field(min_length=1, description="The values.")
@@ -48,7 +46,7 @@ class Listed(_Kind):
         return self.values[index]
 
 
-class Range(_Kind):
+class Range(Counted):
     """Evenly spaced values from a first to a last one: `{ first = 1e4, last = 1e6, count = 5 }`."""
 
     first: Number = Field(description="The first value.")
@@ -73,7 +71,7 @@ class Range(_Kind):
         return between(self.first, self.last, part, log=self.spacing == "log")
 
 
-class Uniform(_Kind):
+class Uniform(Section):
     """Any number between two: `{ uniform = [0.1, 0.4] }`."""
 
     uniform: tuple[Number, Number] = Field(description="Least and largest value.")
@@ -88,7 +86,7 @@ class Uniform(_Kind):
         return between(*self.uniform, u)
 
 
-class LogUniform(_Kind):
+class LogUniform(Section):
     """Any number between two, even in its logarithm: `{ log_uniform = [1e4, 1e6] }`."""
 
     log_uniform: tuple[Number, Number] = Field(description="Least and largest value, above 0.")
@@ -105,7 +103,7 @@ class LogUniform(_Kind):
         return between(*self.log_uniform, u, log=True)
 
 
-class Choice(_Kind):
+class Choice(Section):
     """One of some values, some more often: `{ choice = ["sand", "snow"], weights = [3, 1] }`."""
 
     choice: tuple[Any, ...] = Field(min_length=1, description="The values.")
@@ -140,14 +138,14 @@ NAMED = {
 
 def _kind(data: Any) -> str:
     """Which kind plain data is."""
-    if isinstance(data, _Kind):
+    if isinstance(data, Section):
         return type(data).__name__
     return next(kind for key, kind in NAMED.items() if key in data)
 
 
 def listed(data: Any) -> Any:
     """Plain data of an axis: a list is its values, anything but a table is its only value."""
-    if isinstance(data, _Kind):
+    if isinstance(data, Section):
         return data
     found = data if isinstance(data, dict) else {"values": [data]}
     found = {"values": data} if isinstance(data, (list, tuple)) else found

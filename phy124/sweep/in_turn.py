@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 
-from phy124.sweep.work import Made, Order, Row, made, row_of
+from phy124.errors import Cancelled
+from phy124.sweep.work import Made, Order, Row, failed, made, row_of, stops_all
 
 
 def in_turn(orders: Iterable[Order], *, beat: Callable[[], None]) -> Iterator[Row]:
@@ -15,7 +16,7 @@ def in_turn(orders: Iterable[Order], *, beat: Callable[[], None]) -> Iterator[Ro
         beat: Called often meanwhile; may raise Cancelled.
 
     Raises:
-        OSError: The machine cannot go on.
+        OSError: No space is left.
         Cancelled: `beat` raised it.
     """
 
@@ -25,6 +26,12 @@ def in_turn(orders: Iterable[Order], *, beat: Callable[[], None]) -> Iterator[Ro
 
     last: tuple[object, Made] | None = None
     for order in orders:
-        if last is None or last[0] != order.source:
-            last = order.source, made(order)
-        yield row_of(order, last[1], progress)
+        try:
+            if last is None or last[0] != order.source:
+                last = order.source, made(order)
+            yield row_of(order, last[1], progress)
+        except Exception as error:
+            # Whatever is wrong with one clip does not stop the others.
+            if isinstance(error, Cancelled) or stops_all(error):
+                raise
+            yield failed(order, f"{type(error).__name__}: {error}")

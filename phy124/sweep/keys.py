@@ -16,7 +16,7 @@ from phy124.scene import Scene
 from phy124.scene.files import files_named
 from phy124.sweep.declaration import Sweep
 from phy124.sweep.plan import Item
-from phy124.sweep.storage import fetched
+from phy124.sweep.storage import fetched, stamp
 from phy124.weights.store import KNOWN, find
 
 DIGITS = 24
@@ -42,17 +42,31 @@ def key_of(sweep: Sweep, item: Item, scene: Scene) -> str:
         "films": sweep.films,
         "code": code(),
     }
+    return _digits(told)
+
+
+def key_of_item(item: Item) -> str:
+    """A key for what has no scene that could be made: of its place in the sweep only."""
+    return _digits([item.picture, item.generator, item.changes])
+
+
+def _digits(told: Any) -> str:
     text = json.dumps(told, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:DIGITS]
 
 
-@lru_cache(maxsize=4096)
 def digest(address: str) -> str:
-    """Digest of a file's content; read once.
+    """Digest of a file's content; read once, unless it has changed since.
 
     Raises:
         InputError: It cannot be read.
     """
+    return _digest(address, stamp(address))
+
+
+@lru_cache(maxsize=4096)
+def _digest(address: str, stamp: object) -> str:
+    del stamp  # what is remembered is forgotten with it
     with fetched(address) as path:
         return hashlib.sha256(path.read_bytes()).hexdigest()
 

@@ -39,8 +39,14 @@ def flat(row: Row) -> Row:
 
 
 def write_manifest(storage: Storage) -> int:
-    """Write the table of all rows there are, in the order of their numbers; returns how many."""
-    rows = sorted(rows_in(storage), key=lambda row: row["index"])
+    """Write the table of all clips there are, in the order of their numbers; returns how many.
+
+    Of a clip that was made again, by another version or from a mended picture, the last row counts.
+    """
+    last: dict[Any, Row] = {}
+    for row in sorted(rows_in(storage), key=lambda row: row["written"]):
+        last[_clip(row)] = row
+    rows = sorted(last.values(), key=lambda row: row["index"])
     if rows:
         arrow, parquet = _arrow()
         columns = dict.fromkeys(key for row in rows for key in row)
@@ -49,6 +55,12 @@ def write_manifest(storage: Storage) -> int:
         parquet.write_table(table, written)
         storage.write(MANIFEST, written.getvalue())
     return len(rows)
+
+
+def _clip(row: Row) -> tuple[Any, ...]:
+    """Which clip a row is of: what the sweep asked for, whatever determines it besides."""
+    asked = sorted((k, v) for k, v in row.items() if k.startswith("set.") and v is not None)
+    return row["picture"], row["generator"], tuple(asked)
 
 
 def read_manifest(storage: Storage) -> list[Row]:

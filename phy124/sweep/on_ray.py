@@ -15,7 +15,7 @@ from typing import Any
 from phy124.errors import InputError
 from phy124.runtime.cores import cores
 from phy124.runtime.installation import install_command
-from phy124.sweep.work import Order, Row, made, row_of
+from phy124.sweep.work import Order, Row, failed, made, row_of, stops_all
 
 RETRIES = 10
 """How often a task is given to another worker, if workers die over it."""
@@ -49,7 +49,7 @@ def on_ray(
     Raises:
         InputError: Ray is not installed, or no cluster answers.
         Cancelled: `beat` raised it.
-        OSError: A worker's machine cannot go on, for instance because its disk is full.
+        OSError: No space is left.
     """
     ray = _ray(address, workers)
     try:
@@ -106,20 +106,11 @@ class _Tasks:
         try:
             return self.ray.get(done[0])
         except self.ray.exceptions.RayTaskError as error:
-            if isinstance(error.cause, OSError):
+            if stops_all(error.cause):
                 raise error.cause from None
-            return _failed(order, str(error.cause))
+            return failed(order, f"{type(error.cause).__name__}: {error.cause}")
         except self.ray.exceptions.RayError as error:
-            return _failed(order, f"workers died over it {RETRIES + 1} times: {error}")
-
-
-def _failed(order: Order, sentence: str) -> Row:
-    """The row of a clip that could not be made."""
-    return {
-        "key": order.key, "index": order.index, "picture": order.picture,
-        "generator": order.generator, "set": order.changes, "status": "failed",
-        "sentence": sentence.strip().splitlines()[0] if sentence.strip() else "no reason given",
-    }  # fmt: skip
+            return failed(order, f"workers died over it {RETRIES + 1} times: {error}")
 
 
 def _ray(address: str | None, workers: int | None) -> Any:

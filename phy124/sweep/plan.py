@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from phy124.errors import InputError
 from phy124.scene import Scene
-from phy124.sweep.axes import Axis, Listed
+from phy124.sweep.axes import Axis, Counted, Listed
 from phy124.sweep.declaration import Sweep
 from phy124.sweep.storage import matching
 
@@ -55,8 +55,9 @@ class Plan:
             "generator": Listed(values=sweep.generators),
             **sweep.set,
         }
+        self._counted = [axis for axis in self.axes.values() if isinstance(axis, Counted)]
         self._refuse_endless()
-        self._length = sweep.samples or prod(axis.count or 1 for axis in self.axes.values())
+        self._length = sweep.samples or prod(axis.count for axis in self._counted)
         if self._length > MOST:
             limit = f"all combinations are {self._length:,} clips, the most are {MOST:,}."
             raise InputError("sweep", sweep.scene, limit, "Set samples, or shorten a range.")
@@ -69,24 +70,22 @@ class Plan:
     def sources(self) -> int:
         """In how many ways Gaussians are made, at most: clips of one way share them."""
         shared = ("picture", "generator", "seed")
-        counts = [self.axes[name].count for name in shared if name in self.axes]
-        return min(len(self), prod(count or len(self) for count in counts))
+        axes = [self.axes[name] for name in shared if name in self.axes]
+        counts = [axis.count if isinstance(axis, Counted) else len(self) for axis in axes]
+        return min(len(self), prod(counts))
 
     def __iter__(self) -> Iterator[Item]:
         return (self.item(index) for index in range(len(self)))
 
     def item(self, index: int) -> Item:
         """The clip of a number; the last axis changes fastest."""
-        axes = self.axes.values()
         if self.sweep.samples is None:
-            places = np.unravel_index(index, [axis.count or 1 for axis in axes])
-            values: list[Any] = [
-                axis.value(int(place)) for axis, place in zip(axes, places, strict=True)
-            ]
+            places = np.unravel_index(index, [axis.count for axis in self._counted])
+            pairs = zip(self._counted, places, strict=True)
+            values: list[Any] = [axis.value(int(place)) for axis, place in pairs]
         else:
-            values = [
-                axis.drawn(float(u)) for axis, u in zip(axes, self._point(index), strict=True)
-            ]
+            drawn = zip(self.axes.values(), self._point(index), strict=True)
+            values = [axis.drawn(float(u)) for axis, u in drawn]
         picture, generator, *others = values
         return Item(index, picture, generator, dict(zip(self.sweep.set, others, strict=True)))
 
@@ -105,9 +104,10 @@ class Plan:
     def _refuse_endless(self) -> None:
         """Raise InputError for a distribution if all combinations are asked for."""
         for name, axis in self.axes.items():
-            if self.sweep.samples is None and axis.count is None:
-                limit = "a distribution has no end, so there are no combinations of all values."
-                raise InputError(f"set.{name}", axis, limit, "Set samples, or give a range.")
+            if self.sweep.samples is None and not isinstance(axis, Counted):
+                limit = "it is to be drawn, and all combinations are asked for."
+                remedy = "Set samples, or give a list or a range."
+                raise InputError(f"set.{name}", axis, limit, remedy)
 
     @cached_property
     def _shift(self) -> NDArray[np.float64]:

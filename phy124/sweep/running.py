@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
@@ -11,12 +10,14 @@ from functools import partial
 from phy124.errors import InputError
 from phy124.progress import Progress, silent
 from phy124.sweep.in_turn import in_turn
-from phy124.sweep.keys import key_of
-from phy124.sweep.manifest import MANIFEST, keys_in, write_manifest
+from phy124.sweep.keys import key_of, key_of_item
+from phy124.sweep.manifest import keys_in, write_manifest
 from phy124.sweep.on_ray import on_ray
 from phy124.sweep.plan import Item, Plan
 from phy124.sweep.storage import Storage
-from phy124.sweep.work import Order, Row, write_row
+from phy124.sweep.work import Order, Row, stops_all, write_row
+
+FULL = "no space is left at {}. Free some; the same command goes on, and nothing made is lost"
 
 
 @dataclass
@@ -52,7 +53,7 @@ def run(
 
     Raises:
         InputError: The folder cannot be used, Ray is not there, or the shard does not exist.
-        OSError: The machine cannot go on; what is made stays.
+        OSError: No space is left; what is made stays.
     """
     part, parts = shard
     if not 1 <= part <= parts:
@@ -68,11 +69,11 @@ def run(
     engine = _engine(ray, workers, device)
     try:
         for row in engine(orders, beat=beat):
-            _count(storage, counts, row)
+            counts.ended[row["status"]] += 1
             beat()
     except OSError as error:
-        if error.errno == errno.ENOSPC:
-            raise OSError(error.errno, _full(out)) from error
+        if stops_all(error):
+            raise OSError(error.errno, FULL.format(out)) from error
         raise
     finally:
         write_manifest(storage)
@@ -112,24 +113,6 @@ def _orders(
 
 
 def _refuse(storage: Storage, counts: Counts, item: Item, sentence: str) -> None:
-    """The row of a clip that cannot be made; its key is its number, as it has no other."""
-    write_row(storage, {
-        "key": f"{item.index:024d}", "index": item.index, "picture": item.picture,
-        "generator": item.generator, "set": item.changes, "status": "refused",
-        "sentence": sentence,
-    })  # fmt: skip
+    """The row of a clip that cannot be made, and so has no other key."""
+    write_row(storage, key_of_item(item), item, {"status": "refused", "sentence": sentence})
     counts.ended["refused"] += 1
-
-
-def _count(storage: Storage, counts: Counts, row: Row) -> None:
-    """A clip has ended; what failed has no row yet."""
-    if row["status"] == "failed":
-        write_row(storage, row)
-    counts.ended[row["status"]] += 1
-
-
-def _full(out: str) -> str:
-    return (
-        f"no space is left at {out}. Free some, or give another --out and copy {MANIFEST}'s folder "
-        "there; the same command goes on where it stopped, and nothing that was made is lost"
-    )

@@ -98,6 +98,15 @@ def fetched(address: str) -> Iterator[Path]:
         yield target
 
 
+def stamp(address: str) -> object:
+    """What changes when a file does, as far as its file system tells."""
+    files, path = _opened(address)
+    try:
+        return files.ukey(path)
+    except (OSError, NotImplementedError):
+        return None
+
+
 def matching(pattern: str) -> list[str]:
     """Addresses of the files that a path or pattern means, in order.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import json
 import tempfile
@@ -26,6 +27,7 @@ from phy124.runtime.startup import start
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
 from phy124.simulation import Interrupted, Simulation
+from phy124.sweep.plan import Item
 from phy124.sweep.storage import Storage, fetched
 
 Row = dict[str, Any]
@@ -122,28 +124,41 @@ def row_of(order: Order, source: Made, progress: Progress = silent) -> Row:
     """
     start()
     storage, watch = Storage(order.out), Stopwatch()
-    about: Row = {
-        "key": order.key, "index": order.index, "picture": order.picture,
-        "generator": order.generator, "set": order.changes,
-    }  # fmt: skip
     try:
         found = _result(order, source, storage, watch, progress)
     except InputError as error:
         found = {"status": "refused", "sentence": str(error)}
     seconds = {"generate": source.seconds, **watch.seconds, "clip": watch.total}
-    row = {**about, **found, "seconds": seconds}
-    write_row(storage, row)
+    return write_row(storage, order.key, order, {**found, "seconds": seconds})
+
+
+def write_row(storage: Storage, key: str, clip: Item | Order, found: Row) -> Row:
+    """Write the row of a clip, which counts as made from now on; returns it.
+
+    Args:
+        storage: The sweep's folder.
+        key: The clip's key.
+        clip: Which it is.
+        found: What became of it.
+    """
+    row = {
+        "key": key, "index": clip.index, "picture": clip.picture, "generator": clip.generator,
+        "set": clip.changes, "written": time.time(), **found,
+    }  # fmt: skip
+    storage.write(f"rows/{key[:2]}/{key}.json", json.dumps(row).encode())
     return row
 
 
-def write_row(storage: Storage, row: Row) -> None:
-    """Write what the manifest says of a clip; from now on it counts as made."""
-    storage.write(row_name(row["key"]), json.dumps(row).encode())
+def failed(order: Order, sentence: str) -> Row:
+    """Write the row of a clip that could not be made, which the next run tries again."""
+    told = sentence.strip().splitlines()[:1] or ["no reason given"]
+    found = {"status": "failed", "sentence": told[0]}
+    return write_row(Storage(order.out), order.key, order, found)
 
 
-def row_name(key: str) -> str:
-    """Name of the file of a row."""
-    return f"rows/{key[:2]}/{key}.json"
+def stops_all(error: BaseException) -> bool:
+    """Whether no other clip can be stored either: there is no space left."""
+    return isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT)
 
 
 def _result(

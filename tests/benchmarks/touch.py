@@ -23,17 +23,10 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1]))
 sys.path.insert(0, str(Path(__file__).parents[1] / "e2e"))
 
-from visit import FLAGS, LONG, Visit
+from visit import FLAGS, HAND, LONG, TOP, Visit
 
 from support.served import serving
 
-HAND = "[...document.querySelectorAll('#touch, #touch *')].find((e) => e.hand).hand"
-TOP = f"""(() => {{
-    const hand = {HAND}, [r, u, a] = hand.splats.seen(...hand.top());
-    const box = hand.canvas.getBoundingClientRect();
-    const scale = box.width / hand.canvas.width * hand.splats.focal / a;
-    return [box.left + box.width / 2 + scale * r, box.top + box.height / 2 - scale * u];
-}})()"""
 SEEN = f"""(() => {{ const h = {HAND}; return {{ frames: h.frames, bytes: h.bytes, count: h.count,
     splats: h.lattice.splats, nodes: h.lattice.nodes, factor: h.head?.factor ?? 1,
     told: h.status.textContent, size: [h.canvas.width, h.canvas.height],

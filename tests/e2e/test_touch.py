@@ -3,16 +3,9 @@
 from __future__ import annotations
 
 import pytest
-from visit import LONG, Visit
+from visit import HAND, LONG, TOP, Visit
 
 pytestmark = pytest.mark.browser
-HAND = "[...document.querySelectorAll('#touch, #touch *')].find((e) => e.hand).hand"
-TOP = f"""(() => {{
-    const hand = {HAND}, [r, u, a] = hand.splats.seen(...hand.top());
-    const box = hand.canvas.getBoundingClientRect();
-    const scale = box.width / hand.canvas.width * hand.splats.focal / a;
-    return [box.left + box.width / 2 + scale * r, box.top + box.height / 2 - scale * u];
-}})()"""
 AWAY = f"""(() => {{
     // How far one of the highest Gaussians is from where it rests.
     const {{ means, centres }} = {HAND}.lattice;

@@ -20,6 +20,15 @@ FLAGS = [
 DUCK = ROOT / "demo" / "examples" / "duck.png"
 LONG = 300_000
 """Patience with whatever is waited for, ms."""
+HAND = "[...document.querySelectorAll('#touch, #touch *')].find((e) => e.hand).hand"
+"""The live run of *Touch*, and ..."""
+TOP = f"""(() => {{
+    const hand = {HAND}, [r, u, a] = hand.splats.seen(...hand.top());
+    const box = hand.canvas.getBoundingClientRect();
+    const scale = box.width / hand.canvas.width * hand.splats.focal / a;
+    return [box.left + box.width / 2 + scale * r, box.top + box.height / 2 - scale * u];
+}})()"""
+"""... where the top of its object is on the screen."""
 
 
 class Visit:
