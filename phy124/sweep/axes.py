@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Annotated, Any, Literal
@@ -178,7 +177,7 @@ def between(first: float, last: float, part: float, *, log: bool = False) -> flo
     if part >= 1:
         return last
     if log:
-        return first * math.exp(part * math.log(last / first))
+        return first * (last / first) ** part
     return first + part * (last - first)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import html
-import json
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator
 from typing import Any
@@ -24,12 +23,12 @@ BARS = 12
 MEASURES = (
     ("seconds.clip", "seconds of one core per clip"),
     ("largest_force", "largest force on a wall [N]"),
-    ("energy_gain", "energy from nowhere, of the work done"),
+    ("energy_gain", "energy gained, of the work done (below 0: lost)"),
     ("bytes", "bytes per clip"),
 )
 STYLE = """
 :root { color-scheme: light dark; font: 15px/1.45 system-ui, sans-serif; }
-body { margin: 2rem auto; max-width: 70rem; padding: 0 1rem; }
+body { margin: 2rem auto; max-width: 70rem; padding: 0 1rem; overflow-wrap: anywhere; }
 table { border-collapse: collapse; margin: 1rem 0; }
 td, th { padding: .2rem .8rem; text-align: right; border-bottom: 1px solid #8884; }
 td:first-child, th:first-child { text-align: left; }
@@ -104,7 +103,7 @@ def _by_axis(rows: list[Row]) -> Iterator[tuple[str, dict[str, list[Row]]]]:
     for name in ("picture", "generator", *columns):
         groups: defaultdict[str, list[Row]] = defaultdict(list)
         for row in rows:
-            groups[str(row.get(name))].append(row)
+            groups[_said(row.get(name))].append(row)
         if 1 < len(groups) <= 20:
             yield name.removeprefix("set."), dict(groups)
 
@@ -147,15 +146,22 @@ def _refusals(reasons: Counter[str]) -> str:
 
 
 def _sheet(storage: Storage, rows: list[Row]) -> str:
-    """Pictures of the clips."""
+    """Pictures of the clips, each with what tells it from the others."""
     chosen = rows if len(rows) <= SHOWN else [rows[i * len(rows) // SHOWN] for i in range(SHOWN)]
+    columns = [name for name in rows[0] if name.startswith("set.")] if rows else []
+    differ = [name for name in columns if len({str(row.get(name)) for row in rows}) > 1]
     figures = []
     for row in chosen:
         picture = base64.b64encode(storage.read(f"{row['folder']}/thumbnail.webp")).decode()
-        told = {k.removeprefix("set."): v for k, v in row.items() if k.startswith("set.")}
-        words = html.escape(f"{row['index']} {json.dumps(told) if told else ''}")
+        told = [f"{name.removeprefix('set.')} {_said(row.get(name))}" for name in differ]
+        words = html.escape(", ".join([f"{row['index']}", *told]))
         figures.append(
             f'<figure><img loading="lazy" alt="clip {row["index"]}" '
             f'src="data:image/webp;base64,{picture}"><figcaption>{words}</figcaption></figure>'
         )
     return f'<h2>The clips</h2><div class="sheet">{"".join(figures)}</div>'
+
+
+def _said(value: object) -> str:
+    """A value as people write it."""
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
