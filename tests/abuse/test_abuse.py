@@ -392,11 +392,3 @@ def test_nothing_of_anybody_is_left(server):
     visitors = server.folder / "visitors"
     server.until(lambda: {p.name for p in visitors.iterdir()} == {"arrivals"}, "an empty folder")
     server.until(lambda: server.threads() == 0, "an end of all threads")
-
-
-def test_nothing_is_left_when_the_page_has_ended(tmp_path):
-    """By SIGTERM; the next start sees to what a kill has left (tests/test_demo_folder.py)."""
-    with serving(tmp_path, gaussians=1000) as running:
-        Attacker(running).uploaded(DUCK)
-        assert list(running.folder.rglob("*.png"))
-    assert [path.name for path in running.folder.iterdir()] == ["lock"]

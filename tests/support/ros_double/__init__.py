@@ -1,0 +1,122 @@
+"""A recording double of rclpy 7.1.3 (ROS 2 Jazzy), as far as the bridge uses it.
+
+What it is strict about is what rclpy is strict about: parameters have a static type unless their
+descriptor says otherwise, ranges and read-only are enforced, one line of code logs at one level,
+`publish` takes the message class or bytes, and nothing works once the context is shut down.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+import sys
+import time
+import types
+from types import SimpleNamespace
+from typing import Any
+
+from support.ros_double.node import POLICIES, Context, Node
+from support.ros_double.parameters import (
+    FloatingPointRange,
+    IntegerRange,
+    Parameter,
+    ParameterDescriptor,
+    ParameterException,
+    SetParametersResult,
+)
+from support.ros_double.simulation import ActionServer, GoalHandle, SimulateSteps, simulation_result
+
+__all__ = ["POLICIES", "GoalHandle", "Node", "install", "simulation_result"]
+
+MESSAGES = {
+    "sensor_msgs": "PointCloud2",
+    "tf2_msgs": "TFMessage",
+    "visualization_msgs": "MarkerArray",
+    "rosgraph_msgs": "Clock",
+    "splat_interfaces": "SplatArray",
+}
+
+
+class Executor:
+    """Runs one scripted callback per spin."""
+
+    script: list
+
+    def __init__(self, *, context: Context) -> None:
+        self.nodes, self.stopped, self.context = [], False, context
+
+    def add_node(self, added: Node) -> None:
+        self.nodes.append(added)
+
+    def spin_once(self, *, timeout_sec: float) -> None:
+        assert 0 <= timeout_sec < math.inf
+        time.sleep(min(timeout_sec, 0.001))
+        if self.script:
+            self.script.pop(0)(self.nodes[0])
+
+    def shutdown(self) -> None:
+        self.stopped = True
+
+
+def install(monkeypatch: Any) -> SimpleNamespace:
+    """Put modules in the shape of ROS 2 Jazzy's Python packages in place; returns what is seen."""
+    state = SimpleNamespace(log=[], nodes=[], script=[], init=[], at_init=lambda: None)
+    Node.made, Node.parameters, Node.others = state.nodes, {}, []
+    Node.start = staticmethod(lambda: None)
+    Executor.script = state.script
+
+    def module(name: str, **content: Any) -> None:
+        made = types.ModuleType(name)
+        vars(made).update(content)
+        monkeypatch.setitem(sys.modules, name, made)
+
+    def init(*, args=None, signal_handler_options=None) -> None:
+        state.log.append("init")
+        state.init.append((args, signal_handler_options))
+        state.at_init()
+
+    def enums(**members: str) -> dict[str, Any]:
+        return {name: enum.Enum(name, words) for name, words in members.items()}
+
+    module("rclpy", init=init, try_shutdown=lambda: state.log.append("shutdown"))
+    module("rclpy.node", Node=Node)
+    module("rclpy.executors", SingleThreadedExecutor=Executor)
+    module("rclpy.qos_overriding_options", QoSOverridingOptions=list)
+    module("rclpy.signals", **enums(SignalHandlerOptions="NO ALL SIGINT SIGTERM"))
+    module("rclpy.duration", Duration=lambda *, seconds: SimpleNamespace(seconds=seconds))
+    module("rclpy.parameter", Parameter=Parameter)
+    module("rclpy.exceptions", ParameterException=ParameterException)
+    module(
+        "rclpy.qos",
+        QoSProfile=SimpleNamespace,
+        **enums(
+            HistoryPolicy="KEEP_LAST KEEP_ALL",
+            ReliabilityPolicy="RELIABLE BEST_EFFORT",
+            DurabilityPolicy="TRANSIENT_LOCAL VOLATILE",
+            QoSPolicyKind=" ".join(POLICIES),
+        ),
+    )
+    for package, name in MESSAGES.items():
+        module(f"{package}.msg", **{name: type(name, (), {})})
+    names = ("DiagnosticArray", "DiagnosticStatus")
+    module("diagnostic_msgs.msg", **{name: type(name, (), {}) for name in names})
+    module(
+        "rcl_interfaces.msg",
+        ParameterDescriptor=ParameterDescriptor,
+        FloatingPointRange=FloatingPointRange,
+        IntegerRange=IntegerRange,
+        SetParametersResult=SetParametersResult,
+    )
+    names = ("WrenchStamped", "PointStamped")
+    module("geometry_msgs.msg", **{name: type(name, (), {}) for name in names})
+    kinds = ("GetSimulatorFeatures", "GetSimulationState", "SetSimulationState")
+    kinds += ("StepSimulation", "ResetSimulation")
+    names = ("String", "Float64")
+    module("std_msgs.msg", **{name: type(name, (), {}) for name in names})
+    module("simulation_interfaces.srv", **{name: type(name, (), {}) for name in kinds})
+    module("simulation_interfaces.action", SimulateSteps=SimulateSteps)
+    module("rclpy.action", ActionServer=ActionServer, CancelResponse=SimpleNamespace(ACCEPT=2))
+    module("std_srvs.srv", Trigger=type("Trigger", (), {}))
+    services = ("Seek", "SetRate", "TogglePaused", "IsPaused", "PlayNext")
+    module("rosbag2_interfaces.srv", **{name: type(name, (), {}) for name in services})
+    return state

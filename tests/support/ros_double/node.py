@@ -1,0 +1,235 @@
+"""The node, what it logs and what it publishes."""
+
+from __future__ import annotations
+
+import enum
+import sys
+import time
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+from typing import Any
+
+from support.ros_double.parameters import (
+    InvalidParameterTypeException,
+    InvalidParameterValueException,
+    Parameter,
+    ParameterAlreadyDeclaredException,
+    ParameterDescriptor,
+    ParameterImmutableException,
+    ParameterNotDeclaredException,
+    SetParametersResult,
+    Type,
+    refusal,
+)
+
+POLICIES = ("HISTORY", "DEPTH", "RELIABILITY", "DURABILITY", "LIVELINESS")
+
+
+class Context:
+    def __init__(self) -> None:
+        self.over = False
+
+    def ok(self) -> bool:
+        return not self.over
+
+
+class Logger:
+    """rclpy.impl.rcutils_logger: a line of code may log at one severity only."""
+
+    def __init__(self) -> None:
+        self.lines: list[tuple[str, str]] = []
+        self._callers: dict[tuple[str, int, int], str] = {}
+
+    def _log(self, severity: str, text: str) -> None:
+        assert isinstance(text, str)
+        frame = sys._getframe(2)
+        caller = (frame.f_code.co_filename, frame.f_lineno, frame.f_lasti)
+        if self._callers.setdefault(caller, severity) != severity:
+            raise ValueError("Logger severity cannot be changed between calls.")
+        self.lines.append((severity, text))
+
+    def debug(self, text: str) -> None:
+        self._log("DEBUG", text)
+
+    def info(self, text: str) -> None:
+        self._log("INFO", text)
+
+    def warning(self, text: str) -> None:
+        self._log("WARN", text)
+
+    def error(self, text: str) -> None:
+        self._log("ERROR", text)
+
+    def fatal(self, text: str) -> None:
+        self._log("FATAL", text)
+
+
+@dataclass
+class Publisher:
+    """rclpy.publisher.Publisher; `unacked` is what subscribers still owe."""
+
+    kind: type
+    topic: str
+    qos: SimpleNamespace
+    overrides: Any
+    node: Node
+    sent: list = field(default_factory=list)
+    subscriptions: int = 0
+    acked: bool = True
+    waits: list = field(default_factory=list)
+
+    def publish(self, message: Any) -> None:
+        self.node.context_must_be_ok("publisher's context is invalid")
+        if not isinstance(message, (self.kind, bytes)):
+            raise TypeError(f"Expected {self.kind}, got {type(message)}")
+        self.sent.append(message)
+
+    def get_subscription_count(self) -> int:
+        return self.subscriptions
+
+    def wait_for_all_acked(self, timeout: Any) -> bool:
+        self.node.context_must_be_ok("publisher's context is invalid")
+        self.waits.append(timeout.seconds)
+        if not self.acked:
+            time.sleep(timeout.seconds)
+        return self.acked
+
+
+class Node:
+    """rclpy.node.Node; class members are what a test sets beforehand."""
+
+    made: list
+    parameters: dict
+    others: list
+    start: Any
+
+    def __init__(self, name: str, *, namespace: str) -> None:
+        type(self).start()
+        self.name, self.namespace = name, f"/{namespace}"
+        self.context = Context()
+        self.destroyed = False
+        self.publishers: dict[str, Publisher] = {}
+        self.services, self.subscriptions = {}, {}
+        self.declared: dict[str, Parameter] = {}
+        self.descriptors: dict[str, ParameterDescriptor] = {}
+        self.actions: dict[str, tuple] = {}
+        self.logger = Logger()
+        self._checks, self._afters = [], []
+        self.made.append(self)
+
+    def context_must_be_ok(self, complaint: str) -> None:
+        if not self.context.ok():
+            raise RuntimeError(complaint)
+
+    def get_fully_qualified_name(self) -> str:
+        return f"{self.namespace}/{self.name}"
+
+    def get_node_names_and_namespaces(self) -> list[tuple[str, str]]:
+        return [(self.name, self.namespace), *self.others]
+
+    def get_logger(self) -> Logger:
+        return self.logger
+
+    def destroy_node(self) -> None:
+        self.destroyed = True
+
+    def create_publisher(self, kind, topic, qos, *, qos_overriding_options) -> Publisher:
+        self.context_must_be_ok("context is invalid")
+        for policy in qos_overriding_options:
+            self._override(topic, qos, policy.name.lower())
+        made = Publisher(kind, topic, qos, qos_overriding_options, self)
+        self.publishers[topic] = made
+        return made
+
+    def _override(self, topic: str, qos: Any, policy: str) -> None:
+        default = getattr(qos, policy)
+        start = default if isinstance(default, int) else default.name.lower()
+        full = topic if topic.startswith("/") else f"{self.namespace}/{topic}"
+        full = full.replace("~", self.name)
+        name = f"qos_overrides.{full}.publisher.{policy}"
+        value = self.declare_parameter(name, start, ParameterDescriptor(read_only=True)).value
+        if isinstance(default, enum.Enum):
+            try:
+                value = type(default)[value.upper()]
+            except KeyError:
+                said = f"Unexpected QoS override for policy `{policy}`: `{value}`"
+                raise RuntimeError(said) from None
+        setattr(qos, policy, value)
+
+    def create_service(self, kind, name, callback) -> None:
+        self.context_must_be_ok("context is invalid")
+        self.services[name] = (kind, callback)
+
+    def create_subscription(self, kind, topic, callback, qos) -> None:
+        self.context_must_be_ok("context is invalid")
+        self.subscriptions[topic] = (kind, callback, qos)
+
+    def has_parameter(self, name: str) -> bool:
+        return name in self.declared
+
+    def get_parameter(self, name: str) -> Parameter:
+        if name not in self.declared:
+            raise ParameterNotDeclaredException("Invalid access to undeclared parameter(s)", name)
+        return self.declared[name]
+
+    def declare_parameter(self, name, value=None, descriptor=None, ignore_override=False):
+        if name in self.declared:
+            raise ParameterAlreadyDeclaredException("Parameter(s) already declared", [name])
+        descriptor = descriptor or ParameterDescriptor()
+        if not descriptor.dynamic_typing:
+            descriptor.type = Type.of(value).value
+        given = value if ignore_override else self.parameters.get(name, value)
+        parameter = Parameter(name, value=given)
+        result = self._set(parameter, descriptor, check_read_only=False)
+        if not result.successful:
+            if result.reason.startswith("Wrong parameter type"):
+                raise InvalidParameterTypeException(parameter, Type(descriptor.type).name)
+            raise InvalidParameterValueException(name, given, result.reason)
+        return self.declared[name]
+
+    def set_descriptor(self, name, descriptor, alternative_value=None) -> None:
+        if self.descriptors[name].read_only:
+            raise ParameterImmutableException("Attempted to modify read-only parameter", name)
+        assert alternative_value is None
+        parameter = self.get_parameter(name)
+        result = self._set(parameter, descriptor, check_read_only=False)
+        if not result.successful:
+            raise InvalidParameterValueException(name, parameter.value, result.reason)
+
+    def set_parameters(self, parameters: list[Parameter]) -> list[SetParametersResult]:
+        """Also what `ros2 param set` ends in."""
+        for parameter in parameters:
+            self.get_parameter(parameter.name)
+        return [self._set(p, self.descriptors[p.name], check_read_only=True) for p in parameters]
+
+    def add_on_set_parameters_callback(self, callback) -> None:
+        self._checks.insert(0, callback)
+
+    def add_post_set_parameters_callback(self, callback) -> None:
+        self._afters.insert(0, callback)
+
+    def _set(self, parameter, descriptor, *, check_read_only) -> SetParametersResult:
+        reason = refusal(parameter, descriptor, check_read_only)
+        if reason:
+            return SetParametersResult(False, reason)
+        for check in self._checks:
+            result = check([parameter])
+            if not result.successful:
+                return result
+        self.descriptors[parameter.name] = descriptor
+        self.declared[parameter.name] = parameter
+        for after in self._afters:
+            after([parameter])
+        return SetParametersResult(True)
+
+    # What tests do, as another program would.
+
+    def call(self, service: str, **request: Any) -> Any:
+        """Call a service, as `ros2 service call` does."""
+        response = SimpleNamespace(success=None, message="", paused=None)
+        return self.services[service][1](SimpleNamespace(**request), response)
+
+    def param_set(self, name: str, value: Any) -> SetParametersResult:
+        """`ros2 param set`."""
+        (result,) = self.set_parameters([Parameter(name, value=value)])
+        return result
