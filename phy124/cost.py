@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from phy124.gaussians import Gaussians
 from phy124.mpm.timestep import CELLS_PER_STEP, STRAIN_PER_STEP, beside_elastic
@@ -135,49 +136,54 @@ def count_substeps(scene: Scene) -> int:
     """Substeps until the last frame, from what is known before the motion: its speed, too."""
     length = (scene.time.frames - 1) / scene.time.fps
     speed = CELLS_PER_STEP * scene.dx / max(_max_speed(scene, length), 1e-9)
-    step = min(longest_substep(scene), speed)
+    steps = np.minimum(longest_substeps(scene), speed)
     # Whole substeps in every frame.
-    return (scene.time.frames - 1) * max(1, math.ceil(1 / scene.time.fps / step))
+    return int(np.maximum(1, np.ceil(1 / scene.time.fps / steps)).sum())
 
 
 def count_particles(scene: Scene, gaussians: int = GAUSSIANS) -> int:
     """Gaussians and the particles that fill the inside."""
-    resolution = scene.resolution
-    filling = FILLED * (resolution.cells * resolution.particles_per_axis) ** 3
-    return round(filling + (gaussians if scene.binding == "particles" else 0))
+    each = [FILLED * (body.size / scene.spacing) ** 3 for body in scene.every_object]
+    own = gaussians if scene.binding == "particles" else 0
+    return round(sum(filling + own for filling in each))
 
 
 def count_nodes(scene: Scene) -> int:
-    """Nodes of a window around the object at rest, as if it filled its cube."""
-    return (scene.resolution.cells + WINDOW) ** 3
+    """Nodes of a window around the objects at rest, as if each filled its cube."""
+    return len(scene.names) * (scene.resolution.cells + WINDOW) ** 3
 
 
 def _max_speed(scene: Scene, length: float) -> float:
-    """How fast the object may become [m/s]: its own motion and what pushes it."""
-    body = scene.object
-    own = math.hypot(*body.velocity) + math.hypot(*body.spin) * body.size / 2
+    """How fast an object may become [m/s]: its own motion and what pushes it."""
+    own = max(
+        math.hypot(*body.velocity) + math.hypot(*body.spin) * body.size / 2
+        for body in scene.every_object
+    )
     pushes = [getattr(force, "g", None) or getattr(force, "a", None) for force in scene.forces]
     return own + sum(math.hypot(*push) for push in pushes if push is not None) * min(length, 0.5)
 
 
 def rest_substeps(scene: Scene) -> float:
     """How many substeps a scene asks for whatever its motion does."""
-    return (scene.time.frames - 1) / scene.time.fps / longest_substep(scene)
+    return float((1 / scene.time.fps / longest_substeps(scene)).sum())
 
 
-def longest_substep(scene: Scene) -> float:
-    """What stiffness, friction, spin and the user allow at rest [s]."""
-    longest = min(_elastic(scene), _viscous(scene))
-    turning = math.sqrt(2) * math.hypot(*scene.object.spin)
+def longest_substeps(scene: Scene) -> NDArray[np.float64]:
+    """What stiffness, friction, spin and the user allow at rest, on the way to each frame but the
+    first [T-1], s.
+    """
+    longest = _viscous(scene)
+    turning = math.sqrt(2) * max(math.hypot(*body.spin) for body in scene.every_object)
     if turning > 0:
         longest = min(longest, STRAIN_PER_STEP / turning)
     if scene.time.substep is not None:
         longest = min(longest, scene.time.substep)
-    return longest
+    factors = scene.softnesses(np.arange(scene.time.frames - 1) / scene.time.fps)
+    return np.minimum(_elastic(scene) / np.sqrt(factors), longest)
 
 
 def _elastic(scene: Scene) -> float:
-    """Longest substep that stiffness allows at rest [s]."""
+    """Longest substep that stiffness allows at rest, before it changes in time [s]."""
     fastest = max(section.wave_speed() for section in scene.materials)
     return scene.resolution.cfl * scene.dx / fastest
 
@@ -214,8 +220,24 @@ def demand_of(
     nodes = float(np.prod(np.ptp(particles.x, axis=0) / scene.dx + WINDOW))
     work = Work.done(scene, rest_substeps(scene), len(particles), scene.time.frames, nodes=nodes)
     rates = USUAL["cuda" if device.startswith("cuda") else "cpu"]
-    double = 2 if scene.resolution.precision == "float64" else 1
-    state = double * (BYTES_PER_PARTICLE * len(particles) + BYTES_PER_NODE * nodes)
-    memory = state + BYTES_PER_GAUSSIAN * len(gaussians) * (scene.time.frames if keep else 1)
-    state += BYTES_PER_SHAPE * len(gaussians)
+    frames = scene.time.frames if keep else 1
+    memory, state = memory_of(scene, len(gaussians), len(particles), nodes, frames)
     return Demand(work.substeps, rates.seconds(work)["simulate"], memory, state)
+
+
+def memory_of(
+    scene: Scene, gaussians: int, particles: float, nodes: float, frames: int
+) -> tuple[float, float]:
+    """The memory of a run, and that part of it which is on the device [bytes].
+
+    Args:
+        scene: What is run.
+        gaussians: How many there are.
+        particles: How many there are.
+        nodes: Nodes of the grid.
+        frames: How many are kept.
+    """
+    double = 2 if scene.resolution.precision == "float64" else 1
+    state = double * (BYTES_PER_PARTICLE * particles + BYTES_PER_NODE * nodes)
+    memory = state + BYTES_PER_GAUSSIAN * gaussians * frames
+    return memory, state + BYTES_PER_SHAPE * gaussians

@@ -1,7 +1,9 @@
 """Sweeps: what is planned, that it is made once and resumed, and what is read back."""
 
+import heapq
 import json
 import tarfile
+import tracemalloc
 from collections import Counter
 from pathlib import Path
 
@@ -10,12 +12,28 @@ import pytest
 
 from phy124.errors import Cancelled, InputError
 from phy124.io.ply import write_ply
-from phy124.sweep import Dataset, Plan, Sweep, expected, in_turn, refused, run, running
+from phy124.scene import Scene
+from phy124.sweep import (
+    Dataset,
+    Item,
+    Plan,
+    Sweep,
+    expected,
+    in_turn,
+    manifest,
+    refused,
+    remaining,
+    run,
+    running,
+)
 from phy124.sweep.archives import pack
 from phy124.sweep.keys import key_of
 from phy124.sweep.manifest import read_manifest
+from phy124.sweep.needs import needs_of
 from phy124.sweep.report import lines, write_page
+from phy124.sweep.seen import Seen
 from phy124.sweep.storage import Storage
+from phy124.sweep.work import write_row
 from support.pages import ROOT, blocks
 from support.shapes import ball
 
@@ -132,7 +150,7 @@ def test_a_second_run_makes_only_what_is_missing_and_the_same(made, balls, tmp_p
     again = run(Plan(declared(balls)), str(made), workers=0)
     assert again.here == 6 and not again.ended
     lost = json.loads(next((made / "rows").rglob("*.json")).read_text())
-    (made / "rows" / lost["key"][:2] / f"{lost['key']}.json").unlink()
+    (made / "rows" / lost["key"][0] / f"{lost['key']}.json").unlink()
     (made / lost["folder"] / "clip.safetensors").write_bytes(b"half of it")
     repaired = run(Plan(declared(balls)), str(made), workers=0)
     assert repaired.here == 5 and repaired.ended == {"done": 1}
@@ -140,8 +158,8 @@ def test_a_second_run_makes_only_what_is_missing_and_the_same(made, balls, tmp_p
 
 
 def test_shares_of_several_machines_are_together_the_whole(made, balls, tmp_path):
-    for part in (1, 2, 3):
-        run(Plan(declared(balls)), str(tmp_path / "out"), workers=0, shard=(part, 3))
+    for part in (1, 2, 3, 4):
+        run(Plan(declared(balls)), str(tmp_path / "out"), workers=0, shard=(part, 4))
     assert files_of(tmp_path / "out") == files_of(made)
     assert len(read_manifest(Storage(str(tmp_path / "out")))) == 6
 
@@ -282,6 +300,66 @@ def test_the_cost_is_told_from_a_few_clips(balls):
     )
     assert told.clips == told.tried == 2 and told.seconds[0] > 0
     assert "2 clips of" in told.sentence(workers=4) and told.bytes == 3 * 70 * 40
+
+
+def test_a_driver_of_many_clips_remembers_little_of_each():
+    """Eight bytes per key for good, four times as much while keys are put in order."""
+    tracemalloc.start()
+    seen = Seen(f"{number * 2**40:024x}" for number in range(20_000))
+    now, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert now < 10 * 20_000 + 500_000 and most < 40 * 20_000 + 500_000
+    assert f"{7 * 2**40:024x}" in seen and f"{19_999 * 2**40:024x}" in seen
+    assert f"{7 * 2**40 - 1:024x}" not in seen
+
+
+def test_many_rows_become_one_table_whatever_their_columns(tmp_path, monkeypatch):
+    monkeypatch.setattr(manifest, "BATCH", 3)
+    storage, asked = Storage(str(tmp_path)), {4: "soft", 5: "soft"}
+    for index in range(8):
+        clip = Item(index, "a.ply", "relief", {"material.E": asked.get(index, 10.0 * index)})
+        status = "failed" if index == 2 else "done"
+        write_row(storage, f"{index}" * 24, clip, {"status": status})
+    clip = Item(2, "a.ply", "relief", {"material.E": 20.0})
+    assert manifest.write_manifest(storage) == 7
+    assert [row["status"] for row in read_manifest(storage)].count("failed") == 1
+    write_row(storage, "2" * 24, clip, {"status": "done"})
+    assert manifest.write_manifest(storage) == 7
+    rows = read_manifest(storage)
+    assert {row["status"] for row in rows} == {"done"}
+    assert [row["index"] for row in rows] == [0, 1, 2, 3, 5, 6, 7]
+    assert rows[4]["set.material.E"] == "soft" and float(rows[1]["set.material.E"]) == 10
+    assert sorted(manifest.keys_in(storage)) == [f"{index}" * 24 for index in range(8)]
+
+
+def test_tasks_reserve_what_their_scenes_need():
+    scene = Scene.named("press")
+    small = needs_of(scene.replaced({"accuracy": "draft"}), None, None)
+    large = needs_of(scene.replaced({"accuracy": "fine"}), None, None)
+    assert 4e8 < small.memory < large.memory and small.gpus == large.gpus == 0
+    shares = [needs_of(scene, None, memory).gpus for memory in (1e8, 2.5e9, 80e9)]
+    assert shares[0] == 1 > shares[1] > shares[2] == 1 / 8
+    assert all(float(1 / share).is_integer() for share in shares)
+
+
+@pytest.mark.parametrize("workers", [1, 2, 8])
+def test_the_time_left_is_told_within_a_fifth(balls, workers):
+    """Clips of a queue, the last ones ten times as long as the first."""
+    spread = {"first": 1e4, "last": 1e6, "count": 100, "spacing": "log"}
+    axes = {"material.E": spread, "accuracy.cells": 24}
+    plan = Plan(declared(balls, pictures=str(balls / "a.ply"), set=axes))
+    costs = [0.4 + 3 * remaining.load(plan.scene_of(item), films=False) for item in plan]
+    free, ends = [0.0] * workers, []
+    for index, cost in enumerate(costs):
+        heapq.heapreplace(free, end := free[0] + cost)
+        ends.append((end, index))
+    now = 0.0
+    told = remaining.Remaining(plan, range(100), clock=lambda: now)
+    for count, (now, index) in enumerate(sorted(ends), 1):
+        told.ended({"index": index, "written": now, "seconds": {"clip": costs[index]}})
+        if count in (25, 50, 75):
+            left = max(free) - now
+            assert told.left(100 - count) == pytest.approx(left, rel=0.2)
 
 
 @pytest.mark.slow

@@ -8,10 +8,7 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -19,7 +16,10 @@ import pytest
 from phy124.io.ply import write_ply
 from phy124.sweep import Dataset, Plan, Sweep, run
 from phy124.sweep.manifest import read_manifest
+from phy124.sweep.needs import Needs
 from phy124.sweep.storage import Storage
+from phy124.sweep.work import Order
+from support.killing import clips_of, killer, made
 from support.shapes import ball
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]
@@ -49,10 +49,6 @@ def quiet(sweep, tmp_path_factory) -> dict[str, bytes]:
     return clips_of(out)
 
 
-def clips_of(out: Path) -> dict[str, bytes]:
-    return {str(p.relative_to(out)): p.read_bytes() for p in sorted((out / "clips").rglob("*.*"))}
-
-
 def driver(sweep: Sweep, folder: Path, *options: str) -> subprocess.Popen:
     """The command line in a process of its own."""
     declared = json.loads(sweep.model_dump_json(by_alias=True))
@@ -65,10 +61,6 @@ def driver(sweep: Sweep, folder: Path, *options: str) -> subprocess.Popen:
     return subprocess.Popen([*command, "--out", str(folder / "out")], start_new_session=True)
 
 
-def made(out: Path) -> int:
-    return len(list((out / "rows").rglob("*.json"))) if (out / "rows").is_dir() else 0
-
-
 def wait_for(condition, seconds: float = 600) -> None:
     end = time.monotonic() + seconds
     while not condition():
@@ -76,51 +68,37 @@ def wait_for(condition, seconds: float = 600) -> None:
         time.sleep(0.1)
 
 
-def is_ours(process: int) -> bool:
-    """Whether this process is its ancestor: others may run sweeps, too."""
-    while process > 1 and process != os.getpid():
-        status = Path(f"/proc/{process}/stat").read_text()
-        process = int(status.rpartition(")")[2].split()[1])
-    return process == os.getpid()
-
-
-@contextmanager
-def killer(every: float) -> Iterator[list[int]]:
-    """Within this context a worker that makes a clip is killed now and then."""
-    killed: list[int] = []
-    done = threading.Event()
-
-    def kill() -> None:
-        while not done.wait(every):
-            for entry in Path("/proc").glob("[0-9]*/cmdline"):
-                try:
-                    worker = int(entry.parent.name)
-                    if entry.read_bytes().startswith(b"ray::row_of") and is_ours(worker):
-                        os.kill(worker, signal.SIGKILL)
-                        killed.append(worker)
-                        break
-                except OSError:
-                    continue
-
-    thread = threading.Thread(target=kill, daemon=True)
-    thread.start()
-    try:
-        yield killed
-    finally:
-        done.set()
-        thread.join()
-
-
 def test_two_workers_make_what_one_process_makes(sweep, quiet, tmp_path):
     counts = run(Plan(sweep), str(tmp_path), workers=2)
     assert counts.ended == {"done": CLIPS} and clips_of(tmp_path) == quiet
 
 
-def test_workers_that_are_killed_change_nothing(sweep, quiet, tmp_path):
-    with killer(every=2.0) as killed:
+def test_workers_that_are_killed_change_nothing(sweep, quiet, tmp_path, capfd):
+    with killer(tmp_path, every=2.0) as killed:
         counts = run(Plan(sweep), str(tmp_path), workers=2)
     assert len(killed) >= 2 and counts.ended == {"done": CLIPS}
     assert clips_of(tmp_path) == quiet
+    assert "raylet" not in capfd.readouterr().out, "results may go there as JSON"
+
+
+def test_several_tasks_share_a_gpu(sweep):
+    """A GPU that Ray believes in: each task gets its part of it, and its memory."""
+    import ray
+
+    from phy124.sweep.on_ray import _Tasks
+
+    ray.init(num_cpus=2, num_gpus=1, include_dashboard=False, log_to_driver=False)
+    try:
+        tasks = _Tasks(ray, beat=lambda: None)
+        tasks.make = ray.remote(num_cpus=1)(lambda order: None)
+        tasks.move = ray.remote(num_cpus=1)(
+            lambda order, source: ray.get_runtime_context().get_assigned_resources()
+        )
+        some = Order("k", 0, "a.ply", "relief", {}, {}, None, False, "", Needs(1 << 28, 0.25))
+        seen = list(tasks.rows([some] * 3))
+    finally:
+        ray.shutdown()
+    assert [(task["GPU"], task["memory"]) for task in seen] == [(0.25, 1 << 28)] * 3
 
 
 def test_a_killed_driver_goes_on_where_it_stopped(sweep, quiet, tmp_path):

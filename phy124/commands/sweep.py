@@ -14,7 +14,7 @@ from phy124.commands.options import Device
 from phy124.errors import InputError
 from phy124.runtime.cores import cores
 from phy124.runtime.device import pick_device
-from phy124.sweep import Plan, expected, refused, run
+from phy124.sweep import Counts, Plan, expected, refused, run
 from phy124.sweep import Sweep as Declared
 from phy124.sweep.archives import pack
 from phy124.sweep.report import lines, write_page
@@ -57,10 +57,11 @@ class Sweep:
         if self.dry_run:
             return self._foretell(plan, device)
         out = self.out or f"out/{Path(self.file).stem}"
-        with Bars(quiet=self.json, keeps=True) as bars:
-            counts = run(
+        counts = Counts()
+        with Bars(quiet=self.json, keeps=True, left=lambda: counts.left) as bars:
+            run(
                 plan, out, ray=self.ray, workers=self.workers, shard=parts_of(self.shard),
-                device=device, progress=bars,
+                device=device, progress=bars, counts=counts,
             )  # fmt: skip
         if plan.sweep.archive is not None:
             pack(Storage(out), plan.sweep.archive)

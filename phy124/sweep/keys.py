@@ -45,9 +45,9 @@ def key_of(sweep: Sweep, item: Item, scene: Scene) -> str:
     return _digits(told)
 
 
-def key_of_item(item: Item) -> str:
-    """A key for what has no scene that could be made: of its place in the sweep only."""
-    return _digits([item.picture, item.generator, item.changes])
+def key_asked(picture: str, generator: str, changes: dict[str, Any]) -> str:
+    """A key of what a sweep asks for, even if no clip can be made of it."""
+    return _digits([picture, generator, changes])
 
 
 def _digits(told: Any) -> str:

@@ -33,8 +33,6 @@ def on_ray(
     beat: Callable[[], None],
     address: str | None = None,
     workers: int | None = None,
-    memory: float = 0.0,
-    gpus: float = 0.0,
 ) -> Iterator[Row]:
     """The rows of the orders, each as soon as its clip is made.
 
@@ -43,17 +41,15 @@ def on_ray(
         beat: Called often meanwhile; may raise Cancelled.
         address: Of a cluster; None: workers on this machine.
         workers: How many of them, without an address; None: one per core.
-        memory: What a task takes [bytes].
-        gpus: What part of a GPU a task takes.
 
     Raises:
-        InputError: Ray is not installed, or no cluster answers.
+        InputError: Ray is not installed, no cluster answers, or it lacks GPUs.
         Cancelled: `beat` raised it.
         OSError: No space is left.
     """
     ray = _ray(address, workers)
     try:
-        yield from _Tasks(ray, beat, memory=memory, gpus=gpus).rows(orders)
+        yield from _Tasks(ray, beat).rows(orders)
     finally:
         ray.shutdown()
 
@@ -61,11 +57,10 @@ def on_ray(
 class _Tasks:
     """The tasks that wait or run."""
 
-    def __init__(self, ray: Any, beat: Callable[[], None], *, memory: float, gpus: float) -> None:
+    def __init__(self, ray: Any, beat: Callable[[], None]) -> None:
         self.ray, self.beat = ray, beat
-        needs = {"num_cpus": 1, "num_gpus": gpus, "max_retries": RETRIES}
-        self.make = ray.remote(**needs)(made)
-        self.move = ray.remote(**needs, memory=int(memory) or None)(row_of)
+        self.make = ray.remote(num_cpus=1, max_retries=RETRIES)(made)
+        self.move = ray.remote(num_cpus=1, max_retries=RETRIES)(row_of)
         self.sources: OrderedDict[Any, Any] = OrderedDict()
         self.waiting: dict[Any, Order] = {}
 
@@ -73,7 +68,8 @@ class _Tasks:
         """Keep so many waiting that no worker is idle."""
         try:
             for order in orders:
-                self.waiting[self.move.remote(order, self._source(order))] = order
+                move = self.move.options(**self._reserved(order))
+                self.waiting[move.remote(order, self._source(order))] = order
                 if len(self.waiting) >= self._most():
                     yield self._next()
             while self.waiting:
@@ -86,11 +82,20 @@ class _Tasks:
         """How many may wait; a cluster may have grown or shrunk."""
         return AHEAD * max(1, int(self.ray.cluster_resources().get("CPU", 1)))
 
+    def _reserved(self, order: Order) -> dict[str, float]:
+        """What the task of an order reserves; no more memory than a node has, or it would wait."""
+        nodes = [node["Resources"] for node in self.ray.nodes() if node["Alive"]]
+        if order.needs.gpus and not any(node.get("GPU") for node in nodes):
+            limit = "no node of the cluster has a GPU."
+            raise InputError("device", order.device, limit, "Use --device cpu.")
+        most = max((node.get("memory", 0.0) for node in nodes), default=0.0)
+        return {"memory": int(min(order.needs.memory, most)), "num_gpus": order.needs.gpus}
+
     def _source(self, order: Order) -> Any:
         """The task that makes the Gaussians of an order, shared with others."""
         key = order.source
         if key not in self.sources:
-            self.sources[key] = self.make.remote(order)
+            self.sources[key] = self.make.options(**self._reserved(order)).remote(order)
             while len(self.sources) > SHARED:
                 self.sources.popitem(last=False)
         self.sources.move_to_end(key)
@@ -125,6 +130,7 @@ def _ray(address: str | None, workers: int | None) -> Any:
         limit = "sweeps on several workers need the package ray, which is not installed."
         remedy = f"Run `{install_command('sweep')}`, or use --workers 0."
         raise InputError("workers", workers, limit, remedy) from error
+    _mute(ray)
     quiet: dict[str, Any] = {"logging_level": logging.ERROR, "log_to_driver": False}
     try:
         if address is None:
@@ -136,3 +142,14 @@ def _ray(address: str | None, workers: int | None) -> Any:
         remedy = "Start one with `ray start --head`, or leave --ray out."
         raise InputError("ray", address, limit, remedy) from error
     return ray
+
+
+def _mute(ray: Any) -> None:
+    """Leave what Ray says of workers that die to its logs (/tmp/ray/session_latest/logs).
+
+    It prints that on standard output, whatever `log_to_driver` is, where our JSON may be. Other
+    versions of Ray than those that have this switch go on as they are.
+    """
+    worker: Any = getattr(getattr(ray, "_private", None), "worker", None)
+    if hasattr(worker, "_worker_logs_enabled"):
+        worker._worker_logs_enabled = False

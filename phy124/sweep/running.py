@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
 
 from phy124.errors import InputError
 from phy124.progress import Progress, silent
 from phy124.sweep.in_turn import in_turn
-from phy124.sweep.keys import key_of, key_of_item
+from phy124.sweep.keys import key_asked, key_of
 from phy124.sweep.manifest import keys_in, write_manifest
+from phy124.sweep.needs import memory_of_gpu, needs_of
 from phy124.sweep.on_ray import on_ray
 from phy124.sweep.plan import Item, Plan
+from phy124.sweep.remaining import Remaining
+from phy124.sweep.seen import Seen
 from phy124.sweep.storage import Storage
-from phy124.sweep.work import Order, Row, stops_all, write_row
+from phy124.sweep.work import Order, stops_all, write_row
 
 FULL = "no space is left at {}. Free some; the same command goes on, and nothing made is lost"
 
@@ -28,6 +31,13 @@ class Counts:
     """Those that an earlier run has left, or an equal clip of this one."""
     ended: Counter[str] = field(default_factory=Counter)
     """Status -> how many of this run."""
+    left: float | None = None
+    """Time until all are made [s], as far as it can be told."""
+
+    @property
+    def clips(self) -> int:
+        """How many are there."""
+        return self.here + sum(self.ended.values())
 
 
 def run(
@@ -39,6 +49,7 @@ def run(
     shard: tuple[int, int] = (1, 1),
     device: str = "cpu",
     progress: Progress = silent,
+    counts: Counts | None = None,
 ) -> Counts:
     """Make the clips of a sweep that are not there yet.
 
@@ -50,6 +61,7 @@ def run(
         shard: The part that is made and the number of parts, counted from 1.
         device: Warp device of the workers.
         progress: Called with ("clips", ended, all); may raise Cancelled.
+        counts: Kept up to date meanwhile, and returned.
 
     Raises:
         InputError: The folder cannot be used, Ray is not there, or the shard does not exist.
@@ -58,18 +70,24 @@ def run(
     part, parts = shard
     if not 1 <= part <= parts:
         raise InputError("shard", f"{part}/{parts}", "there is no such part.", "Give 1/8 to 8/8.")
-    storage, counts = Storage(out), Counts()
+    storage, counts = Storage(out), counts or Counts()
     storage.write("sweep.json", plan.sweep.model_dump_json(indent=2, by_alias=True).encode())
     numbers = plan.share(part, parts)
 
+    remaining = Remaining(plan, numbers)
+
     def beat() -> None:
-        progress("clips", counts.here + sum(counts.ended.values()), len(numbers))
+        progress("clips", counts.clips, len(numbers))
 
     orders = _orders(plan, numbers, storage, counts, device)
-    engine = _engine(ray, workers, device)
+    engine = (
+        in_turn if workers == 0 and ray is None else partial(on_ray, address=ray, workers=workers)
+    )
     try:
         for row in engine(orders, beat=beat):
             counts.ended[row["status"]] += 1
+            remaining.ended(row)
+            counts.left = remaining.left(len(numbers) - counts.clips)
             beat()
     except OSError as error:
         if stops_all(error):
@@ -80,19 +98,11 @@ def run(
     return counts
 
 
-def _engine(ray: str | None, workers: int | None, device: str) -> Callable[..., Iterator[Row]]:
-    """What makes the clips."""
-    if workers == 0 and ray is None:
-        return in_turn
-    gpus = 0.0 if device == "cpu" else 1.0
-    return partial(on_ray, address=ray, workers=workers, gpus=gpus)
-
-
 def _orders(
     plan: Plan, numbers: Iterable[int], storage: Storage, counts: Counts, device: str
 ) -> Iterator[Order]:
     """What is left to be made; what cannot be made gets its row here."""
-    done = keys_in(storage)
+    done, gpu_memory = Seen(keys_in(storage)), memory_of_gpu(device)
     for index in numbers:
         item = plan.item(index)
         try:
@@ -108,11 +118,13 @@ def _orders(
         sweep = plan.sweep
         yield Order(
             key, index, item.picture, item.generator, item.changes, scene.data(),
-            sweep.gaussians, sweep.films, storage.address, device,
+            sweep.gaussians, sweep.films, storage.address,
+            needs_of(scene, sweep.gaussians, gpu_memory), device,
         )  # fmt: skip
 
 
 def _refuse(storage: Storage, counts: Counts, item: Item, sentence: str) -> None:
     """The row of a clip that cannot be made, and so has no other key."""
-    write_row(storage, key_of_item(item), item, {"status": "refused", "sentence": sentence})
+    key = key_asked(item.picture, item.generator, item.changes)
+    write_row(storage, key, item, {"status": "refused", "sentence": sentence})
     counts.ended["refused"] += 1

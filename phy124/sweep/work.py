@@ -27,13 +27,15 @@ from phy124.runtime.startup import start
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
 from phy124.simulation import Interrupted, Simulation
+from phy124.sweep.keys import key_asked
+from phy124.sweep.needs import Needs
 from phy124.sweep.plan import Item
 from phy124.sweep.storage import Storage, fetched
 
 Row = dict[str, Any]
 """What the manifest says of a clip."""
-FINAL = ("done", "stopped", "refused")
-"""Statuses that another attempt would not change; "failed" is tried again by the next run."""
+FAILED = ".failed.json"
+"""Ending of the row of a clip that the next run tries again; any other row is final."""
 THUMBNAIL = 96
 """Size of the picture of a clip in the report [pixels]."""
 
@@ -53,12 +55,16 @@ class Order:
     films: bool
     out: str
     """Address of the sweep's folder."""
+    needs: Needs
     device: str = "cpu"
 
     @property
     def read(self) -> bool:
-        """Whether its Gaussians are read from a file instead of being made from a picture."""
-        return not (needs_image(self.picture) and needs_image(self.generator))
+        """Whether its Gaussians depend on the scene: they are read from a file, or some of them are
+        further objects.
+        """
+        of_files = not (needs_image(self.picture) and needs_image(self.generator))
+        return of_files or bool(self.scene.get("objects"))
 
     @property
     def source(self) -> tuple[Any, ...]:
@@ -142,10 +148,12 @@ def write_row(storage: Storage, key: str, clip: Item | Order, found: Row) -> Row
         found: What became of it.
     """
     row = {
-        "key": key, "index": clip.index, "picture": clip.picture, "generator": clip.generator,
+        "key": key, "asked": key_asked(clip.picture, clip.generator, clip.changes),
+        "index": clip.index, "picture": clip.picture, "generator": clip.generator,
         "set": clip.changes, "written": time.time(), **found,
     }  # fmt: skip
-    storage.write(f"rows/{key[:2]}/{key}.json", json.dumps(row).encode())
+    ending = FAILED if row["status"] == "failed" else ".json"
+    storage.write(f"rows/{key[0]}/{key}{ending}", json.dumps(row).encode())
     return row
 
 

@@ -1,0 +1,30 @@
+"""Work in spawned processes: results as they come, what is killed, and what is still at work."""
+
+import multiprocessing
+import os
+import time
+
+import pytest
+
+from phy124.errors import Cancelled
+from phy124.runtime.processes import as_done, processes
+
+
+def test_each_task_comes_with_its_result_and_what_is_at_work_is_stopped():
+    with processes(1) as pool:
+        assert dict(as_done(pool, abs, [-1, -2, 3], lambda: None)) == {-1: 1, -2: 2, 3: 3}
+
+        def cancel() -> None:
+            raise Cancelled
+
+        with pytest.raises(Cancelled):
+            list(as_done(pool, time.sleep, [600.0], cancel))
+        (worker,) = multiprocessing.active_children()
+    worker.join(timeout=600)
+    assert not worker.is_alive()
+
+
+@pytest.mark.slow
+def test_a_worker_that_is_killed_is_told_of():
+    with processes(1) as pool, pytest.raises(OSError, match="a worker process was killed"):
+        list(as_done(pool, os._exit, [9], lambda: None))
