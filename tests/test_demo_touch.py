@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import struct
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,18 +16,22 @@ from starlette.applications import Starlette
 from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
+from demo.catalogue import scene_of
 from demo.guard import Doorkeeper
 from demo.identity import COOKIE
 from demo.settings import Settings
 from demo.touch import Table, lattice, orders, relay, socket_route
 from demo.touch.lattice import Lattice
-from demo.touch.player import BINDING, FRAME, HEAD, Player, shortened
+from demo.touch.player import BINDING, FRAME, HEAD, Player
+from demo.touch.sessions import FORCES, limits_of, shortened
+from demo.touch.walls import Walls
 from phy124.accuracy.ball import ball
 from phy124.errors import InputError
 from phy124.live import Live
 from phy124.scene import Scene
 from support import touching
 
+ORDER = SimpleNamespace(gaussians=1000)
 ME, OTHER = "a" * 32, "b" * 32
 HOME = {"origin": "http://testserver"}
 
@@ -34,7 +39,7 @@ HOME = {"origin": "http://testserver"}
 @pytest.fixture
 def page(monkeypatch):
     """A page with nothing but the socket; `page.process` is what runs in the other process."""
-    monkeypatch.setattr(relay, "Play", lambda order, frames: order)
+    monkeypatch.setattr(relay, "Play", lambda order, most: order)
     made = {}
 
     def start(process=touching.echo, **settings):
@@ -50,7 +55,7 @@ def page(monkeypatch):
 
 
 def touched(client, table, visitor=ME, ticket=None, headers=HOME):
-    ticket = table.give(f"cookie {visitor}", None) if ticket is None else ticket
+    ticket = table.give(f"cookie {visitor}", ORDER) if ticket is None else ticket
     cookie = {"cookie": f"{COOKIE}={visitor}", **headers}
     return client.websocket_connect(f"/phy124/touch/{ticket.name}", headers=cookie)
 
@@ -121,7 +126,7 @@ def test_what_is_no_order_is_refused_and_thousands_of_orders_do_no_harm(page):
 
 def test_nobody_reaches_the_run_of_another(page):
     table, client = page(max_touch=2)
-    mine = table.give(f"cookie {ME}", None)
+    mine = table.give(f"cookie {ME}", ORDER)
     for visitor, ticket in ((OTHER, mine), (ME, type(mine)("", None))):
         with (
             pytest.raises(WebSocketDisconnect) as end,
@@ -228,6 +233,29 @@ def test_a_frame_stays_below_three_megabytes_a_second(live):
     assert 24 * (24 + 24 * lattice.MOST + HEAD.size) <= 3e6
 
 
+def test_walls_are_where_the_scene_has_them_and_move_with_it():
+    boundaries = [
+        {"kind": "ground", "height": -0.1},
+        {"kind": "sphere", "centre": [0, 2, 0.3], "radius": 0.2, "friction": 0.1,
+         "motion": {"kind": "path", "points": [[0, 0, 0], [0, -1, 0]], "smooth": False}},
+        {"kind": "held", "lower": [-9, -9, -9], "upper": [9, 9, 0.1], "end": 0.05},
+    ]  # fmt: skip
+    rest = ball(100).means.astype(float)
+    run = SimpleNamespace(scene=small(boundaries=boundaries), rest=rest, time=0.0)
+    walls = Walls(run)
+    assert walls.floor == pytest.approx(-0.1)
+    sphere, clamp = walls.data()
+    assert sphere["centre"] == [0, 2, 0.3] and sphere["radius"] == 0.2 and clamp["radius"] == 0
+    json.dumps(walls.data())
+    assert np.allclose(np.frombuffer(walls.frame(), "<f4"), [-0.1, 0, 0, 0, 0, 0, 0])
+    run.time = 0.25
+    later = np.frombuffer(walls.frame(), "<f4")
+    assert later[2] == pytest.approx(-0.25) and np.isnan(later[4:]).all(), "it has let go"
+    alone = Walls(SimpleNamespace(scene=small(boundaries=[]), rest=rest, time=0.0))
+    assert alone.floor is None and alone.data() == []
+    assert np.isnan(np.frombuffer(alone.frame(), "<f4")).all()
+
+
 @pytest.fixture
 def player(monkeypatch, tmp_path):
     monkeypatch.setattr("demo.touch.player.gaussians_of", lambda *_: ball(400))
@@ -240,7 +268,7 @@ def player(monkeypatch, tmp_path):
     known = type("Known", (), {"cut": lambda self, deadline: None})()
     order = type("Order", (), {"device": "cpu", "scene": small(), "known": known})()
     line = Spoken()
-    return Player(type("Play", (), {"order": order, "most_frames": 4})(), line), line
+    return Player(type("Play", (), {"order": order, "most": Settings(max_frames=4)})(), line), line
 
 
 def test_orders_that_cannot_be_done_are_said_and_the_run_goes_on(player):
@@ -277,7 +305,21 @@ def test_a_saved_session_is_a_scene_no_longer_than_a_run_may_be(player):
     session = Scene.from_data(json.loads(dict(line.told)[b"s"]))
     assert session.time.frames == 4 and "the first" in line.told[-1][1].decode()
     assert {force.kind for force in session.forces} == {"gravity", "grab"}
-    assert shortened(session, 5) is session
+    assert shortened(session, Settings(max_frames=5)) is session
     line.orders = ['{"do": "reset"}']
     run.frame()
     assert run.live.count == 1
+
+
+def test_a_session_may_be_longer_than_a_run_while_there_is_room_and_time():
+    page = Settings()
+    assert limits_of(page, 50_000).max_frames == 250, "half of 1000 MB at 2 MB per frame"
+    assert limits_of(page, 100).max_frames == 432, "18 s, a tenth of the longest run"
+    assert limits_of(Settings(max_visitor_mb=1, max_frames=30), 50_000).max_frames == 30
+    holds = [{"kind": "grab", "start": k / 24, "end": (k + 1) / 24} for k in range(FORCES + 9)]
+    session = small(forces=holds, boundaries=[{"kind": "ground"}], time={"fps": 24, "frames": 80})
+    kept = shortened(session, limits_of(page, 50_000))
+    assert len(kept.forces) + 1 == FORCES and kept.time.frames == FORCES
+    assert scene_of(kept.data(), limits_of(page, 50_000)) == kept
+    with pytest.raises(InputError, match="at most 16"):
+        scene_of(kept.replaced({"time.frames": 70}).data(), page)

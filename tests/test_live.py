@@ -9,6 +9,7 @@ from phy124.accuracy.ball import ball
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.live import Live, RealTime, choose, held_rate
+from phy124.live.inputs import Held, Inputs
 from phy124.scene import Scene
 from support.pages import ROOT, blocks
 
@@ -59,6 +60,23 @@ def test_a_session_is_a_scene_that_gives_the_same_frames_bit_for_bit():
         assert np.array_equal(frame.gaussians.means, clip.means[index]), index
         assert np.array_equal(frame.gaussians.quats, clip.quats[index]), index
     assert clip.report["complete"] and not run.notes
+
+
+def test_a_run_carries_on_only_what_still_acts_however_long_it_has_lasted():
+    inputs = Inputs(scene())
+    for start in range(50):
+        times = [0.0, *(np.arange(1, 24) / 24)]
+        targets = [(0.0, np.sin(start + t), 1.0) for t in times]
+        inputs.grabs.append(Held(start, {}, times, targets, start + 1.0))
+        inputs.weigh((0, 0, -1 - start), start)
+        inputs.soften(1 + start, start, start - 1 / 24)
+    whole, now = inputs.scene(), inputs.scene(49.5)
+    assert len(whole.forces) == 100 and len(whole.stiffness_profile.times) > 50
+    assert [force.kind for force in now.forces] == ["gravity", "grab"]
+    assert len(now.forces[-1].times) < 14 and len(now.stiffness_profile.times) == 2
+    later = np.linspace(49.5, 51, 40)
+    held, same = (some.forces[-1].target().values(later) for some in (whole, now))
+    assert np.array_equal(held, same)
 
 
 def test_what_is_held_follows_the_hand_and_falls_when_it_lets_go():

@@ -12,6 +12,7 @@ from ..identity import visitor_of
 from ..jobs import Studio
 from ..progress import Progress
 from ..sentences import sentence
+from ..touch import limits_of
 from .event import Handler
 from .run import rested, shown_job, working
 
@@ -42,8 +43,9 @@ def saver(studio: Studio) -> Handler:
         ticket = studio.touches.own(name)
         if ticket is None or ticket.session is None:
             return Progress(state="refused", message=FORGOTTEN).data(), *rested()
+        limits = limits_of(studio.settings, studio.count(source))
         try:
-            job = studio.run(name, source, ticket.session, told)
+            job = studio.run(name, source, ticket.session, told, limits)
         except InputError as error:
             return Progress(state="refused", message=sentence(error)).data(), *rested()
         studio.touches.leave(name)

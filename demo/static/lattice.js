@@ -1,5 +1,5 @@
 /* The lattice of a live run: nodes come frame by frame, and the Gaussians bound to them follow
- * (demo/touch/lattice.py says how both are written).
+ * (demo/touch/lattice.py says how both are written, demo/touch/walls.py what comes with them).
  *
  *   const lattice = new Phy124Lattice(binding); lattice.take(frame); lattice.ride(1000);
  */
@@ -27,6 +27,8 @@ globalThis.Phy124Lattice = (() => {
       this.moves = new Float32Array(12 * this.nodes);
       this.centres = new Float32Array(this.means);
       this.shapes = new Float32Array(this.sigma);
+      this.moved = new Float32Array(3 * this.walls.length).fill(NaN);
+      this.box = [[0, 0, 0], [0, 0, 0]];
     }
 
     normalise(i) {
@@ -41,6 +43,11 @@ globalThis.Phy124Lattice = (() => {
       const head = { index: view.getUint32(0, true), heard: view.getUint32(4, true), time: view.getFloat32(8, true), factor: view.getFloat32(12, true) };
       const own = buffer.slice(at + HEAD), box = new Float32Array(own, 0, 6);
       const places = new Uint16Array(own, 24, 3 * p), turned = new Int16Array(own, 24 + 6 * p, 9 * p);
+      const around = new Float32Array(own, 24 * (p + 1));
+      this.box = [[...box.subarray(0, 3)], [...box.subarray(3)]];
+      this.ground = Number.isNaN(around[0]) ? null : around[0];
+      /** How far each wall has moved; NaN: it is not there. */
+      this.moved = around.subarray(1);
       const step = [0, 1, 2].map((c) => (box[3 + c] - box[c]) / 65535);
       for (let i = 0; i < p; i++) {
         const m = 12 * i, r = 3 * i;

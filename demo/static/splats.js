@@ -5,7 +5,7 @@
  */
 'use strict';
 globalThis.Phy124Splats = (() => {
-  const ROW = 256, TEXELS = 3, KEYS = 4096, NEAR = 0.05;
+  const ROW = 256, TEXELS = 3, KEYS = 4096, NEAR = 0.05, REACH = 2.8;
 
   const SPLATS = `#version 300 es
     uniform highp usampler2D uData;
@@ -31,7 +31,7 @@ globalThis.Phy124Splats = (() => {
       float middle = 0.5 * (a + c), apart = sqrt(max(0.25 * (a - c) * (a - c) + b * b, 1e-8));
       vec2 axis = abs(b) > 1e-6 ? normalize(vec2(b, middle + apart - a)) : (a >= c ? vec2(1.0, 0.0) : vec2(0.0, 1.0));
       vec2 corner = vec2(gl_VertexID & 1, (gl_VertexID >> 1) & 1) * 2.0 - 1.0;
-      float reach = sqrt(2.0 * log(255.0 * max(colour.a, 1.0 / 255.0)));
+      float reach = min(sqrt(2.0 * log(255.0 * max(colour.a, 1.0 / 255.0))), ${REACH});
       at = reach * corner;
       vec2 pixel = at.x * sqrt(middle + apart) * axis + at.y * sqrt(max(middle - apart, 0.1)) * vec2(-axis.y, axis.x);
       gl_Position = t.z < ${NEAR} ? vec4(2.0, 2.0, 2.0, 1.0) : vec4((uFocal * t.xy / t.z + pixel) / (0.5 * uSize), 0.0, 1.0);
@@ -96,6 +96,7 @@ globalThis.Phy124Splats = (() => {
       const gl = this.gl = canvas.getContext('webgl2', { antialias: false, alpha: false, preserveDrawingBuffer: true });
       this.splats = program(gl, SPLATS, COVER);
       this.ground = program(gl, ALL, GROUND);
+      this.glass = new Phy124Glass(gl, lattice.walls, program);
       this.rows = Math.ceil(this.n / ROW);
       this.data = new Uint32Array(4 * TEXELS * ROW * this.rows);
       this.floats = new Float32Array(this.data.buffer);
@@ -162,12 +163,17 @@ globalThis.Phy124Splats = (() => {
       gl.disable(gl.BLEND);
       this.drawGround(width, height);
       gl.enable(gl.BLEND);
+      this.glass.sort(this.eye, this.lattice.box, this.lattice.moved);
+      this.drawGlass('behind', width, height);
       gl.useProgram(this.splats.made);
       this.camera(this.splats, width, height);
       gl.uniform1f(this.splats.at('uGrown'), this.n / count);
       gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, TEXELS * ROW, Math.ceil(count / ROW), gl.RGBA_INTEGER, gl.UNSIGNED_INT, this.data);
       gl.drawElements(gl.TRIANGLES, 6 * count, gl.UNSIGNED_INT, 0);
+      this.drawGlass('before', width, height);
     }
+
+    drawGlass(where, width, height) { this.glass.draw((program) => this.camera(program, width, height), where, this.lattice.ground ?? -1e9); }
 
     camera(program, width, height) {
       const { gl } = this;

@@ -103,7 +103,9 @@
       this.fit();
       this.lattice.ride(this.count);
       this.splats.draw(this.count);
-      this.rate.textContent = this.head && this.head.factor < 0.95 ? `${this.head.factor.toFixed(1)}× real time` : '';
+      const rate = this.head && this.head.factor < 0.95 ? `${this.head.factor.toFixed(1)}× real time` : '';
+      // The same text again would have the page laid out anew.
+      if (rate !== this.rate.textContent) this.rate.textContent = rate;
       const { gl } = this.splats, fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
       gl.flush();
       this.drawing = -1;

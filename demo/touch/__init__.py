@@ -7,6 +7,7 @@ sends the nodes of the lattice that carry the Gaussians; the browser binds the G
 """
 
 from .relay import socket_route
+from .sessions import limits_of
 from .table import Table, Ticket
 
-__all__ = ["Table", "Ticket", "socket_route"]
+__all__ = ["Table", "Ticket", "limits_of", "socket_route"]

@@ -8,7 +8,7 @@ little-endian and planar (array after array):
              uint16, their weights [N,8] uint8, colour and opacity [N,4] uint8
     frame    box of the nodes [2,3] float32, places in it [P,3] uint16, F [P,9] int16
 
-A node takes 24 bytes per frame.
+The frame of the walls follows (`walls`). A node takes 24 bytes per frame.
 """
 
 from __future__ import annotations

@@ -12,16 +12,16 @@ from phy124.live import Live, RealTime, held_rate
 from phy124.live.limits import number
 from phy124.runtime.device import pick_device
 from phy124.runtime.isolated import Deadline
-from phy124.scene import Scene
 
 from ..sentences import sentence
+from ..settings import Settings
 from ..work.motion import gaussians_of
 from ..work.order import Order, made_gaussians
 from .child import Line
 from .lattice import Lattice
+from .sessions import FPS, shortened
+from .walls import Walls
 
-FPS = 24.0
-"""Frames per second."""
 REST = 0.25
 """Interval between two looks for messages while it pauses [s]."""
 PREPARING = 120.0
@@ -38,8 +38,8 @@ class Play:
     """What a process is to play."""
 
     order: Order
-    most_frames: int
-    """Frames of a session that is saved."""
+    most: Settings
+    """Limits of a session that is saved."""
 
 
 def play(what: Play, line: Line) -> None:
@@ -80,7 +80,8 @@ class Player:
         chosen = held_rate(gaussians, order.scene.model_copy(update={"time": timing}), **options)
         self.live = Live(gaussians, chosen.scene, **options)
         self.live.step()
-        self._lattice, self._clock = Lattice(self.live), RealTime(FPS)
+        self._lattice, self._walls = Lattice(self.live), Walls(self.live)
+        self._clock = RealTime(FPS)
         self._heard, self._paused, self._told = 0, False, 0
         line.tell(BINDING, self._head(chosen.sentence) + self._lattice.binding())
 
@@ -94,7 +95,7 @@ class Player:
         self.live.step()
         self._tell_notes()
         head = HEAD.pack(self.live.count - 1, self._heard, self.live.time, self._clock.factor)
-        self._line.tell(FRAME, head + self._lattice.frame())
+        self._line.tell(FRAME, head + self._lattice.frame() + self._walls.frame())
         self._clock.wait()
 
     def _do(self, message: dict[str, Any]) -> None:
@@ -135,10 +136,10 @@ class Player:
         self._pause(False)
 
     def _save(self, _: Any) -> None:
-        """Send what was done as a scene, no longer than a run may be here."""
+        """Send what was done as a scene, no longer than a session may be here."""
         self._paused = True
         scene = self.live.session()
-        kept = shortened(scene, self._what.most_frames)
+        kept = shortened(scene, self._what.most)
         seconds = kept.time.frames / FPS
         cut = "" if kept is scene else f" of {scene.time.frames / FPS:.1f} s, the first"
         text = f"Making the clip{cut} {seconds:.1f} s …"
@@ -153,33 +154,18 @@ class Player:
 
     def _head(self, said: str) -> bytes:
         """The numbers before a binding, as JSON that ends at a multiple of four bytes."""
-        grounds = [b.height for b in self.live.scene.boundaries if b.kind == "ground"]
         head = {
             "splats": len(self._lattice.gaussians),
             "nodes": len(self._lattice.nodes),
             "size": self.live.limits.size,
-            "ground": grounds[0] if grounds else None,
+            "ground": self._walls.floor,
+            "walls": self._walls.data(),
             "sentence": said,
             "background": list(self._what.order.scene.view.background),
         }
         text = json.dumps(head).encode()
         text += b" " * (-len(text) % 4)
         return struct.pack("<I", len(text)) + text
-
-
-def shortened(scene: Scene, frames: int) -> Scene:
-    """A scene of at most so many frames, without the forces that begin after them.
-
-    Args:
-        scene: The scene.
-        frames: How many.
-    """
-    if scene.time.frames <= frames:
-        return scene
-    end = (frames - 1) / scene.time.fps
-    forces = tuple(force for force in scene.forces if getattr(force, "start", 0.0) < end)
-    timing = scene.time.model_copy(update={"frames": frames})
-    return scene.model_copy(update={"forces": forces, "time": timing})
 
 
 def _newest_targets(lines: list[str]) -> list[dict[str, Any]]:

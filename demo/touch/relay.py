@@ -19,6 +19,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from anyio import CancelScope
 from starlette.routing import WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
@@ -26,6 +27,7 @@ from ..identity import cookie_of
 from ..settings import Settings
 from .orders import Budget, Refused, understood
 from .player import BINDING, FRAME, SESSION, TEXT, Play, play
+from .sessions import limits_of
 from .table import Table, Ticket
 
 LOG = logging.getLogger("phy124.web")
@@ -116,8 +118,9 @@ class Relay:
                 task.cancel()
             with suppress(ProcessLookupError):
                 process.kill()
-            # Also if this task is cancelled.
-            await asyncio.shield(_closed(process, tasks))
+            # Also if this task is cancelled, however often.
+            with CancelScope(shield=True):
+                await _closed(process, tasks)
         await self._goodbye(sentence)
 
     def _end(self, sentence: str) -> None:
@@ -153,7 +156,8 @@ class Relay:
     async def _hear(self, process: asyncio.subprocess.Process) -> str:
         """Take what the process sends; of frames, only the newest is kept."""
         assert process.stdin is not None and process.stdout is not None
-        what = Play(self._ticket.order, self._settings.max_frames)
+        order = self._ticket.order
+        what = Play(order, limits_of(self._settings, order.gaussians))
         process.stdin.write(pickle.dumps(sys.path) + pickle.dumps((play, (what,))))
         await process.stdin.drain()
         while True:

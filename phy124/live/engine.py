@@ -303,7 +303,8 @@ class Live:
 
     def contacts(self) -> dict[str, Wrench]:
         """Mean force [N] and torque [N m] on each wall over the last frame, by its name."""
-        return dict(self._frame.wrenches or {})
+        found = self._frame.wrenches or {}
+        return {wall: found[wall] for wall in self._run.wrenches.walls if wall in found}
 
     def session(self) -> Scene:
         """The scene that does what was done, for as long as it has lasted."""

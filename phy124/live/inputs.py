@@ -5,6 +5,7 @@ All times are those of frames, so that a run of the finished scene takes the sam
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -30,10 +31,12 @@ class Held:
     end: float | None = None
     """When it let go [s]; None: it still holds."""
 
-    def force(self) -> Grab:
-        """As a force of a scene."""
+    def force(self, since: float) -> Grab:
+        """As a force of a scene, without the way of its target before a time [s]."""
+        before = bisect_right(self.times, since - self.start) - 1
+        first = max(min(before, len(self.times) - 2), 0)
         found = {"start": self.start, "end": self.end, **self.options}
-        return Grab(times=tuple(self.times), targets=tuple(self.targets), **found)
+        return Grab(times=tuple(self.times[first:]), targets=tuple(self.targets[first:]), **found)
 
 
 @dataclass
@@ -81,24 +84,25 @@ class Inputs:
             self.wrenches[index : index + 1] = _ended(before, now)
 
     def scene(self, since: float = 0.0) -> Scene:
-        """The scene with everything that was done to it, without pushes over by then [s]."""
+        """The scene with everything that was done to it, without what was over by then [s]."""
         boundaries = list(self.base.boundaries)
         for index, moved in self.moved.items():
             path = Path(times=tuple(moved.times), points=tuple(moved.points), smooth=False)
             boundaries[index] = boundaries[index].model_copy(update={"motion": path})
-        pushes = [push for push in self.wrenches if push.end is None or push.end > since]
-        forces = [*self._weights(), *pushes, *(held.force() for held in self.grabs)]
-        done = {"forces": tuple(forces), "boundaries": tuple(boundaries), **self._softened()}
+        grabs = [held.force(since) for held in self.grabs if _lasts(held, since)]
+        pushes = [push for push in self.wrenches if _lasts(push, since)]
+        forces = (*self._weights(since), *pushes, *grabs)
+        done = {"forces": forces, "boundaries": tuple(boundaries), **self._softened(since)}
         return self.base.model_copy(update=done)
 
-    def _softened(self) -> dict[str, Keyframes]:
+    def _softened(self, since: float) -> dict[str, Keyframes]:
         """The factors on Young's modulus, if any has changed."""
         if self.softness == [(0.0, 1.0)]:
             return {}
+        first = max(sum(time <= since for time, _ in self.softness) - 1, 0)
+        kept = self.softness[first:]
         # A profile has two keys or more; after the last it stays.
-        times, factors = zip(
-            *self.softness, (self.softness[-1][0] + 1, self.softness[-1][1]), strict=True
-        )
+        times, factors = zip(*kept, (kept[-1][0] + 1, kept[-1][1]), strict=True)
         return {"stiffness_profile": Keyframes(times=times, factors=factors)}
 
     def forget(self, since: float) -> None:
@@ -120,7 +124,7 @@ class Inputs:
             del moved.times[max(kept, 1) :], moved.points[max(kept, 1) :]
         self.moved = {i: moved for i, moved in self.moved.items() if len(moved.times) > 1}
 
-    def _weights(self) -> list[AnyForce]:
+    def _weights(self, since: float) -> list[AnyForce]:
         """The forces of the scene; its gravity ends where another one begins."""
         if not self.gravity:
             return list(self.base.forces)
@@ -132,8 +136,14 @@ class Inputs:
                 end = first if force.end is None else min(force.end, first)
                 found.append(force.model_copy(update={"end": end}))
         ends = [*(one.start for one in self.gravity[1:]), None]
-        changed = zip(self.gravity, ends, strict=True)
-        return found + [one.model_copy(update={"end": end}) for one, end in changed]
+        weights = zip(self.gravity, ends, strict=True)
+        changed = [one.model_copy(update={"end": end}) for one, end in weights]
+        return found + [one for one in changed if _lasts(one, since)]
+
+
+def _lasts(one: Held | WrenchForce | Gravity, since: float) -> bool:
+    """Whether something acts after a time [s]."""
+    return one.end is None or one.end > since
 
 
 def _ended(push: WrenchForce, now: float) -> list[WrenchForce]:

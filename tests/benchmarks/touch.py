@@ -82,7 +82,7 @@ def swing(page, seconds: float, server) -> None:
     page.evaluate(SEEN)
     start, delays = time.monotonic(), []
     first = last = (start, page.evaluate(SEEN))
-    memory = [resident(os.getpid(), server.process.pid)]
+    memory = [held(server)]
     while time.monotonic() - start < seconds:
         angle = 2 * math.pi * 0.4 * (time.monotonic() - start)
         page.mouse.move(x + 70 * math.sin(angle), y - 20 * math.sin(0.7 * angle))
@@ -90,11 +90,11 @@ def swing(page, seconds: float, server) -> None:
         if time.monotonic() - last[0] > min(60, seconds / 2):
             last = time.monotonic(), page.evaluate(SEEN)
             delays += last[1]["delays"]
-            memory.append(resident(os.getpid(), server.process.pid))
+            memory.append(held(server))
             report(first, last, delays, memory)
     last = time.monotonic(), page.evaluate(SEEN)
     delays += last[1]["delays"]
-    memory.append(resident(os.getpid(), server.process.pid))
+    memory.append(held(server))
     report(first, last, delays, memory)
 
 
@@ -107,11 +107,23 @@ def report(first, last, delays, memory) -> None:
     print(
         f"{now - begun:.0f} s: pointer to picture p50 {p50:.0f} ms, p95 {p95:.0f} ms of "
         f"{len(delays)}; {rate:.1f} frames/s, {after['factor']:.2f}x real time, {sent:.2f} MB/s; "
-        f"{drawn}, {after['size'][0]} x {after['size'][1]}; Chromium and server "
-        f"{memory[0] / 1e6:.0f} -> {memory[-1] / 1e6:.0f} MB; "
+        f"{drawn}, {after['size'][0]} x {after['size'][1]}; {grown(memory)}; "
         f"load {os.getloadavg()[0]:.1f}; {after['told'][:60]}",
         flush=True,
     )
+
+
+def held(server) -> dict[str, float]:
+    """Resident memory of each side [bytes]."""
+    both = resident(server.process.pid)
+    alone = server.memory()
+    return {"Chromium": resident(os.getpid()) - both, "server": alone, "live run": both - alone}
+
+
+def grown(memory: list[dict[str, float]]) -> str:
+    """From what to what it has grown."""
+    first, last = memory[0], memory[-1]
+    return ", ".join(f"{n} {first[n] / 1e6:.0f} -> {last[n] / 1e6:.0f} MB" for n in first)
 
 
 def resident(*roots: int) -> float:

@@ -1,45 +1,28 @@
-"""A client of a few lines (RFC 6455 and Foxglove's protocol), also as a process of its own."""
+"""A client of Foxglove's protocol, also as a process: `python -m support.foxglove_client`."""
 
-import base64
 import json
-import os
-import socket
 import struct
 import sys
 
-TEXT, BINARY = 1, 2
+from support.websocket import BINARY, TEXT, WebSocket
+
 MESSAGE_DATA, PLAYBACK_STATE, PLAYBACK_REQUEST = 1, 5, 3
 CLIENT_DATA, SERVICE_REQUEST, SERVICE_RESPONSE = 1, 2, 3
 NODE = "/phy124/live"
 
 
-class Client:
+class Client(WebSocket):
     """A websocket client that can subscribe and move the playback controls."""
 
     def __init__(self, port):
-        self.socket = socket.create_connection(("127.0.0.1", port), timeout=60)
-        key = base64.b64encode(os.urandom(16)).decode()
-        self.socket.sendall(
-            f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\n"
-            f"Connection: Upgrade\r\nSec-WebSocket-Key: {key}\r\nSec-WebSocket-Version: 13\r\n"
-            "Sec-WebSocket-Protocol: foxglove.sdk.v1\r\n\r\n".encode()
-        )
-        self.stream = self.socket.makefile("rb")
-        assert b"101" in self.stream.readline()
-        while self.stream.readline().strip():
-            pass
+        super().__init__(port, "/", "Sec-WebSocket-Protocol: foxglove.sdk.v1")
         self.channels, self.services = {}, {}
         self.info = self.text("serverInfo")
 
     def receive(self):
         """The next text message as an object, or binary message as bytes."""
-        first, second = self.stream.read(2)
-        length = second & 0x7F
-        if length >= 126:
-            form = ">H" if length == 126 else ">Q"
-            (length,) = struct.unpack(form, self.stream.read(struct.calcsize(form)))
-        payload = self.stream.read(length)
-        if first & 0x0F != TEXT:
+        kind, payload = self.frame()
+        if kind != TEXT:
             return payload
         message = json.loads(payload)
         if message["op"] == "advertise":
@@ -60,24 +43,17 @@ class Client:
             if isinstance(message, bytes) and message[0] == opcode:
                 return message[1:]
 
-    def send(self, payload, kind):
-        mask = os.urandom(4)
-        masked = bytes(byte ^ mask[i % 4] for i, byte in enumerate(payload))
-        size = len(masked)
-        head = bytes([0x80 | size]) if size < 126 else struct.pack(">BH", 0x80 | 126, size)
-        self.socket.sendall(bytes([0x80 | kind]) + head + mask + masked)
-
     def subscribe(self, *topics):
         while not set(topics) <= self.channels.keys():
             self.receive()
         wanted = [{"id": i, "channelId": self.channels[t]["id"]} for i, t in enumerate(topics)]
-        self.send(json.dumps({"op": "subscribe", "subscriptions": wanted}).encode(), TEXT)
+        self.send(json.dumps({"op": "subscribe", "subscriptions": wanted}).encode())
 
     def control(self, playing, speed=1.0, seek=None, request="r1"):
         sought = struct.pack("<BQ", seek is not None, seek or 0)
         name = request.encode()
         body = struct.pack("<BBf", PLAYBACK_REQUEST, 0 if playing else 1, speed) + sought
-        self.send(body + struct.pack("<I", len(name)) + name, BINARY)
+        self.send(body + struct.pack("<I", len(name)) + name, kind=BINARY)
 
     def data(self):
         """Subscription, log time and payload of the next message."""
@@ -86,10 +62,10 @@ class Client:
 
     def advertise(self, number, topic, schema, encoding="json"):
         channel = {"id": number, "topic": topic, "encoding": encoding, "schemaName": schema}
-        self.send(json.dumps({"op": "advertise", "channels": [channel]}).encode(), TEXT)
+        self.send(json.dumps({"op": "advertise", "channels": [channel]}).encode())
 
     def publish(self, number, text):
-        self.send(struct.pack("<BI", CLIENT_DATA, number) + text.encode(), BINARY)
+        self.send(struct.pack("<BI", CLIENT_DATA, number) + text.encode(), kind=BINARY)
 
     def call(self, service, request, encoding="json"):
         """The response, or the reason of a failure."""
@@ -97,7 +73,7 @@ class Client:
             self.receive()
         number, name = self.services[service]["id"], encoding.encode()
         head = struct.pack("<BIII", SERVICE_REQUEST, number, 1, len(name))
-        self.send(head + name + json.dumps(request).encode(), BINARY)
+        self.send(head + name + json.dumps(request).encode(), kind=BINARY)
         while True:
             message = self.receive()
             if isinstance(message, dict) and message["op"] == "serviceCallFailure":
@@ -105,10 +81,6 @@ class Client:
             if isinstance(message, bytes) and message[0] == SERVICE_RESPONSE:
                 (length,) = struct.unpack("<I", message[9:13])
                 return json.loads(message[13 + length :])
-
-    def close(self):
-        self.stream.close()
-        self.socket.close()
 
 
 def upward(newtons):
@@ -126,7 +98,7 @@ def steer(port):
     for text in ("{", "[]", upward("much"), upward(float("nan")), '{"wrench": {"power": 1}}'):
         client.publish(1, text)
         said[text] = client.call(f"{NODE}/step_simulation", {"steps": 1})
-    for strength in range(2000):
+    for strength in range(10_000):
         client.publish(1, upward(float(strength)))
     said["step"] = client.call(f"{NODE}/step_simulation", {"steps": 2})
     client.publish(2, json.dumps({"header": {"frame_id": "phy124"}, "point": {"z": 0.6}}))

@@ -24,6 +24,14 @@ def flood(_: Any, line: Any) -> None:
     time.sleep(600)
 
 
+def flood_after_a_word(_: Any, line: Any) -> None:
+    """A word, then large frames without an end."""
+    say(line, kind="said", text="ready")
+    while True:
+        line.tell(b"f", bytes(100_000))
+        time.sleep(0.02)
+
+
 def crash(_: Any, line: Any) -> None:
     """A binding, and an end without a word."""
     line.tell(b"b", b"binding")

@@ -1,0 +1,53 @@
+"""A websocket of a few lines (RFC 6455), which can vanish in ways that no good library has."""
+
+from __future__ import annotations
+
+import base64
+import os
+import socket
+import struct
+
+TEXT, BINARY = 1, 2
+"""Kinds of messages."""
+
+
+class WebSocket:
+    """A connection, open as soon as it is made."""
+
+    def __init__(self, port: int, path: str, *headers: str) -> None:
+        self.socket = socket.create_connection(("127.0.0.1", port), timeout=60)
+        key = base64.b64encode(os.urandom(16)).decode()
+        lines = [
+            f"GET {path} HTTP/1.1", f"Host: 127.0.0.1:{port}", "Upgrade: websocket",
+            "Connection: Upgrade", f"Sec-WebSocket-Key: {key}", "Sec-WebSocket-Version: 13",
+            *headers,
+        ]  # fmt: skip
+        self.socket.sendall("".join(f"{line}\r\n" for line in [*lines, ""]).encode())
+        self.stream = self.socket.makefile("rb")
+        assert b"101" in self.stream.readline()
+        while self.stream.readline().strip():
+            pass
+
+    def frame(self) -> tuple[int, bytes]:
+        """Kind and payload of the next message."""
+        first, second = self.stream.read(2)
+        length = second & 0x7F
+        if length >= 126:
+            form = ">H" if length == 126 else ">Q"
+            (length,) = struct.unpack(form, self.stream.read(struct.calcsize(form)))
+        return first & 0x0F, self.stream.read(length)
+
+    def send(self, *payloads: bytes, kind: int = TEXT) -> None:
+        """Several messages at once, masked as a browser's are."""
+        frames = []
+        for payload in payloads:
+            mask = os.urandom(4)
+            masked = bytes(byte ^ mask[i % 4] for i, byte in enumerate(payload))
+            size = len(payload)
+            head = bytes([0x80 | size]) if size < 126 else struct.pack(">BH", 0x80 | 126, size)
+            frames.append(bytes([0x80 | kind]) + head + mask + masked)
+        self.socket.sendall(b"".join(frames))
+
+    def close(self) -> None:
+        self.stream.close()
+        self.socket.close()
