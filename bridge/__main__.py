@@ -10,7 +10,7 @@ import os
 import sys
 from collections.abc import Sequence
 
-# `start` explains what must not be imported here.
+# `importing` explains what must not be imported here.
 STOPPED = "bridge: stopped\n"
 
 
@@ -18,7 +18,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit status."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     try:
-        from .start import importing
+        from .importing import importing
 
         with importing(130, STOPPED):
             from phy124.runtime.signals import handled, interrupt

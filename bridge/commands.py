@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,7 +22,7 @@ from .live import follow, play
 from .options import Options
 from .player import Player, checked_speed
 from .recover import recover
-from .sink import LiveSink, Sink
+from .sink import LiveSink, Recorder, Sink
 from .sinks.background import Background
 from .sinks.foxglove import PORT
 from .sinks.mcap import Compression, McapSink
@@ -30,6 +30,7 @@ from .source import LiveOptions, LiveRun, opened
 from .steering.loop import controls, steer
 from .steering.run import SteeredRun, checked_duration
 from .steering.source import SteeredOptions, steered
+from .topics import FACTOR, Topic
 
 STOPPED_EARLY = 3
 """Exit status of a simulation that kept its good frames but did not reach the end."""
@@ -233,7 +234,7 @@ class Steer:
         offered = controls(run, accuracy, action=backend == "rclpy")
         try:
             with ExitStack() as stack:
-                records = self._records(stack, messages, live)
+                records = self._records(stack, messages, live, offered.published)
                 sink = open_sink(
                     backend, messages, network=self.network, port=self.port,
                     ros_args=self.ros_args, controls=offered,
@@ -247,11 +248,14 @@ class Steer:
                 say(f"{run.shown} frames shown; what was done is in {self.session}")
         return 0
 
-    def _records(self, stack: ExitStack, messages: Options, live: Any) -> list[Sink]:
+    def _records(
+        self, stack: ExitStack, messages: Options, live: Any, topics: Sequence[Topic]
+    ) -> list[Recorder]:
         if self.record is None:
             return []
-        bag = McapSink(self.record, messages, scene=live.scene.data())
-        return [stack.enter_context(Background(bag))]
+        told = [topic for topic in topics if topic is not FACTOR]
+        bag = McapSink(self.record, messages, scene=live.scene.data(), topics=told)
+        return [stack.enter_context(Background(bag, depth=16 * (1 + len(topics))))]
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The ROS 2 nodes `player` and `live`, from reading their parameters to their end.
+"""The ROS 2 nodes `player` and `simulate`, from reading their parameters to their end.
 
 `start` imports this module, so that Ctrl-C ends the process cleanly meanwhile.
 """
@@ -43,8 +43,8 @@ def main(args: list[str] | None = None) -> None:
     _live_through(args, play_clip)
 
 
-def live(args: list[str] | None = None) -> None:
-    """`ros2 run phy124_bridge live --ros-args -p source:=photo.png -p scene:=drop`."""
+def simulation(args: list[str] | None = None) -> None:
+    """`ros2 run phy124_bridge simulate --ros-args -p source:=photo.png -p scene:=drop`."""
     _live_through(args, simulate)
 
 

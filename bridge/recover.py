@@ -18,7 +18,7 @@ from phy124.errors import InputError
 
 from . import bag
 from .sinks.mcap import CHUNK, PART
-from .topics import MAIN, RECORDED
+from .topics import MAIN, recorded
 
 if TYPE_CHECKING:
     from mcap.writer import Writer
@@ -132,7 +132,7 @@ def _inspect(file: Path) -> tuple[bool, int]:
             frames += record.channel_id == points
         elif isinstance(record, Footer):
             footer = True
-        elif isinstance(record, Channel) and record.topic not in RECORDED:
+        elif isinstance(record, Channel) and recorded(record.topic) is None:
             limit = f"It holds the topic {record.topic}, so this program did not record it."
             raise InputError("recover", file, limit, "Use `ros2 bag reindex -s mcap` for it.")
         elif isinstance(record, Header) and record.profile != bag.PROFILE:
@@ -167,7 +167,8 @@ def _copy_records(source: Path, writer: Writer) -> bag.Counts:
     counts = bag.Counts()
     # The summary of a finished file repeats the channels, in case their first chunk is damaged.
     found = {record.id: record.topic for record in records(source) if isinstance(record, Channel)}
-    topics = {number: RECORDED[name] for number, name in found.items()}
+    known = {number: recorded(name) for number, name in found.items()}
+    topics = {number: topic for number, topic in known.items() if topic is not None}
     counts.announce(list(topics.values()))
     channels = {number: bag.register(writer, topic) for number, topic in topics.items()}
     for record in records(source):

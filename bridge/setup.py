@@ -15,7 +15,8 @@ NAME = "phy124_bridge"
 HERE = f"../{Path(__file__).resolve().parent.name}"
 EXECUTABLES = {
     "player": (f"{NAME}.start", "player", 0),
-    "live": (f"{NAME}.start", "live", 0),
+    "simulate": (f"{NAME}.start", "simulate", 0),
+    "live": (f"{NAME}.start", "live", 130),
     "bridge": (f"{NAME}.__main__", "main", 130),
 }
 """Name -> module, function, and exit status after Ctrl-C."""

@@ -47,6 +47,13 @@ class Sink(Protocol):
         """Take one frame; subscribers see its `time` [s] as the time since the start."""
 
 
+class Recorder(Sink, Protocol):
+    """A sink that also takes messages that belong to no frame."""
+
+    def send(self, message: Message) -> None:
+        """Take one message."""
+
+
 class LiveSink(Sink, Protocol):
     """A sink that somebody watches."""
 

@@ -1,14 +1,10 @@
-"""Start: the executables of `ros2 run`, and a clean Ctrl-C during slow imports.
-
-Only light modules may be imported here: until `importing` has been entered, Python answers Ctrl-C
-with a traceback.
-"""
+"""Start: the executables of `ros2 run`."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+
+from .importing import importing
 
 
 def player() -> None:
@@ -18,29 +14,15 @@ def player() -> None:
     node.main()
 
 
-def live() -> None:
-    """`ros2 run phy124_bridge live --ros-args -p source:=photo.png -p scene:=drop`."""
+def simulate() -> None:
+    """`ros2 run phy124_bridge simulate --ros-args -p source:=photo.png -p scene:=drop`."""
     with importing(0):
         from . import node
-    node.live()
+    node.simulation()
 
 
-@contextmanager
-def importing(status: int, said: str = "") -> Iterator[None]:
-    """Within this context, Ctrl-C and SIGTERM end the process at once; nothing must be closed yet.
+def live() -> int:
+    """`ros2 run phy124_bridge live photo.png`: a run that is steered, as of the command line."""
+    from .__main__ import main
 
-    A KeyboardInterrupt would not always come through, since some code that runs during an import
-    only prints it.
-
-    Args:
-        status: The exit status.
-        said: Text for standard error.
-    """
-    try:
-        from phy124.runtime.signals import ending, handled
-
-        with handled(ending(status, said)):
-            yield
-    except KeyboardInterrupt:
-        sys.stderr.write(said)
-        raise SystemExit(status) from None
+    return main(["live", *sys.argv[1:]])

@@ -6,10 +6,12 @@ the last messages (REP-2003 asks publishers of sensor data to be reliable if the
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 NAMESPACE = "phy124"
+STEERED = "live"
+"""Name of the node of a run that is steered."""
 
 
 @dataclass(frozen=True)
@@ -56,9 +58,9 @@ FACTOR = Topic("~/real_time_factor", "std_msgs/msg/Float64", depth=1)
 SPLATS = Topic("/phy124/gaussian_splats", "splat_interfaces/msg/SplatArray", depth=1)
 MAIN = (POINTS.name, SPLATS.name)
 """Names of the topics of which one has the Gaussians of every frame."""
-RECORDED = {topic.name: topic for topic in (TF_STATIC, POINTS, ELLIPSOIDS, SPLATS)}
-"""Topics in recordings. The clock is not among them, as it would conflict with that of
-`ros2 bag play --clock`."""
+RECORDED = {topic.name: topic for topic in (TF_STATIC, POINTS, ELLIPSOIDS, SPLATS, TF)}
+"""Topics in recordings, besides those of `contact`. The clock is not among them, as it would
+conflict with that of `ros2 bag play --clock`."""
 
 
 def contact(wall: str) -> Topic:
@@ -66,6 +68,14 @@ def contact(wall: str) -> Topic:
     return Topic(
         f"~/contact/{wall}", "geometry_msgs/msg/WrenchStamped", depth=10, transient_local=False
     )
+
+
+def recorded(name: str) -> Topic | None:
+    """The topic that has this full name in recordings; None if there is none."""
+    node, _, wall = name.partition("/contact/")
+    if node.startswith(f"/{NAMESPACE}/") and wall:
+        return replace(contact(wall), name=name)
+    return RECORDED.get(name)
 
 
 def full_name(name: str, node: str) -> str:

@@ -210,7 +210,7 @@ def test_a_running_simulation_as_a_node(ros, monkeypatch):
     Node.parameters = {"source": "photo.png", "scene": "drop", "set": ["seed=1"], "profile": "viz"}
     Node.parameters |= {"floor": True, "crop": "-1,-1,-1,1,1,1"}
     Node.parameters |= {"pick": "0.2,0.7", "depth": "far.png", "near": "black", "steps": 10}
-    node.live()
+    node.simulation()
     ((name, options),) = asked
     assert (name, options.live, options.scene, options.set) == (
         "photo.png",
@@ -271,7 +271,7 @@ def test_a_running_simulation_answers_while_it_computes(ros, monkeypatch):
 
     monkeypatch.setattr(node, "LiveRun", Run)
     Node.parameters = {"source": "photo.png", "clock": True}
-    node.live()
+    node.simulation()
     assert answers == [False, True, True, True, True, True] * 2
     (made,) = ros.nodes
     assert [cloud.width for cloud in clouds(made)] == [10, 10, 10]
@@ -293,6 +293,6 @@ def test_a_running_simulation_that_stops_early_says_so(ros, monkeypatch):
 
     monkeypatch.setattr(node, "LiveRun", Run)
     with pytest.raises(SystemExit) as ended:
-        node.live()
+        node.simulation()
     assert ended.value.code == node.STOPPED_EARLY
     assert ros.nodes[0].logger.lines[-1][0] == "ERROR"

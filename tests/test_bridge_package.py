@@ -108,7 +108,7 @@ def test_executables_exist(setup_arguments):
         name, target = script.split(" = ")
         module, function = target.replace(NAME, "bridge").split(":")
         assert callable(getattr(import_module(module), function))
-        assert name in ("player", "live", "bridge")
+        assert name in ("player", "simulate", "live", "bridge")
     config = (BRIDGE / "setup.cfg").read_text()
     assert config.count(f"$base/lib/{NAME}") == 2
 
@@ -224,7 +224,7 @@ def test_launch_ends_with_the_player(launched):
 
 def test_launch_simulates_a_picture(launched):
     live, _ = nodes(launched(source="p.png", scene="drop", profile="viz", rate="10"))
-    assert live.executable == "live"
+    assert live.executable == "simulate"
     assert given(live).keys() == {"source", "scene", "profile"}
 
 
@@ -236,11 +236,11 @@ def test_launch_needs_a_clip_or_a_source(launched, arguments):
 
 
 def test_launch_arguments_are_parameters_of_the_node(launched):
-    for name, start in (("player", {"clip": "a"}), ("live", {"source": "a"})):
+    for name, start in (("player", {"clip": "a"}), ("simulate", {"source": "a"})):
         own = parameters.CLIP | parameters.RUNNING if name == "player" else parameters.SIMULATED
         every = {"scene", "profile", "frame_id", "speed", "rate", "loop"}
         node, _ = nodes(launched(**dict.fromkeys(every, "1"), **start))
-        running = parameters.RUNNING_LIVE if name == "live" else {}
+        running = parameters.RUNNING_LIVE if name == "simulate" else {}
         assert given(node).keys() <= {*own, *running, *Options.model_fields}
         assert node.executable == name
 
@@ -315,7 +315,7 @@ def test_colcon_builds_the_package(tmp_path, colcon, options):
         "rviz/phy124.rviz",
     ):
         assert (installed / "share" / NAME / file).is_file()
-    for name in ("player", "live", "bridge"):
+    for name in ("player", "simulate", "live", "bridge"):
         assert "except KeyboardInterrupt" in (installed / "lib" / NAME / name).read_text()
     doctor = subprocess.run(
         ["bash", "-c", f". {installed.parent}/setup.bash && {installed}/lib/{NAME}/bridge doctor"],

@@ -16,7 +16,7 @@ import pytest
 import setuptools
 
 from bridge.__main__ import main
-from bridge.start import importing
+from bridge.importing import importing
 from support.clips import random_clip
 
 ROOT = Path(__file__).parents[1]
@@ -55,7 +55,7 @@ def clip(tmp_path):
         ("doctor", "numpy"),
         ("doctor", "cyclonedds"),
         ("record CLIP", EXEC),
-        ("record CLIP", "bridge.start"),
+        ("record CLIP", "bridge.importing"),
         ("record CLIP", "pydantic_core"),
         ("record CLIP", "mcap.writer"),
         ("play CLIP --backend dds", EXEC),
@@ -115,7 +115,7 @@ def executables(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("moment", [EXEC, "phy124_bridge", "phy124_bridge.start", "rclpy.begun"])
-@pytest.mark.parametrize("name", ["player", "live"])
+@pytest.mark.parametrize("name", ["player", "simulate"])
 def test_the_nodes(executables, name, moment):
     path = os.pathsep.join([str(executables), str(ROOT)])
     status, said = interrupted([executables / name], moment, PYTHONPATH=path)
@@ -128,7 +128,7 @@ def test_the_script_of_the_command_line_is_quick_as_well(executables):
     assert (status, said) == (130, ["bridge: stopped"])
 
 
-@pytest.mark.parametrize("module", ["__main__", "start", "__init__"])
+@pytest.mark.parametrize("module", ["__main__", "start", "importing", "__init__"])
 def test_what_takes_long_is_imported_where_ctrl_c_is_caught(module):
     imports = set()
     for node in ast.parse((BRIDGE / f"{module}.py").read_text()).body:
@@ -136,7 +136,7 @@ def test_what_takes_long_is_imported_where_ctrl_c_is_caught(module):
             imports |= {alias.name.split(".")[0] for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
             imports.add((node.module or ".").split(".")[0])
-    assert imports <= {"__future__", "os", "sys", "collections", "contextlib"}
+    assert imports <= {"__future__", "os", "sys", "collections", "contextlib", "importing"}
 
 
 def test_ctrl_c_before_the_handler_stands(monkeypatch, capsys):

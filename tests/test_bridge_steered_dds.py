@@ -140,6 +140,9 @@ def test_a_controller_closes_the_loop_and_may_die(domain):
             if (self.killed and len(ways) > self.killed + 10) or len(ways) > MOST:
                 run.enter(State.QUITTING)
 
+        def send(self, message):
+            """What a record keeps besides frames."""
+
     watch, (settings, *_) = Watch(), Discovery.from_environment().configurations()
     environment = {**os.environ, "CYCLONEDDS_URI": settings}
     with opened(run) as sink, subprocess.Popen(command, env=environment) as controller:

@@ -5,10 +5,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from rosbags.rosbag2 import Reader
 
 from bridge import info
 from bridge.__main__ import main
 from bridge.encoder import FrameEncoder
+from bridge.recover import recover
 from bridge.steering.contacts import contact_messages
 from bridge.steering.remarks import Remarks
 from bridge.steering.standard import Code, Feature, Standard
@@ -284,8 +286,19 @@ def test_the_command_steers_the_object_of_a_clip_and_keeps_the_session(tmp_path,
     Simulation(ball(400), own, threads=1).run().save(clip)
     given = ["--backend", "foxglove", "--port", "0", "--frames", "3", "--threads", "1"]
     coarse = ["--set", "accuracy={cells=8}", "--session", str(session)]
-    assert main(["live", str(clip), *given, *coarse]) == 0
+    bag = tmp_path / "bag"
+    assert main(["live", str(clip), *given, *coarse, "--record", str(bag)]) == 0
     assert "8 cells across" in capsys.readouterr().out
+    (bag / "metadata.yaml").unlink()
+    assert recover(bag).frames == 3, "as if it had been killed"
+    with Reader(bag) as recorded:
+        wrenches = [
+            JAZZY.deserialize_cdr(data, channel.msgtype)
+            for channel, _, data in recorded.messages()
+            if channel.topic == "/phy124/live/contact/ground"
+        ]
+        assert {channel.topic for channel in recorded.connections} >= {"/tf", "/phy124/points"}
+    assert [one.header.frame_id for one in wrenches] == 3 * ["phy124_com"]
     kept = Scene.named(str(session))
     assert kept.time.frames == 3 and kept.object == own.object
     for wrong in (["--speed", "nan"], ["--push-seconds", "-1"]):

@@ -30,7 +30,7 @@ PARAMETERS = {
 }
 """Name -> type and description; an empty value leaves that of the parameter file."""
 PLAYER = ("clip", "profile", "frame_id", "speed", "rate", "loop")
-LIVE = ("source", "scene", "profile", "frame_id", "speed")
+SIMULATED = ("source", "scene", "profile", "frame_id", "speed")
 
 
 def generate_launch_description():
@@ -63,7 +63,7 @@ def _nodes(context):
         said = "Give clip:=/path/clip.safetensors, or source:=/path/photo.png."
         return [LogInfo(msg=said), EmitEvent(event=Shutdown(reason=said))]
     namespace = "/" + LaunchConfiguration("namespace").perform(context).strip("/")
-    executable, names = ("live", LIVE) if given["source"] else ("player", PLAYER)
+    executable, names = ("simulate", SIMULATED) if given["source"] else ("player", PLAYER)
     parameters = {
         name: ParameterValue(LaunchConfiguration(name), value_type=PARAMETERS[name][0])
         for name in names

@@ -9,11 +9,13 @@ from __future__ import annotations
 import logging
 import queue
 import threading
+from contextlib import suppress
 from types import TracebackType
 
 from phy124.gaussians import Frame
 
-from ..sink import Sink
+from ..sink import Recorder
+from ..topics import Message
 
 log = logging.getLogger(__name__)
 
@@ -21,12 +23,12 @@ log = logging.getLogger(__name__)
 class Background:
     """Writes to `sink` in a thread; `write` returns at once."""
 
-    def __init__(self, sink: Sink, *, depth: int = 16) -> None:
-        """Prepare the thread; at most `depth` frames wait."""
+    def __init__(self, sink: Recorder, *, depth: int = 16) -> None:
+        """Prepare the thread; at most `depth` frames and messages wait."""
         self.sink = sink
         self.dropped = 0
         """Number of frames the sink did not get because it was too slow or had failed."""
-        self._queue: queue.Queue[Frame | None] = queue.Queue(depth)
+        self._queue: queue.Queue[Frame | Message | None] = queue.Queue(depth)
         self._thread = threading.Thread(target=self._work, name="recording", daemon=True)
         self._error: Exception | None = None
 
@@ -41,6 +43,11 @@ class Background:
             self._queue.put_nowait(frame)
         except queue.Full:
             self._drop()
+
+    def send(self, message: Message) -> None:
+        """Pass on one message without waiting; it is dropped where frames would be, too."""
+        with suppress(queue.Full):
+            self._queue.put_nowait(message)
 
     def __exit__(
         self,
@@ -58,12 +65,15 @@ class Background:
             raise self._error
 
     def _work(self) -> None:
-        while (frame := self._queue.get()) is not None:
+        while (what := self._queue.get()) is not None:
             if self._error is not None:
-                self.dropped += 1
+                self.dropped += isinstance(what, Frame)
                 continue
             try:
-                self.sink.write(frame)
+                if isinstance(what, Message):
+                    self.sink.send(what)
+                else:
+                    self.sink.write(what)
             except Exception as error:
                 # It is raised when the sink is closed; playback must not stop.
                 log.error("Recording failed, playback goes on. %s", error)

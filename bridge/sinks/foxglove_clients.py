@@ -22,6 +22,7 @@ from ..topics import COMMAND, Topic, full_name
 ENCODING = "json"
 BACKLOG = 100
 """Messages that wait; older ones are dropped."""
+FLOOD = f"Messages come faster than they are heard: of more than {BACKLOG} the newest count."
 OFTEN = 0.2
 """Time between two looks whether the sink has been closed [s]."""
 Job = Callable[[Obey], object]
@@ -44,6 +45,8 @@ class Clients:
         self._channels: dict[tuple[int, int], str] = {}
         self._waiting: deque[tuple[str, bytes]] = deque(maxlen=BACKLOG)
         self._refused = controls.refused
+        self._flooded = False
+        """Whether it was said that messages are left out."""
         self.closed = False
         """Whether calls are answered no more."""
 
@@ -75,6 +78,9 @@ class Clients:
         if topic is None:
             return
         first = not self._waiting
+        if len(self._waiting) == BACKLOG and not self._flooded:
+            self._flooded = True
+            self._post(lambda obey: self._refused(FLOOD))
         self._waiting.append((topic, data))
         if first:
             self._post(_wake)

@@ -9,7 +9,8 @@ from __future__ import annotations
 import json
 import logging
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any, Literal
 
@@ -20,7 +21,7 @@ from phy124.runtime.installation import install_command
 from .. import PROGRAM, bag
 from ..encoder import FrameEncoder
 from ..options import Options
-from ..topics import Message
+from ..topics import STEERED, Message, Topic, full_name
 
 Compression = Literal["none", "lz4", "zstd"]
 CHUNK = 1 << 20
@@ -41,6 +42,7 @@ class McapSink:
         scene: dict[str, Any] | None = None,
         report: Callable[[], dict[str, Any]] = dict,
         overwrite: bool = False,
+        topics: Sequence[Topic] = (),
     ) -> None:
         """Prepare a recording; nothing is touched before the sink is entered.
 
@@ -52,6 +54,7 @@ class McapSink:
             scene: The resolved scene as plain data, to be stored in the file.
             report: Called at the end; the report it returns is stored in the file.
             overwrite: Replace an existing bag.
+            topics: Others, whose messages come by `send`; names are those of the node `live`.
 
         Raises:
             InputError: The package `mcap` is missing.
@@ -64,6 +67,7 @@ class McapSink:
         self._compression = compression
         self._scene, self._report = scene or {}, report
         self._overwrite = overwrite
+        self._topics = {t.name: replace(t, name=full_name(t.name, STEERED)) for t in topics}
         self._counts = bag.Counts()
         self._single = self.path.suffix == bag.SUFFIX
         # A single file gets its name when it is complete; a bag is complete with metadata.yaml.
@@ -113,6 +117,20 @@ class McapSink:
             raise self._failure(error) from error
         self.frames += 1
 
+    def send(self, message: Message) -> None:
+        """Append a message of a topic that was announced; it is safe with the next frame.
+
+        Raises:
+            InputError: The disk is full or gone.
+        """
+        topic = self._topics.get(message.topic.name)
+        if topic is None:
+            return
+        try:
+            self._add(message._replace(topic=topic))
+        except OSError as error:
+            raise self._failure(error) from error
+
     def _refuse_existing(self) -> None:
         metadata = self.path / bag.METADATA
         for existing in (self.path if self._single else metadata, self.file):
@@ -130,7 +148,7 @@ class McapSink:
         self._writer = Writer(self._stream, chunk_size=CHUNK, compression=kind)
         self._writer.start(bag.PROFILE)
         self._write_record({})
-        topics = self._encoder.topics
+        topics = [*self._encoder.topics, *self._topics.values()]
         self._channels = {topic.name: bag.register(self._writer, topic) for topic in topics}
         self._counts.announce(topics)
         for message in self._encoder.static():

@@ -10,13 +10,12 @@ from phy124.gaussians import Frame
 
 from ..controls import Controls
 from ..options import Options
-from ..sink import LONGEST_WAIT, LiveSink, Sink
-from ..topics import FACTOR, TF, contact
+from ..sink import LONGEST_WAIT, LiveSink, Recorder
+from ..topics import FACTOR, STEERED, TF, contact
 from .contacts import contact_messages, factor_message
 from .run import SteeredRun
 from .standard import Standard
 
-NODE = "live"
 ROUNDS = 8
 """How often a sink is listened to between two frames, however late the next one is."""
 
@@ -33,7 +32,7 @@ def controls(run: SteeredRun, accuracy: str, *, action: bool) -> Controls:
 
     walls = names(run.live.scene.boundaries)
     return Controls(
-        node=NODE,
+        node=STEERED,
         published=(TF, FACTOR, *(contact(wall) for wall in walls)),
         heard=run.inputs.heard,
         services=Standard(run, action=action).services,
@@ -54,7 +53,7 @@ def steer(
     sink: LiveSink,
     options: Options,
     *,
-    records: Sequence[Sink] = (),
+    records: Sequence[Recorder] = (),
     frames: int | None = None,
 ) -> None:
     """Let a run go on until it is quit.
@@ -63,7 +62,7 @@ def steer(
         run: The run.
         sink: Where it is shown and from where it is steered, opened with its `controls`.
         options: How frames become messages, with an epoch.
-        records: Other sinks that get each frame.
+        records: Recordings that get each frame and the wrenches.
         frames: End after so many frames; None: when it is quit.
     """
     from phy124.live import RealTime
@@ -90,7 +89,7 @@ class _Outlets:
     """Where a frame goes, and what is sent with it."""
 
     def __init__(
-        self, run: SteeredRun, sink: LiveSink, options: Options, records: Sequence[Sink]
+        self, run: SteeredRun, sink: LiveSink, options: Options, records: Sequence[Recorder]
     ) -> None:
         self._live, self._sink, self._options, self._records = run.live, sink, options, records
 
@@ -99,7 +98,8 @@ class _Outlets:
             each.write(frame)
         contacts, centre = self._live.contacts(), self._live.centre
         for message in contact_messages(contacts, centre, self._options, frame.time):
-            self._sink.send(message)
+            for each in (self._sink, *self._records):
+                each.send(message)
 
 
 class _Listening:
