@@ -1,0 +1,144 @@
+"""`phy124 validate`: does the solver describe the world? Experiments of others, repeated."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from phy124.commands.bars import Bars
+from phy124.errors import Cancelled, InputError
+from phy124.experiments import EXPERIMENTS, Experiment, Outcome, named
+from phy124.experiments.page import data, details, save_page, summary
+from phy124.experiments.running import outcomes
+from phy124.io.files import staged
+from phy124.runtime.cores import cores, refuse_threads
+
+DOCS = Path("docs/results/experiments.md"), Path("docs/images/experiments")
+"""The page and its plots in a clone."""
+
+
+@dataclass(frozen=True)
+class Validate:
+    """Repeat experiments of the literature on three grids each, with a control that must fail.
+
+    The status is 0 if all ran, each control left its band, and what missed its band is known to.
+    """
+
+    name: tyro.conf.Positional[str | None] = None
+    """One experiment; absent: all. --list names them."""
+    quick: bool = False
+    """Only those that take seconds: about half of them, in a minute."""
+    list: bool = False
+    """Print the names and what is measured, and run nothing."""
+    jobs: int | None = None
+    """Processes at once; absent: one per core."""
+    out: Path | None = None
+    """Folder for experiments.md, .json and a plot of each."""
+    docs: bool = False
+    """In a clone: renew docs/results/experiments.md and its plots."""
+    json: bool = False
+    """Print as JSON and nothing else."""
+
+    def run(self) -> int:
+        """Run and print; returns status 1 if a control or a run fails, or a miss is new.
+
+        Raises:
+            InputError: There is no such experiment, or the page cannot be written here.
+        """
+        chosen = self._chosen()
+        if self.list:
+            for each in chosen:
+                print(f"{each.name:<16}{each.title}{' (quick)' if each.quick else ''}")
+            return 0
+        refuse_threads(self.jobs)
+        self._refuse_docs()
+        return self._validate(chosen)
+
+    def _validate(self, chosen: Sequence[Experiment]) -> int:
+        done: list[Outcome] = []
+        with Bars(quiet=self.json, keeps=True) as bars, suppress(Cancelled):
+            for outcome in outcomes(chosen, jobs=self.jobs or cores(), progress=bars):
+                done.append(outcome)
+                if not self.json:
+                    print("\n".join([summary(outcome), *details(outcome)]), flush=True)
+        done.sort(key=lambda outcome: chosen.index(outcome.experiment))
+        good = len(done) == len(chosen) and all(outcome.good for outcome in done)
+        if self.json:
+            print(json.dumps({"good": good, "experiments": [data(each) for each in done]}))
+        elif not bars.cancelled:
+            print(_summary(done))
+        if not bars.cancelled:
+            self._write(done)
+        return bars.status(f"{len(done)} experiments were made") or (0 if good else 1)
+
+    def _chosen(self) -> Sequence[Experiment]:
+        """The experiments to run."""
+        if self.name is None:
+            return [each for each in EXPERIMENTS if each.quick or not self.quick]
+        return [named(self.name)]
+
+    def _refuse_docs(self) -> None:
+        """Make sure that the whole page can be written.
+
+        Raises:
+            InputError: This is no clone, or not all experiments are run.
+        """
+        if not self.docs:
+            return
+        if self.name or self.quick:
+            raise InputError(
+                "docs", "a part", "the page holds all experiments.",
+                "Leave NAME and --quick out, or write the part with --out FOLDER.",
+            )  # fmt: skip
+        if not DOCS[0].parent.is_dir():
+            raise InputError(
+                "docs", Path.cwd(), "there is no docs/results here.",
+                "Change to the root of a clone, or write with --out FOLDER.",
+            )  # fmt: skip
+
+    def _write(self, done: Sequence[Outcome]) -> None:
+        if self.docs:
+            save_page(done, *DOCS, machine=_machine())
+        if self.out is not None:
+            with staged(self.out) as folder:
+                page = folder / "experiments.md"
+                save_page(done, page, folder / "plots", machine=_machine())
+                rows = [data(each) for each in done]
+                (folder / "experiments.json").write_text(json.dumps(rows, indent=1), "utf-8")
+
+
+def _summary(done: Sequence[Outcome]) -> str:
+    """The result of all in a sentence."""
+    inside, total = (sum(map(f, done)) for f in (lambda o: o.inside, lambda o: len(o.found)))
+    held = sum(outcome.control_holds for outcome in done)
+    seconds = sum(outcome.seconds for outcome in done)
+    return (
+        f"{inside} of {total} values in their bands; {held} of {len(done)} controls outside, as "
+        f"they must be; {seconds:.0f} s of processor time"
+    )
+
+
+def _machine() -> str:
+    """What measured, in a sentence; says so if others were at work too."""
+    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0
+    busy = f" while others were at work (load {load:.0f})" if load > 1.5 * cores() else ""
+    return (
+        f"Seconds are of processor time, of all runs of an experiment together, on {cores()} cores "
+        f"of {_processor()}, Python {platform.python_version()}{busy}.\n"
+    )
+
+
+def _processor() -> str:
+    """Name of the processor, where the system tells, or its architecture."""
+    with suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text("utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.machine()

@@ -1,0 +1,243 @@
+"""Experiments of the literature: their theories, what is made of three grids, how they are run."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from phy124.commands.validate import Validate
+from phy124.errors import Cancelled, InputError
+from phy124.experiments import (
+    EXPERIMENTS,
+    Experiment,
+    Quantity,
+    dam_break,
+    elastica,
+    heavy_elastica,
+    hertz,
+    impact,
+    incline,
+    middle_axis,
+    named,
+    pressed_block,
+    sand_column,
+    terminal_speed,
+)
+from phy124.experiments import page as page_module
+from phy124.experiments import running as running_module
+from phy124.experiments.bodies import brick, shells
+from phy124.experiments.outcome import Outcome, found
+from phy124.experiments.page import data, details, save_page, summary
+from phy124.experiments.running import Measured, Run, measure, outcome, outcomes, runs
+from phy124.progress import silent
+
+QUARTER = Quantity.within("a quarter", 0.25, 0.02)
+
+
+def made(**changes) -> Experiment:
+    """An experiment that needs no solver: its error is 1 / cells^2."""
+    told = {
+        "name": "made", "title": "Made", "source": "nobody", "measured": "A number.", "band": "2 %",
+        "published": lambda: (QUARTER,), "run": lambda cells: (0.25 + cells**-2,),
+        "control": lambda cells: (0.5 + cells**-2,), "mistake": "twice as much",
+        "grids": (4, 6, 8), "across": "it",
+    }  # fmt: skip
+    return Experiment(**{**told, **changes})
+
+
+def result(experiment: Experiment) -> Outcome:
+    """What it finds, without a process of its own."""
+    grids = [
+        Measured(Run(experiment.name, n, False), experiment.run(n), 1.0) for n in experiment.grids
+    ]
+    coarse = experiment.grids[0]
+    control = Measured(Run(experiment.name, coarse, True), experiment.control(coarse), 1.0)
+    return outcome(experiment, [*grids, control])
+
+
+def test_every_experiment_is_declared_whole():
+    names = [each.name for each in EXPERIMENTS]
+    assert len(set(names)) == len(names) == 11
+    for each in EXPERIMENTS:
+        quantities = each.published()
+        assert all(q.low <= q.published <= q.high for q in quantities), each.name
+        assert all(math.isfinite(q.low) and q.low < q.high for q in quantities), each.name
+        assert list(each.grids) == sorted(set(each.grids)), each.name
+        assert bool(each.axis) == all(q.at is not None for q in quantities), each.name
+    assert sum(each.quick for each in EXPERIMENTS) >= len(EXPERIMENTS) // 2
+
+
+def test_the_elastica_is_that_of_the_tables():
+    """Values of the published tables at 1 and 2; linear theory for small loads: a third of it."""
+    assert elastica.exact(1.0) == pytest.approx(0.30172, abs=1e-5)
+    assert elastica.exact(2.0) == pytest.approx(0.49346, abs=1e-5)
+    assert elastica.exact(1e-3) == pytest.approx(1e-3 / 3, rel=1e-3)
+    assert heavy_elastica.exact(1e-3) == pytest.approx(1e-3 / 8, rel=1e-3)
+
+
+def test_hertz_s_impact_lasts_as_long_as_in_books_and_damping_slows_it():
+    depth = impact.SHALLOW
+    lossless = impact.theory(0.0, depth)
+    assert lossless.restitution == pytest.approx(1.0, abs=1e-4)
+    ways = np.cumsum(-lossless.speeds) * lossless.times[0:2].max() * impact.speed(depth)
+    assert ways.max() == pytest.approx(depth * impact.RADIUS, rel=0.01)
+    losses = [impact.theory(loss, depth).restitution for loss in (0.0, 0.02, 0.05)]
+    assert losses == sorted(losses, reverse=True)
+    assert hertz.hertz(0.01) < hertz.tatara(0.01) < 1.1 * hertz.hertz(0.01)
+
+
+def test_a_body_turns_over_as_euler_says():
+    """A spin just off the middle axis, and three quarter periods until the second turn."""
+    first, second = middle_axis.exact()
+    assert second == pytest.approx(3 * first, rel=1e-4)
+    a, b, c = middle_axis.moments(middle_axis.EDGES)
+    assert a < b < c
+
+
+def test_a_pressed_block_has_the_moduli_of_small_strain():
+    nu = pressed_block.NU
+    for axial, lateral, modulus in (
+        (1 - 1e-6, 1.0, (1 - nu) / ((1 + nu) * (1 - 2 * nu))),
+        (1 - 1e-6, 1 - 1e-6, 1 / (1 - 2 * nu)),
+        (1 - 1e-6, 1 + 1e-6 * nu, 1.0),
+    ):
+        assert -pressed_block.law(axial, lateral)[0] / 1e-6 == pytest.approx(modulus, rel=1e-4)
+
+
+def test_sand_has_both_regimes_and_a_wider_angle_in_a_plane():
+    assert sand_column.run_out(1.0, sand_column.LUBE) == 1.2
+    assert sand_column.run_out(8.0, sand_column.LUBE) == pytest.approx(1.9 * 4)
+    angle = sand_column.plane_strain(31.0)
+    s = math.sin(math.radians(angle))
+    assert 2 * math.sqrt(3) * s / (3 - s) == pytest.approx(math.sin(math.radians(31.0)))
+    assert 22 < angle < 24
+
+
+def test_the_sets_of_the_dam_agree_with_each_other():
+    for time in dam_break.FRONTS:
+        sets = dam_break.front_sets(time)
+        assert np.ptp(sets) < 0.05 * sets.mean()
+
+
+def test_blocks_stay_where_friction_holds_them():
+    assert incline.acceleration(0.3, 0.5) == 0.0
+    assert incline.acceleration(1.0, 0.0) == pytest.approx(math.sqrt(0.5))
+
+
+def test_a_ball_of_shells_has_its_volume_and_a_brick_its_corner():
+    x, volume = shells(0.5, 0.1)
+    assert volume.sum() == pytest.approx(math.pi / 6)
+    assert np.linalg.norm(x, axis=1).max() == pytest.approx(0.45)
+    assert brick((2, 1, 3), 0.5, (1, 2, 3)).min(axis=0).tolist() == [1.25, 2.0, 3.25]
+
+
+def test_three_grids_give_the_value_of_none():
+    """An error of second order is taken away; a mistake leaves the band."""
+    one = result(made()).found[0]
+    assert one.value == pytest.approx(0.25, abs=1e-6) and one.order == pytest.approx(2, abs=0.05)
+    assert one.error == pytest.approx(1 / 64, rel=0.05)
+    assert one.inside and one.control_outside
+
+
+def test_grids_that_do_not_converge_give_the_finest_and_their_spread():
+    one = found((4, 6, 8), QUARTER, (0.25, 0.3, 0.2), 0.5)
+    assert one.order is None and one.value == 0.2 and one.error == pytest.approx(0.1)
+
+
+def test_a_miss_is_said_and_needs_a_reason():
+    off = made(run=lambda cells: (0.3 + cells**-2 / 100,))
+    missed = result(off)
+    assert not missed.found[0].inside and not missed.good
+    explained = result(made(run=off.run, reason="it leaks"))
+    assert explained.good
+    said = "\n".join(details(explained))
+    assert "OUTSIDE" in said and "it leaks" in said
+
+
+def test_a_control_that_stays_inside_is_a_failure():
+    vacuous = result(made(control=lambda cells: (0.25 + cells**-2,)))
+    assert vacuous.found[0].inside and not vacuous.good
+    assert "CONTROL" in summary(vacuous)
+
+
+def test_a_run_that_fails_is_told_and_stops_no_other(monkeypatch):
+    broken = made(run=lambda cells: (1 / (cells - 6),), grids=(4, 6, 8))
+    monkeypatch.setattr(running_module, "named", lambda name: broken)
+    (seen,) = outcomes([broken], jobs=1, progress=silent)
+    assert not seen.good and "ZeroDivisionError" in seen.failures[0]
+    assert data(seen)["verdict"] == "FAILED"
+
+
+def test_progress_stops_the_runs(monkeypatch):
+    def stop(stage: str, done: int, total: int) -> None:
+        assert (stage, total) == ("validate", 4)
+        if done == 2:
+            raise Cancelled
+
+    monkeypatch.setattr(running_module, "named", lambda name: made())
+    with pytest.raises(Cancelled):
+        list(outcomes([made()], jobs=1, progress=stop))
+
+
+def both() -> list[Outcome]:
+    """Of an experiment with rows and of one with a curve."""
+    curve = made(
+        name="other", title="Other", axis="x", run=lambda n: (0.25, 0.5 + 1 / n),
+        published=lambda: (Quantity("a", 0.25, 0.2, 0.3, 1.0), Quantity("b", 0.5, 0.4, 0.6, 2.0)),
+        control=lambda n: (0.9, math.nan),
+    )  # fmt: skip
+    return [result(made()), result(curve)]
+
+
+def test_a_page_has_a_row_and_a_plot_for_each(tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(page_module, "save_plot", lambda outcome, path: drawn.append(path.name))
+    save_page(both(), tmp_path / "page.md", tmp_path / "plots", machine="Here.")
+    page = (tmp_path / "page.md").read_text("utf-8")
+    assert "| [made](#made) | 1 of 1 |" in page and "![Other](plots/other.svg)" in page
+    assert drawn == ["made.svg", "other.svg"]
+
+
+@pytest.mark.slow
+def test_the_same_figures_give_the_same_plots(tmp_path):
+    for folder in ("one", "two"):
+        save_page(both(), tmp_path / "page.md", tmp_path / folder, machine="Here.")
+    for name in ("made.svg", "other.svg"):
+        first = (tmp_path / "one" / name).read_bytes()
+        assert first.startswith(b"<?xml") and first == (tmp_path / "two" / name).read_bytes()
+
+
+def test_a_falling_block_comes_to_its_terminal_speed():
+    """The smallest experiment, run by its name."""
+    done = measure(Run("terminal-speed", 4, False))
+    assert not done.failure and len(done.values) == len(terminal_speed.TIMES)
+    assert done.values[-1] == pytest.approx(terminal_speed.exact(6.0), rel=0.08)
+
+
+def test_a_pressed_block_is_as_stiff_as_its_law():
+    """Its forces come from the impulses that a plate gives."""
+    stress, ratio = pressed_block.pressed(4, 1, 0, pressed_block.NU)
+    assert stress / pressed_block.E == pytest.approx(1.0, rel=0.01)
+    assert ratio == pytest.approx(pressed_block.NU, rel=0.01)
+
+
+def test_names_are_refused_with_those_that_exist(capsys):
+    with pytest.raises(InputError, match="elastica, heavy-elastica"):
+        Validate(name="elastics").run()
+    with pytest.raises(InputError, match="the page holds all experiments"):
+        Validate(name="hertz", docs=True).run()
+    assert Validate(list=True).run() == 0
+    listed = capsys.readouterr().out
+    assert all(each.name in listed for each in EXPERIMENTS)
+    coarse, middle, fine = named("hertz").grids
+    assert [run.cells for run in runs(named("hertz"))] == [fine, middle, coarse, coarse]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [each.name for each in EXPERIMENTS])
+def test_an_experiment_comes_out_as_the_page_says(name, capsys):
+    """Its control leaves the band, and what misses it is known to."""
+    assert Validate(name=name, json=True).run() == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["good"] and told["experiments"][0]["control_holds"]
