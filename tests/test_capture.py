@@ -8,10 +8,10 @@ import pytest
 
 from phy124 import pipeline
 from phy124.__main__ import main
-from phy124.capture import capture, isolated, joined
+from phy124.capture import capture, isolated
 from phy124.capture.floor import find_floor
 from phy124.errors import Cancelled, InputError
-from phy124.gaussians import rotation_matrices
+from phy124.gaussians import joined, rotation_matrices
 from phy124.generators.ply_file import PlyFile, Reading
 from phy124.io.axes import orientation
 from phy124.io.clip import Clip
@@ -150,7 +150,7 @@ def test_floaters_are_told_from_sparse_objects():
     shell = ball(2000)
     rng = np.random.default_rng(0)
     far = ball(2000).select(np.arange(30))
-    far = joined(shell, far.moved(1.0, np.zeros(3)))
+    far = joined([shell, far.moved(1.0, np.zeros(3))])
     means = far.means.copy()
     means[2000:] = rng.uniform(1.5, 6, (30, 3))
     assert isolated(replace(far, means=means)).tolist() == [False] * 2000 + [True] * 30

@@ -16,7 +16,7 @@ from scipy.spatial import KDTree
 
 from phy124.capture.floor import Floor, find_floor
 from phy124.errors import InputError
-from phy124.gaussians import Gaussians, quaternions, rotation_matrices
+from phy124.gaussians import Gaussians, joined, quaternions, rotation_matrices
 from phy124.generators.ply_file import Opened, PlyFile, normalised, robust_bounds
 from phy124.io.axes import turned, upright
 from phy124.particles import clean
@@ -130,7 +130,7 @@ def _on_floor(opened: Opened, *, told: bool) -> _Read:
     scale = 1 / float((high - low).max())
     offset = -scale * (low + high) / 2
     offset[2] = -scale * found.offset
-    both = joined(own, standing.select(lies)).moved(scale, offset)
+    both = joined([own, standing.select(lies)]).moved(scale, offset)
     sentences = [*opened.cleaning, *cleaned.sentences]
     if alone.any():
         count = f"{alone.sum()} of {len(above)} Gaussians above the floor"
@@ -145,12 +145,6 @@ def isolated(gaussians: Gaussians) -> NDArray[np.bool_]:
     means = gaussians.means.astype(np.float64)
     near = KDTree(means).query(means, few + 1)[0].reshape(len(means), -1)[:, -1]
     return near > np.maximum(USUAL * np.median(near), OWN * gaussians.scales.max(axis=1))
-
-
-def joined(one: Gaussians, other: Gaussians) -> Gaussians:
-    """The Gaussians of both, the first one's first."""
-    names = ("means", "quats", "scales", "opacities", "sh")
-    return Gaussians(*(np.concatenate([getattr(one, n), getattr(other, n)]) for n in names))
 
 
 def _said(floor: Floor, opened: Opened, lies: NDArray[np.bool_]) -> dict[str, Any]:
@@ -181,7 +175,7 @@ def _in_metres(scene: Scene, read: _Read) -> Scene:
     assert cleaned.survivors is not None
     own = np.flatnonzero(cleaned.survivors) < read.own
     scale, offset = placing(kept, scene, own)
-    offset = offset + scale * read.offset + [0, 0, scene.object.lift]
+    offset = offset + scale * read.offset + [*scene.object.place, scene.object.lift]
     scale *= read.scale
     parts = []
     for number, part in enumerate(scene.parts):

@@ -4,8 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from phy124.capture import joined
-from phy124.gaussians import Gaussians, rotation_matrices
+from phy124.gaussians import Gaussians, joined, rotation_matrices
 from phy124.io.axes import orientation, turned
 from support.shapes import ball
 
@@ -39,7 +38,7 @@ def captured(seed: int, *, floor: int = 6000, floaters: int = 80, noise: float =
     # Of what touches the floor nothing is seen.
     shell = ball(3000).moved(1.0, np.array([0, 0, 0.5]))
     shell = shell.select(shell.means[:, 2] > 0.02)
-    upright = joined(joined(shell, _floor(rng, floor, noise)), _floaters(rng, floaters))
+    upright = joined([shell, _floor(rng, floor, noise), _floaters(rng, floaters)])
     kind = np.repeat([0, 1, 2], [len(shell), floor, floaters])
     to_file = orientation().T  # what write_ply does to our axes
     return Place(

@@ -1,0 +1,106 @@
+"""`phy124 fit`: from what was seen back to the material."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from phy124.commands.bars import Bars
+from phy124.commands.options import help_of
+from phy124.errors import Cancelled, InputError
+from phy124.fit import Fit as Declared
+from phy124.fit import Outlook, fit, forecast
+from phy124.fit.declaration import found_in
+from phy124.runtime.cores import cores
+from phy124.scene import assignments
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Find stiffness, damping, friction or a start from a clip, tracked points, or a video.
+
+    `phy124 fit points.csv --object duck.ply --scene drop --find material.E=1e4..1e6` searches
+    on a coarse grid and refines on finer ones; the same command goes on where it was stopped.
+    """
+
+    target: tyro.conf.Positional[str]
+    """Clip or its folder, .csv file of points, video, folder of pictures, or a .toml file that
+    declares all of this (see docs/guide/fitting.md)."""
+    object: Annotated[str | None, help_of(Declared, "object")] = None
+    scene: Annotated[str | None, help_of(Declared, "scene")] = None
+    find: tuple[str, ...] = field(default_factory=tuple)
+    """What to find, as PATH=LEAST..LARGEST: material.E=1e4..1e6 material.nu=0.2..0.45."""
+    set: tuple[str, ...] = field(default_factory=tuple)
+    """Any other value of the scene, as KEY=VALUE."""
+    forces: Annotated[str | None, help_of(Declared, "forces")] = None
+    side: Annotated[str | None, help_of(Declared, "side")] = None
+    gaussians: Annotated[int | None, help_of(Declared, "gaussians")] = None
+    grids: Annotated[str | None, help_of(Declared, "grids", example="16,24")] = None
+    seconds: Annotated[float | None, help_of(Declared, "seconds")] = None
+    seed: Annotated[int | None, help_of(Declared, "seed")] = None
+    out: Path | None = None
+    """Folder of the results; default out/TARGET-fit."""
+    workers: int | None = None
+    """Processes; absent: one per core."""
+    dry_run: bool = False
+    """Print what it would take, and stop."""
+    json: bool = False
+    """Print the report as JSON and nothing else."""
+
+    def run(self) -> int:
+        """Fit; prints the table and the files."""
+        declared, workers = self._declared(), self._processes()
+        if self.dry_run:
+            with Bars(quiet=self.json):
+                told = forecast(declared, workers=workers)
+            print(json.dumps(told.data()) if self.json else told.sentence())
+            return 0
+        name = Path(self.target).stem if Path(self.target).suffix else Path(self.target).name
+        out = self.out or Path("out") / f"{name}-fit"
+        with Bars(quiet=self.json) as bars:
+            try:
+                found = fit(
+                    declared, out, workers=workers, progress=bars,
+                    told=lambda expected: self._tell(bars, expected),
+                )  # fmt: skip
+            except Cancelled:
+                return bars.status(f"the same command goes on; runs so far are in {out}")
+        files = [str(path) for path in found.files]
+        print(json.dumps({**found.report, "files": files}) if self.json else found.table())
+        if not self.json:
+            print("\n".join(files))
+        return 0
+
+    def _declared(self) -> Declared:
+        """The declaration, from options and perhaps a file."""
+        from_file = Path(self.target).suffix.lower() == ".toml"
+        data: dict[str, Any] = Declared.from_toml(self.target) if from_file else {}
+        if not from_file:
+            data["target"] = self.target
+        named = ("object", "scene", "forces", "side", "gaussians", "seconds", "seed")
+        data |= {name: getattr(self, name) for name in named if getattr(self, name) is not None}
+        if self.grids is not None:
+            data["grids"] = [part for part in self.grids.split(",") if part.strip()]
+        for name, given in (("find", found_in(self.find)), ("set", assignments(self.set))):
+            if given:
+                data[name] = {**data.get(name, {}), **given}
+        if not data.get("find"):
+            remedy = "Write --find material.E=1e4..1e6, say."
+            raise InputError("find", None, "nothing is to be found.", remedy)
+        return Declared.from_data(data, self.target)
+
+    def _processes(self) -> int:
+        if self.workers is None:
+            return cores()
+        if not 0 <= self.workers <= 1024:
+            raise InputError("workers", self.workers, "there can be 0 to 1024.", "Leave it out.")
+        return self.workers
+
+    def _tell(self, bars: Bars, expected: Outlook) -> None:
+        if not self.json:
+            bars.close()
+            print(expected.sentence(), flush=True)

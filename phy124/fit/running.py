@@ -1,0 +1,103 @@
+"""One fit from its declaration to its files."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from phy124.fit.budget import Budget, Outlook, outlook
+from phy124.fit.declaration import Fit
+from phy124.fit.estimate import Estimate, estimate
+from phy124.fit.picture import write_comparison
+from phy124.fit.report import report_of, table
+from phy124.fit.runs import Runs
+from phy124.fit.target import Target
+from phy124.io.files import staged
+from phy124.progress import Progress, silent
+from phy124.scene import Scene
+
+SCENE, REPORT, COMPARISON = "fitted.toml", "fit.json", "comparison.png"
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """What a fit has found, and where it is."""
+
+    scene: Scene
+    """The scene with the values found for its own grid."""
+    report: dict[str, Any]
+    files: tuple[Path, ...]
+
+    def table(self) -> str:
+        """For people."""
+        return table(self.report)
+
+
+def fit(
+    declared: Fit,
+    out: Path,
+    *,
+    workers: int = 0,
+    told: Callable[[Outlook], object] = lambda outlook: None,
+    progress: Progress = silent,
+) -> Fitted:
+    """Find the values; the same call goes on where it was stopped.
+
+    Args:
+        declared: What to find, and from what.
+        out: Folder of the results; runs are kept in it.
+        workers: Processes; 0: this one.
+        told: Called with what it will take, before the first run.
+        progress: Called with ("fit", runs made, runs that are expected); may raise Cancelled.
+
+    Raises:
+        InputError: Something cannot be used, cannot be told apart, or takes longer than it may.
+    """
+    target = Target(declared)
+    budget = Budget(declared.seconds)
+    runs = Runs(target, out, budget, progress)
+    expected = _outlook(runs, target, workers)
+    expected.refuse(declared.seconds)
+    told(expected)
+    budget.expected = sum(expected.runs())
+    with runs.workers(workers):
+        found = estimate(runs, seed=declared.seed)
+    return _written(target, runs, budget, found, out)
+
+
+def forecast(declared: Fit, *, workers: int = 0) -> Outlook:
+    """What a fit will take; makes no run of it.
+
+    Raises:
+        InputError: Something cannot be used.
+    """
+    target = Target(declared)
+    return _outlook(Runs(target, Path(), Budget(declared.seconds)), target, workers)
+
+
+def _outlook(runs: Runs, target: Target, workers: int) -> Outlook:
+    middle = np.full(len(runs.names), 0.5)
+    scenes = [runs.scene_at(middle, level) for level in range(len(runs.grids))]
+    return outlook(target.gaussians, scenes, len(runs.names), workers, target.crop)
+
+
+def _written(target: Target, runs: Runs, budget: Budget, found: Estimate, out: Path) -> Fitted:
+    """Play the scene that was found, and write it, the report and the comparison."""
+    values = runs.values(found.on(target.scene.resolution.cells)[0])
+    scene = target.scene.replaced(values)
+    clip = runs.player.clip(target.played.replaced(values).data())
+    report = report_of(target, runs, found, clip, seconds=budget.spent)
+    with staged(out) as folder:
+        (folder / SCENE).write_text(scene.to_toml(), "utf-8")
+        text = json.dumps(report, indent=2, allow_nan=False) + "\n"
+        (folder / REPORT).write_text(text, "utf-8")
+        if target.film is not None:
+            times, seen = target.times_of(target.film), target.seen_by()
+            write_comparison(folder / COMPARISON, target.film, times, clip, seen)
+        names = sorted(path.name for path in folder.iterdir())
+    return Fitted(scene, report, tuple(out / name for name in names))

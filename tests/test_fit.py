@@ -1,0 +1,396 @@
+"""Fits: the search on a formula, its refusals and intervals; slow ones on runs of scenes."""
+
+from types import SimpleNamespace
+from typing import cast
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from phy124.__main__ import main
+from phy124.camera import Camera
+from phy124.errors import Cancelled, InputError
+from phy124.fit.apart import experiment, undetermined, unseen
+from phy124.fit.budget import Budget, Outlook
+from phy124.fit.declaration import Fit, found_in
+from phy124.fit.estimate import estimate
+from phy124.fit.interval import bootstrap, extrapolated
+from phy124.fit.observation import at_times, refuse_outside
+from phy124.fit.picture import ONLY_FITTED, ONLY_SEEN, write_comparison
+from phy124.fit.points import Points
+from phy124.fit.problem import Distance, jacobian
+from phy124.fit.refine import refine
+from phy124.fit.runs import Runs
+from phy124.fit.silhouettes import Silhouettes
+from phy124.fit.table import Table, read_table
+from phy124.fit.target import Target
+from phy124.fit.video import read_film
+from phy124.gaussians import Gaussians
+from phy124.io.clip import Clip
+from phy124.io.ply import write_ply
+from phy124.parts import WHOLE
+from phy124.progress import silent
+from phy124.scene import Scene
+from support.oscillator import TRUTH, Oscillator
+from support.pages import PAGES, blocks
+
+PLACES = (("x", "y", "z"), ("u", "v"))
+
+
+def test_a_damped_oscillator_is_found_on_an_infinitely_fine_grid():
+    problem = Oscillator()
+    found = estimate(problem)
+    limit, errors = found.on(np.inf)
+    assert np.all(np.abs(limit - TRUTH) < errors)
+    assert abs(limit[0] - TRUTH[0]) < 0.2 * abs(found.places[1][0] - TRUTH[0])
+    assert np.array_equal(found.on(24)[0], found.places[1])
+    assert problem.calls[1] < problem.calls[0] / 4, "the finer grid is for the last steps only"
+
+
+def covered(seeds):
+    """How many intervals from measurements alone hold the truth, for each value."""
+    held = np.zeros(2, int)
+    for seed in seeds:
+        problem = Oscillator(seed, grids=(1_000_000,))
+        distance = Distance(problem)
+        slopes = jacobian(problem, TRUTH, 0, 0.01)
+        found = refine(problem, distance, TRUTH + 0.02, slopes, 0)
+        weighted = distance.weighted(found.jacobian), distance.residual(found.predicted)
+        spread = bootstrap(*weighted, problem.groups, problem.kinds, seed)
+        held += np.abs(found.place - TRUTH) <= spread.errors
+    return held
+
+
+def test_intervals_hold_the_truth():
+    assert np.all(covered(range(25)) >= 22)
+    assert np.all(covered(range(25)) <= 25)
+
+
+@pytest.mark.slow
+def test_intervals_hold_the_truth_in_90_of_100_seeds():
+    assert np.all(covered(range(100)) >= 90)
+    found = [estimate(Oscillator(seed), seed=seed) for seed in range(100)]
+    held = sum(np.abs(one.on(np.inf)[0] - TRUTH) <= one.on(np.inf)[1] for one in found)
+    assert np.all(held >= 90)
+
+
+def test_stiffness_and_mass_together_are_refused_before_the_search():
+    problem = Oscillator(names=("material.E", "material.damping", "material.density"),
+                         truth=np.array([0.6, 0.35, 0.5]))  # fmt: skip
+    with pytest.raises(InputError, match=r"material\.E, material\.density: .* the same way"):
+        estimate(problem)
+    assert sum(problem.calls) < 40
+
+
+def test_what_nothing_depends_on_is_refused():
+    names = ("material.E", "material.damping", "material.density", "boundaries.0.friction")
+    problem = Oscillator(names=names, truth=np.full(4, 0.5))
+    with pytest.raises(InputError, match=r"friction: nothing that was measured .* slope"):
+        estimate(problem)
+
+
+def test_a_vague_value_is_refused():
+    assert undetermined(("a", "b"), np.array([0.1, 0.2]), np.eye(2)) is None
+    blind = undetermined(("a", "b"), np.array([0.1, 0.7]), np.diag([0.01, 0.1]))
+    assert blind.names == ("b",)
+    assert "1.4 times the range" in str(blind.refusal())
+
+
+def test_effects_in_different_directions_are_told_apart():
+    assert unseen(("a", "b"), np.array([[1.0, 0.5], [0, 1], [0, 0]]), 1.0) is None
+
+
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [
+        (["material.E", "material.density"], "--forces"),
+        (["parts.0.material.E", "parts.0.material.density"], "newtons"),
+        (["material.nu"], "sides"),
+        (["object.velocity.2"], "fly"),
+        (["view.fov"], "another load"),
+    ],
+)
+def test_an_experiment_is_named(names, words):
+    assert words in experiment(names)
+
+
+def test_richardson_takes_the_first_power():
+    places = [np.array([0.6]), np.array([0.55])]
+    assert np.allclose(extrapolated((16, 32), places, np.inf), [[0.5], [0.05]])
+    assert np.allclose(extrapolated((16, 32), places, 64), [[0.525], [0.025]])
+    assert extrapolated((16,), places[:1], 32)[1] == 0
+
+
+@pytest.mark.parametrize(
+    ("text", "kind"), [("1e4..1e6", "log_uniform"), ("0.2..0.45", "uniform"), ("-1..1", "uniform")]
+)
+def test_ranges(text, kind):
+    declared = Fit.from_data({"target": "x", "find": found_in((f"material.E={text}",))})
+    assert list(declared.find["material.E"].model_dump()) == [kind]
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        ({"find": {"material.E": "1e6..1e4"}}, "not below"),
+        ({"find": {"material.E": "soft"}}, "no range"),
+        ({"find": {}}, "find"),
+        ({"find": {"material.E": "1..2"}, "grids": [24, 16]}, "finer"),
+        ({"find": {"material.E": "1..2"}, "secondes": 3}, "secondes"),
+    ],
+)
+def test_bad_declarations(data, words):
+    with pytest.raises(InputError, match=words):
+        Fit.from_data({"target": "points.csv", **data})
+
+
+@pytest.mark.parametrize("text", ["material.E", "=1..2"])
+def test_what_is_no_range_of_a_path(text):
+    with pytest.raises(InputError, match="LEAST"):
+        found_in((text,))
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("", "Begin it with time,id,x,y,z or time,id,u,v"),
+        ("time,id,x,y\n0,a,1,2\n", "its first line is 'time,id,x,y'"),
+        ("time,id,x,y,z\n", "no rows"),
+        ("time,id,x,y,z\n0,a,1,2,nan\n", r"row 1 \(0,a,1,2,nan\)"),
+        ("time,id,x,y,z\n0,a,1,2,3\n0,a,1,2\n", "row 2"),
+        ("time,id,x,y,z\n0,a,one,2,3\n", "finite"),
+    ],
+)
+def test_bad_tables(tmp_path, content, words):
+    (tmp_path / "points.csv").write_text(content)
+    with pytest.raises(InputError, match=words):
+        read_table(tmp_path / "points.csv", "target", "id", PLACES)
+
+
+def test_a_table_that_is_not_there(tmp_path):
+    with pytest.raises(InputError, match="cannot be read"):
+        read_table(tmp_path / "none.csv", "target", "id", PLACES)
+
+
+def test_a_target_longer_than_the_scene():
+    with pytest.raises(InputError, match=r"until 2 s.*time\.seconds=2\.1"):
+        refuse_outside("target", "x.csv", np.array([0.0, 2.0]), 0.5)
+    with pytest.raises(InputError, match="begins at -1 s"):
+        refuse_outside("target", "x.csv", np.array([-1.0, 0.2]), 0.5)
+
+
+def falling(count=5):
+    """A clip of a cube of Gaussians that falls, and their places in the first frame."""
+    rest = np.stack(np.meshgrid(*[np.linspace(0, 1, 4)] * 3), -1).reshape(-1, 3)
+    times = np.arange(count) / 24
+    means = rest[None] - 4.9 * times[:, None, None] ** 2 * [0, 0, 1]
+    n = len(rest)
+    turned = np.broadcast_to([1.0, 0, 0, 0], (count, n, 4))
+    clip = Clip(means, turned, np.full((count, n, 3), 0.1), np.ones(n), np.zeros((n, 1, 3)), times)
+    return clip, rest
+
+
+def tracked(values, times, names):
+    return Table(times, np.array(names), values, ("x", "y", "z"))
+
+
+def test_points_move_with_the_gaussians_near_them():
+    clip, rest = falling()
+    places = np.array([[0.1, 0.2, 0.3], [0.9, 0.6, 0.7]])
+    fallen = places[None] + (clip.means - rest)[:, :1]
+    points = Points(tracked(fallen.reshape(-1, 3), clip.times.repeat(2), ["a", "b"] * 5), rest)
+    assert np.allclose(points.predicted(clip), points.measured, atol=1e-6)
+
+
+def test_pixels_move_with_the_gaussians_in_front():
+    clip, rest = falling()
+    camera = Camera.orbit(0, 10, 4, 128, target=(0.5, 0.5, 0.5))
+    front = np.flatnonzero(rest[:, 0] == 1)[[5, 6, 9]]
+    seen = np.stack([camera.project(means[front])[0] for means in clip.means])
+    table = Table(clip.times.repeat(3), np.array(["a", "b", "c"] * 5), seen.reshape(-1, 2), ("u",))
+    points = Points(table, rest, [camera] * 5)
+    assert np.all(rest[points.chosen[points.weights > 0.2], 0] == 1)
+    assert np.allclose(points.predicted(clip), points.measured, atol=0.15)
+
+
+def test_points_off_the_object_and_points_that_appear_later_are_refused():
+    _, rest = falling()
+    with pytest.raises(InputError, match="away from it"):
+        Points(tracked(np.full((2, 3), 5.0), np.array([0, 0.1]), ["a", "a"]), rest)
+    with pytest.raises(InputError, match="point b is not seen at the first instant"):
+        Points(tracked(np.zeros((2, 3)), np.array([0, 0.1]), ["a", "b"]), rest)
+    with pytest.raises(InputError, match="only one instant"):
+        Points(tracked(np.zeros((1, 3)), np.zeros(1), ["a"]), rest)
+
+
+def test_between_frames_a_spline_is_read():
+    times = np.arange(6) / 10
+    assert at_times(times, times**3, np.array([0.25]))[0] == pytest.approx(0.25**3, rel=1e-6)
+    assert at_times(times, times**3, np.array([0.20001]))[0] == times[2] ** 3
+
+
+def film_of(folder, places):
+    """A folder of pictures of a dark square on a light background."""
+    folder.mkdir()
+    for number, place in enumerate(places):
+        picture = np.full((64, 64, 3), 230, np.uint8)
+        if place is not None:
+            picture[place : place + 16, 20:36] = 40
+        Image.fromarray(picture).save(folder / f"{number:03d}.png")
+    return folder
+
+
+def test_silhouettes_are_cut_from_a_plain_background(tmp_path):
+    film = read_film(film_of(tmp_path / "film", [10, 20]))
+    assert film.masks.sum(axis=(1, 2)).tolist() == [256, 256]
+    camera = Camera.orbit(0, 10, 4, 128)
+    seen = Silhouettes(film, np.array([0, 0.1]), [camera] * 2)
+    assert seen.measured.sum() == pytest.approx(512, rel=0.01)
+    with pytest.raises(InputError, match=r"view\.size=\[64,64\]"):
+        Silhouettes(film, np.array([0, 0.1]), [Camera.orbit(0, 10, 4, (128, 64))])
+
+
+def test_pictures_are_kept_small(tmp_path):
+    """Two thousand large ones would not fit into memory."""
+    (tmp_path / "film").mkdir()
+    for number in range(2):
+        picture = np.full((400, 600, 3), 230, np.uint8)
+        picture[100:300, 100:300] = 40
+        Image.fromarray(picture).save(tmp_path / "film" / f"{number}.png")
+    film = read_film(tmp_path / "film")
+    assert film.pictures.shape == (2, 171, 256, 3)
+    assert film.masks.mean() == pytest.approx(1 / 6, rel=0.06)
+
+
+def test_the_comparison_shows_target_fitted_and_difference(tmp_path):
+    film = read_film(film_of(tmp_path / "film", [10, 20]))
+    clip, _ = falling()
+    camera = Camera.orbit(0, 10, 4, 64, target=(0.5, 0.5, 0.5))
+    write_comparison(tmp_path / "c.png", film, np.array([0, 0.1]), clip, [camera] * 5)
+    with Image.open(tmp_path / "c.png") as picture:
+        assert picture.size == (3 * 192, 2 * 192)
+        found = np.asarray(picture)
+    assert tuple(found[40, 90]) == (40, 40, 40), "the target"
+    assert tuple(found[40, 2 * 192 + 90]) == ONLY_SEEN
+    assert tuple(found[96, 2 * 192 + 96]) == ONLY_FITTED
+
+
+def test_films_that_show_nothing_are_refused(tmp_path):
+    with pytest.raises(InputError, match="picture 1 shows nothing"):
+        read_film(film_of(tmp_path / "film", [10, None]))
+    with pytest.raises(InputError, match="1 pictures"):
+        read_film(film_of(tmp_path / "short", [10]))
+    (tmp_path / "film.mp4").write_text("no film")
+    with pytest.raises(InputError, match="no video"):
+        read_film(tmp_path / "film.mp4")
+
+
+def test_a_budget_that_is_too_small_is_refused():
+    outlook = Outlook((16, 24), (0.5, 2.0), 2, 2)
+    outlook.refuse(600)
+    with pytest.raises(InputError, match=r"the least .* --seconds"):
+        outlook.refuse(10)
+    clock = iter([0.0, 50.0, 50.0])
+    budget = Budget(100, clock=lambda: next(clock))
+    assert not budget.late(0.6)
+    assert budget.late(0.4)
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["points.csv", "--object", "o.ply"], "nothing is to be found"),
+        (["points.csv", "--find", "material.E=1..2"], "nothing says which object"),
+        (["gone.mp4", "--object", "o.ply", "--find", "material.E=1e4..1e5"], "is not there"),
+        (["points.csv", "--object", "o.ply", "--find", "material.E=1e4..1e5"], "until 9 s"),
+    ],
+)
+def test_the_command_refuses_in_a_sentence(tmp_path, monkeypatch, capsys, words, sentence):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "points.csv").write_text("time,id,x,y,z\n0,a,0,0,0.5\n9,a,0,0,0.5\n")
+    n = 8
+    rest = np.array(np.meshgrid([0, 1], [0, 1], [0, 1])).reshape(3, n).T
+    turned, ones = np.tile([1.0, 0, 0, 0], (n, 1)), np.ones(n)
+    write_ply("o.ply", Gaussians.from_rgb(rest, turned, np.full((n, 3), 0.1), ones, rest * 0.5))
+    assert main(["fit", *words]) == 2
+    assert sentence in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_file_on_the_page_is_a_fit(tmp_path):
+    page = next(page for page in PAGES if page.name == "fitting.md")  # fitting.md
+    text = next(block.text for block in blocks() if block.page == page and block.words[0] == "toml")
+    (tmp_path / "fit.toml").write_text(text)
+    declared = Fit.from_data(Fit.from_toml(tmp_path / "fit.toml"))
+    assert list(declared.find) == ["material.E", "material.nu"]
+
+
+class Heights:
+    """Stands in for runs of a scene: E and the grid are what is measured; a stiff one fails."""
+
+    def __init__(self):
+        self.calls = 0
+
+    def __call__(self, scene):
+        self.calls += 1
+        found = np.array([scene["material"]["E"], scene["accuracy"]["cells"]], float)
+        return (None if found[0] > 9e4 else found), 0.25
+
+
+def runs_in(folder, progress=silent):
+    """Runs whose player is a stand-in."""
+    _, rest = falling()
+    n = len(rest)
+    cube = Gaussians.from_rgb(
+        rest, np.tile([1.0, 0, 0, 0], (n, 1)), np.full((n, 3), 0.1), np.ones(n), rest
+    )
+    declared = Fit.from_data({"target": "x", "find": {"material.E": "1e4..1e5"}})
+    seen = SimpleNamespace(measured=np.zeros(2), groups=np.arange(2), kinds=[])
+    target = SimpleNamespace(
+        declared=declared, observations=seen, played=Scene(), gaussians=cube, crop=WHOLE
+    )
+    runs = Runs(cast(Target, target), folder, Budget(60), progress)
+    runs.player = Heights()
+    return runs
+
+
+def test_each_run_is_made_once_and_kept(tmp_path):
+    runs = runs_in(tmp_path)
+    places = [np.array([0.0]), np.array([0.5]), np.array([1.0])]
+    low, middle, stopped = runs.predict(places, 0)
+    assert (low[0], low[1], round(middle[0])) == (1e4, 16, 31623)
+    assert stopped is None
+    assert runs.predict(places[:1], 1)[0][1] == 24
+    again = runs_in(tmp_path)
+    assert np.array_equal(again.predict(places, 0)[1], middle)
+    assert (again.player.calls, again.kept, again.made) == (0, 3, [0, 0])
+    assert runs.made == [3, 1]
+    assert runs.seconds == 1.0
+
+
+def test_a_cancelled_fit_keeps_its_runs(tmp_path):
+    def stop(stage, done, total):
+        if done == 1:
+            raise Cancelled
+
+    with pytest.raises(Cancelled):
+        runs_in(tmp_path, stop).predict([np.array([0.0]), np.array([0.5])], 0)
+    again = runs_in(tmp_path)
+    again.predict([np.array([0.0]), np.array([0.5])], 0)
+    assert (again.kept, again.player.calls) == (1, 1)
+
+
+def test_a_path_that_is_no_field_is_refused_before_any_run(tmp_path):
+    with pytest.raises(InputError, match=r"material\.stiff"):
+        Runs(cast(Target, _named("material.stiff")), tmp_path, Budget(60))
+    with pytest.raises(InputError, match=r"material\.nu"):
+        Runs(cast(Target, _named("material.nu")), tmp_path, Budget(60))
+    assert not any(tmp_path.iterdir())
+
+
+def _named(path):
+    declared = Fit.from_data({"target": "x", "find": {path: "0.2..0.9"}})
+    seen = SimpleNamespace(measured=np.zeros(2), groups=np.arange(2), kinds=[])
+    return SimpleNamespace(
+        declared=declared, observations=seen, played=Scene(), gaussians=None, crop=WHOLE
+    )
