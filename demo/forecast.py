@@ -6,9 +6,6 @@ drawn pixel and so on cost on this machine.
 
 from __future__ import annotations
 
-import math
-import threading
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from html import escape
@@ -16,7 +13,7 @@ from typing import Any
 
 from phy124.accuracy import Forecaster, Stop
 from phy124.accuracy.forecast import GUESS, QUIET
-from phy124.accuracy.load import Load, spoken
+from phy124.accuracy.load import Load, LoadMeter, spoken
 from phy124.accuracy.promises import Promise, promise, why_broken
 from phy124.cost import GAUSSIANS, Rates, Work, count_particles
 from phy124.gaussians import Gaussians
@@ -28,8 +25,6 @@ from .studies import Measurement, on_grid
 
 Measured = tuple[dict[str, Any], Scene]
 """Report and scene of a finished run."""
-FRESH = 3.0
-"""Time for which a measurement of the machine's load is valid [s]."""
 SET_UP = 0.4
 """Time to set up one grid of a study and to compare its motion, relative to that of `rest`."""
 
@@ -79,8 +74,7 @@ class Estimator:
     def __init__(self, occupied: Callable[[], bool] = lambda: False) -> None:
         self.learned = Learned()
         self._occupied = occupied
-        self._load, self._looked = QUIET, -math.inf
-        self._looking = threading.Lock()
+        self.meter = LoadMeter()
 
     @property
     def rates(self) -> Rates:
@@ -152,16 +146,7 @@ class Estimator:
         While a run of this page is in progress it cannot be told from others, so the last
         measurement is used.
         """
-        if time.monotonic() > self._looked + FRESH and not self._occupied():
-            self.look()
-        return self._load
-
-    def look(self) -> Load:
-        """Measure the load by other programs on this machine."""
-        with self._looking:  # two measurements at once would see each other as load
-            self._load = Load.measured()
-            self._looked = time.monotonic()
-            return self._load
+        return self.meter.latest if self._occupied() else self.meter.load()
 
     def calibrate(self, small: Callable[[], Measured], usual: Callable[[], Measured]) -> None:
         """Measure the rates by two runs, corrected for the load by other programs."""
@@ -169,13 +154,13 @@ class Estimator:
 
     def _alone(self, run: Callable[[], Measured]) -> Measured:
         """A run done now, with its times as they would be without other programs."""
-        before = self.look()
+        before = self.meter.measure()
         report, scene = run()
-        return _alone(report, before.mean(self.look())), scene
+        return _alone(report, before.mean(self.meter.measure())), scene
 
     def learn(self, report: dict[str, Any], scene: Scene, before: Load) -> None:
         """Correct the rates by a run just finished, which had the load `before`."""
-        self.learned.learn(_alone(report, before.mean(self.look())), scene)
+        self.learned.learn(_alone(report, before.mean(self.meter.measure())), scene)
 
     def minimum(self, scene: Scene, *, gaussians: int = GAUSSIANS) -> float:
         """Time of a run [s] if this machine is as fast as it has ever been."""

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from pydantic import Field, ValidationError
 
 from phy124.errors import InputError
+from phy124.runtime.cores import MOST_THREADS
 from phy124.runtime.device import CHOICES
 from phy124.scene.refusals import refusal
 from phy124.section import Section
@@ -28,6 +29,12 @@ class Settings(Section):
     host: str = Field(default="127.0.0.1", description="Address to listen on.")
     port: int = Field(default=7860, ge=1, le=65535, description="Port to listen on.")
     device: str = Field(default="auto", description=CHOICES)
+    threads: int = Field(
+        default=0,
+        ge=0,
+        le=MOST_THREADS,
+        description="CPU threads of one run; 0: one for each core that is free.",
+    )
     folder: str = Field(default="", description="Where visitors' files lie; empty: a new one.")
     gaussians: int = Field(
         default=50_000,
@@ -43,6 +50,7 @@ class Settings(Section):
         default=25, gt=0, le=50, description="Pixels of a picture [million]."
     )
     max_frames: int = Field(default=72, ge=1, le=10_000, description="Frames of one run.")
+    max_forces: int = Field(default=16, ge=1, description="Forces and boundaries of one run.")
     max_particles: int = Field(default=400_000, ge=1000, description="Particles of one run.")
     max_cells: int = Field(default=64, ge=4, le=256, description="Grid cells across the object.")
     max_pixels: int = Field(default=768, ge=64, le=4096, description="Side of a video [pixels].")

@@ -89,6 +89,15 @@ def test_substeps_of_a_body_with_friction_are_predicted():
     assert made.limiters.get("viscous", 0) > 0.5
 
 
+def test_substeps_of_a_body_that_stiffens_are_predicted():
+    profile = {"kind": "ramp", "duration": 0.15, "first": 1.0, "last": 9.0}
+    stiffens = scene("push_right", stiffness_profile=profile)
+    simulation = Simulation(OBJECT, stiffens)
+    made = Forecaster().of(simulation, filming=False)
+    simulation.run()
+    assert made.substeps == pytest.approx(simulation.solver.clock.substeps, rel=0.06)
+
+
 def test_no_promise_where_speed_rules():
     """A jelly thrown faster than its own sound: the seconds are only a guess, and it says so."""
     fast = scene(

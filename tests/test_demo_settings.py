@@ -180,11 +180,16 @@ def test_what_would_take_too_long_is_refused_before_it_starts():
         check_time(Estimator().minimum(stiff), Settings())
 
 
-@pytest.mark.parametrize("damping", [0.0, 2e4])
-def test_the_forecast_counts_the_substeps_of_a_run(three_gaussians, damping):
+STIFFENS = {"kind": "ramp", "duration": 0.3, "first": 1.0, "last": 9.0}
+
+
+@pytest.mark.parametrize(
+    "changes", [{}, {"material.damping": 2e4}, {"stiffness_profile": STIFFENS}], ids=str
+)
+def test_the_forecast_counts_the_substeps_of_a_run(three_gaussians, changes):
     from phy124.simulation import Simulation
 
-    small = {"accuracy": {"cells": 8, "particles_per_axis": 1.0}, "material.damping": damping}
+    small = {"accuracy": {"cells": 8, "particles_per_axis": 1.0}, **changes}
     scene = Scene.named("push_right").replaced(small)
     run = Simulation(three_gaussians, scene, device="cpu")
     run.run()
@@ -253,12 +258,12 @@ def test_two_looks_do_not_take_each_other_for_others(monkeypatch):
     forecaster, at_once = Estimator(), []
 
     def look(*_):
-        at_once.append(forecaster._looking.locked())
+        at_once.append(forecaster.meter._measuring.locked())
         return Load()
 
     monkeypatch.setattr("demo.forecast.Load.measured", look)
-    forecaster.look()
-    assert at_once == [True] and not forecaster._looking.locked()
+    forecaster.meter.measure()
+    assert at_once == [True] and not forecaster.meter._measuring.locked()
 
 
 def test_kernels_that_are_not_there_take_time_and_it_is_said(monkeypatch):

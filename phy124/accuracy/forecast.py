@@ -15,7 +15,7 @@ from typing import Any, get_args
 
 import numpy as np
 
-from phy124.accuracy.load import Load, spoken
+from phy124.accuracy.load import Load, LoadMeter, spoken
 from phy124.accuracy.pilot import Pilot, coarsened, fly
 from phy124.accuracy.probe import SubstepCost, probe, time_film, time_shapes
 from phy124.accuracy.promises import Promise, promise
@@ -162,6 +162,10 @@ class Forecaster:
     threads: int | None = None
     """CPU threads; None: as many as suit."""
     _known: dict[Any, Any] = field(default_factory=dict, repr=False)
+    _meter: LoadMeter = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        self._meter = LoadMeter(self.device)
 
     def forecast(self, gaussians: Gaussians, scene: Scene, *, crop: Crop = WHOLE) -> Forecast:
         """The forecast of a run of a scene; makes its particles and a probe.
@@ -181,8 +185,16 @@ class Forecaster:
         made = self.of(simulation)
         return made.with_measured("particles", watch.seconds["particles"])
 
-    def of(self, simulation: Simulation, *, filming: bool = True) -> Forecast:
-        """The forecast of a simulation that has not started; its state does not change."""
+    def of(
+        self, simulation: Simulation, *, filming: bool = True, load: Load | None = None
+    ) -> Forecast:
+        """The forecast of a simulation that has not started; its state does not change.
+
+        Args:
+            simulation: The simulation.
+            filming: Whether it will be filmed.
+            load: Load by other programs; None: it is measured.
+        """
         scene = simulation.scene
         pilot = self._pilot(simulation)
         rates, nodes, each_frame = probe(simulation)
@@ -197,7 +209,7 @@ class Forecaster:
         }
         return Forecast(
             stages, (), particles, round(mean_nodes), substeps, limiters, rates,
-            simulation.demand.memory, _caveat(pilot, limiters), Load.measured(self.device),
+            simulation.demand.memory, _caveat(pilot, limiters), load or self._meter.load(),
         )  # fmt: skip
 
     def stops(self, gaussians: Gaussians, scene: Scene) -> dict[str, Stop]:

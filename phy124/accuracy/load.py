@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import threading
 import time
 import zlib
 from concurrent.futures import ThreadPoolExecutor
@@ -23,6 +25,8 @@ MINIMUM, MAXIMUM = 0.8, 1.5
 """Range of the time of runs relative to forecasts on an idle machine (docs/results/accuracy.md)."""
 BUSY = 1.2
 """Factor by which the range is wider on a busy machine, since the load changes during a run."""
+FRESH = 10.0
+"""Time for which a measurement is valid [s]."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +74,34 @@ class Load:
         """
         wider = unsure * (BUSY if self.busy else 1.0)
         return MINIMUM / wider * seconds, MAXIMUM * wider * seconds
+
+
+class LoadMeter:
+    """Measures the load, which takes 0.6 s of all cores, no more often than it is worth."""
+
+    def __init__(self, device: str = "cpu") -> None:
+        """Measure nothing yet.
+
+        Args:
+            device: Where the runs are whose time is of interest.
+        """
+        self.latest = Load()
+        """What was measured last; of an idle machine before that."""
+        self._device, self._measured = device, -math.inf
+        self._measuring = threading.Lock()
+
+    def load(self) -> Load:
+        """The load, measured again if the last measurement is too old."""
+        if time.monotonic() > self._measured + FRESH:
+            self.measure()
+        return self.latest
+
+    def measure(self) -> Load:
+        """Measure the load now."""
+        with self._measuring:  # two measurements at once would see each other as load
+            self.latest = Load.measured(self._device)
+            self._measured = time.monotonic()
+            return self.latest
 
 
 def spoken(span: tuple[float, float]) -> str:

@@ -43,11 +43,13 @@ class Pilot:
     """Whether it became unstable, so that nothing is promised."""
     viscous: float = 0.0
     """Smallest number of substeps per frame that viscosity requires."""
+    factors: NDArray[np.float64] | float = 1.0
+    """Factor on Young's modulus in each frame [T]."""
 
     def substeps(self, cells: int) -> tuple[int, dict[str, float]]:
         """Number of substeps on another grid, whole in each frame, and fraction of each limiter."""
         scale = cells / self.cells
-        at_rest = np.minimum(self.counts["elastic"], self.rest)
+        at_rest = np.minimum(self.counts["elastic"], self.rest * np.sqrt(self.factors))
         excess = self.counts["elastic"] - at_rest
         grown = {
             **self.counts,
@@ -85,6 +87,7 @@ def fly(gaussians: Gaussians, scene: Scene, *, device: str = "cpu", crop: Crop =
     simulation = Simulation(gaussians, coarse, device=device, crop=crop)
     solver, timing = simulation.solver, scene.time
     counts = {name: np.zeros(timing.frames - 1) for name in LIMITERS}
+    factors = scene.softnesses(np.arange(timing.frames - 1) / timing.fps)
     nodes, rest = [], 0.0
     stopped = False
     try:
@@ -93,6 +96,8 @@ def fly(gaussians: Gaussians, scene: Scene, *, device: str = "cpu", crop: Crop =
         rest = math.sqrt(stiffness) / (solver.clock.cfl * solver.model.dx) / timing.fps
         for frame in range(timing.frames - 1):
             before = dict(solver.clock.needed)
+            if scene.stiffness_profile is not None:
+                simulation.softening.follow(float(factors[frame]))
             solver.advance((frame + 1) / timing.fps)
             for name, needed in solver.clock.needed.items():
                 counts[name][frame] = needed - before.get(name, 0.0)
@@ -100,4 +105,5 @@ def fly(gaussians: Gaussians, scene: Scene, *, device: str = "cpu", crop: Crop =
     except Unstable:
         stopped = True
     growth = float(np.mean(nodes) / nodes[0]) if nodes else 1.0
-    return Pilot(cells, counts, rest, growth, stopped, 1 / (solver.clock.viscous * timing.fps))
+    viscous = 1 / (solver.clock.viscous * timing.fps)
+    return Pilot(cells, counts, rest, growth, stopped, viscous, factors)

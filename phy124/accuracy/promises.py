@@ -89,6 +89,8 @@ def promise(scene: Scene, report: Mapping[str, Any] | None = None) -> Promise:
     broken = why_broken(report or {})
     if broken:
         return none(broken)
+    if scene.objects:
+        return _unknown("scenes of several objects")
     laws, motion = sorted({section.law for section in scene.materials}), motion_of(scene)
     if len(laws) > 1:
         return _unknown("scenes of several materials")

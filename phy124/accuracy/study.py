@@ -17,7 +17,7 @@ import numpy as np
 
 from phy124.accuracy.convergence import TRUSTED, Convergence, distances, richardson
 from phy124.accuracy.difference import Difference, difference
-from phy124.accuracy.forecast import Forecaster, pixels_per_size
+from phy124.accuracy.forecast import QUIET, Forecaster, pixels_per_size
 from phy124.accuracy.promises import kept, promise, torn
 from phy124.errors import Cancelled
 from phy124.gaussians import Gaussians
@@ -221,7 +221,7 @@ class Study:
         ), f"{name}: {torn}" if torn else ""
 
     def _predicted(self, simulation: Simulation) -> float:
-        forecast = self._forecaster.of(simulation, filming=False)
+        forecast = self._forecaster.of(simulation, filming=False, load=QUIET)
         return forecast.stages["simulate"] + forecast.stages["deform"]
 
     def _judged(self, rows: list[Row], skipped: tuple[str, ...]) -> Report:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from types import FrameType
@@ -17,6 +17,8 @@ from phy124.runtime.signals import handled, interrupt
 _silent: ContextVar[bool] = ContextVar("_silent", default=False)
 BETWEEN_LINES = 10.0
 """Time between two lines about the same stage where no bar can be drawn [s]."""
+LEFT = "{l_bar}{bar}| {n_fmt}/{total_fmt}{postfix}"
+"""A bar beside which the time left is told."""
 TITLES = {"compile": "compile kernels, once"}
 """Stage -> its name for users, where that is another."""
 
@@ -38,11 +40,18 @@ class Bars:
 
     Within the context, Ctrl-C is remembered and ends the work at the next report of progress, never
     in the middle of a kernel, where it could crash the process. A second Ctrl-C before that acts at
-    once. With `keeps` the caller keeps the results so far, and the user is told so.
+    once. With `keeps` the caller keeps the results so far, and the user is told so. `left` tells
+    the time that is left [s] better than the bar can, which takes all steps for equal.
     """
 
-    def __init__(self, *, quiet: bool = False, keeps: bool = False) -> None:
-        self.quiet, self.keeps = quiet or _silent.get(), keeps
+    def __init__(
+        self,
+        *,
+        quiet: bool = False,
+        keeps: bool = False,
+        left: Callable[[], float | None] | None = None,
+    ) -> None:
+        self.quiet, self.keeps, self.left = quiet or _silent.get(), keeps, left
         self.bar: tqdm | None = None
         self.interrupted = False
         self.cancelled = False
@@ -90,17 +99,30 @@ class Bars:
     def _draw(self, stage: str, done: int, total: int) -> None:
         if self.bar is None or self.bar.desc.removesuffix(": ") != stage:
             self.close()
-            self.bar = tqdm(desc=stage, total=total, file=sys.stderr, leave=False, mininterval=0.2)
+            self.bar = tqdm(
+                desc=stage, total=total, file=sys.stderr, leave=False, mininterval=0.2,
+                bar_format=None if self.left is None else LEFT,
+            )  # fmt: skip
         self.bar.total = total
+        self.bar.set_postfix_str(self._left(), refresh=False)
         self.bar.update(done - self.bar.n)
 
     def _report(self, stage: str, done: int, total: int) -> None:
         """Print a line when a stage begins and ends, and now and then in between."""
-        now, line = time.monotonic(), f"{stage}: {done} of {total}"
+        now, line = time.monotonic(), f"{stage}: {done} of {total}{self._left()}"
         due = stage != self._stage or done == total or now >= self._next_line
         if due and line != self._said:
             self._stage, self._said, self._next_line = stage, line, now + BETWEEN_LINES
             self._say(line)
+
+    def _left(self) -> str:
+        """The time that is left, if it is told."""
+        seconds = self.left() if self.left is not None else None
+        if not seconds:
+            return ""
+        from phy124.limits import duration
+
+        return f", about {duration(seconds)} left"
 
     def _say(self, line: str) -> None:
         print(line, file=sys.stderr, flush=True)

@@ -17,6 +17,7 @@ from phy124.io.clip import Clip
 from phy124.io.files import staged
 from phy124.rendering.film import choppy, film
 from phy124.rendering.framing import framing
+from phy124.runtime.cores import refuse_threads
 from phy124.runtime.device import pick_device
 from phy124.scene import Scene, assignments, together
 
@@ -35,11 +36,14 @@ class Render:
     out: Path | None = None
     """Folder of the files; default beside the clip."""
     device: Device = "auto"
+    threads: int | None = None
+    """CPU threads that draw; absent: one for each core."""
     json: bool = False
     """Print the files as JSON and nothing else."""
 
     def run(self) -> int:
         """Render; prints the files."""
+        refuse_threads(self.threads)
         clip = Clip.load(self.clip)
         changes = self.view.changes()
         others = {f"view.{key}": value for key, value in assignments(self.set).items()}
@@ -48,7 +52,7 @@ class Render:
         with Bars(quiet=self.json, keeps=True) as bars, staged(out) as folder:
             with suppress(Cancelled):
                 device = pick_device(self.device)
-                film(clip, view, folder, device=device, progress=bars)
+                film(clip, view, folder, device=device, threads=self.threads, progress=bars)
                 if self.compose is not None:
                     from phy124.pipeline.composing import into_photograph
 

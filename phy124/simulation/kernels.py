@@ -7,7 +7,7 @@ from typing import Any
 
 from phy124 import deform, tracks
 from phy124.monitor import contacts, diagnostics, external_work, tearing, wrenches
-from phy124.mpm import repair, substep
+from phy124.mpm import pairs, repair, substep
 from phy124.mpm.model import PRECISIONS, form_of
 from phy124.scene import Scene
 
@@ -28,6 +28,8 @@ def kernels(scene: Scene, device: str = "cpu") -> Iterator[Any]:
     yield from tearing.kernels(laws.values(), real)
     for boundary in scene.boundaries:
         yield from boundary.kernels(real, scene.dx)
+    if scene.objects:
+        yield from pairs.kernels(real)
     if scene.boundaries and scene.checks.balance:
         yield from external_work.wall_kernels(real)
     if scene.boundaries and scene.keeps_wrenches:
