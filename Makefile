@@ -24,8 +24,9 @@ bridge: .venv/bridge
 
 test: test-default test-page
 
+# Three on two cores: tests of servers wait more than they compute.
 test-default: .venv/test
-	$(BIN)/pytest -n 2 --dist loadfile -m "not slow and not browser"
+	$(BIN)/pytest -n 3 --dist loadfile -m "not slow and not browser"
 
 test-page: .venv/test
 	if command -v chromium >/dev/null; then $(BIN)/pytest -m "browser and not slow" tests/e2e; fi

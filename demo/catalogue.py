@@ -33,6 +33,9 @@ FIRST = (
 """Presets shown first; all others follow in alphabetical order."""
 PUSHES = {"gravity": "g", "acceleration": "a"}
 """Forces that the direction pad sets -> the field that it sets."""
+LONGEST, LONGER = 20_000, 200
+"""Length of a scene as text, and how much longer it may be for each frame of a run, since a hand
+may have drawn the object elsewhere in each."""
 WEIGHTS = {"foam": 50, "water": 1000, "stone": 2600, "iron": 7900}
 """Densities of familiar materials [kg/m^3]."""
 
@@ -116,7 +119,7 @@ def scene_of(data: Any, settings: Settings, uploads: Path | None = None) -> Scen
     """
     if not isinstance(data, dict):
         raise InputError("scene", data, "no scene is chosen.", "Choose one of the cards.")
-    if len(json.dumps(data)) > 20_000:
+    if len(json.dumps(data)) > LONGEST + LONGER * settings.max_frames:
         raise InputError("scene", "too long", "it is too large.", "Use fewer forces.")
     scene = Scene.from_data(data)
     for field, path in files_named(scene):
@@ -145,7 +148,10 @@ def check_limits(scene: Scene, settings: Settings) -> None:
         "size": (max(scene.view.size), settings.max_pixels),
         "views": (len(scene.view.sides), settings.max_views),
         "particles": (count_particles(scene), settings.max_particles),
-        "forces and boundaries": (len(scene.forces) + len(scene.boundaries), 16),
+        "forces and boundaries": (
+            len(scene.forces) + len(scene.boundaries),
+            settings.max_forces,
+        ),
     }
     for name, (value, most) in limits.items():
         if value > most:

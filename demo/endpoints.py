@@ -18,7 +18,7 @@ from phy124.section import Section
 from .exports import EXPORTS, export
 from .handlers import Handler
 from .identity import visitor_of
-from .jobs import Studio, read_report
+from .jobs import Studio
 from .known import AXES
 from .line import Job
 from .photo import photo, refusal
@@ -116,7 +116,7 @@ def _generate(studio: Studio) -> Handler:
             yield (gr.skip(),) * 3
         done = job.progress.result
         made = [str(export(kind, done)) for kind in kinds]
-        yield (done, source, data, told), _paths(done) + made, read_report(done)
+        yield (done, source, data, told), _paths(done) + made, done.report
 
     return generate
 
@@ -203,7 +203,7 @@ def _render(studio: Studio) -> Handler:
         job = _begun(studio.run, name, source, {**data, "view": view}, told)
         for _ in _followed(job, studio.visitors.get(name), "run"):
             yield gr.skip(), gr.skip()
-        yield _paths(job.progress.result), read_report(job.progress.result)
+        yield _paths(job.progress.result), job.progress.result.report
 
     return render
 
@@ -235,7 +235,7 @@ def _evaluate(run: Any) -> dict[str, Any]:
     if run is None:
         raise refusal(NOTHING_YET)
     try:
-        return read_report(run[0])
+        return run[0].report
     except OSError:
         raise refusal("run: It is no longer stored here. Call /generate again.") from None
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -49,6 +50,11 @@ class Done:
     """Folder of the videos, the player's pack and the report."""
     study: Path
     """The file with the error of this scene, once it has been measured."""
+
+    @property
+    def report(self) -> dict[str, Any]:
+        """What the run says of itself."""
+        return json.loads((self.films / "report.json").read_text("utf-8"))
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,6 @@ other.
 
 from __future__ import annotations
 
-import json
 import threading
 import time
 from collections import deque
@@ -229,7 +228,10 @@ class Studio:
         """What a visitor tells of the object beside its picture; raises InputError."""
         return known_of(self.visitors, self.settings, name, told)
 
-    def run(self, name: str, source: Source | None, data: Any, told: Any = None) -> Job:
+    def run(
+        self, name: str, source: Source | None, data: Any, told: Any = None,
+        limits: Settings | None = None,
+    ) -> Job:  # fmt: skip
         """Start the whole chain.
 
         Args:
@@ -237,11 +239,12 @@ class Studio:
             source: What the object is made of.
             data: The scene as plain data.
             told: What else is known of the object, by option (`demo.known`).
+            limits: Those of this run; None: the page's.
 
         Raises:
             InputError: Something in the request cannot be used.
         """
-        (visitor, source, scene), known = self.asked(name, source, data), self.known(name, told)
+        visitor, source, scene = self.asked(name, source, data, limits)
         self._check_time(source, scene)
         ready = self._ready(name, source, scene, told)
         count, compiling = self.count(source), self._compiling(scene)
@@ -249,7 +252,7 @@ class Studio:
         expected = visitor.forecasts.get(key(scene.data()), usual)
         stages = STAGES if isinstance(source, Cutout) else STAGES | READING
         job = Job("run", visitor.new_stop_file(), expected, stages=stages)
-        order = replace(self.order((visitor, source, scene), known), stop=job.stop)
+        order = replace(self.order((visitor, source, scene), self.known(name, told)), stop=job.stop)
         return self._submit(visitor, job, self.runs, lambda job: self._run(visitor, order, job))
 
     def measure(self, name: str, source: Source | None, data: Any, told: Any = None) -> Job:
@@ -313,8 +316,16 @@ class Studio:
             compiling=self._compiling(on_grid(scene, grids(scene)[0])),
         )  # fmt: skip
 
-    def asked(self, name: str, source: Source | None, data: Any) -> tuple[Visitor, Source, Scene]:
+    def asked(
+        self, name: str, source: Source | None, data: Any, limits: Settings | None = None
+    ) -> tuple[Visitor, Source, Scene]:
         """The visitor, the object's source and the scene of a request.
+
+        Args:
+            name: The visitor's name.
+            source: What the object is made of.
+            data: The scene as plain data.
+            limits: Those of this request; None: the page's.
 
         Raises:
             InputError: There is no source, or no such scene.
@@ -322,11 +333,11 @@ class Studio:
         visitor = self.visitors.known(name)
         if visitor is None or source is None or not is_there(source):
             raise InputError("image", "none", "There is no picture yet.", "Choose one first.")
-        return visitor, source, self._scene(visitor, data)
+        return visitor, source, self._scene(visitor, data, limits)
 
-    def _scene(self, visitor: Visitor | None, data: Any) -> Scene:
+    def _scene(self, visitor: Visitor | None, data: Any, limits: Settings | None = None) -> Scene:
         """The scene that was chosen; it may name the visitor's own uploads and no other files."""
-        return scene_of(data, self.settings, visitor and visitor.folder / "uploads")
+        return scene_of(data, limits or self.settings, visitor and visitor.folder / "uploads")
 
     def _ready(self, name: str, source: Source | None, scene: Scene, told: Any) -> dict[str, Any]:
         """Which stages need not be run again for this visitor, as `made_already` tells it."""
@@ -374,7 +385,7 @@ class Studio:
             visitor.trim(self.visitors.room)
         done = job.progress.result
         if isinstance(done, Done) and "simulate" not in job.progress.reused:
-            self.forecaster.learn(read_report(done), order.scene, load)
+            self.forecaster.learn(done.report, order.scene, load)
 
     def warm_up(self) -> None:
         """Load all kernels and measure this machine with small runs; started in a thread."""
@@ -387,8 +398,3 @@ class Studio:
                 device = self.settings.device
                 self.forecaster.calibrate(partial(tiny_run, device), partial(example_run, device))
         self.warm.set()
-
-
-def read_report(done: Done) -> dict[str, Any]:
-    """The report of a finished run."""
-    return json.loads((done.films / "report.json").read_text("utf-8"))

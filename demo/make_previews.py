@@ -30,6 +30,7 @@ FOLDER = Path(__file__).parent
 OBJECTS = {
     "sway": "potted_plant", "drop": "pear", "bounce": "chick", "spin": "cupcake", "sand": "cupcake",
     "snow": "teddy", "water": "pear", "jelly": "cupcake", "wind": "sunflower", "foam": "mushroom",
+    "land_on_cushion": "pear", "bury": "chick", "stack": "cupcake",
 }  # fmt: skip
 """Preset -> the example picture that suits it; all others use the duck."""
 FRAMES = {"water": 11}

@@ -42,6 +42,7 @@ def order_of(
         known=known,
         photograph=Path(source.picture) if known.photographed.compose else None,
         device=limits.device,
+        threads=limits.threads or None,
         about=known.about(source),
     )  # fmt: skip
 

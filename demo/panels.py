@@ -15,6 +15,7 @@ EDITOR = HEAD + '<script src="phy124/static/scene.js"></script>'
 TOUCH = (
     HEAD
     + '<script src="phy124/static/lattice.js"></script>'
+    + '<script src="phy124/static/glass.js"></script>'
     + '<script src="phy124/static/splats.js"></script>'
     + '<script src="phy124/static/touch.js"></script>'
 )

@@ -21,6 +21,8 @@ _Rate = Annotated[float, Field(ge=-1e5, le=1e5)]
 _Push = Annotated[float, Field(ge=-1e9, le=1e9)]
 _Direction = Annotated[float, Field(ge=-1e6, le=1e6)]
 
+Spot = tuple[_Coordinate, _Coordinate]
+"""A place on the floor [m]."""
 Position = tuple[_Coordinate, _Coordinate, _Coordinate]
 """A place or a displacement [m]."""
 Velocity = tuple[_Rate, _Rate, _Rate]
@@ -48,6 +50,8 @@ def _writable(text: str) -> str:
 
 Text = Annotated[str, AfterValidator(_writable)]
 """Text that is written into scene files as it is."""
+Name = Annotated[str, Field(min_length=1, max_length=40, pattern=r"^[A-Za-z][A-Za-z0-9_-]*$")]
+"""What an object is called, in files and topics too: a letter, then letters, digits, - and _."""
 NAME_LENGTH = 4096
 """Length of a file name, characters."""
 

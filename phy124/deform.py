@@ -12,7 +12,9 @@ with the material, to within 1e-5 of the covariance.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -40,6 +42,11 @@ class Bound(Protocol):
     @property
     def gaussian(self) -> NDArray[np.int32]:
         """Index of the Gaussian that each particle represents [P], or -1."""
+        ...
+
+    @property
+    def body(self) -> NDArray[np.int32] | None:
+        """Which object each particle is of [P], as the Gaussians' `object_id`; None: of one."""
         ...
 
 
@@ -104,7 +111,7 @@ class Deformer:
         self._own = _own_particles(n, particles)
         self._field = None
         if self._own is None and particles is not None:
-            self._field = _Field(gaussians, particles.x, self._share)
+            self._field = _Field(gaussians, particles, self._share)
         self._count = n if particles is None else len(particles.x)
         carrier: NDArray = np.arange(n) if self._own is None else self._own
         self._carrier = wp.array(carrier, dtype=wp.int32, device=device)
@@ -138,7 +145,7 @@ class Deformer:
         self._share.launch(field.deform_shapes, rest, [deformation], frame)
         sh = self._colours(deformation)
         quats, scales = _host(self._quats).copy(), _host(self._scales).copy()
-        gaussians = Gaussians(means, quats, scales, self.gaussians.opacities, sh)
+        gaussians = replace(self.gaussians, means=means, quats=quats, scales=scales, sh=sh)
         if velocities is not None:
             velocities = self._interpolated(self._checked(_host(velocities), (3,)))
         return Frame(index, time, gaussians, velocities)
@@ -228,8 +235,8 @@ class _Share:
 class _Field:
     """Gaussians carried by nearby particles: neighbours and weights, found once at rest."""
 
-    def __init__(self, gaussians: Gaussians, rest: NDArray[np.float32], share: _Share) -> None:
-        self.neighbours, self.weights = carriers(gaussians.means, rest)
+    def __init__(self, gaussians: Gaussians, particles: Bound, share: _Share) -> None:
+        self.neighbours, self.weights = _carriers_of(gaussians, particles)
         n, device = len(gaussians), share.device
         self.device, self._share = device, share
         self._own = [
@@ -237,7 +244,7 @@ class _Field:
             wp.array(self.weights, dtype=wp.float32, device=device),
             wp.array(gaussians.means, dtype=wp.vec3f, device=device),
         ]
-        self._rest = wp.array(rest, dtype=wp.vec3f, device=device)
+        self._rest = wp.array(particles.x, dtype=wp.vec3f, device=device)
         self._means = wp.empty_like(self._own[2])
         self._deformation = wp.array(np.zeros((n, 3, 3)), dtype=wp.mat33d, device=device)
 
@@ -254,6 +261,31 @@ class _Field:
         for k in range(self.weights.shape[1]):
             out += self.weights[:, k, None] * values[self.neighbours[:, k]]
         return out.astype(np.float32)
+
+
+def by_object(
+    gaussians: Gaussians, particles: Bound
+) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+    """Which Gaussians and which particles are of each object."""
+    if particles.body is None or gaussians.object_id is None:
+        yield np.arange(len(gaussians)), np.arange(len(particles.x))
+        return
+    for body in np.unique(gaussians.object_id):
+        yield np.flatnonzero(gaussians.object_id == body), np.flatnonzero(particles.body == body)
+
+
+def _carriers_of(
+    gaussians: Gaussians, particles: Bound
+) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """The carriers of each Gaussian, which are of its own object, and their weights [N,K]."""
+    count = min(CARRIERS, len(particles.x))
+    neighbours = np.zeros((len(gaussians), count), np.int32)
+    weights = np.zeros((len(gaussians), count), np.float32)
+    for ours, theirs in by_object(gaussians, particles):
+        index, weight = carriers(gaussians.means[ours], particles.x[theirs])
+        few = index.shape[1]  # A tiny object may have fewer: the rest weigh nothing.
+        neighbours[ours, :few], weights[ours, :few] = theirs[index], weight
+    return neighbours, weights
 
 
 def carriers(points: NDArray, particles: NDArray) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
@@ -297,7 +329,10 @@ def of_gaussians(gaussians: Gaussians, particles: Bound, values: NDArray) -> NDA
     """The values of particles [P], for each Gaussian that of its own or of the nearest one [N]."""
     own = _own_particles(len(gaussians), particles)
     if own is None:
-        own = KDTree(particles.x).query(gaussians.means, workers=-1)[1]
+        own = np.zeros(len(gaussians), np.int64)
+        for ours, theirs in by_object(gaussians, particles):
+            nearest = KDTree(particles.x[theirs]).query(gaussians.means[ours], workers=-1)[1]
+            own[ours] = theirs[nearest]
     return values[own]
 
 

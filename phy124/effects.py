@@ -140,6 +140,8 @@ def _catalogue(
     for wall in scene.boundaries:
         yield Effect(f"collider {wall.kind} ({wall.contact})")
     yield Effect("colliders", bool(scene.boundaries), "the scene has no boundaries")
+    if scene.objects:
+        yield Effect(f"contact between {len(scene.names)} objects")
     yield from _of_rest(scene, rested)
     yield from _of_frames(scene, sh_degree)
     yield from _of_pictures(scene)

@@ -42,12 +42,19 @@ class Gaussians:
     """Opacities [N], 0..1."""
     sh: Array
     """Spherical-harmonic colours [N,K,3], K in 1, 4, 9, 16."""
+    object_id: NDArray[np.int32] | None = None
+    """Which object of its scene each belongs to [N], from 0; None: all are one object."""
 
     def __post_init__(self) -> None:
         for name in ("means", "quats", "scales", "opacities", "sh"):
             value = np.ascontiguousarray(getattr(self, name), dtype=np.float32)
             object.__setattr__(self, name, value)
         n = len(self.means)
+        if self.object_id is not None:
+            ids = np.ascontiguousarray(self.object_id, dtype=np.int32)
+            object.__setattr__(self, "object_id", ids)
+            if ids.shape != (n,):
+                raise ValueError(f"object_id has shape {ids.shape}, wanted ({n},)")
         shapes = {"means": (n, 3), "quats": (n, 4), "scales": (n, 3), "opacities": (n,)}
         for name, shape in shapes.items():
             if getattr(self, name).shape != shape:
@@ -95,7 +102,14 @@ class Gaussians:
             self.scales[which],
             self.opacities[which],
             self.sh[which],
+            None if self.object_id is None else self.object_id[which],
         )
+
+    def of_object(self, index: int) -> Gaussians:
+        """Those of one object, numbered no more; none if there is no such object."""
+        if self.object_id is None:
+            return self if index == 0 else self.select(np.zeros(0, int))
+        return replace(self.select(self.object_id == index), object_id=None)
 
     def moved(self, scale: float, offset: NDArray) -> Gaussians:
         """A copy scaled about the origin, then shifted by `offset [3]` m."""
@@ -106,6 +120,26 @@ class Gaussians:
         """Covariance matrices [N,3,3], m^2, in double precision."""
         axes = rotation_matrices(self.quats) * self.scales[:, None, :].astype(np.float64)
         return axes @ axes.transpose(0, 2, 1)
+
+
+def joined(some: Sequence[Gaussians]) -> Gaussians:
+    """All Gaussians of several sets, in order; their harmonics are those of the highest degree."""
+    most = max(one.sh.shape[1] for one in some)
+
+    def stack(name: str) -> NDArray:
+        return np.concatenate([getattr(one, name) for one in some])
+
+    sh = [np.pad(one.sh, ((0, 0), (0, most - one.sh.shape[1]), (0, 0))) for one in some]
+    ids = None if any(one.object_id is None for one in some) else stack("object_id")
+    means, quats, scales, opacities = map(stack, ("means", "quats", "scales", "opacities"))
+    return Gaussians(means, quats, scales, opacities, np.concatenate(sh), ids)
+
+
+def as_objects(some: dict[int, Gaussians]) -> Gaussians:
+    """Objects, by their numbers, as one set in which each Gaussian has the number of its object."""
+    return joined(
+        [replace(one, object_id=np.full(len(one), index, np.int32)) for index, one in some.items()]
+    )
 
 
 class Wrench(NamedTuple):

@@ -17,7 +17,7 @@ from phy124.materials import AnyMaterial
 from phy124.particles import Particles
 from phy124.remedies import accuracy, listed, plain
 from phy124.runtime.memory import free_memory
-from phy124.scene import Scene
+from phy124.scene import Scene, SceneObject
 
 MUCH_STIFFER = 3.0
 """A material whose waves are this many times faster than those of all others gets a note."""
@@ -104,6 +104,7 @@ def _refuse_large(demand: Demand, scene: Scene, device: str) -> None:
 def _refuse_far(scene: Scene) -> None:
     lift, most = scene.object.lift, _rounded(FARTHEST_CELLS * scene.dx)
     if lift <= most:
+        _refuse_apart(scene, most)
         return
     raise InputError(
         "object.lift",
@@ -113,6 +114,20 @@ def _refuse_far(scene: Scene) -> None:
         f"Use at most {most:g} m, and move what it falls on by the same distance.",
         [plain("object.lift", most)],
     )
+
+
+def _refuse_apart(scene: Scene, most: float) -> None:
+    """Make sure that each object has a place which its numbers resolve.
+
+    Raises:
+        InputError: One is too far from the origin.
+    """
+    for one in scene.every_object:
+        farthest = max(*map(abs, one.place), one.lift)
+        if farthest > most:
+            limit = f"it is farther from the origin than a cell of {scene.dx:.2g} m is resolved."
+            raise InputError(f"place or lift of {one.name}", f"{farthest:g} m", limit,
+                             f"Use at most {most:g} m.")  # fmt: skip
 
 
 def _would_fit(found: Sequence[Remedy]) -> str:
@@ -160,9 +175,22 @@ def _cheaper(scene: Scene, excess: float) -> Iterator[Remedy]:
 
 def _sections(scene: Scene) -> Iterator[tuple[str, AnyMaterial]]:
     """The moving materials and the fields that set them, those with the fastest waves first."""
-    parts = [(f"parts.{i}.material", p.material) for i, p in enumerate(scene.parts) if not p.static]
-    every = [("material", scene.material), *parts]
+    prefixes = ["", *(f"objects.{i}." for i in range(len(scene.objects)))]
+    every = [
+        found
+        for prefix, one in zip(prefixes, (scene, *scene.objects), strict=True)
+        if not getattr(one, "static", False)
+        for found in _own_sections(prefix, one)
+    ]
     yield from sorted(every, key=lambda item: -item[1].wave_speed())
+
+
+def _own_sections(prefix: str, one: Scene | SceneObject) -> Iterator[tuple[str, AnyMaterial]]:
+    """The moving materials of one object and the fields that set them."""
+    yield f"{prefix}material", one.material
+    for index, part in enumerate(one.parts):
+        if not part.static:
+            yield f"{prefix}parts.{index}.material", part.material
 
 
 def _rounded(value: float) -> float:

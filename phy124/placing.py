@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from phy124.errors import InputError
 from phy124.gaussians import Gaussians
+from phy124.io.axes import euler, turned
 from phy124.particles import Particles, sizing
 from phy124.scene import Scene
 
@@ -22,13 +25,26 @@ def belongs(scene: Scene, count: int) -> NDArray[np.bool_]:
 
 
 def place(gaussians: Gaussians, scene: Scene, own: NDArray[np.bool_]) -> Gaussians:
-    """Gaussians scaled to the scene's size, over the origin at its height; only `own` is lifted."""
+    """Gaussians scaled to the scene's size and turned, in their place; only `own` is shifted."""
+    body = scene.object
     standing = gaussians.moved(*placing(gaussians, scene, own))
-    if scene.object.lift == 0:
-        return standing
-    means = standing.means.copy()
-    means[own, 2] += np.float32(scene.object.lift)
-    return replace(standing, means=means)
+    if any(body.turn):
+        standing = turned(standing, euler(body.turn))
+        scale, offset = placing(standing, scene, own)
+        standing = standing.moved(1.0, offset / scale)
+    return shifted(standing, own, (*body.place, body.lift))
+
+
+def shifted(
+    gaussians: Gaussians, own: NDArray[np.bool_], offset: tuple[float, float, float]
+) -> Gaussians:
+    """The Gaussians with `own` of them moved by an offset [m]; bit for bit the same along zeros."""
+    if not any(offset):
+        return gaussians
+    means = gaussians.means.copy()
+    for axis in np.flatnonzero(offset):
+        means[own, axis] += np.float32(offset[axis])
+    return replace(gaussians, means=means)
 
 
 def placing(
@@ -37,6 +53,54 @@ def placing(
     """Scale and then offset [3] m that bring the object to its size on z = 0, before the lift."""
     object_ = gaussians if own.all() else gaussians.select(own)
     return sizing(object_, scene.object.size)
+
+
+def stacked(some: Sequence[Gaussians], scene: Scene) -> list[Gaussians]:
+    """The objects of a scene, those that stand on another one raised until they touch it.
+
+    Args:
+        some: Each object in its place above the floor.
+        scene: Says which stands on which, and with what lift.
+
+    Raises:
+        InputError: One is not above what it stands on.
+    """
+    found = list(some)
+    objects, names = scene.every_object, scene.names
+    waiting = [index for index, one in enumerate(objects) if one.on in names]
+    while waiting:
+        # Those below first; the scene has no circles.
+        index = next(i for i in waiting if names.index(objects[i].on) not in waiting)
+        waiting.remove(index)
+        below = found[names.index(objects[index].on)]
+        rise = _gap(below, found[index], scene.spacing)
+        if rise is None:
+            raise InputError(
+                f"{names[index]}.on", objects[index].on, "it is not above that object.",
+                f"Give {names[index]} the place of the object that it is to stand on.",
+            )  # fmt: skip
+        every = np.ones(len(found[index]), bool)
+        up = -rise + objects[index].lift
+        found[index] = shifted(found[index], every, (0.0, 0.0, up))
+    return found
+
+
+def _gap(below: Gaussians, above: Gaussians, cell: float) -> float | None:
+    """Smallest height of one object over the other, over squares of a side [m]; None: nowhere."""
+    tops, bottoms = _heights(below, cell, 1.0), _heights(above, cell, -1.0)
+    gaps = [-bottoms[at] - tops[at] for at in tops.keys() & bottoms.keys()]
+    return min(gaps, default=None)
+
+
+def _heights(gaussians: Gaussians, cell: float, way: float) -> dict[tuple[int, int], float]:
+    """The largest height, or with `way` -1 that of the lowest point negated, over each square."""
+    squares = np.floor(gaussians.means[:, :2] / cell).astype(int)
+    reach = np.sqrt(gaussians.covariances()[:, 2, 2])
+    height = way * gaussians.means[:, 2] + reach
+    found: dict[tuple[int, int], float] = {}
+    for square, value in zip(map(tuple, squares.tolist()), height.tolist(), strict=True):
+        found[square] = max(value, found.get(square, -np.inf))
+    return found
 
 
 def among_all(particles: Particles, own: NDArray[np.bool_]) -> Particles:

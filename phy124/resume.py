@@ -21,13 +21,15 @@ from phy124.errors import InputError
 from phy124.gaussians import Frame, Gaussians, of_walls, stacked
 from phy124.harmonics import rotate_sh
 from phy124.io.files import replacing
+from phy124.monitor.wrenches import pair_names
 from phy124.progress import Progress, silent
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
 from phy124.simulation import Simulation
 
-FORMAT = "phy124-pause-4"
+FORMAT = "phy124-pause-5"
 GAUSSIANS = ("means", "quats", "scales", "opacities", "sh")
+OBJECTS = "given.object_id"
 Tensors = dict[str, NDArray]
 ARRAY = "array"
 """In place of an array, which is stored beside."""
@@ -43,6 +45,8 @@ def save(
     """
     run.scene.refuse_nameless()
     tensors: Tensors = {f"given.{name}": getattr(run.given, name) for name in GAUSSIANS}
+    if run.given.object_id is not None:
+        tensors[OBJECTS] = run.given.object_id
     tensors |= _frames(run)
     facts = {
         "run": _plain(run.snapshot(), tensors, "run"),
@@ -81,7 +85,8 @@ def load(
         InputError: If the file is missing, cut short or not a paused run.
     """
     metadata, tensors = _read(Path(path))
-    given = Gaussians(*(tensors[f"given.{name}"] for name in GAUSSIANS))
+    means, quats, scales, opacities, sh = (tensors[f"given.{name}"] for name in GAUSSIANS)
+    given = Gaussians(means, quats, scales, opacities, sh, tensors.get(OBJECTS))
     left, top, right, bottom = metadata["crop"]
     watch = watch or Stopwatch()
     run = Simulation(
@@ -149,7 +154,7 @@ def _frames(run: Simulation) -> Tensors:
             kept = [getattr(f, name) for f in run.frames if getattr(f, name) is not None]
             if kept:
                 tensors[f"frames.{name}"] = np.stack(kept)
-    if run.wrenches.asked and run.frames:
+    if run.frames and run.frames[-1].wrenches is not None:
         tensors["frames.wrenches"] = stacked(run.frames)
     if run.rotations:
         tensors["frames.rotations"] = np.stack(run.rotations)
@@ -159,13 +164,14 @@ def _frames(run: Simulation) -> Tensors:
 def _put_frames(run: Simulation, tensors: Tensors) -> None:
     rest, kept = run.shown, [tensors.get(f"frames.{n}") for n in ("velocities", "contacts")]
     times, walls = tensors["frames.times"].tolist(), tensors.get("frames.wrenches")
+    names = (*(run.wrenches.walls if run.wrenches.asked else ()), *pair_names(run.solver))
     for index, time in enumerate(times):
         means, quats, scales = (
             tensors[f"frames.{name}"][index] for name in ("means", "quats", "scales")
         )
-        gaussians = Gaussians(means, quats, scales, rest.opacities, rest.sh)
+        gaussians = replace(rest, means=means, quats=quats, scales=scales)
         v, forces = (None if values is None else values[index] for values in kept)
-        wrenches = None if walls is None else of_walls(run.wrenches.walls, walls[index])
+        wrenches = None if walls is None else of_walls(names, walls[index])
         frame = Frame(run.count - len(times) + index, time, gaussians, v, forces, wrenches)
         run.frames.append(frame)
     run.rotations = list(tensors.get("frames.rotations", []))

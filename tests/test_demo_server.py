@@ -53,7 +53,11 @@ def _client(server: Server):
     patient = {"timeout": TIMEOUT}
     return _Closing(
         gradio_client.Client(
-            server.url, verbose=False, analytics_enabled=False, httpx_kwargs=patient
+            server.url,
+            ssl_verify=False,
+            verbose=False,
+            analytics_enabled=False,
+            httpx_kwargs=patient,
         )
     )
 

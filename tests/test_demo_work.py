@@ -58,8 +58,9 @@ def test_a_visitor_sees_that_kernels_are_compiled(order):
 
 
 def test_everything_is_made(order):
-    done, events = _run(order)
+    done, events = _run(replace(order, threads=2))
     assert _stages(events) == {"generate", "simulate", "render", "save"}
+    assert json.loads((done.clip / "report.json").read_text("utf-8"))["threads"] == 2
     assert sum(isinstance(event, Glimpse) for event in events) == 3
     made = {path.name for path in [*done.clip.iterdir(), *done.films.iterdir()]}
     assert made == {

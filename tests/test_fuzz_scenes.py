@@ -189,7 +189,7 @@ def scenes(draw: st.DrawFn) -> Scene:
         "velocity": tuple(np.clip(mach * speed * np.array(direction), -1e5, 1e5).tolist()),
         "spin": draw(vectors(decades(1e-3, 1e2))),
     }
-    data["time"] = {"frames": 3, "fps": max(1.0, 1 / time), "budget": 1.0}
+    data["time"] = {"frames": 3, "fps": max(1.0, 1 / time), "budget": 0.4}
     return Scene.from_data(data)
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from phy124 import generators
 from phy124.errors import InputError
-from phy124.gaussians import Gaussians
+from phy124.gaussians import Gaussians, joined
 from phy124.generators.ply_file import PlyFile, Reading, normalised, robust_bounds
 from phy124.io.ply import write_ply
 
@@ -18,11 +18,6 @@ def box(rng, count=2000, opacity=0.9):
     means = rng.uniform(-0.5, 0.5, (count, 3)) * [4, 2, 1] + [10, 0, 3]
     quats, scales = np.tile([1, 0, 0, 0], (count, 1)), np.full((count, 3), 0.04)
     return Gaussians(means, quats, scales, np.full(count, opacity), np.zeros((count, 1, 3)))
-
-
-def joined(a, b):
-    parts = {n: np.concatenate([getattr(a, n), getattr(b, n)]) for n in a.__dataclass_fields__}
-    return Gaussians(**parts)
 
 
 def test_table_imports_nothing_heavy():
@@ -70,7 +65,7 @@ def test_ply_is_brought_to_the_default_place(tmp_path, rng):
 def test_outliers_and_faint_gaussians_do_not_count(tmp_path, rng):
     far = Gaussians([[90, 9, 9]], [[1, 0, 0, 0]], [[1, 1, 1]], [0.5], np.zeros((1, 1, 3)))
     faint = box(rng, 100, opacity=0.004)
-    gaussians = joined(joined(box(rng), far), faint)
+    gaussians = joined([box(rng), far, faint])
     clean = robust_bounds(box(np.random.default_rng(0)))
     np.testing.assert_allclose(robust_bounds(gaussians), clean, atol=0.02)
     write_ply(tmp_path / "a.ply", gaussians)

@@ -8,9 +8,10 @@ from phy124.boundaries import Ground, Press
 from phy124.forces import Acceleration, Gravity, Wind
 from phy124.materials import NeoHookean, Sand
 from phy124.mpm import Solver, Unstable
-from phy124.scene import Scene, preset_names
+from phy124.scene import Scene
 from phy124.simulation import Simulation
 from phy124.tracks import Sine
+from support.presets import OF_ONE
 from support.shapes import ball
 from support.solvers import make_solver
 
@@ -166,7 +167,7 @@ def test_a_forecast_counts_the_substeps_of_the_device(name, monkeypatch):
     assert made[0] == made[1]
 
 
-@pytest.mark.parametrize("name", preset_names())
+@pytest.mark.parametrize("name", OF_ONE)
 def test_every_preset_moves_the_same_by_the_device_alone(name, monkeypatch):
     scene = Scene.named(name).replaced({"accuracy": {"cells": 8}, "time.frames": 6})
     runs = []
@@ -182,7 +183,7 @@ def test_every_preset_moves_the_same_by_the_device_alone(name, monkeypatch):
 
 
 @pytest.mark.gpu
-@pytest.mark.parametrize("name", preset_names())
+@pytest.mark.parametrize("name", OF_ONE)
 def test_cuda_moves_as_the_cpu_does(name, gpu):
     scene = Scene.named(name).replaced({"accuracy": {"cells": 8}, "time.frames": 6})
     cpu, cuda = (Simulation(ball(500), scene, device=device) for device in ("cpu", gpu))

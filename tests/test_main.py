@@ -98,6 +98,19 @@ def test_render_films_again_without_simulating(made, tmp_path, capsys):
     assert read_video(tmp_path / "left.mp4").shape == (3, 32, 32, 3)
 
 
+def test_render_draws_in_as_many_threads_as_are_asked_for(made, tmp_path, capsys, monkeypatch):
+    given = []
+    monkeypatch.setattr(
+        "phy124.commands.render.film", lambda *_, threads, **__: given.append(threads)
+    )
+    arguments = ["render", str(made / "clip.safetensors"), "--device", "cpu"]
+    for told in ([], ["--threads", "3"]):
+        main([*arguments, "--out", str(tmp_path / "none"), *told])
+    assert given == [None, 3]
+    assert main([*arguments, "--threads", "0"]) == 2
+    assert "a run takes 1 to 256 threads" in capsys.readouterr().err
+
+
 def test_render_makes_every_format_from_any_angle(made, tmp_path, capsys):
     clip = ["render", str(made / "clip.safetensors"), "--device", "cpu", "--out", str(tmp_path)]
     more = ["--azimuth", "45,-30", "--size", "48x32", "--transparent", "--format"]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from phy124.capture import joined
+from phy124.gaussians import joined
 from phy124.particles import Particles
 from phy124.placing import among_all, belongs, place, placing, renumbered
 from phy124.scene import Scene
@@ -17,7 +17,7 @@ SIGMA = 0.05
 def captured():
     """A ball of 2 m off the origin, and 100 Gaussians of its floor."""
     away = np.array([3.0, -1.0, 5.0])
-    return joined(ball(300).moved(2.0, away), ball(100).moved(4.0, away))
+    return joined([ball(300).moved(2.0, away), ball(100).moved(4.0, away)])
 
 
 def scene(**changes) -> Scene:

@@ -6,8 +6,9 @@ from phy124.cost import demand_of
 from phy124.errors import Cancelled, InputError
 from phy124.io.clip import Clip
 from phy124.mpm import Unstable
-from phy124.scene import Scene, preset_names
+from phy124.scene import Scene
 from phy124.simulation import Simulation
+from support.presets import each_preset
 from support.shapes import ball
 
 QUICK = {"accuracy": {"cells": 12}, "time.frames": 6}
@@ -22,7 +23,7 @@ def middle(clip: Clip) -> np.ndarray:
     return clip.means.mean(axis=1)
 
 
-@pytest.mark.parametrize("name", preset_names())
+@pytest.mark.parametrize("name", each_preset())
 def test_every_preset_runs_and_keeps_the_object_whole(name):
     clip = run(name)
     assert clip.report["complete"]

@@ -38,7 +38,7 @@ def test_they_add_up_to_the_change_of_both_momenta(threads):
     for frame in range(3):
         wrenches.begin()
         solver.advance((frame + 1) / fps)
-        found = wrenches.contacts(solver.model, solver.state, fps)
+        found = wrenches.contacts(solver, fps)
         total = external._total(WALL)[IMPULSES]
         force = sum(wrench.force for wrench in found.values())
         assert np.allclose(-force / fps, total - given, rtol=1e-12, atol=1e-12)
@@ -57,7 +57,7 @@ def test_they_add_up_to_the_change_of_both_momenta(threads):
     kept = wrenches.snapshot()
     solver.advance(0.2)
     wrenches.restore(kept)
-    again = wrenches.contacts(solver.model, solver.state, fps)
+    again = wrenches.contacts(solver, fps)
     assert np.array_equal(again["box"].force, found["box"].force)
 
 
@@ -120,7 +120,7 @@ def test_a_paused_run_goes_on_with_them(tmp_path):
 def test_without_walls_there_are_none():
     run = Simulation(ball(300), Scene.named("spin").replaced({**SCENE, "boundaries": []}))
     clip = run.run()
-    assert clip.wrenches.shape == (4, 0, 2, 3) and summary(run.frames) == {}
+    assert clip.wrenches.shape == (4, 0, 2, 3) and summary(run.frames, run.wrenches.walls) == {}
 
 
 @pytest.mark.slow

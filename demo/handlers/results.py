@@ -15,7 +15,7 @@ from phy124.scene import Scene
 
 from ..exports import EXPORTS, export
 from ..identity import visitor_of
-from ..jobs import Studio, read_report
+from ..jobs import Studio
 from ..line import Job
 from ..report import as_html
 from ..sentences import sentence
@@ -122,7 +122,7 @@ def results(studio: Studio, name: str, job: Job) -> list[Any]:
     return [
         {
             "pack": file_of(done.films / "clip.pack"),
-            "invented": read_report(done).get("generator") == "relief",
+            "invented": done.report.get("generator") == "relief",
         },
         {"films": films, "length": length},
         report_of(studio, job),
@@ -134,7 +134,7 @@ def results(studio: Studio, name: str, job: Job) -> list[Any]:
 def report_of(studio: Studio, job: Job) -> str:
     """The report of a finished run, with the errors measured on its scene before or after it."""
     done: Done = job.progress.result
-    report, study = read_report(done), read_study(done.study)
+    report, study = done.report, read_study(done.study)
     data = Clip.load(done.clip / "clip.safetensors").scene
     scene, count = Scene.from_data(data), report["gaussians"]
     stops = studio.forecaster.stops(scene, gaussians=count, study=study)

@@ -89,7 +89,10 @@ def _videos(
             limits.tell(Step("render", number * of + done, len(view.sides) * of, side))
 
         one = view.only(side)
-        pipeline.film(clip, one, folder, device=order.device, progress=progress, watch=watch)
+        pipeline.film(
+            clip, one, folder, device=order.device, threads=order.threads, progress=progress,
+            watch=watch,
+        )  # fmt: skip
     return left_out
 
 

@@ -59,8 +59,9 @@ def simulate(
         crop = crop_of(cutout)
         about = {**dict(order.about), HOW: how_cut(cutout), "motion": watching.motion}
     pipeline.simulate(
-        gaussians, order.scene, out, device=order.device, progress=watching.progress,
-        watch=watch, about=about, crop=crop, films=False, each=watching.see,
+        gaussians, order.scene, out, device=order.device, threads=order.threads,
+        progress=watching.progress, watch=watch, about=about, crop=crop, films=False,
+        each=watching.see,
     )  # fmt: skip
     watching.end()
     _without_places(out, order)

@@ -46,6 +46,8 @@ class Order:
     photograph: Path | None = None
     """The picture to film the object in as well, in a format that browsers can show."""
     device: str = "auto"
+    threads: int | None = None
+    """CPU threads; None: one for each core that is free."""
     about: tuple[tuple[str, str], ...] = ()
     """Further entries of the report."""
     levels: tuple[int, ...] = ()

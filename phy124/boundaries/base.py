@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from phy124.boundaries.motion import AnyMotion
+from phy124.bounds import Name
 from phy124.errors import InputError
 from phy124.kernels.collide import FLAT, make_collider, make_contact, make_settle
 from phy124.kernels.transfer import types
@@ -37,6 +38,7 @@ SWEEPS = 2
 THINNEST = 1.0
 """Smallest half thickness of a solid [cells]: nodes must lie inside it to stop anything."""
 Corners = tuple[NDArray[np.float64], NDArray[np.float64]]
+Recorder = Callable[[Grid], "wp.Launch | None"]
 
 
 class Rest(Protocol):
@@ -47,6 +49,10 @@ class Rest(Protocol):
         """Positions at rest [P,3], m."""
         ...
 
+    def rest_of(self, name: str | None) -> NDArray[np.float64]:
+        """Positions at rest of the object of a name; None: of all."""
+        ...
+
 
 @dataclass(frozen=True, eq=False)
 class AtRest:
@@ -54,6 +60,10 @@ class AtRest:
 
     rest: NDArray[np.float64]
     """Positions at rest [P,3], m."""
+
+    def rest_of(self, name: str | None) -> NDArray[np.float64]:
+        """All of them: it is not known here which is of which object."""
+        return self.rest
 
 
 class Boundary(Section):
@@ -70,6 +80,12 @@ class Boundary(Section):
         default="separate", description="sticky, slip, or separate (may leave, with friction)."
     )
     friction: float = Field(default=0.4, ge=0, le=10, description="Coulomb friction coefficient.")
+    object: Name | None = Field(
+        default=None,
+        exclude_if=lambda name: name is None,
+        examples=["object"],
+        description="Name of the only object that meets it; all do if absent.",
+    )
 
     def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:
         """Three vectors that the shape's distance function reads [m]."""
@@ -158,7 +174,14 @@ class Boundary(Section):
         if self.crosses(model.dx):
             recorders = SWEEPS * [*recorders, self._settler(model)]
         alone = self.spans(model)
-        return [Stage(name, recorder, alone=alone) for recorder in recorders]
+        return [Stage(name, self._own(model, one), alone=alone) for one in recorders]
+
+    def _own(self, model: Model, recorder: Recorder) -> Recorder:
+        """What records nothing for the nodes of objects that do not meet the wall."""
+        if self.object is None:
+            return recorder
+        own = model.named(self.object)
+        return lambda grid: recorder(grid) if grid.particles == own else None
 
     def spans(self, model: Model) -> bool:
         """Whether its columns can lead from one layer of nodes to the next, which has another i."""

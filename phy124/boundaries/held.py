@@ -99,7 +99,7 @@ class Foot(Clamp):
 
     def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:
         """Point [m] and normal of the plane below which material is held."""
-        z = model.rest[:, 2]
+        z = model.rest_of(self.object)[:, 2]
         top = float(z.min() + self.fraction * np.ptp(z))
         return (0.0, 0.0, top), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
 

@@ -90,12 +90,12 @@ class Press(Plane):
 
     def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:
         """Point [m] and unit normal, before the displacement."""
-        height = model.rest[:, 2].max() if self.top is None else self.top
+        height = model.rest_of(self.object)[:, 2].max() if self.top is None else self.top
         return (0.0, 0.0, float(height)), (0.0, 0.0, -1.0), (0.0, 0.0, 0.0)
 
     def track(self, model: Rest) -> Track:
         """Displacement [m]: smoothly down, a rest, and up again."""
-        low = (0.0, 0.0, -self.depth * float(np.ptp(model.rest[:, 2])))
+        low = (0.0, 0.0, -self.depth * float(np.ptp(model.rest_of(self.object)[:, 2])))
         return there_and_back(low, self.start, self.down, self.hold, self.up)
 
 
@@ -141,7 +141,11 @@ class Container(Movable):
                     wall = HalfSpace(
                         point=vector(point), normal=vector(normal), contact=self.contact
                     )
-                    moves = {"friction": self.friction, "motion": self.motion}
+                    moves = {
+                        "friction": self.friction,
+                        "motion": self.motion,
+                        "object": self.object,
+                    }
                     walls.append(wall.model_copy(update=moves))
         return walls
 

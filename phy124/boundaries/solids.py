@@ -152,6 +152,7 @@ class Gripper(Boundary):
             pad = Box.model_construct(lower=vector(middle - half), upper=vector(middle + half))
             path = Path.model_construct(start=self.start, times=times, points=points)
             answer = {"contact": self.contact, "friction": self.friction, "motion": path}
+            answer["object"] = self.object
             pads.append(pad.model_copy(update=answer))
         return pads
 

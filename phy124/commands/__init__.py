@@ -23,10 +23,12 @@ MODULES = {
     "stress": ("stress", "Stress"),
     "effects": ("effects", "ShowEffects"),
     "accuracy": ("accuracy", "ShowAccuracy"),
+    "validate": ("validate", "Validate"),
     "evaluate": ("evaluate", "Evaluate"),
     "compare": ("compare", "Compare"),
     "weights": ("weights", "Weights"),
     "sweep": ("sweep", "Sweep"),
+    "fit": ("fit", "Fit"),
     "warm": ("warm", "Warm"),
     "doctor": ("doctor", "Doctor"),
 }

@@ -41,6 +41,8 @@ class Generate:
 
     image: tyro.conf.Positional[Path]
     """PNG, JPEG, WebP or HEIC picture of one object."""
+    more: tyro.conf.Positional[tuple[Path, ...]] = ()
+    """Pictures, or files of Gaussians, of the scene's further objects."""
     options: Annotated[SceneOptions, tyro.conf.arg(name="")] = field(default_factory=SceneOptions)
     making: Annotated[PictureOptions, tyro.conf.arg(name="")] = field(
         default_factory=PictureOptions
@@ -54,6 +56,7 @@ class Generate:
     def run(self) -> int:
         """Generate; prints files and durations."""
         scene = self.options.resolve()
+        pipeline.check_sources(scene, self.more)
         device = pick_device(self.options.device)
         out = self.out or default_out(str(self.image), self.options.scene)
         goal = self.plan.goal()
@@ -73,7 +76,7 @@ class Generate:
             Bars(quiet=self.options.json, keeps=True) as bars,
         ):
             result = pipeline.generate(
-                self.image,
+                [self.image, *self.more],
                 scene,
                 out,
                 **self._options(bars),
@@ -118,8 +121,8 @@ class Generate:
         watch = Stopwatch()
         with Bars(quiet=self.options.json) as bars:
             made = pipeline.static(
-                self.image, scene, **self._options(bars), stand_in=True, device=device,
-                progress=bars, watch=watch,
+                [self.image, *self.more], scene, **self._options(bars), stand_in=True,
+                device=device, progress=bars, watch=watch,
             )  # fmt: skip
         return predict(
             made.gaussians, made.scene, self.plan, device, made.crop, watch,
@@ -149,6 +152,8 @@ class Simulate:
 
     file: tyro.conf.Positional[Path]
     """The file of Gaussians: PLY (plain or SuperSplat's), SPZ, .splat, SOG or GLB."""
+    more: tyro.conf.Positional[tuple[Path, ...]] = ()
+    """Files of Gaussians, or pictures, of the scene's further objects."""
     options: Annotated[SceneOptions, tyro.conf.arg(name="")] = field(default_factory=SceneOptions)
     reading: Annotated[Reading, tyro.conf.arg(name="")] = field(default_factory=Reading)
     gaussians: int | None = None
@@ -160,6 +165,7 @@ class Simulate:
     def run(self) -> int:
         """Simulate; prints files and durations."""
         scene = self.options.resolve()
+        pipeline.check_sources(scene, self.more)
         device = pick_device(self.options.device)
         out = self.out or default_out(str(self.file), self.options.scene)
         goal = self.plan.goal()
@@ -184,7 +190,13 @@ class Simulate:
         return show(result, as_json=self.options.json)
 
     def _read(self, file: PlyFile, scene: Scene, progress: Progress = silent) -> Capture:
-        return capture(file, scene, count=self.gaussians, progress=progress)
+        read = capture(file, scene, count=self.gaussians, progress=progress)
+        found = pipeline.with_others(
+            read.gaussians, read.scene, self.more, count=self.gaussians, progress=progress
+        )
+        return replace(
+            read, gaussians=found.gaussians, scene=found.scene, about=read.about | found.about
+        )
 
     def _predict(self, file: PlyFile, scene: Scene, device: str) -> int:
         """Read the Gaussians and print how long the remaining stages would take."""

@@ -7,9 +7,10 @@ from typing import Any, ClassVar, cast
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from phy124.bounds import LONGEST
+from phy124.bounds import LONGEST, Name
 from phy124.errors import InputError
 from phy124.kernels import push as kernels
 from phy124.mpm import Grid, Model, Stage, State
@@ -41,6 +42,12 @@ class Force(Section):
     region: Region | None = Field(
         default=None, description="Particles it acts on, by rest position; all if absent."
     )
+    object: Name | None = Field(
+        default=None,
+        exclude_if=lambda name: name is None,
+        examples=["object"],
+        description="Name of the object it acts on; all if absent.",
+    )
     profile: AnyProfile = Field(
         default=Constant(), description="Its strength over time: constant, ramp, sine, keyframes."
     )
@@ -70,7 +77,7 @@ class Force(Section):
     @property
     def uniform(self) -> bool:
         """Whether it joins the grid update, which costs no launch of its own."""
-        return self.joins and self.region is None
+        return self.joins and self.region is None and self.object is None
 
     @property
     def varies(self) -> bool:
@@ -98,13 +105,14 @@ class Force(Section):
         raise NotImplementedError
 
     def chosen(self, model: Model) -> wp.array:
-        """Indices of the particles it acts on.
+        """Indices of the particles it acts on: in its region, of bodies that may move.
 
         Raises:
             InputError: The region holds no particle.
         """
         x = model.rest
-        inside = np.ones(len(x), bool) if self.region is None else self.region.contains(x)
+        inside = model.moves if self.region is None else self.region.contains(x) & model.moves
+        inside = inside & of_object(model, self.object)
         if not inside.any():
             raise InputError(
                 "forces.region", self.region,
@@ -112,6 +120,13 @@ class Force(Section):
                 "Make it larger, or move it onto the object as it stands at the start.",
             )  # fmt: skip
         return wp.array(np.flatnonzero(inside).astype(np.int32), device=model.device)
+
+
+def of_object(model: Model, name: str | None) -> NDArray[np.bool_]:
+    """Which particles are of the object of a name [P]; None: all."""
+    own = np.zeros(len(model), bool)
+    own[model.named(name)] = True
+    return own
 
 
 def accelerate(force: Force, a: Vector, model: Model, state: State, tracks: Tracks) -> list[Stage]:

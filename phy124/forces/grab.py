@@ -59,7 +59,7 @@ class Grab(Force):
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
         """Find the centre of what is held, and draw it."""
-        part = Part.of(model, self.point, self.radius, "forces.point")
+        part = Part.of(model, self.point, self.radius, "forces.point", self.object)
         slot = tracks.add(self.target(), limited=True)
         spring = wp.vec4d(self.stiffness, self.damping, part.drawn, self.strength)
         kernel = kernels.make_draw(model.real)

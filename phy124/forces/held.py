@@ -10,6 +10,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from phy124.errors import InputError
+from phy124.forces.base import of_object
 from phy124.kernels import held as kernels
 from phy124.kernels.reduction import shared_out
 from phy124.mpm import Grid, Model, Stage, State
@@ -52,7 +53,14 @@ class Part(NamedTuple):
     """Its smallest moment of inertia at rest [kg m^2]."""
 
     @classmethod
-    def of(cls, model: Model, point: Vector | None, radius: float, field: str) -> Part:
+    def of(
+        cls,
+        model: Model,
+        point: Vector | None,
+        radius: float,
+        field: str,
+        name: str | None = None,
+    ) -> Part:
         """The part about a point at rest.
 
         Args:
@@ -60,12 +68,13 @@ class Part(NamedTuple):
             point: Middle of the part [m]; None: the whole body.
             radius: Its radius [m].
             field: Where the point stands in the scene.
+            name: What the object is called that it is a part of; None: of any.
 
         Raises:
             InputError: It holds no particle.
         """
-        weight = weights(model.rest, point, radius)
-        index = np.flatnonzero(weight)
+        weight = weights(model.rest, point, radius) * of_object(model, name)
+        index = np.flatnonzero(weight * model.moves)
         if not len(index):
             away = float(np.linalg.norm(model.rest - np.array(point), axis=1).min())
             raise InputError(

@@ -45,7 +45,7 @@ class WrenchForce(Force):
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
         """Find the centre of what is pushed, and push and turn it."""
-        part = Part.of(model, self.point, self.radius, "forces.point")
+        part = Part.of(model, self.point, self.radius, "forces.point", self.object)
         push = tracks.add(self.track(self.force), limited=True)
         turn = tracks.add(self.track(self.torque), limited=True)
         turned, kernel = any(self.torque), kernels.make_wrench(model.real)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, ClassVar, Literal
 
 import warp as wp
@@ -40,9 +41,17 @@ class ZoneForce(Force):
                 self.place.lower, self.place.upper, self.place.cylinder
             )
 
-        def record(grid: Grid) -> wp.Launch | None:
+        def record(grid: Grid, own: slice) -> wp.Launch | None:
             run = grid.run(len(model))
+            run = slice(max(run.start, own.start), min(run.stop, own.stop))
+            if run.stop <= run.start:
+                return None
             inputs = [*place, slot, tracks.clock, tracks.values, state.x[run]]
             return model.launch(kernel, run.stop - run.start, inputs, [state.v[run]])
 
-        return [Stage("zone", record, by_run=True)]
+        wanted = model.named(self.object)
+        moving = [model.particles(b) for b in range(model.bodies) if b not in model.held]
+        # Bodies that never move are left out, as they are everywhere.
+        runs = [run for run in moving if wanted.start <= run.start and run.stop <= wanted.stop]
+        runs = runs if model.held else [wanted]
+        return [Stage("zone", partial(record, own=own), by_run=True) for own in runs]

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -149,21 +150,17 @@ def turned(gaussians: Gaussians, rotation: NDArray[np.float64]) -> Gaussians:
     if not np.array_equal(np.abs(rotation), np.abs(rotation).round()):
         means = gaussians.means.astype(np.float64) @ rotation.T
         quats = quaternions(rotation @ rotation_matrices(gaussians.quats))
-        return Gaussians(
-            means.astype(np.float32),
-            quats.astype(np.float32),
-            gaussians.scales,
-            gaussians.opacities,
-            _turned_sh(gaussians.sh, rotation),
-        )
+        sh = _turned_sh(gaussians.sh, rotation)
+        means, quats = means.astype(np.float32), quats.astype(np.float32)
+        return replace(gaussians, means=means, quats=quats, sh=sh)
     order, sign = np.abs(rotation).argmax(axis=1), rotation.sum(axis=1).astype(np.float32)
     vector = gaussians.quats[:, 1:][:, order] * sign
-    return Gaussians(
-        gaussians.means[:, order] * sign,
-        np.concatenate([gaussians.quats[:, :1], vector], axis=1),
-        gaussians.scales[:, order],
-        gaussians.opacities,
-        _turned_sh(gaussians.sh, rotation),
+    return replace(
+        gaussians,
+        means=gaussians.means[:, order] * sign,
+        quats=np.concatenate([gaussians.quats[:, :1], vector], axis=1),
+        scales=gaussians.scales[:, order],
+        sh=_turned_sh(gaussians.sh, rotation),
     )
 
 

@@ -27,6 +27,7 @@ VERSION = "1"
 REQUIRED = ("means", "quats", "scales", "opacities", "sh", "times")
 OPTIONAL = ("rotations", "velocities", "contacts")
 WALLS = "wrenches"
+OBJECT = "object_id"
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +61,10 @@ class Clip:
     each of W walls since the frame before [T,W,2,3], if they were asked for."""
     walls: tuple[str, ...] = ()
     """Names of the walls [W]."""
+    object_id: NDArray[np.int32] | None = None
+    """Which of the objects each Gaussian belongs to [N]; None: there is only one."""
+    objects: tuple[str, ...] = ()
+    """Names of the objects, if there are several."""
 
     def __post_init__(self) -> None:
         t, n = self.means.shape[:2]
@@ -73,6 +78,7 @@ class Clip:
             "velocities": (t, n, 3),
             "contacts": (t, n, 3),
             "wrenches": (t, len(self.walls), 2, 3),
+            "object_id": (n,),
         }
         for name, shape in shapes.items():
             value = getattr(self, name)
@@ -112,6 +118,7 @@ class Clip:
             contacts=kept("contacts"),
             wrenches=stacked(frames) if all(f.wrenches is not None for f in frames) else None,
             walls=tuple(frames[0].wrenches or ()),
+            object_id=first.object_id,
         )
 
     @property
@@ -136,6 +143,7 @@ class Clip:
             for array in [getattr(self, name)]
         }
         each |= {"opacities": self.opacities[kept], "sh": self.sh[kept]}
+        each["object_id"] = None if self.object_id is None else self.object_id[kept]
         return replace(self, **each, report={**self.report, "grains": 0})
 
     def frame(self, index: int, *, velocities: bool = False) -> Frame:
@@ -147,7 +155,7 @@ class Clip:
         if self.rotations is not None and sh.shape[1] > 1:
             sh = rotate_sh(sh, self.rotations[index])
         means, quats, scales = self.means[index], self.quats[index], self.scales[index]
-        gaussians = Gaussians(means, quats, scales, self.opacities, sh)
+        gaussians = Gaussians(means, quats, scales, self.opacities, sh, self.object_id)
         v = None if self.velocities is None else self.velocities[index]
         if v is None and velocities:
             v = self.velocity(index)
@@ -194,7 +202,7 @@ class Clip:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write one safetensors file; it appears whole or not at all."""
-        more = (*OPTIONAL, WALLS)
+        more = (*OPTIONAL, WALLS, OBJECT)
         names = REQUIRED + tuple(n for n in more if getattr(self, n) is not None)
         tensors = {name: np.ascontiguousarray(getattr(self, name)) for name in names}
         metadata = {
@@ -204,6 +212,8 @@ class Clip:
             "report": json.dumps(self.report),
             "walls": json.dumps(self.walls),
         }
+        if self.objects:
+            metadata["objects"] = json.dumps(self.objects)
         with replacing(path) as temporary:
             save_file(tensors, temporary, metadata)
             _order_header(temporary)
@@ -220,15 +230,16 @@ class Clip:
         missing = [name for name in REQUIRED if name not in arrays]
         if missing:
             raise _refusal(path, f"the tensors {', '.join(missing)} are missing.")
-        names = (*REQUIRED, *OPTIONAL, WALLS)
+        names = (*REQUIRED, *OPTIONAL, WALLS, OBJECT)
         known = {name: arrays[name] for name in names if name in arrays}
         try:
             scene, report = json.loads(metadata["scene"]), json.loads(metadata["report"])
             walls = tuple(json.loads(metadata.get("walls", "[]")))
+            objects = tuple(json.loads(metadata.get("objects", "[]")))
         except (ValueError, TypeError) as error:
             raise _refusal(path, f"its scene or report is damaged ({error}).") from error
         try:
-            return cls(**known, scene=scene, report=report, walls=walls)
+            return cls(**known, scene=scene, report=report, walls=walls, objects=objects)
         except (ValueError, IndexError) as error:
             raise _refusal(path, f"its tensors do not fit together ({error}).") from error
 
@@ -270,7 +281,7 @@ def _map_tensors(path: Path) -> dict[str, NDArray]:
     with open(path, "rb") as file:
         length = int.from_bytes(file.read(8), "little")
         header = json.loads(file.read(length))
-    types = {"F32": np.float32, "F64": np.float64}
+    types = {"F32": np.float32, "F64": np.float64, "I32": np.int32}
     arrays = {}
     for name, entry in header.items():
         if name == "__metadata__" or entry["dtype"] not in types:

@@ -35,6 +35,10 @@ VERTICAL = re.compile(r"vertical axis:\s*(-?[xyz])\s*", re.IGNORECASE)
 MIP = ("SplatRenderMode: mip", "antialiased 1")
 """How Brush and Postshot say that a file was trained with Mip-Splatting's filter."""
 NOT_MIP = ("SplatRenderMode: default", "antialiased 0")
+OBJECT = "object_id"
+"""Property that says which object of its scene a Gaussian belongs to."""
+MOST_ID = 1e6
+"""Larger numbers of objects, which float32 does not tell apart, are read as this one."""
 SPLATS = ("scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3", "opacity")
 
 
@@ -210,7 +214,8 @@ def _columns(path: Path, header: Header, table: NDArray[Any]) -> dict[str, NDArr
     if rest:
         channels = group(*(f"f_rest_{i}" for i in range(rest))).reshape(-1, 3, rest // 3)
         sh[:, 1:] = channels.transpose(0, 2, 1)
-    return {
+    found = {"object_id": group(OBJECT)[:, 0].clip(0, MOST_ID)} if OBJECT in names else {}
+    return found | {
         "means": group("x", "y", "z"),
         "quats": group("rot_0", "rot_1", "rot_2", "rot_3"),
         "scales": group("scale_0", "scale_1", "scale_2"),
@@ -240,6 +245,8 @@ def raw_table(gaussians: Gaussians) -> NDArray[Any]:
         "scale_0 scale_1 scale_2": np.log(np.maximum(gaussians.scales, SCALE_FLOOR)),
         "rot_0 rot_1 rot_2 rot_3": gaussians.quats,
     }
+    if gaussians.object_id is not None:  # Exact in a float: there are few objects.
+        groups[OBJECT] = gaussians.object_id.astype(np.float32)[:, None]
     names = " ".join(groups).split()
     values = np.concatenate(list(groups.values()), axis=1, dtype="<f4", casting="same_kind")
     return values.view([(name, "<f4") for name in names])[:, 0]

@@ -114,8 +114,9 @@ class Contacts:
             own, (_, box, window, _) = self._own(grid, model), near.read
             if not np.prod(near.threads):
                 return None
-            inputs = [model.mass, grid.lattice, box, window, state.x, near.kept, *corners]
-            return model.launch(share, len(model), inputs, [own])
+            mass, x, given = (array[grid.particles] for array in (model.mass, state.x, own))
+            inputs = [mass, grid.lattice, box, window, x, near.kept, *corners]
+            return model.launch(share, len(mass), inputs, [given])
 
         return Stage(STAGE, before), Stage(STAGE, between), Stage(STAGE, after)
 

@@ -19,11 +19,14 @@ MOST = 50_000_000
 
 
 class Pieces:
-    """The pieces that particles at rest, `rest` [P,3] m, form with cubes of a side [m]."""
+    """The pieces that particles at rest, `rest` [P,3] m, form with cubes of a side [m].
 
-    def __init__(self, rest: NDArray, side: float) -> None:
-        self._side = side
-        self._body = labels(rest, side)
+    Particles of different objects, `object_id` [P], are never of one piece.
+    """
+
+    def __init__(self, rest: NDArray, side: float, object_id: NDArray | None = None) -> None:
+        self._side, self._object = side, object_id
+        self._body = labels(self._apart(rest), side)
         if self._body is not None:
             self._sizes = np.bincount(self._body)
 
@@ -33,13 +36,21 @@ class Pieces:
         Args:
             x: Current positions [P,3], m.
         """
-        now = labels(x, self._side)
+        now = labels(self._apart(x), self._side)
         if now is None or self._body is None or now.max() == 0:
             return 0
         pairs, counts = np.unique(self._body * (now.max() + 1) + now, return_counts=True)
         largest = np.zeros(len(self._sizes), int)
         np.maximum.at(largest, pairs // (now.max() + 1), counts)
         return int((self._sizes - largest).sum())
+
+    def _apart(self, x: NDArray) -> NDArray:
+        """The particles with those of each object moved away from the others."""
+        if self._object is None or not np.isfinite(x).all():
+            return x
+        moved = x.astype(np.float64)
+        moved[:, 0] += self._object * (np.ptp(moved[:, 0]) + 3 * self._side)
+        return moved
 
 
 def labels(x: NDArray, side: float) -> NDArray[np.int64] | None:

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from phy124.kernels.stretch import make_apart
 from phy124.kernels.transfer import Law
@@ -61,7 +62,17 @@ class Tearing:
         self._chosen = np.zeros(len(model), bool)
         for group in self._elastic:
             self._chosen[group.particles] = True
-        self._pieces = Pieces(model.rest[self._chosen], REACH * model.dx)
+        self._pieces = Pieces(model.rest[self._chosen], REACH * model.dx, self._bodies())
+
+    def _bodies(self) -> NDArray[np.int64] | None:
+        """The body of each particle that is checked; None: there is only one."""
+        model = self._model
+        if model.bodies == 1:
+            return None
+        body = np.empty(len(model), np.int64)
+        for group in model.groups:
+            body[group.particles] = group.body
+        return body[self._chosen]
 
     @property
     def torn(self) -> bool:

@@ -87,13 +87,14 @@ class Watchdog:
 
     def __init__(self, solver: Solver, external: ExternalWork, *, balance: bool = True) -> None:
         self.model, self.state, self.clock = solver.model, solver.state, solver.clock
-        self._outliers, self._repair = solver.outliers, solver.repair
+        self._pairs, self._outliers, self._repair = solver.pairs, solver.outliers, solver.repair
         self.external, self._balanced = external, balance
         self.tearing = Tearing(solver.model, solver.state)
         self.first = self.last = self._look()
         self.balance = Balance()
         self.min_J, self.max_J = self.first.min_J, self.first.max_J
         self._fastest, self._begun = 0.0, False
+        self._stopped = self._pairs.impulse()
 
     def before(self) -> None:
         """Before a frame, whose broken deformations have been mended."""
@@ -105,6 +106,7 @@ class Watchdog:
         self.first = self.last = self._look()
         turnover = max(self.first.energy, self._strained(math.sqrt(QUIET)))
         self.balance = Balance(turnover, math.sqrt(2 * self.model.total_mass * turnover))
+        self._stopped = self._pairs.impulse()
         if self._balanced:
             self.external.open(self.clock)
         self._begun = True
@@ -114,6 +116,7 @@ class Watchdog:
         return {
             "begun": self._begun,
             "fastest": self._fastest,
+            "stopped": self._stopped.tolist(),
             "min_J": self.min_J,
             "max_J": self.max_J,
             "first": self.first.snapshot(),
@@ -125,6 +128,7 @@ class Watchdog:
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Return to a snapshot."""
         self._begun, self._fastest = snapshot["begun"], snapshot["fastest"]
+        self._stopped = np.array(snapshot["stopped"])
         self.min_J, self.max_J = snapshot["min_J"], snapshot["max_J"]
         self.first, self.last = (Diagnostics.from_snapshot(snapshot[k]) for k in ("first", "last"))
         self.balance = Balance(**snapshot["balance"])
@@ -224,7 +228,9 @@ class Watchdog:
         )
         gained = now.energy - self.first.energy - given.work
         moved = max(self.balance.moved, self._momentum_scale(now), given.moved)
-        missing = now.momentum - self.first.momentum - given.impulse
+        stopped = self._pairs.impulse() - self._stopped
+        moved = max(moved, float(np.linalg.norm(stopped)))
+        missing = now.momentum - self.first.momentum - given.impulse - stopped
         momentum_gain = float(np.linalg.norm(missing)) / moved if moved > 0 else 0.0
         problem = self._gained(gained, turnover) or self._drifted(momentum_gain)
         if problem is None:

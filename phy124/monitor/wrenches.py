@@ -21,7 +21,7 @@ from phy124.gaussians import Frame, Wrench
 from phy124.kernels import wrenches as kernels
 from phy124.kernels.external_work import make_wall_copy
 from phy124.monitor.near import NodesNear
-from phy124.mpm import Attachable, Grid, Model, Stage, State
+from phy124.mpm import Attachable, Grid, Model, Solver, Stage, State
 from phy124.tracks import Tracks
 
 STAGE = "wrenches"
@@ -59,19 +59,27 @@ class Wrenches:
         for sums in self._arrays().values():
             sums.zero_()
 
-    def contacts(self, model: Model, state: State, fps: float) -> dict[str, Wrench] | None:
-        """Mean wrench on each wall since the frame began; None if not asked.
+    def contacts(self, solver: Solver, fps: float) -> dict[str, Wrench] | None:
+        """Mean wrench on each wall since the frame began, and of each object on each other one.
+
+        The torques are about the centre of mass of all particles. None if there are no walls that
+        are asked for and no other objects.
 
         Args:
-            model: The particles.
-            state: Where they are; the torques are about their centre of mass.
+            solver: The particles, and what the objects gave each other.
             fps: Frames per second.
         """
-        if not self.asked:
+        names = pair_names(solver)
+        if not self.asked and not names:
             return None
-        mass, x = (array.numpy().astype(np.float64) for array in (model.mass, state.x))
+        arrays = (solver.model.mass, solver.state.x)
+        mass, x = (np.asarray(array.numpy(), np.float64) for array in arrays)
         middle = mass @ x / mass.sum()
-        return {wall: self._wrench(wall, middle, fps) for wall in self._sums}
+        found = {wall: self._wrench(wall, middle, fps) for wall in self._sums} if self.asked else {}
+        given = solver.pairs.wrenches(1 / fps).values()
+        for name, (force, torque) in zip(names, given, strict=True):
+            found[name] = Wrench(force, torque - np.cross(middle, force))
+        return found
 
     def snapshot(self) -> dict[str, Any]:
         """The sums as they are now."""
@@ -147,6 +155,12 @@ class _Separated:
         return [before, *stages, after]
 
 
+def pair_names(solver: Solver) -> tuple[str, ...]:
+    """A name for each pair of bodies: that of the one that exerts the wrench comes first."""
+    called = solver.model.names
+    return tuple(f"{called[p.first]}_on_{called[p.second]}" for p in solver.pairs.all)
+
+
 def names(walls: Sequence[Boundary]) -> list[str]:
     """A name for each boundary: its kind, numbered from the second of a kind on."""
     found: Counter[str] = Counter()
@@ -158,16 +172,18 @@ def names(walls: Sequence[Boundary]) -> list[str]:
     return named
 
 
-def summary(frames: Sequence[Frame]) -> dict[str, Any] | None:
+def summary(frames: Sequence[Frame], chosen: Sequence[str]) -> dict[str, Any] | None:
     """For each wall its largest force, when that was, and the wrench of the last frame.
 
     Args:
         frames: All frames of a run; those before the first substep have no forces.
+        chosen: Names of the walls.
     """
     if not frames or frames[-1].wrenches is None:
         return None
     found = {}
-    for wall, last in frames[-1].wrenches.items():
+    for wall in chosen:
+        last = frames[-1].wrenches[wall]
         forces = [float(np.linalg.norm(f.wrenches[wall].force)) for f in frames if f.wrenches]
         worst = int(np.argmax(forces))
         found[wall] = {

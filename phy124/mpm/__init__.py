@@ -8,6 +8,7 @@ Only the stages that the scene calls for exist.
 from phy124.mpm.clock import MEASURE_EVERY, Clock
 from phy124.mpm.grid import MARGIN, Grid, Unstable
 from phy124.mpm.model import Group, Model
+from phy124.mpm.pairs import Pair
 from phy124.mpm.solver import Solver
 from phy124.mpm.stage import Accumulator, Attachable, Stage
 from phy124.mpm.state import State
@@ -21,6 +22,7 @@ __all__ = [
     "Grid",
     "Group",
     "Model",
+    "Pair",
     "Solver",
     "Stage",
     "State",

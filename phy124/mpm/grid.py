@@ -1,4 +1,8 @@
-"""Grid: nodes in a window around the particles, which is moved when they outgrow it."""
+"""Grid: nodes in a window around the particles, which is moved when they outgrow it.
+
+Each body has a grid of its own, on one lattice: where two bodies share a node, each has a velocity
+there.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +15,10 @@ import warp as wp
 from numpy.typing import NDArray
 
 from phy124.kernels.transfer import types
+from phy124.mpm.model import Model
 
+Corners = tuple[NDArray[np.float64], NDArray[np.float64]]
+"""Lowest and highest corner of a box [m]."""
 MARGIN = 4
 """Margin of the window around the particles [cells]: more than they cross between measurements."""
 FARTHEST = 2**30
@@ -25,7 +32,15 @@ class Unstable(RuntimeError):
 class Grid:
     """A flat array of nodes; node (i, j, k) of the window is at origin + (low + (i, j, k)) dx."""
 
-    def __init__(self, origin: Sequence[float], dx: float, *, real: Any, device: str) -> None:
+    def __init__(
+        self,
+        origin: Sequence[float],
+        dx: float,
+        *,
+        real: Any,
+        device: str,
+        particles: slice = slice(None),
+    ) -> None:
         t = types(real)
         self.origin, self.dx, self.device, self.vec4 = np.array(origin, float), dx, device, t.vec4
         self.lattice = t.vec4(*origin, dx)
@@ -33,6 +48,8 @@ class Grid:
         self.low, self.size = np.zeros(3, int), np.zeros(3, int)
         self.nodes = wp.zeros(0, dtype=t.vec4, device=device)
         self._changes: wp.array | None = None
+        self.particles = particles
+        """Those of the body that it belongs to."""
         self.stale = True
         """Whether the window does not belong to the current positions of the particles."""
         self.layers: tuple[int, int] | None = None
@@ -130,6 +147,36 @@ class Grid:
         """Nodes of the layers first <= i < last, which are contiguous in memory."""
         layer = int(self.size[1] * self.size[2])
         return cast("wp.array", self.nodes[first * layer : last * layer])
+
+
+def grids_of(model: Model) -> list[Grid]:
+    """A grid for each body, on one lattice."""
+    real, device = model.real, model.device
+    runs = [model.particles(body) for body in range(model.bodies)]
+    return [Grid(model.origin, model.dx, real=real, device=device, particles=run) for run in runs]
+
+
+def fit_all(grids: Sequence[Grid], corners: Sequence[Corners], *, anew: bool) -> bool:
+    """Fit the windows of all bodies; returns whether one has changed.
+
+    Args:
+        grids: Of each body.
+        corners: Around the particles of each; infinite where all are outliers.
+        anew: Whether a particle has come back to the others, which may be outside the window.
+
+    Raises:
+        Unstable: As in `Grid.fit`.
+    """
+    changed = False
+    inside = [bool(np.isfinite(pair).all()) for pair in corners]
+    for grid, pair, some in zip(grids, corners, inside, strict=True):
+        grid.stale |= anew
+        if some or not any(inside):
+            changed |= grid.fit(*pair)
+        else:
+            # Wherever the body comes back, its window is a new one.
+            grid.stale = True
+    return changed
 
 
 def _roomy(spare: NDArray) -> bool:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -19,13 +20,15 @@ PRECISIONS = {"float32": wp.float32, "float64": wp.float64}
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Consecutive particles of one law."""
+    """Consecutive particles of one law in one body."""
 
     law: Law
     start: int
     stop: int
     theta: wp.array
     """Parameters of the law: one row for all, or one row per particle."""
+    body: int = 0
+    """The body that they belong to."""
 
     def __len__(self) -> int:
         """Number of its particles."""
@@ -56,7 +59,7 @@ class Model:
     history: NDArray[np.float64]
     """History variables of the laws at the start [P,2]."""
     groups: tuple[Group, ...]
-    """The particles, law by law."""
+    """The particles, body by body, and law by law in each."""
     materials: tuple[Material, ...]
     dx: float
     """Grid spacing [m]."""
@@ -70,6 +73,10 @@ class Model:
     """Warp device, "cpu" or "cuda:0"."""
     form: str
     """How transfers are written: "simd" rows for float32 on the CPU, otherwise "plain"."""
+    held: frozenset[int] = frozenset()
+    """Bodies that never move."""
+    names: tuple[str, ...] = ()
+    """Names of the bodies, if they have any."""
 
     @classmethod
     def of(
@@ -81,6 +88,9 @@ class Model:
         dx: float,
         material: NDArray | None = None,
         stiffness: NDArray | None = None,
+        body: NDArray | None = None,
+        held: Collection[int] = (),
+        names: Sequence[str] = (),
         origin: Sequence[float] = (0.0, 0.0, 0.0),
         cfl: float = CFL,
         precision: str = "float32",
@@ -97,6 +107,10 @@ class Model:
             material: Index into `materials` for each particle [P]; particles of one law must be
                 consecutive. None: all are of the first material.
             stiffness: Factors on E [P]; None: 1.
+            body: Number of the body that each particle belongs to [P], from 0 on and in this order;
+                particles of one law must be consecutive in each. None: all are one body.
+            held: Bodies that never move: others meet them as they meet a wall.
+            names: What the bodies are called, in their order.
             origin: Position of node (0, 0, 0) [m].
             cfl: Fraction of the elastic limit of the substep, in (0, 1).
             precision: "float32" or "float64".
@@ -104,22 +118,23 @@ class Model:
             simd: Use SIMD rows where they exist.
 
         Raises:
-            ValueError: The particles are not sorted by law, or one has no volume.
+            ValueError: The particles are not sorted by body and law, or one has no volume.
         """
         real, count = PRECISIONS[precision], len(x)
         if not np.all(np.asarray(volume) > 0):
             raise ValueError("every particle needs a volume above zero")
         material = np.zeros(count, int) if material is None else material
+        body = np.zeros(count, int) if body is None else np.asarray(body)
         density = np.array([section.density for section in materials])[material]
         history = np.array([section.history() for section in materials])[material]
         found = []
-        for start, stop in _runs(materials, material):
+        for start, stop in _runs(materials, material, body):
             part = slice(start, stop)
             own = None if stiffness is None else stiffness[part]
             theta = parameters(materials, material[part], own, dx=dx, cfl=cfl)
             law = materials[material[start]].device_law
             rows = _array(theta, wp.types.vector(law.width, real), precision, device)
-            found.append(Group(law, start, stop, rows))
+            found.append(Group(law, start, stop, rows, int(body[start])))
         px, py, pz = (float(c) for c in origin)
         return cls(
             rest=np.asarray(x, dtype=np.float64),
@@ -134,11 +149,39 @@ class Model:
             precision=precision,
             device=device,
             form=form_of(precision, device) if simd else "plain",
+            held=frozenset(held),
+            names=tuple(names),
         )
 
     def __len__(self) -> int:
         """Number of particles."""
         return len(self.rest)
+
+    @property
+    def bodies(self) -> int:
+        """Number of bodies."""
+        return 1 + max(group.body for group in self.groups)
+
+    def particles(self, body: int) -> slice:
+        """The particles of a body."""
+        own = [group for group in self.groups if group.body == body]
+        return slice(own[0].start, own[-1].stop)
+
+    def named(self, name: str | None) -> slice:
+        """The particles of the body of a name; None: all."""
+        return slice(0, len(self)) if name is None else self.particles(self.names.index(name))
+
+    def rest_of(self, name: str | None) -> NDArray[np.float64]:
+        """Positions at rest of the body of a name [Q,3], m; None: of all."""
+        return self.rest[self.named(name)]
+
+    @property
+    def moves(self) -> NDArray[np.bool_]:
+        """Which particles may move [P]: those of bodies that are not held."""
+        free = np.ones(len(self), bool)
+        for body in self.held:
+            free[self.particles(body)] = False
+        return free
 
     @property
     def real(self) -> Any:
@@ -153,8 +196,8 @@ class Model:
 
     @property
     def total_mass(self) -> float:
-        """Mass of all particles [kg]."""
-        return float(np.sum(self.mass.numpy(), dtype=np.float64))
+        """Mass of all particles that may move [kg]."""
+        return float(np.sum(self.mass.numpy()[self.moves], dtype=np.float64))
 
     def array(self, values: object, dtype: Any) -> wp.array:
         """An array on the device, in the model's precision."""
@@ -207,14 +250,21 @@ def parameters(
     return rows[own] * np.where(column, stiffness[:, None], 1.0)
 
 
-def _runs(materials: Sequence[Material], material: NDArray) -> list[tuple[int, int]]:
-    """First particle of each law and one past the last; raises ValueError if laws are mixed."""
+def _runs(materials: Sequence[Material], material: NDArray, body: NDArray) -> list[tuple[int, int]]:
+    """First particle of each law in each body and one past the last.
+
+    Raises:
+        ValueError: Bodies or laws are mixed, or a body has no particle.
+    """
     laws = [section.device_law.name for section in materials]
     law = np.array([laws.index(name) for name in laws])[material]
-    if np.any(np.diff(law) < 0):
+    steps = np.diff(body)
+    if body[0] != 0 or np.any((steps != 0) & (steps != 1)):
+        raise ValueError("particles must be sorted by body, and bodies numbered from 0 on")
+    if np.any((np.diff(law) < 0) & (steps == 0)):
         raise ValueError("particles must be sorted by law")
-    runs = [np.searchsorted(law, [index, index + 1]).tolist() for index in np.unique(law)]
-    return [(start, stop) for start, stop in runs]
+    first = np.flatnonzero(np.diff(law, prepend=-1) | np.diff(body, prepend=-1))
+    return list(itertools.pairwise([*first.tolist(), len(law)]))
 
 
 def _array(values: object, dtype: Any, precision: str, device: str) -> wp.array:

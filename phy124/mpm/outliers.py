@@ -8,6 +8,7 @@ and feel nothing but the uniform acceleration; one that comes back is part of th
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -45,7 +46,8 @@ class Outliers:
         self.indices = wp.zeros(0, dtype=int, device=model.device)
         """Indices of the particles that are outside now."""
         # The extent of the bulk at rest, without single particles far away.
-        first = self._nodes(*np.quantile(model.rest, (0.05, 0.95), axis=0))
+        runs = [model.rest[model.particles(body)] for body in range(model.bodies)]
+        first = sum(self._nodes(*np.quantile(rest, (0.05, 0.95), axis=0)) for rest in runs)
         self._allowed = min(MAX_NODES, max(MIN_NODES, GROWTH * min(first, MAX_NODES)))
         self.most, self.changed = 0, False
         """Largest number of outliers so far, and whether the last measurement changed the list."""
@@ -73,18 +75,19 @@ class Outliers:
         out = self._beyond() if self.bounded else []
         self.indices = wp.array(out, dtype=int, device=self._model.device)
 
-    def confine(self, lower: NDArray, upper: NDArray) -> bool:
+    def confine(self, corners: Sequence[tuple[NDArray, NDArray]]) -> bool:
         """Adapt the box to the particles; returns whether they must be measured again.
 
         Args:
-            lower: Lowest corner of the particles [3], m.
-            upper: Highest corner of the particles [3], m.
+            corners: Lowest and highest corner of each body's particles [3], m.
         """
+        lower = np.min([low for low, _ in corners], axis=0)
+        upper = np.max([high for _, high in corners], axis=0)
         if self.bounded and np.isfinite(lower).all():
             measured = self._beyond()
             self._centre((lower + upper) / 2)
             return self.changed or not np.array_equal(measured, self.indices.numpy())
-        if not self.bounded and self._nodes(lower, upper) <= self._allowed:
+        if not self.bounded and sum(self._nodes(*pair) for pair in corners) <= self._allowed:
             return False
         x = self._state.x.numpy().astype(np.float64)
         side = self._model.dx * (self._allowed ** (1 / 3) - 3 * MARGIN)

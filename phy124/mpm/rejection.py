@@ -19,7 +19,7 @@ from phy124.kernels.profile import JOINS, LIMITED
 from phy124.mpm.clock import MEASURE_EVERY, Clock
 from phy124.mpm.grid import Grid
 from phy124.mpm.model import Model
-from phy124.mpm.stage import Accumulator, Stage
+from phy124.mpm.stage import Stage, Sums
 from phy124.mpm.state import State
 from phy124.mpm.timestep import CELLS_PER_STEP, STRAIN_PER_STEP
 from phy124.tracks import Tracks
@@ -41,7 +41,7 @@ class StepRejection:
         state: State,
         tracks: Tracks,
         pushes: Sequence[Stage],
-        accumulators: Sequence[Accumulator],
+        accumulators: Sequence[Sums],
     ) -> None:
         """Bind to a run.
 
@@ -102,14 +102,14 @@ class StepRejection:
         return every if each * every <= 1 else max(MEASURE_EVERY, int(1 / each))
 
     def attempt(
-        self, dt: float, scatter: Callable[[float], None], grid: Grid
+        self, dt: float, scatter: Callable[[float], None], grids: Sequence[Grid]
     ) -> tuple[float, bool]:
         """Scatter and update with ever shorter substeps until no node moves more than a cell.
 
         Args:
             dt: The length to try first [s].
             scatter: Pushes, scatters and updates the grid for a substep of the given length [s].
-            grid: The grid whose largest nodal speed decides.
+            grids: The grids whose largest nodal speed decides.
 
         Returns:
             The length that was short enough [s], and whether the substep was violent.
@@ -119,7 +119,7 @@ class StepRejection:
         cells = 0.0
         for _ in range(TRIES):
             scatter(dt)
-            cells = self._speed(grid) * dt / self._model.dx
+            cells = self._speed(grids) * dt / self._model.dx
             if cells <= 1:
                 break
             self.rejected += 1
@@ -130,11 +130,12 @@ class StepRejection:
             dt *= min(0.5, CELLS_PER_STEP / cells)
         return dt, 2 * cells > CELLS_PER_STEP
 
-    def _speed(self, grid: Grid) -> float:
+    def _speed(self, grids: Sequence[Grid]) -> float:
         """The largest speed of a node [m/s]."""
         self._fastest.zero_()
         kernel, device = make_grid_speed(self._model.real), self._model.device
-        wp.launch(kernel, grid.count, [grid.nodes], [self._fastest], device=device)
+        for grid in grids:
+            wp.launch(kernel, grid.count, [grid.nodes], [self._fastest], device=device)
         return math.sqrt(float(np.asarray(self._fastest.numpy())[0]))
 
 

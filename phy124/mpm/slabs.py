@@ -37,26 +37,26 @@ two workers ever write to the same one."""
 class Slabs:
     """The parts of several workers."""
 
-    def __init__(self, model: Model, state: State, grid: Grid, count: int) -> None:
+    def __init__(self, model: Model, state: State, grids: Sequence[Grid], count: int) -> None:
         """Cut the particles for the first time.
 
         Args:
             model: The particles.
             state: Where they are.
-            grid: The shared grid.
+            grids: The shared grid of each body.
             count: Number of workers.
         """
-        self._model, self._state, self._grid = model, state, grid
+        self._model, self._state, self._grids = model, state, grids
         length = COUNT * len(model.groups)
         self.workers = [
             Worker(wp.zeros(length, dtype=model.real, device=model.device)) for _ in range(count)
         ]
         self.pool = wp.zeros(0, dtype=types(model.real).vec4, device=model.device)
         """The nodes of all slabs."""
-        self.boxes = wp.zeros(0, dtype=wp.vec3i, device=model.device)
-        """Lowest node and extent of each."""
-        self.starts = wp.zeros(0, dtype=int, device=model.device)
-        """Where each begins in the pool."""
+        self.boxes: list[wp.array] = []
+        """Lowest node and extent of each slab of each body."""
+        self.starts: list[wp.array] = []
+        """Where each of these begins in the pool."""
         self.runs: list[wp.array] = []
         """The nodes of each worker."""
         self._owner = np.zeros(len(model), np.int16)
@@ -72,7 +72,8 @@ class Slabs:
     @property
     def share(self) -> float:
         """Nodes of all slabs per node of the window."""
-        return sum(part.nodes.count for part in self.parts) / max(self._grid.count, 1)
+        shared = sum(grid.count for grid in self._grids)
+        return sum(part.nodes.count for part in self.parts) / max(shared, 1)
 
     @property
     def outgrown(self) -> bool:
@@ -109,22 +110,24 @@ class Slabs:
             rows: What was measured among the particles of each part [parts,COUNT].
             force: Whether the shared window has changed.
         """
-        reaches = [self._reach(row) for row in rows]
+        reaches = [self._reach(part, row) for part, row in zip(self.parts, rows, strict=True)]
         if not force and all(map(_roomy, self.parts, reaches)):
             return False
         # All at once, so that none needs it again soon.
-        low, high = self._grid.low, self._grid.low + self._grid.size
         boxes = []
-        for reach in reaches:
+        for part, reach in zip(self.parts, reaches, strict=True):
+            grid = self._grids[part.group.body]
+            low, high = grid.low, grid.low + grid.size
             first, last = reach or (low, low - 2 * MARGIN)
             start = np.clip(first - MARGIN, low, high)
             boxes.append((start, np.clip(last + MARGIN, start, high) - start))
         self.place(boxes)
         return True
 
-    def _reach(self, row: NDArray[np.float64]) -> tuple[NDArray, NDArray] | None:
+    def _reach(self, part: Part, row: NDArray[np.float64]) -> tuple[NDArray, NDArray] | None:
         """The nodes that measured particles can touch; None if they all are outliers."""
-        return self._grid.reach(*Maxima.of(row).corners) if np.isfinite(row).all() else None
+        grid = self._grids[part.group.body]
+        return grid.reach(*Maxima.of(row).corners) if np.isfinite(row).all() else None
 
     def place(self, boxes: Sequence[tuple[NDArray, NDArray]]) -> None:
         """Give every slab the nodes from `low` [3] on, `size` [3] of them; all are cleared."""
@@ -132,9 +135,12 @@ class Slabs:
         starts = [0, *itertools.accumulate(rooms)]
         device = self._model.device
         self.pool = wp.zeros(starts[-1], dtype=self.pool.dtype, device=device)
-        corners = np.array([corner for box in boxes for corner in box], np.int32).reshape(-1, 3)
-        self.boxes = wp.array(corners, dtype=wp.vec3i, device=device)
-        self.starts = wp.array(starts[:-1], dtype=int, device=device)
+        self.boxes, self.starts = [], []
+        for body in range(self._model.bodies):
+            own = [i for i, part in enumerate(self.parts) if part.group.body == body]
+            corners = np.array([corner for i in own for corner in boxes[i]], np.int32)
+            self.boxes.append(wp.array(corners.reshape(-1, 3), dtype=wp.vec3i, device=device))
+            self.starts.append(wp.array([starts[i] for i in own], dtype=int, device=device))
         for part, (low, size), start, room in zip(self.parts, boxes, starts, rooms, strict=False):
             part.nodes.use(np.array(low), np.array(size), self._nodes(start, start + room))
         ends = itertools.accumulate((len(worker.parts) for worker in self.workers), initial=0)

@@ -17,12 +17,14 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from phy124.kernels.maxima import COUNT
 from phy124.mpm.clock import MEASURE_EVERY, Clock
 from phy124.mpm.graph import Graph, usable
-from phy124.mpm.grid import Grid, Unstable
+from phy124.mpm.grid import Corners, Grid, Unstable, fit_all, grids_of
 from phy124.mpm.maxima import Maxima
 from phy124.mpm.model import Model
 from phy124.mpm.outliers import Outliers
+from phy124.mpm.pairs import Pair, Pairs
 from phy124.mpm.rejection import StepRejection
 from phy124.mpm.repair import Repair
 from phy124.mpm.slabs import Slabs
@@ -54,6 +56,7 @@ class Solver:
         forces: Sequence[Attachable] = (),
         boundaries: Sequence[Attachable] = (),
         accumulators: Sequence[Accumulator] = (),
+        pairs: Sequence[Pair] = (),
         ceiling: float = math.inf,
         threads: int | None = None,
         graph: bool | None = None,
@@ -67,9 +70,10 @@ class Solver:
             forces: Forces, in the order in which they act.
             boundaries: Boundaries, in the order in which they act.
             accumulators: Sums that grow in every substep.
+            pairs: How bodies touch, where that is not by default.
             ceiling: Longest substep allowed [s].
             threads: CPU threads; None: as many as have a free core and enough particles.
-            graph: Run frames as one graph on the device; None: on CUDA.
+            graph: Run frames as one graph on the device; None: on CUDA. Several bodies never do.
             measure_every: Substeps between two measurements of the limits, where that is safe.
 
         Raises:
@@ -79,16 +83,20 @@ class Solver:
         self.model = model
         self.state = State.of(model) if state is None else state
         self.clock = Clock(model, ceiling=ceiling, measure_every=measure_every)
-        self.grid = Grid(model.origin, model.dx, real=model.real, device=model.device)
+        self.grids = grids_of(model)
+        """That of each body."""
         self.outliers = Outliers(model, self.state)
         self.repair = Repair(model, self.state)
         count = usable_workers(len(model), model.device, threads)
-        self.slabs = Slabs(model, self.state, self.grid, count) if count > 1 else None
-        self.workers = self.slabs.workers if self.slabs else [lone_worker(model, self.grid)]
+        self.slabs = Slabs(model, self.state, self.grids, count) if count > 1 else None
+        self.workers = self.slabs.workers if self.slabs else [lone_worker(model, self.grids)]
+        self.pairs = Pairs(model, pairs, count)
+        """How bodies touch, and what they give each other."""
         self._stray = wp.zeros(1, dtype=int, device=model.device)
         self._team = Team[int](count, self._run_member)
-        self._graph = Graph(model, self.clock, self.grid, self.workers[0], self._stray)
-        self.on_device = usable(model.device) if graph is None else graph
+        self._graph = Graph(model, self.clock, self.grids[0], self.workers[0], self._stray)
+        on_device = usable(model.device) if graph is None else graph
+        self.on_device = on_device and model.bodies == 1
         """Whether frames run as graphs."""
         self.bind(forces, boundaries, accumulators)
         self._record_measures()
@@ -119,13 +127,23 @@ class Solver:
         tracks.upload(self.clock.values)
         self.tracks, self._forces, self.boundaries, self._sums = tracks, acting, walls, sums
         self._recorder = Recorder(
-            model, state, self.grid, tracks, self.outliers, self.workers, self.slabs
+            model, state, self.grids, tracks, self.outliers, self.workers, self.slabs, self.pairs
         )
         self._sample = tracks.record()
         self._sample.launch()
-        self.rejection = StepRejection(model, state, tracks, acting, accumulators)
-        if self.grid.count:
+        self.rejection = StepRejection(model, state, tracks, acting, [*accumulators, self.pairs])
+        if self.nodes:
             self._record()
+
+    @property
+    def grid(self) -> Grid:
+        """That of the first body, which may be the only one."""
+        return self.grids[0]
+
+    @property
+    def nodes(self) -> int:
+        """Number of nodes in all windows."""
+        return sum(grid.count for grid in self.grids)
 
     @property
     def timings(self) -> Timings:
@@ -167,7 +185,8 @@ class Solver:
             "clock": self.clock.snapshot(),
             "outliers": self.outliers.snapshot(),
             "repair": self.repair.snapshot(),
-            "window": [self.grid.low.tolist(), self.grid.size.tolist()],
+            "windows": [[grid.low.tolist(), grid.size.tolist()] for grid in self.grids],
+            "pairs": self.pairs.snapshot(),
             "slabs": self.slabs.snapshot() if self.slabs else {},
         }
 
@@ -179,10 +198,12 @@ class Solver:
         self.outliers.restore(snapshot["outliers"])
         self.repair.restore(snapshot["repair"])
         self._stray.zero_()
-        low, size = snapshot["window"]
-        self.grid.rebase(np.array(low), np.array(size))
+        self.pairs.restore(snapshot["pairs"])
+        for grid, (low, size) in zip(self.grids, snapshot["windows"], strict=True):
+            grid.rebase(np.array(low), np.array(size))
         known = self._restore_slabs(snapshot["slabs"])
-        self.grid.stale = self.clock.due or not known
+        for grid in self.grids:
+            grid.stale = self.clock.due or not known
         if not self.grid.stale:
             self._record()
 
@@ -218,7 +239,7 @@ class Solver:
             self._scatter((self.clock.last_dt + dt) / 2, dt)
             self._join()
 
-        dt, violent = self.rejection.attempt(dt, scatter, self.grid)
+        dt, violent = self.rejection.attempt(dt, scatter, self.grids)
         self._run(GATHER)
         self._join()
         self.clock.finish(dt, violent=violent)
@@ -288,19 +309,25 @@ class Solver:
     def _measure(self) -> None:
         """Read the stability limits and fit the windows to the particles; raises Unstable."""
         found = self._maxima()
-        if self.outliers.confine(*Maxima.of(found.max(axis=0)).corners):
+        if self.outliers.confine(self._corners(found)):
             found = self._maxima()
         measured = Maxima.of(found.max(axis=0))
         self.clock.extremes = measured.extremes.after(self.clock.extremes)
         self.clock.recent = self.clock.extremes
-        # A particle that has come back to the others may be outside the window.
-        self.grid.stale |= self.outliers.changed
-        changed = self.grid.fit(*measured.corners)
+        changed = fit_all(self.grids, self._corners(found), anew=self.outliers.changed)
         changed |= self._fit_slabs(found, changed)
         if changed:
             self._record()
         self._set_interval()
         self.clock.since_measured = 0
+
+    def _corners(self, rows: NDArray[np.float64]) -> list[Corners]:
+        """Lowest and highest corner of each body, of what was measured [m]."""
+        body = np.arange(len(rows))
+        if self.slabs is not None:
+            body = np.array([part.group.body for part in self.slabs.parts])
+        bodies = range(len(self.grids))
+        return [Maxima.of(rows[body == number].max(axis=0)).corners for number in bodies]
 
     def _fit_slabs(self, found: NDArray[np.float64], force: bool) -> bool:
         """Fit private nodes to their particles, if need be of new slabs; whether they changed."""
@@ -319,7 +346,7 @@ class Solver:
             worker.measures = self._recorder.measures(worker, self._stray)
 
     def _maxima(self) -> NDArray[np.float64]:
-        """What was measured: a row for each part of each worker, or one for a lone worker.
+        """What was measured: a row for each part of each worker, or for each body.
 
         Raises:
             Unstable: A particle is no longer finite.
@@ -337,7 +364,8 @@ class Solver:
         rows = [self.workers[0].maxima]
         if self.slabs is not None:
             rows = [part.maxima for part in self.slabs.parts]
-        return np.array([row.numpy() for row in rows], dtype=np.float64)
+        found = np.array([row.numpy() for row in rows], dtype=np.float64)
+        return found.reshape(-1, COUNT)
 
     def _set_interval(self) -> None:
         clock = self.clock

@@ -47,11 +47,8 @@ class Attachable(Protocol):
         ...
 
 
-class Accumulator(Attachable, Protocol):
-    """Sums that grow in every substep and are restored after a rejected one.
-
-    Its stages come last in a substep, after the boundaries have acted.
-    """
+class Sums(Protocol):
+    """Sums that grow in every substep and are restored after a rejected one."""
 
     def snapshot(self) -> dict[str, Any]:
         """The sums as they are now."""
@@ -60,6 +57,10 @@ class Accumulator(Attachable, Protocol):
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Set the sums back to a snapshot."""
         ...
+
+
+class Accumulator(Attachable, Sums, Protocol):
+    """Sums whose stages come last in a substep, after the boundaries have acted."""
 
 
 Named = tuple[str, Callable[[], Any]]

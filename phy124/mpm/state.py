@@ -44,6 +44,7 @@ class State:
         t, count = types(model.real), len(model)
         plastic = any(group.law.project is not None for group in model.groups)
         kept = count if plastic else 0
+        v, C = (None if motion is None else _moving(motion, model) for motion in (v, C))
         identity = np.tile(np.eye(3), (count, 1, 1))
         return cls(
             x=model.array(model.rest, t.vec3),
@@ -77,3 +78,11 @@ class State:
 def part_of(array: wp.array, part: slice) -> wp.array:
     """A slice of an array, or the array itself if it is empty because no law needs it."""
     return cast("wp.array", array[part]) if len(array) else array
+
+
+def _moving(motion: NDArray, model: Model) -> NDArray:
+    """Velocities or their gradients, zero for particles that never move."""
+    if not model.held:
+        return motion
+    moves: NDArray = model.moves.reshape(-1, *[1] * (motion.ndim - 1))
+    return np.where(moves, motion, 0.0)

@@ -6,7 +6,8 @@ worker. Repeating a recorded launch takes a few microseconds.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+import itertools
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -19,6 +20,7 @@ from phy124.kernels.transfer import Law
 from phy124.mpm.grid import Grid
 from phy124.mpm.model import Model
 from phy124.mpm.outliers import Outliers
+from phy124.mpm.pairs import Pairs
 from phy124.mpm.slabs import Slabs
 from phy124.mpm.stage import Named, Recorded, Stage, launches
 from phy124.mpm.state import State, part_of
@@ -56,12 +58,15 @@ class Recorder:
 
     model: Model
     state: State
-    grid: Grid
+    grids: Sequence[Grid]
+    """That of each body."""
     tracks: Tracks
     outliers: Outliers
     workers: Sequence[Worker]
     slabs: Slabs | None
     """Those of several workers."""
+    pairs: Pairs
+    """How bodies touch."""
 
     def record(
         self, pushes: Sequence[Stage], walls: Sequence[Stage], sums: Sequence[Stage]
@@ -73,55 +78,95 @@ class Recorder:
             walls: Stages of boundaries, after the update.
             sums: Stages that end the substep.
         """
+        held = self.model.held
+        for body in held:
+            self._put_down(body)
         for index, worker in enumerate(self.workers):
-            layers = self._layers(index)
-            scatter = [self._p2g(part) for part in worker.parts]
-            update = self._update_phases(walls, index, layers)
-            gather = [record for part in worker.parts for record in self._gather(part)]
-            clear: tuple[str, Callable[[], Any]] = ("clear", self._clear(index))
-            worker.phases = [[clear, *launches(scatter)], *map(launches, update), launches(gather)]
+            moving = [part for part in worker.parts if part.group.body not in held]
+            scatter = [self._p2g(part) for part in moving]
+            update = self._update_phases(walls, index)
+            gather = [record for part in moving for record in self._gather(part)]
+            scattering = [*self._clear(index), *launches(scatter)]
+            worker.phases = [scattering, *map(launches, update), launches(gather)]
             if pushes:
                 worker.phases.insert(0, self._push(pushes, index))
-        self.workers[0].phases[GATHER] += launches([(s.name, s.record(self.grid)) for s in sums])
+        self.workers[0].phases[GATHER] += launches([(s.name, s.record(self._grid)) for s in sums])
+
+    def _put_down(self, body: int) -> None:
+        """Scatter the mass of a body that never moves, once for all substeps."""
+        grid = self.grids[body]
+        grid.nodes.zero_()
+        every = wp.zeros(0, dtype=int, device=self.model.device)
+        for group in self.model.groups:
+            if group.body == body:
+                part = Part(group, group.particles, every, len(group), grid, every)
+                for _, launch in launches([self._p2g(part)]):
+                    launch()
+
+    @property
+    def _moving(self) -> list[int]:
+        """The bodies that may move."""
+        return [body for body in range(len(self.grids)) if body not in self.model.held]
+
+    @property
+    def _grid(self) -> Grid:
+        """The one for launches that have nothing to do with nodes."""
+        return self.grids[0]
 
     def _push(self, stages: Sequence[Stage], worker: int) -> list[Named]:
         """A worker's share of the pushes; the first has them all unless all can be shared."""
         if all(stage.by_run for stage in stages):
-            with self.grid.only(None, worker, len(self.workers)):
-                return launches([(stage.name, stage.record(self.grid)) for stage in stages])
+            with self._grid.only(None, worker, len(self.workers)):
+                return launches([(stage.name, stage.record(self._grid)) for stage in stages])
         if worker > 0:
             return []
-        return launches([(stage.name, stage.record(self.grid)) for stage in stages])
+        return launches([(stage.name, stage.record(self._grid)) for stage in stages])
 
-    def _update_phases(
-        self, walls: Sequence[Stage], worker: int, layers: tuple[int, int] | None
-    ) -> list[list[Recorded]]:
-        """A worker's phases of update and walls; the first worker does some walls alone."""
-        with self.grid.only(layers, worker, len(self.workers)):
-            phases, alone = [self._update(layers)], False
-        for wall in walls:
-            if layers is not None and wall.alone != alone:
+    def _update_phases(self, walls: Sequence[Stage], worker: int) -> list[list[Recorded]]:
+        """A worker's phases of update, of contact between bodies, and of walls.
+
+        Walls come last: what they hold stays where it is, whatever pushes it.
+        """
+        phases = [[one for body in self._moving for one in self._update(body, worker)]]
+        if self.pairs.touching(self.grids):
+            phases += [self.pairs.record(self.grids, worker, len(self.workers)), []]
+        alone = False
+        for (place, body), wall in itertools.product(enumerate(self._moving), walls):
+            if self.slabs is not None and wall.alone != alone:
                 phases.append([])
                 alone = wall.alone
-            if not alone:
-                with self.grid.only(layers, worker, len(self.workers)):
-                    phases[-1].append((wall.name, wall.record(self.grid)))
-            elif worker == 0:
-                phases[-1].append((wall.name, wall.record(self.grid)))
+            record = self._wall(wall, self.grids[body], place, worker, alone=alone)
+            if record is not None:
+                phases[-1].append(record)
         return phases
 
-    def _layers(self, worker: int) -> tuple[int, int] | None:
-        """The layers of the shared grid that a worker updates; None: all."""
+    def _wall(
+        self, wall: Stage, grid: Grid, place: int, worker: int, *, alone: bool
+    ) -> Recorded | None:
+        """A worker's part of a wall that a body meets; the first worker does some walls alone."""
+        if alone:
+            return (wall.name, wall.record(grid)) if worker == 0 else None
+        bodies = len(self._moving)
+        places = (worker * bodies + place, len(self.workers) * bodies)
+        with grid.only(self._layers(grid, worker), *places):
+            return wall.name, wall.record(grid)
+
+    def _layers(self, grid: Grid, worker: int) -> tuple[int, int] | None:
+        """The layers of a shared grid that a worker updates; None: all."""
         if self.slabs is None:
             return None
         first, last = (
-            int(self.grid.size[0]) * place // len(self.workers) for place in (worker, worker + 1)
+            int(grid.size[0]) * place // len(self.workers) for place in (worker, worker + 1)
         )
         return first, last
 
-    def _clear(self, worker: int) -> Callable[[], Any]:
+    def _clear(self, index: int) -> Iterator[Named]:
         """Clears the nodes that a worker scatters to."""
-        return self.grid.nodes.zero_ if self.slabs is None else self.slabs.runs[worker].zero_
+        if self.slabs is not None:
+            yield "clear", self.slabs.runs[index].zero_
+            return
+        for body in self._moving:
+            yield "clear", self.grids[body].nodes.zero_
 
     def measures(self, worker: Worker, stray: wp.array) -> list[wp.Launch]:
         """The launches that measure the limits of the substep among a worker's particles."""
@@ -145,8 +190,8 @@ class Recorder:
         return f"p2g {law.name}", model.launch(kernel, part.count, inputs, [part.nodes.nodes])
 
     def _gather(self, part: Part) -> list[Recorded]:
-        model, s, grid, run = self.model, self.state, self.grid, part.particles
-        law = part.group.law
+        model, s, run = self.model, self.state, part.particles
+        law, grid = part.group.law, self.grids[part.group.body]
         kernel = Transfers.of(law, model.real, model.form).g2p
         read = [part.chosen, part.group.rows(run)]
         inputs = [*read, grid.lattice, grid.window, self.tracks.clock, grid.nodes]
@@ -155,13 +200,15 @@ class Recorder:
         record = f"g2p {law.name}", model.launch(kernel, part.count, inputs, outputs)
         return self.outliers.around(part, record, grid, self.tracks)
 
-    def _update(self, layers: tuple[int, int] | None) -> list[Recorded]:
-        model, grid, slabs = self.model, self.grid, self.slabs
+    def _update(self, body: int, worker: int) -> list[Recorded]:
+        """A worker's part of the update of a body's grid."""
+        model, grid, slabs = self.model, self.grids[body], self.slabs
         inputs, found = [self.tracks.clock, self.tracks.values], []
         count, nodes = grid.count, grid.nodes
+        layers = self._layers(grid, worker)
         if layers is not None and slabs is not None:
             rows = (layers[1] - layers[0], int(grid.size[1]))
-            boxes = [layers[0], grid.window, slabs.boxes, slabs.starts, slabs.pool]
+            boxes = [layers[0], grid.window, slabs.boxes[body], slabs.starts[body], slabs.pool]
             found.append(("grid", model.launch(make_merge(model.real), rows, boxes, [nodes])))
             nodes = grid.slab(*layers)
             count = len(nodes)

@@ -9,9 +9,9 @@ phy124/mpm/threads.py.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import warp as wp
@@ -43,7 +43,7 @@ class Part:
     count: int
     """How many they are."""
     nodes: Grid
-    """The nodes they are scattered to: the shared grid, or nodes of their own."""
+    """The nodes they are scattered to: the shared grid of the body, or nodes of their own."""
     maxima: wp.array
     """What measuring them finds (phy124/kernels/maxima.py)."""
 
@@ -60,7 +60,7 @@ class Worker:
     """Some of the particles, and the launches for them."""
 
     maxima: wp.array
-    """What measuring finds: once for all of its parts, or `COUNT` numbers for each."""
+    """What measuring finds: `COUNT` numbers for each body, or for each of its parts."""
     parts: list[Part] = field(default_factory=list)
     phases: list[list[Named]] = field(default_factory=list)
     """Launches of pushes, if any; of scatter; of update and walls in one or more; of gather."""
@@ -80,13 +80,14 @@ class Worker:
             launch.launch()
 
 
-def lone_worker(model: Model, grid: Grid) -> Worker:
-    """One worker that scatters all particles to the shared grid."""
-    maxima = wp.zeros(COUNT, dtype=model.real, device=model.device)
+def lone_worker(model: Model, grids: Sequence[Grid]) -> Worker:
+    """One worker that scatters all particles to the shared grid of their body."""
+    maxima = wp.zeros(COUNT * len(grids), dtype=model.real, device=model.device)
     every = wp.zeros(0, dtype=int, device=model.device)
-    parts = [
-        Part(group, group.particles, every, len(group), grid, maxima) for group in model.groups
-    ]
+    parts = []
+    for group in model.groups:
+        own = cast("wp.array", maxima[COUNT * group.body : COUNT * (group.body + 1)])
+        parts.append(Part(group, group.particles, every, len(group), grids[group.body], own))
     return Worker(maxima, parts)
 
 

@@ -16,7 +16,7 @@ The rules, in this order:
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -177,7 +177,8 @@ def _repair(gaussians: Gaussians) -> tuple[Gaussians, dict[str, int]]:
         "repaired_quats": int(zero.sum()),
         "repaired_opacities": int((opacities != gaussians.opacities).sum()),
     }
-    return Gaussians(gaussians.means, quats, scales, opacities, gaussians.sh), counts
+    repaired = replace(gaussians, quats=quats, scales=scales, opacities=opacities)
+    return repaired, counts
 
 
 def _gigantic(gaussians: Gaussians) -> NDArray[np.bool_]:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from phy124.gaussians import SH_C0, Gaussians
+from phy124.gaussians import SH_C0, Gaussians, joined
 from phy124.materials import AnyMaterial
 from phy124.particles.seeding import Particles
 
@@ -57,7 +57,7 @@ def with_grains(
         owner = particles.gaussian.copy()
         owner[inside] = moves.sum() + np.arange(len(inside))
         particles = replace(particles, gaussian=owner)
-    return joined(gaussians, grains), particles
+    return joined([gaussians, grains]), particles
 
 
 def grains_at(
@@ -109,10 +109,5 @@ def _grains(
         np.repeat(size[:, None], 3, axis=1),
         np.full(len(x), OPACITY),
         sh,
+        None if gaussians.object_id is None else gaussians.object_id[above],
     )
-
-
-def joined(first: Gaussians, second: Gaussians) -> Gaussians:
-    """The Gaussians of both, in order."""
-    names = ("means", "quats", "scales", "opacities", "sh")
-    return Gaussians(*(np.concatenate([getattr(g, n) for g in (first, second)]) for n in names))

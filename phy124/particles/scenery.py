@@ -46,7 +46,7 @@ class Scenery:
             None if some is None else self._filled(np.zeros_like(rest.means), some)
             for some in (frame.velocities, frame.contacts)
         )
-        gaussians = Gaussians(means, quats, scales, rest.opacities, sh)
+        gaussians = replace(rest, means=means, quats=quats, scales=scales, sh=sh)
         return replace(frame, gaussians=gaussians, velocities=velocities, contacts=contacts)
 
     def turns(self, rotations: Array) -> Array:

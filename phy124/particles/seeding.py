@@ -41,6 +41,8 @@ class Particles:
     """Index of each particle's material [P]."""
     gaussian: NDArray[np.int32]
     """Index of the Gaussian that a particle is [P]; -1 for fillers and lattice particles."""
+    body: NDArray[np.int32] | None = None
+    """Which object of its scene each particle is of [P], in order; None: all are of one."""
 
     def __len__(self) -> int:
         return len(self.x)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -51,7 +52,7 @@ def thinned(gaussians: Gaussians, count: int | None, *, seed: int = 0) -> Gaussi
     kept = gaussians.select(np.unique(along[np.searchsorted(ends, steps)]))
     covered, left = (float((g.opacities * _areas(g)).sum()) for g in (gaussians, kept))
     growth = np.sqrt(covered / left) if left > 0 else 1.0
-    return Gaussians(kept.means, kept.quats, kept.scales * growth, kept.opacities, kept.sh)
+    return replace(kept, scales=kept.scales * growth)
 
 
 def _morton(points: NDArray[np.float32]) -> NDArray[np.int64]:

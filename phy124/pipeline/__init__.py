@@ -8,7 +8,7 @@ leaves nothing behind; one that stops early keeps its good frames, and so does a
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -24,13 +24,16 @@ from phy124.io.files import staged as staged
 from phy124.parts import WHOLE, Crop
 from phy124.pipeline.composing import into_photograph as into_photograph
 from phy124.pipeline.gaussians import Static as Static
-from phy124.pipeline.gaussians import static as static
 from phy124.pipeline.making import PAUSE, Making
 from phy124.pipeline.making import Result as Result
 from phy124.pipeline.making import circumstances as circumstances
 from phy124.pipeline.making import framed as framed
 from phy124.pipeline.making import playback as playback
 from phy124.pipeline.making import write_json as write_json
+from phy124.pipeline.objects import check_sources as check_sources
+from phy124.pipeline.objects import split
+from phy124.pipeline.objects import static as static
+from phy124.pipeline.objects import with_others as with_others
 from phy124.progress import Progress, silent
 from phy124.rendering.film import cameras as cameras
 from phy124.rendering.film import film as film
@@ -46,7 +49,7 @@ PathLike = str | os.PathLike[str]
 
 
 def generate(
-    image: PathLike,
+    image: PathLike | Sequence[PathLike],
     scene: Scene,
     out: PathLike,
     *,
@@ -61,7 +64,8 @@ def generate(
     """Turn a picture into moving Gaussians, videos and a report in a folder.
 
     Args:
-        image: The picture; a generator that is a .ply file does not look at it.
+        image: The picture, or one for each object of the scene; a generator that is a .ply file
+            does not look at it.
         scene: What happens to the object.
         out: The folder to write.
         device: Warp device, and where the generator runs.
@@ -79,6 +83,7 @@ def generate(
     refuse_threads(threads)
     scene.refuse_nameless()
     refuse_missing(scene)
+    check_sources(scene, split(image)[1])
     refuse_unfilmable(scene)
     watch = Stopwatch()
     with staged(out):  # Refused before any work, if at all.

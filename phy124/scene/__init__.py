@@ -2,6 +2,7 @@
 
 from phy124.scene.accuracies import GOOD_FOR, PRESETS, Accuracy, AccuracyName
 from phy124.scene.changes import assignments, parse_value, together
+from phy124.scene.objects import Pair, SceneObject
 from phy124.scene.scene import Scene, preset_names
 from phy124.scene.sections import Checks, Object, Part, Timing
 from phy124.scene.summary import summary
@@ -16,8 +17,10 @@ __all__ = [
     "Checks",
     "Format",
     "Object",
+    "Pair",
     "Part",
     "Scene",
+    "SceneObject",
     "Section",
     "Timing",
     "View",

@@ -13,6 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 import tomli_w
+from numpy.typing import NDArray
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from phy124.boundaries import AnyBoundary, Ground, Wall
@@ -25,6 +26,7 @@ from phy124.properties import Properties
 from phy124.scene.accuracies import PRESETS, Accuracy, AccuracyName
 from phy124.scene.changes import apply
 from phy124.scene.files import read_toml
+from phy124.scene.objects import Pair, SceneObject, check_name, check_objects, check_pairs
 from phy124.scene.refusals import refusal
 from phy124.scene.renamed import renewed
 from phy124.scene.sections import Checks, Object, Part, Timing
@@ -32,6 +34,9 @@ from phy124.scene.view import View
 from phy124.section import Section
 from phy124.stiffness import AnyStiffness, check_profile
 from phy124.tracks import AnyProfile, Track
+
+MOST_OBJECTS = 16
+"""Objects of one scene; each has a velocity field of its own where it meets another."""
 
 
 class Scene(Section):
@@ -47,6 +52,17 @@ class Scene(Section):
     object: Object = Field(default=Object(), description="The object and how it stands.")
     material: AnyMaterial = Field(default=NeoHookean(), description="Constitutive law.")
     parts: tuple[Part, ...] = Field(default=(), description="Parts of other materials.")
+    objects: tuple[SceneObject, ...] = Field(
+        default=(),
+        max_length=MOST_OBJECTS - 1,
+        exclude_if=lambda value: not value,
+        description="Further objects; accuracy, stiffness and properties are about the first one.",
+    )
+    pairs: tuple[Pair, ...] = Field(
+        default=(),
+        exclude_if=lambda value: not value,
+        description="What happens where two objects touch; absent: friction 0.5, and they part.",
+    )
     stiffness: AnyStiffness | None = Field(
         default=None, description="How E varies inside the object; absent: not at all."
     )
@@ -102,12 +118,26 @@ class Scene(Section):
             check_profile(profile)
         return profile
 
+    @model_validator(mode="after")
+    def _named(self) -> Scene:
+        check_objects(self.object, self.objects)
+        check_pairs(self.pairs, self.names)
+        moving = [one.name for one in self.every_object if not getattr(one, "static", False)]
+        for section in (*self.forces, *self.boundaries):
+            if section.object is not None:
+                check_name(section.object, moving)
+        return self
+
     def softness(self, time: float) -> float:
         """Factor on Young's modulus at a time [s]."""
+        return float(self.softnesses(np.array([time]))[0])
+
+    def softnesses(self, times: NDArray) -> NDArray[np.float64]:
+        """Factors on Young's modulus at some instants [T]."""
         if self.stiffness_profile is None:
-            return 1.0
+            return np.ones(len(times))
         whole = Track.scaled((1.0, 0.0, 0.0), self.stiffness_profile, 0.0, LONGEST, mean=False)
-        return float(whole.values(np.array([time]))[0, 0])
+        return whole.values(times)[:, 0]
 
     @property
     def resolution(self) -> Accuracy:
@@ -130,9 +160,40 @@ class Scene(Section):
         return self.wrenches or self.keeps_contacts
 
     @property
+    def every_object(self) -> tuple[Object, ...]:
+        """The first object and the others."""
+        return (self.object, *self.objects)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What the objects are called."""
+        return tuple(one.name for one in self.every_object)
+
+    @property
     def materials(self) -> list[AnyMaterial]:
-        """The scene's material, followed by those of its moving parts."""
-        return [self.material, *(part.material for part in self.parts if not part.static)]
+        """The scene's material and those of its moving parts, then those of each other object."""
+        found = []
+        for one in (self, *self.objects):
+            if not (isinstance(one, SceneObject) and one.static):
+                found += [one.material, *(p.material for p in one.parts if not p.static)]
+        return found
+
+    def alone(self, index: int) -> Scene:
+        """The scene with one of its objects only; the grid's spacing may then be another one."""
+        if index == 0:
+            return self.model_copy(update={"objects": (), "pairs": ()})
+        other = self.objects[index - 1]
+        placed = {name: getattr(other, name) for name in Object.model_fields if name != "on"}
+        changes = {
+            "object": Object.model_construct(**placed),
+            "material": other.material,
+            "parts": other.parts,
+            "stiffness": None,
+            "properties": None,
+            "objects": (),
+            "pairs": (),
+        }
+        return self.model_copy(update=changes)
 
     @property
     def dx(self) -> float:
@@ -223,9 +284,11 @@ class Scene(Section):
         # Instances from outside stay as they are: plain data may not name their class.
         if is_foreign(self.material, Law):
             data["material"] = self.material
-        for part, plain in zip(self.parts, data["parts"], strict=True):
-            if is_foreign(part.material, Law):
-                plain["material"] = part.material
+        of_objects = zip(self.objects, data.get("objects", []), strict=True)
+        of_parts = zip(self.parts, data["parts"], strict=True)
+        for section, plain in (*of_objects, *of_parts):
+            if is_foreign(section.material, Law):
+                plain["material"] = section.material
         for name, known in (("forces", OwnForce), ("boundaries", Wall)):
             for index, section in enumerate(getattr(self, name)):
                 if is_foreign(section, known):

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Annotated, Any
 
 from pydantic import Field, TypeAdapter, ValidationError, model_validator
 
-from phy124.bounds import FileName, Velocity
+from phy124.bounds import FileName, Name, Spot, Velocity
 from phy124.materials import AnyMaterial, NeoHookean
 from phy124.region import PartRegion
 from phy124.section import Section
@@ -17,6 +18,15 @@ Seconds = Annotated[float, Field(ge=1e-3, le=1e4)]
 Rate = Annotated[float, Field(ge=1, le=1000)]
 LENGTH = TypeAdapter(tuple[Seconds, Rate])
 """A length of time [s] and frames per second."""
+FLOOR = "floor"
+"""What an object stands on that stands on no other one."""
+_Degrees = Annotated[float, Field(ge=-360, le=360)]
+Angles = tuple[_Degrees, _Degrees, _Degrees]
+
+
+def _is(default: Any) -> Callable[[Any], bool]:
+    """Whether a value says nothing, so that scenes of one object are written as ever."""
+    return lambda value: value == default
 
 
 class Object(Section):
@@ -29,6 +39,30 @@ class Object(Section):
     velocity: Velocity = Field(default=(0.0, 0.0, 0.0), description="Velocity at the start [m/s].")
     spin: Velocity = Field(
         default=(0.0, 0.0, 0.0), description="Angular velocity about its middle [rad/s]."
+    )
+    name: Name = Field(
+        default="object", exclude_if=_is("object"), description="What the scene calls it."
+    )
+    place: Spot = Field(
+        default=(0.0, 0.0),
+        exclude_if=_is((0.0, 0.0)),
+        description="Where its middle stands on the floor, x and y [m].",
+    )
+    turn: Angles = Field(
+        default=(0.0, 0.0, 0.0),
+        exclude_if=_is((0.0, 0.0, 0.0)),
+        description="How far it is turned about x, then y, then z [degrees].",
+    )
+    on: Name = Field(
+        default=FLOOR,
+        exclude_if=_is(FLOOR),
+        description="What it stands on, from which `lift` counts: the floor at z = 0, or the name "
+        "of another object, which it then touches.",
+    )
+    held: bool = Field(
+        default=False,
+        exclude_if=_is(False),
+        description="It never moves; other objects meet it as they meet a wall.",
     )
 
 

@@ -22,6 +22,7 @@ def summary(scene: Scene) -> str:
     if scene.parts:
         kinds = ("static" if part.static else _material(part.material) for part in scene.parts)
         said.append(f"parts {', '.join(kinds)}")
+    said += [f"{one.name} {_material(one.material)}" for one in scene.objects]
     if scene.stiffness is not None:
         said.append(f"stiffness {scene.stiffness.kind}")
     if scene.properties is not None:

@@ -122,19 +122,21 @@ def heap(setting: Setting) -> list[Check]:
     phi): 29.6 degrees for phi = 25 and 39.3 for 35. A heap that is 20 degrees too steep collapses
     and, by inertia, ends flatter; with 1.4 times the friction it would stand.
     """
-    checks = []
+    checks, cells = [], 20 if setting.long else 12
     for angle in (20.0, 25.0, 35.0) if setting.long else (25.0, 35.0):
-        s = cone(angle, angle + 5, 20 if setting.long else 16, setting)
+        s = cone(angle, angle + 5, cells, setting)
+        s.advance(0.8)
+        earlier = host(s.state.x)
         s.advance(1.0)
-        speed = np.linalg.norm(host(s.state.v), axis=1)
-        fastest = float(np.quantile(speed, 0.99)) / math.sqrt(9.81 * HEAP)
+        # Places, not speeds: an elastic heap trembles long after it has stopped to flow.
+        moved = float(np.quantile(np.linalg.norm(host(s.state.x) - earlier, axis=1), 0.99))
         found = slope(s)
         checks += [
             at_most(f"heap of {angle:g} degrees: flatter by [degrees]", angle - found, 3.0),
             at_most("steeper than an endless slope by [degrees]", found - endless(angle), 1.0),
-            at_most("99 % slower than / sqrt(g R)", fastest, 0.01),
+            at_most("99 % move in 0.2 s by less than / R", moved / HEAP, 0.003),
         ]
-    s = cone(25.0, 45.0, 16, setting)
+    s = cone(25.0, 45.0, cells, setting)
     s.advance(1.0)
     return [*checks, at_most("45 degrees of 25 collapse to [degrees]", slope(s), endless(25.0))]
 

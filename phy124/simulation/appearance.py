@@ -82,6 +82,7 @@ def appearance(
     moves: NDArray[np.bool_],
     materials: Sequence[AnyMaterial],
     scene: Scene,
+    spacing: float,
 ) -> Appearance:
     """How an object is shown.
 
@@ -91,10 +92,11 @@ def appearance(
         moves: Which of the Gaussians move [N].
         materials: The materials of the particles.
         scene: Says whether grains are shown.
+        spacing: Distance of neighbouring particles, m.
     """
     surface = len(gaussians)
     if scene.grains:
-        gaussians, particles = with_grains(gaussians, particles, moves, materials, scene.spacing)
+        gaussians, particles = with_grains(gaussians, particles, moves, materials, spacing)
     moves = np.append(moves, np.ones(len(gaussians) - surface, bool))
     kinds = of_gaussians(gaussians.select(moves), particles, particles.material)
     rounds = np.array([section.rounds for section in materials])[kinds]

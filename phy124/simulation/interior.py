@@ -16,12 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from phy124.gaussians import Gaussians
+from phy124.deform import by_object
+from phy124.gaussians import Gaussians, joined
 from phy124.io.clip import Clip
 from phy124.materials import AnyMaterial
 from phy124.monitor.tearing import APART
 from phy124.particles import Particles
-from phy124.particles.grains import grains_at, joined
+from phy124.particles.grains import grains_at
 
 NEIGHBOURS = 7
 """Particles that count as neighbours at rest: in a lattice six, and itself."""
@@ -100,10 +101,11 @@ class Interior:
         if clip.contacts is not None:
             each["contacts"] = np.zeros_like(means)
         more = {n: np.concatenate([getattr(clip, n), a], axis=1) for n, a in each.items()}
-        whole = joined(
-            Gaussians(clip.means[0], clip.quats[0], clip.scales[0], clip.opacities, clip.sh), grains
-        )
-        return replace(clip, **more, opacities=whole.opacities, sh=whole.sh)
+        moving = (clip.means[0], clip.quats[0], clip.scales[0])
+        surface = Gaussians(*moving, clip.opacities, clip.sh, clip.object_id)
+        whole = joined([surface, grains])
+        fixed = {name: getattr(whole, name) for name in ("opacities", "sh", "object_id")}
+        return replace(clip, **more, **fixed)
 
     def snapshot(self) -> dict[str, Any]:
         """What lay open in the frames so far."""
@@ -117,9 +119,33 @@ class Interior:
         """Find the elastic particles without a Gaussian, their neighbours, and their looks."""
         rest = self._rest
         elastic = np.array([s.device_law.project is None for s in self._materials])[rest.material]
-        free = np.flatnonzero(elastic & (rest.gaussian < 0))
-        self._grains, self._above, clear = grains_at(self._shown, rest.x[free], self._spacing)
-        self._inside = free[clear]
-        count = min(NEIGHBOURS, len(rest.x))
-        found = KDTree(rest.x).query(rest.x[self._inside], k=count, workers=-1)[1]
-        self._neighbours = np.reshape(found, (len(self._inside), count))
+        free = elastic & (rest.gaussian < 0)
+        # What touches at the start and parts later is not torn: each object is looked at alone.
+        found = []
+        for ours, theirs in by_object(self._shown, rest):
+            if len(theirs):
+                found.append(self._of_object(ours, theirs, free[theirs]))
+        grains, above, inside, neighbours = zip(*found, strict=True)
+        self._grains, self._above = joined(grains), np.concatenate(above)
+        self._inside, self._neighbours = np.concatenate(inside), np.concatenate(neighbours)
+
+    def _of_object(
+        self, ours: NDArray[np.intp], theirs: NDArray[np.intp], free: NDArray[np.bool_]
+    ) -> tuple[Gaussians, NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+        """Grains, the Gaussians above them, their particles, and these particles' neighbours.
+
+        Args:
+            ours: The Gaussians of an object.
+            theirs: Its particles.
+            free: Which of these may have a grain.
+        """
+        x = self._rest.x[theirs]
+        shown = self._shown if len(ours) == len(self._shown) else self._shown.select(ours)
+        places = np.flatnonzero(free)
+        grains, above, clear = grains_at(shown, x[places], self._spacing)
+        inside = places[clear]
+        near = KDTree(x).query(x[inside], k=min(NEIGHBOURS, len(x)), workers=-1)[1]
+        near = np.reshape(near, (len(inside), -1))
+        # A tiny object has fewer neighbours: the last one counts more often.
+        near = np.pad(near, ((0, 0), (0, max(0, NEIGHBOURS - near.shape[1]))), mode="edge")
+        return grains, ours[above], theirs[inside], theirs[near]

@@ -38,7 +38,10 @@ def ordered(
         return particles, stiffness
     laws = [section.device_law.name for section in materials]
     law = np.array([laws.index(name) for name in laws])[particles.material]
-    run = np.cumsum(np.diff(law, prepend=law[0]) != 0)
+    body = np.zeros_like(law) if particles.body is None else particles.body
+    changes = (np.diff(law, prepend=law[0]) != 0) | (np.diff(body, prepend=body[0]) != 0)
+    run = np.cumsum(changes)
     order = np.lexsort((layers(particles.x, axis, dx), run))
-    moved = {one.name: getattr(particles, one.name)[order] for one in fields(particles)}
+    arrays = {one.name: getattr(particles, one.name) for one in fields(particles)}
+    moved = {name: array[order] for name, array in arrays.items() if array is not None}
     return replace(particles, **moved), None if stiffness is None else stiffness[order]

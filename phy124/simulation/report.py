@@ -7,7 +7,8 @@ from typing import Any
 from phy124.effects import Effects
 from phy124.io.clip import Clip
 from phy124.limits import stiffest_part
-from phy124.monitor.wrenches import summary
+from phy124.monitor.wrenches import pair_names, summary
+from phy124.simulation import bodies
 
 Run = Any
 """A `Simulation`, which is built on this module."""
@@ -24,7 +25,12 @@ def report_of(run: Run) -> dict[str, Any]:
         slept=run.sleep.sentence(),
         materials=run.materials,
     )
-    return {
+    walls = run.keep and run.wrenches.asked
+    several = {}
+    if run.scene.objects:
+        pairs = summary(run.frames, pair_names(solver)) if run.keep else None
+        several = {"objects": _objects(run), "pairs": pairs}
+    return several | {
         "complete": run.stopped is None and run.count == run.scene.time.frames,
         "stopped": run.stopped,
         "remedies": [remedy.changes for remedy in run.remedies],
@@ -32,7 +38,7 @@ def report_of(run: Run) -> dict[str, Any]:
         "grains": len(run.shown) - len(run.gaussians),
         "particles": len(run.particles),
         "mass": float(run.particles.mass.sum()),
-        "cleaning": run.cleaning.sentences,
+        "cleaning": run.cleaning,
         "notes": _notes(run),
         "grid": {"dx": solver.model.dx, "window": solver.grid.size.tolist()},
         "substeps": solver.clock.substeps,
@@ -43,11 +49,11 @@ def report_of(run: Run) -> dict[str, Any]:
         "frames": run.count,
         "static": run.scenery.count,
         "sleep": run.sleep.report(),
-        "walls": summary(run.frames) if run.keep else None,
+        "walls": summary(run.frames, run.wrenches.walls) if walls else None,
         "effects": effects.data(
             particles=len(run.particles),
             substeps=solver.clock.substeps,
-            nodes=solver.grid.count,
+            nodes=solver.nodes,
             threads=len(solver.workers),
         ),
         "substep_stages": [
@@ -55,6 +61,22 @@ def report_of(run: Run) -> dict[str, Any]:
             for name, (seconds, launches) in solver.timings.items()
         ],
     }
+
+
+def _objects(run: Run) -> dict[str, Any]:
+    """Of each object its counts, and the middle of its particles at rest [m]."""
+    found = {}
+    for index, name in enumerate(run.scene.names):
+        own = run.particles.body == index
+        shown = run.shown.object_id == index
+        middle = run.particles.x[own].mean(axis=0) if own.any() else run.shown.means[shown].mean(0)
+        found[name] = {
+            "gaussians": int(shown.sum()),
+            "particles": int(own.sum()),
+            "mass": float(run.particles.mass[own].sum()),
+            "place": middle.tolist(),
+        }
+    return found
 
 
 def counted(run: Run, clip: Clip) -> dict[str, Any]:
@@ -87,4 +109,5 @@ def _notes(run: Run) -> list[str]:
     """What the user should know about the materials and about how the run went."""
     notes = [note for section in run.scene.materials for note in section.notes()]
     stiff = stiffest_part(run.scene)
-    return notes + ([stiff] if stiff else []) + run.watchdog.notes() + run.remarks
+    coarse = bodies.notes(run.scene)
+    return notes + coarse + ([stiff] if stiff else []) + run.watchdog.notes() + run.remarks

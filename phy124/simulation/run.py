@@ -26,10 +26,7 @@ from phy124.monitor.watchdog import Violation, Watchdog
 from phy124.monitor.wrenches import Wrenches
 from phy124.mpm import Unstable
 from phy124.mpm.workers import usable_workers
-from phy124.particles import clean, make_particles
 from phy124.particles.scenery import Scenery
-from phy124.parts import with_materials
-from phy124.placing import among_all, belongs, place, renumbered
 from phy124.progress import Progress, silent
 from phy124.remedies import hurry, remedies
 from phy124.runtime.compiling import compile_missing
@@ -37,10 +34,9 @@ from phy124.runtime.cores import refuse_threads
 from phy124.runtime.device import one_at_a_time
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
-from phy124.simulation.appearance import appearance
+from phy124.simulation.bodies import bodies
 from phy124.simulation.interior import Interior
 from phy124.simulation.kernels import kernels
-from phy124.simulation.materials import varied
 from phy124.simulation.ordering import axis_of, ordered
 from phy124.simulation.report import counted, report_of
 from phy124.simulation.softening import Softening
@@ -80,7 +76,8 @@ class Simulation:
         """Place the object, make its particles and build the solver.
 
         Args:
-            gaussians: The object at any size, standing upright, facing +x.
+            gaussians: The object at any size, standing upright, facing +x; or several, told apart
+                by `object_id`. Further objects that are missing are shapes or copies of the first.
             scene: What happens to it.
             device: Warp device, "cpu" or "cuda:0".
             progress: Called with ("simulate" or "compile", done, all); may raise Cancelled.
@@ -100,23 +97,9 @@ class Simulation:
         self.given, self.crop = gaussians, crop
         self.watch = watch or Stopwatch()
         with self.watch.stage("particles"):
-            gaussians, self.cleaning = clean(gaussians)
-            self.numbered = renumbered(scene, self.cleaning.survivors)
-            own = belongs(self.numbered, len(gaussians))
-            self.gaussians = place(gaussians, scene, own)
-            made = make_particles(
-                self.gaussians.select(own),
-                density=scene.material.density,
-                spacing=scene.spacing,
-                binding=scene.binding,
-            )
-            made = among_all(made, own)
-            self.particles, moves = with_materials(made, self.gaussians.means, self.numbered, crop)
-            self.particles, self.materials, stiffness = varied(
-                self.particles, scene, self.gaussians.means,
-                survivors=self.cleaning.survivors, own=own, crop=crop,
-            )  # fmt: skip
-            self.look = appearance(self.gaussians, self.particles, moves, self.materials, scene)
+            made = bodies(gaussians, scene, crop)
+            self.numbered, self.cleaning, self.gaussians = made[:3]
+            self.look, self.materials, stiffness = made[3:]
             look, self.shown, self.particles = self.look, self.look.gaussians, self.look.particles
             threads = usable_workers(len(self.particles), device, threads)
             self.along = axis_of(self.particles, threads) if along is None else along
@@ -152,7 +135,7 @@ class Simulation:
         s, timing = self.solver, scene.time
         self.sleep = Sleep(
             s.model, s.state, s.clock, s.tracks,
-            size=scene.object.size, frames=timing.frames, fps=timing.fps,
+            size=min(one.size for one in scene.every_object), frames=timing.frames, fps=timing.fps,
         )  # fmt: skip
         self.keep, self.shapes, self.count = keep, shapes, 0
         """Whether all frames are kept, whether they are shaped, and how many there are so far."""
@@ -250,7 +233,8 @@ class Simulation:
         rotations = np.stack(self.rotations) if self.rotations else None
         made = Clip.from_frames(self.frames, rotations)
         shown = {"opacities": self.shown.opacities, "sh": self.shown.sh}
-        made = replace(made, **shown, scene=self.numbered.data())
+        names = self.scene.names if self.scene.objects else ()
+        made = replace(made, **shown, scene=self.numbered.data(), objects=names)
         whole = self.interior.added_to(made)
         return whole.with_report(self.report() | counted(self, whole))
 
@@ -299,7 +283,7 @@ class Simulation:
         if self.keep and self.scene.grains and self.watchdog.tearing.likely:
             self.interior.look(index, state.x.numpy())
         forces = self.contacts.forces(self.scenery, self.particles, self.scene.time.fps)
-        wrenches = self.wrenches.contacts(self.solver.model, state, self.scene.time.fps)
+        wrenches = self.wrenches.contacts(self.solver, self.scene.time.fps)
         return self.scenery.whole(replace(frame, contacts=forces, wrenches=wrenches))
 
     def _again(self, index: int, time: float) -> Frame:
@@ -342,6 +326,7 @@ class Simulation:
         solver.repair.begin(solver.clock)
         self.contacts.begin()
         self.wrenches.begin()
+        solver.pairs.begin()
         watchdog.before()
         before = solver.snapshot(), watchdog.external.snapshot()
         try:

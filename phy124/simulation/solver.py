@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -14,9 +15,10 @@ from phy124.materials import AnyMaterial
 from phy124.monitor.contacts import Contacts
 from phy124.monitor.external_work import ExternalWork
 from phy124.monitor.wrenches import Wrenches
-from phy124.mpm import Accumulator, Attachable, Model, Solver, State
+from phy124.mpm import Accumulator, Attachable, Model, Pair, Solver, State
 from phy124.particles import Particles
-from phy124.scene import Scene
+from phy124.scene import Object, Scene
+from phy124.scene.objects import pair_of
 
 FLOOR_NODE = 0.75
 """Depth of a layer of nodes below the floor [cells]."""
@@ -47,9 +49,10 @@ def solver_of(
         wrenches: Adds up what each wall is given, if that is asked for.
     """
     x = particles.x.astype(np.float64)
-    v, C = _motion(x, particles.mass, scene)
+    v, C = _motion(x, particles, scene)
     floors = [b.height for b in scene.boundaries if isinstance(b, Ground)]
     ceiling = math.inf if scene.time.substep is None else scene.time.substep
+    names, still = names_of(particles, scene), {b.name for b in scene.every_object if b.held}
     model = Model.of(
         x,
         particles.volume,
@@ -57,6 +60,9 @@ def solver_of(
         dx=scene.dx,
         material=particles.material,
         stiffness=stiffness,
+        body=numbered(particles.body),
+        names=names,
+        held=[index for index, name in enumerate(names) if name in still],
         origin=(0.0, 0.0, (floors[0] if floors else 0.0) - FLOOR_NODE * scene.dx),
         cfl=scene.resolution.cfl,
         precision=scene.resolution.precision,
@@ -66,10 +72,29 @@ def solver_of(
         model,
         State.of(model, v, C),
         **acting(scene, external, contacts, wrenches)._asdict(),
+        pairs=list(pairs_of(model.names, scene)),
         ceiling=ceiling,
         threads=threads,
         measure_every=scene.checks.measure,
     )
+
+
+def numbered(body: NDArray | None) -> NDArray | None:
+    """Bodies numbered without gaps [P]: scenery has a number in the scene and no particles."""
+    return None if body is None else np.unique(body, return_inverse=True)[1].reshape(-1)
+
+
+def names_of(particles: Particles, scene: Scene) -> tuple[str, ...]:
+    """Names of the objects that have particles, in the order of the solver's bodies."""
+    found = [0] if particles.body is None else np.unique(particles.body).tolist()
+    return tuple(scene.names[index] for index in found)
+
+
+def pairs_of(names: Sequence[str], scene: Scene) -> Iterator[Pair]:
+    """How the bodies of these names touch."""
+    for first, second in combinations(range(len(names)), 2):
+        how = pair_of(scene.pairs, names[first], names[second])
+        yield Pair(first, second, how.friction, how.contact == "sticky")
 
 
 class Acting(NamedTuple):
@@ -102,12 +127,24 @@ def acting(scene: Scene, external: ExternalWork, contacts: Contacts, wrenches: W
     return Acting(forces, walls, sums)
 
 
-def _motion(x: NDArray, mass: NDArray, scene: Scene) -> tuple[NDArray, NDArray]:
+def _motion(x: NDArray, particles: Particles, scene: Scene) -> tuple[NDArray, NDArray]:
     """Velocities [P,3], m/s, and their gradients [P,3,3], 1/s, of the rigid motion at the start."""
-    wx, wy, wz = scene.object.spin
+    if particles.body is None:
+        return _rigid(x, particles.mass, scene.object)
+    v, C = np.zeros((len(x), 3)), np.zeros((len(x), 3, 3))
+    for index, one in enumerate(scene.every_object):
+        own = particles.body == index
+        if own.any():
+            v[own], C[own] = _rigid(x[own], particles.mass[own], one)
+    return v, C
+
+
+def _rigid(x: NDArray, mass: NDArray, body: Object) -> tuple[NDArray, NDArray]:
+    """The same of one object."""
+    wx, wy, wz = body.spin
     gradient = np.array([[0, -wz, wy], [wz, 0, -wx], [-wy, wx, 0]])
     middle = (mass[:, None] * x).sum(axis=0) / mass.sum()
-    v = np.array(scene.object.velocity) + (x - middle) @ gradient.T
+    v = np.array(body.velocity) + (x - middle) @ gradient.T
     return v, np.broadcast_to(gradient, (len(x), 3, 3))
 
 

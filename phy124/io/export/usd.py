@@ -57,7 +57,7 @@ def write_usd(path: str | os.PathLike[str], clip: Clip, *, progress: Progress = 
 def _pxr() -> Any:
     """The modules of OpenUSD that are used here."""
     try:
-        from pxr import Usd, UsdGeom, UsdVol, Vt
+        from pxr import Sdf, Usd, UsdGeom, UsdVol, Vt
 
         schema = getattr(UsdVol, SCHEMA)
     except (ImportError, AttributeError) as error:
@@ -67,7 +67,7 @@ def _pxr() -> Any:
             "this needs the package usd-core, 26.3 or later.",
             f"Run `{install_command('usd')}`.",
         ) from error
-    return SimpleNamespace(Usd=Usd, UsdGeom=UsdGeom, Schema=schema, Vt=Vt)
+    return SimpleNamespace(Sdf=Sdf, Usd=Usd, UsdGeom=UsdGeom, Schema=schema, Vt=Vt)
 
 
 def _stage(pxr: Any, path: Path, clip: Clip) -> tuple[Any, Any]:
@@ -83,6 +83,12 @@ def _stage(pxr: Any, path: Path, clip: Clip) -> tuple[Any, Any]:
     stage.SetDefaultPrim(splats.GetPrim())
     splats.CreateOpacitiesAttr(pxr.Vt.FloatArray.FromNumpy(np.ascontiguousarray(clip.opacities)))
     splats.CreateRadianceSphericalHarmonicsDegreeAttr(clip.frame(0).gaussians.sh_degree)
+    if clip.object_id is not None:
+        api = pxr.UsdGeom.PrimvarsAPI(splats.GetPrim())
+        ids = pxr.Vt.IntArray.FromNumpy(np.ascontiguousarray(clip.object_id))
+        integers = pxr.Sdf.ValueTypeNames.IntArray
+        api.CreatePrimvar("objectId", integers, pxr.UsdGeom.Tokens.vertex).Set(ids)
+        splats.GetPrim().SetCustomDataByKey("objects", pxr.Vt.StringArray(list(clip.objects)))
     return stage, splats
 
 

@@ -313,9 +313,7 @@ def _displayed(sh: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.concatenate([first, sh[:, 1:] * slope], axis=1, dtype=np.float32)
 
 
-def _moved(
-    scene: Scene, raw: dict[str, NDArray[np.float32]], matrix: NDArray[np.float64]
-) -> dict[str, NDArray[np.float32]]:
+def _moved(scene: Scene, raw: dict[str, Any], matrix: NDArray[np.float64]) -> dict[str, Any]:
     """Columns as their node places them."""
     if np.array_equal(matrix, np.eye(4)):
         return raw

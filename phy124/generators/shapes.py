@@ -1,0 +1,104 @@
+"""Plain shapes without a picture: a sphere, a box or a capsule covered with flat Gaussians."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.gaussians import Gaussians, quaternions
+from phy124.harmonics import spread_directions
+
+COUNT = 8000
+"""About how many Gaussians a shape has."""
+FLATNESS = 0.15
+"""Thickness of the discs on its surface, relative to their width."""
+LIGHT = (0.35, 0.25, 0.9)
+"""Where the light comes from that its colours are shaded for."""
+AMBIENT = 0.72
+"""Brightness of what faces away from it."""
+CHECKS, CONTRAST = 8, 0.05
+"""Squares along the longest side, which show how it turns and bends, and how much they differ."""
+Surface = tuple[NDArray[np.float64], NDArray[np.float64]]
+"""Points [N,3] and outward normals [N,3]."""
+
+
+def shape(name: str, sides: Sequence[float], colour: Sequence[float]) -> Gaussians:
+    """The Gaussians of a shape around the origin.
+
+    Args:
+        name: sphere (an ellipsoid if the sides differ), box, or capsule (along its longest side).
+        sides: Its sides along x, y and z, m.
+        colour: Red, green and blue, 0..1.
+    """
+    half = np.asarray(sides, np.float64) / 2
+    x, normals = {"sphere": _sphere, "box": _box, "capsule": _capsule}[name](half)
+    width = 0.75 * np.sqrt(_area(half) / len(x))
+    scales = np.tile([width, width, FLATNESS * width], (len(x), 1))
+    squares = np.floor(CHECKS * x / (2 * half.max()) + 0.25).sum(axis=1) % 2
+    lit = AMBIENT + (1 - AMBIENT) * (normals @ LIGHT / np.linalg.norm(LIGHT)).clip(-1, 1)
+    bright = lit * (1 - CONTRAST * squares)
+    rgb = (bright[:, None] * np.asarray(colour)).clip(0, 1)
+    return Gaussians.from_rgb(x, _facing(normals), scales, np.full(len(x), 0.95), rgb)
+
+
+def _area(half: NDArray) -> float:
+    """Area of the box of half sides [3], m^2: no less than that of the other shapes."""
+    a, b, c = 2 * half
+    return float(2 * (a * b + b * c + c * a))
+
+
+def _sphere(half: NDArray) -> Surface:
+    directions = spread_directions(COUNT)
+    normals = directions / half
+    return directions * half, normals / np.linalg.norm(normals, axis=1, keepdims=True)
+
+
+def _box(half: NDArray) -> Surface:
+    step = np.sqrt(_area(half) / COUNT)
+    points, normals = [], []
+    for axis in range(3):
+        others = [i for i in range(3) if i != axis]
+        steps = [max(2, round(2 * half[i] / step)) for i in others]
+        grid = [
+            ((np.arange(n) + 0.5) / n * 2 - 1) * half[i] for n, i in zip(steps, others, strict=True)
+        ]
+        u, v = (one.ravel() for one in np.meshgrid(*grid, indexing="ij"))
+        for side in (-1.0, 1.0):
+            face, outward = np.empty((len(u), 3)), np.zeros((len(u), 3))
+            face[:, others[0]], face[:, others[1]], face[:, axis] = u, v, side * half[axis]
+            outward[:, axis] = side
+            points.append(face)
+            normals.append(outward)
+    return np.concatenate(points), np.concatenate(normals)
+
+
+def _capsule(half: NDArray) -> Surface:
+    """A cylinder with a half sphere at each end, spread evenly along and around its axis."""
+    axis = int(np.argmax(half))
+    across = np.delete(half, axis)
+    radius, length = float(across.max()), float(half[axis] - across.max())
+    # Archimedes: a sphere has as much area between two heights as the cylinder around it.
+    height = (np.arange(COUNT) + 0.5) / COUNT * 2 - 1
+    along = height * (length + radius)
+    middle = along.clip(-length, length)
+    out = (along - middle) / radius
+    angle = np.arange(COUNT) * np.pi * (3 - np.sqrt(5))
+    ring = np.sqrt(1 - out**2)
+    normals = np.stack([ring * np.cos(angle), ring * np.sin(angle), out], axis=1)
+    points = radius * normals
+    points[:, 2] += middle
+    order = np.argsort([(axis + 1) % 3, (axis + 2) % 3, axis])
+    flat = np.ones(3)
+    flat[[i for i in range(3) if i != axis]] = across / radius
+    outward = normals[:, order] / flat
+    return points[:, order] * flat, outward / np.linalg.norm(outward, axis=1, keepdims=True)
+
+
+def _facing(normals: NDArray) -> NDArray[np.float64]:
+    """Quaternions [N,4] of discs whose third axis is the normal."""
+    helper = np.where(np.abs(normals[:, 2:]) < 0.7, [[0.0, 0, 1]], [[1.0, 0, 0]])
+    along = np.cross(helper, normals)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    return quaternions(np.stack([along, np.cross(normals, along), normals], axis=2))

@@ -1,0 +1,187 @@
+"""Contact between two bodies: where both have mass at a node, their velocities there become one.
+
+Each body has a field of velocities of its own, and an impulse acts between two at the nodes that
+they share (Bardenhagen, Brackbill and Sulsky 2000; Bardenhagen et al. 2001). Its normal is that of
+the gradients of both bodies' volumes (Nairn 2013), which both bodies see alike.
+
+Nodes are shared before bodies touch, so contact needs a criterion of its own. The weights of a
+quadratic B-spline have the variance dx^2 / 4 along every direction: the fraction of its volume that
+a body fills around a node tells how far its surface is from there, whatever the direction. Two
+surfaces meet where the fractions add up to 1. (Nairn et al. 2020 find the distance by a regression
+over the particles.) A fraction is one of the mass in the body's depth, which takes account of its
+edges, of its density, and of its compression.
+"""
+
+from functools import cache
+from typing import Any
+
+import warp as wp
+
+from phy124.kernels.build import kernel
+from phy124.kernels.collide import place, steepest, strides, xyz
+from phy124.kernels.diagnostics import add3, wide
+from phy124.kernels.friction import coulomb
+from phy124.kernels.transfer import types
+from phy124.kernels.wrenches import IMPULSE, MOMENT
+
+THINNEST = wp.constant(0.015)
+"""Fraction of what it fills in its depth that each body must fill around a node to touch another
+there. Nodes a cell away from flat surfaces that meet are filled to 0.021, and without them light
+nodes would creep through; farther away, particles that lie unevenly would count as contact."""
+NARROWEST = wp.constant(0.2)
+"""Fraction of its volume that a body must fill in its depth: a half at an edge, a quarter at a
+corner; less is beyond it."""
+LIGHTEST = wp.constant(1e-3)
+"""Fraction of its volume that each body must fill to be looked at."""
+STEEPER, TRUSTED = wp.constant(10.0), wp.constant(4.0)
+"""How soon a steeper slope counts alone, and how many times as much the squared slope of a body
+counts which never moves."""
+
+
+@wp.func
+def mass_at(grid: wp.array(dtype=Any), window: wp.array(dtype=wp.vec3i), node: wp.vec3i):
+    """Mass of a body at a node of the lattice [kg]; nothing outside its window."""
+    at = node - window[0]
+    size = window[1]
+    n = wp.dot(at, strides(size))
+    inside = (
+        at[0] >= 0 and at[1] >= 0 and at[2] >= 0
+        and at[0] < size[0] and at[1] < size[1] and at[2] < size[2]
+    )  # fmt: skip
+    q = grid[wp.where(inside, n, 0)]
+    return wp.where(inside, q[3], type(q[3])(0.0))
+
+
+@wp.func
+def slope(grid: wp.array(dtype=Any), window: wp.array(dtype=wp.vec3i), node: wp.vec3i, zero: Any):
+    """Gradient of a body's mass at a node [kg per 32 cells], from `zero` on.
+
+    Along each axis it is a mean of nine differences: a surface that is rough by a hundredth of a
+    cell would otherwise brake what slides over it.
+    """
+    sum = zero
+    for n in range(27):
+        to = wp.vec3i(n / 9, (n / 3) % 3, n % 3) - wp.vec3i(1)
+        weight = (2 - to[0] * to[0]) * (2 - to[1] * to[1]) * (2 - to[2] * to[2])
+        m = type(zero[0])(weight) * mass_at(grid, window, node + to)
+        sum += m * wp.vector(type(m)(to[0]), type(m)(to[1]), type(m)(to[2]))
+    return sum
+
+
+@wp.func
+def trust(yields: Any):
+    """How much the slope of a body's volume counts: more, if the body never moves."""
+    return type(yields)(TRUSTED) - (type(yields)(TRUSTED) - type(yields)(1.0)) * yields
+
+
+@wp.func
+def normal(to: Any, away: Any, yields: Any):
+    """The normal of contact, from where the slopes of two bodies' volumes point: to the second, and
+    away from it. The steeper slope is that of the flatter surface (Nairn 2013 takes the steeper
+    one; a mean of equals is less rough). That of a body that never moves is not rough at all.
+    """
+    a = wp.length_sq(to) * trust(yields[1])
+    b = wp.length_sq(away) * trust(yields[0])
+    more = type(a)(STEEPER) * (a - b) / wp.max(a + b, type(a)(1e-30))
+    share = wp.clamp(type(a)(0.5) + more, type(a)(0.0), type(a)(1.0))
+    return wp.normalize(share * to - (type(a)(1.0) - share) * away)
+
+
+@wp.func
+def outward(n: Any):
+    """The step to the next node along the axis closest to a normal."""
+    axis = steepest(n)
+    step = wp.vec3i()
+    step[axis] = int(wp.sign(n[axis]))
+    return step
+
+
+@wp.func
+def filled(
+    grid: wp.array(dtype=Any), window: wp.array(dtype=wp.vec3i), node: wp.vec3i, inward: wp.vec3i,
+    fill: Any,
+):  # fmt: skip
+    """Mass of a body around a node as a fraction of that in its depth, two nodes inward.
+
+    At an edge of the body, and where it is compressed, both change alike.
+    """
+    m = mass_at(grid, window, node)
+    deep = wp.max(mass_at(grid, window, node + inward), mass_at(grid, window, node + 2 * inward))
+    deep = wp.max(m, deep)
+    if fill * deep < type(fill)(NARROWEST):
+        return type(fill)(0.0)
+    return m / deep
+
+
+@wp.func
+def met(a: Any, b: Any):
+    """Whether the surfaces of two bodies have met at a node around which they fill the fractions a
+    and b.
+    """
+    return wp.min(a, b) > type(a)(THINNEST) and a + b >= type(a)(1.0)
+
+
+@wp.func
+def stopped(relative: Any, n: Any, friction: Any):
+    """The part of a relative velocity that contact takes: all of the approach along the normal n,
+    and of the motion across it as much as Coulomb friction can.
+    """
+    approach = wp.dot(relative, n)
+    if approach <= type(approach)(0.0):
+        return type(relative)()
+    along = relative - approach * n
+    return approach * n + coulomb(along, approach, friction) * along
+
+
+@cache
+def make_pair(real: Any):
+    """Kernel over nodes that two bodies share: an impulse between them, as large as it is opposite.
+
+    `low` is the first of these nodes on the lattice, `fill` the volume fraction per mass at a node
+    of each body, `yields` 1 for a body that gives way and 0 for one that never moves. A sticky pair
+    has one velocity wherever both have mass. `sums_out` collects what the first body gives to the
+    second: the impulse, and its moment about the origin of the world.
+    """
+    t = types(real)
+
+    @kernel(f"phy124_pair_{real.__name__}", seconds=0.5)
+    def pair(
+        # model
+        low: wp.vec3i, lattice: t.vec4, fill: t.vec2, yields: t.vec2, friction: real, sticky: int,
+        first_window: wp.array(dtype=wp.vec3i), second_window: wp.array(dtype=wp.vec3i),
+        # in place
+        first_out: wp.array(dtype=t.vec4), second_out: wp.array(dtype=t.vec4),
+        # out
+        sums_out: wp.array(dtype=wp.float64),
+    ):  # fmt: skip
+        i, j, k = wp.tid()
+        node = low + wp.vec3i(i, j, k)
+        a = wp.dot(node - first_window[0], strides(first_window[1]))
+        b = wp.dot(node - second_window[0], strides(second_window[1]))
+        p = first_out[a]
+        q = second_out[b]
+        if p[3] <= real(0.0) or q[3] <= real(0.0):
+            return
+        change = xyz(p) - xyz(q)
+        if sticky == 0:
+            if wp.min(fill[0] * p[3], fill[1] * q[3]) < real(LIGHTEST):
+                return
+            to = fill[1] * slope(second_out, second_window, node, t.vec3())
+            away = fill[0] * slope(first_out, first_window, node, t.vec3())
+            n = normal(to, away, yields)
+            inward = outward(n)
+            in_first = filled(first_out, first_window, node, -inward, fill[0])
+            in_second = filled(second_out, second_window, node, inward, fill[1])
+            if not met(in_first, in_second):
+                return
+            change = stopped(change, n, friction)
+        shared = yields[0] * q[3] + yields[1] * p[3]
+        d = (yields[0] * q[3] / shared) * change
+        first_out[a] = p - wp.vector(d[0], d[1], d[2], real(0.0))
+        d = (yields[1] * p[3] / shared) * change
+        second_out[b] = q + wp.vector(d[0], d[1], d[2], real(0.0))
+        J = wp.float64(p[3] * (q[3] / shared)) * wide(change)
+        add3(sums_out, IMPULSE, J)
+        add3(sums_out, MOMENT, wp.cross(wide(place(lattice, node)), J))
+
+    return pair

@@ -1,0 +1,161 @@
+"""Pairs: which bodies touch, how, and what they give each other.
+
+Every two bodies touch. A launch exists only for those whose windows overlap: bodies apart cost
+nothing.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from phy124.gaussians import Wrench
+from phy124.kernels.pairs import make_pair
+from phy124.kernels.transfer import types
+from phy124.kernels.wrenches import MOMENT, SUMS
+from phy124.mpm.grid import Grid
+from phy124.mpm.model import Model
+from phy124.mpm.stage import Recorded
+
+STAGE = "pairs"
+"""Name of the stages of contact between bodies."""
+ROOM = 16
+"""Numbers kept for the sums of a pair and worker, so that no two write to one line of cache."""
+Box = tuple[NDArray[np.int64], NDArray[np.int64]]
+
+
+class Pair(NamedTuple):
+    """How two bodies touch; two of which nothing is said touch with the friction given here."""
+
+    first: int
+    """Number of a body."""
+    second: int
+    """Number of another one."""
+    friction: float = 0.5
+    """Coefficient of Coulomb friction."""
+    sticky: bool = False
+    """Whether they move as one wherever both have mass at a node, as if they were one body."""
+
+
+class Pairs:
+    """All pairs of the bodies of one run."""
+
+    def __init__(self, model: Model, given: Sequence[Pair], workers: int) -> None:
+        """Prepare the sums.
+
+        Args:
+            model: The bodies.
+            given: Those pairs that do not touch by default.
+            workers: Number of workers.
+
+        Raises:
+            ValueError: A pair is not one of two bodies of the model, or is given twice.
+        """
+        numbers = list(itertools.combinations(range(model.bodies), 2))
+        chosen = {tuple(sorted(pair[:2])): pair for pair in given}
+        if len(chosen) < len(given) or not chosen.keys() <= set(numbers):
+            raise ValueError(f"pairs {list(given)} must be different ones of {model.bodies} bodies")
+        pairs = [chosen.get(number, Pair(*number)) for number in numbers]
+        self.all = [pair for pair in pairs if not {pair.first, pair.second} <= model.held]
+        """Those that matter: two bodies that are held cannot act on each other."""
+        self._model = model
+        shape = (workers, len(self.all), ROOM)
+        self._sums = wp.zeros(shape, dtype=wp.float64, device=model.device)
+        self._begun = self._total()
+        mass, volume = (a.numpy().astype(np.float64) for a in (model.mass, model.volume))
+        runs = [model.particles(body) for body in range(model.bodies)]
+        self._fill = [volume[run].sum() / mass[run].sum() / model.dx**3 for run in runs]
+
+    def begin(self) -> None:
+        """Start counting what bodies give each other."""
+        self._begun = self._total()
+
+    def _total(self) -> NDArray[np.float64]:
+        """Impulse and its moment that the first of each pair has given to the second [pairs,6]."""
+        return np.asarray(self._sums.numpy()).sum(axis=0)[:, :SUMS]
+
+    def impulse(self) -> NDArray[np.float64]:
+        """Impulse that bodies have been given by those that are held, since the start [3], N s."""
+        held = self._model.held
+        signs = [(pair.first in held) - (pair.second in held) for pair in self.all]
+        return np.array(signs, float) @ self._total()[:, :MOMENT]
+
+    def wrenches(self, seconds: float) -> dict[tuple[int, int], Wrench]:
+        """Mean wrench that the first of each pair exerts on the second, about the origin.
+
+        That of the second on the first is the opposite.
+
+        Args:
+            seconds: Time since `begin` [s].
+        """
+        sums = (self._total() - self._begun) / seconds
+        return {
+            (pair.first, pair.second): Wrench(row[:MOMENT], row[MOMENT:])
+            for pair, row in zip(self.all, sums, strict=True)
+        }
+
+    def snapshot(self) -> dict[str, Any]:
+        """The sums as they are now."""
+        return {"sums": wp.clone(self._sums), "begun": self._begun}
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Set the sums back to a snapshot; of another number of workers, to as much in all."""
+        kept = snapshot["sums"]
+        sums = np.asarray(kept.numpy() if isinstance(kept, wp.array) else kept)
+        if sums.shape != self._sums.shape:
+            whole = np.zeros(self._sums.shape)
+            whole[0] = sums.sum(axis=0)
+            sums = whole
+        self._sums.assign(sums)
+        self._begun = np.asarray(snapshot["begun"])
+
+    def record(self, grids: Sequence[Grid], worker: int, workers: int) -> list[Recorded]:
+        """The launches of a worker: of all pairs within reach, in its layers of the lattice.
+
+        Every node is in the layers of one worker alone, who does all its pairs, in their order.
+        """
+        boxes = [_shared(grids[pair.first], grids[pair.second]) for pair in self.all]
+        near = [(low[0], high[0]) for low, high in boxes if np.all(high > low)]
+        if not near:
+            return []
+        first, last = min(a for a, _ in near), max(b for _, b in near)
+        ends = [first + (last - first) * place // workers for place in (worker, worker + 1)]
+        found = []
+        for index, (low, high) in enumerate(boxes):
+            low[0], high[0] = max(low[0], ends[0]), min(high[0], ends[1])
+            if np.all(high > low):
+                sums = cast("wp.array", self._sums[worker, index])
+                found.append((STAGE, self._launch(self.all[index], low, high - low, grids, sums)))
+        return found
+
+    def touching(self, grids: Sequence[Grid]) -> bool:
+        """Whether any launches are recorded at present."""
+        return bool(self.record(grids, 0, 1))
+
+    def _launch(
+        self, pair: Pair, low: NDArray, extent: NDArray, grids: Sequence[Grid], sums: wp.array
+    ) -> wp.Launch | None:
+        model, bodies = self._model, (pair.first, pair.second)
+        t, own = types(model.real), [grids[body] for body in bodies]
+        fill = t.vec2(*(self._fill[body] for body in bodies))
+        yields = t.vec2(*(float(body not in self._model.held) for body in bodies))
+        how = [fill, yields, pair.friction, int(pair.sticky)]
+        inputs = [wp.vec3i(*low.tolist()), own[0].lattice, *how, *(grid.window for grid in own)]
+        outputs = [*(grid.nodes for grid in own), sums]
+        return model.launch(make_pair(model.real), tuple(extent.tolist()), inputs, outputs)
+
+
+def kernels(real: Any) -> list[Any]:
+    """What bodies that touch launch."""
+    return [make_pair(real)]
+
+
+def _shared(first: Grid, second: Grid) -> Box:
+    """First node of the lattice in both windows, and one past the last."""
+    low = np.maximum(first.low, second.low)
+    return low, np.minimum(first.low + first.size, second.low + second.size)

@@ -1,0 +1,279 @@
+"""Several objects in one scene: how they are declared, made, placed, kept and written."""
+
+import re
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from phy124 import Live, pipeline, resume
+from phy124.deform import Deformer
+from phy124.errors import InputError
+from phy124.gaussians import as_objects
+from phy124.generators.shapes import shape
+from phy124.io.clip import Clip
+from phy124.io.export.usd import write_usd
+from phy124.io.ply import read_ply, write_ply
+from phy124.monitor.pieces import Pieces
+from phy124.particles import Particles, bounds
+from phy124.scene import Pair, Scene
+from phy124.scene.objects import pair_of
+from phy124.simulation import Simulation
+from phy124.simulation.bodies import notes
+from support.pages import ROOT
+from support.shapes import ball
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+BOX = {"name": "box", "shape": "box", "size": 1.2, "sides": [1, 1, 0.4], "place": [0, 2]}
+ON_BOX = {"object.on": "box", "object.name": "ball", "objects": [{**BOX, "place": [0, 0]}]}
+QUICK = {"accuracy": {"cells": 8}, "time.frames": 3, "time.fps": 48}
+
+
+def scene(**changes) -> Scene:
+    """Some quick drop."""
+    return Scene.named("drop").replaced({**QUICK, **changes})
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_gaussians():
+    """Shapes have fewer Gaussians than usual, which takes less time."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("phy124.generators.shapes.COUNT", 1000)
+        yield
+
+
+@pytest.fixture(scope="module")
+def run(few_gaussians) -> Simulation:
+    """A ball on a box, and a smaller copy on it."""
+    copy = {"name": "copy", "on": "ball", "size": 0.6, "material": {"law": "neo_hookean"}}
+    objects = [*ON_BOX["objects"], copy]
+    made = Simulation(ball(400), scene(**{**ON_BOX, "objects": objects}), threads=1)
+    made.run()
+    return made
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        ({"objects": [{"name": "object"}]}, "two objects are called object. Give each its own"),
+        ({"objects": [{"name": "any"}]}, "no object can be called any"),
+        ({"objects": [{"name": "a b"}]}, "objects.0.name = a b: it must be text"),
+        ({"objects": [{}]}, "objects.0.name = nothing: it must be given"),
+        ({"objects": [{"name": "a", "on": "b"}]}, "no object is called b. There are floor, "),
+        ({"object": {"on": "object"}}, "object stands on object, which stands on it"),
+        ({"objects": [{**BOX, "picture": "a.png"}]}, "box has picture and shape. Give one of them"),
+        ({"pairs": [{"between": ["object", "cat"]}]}, "no object is called cat. There are object"),
+        ({"pairs": [{"between": ["object", "object"]}]}, "between names object twice"),
+        ({"pairs": [{}, {"friction": 0}]}, "two entries of pairs are about any and any"),
+        ({"forces": [{"kind": "gravity", "object": "cat"}]}, "no object is called cat"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_a_sentence(data, said):
+    with pytest.raises(InputError) as refused:
+        Scene.from_data(data)
+    assert said in str(refused.value)
+
+
+def test_a_scene_of_one_object_is_written_as_ever():
+    plain = Scene.named("drop")
+    assert set(plain.data()["object"]) == {"size", "lift", "velocity", "spin"}
+    assert not {"objects", "pairs"} & plain.data().keys()
+    assert "object" not in plain.data()["forces"][0]
+    several = scene(**ON_BOX, pairs=[{"friction": 0.2}])
+    assert Scene.from_data(several.data()) == several
+
+
+def test_the_entry_that_names_most_decides_about_a_pair():
+    some = [Pair(friction=0.1), Pair(between=("a", "any"), friction=0.2)]
+    some.append(Pair(between=("b", "a"), contact="sticky"))
+    found = [pair_of(some, *two) for two in (("a", "b"), ("c", "a"), ("b", "c"))]
+    assert found == [some[2], some[1], some[0]]
+    assert pair_of([], "a", "b").friction == 0.5
+
+
+@pytest.mark.parametrize("name", ["sphere", "box", "capsule"])
+def test_a_shape_is_as_large_as_asked_and_faces_outwards(name):
+    made = shape(name, (0.5, 1.0, 0.5), (1, 0, 0))
+    low, high = bounds(made)
+    assert np.allclose(high, [0.25, 0.5, 0.25], atol=0.02) and np.allclose(low, -high, atol=0.02)
+    assert 900 < len(made) < 1300
+    assert made.rgb[:, 0].mean() > 0.6 and made.rgb[:, 1:].max() == 0
+
+
+def test_objects_stand_where_they_are_told(run):
+    middle, box, copy = (run.gaussians.of_object(index) for index in range(3))
+    assert bounds(box)[0][2] == pytest.approx(0, abs=0.01)
+    assert bounds(middle)[0][2] == pytest.approx(bounds(box)[1][2] + 0.3, abs=0.03)
+    assert bounds(copy)[0][2] == pytest.approx(bounds(middle)[1][2], abs=0.03)
+    beside = scene(objects=[{**BOX, "turn": [0, 90, 0]}])
+    turned = Simulation(ball(400), beside, threads=1).gaussians.of_object(1)
+    low, high = bounds(turned)
+    assert (low + high)[:2] / 2 == pytest.approx([0, 2], abs=0.01)
+    assert high - low == pytest.approx([0.48, 1.2, 1.2], abs=0.03)
+
+
+def test_every_gaussian_knows_its_object(run, tmp_path):
+    clip = run.clip()
+    assert clip.objects == ("ball", "box", "copy")
+    assert np.array_equal(np.unique(clip.object_id), [0, 1, 2])
+    clip.save(tmp_path / "c.safetensors")
+    again = Clip.load(tmp_path / "c.safetensors")
+    assert again.objects == clip.objects and np.array_equal(again.object_id, clip.object_id)
+    write_ply(tmp_path / "f.ply", again.frame(1).gaussians)
+    assert np.array_equal(read_ply(tmp_path / "f.ply").gaussians.object_id, clip.object_id)
+    told = clip.report["objects"]
+    assert [one["gaussians"] for one in told.values()] == np.bincount(clip.object_id).tolist()
+    assert sum(one["particles"] for one in told.values()) == clip.report["particles"]
+    assert told["copy"]["place"][2] > told["ball"]["place"][2] > told["box"]["place"][2]
+
+
+def test_particles_are_sorted_by_object(run):
+    body = run.particles.body
+    assert np.all(np.diff(body) >= 0)
+    for index in range(3):
+        own, x = run.gaussians.of_object(index), run.particles.x[body == index]
+        assert np.all(x.min(axis=0) > bounds(own)[0] - 0.1)
+        assert np.all(x.max(axis=0) < bounds(own)[1] + 0.1)
+
+
+def test_what_goes_on_after_a_pause_is_the_same(run, tmp_path):
+    half = Simulation(run.given, run.scene, threads=1)
+    next(iter(half))
+    resume.save(half, tmp_path / "pause")
+    again = resume.load(tmp_path / "pause").run()
+    assert np.array_equal(again.means, run.clip().means)
+    assert np.array_equal(again.object_id, run.clip().object_id)
+
+
+def test_gaussians_move_with_their_own_object_only():
+    """Two that touch, of which one leaves: none of the other's Gaussians goes with it."""
+    sides = [ball(200).moved(1.0, np.array([x, 0, 0])) for x in (-0.5, 0.5)]
+    both = as_objects(dict(enumerate(sides)))
+    x = both.means
+    particles = Particles(
+        x, np.ones(400), np.ones(400), np.zeros(400, np.int32), np.full(400, -1), both.object_id
+    )
+    carry = Deformer(both, particles)
+    apart = x + np.where(both.object_id[:, None] == 1, [3.0, 0, 0], 0.0)
+    frame = carry(apart, np.tile(np.eye(3), (400, 1, 1)), index=1, time=0.1)
+    assert np.allclose(frame.gaussians.means, apart, atol=1e-6)
+    single = Deformer(replace(both, object_id=None), replace(particles, body=None))
+    mixed = single(apart, np.tile(np.eye(3), (400, 1, 1)), index=1, time=0.1)
+    assert np.abs(mixed.gaussians.means - apart).max() > 0.5
+
+
+def test_what_only_touched_is_not_torn_when_it_parts():
+    x = np.random.default_rng(0).uniform(0, 1, (2000, 3))
+    body = (x[:, 0] > 0.5).astype(int)
+    apart = x + np.where(body[:, None] == 1, [2.0, 0, 0], 0.0)
+    assert Pieces(x, 0.15, body).loose(apart) == 0
+    assert Pieces(x, 0.15).loose(apart) > 500
+    one_torn = np.where((x[:, :1] > 0.75), x + [0, 3.0, 0], x)
+    assert Pieces(x, 0.15, body).loose(one_torn) > 300
+
+
+def test_scenery_is_seen_and_has_no_particles():
+    run = Simulation(ball(400), scene(objects=[{**BOX, "static": True}]), threads=1)
+    clip = run.run()
+    assert clip.report["objects"]["box"]["particles"] == 0
+    own = clip.object_id == 1
+    assert own.any() and np.array_equal(clip.means[-1][own], clip.means[0][own])
+
+
+def test_what_overlaps_is_refused_with_both_names():
+    with pytest.raises(InputError, match=r"object and box: they overlap .* by about 0\.\d+ m"):
+        Simulation(ball(400), scene(objects=[{**BOX, "place": [0, 0.3]}]))
+
+
+def test_what_stands_beside_is_not_on_it():
+    with pytest.raises(InputError, match=r"copy.on = object: it is not above that object"):
+        Simulation(ball(400), scene(objects=[{"name": "copy", "on": "object", "place": [0, 3]}]))
+
+
+def test_a_small_object_is_noted():
+    assert notes(scene(objects=[BOX])) == []
+    (note,) = notes(scene(objects=[{**BOX, "size": 0.6}]))
+    assert note.startswith("box is 5 cells long, which is coarse: the grid follows the size of obj")
+
+
+def test_each_object_is_made_from_its_own_file(tmp_path):
+    write_ply(tmp_path / "first.ply", ball(300))
+    write_ply(tmp_path / "second.ply", ball(500))
+    waiting = scene(objects=[{"name": "copy", "place": [0, 2]}])
+    one, two = tmp_path / "first.ply", tmp_path / "second.ply"
+    alone = pipeline.static(one, waiting, generator=str(one)).gaussians
+    assert np.array_equal(np.unique(alone.object_id), [0])
+    both = pipeline.static([one, two], waiting, generator=str(one)).gaussians
+    assert np.bincount(both.object_id).tolist() == [300, 500]
+    named = scene(objects=[{"name": "copy", "place": [0, 2], "file": str(two)}])
+    made = pipeline.static(one, named, generator=str(one))
+    assert len(made.gaussians) == 800 and made.about["sources"]["copy"]["source"] == "second.ply"
+    with pytest.raises(InputError, match=r"takes one picture. .*collide, stack"):
+        pipeline.static([one, two], scene(), generator=str(one))
+    with pytest.raises(InputError, match="nobody has read its file yet"):
+        Simulation(ball(300), named)
+    with pytest.raises(InputError, match="are of 3 objects, the scene has 2"):
+        Simulation(as_objects({0: ball(300), 2: ball(300)}), waiting)
+
+
+def test_forces_and_walls_act_on_the_object_they_name():
+    beside = {**BOX, "shape": "sphere", "sides": [1, 1, 1], "size": 1.0}
+    push = {"kind": "acceleration", "a": [4.0, 0.0, 0.0], "object": "box"}
+    foot = {"kind": "foot", "fraction": 1.0, "object": "object"}
+    fall = {"kind": "gravity"}
+    pushed = scene(objects=[beside], forces=[fall, push], boundaries=[foot])
+    run = Simulation(ball(400), pushed, threads=1)
+    clip = run.run()
+    moved = [(clip.means[-1] - clip.means[0])[clip.object_id == index] for index in (0, 1)]
+    assert np.abs(moved[0]).max() < 1e-3
+    assert moved[1].mean(axis=0) == pytest.approx([4 / 48**2 * 2, 0, -9.81 / 48**2 * 2], rel=0.01)
+    assert clip.report["balance"]["momentum_gain"] < 1e-4
+    with pytest.raises(InputError, match=r"no object is called box\. There are object"):
+        scene(objects=[{**BOX, "static": True}], forces=[push])
+
+
+def test_one_that_is_held_stays_and_carries():
+    still = {**BOX, "place": [0, 0], "held": True}
+    changes = {"object.lift": 0.0, "object.on": "box", "boundaries": [], "time.frames": 12}
+    clip = Simulation(ball(400), scene(**{**changes, "objects": [still]}), threads=1).run()
+    box = clip.object_id == 1
+    assert clip.report["complete"] and np.array_equal(clip.means[-1][box], clip.means[0][box])
+    fallen = clip.means[0][~box][:, 2].mean() - clip.means[-1][~box][:, 2].mean()
+    assert fallen < 0.16 < 0.25 < 9.81 / 2 * clip.times[-1] ** 2, "a cell until it is met"
+    assert clip.walls == ("object_on_box",)
+    assert clip.report["pairs"]["object_on_box"]["largest_force"] > 1000
+    assert clip.wrenches[-4:, 0, 0, 2].max() < 0, "it presses down"
+
+
+def test_the_scene_of_the_guide_runs():
+    """docs/guide/objects.md."""
+    page = (ROOT / "docs/guide/objects.md").read_text("utf-8")
+    (text,) = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
+    shown = Scene.from_data(tomllib.loads(text)).replaced({**QUICK, "time.frames": 2})
+    run = Simulation(ball(400), shown, threads=1)
+    assert run.run().report["complete"] and run.solver.model.held == {2}
+    assert [run.solver.pairs.all[i].sticky for i in range(2)] == [True, False]
+
+
+def test_usd_names_the_object_of_each_gaussian(run, tmp_path):
+    pytest.importorskip("pxr")
+    write_usd(tmp_path / "c.usda", run.clip())
+    from pxr import Usd, UsdGeom
+
+    stage = Usd.Stage.Open(str(tmp_path / "c.usda"))
+    prim = stage.GetPrimAtPath("/Splats")
+    kept = UsdGeom.PrimvarsAPI(prim).GetPrimvar("objectId").Get()
+    assert np.array_equal(kept, run.clip().object_id)
+    assert list(prim.GetCustomDataByKey("objects")) == ["ball", "box", "copy"]
+
+
+def test_a_live_run_tells_walls_from_objects():
+    live = Live(ball(300), scene(**ON_BOX))
+    (frame,) = live.frames(1)
+    assert list(frame.wrenches or {}) == ["ground", "ball_on_box"]
+    assert list(live.contacts()) == ["ground"]

@@ -1,0 +1,223 @@
+"""Bodies in contact move as textbooks say; with the wrong contact they do not."""
+
+import numpy as np
+import pytest
+
+from phy124.boundaries import Container, Ground
+from phy124.forces import Gravity
+from phy124.materials import Fluid, NeoHookean
+from phy124.monitor.diagnostics import diagnose
+from phy124.mpm import Pair
+from phy124.region import Region
+from support.solvers import make_solver
+
+DX = 0.05
+H = DX / 2
+
+
+def box(low, high, h=H):
+    """Particles in a box [P,3], m."""
+    count = np.round((np.array(high) - low) / h).astype(int)
+    axes = [(np.arange(n) + 0.5) * h for n in count]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3) + low
+
+
+def ball(middle, radius, h):
+    x = box((-radius - h,) * 3, (radius + h,) * 3, h)
+    return x[np.linalg.norm(x, axis=1) < radius] + middle
+
+
+def solver(bodies, materials, *, h=H, volume=None, **options):
+    """Bodies of particles [P,3] on one lattice; each is made of the material of its number."""
+    body = np.repeat(range(len(bodies)), [len(x) for x in bodies])
+    material = np.minimum(body, len(materials) - 1)
+    volume = np.full(len(body), h**3) if volume is None else volume
+    options = {"dx": DX, "threads": 1, **options}
+    x = np.vstack(bodies)
+    return make_solver(x, volume, materials, material=material, body=body, **options)
+
+
+def middle(s, body, values):
+    """Mean over the mass of a body."""
+    run = s.model.particles(body)
+    mass = s.model.mass.numpy()[run].astype(float)
+    return mass @ values.numpy()[run].astype(float) / mass.sum()
+
+
+def slid(degrees, *, held=True, stiff=2e5, **contact):
+    """Acceleration of a block on a slope, and its speed at the end [m/s^2, m/s]."""
+    angle = np.radians(degrees)
+    bodies = [box((-0.4, -0.2, 0), (0.6, 0.2, 0.2)), box((-0.3, -0.15, 0.2), (0, 0.15, 0.4))]
+    s = solver(
+        bodies, [NeoHookean(E=stiff, damping=60.0)], held=[0] if held else [],
+        pairs=[Pair(0, 1, **contact)], boundaries=[] if held else [Ground(contact="sticky")],
+        forces=[Gravity(g=(9.81 * np.sin(angle), 0, -9.81 * np.cos(angle)))],
+    )  # fmt: skip
+    times, speeds = np.linspace(0.2, 0.4, 9), []
+    for time in times:
+        s.advance(float(time))
+        speeds.append(middle(s, 1, s.state.v)[0])
+    return np.polyfit(times, speeds, 1)[0], speeds[-1]
+
+
+def test_a_block_slides_down_a_slope_as_coulomb_says():
+    wanted = 9.81 * (np.sin(np.radians(30)) - 0.3 * np.cos(np.radians(30)))
+    assert slid(30, friction=0.3)[0] == pytest.approx(wanted, rel=0.01)
+    assert abs(slid(15, friction=0.3)[1]) < 0.01, "tan 15 degrees is less than 0.3"
+    assert slid(30, friction=0.25)[0] > 1.1 * wanted, "the measure sees other friction"
+    assert abs(slid(30, sticky=True)[0]) < 0.1 * wanted, "and sticky contact"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("degrees", [25, 30])
+def test_a_block_slides_down_a_soft_slope(degrees):
+    angle = np.radians(degrees)
+    wanted = 9.81 * (np.sin(angle) - 0.3 * np.cos(angle))
+    found, _ = slid(degrees, held=False, stiff=1e6, friction=0.3)
+    assert found == pytest.approx(wanted, rel=0.03)
+    assert abs(slid(15, held=False, stiff=1e6, friction=0.3)[1]) < 0.02
+    assert slid(degrees, held=False, stiff=1e6, friction=0.2)[0] > 1.1 * wanted
+
+
+def hertz(radius, v):
+    """Largest force [N] and duration [s] of a collision of equal balls (E = 1e5 Pa, nu = 0.3)."""
+    stiff, mass = 1e5 / (2 * (1 - 0.3**2)), 4 / 3 * np.pi * radius**3 * 1000 / 2
+    root = np.sqrt(radius / 2)
+    depth = (15 * mass * v**2 / (16 * stiff * root)) ** 0.4
+    return 4 / 3 * stiff * root * depth**1.5, 2.94 * depth / v
+
+
+def struck(cells, *, v=0.6, sticky=False, offset=(0.0, 0.0, 0.0), precision="float32"):
+    """Force over time [T,2] of two balls of 1 m that meet head-on, and the solver."""
+    dx, force, (_, lasts) = 1 / cells, [], hertz(0.5, v)
+    bodies = [ball((side * (0.5 + dx / 8), 0, 0), 0.5, dx / 2) for side in (-1, 1)]
+    count = len(bodies[0])
+    volume = np.full(2 * count, np.pi / 6 / count)
+    s = solver(
+        [x + np.array(offset) * dx for x in bodies], [NeoHookean(E=1e5, nu=0.3)], volume=volume,
+        dx=dx, v=np.repeat([[v / 2, 0, 0], [-v / 2, 0, 0]], count, axis=0),
+        pairs=[Pair(0, 1, 0.0, sticky)], precision=precision,
+    )  # fmt: skip
+    for _ in range(70):
+        s.pairs.begin()
+        s.advance(s.clock.time + lasts / 40)
+        force.append((s.clock.time, s.pairs.wrenches(lasts / 40)[(0, 1)].force[0]))
+    return np.array(force), s
+
+
+def test_balls_that_collide_press_as_hertz_says():
+    found, s = struck(12)
+    force, lasts = hertz(0.5, 0.6)
+    whole = found[:, 1] > 0.02 * force
+    assert found[:, 1].max() == pytest.approx(force, rel=0.05)
+    assert whole.sum() * lasts / 40 == pytest.approx(lasts, rel=0.1)
+    assert found[:, 1].min() > -1e-3 * force, "nothing pulls"
+    speeds = [middle(s, body, s.state.v)[0] for body in (0, 1)]
+    assert sum(speeds) == pytest.approx(0, abs=1e-5)
+    assert 0.85 < -speeds[0] / 0.3 < 1
+    stuck, _ = struck(12, sticky=True)
+    assert stuck[:, 1].min() < -0.1 * force, "sticky balls pull at each other"
+
+
+@pytest.mark.slow
+def test_finer_grids_come_closer_to_hertz():
+    force, _ = hertz(0.5, 0.4)
+    errors = [abs(struck(n, v=0.4)[0][:, 1].max() / force - 1) for n in (8, 12, 16)]
+    assert errors[2] < errors[0] and errors[2] < 0.05
+    shifted = struck(16, offset=(0.3, 0.2, 0.1))[0][:, 1].max()
+    assert shifted == pytest.approx(struck(16)[0][:, 1].max(), rel=0.05)
+
+
+def test_a_collision_is_its_own_mirror_image():
+    _, s = struck(8, precision="float64")
+    first, second = (s.state.x.numpy()[s.model.particles(body)] for body in (0, 1))
+    order = [np.lexsort(np.round(x, 9).T) for x in (first * [-1, 1, 1], second)]
+    np.testing.assert_allclose((first * [-1, 1, 1])[order[0]], second[order[1]], atol=1e-9)
+
+
+def afloat(density, seconds, **contact):
+    """A cube in water: where its bottom is below the water's surface, in heights of the cube."""
+    water = box((-0.3, -0.3, 0), (0.3, 0.3, 0.5))
+    cube = box((-0.1, -0.1, 0.4), (0.1, 0.1, 0.6))
+    inside = np.all(np.abs(water - [0, 0, 0.5]) < 0.1, axis=1)
+    tray = Container(inside=Region(lower=(-0.3, -0.3, 0), upper=(0.3, 0.3, 9)), contact="slip")
+    s = solver(
+        [water[~inside], cube],
+        [Fluid(density=1000, bulk_modulus=1e5), NeoHookean(E=1e5, density=density, damping=20.0)],
+        forces=[Gravity()], boundaries=[tray], pairs=[Pair(0, 1, **contact)],
+    )  # fmt: skip
+    s.advance(seconds - 0.1)
+    s.pairs.begin()
+    s.advance(seconds)
+    lift = s.pairs.wrenches(0.1)[(0, 1)].force[2] / (9.81 * density * 0.2**3)
+    top = np.percentile(s.state.x.numpy()[s.model.particles(0), 2], 98)
+    return (top - middle(s, 1, s.state.x)[2] + 0.1) / 0.2, lift
+
+
+@pytest.mark.slow
+def test_light_floats_and_heavy_sinks():
+    depth, lift = afloat(500, 1.5, friction=0.0)
+    assert depth == pytest.approx(0.5, abs=0.05) and lift == pytest.approx(1, abs=0.03)
+    assert afloat(2000, 0.6, friction=0.0)[0] > 1.7
+    assert afloat(2000, 0.6, sticky=True)[0] < 1.5, "what sticks to the water sinks late"
+
+
+def stacked(seconds, sticky=False):
+    """Middles of five cubes on each other, early and late [2,5,3], in sizes; the solver."""
+    size = 4 * DX
+    cubes = [box((-size / 2, -size / 2, i * size), (size / 2, size / 2, (i + 1) * size))
+             for i in range(5)]  # fmt: skip
+    s = solver(
+        cubes, [NeoHookean(E=2e6, damping=80.0)], forces=[Gravity()], boundaries=[Ground()],
+        pairs=[Pair(i, i + 1, sticky=sticky) for i in range(4)],
+    )  # fmt: skip
+    found = []
+    for time in (0.6 * seconds, seconds):
+        s.pairs.begin()
+        s.advance(time)
+        found.append([middle(s, body, s.state.x) / size for body in range(5)])
+    return np.array(found), s
+
+
+@pytest.mark.slow
+def test_five_cubes_rest_on_each_other():
+    found, s = stacked(1.5)
+    force = [s.pairs.wrenches(0.6)[(i, i + 1)].force[2] for i in range(4)]
+    weight = 9.81 * 1000 * (4 * DX) ** 3
+    np.testing.assert_allclose(force, weight * np.arange(4, 0, -1), rtol=0.002)
+    assert np.abs(found[1] - found[0]).max() < 5e-3
+    assert np.abs(found[1, :, :2]).max() < 1e-3
+    assert diagnose(s).kinetic < 1e-5 * weight * 5 * DX
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("part", range(10))
+def test_random_bodies_keep_their_momentum(part):
+    rng = np.random.default_rng(part)
+    for _ in range(50):
+        scene_of(rng)
+
+
+def scene_of(rng):
+    """A few bodies thrown at each other."""
+    count = int(rng.integers(2, 7))
+    places = rng.permutation(27)[:count]
+    bodies, v = [], []
+    for place in places:
+        where = np.array([place // 9, place // 3 % 3, place % 3]) * 0.45
+        radius = rng.uniform(0.11, 0.2)
+        x = ball(where, radius, H) if rng.random() < 0.5 else box(where - radius, where + radius)
+        bodies.append(x + rng.uniform(-0.02, 0.02, 3))
+        v.append(np.tile((0.45 - where) * rng.uniform(2, 12), (len(x), 1)))
+    materials = [NeoHookean(E=10 ** rng.uniform(4, 6), density=rng.uniform(200, 4000))
+                 for _ in range(count)]  # fmt: skip
+    pairs = [Pair(i, j, rng.uniform(0, 1), bool(rng.random() < 0.2))
+             for i in range(count) for j in range(i)]  # fmt: skip
+    s = solver(bodies, materials, v=np.vstack(v), pairs=pairs, precision="float64")
+    before = diagnose(s)
+    s.advance(0.15)
+    after = diagnose(s)
+    scale = np.sqrt(2 * before.kinetic * s.model.total_mass)
+    assert np.abs(after.momentum - before.momentum).max() < 1e-11 * scale
+    assert np.abs(after.angular - before.angular).max() < 1e-10 * scale
+    assert after.energy < before.energy * 1.001
