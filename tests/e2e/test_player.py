@@ -31,6 +31,15 @@ SWINGS = """() => {
 }"""
 
 
+GRAPHICS_ARE_LOST = """() => new Promise((done) => {
+    // As browsers do when a driver starts anew or a laptop wakes.
+    const lost = player.stage.app.graphicsDevice.gl.getExtension('WEBGL_lose_context');
+    player.canvas.addEventListener('webglcontextrestored', () => done());
+    player.canvas.addEventListener('webglcontextlost', () => setTimeout(() => lost.restoreContext()));
+    lost.loseContext();
+})"""
+
+
 def _frames(rng: np.random.Generator, every: float) -> list[Frame]:
     """Three frames of a ball that is stretched, so many seconds apart."""
     away = rng.normal(size=(3000, 3))
@@ -88,6 +97,8 @@ def test_the_player_draws_the_same_stage(browser, tmp_path, rng):
             page.evaluate(f"player.stage.resize(256, 256); player.seek({frame.time})")
             wanted = 255 * renderer(frame.gaussians, CAMERA, stage=stage.at(frame))
             drawn(page, lambda now, wanted=wanted: psnr(now, wanted) > 30, "below 30 dB")
+        page.evaluate(GRAPHICS_ARE_LOST)
+        drawn(page, lambda now: psnr(now, wanted) > 30, "below 30 dB after graphics were lost")
 
 
 def test_clips_of_half_a_second_play_slowly_to_and_fro(browser, tmp_path, rng):

@@ -212,6 +212,8 @@ globalThis.Phy124Player = (() => {
         this.stage.resize(...this.pixels);
       });
       this.watcher.observe(this.canvas);
+      // A browser takes the graphics away from time to time, and gives it back empty.
+      this.stage.app.graphicsDevice.on('devicerestored', () => this.seek(this.time));
     }
 
     listenPointers() {

@@ -235,6 +235,7 @@ globalThis.Phy124Stage = (() => {
       for (let i = 0; i < cells; i++) out[i] = (a.shades[a.i * cells + i] * (1 - f) + b.shades[b.i * cells + i] * f) / 255;
       this.shade.unlock();
       this.set('uMap', [...floor.middle, floor.reach, this.cells]);
+      if (this.size) this.level();
     }
 
     placeSolids(a, b, f) {
@@ -263,10 +264,13 @@ globalThis.Phy124Stage = (() => {
       this.share('uFocal', focal);
       this.set('uRight', right);
       this.set('uDown', down);
-      this.set('uFloor', [this.height === null ? 0 : 1, this.height ?? 0, ...size]);
+      this.level();
       this.fill();
       this.tinted();
     }
+
+    /** Whether there is a floor, and how high. */
+    level() { this.set('uFloor', [this.height === null ? 0 : 1, this.height ?? 0, ...this.size]); }
   }
 
   return Stage;
