@@ -4,7 +4,8 @@
 
 PYTHON ?= python3
 BIN := .venv/bin
-# Python compiles what it imports by itself; most of what is installed never is.
+# Python compiles what it imports by itself, and keeps it; most of what is installed never is.
+export PYTHONDONTWRITEBYTECODE :=
 INSTALL := $(BIN)/pip install --quiet --no-compile --disable-pip-version-check --constraint constraints.txt
 
 .PHONY: demo paper app bridge test test-default test-page test-slow test-browser bench cuda-report gpu accuracy docs gallery dist lint clean chromium

@@ -35,9 +35,9 @@ pytestmark = [
 @pytest.fixture(scope="module")
 def server(tmp_path_factory):
     folder = tmp_path_factory.mktemp("web")
-    # Half a minute of grace only: the tests look at what is left behind.
+    # Twelve seconds of grace only: the tests look at what is left behind.
     with serving(
-        folder, gaussians=1000, max_queue=4, max_upload_mb=2, max_file_mb=3, grace_minutes=0.5
+        folder, gaussians=1000, max_queue=4, max_upload_mb=2, max_file_mb=3, grace_minutes=0.2
     ) as running:
         yield running
 

@@ -41,7 +41,7 @@ def server(tmp_path_factory):
     pytest.importorskip("gradio", reason="the extra demo is not installed")
     with serving(
         tmp_path_factory.mktemp("abuse"), files=FILES, gaussians=1000, max_upload_mb=2,
-        max_file_mb=3, max_visitors=40, grace_minutes=0.3, max_cut_seconds=10, max_seconds=120,
+        max_file_mb=3, max_visitors=40, grace_minutes=0.3, max_cut_seconds=60, max_seconds=120,
         max_queue=6,
     ) as running:  # fmt: skip
         yield running
