@@ -67,10 +67,20 @@
       this.sharp = 1;
       this.home = { azimuth: 25, elevation: 14, radius: 3 * lattice.size, target: [0, 0, this.ground + 0.55 * lattice.size] };
       this.pose = { ...this.home };
-      this.splats = new Phy124Splats(this.canvas, lattice);
-      this.splats.look(this.pose);
+      this.prepare();
       this.status.textContent = `Drag the object. ${lattice.sentence}`;
       this.canvas.classList.add('ready');
+    }
+
+    prepare() {
+      this.splats = new Phy124Splats(this.canvas, this.lattice);
+      this.splats.look(this.pose);
+    }
+
+    /** The browser took the graphics away, and gives them back empty. */
+    restore() {
+      this.prepare();
+      this.drawing = requestAnimationFrame(() => this.show());
     }
 
     /** What the socket brings: text is for people, of bytes the first is a letter. */
@@ -93,7 +103,7 @@
 
     show() {
       this.drawing = null;
-      if (this.gone || !this.splats) return;
+      if (this.gone || !this.splats || this.splats.gl.isContextLost()) return;
       const begun = performance.now();
       if (this.frame) {
         this.head = this.lattice.take(this.frame, 1);
@@ -115,7 +125,7 @@
     /** Wait until the picture is there, then ask for the next one. */
     drawn(fence, begun) {
       const { gl } = this.splats, now = performance.now();
-      if (this.gone) return;
+      if (this.gone || gl.isContextLost()) return;
       if (gl.getSyncParameter(fence, gl.SYNC_STATUS) !== gl.SIGNALED && now - begun < 2000) { setTimeout(() => this.drawn(fence, begun), 3); return; }
       gl.deleteSync(fence);
       this.drawing = null;
@@ -215,6 +225,9 @@
 
     listen() {
       const on = (name, act) => this.canvas.addEventListener(name, act);
+      // Without this the browser would not give them back.
+      on('webglcontextlost', (event) => event.preventDefault());
+      on('webglcontextrestored', () => this.restore());
       on('pointerdown', (event) => this.press(event));
       on('pointermove', (event) => this.drag(event));
       for (const end of ['pointerup', 'pointercancel']) on(end, (event) => this.lift(event));

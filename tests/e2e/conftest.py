@@ -28,3 +28,11 @@ def browser():
         chromium = session.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
         yield chromium
         chromium.close()
+
+
+@pytest.fixture(autouse=True)
+def tabs_are_closed(browser):
+    """A tab that is left open goes on drawing and asking the server."""
+    yield
+    for context in browser.contexts:
+        context.close()

@@ -36,7 +36,15 @@ LOOKS = {
 }
 
 
-@pytest.mark.parametrize("look", LOOKS)
+@pytest.mark.parametrize(
+    "look",
+    [
+        "light",
+        "dark phone",
+        pytest.param("dark", marks=pytest.mark.slow),
+        pytest.param("light phone", marks=pytest.mark.slow),
+    ],
+)
 def test_axe_finds_nothing_in_any_state(browser, server, tmp_path, look):
     visit = Visit(browser, server, **LOOKS[look])
     page = visit.page

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from visit import HAND, LONG, TOP, Visit
+from visit import GRAPHICS_ARE_LOST, HAND, LONG, TOP, Visit
 
 pytestmark = pytest.mark.browser
 AWAY = f"""(() => {{
@@ -12,6 +12,13 @@ AWAY = f"""(() => {{
     let top = 0;
     for (let i = 1; i < 1000; i++) if (means[3 * i + 2] > means[3 * top + 2]) top = i;
     return Math.hypot(...[0, 1, 2].map((c) => centres[3 * top + c] - means[3 * top + c]));
+}})()"""
+
+COLOURS = f"""(() => {{
+    // How many shades there are along the middle of the picture.
+    const {{ gl, canvas }} = {HAND}.splats, row = new Uint8Array(4 * canvas.width);
+    gl.readPixels(0, canvas.height >> 1, canvas.width, 1, gl.RGBA, gl.UNSIGNED_BYTE, row);
+    return new Set(row).size;
 }})()"""
 
 
@@ -42,6 +49,10 @@ def test_the_object_follows_the_pointer_and_comes_back(visit):
     page.mouse.up()
     page.wait_for_function(f"Math.abs({AWAY} - {start}) < 0.04", timeout=LONG)
     assert page.evaluate(f"{HAND}.delays.length") > 0
+    page.locator(".touch canvas").evaluate(GRAPHICS_ARE_LOST)
+    drawn = page.evaluate(f"{HAND}.frames")
+    page.wait_for_function(f"{HAND}.frames > {drawn} + 5", timeout=LONG)
+    assert page.evaluate(COLOURS) > 3, "the object is there again"
     assert not visit.complaints
 
 

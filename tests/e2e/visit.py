@@ -32,6 +32,15 @@ TOP = f"""(() => {{
 }})()"""
 """... where the top of its object is on the screen."""
 
+GRAPHICS_ARE_LOST = """(canvas) => new Promise((done) => {
+    // As browsers do when a driver starts anew or a laptop wakes.
+    const lost = canvas.getContext('webgl2').getExtension('WEBGL_lose_context');
+    const back = () => setTimeout(() => lost.restoreContext());
+    canvas.addEventListener('webglcontextlost', back, { once: true });
+    canvas.addEventListener('webglcontextrestored', () => done(), { once: true });
+    lost.loseContext();
+})"""
+
 
 class Visit:
     """A visitor's tab that notes every complaint and every request to elsewhere."""

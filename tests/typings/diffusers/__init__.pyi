@@ -1,4 +1,4 @@
-"""Nothing of diffusers is known to pyright: to read it takes as long as to read all of phy124."""
+"""Pyright knows nothing of diffusers: reading it takes as long as reading all of phy124."""
 
 from typing import Any
 
