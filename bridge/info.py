@@ -61,7 +61,8 @@ def describe_clip(clip: Clip) -> list[str]:
         f"clip: {len(clip)} frames of {count:,} Gaussians, {seconds:.3f} s at {rate:.4g} frames/s",
         f"velocities: {velocities if len(clip) > 1 else 'no (vx, vy, vz will be NaN)'}",
     ]
-    for name, step in (("small", SMALL.itemsize), ("viz", 4 * len(VIZ)), ("full", 4 * len(FULL))):
+    full = 4 * (len(FULL) + (clip.object_id is not None))
+    for name, step in (("small", SMALL.itemsize), ("viz", 4 * len(VIZ)), ("full", full)):
         size = count * step / 1e6
         lines.append(f"profile {name}: {size:.2f} MB per frame, {size * rate:.1f} MB/s")
     return lines

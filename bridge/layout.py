@@ -6,7 +6,8 @@ nothing is rotated.
 
 - `viz`, 16 bytes: x y z rgb.
 - `full`, 60 bytes: the same, then alpha 0..1, standard deviations sx sy sz [m], the orientation
-  qw qx qy qz, and the velocity vx vy vz [m/s].
+  qw qx qy qz, and the velocity vx vy vz [m/s]; of several objects 64 bytes, the last an uint32
+  `object_id`.
 - `small`, 10 bytes: x y z as int16 steps, r g b a as uint8. The row has 16 bytes after its last
   point: four float32, the centre x y z [m] and the step [m]. A position is centre + step * (x, y,
   z); -32768 stands for NaN.
@@ -28,13 +29,14 @@ from phy124.io.ply import raw_table
 Profile = Literal["viz", "full", "small", "ply", "splats"]
 FLOAT32 = 7
 """`sensor_msgs/msg/PointField.FLOAT32`."""
-DATATYPES = {"<f4": FLOAT32, "<i2": 3, "|u1": 2}
+DATATYPES = {"<f4": FLOAT32, "<i2": 3, "<u4": 6, "|u1": 2}
 """NumPy's type -> that of `sensor_msgs/msg/PointField`."""
 VIZ = ("x", "y", "z", "rgb")
 SMALL = np.dtype([*((axis, "<i2") for axis in "xyz"), *((colour, "u1") for colour in "rgba")])
 LARGEST_STEP = 32767
 """Largest step in int16, positive or negative; -32768 has a meaning of its own."""
 FULL = (*VIZ, "alpha", "sx", "sy", "sz", "qw", "qx", "qy", "qz", "vx", "vy", "vz")
+OBJECT = "object_id"
 
 
 def cloud(frame: Frame, profile: Profile, header: dict[str, Any]) -> dict[str, Any]:
@@ -58,12 +60,14 @@ def cloud(frame: Frame, profile: Profile, header: dict[str, Any]) -> dict[str, A
 
 
 def points(frame: Frame, profile: Profile) -> NDArray[Any]:
-    """A structured row per Gaussian [N] with float32 members, for all profiles but `small`."""
+    """A structured row per Gaussian [N] with members of 4 bytes, for all profiles but `small`."""
     gaussians = frame.gaussians
     if profile == "ply":
         return raw_table(gaussians)
-    names = FULL if profile == "full" else VIZ
-    table = np.empty((len(gaussians), len(names)), "<f4")
+    members = [(name, "<f4") for name in (FULL if profile == "full" else VIZ)]
+    if profile == "full" and gaussians.object_id is not None:
+        members.append((OBJECT, "<u4"))
+    table = np.empty((len(gaussians), len(members)), "<f4")
     table[:, :3] = gaussians.means
     # Copied as integers, since copying floats may change the bits of a NaN.
     table.view("<u4")[:, 3] = packed_rgb(gaussians)
@@ -71,8 +75,10 @@ def points(frame: Frame, profile: Profile) -> NDArray[Any]:
         table[:, 4] = gaussians.opacities
         table[:, 5:8] = gaussians.scales
         table[:, 8:12] = gaussians.quats
-        table[:, 12:] = np.nan if frame.velocities is None else frame.velocities
-    return table.view([(name, "<f4") for name in names])[:, 0]
+        table[:, 12:15] = np.nan if frame.velocities is None else frame.velocities
+    if gaussians.object_id is not None and profile == "full":
+        table.view("<u4")[:, 15] = gaussians.object_id
+    return table.view(members)[:, 0]
 
 
 def small_points(frame: Frame) -> tuple[NDArray[Any], bytes]:

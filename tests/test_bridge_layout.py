@@ -81,6 +81,20 @@ def test_full_profile_is_the_clip_to_the_last_bit():
             np.testing.assert_array_equal(bits(table[name]), bits(column))
 
 
+def test_full_profile_of_several_objects_says_which_one_each_gaussian_is_of():
+    frame = random_clip(count=5).frame(1)
+    ids = np.array([0, 2, 1, 1, 3], np.int32)
+    several = replace(frame, gaussians=replace(frame.gaussians, object_id=ids))
+    table, alone = points(several, "full"), points(frame, "full")
+    assert table["object_id"].tolist() == ids.tolist()
+    for name in FULL:
+        np.testing.assert_array_equal(bits(table[name]), bits(alone[name]))
+    message = cloud(several, "full", {})
+    last = {"name": "object_id", "offset": 60, "datatype": 6, "count": 1}
+    assert (message["point_step"], message["fields"][-1]) == (64, last)
+    assert cloud(several, "viz", {})["point_step"] == 16
+
+
 def test_rgb_is_packed_as_rviz_reads_it():
     colours = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1], [0.5, 0.25, 0]])
     ones = np.ones((5, 4), np.float32)
