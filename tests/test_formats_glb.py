@@ -2,6 +2,7 @@
 
 import json
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -46,6 +47,24 @@ def test_scales_of_a_glb_from_before_the_ratified_text_are_logarithms(tmp_path, 
     write_gaussians(tmp_path / "a.glb", logs)
     found = read_gaussians(tmp_path / "a.glb").gaussians
     np.testing.assert_allclose(found.scales, three_gaussians.scales, rtol=1e-6)
+
+
+def test_a_glb_keeps_the_object_of_each_gaussian(tmp_path, three_gaussians):
+    several = replace(three_gaussians, object_id=np.array([2, 0, 7], np.int32))
+    write_gaussians(tmp_path / "a.glb", several)
+    assert read_gaussians(tmp_path / "a.glb").gaussians.object_id.tolist() == [2, 0, 7]
+
+    def twice(tree):
+        """Two meshes, of which one does not say it."""
+        (mesh,) = tree["meshes"]
+        other = json.loads(json.dumps(mesh))
+        del other["primitives"][0]["attributes"]["_OBJECT_ID"]
+        tree["meshes"] = [mesh, other]
+        tree["nodes"] = [{"mesh": 0}, {"mesh": 1}]
+        tree["scenes"] = [{"nodes": [0, 1]}]
+
+    found = read_gaussians(glb_with(tmp_path / "b.glb", several, twice)).gaussians
+    assert len(found) == 6 and found.object_id is None
 
 
 def test_nodes_of_a_glb_move_turn_and_scale_their_gaussians(tmp_path, rng):

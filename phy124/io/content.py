@@ -19,6 +19,8 @@ SMALL = 1 << 22
 """Bytes that any file may stand for, so that a small object of one colour is no bomb."""
 LARGEST_SH = SH_COEFFICIENTS[-1]
 """Harmonics that are kept per colour; those of degree 4 are left out."""
+MOST_ID = 1e6
+"""Larger numbers of objects, which float32 hardly tells apart, are read as this one."""
 Y_DOWN = ("-y", "-z")
 """Axes that point up and to the front in files of 3DGS and its relatives."""
 Y_UP = ("y", "z")

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from phy124.errors import InputError
 from phy124.gaussians import SH_COEFFICIENTS, Gaussians
 from phy124.io.axes import orientation, turned
-from phy124.io.content import MAX_GAUSSIANS, Y_DOWN, Content, content_of
+from phy124.io.content import MAX_GAUSSIANS, MOST_ID, Y_DOWN, Content, content_of
 from phy124.io.files import replacing
 from phy124.io.plyheader import Header, read_header, refusal
 
@@ -37,8 +37,6 @@ MIP = ("SplatRenderMode: mip", "antialiased 1")
 NOT_MIP = ("SplatRenderMode: default", "antialiased 0")
 OBJECT = "object_id"
 """Property that says which object of its scene a Gaussian belongs to."""
-MOST_ID = 1e6
-"""Larger numbers of objects, which float32 does not tell apart, are read as this one."""
 SPLATS = ("scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3", "opacity")
 
 

@@ -12,6 +12,7 @@
     KHR_gaussian_splatting:SCALE             VEC3 float     standard deviations
     KHR_gaussian_splatting:OPACITY           SCALAR float   0..1; read also as uint8, uint16
     KHR_gaussian_splatting:SH_DEGREE_l_COEF_n VEC3 float    coefficients of 3DGS, degree by degree
+    _OBJECT_ID                               SCALAR float   ours: which object of several
 
 Files of early 2026, made before the text was ratified, have logarithmic scales; a negative scale
 tells them. Nodes may move, turn and evenly scale their Gaussians.
@@ -34,6 +35,7 @@ from phy124.gaussians import SH_C0, Gaussians, rotation_matrices
 from phy124.io.axes import turned
 from phy124.io.content import (
     LARGEST_SH,
+    MOST_ID,
     Y_UP,
     Content,
     check_count,
@@ -55,6 +57,8 @@ SRGB, LINEAR = "srgb_rec709_display", "lin_rec709_display"
 EVEN = 1e-3
 """Relative difference up to which the scales of a node's axes count as one."""
 MAX_NODES = 2000
+OBJECT = "_OBJECT_ID"
+"""An attribute of an application's own, which other readers pass over."""
 LEAVES_THE_FRONT = ("splat-transform", "SuperSplat")
 """Programs that turn a PLY upright by half a turn about z."""
 
@@ -78,7 +82,8 @@ def read(path: Path) -> Content:
     scene = _chunks(path, whole_file(KIND, path))
     try:
         parts = list(_parts(scene))
-        raw = {name: np.concatenate([part[name] for part in _alike(parts)]) for name in parts[0]}
+        known = [name for name in parts[0] if all(name in part for part in parts)]
+        raw = {name: np.concatenate([part[name] for part in _alike(parts)]) for name in known}
         axes = _axes(scene)
     except InputError:
         raise
@@ -135,6 +140,8 @@ def _attributes(gaussians: Gaussians) -> dict[str, NDArray]:
     }
     names = _names(gaussians.sh.shape[1])
     arrays |= {name: gaussians.sh[:, i] for i, name in enumerate(names)}
+    if gaussians.object_id is not None:  # Exact in a float: there are few objects.
+        arrays[OBJECT] = gaussians.object_id.astype(np.float32)
     return {name: np.ascontiguousarray(array) for name, array in arrays.items()}
 
 
@@ -268,7 +275,8 @@ def _columns(
     names = [name for name in _names(LARGEST_SH) if name in attributes]
     whole = max(k for k in (1, 4, 9, 16) if names[:k] == _names(k) or k == 1)
     sh = np.stack([values(name, 3) for name in _names(whole)], axis=1)
-    return {
+    found = {"object_id": values(OBJECT, 1)[:, 0].clip(0, MOST_ID)} if OBJECT in attributes else {}
+    return found | {
         "means": values("POSITION", 3),
         "quats": np.roll(values(f"{EXTENSION}:ROTATION", 4), 1, axis=1),
         "scales": scales,
