@@ -49,7 +49,8 @@ def test_scales_of_a_glb_from_before_the_ratified_text_are_logarithms(tmp_path, 
     np.testing.assert_allclose(found.scales, three_gaussians.scales, rtol=1e-6)
 
 
-def test_a_glb_keeps_the_object_of_each_gaussian(tmp_path, three_gaussians):
+@pytest.mark.parametrize("order", [[0, 1], [1, 0]])
+def test_a_glb_keeps_the_object_of_each_gaussian(tmp_path, three_gaussians, order):
     several = replace(three_gaussians, object_id=np.array([2, 0, 7], np.int32))
     write_gaussians(tmp_path / "a.glb", several)
     assert read_gaussians(tmp_path / "a.glb").gaussians.object_id.tolist() == [2, 0, 7]
@@ -61,7 +62,7 @@ def test_a_glb_keeps_the_object_of_each_gaussian(tmp_path, three_gaussians):
         del other["primitives"][0]["attributes"]["_OBJECT_ID"]
         tree["meshes"] = [mesh, other]
         tree["nodes"] = [{"mesh": 0}, {"mesh": 1}]
-        tree["scenes"] = [{"nodes": [0, 1]}]
+        tree["scenes"] = [{"nodes": order}]
 
     found = read_gaussians(glb_with(tmp_path / "b.glb", several, twice)).gaussians
     assert len(found) == 6 and found.object_id is None
