@@ -140,7 +140,8 @@ def make_pair(real: Any):
     `low` is the first of these nodes on the lattice, `fill` the volume fraction per mass at a node
     of each body, `yields` 1 for a body that gives way and 0 for one that never moves. A sticky pair
     has one velocity wherever both have mass. `sums_out` collects what the first body gives to the
-    second: the impulse, and its moment about the origin of the world.
+    second: the impulse, and its moment about the origin of the world. Of the nodes around its own a
+    thread reads the masses alone, which no thread changes.
     """
     t = types(real)
 

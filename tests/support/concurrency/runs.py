@@ -140,8 +140,11 @@ def few(name: str = "spin") -> Scene:
 
 
 def on_a_stage() -> None:
-    """A plate above a floor."""
-    clip = Simulation(ball(300), few("press"), threads=1).run()
+    """A plate above a floor, and a ball of glass among the Gaussians."""
+    glass = {"kind": "sphere", "centre": [0.3, 0.1, 0.6], "radius": 0.2}
+    scene = few("press")
+    walls = [*scene.data()["boundaries"], glass]
+    clip = Simulation(ball(300), scene.replaced({"boundaries": walls}), threads=1).run()
     frame, view = next(clip.frames()), View(stage="studio")
     stage = stage_of(clip, view)
     assert stage is not None
