@@ -145,6 +145,14 @@ def test_grids_that_do_not_converge_give_the_finest_and_their_spread():
     assert one.order is None and one.value == 0.2 and one.error == pytest.approx(0.1)
 
 
+def test_a_value_that_is_in_by_its_error_alone_is_told_apart():
+    """The limit is 0.27, the band ends at 0.26, and the finest grid is a hundredth away."""
+    near = result(made(run=lambda cells: (0.27 + cells**-2,))).found[0]
+    assert near.inside and near.by_its_error
+    assert not result(made()).found[0].by_its_error
+    assert "in by error" in "\n".join(details(result(made(run=lambda cells: (0.27 + cells**-2,)))))
+
+
 def test_a_miss_is_said_and_needs_a_reason():
     off = made(run=lambda cells: (0.3 + cells**-2 / 100,))
     missed = result(off)

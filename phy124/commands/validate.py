@@ -119,8 +119,10 @@ def _summary(done: Sequence[Outcome]) -> str:
     inside, total = (sum(map(f, done)) for f in (lambda o: o.inside, lambda o: len(o.found)))
     held = sum(outcome.control_holds for outcome in done)
     seconds = sum(outcome.seconds for outcome in done)
+    narrow = sum(each.by_its_error for outcome in done for each in outcome.found)
     return (
-        f"{inside} of {total} values in their bands; {held} of {len(done)} controls outside, as "
+        f"{inside} of {total} values in their bands, {narrow} of them only give or take their own "
+        f"error; {held} of {len(done)} controls outside, as "
         f"they must be; {seconds:.0f} s of processor time"
     )
 

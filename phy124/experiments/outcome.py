@@ -39,6 +39,11 @@ class Found:
         return self.quantity.low - self.error <= self.value <= self.quantity.high + self.error
 
     @property
+    def by_its_error(self) -> bool:
+        """Whether it is within the band only thanks to its own error."""
+        return self.inside and not self.quantity.low <= self.value <= self.quantity.high
+
+    @property
     def control_outside(self) -> bool:
         """Whether the control is outside the band by more than the error of its grid."""
         own = abs(self.levels[0] - self.value) + self.error

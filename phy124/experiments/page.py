@@ -23,7 +23,8 @@ is typed in by hand. `phy124 accuracy --verify` shows that the equations are sol
 - **Three grids** each, and Richardson's value for a grid without error. Its estimated error is its
   distance from the finest grid's value, and their scatter. Where grids do not converge, it is the
   finest value and their spread.
-- **A band**: what sources or theory leave open. A value is in it give or take its own error.
+- **A band**: what sources or theory leave open. A value is in it give or take its own error; the table
+  says where it is so only by that error.
 - **A control** with a deliberate mistake, on the coarsest grid: it must leave the band of at least
   one quantity by more than that grid's error, otherwise the comparison would prove nothing.
 - **What misses its band** is said to, with the reason as far as it was found.
@@ -41,8 +42,9 @@ def details(outcome: Outcome) -> list[str]:
     rows = [f"    {failure}" for failure in outcome.failures]
     for each in outcome.found:
         seen = "" if math.isnan(each.control) else _number(each.control)
+        where = "in by error" if each.by_its_error else "in the band"
         rows.append(
-            f"    {'in the band' if each.inside else 'OUTSIDE':<13}{each.quantity.name:<36}"
+            f"    {where if each.inside else 'OUTSIDE':<13}{each.quantity.name:<36}"
             f"{_number(each.value):>8} ± {_number(each.error):<8} published {_band(each)}"
             f"{'; control ' + seen if seen else ''}"
         )
@@ -159,7 +161,7 @@ def _cells(each: Found) -> list[str]:
         *map(_number, each.levels), f"{_number(each.value)} ± {_number(each.error)}",
         "" if near_zero else f"{100 * each.deviation:+.1f} %",
         "" if each.order is None else f"{each.order:.1f}",
-        "in" if each.inside else "**outside**",
+        ("in by its error" if each.by_its_error else "in") if each.inside else "**outside**",
         f"{seen}{' (leaves)' if each.control_outside else ''}",
     ]  # fmt: skip
 
