@@ -23,8 +23,8 @@ is typed in by hand. `phy124 accuracy --verify` shows that the equations are sol
 - **Three grids** each, and Richardson's value for a grid without error. Its estimated error is its
   distance from the finest grid's value, and their scatter. Where grids do not converge, it is the
   finest value and their spread.
-- **A band**: what sources or theory leave open. A value is in it give or take its own error; the table
-  says where it is so only by that error.
+- **A band**: what sources or theory leave open. A value is in it give or take its own error; the
+  table says where it is so only by that error.
 - **A control** with a deliberate mistake, on the coarsest grid: it must leave the band of at least
   one quantity by more than that grid's error, otherwise the comparison would prove nothing.
 - **What misses its band** is said to, with the reason as far as it was found.
