@@ -165,7 +165,7 @@ def test_bash_completes_a_command(tmp_path, capsys):
     (tmp_path / "phy124").write_text(capsys.readouterr().out)
     typed = "COMP_WORDS=(phy124 gen); COMP_CWORD=1; _tyro_phy124; echo ${COMPREPLY[@]}"
     run = subprocess.run(
-        ["bash", "-c", f"source phy124; {typed}"],
+        ["bash", "-c", f"source ./phy124; {typed}"],
         cwd=tmp_path,
         capture_output=True,
         text=True,
