@@ -76,8 +76,8 @@ def points(frame: Frame, profile: Profile) -> NDArray[Any]:
         table[:, 5:8] = gaussians.scales
         table[:, 8:12] = gaussians.quats
         table[:, 12:15] = np.nan if frame.velocities is None else frame.velocities
-    if gaussians.object_id is not None and profile == "full":
-        table.view("<u4")[:, 15] = gaussians.object_id
+        if gaussians.object_id is not None:
+            table.view("<u4")[:, 15] = gaussians.object_id
     return table.view(members)[:, 0]
 
 

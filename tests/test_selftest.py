@@ -17,7 +17,7 @@ from phy124.selftest.bodies import alike
 
 PACKAGE = Path(__file__).parents[1] / "phy124"
 PRECISIONS = ["float32", pytest.param("float64", marks=pytest.mark.slow)]
-"""What is stable in single precision is so in double, which takes as long again to compile."""
+"""Double precision takes as long again to compile, and rounds less."""
 DEVICES = ["cpu", pytest.param("cuda:0", marks=pytest.mark.gpu)]
 
 

@@ -1,4 +1,4 @@
-"""Pyright knows nothing of cma: reading it takes as long as reading all of phy124."""
+"""Pyright is told nothing of cma, whose source takes it long to read."""
 
 from typing import Any
 

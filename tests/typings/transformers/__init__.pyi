@@ -1,4 +1,4 @@
-"""Pyright knows nothing of transformers: reading it takes as long as reading all of phy124."""
+"""Pyright is told nothing of transformers, whose source takes it long to read."""
 
 from typing import Any
 
