@@ -391,10 +391,10 @@ class Studio:
         """Load all kernels and measure this machine with small runs; started in a thread."""
         from .warm import example_run, search_seconds, tiny_run, warm_up
 
-        self.searches.append(search_seconds())
-        if not self.forks:
+        if self.settings.warm_up:
+            self.searches.append(search_seconds())
+        if self.settings.warm_up and not self.forks:
             with DEVICE:
-                warm_up(self.settings.device)
-                device = self.settings.device
+                warm_up(device := self.settings.device)
                 self.forecaster.calibrate(partial(tiny_run, device), partial(example_run, device))
         self.warm.set()

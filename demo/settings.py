@@ -72,6 +72,10 @@ class Settings(Section):
     grace_minutes: float = Field(
         default=15, gt=0, description="Silence after which a visitor's files are removed [min]."
     )
+    warm_up: bool = Field(
+        default=True,
+        description="Load all kernels and measure the machine before the first visitor.",
+    )
     hosts: str = Field(
         default="", description="More host names the page answers to, with commas; * for any."
     )

@@ -37,8 +37,9 @@ def server(tmp_path_factory):
     folder = tmp_path_factory.mktemp("web")
     # Twelve seconds of grace only: the tests look at what is left behind.
     with serving(
-        folder, gaussians=1000, max_queue=4, max_upload_mb=2, max_file_mb=3, grace_minutes=0.2
-    ) as running:
+        folder, gaussians=1000, max_queue=4, max_upload_mb=2, max_file_mb=3, grace_minutes=0.2,
+        warm_up=False,
+    ) as running:  # fmt: skip
         yield running
 
 

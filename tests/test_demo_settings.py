@@ -208,6 +208,14 @@ def test_the_page_measures_this_machine_before_the_first_visitor(tmp_path):
     assert all(0 < value < 60 for value in measured.values())
 
 
+def test_a_page_that_is_not_warmed_up_is_ready_at_once(tmp_path):
+    studio = Studio(Settings(warm_up=False), Visitors(tmp_path))
+    written = dict(vars(studio.forecaster.rates))
+    studio.warm_up()
+    assert studio.warm.is_set() and not studio.searches
+    assert vars(studio.forecaster.rates) == written
+
+
 def test_stops_are_those_of_the_scene_and_follow_what_was_measured():
     forecaster, scene = Estimator(), Scene.named("press").replaced({"accuracy": "draft"})
     stops = forecaster.stops(scene)
