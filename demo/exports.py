@@ -18,6 +18,7 @@ from phy124.io.files import staged
 from phy124.io.formats import FORMATS, WRITTEN, Format
 from phy124.rendering.film import cameras
 from phy124.rendering.framing import fitted
+from phy124.rendering.shine import glossed
 from phy124.rendering.stage.build import stage_of
 from phy124.rendering.stage.packing import packed
 from phy124.scene import View
@@ -69,7 +70,8 @@ def _html(done: Done, path: Path) -> None:
     view = fitted(clip, View.model_validate(clip.scene["view"]))
     around = packed(stage_of(clip, view), clip)
     first = cameras(clip, view, "front")[0]
-    write_html(path, clip, first, background=view.background, stage=around)
+    shown, gloss = glossed(clip, view)
+    write_html(path, shown, first, background=view.background, stage=around, shine=gloss)
 
 
 def _ply(done: Done, path: Path) -> None:

@@ -24,6 +24,7 @@ PLAYER = (
     + '<script src="phy124/viewer/vendor/playcanvas.min.js"></script>'
     + '<script src="phy124/viewer/pack.js"></script>'
     + '<script src="phy124/viewer/stage.js"></script>'
+    + '<script src="phy124/viewer/shine.js"></script>'
     + '<script src="phy124/viewer/player.js"></script>'
     + '<link rel="stylesheet" href="phy124/viewer/player.css">'
 )

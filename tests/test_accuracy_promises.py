@@ -7,7 +7,7 @@ import pytest
 
 from phy124.accuracy import load, promises
 from phy124.accuracy.load import Load, spoken
-from phy124.accuracy.promises import motion_of, promise, table, violence
+from phy124.accuracy.promises import kept, motion_of, promise, table, violence
 from phy124.io.ply import write_ply
 from phy124.monitor.tearing import Tearing
 from phy124.pipeline import simulate
@@ -47,7 +47,6 @@ def test_presets_are_promised_what_was_measured(name):
     [
         ({"material.E": 2e3}, "so violent, or so soft"),
         ({"object.velocity": [0, 0, -30]}, "so violent, or so soft"),
-        ({"time.frames": 200}, "for so long"),
         ({"accuracy": {"cells": 8}}, "on so coarse a grid"),
         ({"accuracy": {"cells": 32, "particles_per_axis": 1.0}}, "fewer than 2 particles per cell"),
         ({"parts": [{"region": {}, "material": {"law": "sand"}}]}, "several materials"),
@@ -58,6 +57,18 @@ def test_off_what_was_measured_nothing_is_promised(changes, why):
     assert said.error is None
     assert why in said.sentence
     assert "phy124 accuracy" in said.sentence
+
+
+def test_a_longer_scene_is_promised_what_was_measured_of_its_beginning():
+    press = Scene.named("press").replaced({"accuracy": "draft"})
+    brief, longer = (promise(press.replaced({"time.frames": n})) for n in (14, 48))
+    assert brief.seconds is None and "in the first" not in brief.sentence
+    assert longer.error == brief.error and longer.seconds == pytest.approx(13 / 24)
+    assert "of the object's size in the first 0.54 s. Measured" in longer.sentence
+    assert "What follows, up to 1.96 s, was not measured." in longer.brief
+    assert longer.off(3.0).endswith("(3 px) in the first 0.54 s")
+    assert kept(longer, 0.5).endswith("for the first 0.54 s only; measured here: 50.0%")
+    assert kept(brief, 0.5).startswith("DOES NOT HOLD")
 
 
 def test_a_grid_between_two_is_promised_the_error_of_the_coarser(monkeypatch):
@@ -164,7 +175,7 @@ def test_simulate_prints_what_is_promised(tmp_path, capsys):
     small = ["--frames", "2", "--accuracy", "draft", "--size", "16", "--views", "front"]
     arguments = ["simulate", str(tmp_path / "b.ply"), "--out", str(tmp_path / "o"), *small]
     assert main([*arguments, "--scene", "press", "--device", "cpu"]) == 0
-    said = promise(Scene.named("press").replaced({"accuracy": "draft"})).sentence
+    said = promise(Scene.named("press").replaced({"accuracy": "draft", "time.frames": 2})).sentence
     assert said in capsys.readouterr().out
 
 

@@ -231,7 +231,8 @@ def test_stops_are_those_of_the_scene_and_follow_what_was_measured():
 
 
 def test_what_was_not_measured_is_not_promised():
-    scene = Scene.named("drop").replaced({"material.law": "fluid", "time.frames": 100})
+    changes = {"material.law": "fluid", "object.velocity": [0, 0, -30]}
+    scene = Scene.named("drop").replaced(changes)
     forecast = Estimator()(scene)
     assert forecast.promise.error is None
     assert "Expected error: not measured for fluid" in forecast.sentence

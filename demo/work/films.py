@@ -12,6 +12,7 @@ from phy124.io.export.html import pack
 from phy124.io.video import write_animation
 from phy124.rendering.frames import render_frames
 from phy124.rendering.framing import fitted
+from phy124.rendering.shine import glossed
 from phy124.rendering.stage.build import stage_of
 from phy124.rendering.stage.packing import packed
 from phy124.runtime.stopwatch import Stopwatch
@@ -50,7 +51,9 @@ def film(order: Order, clips: Path, out: Path, limits: Limits) -> None:
         with watch.stage("save"):
             first = pipeline.cameras(clip, view, "front")[0]
             around = stage_of(clip, view, device=order.device)
-            data = pack(clip, first, background=view.background, stage=packed(around, clip))
+            shown, gloss = glossed(clip, view)
+            staged = packed(around, clip)
+            data = pack(shown, first, background=view.background, stage=staged, shine=gloss)
             (folder / "clip.pack").write_bytes(data)
             tell(Step("save", 1, 2))
             turning = pipeline.cameras(clip, view, "orbit")

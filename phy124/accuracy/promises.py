@@ -3,8 +3,9 @@
 `make accuracy` runs each law in each kind of motion on a series of grids and writes to
 measured.json the error of each grid, and how violent and how long the scenes were. A scene is
 promised the error of its law and kind of motion, on a grid as coarse as its own or coarser, if it
-is no more violent and not much longer. Otherwise nothing is promised: the error is "not measured",
-and a study of the scene itself (`phy124 accuracy`) measures it.
+is no more violent; one that lasts longer is promised it for as long as was measured. Otherwise
+nothing is promised: the error is "not measured", and a study of the scene itself
+(`phy124 accuracy`) measures it.
 
 All sentences about errors, of the command line and of the page, are in this module.
 """
@@ -42,13 +43,16 @@ class Promise:
     """The error that a scene may be promised before it runs, or why there is none."""
 
     error: float | None
-    """RMS distance of the Gaussians from the exact motion over the clip, in object sizes."""
+    """RMS distance of the Gaussians from the exact motion over the clip, in object sizes; over its
+    first `seconds` if these are given."""
     why: str
     """A sentence: where the number comes from, or why there is none."""
     unmeasured: str = ""
     """The kind of scene that was not measured, if that is why there is none."""
     own: bool = False
     """Whether it was measured on this scene itself."""
+    seconds: float | None = None
+    """How much of the clip was measured, from its start [s]; None: all of it."""
 
     @property
     def sentence(self) -> str:
@@ -57,7 +61,9 @@ class Promise:
             return f"Error of this scene: about {self.error:.1%} of its size. {self.why}"
         if self.error is None:
             return f"Expected error: {self.why}"
-        return f"Expected error: at most {self.error:.1%} of the object's size. {self.why}"
+        return (
+            f"Expected error: at most {self.error:.1%} of the object's size{self._span}. {self.why}"
+        )
 
     @property
     def brief(self) -> str:
@@ -81,7 +87,13 @@ class Promise:
         """The error of a run in a few words; `pixels` is the same error in the video."""
         if self.error is None or pixels is None:
             return UNMEASURED
-        return f"off by {'about' if self.own else 'at most'} {self.error:.1%} ({pixels:.0f} px)"
+        how = "about" if self.own else "at most"
+        return f"off by {how} {self.error:.1%} ({pixels:.0f} px){self._span}"
+
+    @property
+    def _span(self) -> str:
+        """The part of the clip that was measured, if it is not all of it."""
+        return "" if self.seconds is None else f" in the first {self.seconds:.2f} s"
 
 
 def promise(scene: Scene, report: Mapping[str, Any] | None = None) -> Promise:
@@ -106,17 +118,17 @@ def promise(scene: Scene, report: Mapping[str, Any] | None = None) -> Promise:
         )
     if violence(scene) > MARGIN * found["violence"]:
         return _unknown(f"{such} so violent, or so soft")
-    if length(scene) > MARGIN * found["length"]:
-        return _unknown(f"{such} for so long")
     grids = {int(cells): error for cells, error in found["errors"].items() if error is not None}
     within = [cells for cells in grids if cells <= scene.resolution.cells]
     if not within:
         return _unknown(f"{such} on so coarse a grid")
     about = ", ".join(found["from"])
-    return Promise(
-        grids[max(within)],
-        f"Measured at D/{max(within)} for {such} ({about}; {table()['object']}).",
-    )
+    why = f"Measured at D/{max(within)} for {such} ({about}; {table()['object']})."
+    longer = length(scene) > MARGIN * found["length"]
+    if not longer:
+        return Promise(grids[max(within)], why)
+    why += f" What follows, up to {_until(scene):.2f} s, was not measured."
+    return Promise(grids[max(within)], why, seconds=found["length"] * _unit(scene))
 
 
 def motion_of(scene: Scene) -> Motion:
@@ -148,8 +160,17 @@ def violence(scene: Scene) -> float:
 
 def length(scene: Scene) -> float:
     """Duration of a scene in units of sqrt(size / 9.81 m/s^2)."""
-    seconds = (scene.time.frames - 1) / scene.time.fps
-    return seconds / math.sqrt(scene.object.size / 9.81)
+    return _until(scene) / _unit(scene)
+
+
+def _until(scene: Scene) -> float:
+    """The instant of the last frame [s]."""
+    return (scene.time.frames - 1) / scene.time.fps
+
+
+def _unit(scene: Scene) -> float:
+    """The unit of length of a scene's motion [s]."""
+    return math.sqrt(scene.object.size / 9.81)
 
 
 @cache
@@ -199,12 +220,15 @@ def off(error: float | None, *, torn: bool = False) -> str:
     return "no error" if error is None else f"off by about {error:.1%}"
 
 
-def kept(promised: float | None, error: float) -> str:
+def kept(promised: Promise, error: float) -> str:
     """Whether the promised error holds in this scene, where it was measured."""
-    if promised is None:
+    if promised.error is None:
         return f"none was made for such a scene; measured here: {error:.1%}"
-    verdict = "holds" if error <= promised else "DOES NOT HOLD"
-    return f"{verdict}: {error:.1%} of at most {promised:.1%}"
+    if promised.seconds is not None:
+        only = f"the first {promised.seconds:.2f} s only"
+        return f"at most {promised.error:.1%} was made for {only}; measured here: {error:.1%}"
+    verdict = "holds" if error <= promised.error else "DOES NOT HOLD"
+    return f"{verdict}: {error:.1%} of at most {promised.error:.1%}"
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -331,7 +331,7 @@ def kept_promises(scene: Scene, rows: tuple[Row, ...], found: Convergence) -> di
             said[name] = f"cannot be judged: {found.why_not}"
         else:
             promised = promise(scene.model_copy(update={"accuracy": name}))
-            said[name] = kept(promised.error, row.error)
+            said[name] = kept(promised, row.error)
     return said
 
 

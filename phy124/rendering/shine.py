@@ -13,6 +13,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -121,6 +122,27 @@ class Shine:
             sh[at, 1:], sh[at, 0] = 0, (lit - 0.5) / SH_C0
         return replace(frame, gaussians=replace(gaussians, sh=sh, quats=quats, scales=scales))
 
+    def packed(self, clip: Clip) -> tuple[Clip, dict[str, Any]]:
+        """The clip as the player draws it, fluids as discs, and what shines in it as plain data.
+
+        Args:
+            clip: The same clip.
+        """
+        quats, scales = clip.quats.copy(), clip.scales.copy()
+        for law, which in self._parts.items():
+            for frame in clip.frames():
+                _, *shapes = self._surface(law, frame, which)
+                if shapes:
+                    quats[frame.index, which], scales[frame.index, which] = shapes
+        # The player blends quaternions of neighbouring frames: of each turn the nearer one.
+        for before, after in pairwise(quats):
+            after[(before * after).sum(axis=1) < 0] *= -1
+        laws = [
+            {"gloss": list(GLOSSES[law]), "outwards": law != "metal", "runs": runs_of(which)}
+            for law, which in self._parts.items()
+        ]
+        return replace(clip, quats=quats, scales=scales), {"lamp": LAMP.tolist(), "laws": laws}
+
     def _surface(self, law: str, frame: Frame, which: NDArray) -> tuple[NDArray, ...]:
         """Normals [N,3] of Gaussians of a law, and of a fluid the shapes that it is drawn with."""
         key = frame.index, law
@@ -151,6 +173,18 @@ def shine_of(clip: Clip, view: View) -> Shine | None:
     """
     shine = Shine(clip) if view.shine else None
     return shine if shine is not None and shine.any else None
+
+
+def glossed(clip: Clip, view: View) -> tuple[Clip, dict[str, Any] | None]:
+    """The clip as the player draws it, and what shines in it; the clip itself if nothing does."""
+    shine = shine_of(clip, view)
+    return (clip, None) if shine is None else shine.packed(clip)
+
+
+def runs_of(which: NDArray) -> list[list[int]]:
+    """Rising numbers as runs of the first and one past the last."""
+    return [[int(run[0]), int(run[-1]) + 1]
+            for run in np.split(which, np.flatnonzero(np.diff(which) > 1) + 1)]  # fmt: skip
 
 
 class _Field:

@@ -198,12 +198,14 @@ def _result(
         write_json(here / "report.json", report)
         with watch.stage("store"):
             size = storage.store(folder, here)
+    promised = promise(scene, report)
     return {
         "status": "done" if report["complete"] else "stopped",
         "sentence": report["stopped"],
         "folder": folder,
         "bytes": size,
-        "error": promise(scene, report).error,
+        "error": promised.error,
+        "error_seconds": promised.seconds,
         **_numbers(report),
     }
 

@@ -36,13 +36,15 @@ from phy124.io.files import replacing
 
 VIEWER = Path(__file__).parents[1] / "viewer"
 """Folder of the player's scripts; the web page serves them from here too."""
-SCRIPTS = ("vendor/playcanvas.min.js", "pack.js", "stage.js", "player.js")
+SCRIPTS = ("vendor/playcanvas.min.js", "pack.js", "stage.js", "shine.js", "player.js")
 STYLE = "player.css"
 LICENCE = "vendor/LICENSE-playcanvas.txt"
 TALLEST = 4.0
 """Log of the largest change of scale that is stored: exp(4) = 55 times; more is clipped."""
 Staged = tuple[dict[str, Any], NDArray[np.uint8]]
 """A stage as plain data and its shadow maps [T,C,C] (phy124/rendering/stage/packing.py)."""
+Glossy = dict[str, Any]
+"""What shines and how, as plain data (phy124/rendering/shine.py)."""
 PERCENTILES = (1, 99)
 """Ends of the colour ramp of stretch, as percentiles, so that single Gaussians do not set it."""
 
@@ -53,6 +55,7 @@ def pack(
     *,
     background: tuple[float, ...] = (1.0, 1.0, 1.0),
     stage: Staged | None = None,
+    shine: Glossy | None = None,
 ) -> bytes:
     """The clip in the form the player reads.
 
@@ -61,6 +64,7 @@ def pack(
         camera: The first view; its picture size does not matter.
         background: Colour behind the Gaussians, 0..1.
         stage: What stands behind and around them instead.
+        shine: What shines, of a clip whose Gaussians are shaped for it.
 
     Raises:
         InputError: If the clip is empty.
@@ -86,6 +90,8 @@ def pack(
     shades = []
     if stage is not None:
         head["stage"], shades = stage[0], [_differences(stage[1])]
+    if shine is not None:
+        head["shine"] = shine
     arrays = [
         _colours(clip),
         rest.astype("<f4"),
@@ -108,6 +114,7 @@ def write_html(
     title: str = "phy124",
     background: tuple[float, ...] = (1.0, 1.0, 1.0),
     stage: Staged | None = None,
+    shine: Glossy | None = None,
     viewer: Path = VIEWER,
 ) -> None:
     """Write one HTML file that plays in any browser with WebGL 2, without a network.
@@ -119,13 +126,15 @@ def write_html(
         title: Title of the page.
         background: Colour behind the Gaussians, 0..1.
         stage: What stands behind and around them instead.
+        shine: What shines, of a clip whose Gaussians are shaped for it.
         viewer: Folder of the player's scripts.
 
     Raises:
         InputError: If the clip is empty, the player is not installed or the file cannot be written.
     """
     parts = {name: _asset(viewer / name) for name in (*SCRIPTS, STYLE, LICENCE)}
-    data = base64.b64encode(pack(clip, camera, background=background, stage=stage)).decode()
+    made = pack(clip, camera, background=background, stage=stage, shine=shine)
+    data = base64.b64encode(made).decode()
     scripts = "".join(f"<script>{parts[name]}</script>\n" for name in SCRIPTS)
     page = PAGE.format(
         title=html.escape(title),

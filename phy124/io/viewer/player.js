@@ -31,7 +31,7 @@ globalThis.Phy124Player = (() => {
     vec3 getCenter() { return loadPhyCentre().xyz; }
     vec4 getRotation() { return loadPhyRotation(); }
     vec3 getScale() { return loadPhyScale().xyz; }
-    vec4 getColor() { return loadPhyColour(); }`;
+    `;
 
   class Stage {
     constructor(canvas, pack) {
@@ -63,7 +63,9 @@ globalThis.Phy124Player = (() => {
 
     addSplats(device) {
       const streams = Object.values(STREAMS).map((name) => ({ name, format: pc.PIXELFORMAT_RGBA32F }));
-      const format = new pc.GSplatFormat(device, streams, { readGLSL: READ, readWGSL: '' });
+      const read = READ + Phy124Shine.reads(this.pack.shine);
+      const format = new pc.GSplatFormat(device, streams, { readGLSL: read, readWGSL: '' });
+      this.laws = Phy124Shine.laws(this.pack);
       const box = this.container = new pc.GSplatContainer(device, this.pack.n, format);
       const { low, high } = this.pack;
       const half = low.map((v, c) => (high[c] - v) / 2 + 0.1);
@@ -83,6 +85,7 @@ globalThis.Phy124Player = (() => {
       this.blend.at(frame, out);
       if (this.around) this.around.show(frame);
       for (let i = 0; i < n; i++) for (let c = 0; c < 3; c++) box.centers[i * 3 + c] = out.centre[i * 4 + c];
+      for (let i = 0; i < n; i++) out.centre[i * 4 + 3] = colouring === 'photo' ? this.laws[i] : 0;
       this.paint(frame, colouring, out.scale);
       for (const key of ['centre', 'rotation', 'scale']) box.getTexture(STREAMS[key]).unlock();
       box.update(n, true);
@@ -121,6 +124,10 @@ globalThis.Phy124Player = (() => {
         const down = [ahead[1] * right[2] - ahead[2] * right[1], ahead[2] * right[0] - ahead[0] * right[2], ahead[0] * right[1] - ahead[1] * right[0]];
         const { width, height } = this.canvas, focal = height / 2 / Math.tan(this.pack.view.fov * Math.PI / 360);
         this.around.look(eye, [right, down, ahead], focal, [width, height]);
+      }
+      if (this.pack.shine) {
+        this.entity.gsplat.setParameter('uSeenFrom', eye);
+        this.entity.gsplat.workBufferUpdate = pc.WORKBUFFER_UPDATE_ONCE;
       }
       this.camera.setPosition(eye[0], eye[2], -eye[1]);
       this.camera.lookAt(target[0], target[2], -target[1]);

@@ -1,0 +1,58 @@
+/* Highlights and reflections on what is fluid or metal, lit for each camera by the shader that reads
+ * the Gaussians. The same as `reflected` of phy124/rendering/shine.py, line by line; a pack's header
+ * says which Gaussians shine and how. Their normal is their shortest axis: a fluid's surface is made
+ * of discs whose z axis points outwards, metal's of Gaussians that are seen from both sides.
+ */
+'use strict';
+globalThis.Phy124Shine = (() => {
+  const PLAIN = 'vec4 getColor() { return loadPhyColour(); }';
+
+  const lit = ({ lamp, laws }) => `
+    uniform vec3 uSeenFrom;
+    struct Gloss { float least, most, tint, highlight, sharpness, ground; bool outwards; };
+
+    Gloss glossOf(int law) {
+      ${laws.map(({ gloss, outwards }, k) => `if (law == ${k + 1}) return Gloss(${gloss.map((v) => v.toFixed(4))}, ${outwards});`).join('\n')}
+      return Gloss(0.0, 0.0, 0.0, 0.0, 1.0, 1.0, false);
+    }
+
+    /** The shortest axis; none of a fluid's balls, which are inside of it. */
+    vec3 normalOf(vec3 scale, vec4 q, bool outwards) {
+      if (outwards && scale.z > 0.6 * min(scale.x, scale.y)) return vec3(0.0);
+      vec3 axis = scale.z <= min(scale.x, scale.y) ? vec3(0.0, 0.0, 1.0)
+        : scale.y <= scale.x ? vec3(0.0, 1.0, 0.0) : vec3(1.0, 0.0, 0.0);
+      return axis + 2.0 * cross(q.yzw, cross(q.yzw, axis) + q.x * axis);
+    }
+
+    vec4 getColor() {
+      vec4 colour = loadPhyColour(), centre = loadPhyCentre();
+      int law = int(centre.w + 0.5);
+      if (law == 0) return colour;
+      Gloss gloss = glossOf(law);
+      vec3 towards = normalize(uSeenFrom - centre.xyz);
+      vec3 n = normalOf(loadPhyScale().xyz, loadPhyRotation(), gloss.outwards);
+      float along = dot(n, towards);
+      if (along < 0.0 && !gloss.outwards) { n = -n; along = -along; }
+      if (along <= 0.0) return colour;
+      float grazing = 1.0 - min(along, 1.0), g = grazing * grazing;
+      float amount = gloss.least + (gloss.most - gloss.least) * g * g * grazing;
+      float sky = mix(gloss.ground, 1.0, smoothstep(-0.35, 0.75, 2.0 * along * n.z - towards.z));
+      vec3 lamp = vec3(${lamp.map((v) => v.toFixed(4))});
+      float light = pow(max(dot(n, normalize(towards + lamp)), 0.0), gloss.sharpness);
+      vec3 seen = sky * (1.15 * gloss.tint * colour.rgb + (1.0 - gloss.tint));
+      colour.rgb = clamp(mix(colour.rgb, seen, amount) + gloss.highlight * light, 0.0, 1.0);
+      return colour;
+    }`;
+
+  /** What reads a splat's colour, for the engine's shader. */
+  const reads = (shine) => (shine ? lit(shine) : PLAIN);
+
+  /** The law of each splat, counted from 1; 0 does not shine. */
+  function laws({ n, shine }) {
+    const found = new Uint8Array(n);
+    if (shine) shine.laws.forEach(({ runs }, k) => runs.forEach(([first, end]) => found.fill(k + 1, first, end)));
+    return found;
+  }
+
+  return { reads, laws };
+})();
