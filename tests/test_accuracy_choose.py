@@ -47,7 +47,13 @@ def quick(monkeypatch) -> Scene:
     monkeypatch.setattr(choose, "CHECK", 6)
     monkeypatch.setattr(choose, "CELLS", (8, 10, 12, 14, 16, 20, 24))
     return Scene.named("drop").replaced(
-        {"time.frames": 6, "object.lift": 0.05, "binding": "lattice", "view.size": 64}
+        {
+            "time.frames": 6,
+            "time.fps": 20.0,
+            "object.lift": 0.05,
+            "binding": "lattice",
+            "view.size": 64,
+        }
     )
 
 
@@ -74,7 +80,7 @@ def test_a_lax_goal_takes_a_cheap_level_and_checks_it_with_a_cheaper_one(quick):
 
 def soft(E: float) -> Scene:
     """A ball that spins itself to several times its width."""
-    quick = {"time.frames": 8, "binding": "lattice", "view.size": 64}
+    quick = {"time.frames": 8, "time.fps": 20.0, "binding": "lattice", "view.size": 64}
     return Scene.named("spin").replaced({"material.E": E, **quick})
 
 

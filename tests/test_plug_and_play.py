@@ -85,7 +85,7 @@ def test_one_box_from_four_generators_falls_and_bounces_alike(tmp_path):
         "lgm": as_lgm(box(12000, 0.015, 2)),
         "dreamgaussian": as_dreamgaussian(box(6000, 0.025, 3)),
     }
-    fall = {"object.lift": 0.5, "material.E": 4e4, "time.frames": 12}
+    fall = {"object.lift": 0.5, "material.E": 4e4, "time.frames": 12, "time.fps": 20.0}
     scene = Scene.named("drop").replaced({"accuracy": "draft", **fall})
     paths = {name: centre_path(g, scene, 500.0) for name, g in described.items()}
     figures = {name: apart(path, paths["arrays"]) for name, path in paths.items()}

@@ -9,7 +9,17 @@ from phy124.effects import Effects
 from phy124.gaussians import Gaussians
 from phy124.rendering.film import film
 from phy124.rendering.framing import cameras
-from phy124.rendering.shine import GLOSSES, LAMP, Shine, discs, reflected, shine_of, surface
+from phy124.rendering.shine import (
+    GLOSSES,
+    LAMP,
+    Shine,
+    discs,
+    glossed,
+    reflected,
+    runs_of,
+    shine_of,
+    surface,
+)
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
 from phy124.simulation import Simulation
@@ -100,6 +110,24 @@ def test_each_view_of_a_film_is_lit_and_its_time_is_told(water, tmp_path):
     assert np.array_equal(lit.means, frame.gaussians.means)
     assert not np.array_equal(lit.sh, frame.gaussians.sh) and np.isfinite(lit.sh).all()
     assert lit.rgb.max() > frame.gaussians.rgb.max() - 1e-6
+
+
+def test_the_player_gets_discs_whose_normals_point_outwards(water):
+    shown, gloss = glossed(water, Scene().view)
+    (law,) = gloss["laws"]
+    assert law["runs"] == water.report["shine"]["fluid"] and law["outwards"]
+    assert law["gloss"] == list(GLOSSES["fluid"])
+    for index in range(len(water)):
+        w, x, y, z = shown.quats[index].T
+        axis = np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=1)
+        flat = shown.scales[index, :, 2] < 0.5 * shown.scales[index, :, 0]
+        away = shown.means[index] - shown.means[index].mean(axis=0)
+        outwards = (axis * away).sum(axis=1) / np.linalg.norm(away, axis=1)
+        assert flat.mean() > 0.3 and np.median(outwards[flat]) > 0.8
+    assert ((shown.quats[1:] * shown.quats[:-1]).sum(axis=2) >= 0).all()
+    rubber = clip_of("neo_hookean")
+    assert glossed(rubber, Scene().view) == (rubber, None)
+    assert runs_of(np.array([2, 3, 4, 9])) == [[2, 5], [9, 10]]
 
 
 def test_broken_places_leave_the_others_as_they_are(water):

@@ -137,7 +137,7 @@ def test_the_soft_end_gives_way_more_and_the_report_says_so():
             "material.E": 1e5,
             "stiffness": {"kind": "gradient", "axis": "y", "first": 0.05, "last": 1.0},
             "accuracy": {"cells": 12},
-            "time.frames": 6,
+            "time.frames": 7,
         }
     )
     run = Simulation(ball(), scene)

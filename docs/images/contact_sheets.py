@@ -1,9 +1,9 @@
 """Make sheets/*.jpg and duck-press.webp beside this file: every preset on the example pictures.
 
-Rows are presets, columns every second frame from the front; the last row of each sheet shows the
-orbit of the first preset. sheets/substances.jpg has the presets that are about a substance, each on
-a picture that suits it, at draft. Run `python docs/images/contact_sheets.py [PICTURE ...]`; the
-word `substances` makes that one alone.
+Rows are presets, columns seven instants of each, from the front; the last row of each sheet shows
+the orbit of the first preset. sheets/substances.jpg has the presets that are about a substance,
+each on a picture that suits it, at draft. Run `python docs/images/contact_sheets.py [PICTURE ...]`;
+the word `substances` makes that one alone.
 """
 
 import sys
@@ -34,14 +34,16 @@ SUBSTANCES = {
     "wind": "potted_plant",
 }
 """Presets about a substance, and a picture for each."""
-SIZE = 160
+SIZE, COLUMNS = 160, 7
 
 
 def row(clip: Clip, scene: Scene, view: str) -> np.ndarray:
-    """Every second frame, side by side."""
+    """Seven instants from the first frame to the last, side by side."""
     small = scene.view.model_copy(update={"size": (SIZE, SIZE)})
-    images = list(render_frames(clip.frames(), pipeline.cameras(clip, small, view)))
-    return np.concatenate(images[::2], axis=1)
+    index = [round(i) for i in np.linspace(0, len(clip) - 1, COLUMNS)]
+    seen = pipeline.cameras(clip, small, view)
+    frames, chosen = [clip.frame(i) for i in index], [seen[i] for i in index]
+    return np.concatenate(list(render_frames(frames, chosen)), axis=1)
 
 
 def sheet(picture: Path, names: list[str]) -> np.ndarray:
@@ -54,13 +56,12 @@ def sheet(picture: Path, names: list[str]) -> np.ndarray:
 
 
 def substances() -> np.ndarray:
-    """The presets about a substance, as many frames of each as the shortest has."""
+    """The presets about a substance."""
     rows = []
     for name, picture in SUBSTANCES.items():
         clip = moved(made_of(example(picture)), name, accuracy="draft")
         rows.append(row(clip, Scene.named(name), "front"))
-    width = min(row.shape[1] for row in rows)
-    return np.concatenate([row[:, :width] for row in rows], axis=0)
+    return np.concatenate(rows, axis=0)
 
 
 def example(name: str) -> Path:

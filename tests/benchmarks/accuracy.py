@@ -29,10 +29,11 @@ from phy124.gaussians import Gaussians
 from phy124.io.clip import Clip
 from phy124.io.ply import write_ply
 from phy124.metrics import psnr
-from phy124.scene import Scene, preset_names
+from phy124.scene import preset_names
 from phy124.simulation import Simulation
 
 sys.path.insert(0, str(Path(__file__).parent))
+from presets import beginning
 from tables import DOCS, markdown, renew
 
 PICTURES = Path(__file__).parents[2] / "demo/examples"
@@ -110,7 +111,7 @@ def goal_rows(gaussians: Gaussians, wish: str) -> list[list[str]]:
     """For each preset scene: what was chosen, and its distance from a run two levels finer."""
     rows = []
     for name in preset_names():
-        scene, start = Scene.named(name), time.perf_counter()
+        scene, start = beginning(name), time.perf_counter()
         goal = Goal.error(wish)
         try:
             reached = reach(goal, gaussians, scene)
@@ -146,7 +147,7 @@ def time_rows(gaussians: Gaussians) -> list[list[str]]:
     for name, wish in (("press", 6), ("press", 15), ("sway", 15)):
         with tempfile.TemporaryDirectory() as folder:
             start = time.perf_counter()
-            result = pipeline.simulate(gaussians, Scene.named(name), folder, goal=Goal.time(wish))
+            result = pipeline.simulate(gaussians, beginning(name), folder, goal=Goal.time(wish))
             spent = time.perf_counter() - start
         cells = result.report["goal"]["cells"]
         rows.append([name, f"{wish} s", f"D/{cells}", f"{spent:.1f} s", f"{spent / wish:.2f}"])
@@ -158,7 +159,7 @@ def damping_table(gaussians: Gaussians) -> str:
     """The duck bounced by grid, with more and more viscosity: what is lost, what changes."""
     rows = []
     for damping in (0.0, 100.0, 200.0, 400.0):
-        scene, clips, lost = Scene.named("bounce").replaced({"material.damping": damping}), [], []
+        scene, clips, lost = beginning("bounce").replaced({"material.damping": damping}), [], []
         for cells in DAMPED_LEVELS:
             accuracy = scene.resolution.model_copy(update={"cells": cells})
             run = Simulation(gaussians, scene.model_copy(update={"accuracy": accuracy}))
@@ -181,7 +182,7 @@ def damping_table(gaussians: Gaussians) -> str:
 
 def cost_rows(gaussians: Gaussians) -> list[list[str]]:
     """One part of the method changed at a time: seconds by stage, change of the picture."""
-    base = Scene.named("press")
+    base = beginning("press")
     thinned = {n: thin(gaussians, n) for n in (12_500, 25_000)}
     cases = [
         ("as it is", gaussians, {}),
@@ -242,7 +243,7 @@ def studies(parts: list[str], *, docs: bool) -> dict[str, str]:
     for name, (picture, preset, changes, levels) in STUDIES.items():
         if not wants(parts, name):
             continue
-        start, scene = time.process_time(), Scene.named(preset).replaced(changes)
+        start, scene = time.process_time(), beginning(preset).replaced(changes)
         study = Study(static(picture), scene, levels=levels, told=lambda row: print(row.name))
         report = study.run()
         made[name] = study_table(report)

@@ -28,6 +28,7 @@ from phy124.scene import Scene, preset_names
 from phy124.simulation import Simulation
 
 sys.path.insert(0, str(Path(__file__).parent))
+from presets import beginning
 from promises import FLOWING, scene_of
 
 ROOT = Path(__file__).parents[2]
@@ -47,7 +48,7 @@ class Run(NamedTuple):
 
 def scenes() -> dict[str, tuple[str, Scene]]:
     """Name -> picture, scene."""
-    found = {f"{preset} {picture}": (picture, Scene.named(preset))
+    found = {f"{preset} {picture}": (picture, beginning(preset))
              for preset in preset_names() for picture in PICTURES}  # fmt: skip
     for law in FLOWING:
         found[f"drop {law} cupcake"] = ("cupcake", scene_of("drop", law, {}))

@@ -11,7 +11,9 @@ from pathlib import Path
 import warp as wp
 
 from phy124 import pipeline
-from phy124.scene import Scene
+
+sys.path.insert(0, str(Path(__file__).parent))
+from presets import beginning
 
 wp.config.log_level = wp.LOG_WARNING
 EXAMPLES = Path(__file__).parents[2] / "demo/examples"
@@ -20,7 +22,7 @@ RUNS = [("duck", "press"), ("sunflower", "push_right"), ("teddy", "drop"), ("pot
 
 def run(picture: str, scene: str, accuracy: str) -> dict:
     with tempfile.TemporaryDirectory() as folder:
-        chosen = Scene.named(scene).replaced({"accuracy": accuracy})
+        chosen = beginning(scene).replaced({"accuracy": accuracy})
         report = pipeline.generate(EXAMPLES / f"{picture}.png", chosen, folder).report
     row = {"picture": picture, "scene": scene, "accuracy": accuracy}
     row |= {key: report[key] for key in ("gaussians", "particles", "substeps", "frames", "device")}

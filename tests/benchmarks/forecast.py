@@ -13,9 +13,10 @@ import warp as wp
 
 from phy124 import pipeline
 from phy124.accuracy import Forecaster
-from phy124.scene import PRESETS, Scene, preset_names
+from phy124.scene import PRESETS, preset_names
 
 sys.path.insert(0, str(Path(__file__).parent))
+from presets import beginning
 from tables import DOCS, markdown, renew
 
 ALIKE = ("push_away", "push_right_harder")
@@ -25,7 +26,7 @@ DUCK = Path(__file__).parents[2] / "demo/examples/duck.png"
 
 def measure(gaussians, name: str, accuracy: str) -> dict:
     """One whole run with its forecast."""
-    scene = Scene.named(name).replaced({"accuracy": accuracy})
+    scene = beginning(name).replaced({"accuracy": accuracy})
     with tempfile.TemporaryDirectory() as folder:
         result = pipeline.simulate(gaussians, scene, folder, forecaster=Forecaster("cpu"))
     told, report = result.report["forecast"], result.report

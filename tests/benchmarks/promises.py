@@ -27,6 +27,7 @@ from phy124.scene import Scene
 from phy124.simulation import Simulation
 
 sys.path.insert(0, str(Path(__file__).parent))
+from presets import beginning
 from tables import DOCS, machine, markdown, renew
 
 ROOT = Path(__file__).parents[2]
@@ -48,8 +49,8 @@ SCENES = {
 
 
 def scene_of(preset: str, law: str, changes: dict[str, Any]) -> Scene:
-    """A preset of another law: springy ones as the preset has them, others as their law is."""
-    base = Scene.named(preset)
+    """A preset's beginning with another law: springy ones as it has them, others as they are."""
+    base = beginning(preset)
     plain: dict[str, Any] = {"law": law}
     if law in SPRINGY:
         plain |= base.material.model_dump(exclude={"law"})

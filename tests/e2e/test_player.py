@@ -15,9 +15,12 @@ from phy124.gaussians import Frame, Gaussians
 from phy124.io.clip import Clip
 from phy124.io.export.html import write_html
 from phy124.rendering.render import Renderer
+from phy124.rendering.shine import glossed, shine_of
 from phy124.rendering.stage.build import Stage, stage_of
 from phy124.rendering.stage.packing import packed
 from phy124.scene import Scene, View
+from phy124.simulation import Simulation
+from support.shapes import ball
 
 pytestmark = pytest.mark.browser
 CAMERA = Camera.orbit(30, 20, 2.2, 256)
@@ -90,6 +93,25 @@ def test_the_player_draws_the_same_stage(browser, tmp_path, rng):
             drawn(page, lambda now, wanted=wanted: psnr(now, wanted) > 30, "below 30 dB")
         page.locator(".phy-canvas").evaluate(GRAPHICS_ARE_LOST)
         drawn(page, lambda now: psnr(now, wanted) > 30, "below 30 dB after graphics were lost")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("law", ["fluid", "metal"])
+def test_the_player_lights_what_shines_as_we_do(browser, tmp_path, law):
+    changes = {"material.law": law, "accuracy": {"cells": 8}, "time.frames": 3}
+    clip = Simulation(ball(4000), Scene.named("drop").replaced(changes), threads=1).run()
+    (shown, gloss), shine = glossed(clip, View()), shine_of(clip, View())
+    write_html(tmp_path / "shine.html", shown, CAMERA, shine=gloss)
+    context = browser.new_context(offline=True, reduced_motion="reduce")
+    page = context.new_page()
+    page.goto(f"file://{tmp_path / 'shine.html'}")
+    page.wait_for_function("globalThis.player")
+    page.evaluate(f"player.stage.resize(256, 256); player.seek({clip.times[2]})")
+    frame, renderer = clip.frame(2), Renderer(device="cpu")
+    lit, dull = (255 * renderer(f.gaussians, CAMERA) for f in (shine.lit(frame, CAMERA), frame))
+    better = psnr(lit, dull) + 5
+    drawn(page, lambda now: psnr(now, lit) > max(better, 27), f"not {better:.0f} dB")
+    context.close()
 
 
 def test_clips_of_half_a_second_play_slowly_to_and_fro(browser, tmp_path, rng):
