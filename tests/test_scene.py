@@ -252,7 +252,7 @@ def test_a_scene_is_said_in_one_line():
     assert "viscosity 50 Pa s^n, flow_index 0.7); parts static; gravity; ground, press" in said
     assert said.endswith(
         "1 m over 32 cells, 2 particles per cell and axis, float32, "
-        "Gaussians riding on a lattice of particles; 28 frames at 24/s"
+        "Gaussians riding on a lattice of particles; 22 frames at 24/s"
     )
     assert "every Gaussian a particle;" in summary(scene.replaced({"binding": "particles"}))
     assert "\n" not in said

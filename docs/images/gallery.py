@@ -61,7 +61,7 @@ def shown(clip: Clip, scene: Scene) -> list[np.ndarray]:
 def row(preset: str, law: str, objects: list[Gaussians]) -> np.ndarray:
     """One law on all pictures, with its name in front."""
     changes = {"material.law": law, **EASED.get(law, {})}
-    scene = Scene.named(preset).replaced({"accuracy": "draft", "time.budget": 10.0, **changes})
+    scene = Scene.named(preset).replaced({"accuracy": "draft", "time.budget": 30.0, **changes})
     cells = [labelled(law)]
     for name, gaussians in zip(PICTURES, objects, strict=True):
         try:
