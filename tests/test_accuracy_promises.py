@@ -66,6 +66,7 @@ def test_a_longer_scene_is_promised_what_was_measured_of_its_beginning():
     assert longer.error == brief.error and longer.seconds == pytest.approx(13 / 24)
     assert "of the object's size in the first 0.54 s. Measured" in longer.sentence
     assert "What follows, up to 1.96 s, was not measured." in longer.brief
+    assert longer.missing == "error after 0.54 s not measured" and not brief.missing
     assert longer.off(3.0).endswith("(3 px) in the first 0.54 s")
     assert kept(longer, 0.5).endswith("for the first 0.54 s only; measured here: 50.0%")
     assert kept(brief, 0.5).startswith("DOES NOT HOLD")

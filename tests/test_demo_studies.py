@@ -132,7 +132,9 @@ def test_measuring_is_offered_where_nothing_was_measured_and_then_told(visit, ha
         text = studio.forecast("a", cutout, data)
         return handlers.run.with_stops(studio, "a", cutout, data, None, text)
 
-    assert "data-measure" not in shown(Scene.named("drop").data())
+    drop = Scene.named("drop")
+    assert "data-measure" not in shown(drop.replaced({"time.frames": 14}).data())
+    assert "Error after 0.65 s not measured; <button" in shown(drop.data())
     before = shown(data)
     assert "data-measure>Measure</button> takes " in before
     assert "phy124 accuracy" not in before, "a visitor has no command line"

@@ -9,7 +9,6 @@ import gradio as gr
 
 from phy124.accuracy.forecast import GUESS
 from phy124.accuracy.load import spoken
-from phy124.accuracy.promises import UNMEASURED
 from phy124.errors import InputError
 from phy124.scene import Scene
 
@@ -86,12 +85,12 @@ def _error_line(
     said = promise_of(scene, study)
     if study is not None:
         return f'<p class="measured">{said.measured}</p>'
-    if not said.unmeasured:
+    if not said.missing:
         return ""
     seconds = studio.study_seconds(name, source, scene, told)
     span = spoken(studio.forecaster.load().span(seconds, unsure=GUESS))
     button = '<button type="button" class="quiet" data-measure>Measure</button>'
-    return f"<p>{UNMEASURED.capitalize()}; {button} takes {span}.</p>"
+    return f"<p>{said.missing.capitalize()}; {button} takes {span}.</p>"
 
 
 def refiner(studio: Studio) -> Handler:

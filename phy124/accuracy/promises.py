@@ -78,6 +78,13 @@ class Promise:
         return "Error measured" if self.own else "Error promised", self.brief.partition(": ")[2]
 
     @property
+    def missing(self) -> str:
+        """What was not measured, in a few words; "" if all was, or if no error can be measured."""
+        if self.seconds is not None:
+            return f"error after {self.seconds:.2f} s not measured"
+        return UNMEASURED if self.unmeasured else ""
+
+    @property
     def measured(self) -> str:
         """The error measured on this scene, in a few words."""
         off = "no error can be promised" if self.error is None else f"about {self.error:.1%} off"
