@@ -5,7 +5,6 @@ from typing import cast
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from phy124.__main__ import main
 from phy124.camera import Camera
@@ -16,21 +15,18 @@ from phy124.fit.declaration import Fit, found_in
 from phy124.fit.estimate import estimate
 from phy124.fit.interval import bootstrap, extrapolated
 from phy124.fit.observation import at_times, refuse_outside
-from phy124.fit.picture import ONLY_FITTED, ONLY_SEEN, write_comparison
 from phy124.fit.points import Points
 from phy124.fit.problem import Distance, jacobian
 from phy124.fit.refine import refine
 from phy124.fit.runs import Runs
-from phy124.fit.silhouettes import Silhouettes
 from phy124.fit.table import Table, read_table
 from phy124.fit.target import Target
-from phy124.fit.video import read_film
 from phy124.gaussians import Gaussians
-from phy124.io.clip import Clip
 from phy124.io.ply import write_ply
 from phy124.parts import WHOLE
 from phy124.progress import silent
 from phy124.scene import Scene
+from support.falling import falling
 from support.oscillator import TRUTH, Oscillator
 from support.pages import PAGES, blocks
 
@@ -103,7 +99,7 @@ def test_effects_in_different_directions_are_told_apart():
 @pytest.mark.parametrize(
     ("names", "words"),
     [
-        (["material.E", "material.density"], "--forces"),
+        (["material.E", "material.density"], "force on a wall"),
         (["parts.0.material.E", "parts.0.material.density"], "newtons"),
         (["material.nu"], "sides"),
         (["object.velocity.2"], "fly"),
@@ -179,17 +175,6 @@ def test_a_target_longer_than_the_scene():
         refuse_outside("target", "x.csv", np.array([-1.0, 0.2]), 0.5)
 
 
-def falling(count=5):
-    """A clip of a cube of Gaussians that falls, and their places in the first frame."""
-    rest = np.stack(np.meshgrid(*[np.linspace(0, 1, 4)] * 3), -1).reshape(-1, 3)
-    times = np.arange(count) / 24
-    means = rest[None] - 4.9 * times[:, None, None] ** 2 * [0, 0, 1]
-    n = len(rest)
-    turned = np.broadcast_to([1.0, 0, 0, 0], (count, n, 4))
-    clip = Clip(means, turned, np.full((count, n, 3), 0.1), np.ones(n), np.zeros((n, 1, 3)), times)
-    return clip, rest
-
-
 def tracked(values, times, names):
     return Table(times, np.array(names), values, ("x", "y", "z"))
 
@@ -227,62 +212,6 @@ def test_between_frames_a_spline_is_read():
     times = np.arange(6) / 10
     assert at_times(times, times**3, np.array([0.25]))[0] == pytest.approx(0.25**3, rel=1e-6)
     assert at_times(times, times**3, np.array([0.20001]))[0] == times[2] ** 3
-
-
-def film_of(folder, places):
-    """A folder of pictures of a dark square on a light background."""
-    folder.mkdir()
-    for number, place in enumerate(places):
-        picture = np.full((64, 64, 3), 230, np.uint8)
-        if place is not None:
-            picture[place : place + 16, 20:36] = 40
-        Image.fromarray(picture).save(folder / f"{number:03d}.png")
-    return folder
-
-
-def test_silhouettes_are_cut_from_a_plain_background(tmp_path):
-    film = read_film(film_of(tmp_path / "film", [10, 20]))
-    assert film.masks.sum(axis=(1, 2)).tolist() == [256, 256]
-    camera = Camera.orbit(0, 10, 4, 128)
-    seen = Silhouettes(film, np.array([0, 0.1]), [camera] * 2)
-    assert seen.measured.sum() == pytest.approx(512, rel=0.01)
-    with pytest.raises(InputError, match=r"view\.size=\[64,64\]"):
-        Silhouettes(film, np.array([0, 0.1]), [Camera.orbit(0, 10, 4, (128, 64))])
-
-
-def test_pictures_are_kept_small(tmp_path):
-    """Two thousand large ones would not fit into memory."""
-    (tmp_path / "film").mkdir()
-    for number in range(2):
-        picture = np.full((400, 600, 3), 230, np.uint8)
-        picture[100:300, 100:300] = 40
-        Image.fromarray(picture).save(tmp_path / "film" / f"{number}.png")
-    film = read_film(tmp_path / "film")
-    assert film.pictures.shape == (2, 171, 256, 3)
-    assert film.masks.mean() == pytest.approx(1 / 6, rel=0.06)
-
-
-def test_the_comparison_shows_target_fitted_and_difference(tmp_path):
-    film = read_film(film_of(tmp_path / "film", [10, 20]))
-    clip, _ = falling()
-    camera = Camera.orbit(0, 10, 4, 64, target=(0.5, 0.5, 0.5))
-    write_comparison(tmp_path / "c.png", film, np.array([0, 0.1]), clip, [camera] * 5)
-    with Image.open(tmp_path / "c.png") as picture:
-        assert picture.size == (3 * 192, 2 * 192)
-        found = np.asarray(picture)
-    assert tuple(found[40, 90]) == (40, 40, 40), "the target"
-    assert tuple(found[40, 2 * 192 + 90]) == ONLY_SEEN
-    assert tuple(found[96, 2 * 192 + 96]) == ONLY_FITTED
-
-
-def test_films_that_show_nothing_are_refused(tmp_path):
-    with pytest.raises(InputError, match="picture 1 shows nothing"):
-        read_film(film_of(tmp_path / "film", [10, None]))
-    with pytest.raises(InputError, match="1 pictures"):
-        read_film(film_of(tmp_path / "short", [10]))
-    (tmp_path / "film.mp4").write_text("no film")
-    with pytest.raises(InputError, match="no video"):
-        read_film(tmp_path / "film.mp4")
 
 
 def test_a_budget_that_is_too_small_is_refused():

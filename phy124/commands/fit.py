@@ -38,6 +38,8 @@ class Fit:
     """Any other value of the scene, as KEY=VALUE."""
     forces: Annotated[str | None, help_of(Declared, "forces")] = None
     side: Annotated[str | None, help_of(Declared, "side")] = None
+    fps: Annotated[float | None, help_of(Declared, "fps")] = None
+    align: Annotated[bool, help_of(Declared, "align")] = False
     gaussians: Annotated[int | None, help_of(Declared, "gaussians")] = None
     grids: Annotated[str | None, help_of(Declared, "grids", example="16,24")] = None
     seconds: Annotated[float | None, help_of(Declared, "seconds")] = None
@@ -81,8 +83,10 @@ class Fit:
         data: dict[str, Any] = Declared.from_toml(self.target) if from_file else {}
         if not from_file:
             data["target"] = self.target
-        named = ("object", "scene", "forces", "side", "gaussians", "seconds", "seed")
+        named = ("object", "scene", "forces", "side", "fps", "gaussians", "seconds", "seed")
         data |= {name: getattr(self, name) for name in named if getattr(self, name) is not None}
+        if self.align:
+            data["align"] = True
         if self.grids is not None:
             data["grids"] = [part for part in self.grids.split(",") if part.strip()]
         for name, given in (("find", found_in(self.find)), ("set", assignments(self.set))):

@@ -27,10 +27,12 @@ SHARE = 0.3
 VAGUE = 0.5
 """Half of an interval of 95 %, as a part of the range, from which a value is not determined."""
 MODULI = ("E", "mu", "lambda", "bulk", "yield_stress", "hardening")
-FORCE = (
-    "measure the force on a wall (--forces plate.csv, or a clip of a scene with wrenches = true), "
-    'or load it with a known force in newtons ([[forces]] kind = "force")'
+FORCE = "measure the force on a wall, or load it with a known force in newtons"
+HOW = (
+    " (--forces plate.csv, or a clip of a scene with wrenches = true; "
+    '[[forces]] kind = "force" is a load)'
 )
+"""How the command line is given a force."""
 EXPERIMENTS = {
     "material.density": f"weigh it, or {FORCE}",
     "material.E": f"let it wobble freely after the load, or {FORCE}",
@@ -44,18 +46,32 @@ EXPERIMENTS = {
 """Path or a part of one -> the experiment that tells it."""
 
 
+class Undecided(InputError):
+    """Values that what was measured does not tell; `limit` says why."""
+
+    def __init__(self, field: str, value: object, limit: str, remedy: str, tell: str) -> None:
+        self.tell = tell
+        """The experiment that would tell, in words."""
+        super().__init__(field, value, limit, remedy)
+
+    def __reduce__(self) -> tuple[type, tuple[object, ...]]:
+        """Supports pickle."""
+        return type(self), (self.field, self.value, self.limit, self.remedy, self.tell)
+
+
 class Blind(NamedTuple):
     """Values that cannot be found, and why."""
 
     names: tuple[str, ...]
     why: str
 
-    def refusal(self) -> InputError:
+    def refusal(self) -> Undecided:
         """The refusal, with the experiment that would tell."""
         fixed = self.names[-1]
         tell = experiment(self.names)
-        remedy = f"To tell: {tell}; or give {fixed} by --set and find the others."
-        return InputError("find", ", ".join(self.names), self.why, remedy)
+        how = HOW if FORCE in tell else ""
+        remedy = f"To tell: {tell}{how}; or give {fixed} by --set and find the others."
+        return Undecided("find", ", ".join(self.names), self.why, remedy, tell)
 
 
 def experiment(names: Sequence[str]) -> str:

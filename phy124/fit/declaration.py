@@ -58,7 +58,9 @@ class Fit(Section):
         "video or folder of pictures."
     )
     object: str | None = Field(
-        default=None, description="Picture or file of Gaussians; a clip brings its own."
+        default=None,
+        description="Picture or file of Gaussians, or a clip at rest with its scene; a clip as "
+        "the target brings its own.",
     )
     scene: str | None = Field(
         default=None, description="Preset or .toml file; a clip brings its own."
@@ -77,6 +79,17 @@ class Fit(Section):
     )
     side: str = Field(
         default="front", description="Where pixels and videos are seen from, as the view names it."
+    )
+    fps: float | None = Field(
+        default=None,
+        gt=0,
+        le=1000,
+        description="Pictures per second of a video or folder; absent: as the file says, else as "
+        "the scene [1/s].",
+    )
+    align: bool = Field(
+        default=False,
+        description="Lay a video's first picture on the object at rest, as its camera is unknown.",
     )
     gaussians: int | None = Field(default=None, ge=1, description="Largest number of Gaussians.")
     grids: tuple[Cells, ...] = Field(

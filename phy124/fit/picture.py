@@ -1,9 +1,12 @@
-"""The comparison: what was filmed, what the fitted scene shows, and where they differ."""
+"""The comparison: what was filmed, what the fitted scene shows, and where they differ.
+
+As one picture of some instants, and as a film of all.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -12,9 +15,11 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from phy124.camera import Camera
+from phy124.fit.silhouettes import smaller
 from phy124.fit.table import Values
 from phy124.fit.video import Film
 from phy124.io.clip import Clip
+from phy124.io.video import write_mp4
 from phy124.rendering.render import Renderer, to_bytes
 
 ROWS = 8
@@ -25,39 +30,47 @@ BOTH, ONLY_SEEN, ONLY_FITTED = (225, 225, 225), (213, 94, 0), (0, 114, 178)
 """Colours of the difference, which colour-blind people tell apart, too."""
 
 
-def write_comparison(
-    path: Path, film: Film, times: Values, clip: Clip, cameras: Sequence[Camera]
-) -> None:
-    """Write one picture: a row per instant of target, fitted, and difference.
+@dataclass(frozen=True)
+class Comparison:
+    """A film beside the clip that was fitted to it, as the same camera sees both."""
 
-    Args:
-        path: The PNG file.
-        film: What was filmed.
-        times: When [T], s.
-        clip: The fitted scene.
-        cameras: What sees it, for each of its frames.
-    """
-    draw = Renderer(device="cpu")
-    shown = np.unique(np.linspace(0, len(times) - 1, min(ROWS, len(times))).round().astype(int))
-    rows = [_row(film, int(n), clip, cameras, float(times[n]), draw) for n in shown]
-    Image.fromarray(np.concatenate(rows)).save(path)
+    film: Film
+    times: Values
+    """When its pictures were taken [T], s."""
+    clip: Clip
+    """The fitted scene."""
+    cameras: Sequence[Camera]
+    """What sees it, for each of its frames."""
 
+    def write_sheet(self, path: Path) -> None:
+        """Write one picture: a row per instant of target, fitted, and difference."""
+        count = len(self.times)
+        shown = np.unique(np.linspace(0, count - 1, min(ROWS, count)).round().astype(int))
+        Image.fromarray(np.concatenate([*self._rows(shown)])).save(path)
 
-def _row(
-    film: Film, number: int, clip: Clip, cameras: Sequence[Camera], time: float, draw: Renderer
-) -> NDArray[np.uint8]:
-    """Target, fitted, and difference at an instant."""
-    frame = int(np.abs(clip.times - time).argmin())
-    camera = cameras[frame]
-    part = HEIGHT / camera.height
-    size = (round(camera.width * part), HEIGHT)
-    shift = (camera.shift[0] * part, camera.shift[1] * part)
-    seen = replace(camera, width=size[0], height=size[1], shift=shift)
-    fitted = draw(clip.frame(frame).gaussians, seen, alpha=True)
-    target = cv2.resize(film.pictures[number], size, interpolation=cv2.INTER_AREA)
-    mask = cv2.resize(film.masks[number].astype(np.float32), size, interpolation=cv2.INTER_AREA)
-    apart = difference(mask > 0.5, fitted[..., 3] > 0.5)
-    return np.concatenate([target, to_bytes(fitted[..., :3]), apart], axis=1)
+    def write_film(self, path: Path, fps: float) -> None:
+        """Write an MP4 of all pictures: target, fitted, and difference side by side.
+
+        Args:
+            path: The file.
+            fps: Pictures per second.
+        """
+        write_mp4(path, self._rows(range(len(self.times))), fps=fps)
+
+    def _rows(self, shown: Iterable[int]) -> Iterator[NDArray[np.uint8]]:
+        """Target, fitted, and difference at some instants."""
+        draw = Renderer(device="cpu")
+        for number in shown:
+            frame = int(np.abs(self.clip.times - self.times[number]).argmin())
+            camera = self.cameras[frame]
+            size = (round(camera.width * HEIGHT / camera.height), HEIGHT)
+            seen = smaller(camera, size)
+            fitted = draw(self.clip.frame(frame).gaussians, seen, alpha=True)
+            target = cv2.resize(self.film.pictures[number], size, interpolation=cv2.INTER_AREA)
+            mask = self.film.masks[number].astype(np.float32)
+            covered = cv2.resize(mask, size, interpolation=cv2.INTER_AREA)
+            apart = difference(covered > 0.5, fitted[..., 3] > 0.5)
+            yield np.concatenate([target, to_bytes(fitted[..., :3]), apart], axis=1)
 
 
 def difference(seen: NDArray[np.bool_], fitted: NDArray[np.bool_]) -> NDArray[np.uint8]:

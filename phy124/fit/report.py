@@ -8,9 +8,13 @@ from typing import Any
 from phy124.fit.estimate import Estimate
 from phy124.fit.problem import Distance
 from phy124.fit.runs import Runs
+from phy124.fit.silhouettes import Silhouettes
 from phy124.fit.table import Values
 from phy124.fit.target import Target
 from phy124.io.clip import Clip
+
+FASTEST = 240.0
+"""Most pictures per second of the comparison."""
 
 
 def report_of(
@@ -46,6 +50,7 @@ def report_of(
             {"cells": cells, "values": runs.values(place), "misfit": misfit}
             for cells, place, misfit in zip(found.grids, found.places, found.misfits, strict=True)
         ],
+        "tried": [one._asdict() for one in runs.tried],
         "runs": runs.made,
         "runs_kept": runs.kept,
         "cpu_seconds": round(runs.seconds, 2),
@@ -53,6 +58,39 @@ def report_of(
         "notes": [*found.notes, *stopped],
         "declared": target.declared.model_dump(mode="json", exclude_none=True),
     }
+
+
+def pictures(target: Target, runs: Runs, clip: Clip) -> dict[str, Any]:
+    """How far the silhouettes are off in each picture of a film, fitted and as the scene was.
+
+    Args:
+        target: What was measured; a film.
+        runs: What was run.
+        clip: The scene with the values found, on its own grid.
+    """
+    (seen,) = (part for part in target.observations.parts if isinstance(part, Silhouettes))
+    assert target.film is not None
+    before = runs.player(target.played.data())[0]
+    fitted = target.observations.predicted(clip) if clip.report["complete"] else None
+    place = next(kind.place for kind in runs.kinds if kind.name == seen.name)
+    told = {
+        name: None if one is None else seen.apart(one[place]).round(5).tolist()
+        for name, one in (("before", before), ("fitted", fitted))
+    }
+    return {
+        "fps": min(target.rate_of(target.film), FASTEST),
+        "times": target.times_of(target.film).round(5).tolist(),
+        "was": {name: at(target.scene.data(), name) for name in runs.names},
+        **told,
+        "laid": target.laid and target.laid._asdict(),
+    }
+
+
+def at(data: Any, path: str) -> Any:
+    """What plain data has at a dotted path."""
+    for part in path.split("."):
+        data = data[int(part)] if isinstance(data, list | tuple) else data[part]
+    return data
 
 
 def table(report: dict[str, Any]) -> str:

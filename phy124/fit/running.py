@@ -13,15 +13,19 @@ import numpy as np
 from phy124.fit.budget import Budget, Outlook, outlook
 from phy124.fit.declaration import Fit
 from phy124.fit.estimate import Estimate, estimate
-from phy124.fit.picture import write_comparison
-from phy124.fit.report import report_of, table
+from phy124.fit.page import write_page
+from phy124.fit.picture import Comparison
+from phy124.fit.report import pictures, report_of, table
 from phy124.fit.runs import Runs
 from phy124.fit.target import Target
+from phy124.fit.video import Film
+from phy124.io.clip import Clip
 from phy124.io.files import staged
 from phy124.progress import Progress, silent
 from phy124.scene import Scene
 
-SCENE, REPORT, COMPARISON = "fitted.toml", "fit.json", "comparison.png"
+SCENE, REPORT = "fitted.toml", "fit.json"
+SHEET, FILM, PAGE = "comparison.png", "comparison.mp4", "comparison.html"
 
 
 @dataclass(frozen=True)
@@ -94,10 +98,18 @@ def _written(target: Target, runs: Runs, budget: Budget, found: Estimate, out: P
     report = report_of(target, runs, found, clip, seconds=budget.spent)
     with staged(out) as folder:
         (folder / SCENE).write_text(scene.to_toml(), "utf-8")
+        if target.film is not None:
+            report["pictures"] = pictures(target, runs, clip)
+            _compare(target, target.film, clip, report, folder)
         text = json.dumps(report, indent=2, allow_nan=False) + "\n"
         (folder / REPORT).write_text(text, "utf-8")
-        if target.film is not None:
-            times, seen = target.times_of(target.film), target.seen_by()
-            write_comparison(folder / COMPARISON, target.film, times, clip, seen)
         names = sorted(path.name for path in folder.iterdir())
     return Fitted(scene, report, tuple(out / name for name in names))
+
+
+def _compare(target: Target, film: Film, clip: Clip, report: dict[str, Any], folder: Path) -> None:
+    """Write film and fitted scene side by side: some instants, all as a film, and a page."""
+    both = Comparison(film, target.times_of(film), clip, target.seen_by())
+    both.write_sheet(folder / SHEET)
+    both.write_film(folder / FILM, report["pictures"]["fps"])
+    write_page(folder / PAGE, report, folder / FILM)

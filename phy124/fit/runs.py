@@ -11,14 +11,14 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from phy124.fit.budget import Budget
 from phy124.fit.declaration import Fit
 from phy124.fit.observation import Observations
-from phy124.fit.problem import Places
+from phy124.fit.problem import Distance, Places
 from phy124.fit.table import Values
 from phy124.fit.target import Target
 from phy124.gaussians import Gaussians
@@ -35,8 +35,19 @@ FOLDER = "runs"
 """Where predictions are kept."""
 DIGITS = 6
 """Significant digits of a value in a scene."""
+
 Played = tuple[Values | None, float]
 """A prediction, None if the run stopped early, and the processor time it took [s]."""
+
+
+class Tried(NamedTuple):
+    """A place that was tried, and how far off it was."""
+
+    level: int
+    """Which grid."""
+    values: dict[str, float]
+    misfits: list[float] | None
+    """Root mean square difference of each kind; None if the run stopped early."""
 
 
 @dataclass(frozen=True)
@@ -85,6 +96,8 @@ class Runs:
         self.player = Player(target.gaussians, target.crop, seen)
         self.made, self.kept, self.seconds = [0] * len(self.grids), 0, 0.0
         """Runs made on each grid, those an earlier fit had left, and their processor time [s]."""
+        self.tried: list[Tried] = []
+        """All places so far, in their order."""
         self._folder, self._play = folder / FOLDER, self._alone
         for end in (0.0, 1.0):
             self.scene_at(np.full(len(self.names), end), 0)
@@ -112,7 +125,12 @@ class Runs:
             with replacing(file) as temporary, open(temporary, "wb") as out:
                 np.save(out, np.empty(0) if found is None else found.astype(np.float32))
         kept = [np.load(file).astype(np.float64) for file in files]
-        return [one if len(one) else None for one in kept]
+        seen = [one if len(one) else None for one in kept]
+        off = Distance(self).misfits
+        for place, one in zip(places, seen, strict=True):
+            found = None if one is None else off(one)
+            self.tried.append(Tried(level, self.values(place), found))
+        return seen
 
     def late(self, part: float) -> bool:
         """Whether more than a part of the time is spent."""

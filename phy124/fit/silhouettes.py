@@ -48,7 +48,7 @@ class Silhouettes:
             raise InputError("target", f"{len(times)} pictures", asked, remedy)
         part = LONGEST / max(width, height)
         self._size = (max(round(width * part), 1), max(round(height * part), 1))
-        self._cameras = [_smaller(one, self._size) for one in cameras]
+        self._cameras = [smaller(one, self._size) for one in cameras]
         self._times, self.last = times, float(times.max())
         covered = shrunk(film.masks, self._size)
         self.measured = _blurred(covered).ravel()
@@ -63,8 +63,13 @@ class Silhouettes:
         alphas = [draw(frame.gaussians, camera, alpha=True)[..., 3] for frame, camera in seen]
         return _blurred(at_times(clip.times, np.stack(alphas).astype(float), self._times)).ravel()
 
+    def apart(self, predicted: Values) -> Values:
+        """Root mean square difference in each picture [T], of a pixel."""
+        squares = (predicted - self.measured) ** 2
+        return np.sqrt(squares.reshape(len(self._times), -1).mean(1))
 
-def _smaller(camera: Camera, size: tuple[int, int]) -> Camera:
+
+def smaller(camera: Camera, size: tuple[int, int]) -> Camera:
     """The same camera with fewer pixels."""
     part = size[0] / camera.width
     shift = (camera.shift[0] * part, camera.shift[1] * part)

@@ -10,6 +10,7 @@ import numpy as np
 
 from phy124.camera import Camera
 from phy124.errors import InputError
+from phy124.fit.aligning import Laid, laid_on
 from phy124.fit.declaration import Fit
 from phy124.fit.forces import Forces
 from phy124.fit.observation import ROUNDED, Observation, Observations, refuse_outside
@@ -47,11 +48,15 @@ class Target:
         path = Path(declared.target)
         clip = _clip_of(path)
         self.film: Film | None = None
+        self.laid: Laid | None = None
+        """How the film was laid on what the camera sees, if it was."""
         kinds = {".csv": "table", **dict.fromkeys(FILMS, "film")}
         kind = "clip" if clip else "film" if path.is_dir() else kinds.get(path.suffix.lower())
         if kind is None or not path.exists():
             limit = "it is no clip, .csv file, video or folder, or is not there."
             raise InputError("target", path, limit, "Give one of these.")
+        if declared.align and kind != "film":
+            raise InputError("align", True, "the target is no video.", "Leave it out.")
         self.scene, self.gaussians, self.crop = _given(declared, clip)
         table = read_table(path, "target", "id", PLACE_COLUMNS) if kind == "table" else None
         if kind == "film":
@@ -99,13 +104,19 @@ class Target:
 
     def times_of(self, film: Film) -> np.ndarray:
         """When the pictures of a film were taken [T], s."""
-        fps = film.fps or self.scene.time.fps
-        return np.arange(len(film.masks)) * self.scene.view.speed / fps
+        return np.arange(len(film.masks)) * self.scene.view.speed / self.rate_of(film)
+
+    def rate_of(self, film: Film) -> float:
+        """Pictures of a film per second, as it is shown."""
+        return self.declared.fps or film.fps or self.scene.time.fps
 
     def _seen(self, clip: Clip | None, table: Table | None) -> Observation:
         """What was seen of the object."""
         rest = self.rest.means[0].astype(np.float64)
         if self.film is not None:
+            if self.declared.align:
+                first = self.rest.frame(0).gaussians
+                self.film, self.laid = laid_on(self.film, first, self.seen_by()[0])
             return Silhouettes(self.film, self.times_of(self.film), self.seen_by())
         table = _tracks(clip) if clip is not None else table
         assert table is not None
@@ -148,16 +159,18 @@ def _clip_of(path: Path) -> Clip | None:
 def _given(declared: Fit, clip: Clip | None) -> tuple[Scene, Gaussians, Crop]:
     """Scene, object, and where that is in its picture."""
     changes = {**declared.set}
-    if clip is not None and declared.scene is None:
-        scene = Scene.from_data(clip.scene, declared.target).replaced(changes)
+    source = clip if declared.object is None else _clip_of(Path(declared.object))
+    told = clip or source
+    if told is not None and declared.scene is None:
+        scene = Scene.from_data(told.scene, declared.target).replaced(changes)
     else:
         scene = Scene.named(declared.scene or "press").replaced(changes)
-    if declared.object is None:
-        if clip is None:
-            limit = "nothing says which object was seen."
-            raise InputError("object", None, limit, "Give its picture or file of Gaussians.")
-        gaussians = clip.surface.frame(0).gaussians
+    if source is not None:
+        gaussians = source.surface.frame(0).gaussians
         return scene, thinned(gaussians, declared.gaussians, seed=scene.seed), WHOLE
+    if declared.object is None:
+        limit = "nothing says which object was seen."
+        raise InputError("object", None, limit, "Give its picture or file of Gaussians.")
     options: dict[str, Any] = {"count": declared.gaussians}
     path = os.fspath(declared.object)
     made = static(path, scene, generator="relief" if needs_image(path) else path, **options)

@@ -27,6 +27,10 @@ SIDE = 256
 of them take 400 MB."""
 LONGEST = 600
 """Longest time in which a video is read [s]."""
+FIRST = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip")
+"""What stands in the fifth byte of MP4 and MOV."""
+SAFE = ("-protocol_whitelist", "file,pipe", "-format_whitelist", "mov,matroska,avi")
+"""A playlist, which could name other files and addresses, is no video here."""
 PPM = re.compile(rb"P6\s(\d+)\s(\d+)\s255\s")
 """What each picture of a stream of PPM files begins with."""
 
@@ -67,18 +71,18 @@ def _frames(path: Path) -> tuple[list[NDArray], float | None]:
     """The pictures of a video, and how many there are per second."""
     if path.suffix.lower() in (".gif", ".webp"):
         return _animated(path)
+    _refuse_other(path)
     import imageio_ffmpeg
 
     program = imageio_ffmpeg.get_ffmpeg_exe()
-    command = [program, "-v", "error", "-i", str(path), "-frames:v", str(MOST + 1)]
+    command = [program, "-v", "error", *SAFE, "-i", str(path), "-frames:v", str(MOST + 1)]
     fitting = f"scale=w='min({SIDE},iw)':h='min({SIDE},ih)':force_original_aspect_ratio=decrease"
     command += ["-vf", fitting, "-fps_mode", "passthrough", "-f", "image2pipe", "-c:v", "ppm", "-"]
     try:
         count, seconds = imageio_ffmpeg.count_frames_and_secs(str(path))
         made = subprocess.run(command, capture_output=True, check=True, timeout=LONGEST)
     except (OSError, RuntimeError, subprocess.SubprocessError):
-        limit = "it is no video that can be read."
-        raise InputError("target", path, limit, "Give an MP4.") from None
+        raise _unreadable(path) from None
     found = list(_pictures(made.stdout))
     _refuse_endless(path, len(found))
     return found, float(count) / float(seconds) if count and seconds else None
@@ -105,9 +109,26 @@ def _animated(path: Path) -> tuple[list[NDArray], float | None]:
             _refuse_endless(path, len(seconds))
             found = [_small(f) for f in ImageSequence.Iterator(file)]
     except (OSError, UnidentifiedImageError):
-        limit = "it is no video that can be read."
-        raise InputError("target", path, limit, "Give an MP4.") from None
+        raise _unreadable(path) from None
     return found, len(seconds) / sum(seconds) if sum(seconds) else None
+
+
+def is_film(path: Path) -> bool:
+    """Whether a file begins as a video or an animated picture does, whatever its name is."""
+    with open(path, "rb") as file:
+        head = file.read(12)
+    within = (head[:4], head[8:12])
+    inside = within in ((b"RIFF", b"AVI "), (b"RIFF", b"WEBP"))
+    return inside or head[4:8] in FIRST or head[:4] in (b"\x1a\x45\xdf\xa3", b"GIF8")
+
+
+def _refuse_other(path: Path) -> None:
+    if not is_film(path):
+        raise _unreadable(path)
+
+
+def _unreadable(path: Path) -> InputError:
+    return InputError("target", path, "it is no video that can be read.", "Give an MP4.")
 
 
 def _folder(path: Path) -> Iterator[NDArray]:

@@ -1,0 +1,146 @@
+"""Fits to films: what is read of them, how they are laid on the object, and what is shown."""
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+
+from phy124.camera import Camera
+from phy124.errors import InputError
+from phy124.fit.aligning import _fitted, laid_on
+from phy124.fit.declaration import Fit
+from phy124.fit.page import figure, write_page
+from phy124.fit.picture import ONLY_FITTED, ONLY_SEEN, Comparison
+from phy124.fit.silhouettes import Silhouettes
+from phy124.fit.target import Target
+from phy124.fit.video import read_film
+from support.falling import falling
+from support.videos import read_video
+
+
+def film_of(folder, places):
+    """A folder of pictures of a dark square on a light background."""
+    folder.mkdir()
+    for number, place in enumerate(places):
+        picture = np.full((64, 64, 3), 230, np.uint8)
+        if place is not None:
+            picture[place : place + 16, 20:36] = 40
+        Image.fromarray(picture).save(folder / f"{number:03d}.png")
+    return folder
+
+
+def test_silhouettes_are_cut_from_a_plain_background(tmp_path):
+    film = read_film(film_of(tmp_path / "film", [10, 20]))
+    assert film.masks.sum(axis=(1, 2)).tolist() == [256, 256]
+    camera = Camera.orbit(0, 10, 4, 128)
+    seen = Silhouettes(film, np.array([0, 0.1]), [camera] * 2)
+    assert seen.measured.sum() == pytest.approx(512, rel=0.01)
+    with pytest.raises(InputError, match=r"view\.size=\[64,64\]"):
+        Silhouettes(film, np.array([0, 0.1]), [Camera.orbit(0, 10, 4, (128, 64))])
+
+
+def test_pictures_are_kept_small(tmp_path):
+    """Two thousand large ones would not fit into memory."""
+    (tmp_path / "film").mkdir()
+    for number in range(2):
+        picture = np.full((400, 600, 3), 230, np.uint8)
+        picture[100:300, 100:300] = 40
+        Image.fromarray(picture).save(tmp_path / "film" / f"{number}.png")
+    film = read_film(tmp_path / "film")
+    assert film.pictures.shape == (2, 171, 256, 3)
+    assert film.masks.mean() == pytest.approx(1 / 6, rel=0.06)
+
+
+def test_the_comparison_shows_target_fitted_and_difference(tmp_path):
+    film = read_film(film_of(tmp_path / "film", [10, 20]))
+    clip, _ = falling()
+    camera = Camera.orbit(0, 10, 4, 64, target=(0.5, 0.5, 0.5))
+    both = Comparison(film, np.array([0, 0.1]), clip, [camera] * 5)
+    both.write_sheet(tmp_path / "c.png")
+    with Image.open(tmp_path / "c.png") as picture:
+        assert picture.size == (3 * 192, 2 * 192)
+        found = np.asarray(picture)
+    assert tuple(found[40, 90]) == (40, 40, 40), "the target"
+    assert tuple(found[40, 2 * 192 + 90]) == ONLY_SEEN
+    assert tuple(found[96, 2 * 192 + 96]) == ONLY_FITTED
+    both.write_film(tmp_path / "c.mp4", 10)
+    assert np.abs(read_video(tmp_path / "c.mp4")[0].astype(int) - found[:192]).mean() < 3
+
+
+REPORT = {
+    "target": "a<b.mp4", "cells": 24, "notes": [],
+    "found": {"material.E": {"value": 5e4, "interval": [4e4, 6e4],
+                             "limit": {"value": 5e4, "interval": [4e4, 6e4]}}},
+    "measured": {"silhouettes": {"unit": "of a pixel", "misfit": 0.01}},
+    "tried": [
+        {"level": 0, "values": {"material.E": 1e4}, "misfits": [0.1]},
+        {"level": 1, "values": {"material.E": 5e4}, "misfits": [0.02]},
+        {"level": 1, "values": {"material.E": 9e4}, "misfits": None},
+    ],
+    "declared": {"find": {"material.E": {"log_uniform": [1e4, 1e5]}}},
+    "pictures": {"fps": 10.0, "times": [0, 0.1], "was": {"material.E": 4e4},
+                 "before": [0.0, 0.1], "fitted": [0.0, 0.02]},
+}  # fmt: skip
+
+
+def test_the_page_of_a_fit_leads_the_film_picture_by_picture(tmp_path):
+    (tmp_path / "c.mp4").write_bytes(b"film")
+    write_page(tmp_path / "c.html", REPORT, tmp_path / "c.mp4")
+    page = (tmp_path / "c.html").read_text()
+    assert "data:video/mp4;base64,ZmlsbQ==" in page and "Phy124Compare(" in page
+    assert "a&lt;b.mp4" in page and "<script src" not in page
+    drawn = figure(REPORT, 'x" onerror="')
+    assert 'max="1"' in drawn and 'data-times="0 0.1"' in drawn and 'onerror="' not in drawn
+    assert drawn.count("<polyline") == 2 and drawn.count("<circle") == 2, "a failed run is no dot"
+    none = {**REPORT, "pictures": {**REPORT["pictures"], "before": None}}
+    assert figure(none, "c.mp4").count("<polyline") == 1
+
+
+def test_a_film_is_laid_on_the_object(tmp_path):
+    """Its camera stood elsewhere: what it shows is smaller, off the middle, in a wide picture."""
+    shape = np.zeros((240, 240), bool)
+    shape[60:180, 80:160] = shape[60:100, 80:200] = True
+    moved = np.array([[0.6, 0, 42.0], [0, 0.6, 19.7]])
+    small = cv2.warpAffine(shape.astype(np.float32), moved, (320, 180)) > 0.5
+    matrix = _fitted(small, shape)
+    assert matrix[0, 0] == pytest.approx(1 / 0.6, rel=0.01)
+    assert np.allclose(matrix[:, 2], [-42.0 / 0.6, -19.7 / 0.6], atol=1)
+
+
+def test_a_film_of_something_else_is_not_laid_on_it(tmp_path):
+    clip, _ = falling()
+    camera = Camera.orbit(0, 10, 4, 64, target=(0.5, 0.5, 0.5))
+    whole = read_film(film_of(tmp_path / "film", [10, 20]))
+    film, laid = laid_on(whole, clip.frame(0).gaussians, camera)
+    assert film.masks.shape == (2, 256, 256) and laid.shared > 0.8
+    moved = np.argwhere(film.masks[1]).mean(0) - np.argwhere(film.masks[0]).mean(0)
+    assert moved[0] == pytest.approx(10 * laid.scale * 256 / 64, abs=1.0)
+    thin = whole._replace(masks=whole.masks & (np.arange(64) < 22))
+    with pytest.raises(InputError, match=r"share \d+% of their area"):
+        laid_on(thin, clip.frame(0).gaussians, camera)
+
+
+@pytest.mark.parametrize(
+    "text", ["#EXTM3U\n#EXTINF:1,\nfile:///etc/passwd\n", "ffconcat version 1"]
+)
+def test_a_list_of_other_files_is_no_video(tmp_path, text):
+    (tmp_path / "film.mp4").write_text(text)
+    with pytest.raises(InputError, match="no video"):
+        read_film(tmp_path / "film.mp4")
+
+
+def test_only_videos_are_laid_on_the_object(tmp_path):
+    (tmp_path / "points.csv").write_text("time,id,x,y,z\n0,a,0,0,0.5\n")
+    data = {"target": str(tmp_path / "points.csv"), "object": "o.ply", "align": True}
+    with pytest.raises(InputError, match="align = True: the target is no video"):
+        Target(Fit.from_data({**data, "find": {"material.E": "1e4..1e5"}}))
+
+
+def test_films_that_show_nothing_are_refused(tmp_path):
+    with pytest.raises(InputError, match="picture 1 shows nothing"):
+        read_film(film_of(tmp_path / "film", [10, None]))
+    with pytest.raises(InputError, match="1 pictures"):
+        read_film(film_of(tmp_path / "short", [10]))
+    (tmp_path / "film.mp4").write_text("no film")
+    with pytest.raises(InputError, match="no video"):
+        read_film(tmp_path / "film.mp4")
