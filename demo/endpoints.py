@@ -1,4 +1,4 @@
-"""The named endpoints /generate, /render, /evaluate and /measure, for programs."""
+"""The named endpoints /generate, /render, /evaluate, /measure and /fit, for programs."""
 
 from __future__ import annotations
 
@@ -16,12 +16,13 @@ from phy124.scene.refusals import shortened
 from phy124.section import Section
 
 from .exports import EXPORTS, export
+from .fits import Asked
 from .handlers import Handler
 from .identity import visitor_of
 from .jobs import Studio
 from .known import AXES
 from .line import Job
-from .photo import photo, refusal
+from .photo import film, photo, refusal
 from .sentences import complaint
 from .source import Source
 from .strokes import place_of
@@ -75,6 +76,11 @@ def endpoints(studio: Studio) -> None:
             _measure(studio), [picture, preset, accuracy, frames, changes, pick, *known],
             [error, said, gr.JSON(label="levels")], api_name="measure", **shared,
         )  # fmt: skip
+        told = [_declared(Asked, option) for option in Asked.model_fields]
+        gr.Button().click(
+            _fit(studio), [run, film(label="video"), *told], [files, report], api_name="fit",
+            **shared,
+        )  # fmt: skip
 
 
 def _unread(component: Component) -> Any:
@@ -88,6 +94,14 @@ def _choice(section: type[Section], option: str) -> Any:
     declared = section.model_fields[option]
     words = list(get_args(declared.annotation))
     return _unread(gr.Radio(words, value=declared.default, label=option))
+
+
+def _declared(section: type[Section], option: str) -> Any:
+    """A component for an option: a few words, or a number."""
+    field = section.model_fields[option]
+    if get_args(field.annotation):
+        return _choice(section, option)
+    return _unread(gr.Number(field.default, label=option))
 
 
 def _generate(studio: Studio) -> Handler:
@@ -206,6 +220,26 @@ def _render(studio: Studio) -> Handler:
         yield _paths(job.progress.result), job.progress.result.report
 
     return render
+
+
+def _fit(studio: Studio) -> Handler:
+    def fit(
+        run: Any, video: str | None, seconds: float, side: str, speed: float, request: gr.Request
+    ) -> Iterator[tuple[Any, ...]]:
+        """Find the softness of this session's last run from a video: its files and its report."""
+        if run is None:
+            raise refusal(NOTHING_YET)
+        name, told = visitor_of(request), {"seconds": seconds, "side": side, "speed": speed}
+        try:
+            job = studio.fits.begin(name, run[0], video, told)
+        except InputError as error:
+            raise refusal(complaint(error)) from None
+        for _ in _followed(job, studio.visitors.get(name), "fit"):
+            yield gr.skip(), gr.skip()
+        found = job.progress.result
+        yield [str(path) for path in found.files], found.report
+
+    return fit
 
 
 def _begun(

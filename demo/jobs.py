@@ -27,6 +27,7 @@ from phy124.scene import Scene
 
 from .catalogue import check_limits, check_time, scene_of
 from .events import close_now
+from .fits import Fits
 from .forecast import Estimate, Estimator, measured, promise_of
 from .gaussian_files import check_file, opened
 from .known import Known, known_of
@@ -77,11 +78,12 @@ class Studio:
         self.runs = Line("device", workers=1, most=most)
         self.cuts = Line("cut-out", workers=CUTTERS, most=4 * most)
         self.touches = Table(self.settings.max_touch)
+        self.fits = Fits(self.visitors, self.settings, self.forecaster, self._submit)
 
     @property
     def busy(self) -> bool:
         """Whether a job is running."""
-        return DEVICE.locked() or self.runs.running > 0 or self.cuts.running > 0
+        return DEVICE.locked() or any(one.running for one in (self.runs, self.cuts, self.fits.line))
 
     @property
     def forks(self) -> bool:
@@ -202,9 +204,7 @@ class Studio:
             order = self.order((visitor, source, scene), self.known(name, told))
             ready = made_already(order)
             device = pick_device(self.settings.device)
-            if not ready["generated"] or ready["simulated"]:
-                return None
-            if seconds_to_compile(scene, device):
+            if not ready["generated"] or ready["simulated"] or seconds_to_compile(scene, device):
                 return None
             gaussians = gaussians_of(order, made_gaussians(order))
             rates = self.forecaster.rates

@@ -19,6 +19,12 @@ TOUCH = (
     + '<script src="phy124/static/splats.js"></script>'
     + '<script src="phy124/static/touch.js"></script>'
 )
+FIT = (
+    HEAD
+    + '<script src="phy124/viewer/compare.js"></script>'
+    + '<script src="phy124/static/fit.js"></script>'
+    + '<link rel="stylesheet" href="phy124/viewer/compare.css">'
+)
 PLAYER = (
     HEAD
     + '<script src="phy124/viewer/vendor/playcanvas.min.js"></script>'
@@ -96,6 +102,14 @@ def videos() -> gr.HTML:
 def takeaway() -> gr.HTML:
     """Links to files, and buttons for those made on demand (the event "prepare")."""
     return _panel("takeaway", HEAD, events="'prepare'")
+
+
+def fit() -> gr.HTML:
+    """A video that the result is fitted to; its value says what a fit takes, or has found.
+
+    Events: "begin" names a video that was sent, "stop" cancels its fit, "ended" reports its end.
+    """
+    return _panel("fit", FIT, events="'begin' 'stop' 'ended'")
 
 
 def _panel(name: str, head: str, events: str = "") -> gr.HTML:

@@ -1,5 +1,5 @@
-"""The picture input for programs: passes the uploaded file on undecoded, so that the page's limits
-are checked first.
+"""The inputs for programs: an uploaded picture or video is passed on undecoded, so that the page's
+limits are checked first.
 
 Gradio would decode a picture before any check, fetch it from anywhere, and accept a data: URL in an
 API call beyond its `max_file_size`.
@@ -12,7 +12,7 @@ import binascii
 from typing import TYPE_CHECKING, Any
 
 import gradio as gr
-from gradio.data_classes import ImageData
+from gradio.data_classes import FileData, ImageData
 from pydantic import ValidationError
 
 from phy124.errors import InputError
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from .jobs import Studio
 
 NO_FILE = "image: This is no file. Send the file itself, by handle_file(PATH) in Python."
+NO_VIDEO = "video: This is no file. Send the file itself, by handle_file(PATH) in Python."
 BROKEN = "image: The picture's data: URL is broken. Send the file itself."
 
 
@@ -52,6 +53,35 @@ def photo(studio: Studio, **options: Any) -> gr.Image:
 
     image.preprocess = preprocess
     return image
+
+
+class SentVideo(FileData):
+    """What a program sends as a video; anything but a file is refused in words."""
+
+    @classmethod
+    def model_validate(cls, obj: Any, **options: Any) -> SentVideo:
+        """The video; raises gr.Error if it is no file."""
+        try:
+            return super().model_validate(obj, **options)
+        except ValidationError:
+            raise refusal(NO_VIDEO) from None
+
+
+def film(**options: Any) -> gr.File:
+    """A `gr.File` whose value is the path of the uploaded video, undecoded."""
+    file = gr.File(**options)
+    file.data_model = SentVideo
+
+    def preprocess(payload: Any) -> str | None:
+        """The file's path; raises gr.Error if it is a data: URL."""
+        if payload is None:
+            return None
+        if (payload.url or payload.path or "").startswith("data:"):
+            raise refusal(NO_VIDEO)
+        return payload.path
+
+    file.preprocess = preprocess
+    return file
 
 
 def refusal(text: str) -> gr.Error:

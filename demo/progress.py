@@ -13,6 +13,7 @@ from .events import Done, Glimpse, Live, Measured, Reused, Step
 STAGES = {"generate": "Picture to 3D", "simulate": "Physics", "render": "Videos", "save": "Files"}
 READING = {"generate": "File to 3D"}
 """The first stage of an object from a file of Gaussians."""
+FITTING = {"read": "Video", "fit": "Search"}
 MEASURING = {"generate": "Picture to 3D", "measure": "Grids"}
 
 

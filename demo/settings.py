@@ -46,6 +46,7 @@ class Settings(Section):
     max_file_mb: float = Field(
         default=64, gt=0, le=1000, description="Largest file of Gaussians [MB]."
     )
+    max_video_mb: float = Field(default=32, gt=0, le=1000, description="Largest video [MB].")
     max_megapixels: float = Field(
         default=25, gt=0, le=50, description="Pixels of a picture [million]."
     )
@@ -59,6 +60,10 @@ class Settings(Section):
     max_cut_seconds: float = Field(
         default=60, gt=0, description="Wall-clock time of one cut-out [s]."
     )
+    max_fit_seconds: float = Field(
+        default=900, gt=0, description="Longest search of one fit to a video [s]."
+    )
+    max_fits: int = Field(default=1, ge=1, le=64, description="Fits at the same time.")
     max_queue: int = Field(default=16, ge=1, description="Requests that may wait.")
     max_touch: int = Field(default=2, ge=1, le=64, description="Live runs at the same time.")
     touch_minutes: float = Field(default=10, gt=0, description="Longest live run [min].")
@@ -121,7 +126,7 @@ class Settings(Section):
     @property
     def max_file_bytes(self) -> int:
         """Largest upload of any kind [bytes]."""
-        return int(max(self.max_file_mb, self.max_upload_mb) * 1e6)
+        return int(max(self.max_file_mb, self.max_video_mb, self.max_upload_mb) * 1e6)
 
     @property
     def file_too_large(self) -> str:

@@ -56,7 +56,7 @@ def build(studio: Studio) -> gr.Blocks:
                 touch = panels.touch()
                 viewer = panels.viewer()
                 history = panels.history()
-                videos, report, takeaway = _results()
+                videos, report, takeaway, fit = _results()
         results = [viewer, videos, report, takeaway, history]
         _wire_picture(studio, picture, source, known)
         asked = [source, scene, known]
@@ -64,16 +64,17 @@ def build(studio: Studio) -> gr.Blocks:
         for again in (grab.click, touch.begin):
             again(handlers.toucher(studio), asked, touch, **QUIET)
         touch.save(handlers.saver(studio), [source, known], [progress, go, cancel], **QUIET)
-        _wire_run(studio, asked, done, go, cancel, progress, forecast, results)
+        shows = _wire_run(studio, asked, done, go, cancel, progress, forecast, results)
         takeaway.prepare(
             handlers.preparer(studio), [done, takeaway], takeaway, concurrency_id="export",
             concurrency_limit=2, trigger_mode="multiple", show_progress="hidden",
             api_visibility="private",
         )  # fmt: skip
-        page.load(
+        shows.append(page.load(
             handlers.greeter(studio), None,
             [picture, source, known, progress, done, go, cancel, *results], **QUIET,
-        )  # fmt: skip
+        ))  # fmt: skip
+        _wire_fit(studio, done, fit, takeaway, shows)
         endpoints(studio)
     fetch_nothing(page)
     return page
@@ -116,7 +117,7 @@ def _go() -> tuple[gr.HTML, gr.Button, gr.Button, gr.Button]:
     return forecast, go, cancel, grab
 
 
-def _results() -> tuple[gr.HTML, gr.HTML, gr.HTML]:
+def _results() -> tuple[gr.HTML, gr.HTML, gr.HTML, gr.HTML]:
     with gr.Tabs(elem_id="results"):
         with gr.Tab("Videos"):
             videos = panels.videos()
@@ -125,7 +126,9 @@ def _results() -> tuple[gr.HTML, gr.HTML, gr.HTML]:
             report = gr.HTML(empty, apply_default_css=False, elem_id="report")
         with gr.Tab("Take away"):
             takeaway = panels.takeaway()
-    return videos, report, takeaway
+        with gr.Tab("Fit to a video"):
+            fit = panels.fit()
+    return videos, report, takeaway, fit
 
 
 def _wire_picture(studio: Studio, picture: Any, source: Any, known: Any) -> None:
@@ -148,12 +151,22 @@ def _wire_forecast(studio: Studio, asked: list[Any], forecast: Any) -> None:
 def _wire_run(
     studio: Studio, asked: list[Any], done: Any, go: Any, cancel: Any, progress: Any,
     forecast: Any, results: list[Any],
-) -> None:  # fmt: skip
+) -> list[Any]:  # fmt: skip
+    """Returns the events after which another result may be shown."""
     start, started = handlers.starter(studio), [progress, go, cancel]
     for again in (go.click, progress.again):
         again(start, asked, started, **QUIET)
     forecast.measure(handlers.measurer(studio), asked, started, **QUIET)
     cancel.click(handlers.stopper(studio), None, None, **QUIET)
     finish, shown = handlers.finisher(studio), [forecast, done, go, cancel, *results]
-    progress.finished(finish, [*asked, done], shown, **QUIET)
-    results[-1].show(finish, [*asked, done], shown, **QUIET)
+    shows = (progress.finished, results[-1].show)
+    return [show(finish, [*asked, done], shown, **QUIET) for show in shows]
+
+
+def _wire_fit(studio: Studio, done: Any, fit: Any, takeaway: Any, shows: list[Any]) -> None:
+    # Not done.change: Gradio tells no change of a state after an event without its queue.
+    for shown in shows:
+        shown.then(handlers.fit_offerer(studio), done, fit, **QUIET)
+    fit.begin(handlers.fit_starter(studio), [done, fit], fit, **QUIET)
+    fit.stop(handlers.fit_stopper(studio), None, None, **QUIET)
+    fit.ended(handlers.fit_shower(studio), done, [fit, takeaway], **QUIET)

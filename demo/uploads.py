@@ -1,5 +1,5 @@
-"""The route that receives pictures and files of Gaussians, and stores them in the folder of the
-visitor who sends them.
+"""The route that receives pictures, videos and files of Gaussians, and stores them in the folder of
+the visitor who sends them.
 
 It replaces Gradio's own, which keeps uploads in folders that belong to nobody.
 """
@@ -17,6 +17,7 @@ from starlette.responses import JSONResponse, PlainTextResponse, Response
 from starlette.routing import Route
 
 from phy124.errors import InputError
+from phy124.fit.video import FILMS
 from phy124.io.formats import ENDINGS
 
 from .gaussian_files import SMALLER
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from .jobs import Studio
 
 ADDRESS = "/gradio_api/upload"
-SUFFIXES = {".png", ".jpg", ".jpeg", ".webp", ".heic", ".heif", *ENDINGS}
+SUFFIXES = {".png", ".jpg", ".jpeg", ".webp", ".heic", ".heif", *FILMS, *ENDINGS}
 """Suffixes that uploads keep; others are removed."""
 MOST = 4
 """Largest number of files in one request."""

@@ -3,13 +3,14 @@
 The result of a stage is stored under a key made of everything it depends on, so a stage runs again
 exactly when something it depends on has changed:
 
-    uploads/NAME                  pictures and files of Gaussians as they were sent
+    uploads/NAME                  pictures, videos and files of Gaussians as they were sent
     cutouts/KEY.png               picture, brush strokes
     objects/NAME/                 file of Gaussians
     gaussians/KEY.safetensors     cut-out or file, generator, seed
     clips/KEY/                    Gaussians and the scene without its view
     films/KEY/                    clip and view
     studies/KEY.json              Gaussians and the scene without its view and grid
+    fits/CLIP-KEY/                clip, video, and what is said of it
 
 A folder is kept while its visitor gives signs of life, which an open page does every minute, and
 for a grace period after the last one. It is then removed with everything in it.
@@ -37,7 +38,7 @@ from phy124.errors import InputError
 if TYPE_CHECKING:
     from .line import Job
 
-STAGES = ("cutouts", "objects", "gaussians", "clips", "films", "studies")
+STAGES = ("cutouts", "objects", "gaussians", "clips", "films", "studies", "fits")
 UPLOADS = 8
 """Number of uploads kept for one visitor."""
 AWAY = 150.0
@@ -139,7 +140,7 @@ class Visitor:
             keep = {"uploads": UPLOADS, "clips": room.clips}.get(stage, 3 * room.clips)
             for entry in entries[keep:]:
                 _remove(entry)
-        for stage in ("films", "clips", "gaussians"):
+        for stage in ("fits", "films", "clips", "gaussians"):
             for entry in reversed(_newest_first(self.folder / stage)[1:]):
                 if self.size() <= room.each:
                     return

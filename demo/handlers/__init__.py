@@ -4,6 +4,7 @@ Handlers know the session and Gradio's types; the work itself is in demo.jobs.
 """
 
 from .event import Handler
+from .fit import fit_offerer, fit_shower, fit_starter, fit_stopper
 from .known import view_chooser, view_shower
 from .picture import chooser, corrector, cut_shower
 from .results import finisher, greeter, preparer
@@ -16,6 +17,10 @@ __all__ = [
     "corrector",
     "cut_shower",
     "finisher",
+    "fit_offerer",
+    "fit_shower",
+    "fit_starter",
+    "fit_stopper",
     "forecaster",
     "greeter",
     "measurer",

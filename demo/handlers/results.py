@@ -14,6 +14,7 @@ from phy124.io.formats import FORMATS
 from phy124.scene import Scene
 
 from ..exports import EXPORTS, export
+from ..fits import newest
 from ..identity import visitor_of
 from ..jobs import Studio
 from ..line import Job
@@ -40,6 +41,15 @@ FILES = {
     "scene.toml": ("Scene", "Every setting, to run again"),
     "report.json": ("Report", "Times, effects, stability"),
 }
+
+FITTED = {
+    "comparison.mp4": ("Fit: filmed and fitted", "Side by side, MP4"),
+    "comparison.html": ("Fit: picture by picture", "Opens in any browser, offline"),
+    "comparison.png": ("Fit: eight instants", "PNG"),
+    "fitted.toml": ("Fit: scene", "With the softness that was found"),
+    "fit.json": ("Fit: report", "Softness, interval, all that was tried"),
+}
+"""Files of a fit to a video."""
 
 
 def finisher(studio: Studio) -> Handler:
@@ -126,7 +136,7 @@ def results(studio: Studio, name: str, job: Job) -> list[Any]:
         },
         {"films": films, "length": length},
         report_of(studio, job),
-        _takeaway(done),
+        takeaway_of(done),
         {"runs": _earlier(studio, name, job)},
     ]
 
@@ -183,18 +193,19 @@ def preparer(studio: Studio) -> Handler:
         try:
             path = export("html" if kind == SHARE else kind, done)
         except InputError as error:
-            return {**_takeaway(done), "message": sentence(error)}
+            return {**takeaway_of(done), "message": sentence(error)}
         if kind == SHARE:
             minutes = studio.settings.room.grace / 60
             lasts = f"It works while this page is open, and {minutes:g} minutes longer."
             link = f"phy124/shared/{visitor.share(path)}"
-            return {**_takeaway(done), "share": {"link": link, "lasts": lasts}}
-        return {**_takeaway(done), "made": kind, "file": path.name}
+            return {**takeaway_of(done), "share": {"link": link, "lasts": lasts}}
+        return {**takeaway_of(done), "made": kind, "file": path.name}
 
     return prepare
 
 
-def _takeaway(done: Done) -> dict[str, Any]:
+def takeaway_of(done: Done) -> dict[str, Any]:
+    """The take-away panel of a result: its files, and the formats that are made on demand."""
     files, offers = [], []
     clip = Clip.load(done.clip / "clip.safetensors")
     for path in _films(done):
@@ -204,6 +215,10 @@ def _takeaway(done: Done) -> dict[str, Any]:
             if (folder / name).exists():
                 files.append(_link(folder / name, label, hint))
                 break
+    fitted = newest(done)
+    for path in fitted.files if fitted else ():
+        if path.name in FITTED:
+            files.append(_link(path, *FITTED[path.name]))
     for kind, offer in EXPORTS.items():
         if (done.films / offer.file).exists():
             files.append(_link(done.films / offer.file, offer.label, offer.hint))

@@ -51,6 +51,7 @@
       element.replaceChildren(this.cards, h('div', { class: 'knob' }, h('div', { class: 'knob-head' }, h('span', { class: 'knob-name' }, 'Made of')), this.chips),
         this.knobs, h('details', { class: 'more' }, h('summary', {}, 'More: every setting of the scene'), this.form), this.tools());
       element.addEventListener('keydown', (event) => this.shortcut(event));
+      document.addEventListener('phy124-material', (event) => { this.data.material = clone(event.detail); this.drawKnobs(); this.turned(); });
     }
 
     tools() {

@@ -16,7 +16,7 @@ from phy124.fit.report import table
 from phy124.io.export.html import VIEWER
 from phy124.io.files import replacing
 
-WIDTH, HEIGHT, TOP, BOTTOM, MARGIN = 300, 120, 18, 102, 6
+WIDTH, HEIGHT, TOP, BOTTOM, MARGIN = 300, 110, 6, 92, 6
 COLOURS = ("#d55e00", "#0072b2")
 """Of the difference: only filmed, only fitted (phy124.fit.picture)."""
 PAGE = """<!doctype html>
@@ -124,11 +124,11 @@ def trials(report: dict[str, Any], name: str) -> str:
 
 def _plot(label: str, drawn: Sequence[str], first: str, last: str) -> str:
     return (
+        f"<div><p>{escape(label)}</p>"
         f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{escape(label)}">'
-        f'<text x="0" y="10">{escape(label)}</text>'
         f'<line class="axis" x1="0" x2="{WIDTH}" y1="{BOTTOM}" y2="{BOTTOM}"/>{"".join(drawn)}'
         f'<text x="0" y="{HEIGHT - 4}">{escape(first)}</text>'
-        f'<text x="{WIDTH}" y="{HEIGHT - 4}" text-anchor="end">{escape(last)}</text></svg>'
+        f'<text x="{WIDTH}" y="{HEIGHT - 4}" text-anchor="end">{escape(last)}</text></svg></div>'
     )
 
 

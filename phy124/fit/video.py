@@ -33,6 +33,7 @@ SAFE = ("-protocol_whitelist", "file,pipe", "-format_whitelist", "mov,matroska,a
 """A playlist, which could name other files and addresses, is no video here."""
 PPM = re.compile(rb"P6\s(\d+)\s(\d+)\s255\s")
 """What each picture of a stream of PPM files begins with."""
+FPS = re.compile(rb"Video: .* ([\d.]+) fps")
 
 
 class Film(NamedTuple):
@@ -79,13 +80,17 @@ def _frames(path: Path) -> tuple[list[NDArray], float | None]:
     fitting = f"scale=w='min({SIDE},iw)':h='min({SIDE},ih)':force_original_aspect_ratio=decrease"
     command += ["-vf", fitting, "-fps_mode", "passthrough", "-f", "image2pipe", "-c:v", "ppm", "-"]
     try:
-        count, seconds = imageio_ffmpeg.count_frames_and_secs(str(path))
+        # Without an output file it says what is in the video, and complains.
+        told = subprocess.run(
+            [program, *SAFE, "-i", str(path)], check=False, capture_output=True, timeout=LONGEST
+        )
         made = subprocess.run(command, capture_output=True, check=True, timeout=LONGEST)
     except (OSError, RuntimeError, subprocess.SubprocessError):
         raise _unreadable(path) from None
     found = list(_pictures(made.stdout))
     _refuse_endless(path, len(found))
-    return found, float(count) / float(seconds) if count and seconds else None
+    fps = FPS.search(told.stderr)
+    return found, float(fps[1]) if fps else None
 
 
 def _pictures(stream: bytes) -> Iterator[NDArray]:

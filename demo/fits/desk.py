@@ -1,0 +1,134 @@
+"""Who may fit: one of each visitor at a time, and a total for the server; the job itself."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from phy124.accuracy.forecast import GUESS
+from phy124.accuracy.load import spoken
+from phy124.errors import InputError
+from phy124.fit.budget import FEWEST, USUAL
+from phy124.runtime.isolated import Deadline
+
+from ..events import Step
+from ..forecast import Estimator
+from ..line import Job, Line
+from ..progress import FITTING
+from ..settings import Settings
+from ..visitors import Visitor, Visitors, key
+from ..work import Done
+from .asked import Asked, asked_of
+from .search import Found, Search, declared, outlook, progress, scene_of_result, searched, softness
+from .video import check_video, opened
+
+Submit = Callable[[Visitor, Job, Line, Callable[[Job], None]], Job]
+STARTING = 6.0
+"""Time to read a video and to start a search [s]."""
+ROOM = 1.5
+"""The budget that is proposed, in times of what a search usually takes."""
+NO_RESULT = "There is no result yet that could be fitted."
+
+
+class Fits:
+    """All fits of a server."""
+
+    def __init__(
+        self, visitors: Visitors, settings: Settings, forecaster: Estimator, submit: Submit,
+        search: Search = searched,
+    ) -> None:  # fmt: skip
+        self.visitors, self.settings, self.forecaster = visitors, settings, forecaster
+        self.search = search
+        """The function that searches; it may be a quicker one in tests."""
+        self._submit = submit
+        self.line = Line("fit", workers=settings.max_fits, most=settings.max_queue)
+
+    def offer(self, done: Done | None) -> dict[str, Any]:
+        """What a fit of a result would take: a sentence, and the ends of its budget [s].
+
+        Raises:
+            InputError: It cannot be fitted here.
+        """
+        if done is None or not (done.clip / "report.json").exists():
+            raise InputError("run", "none", NO_RESULT, "Generate one first.")
+        scene = scene_of_result(done)
+        softness(scene)
+        expected, load = outlook(scene, self.forecaster.rates), self.forecaster.load().thread
+        least, usual = (STARTING + load * expected.wall(one) for one in (FEWEST, USUAL))
+        most = self.settings.max_fit_seconds
+        if least > most:
+            limit = f"A fit of this scene takes {least:.0f} s at least, and {most:g} s are allowed."
+            raise InputError("seconds", "over", limit, "Choose fewer frames.")
+        span = spoken(self.forecaster.load().span(usual, unsure=GUESS))
+        budget = {"least": round(least), "most": most, "value": round(min(ROOM * usual, most))}
+        return {"sentence": f"A fit takes {span}.", "seconds": usual, "budget": budget}
+
+    def begin(self, name: str, done: Done | None, video: Any, given: dict[str, Any]) -> Job:
+        """Start to fit a result of a visitor to a video.
+
+        Args:
+            name: The visitor's name.
+            done: The result.
+            video: The path of the upload, as the request gives it.
+            given: What is said of it, as `Asked` declares.
+
+        Raises:
+            InputError: Something in the request cannot be used, or a fit of theirs is going on.
+        """
+        asked, expected = asked_of(given, self.settings), self.offer(done)["seconds"]
+        visitor = self.visitors.get(name)
+        if done is None or done.clip.parents[1] != visitor.folder:
+            raise InputError("run", "none", NO_RESULT, "Generate one first.")
+        upload = self._upload(name, video)
+        check_video(upload, self.settings)
+        if any(job.kind == "fit" and not job.over for job in list(visitor.jobs.values())):
+            limit = "Another fit of yours is still going on."
+            raise InputError("fit", "yours", limit, "Let it end or cancel it.")
+        job = Job("fit", visitor.new_stop_file(), expected, str(done.clip), FITTING)
+        work = partial(self._run, visitor, done, upload, asked)
+        return self._submit(visitor, job, self.line, work)
+
+    def _upload(self, name: str, video: Any) -> Path:
+        """The visitor's own upload that a request names; raises InputError."""
+        if not video:
+            raise InputError("video", "none", "There is no video yet.", "Choose one first.")
+        try:
+            return self.visitors.own(name, video)
+        except InputError as error:
+            limit = "This video is not here."
+            raise InputError("video", error.value, limit, error.remedy) from None
+
+    def _run(self, visitor: Visitor, done: Done, upload: Path, asked: Asked, job: Job) -> None:
+        scene = scene_of_result(done)
+        out = _folder(visitor, done, upload, asked)
+        length = (scene.time.frames - 1) / scene.time.fps
+        job.tell(Step("read", 0, 1))
+        reading = Deadline(self.settings.max_cut_seconds, job.check)
+        seen = opened(upload, out / "video", length, asked.speed, reading)
+        left_out = f", {seen.whole - seen.count} come later" if seen.whole > seen.count else ""
+        job.tell(Step("read", 1, 1, f"{seen.count} pictures{left_out}"))
+        found = out / "found"
+        watching = Deadline(asked.seconds, lambda: _watch(job, found))
+        self.search(declared(done, scene, seen, asked), found, watching)
+        visitor.trim(self.visitors.room)
+        job.end("done", result=Found(found))
+
+
+def _watch(job: Job, out: Path) -> None:
+    """Tell how far a search has come; raises Cancelled if it is to stop."""
+    job.check()
+    told = progress(out)
+    if told is None:
+        return
+    made, runs, seconds = told
+    job.progress.expected = STARTING + seconds
+    # How many there will be is known only at the end.
+    job.tell(Step("fit", min(made, runs - 1), runs, f"{made} runs, about {runs} expected"))
+
+
+def _folder(visitor: Visitor, done: Done, upload: Path, asked: Asked) -> Path:
+    """Where a fit lies: the same for the same video, so that it goes on where it was stopped."""
+    told = asked.model_dump(exclude={"seconds"})
+    return visitor.folder / "fits" / f"{done.clip.name}-{key(upload.read_bytes(), told)}"

@@ -1,0 +1,137 @@
+/* Fit to a video: a video of what was filmed goes back to the softness of the result that is shown. */
+'use strict';
+(() => {
+  const { h, follow, announce } = globalThis.Phy124;
+  const ACCEPT = 'video/mp4,video/webm,video/quicktime,video/x-matroska,image/gif,.mp4,.mov,.webm,.mkv,.avi,.gif';
+  const SPEEDS = [1, 0.5, 0.25, 0.1];
+  const HINT = 'Film the same object as it is pressed, dropped or pushed as in this result, at rest in the first picture, before one plain colour.';
+
+  const clock = (s) => (s < 90 ? `${Math.round(s)} s` : `${(s / 60).toFixed(1)} min`);
+
+  function fit(element, props, watch, trigger) {
+    const panel = new FitPanel(element, trigger);
+    watch('value', () => panel.show(props.value));
+    panel.show(props.value);
+  }
+
+  class FitPanel {
+    constructor(element, trigger) {
+      Object.assign(this, { element, trigger, job: null, file: null });
+      this.status = h('p', { class: 'fit-status', role: 'status' });
+      this.result = h('div', { class: 'fit-result' });
+    }
+
+    show(value) {
+      const { offer, refusal, job, message, found } = value || {};
+      if (!offer) { this.file = null; return this.element.replaceChildren(h('p', { class: 'empty' }, refusal || 'Generate a result first.')); }
+      this.value = value;
+      if (!this.form || this.offered !== JSON.stringify(offer)) { this.offered = JSON.stringify(offer); this.form = this.draw(value); this.choose(this.file); }
+      if (this.element.firstChild !== this.form) this.element.replaceChildren(this.form, this.status, this.result);
+      this.result.replaceChildren(...(found ? this.found(found) : []));
+      if (job) return this.await(job);
+      if (this.job) return; // another fit is being followed
+      this.busy(false);
+      this.say(message || '', Boolean(message));
+    }
+
+    draw({ offer, fields }) {
+      const input = this.input = h('input', { type: 'file', accept: ACCEPT, 'aria-label': 'Choose a video', onchange: () => this.choose(input.files[0]) });
+      this.name = h('span', { class: 'fit-hint' }, h('strong', {}, 'Drop a video here'), HINT);
+      this.preview = h('video', { hidden: true, playsinline: true, loop: true, 'aria-label': 'Your video' });
+      this.preview.muted = true;
+      const slot = h('label', { class: 'fit-slot' }, input, this.preview, this.name);
+      for (const name of ['dragover', 'dragleave', 'drop']) {
+        slot.addEventListener(name, (event) => { event.preventDefault(); slot.classList.toggle('over', name === 'dragover'); });
+      }
+      slot.addEventListener('drop', (event) => this.choose(event.dataTransfer.files[0]));
+      const { least, most, value } = offer.budget, told = h('output', {}, clock(value));
+      this.budget = h('input', { type: 'range', min: least, max: most, step: 1, value, 'aria-label': 'Time for the fit', oninput: () => { told.textContent = clock(Number(this.budget.value)); } });
+      this.side = h('select', { 'aria-label': 'Side' }, ...fields.side.enum.map((side) => h('option', { value: side }, side)));
+      this.speed = h('select', { 'aria-label': 'Speed of the video' }, ...SPEEDS.map((speed) => h('option', { value: speed }, speed === 1 ? 'real time' : `slowed to ${speed}×`)));
+      this.go = h('button', { type: 'button', class: 'primary fit-go', disabled: true, onclick: () => this.begin() }, 'Fit');
+      this.cancel = h('button', { type: 'button', class: 'quiet fit-cancel', hidden: true, onclick: () => this.trigger('stop') }, 'Cancel');
+      const row = (label, field, control, ...more) => h('label', { title: field.description }, h('span', {}, label), control, ...more);
+      return h('div', { class: 'fit' }, slot, h('div', { class: 'fit-form' },
+        row('Filmed from the', fields.side, this.side), row('It plays in', fields.speed, this.speed),
+        row('Time for it', fields.seconds, this.budget, told),
+        h('p', { class: 'fit-forecast' }, offer.sentence), h('div', { class: 'fit-buttons' }, this.go, this.cancel)));
+    }
+
+    choose(file) {
+      if (!file || this.job) return;
+      this.input.value = '';
+      if (file.size > this.value.largest * 1e6) return this.say(`The video is larger than the ${this.value.largest} MB that this page takes. Send a shorter or smaller one.`, true);
+      this.file = file;
+      if (this.address) URL.revokeObjectURL(this.address);
+      this.address = URL.createObjectURL(file);
+      this.preview.src = this.address;
+      this.preview.hidden = false;
+      this.name.replaceChildren(h('strong', {}, file.name));
+      this.go.disabled = false;
+      this.say('');
+    }
+
+    async begin() {
+      this.busy(true);
+      this.say('Sending the video …');
+      const { path, message } = await globalThis.Phy124.sent(this.file, { too_large: 'The video is larger than this page takes. Send a shorter one.' });
+      if (message) { this.busy(false); return this.say(message, true); }
+      this.trigger('begin', { upload: path, side: this.side.value, speed: Number(this.speed.value), seconds: Number(this.budget.value) });
+    }
+
+    busy(now) {
+      this.go.disabled = now || !this.file;
+      this.go.hidden = now;
+      this.cancel.hidden = !now;
+      for (const one of [this.input, this.budget, this.side, this.speed]) one.disabled = now;
+    }
+
+    say(text, bad = false) {
+      this.status.replaceChildren(text);
+      this.status.classList.toggle('bad', bad);
+    }
+
+    await(job) {
+      if (this.job === job) return;
+      this.job = job;
+      this.busy(true);
+      follow(job, (told) => this.take(job, told), (told) => {
+        this.job = null;
+        this.say(told.state === 'done' ? '' : told.message || 'The server no longer knows this fit.', told.state !== 'done');
+        announce(told.state === 'done' ? 'The fit is there.' : told.message || '');
+        this.trigger('ended', { job });
+      });
+    }
+
+    take(job, told) {
+      if (this.job !== job) return false;
+      if (told.state === 'lost') this.say('The connection was lost. The fit goes on; trying again …');
+      else if (told.state === 'waiting') this.say(told.place ? `Waiting: ${told.place} ${told.place === 1 ? 'fit' : 'fits'} before yours` : 'Waiting');
+      else if (told.state === 'running') this.progress(told);
+      return true;
+    }
+
+    progress({ elapsed, expected, stages }) {
+      const left = expected - elapsed, spoken = left > 0.5 ? `about ${clock(left)} to go` : 'nearly there';
+      const bar = ({ name, done, total, note }) => h('li', { class: 'stage going' }, h('span', {}, name), h('span', { class: 'stage-note' }, note),
+        h('progress', { max: 1, value: total ? done / total : 0, 'aria-label': name }));
+      this.status.classList.remove('bad');
+      this.status.replaceChildren(h('span', { class: 'fit-clock' }, `${clock(elapsed)} so far, ${spoken}`), h('ol', { class: 'stages' }, ...stages.map(bar)));
+    }
+
+    found({ sentences, figure, film, material }) {
+      const shown = h('div', {});
+      shown.innerHTML = figure; // made by phy124/fit/page.py, which escapes all text
+      shown.querySelector('video').src = film.url;
+      globalThis.Phy124Compare(shown.firstChild);
+      const [first, ...rest] = sentences;
+      const use = h('button', { type: 'button', class: 'quiet fit-use', onclick: () => {
+        document.dispatchEvent(new CustomEvent('phy124-material', { detail: material }));
+        use.textContent = 'The next run has this softness';
+      } }, 'Use this softness');
+      return [h('p', { class: 'fit-found' }, h('strong', {}, first), use), ...rest.map((text) => h('p', { class: 'fit-more' }, text)), shown];
+    }
+  }
+
+  Object.assign(globalThis.Phy124, { fit });
+})();
