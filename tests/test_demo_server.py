@@ -156,6 +156,25 @@ def test_generate_then_render_then_evaluate(client):
         client.predict(["back"], 48, 20, speed=0, api_name="/render")
     figures = client.predict(api_name="/evaluate")
     assert len(figures["motion"]["min_J"]) == 2
+    _refuses_what_is_no_video(client)
+
+
+def _refuses_what_is_no_video(client) -> None:
+    """The result of this session is fitted to a video and nothing else, said in one sentence."""
+    from gradio_client import handle_file
+
+    for video, told, sentence in (
+        (handle_file(str(DUCK)), {}, "video: It is not an MP4"),
+        (handle_file(str(DUCK)), {"speed": 0}, "speed"),
+        ({"path": "a.mp4", "url": "data:video/mp4;base64,AAAA"}, {}, "video: This is no file"),
+        ({"path": 5}, {}, "video: This is no file"),
+        ({"path": "/etc/passwd"}, {}, "."),
+        (None, {}, "video: There is no video yet"),
+    ):
+        with pytest.raises(Exception, match=sentence) as refusal:
+            client.predict(video, **told, api_name="/fit")
+        said = str(refusal.value)
+        assert "Traceback" not in said and "passwd" not in said and len(said) < 300
 
 
 @pytest.mark.slow
@@ -184,7 +203,7 @@ def test_the_error_of_a_scene_is_measured_by_name(client):
 
 def test_endpoints_have_typed_arguments(client):
     described = client.view_api(print_info=False, return_format="dict")["named_endpoints"]
-    assert set(described) == {"/generate", "/render", "/evaluate", "/measure"}
+    assert set(described) == {"/generate", "/render", "/evaluate", "/measure", "/fit"}
     kinds = {
         p["parameter_name"]: p["python_type"]["type"] for p in described["/generate"]["parameters"]
     }

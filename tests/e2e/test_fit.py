@@ -1,0 +1,58 @@
+"""A video is dropped on a result in a real browser, and the next run has its softness."""
+
+from __future__ import annotations
+
+import pytest
+from visit import LONG, Visit
+
+from support.ducks import video
+
+pytestmark = [pytest.mark.browser, pytest.mark.slow]
+SHOWN = """() => {
+    const video = document.querySelector('.compare video');
+    return [video.readyState, video.videoWidth, video.videoHeight, video.currentTime];
+}"""
+SOFTNESS = "JSON.parse(sessionStorage.getItem('phy124-scene')).material.E"
+
+
+def test_a_video_goes_back_to_the_softness_of_the_next_run(browser, server, tmp_path):
+    (tmp_path / "truth").mkdir()
+    film = video(tmp_path / "truth", truth=6e4)
+    (tmp_path / "text.mp4").write_text("this is no video")
+    visit = Visit(browser, server)
+    page = visit.page
+    visit.upload()
+    visit.choose(frames=14)
+    visit.generate()
+    visit.finished()
+    page.get_by_role("tab", name="Fit to a video").click()
+    slot = page.locator(".fit-slot input")
+    slot.set_input_files(tmp_path / "text.mp4")
+    page.locator(".fit-go").click()
+    page.get_by_text("It is not an MP4").wait_for(timeout=LONG)
+    slot.set_input_files(film)
+    assert "A fit takes" in page.locator(".fit-forecast").inner_text()
+    page.get_by_label("Time for the fit").fill("600")
+    page.locator(".fit-go").click()
+    page.wait_for_selector(".fit-clock", timeout=LONG)
+    page.locator(".fit-cancel").click()
+    page.get_by_text("Stopped. Nothing was changed.").wait_for(timeout=LONG)
+    page.locator(".fit-go").click()
+    page.wait_for_selector(".fit-clock", timeout=LONG)
+    # Who reloads the page finds the fit going on.
+    page.reload()
+    page.get_by_role("tab", name="Fit to a video").click()
+    page.wait_for_selector(".fit-clock", timeout=LONG)
+    page.wait_for_selector(".fit-found", timeout=4 * LONG)
+    page.locator(".compare input").fill("11")
+    page.wait_for_function(f"({SHOWN})()[3] > 0.4", timeout=LONG)
+    ready, width, height, _ = page.evaluate(SHOWN)
+    assert ready >= 2 and (width, height) == (576, 192)
+    assert page.locator(".compare output").inner_text().startswith("12 of 14")
+    assert page.evaluate(SOFTNESS) == 4e4
+    page.locator(".fit-use").click()
+    page.wait_for_function(f"{SOFTNESS} > 4.8e4", timeout=LONG)
+    assert page.evaluate(SOFTNESS) < 7.2e4
+    page.get_by_role("tab", name="Take away").click()
+    page.locator('[data-name="comparison.mp4"]').wait_for(timeout=LONG)
+    assert visit.complaints == []

@@ -1,0 +1,41 @@
+"""The duck pressed on the page, and a video of it when it is stiffer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from demo.jobs import Studio
+from demo.work import Done
+from phy124.io.clip import Clip
+from phy124.pipeline import static
+from phy124.rendering.film import film
+from phy124.scene import Scene
+from support.twins import twin
+
+DUCK = Path(__file__).parents[2] / "demo/examples/duck.png"
+GROUND = (0.35, 0.5, 0.62)
+"""A colour that the duck does not have."""
+
+
+def video(folder: Path, truth: float, cells: int = 28) -> Path:
+    """A video of the pressed duck, from a finer grid and other particles than a fit uses."""
+    scene = Scene.named("press").replaced({"material.E": truth})
+    clip: Clip = twin(static(DUCK, Scene(), count=5000).gaussians, scene, cells)
+    view = scene.view.model_copy(
+        update={"views": ("front",), "size": (256, 256), "background": GROUND}
+    )
+    film(clip, view, folder, device="cpu")
+    return folder / "front.mp4"
+
+
+def pressed(studio: Studio, folder: Path, *, truth: float, guess: float) -> tuple[Done, Path]:
+    """A visitor's finished run with a guess, and the video of the truth."""
+    studio.visitors.get("a")
+    sent = str(studio.visitors.store("a", DUCK.read_bytes(), ".png"))
+    cut = studio.cut("a", sent)
+    assert cut.wait(60)
+    changes = {"material.E": guess, "accuracy": "draft", "view.size": 64, "view.views": ["front"]}
+    scene = Scene.named("press").replaced(changes)
+    run = studio.run("a", cut.progress.result, scene.data())
+    assert run.wait(300), run.progress.message
+    return run.progress.result, video(folder / "truth", truth)
