@@ -84,7 +84,17 @@ def outlook(scene: Scene, rates: Rates) -> Outlook:
 
 
 def declared(done: Done, scene: Scene, seen: Seen, asked: Asked) -> Fit:
-    """The fit of a result's softness to a video."""
+    """The fit of a result's softness to a video.
+
+    Args:
+        done: The result.
+        scene: Its scene.
+        seen: The video.
+        asked: What is said of it.
+
+    Raises:
+        InputError: Its material has no softness.
+    """
     stiffness = softness(scene)
     low, high = max(stiffness / TIMES, SOFTEST), min(stiffness * TIMES, STIFFEST)
     return Fit.from_data({
