@@ -19,6 +19,7 @@ from phy124.io.files import replacing
 from phy124.runtime import isolated
 from phy124.runtime.isolated import Deadline, Unfinished
 from phy124.scene import Scene
+from phy124.scene.files import files_named
 
 from ..studies import on_grid
 from ..work import Done
@@ -179,6 +180,11 @@ def scene_of_result(done: Done) -> Scene:
     """The scene of a result.
 
     Raises:
-        InputError: It named a picture that its clip no longer says where to find.
+        InputError: Its motion depends on a picture, of which a clip does not say where it lies.
     """
-    return Scene.from_data(Clip.load(done.clip / "clip.safetensors").scene)
+    scene = Scene.from_data(Clip.load(done.clip / "clip.safetensors").scene)
+    for field, _ in files_named(scene):
+        if not field.startswith("view."):
+            limit = f"The scene has a picture ({field}), and such a one is not fitted here."
+            raise InputError(field, "a file", limit, "Leave it out and generate it again.")
+    return scene
