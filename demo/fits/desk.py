@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -53,6 +54,9 @@ class Fits:
         """
         if done is None or not (done.clip / "report.json").exists():
             raise InputError("run", "none", NO_RESULT, "Generate one first.")
+        if find_spec("cma") is None:
+            limit = "This server has no search for a softness (the package cma)."
+            raise InputError("fit", "none", limit, "Ask who runs it.")
         scene = scene_of_result(done)
         softness(scene)
         expected, load = outlook(scene, self.forecaster.rates), self.forecaster.load().thread
