@@ -170,6 +170,7 @@ def test_a_fit_is_forecast_and_asked_for_as_declared(studio):
     assert studio.fits.begin("a", done, video, told).wait(60)
     (wanted,) = studio.fits.search.asked
     assert (wanted.side, wanted.fps, wanted.seconds, wanted.align) == ("right", 24, value, True)
+    assert Scene().replaced(wanted.set).view.only("right").sides == ("right",)
     assert wanted.find["material.E"].log_uniform == (4e3, 4e5)
     few, many = (outlook(Scene().replaced({"time.frames": n}), Rates()).wall(9) for n in (5, 50))
     assert few < many

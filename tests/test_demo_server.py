@@ -178,6 +178,23 @@ def _refuses_what_is_no_video(client) -> None:
 
 
 @pytest.mark.slow
+def test_a_program_fits_its_run_to_a_video(client, tmp_path):
+    from gradio_client import handle_file
+
+    from support.ducks import video
+
+    _generate(client, preset="press", frames=14, changes={**FEW, "material.E": 4e4})
+    film = handle_file(str(video(tmp_path / "truth", truth=6e4)))
+    files, report = client.predict(film, seconds=600, api_name="/fit")
+    low, high = report["found"]["material.E"]["limit"]["interval"]
+    assert low < 6e4 < high and report["declared"]["target"] == "video"
+    names = {Path(path).name for path in files}
+    assert {"comparison.mp4", "comparison.html", "comparison.png", "fit.json"} <= names
+    with pytest.raises(Exception, match=r"the least that this fit takes.*Give it more time\."):
+        client.predict(film, seconds=5, api_name="/fit")
+
+
+@pytest.mark.slow
 def test_the_program_of_the_documentation_runs(server, monkeypatch, capsys):
     """docs/guide/web.md: a run, another film of it, its figures, its error."""
     (program,) = (b.text for b in blocks() if b.page.name == "web.md" and b.words[0] == "python")

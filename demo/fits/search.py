@@ -102,8 +102,8 @@ def declared(done: Done, scene: Scene, seen: Seen, asked: Asked) -> Fit:
         "target": str(seen.folder),
         "object": str(done.clip / "clip.safetensors"),
         "find": {NAME: {"log_uniform": (low, high)}},
-        # The rate is that of what was filmed, at its own speed.
-        "set": {"view.speed": 1.0},
+        # The rate is that of what was filmed, at its own speed; the run may have had other sides.
+        "set": {"view.speed": 1.0, "view.views": [asked.side]},
         "fps": seen.fps, "side": asked.side, "align": True, "gaussians": GAUSSIANS,
         "grids": GRIDS, "seconds": asked.seconds, "seed": scene.seed,
     })  # fmt: skip

@@ -16,7 +16,6 @@ SOFTNESS = "JSON.parse(sessionStorage.getItem('phy124-scene')).material.E"
 
 
 def test_a_video_goes_back_to_the_softness_of_the_next_run(browser, server, tmp_path):
-    (tmp_path / "truth").mkdir()
     film = video(tmp_path / "truth", truth=6e4)
     (tmp_path / "text.mp4").write_text("this is no video")
     visit = Visit(browser, server)

@@ -19,6 +19,7 @@ GROUND = (0.35, 0.5, 0.62)
 
 def video(folder: Path, truth: float, cells: int = 28) -> Path:
     """A video of the pressed duck, from a finer grid and other particles than a fit uses."""
+    folder.mkdir(exist_ok=True)
     scene = Scene.named("press").replaced({"material.E": truth})
     clip: Clip = twin(static(DUCK, Scene(), count=5000).gaussians, scene, cells)
     view = scene.view.model_copy(
