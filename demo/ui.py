@@ -126,7 +126,7 @@ def _results() -> tuple[gr.HTML, gr.HTML, gr.HTML, gr.HTML]:
             report = gr.HTML(empty, apply_default_css=False, elem_id="report")
         with gr.Tab("Take away"):
             takeaway = panels.takeaway()
-        with gr.Tab("Fit to a video"):
+        with gr.Tab("Fit"):
             fit = panels.fit()
     return videos, report, takeaway, fit
 

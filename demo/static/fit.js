@@ -36,7 +36,7 @@
 
     draw({ offer, fields }) {
       const input = this.input = h('input', { type: 'file', accept: ACCEPT, 'aria-label': 'Choose a video', onchange: () => this.choose(input.files[0]) });
-      this.name = h('span', { class: 'fit-hint' }, h('strong', {}, 'Drop a video here'), HINT);
+      this.name = h('span', { class: 'fit-hint' }, h('strong', {}, 'Fit to a video: drop it here'), HINT);
       this.preview = h('video', { hidden: true, playsinline: true, loop: true, 'aria-label': 'Your video' });
       this.preview.muted = true;
       const slot = h('label', { class: 'fit-slot' }, input, this.preview, this.name);

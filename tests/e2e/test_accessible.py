@@ -69,7 +69,7 @@ def test_axe_finds_nothing_in_any_state(browser, server, tmp_path, look):
     page.wait_for_selector(".glimpse[src]", timeout=LONG)
     found["running"] = _violations(page)
     visit.finished()
-    for tab in ("Videos", "Report", "Take away", "Fit to a video"):
+    for tab in ("Videos", "Report", "Take away", "Fit"):
         page.get_by_role("tab", name=tab).click()
         page.wait_for_timeout(300)
         found[tab] = _violations(page)

@@ -24,7 +24,7 @@ def test_a_video_goes_back_to_the_softness_of_the_next_run(browser, server, tmp_
     visit.choose(frames=14)
     visit.generate()
     visit.finished()
-    page.get_by_role("tab", name="Fit to a video").click()
+    page.get_by_role("tab", name="Fit", exact=True).click()
     slot = page.locator(".fit-slot input")
     slot.set_input_files(tmp_path / "text.mp4")
     page.locator(".fit-go").click()
@@ -40,7 +40,7 @@ def test_a_video_goes_back_to_the_softness_of_the_next_run(browser, server, tmp_
     page.wait_for_selector(".fit-clock", timeout=LONG)
     # Who reloads the page finds the fit going on.
     page.reload()
-    page.get_by_role("tab", name="Fit to a video").click()
+    page.get_by_role("tab", name="Fit", exact=True).click()
     page.wait_for_selector(".fit-clock", timeout=LONG)
     page.wait_for_selector(".fit-found", timeout=4 * LONG)
     page.locator(".compare input").fill("11")

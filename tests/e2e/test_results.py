@@ -89,7 +89,7 @@ def test_on_a_phone_nothing_is_too_wide_and_the_result_comes_into_view(browser, 
     visit.finished()
     page.wait_for_selector("#viewer .phy-time", timeout=LONG)
     page.wait_for_function(SEEN, arg="#viewer", timeout=LONG)
-    for tab in ("Report", "Take away", "Fit to a video", "Videos"):
+    for tab in ("Report", "Take away", "Fit", "Videos"):
         page.get_by_role("tab", name=tab).click()
         assert page.evaluate(WIDTH) == 390, tab
         if tab == "Report":
