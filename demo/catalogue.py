@@ -122,10 +122,25 @@ def scene_of(data: Any, settings: Settings, uploads: Path | None = None) -> Scen
     if len(json.dumps(data)) > LONGEST + LONGER * settings.max_frames:
         raise InputError("scene", "too long", "it is too large.", "Use fewer forces.")
     scene = Scene.from_data(data)
+    _refuse_makers(scene)
     for field, path in files_named(scene):
         _check_upload(field, path, settings, uploads)
     check_limits(scene, settings)
     return scene
+
+
+def _refuse_makers(scene: Scene) -> None:
+    """Make sure that further objects are made of pictures, or are plain shapes.
+
+    Raises:
+        InputError: One names a generator, or a file of Gaussians, which would not be read apart.
+    """
+    for index, one in enumerate(scene.objects):
+        for name in ("file", "generator"):
+            if getattr(one, name) is not None:
+                limit = "Here further objects are made of pictures, or are plain shapes."
+                field = f"objects.{index}.{name}"
+                raise InputError(field, "given", limit, "Leave it out, or give a picture.")
 
 
 def _check_upload(field: str, path: Path, settings: Settings, uploads: Path | None) -> None:
@@ -146,6 +161,7 @@ def check_limits(scene: Scene, settings: Settings) -> None:
         "frames": (scene.time.frames, settings.max_frames),
         "cells": (scene.resolution.cells, settings.max_cells),
         "size": (max(scene.view.size), settings.max_pixels),
+        "objects": (len(scene.names), settings.max_objects),
         "views": (len(scene.view.sides), settings.max_views),
         "particles": (count_particles(scene), settings.max_particles),
         "forces and boundaries": (

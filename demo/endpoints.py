@@ -11,6 +11,7 @@ from gradio.components import Component
 from phy124.errors import InputError
 from phy124.generators.depth_map import DepthMap
 from phy124.generators.other_views import OtherViews
+from phy124.pipeline import check_sources
 from phy124.scene import PRESETS, Scene, ViewName, preset_names
 from phy124.scene.refusals import shortened
 from phy124.section import Section
@@ -23,6 +24,7 @@ from .jobs import Studio
 from .known import AXES
 from .line import Job
 from .photo import film, photo, refusal
+from .pictures import check_picture
 from .sentences import complaint
 from .source import Source
 from .strokes import place_of
@@ -31,6 +33,8 @@ from .visitors import Visitor
 from .work import BEAT, Done
 
 VIEWS = list(get_args(ViewName))
+OTHERS = ("second", "third", "fourth")
+"""What the pictures of further objects are called."""
 NOTHING_YET = "run: There is no run in this session yet. Call /generate first."
 
 
@@ -52,6 +56,7 @@ def endpoints(studio: Studio) -> None:
         up, front = (_unread(gr.Textbox(None, label=option)) for option in AXES)
         compose = _unread(gr.Checkbox(False, label="compose"))
         known = [depth, near, side, facing, back, thickness, highlights, up, front]
+        others = [photo(studio, label=name) for name in OTHERS]
         views = _unread(gr.CheckboxGroup(VIEWS, label="views"))
         size = _unread(gr.Number(512, label="size", precision=0, minimum=16))
         elevation = _unread(gr.Number(10, label="elevation", minimum=-89, maximum=89))
@@ -63,7 +68,7 @@ def endpoints(studio: Studio) -> None:
         shared = {"concurrency_id": "programs", "concurrency_limit": studio.settings.max_queue}
         gr.Button().click(
             _generate(studio),
-            [picture, preset, accuracy, frames, changes, formats, pick, *known, compose],
+            [picture, preset, accuracy, frames, changes, formats, pick, *known, compose, *others],
             [run, files, report], api_name="generate", **shared,
         )  # fmt: skip
         gr.Button().click(
@@ -73,7 +78,7 @@ def endpoints(studio: Studio) -> None:
         gr.Button().click(_evaluate, run, report, api_name="evaluate")
         error, said = gr.Number(label="error"), gr.Textbox(label="sentence")
         gr.Button().click(
-            _measure(studio), [picture, preset, accuracy, frames, changes, pick, *known],
+            _measure(studio), [picture, preset, accuracy, frames, changes, pick, *known, *others],
             [error, said, gr.JSON(label="levels")], api_name="measure", **shared,
         )  # fmt: skip
         told = [_declared(Asked, option) for option in Asked.model_fields]
@@ -110,7 +115,8 @@ def _generate(studio: Studio) -> Handler:
         pick: Any, request: gr.Request, depth: str | None = None, near: str = "white",
         side: str | None = None, facing: str = "left", back: str | None = None,
         thickness: float | None = None, highlights: str = "keep", up: str | None = None,
-        front: str | None = None, compose: bool = False,
+        front: str | None = None, compose: bool = False, second: str | None = None,
+        third: str | None = None, fourth: str | None = None,
     ) -> Iterator[tuple[Any, ...]]:  # fmt: skip
         """Turn a picture or a file of Gaussians into a moving object: its files and its report."""
         name = visitor_of(request)
@@ -120,7 +126,10 @@ def _generate(studio: Studio) -> Handler:
             "thickness": thickness, "highlights": highlights, "up": up, "front": front,
             "compose": compose,
         }  # fmt: skip
-        scene, cutting = _cut(studio, name, image, preset, accuracy, frames, changes, pick, told)
+        more = [second, third, fourth]
+        scene, cutting = _cut(
+            studio, name, [image, *more], preset, accuracy, frames, changes, pick, told
+        )
         visitor, data = studio.visitors.get(name), scene.data()
         for _ in _followed(cutting, visitor, "image"):
             yield (gr.skip(),) * 3
@@ -141,7 +150,8 @@ def _measure(studio: Studio) -> Handler:
         pick: Any, request: gr.Request, depth: str | None = None, near: str = "white",
         side: str | None = None, facing: str = "left", back: str | None = None,
         thickness: float | None = None, highlights: str = "keep", up: str | None = None,
-        front: str | None = None,
+        front: str | None = None, second: str | None = None,
+        third: str | None = None, fourth: str | None = None,
     ) -> Iterator[tuple[Any, ...]]:  # fmt: skip
         """Measure the error of a scene as a fraction of its size, and the seconds of each grid."""
         name = visitor_of(request)
@@ -149,7 +159,10 @@ def _measure(studio: Studio) -> Handler:
             "depth": depth, "near": near, "side": side, "facing": facing, "back": back,
             "thickness": thickness, "highlights": highlights, "up": up, "front": front,
         }  # fmt: skip
-        scene, cutting = _cut(studio, name, image, preset, accuracy, frames, changes, pick, told)
+        more = [second, third, fourth]
+        scene, cutting = _cut(
+            studio, name, [image, *more], preset, accuracy, frames, changes, pick, told
+        )
         visitor = studio.visitors.get(name)
         for _ in _followed(cutting, visitor, "image"):
             yield (gr.skip(),) * 3
@@ -166,7 +179,7 @@ def _measure(studio: Studio) -> Handler:
 
 
 def _cut(
-    studio: Studio, name: str, image: str | None, preset: str, accuracy: str, frames: int,
+    studio: Studio, name: str, images: list[str | None], preset: str, accuracy: str, frames: int,
     changes: Any, pick: Any, told: dict[str, Any],
 ) -> tuple[Scene, Job]:  # fmt: skip
     """The scene that a program asks for, and the job that opens its picture or file."""
@@ -178,9 +191,23 @@ def _cut(
         length = {} if "time.seconds" in changed else {"time.frames": frames}
         scene = Scene.named(preset).replaced({"accuracy": accuracy, **length, **changed})
         studio.known(name, told)
-        return scene, studio.take(name, image, place_of(pick))
+        first, *others = images
+        scene = _with_pictures(studio, name, scene, [one for one in others if one])
+        return scene, studio.take(name, first, place_of(pick))
     except InputError as error:
         raise refusal(complaint(error)) from None
+
+
+def _with_pictures(studio: Studio, name: str, scene: Scene, sent: list[str]) -> Scene:
+    """The scene, in which objects that wait for a picture have those that a program has sent."""
+    check_sources(scene, sent)
+    waiting = [index for index, one in enumerate(scene.objects) if one.waits]
+    changes = {}
+    for index, one in zip(waiting, sent, strict=False):
+        path = studio.visitors.own(name, one)
+        check_picture(path, studio.settings)
+        changes[f"objects.{index}.picture"] = str(path)
+    return scene.replaced(changes)
 
 
 def _chosen(field: str, given: Any, known: list[str]) -> list[str]:

@@ -89,6 +89,7 @@ class Estimator:
         generated: bool = False,
         simulated: bool = False,
         filmed: bool = False,
+        pictures: int = 1,
         composed: float = 0.0,
         compiling: float = 0.0,
     ) -> Estimate:
@@ -100,12 +101,14 @@ class Estimator:
             generated: Whether the Gaussians exist already.
             simulated: Whether the clip exists already.
             filmed: Whether the films exist already.
+            pictures: Number of pictures of which Gaussians are made.
             composed: Pixels drawn for the film in the photograph.
             compiling: Time until the kernels are compiled if nothing else runs [s].
         """
         work, load = Work.of(scene, gaussians), self.load()
         work = replace(work, pixels=work.pixels + composed)
         costs = self.rates.seconds(work) | {"rest": self.rates.rest, "compile": compiling}
+        costs["generate"] *= pictures
         done = {
             "generate": generated or simulated, "simulate": simulated, "deform": simulated,
             "compile": simulated, "film": filmed, "rest": filmed,

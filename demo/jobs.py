@@ -375,7 +375,7 @@ class Studio:
         return job
 
     def _run(self, visitor: Visitor, order: Order, job: Job) -> None:
-        order.known.cut(Deadline(self.settings.max_cut_seconds, job.check))
+        order.cut(Deadline(self.settings.max_cut_seconds, job.check))
         load, events = self.forecaster.load(), self.work(order)
         try:
             for event in events:

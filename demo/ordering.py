@@ -13,6 +13,7 @@ from .settings import Settings
 from .source import Cutout, GaussianFile, Source
 from .visitors import Visitor
 from .work import Order
+from .work.others import others_of
 
 
 def order_of(
@@ -40,6 +41,7 @@ def order_of(
         generator="relief" if cutout else source.path,
         gaussians=count_of(source, limits),
         known=known,
+        others=others_of(visitor, scene),
         photograph=Path(source.picture) if known.photographed.compose else None,
         device=limits.device,
         threads=limits.threads or None,

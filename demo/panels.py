@@ -11,7 +11,9 @@ PICTURE = HEAD + '<script src="phy124/static/brush.js"></script>'
 PICTURE += '<script src="phy124/static/picture.js"></script>'
 KNOWN = HEAD + '<script src="phy124/static/ways.js"></script>'
 KNOWN += '<script src="phy124/static/known.js"></script>'
-EDITOR = HEAD + '<script src="phy124/static/scene.js"></script>'
+OTHERS = KNOWN + '<script src="phy124/static/others.js"></script>'
+EDITOR = HEAD + '<script src="phy124/static/links.js"></script>'
+EDITOR += '<script src="phy124/static/scene.js"></script>'
 TOUCH = (
     HEAD
     + '<script src="phy124/static/lattice.js"></script>'
@@ -58,6 +60,15 @@ def known() -> gr.HTML:
     panel replaces, and so are the ways up of a file of Gaussians.
     """
     return _panel("known", KNOWN, events="'choose' 'view' 'change'")
+
+
+def others() -> gr.HTML:
+    """Pictures of the scene's further objects; empty if it has none that waits for a picture.
+
+    Events: "choose" names a picture that was sent for an object, "view" reports that it has been
+    cut out. Handlers give an answer as the value; the scene itself holds the pictures.
+    """
+    return _panel("others", OTHERS, events="'choose' 'view'")
 
 
 def progress() -> gr.HTML:

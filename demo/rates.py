@@ -89,6 +89,7 @@ def _observed(report: dict[str, Any], scene: Scene) -> tuple[Work, dict[str, flo
     spent["film"] = spent.get("render", 0.0) + spent.get("encode", 0.0)
     for name in ("generate", "simulate", "deform"):
         spent.setdefault(name, 0.0)
+    spent["generate"] /= 1 + len(report.get("sources", {}))
     work = Work.done(scene, report["substeps"], report["particles"], report["frames"])
     return work, spent
 

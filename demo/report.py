@@ -39,7 +39,7 @@ def as_html(
         parts.append(f'<p class="notice">Stopped early: {escape(str(report["stopped"]))}</p>')
     parts += [f'<p class="note">{escape(str(note))}</p>' for note in report.get("notes", [])]
     parts += [_accuracy(report, scene, predicted, said), _pareto(report, said, stops)]
-    parts += [_cut_out(report), _file(report), _stages(report), _motion(report)]
+    parts += [_cut_out(report), _file(report), _objects(report), _stages(report), _motion(report)]
     parts += [_effects(report), _left_out(report)]
     return f'<div class="report">{"".join(parts)}</div>'
 
@@ -134,6 +134,18 @@ def _file(report: dict[str, Any]) -> str:
     rows = [("Format", report["generator"]), ("Up, front", f"{file['up']}, {file['front']}")]
     rows += [("Looks like", file["program"])] if file["program"] else []
     return _section("File", _table([*rows, *(("Note", said) for said in report["cleaning"])]))
+
+
+def _objects(report: dict[str, Any]) -> str:
+    """What each of several objects is made of, and the largest force between each two."""
+    rows = []
+    for name, one in (report.get("objects") or {}).items():
+        cutout = (report.get("sources") or {}).get(name, {}).get("cutout")
+        how = f", cut out by {title_of(cutout['method'])}" if cutout else ""
+        rows.append((name, f"{one['gaussians']:,} Gaussians, {one['mass']:.3g} kg{how}"))
+    for pair, met in (report.get("pairs") or {}).items():
+        rows.append((pair.replace("_", " "), f"at most {met['largest_force']:.3g} N"))
+    return _section("Objects", _table(rows)) if rows else ""
 
 
 def _motion(report: dict[str, Any]) -> str:

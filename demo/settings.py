@@ -52,6 +52,7 @@ class Settings(Section):
     )
     max_frames: int = Field(default=72, ge=1, le=10_000, description="Frames of one run.")
     max_forces: int = Field(default=16, ge=1, description="Forces and boundaries of one run.")
+    max_objects: int = Field(default=4, ge=1, le=16, description="Objects of one run.")
     max_particles: int = Field(default=400_000, ge=1000, description="Particles of one run.")
     max_cells: int = Field(default=64, ge=4, le=256, description="Grid cells across the object.")
     max_pixels: int = Field(default=768, ge=64, le=4096, description="Side of a video [pixels].")

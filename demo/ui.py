@@ -48,7 +48,7 @@ def build(studio: Studio) -> gr.Blocks:
         source, done = gr.State(None), gr.State(None)
         with gr.Row(elem_id="columns"):
             with gr.Column(elem_id="left"):
-                picture, known = _picture()
+                picture, others, known = _picture()
                 scene = _scene()
                 forecast, go, cancel, grab = _go()
             with gr.Column(elem_id="right"):
@@ -58,7 +58,7 @@ def build(studio: Studio) -> gr.Blocks:
                 history = panels.history()
                 videos, report, takeaway, fit = _results()
         results = [viewer, videos, report, takeaway, history]
-        _wire_picture(studio, picture, source, known)
+        _wire_picture(studio, picture, source, others, known)
         asked = [source, scene, known]
         _wire_forecast(studio, asked, forecast)
         for again in (grab.click, touch.begin):
@@ -95,10 +95,10 @@ def _heading(number: int, title: str) -> gr.HTML:
     return gr.HTML(f"<h2><b>{number}</b>{title}</h2>", apply_default_css=False)
 
 
-def _picture() -> tuple[gr.HTML, gr.HTML]:
+def _picture() -> tuple[gr.HTML, gr.HTML, gr.HTML]:
     with gr.Column(elem_id="picture-panel"):
         _heading(1, "Picture")
-        return panels.picture(), panels.known()
+        return panels.picture(), panels.others(), panels.known()
 
 
 def _scene() -> gr.HTML:
@@ -131,13 +131,15 @@ def _results() -> tuple[gr.HTML, gr.HTML, gr.HTML, gr.HTML]:
     return videos, report, takeaway, fit
 
 
-def _wire_picture(studio: Studio, picture: Any, source: Any, known: Any) -> None:
+def _wire_picture(studio: Studio, picture: Any, source: Any, others: Any, known: Any) -> None:
     picture.choose(handlers.chooser(studio), None, [picture, source, known], **QUIET)
     picture.correct(handlers.corrector(studio), [picture, source], picture, **QUIET)
     shown = [picture, source]
     picture.cut(handlers.cut_shower(studio), shown, [*shown, known], **QUIET)
     known.choose(handlers.view_chooser(studio), None, known, **QUIET)
-    known.view(handlers.view_shower(studio), None, known, **QUIET)
+    others.choose(handlers.object_chooser(studio), None, others, **QUIET)
+    for panel in (others, known):
+        panel.view(handlers.view_shower(studio), None, panel, **QUIET)
 
 
 def _wire_forecast(studio: Studio, asked: list[Any], forecast: Any) -> None:

@@ -16,6 +16,7 @@ from PIL import Image
 
 from phy124.io import ply
 from phy124.io.axes import orientation, turned
+from phy124.io.clip import Clip
 from support.hostile import bomb
 from support.pages import blocks
 from support.served import ROOT, TIMEOUT, Server, serving
@@ -402,3 +403,38 @@ def _leave_in_the_middle(server: Server) -> None:
             handle_file(str(DUCK)), "press", "draft", 6, FEW, [], api_name="/generate"
         )  # fmt: skip
         server.until(lambda: sent.status().code != Status.STARTING, "an answer to the request")
+
+
+@pytest.mark.slow
+def test_a_program_sends_a_picture_for_each_object(client, tmp_path):
+    """Files and data: URLs alike; what cannot be used is refused as the first picture would be."""
+    from gradio_client import handle_file
+
+    def second(path: Path) -> dict:
+        return {"second": handle_file(str(path))}
+
+    teddy, few = DUCK.with_name("teddy.png"), {**FEW, "accuracy": {"cells": 8}}
+    given = {"preset": "collide", "changes": few}
+    files, report = _generate(client, known=second(teddy), **given)
+    assert set(report["objects"]) == {"left", "right"} and set(report["sources"]) == {"right"}
+    (clip,) = (Path(path) for path in files if Path(path).name == "clip.safetensors")
+    found = Clip.load(clip)
+    assert found.objects == ("left", "right") and "/" not in found.scene["objects"][0]["picture"]
+    _, again = client.predict(["back"], 48, 20, api_name="/render")
+    assert again["substeps"] == report["substeps"] and set(again["sources"]) == {"right"}
+    url = "data:image/png;base64," + base64.b64encode(teddy.read_bytes()).decode()
+    _, same = _generate(client, known={"second": {"url": url}}, **given)
+    assert same["objects"] == report["objects"]
+    (tmp_path / "broken.png").write_bytes(b"this is no picture")
+    (tmp_path / "large.png").write_bytes(teddy.read_bytes() + bytes(2_000_000))
+    for told, message in (
+        (second(tmp_path / "broken.png"), "not a PNG"),
+        (second(tmp_path / "large.png"), "larger than the 2 MB"),
+        ({"second": {"url": "data:image/png;base64,*"}}, "data: URL is broken"),
+        ({"second": {"path": "/etc/passwd"}}, "."),
+        ({"second": handle_file(str(DUCK)), "third": handle_file(str(DUCK))}, "1 further objects"),
+    ):
+        with pytest.raises(Exception, match=message):
+            _generate(client, known=told, **given)
+    with pytest.raises(Exception, match="The scene takes one picture"):
+        _generate(client, known=second(teddy))

@@ -1,6 +1,7 @@
 """Formats of Gaussians: what is written reads back, and what other programs wrote is read."""
 
 import zlib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -245,16 +246,28 @@ def test_a_palette_holds_few_vectors_exactly_and_many_nearly(rng):
     assert error[256] < 0.05 < error[16] < 1
 
 
+@pytest.mark.parametrize("name", STILL)
+def test_the_object_of_a_gaussian_is_kept_where_it_is_said(tmp_path, rng, name):
+    path, plain = tmp_path / "a", many(rng, 300, 0)
+    several = replace(plain, object_id=rng.choice([0, 3, 700, 70_000], 300).astype(np.int32))
+    write_gaussians(path, several, name)
+    found = read_gaussians(path).gaussians.object_id
+    assert (found is not None) == bool(FORMATS[name].objects)
+    assert found is None or np.array_equal(found, several.object_id)
+    write_gaussians(path, plain, name)
+    assert read_gaussians(path).gaussians.object_id is None
+
+
 def test_the_guide_shows_every_format_as_it_is_declared():
     rows = [
         [cell.strip() for cell in line.split("|")[1:-1]]
         for line in GUIDE.splitlines()
-        if line.count("|") == 10
+        if line.count("|") == 11
     ][2:]
     assert rows == [
         [
             f"`{name}`" if f.written else "-", f.title, f"`{f.suffix}`", f.holds,
-            f"to degree {f.degree}" if f.degree else "none", ", ".join(f.axes),
+            f"to degree {f.degree}" if f.degree else "none", f.objects, ", ".join(f.axes),
             "yes" if f.read else "", "yes" if f.written else "", f.opens_in,
         ]
         for name, f in FORMATS.items()

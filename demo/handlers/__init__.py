@@ -5,7 +5,7 @@ Handlers know the session and Gradio's types; the work itself is in demo.jobs.
 
 from .event import Handler
 from .fit import fit_offerer, fit_shower, fit_starter, fit_stopper
-from .known import view_chooser, view_shower
+from .known import object_chooser, view_chooser, view_shower
 from .picture import chooser, corrector, cut_shower
 from .results import finisher, greeter, preparer
 from .run import forecaster, measurer, refiner, starter, stopper
@@ -24,6 +24,7 @@ __all__ = [
     "forecaster",
     "greeter",
     "measurer",
+    "object_chooser",
     "preparer",
     "refiner",
     "saver",

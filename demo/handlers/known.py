@@ -1,4 +1,4 @@
-"""Events of what else is known of the object: a picture of it was sent, or has been cut out."""
+"""Events of pictures beside the first: of its other sides, or of further objects."""
 
 from __future__ import annotations
 
@@ -32,8 +32,22 @@ def view_chooser(studio: Studio) -> Handler:
     return choose
 
 
+def object_chooser(studio: Studio) -> Handler:
+    """Handler: a picture of a further object was sent; starts to cut it out."""
+
+    def choose(event: gr.EventData, request: gr.Request) -> dict[str, Any]:
+        option, path = str(data_of(event).get("option")), data_of(event).get("upload")
+        try:
+            job = studio.cut(visitor_of(request), path, kind="view")
+        except InputError as error:
+            return _answer(option, message=sentence(error))
+        return _answer(option, job=job.name)
+
+    return choose
+
+
 def view_shower(studio: Studio) -> Handler:
-    """Handler: another view of the object has been cut out; shows it, or says why it failed."""
+    """Handler: what such a picture shows has been cut out; shows it, or says why it failed."""
 
     def show(event: gr.EventData, request: gr.Request) -> Any:
         job = job_of(studio, request, event)

@@ -43,7 +43,8 @@ def saver(studio: Studio) -> Handler:
         ticket = studio.touches.own(name)
         if ticket is None or ticket.session is None:
             return Progress(state="refused", message=FORGOTTEN).data(), *rested()
-        limits = limits_of(studio.settings, studio.count(source))
+        objects = 1 + len(ticket.session.get("objects", []))
+        limits = limits_of(studio.settings, objects * studio.count(source))
         try:
             job = studio.run(name, source, ticket.session, told, limits)
         except InputError as error:

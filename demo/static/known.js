@@ -132,9 +132,13 @@
       const { reduced, sent } = globalThis.Phy124;
       // A depth map's 16 bits would not survive the browser.
       const answer = await sent(this.option === 'depth' ? file : await reduced(file, this.panel.limits), this.panel.limits);
-      if (!answer.path) return this.say(answer.message, true);
+      if (answer.path) this.look(answer.path); else this.say(answer.message, true);
+    }
+
+    /** Have a picture that was sent cut out. */
+    look(path) {
       this.say('Looking at it …');
-      this.panel.trigger('choose', { option: this.option, upload: answer.path });
+      this.panel.trigger('choose', { option: this.option, upload: path });
     }
 
     take({ job, message, picture, cutout, by, doubts }) {
@@ -154,5 +158,5 @@
     }
   }
 
-  Object.assign(globalThis.Phy124, { known });
+  Object.assign(globalThis.Phy124, { known, View });
 })();

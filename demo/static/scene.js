@@ -2,7 +2,7 @@
  * from the scene's own JSON schema. Its value is the whole scene as plain data. */
 'use strict';
 (() => {
-  const { h, moving, announce, sounds } = globalThis.Phy124;
+  const { h, moving, announce, sounds, asLink, shared } = globalThis.Phy124;
   const clone = (data) => JSON.parse(JSON.stringify(data));
   const nice = (x, digits = 3) => Number(Number(x).toPrecision(digits)).toString();
   const words = (name) => name.replace(/_/g, ' ').replace(/^./, (c) => c.toUpperCase());
@@ -17,29 +17,12 @@
     editor.begin(await shared() || stored());
   }
 
-  /* ---- scenes in links --------------------------------------------------------------------- */
-
-  const through = async (bytes, stream) => new Uint8Array(await new Response(new Blob([bytes]).stream().pipeThrough(stream)).arrayBuffer());
-
-  /** A scene as part of an address: JSON, deflated, base64 of the kind that addresses take. */
-  async function asLink(data) {
-    const bytes = await through(new TextEncoder().encode(JSON.stringify(data)), new CompressionStream('deflate-raw'));
-    const text = btoa(String.fromCharCode(...bytes)).replace(/\+/g, '-').replace(/\//g, '_').replace(/=+$/, '');
-    return `${location.origin}${location.pathname}#scene=${text}`;
-  }
-
-  async function shared() {
-    const found = /^#scene=([\w-]{1,20000})$/.exec(location.hash);
-    if (!found) return null;
-    try {
-      const bytes = Uint8Array.from(atob(found[1].replace(/-/g, '+').replace(/_/g, '/')), (c) => c.charCodeAt(0));
-      return JSON.parse(new TextDecoder().decode(await through(bytes, new DecompressionStream('deflate-raw'))));
-    } catch { return null; }
-  }
-
   function stored() {
     try { return JSON.parse(sessionStorage.getItem(STORED)); } catch { return null; }
   }
+
+  /** The further objects of a scene that take a picture. */
+  const pictured = (data) => ((data && data.objects) || []).filter((one) => !one.shape && !one.file);
 
   class Editor {
     constructor(element, offer, send) {
@@ -52,6 +35,7 @@
         this.knobs, h('details', { class: 'more' }, h('summary', {}, 'More: every setting of the scene'), this.form), this.tools());
       element.addEventListener('keydown', (event) => this.shortcut(event));
       document.addEventListener('phy124-material', (event) => { this.data.material = clone(event.detail); this.drawKnobs(); this.turned(); });
+      document.addEventListener('phy124-object', (event) => this.picture(event.detail));
     }
 
     tools() {
@@ -76,6 +60,9 @@
       const data = clone(this.offer.presets.find((p) => p.name === name).scene);
       // On a dark page white videos would glare.
       if (document.body.classList.contains('dark')) [data.view.background] = clone(BACKGROUNDS.dark);
+      // Pictures that were sent stay with the objects in their order.
+      const sent = pictured(this.data).map((one) => one.picture);
+      pictured(data).forEach((one, i) => { if (sent[i]) one.picture = sent[i]; });
       this.load(data);
     }
 
@@ -91,6 +78,8 @@
 
     say() {
       this.sent = clone(this.data);
+      globalThis.Phy124.objects = pictured(this.sent).map(({ name, picture }) => ({ name, picture }));
+      document.dispatchEvent(new CustomEvent('phy124-objects', { detail: globalThis.Phy124.objects }));
       try { sessionStorage.setItem(STORED, JSON.stringify(this.sent)); } catch { /* not kept, then */ }
       [this.undoing.disabled, this.redoing.disabled] = [!this.past.length, !this.future.length];
       this.send(this.sent);
@@ -115,10 +104,19 @@
 
     async share() {
       const data = clone(this.data);
+      for (const one of data.objects || []) delete one.picture;
       if (data.parts) data.parts = data.parts.filter((part) => !part.mask);
       if (data.stiffness && data.stiffness.file) delete data.stiffness;
       const link = await asLink(data);
       try { await navigator.clipboard.writeText(link); announce('The link is copied.'); } catch { location.hash = link.split('#')[1]; announce('The link is in the address bar.'); }
+    }
+
+    /** A picture of one of the further objects was chosen, or removed. */
+    picture({ name, picture }) {
+      const one = pictured(this.data).find((each) => each.name === name);
+      if (!one) return;
+      if (picture) one.picture = picture; else delete one.picture;
+      this.turned();
     }
 
     /** A knob changed the data: the form follows. */

@@ -17,6 +17,7 @@ from ..sentences import sentence
 from ..settings import Settings
 from ..work.motion import gaussians_of
 from ..work.order import Order, made_gaussians
+from ..work.others import cropped
 from .child import Line
 from .lattice import Lattice
 from .sessions import FPS, shortened
@@ -73,11 +74,12 @@ class Player:
             "device": pick_device(order.device), "threads": 1, "shapes": False,
         }  # fmt: skip
         _say(line, kind="doing", text="Making the Gaussians …")
-        order.known.cut(Deadline(PREPARING))
+        order.cut(Deadline(PREPARING))
         gaussians = gaussians_of(order, made_gaussians(order))
         timing = order.scene.time.model_copy(update={"fps": FPS})
         _say(line, kind="doing", text="Finding a grid that runs in real time here …")
-        chosen = held_rate(gaussians, order.scene.model_copy(update={"time": timing}), **options)
+        scene = cropped(order.scene, order.others).model_copy(update={"time": timing})
+        chosen = held_rate(gaussians, scene, **options)
         self.live = Live(gaussians, chosen.scene, **options)
         self.live.step()
         self._lattice, self._walls = Lattice(self.live), Walls(self.live)

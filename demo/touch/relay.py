@@ -157,7 +157,8 @@ class Relay:
         """Take what the process sends; of frames, only the newest is kept."""
         assert process.stdin is not None and process.stdout is not None
         order = self._ticket.order
-        what = Play(order, limits_of(self._settings, order.gaussians))
+        gaussians = order.gaussians * len(order.scene.names)
+        what = Play(order, limits_of(self._settings, gaussians))
         process.stdin.write(pickle.dumps(sys.path) + pickle.dumps((play, (what,))))
         await process.stdin.drain()
         while True:

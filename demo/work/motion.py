@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from PIL import Image
 
 from phy124 import pipeline
 from phy124.errors import InputError
-from phy124.gaussians import Frame, Gaussians
+from phy124.gaussians import Frame, Gaussians, as_objects
+from phy124.generators.relief import relief
 from phy124.io.clip import Clip
 from phy124.io.files import replacing
 from phy124.particles.thinning import asked_for
@@ -22,24 +25,39 @@ from ..events import Reused, Step, Tell
 from ..pictures import HOW, how_cut
 from .limits import Limits
 from .order import Order
+from .others import cropped
 from .shows import glimpses, lives
 
 
 def gaussians_of(order: Order, path: Path, tell: Tell = lambda event: None) -> Gaussians:
-    """The Gaussians of an order, made if they do not exist yet."""
+    """The Gaussians of an order, those of several pictures with the number of their object; made
+    if they do not exist yet.
+    """
     if path.exists():
         tell(Reused("generate"))
         return Clip.load(path).frame(0).gaussians
-    tell(Step("generate", 0, 1))
-    make = asked_for(order.known.generator(order.generator), order.gaussians)
+    pictures = 1 + len(order.others)
+    tell(Step("generate", 0, pictures))
     with order.picture() as cutout:
-        gaussians = make(
-            cutout,
-            seed=order.scene.seed,
-            progress=lambda _, done, total: tell(Step("generate", done, total)),
-        )
+        gaussians = _made(order, order.known.generator(order.generator), cutout, 0, tell)
+    if order.others:
+        objects = {index: gaussians.of_object(index) for index in range(len(order.scene.names))}
+        for number, other in enumerate(order.others, 1):
+            with Image.open(other.cutout) as cutout:
+                objects[other.index] = _made(order, relief, cutout, number, tell)
+        gaussians = as_objects({index: one for index, one in objects.items() if len(one)})
     Clip.from_frames([Frame(0, 0.0, gaussians)]).save(path)
     return gaussians
+
+
+def _made(order: Order, generator: Any, cutout: Image.Image, number: int, tell: Tell) -> Gaussians:
+    """The Gaussians of one of an order's pictures."""
+
+    def progress(_: str, done: int, total: int) -> None:
+        tell(Step("generate", number * total + done, (1 + len(order.others)) * total))
+
+    make = asked_for(generator, order.gaussians)
+    return make(cutout, seed=order.scene.seed, progress=progress)
 
 
 def simulate(
@@ -58,8 +76,11 @@ def simulate(
     with order.picture() as cutout:
         crop = crop_of(cutout)
         about = {**dict(order.about), HOW: how_cut(cutout), "motion": watching.motion}
+    if order.others:
+        about["sources"] = {other.name: other.about for other in order.others}
+    scene = cropped(order.scene, order.others)
     pipeline.simulate(
-        gaussians, order.scene, out, device=order.device, threads=order.threads,
+        gaussians, scene, out, device=order.device, threads=order.threads,
         progress=watching.progress, watch=watch, about=about, crop=crop, films=False,
         each=watching.see,
     )  # fmt: skip

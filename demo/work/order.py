@@ -10,10 +10,12 @@ from typing import Any
 from PIL import Image
 
 from phy124.cost import GAUSSIANS
+from phy124.runtime.isolated import Deadline
 from phy124.scene import Scene
 
 from ..known import NOTHING_MORE, Known
 from ..visitors import key
+from .others import Other
 
 VIEWED = ("view", "accuracy", "description")
 """Fields that the stored errors of a scene's motion do not depend on."""
@@ -40,9 +42,11 @@ class Order:
     generator: str = "relief"
     """Name of the generator, or the file of Gaussians."""
     gaussians: int = GAUSSIANS
-    """Number of Gaussians that `relief` makes."""
+    """Number of Gaussians that `relief` makes of each picture."""
     known: Known = NOTHING_MORE
     """What is told of the object beside its picture or file."""
+    others: tuple[Other, ...] = ()
+    """The further objects that have pictures of their own."""
     photograph: Path | None = None
     """The picture to film the object in as well, in a format that browsers can show."""
     device: str = "auto"
@@ -56,6 +60,12 @@ class Order:
     def picture(self) -> Image.Image:
         """The cut-out, or a picture of nothing."""
         return Image.open(self.cutout) if self.cutout else Image.new("RGBA", (1, 1))
+
+    def cut(self, deadline: Deadline) -> None:
+        """Cut out of all other pictures what they show, unless that is done; raises InputError."""
+        self.known.cut(deadline)
+        for other in self.others:
+            other.cut(deadline)
 
 
 def folders(order: Order) -> tuple[Path, Path]:
@@ -73,8 +83,11 @@ def made_already(order: Order) -> dict[str, Any]:
     With them, under `composed`, the pixels that take as long as filming it in its photograph.
     """
     clips, films = ((folder / "report.json").exists() for folder in folders(order))
-    generated = order.cutout is None or made_gaussians(order).exists()
-    made = {"generated": generated, "simulated": clips, "filmed": films}
+    pictures = (order.cutout is not None) + len(order.others)
+    generated = not pictures or made_gaussians(order).exists()
+    made = {
+        "generated": generated, "simulated": clips, "filmed": films, "pictures": max(pictures, 1)
+    }  # fmt: skip
     return {**made, "composed": _pixels_to_compose(order)}
 
 
@@ -95,6 +108,7 @@ def made_gaussians(order: Order) -> Path:
         order.gaussians,
         order.scene.seed,
         order.known.data(),
+        *([other.index, other.cutout.name] for other in order.others),
     ]
     made = key(*told)
     return order.folder / "gaussians" / f"{made}.safetensors"

@@ -14,6 +14,7 @@ from ..studies import Measurement, on_grid
 from .limits import SIMULATING, Limits, easier
 from .motion import gaussians_of
 from .order import Order, made_gaussians, study_file
+from .others import cropped
 
 
 def measure(order: Order, limits: Limits) -> Measured:
@@ -38,7 +39,7 @@ def measure(order: Order, limits: Limits) -> Measured:
         event = Step("measure", done, total, note)
         limits.simulated(event) if done < total else limits.tell(event)
 
-    scene = on_grid(order.scene, order.levels[0])
+    scene = on_grid(cropped(order.scene, order.others), order.levels[0])
     study = Study(
         gaussians, scene, order.device, order.levels, crop, progress=progress, thorough=False
     )

@@ -63,6 +63,8 @@ class Format:
     """Bytes that a Gaussian of degree 0 takes per frame, as the duck has them."""
     degree: int = 3
     """Highest degree of the harmonics it holds."""
+    objects: str = ""
+    """Where it keeps the object of each Gaussian; empty if it does not."""
     axes: tuple[str, str] = Y_DOWN
     """Directions of its files that point up and to the front."""
     read: Callable[[Path], Content] | None = None
@@ -98,7 +100,7 @@ FORMATS = {
         Format(
             "ply", "3DGS PLY", ".ply", "everything, in float32",
             "SuperSplat, Blender and Unity add-ons, nearly every viewer", 68,
-            read=ply.read, encode=ply.encode,
+            objects="property `object_id`", read=ply.read, encode=ply.encode,
         ),
         Format(
             "compressed-ply", "compressed PLY of SuperSplat", ".ply",
@@ -122,17 +124,18 @@ FORMATS = {
         ),
         Format(
             "sog", "SOG 2", ".sog", "centres in 16 bits, the rest by codebooks of 256 values",
-            "PlayCanvas, SuperSplat, Spark, Babylon.js", 7.3, read=sog.read, encode=sog.encode,
+            "PlayCanvas, SuperSplat, Spark, Babylon.js", 7.3,
+            objects="picture `object_id.webp`, named in `extras`", read=sog.read, encode=sog.encode,
         ),
         Format(
             "glb", "GLB", ".glb", "everything, in float32 (KHR_gaussian_splatting)",
             "PlayCanvas, Babylon.js, CesiumJS, glTF Sample Renderer", 60,
-            axes=Y_UP, read=glb.read, encode=glb.encode,
+            objects="attribute `_OBJECT_ID`", axes=Y_UP, read=glb.read, encode=glb.encode,
         ),
         Format(
             "usd", "OpenUSD", ".usdc", "everything, in float32, and its motion",
             "Isaac Sim, Omniverse, Houdini Solaris, Kaolin, Newton", 44,
-            axes=("z", "x"), write_clip=write_usd, package="pxr",
+            objects="primvar `objectId`", axes=("z", "x"), write_clip=write_usd, package="pxr",
         ),
         Format(
             "4dgs", "4DGS container", ".4dgs", "motion, within bounds that the file declares",

@@ -11,6 +11,8 @@
     shN: count, bands, codebook,  higher harmonics: labels (low byte, high byte) name an entry of a
          files                    palette; its picture has 64 entries per row, one pixel per
                                   coefficient, each channel an index among 256 values
+    extras: phy124: object_id:    the specification leaves `extras` to programs; ours is a picture
+            files                 with the object of each Gaussian in 24 bits, the low byte red
 
 Row by row, the picture's pixel i is Gaussian i.
 """
@@ -47,6 +49,7 @@ MOST_ENTRIES = 1 << 16
 COEFFICIENTS = (0, 3, 8, 15)
 """Harmonics above degree 0, by degree."""
 TAG = 252
+OBJECT = "object_id"
 BROKEN = (
     LookupError, TypeError, ValueError, ArithmeticError, AttributeError, OSError, EOFError,
     NotImplementedError, RuntimeError, SyntaxError, zipfile.BadZipFile, zlib.error, struct.error,
@@ -97,6 +100,7 @@ def _read(path: Path, archive: zipfile.ZipFile) -> Content:
             "scales": np.exp(_codes(meta["scales"])[pixels(meta["scales"])[:, :3]]),
             "opacities": colour[:, 3] / np.float32(255),
             "sh": np.concatenate([first, rest], axis=1),
+            **_objects(meta, pixels),
         }
     return content_of(KIND, path, raw, antialiased=bool(meta.get("antialias", False)))
 
@@ -120,6 +124,8 @@ def encode(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
     _put_codes(meta, pictures, "sh0", gaussians.sh[:, 0], np.rint(gaussians.opacities * 255))
     if gaussians.sh_degree:
         _put_harmonics(meta, pictures, gaussians)
+    if gaussians.object_id is not None:
+        _put_objects(meta, pictures, gaussians.object_id)
     return _zipped(meta, pictures)
 
 
@@ -214,6 +220,22 @@ def _harmonics(
     if label.max() >= min(count, len(entries)):
         raise ValueError("a label is outside its palette")
     return _codes(entry)[entries][label]
+
+
+def _objects(meta: dict[str, Any], pixels: Any) -> dict[str, NDArray[np.int32]]:
+    """The object of each Gaussian, if the file has it from us; others may have extras, too."""
+    extras = meta.get("extras")
+    own = extras.get("phy124") if isinstance(extras, dict) else None
+    if own is None:
+        return {}
+    rows = pixels(own[OBJECT]).astype(np.int32)
+    return {OBJECT: rows[:, :3] @ np.array([1, 1 << 8, 1 << 16], np.int32)}
+
+
+def _put_objects(meta: dict, pictures: dict, ids: NDArray[np.int32]) -> None:
+    file = f"{OBJECT}.webp"
+    pictures[file] = _square(np.stack([ids & 255, ids >> 8 & 255, ids >> 16 & 255], axis=1))
+    meta["extras"] = {"phy124": {OBJECT: {"files": [file]}}}
 
 
 def _put_centres(meta: dict, pictures: dict, gaussians: Gaussians) -> None:

@@ -1,0 +1,66 @@
+/* Pictures of the further objects of a scene. The scene's editor says which objects take one (the event
+ * "phy124-objects"), and is told of what was chosen ("phy124-object"): the scene itself holds the pictures. */
+'use strict';
+(() => {
+  const { h, View } = globalThis.Phy124;
+  const HINT = 'What it is made from; without a picture it is a copy of the first object.';
+
+  async function others(element, props, watch, trigger) {
+    const offer = await (await fetch('phy124/catalogue.json')).json();
+    const panel = new Others(element, offer.limits, trigger);
+    document.addEventListener('phy124-objects', (event) => panel.draw(event.detail));
+    panel.draw(globalThis.Phy124.objects || []);
+    watch('value', () => panel.take(props.value));
+  }
+
+  class Others {
+    constructor(element, limits, trigger) { Object.assign(this, { element, limits, trigger, slots: new Map(), options: {} }); }
+
+    /** One slot for each object that takes a picture; those that are there already stay. */
+    draw(objects) {
+      const slots = new Map(objects.map((one) => [one.name, this.slots.get(one.name) || this.slot(one.name)]));
+      if ([...slots.keys()].join() !== [...this.slots.keys()].join()) {
+        const all = [...slots.values()];
+        this.element.replaceChildren(...(all.length ? [h('p', { class: 'examples-title' }, 'Pictures of the other objects; without one it is a copy of the first'),
+          h('div', { class: 'views' }, ...all.map((slot) => slot.element)), ...all.map((slot) => slot.status)] : []));
+      }
+      this.slots = slots;
+      for (const { name, picture } of objects) slots.get(name).match(picture || null);
+    }
+
+    slot(name) {
+      this.options[name] = { description: HINT };
+      return new Slot(name, this);
+    }
+
+    tell(told) {
+      for (const [name, picture] of Object.entries(told)) {
+        const slot = this.slots.get(name);
+        if (!slot || slot.path === picture) continue;
+        slot.path = picture;
+        document.dispatchEvent(new CustomEvent('phy124-object', { detail: { name, picture } }));
+      }
+    }
+
+    take(value) { this.slots.get(value?.answer?.option)?.take(value.answer); }
+  }
+
+  class Slot extends View {
+    path = null;
+
+    /** Show the picture that the scene has by now, after a reload or a step back, too. */
+    match(picture) {
+      if (picture === this.path) return;
+      this.path = picture;
+      this.clear();
+      if (picture) this.look(picture);
+    }
+
+    take(answer) {
+      if (answer.message) { this.show(null); this.tell(null); }
+      super.take(answer);
+    }
+  }
+
+  Object.assign(globalThis.Phy124, { others });
+})();

@@ -1,0 +1,61 @@
+"""Pictures of the further objects of a scene, in the page."""
+
+from __future__ import annotations
+
+import pytest
+from visit import DUCK, LONG, Visit
+
+pytestmark = [pytest.mark.browser, pytest.mark.slow]
+
+TEDDY = DUCK.with_name("teddy.png")
+SLOT = "#others .view"
+
+
+def _preset(page, name: str) -> None:
+    page.locator(f".card input[value={name}]").check(force=True)
+    page.wait_for_timeout(400)
+
+
+def test_a_second_picture_is_cut_out_runs_and_outlives_presets_and_reloads(
+    browser, server, tmp_path
+):
+    visit = Visit(browser, server, permissions=["clipboard-read", "clipboard-write"])
+    page = visit.page
+    visit.upload()
+    assert page.locator(SLOT).count() == 0
+    _preset(page, "land_on_cushion")
+    assert page.locator(SLOT).count() == 0  # its cushion is a shape
+    _preset(page, "collide")
+    assert page.locator(SLOT).count() == 1
+    (tmp_path / "text.png").write_text("this is no picture")
+    slot = page.get_by_label("Right", exact=True)
+    slot.set_input_files(tmp_path / "text.png")
+    page.locator("#others").get_by_text("It is not a PNG, JPEG").wait_for(timeout=LONG)
+    slot.set_input_files(TEDDY)
+    page.locator("#others").get_by_text("Cut out by the picture's own").wait_for(timeout=LONG)
+    _preset(page, "stack")  # the picture goes on to the object that waits for one there
+    page.get_by_role("button", name="Remove: above").wait_for(timeout=LONG)
+    _preset(page, "collide")
+    page.get_by_role("button", name="Remove: right").wait_for(timeout=LONG)
+    visit.choose(frames=2)
+    visit.generate()
+    visit.finished()
+    page.get_by_role("tab", name="Report").click()
+    page.locator("#report").get_by_text("right", exact=True).wait_for(timeout=LONG)
+    assert "kg, cut out by the picture's own" in page.locator("#report").inner_text()
+    page.reload()
+    page.get_by_role("button", name="Remove: right").wait_for(timeout=LONG)
+    page.get_by_role("button", name="Copy a link to this scene").click()
+    page.wait_for_timeout(500)
+    link = page.evaluate("navigator.clipboard.readText()")
+    page.get_by_role("button", name="Remove: right").click()
+    page.wait_for_timeout(500)
+    assert '"picture":"' not in page.evaluate("sessionStorage.getItem('phy124-scene')")
+    assert visit.complaints == []
+    elsewhere = Visit(browser, server)
+    elsewhere.page.goto(link)
+    elsewhere.page.reload()
+    elsewhere.page.locator(SLOT).wait_for(timeout=LONG)
+    assert elsewhere.page.locator(f"{SLOT} img[src]").count() == 0
+    assert "not here" not in elsewhere.page.locator("#others").inner_text()
+    assert elsewhere.complaints == []

@@ -1,0 +1,151 @@
+"""Further objects of a scene on the page: from pictures of their own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from demo.forecast import Estimator
+from demo.jobs import Studio
+from demo.rates import Learned
+from demo.report import as_html
+from demo.settings import Settings
+from demo.source import Cutout
+from demo.visitors import Visitors
+from demo.work import Order, gaussians_of, made_already, made_gaussians
+from demo.work.others import cropped
+from phy124.errors import InputError
+from phy124.runtime.isolated import Deadline
+from phy124.scene import Scene
+
+DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"
+TEDDY = DUCK.with_name("teddy.png")
+SOON = Deadline(60)
+
+
+@pytest.fixture
+def studio(tmp_path) -> Studio:
+    return Studio(Settings(max_megapixels=1, max_upload_mb=1, gaussians=1000), Visitors(tmp_path))
+
+
+def _sent(studio: Studio, picture: bytes, name: str = "a") -> str:
+    studio.visitors.get(name)
+    return str(studio.visitors.store(name, picture, ".png"))
+
+
+def _collide(**changes) -> dict:
+    return Scene.named("collide").replaced(changes).data()
+
+
+def _order(studio: Studio, data: dict) -> Order:
+    asked = studio.asked("a", Cutout(str(DUCK), str(DUCK)), data)
+    return studio.order(asked, studio.known("a", None))
+
+
+def test_a_further_object_is_made_of_its_own_picture(studio):
+    order = _order(studio, _collide(**{"objects.0.picture": _sent(studio, TEDDY.read_bytes())}))
+    assert made_already(order)["pictures"] == 2 and not made_already(order)["generated"]
+    order.cut(SOON)
+    (other,) = order.others
+    assert (other.index, other.name, other.about["cutout"]["method"]) == (1, "right", "alpha")
+    made = gaussians_of(order, made_gaussians(order))
+    left, right = made.of_object(0), made.of_object(1)
+    assert len(left) and len(right) and len(left) + len(right) == len(made)
+    assert right.rgb.mean(axis=0)[0] > left.rgb.mean(axis=0)[0] + 0.1  # a teddy is no duck
+    assert made_already(order)["generated"]
+    again = gaussians_of(order, made_gaussians(order))
+    assert again.object_id is not None and np.array_equal(again.object_id, made.object_id)
+    assert cropped(order.scene, order.others).objects[0].crop[1] > 0
+
+
+def test_without_a_picture_it_is_a_copy_and_nothing_is_made_of_it(studio):
+    studio.visitors.get("a")
+    plain = _order(studio, _collide())
+    assert plain.others == () and made_already(plain)["pictures"] == 1
+    other = _order(studio, _collide(**{"objects.0.picture": _sent(studio, TEDDY.read_bytes())}))
+    duck = _order(studio, _collide(**{"objects.0.picture": _sent(studio, DUCK.read_bytes())}))
+    same = _order(studio, _collide(**{"objects.0.picture": _sent(studio, DUCK.read_bytes())}))
+    assert len({made_gaussians(one) for one in (plain, other, duck, same)}) == 3
+    assert made_gaussians(duck) == made_gaussians(same)
+
+
+def test_its_picture_has_the_limits_of_the_first(studio, tmp_path):
+    Image.new("RGB", (1200, 1200), "red").save(tmp_path / "wide.png")
+    noise = np.random.default_rng(0).integers(0, 256, (700, 700, 3), np.uint8)
+    Image.fromarray(noise).save(tmp_path / "heavy.png")
+    pictures = {
+        "more than 1 million pixels": (tmp_path / "wide.png").read_bytes(),
+        "larger than the 1 MB": (tmp_path / "heavy.png").read_bytes(),
+        "not a PNG": b"this is no picture",
+    }
+    for said, picture in pictures.items():
+        with pytest.raises(InputError, match=said):
+            _order(studio, _collide(**{"objects.0.picture": _sent(studio, picture)}))
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"objects.0.picture": "/etc/passwd"}, "no file except a picture"),
+        ({"objects.0.picture": str(DUCK)}, "no file except a picture"),
+        ({"objects.0.file": str(DUCK)}, "objects.0.file = given: .*made of pictures"),
+        ({"objects.0.generator": "/etc/passwd"}, "objects.0.generator = given"),
+        ({"objects.0.generator": "lgm"}, "objects.0.generator = given"),
+    ],
+)
+def test_it_is_made_of_nothing_but_a_picture_that_was_sent(studio, changes, said):
+    studio.visitors.get("a")
+    with pytest.raises(InputError, match=said):
+        _order(studio, _collide(**changes))
+
+
+def test_a_picture_of_another_visitor_is_none(studio):
+    theirs = _sent(studio, TEDDY.read_bytes(), "b")
+    studio.visitors.get("a")
+    with pytest.raises(InputError, match="no file except a picture"):
+        _order(studio, _collide(**{"objects.0.picture": theirs}))
+
+
+def test_there_are_no_more_objects_than_the_page_allows(studio):
+    shapes = [{"name": f"o{i}", "shape": "box", "place": [0, 3 * i + 3]} for i in range(4)]
+    studio.visitors.get("a")
+    with pytest.raises(InputError, match="objects = 5: This page allows at most 4"):
+        _order(studio, {**Scene.named("drop").data(), "objects": shapes})
+
+
+def test_a_picture_without_an_object_is_named(studio, tmp_path):
+    Image.new("RGB", (64, 64), "red").save(tmp_path / "red.png")
+    sent = _sent(studio, (tmp_path / "red.png").read_bytes())
+    with pytest.raises(InputError, match="Right: No object was found") as refused:
+        _order(studio, _collide(**{"objects.0.picture": sent})).cut(SOON)
+    assert refused.value.field == "objects.0.picture"
+
+
+def test_each_picture_is_forecast_and_learned_from():
+    estimator, scene = Estimator(), Scene.named("collide")
+    one, two = (estimator(scene, pictures=count).seconds for count in (1, 2))
+    assert two - one == pytest.approx(estimator.rates.generate * estimator.load().of("generate"))
+    report = {
+        "stages": [{"name": "generate", "seconds": 6.0}], "substeps": 100, "particles": 10_000,
+        "frames": 2,
+    }  # fmt: skip
+    learned = Learned()
+    learned.calibrate((report, scene), (report, scene))
+    several = Learned()
+    several.calibrate((report, scene), ({**report, "sources": {"right": {}}}, scene))
+    assert several.now.generate == learned.now.generate / 2 == 3.0
+
+
+def test_the_report_says_what_each_object_is():
+    report = {
+        "stages": [], "notes": [], "seconds": 1.0, "gaussians": 3, "particles": 3, "substeps": 3,
+        "device": "cpu", "objects": {"<left>": {"gaussians": 1200, "mass": 3.25}},
+        "sources": {"<left>": {"cutout": {"method": "alpha"}}},
+        "pairs": {"left_on_right": {"largest_force": 123.4}},
+    }  # fmt: skip
+    text = as_html(report, Scene.named("collide").data(), 1.0)
+    assert "&lt;left&gt;" in text and "1,200 Gaussians, 3.25 kg, cut out by" in text
+    assert "left on right" in text and "at most 123 N" in text
