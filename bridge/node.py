@@ -67,10 +67,12 @@ def simulate(node: Any) -> None:
     """Simulate what the parameters name, showing each frame as soon as it is computed."""
     chosen = declare(node, {**SIMULATED, **RUNNING_LIVE, **message_options()})
     source, clock, speed = _taken(chosen, "source", "clock", "speed")
-    scene, changes, generator, device = _taken(chosen, "scene", "set", "generator", "device")
+    scene, changes, generator, device, more = _taken(
+        chosen, "scene", "set", "generator", "device", "more"
+    )
     making = {name: section_of(chosen, section) for name, section in MAKING.items()}
     options = _options(chosen)
-    asked = LiveOptions(True, scene, changes, generator, device, **making)
+    asked = LiveOptions(True, scene, changes, generator, device, tuple(map(Path, more)), **making)
     run = LiveRun(Path(source), asked)
     with RclpySink(options, clock=clock, node=node, running=RUNNING_LIVE) as sink:
         log.info("Simulating %s, scene %s. %s", source, scene, sink.audience())

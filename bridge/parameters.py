@@ -89,6 +89,7 @@ SIMULATED = {
     "source": Parameter("", "A picture or a file of Gaussians."),
     "scene": Parameter("press", "Preset (see `phy124 scenes`) or path of a .toml file."),
     "set": Parameter([""], "Other values of the scene, as KEY=VALUE."),
+    "more": Parameter([""], "Pictures, or files of Gaussians, of the scene's further objects."),
     "generator": Parameter("relief", "How a picture becomes Gaussians."),
     "device": Parameter("auto", CHOICES),
     **{

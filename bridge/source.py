@@ -42,6 +42,8 @@ class LiveOptions:
     """How a picture becomes Gaussians."""
     device: str = "auto"
     """auto, cpu or cuda:0."""
+    more: tuple[Path, ...] = ()
+    """Pictures, or files of Gaussians, of the scene's further objects."""
     reading: Reading = field(default_factory=Reading)
     effort: GeneratorOptions = field(default_factory=GeneratorOptions)
     cutting: Cutting = field(default_factory=Cutting)
@@ -158,7 +160,7 @@ def make_object(
                 log.warning(sentence)
 
     made = static(
-        source,
+        [source, *options.more],
         scene,
         generator=str(source) if is_file_of_gaussians(source) else options.generator,
         options=options.effort,

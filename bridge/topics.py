@@ -63,10 +63,11 @@ RECORDED = {topic.name: topic for topic in (TF_STATIC, POINTS, ELLIPSOIDS, SPLAT
 conflict with that of `ros2 bag play --clock`."""
 
 
-def contact(wall: str) -> Topic:
-    """Where the force on a wall is published, by the wall's name."""
+def contact(at: str) -> Topic:
+    """Where the force on a wall, or of an object on another one, is published, by its name."""
+    name = at.replace("-", "_")  # ROS takes no hyphens
     return Topic(
-        f"~/contact/{wall}", "geometry_msgs/msg/WrenchStamped", depth=10, transient_local=False
+        f"~/contact/{name}", "geometry_msgs/msg/WrenchStamped", depth=10, transient_local=False
     )
 
 

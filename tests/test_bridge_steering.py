@@ -11,11 +11,14 @@ from bridge import info
 from bridge.__main__ import main
 from bridge.encoder import FrameEncoder
 from bridge.recover import recover
+from bridge.sinks.mcap import McapSink
 from bridge.steering.contacts import contact_messages
+from bridge.steering.loop import controls
 from bridge.steering.remarks import Remarks
 from bridge.steering.standard import Code, Feature, Standard
 from bridge.steering.states import State
 from bridge.steering.transforms import Transforms
+from bridge.topics import FACTOR
 from phy124.accuracy.ball import ball
 from phy124.errors import InputError
 from phy124.scene import Scene
@@ -266,7 +269,7 @@ def test_the_wrench_on_a_wall_is_about_the_frame_at_the_centre_of_mass():
     run = steered(changes={"object.lift": 0.0})
     for _ in range(4):
         run.advance()
-    messages = contact_messages(run.live.contacts(), run.live.centre, OPTIONS, run.position)
+    messages = contact_messages(run.live, OPTIONS, run.position)
     found = {m.topic.name: JAZZY.deserialize_cdr(m.data, m.topic.type) for m in messages}
     (link,) = found["/tf"].transforms
     assert (link.header.frame_id, link.child_frame_id) == ("phy124", "phy124_com")
@@ -278,6 +281,54 @@ def test_the_wrench_on_a_wall_is_about_the_frame_at_the_centre_of_mass():
     force, torque = ground.wrench.force, ground.wrench.torque
     assert (force.x, force.y, force.z) == tuple(wanted.force) and force.z < 0
     assert (torque.x, torque.y, torque.z) == tuple(wanted.torque)
+
+
+BOX = {"name": "box", "shape": "box", "size": 1.2, "sides": [1, 1, 0.4]}
+TWO = {"object.on": "box", "object.lift": 0.0, "objects": [BOX]}
+
+
+def test_topics_and_frames_name_the_object_in_a_run_and_in_its_bag(tmp_path, monkeypatch):
+    monkeypatch.setattr("phy124.generators.shapes.COUNT", 1000)
+    run = steered(changes=TWO)
+    published = [topic for topic in controls(run, "", action=False).published if topic != FACTOR]
+    assert "~/contact/object_on_box" in {topic.name for topic in published}
+    wanted = []
+    with McapSink(tmp_path / "bag", OPTIONS, topics=published) as sink:
+
+        def show(frame):
+            sink.write(frame)
+            for message in contact_messages(run.live, OPTIONS, frame.time):
+                sink.send(message)
+            wanted.append((run.live.contacts()["object_on_box"], run.live.centre, run.live.centres))
+
+        run.show = show
+        run.advance()
+        run.inputs.push(wrench((0, 0, -500), frame="phy124_object_com"))
+        run.inputs.grab(point((0, 0, 0), frame="phy124_box_com"))
+        run.advance()
+        run.advance()
+    forces = {force.kind: force.object for force in run.live.session().forces}
+    assert forces == {"gravity": None, "wrench": "object", "grab": "box"}
+    with Reader(tmp_path / "bag") as recorded:
+        told = [
+            (channel.topic, JAZZY.deserialize_cdr(data, channel.msgtype))
+            for channel, _, data in recorded.messages()
+        ]
+    pressed = [m for topic, m in told if topic == "/phy124/live/contact/object_on_box"]
+    assert [one.header.frame_id for one in pressed] == 3 * ["phy124_box_com"]
+    for one, (exerted, centre, centres) in zip(pressed, wanted, strict=True):
+        force, torque = (
+            [getattr(v, a) for a in "xyz"] for v in (one.wrench.force, one.wrench.torque)
+        )
+        assert np.allclose(force, exerted.force)
+        about_all = np.add(torque, np.cross(centres["box"] - centre, force))
+        assert np.allclose(about_all, exerted.torque, atol=1e-9)
+    assert pressed[-1].wrench.force.z < -1  # the object stands on the box
+    (links, *_) = (message.transforms for topic, message in told if topic == "/tf")
+    frames = [link.child_frame_id for link in links]
+    assert frames == ["phy124_com", "phy124_object_com", "phy124_box_com"]
+    clouds = [message for topic, message in told if topic == "/phy124/points"]
+    assert all(cloud.fields[-1].name == "object_id" for cloud in clouds)
 
 
 def test_the_command_steers_the_object_of_a_clip_and_keeps_the_session(tmp_path, capsys):

@@ -158,17 +158,6 @@ def test_usd_keeps_still_colours_once(pxr, tmp_path, clip):
     np.testing.assert_allclose(sh.Get(), clip.sh[:, 0])
 
 
-def test_usd_keeps_the_object_of_each_gaussian(pxr, tmp_path, clip):
-    from pxr import Usd, UsdGeom
-
-    ids = np.array([1, 0, 1], np.int32)
-    write_usd(tmp_path / "a.usdc", replace(clip, object_id=ids, objects=("duck", "teddy")))
-    stage = Usd.Stage.Open(str(tmp_path / "a.usdc"))
-    primvar = UsdGeom.PrimvarsAPI(stage.GetDefaultPrim()).GetPrimvar("objectId")
-    assert list(primvar.Get()) == ids.tolist() and primvar.GetInterpolation() == "vertex"
-    assert list(stage.GetDefaultPrim().GetCustomDataByKey("objects")) == ["duck", "teddy"]
-
-
 def test_usd_of_one_frame(pxr, tmp_path, clip):
     write_usd(tmp_path / "a.usdc", Clip.from_frames([clip.frame(1)]))
     assert (tmp_path / "a.usdc").stat().st_size > 100

@@ -272,8 +272,37 @@ def test_usd_names_the_object_of_each_gaussian(run, tmp_path):
     assert list(prim.GetCustomDataByKey("objects")) == ["ball", "box", "copy"]
 
 
-def test_a_live_run_tells_walls_from_objects():
-    live = Live(ball(300), scene(**ON_BOX))
+def test_a_live_run_takes_hold_of_one_object_and_its_session_takes_the_same():
+    live = Live(ball(300), scene(**ON_BOX), threads=1)
     (frame,) = live.frames(1)
-    assert list(frame.wrenches or {}) == ["ground", "ball_on_box"]
-    assert list(live.contacts()) == ["ground"]
+    assert list(frame.wrenches or {}) == list(live.contacts()) == ["ground", "ball_on_box"]
+    assert live.pairs == {"ball_on_box": "box"} and set(live.centres) == {"ball", "box"}
+    x, y, top = live.centres["box"] + (0, 0, 0.24)
+    live.grab((x, y, top))  # the ball is above it, within the radius of the hand
+    live.to((x, y + 0.5, top))
+    live.push((0, 0, 300), object="ball")
+    frames = [frame, *live.frames(4)]
+    forces = {force.kind: force.object for force in live.session().forces}
+    assert forces == {"gravity": None, "grab": "box", "wrench": "ball"}
+    assert Scene.from_data(live.session().data()) == live.session()
+    clip = live.clip()
+    for index, one in enumerate(frames):
+        count = len(one.gaussians)  # the clip has grains besides, since the box is torn
+        assert np.array_equal(one.gaussians.means, clip.means[index, :count])
+    assert np.array_equal(np.unique(clip.object_id[count:]), [1])
+    for wrong, said in (("cat", "no such object"), ("box", "nearest point")):
+        with pytest.raises(InputError, match=said):
+            live.grab(live.centres["ball"].tolist(), object=wrong, radius=0.1)
+
+
+def test_what_is_held_in_its_place_is_not_taken_hold_of():
+    held = {**BOX, "place": [0, 0], "held": True}
+    live = Live(ball(300), scene(**{**ON_BOX, "objects": [held]}), threads=1)
+    live.step()
+    live.grab((live.centres["box"] + (0, 0, 0.2)).tolist(), radius=1.5)
+    live.step()
+    assert live.session().forces[-1].object == "ball"
+    with pytest.raises(InputError, match=r"grab.object = box: it is held in its place"):
+        live.grab((0, 0, 0), object="box")
+    with pytest.raises(InputError, match=r"push.object = box: it is held in its place"):
+        live.push((1, 0, 0), object="box")

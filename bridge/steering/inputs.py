@@ -34,6 +34,11 @@ def centre_frame(options: Options) -> str:
     return f"{options.frame_id}_com"
 
 
+def object_frame(options: Options, name: str) -> str:
+    """The frame at the centre of mass of one of several objects, with the axes of the world."""
+    return f"{options.frame_id}_{name.replace('-', '_')}_com"
+
+
 class Inputs:
     """Wrenches, a grab and transforms that peers sent."""
 
@@ -49,6 +54,8 @@ class Inputs:
         self._live, self._seconds, self._remarks = live, seconds, remarks
         self._transforms = Transforms(options.frame_id)
         self._whole = ("", options.frame_id, centre_frame(options))
+        names = live.scene.names if live.scene.objects else ()
+        self._objects = {object_frame(options, name): name for name in names}
         self._pushes: dict[str, Any] = {}
         self._grab: Any = None
         self._let_go = False
@@ -97,26 +104,34 @@ class Inputs:
         frame, wrench = message.header.frame_id, message.wrench
         force = _numbers("push.force", wrench.force)
         torque = _numbers("push.torque", wrench.torque)
-        whole = frame in self._whole
+        whole = frame in self._whole or frame in self._objects
         place = np.eye(4) if whole else self._transforms.pose(frame)
         nothing = not (force.any() or torque.any())
         self._live.push(
             (place[:3, :3] @ force).tolist(),
             torque=(place[:3, :3] @ torque).tolist(),
             at=None if whole or nothing else place[:3, 3].tolist(),
+            object=self._objects.get(frame),
             seconds=self._seconds,
             name=f"push {frame}",
         )
 
     def _hold(self) -> None:
-        """Take hold of the object, or draw what is held."""
+        """Take hold of the object, or draw what is held; a frame of an object names it."""
         frame = self._grab.header.frame_id
-        place = self._transforms.pose(frame)
+        name = self._objects.get(frame)
+        place = self._transforms.pose(frame) if name is None else self._at(name)
         target = (place @ [*_numbers("grab.point", self._grab.point), 1.0])[:3].tolist()
         if self._live.holds:
             self._live.to(target)
         else:
-            self._live.grab(target)
+            self._live.grab(target, object=name)
+
+    def _at(self, name: str) -> np.ndarray:
+        """Where an object is now, with the axes of the world [4,4]."""
+        place = np.eye(4)
+        place[:3, 3] = self._live.centres.get(name, np.full(3, np.nan))
+        return place
 
     def _attempt(self, action: Callable[[], None]) -> None:
         """Do something; if it is refused, the run goes on, and the reason is said."""

@@ -33,7 +33,7 @@ def controls(run: SteeredRun, accuracy: str, *, action: bool) -> Controls:
     walls = names(run.live.scene.boundaries)
     return Controls(
         node=STEERED,
-        published=(TF, FACTOR, *(contact(wall) for wall in walls)),
+        published=(TF, FACTOR, *(contact(at) for at in (*walls, *run.live.pairs))),
         heard=run.inputs.heard,
         services=Standard(run, action=action).services,
         steps=run.steps if action else None,
@@ -96,8 +96,7 @@ class _Outlets:
     def show(self, frame: Frame) -> None:
         for each in (self._sink, *self._records):
             each.write(frame)
-        contacts, centre = self._live.contacts(), self._live.centre
-        for message in contact_messages(contacts, centre, self._options, frame.time):
+        for message in contact_messages(self._live, self._options, frame.time):
             for each in (self._sink, *self._records):
                 each.send(message)
 

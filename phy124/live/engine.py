@@ -16,6 +16,7 @@ from phy124.errors import InputError
 from phy124.forces import WrenchForce
 from phy124.gaussians import Frame, Gaussians, Wrench
 from phy124.io.clip import Clip
+from phy124.live import places
 from phy124.live.inputs import Held, Inputs, Moved, movable
 from phy124.live.limits import (
     FASTEST,
@@ -159,6 +160,7 @@ class Live:
         self,
         point: Sequence[float],
         *,
+        object: str | None = None,
         radius: float | None = None,
         stiffness: float | None = None,
         strength: float | None = None,
@@ -167,6 +169,7 @@ class Live:
 
         Args:
             point: A place on or near the object as it is now [m].
+            object: Name of the object that is held, of several; None: the one that is nearest.
             radius: Material so close to it is held [m], less firmly towards the rim.
             stiffness: Of the spring between hand and object [N/m].
             strength: Largest force [N].
@@ -182,11 +185,11 @@ class Live:
         stiffness = number("grab.stiffness", stiffness, 0, 1e4 * limits.stiffness)
         strength = LIFTS * limits.weight if strength is None else strength
         strength = number("grab.strength", strength, 0, STRONGEST * limits.weight)
-        rest = self._rest_of("grab.point", place, radius)
+        held = places.found(self._run, "grab.point", place, radius, object)
         self.release()
         options = {
-            "point": rest, "radius": radius, "stiffness": stiffness,
-            "damping": limits.damping, "strength": strength,
+            "point": held.rest, "object": held.object, "radius": radius,
+            "stiffness": stiffness, "damping": limits.damping, "strength": strength,
         }  # fmt: skip
         self._inputs.grabs.append(Held(self.time, options, [0.0], [place]))
         self._target, self._changed = place, True
@@ -218,6 +221,7 @@ class Live:
         *,
         torque: Sequence[float] = (0.0, 0.0, 0.0),
         at: Sequence[float] | None = None,
+        object: str | None = None,
         radius: float | None = None,
         seconds: float = 0.1,
         name: str = "",
@@ -228,6 +232,7 @@ class Live:
             force: [N]
             torque: About where it acts [N m].
             at: A place on the object as it is now [m]; None: on the whole of it.
+            object: Name of the object, of several; None: that at this place, or all of them.
             radius: Material so close to it is pushed [m], less towards the rim.
             seconds: How long [s].
             name: It takes the place of the push of this name before it, which ends; empty: it
@@ -249,12 +254,13 @@ class Live:
             0.01 * limits.size, 2 * limits.size,
         )  # fmt: skip
         place = None if at is None else vector("push.at", at)
-        point = None if place is None else self._rest_of("push.at", place, radius)
+        point, of = None, places.checked(self._scene, "push.object", object)
+        if place is not None:
+            point, of = places.found(self._run, "push.at", place, radius, object)
         given = self._said(*limits.force("push.force", force))
         turn = self._said(*limits.torque("push.torque", torque))
-        push = WrenchForce(
-            force=given, torque=turn, point=point, radius=radius, start=now, end=now + seconds
-        )
+        acts: dict[str, Any] = {"object": of, "start": now, "end": now + seconds}
+        push = WrenchForce(force=given, torque=turn, point=point, radius=radius, **acts)
         self._inputs.end_push(before, now)
         self._inputs.wrenches.append(push)
         if name:
@@ -302,9 +308,19 @@ class Live:
         self._offsets[wall] = self._said(*self.limits.place("move.to", to))
 
     def contacts(self) -> dict[str, Wrench]:
-        """Mean force [N] and torque [N m] on each wall over the last frame, by its name."""
+        """Mean force [N] and torque [N m] over the last frame on each wall and in each pair."""
         found = self._frame.wrenches or {}
-        return {wall: found[wall] for wall in self._run.wrenches.walls if wall in found}
+        return {at: found[at] for at in (*self._run.wrenches.walls, *self.pairs) if at in found}
+
+    @property
+    def pairs(self) -> dict[str, str]:
+        """Names of wrenches between objects (`duck_on_cushion`), each with what it acts on."""
+        return places.pairs(self._run)
+
+    @property
+    def centres(self) -> dict[str, NDArray[np.float64]]:
+        """The centre of mass of each object now [3], m, by its name."""
+        return places.centres(self._run)
 
     def session(self) -> Scene:
         """The scene that does what was done, for as long as it has lasted."""
@@ -372,18 +388,6 @@ class Live:
         self._inputs.forget(time)
         self._target, self._offsets = None, {}
         self._run.change(self._inputs.scene())
-
-    def _rest_of(self, field: str, place: Vector, radius: float) -> Vector:
-        """Where the material nearest to a place is at rest [m]."""
-        x = np.asarray(self._run.solver.state.x.numpy(), dtype=np.float64)
-        away = np.linalg.norm(x - np.array(place), axis=1)
-        index = int(away.argmin())
-        if away[index] > radius:
-            limit = f"the object is {away[index]:.3g} m away from it, beyond {radius:g} m."
-            near = [round(float(c), 4) for c in x[index]]
-            raise InputError(field, [*place], limit, f"Its nearest point now is {near}.")
-        px, py, pz = self._run.solver.model.rest[index].tolist()
-        return px, py, pz
 
     def _said(self, value: Vector, said: str) -> Vector:
         """The value; the sentence is kept."""
