@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +16,8 @@ from demo.rates import Learned
 from demo.report import as_html
 from demo.settings import Settings
 from demo.source import Cutout
+from demo.touch.player import SESSION, Play, Player
+from demo.touch.sessions import limits_of
 from demo.visitors import Visitors
 from demo.work import Order, gaussians_of, made_already, made_gaussians
 from demo.work.others import cropped
@@ -149,3 +153,29 @@ def test_the_report_says_what_each_object_is():
     text = as_html(report, Scene.named("collide").data(), 1.0)
     assert "&lt;left&gt;" in text and "1,200 Gaussians, 3.25 kg, cut out by" in text
     assert "left on right" in text and "at most 123 N" in text
+
+
+@pytest.mark.slow
+def test_a_hand_takes_one_object_and_the_clip_of_it_takes_the_same(studio):
+    picture = _sent(studio, TEDDY.read_bytes())
+    data = Scene.named("stack").replaced({"objects.1.picture": picture}).data()
+    order, said = _order(studio, data), []
+    line = SimpleNamespace(
+        tell=lambda *one: said.append(one), heard=list, wait=lambda seconds: None
+    )
+    most = limits_of(studio.settings, 3000)
+    player = Player(Play(order, most), line)  # pyright: ignore[reportArgumentType]
+    player.frame()
+    top = player.live.centres["above"] + (0, 0, 0.3)
+    player._grab(top.tolist())
+    player._to((top + (0, 0.5, 0)).tolist())
+    for _ in range(4):
+        player.frame()
+    player._save(None)
+    (session,) = [json.loads(content) for letter, content in said if letter == SESSION]
+    assert (session["forces"][-1]["kind"], session["forces"][-1]["object"]) == ("grab", "above")
+    job = studio.run("a", Cutout(str(DUCK), str(DUCK)), session, None, most)
+    assert job.wait(300) and job.progress.state == "done", job.progress.message
+    report = job.progress.result.report
+    assert set(report["objects"]) == {"below", "board", "above"}
+    assert set(report["sources"]) == {"above"}

@@ -194,6 +194,33 @@ def test_the_same_command_with_resume_goes_on(tmp_path, capsys):
     assert json.loads(capsys.readouterr().out)["complete"]
 
 
+def test_an_object_told_by_its_picture_where_it_is_there_goes_on(tmp_path):
+    """`crop` of a further object is found in its picture, so the scene of a command lacks it."""
+    changes = {"accuracy": {"cells": 8}, "time.frames": 3, "view.size": 32, "view.views": ["front"]}
+    asked = Scene.named("collide").replaced(changes)
+    made = asked.replaced({"objects.0.crop": [0.1, 0.1, 0.9, 0.9]})
+    cancel = cancelling(lambda stage, done: stage == "simulate" and done == 2)
+    pipeline.simulate(ball(300), made, tmp_path / "cut", progress=cancel, keep=True)
+    with pytest.raises(InputError, match=r"has objects\.0\.size = 1\.0, not 0\.9"):
+        pipeline.go_on(tmp_path / "cut", asked.replaced({"objects.0.size": 0.9}))
+    assert pipeline.go_on(tmp_path / "cut", asked).report["complete"]
+
+
+@pytest.mark.slow
+def test_a_run_of_two_pictures_goes_on_with_both_bit_for_bit(tmp_path):
+    changes = {"accuracy": {"cells": 8}, "time.frames": 4, "view.size": 32, "view.views": ["front"]}
+    scene = Scene.named("collide").replaced(changes)
+    given = ([DUCK, DUCK.with_name("teddy.png")], scene)
+    whole = pipeline.generate(*given, tmp_path / "whole", count=1000, threads=1)
+    cancel = cancelling(lambda stage, done: stage == "simulate" and done == 2)
+    pipeline.generate(*given, tmp_path / "cut", count=1000, threads=1, progress=cancel, keep=True)
+    again = pipeline.go_on(tmp_path / "cut", scene)
+    one, other = (Clip.load(r.folder / "clip.safetensors") for r in (whole, again))
+    assert np.array_equal(one.means, other.means) and one.objects == other.objects
+    assert np.array_equal(one.object_id, other.object_id)
+    assert again.report["sources"] == whole.report["sources"]
+
+
 def test_each_wish_to_end_is_told_once_and_two_at_once_end_it_at_once(capsys):
     with Bars(quiet=True, keeps=True) as bars:
         bars("simulate", 0, 3)

@@ -363,6 +363,31 @@ def test_the_time_left_is_told_within_a_fifth(balls, workers):
 
 
 @pytest.mark.slow
+def test_a_sweep_over_scenes_of_two_objects(balls, tmp_path):
+    """The second object is one of two files, whose content is part of the key."""
+    axes = {
+        "accuracy.cells": 8, "time.frames": 3, "objects.0.material.E": [5e4, 1e5],
+        "objects.0.file": [str(balls / "a.ply"), str(balls / "b.ply")],
+    }  # fmt: skip
+    sweep = declared(balls, pictures=str(balls / "a.ply"), scene="collide", set=axes)
+    out = str(tmp_path / "out")
+    assert run(Plan(sweep), out, workers=0).ended == {"done": 4}
+    again = run(Plan(sweep), out, workers=0)
+    assert again.here == 4 and not again.ended
+    clips = [entry.clip for entry in Dataset(out)]
+    counts = sorted(np.bincount(clip.object_id)[:2].tolist() for clip in clips)
+    assert counts == [[60, 60], [60, 60], [60, 80], [60, 80]]
+    assert {clip.objects for clip in clips} == {("left", "right")}
+    write_ply(tmp_path / "b.ply", ball(80))
+    item = next(iter(Plan(sweep)))
+    scene = Plan(sweep).scene_of(item)
+    copied = scene.replaced({"objects.0.file": str(tmp_path / "b.ply")})
+    before = key_of(sweep, item, copied)
+    write_ply(tmp_path / "b.ply", ball(81))
+    assert key_of(sweep, item, copied) != before
+
+
+@pytest.mark.slow
 def test_the_python_of_sweeps_md_runs_and_its_file_is_what_it_shows(tmp_path, monkeypatch, capsys):
     page = ROOT / "docs/guide/sweeps.md"
     for name in ("demo", "docs"):

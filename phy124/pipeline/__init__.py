@@ -208,6 +208,8 @@ def go_on(
         asked, paused = scene.data(), about["scene"]
         if any_accuracy:
             asked["accuracy"] = paused["accuracy"]
+        for own, found in zip(asked.get("objects", ()), paused.get("objects", ()), strict=False):
+            own["crop"] = found.get("crop")  # no option: its picture has told it
         _refuse_other(asked, paused, out)
     about = {name: value for name, value in about.items() if name not in ("scene", "frames")}
     making = Making(Path(out), device, progress, watch, about, keep, threads=threads)
