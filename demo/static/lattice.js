@@ -7,6 +7,12 @@
 globalThis.Phy124Lattice = (() => {
   const CARRIERS = 8, REACH = 8, HEAD = 16;
 
+  function apart(a, b) {
+    let most = 0;
+    for (let i = 0; i < a.length; i++) most = Math.max(most, Math.abs(a[i] - b[i]));
+    return most;
+  }
+
   return class Lattice {
     constructor(buffer, at) {
       const length = new DataView(buffer).getUint32(at, true);
@@ -28,6 +34,8 @@ globalThis.Phy124Lattice = (() => {
       this.centres = new Float32Array(this.means);
       this.shapes = new Float32Array(this.sigma);
       this.moved = new Float32Array(3 * this.walls.length).fill(NaN);
+      /** Where the nodes are, were a frame ago, and were when they were drawn. */
+      [this.places, this.before, this.drawn] = [0, 1, 2].map(() => new Float32Array(3 * this.nodes).fill(Infinity));
       this.box = [[0, 0, 0], [0, 0, 0]];
     }
 
@@ -47,18 +55,26 @@ globalThis.Phy124Lattice = (() => {
       this.box = [[...box.subarray(0, 3)], [...box.subarray(3)]];
       this.ground = Number.isNaN(around[0]) ? null : around[0];
       /** How far each wall has moved; NaN: it is not there. */
-      this.moved = around.subarray(1);
+      const walls = around.subarray(1), stands = walls.every((v, i) => Object.is(v, this.moved[i]));
+      this.moved = walls;
+      [this.places, this.before] = [this.before, this.places];
       const step = [0, 1, 2].map((c) => (box[3 + c] - box[c]) / 65535);
       for (let i = 0; i < p; i++) {
         const m = 12 * i, r = 3 * i;
         for (let k = 0; k < 9; k++) moves[m + k] = turned[9 * i + k] * REACH / 32767;
         for (let c = 0; c < 3; c++) {
-          const f = m + 3 * c;
-          moves[m + 9 + c] = box[c] + step[c] * places[r + c] - moves[f] * rest[r] - moves[f + 1] * rest[r + 1] - moves[f + 2] * rest[r + 2];
+          const f = m + 3 * c, x = this.places[r + c] = box[c] + step[c] * places[r + c];
+          moves[m + 9 + c] = x - moves[f] * rest[r] - moves[f + 1] * rest[r + 1] - moves[f + 2] * rest[r + 2];
         }
       }
+      /** Farthest way of a node since the frame before, and since a picture was drawn [m]. */
+      this.stirred = stands ? apart(this.places, this.before) : Infinity;
+      this.strayed = stands ? apart(this.places, this.drawn) : Infinity;
       return head;
     }
+
+    /** A picture of this frame is drawn. */
+    shown() { this.drawn.set(this.places); }
 
     /** Place and shape of the first `count` Gaussians: x = sum w (F X + b), F Sigma F^T. */
     ride(count) {

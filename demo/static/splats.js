@@ -5,7 +5,7 @@
  */
 'use strict';
 globalThis.Phy124Splats = (() => {
-  const ROW = 256, TEXELS = 3, KEYS = 4096, NEAR = 0.05, REACH = 2.8;
+  const ROW = 256, TEXELS = 3, KEYS = 4096, NEAR = 0.05, REACH = 2.8, GROWN = 0.9;
 
   const SPLATS = `#version 300 es
     uniform highp usampler2D uData;
@@ -167,7 +167,7 @@ globalThis.Phy124Splats = (() => {
       this.drawGlass('behind', width, height);
       gl.useProgram(this.splats.made);
       this.camera(this.splats, width, height);
-      gl.uniform1f(this.splats.at('uGrown'), this.n / count);
+      gl.uniform1f(this.splats.at('uGrown'), (this.n / count) ** GROWN);
       gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, TEXELS * ROW, Math.ceil(count / ROW), gl.RGBA_INTEGER, gl.UNSIGNED_INT, this.data);
       gl.drawElements(gl.TRIANGLES, 6 * count, gl.UNSIGNED_INT, 0);
       this.drawGlass('before', width, height);

@@ -1,13 +1,14 @@
 /* Touch: a live run in the visitor's hand, over a socket (demo/touch).
  *
  * Press on the object and drag: it is held there. Beside it, dragging turns the view. Each frame is
- * acknowledged once it is drawn, so a slow browser skips frames; and it draws as many of the Gaussians,
- * enlarged, as it can in time.
+ * acknowledged once it is drawn, so a slow browser skips frames; and while something moves it draws as
+ * many pixels, and as many of the Gaussians, enlarged, as it can in time. What rests is drawn once, with
+ * all of them, and then no more.
  */
 'use strict';
 (() => {
   const { h, calm, announce } = globalThis.Phy124;
-  const FEWEST = 1500, SLOW = 36, FAST = 14, NEAR = 28, STEP = 0.06;
+  const FEWEST = 1500, COARSE = 0.5, SLOW = 36, FAST = 14, NEAR = 28, STEP = 0.06, CALM = 6, OFTEN = 16;
   const GRAVITIES = { Earth: 9.81, Mars: 3.71, Moon: 1.62, None: 0 };
   const KEYS = { ArrowLeft: ['right', -1], ArrowRight: ['right', 1], ArrowUp: ['up', 1], ArrowDown: ['up', -1], PageUp: ['ahead', 1], PageDown: ['ahead', -1] };
 
@@ -27,7 +28,7 @@
 
   class Hand {
     constructor(element, ticket, trigger) {
-      Object.assign(this, { element, trigger, seq: 0, sent: new Map(), delays: [], bytes: 0, frames: 0, keyed: null, held: null, touches: new Map() });
+      Object.assign(this, { element, trigger, seq: 0, sent: new Map(), delays: [], bytes: 0, frames: 0, pictures: 0, calm: 0, keyed: null, held: null, touches: new Map() });
       this.build();
       document.querySelector('#viewer')?.classList.add('behind');
       const address = new URL(`phy124/touch/${ticket}`, document.baseURI);
@@ -80,7 +81,8 @@
     /** The browser took the graphics away, and gives them back empty. */
     restore() {
       this.prepare();
-      this.drawing = requestAnimationFrame(() => this.show());
+      this.drawing = null;
+      this.again();
     }
 
     /** What the socket brings: text is for people, of bytes the first is a letter. */
@@ -109,17 +111,37 @@
         this.head = this.lattice.take(this.frame, 1);
         this.frame = null;
         this.news = this.got;
+        this.tellRate();
       }
-      this.fit();
-      this.lattice.ride(this.count);
-      this.splats.draw(this.count);
-      const rate = this.head && this.head.factor < 0.95 ? `${this.head.factor.toFixed(1)}× real time` : '';
-      // The same text again would have the page laid out anew.
-      if (rate !== this.rate.textContent) this.rate.textContent = rate;
+      const rests = this.rests();
+      if (rests && this.fine && this.lattice.strayed < this.pixel) return this.acknowledge(begun);
+      this.fine = rests;
+      this.turned = false;
+      const count = rests ? this.lattice.splats : this.count;
+      this.fit(rests ? 1 : this.sharp);
+      this.lattice.ride(count);
+      this.lattice.shown();
+      this.splats.draw(count);
       const { gl } = this.splats, fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
       gl.flush();
       this.drawing = -1;
       this.drawn(fence, begun);
+    }
+
+    tellRate() {
+      const rate = this.head.factor < 0.95 ? `${this.head.factor.toFixed(1)}× real time` : '';
+      // The same text again would have the page laid out anew.
+      if (rate !== this.rate.textContent) this.rate.textContent = rate;
+    }
+
+    /** Half a pixel of the screen, where the object is [m]. */
+    get pixel() { return 0.5 * this.pose.radius / this.splats.focal * this.canvas.width / this.canvas.clientWidth; }
+
+    /** Whether nothing has moved for a while that can be seen to move. */
+    rests() {
+      const still = this.head && !this.held && !this.turned && this.lattice.stirred < 0.2 * this.pixel;
+      this.calm = still ? this.calm + 1 : 0;
+      return this.calm > CALM;
     }
 
     /** Wait until the picture is there, then ask for the next one. */
@@ -129,45 +151,49 @@
       if (gl.getSyncParameter(fence, gl.SYNC_STATUS) !== gl.SIGNALED && now - begun < 2000) { setTimeout(() => this.drawn(fence, begun), 3); return; }
       gl.deleteSync(fence);
       this.drawing = null;
-      this.adapt(now - begun);
-      if (this.news) { this.acknowledge(now, this.news); this.news = 0; }
+      this.pictures++;
+      if (!this.fine) this.adapt(now - begun);
+      this.acknowledge(now);
       if (this.frame) this.drawing = requestAnimationFrame(() => this.show());
     }
 
-    /** `got` frames have come when the newest of them was drawn; others may have been left out. */
-    acknowledge(now, got) {
+    /** The newest of the frames that have come is seen; others may have been left out. */
+    acknowledge(now) {
+      if (!this.news) return;
       this.frames++;
       for (const [seq, at] of this.sent) if (seq <= this.head.heard) { this.delays.push(now - at); this.sent.delete(seq); }
       if (this.delays.length > 5000) this.delays.splice(0, 1000);
-      this.send({ do: 'seen', value: got });
+      this.send({ do: 'seen', value: this.news });
+      this.news = 0;
     }
 
-    /** Draw fewer Gaussians, then fewer pixels, while pictures take too long. */
+    /** Draw fewer pixels, then fewer Gaussians, while pictures take too long. */
     adapt(ms) {
       this.slow = 0.8 * (this.slow ?? ms) + 0.2 * ms;
       const most = this.lattice.splats, least = Math.min(FEWEST, most);
-      if (this.slow > SLOW && this.count > least) this.count = Math.max(least, Math.round(0.85 * this.count));
-      else if (this.slow > SLOW) this.sharp = Math.max(0.5, 0.9 * this.sharp);
-      else if (this.slow < FAST && this.sharp < 1) this.sharp = Math.min(1, 1.1 * this.sharp);
-      else if (this.slow < FAST) this.count = Math.min(most, Math.round(1.1 * this.count));
+      if (this.slow > SLOW && this.sharp > COARSE) this.sharp = Math.max(COARSE, 0.9 * this.sharp);
+      else if (this.slow > SLOW) this.count = Math.max(least, Math.round(0.85 * this.count));
+      else if (this.slow < FAST && this.count < most) this.count = Math.min(most, Math.round(1.1 * this.count));
+      else if (this.slow < FAST) this.sharp = Math.min(1, 1.1 * this.sharp);
     }
 
-    fit() {
-      const ratio = Math.min(window.devicePixelRatio || 1, 2) * this.sharp, { clientWidth, clientHeight } = this.canvas;
+    fit(sharp) {
+      const ratio = Math.min(window.devicePixelRatio || 1, 2) * sharp, { clientWidth, clientHeight } = this.canvas;
       const [width, height] = [clientWidth, clientHeight].map((side) => Math.max(2, Math.round(side * ratio)));
       if (Math.abs(this.canvas.width - width) > 0.04 * width || Math.abs(this.canvas.height - height) > 0.04 * height) Object.assign(this.canvas, { width, height });
     }
 
-    again() { if (!this.drawing) this.drawing = requestAnimationFrame(() => this.show()); }
+    again() { this.turned = true; if (!this.drawing) this.drawing = requestAnimationFrame(() => this.show()); }
 
     /* ---- what is said ---------------------------------------------------------------------- */
 
     send(message) { if (this.socket.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(message)); }
 
-    say(message) {
+    /** `at`: when the hand did it [ms], which may be before the page heard of it. */
+    say(message, at = performance.now()) {
       if (!this.splats) return;
       this.seq++;
-      this.sent.set(this.seq, performance.now());
+      this.sent.set(this.seq, at);
       if (this.sent.size > 500) this.sent.clear();
       this.send({ ...message, seq: this.seq });
     }
@@ -230,6 +256,8 @@
       on('webglcontextrestored', () => this.restore());
       on('pointerdown', (event) => this.press(event));
       on('pointermove', (event) => this.drag(event));
+      // Browsers hold the others back until they draw.
+      on('pointerrawupdate', (event) => { if (this.held?.id === event.pointerId && event.timeStamp > (this.led ?? 0) + OFTEN) this.drag(event); });
       for (const end of ['pointerup', 'pointercancel']) on(end, (event) => this.lift(event));
       on('wheel', (event) => { event.preventDefault(); this.zoom(Math.exp(event.deltaY * 0.001)); });
       on('keydown', (event) => this.key(event));
@@ -251,9 +279,17 @@
       const last = this.touches.get(event.pointerId);
       if (!last) return;
       this.touches.set(event.pointerId, [event.clientX, event.clientY]);
-      if (this.held?.id === event.pointerId) { this.held.place = this.ahead(this.pointed(event), this.held.far); this.say({ do: 'to', value: this.held.place }); return; }
+      if (this.held?.id === event.pointerId) { this.lead(event); return; }
       if (this.touches.size === 2) { const gap = this.gap(); this.zoom(this.spread / gap); this.spread = gap; return; }
       this.turn((last[0] - event.clientX) * 0.4, (event.clientY - last[1]) * 0.4);
+    }
+
+    /** Draw what is held to a pointer, once for each place it has been at. */
+    lead(event) {
+      if (event.timeStamp === this.led) return;
+      this.held.place = this.ahead(this.pointed(event), this.held.far);
+      this.led = event.timeStamp;
+      this.say({ do: 'to', value: this.held.place }, event.timeStamp);
     }
 
     lift(event) {

@@ -3,8 +3,12 @@
     python tests/benchmarks/touch.py [--seconds 600] [--gaussians 50000] [--film touch.webp]
 
 The server, its live run and Chromium with software WebGL share the machine. A pointer that swings
-the object moves 30 times a second; a move is answered when the first frame that knows of it has
-been drawn. `--film` writes the viewer's pictures as an animated WebP.
+the object moves 30 times a second; a move, from when the browser had it, is answered when the first
+frame that knows of it has been drawn. Chromium composes the page as it chooses, by the processor
+where there is no GPU; `--composed webgl` has software WebGL do that, too, as the tests of the page
+do, which takes 20 ms more of the processor for each picture. Each side's time of the processor is
+told, which other work on the machine changes less than the rest. `--film` writes the viewer's
+pictures as an animated WebP.
 """
 
 from __future__ import annotations
@@ -16,6 +20,7 @@ import sys
 import tempfile
 import time
 from argparse import ArgumentParser
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -27,10 +32,11 @@ from visit import FLAGS, HAND, LONG, TOP, Visit
 
 from support.served import serving
 
-SEEN = f"""(() => {{ const h = {HAND}; return {{ frames: h.frames, bytes: h.bytes, count: h.count,
-    splats: h.lattice.splats, nodes: h.lattice.nodes, factor: h.head?.factor ?? 1,
-    told: h.status.textContent, size: [h.canvas.width, h.canvas.height],
-    delays: h.delays.splice(0) }}; }})()"""
+SEEN = f"""(() => {{ const h = {HAND}; return {{
+    pictures: h.pictures, time: h.head?.time ?? 0, bytes: h.bytes, count: h.count,
+    splats: h.lattice.splats, nodes: h.lattice.nodes, told: h.status.textContent,
+    size: [h.canvas.width, h.canvas.height], delays: h.delays.splice(0) }}; }})()"""
+PLAIN = ["--no-sandbox", "--disable-gpu-watchdog"]
 FILM_SIZE, FILM_RATE = (480, 357), 12
 
 
@@ -40,6 +46,7 @@ def main() -> None:
     parser.add_argument("--gaussians", type=int, default=50_000)
     parser.add_argument("--scene", default="Sway")
     parser.add_argument("--film", type=Path)
+    parser.add_argument("--composed", choices=("plain", "webgl"), default="plain")
     given = parser.parse_args()
     from playwright.sync_api import sync_playwright
 
@@ -49,7 +56,8 @@ def main() -> None:
         serving(Path(folder), gaussians=given.gaussians, **minutes) as server,
         sync_playwright() as session,
     ):
-        chromium = session.chromium.launch(executable_path="/usr/bin/chromium", args=FLAGS)
+        flags = PLAIN if given.composed == "plain" else FLAGS
+        chromium = session.chromium.launch(executable_path="/usr/bin/chromium", args=flags)
         visit = Visit(chromium, server)
         begin(visit, given.scene)
         if given.film:
@@ -82,7 +90,7 @@ def swing(page, seconds: float, server) -> None:
     page.evaluate(SEEN)
     start, delays = time.monotonic(), []
     first = last = (start, page.evaluate(SEEN))
-    memory = [held(server)]
+    memory, worked = [held(server)], [work(server)]
     while time.monotonic() - start < seconds:
         angle = 2 * math.pi * 0.4 * (time.monotonic() - start)
         page.mouse.move(x + 70 * math.sin(angle), y - 20 * math.sin(0.7 * angle))
@@ -91,23 +99,27 @@ def swing(page, seconds: float, server) -> None:
             last = time.monotonic(), page.evaluate(SEEN)
             delays += last[1]["delays"]
             memory.append(held(server))
-            report(first, last, delays, memory)
+            worked.append(work(server))
+            report(first, last, delays, memory, worked)
     last = time.monotonic(), page.evaluate(SEEN)
     delays += last[1]["delays"]
     memory.append(held(server))
-    report(first, last, delays, memory)
+    worked.append(work(server))
+    report(first, last, delays, memory, worked)
 
 
-def report(first, last, delays, memory) -> None:
+def report(first, last, delays, memory, worked) -> None:
     (begun, before), (now, after) = first, last
-    rate = (after["frames"] - before["frames"]) / (now - begun)
+    pictures = after["pictures"] - before["pictures"]
+    rate, factor = pictures / (now - begun), (after["time"] - before["time"]) / (now - begun)
     sent = (after["bytes"] - before["bytes"]) / (now - begun) / 1e6
     p50, p95 = np.percentile(delays, [50, 95]) if delays else (math.nan, math.nan)
     drawn = f"{after['count']:,} of {after['splats']:,} Gaussians on {after['nodes']:,} nodes"
     print(
         f"{now - begun:.0f} s: pointer to picture p50 {p50:.0f} ms, p95 {p95:.0f} ms of "
-        f"{len(delays)}; {rate:.1f} frames/s, {after['factor']:.2f}x real time, {sent:.2f} MB/s; "
+        f"{len(delays)}; {rate:.1f} pictures/s, {factor:.2f}x real time, {sent:.2f} MB/s; "
         f"{drawn}, {after['size'][0]} x {after['size'][1]}; {grown(memory)}; "
+        f"{spent(worked, pictures)}; "
         f"load {os.getloadavg()[0]:.1f}; {after['told'][:60]}",
         flush=True,
     )
@@ -120,6 +132,19 @@ def held(server) -> dict[str, float]:
     return {"Chromium": resident(os.getpid()) - both, "server": alone, "live run": both - alone}
 
 
+def work(server) -> dict[str, float]:
+    """Time that each side has had of the processor [s]."""
+    served, alone = busy(server.process.pid), seconds(server.process.pid)
+    return {"Chromium": busy(os.getpid()) - served, "server": alone, "live run": served - alone}
+
+
+def spent(worked: list[dict[str, float]], pictures: int) -> str:
+    """Time of the processor for each picture."""
+    first, last = worked[0], worked[-1]
+    parts = [f"{n} {1e3 * (last[n] - first[n]) / max(pictures, 1):.0f}" for n in first]
+    return f"processor per picture {', '.join(parts)} ms"
+
+
 def grown(memory: list[dict[str, float]]) -> str:
     """From what to what it has grown."""
     first, last = memory[0], memory[-1]
@@ -128,19 +153,36 @@ def grown(memory: list[dict[str, float]]) -> str:
 
 def resident(*roots: int) -> float:
     """Resident memory of processes and all that they started [bytes]."""
-    parents, sizes = {}, {}
+    return sum(4096 * int(told[21]) for told in family(roots).values())
+
+
+def busy(*roots: int) -> float:
+    """Time that processes and all that they started have had of the processor [s]."""
+    return sum(seconds(process) for process in family(roots))
+
+
+def seconds(process: int) -> float:
+    """Time that a process has had of the processor [s], to the nanosecond."""
+    total = 0
+    for path in Path(f"/proc/{process}/task").glob("*/schedstat"):
+        with suppress(OSError):
+            total += int(path.read_text().split()[0])
+    return total / 1e9
+
+
+def family(roots: tuple[int, ...]) -> dict[int, list[str]]:
+    """What the kernel tells of processes and of all that they started, by their numbers."""
+    told: dict[int, list[str]] = {}
     for path in Path("/proc").glob("[0-9]*"):
-        try:
-            told = path.joinpath("stat").read_text().rsplit(")", 1)[1].split()
-            parents[int(path.name)], sizes[int(path.name)] = int(told[1]), int(told[21]) * 4096
-        except (OSError, IndexError):
-            continue
-    found = 0
-    for process, size in sizes.items():
+        with suppress(OSError, IndexError):
+            told[int(path.name)] = path.joinpath("stat").read_text().rsplit(")", 1)[1].split()
+    found = {}
+    for process in told:
         above = process
-        while above in parents and above not in roots:
-            above = parents[above]
-        found += size if above in roots else 0
+        while above in told and above not in roots:
+            above = int(told[above][1])
+        if above in roots:
+            found[process] = told[process]
     return found
 
 
