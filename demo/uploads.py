@@ -29,6 +29,11 @@ if TYPE_CHECKING:
 ADDRESS = "/gradio_api/upload"
 SUFFIXES = {".png", ".jpg", ".jpeg", ".webp", ".heic", ".heif", *FILMS, *ENDINGS}
 """Suffixes that uploads keep; others are removed."""
+NOT_READ = {
+    ".ksplat": "Save it as .ply or .spz with the program it comes from, or convert it with"
+    " splat-transform, and send that.",
+}
+"""Suffixes that uploads may not have, and what to do instead."""
 MOST = 4
 """Largest number of files in one request."""
 
@@ -56,9 +61,11 @@ async def _keep(studio: Studio, visitor: str | None, part: UploadFile) -> str:
     if (part.size or 0) > limits.max_file_bytes:
         raise InputError("image", "large", limits.file_too_large, SMALLER)
     suffix = Path(part.filename or "").suffix.lower()
+    if suffix in NOT_READ:
+        raise InputError("file", suffix, f"A {suffix} file is not read here.", NOT_READ[suffix])
     ending = suffix if suffix in SUFFIXES else ""
     return str(await run_in_threadpool(studio.visitors.store, visitor, part.file, ending))
 
 
 def _status(error: InputError) -> int:
-    return 413 if error.value == "large" else 503
+    return 413 if error.value == "large" else 415 if error.value in NOT_READ else 503

@@ -156,6 +156,9 @@ globalThis.Phy124Splats = (() => {
       }
     }
 
+    /** How much larger covariances are drawn when there are only so many Gaussians. */
+    grown(count) { return (this.n / count) ** GROWN; }
+
     draw(count) {
       const { gl } = this, { width, height } = this.canvas;
       this.fill(count);
@@ -167,7 +170,7 @@ globalThis.Phy124Splats = (() => {
       this.drawGlass('behind', width, height);
       gl.useProgram(this.splats.made);
       this.camera(this.splats, width, height);
-      gl.uniform1f(this.splats.at('uGrown'), (this.n / count) ** GROWN);
+      gl.uniform1f(this.splats.at('uGrown'), this.grown(count));
       gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, TEXELS * ROW, Math.ceil(count / ROW), gl.RGBA_INTEGER, gl.UNSIGNED_INT, this.data);
       gl.drawElements(gl.TRIANGLES, 6 * count, gl.UNSIGNED_INT, 0);
       this.drawGlass('before', width, height);

@@ -214,20 +214,23 @@
       return [(event.clientX - box.left - box.width / 2) * scale, (box.height / 2 - event.clientY + box.top) * scale];
     }
 
-    /** The place of the nearest Gaussian under a pointer; null beside the object. */
+    /** The place of the foremost Gaussian that covers a pointer, else of one near to it; null beside the object. */
     under([px, py]) {
       const { splats, lattice, count } = this, { focal } = splats, reach = NEAR * this.canvas.width / this.canvas.clientWidth;
-      let best = null, least = Infinity;
+      const { shapes } = lattice, grown = splats.grown(count);
+      let best = null, least = Infinity, hit = null, first = Infinity;
       for (let i = 0; i < count; i++) {
         if (lattice.colours[4 * i + 3] < 60) continue;
         const [x, y, z] = [lattice.centres[3 * i], lattice.centres[3 * i + 1], lattice.centres[3 * i + 2]], [r, u, a] = splats.seen(x, y, z);
         if (a <= 0) continue;
         const off = Math.hypot(focal * r / a - px, focal * u / a - py);
+        const wide = focal / a * Math.sqrt(grown * (shapes[6 * i] + shapes[6 * i + 3] + shapes[6 * i + 5]) / 3);
+        if (off < wide && a < first) { first = a; hit = [x, y, z]; }
         // Nearer to the eye counts, and nearer to the pointer.
         const cost = a / lattice.size + (off / reach) ** 2;
         if (off < reach && cost < least) { least = cost; best = [x, y, z]; }
       }
-      return best;
+      return hit ?? best;
     }
 
     /** The place under a pointer at a distance ahead of the eye. */

@@ -3,10 +3,23 @@
 'use strict';
 (() => {
   const { h } = globalThis.Phy124;
+  const STORED = 'phy124-way';
+
+  /** What the page was told of a file before it was loaded again, if it still has these pictures. */
+  function kept(pictures) {
+    try {
+      const { of, chosen } = JSON.parse(sessionStorage.getItem(STORED));
+      return of === nameOf(pictures) && `${chosen.up}_${chosen.front}` in pictures ? chosen : {};
+    } catch { return {}; }
+  }
+
+  /** A file's pictures are in a folder of their own. */
+  function nameOf(pictures) { return Object.values(pictures)[0].path; }
 
   class Ways {
-    /** `tell` gets the axes that are chosen. */
-    constructor(told, tell) {
+    /** `tell` gets the axes that are chosen; those that were chosen of the same file before are kept. */
+    constructor(given, tell) {
+      const told = { ...given, ...kept(given.pictures) };
       Object.assign(this, { told, tell, up: told.up, front: told.front });
       this.fronts = h('div', { class: 'ways fronts', role: 'radiogroup', 'aria-label': 'Front' });
       const ups = told.ups.map(({ up, front }) => this.tile('up', up, up === told.up ? told.front : front, up === told.up, `${up} up`));
@@ -38,7 +51,9 @@
 
     choose() {
       document.dispatchEvent(new CustomEvent('phy124-way', { detail: this.picture(this.up, this.front) }));
-      this.tell({ up: this.up, front: this.front });
+      const chosen = { up: this.up, front: this.front };
+      try { sessionStorage.setItem(STORED, JSON.stringify({ of: nameOf(this.told.pictures), chosen })); } catch { /* not kept, then */ }
+      this.tell(chosen);
     }
   }
 

@@ -69,3 +69,20 @@ def test_keys_move_the_object_and_what_was_done_becomes_a_clip(visit):
     visit.finished()
     assert page.locator(".touch").count() == 0, "the result is shown instead"
     assert not visit.complaints
+
+
+@pytest.mark.slow
+def test_what_rests_is_drawn_once_with_all_of_its_gaussians(visit):
+    page = visit.page
+    page.wait_for_function(f"{HAND}.fine", timeout=LONG)
+    drawn, frames = page.evaluate(f"[{HAND}.pictures, {HAND}.frames]")
+    page.wait_for_function(f"{HAND}.frames > {frames} + 10", timeout=LONG)
+    assert page.evaluate(f"{HAND}.pictures") <= drawn + 1, (
+        "frames that show nothing new are not drawn"
+    )
+    width, shown = page.evaluate(f"[{HAND}.canvas.width, {HAND}.canvas.clientWidth]")
+    assert width == shown, "at full resolution"
+    page.locator(".touch canvas").focus()
+    page.keyboard.press("ArrowRight")
+    page.wait_for_function(f"{HAND}.pictures > {drawn} + 2 && {HAND}.fine", timeout=LONG)
+    assert not visit.complaints

@@ -17,8 +17,12 @@ def test_a_file_is_turned_by_keyboard_and_moved(browser, server, tmp_path):
     unsigned = [line for line in data.splitlines(keepends=True) if b"comment" not in line]
     (tmp_path / "ball.ply").write_bytes(b"".join(unsigned))
     (tmp_path / "broken.ply").write_bytes(data[:200])
+    (tmp_path / "ball.ksplat").write_bytes(data)
     visit = Visit(browser, server)
     page, chooser = visit.page, visit.page.locator("#photo input[type=file]")
+    chooser.set_input_files(tmp_path / "ball.ksplat")
+    page.get_by_text("Save it as .ply or .spz").wait_for(timeout=LONG)
+    assert "415" in visit.complaints.pop(), "the refusal, which browsers note themselves"
     chooser.set_input_files(tmp_path / "broken.ply")
     page.get_by_text("It is cut short within its header.").wait_for(timeout=LONG)
     chooser.set_input_files(tmp_path / "ball.ply")
@@ -34,6 +38,11 @@ def test_a_file_is_turned_by_keyboard_and_moved(browser, server, tmp_path):
     assert page.locator("#photo img").get_attribute("src") != before
     assert not page.locator("#brush").is_visible()
     assert not page.get_by_label("Film it in the photograph, too").is_visible()
+    page.reload()
+    again = page.get_by_role("radio", name="Up: y")
+    again.wait_for(timeout=LONG)
+    assert again.is_checked(), "what was chosen is kept when the page is loaded again"
+    assert page.get_by_role("radio", name="Front: z", exact=True).is_checked()
     visit.choose(frames=2)
     visit.generate()
     visit.finished()
