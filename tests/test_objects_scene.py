@@ -253,7 +253,8 @@ def test_one_that_is_held_stays_and_carries():
 def test_the_scene_of_the_guide_runs():
     """docs/guide/objects.md."""
     page = (ROOT / "docs/guide/objects.md").read_text("utf-8")
-    (text,) = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
+    text, meshed, *_ = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
+    assert Scene.from_data(tomllib.loads(meshed)).objects[0].mesh == Path("chair.glb")
     shown = Scene.from_data(tomllib.loads(text)).replaced({**QUICK, "time.frames": 2})
     run = Simulation(ball(400), shown, threads=1)
     assert run.run().report["complete"] and run.solver.model.held == {2}

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from phy124.gaussians import Gaussians, quaternions
 from phy124.harmonics import spread_directions
@@ -34,13 +35,41 @@ def shape(name: str, sides: Sequence[float], colour: Sequence[float]) -> Gaussia
     """
     half = np.asarray(sides, np.float64) / 2
     x, normals = {"sphere": _sphere, "box": _box, "capsule": _capsule}[name](half)
-    width = 0.75 * np.sqrt(_area(half) / len(x))
-    scales = np.tile([width, width, FLATNESS * width], (len(x), 1))
     squares = np.floor(CHECKS * x / (2 * half.max()) + 0.25).sum(axis=1) % 2
+    width = 0.75 * float(np.sqrt(_area(half) / len(x)))
+    return covered(x, normals, np.asarray(colour), width=width, bright=1 - CONTRAST * squares)
+
+
+def covered(
+    points: NDArray,
+    normals: NDArray,
+    rgb: NDArray,
+    *,
+    width: float | None = None,
+    bright: NDArray | float = 1.0,
+) -> Gaussians:
+    """Flat Gaussians on a surface, gently shaded.
+
+    Args:
+        points: Where they are [N,3], m.
+        normals: Unit normals, out of the solid [N,3].
+        rgb: Colours [N,3], or one for all [3], 0..1.
+        width: Their standard deviation along the surface [m]; None: as far as the next ones are.
+        bright: Factor on the colours [N].
+    """
+    wide = _spread(points) if width is None else np.full(len(points), width)
+    scales = np.stack([wide, wide, FLATNESS * wide], axis=1)
     lit = AMBIENT + (1 - AMBIENT) * (normals @ LIGHT / np.linalg.norm(LIGHT)).clip(-1, 1)
-    bright = lit * (1 - CONTRAST * squares)
-    rgb = (bright[:, None] * np.asarray(colour)).clip(0, 1)
-    return Gaussians.from_rgb(x, _facing(normals), scales, np.full(len(x), 0.95), rgb)
+    return Gaussians.from_rgb(
+        points, _facing(normals), scales, np.full(len(points), 0.95),
+        ((lit * bright)[:, None] * rgb).clip(0, 1),
+    )  # fmt: skip
+
+
+def _spread(points: NDArray) -> NDArray[np.float64]:
+    """Mean distance of each point to its six nearest [N], m, times 0.75."""
+    nearest = KDTree(points).query(points, k=min(7, len(points)))[0]
+    return 0.75 * np.maximum(np.asarray(nearest)[:, 1:].mean(axis=1), 1e-9)
 
 
 def _area(half: NDArray) -> float:

@@ -11,8 +11,10 @@ from typing import Any, NamedTuple
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians, as_objects
 from phy124.generators import Generator, needs_image
+from phy124.generators.mesh import mesh
 from phy124.imaging.cutout import Cutout
 from phy124.io.formats import is_file_of_gaussians
+from phy124.particles.thinning import thinned
 from phy124.pipeline.gaussians import Static
 from phy124.pipeline.gaussians import static as one_static
 from phy124.progress import Progress, silent
@@ -129,6 +131,11 @@ def with_others(
     made = {index: first.of_object(index) for index in range(len(scene.objects) + 1)}
     objects, about = list(scene.objects), {}
     for index, one in enumerate(scene.objects, 1):
+        if one.mesh is not None and not len(made[index]):
+            with named(scene, index):
+                whole = mesh(one.mesh, one.colour, seed=scene.seed)
+            made[index] = thinned(whole, count, seed=scene.seed)
+            about[one.name] = {"source": one.mesh.name, "generator": "mesh"}
         source = (next(by_hand, None) if one.waits else None) or one.picture or one.file
         if source is None:
             continue

@@ -24,7 +24,7 @@ ANY = "any"
 
 
 class SceneObject(Object):
-    """A further object: from a picture, from a file of Gaussians, or a plain shape.
+    """A further object: from a picture, from a file of Gaussians, a mesh, or a plain shape.
 
     Without any of these it is made from the next picture of the command; if there is none, it is
     a copy of the first object.
@@ -43,6 +43,12 @@ class SceneObject(Object):
         examples=["relief"],
         description="What makes it of its picture; absent: what makes the first object.",
     )
+    mesh: FileName | None = Field(
+        default=None,
+        exclude_if=lambda path: path is None,
+        examples=["chair.glb"],
+        description="File of triangles that it is made of: .glb, .gltf, .obj, .stl or .ply.",
+    )
     shape: ShapeName | None = Field(
         default=None, examples=["box"], description="A sphere, box or capsule without a picture."
     )
@@ -52,7 +58,9 @@ class SceneObject(Object):
         "`size` [m].",
     )
     colour: Background = Field(
-        default=CREAM, description="Colour of the shape: red, green, blue from 0 to 1, or CSS name."
+        default=CREAM,
+        description="Colour of the shape, or of a mesh without colours: red, green, blue from 0 to "
+        "1, or CSS name.",
     )
     static: bool = Field(
         default=False, description="Scenery: it is seen, but neither moves nor touches anything."
@@ -67,7 +75,8 @@ class SceneObject(Object):
 
     @model_validator(mode="after")
     def _one_source(self) -> SceneObject:
-        given = [name for name in ("picture", "file", "shape") if getattr(self, name) is not None]
+        sources = ("picture", "file", "mesh", "shape")
+        given = [name for name in sources if getattr(self, name) is not None]
         if len(given) > 1:
             raise ValueError(f"{self.name} has {' and '.join(given)}; give one of them")
         if any(part.surroundings for part in self.parts):
@@ -77,7 +86,7 @@ class SceneObject(Object):
     @property
     def waits(self) -> bool:
         """Whether it takes the next picture of the command, if there is one."""
-        return self.picture is None and self.file is None and self.shape is None
+        return not (self.picture or self.file or self.mesh or self.shape)
 
 
 class Pair(Section):

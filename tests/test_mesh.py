@@ -1,0 +1,155 @@
+"""Meshes: read by trimesh, covered with Gaussians, filled; what cannot be used is refused."""
+
+import struct
+
+import numpy as np
+import pytest
+
+from phy124 import Scene
+from phy124.errors import InputError
+from phy124.generators import mesh as meshes
+from phy124.generators.mesh import mesh
+from phy124.particles.solid import solid
+from phy124.pipeline.objects import with_others
+from phy124.runtime import isolated
+
+trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed")
+RED = (1.0, 0.0, 0.0)
+
+
+@pytest.fixture(autouse=True)
+def in_this_process(monkeypatch):
+    """Starting another process for each file would take most of the time of these tests."""
+    monkeypatch.setattr(isolated, "run", lambda function, *given, deadline: function(*given))
+
+
+def saved(path, one):
+    one.export(path)
+    return path
+
+
+def ball():
+    """A sphere whose colour tells where each point was in the file: rgb follows xyz."""
+    made = trimesh.creation.icosphere(subdivisions=3)
+    made.visual.vertex_colors = np.c_[127.5 * (made.vertices + 1), np.full(len(made.vertices), 255)]
+    return made
+
+
+@pytest.mark.parametrize(("kind", "up"), [("glb", 1), ("obj", 1), ("ply", 2)])
+def test_a_mesh_has_its_size_colours_volume_and_stands_upright(tmp_path, kind, up):
+    made = mesh(saved(tmp_path / f"ball.{kind}", ball()), RED)
+    np.testing.assert_allclose(np.ptp(made.means, axis=0), 1, atol=5e-3)
+    np.testing.assert_allclose(np.linalg.norm(made.means, axis=1), 0.5, atol=5e-3)
+    closest = [np.corrcoef(made.means[:, 2], made.rgb[:, axis])[0, 1] for axis in range(3)]
+    assert np.argmax(closest) == up
+    assert solid(made, 1 / 32).volume == pytest.approx(np.pi / 6, rel=0.02)
+
+
+def test_a_mesh_turned_inside_out_is_lit_from_outside_and_takes_the_colour_given(tmp_path):
+    one = trimesh.creation.icosphere(subdivisions=2)
+    one.invert()
+    made = mesh(saved(tmp_path / "ball.stl", one), RED)
+    assert np.all(made.rgb[:, 1:] == 0)
+    top, bottom = (made.rgb[sign * made.means[:, 2] > 0.3, 0].mean() for sign in (1, -1))
+    assert top > bottom + 0.2
+
+
+def test_a_textured_mesh_has_the_colours_of_its_picture(tmp_path):
+    from PIL import Image
+
+    box = trimesh.creation.box((1, 1, 1))
+    picture = Image.new("RGB", (2, 2), (0, 0, 255))
+    picture.paste((0, 255, 0), (0, 0, 1, 2))
+    uv = np.c_[box.vertices[:, 0] + 0.5, np.full(len(box.vertices), 0.5)]
+    material = trimesh.visual.material.PBRMaterial(
+        baseColorTexture=picture, baseColorFactor=[255, 255, 128, 255]
+    )
+    box.visual = trimesh.visual.TextureVisuals(uv=uv, material=material)
+    made = mesh(saved(tmp_path / "box.glb", box), RED)
+    # The file's x is our y: it faces +z there, and +x here.
+    left = made.rgb[np.abs(made.means[:, 1]) > 0.3]
+    green, blue = left[left[:, 1] > 0.3], left[left[:, 2] > 0.1]
+    assert len(green) + len(blue) == len(left)
+    assert green[:, 1].max() == pytest.approx(1, abs=0.1)
+    assert blue[:, 2].max() == pytest.approx(0.5, abs=0.05)
+
+
+def test_an_open_mesh_is_filled(tmp_path):
+    box = trimesh.creation.box((1, 1, 1))
+    box.update_faces(box.face_normals[:, 2] < 0.5)
+    made = mesh(saved(tmp_path / "open.stl", box), RED)
+    assert solid(made, 1 / 32).volume == pytest.approx(1, rel=0.05)
+
+
+def corners(values, faces="3 0 1 2"):
+    rows = "\n".join(values)
+    return (
+        f"ply\nformat ascii 1.0\nelement vertex {len(values)}\nproperty float x\n"
+        "property float y\nproperty float z\nelement face 1\n"
+        f"property list uchar int vertex_indices\nend_header\n{rows}\n{faces}\n"
+    ).encode()
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("a.fbx", b"x", "no kind of mesh that is read"),
+        ("a.glb", b"", "0 bytes"),
+        ("a.glb", b"glTF" + bytes(40), "cannot be read as a mesh"),
+        ("a.stl", bytes(80) + struct.pack("<I", 4_000_000_000), "no triangles|cannot be read"),
+        ("a.ply", corners([]).replace(b"vertex 0", b"vertex 99999999999"), "no area|cannot be"),
+        ("a.ply", corners(["0 0 0", "1 0 0", "nan 1 0"]), "NaN or infinite"),
+        ("a.ply", corners(["0 0 0", "1 0 0", "0 1 0"], "3 0 1 9"), "cannot|not in the file"),
+        ("a.ply", corners(["0 0 0", "1 0 0", "2 0 0"]), "no area"),
+        ("a.ply", corners(["0 0 0"] * 3), "no area"),
+        ("a.obj", b"v 0 0 0\nv 1 0 0\n", "no triangles|cannot be read"),
+        ("a.obj", b"", "0 bytes"),
+    ],
+)
+def test_what_is_no_usable_mesh_is_refused_in_a_sentence(tmp_path, name, content, said):
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=said) as refused:
+        mesh(path, RED)
+    assert refused.value.field == "mesh" and refused.value.remedy
+
+
+def test_too_large_a_mesh_is_refused(tmp_path, monkeypatch):
+    path = saved(tmp_path / "ball.stl", trimesh.creation.icosphere(subdivisions=2))
+    monkeypatch.setattr(meshes, "MOST_TRIANGLES", 100)
+    with pytest.raises(InputError, match=r"has 320 triangles, and 100 are allowed"):
+        mesh(path, RED)
+    monkeypatch.setattr(meshes, "LARGEST", 100)
+    with pytest.raises(InputError, match="bytes; a mesh has"):
+        mesh(path, RED)
+    with pytest.raises(InputError, match="no such file"):
+        mesh(tmp_path / "gone.stl", RED)
+
+
+def test_a_mesh_that_takes_too_long_and_one_without_trimesh_are_refused(tmp_path, monkeypatch):
+    path = saved(tmp_path / "ball.stl", trimesh.creation.icosphere(subdivisions=1))
+
+    def late(*given, deadline):
+        raise isolated.Unfinished("did not finish within 60 s")
+
+    monkeypatch.setattr(isolated, "run", late)
+    with pytest.raises(InputError, match="did not finish within 60 s"):
+        mesh(path, RED)
+    monkeypatch.setattr(meshes, "find_spec", lambda name: None)
+    with pytest.raises(InputError, match="needs the package trimesh"):
+        mesh(path, RED)
+
+
+def test_an_object_of_a_scene_is_made_of_a_mesh(tmp_path):
+    path = saved(tmp_path / "ball.stl", trimesh.creation.icosphere(subdivisions=2))
+    first = mesh(path, RED)
+    scene = Scene.from_data({"objects": [{"name": "ball", "mesh": str(path), "place": [0, 2]}]})
+    made = with_others(first, scene)
+    assert len(made.gaussians.of_object(1)) == len(first)
+    assert made.about["sources"]["ball"] == {"source": "ball.stl", "generator": "mesh"}
+    path.unlink()
+    with pytest.raises(InputError, match="no such file") as refused:
+        with_others(first, scene)
+    assert refused.value.field == "objects.0 (ball), mesh"
+    with pytest.raises(InputError, match="has mesh and shape"):
+        Scene.from_data({"objects": [{"name": "b", "mesh": "b.stl", "shape": "box"}]})
