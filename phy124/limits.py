@@ -179,7 +179,7 @@ def _sections(scene: Scene) -> Iterator[tuple[str, AnyMaterial]]:
     every = [
         found
         for prefix, one in zip(prefixes, (scene, *scene.objects), strict=True)
-        if not getattr(one, "static", False)
+        if not getattr(one, "scenery", False)
         for found in _own_sections(prefix, one)
     ]
     yield from sorted(every, key=lambda item: -item[1].wave_speed())

@@ -3,6 +3,7 @@
 import re
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,13 +11,14 @@ import pytest
 from phy124 import Live, pipeline, resume
 from phy124.deform import Deformer
 from phy124.errors import InputError
-from phy124.gaussians import as_objects
+from phy124.gaussians import Frame, as_objects
 from phy124.generators.shapes import shape
 from phy124.io.clip import Clip
 from phy124.io.export.usd import write_usd
 from phy124.io.ply import read_ply, write_ply
 from phy124.monitor.pieces import Pieces
 from phy124.particles import Particles, bounds
+from phy124.particles.scenery import Scenery
 from phy124.scene import Pair, Scene
 from phy124.scene.objects import pair_of
 from phy124.simulation import Simulation
@@ -307,3 +309,84 @@ def test_what_is_held_in_its_place_is_not_taken_hold_of():
         live.grab((0, 0, 0), object="box")
     with pytest.raises(InputError, match=r"push.object = box: it is held in its place"):
         live.push((1, 0, 0), object="box")
+    assert list(frame.wrenches or {}) == ["ground", "ball_on_box"]
+    assert list(live.contacts()) == ["ground"]
+
+
+PUSHER = {
+    "name": "pusher", "shape": "box", "size": 1.0, "sides": [0.4, 1, 1], "place": [-0.95, 0],
+    "motion": {"kind": "path", "times": [0, 0.5], "points": [[0, 0, 0], [1, 0, 0]]},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("changes", "lower", "upper"),
+    [
+        ({}, (-1.15, -0.5, 0), (-0.75, 0.5, 1)),
+        ({"lift": 0.5}, (-1.15, -0.5, 0.5), (-0.75, 0.5, 1.5)),
+        ({"shape": "sphere", "sides": [1, 1, 1]}, (-1.45, -0.5, 0), (-0.45, 0.5, 1)),
+        ({"shape": "capsule", "sides": [0.4, 0.4, 1]}, (-1.15, -0.2, 0), (-0.75, 0.2, 1)),
+    ],
+)
+def test_an_object_with_a_motion_is_a_wall_where_it_is_drawn(changes, lower, upper):
+    told = scene(objects=[{**PUSHER, **changes}], pairs=[{"friction": 0.3}])
+    *_, wall = told.with_solids().boundaries
+    np.testing.assert_allclose(wall.extent(None), [lower, upper], atol=1e-12)
+    assert (wall.friction, wall.contact) == (0.3, "separate")
+    drawn = shape(told.objects[0].shape, told.objects[0].sides, (1, 1, 1)).means
+    np.testing.assert_allclose(np.ptp(drawn, axis=0), np.subtract(upper, lower), atol=0.06)
+    assert told.with_solids().replaced({"objects": []}).names == ("object",)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"shape": None, "file": "a.ply"}, "Only shapes follow a motion"),
+        ({"held": True}, "Leave out static, held, velocity and spin"),
+        ({"velocity": [1, 0, 0]}, "Leave out static, held, velocity and spin"),
+        ({"on": "object"}, "stands on the floor. Use lift"),
+        ({"turn": [0, 0, 30]}, "cannot be turned. Leave turn out"),
+        ({"shape": "sphere"}, "Give 3 equal sides"),
+        ({"shape": "capsule", "sides": [0.4, 0.3, 1]}, "Give 2 equal sides"),
+    ],
+)
+def test_a_motion_that_no_wall_can_follow_is_refused(changes, said):
+    with pytest.raises(InputError, match=said):
+        scene(objects=[{**PUSHER, **changes}])
+
+
+def test_scenery_with_a_track_is_shifted_and_the_rest_stays():
+    two = as_objects({0: ball(50), 1: ball(50)})
+    own = two.object_id == 1
+    track = Scene.from_data({"objects": [PUSHER]}).objects[0].motion.track()
+    frame = Frame(3, 0.25, two.select(~own), velocities=np.zeros((50, 3), np.float32))
+    whole = Scenery(two, ~own, ((1, track),)).whole(frame)
+    shift = whole.gaussians.means - two.means
+    np.testing.assert_allclose(shift[own], [[0.5, 0, 0]] * 50, atol=1e-6)
+    assert not shift[~own].any() and np.all(whole.velocities[own, 0] > 2.5)
+
+
+@pytest.mark.slow
+def test_a_moved_object_pushes_and_what_it_gives_is_known(tmp_path):
+    """It gives the ball the momentum that the ball has, and goes where its path goes."""
+    changes = {"objects": [PUSHER], "forces": [], "boundaries": [], "time.frames": 13}
+    told = scene(**changes, **{"time.fps": 24, "velocities": True, "wrenches": True})
+    made = Simulation(ball(400), told, threads=1)
+    clip = made.run()
+    own = clip.object_id == 1
+    assert clip.report["complete"] and clip.walls == ("box",)
+    assert not clip.scene.get("boundaries"), "the scene is the one that was given"
+    went = clip.means[-1][own] - clip.means[0][own]
+    np.testing.assert_allclose(went, [[1, 0, 0]] * own.sum(), atol=1e-5)
+    given = -clip.wrenches[:, 0, 0].sum(axis=0) / 24
+    kept = made.solver.model.mass.numpy().astype(float) @ made.solver.state.v.numpy()
+    np.testing.assert_allclose(given, kept, rtol=1e-4, atol=1e-4 * abs(kept[0]))
+    assert kept[0] / made.solver.model.total_mass > 1, "faster than 1 m/s"
+    paused = Simulation(ball(400), told, threads=1)
+    for _ in range(6):
+        paused.step()
+    resume.save(paused, tmp_path / "pause.safetensors")
+    again = resume.load(tmp_path / "pause.safetensors").run()
+    assert np.array_equal(again.means, clip.means)
+    gap = clip.means[:, ~own, 0].min(axis=1) - clip.means[:, own, 0].max(axis=1)
+    assert gap.min() > -0.6 * told.dx, "a soft ball, hit at 3 m/s"

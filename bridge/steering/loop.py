@@ -30,7 +30,7 @@ def controls(run: SteeredRun, accuracy: str, *, action: bool) -> Controls:
     """
     from phy124.monitor.wrenches import names
 
-    walls = names(run.live.scene.boundaries)
+    walls = names(run.live.scene.with_solids().boundaries)
     return Controls(
         node=STEERED,
         published=(TF, FACTOR, *(contact(at) for at in (*walls, *run.live.pairs))),

@@ -1,4 +1,7 @@
-"""Scenery: the Gaussians of static parts, which are in every frame and never in the solver."""
+"""Scenery: the Gaussians of static parts, which are in every frame and never in the solver.
+
+Objects with a motion of their own are scenery, too: their Gaussians are shifted by their tracks.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.gaussians import Array, Frame, Gaussians
+from phy124.tracks import Track
 
 IDENTITY = np.array([1, 0, 0, 0], np.float32)
 """The identity rotation, wxyz."""
+INSTANT = 1e-6
+"""Time over which the velocity of a shifted object is taken [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,7 +26,9 @@ class Scenery:
     gaussians: Gaussians
     """All of them at rest, N."""
     moves: NDArray[np.bool_]
-    """Which of them move [N]."""
+    """Which of them move in the solver [N]."""
+    tracks: tuple[tuple[int, Track], ...] = ()
+    """Numbers of the objects that are shifted, and their displacements over time [m]."""
 
     @property
     def count(self) -> int:
@@ -33,7 +41,9 @@ class Scenery:
         return self.gaussians.select(self.moves) if self.count else self.gaussians
 
     def whole(self, frame: Frame) -> Frame:
-        """A frame of the moving Gaussians with the static ones added, unchanged bit for bit."""
+        """A frame of the moving Gaussians with the static ones added, unchanged bit for bit, and
+        the shifted ones where they are then.
+        """
         if not self.count:
             return frame
         rest, moved = self.gaussians, frame.gaussians
@@ -46,6 +56,12 @@ class Scenery:
             None if some is None else self._filled(np.zeros_like(rest.means), some)
             for some in (frame.velocities, frame.contacts)
         )
+        for index, track in self.tracks:
+            own = rest.object_id == index
+            at, later = track.values(np.array([frame.time, frame.time + INSTANT]))
+            means[own] += at.astype(np.float32)
+            if velocities is not None:
+                velocities[own] = (later - at) / INSTANT
         gaussians = replace(rest, means=means, quats=quats, scales=scales, sh=sh)
         return replace(frame, gaussians=gaussians, velocities=velocities, contacts=contacts)
 

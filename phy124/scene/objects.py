@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import Field, model_validator
 
+from phy124.boundaries import Box, Capsule, Sphere
+from phy124.boundaries.base import Movable, vector
+from phy124.boundaries.motion import AnyMotion
 from phy124.bounds import FileName, Name
 from phy124.materials import AnyMaterial, NeoHookean
 from phy124.scene.sections import FLOOR, Object, Part
@@ -65,6 +69,12 @@ class SceneObject(Object):
     static: bool = Field(
         default=False, description="Scenery: it is seen, but neither moves nor touches anything."
     )
+    motion: AnyMotion | None = Field(
+        default=None,
+        exclude_if=lambda motion: motion is None,
+        description="Its displacement over time: path or swing. A shape that has one moves so, "
+        "whatever it meets: it pushes the others and nothing pushes it.",
+    )
     material: AnyMaterial = Field(default=NeoHookean(), description="Constitutive law.")
     parts: tuple[Part, ...] = Field(default=(), description="Parts of other materials.")
     crop: tuple[_Fraction, _Fraction, _Fraction, _Fraction] = Field(
@@ -82,6 +92,60 @@ class SceneObject(Object):
         if any(part.surroundings for part in self.parts):
             raise ValueError("only the first object may have surroundings; leave them out")
         return self
+
+    @model_validator(mode="after")
+    def _may_be_moved(self) -> SceneObject:
+        if self.motion is not None:
+            self._check_moved()
+        return self
+
+    def _check_moved(self) -> None:
+        """Check that an object with a motion is a solid that walls know.
+
+        Raises:
+            ValueError: It is not.
+        """
+        if self.shape is None:
+            raise ValueError(f"{self.name} has a motion but no shape; only shapes follow a motion")
+        if self.static or self.held or any((*self.velocity, *self.spin)):
+            raise ValueError(
+                f"{self.name} has a motion; leave out static, held, velocity and spin, which say "
+                "otherwise how it moves"
+            )
+        if self.on != FLOOR:
+            raise ValueError(f"{self.name} has a motion, so it stands on the floor; use lift")
+        if any(self.turn) and self.shape != "sphere":
+            raise ValueError(f"{self.name} has a motion and cannot be turned; leave turn out")
+        round_ = sorted(self.sides)[: 3 if self.shape == "sphere" else 2]
+        if self.shape != "box" and round_[0] != round_[-1]:
+            raise ValueError(
+                f"{self.name} has a motion, so it must be round; give {len(round_)} equal sides"
+            )
+
+    @property
+    def scenery(self) -> bool:
+        """Whether it has no particles: it stays as it is, or moves whatever it meets."""
+        return self.static or self.motion is not None
+
+    def solid(self, pairs: Sequence[Pair]) -> Movable:
+        """The wall that an object with a motion is for others.
+
+        Args:
+            pairs: What happens where two objects touch.
+        """
+        half = np.array(self.sides) / max(self.sides) * self.size / 2
+        middle = np.array([*self.place, self.lift + half[2]])
+        how = pair_of(pairs, self.name, ANY)
+        given: dict[str, Any] = {"motion": self.motion, "friction": how.friction}
+        given["contact"] = how.contact
+        if self.shape == "box":
+            return Box(lower=vector(middle - half), upper=vector(middle + half), **given)
+        if self.shape == "sphere":
+            return Sphere(centre=vector(middle), radius=float(half[0]), **given)
+        along = np.zeros(3)
+        along[half.argmax()] = half.max() - half.min()
+        ends = {"start": vector(middle - along), "end": vector(middle + along)}
+        return Capsule(radius=float(half.min()), **ends, **given)
 
     @property
     def waits(self) -> bool:

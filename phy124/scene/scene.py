@@ -122,7 +122,7 @@ class Scene(Section):
     def _named(self) -> Scene:
         check_objects(self.object, self.objects)
         check_pairs(self.pairs, self.names)
-        moving = [one.name for one in self.every_object if not getattr(one, "static", False)]
+        moving = [one.name for one in self.every_object if not getattr(one, "scenery", False)]
         for section in (*self.forces, *self.boundaries):
             if section.object is not None:
                 check_name(section.object, moving)
@@ -174,9 +174,16 @@ class Scene(Section):
         """The scene's material and those of its moving parts, then those of each other object."""
         found = []
         for one in (self, *self.objects):
-            if not (isinstance(one, SceneObject) and one.static):
+            if not (isinstance(one, SceneObject) and one.scenery):
                 found += [one.material, *(p.material for p in one.parts if not p.static)]
         return found
+
+    def with_solids(self) -> Scene:
+        """The scene in which objects with a motion are walls, too, after its own boundaries."""
+        solids = [one.solid(self.pairs) for one in self.objects if one.motion is not None]
+        if not solids:
+            return self
+        return self.model_copy(update={"boundaries": (*self.boundaries, *solids)})
 
     def alone(self, index: int) -> Scene:
         """The scene with one of its objects only; the grid's spacing may then be another one."""

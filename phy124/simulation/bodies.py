@@ -85,7 +85,7 @@ def bodies(gaussians: Gaussians, scene: Scene, crop: Crop) -> Body:
     for index, (one, there) in enumerate(zip(placed, standing, strict=True)):
         one = one._replace(gaussians=there)
         with named(scene, index):
-            still = getattr(scene.every_object[index], "static", False)
+            still = getattr(scene.every_object[index], "scenery", False)
             made.append(_scenery(one) if still else _made(one, scene.spacing))
     return _joined(made, scene)
 

@@ -18,7 +18,7 @@ def report_of(run: Run) -> dict[str, Any]:
     """What a run did."""
     solver = run.solver
     effects = Effects.of(
-        run.scene,
+        run.scene.with_solids(),
         sh_degree=run.gaussians.sh_degree,
         device=run.device,
         static=run.scenery.count,

@@ -42,6 +42,7 @@ from phy124.simulation.report import counted, report_of
 from phy124.simulation.softening import Softening
 from phy124.simulation.solver import acting, judged_as, solver_of
 from phy124.simulation.stopped import Stopped
+from phy124.tracks import Track
 
 
 class Interrupted(Cancelled):
@@ -98,6 +99,7 @@ class Simulation:
         self.watch = watch or Stopwatch()
         with self.watch.stage("particles"):
             made = bodies(gaussians, scene, crop)
+            scene = scene.with_solids()
             self.numbered, self.cleaning, self.gaussians = made[:3]
             self.look, self.materials, stiffness = made[3:]
             look, self.shown, self.particles = self.look, self.look.gaussians, self.look.particles
@@ -106,7 +108,7 @@ class Simulation:
             self.particles, stiffness = ordered(
                 self.particles, self.materials, stiffness, scene.dx, self.along
             )
-            self.scenery = Scenery(self.shown, look.moves)
+            self.scenery = Scenery(self.shown, look.moves, tuple(_tracks(scene)))
             self.interior = Interior(
                 self.shown, self.particles, self.materials, spacing=scene.spacing, dx=scene.dx
             )
@@ -187,7 +189,8 @@ class Simulation:
             InputError: One of them does not fit the object or the grid; nothing has changed.
         """
         rejected = self.solver.rejection.rejected
-        self.solver.bind(*acting(scene, self.watchdog.external, self.contacts, self.wrenches))
+        whole = scene.with_solids()
+        self.solver.bind(*acting(whole, self.watchdog.external, self.contacts, self.wrenches))
         self.solver.rejection.rejected = rejected
         self.scene = scene
 
@@ -381,3 +384,10 @@ class Simulation:
 
     def _reporter(self, index: int) -> Callable[[], None]:
         return lambda: self.progress("simulate", index, self.scene.time.frames)
+
+
+def _tracks(scene: Scene) -> Iterator[tuple[int, Track]]:
+    """The objects with a motion, by number, and their displacement over time [m]."""
+    for index, one in enumerate(scene.objects, 1):
+        if one.motion is not None:
+            yield index, one.motion.track()
