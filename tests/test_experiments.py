@@ -27,6 +27,7 @@ from phy124.experiments import (
 from phy124.experiments import page as page_module
 from phy124.experiments import running as running_module
 from phy124.experiments.bodies import brick, shells
+from phy124.experiments.elastic_ball import Law, law
 from phy124.experiments.outcome import Outcome, found
 from phy124.experiments.page import data, details, save_page, summary
 from phy124.experiments.running import Measured, Run, measure, outcome, outcomes, runs
@@ -78,12 +79,13 @@ def test_the_elastica_is_that_of_the_tables():
 
 def test_hertz_s_impact_lasts_as_long_as_in_books_and_damping_slows_it():
     depth = impact.SHALLOW
-    lossless = impact.theory(0.0, depth)
+    lossless = impact.theory(0.0, depth, Law(0.0))
     assert lossless.restitution == pytest.approx(1.0, abs=1e-4)
     ways = np.cumsum(-lossless.speeds) * lossless.times[0:2].max() * impact.speed(depth)
     assert ways.max() == pytest.approx(depth * impact.RADIUS, rel=0.01)
-    losses = [impact.theory(loss, depth).restitution for loss in (0.0, 0.02, 0.05)]
+    losses = [impact.theory(loss, depth, Law(0.0)).restitution for loss in (0.0, 0.02, 0.05)]
     assert losses == sorted(losses, reverse=True)
+    assert 0.9 < hertz.turning(law(0.0, whole=True)) < 0.95, "a whole ball is stiffer"
     assert hertz.hertz(0.01) < hertz.tatara(0.01) < 1.1 * hertz.hertz(0.01)
 
 

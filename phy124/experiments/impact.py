@@ -1,4 +1,4 @@
-"""An elastic ball that hits a floor slowly: the impact of Hertz, with the ball's own viscosity."""
+"""An elastic ball, with a viscosity of its own, that hits a floor slowly: by a law and by MPM."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from phy124.accuracy.problems import FLOOR_NODE
 from phy124.boundaries import Ground
 from phy124.experiments.bodies import mean_along, mirrors, shells
+from phy124.experiments.elastic_ball import Law
 from phy124.materials import NeoHookean
 from phy124.mpm import Model, Solver, State
 
 RADIUS, DENSITY, E = 0.5, 1000.0, 1e6
 """Of the ball: m, kg/m^3, Pa; with nu = 0 its viscous stress is its elastic one's rate times
-damping / mu, and Hertz's law with such a loss has no further assumption."""
+damping / mu, and a law of force with such a loss has no further assumption."""
 SHALLOW, DEEP = 0.06, 0.12
 """How deep it is pressed at most, in radii, which sets its speed: for Hertz's force, and for what
 is lost, which asks for a contact of more cells and less for Hertz's force."""
@@ -61,23 +62,24 @@ def duration(depth: float) -> float:
     return 2.9432 * depth * RADIUS / speed(depth)
 
 
-def theory(loss: float, depth: float) -> Bounce:
-    """Hertz's law with a force F + loss dF/dt that never pulls, integrated numerically.
+def theory(loss: float, depth: float, law: Law) -> Bounce:
+    """A law with a force F + loss dF/dt that never pulls, integrated numerically.
 
     Args:
         loss: damping / mu, in times of contact.
-        depth: How deep it is pressed without loss, in radii.
+        depth: How deep Hertz's law would press it without loss, in radii.
+        law: The force F.
     """
     from scipy.integrate import solve_ivp
 
     mass = 4 / 3 * math.pi * RADIUS**3 * DENSITY
-    stiffness, v, late = 4 / 3 * E * math.sqrt(RADIUS), speed(depth), loss * duration(depth)
+    v, late = speed(depth), loss * duration(depth)
 
     def rates(time: float, y: list[float]) -> list[float]:
         del time
-        way = max(y[0], 0.0)
-        force = stiffness * (way**1.5 + late * 1.5 * math.sqrt(way) * y[1])
-        return [y[1], -max(force, 0.0) / mass]
+        way = max(y[0] / RADIUS, 0.0)
+        force = law.force(way) + late * law.slope(way) * y[1] / RADIUS
+        return [y[1], -max(force, 0.0) * E * RADIUS**2 / mass]
 
     times = np.linspace(0, FLIGHT * duration(depth), 4 * SAMPLES)
     y = solve_ivp(rates, (0, times[-1]), [0.0, v], t_eval=times, rtol=1e-9, atol=1e-12).y
