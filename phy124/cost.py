@@ -27,6 +27,8 @@ FILLED = 0.19
 """Volume of a typical object, in cubes of its longest side: the filling's fraction of the grid."""
 DOUBLE = 1.7
 """How much longer a substep takes in float64 (docs/results/accuracy.md)."""
+PASS = 0.63
+"""How much longer a substep takes for each pass of a transfer (docs/results/transfers.md)."""
 WINDOW = 11
 """Nodes by which the grid's window is wider than what is in it."""
 BYTES_PER_PARTICLE = 400
@@ -121,6 +123,7 @@ class Work:
             nodes: Number of nodes of the grid; None: as if the object filled its cube.
         """
         slower = DOUBLE if scene.resolution.precision == "float64" else 1.0
+        slower *= 1 + PASS * scene.resolution.passes
         views, nodes = len(scene.view.sides), count_nodes(scene) if nodes is None else nodes
         return cls(
             substeps=substeps,

@@ -242,6 +242,9 @@ def _of_numerics(scene: Scene, device: str) -> Iterator[Effect]:
     double = scene.resolution.precision == "float64"
     enough = "single precision is accurate enough: the grid limits it"
     yield Effect("double precision", double, enough, Cost(particle=48))
+    transfer = scene.resolution.transfer
+    kept = "accuracy.transfer is apic: particles keep only what the grid carries"
+    yield Effect(f"transfer {transfer}".replace(" apic", " beyond apic"), transfer != "apic", kept)
     rows = device == "cpu" and not double
     yield Effect("SIMD rows", rows, f"only for float32 on the CPU, this is {device}")
     window = "a window of cells follows the particles; a dense grid has 100^3 nodes"

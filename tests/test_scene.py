@@ -70,7 +70,7 @@ def test_a_scene_cannot_be_changed():
         ({"box": 1}, "box = 1: there is no such key. Known keys: accuracy, binding"),
         (
             {"accuracy": {"box": 1}},
-            "accuracy.box = 1: there is no such key. Known keys: cells, cfl",
+            "accuracy.box = 1: there is no such key. Known keys: blend, cells, cfl",
         ),
         ({"accuracy": {"binding": 1}}, "there is no such key here. binding stands at the top"),
         ({"stiffness": {"kind": "picture"}}, "stiffness.file = nothing: it must be given: text"),

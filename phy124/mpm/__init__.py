@@ -6,6 +6,7 @@ Only the stages that the scene calls for exist.
 """
 
 from phy124.mpm.clock import MEASURE_EVERY, Clock
+from phy124.mpm.fluctuation import Scheme
 from phy124.mpm.grid import MARGIN, Grid, Unstable
 from phy124.mpm.model import Group, Model
 from phy124.mpm.pairs import Pair
@@ -23,6 +24,7 @@ __all__ = [
     "Group",
     "Model",
     "Pair",
+    "Scheme",
     "Solver",
     "Stage",
     "State",

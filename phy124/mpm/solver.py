@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from phy124.kernels.maxima import COUNT
 from phy124.mpm.clock import MEASURE_EVERY, Clock
+from phy124.mpm.fluctuation import APIC, Fluctuation, Scheme
 from phy124.mpm.graph import Graph, usable
 from phy124.mpm.grid import Corners, Grid, Unstable, fit_all, grids_of
 from phy124.mpm.maxima import Maxima
@@ -30,7 +31,7 @@ from phy124.mpm.repair import Repair
 from phy124.mpm.slabs import Slabs
 from phy124.mpm.stage import Accumulator, Attachable
 from phy124.mpm.state import State
-from phy124.mpm.substep import Recorder
+from phy124.mpm.substep import Gathered, Recorder
 from phy124.mpm.threads import Team
 from phy124.mpm.workers import (
     GATHER,
@@ -61,6 +62,8 @@ class Solver:
         threads: int | None = None,
         graph: bool | None = None,
         measure_every: int = MEASURE_EVERY,
+        scheme: Scheme = APIC,
+        gathered: Gathered | None = None,
     ) -> None:
         """Bind forces and boundaries to a model.
 
@@ -75,6 +78,8 @@ class Solver:
             threads: CPU threads; None: as many as have a free core and enough particles.
             graph: Run frames as one graph on the device; None: on CUDA. Several bodies never do.
             measure_every: Substeps between two measurements of the limits, where that is safe.
+            scheme: How velocities come back from the grid.
+            gathered: Looks at every part of the particles after each substep.
 
         Raises:
             InputError: The region of a force holds no particle, or a boundary is too thin for the
@@ -82,6 +87,7 @@ class Solver:
         """
         self.model = model
         self.state = State.of(model) if state is None else state
+        self.fluctuation = Fluctuation.of(model, self.state, scheme) if scheme.passes else None
         self.clock = Clock(model, ceiling=ceiling, measure_every=measure_every)
         self.grids = grids_of(model)
         """That of each body."""
@@ -90,6 +96,9 @@ class Solver:
         count = usable_workers(len(model), model.device, threads)
         self.slabs = Slabs(model, self.state, self.grids, count) if count > 1 else None
         self.workers = self.slabs.workers if self.slabs else [lone_worker(model, self.grids)]
+        self.gathered = gathered
+        if gathered is not None:
+            gathered.begin(model, count)
         self.pairs = Pairs(model, pairs, count)
         """How bodies touch, and what they give each other."""
         self._stray = wp.zeros(1, dtype=int, device=model.device)
@@ -127,8 +136,9 @@ class Solver:
         tracks.upload(self.clock.values)
         self.tracks, self._forces, self.boundaries, self._sums = tracks, acting, walls, sums
         self._recorder = Recorder(
-            model, state, self.grids, tracks, self.outliers, self.workers, self.slabs, self.pairs
-        )
+            model, state, self.grids, tracks, self.outliers, self.workers, self.slabs, self.pairs,
+            self.fluctuation, self.gathered,
+        )  # fmt: skip
         self._sample = tracks.record()
         self._sample.launch()
         self.rejection = StepRejection(model, state, tracks, acting, [*accumulators, self.pairs])

@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import warp as wp
 
@@ -17,6 +17,7 @@ from phy124.kernels import transfer
 from phy124.kernels.grid import make_merge, make_update
 from phy124.kernels.reduction import shared_out
 from phy124.kernels.transfer import Law
+from phy124.mpm.fluctuation import Fluctuation
 from phy124.mpm.grid import Grid
 from phy124.mpm.model import Model
 from phy124.mpm.outliers import Outliers
@@ -52,6 +53,20 @@ def kernels(laws: Iterable[Law], real: Any, form: str) -> Iterator[Any]:
         yield from Transfers.of(law, real, form)
 
 
+class Gathered(Protocol):
+    """What looks at every part of the particles after each substep, without changing them."""
+
+    def begin(self, model: Model, workers: int) -> None:
+        """Prepare for some workers."""
+        ...
+
+    def record(
+        self, part: Part, worker: int, model: Model, state: State, tracks: Tracks
+    ) -> Recorded:
+        """Its launch for a worker's part."""
+        ...
+
+
 @dataclass(frozen=True)
 class Recorder:
     """Records the launches of a substep."""
@@ -67,6 +82,10 @@ class Recorder:
     """Those of several workers."""
     pairs: Pairs
     """How bodies touch."""
+    fluctuation: Fluctuation | None = None
+    """What particles keep beside what the grid carries; None: nothing, which is APIC."""
+    gathered: Gathered | None = None
+    """What looks at a part right after it has gathered."""
 
     def record(
         self, pushes: Sequence[Stage], walls: Sequence[Stage], sums: Sequence[Stage]
@@ -85,12 +104,25 @@ class Recorder:
             moving = [part for part in worker.parts if part.group.body not in held]
             scatter = [self._p2g(part) for part in moving]
             update = self._update_phases(walls, index)
-            gather = [record for part in moving for record in self._gather(part)]
+            gather = [record for part in moving for record in self._gather(part, index)]
             scattering = [*self._clear(index), *launches(scatter)]
-            worker.phases = [scattering, *map(launches, update), launches(gather)]
+            worker.phases = [*self._passes(moving, index), scattering, *map(launches, update)]
+            worker.phases.append(launches(gather))
             if pushes:
                 worker.phases.insert(0, self._push(pushes, index))
         self.workers[0].phases[GATHER] += launches([(s.name, s.record(self._grid)) for s in sums])
+
+    def _passes(self, parts: Sequence[Part], worker: int) -> Iterator[list[Named]]:
+        """A worker's phases of each pass over the grid before the substep scatters."""
+        kept = self.fluctuation
+        for turn in range(kept.scheme.passes if kept else 0):
+            assert kept is not None
+            yield [*self._clear(worker), *launches([kept.carry(part, turn) for part in parts])]
+            still = [self._update(body, worker, kept.still) for body in self._moving]
+            yield launches(list(itertools.chain(*still)))
+            grids = [self.grids[part.group.body] for part in parts]
+            pairs = zip(parts, grids, strict=True)
+            yield launches([kept.remain(part, grid, turn) for part, grid in pairs])
 
     def _put_down(self, body: int) -> None:
         """Scatter the mass of a body that never moves, once for all substeps."""
@@ -189,7 +221,7 @@ class Recorder:
         inputs = [*read, part.nodes.lattice, part.nodes.window, self.tracks.clock, *state]
         return f"p2g {law.name}", model.launch(kernel, part.count, inputs, [part.nodes.nodes])
 
-    def _gather(self, part: Part) -> list[Recorded]:
+    def _gather(self, part: Part, worker: int) -> list[Recorded]:
         model, s, run = self.model, self.state, part.particles
         law, grid = part.group.law, self.grids[part.group.body]
         kernel = Transfers.of(law, model.real, model.form).g2p
@@ -198,12 +230,18 @@ class Recorder:
         outputs = [s.x[run], s.residue[run], s.v[run], s.C[run], s.F[run]]
         outputs += [part_of(s.history, run), part_of(s.total, run)]
         record = f"g2p {law.name}", model.launch(kernel, part.count, inputs, outputs)
-        return self.outliers.around(part, record, grid, self.tracks)
+        found = self.outliers.around(part, record, grid, self.tracks)
+        if self.gathered is not None:
+            found.append(self.gathered.record(part, worker, model, s, self.tracks))
+        if self.fluctuation is not None:
+            found.append(self.fluctuation.keep(part))
+        return found
 
-    def _update(self, body: int, worker: int) -> list[Recorded]:
-        """A worker's part of the update of a body's grid."""
+    def _update(self, body: int, worker: int, clock: wp.array | None = None) -> list[Recorded]:
+        """A worker's part of the update of a body's grid, by the run's clock or another one."""
         model, grid, slabs = self.model, self.grids[body], self.slabs
-        inputs, found = [self.tracks.clock, self.tracks.values], []
+        clock = self.tracks.clock if clock is None else clock
+        inputs, found = [clock, self.tracks.values], []
         count, nodes = grid.count, grid.nodes
         layers = self._layers(grid, worker)
         if layers is not None and slabs is not None:

@@ -22,6 +22,32 @@ class Accuracy(Section):
     precision: Literal["float32", "float64"] = Field(
         default="float32", description="Floating-point precision of the simulation."
     )
+    transfer: Literal["apic", "aflip", "xpic2", "xpic3", "xpic4", "xpic5"] = Field(
+        default="apic",
+        exclude_if=lambda value: value == "apic",
+        description="How velocities come back from the grid: apic damps most and costs least; "
+        "xpic2 to xpic5 damp less for 2 to 5 more passes over the grid; aflip takes one and "
+        "leaves noise.",
+    )
+    blend: float = Field(
+        default=0.95,
+        ge=0,
+        le=1,
+        exclude_if=lambda value: value == 0.95,
+        description="How much aflip keeps of what the grid does not carry; no other transfer "
+        "reads it.",
+    )
+
+    @property
+    def passes(self) -> int:
+        """How often velocities go over the grid once more in each substep."""
+        order = self.transfer.removeprefix("xpic")
+        return int(order) if order.isdigit() else int(order == "aflip")
+
+    @property
+    def share(self) -> float:
+        """How much of what the grid does not carry the particles keep."""
+        return self.blend if self.transfer == "aflip" else 1.0
 
 
 NAMED = {
@@ -48,3 +74,17 @@ measured.json has their errors by law and kind of motion.
 PRESETS = {name: accuracy for name, (accuracy, _) in NAMED.items()}
 GOOD_FOR = {name: use for name, (_, use) in NAMED.items()}
 AccuracyName = Literal["draft", "standard", "fine"]
+
+
+def check_transfer(accuracy: Accuracy) -> None:
+    """Refuse a blend that no transfer reads.
+
+    Raises:
+        ValueError: It was given, and the transfer is not aflip.
+    """
+    usual = Accuracy.model_fields["blend"].default
+    if accuracy.blend != usual and accuracy.transfer != "aflip":
+        raise ValueError(
+            f"accuracy.blend is for transfer = aflip, and this one is {accuracy.transfer}; leave "
+            "blend out or set the transfer"
+        )

@@ -23,7 +23,7 @@ from phy124.forces import AnyForce, Gravity, OwnForce
 from phy124.materials import AnyMaterial, Law, NeoHookean
 from phy124.plugins import has_name, is_foreign
 from phy124.properties import Properties
-from phy124.scene.accuracies import PRESETS, Accuracy, AccuracyName
+from phy124.scene.accuracies import PRESETS, Accuracy, AccuracyName, check_transfer
 from phy124.scene.changes import apply
 from phy124.scene.files import read_toml
 from phy124.scene.objects import Pair, SceneObject, check_name, check_objects, check_pairs
@@ -78,7 +78,7 @@ class Scene(Section):
     accuracy: AccuracyName | Accuracy = Field(
         default="standard",
         description="draft (16 cells across the object), standard (32), fine (48, float64), "
-        "or a table of cells, particles_per_axis, cfl and precision.",
+        "or a table of cells, particles_per_axis, cfl, precision, transfer and blend.",
     )
     binding: Literal["particles", "lattice"] = Field(
         default="lattice",
@@ -121,6 +121,7 @@ class Scene(Section):
     @model_validator(mode="after")
     def _named(self) -> Scene:
         check_objects(self.object, self.objects)
+        check_transfer(self.resolution)
         check_pairs(self.pairs, self.names)
         moving = [one.name for one in self.every_object if not getattr(one, "scenery", False)]
         for section in (*self.forces, *self.boundaries):

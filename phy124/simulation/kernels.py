@@ -7,7 +7,7 @@ from typing import Any
 
 from phy124 import deform, tracks
 from phy124.monitor import contacts, diagnostics, external_work, tearing, wrenches
-from phy124.mpm import pairs, repair, substep
+from phy124.mpm import fluctuation, pairs, repair, substep
 from phy124.mpm.model import PRECISIONS, form_of
 from phy124.scene import Scene
 
@@ -22,6 +22,8 @@ def kernels(scene: Scene, device: str = "cpu") -> Iterator[Any]:
     laws = {section.device_law.name: section.device_law for section in scene.materials}
     yield from tracks.kernels(real)
     yield from substep.kernels(laws.values(), real, form_of(precision, device))
+    scheme = fluctuation.Scheme(scene.resolution.passes)
+    yield from fluctuation.kernels(scheme, real, form_of(precision, device))
     yield from repair.kernels(laws.values(), real)
     yield from deform.kernels()
     yield from diagnostics.kernels(laws.values(), real)

@@ -15,7 +15,7 @@ from phy124.materials import AnyMaterial
 from phy124.monitor.contacts import Contacts
 from phy124.monitor.external_work import ExternalWork
 from phy124.monitor.wrenches import Wrenches
-from phy124.mpm import Accumulator, Attachable, Model, Pair, Solver, State
+from phy124.mpm import Accumulator, Attachable, Model, Pair, Scheme, Solver, State
 from phy124.particles import Particles
 from phy124.scene import Object, Scene
 from phy124.scene.objects import pair_of
@@ -76,6 +76,7 @@ def solver_of(
         ceiling=ceiling,
         threads=threads,
         measure_every=scene.checks.measure,
+        scheme=Scheme(scene.resolution.passes, scene.resolution.share),
     )
 
 
