@@ -198,6 +198,8 @@ def _of_checks(scene: Scene) -> Iterator[Effect]:
     unsteady = any(not force.uniform or force.varies for force in scene.acting)
     summed = scene.checks.balance and (bool(scene.boundaries) or unsteady)
     yield Effect("balance of momentum and energy", summed, why)
+    lost = "checks.energy is off: what is lost is not split into its causes"
+    yield Effect("work of the stress", scene.checks.energy, lost)
 
 
 def _of_rest(scene: Scene, rested: bool) -> Iterator[Effect]:

@@ -127,6 +127,10 @@ class ExternalWork:
         work, moved, turned = total[[kernels.WORK, kernels.MOVED, kernels.TURNED]].tolist()
         return Given(total[IMPULSES], work, moved, turned)
 
+    def of_walls(self) -> float:
+        """Work of the walls so far [J]; of those at rest what friction takes, below zero."""
+        return float(self._total(WALL)[kernels.WORK])
+
     def snapshot(self) -> dict[str, Any]:
         """The state to continue from, as plain data."""
         return {

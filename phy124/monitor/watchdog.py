@@ -19,6 +19,7 @@ import numpy as np
 
 from phy124.monitor import diagnosis
 from phy124.monitor.diagnostics import Diagnostics, energies, speeds
+from phy124.monitor.dissipation import Dissipation
 from phy124.monitor.external_work import ExternalWork
 from phy124.monitor.tearing import Tearing
 from phy124.mpm import Solver
@@ -85,10 +86,17 @@ class Balance:
 class Watchdog:
     """Watches one run, whose solver has its forces and boundaries from `external`."""
 
-    def __init__(self, solver: Solver, external: ExternalWork, *, balance: bool = True) -> None:
+    def __init__(
+        self,
+        solver: Solver,
+        external: ExternalWork,
+        *,
+        balance: bool = True,
+        dissipation: Dissipation | None = None,
+    ) -> None:
         self.model, self.state, self.clock = solver.model, solver.state, solver.clock
         self._pairs, self._outliers, self._repair = solver.pairs, solver.outliers, solver.repair
-        self.external, self._balanced = external, balance
+        self.external, self._balanced, self.dissipation = external, balance, dissipation
         self.tearing = Tearing(solver.model, solver.state)
         self.first = self.last = self._look()
         self.balance = Balance()
@@ -195,6 +203,15 @@ class Watchdog:
             )
         torn = self.tearing.note()
         return [*notes, torn] if torn else notes
+
+    def energy(self) -> dict[str, float] | None:
+        """Where the energy lost has gone [J], and all that was turned over; None if not asked."""
+        if self.dissipation is None:
+            return None
+        gained = self.balance.energy_gain * self.balance.turnover
+        stored = self.last.elastic - self.first.elastic
+        loss = self.dissipation.loss(gained, -self.external.of_walls(), stored)
+        return {"turnover": self.balance.turnover, "lost": loss.total, **loss._asdict()}
 
     def report(self) -> dict[str, Any]:
         """The findings as plain data, for the report of the run."""

@@ -198,6 +198,7 @@ class Solver:
             "windows": [[grid.low.tolist(), grid.size.tolist()] for grid in self.grids],
             "pairs": self.pairs.snapshot(),
             "slabs": self.slabs.snapshot() if self.slabs else {},
+            **({"gathered": self.gathered.snapshot()} if self.gathered else {}),
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
@@ -209,6 +210,8 @@ class Solver:
         self.repair.restore(snapshot["repair"])
         self._stray.zero_()
         self.pairs.restore(snapshot["pairs"])
+        if self.gathered is not None and "gathered" in snapshot:
+            self.gathered.restore(snapshot["gathered"])
         for grid, (low, size) in zip(self.grids, snapshot["windows"], strict=True):
             grid.rebase(np.array(low), np.array(size))
         known = self._restore_slabs(snapshot["slabs"])

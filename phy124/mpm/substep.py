@@ -23,7 +23,7 @@ from phy124.mpm.model import Model
 from phy124.mpm.outliers import Outliers
 from phy124.mpm.pairs import Pairs
 from phy124.mpm.slabs import Slabs
-from phy124.mpm.stage import Named, Recorded, Stage, launches
+from phy124.mpm.stage import Named, Recorded, Stage, Sums, launches
 from phy124.mpm.state import State, part_of
 from phy124.mpm.workers import GATHER, Part, Worker
 from phy124.tracks import Tracks
@@ -53,7 +53,7 @@ def kernels(laws: Iterable[Law], real: Any, form: str) -> Iterator[Any]:
         yield from Transfers.of(law, real, form)
 
 
-class Gathered(Protocol):
+class Gathered(Sums, Protocol):
     """What looks at every part of the particles after each substep, without changing them."""
 
     def begin(self, model: Model, workers: int) -> None:

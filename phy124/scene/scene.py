@@ -29,7 +29,7 @@ from phy124.scene.files import read_toml
 from phy124.scene.objects import Pair, SceneObject, check_name, check_objects, check_pairs
 from phy124.scene.refusals import refusal
 from phy124.scene.renamed import renewed
-from phy124.scene.sections import Checks, Object, Part, Timing
+from phy124.scene.sections import Checks, Object, Part, Timing, check_energy
 from phy124.scene.view import View
 from phy124.section import Section
 from phy124.stiffness import AnyStiffness, check_profile
@@ -122,6 +122,14 @@ class Scene(Section):
     def _named(self) -> Scene:
         check_objects(self.object, self.objects)
         check_transfer(self.resolution)
+        check_energy(
+            self.checks,
+            {
+                "objects": bool(self.objects),
+                "a boundary that moves": any(wall.moves for wall in self.boundaries),
+                "stiffness_profile": self.stiffness_profile is not None,
+            },
+        )
         check_pairs(self.pairs, self.names)
         moving = [one.name for one in self.every_object if not getattr(one, "scenery", False)]
         for section in (*self.forces, *self.boundaries):

@@ -131,6 +131,34 @@ class Checks(Section):
         description="Add up what forces and walls give, so that energy or momentum from nowhere "
         "stops the run; without it only broken numbers and particles inside out do.",
     )
+    energy: bool = Field(
+        default=False,
+        exclude_if=_is(False),
+        description="Report where the energy lost has gone: to the material, to friction at walls, "
+        "to the numerics.",
+    )
+
+
+def check_energy(checks: Checks, beyond: dict[str, bool]) -> None:
+    """Refuse to split the energy lost where a part of it is not measured.
+
+    Args:
+        checks: What is asked for.
+        beyond: Whether a scene has what the split does not cover, by name.
+
+    Raises:
+        ValueError: The split is asked for and cannot be made.
+    """
+    if not checks.energy:
+        return
+    if not checks.balance:
+        raise ValueError("checks.energy needs checks.balance; leave one out or set the other")
+    for name, present in beyond.items():
+        if present:
+            raise ValueError(
+                f"checks.energy cannot tell what is lost in a scene with {name}; leave one of the "
+                "two out"
+            )
 
 
 class Part(Section):

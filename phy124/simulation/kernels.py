@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from phy124 import deform, tracks
-from phy124.monitor import contacts, diagnostics, external_work, tearing, wrenches
+from phy124.monitor import contacts, diagnostics, dissipation, external_work, tearing, wrenches
 from phy124.mpm import fluctuation, pairs, repair, substep
 from phy124.mpm.model import PRECISIONS, form_of
 from phy124.scene import Scene
@@ -27,6 +27,8 @@ def kernels(scene: Scene, device: str = "cpu") -> Iterator[Any]:
     yield from repair.kernels(laws.values(), real)
     yield from deform.kernels()
     yield from diagnostics.kernels(laws.values(), real)
+    if scene.checks.energy:
+        yield from dissipation.kernels(laws.values(), real)
     yield from tearing.kernels(laws.values(), real)
     for boundary in scene.boundaries:
         yield from boundary.kernels(real, scene.dx)

@@ -26,10 +26,11 @@ def report_of(run: Run) -> dict[str, Any]:
         materials=run.materials,
     )
     walls = run.keep and run.wrenches.asked
-    several = {}
+    energy = run.watchdog.energy()
+    several = {} if energy is None else {"energy": energy}
     if run.scene.objects:
         pairs = summary(run.frames, pair_names(solver)) if run.keep else None
-        several = {"objects": _objects(run), "pairs": pairs}
+        several |= {"objects": _objects(run), "pairs": pairs}
     return several | {
         "complete": run.stopped is None and run.count == run.scene.time.frames,
         "stopped": run.stopped,

@@ -20,6 +20,7 @@ from phy124.io.clip import Clip
 from phy124.limits import refuse_hopeless
 from phy124.monitor import diagnosis
 from phy124.monitor.contacts import Contacts
+from phy124.monitor.dissipation import Dissipation
 from phy124.monitor.external_work import ExternalWork
 from phy124.monitor.sleep import Sleep
 from phy124.monitor.watchdog import Violation, Watchdog
@@ -119,12 +120,15 @@ class Simulation:
             external = ExternalWork(changes=changes)
             self.contacts = Contacts(asked=scene.keeps_contacts)
             self.wrenches = Wrenches(asked=scene.keeps_wrenches)
+            self.dissipation = Dissipation() if scene.checks.energy else None
             self.solver = solver_of(
                 self.particles, self.materials, stiffness, scene, device, threads, external,
-                self.contacts, self.wrenches,
+                self.contacts, self.wrenches, self.dissipation,
             )  # fmt: skip
             self.softening = Softening(self.solver, external, self.particles.material)
-            self.watchdog = Watchdog(self.solver, external, balance=scene.checks.balance)
+            self.watchdog = Watchdog(
+                self.solver, external, balance=scene.checks.balance, dissipation=self.dissipation
+            )
             self.deformer = Deformer(
                 self.scenery.moving,
                 self.particles,

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from phy124.boundaries import Ground
 from phy124.materials import AnyMaterial
 from phy124.monitor.contacts import Contacts
+from phy124.monitor.dissipation import Dissipation
 from phy124.monitor.external_work import ExternalWork
 from phy124.monitor.wrenches import Wrenches
 from phy124.mpm import Accumulator, Attachable, Model, Pair, Scheme, Solver, State
@@ -34,6 +35,7 @@ def solver_of(
     external: ExternalWork,
     contacts: Contacts,
     wrenches: Wrenches,
+    dissipation: Dissipation | None = None,
 ) -> Solver:
     """The solver at time 0.
 
@@ -47,6 +49,7 @@ def solver_of(
         external: Adds up what forces and walls give, if the scene's balance is checked.
         contacts: Adds up what walls give to each particle, if that is asked for.
         wrenches: Adds up what each wall is given, if that is asked for.
+        dissipation: Adds up the work of the stress, if that is asked for.
     """
     x = particles.x.astype(np.float64)
     v, C = _motion(x, particles, scene)
@@ -76,6 +79,7 @@ def solver_of(
         ceiling=ceiling,
         threads=threads,
         measure_every=scene.checks.measure,
+        gathered=dissipation,
         scheme=Scheme(scene.resolution.passes, scene.resolution.share),
     )
 

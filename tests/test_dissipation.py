@@ -1,0 +1,86 @@
+"""Where the energy lost goes: friction inside, flow, friction at walls, and the numerics."""
+
+import math
+
+import numpy as np
+import pytest
+
+from phy124.accuracy.problems import block
+from phy124.errors import InputError
+from phy124.materials import Metal, NeoHookean
+from phy124.monitor.diagnostics import diagnose
+from phy124.monitor.dissipation import Dissipation
+from phy124.scene import Scene
+from support.solvers import make_solver
+
+
+def bar_after_a_period(damping):
+    """Energy at first [J], and where it went while a free bar swung once."""
+    E, density, dx = 1e4, 1000.0, 1 / 24
+    wave, speed = math.pi, math.sqrt(E / density)
+    z = (np.arange(48) + 0.5) * dx / 2
+    x, v, C = (np.zeros((len(z), *shape)) for shape in ((3,), (3,), (3, 3)))
+    x[:, 2], v[:, 2] = z, 1e-4 * np.cos(wave * z)
+    C[:, 2, 2] = -1e-4 * wave * np.sin(wave * z)
+    material = NeoHookean(E=E, nu=0.0, density=density, damping=damping)
+    work = Dissipation()
+    solver = make_solver(
+        x, np.full(len(x), dx**3 / 2), [material], dx=dx, v=v, C=C, precision="float64",
+        gathered=work,
+    )  # fmt: skip
+    first = diagnose(solver)
+    solver.advance(2 / speed)
+    now = diagnose(solver)
+    return first.energy, work.loss(now.energy - first.energy, 0.0, now.elastic - first.elastic)
+
+
+def test_what_a_bar_without_friction_loses_is_numerical():
+    first, loss = bar_after_a_period(0.0)
+    assert loss.material == 0
+    assert 0 < loss.numerical == loss.total < 0.01 * first
+
+
+def test_a_damped_bar_loses_what_friction_takes():
+    """rho u'' = E u_zz + 2 eta u'_zz: energies die away at 2 k^2 eta / rho."""
+    damping, period = 20.0, 2 / math.sqrt(10)
+    first, loss = bar_after_a_period(damping)
+    expected = first * (1 - math.exp(-2 * math.pi**2 * damping / 1000 * period))
+    assert loss.material == pytest.approx(expected, rel=0.02)
+    assert sum(loss) == loss.total
+    assert abs(loss.numerical) < 0.02 * loss.material
+
+
+@pytest.mark.slow
+def test_metal_loses_its_plastic_work(rng):
+    """A block stretched at a steady rate: yield stress times plastic strain."""
+    x = block(5, 0.1)
+    rate, duration, strength = 1.0, 0.02, 2e3
+    metal = Metal(E=1e6, nu=0.3, yield_stress=strength, hardening=0.0)
+    C = np.tile(rate * np.diag([1.0, -0.5, -0.5]), (len(x), 1, 1))
+    work = Dissipation()
+    solver = make_solver(
+        x, np.full(len(x), 0.05**3), [metal], dx=0.1, v=x @ C[0].T, C=C, precision="float64",
+        gathered=work,
+    )  # fmt: skip
+    first = diagnose(solver)
+    solver.advance(duration)
+    now = diagnose(solver)
+    loss = work.loss(now.energy - first.energy, 0.0, now.elastic - first.elastic)
+    plastic = solver.state.history.numpy()[:, 0] * math.sqrt(2 / 3) * strength
+    assert loss.material == pytest.approx(plastic.sum() * 0.05**3, rel=0.03)
+    assert loss.numerical < 0.1 * loss.material
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        ({"checks": {"energy": True, "balance": False}}, "checks.energy needs checks.balance"),
+        (
+            {"checks": {"energy": True}, "objects": [{"name": "cup", "place": [2.0, 0.0]}]},
+            "a scene with objects",
+        ),
+    ],
+)
+def test_a_split_that_cannot_be_made_is_refused(data, message):
+    with pytest.raises(InputError, match=message):
+        Scene.from_data(data)
