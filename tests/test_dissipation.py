@@ -5,12 +5,15 @@ import math
 import numpy as np
 import pytest
 
+from phy124 import resume
 from phy124.accuracy.problems import block
 from phy124.errors import InputError
+from phy124.generators.shapes import shape
 from phy124.materials import Metal, NeoHookean
 from phy124.monitor.diagnostics import diagnose
 from phy124.monitor.dissipation import Dissipation
 from phy124.scene import Scene
+from phy124.simulation import Simulation
 from support.solvers import make_solver
 
 
@@ -84,3 +87,47 @@ def test_metal_loses_its_plastic_work(rng):
 def test_a_split_that_cannot_be_made_is_refused(data, message):
     with pytest.raises(InputError, match=message):
         Scene.from_data(data)
+
+
+def sliding():
+    """A block of rubber that slides over rough ground until it rests."""
+    return Scene.from_data(
+        {
+            "object": {"velocity": [1.5, 0, 0]},
+            "material": {"law": "neo_hookean", "E": 2e5, "damping": 600.0},
+            "boundaries": [{"kind": "ground", "friction": 0.3}],
+            "accuracy": {"cells": 12, "transfer": "xpic2"},
+            "checks": {"energy": True},
+            "time": {"frames": 20, "sleep": False},
+        }
+    )
+
+
+@pytest.mark.slow
+def test_a_sliding_block_loses_friction_times_weight_times_way():
+    run = Simulation(shape("box", (1, 1, 0.5), (0.5, 0.5, 0.5)), sliding(), threads=1)
+    energy = run.run().report["energy"]
+    way = float((run.solver.state.x.numpy() - run.particles.x).mean(axis=0)[0])
+    assert energy["contact"] == pytest.approx(0.3 * run.particles.mass.sum() * 9.81 * way, rel=0.03)
+    parts = energy["material"] + energy["contact"] + energy["numerical"]
+    assert parts == pytest.approx(energy["lost"], rel=1e-12)
+    assert abs(energy["numerical"]) < 0.02 * energy["lost"]
+
+
+@pytest.mark.slow
+def test_a_paused_run_goes_on_with_the_same_sums(tmp_path):
+    scene = sliding().replaced({"accuracy.cells": 8, "time.frames": 5})
+    body = shape("box", (1, 1, 0.5), (0.5, 0.5, 0.5))
+    whole = Simulation(body, scene, threads=1).run()
+    run = Simulation(body, scene, threads=1)
+    for frame in run:
+        if frame.index == 2:
+            break
+    resume.save(run, tmp_path / "pause.safetensors")
+    clip = resume.load(tmp_path / "pause.safetensors").run()
+    assert np.array_equal(clip.means, whole.means)
+    assert clip.report["energy"] == whole.report["energy"]
+    two = Simulation(body, scene, threads=2).run()
+    assert two.report["energy"]["contact"] == pytest.approx(
+        whole.report["energy"]["contact"], rel=1e-2
+    )

@@ -59,12 +59,10 @@ class Fluctuation:
     def of(cls, model: Model, state: State, scheme: Scheme) -> Fluctuation:
         """With arrays of their own, which a substep fills before it reads them."""
         t, count = types(model.real), len(model)
-        arrays: list[wp.array] = [
-            wp.zeros(count, dtype=dtype, device=model.device)
-            for dtype in (t.vec3, t.mat33, t.vec3, t.mat33)
-        ]
+        v, v_noise = (wp.zeros(count, dtype=t.vec3, device=model.device) for _ in range(2))
+        C, C_noise = (wp.zeros(count, dtype=t.mat33, device=model.device) for _ in range(2))
         still = wp.zeros(3, dtype=model.real, device=model.device)
-        return cls(model, state, scheme, *arrays, still)
+        return cls(model, state, scheme, v, C, v_noise, C_noise, still)
 
     def carry(self, part: Part, turn: int) -> Recorded:
         """A pass to the grid: of the particles' motion at first, then of what is left of it."""
