@@ -83,9 +83,9 @@ def test_every_format_that_is_written_is_offered_with_its_size_and_what_opens_it
     if FORMATS[name].encode:
         there = read_gaussians(path).gaussians.means
         np.testing.assert_allclose(there, clip.means[0], atol=1e-3)
-    (told,) = [f for f in results._takeaway(done)["files"] if f["file"].get("path") == str(path)]
+    (told,) = [f for f in results.takeaway_of(done)["files"] if f["file"].get("path") == str(path)]
     assert told["hint"] == offer.hint
-    assert {o["kind"] for o in results._takeaway(done)["offers"]} == {*EXPORTS, "share"} - {name}
+    assert {o["kind"] for o in results.takeaway_of(done)["offers"]} == {*EXPORTS, "share"} - {name}
 
 
 def studio_of(done: Done) -> SimpleNamespace:

@@ -31,7 +31,7 @@ from phy124.live import Live
 from phy124.scene import Scene
 from support import touching
 
-ORDER = SimpleNamespace(gaussians=1000)
+ORDER = SimpleNamespace(gaussians=1000, scene=SimpleNamespace(names=["object"]))
 ME, OTHER = "a" * 32, "b" * 32
 HOME = {"origin": "http://testserver"}
 

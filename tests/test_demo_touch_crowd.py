@@ -26,7 +26,7 @@ from support import touching
 from support.touch_visitor import Visitor
 
 HERE = Path(__file__).parent
-ORDER = SimpleNamespace(gaussians=1000)
+ORDER = SimpleNamespace(gaussians=1000, scene=SimpleNamespace(names=["object"]))
 WAYS = ("close", "reset", "half-open", "killed", "deaf")
 """How visitors vanish; the last two take long."""
 QUIET = 0.4

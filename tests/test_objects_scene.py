@@ -309,8 +309,6 @@ def test_what_is_held_in_its_place_is_not_taken_hold_of():
         live.grab((0, 0, 0), object="box")
     with pytest.raises(InputError, match=r"push.object = box: it is held in its place"):
         live.push((1, 0, 0), object="box")
-    assert list(frame.wrenches or {}) == ["ground", "ball_on_box"]
-    assert list(live.contacts()) == ["ground"]
 
 
 PUSHER = {
