@@ -40,8 +40,10 @@ def check_file(path: Path, settings: Settings) -> None:
     Raises:
         InputError: It is too large.
     """
-    if path.stat().st_size > settings.max_file_bytes:
-        raise InputError("image", path.name, settings.file_too_large, SMALLER)
+    most = max(settings.max_file_mb, settings.max_upload_mb)
+    if path.stat().st_size > most * 1e6:
+        limit = f"The file is larger than the {most:g} MB that this page takes."
+        raise InputError("image", path.name, limit, SMALLER)
 
 
 def opened(path: Path, out: Path, count: int, deadline: Deadline) -> GaussianFile:

@@ -61,7 +61,15 @@ class Dissipation:
     def record(
         self, part: Part, worker: int, model: Model, state: State, tracks: Tracks
     ) -> Recorded:
-        """The launch for a worker's part, right after it has gathered."""
+        """The launch for a worker's part, right after it has gathered.
+
+        Args:
+            part: Particles of one law that a worker steps.
+            worker: Number of the worker.
+            model: The particles' constants.
+            state: What is stepped.
+            tracks: What changes with time.
+        """
         assert self._sums is not None
         run, group = part.particles, part.group
         threads, *fraction = shared_out(part.count, model.device)

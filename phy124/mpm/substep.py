@@ -63,7 +63,15 @@ class Gathered(Sums, Protocol):
     def record(
         self, part: Part, worker: int, model: Model, state: State, tracks: Tracks
     ) -> Recorded:
-        """Its launch for a worker's part."""
+        """Its launch for a worker's part.
+
+        Args:
+            part: Particles of one law that a worker steps.
+            worker: Number of the worker.
+            model: The particles' constants.
+            state: What is stepped.
+            tracks: What changes with time.
+        """
         ...
 
 
