@@ -266,7 +266,9 @@ def player(monkeypatch, tmp_path):
         lambda gaussians, scene, **_: type("Choice", (), {"scene": scene, "sentence": "so"}),
     )
     known = type("Known", (), {"cut": lambda self, deadline: None})()
-    order = type("Order", (), {"device": "cpu", "scene": small(), "known": known})()
+    order = SimpleNamespace(
+        device="cpu", scene=small(), known=known, others=(), cut=known.cut, gaussians=1000
+    )
     line = Spoken()
     return Player(type("Play", (), {"order": order, "most": Settings(max_frames=4)})(), line), line
 
