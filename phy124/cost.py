@@ -27,7 +27,7 @@ FILLED = 0.19
 """Volume of a typical object, in cubes of its longest side: the filling's fraction of the grid."""
 DOUBLE = 1.7
 """How much longer a substep takes in float64 (docs/results/accuracy.md)."""
-PASS = 0.63
+PASS = 0.7
 """How much longer a substep takes for each pass of a transfer (docs/results/transfers.md)."""
 WINDOW = 11
 """Nodes by which the grid's window is wider than what is in it."""

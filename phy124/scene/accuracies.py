@@ -26,8 +26,8 @@ class Accuracy(Section):
         default="apic",
         exclude_if=lambda value: value == "apic",
         description="How velocities come back from the grid: apic damps most and costs least; "
-        "xpic2 to xpic5 damp less for 2 to 5 more passes over the grid; aflip takes one and "
-        "leaves noise.",
+        "xpic2 to xpic5 damp vibrations less for 2 to 5 more passes over the grid; aflip takes one "
+        "and leaves noise. Only apic keeps the angular momentum of what spins.",
     )
     blend: float = Field(
         default=0.95,
