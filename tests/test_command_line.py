@@ -186,9 +186,9 @@ def test_doctor_is_a_page_and_all_of_it_on_request(capsys):
 def test_more_frames_per_second_keep_the_length():
     """--fps samples more finely; with --frames or --seconds, or as a key, it is what it says."""
     time = SceneOptions(fps=48).resolve().time
-    assert (time.frames, time.fps) == (28, 48)
+    assert (time.frames, time.fps) == (44, 48)
     assert SceneOptions(fps=48, frames=3).resolve().time.frames == 3
     assert SceneOptions(fps=30, seconds=3).resolve().time.frames == 90
     assert SceneOptions(fps=30, set=("time.seconds=2",)).resolve().time.frames == 60
-    assert SceneOptions(set=("time.fps=48",)).resolve().time.frames == 14
+    assert SceneOptions(set=("time.fps=48",)).resolve().time.frames == 22
     assert SceneOptions(view=ViewOptions(speed=0.5)).resolve().view.speed == 0.5

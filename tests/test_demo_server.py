@@ -39,7 +39,7 @@ def server(tmp_path_factory):
     # Twelve seconds of grace only: the tests look at what is left behind.
     with serving(
         folder, gaussians=1000, max_queue=4, max_upload_mb=2, max_file_mb=3, grace_minutes=0.2,
-        warm_up=False,
+        max_video_mb=3, warm_up=False,
     ) as running:  # fmt: skip
         yield running
 

@@ -109,6 +109,7 @@ class Attacker:
             "pick": [], "depth": None, "near": "white", "side": None, "facing": "left",
             "back": None, "thickness": None, "highlights": "keep",
             "up": None, "front": None, "compose": False,
+            "second": None, "third": None, "fourth": None,
         }  # fmt: skip
         data = [image, *{**given, **options}.values()]
         status, text, _ = self.post("/gradio_api/call/generate", {"data": data})

@@ -42,7 +42,7 @@ def server(tmp_path_factory):
     with serving(
         tmp_path_factory.mktemp("abuse"), files=FILES, gaussians=1000, max_upload_mb=2,
         max_file_mb=3, max_visitors=40, grace_minutes=0.3, max_cut_seconds=60, max_seconds=120,
-        max_queue=6, warm_up=False,
+        max_queue=6, max_video_mb=3,
     ) as running:  # fmt: skip
         yield running
 
