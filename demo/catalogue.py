@@ -133,10 +133,11 @@ def _refuse_makers(scene: Scene) -> None:
     """Make sure that further objects are made of pictures, or are plain shapes.
 
     Raises:
-        InputError: One names a generator, or a file of Gaussians, which would not be read apart.
+        InputError: One names a generator, or a file of Gaussians or triangles, which would not be
+            read apart.
     """
     for index, one in enumerate(scene.objects):
-        for name in ("file", "generator"):
+        for name in ("file", "mesh", "generator"):
             if getattr(one, name) is not None:
                 limit = "Here further objects are made of pictures, or are plain shapes."
                 field = f"objects.{index}.{name}"

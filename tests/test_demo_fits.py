@@ -12,7 +12,7 @@ import pytest
 
 from demo.exports import export
 from demo.fits import newest
-from demo.fits.desk import Fits
+from demo.fits.jobs import Fits
 from demo.fits.search import PLAN, in_words, outlook, progress
 from demo.fits.video import Seen, opened
 from demo.forecast import Estimator
@@ -89,7 +89,7 @@ class Search:
 def studio(tmp_path, monkeypatch) -> Studio:
     """A studio in which videos are not decoded."""
     monkeypatch.setattr(
-        "demo.fits.desk.opened", lambda path, out, *_: Seen(out, fps=24.0, count=5, whole=9)
+        "demo.fits.jobs.opened", lambda path, out, *_: Seen(out, fps=24.0, count=5, whole=9)
     )
     limits = Settings(max_video_mb=0.1, max_fit_seconds=300)
     # The load of this machine is not measured.

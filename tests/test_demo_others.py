@@ -96,6 +96,7 @@ def test_its_picture_has_the_limits_of_the_first(studio, tmp_path):
         ({"objects.0.picture": "/etc/passwd"}, "no file except a picture"),
         ({"objects.0.picture": str(DUCK)}, "no file except a picture"),
         ({"objects.0.file": str(DUCK)}, "objects.0.file = given: .*made of pictures"),
+        ({"objects.0.mesh": "/etc/passwd"}, "objects.0.mesh = given: .*made of pictures"),
         ({"objects.0.generator": "/etc/passwd"}, "objects.0.generator = given"),
         ({"objects.0.generator": "lgm"}, "objects.0.generator = given"),
     ],

@@ -5,8 +5,6 @@ from __future__ import annotations
 import base64
 import io
 import json
-import urllib.error
-import urllib.request
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -19,13 +17,12 @@ from phy124.io.axes import orientation, turned
 from phy124.io.clip import Clip
 from support.hostile import bomb
 from support.pages import blocks
-from support.served import ROOT, TIMEOUT, Server, serving
+from support.programs import DUCK, FEW, client_of, generate, get, post
+from support.served import ROOT, Server, serving
 from support.shapes import ball
 
-DUCK = ROOT / "demo" / "examples" / "duck.png"
 GIGABYTE = 1 << 30
 LEAVING = 6
-FEW = {"view.views": ["front"], "view.size": 64}
 # gradio_client leaves sockets of its streams to the garbage collector.
 pytestmark = [
     pytest.mark.filterwarnings("ignore::ResourceWarning"),
@@ -46,63 +43,8 @@ def server(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def client(server):
-    with _client(server) as client:
+    with client_of(server) as client:
         yield client
-
-
-def _client(server: Server):
-    gradio_client = pytest.importorskip("gradio_client", reason="the extra demo is not installed")
-    patient = {"timeout": TIMEOUT}
-    return _Closing(
-        gradio_client.Client(
-            server.url,
-            ssl_verify=False,
-            verbose=False,
-            analytics_enabled=False,
-            httpx_kwargs=patient,
-        )
-    )
-
-
-class _Closing:
-    """A client that is closed at the end of a block: the server sees the visitor leave."""
-
-    def __init__(self, client) -> None:
-        self.client = client
-
-    def __enter__(self):
-        return self.client
-
-    def __exit__(self, *_) -> None:
-        self.client.close()
-
-
-def _generate(client, picture=DUCK, known=None, **options):
-    from gradio_client import handle_file
-
-    given = {"preset": "drop", "accuracy": "draft", "frames": 2, "changes": FEW, "formats": []}
-    image = handle_file(str(picture)) if isinstance(picture, Path) else picture
-    return client.predict(
-        image, *{**given, **options}.values(), api_name="/generate", **(known or {})
-    )
-
-
-def _get(url: str) -> tuple[int, bytes]:
-    try:
-        with urllib.request.urlopen(url, timeout=TIMEOUT) as answer:
-            return answer.status, answer.read()
-    except urllib.error.HTTPError as error:
-        with error:
-            return error.code, error.read()
-
-
-def _post(url: str, data: bytes) -> tuple[int, bytes]:
-    try:
-        with urllib.request.urlopen(url, data, timeout=TIMEOUT) as answer:
-            return answer.status, answer.read()
-    except urllib.error.HTTPError as error:
-        with error:
-            return error.code, error.read()
 
 
 def test_health_and_static_files(server):
@@ -112,16 +54,16 @@ def test_health_and_static_files(server):
         "busy": False,
         "visitors": server.health()["visitors"],
     }
-    assert json.loads(_get(f"{server.url}/phy124/catalogue.json")[1])["presets"]
-    assert _get(f"{server.url}/phy124/viewer/player.js")[0] == 200
-    assert _get(f"{server.url}/phy124/static/../../pyproject.toml")[0] == 404
-    assert _get(f"{server.url}/phy124/static/%2e%2e/settings.py")[0] == 404
+    assert json.loads(get(f"{server.url}/phy124/catalogue.json")[1])["presets"]
+    assert get(f"{server.url}/phy124/viewer/player.js")[0] == 200
+    assert get(f"{server.url}/phy124/static/../../pyproject.toml")[0] == 404
+    assert get(f"{server.url}/phy124/static/%2e%2e/settings.py")[0] == 404
 
 
 def test_the_page_names_no_other_machine(server):
     import re
 
-    page = _get(server.url)[1].decode()
+    page = get(server.url)[1].decode()
     hosts = set(re.findall(r'(?:src|href)="https?://([^/"]+)', page))
     assert hosts <= {server.url.removeprefix("http://")}
 
@@ -129,7 +71,7 @@ def test_the_page_names_no_other_machine(server):
 def test_a_program_sends_a_file_of_gaussians_and_says_which_way_is_up(client, tmp_path):
     file = tmp_path / "ball.ply"
     file.write_bytes(ply.encode(turned(ball(300), orientation("y", "z").T)))
-    _, report = _generate(client, file, known={"up": "y"})
+    _, report = generate(client, file, known={"up": "y"})
     assert report["file"] == {"up": "y", "front": None, "program": None}
     assert (report["gaussians"], report["generator"]) == (300, "3DGS PLY")
     for picture, told, message in (
@@ -137,12 +79,12 @@ def test_a_program_sends_a_file_of_gaussians_and_says_which_way_is_up(client, tm
         (file, {"front": "w"}, "front: It is not an axis"),
     ):
         with pytest.raises(Exception, match=message):
-            _generate(client, picture, known=told)
+            generate(client, picture, known=told)
 
 
 def test_generate_then_render_then_evaluate(client):
     length = {"time.seconds": 0.1, "time.fps": 20, "view.speed": 0.5}
-    files, report = _generate(client, frames=5, changes={**FEW, **length}, formats=["ply"])
+    files, report = generate(client, frames=5, changes={**FEW, **length}, formats=["ply"])
     assert report["playback"]["speed"] == 0.5
     names = {Path(path).name for path in files}
     assert {"front.mp4", "clip.safetensors", "scene.toml", "report.json", "phy124-ply.zip"} <= names
@@ -184,7 +126,7 @@ def test_a_program_fits_its_run_to_a_video(client, tmp_path):
 
     from support.ducks import video
 
-    _generate(client, preset="press", frames=14, changes={**FEW, "material.E": 4e4})
+    generate(client, preset="press", frames=14, changes={**FEW, "material.E": 4e4})
     film = handle_file(str(video(tmp_path / "truth", truth=6e4)))
     files, report = client.predict(film, seconds=600, api_name="/fit")
     low, high = report["found"]["material.E"]["limit"]["interval"]
@@ -238,20 +180,20 @@ def test_a_depth_map_changes_the_object_and_must_fit(client, tmp_path):
     for name, values in (("fits", hill), ("wide", hill[:20])):
         Image.fromarray(values).save(tmp_path / f"{name}.png")
         sent[name] = handle_file(str(tmp_path / f"{name}.png"))
-    guessed = _generate(client)[1]
-    measured = _generate(client, pick=[], depth=sent["fits"], near="white")[1]
+    guessed = generate(client)[1]
+    measured = generate(client, pick=[], depth=sent["fits"], near="white")[1]
     assert measured["particles"] != guessed["particles"]
     alone = {"pick": [], "depth": None, "near": "white", "side": None, "facing": "left"}
     alone |= {"back": None}
-    assert _generate(client, **alone, thickness=0.3)[1]["particles"] < 0.6 * guessed["particles"]
+    assert generate(client, **alone, thickness=0.3)[1]["particles"] < 0.6 * guessed["particles"]
     with pytest.raises(Exception, match=r"thickness: .*a number from 0\.05 to 4"):
-        _generate(client, **alone, thickness=9)
+        generate(client, **alone, thickness=9)
     for name, near, message in (
         ("wide", "white", "has 64 x 20 pixels, the picture"),
         ("fits", "blue", "near: "),
     ):
         with pytest.raises(Exception, match=message):
-            _generate(client, pick=[], depth=sent[name], near=near)
+            generate(client, pick=[], depth=sent[name], near=near)
 
 
 @pytest.mark.parametrize(
@@ -273,7 +215,7 @@ def test_pictures_that_cannot_be_used_are_refused_readably(client, tmp_path, nam
             data = file.getvalue()
     (tmp_path / name).write_bytes(data)
     with pytest.raises(Exception, match=message) as refusal:
-        _generate(client, tmp_path / name)
+        generate(client, tmp_path / name)
     assert str(tmp_path) not in str(refusal.value) and "phy124-web" not in str(refusal.value)
 
 
@@ -282,16 +224,16 @@ def test_uploads_beyond_the_limit_are_refused_however_they_come(server, client, 
     with pytest.raises(
         Exception, match=r"exceeds the maximum file size of 3000000 bytes|larger than the 3 MB"
     ):
-        _generate(client, tmp_path / "large.png")
+        generate(client, tmp_path / "large.png")
     (tmp_path / "large.png").write_bytes(bytes(2_500_000))
     with pytest.raises(Exception, match="The picture is larger than the 2 MB"):
-        _generate(client, tmp_path / "large.png")
-    status, text = _post(f"{server.url}/gradio_api/upload", bytes(20_000_000))
+        generate(client, tmp_path / "large.png")
+    status, text = post(f"{server.url}/gradio_api/upload", bytes(20_000_000))
     assert status == 413 and b"larger than the 3 MB that this page takes" in text
     packed = base64.b64encode(bytes(2_500_000)).decode()
     inside = {"path": "a.png", "url": f"data:image/png;base64,{packed}"}
     data = json.dumps({"data": [inside, "drop", "draft", 2, {}, []]}).encode()
-    assert _post(f"{server.url}/gradio_api/call/generate", data)[0] == 413
+    assert post(f"{server.url}/gradio_api/call/generate", data)[0] == 413
     assert server.peak_memory() < 1.5 * GIGABYTE
 
 
@@ -365,15 +307,15 @@ def test_a_chunked_upload_without_a_length_is_cut_off(server):
 )
 def test_values_are_checked_on_the_server(client, options, message):
     with pytest.raises(Exception, match=message):
-        _generate(client, **options)
+        generate(client, **options)
 
 
 def test_visitors_files_are_not_found_by_name(server, client):
-    _generate(client)
+    generate(client)
     folders = list((server.folder / "visitors").iterdir())
     assert folders
     for path in (server.log, server.folder / "visitors", ROOT / "app.py"):
-        assert _get(f"{server.url}/gradio_api/file={path}")[0] in (403, 404)
+        assert get(f"{server.url}/gradio_api/file={path}")[0] in (403, 404)
 
 
 def test_visitors_who_leave_in_the_middle_leave_nothing_behind(server):
@@ -386,8 +328,8 @@ def test_visitors_who_leave_in_the_middle_leave_nothing_behind(server):
     server.until(lambda: _folders(server) == set(), "an empty folder")
     server.until(lambda: server.threads() == 0, "an end of all threads")
     assert server.peak_memory() < 1.5 * GIGABYTE
-    with _client(server) as client:
-        assert _generate(client)[1]["complete"]
+    with client_of(server) as client:
+        assert generate(client)[1]["complete"]
 
 
 def _folders(server: Server) -> set[Path]:
@@ -398,7 +340,7 @@ def _leave_in_the_middle(server: Server) -> None:
     from gradio_client import handle_file
     from gradio_client.utils import Status
 
-    with _client(server) as client:
+    with client_of(server) as client:
         sent = client.submit(
             handle_file(str(DUCK)), "press", "draft", 6, FEW, [], api_name="/generate"
         )  # fmt: skip
@@ -415,7 +357,7 @@ def test_a_program_sends_a_picture_for_each_object(client, tmp_path):
 
     teddy, few = DUCK.with_name("teddy.png"), {**FEW, "accuracy": {"cells": 8}}
     given = {"preset": "collide", "changes": few}
-    files, report = _generate(client, known=second(teddy), **given)
+    files, report = generate(client, known=second(teddy), **given)
     assert set(report["objects"]) == {"left", "right"} and set(report["sources"]) == {"right"}
     (clip,) = (Path(path) for path in files if Path(path).name == "clip.safetensors")
     found = Clip.load(clip)
@@ -423,7 +365,7 @@ def test_a_program_sends_a_picture_for_each_object(client, tmp_path):
     _, again = client.predict(["back"], 48, 20, api_name="/render")
     assert again["substeps"] == report["substeps"] and set(again["sources"]) == {"right"}
     url = "data:image/png;base64," + base64.b64encode(teddy.read_bytes()).decode()
-    _, same = _generate(client, known={"second": {"url": url}}, **given)
+    _, same = generate(client, known={"second": {"url": url}}, **given)
     assert same["objects"] == report["objects"]
     (tmp_path / "broken.png").write_bytes(b"this is no picture")
     (tmp_path / "large.png").write_bytes(teddy.read_bytes() + bytes(2_000_000))
@@ -435,6 +377,6 @@ def test_a_program_sends_a_picture_for_each_object(client, tmp_path):
         ({"second": handle_file(str(DUCK)), "third": handle_file(str(DUCK))}, "1 further objects"),
     ):
         with pytest.raises(Exception, match=message):
-            _generate(client, known=told, **given)
+            generate(client, known=told, **given)
     with pytest.raises(Exception, match="The scene takes one picture"):
-        _generate(client, known=second(teddy))
+        generate(client, known=second(teddy))

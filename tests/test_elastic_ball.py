@@ -6,10 +6,27 @@ import numpy as np
 import pytest
 
 from phy124.experiments.elastic_ball import Elements, Law, forces, law, mesh
-from phy124.experiments.hertz import tatara
+from phy124.experiments.hertz import NU, RADIUS, E
+from phy124.experiments.roots import root
 
-NU = 0.3
 LAME = 0.5 / (1 + NU), NU / ((1 + NU) * (1 - 2 * NU))
+
+
+def tatara(depth: float) -> float:
+    """Hertz for a ball between two plates [N], each of which moves what the other one touches.
+
+    Tatara (1989) adds F f(a) / (pi E) to the approach, with the contact's radius a.
+    """
+
+    def force(a: float) -> float:
+        return 4 * E / (1 - NU**2) * a**3 / (3 * RADIUS)
+
+    def missing(a: float) -> float:
+        reach = a * a + 4 * RADIUS**2
+        f = 2 * (1 + NU) * RADIUS**2 / reach**1.5 + (1 - NU**2) / math.sqrt(reach)
+        return a * a / RADIUS - force(a) * f / (math.pi * E) - depth
+
+    return force(root(missing, 1e-9, RADIUS))
 
 
 def test_a_ball_that_swells_is_under_the_pressure_of_its_law():

@@ -86,7 +86,6 @@ def test_hertz_s_impact_lasts_as_long_as_in_books_and_damping_slows_it():
     losses = [impact.theory(loss, depth, Law(0.0)).restitution for loss in (0.0, 0.02, 0.05)]
     assert losses == sorted(losses, reverse=True)
     assert 0.9 < hertz.turning(law(0.0, whole=True)) < 0.95, "a whole ball is stiffer"
-    assert hertz.hertz(0.01) < hertz.tatara(0.01) < 1.1 * hertz.hertz(0.01)
 
 
 def test_a_body_turns_over_as_euler_says():

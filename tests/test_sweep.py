@@ -34,6 +34,7 @@ from phy124.sweep.report import lines, write_page
 from phy124.sweep.seen import Seen
 from phy124.sweep.storage import Storage
 from phy124.sweep.work import write_row
+from support.killing import clips_of
 from support.pages import ROOT, blocks
 from support.shapes import ball
 
@@ -68,11 +69,6 @@ def made(balls, tmp_path_factory):
     counts = run(Plan(declared(balls)), str(out), workers=0)
     assert counts.ended == {"done": 6} and counts.here == 0
     return out
-
-
-def files_of(out: Path) -> dict[str, bytes]:
-    """Clips and reports by their names."""
-    return {str(p.relative_to(out)): p.read_bytes() for p in sorted((out / "clips").rglob("*.*"))}
 
 
 def test_combinations_are_all_and_the_last_axis_changes_fastest(balls):
@@ -146,7 +142,7 @@ def test_clips_are_whole_and_told_in_the_manifest(made):
 
 
 def test_a_second_run_makes_only_what_is_missing_and_the_same(made, balls, tmp_path):
-    before = files_of(made)
+    before = clips_of(made)
     again = run(Plan(declared(balls)), str(made), workers=0)
     assert again.here == 6 and not again.ended
     lost = json.loads(next((made / "rows").rglob("*.json")).read_text())
@@ -154,13 +150,13 @@ def test_a_second_run_makes_only_what_is_missing_and_the_same(made, balls, tmp_p
     (made / lost["folder"] / "clip.safetensors").write_bytes(b"half of it")
     repaired = run(Plan(declared(balls)), str(made), workers=0)
     assert repaired.here == 5 and repaired.ended == {"done": 1}
-    assert files_of(made) == before
+    assert clips_of(made) == before
 
 
 def test_shares_of_several_machines_are_together_the_whole(made, balls, tmp_path):
     for part in (1, 2, 3, 4):
         run(Plan(declared(balls)), str(tmp_path / "out"), workers=0, shard=(part, 4))
-    assert files_of(tmp_path / "out") == files_of(made)
+    assert clips_of(tmp_path / "out") == clips_of(made)
     assert len(read_manifest(Storage(str(tmp_path / "out")))) == 6
 
 

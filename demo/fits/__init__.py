@@ -2,11 +2,11 @@
 
     upload -> video.py (decoded in a process) -> search.py (`phy124.fit`, in a process) -> shown.py
 
-`desk.py` is who may: one fit of each visitor, and a total for the server.
+`jobs.py` is who may: one fit of each visitor, and a total for the server.
 """
 
 from .asked import Asked, asked_of
-from .desk import Fits
+from .jobs import Fits
 from .search import Found, newest
 
 __all__ = ["Asked", "Fits", "Found", "asked_of", "newest"]

@@ -12,7 +12,6 @@ from phy124.experiments import impact
 from phy124.experiments.bodies import mirrors, shells
 from phy124.experiments.elastic_ball import Law, law
 from phy124.experiments.experiment import Experiment, Quantity, Values
-from phy124.experiments.roots import root
 from phy124.materials import NeoHookean
 from phy124.monitor.wrenches import Wrenches
 from phy124.mpm import Model, Solver
@@ -30,30 +29,14 @@ def hertz(depth: float) -> float:
     return 4 / 3 * E / (1 - NU**2) * math.sqrt(RADIUS) * depth**1.5
 
 
-def tatara(depth: float) -> float:
-    """Hertz for a ball between two plates [N], each of which moves what the other one touches.
-
-    Tatara (1989) adds F f(a) / (pi E) to the approach, with the contact's radius a.
-    """
-
-    def force(a: float) -> float:
-        return 4 * E / (1 - NU**2) * a**3 / (3 * RADIUS)
-
-    def missing(a: float) -> float:
-        reach = a * a + 4 * RADIUS**2
-        f = 2 * (1 + NU) * RADIUS**2 / reach**1.5 + (1 - NU**2) / math.sqrt(reach)
-        return a * a / RADIUS - force(a) * f / (math.pi * E) - depth
-
-    return force(root(missing, 1e-9, RADIUS))
-
-
-def pressed(cells: int, depth: float, *, stiffer: float = 1.0) -> float:
+def pressed(cells: int, depth: float, *, stiffer: float = 1.0, precision: str = "float32") -> float:
     """Mean force of a plate [N], from an eighth of the ball.
 
     Args:
         cells: Cells across its radius.
         depth: How far the plate presses [m]; it rests half way between two nodes on each grid.
         stiffer: Factor on E, for the control.
+        precision: float32 or float64.
     """
     dx = RADIUS / cells
     x, volume = shells(RADIUS, dx / 2)
@@ -70,7 +53,7 @@ def pressed(cells: int, depth: float, *, stiffer: float = 1.0) -> float:
     rubber = NeoHookean(E=stiffer * E, nu=NU, damping=30.0)
     low = (-0.75 * dx, -0.75 * dx, (RADIUS - depth) % dx - 1.5 * dx)
     solver = Solver(
-        Model.of(x, volume, [rubber], dx=dx, origin=low),
+        Model.of(x, volume, [rubber], dx=dx, origin=low, precision=precision),
         boundaries=walls, accumulators=[wrenches], threads=1,
     )  # fmt: skip
     solver.advance(MOVE + HOLD / 2)

@@ -43,6 +43,7 @@ class Run(NamedTuple):
     """Centres of the Gaussians of the surface [T,N,3], m."""
     seconds: float
     """Processor seconds of dynamics and shapes."""
+    substeps: int
     torn: bool
 
 
@@ -55,26 +56,32 @@ def scenes() -> dict[str, tuple[str, Scene]]:
     return found
 
 
-def run(gaussians: Gaussians, scene: Scene, cells: int, binding: str) -> Run | None:
-    """A run; None if it cannot be made or was stopped."""
-    changes = {"time.budget": 1e6, "accuracy.cells": cells, "binding": binding}
+def run(
+    gaussians: Gaussians, scene: Scene, *, cells: int, binding: str = "lattice", cfl: float = 0.6
+) -> Run | None:
+    """A run on one thread; None if it cannot be made or was stopped."""
+    scene = scene.replaced(
+        {"time.budget": 1e6, "accuracy.cells": cells, "accuracy.cfl": cfl, "binding": binding}
+    )
+    told = f"  D/{cells} {binding} {cfl:g}"
     try:
-        simulation = Simulation(gaussians, scene.replaced(changes), threads=1)
+        simulation = Simulation(gaussians, scene, threads=1)
     except InputError as error:
-        print(f"  D/{cells} {binding}: {error}", file=sys.stderr)
+        print(f"{told}: {error}", file=sys.stderr)
         return None
     start = time.process_time()
     clip = simulation.run()
     seconds = time.process_time() - start
     if not clip.report["complete"]:
-        print(f"  D/{cells} {binding}: {simulation.stopped}", file=sys.stderr)
+        print(f"{told}: {simulation.stopped}", file=sys.stderr)
         return None
-    return Run(clip.surface.means, seconds, simulation.watchdog.tearing.likely)
+    torn = simulation.watchdog.tearing.likely
+    return Run(clip.surface.means, seconds, clip.report["substeps"], torn)
 
 
 def line(name: str, gaussians: Gaussians, scene: Scene, grids: list[int]) -> str:
     """A row of the table."""
-    runs = {(c, b): run(gaussians, scene, c, b) for c in grids for b in BINDINGS}
+    runs = {(c, b): run(gaussians, scene, cells=c, binding=b) for c in grids for b in BINDINGS}
     finest = [each for b in BINDINGS if (each := runs[grids[-1], b])]
 
     def cell(cells: int, binding: str) -> str:

@@ -12,72 +12,36 @@ Without names: every preset with the duck, and every law that flows, dropped as 
 
 import argparse
 import sys
-import time
 from pathlib import Path
-from typing import NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
 
 from phy124 import pipeline
 from phy124.accuracy.convergence import distances
-from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.scene import Scene, preset_names
-from phy124.simulation import Simulation
 
 sys.path.insert(0, str(Path(__file__).parent))
+from bindings import ROOT, run
+from presets import beginning
 from promises import FLOWING, scene_of
-
-ROOT = Path(__file__).parents[2]
-
-
-class Run(NamedTuple):
-    """What is compared of a run."""
-
-    means: NDArray[np.float32]
-    """Centres of the Gaussians of the surface [T,N,3], m."""
-    seconds: float
-    """Processor seconds of dynamics and shapes."""
-    substeps: int
-    torn: bool
 
 
 def scenes() -> dict[str, tuple[str, Scene]]:
     """Name -> picture, scene."""
     single = [preset for preset in preset_names() if not Scene.named(preset).objects]
-    found = {f"{preset} duck": ("duck", Scene.named(preset)) for preset in single}
+    found = {f"{preset} duck": ("duck", beginning(preset)) for preset in single}
     for law in FLOWING:
         found[f"drop {law} cupcake"] = ("cupcake", scene_of("drop", law, {}))
     return found
-
-
-def run(gaussians: Gaussians, scene: Scene, cells: int, cfl: float) -> Run | None:
-    """A run; None if it cannot be made or was stopped."""
-    changes = {"time.budget": 1e6, "accuracy.cells": cells, "accuracy.cfl": cfl}
-    try:
-        simulation = Simulation(gaussians, scene.replaced(changes), threads=1)
-    except InputError as error:
-        print(f"  D/{cells} {cfl:g}: {error}", file=sys.stderr)
-        return None
-    start = time.process_time()
-    clip = simulation.run()
-    seconds = time.process_time() - start
-    if not clip.report["complete"]:
-        print(f"  D/{cells} {cfl:g}: {simulation.stopped}", file=sys.stderr)
-        return None
-    torn = simulation.watchdog.tearing.likely
-    return Run(clip.surface.means, seconds, clip.report["substeps"], torn)
 
 
 def line(name: str, gaussians: Gaussians, scene: Scene, given: argparse.Namespace) -> str:
     """A row of the table."""
     fractions = [float(fraction) for fraction in given.cfl.split(",")]
     ends = dict.fromkeys((fractions[0], fractions[-1]))
-    finer = [each for f in ends if (each := run(gaussians, scene, given.finer, f))]
+    finer = [each for f in ends if (each := run(gaussians, scene, cells=given.finer, cfl=f))]
 
     def cell(cfl: float) -> str:
-        made = run(gaussians, scene, given.cells, cfl)
+        made = run(gaussians, scene, cells=given.cells, cfl=cfl)
         if made is None:
             return "stopped"
         errors = [100 * distances([made.means, f.means])[0, 1] for f in finer]
