@@ -26,7 +26,7 @@ LEVELS = (8, 12, 16)
 @pytest.fixture(scope="module")
 def study() -> tuple[Study, Report]:
     scene = Scene.named("drop").replaced(
-        {"time.frames": 8, "view.size": 64, "accuracy": {"cells": 16}, "object.lift": 0.1}
+        {"time.frames": 5, "view.size": 64, "accuracy": {"cells": 16}, "object.lift": 0.1}
     )
     made = Study(ball(800), scene, levels=LEVELS)
     return made, made.run()

@@ -22,7 +22,7 @@ from support.served import ROOT, Server, serving
 from support.shapes import ball
 
 GIGABYTE = 1 << 30
-LEAVING = 6
+WAITING, LEAVING = 2, 4
 # gradio_client leaves sockets of its streams to the garbage collector.
 pytestmark = [
     pytest.mark.filterwarnings("ignore::ResourceWarning"),
@@ -35,7 +35,7 @@ def server(tmp_path_factory):
     folder = tmp_path_factory.mktemp("web")
     # Twelve seconds of grace only: the tests look at what is left behind.
     with serving(
-        folder, gaussians=1000, max_queue=4, max_upload_mb=2, max_file_mb=3, grace_minutes=0.2,
+        folder, gaussians=1000, max_queue=WAITING, max_upload_mb=2, max_file_mb=3, grace_minutes=0.2,
         max_video_mb=3, warm_up=False,
     ) as running:  # fmt: skip
         yield running

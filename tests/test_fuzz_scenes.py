@@ -161,7 +161,7 @@ CLOUDS = st.builds(
 
 
 @st.composite
-def scenes(draw: st.DrawFn) -> Scene:
+def scenes(draw: st.DrawFn, precision: st.SearchStrategy[str]) -> Scene:
     """A whole scene whose time is so short that it takes few substeps."""
     cells, cfl = draw(st.integers(4, 9)), draw(st.floats(0.1, 0.9))
     data = {
@@ -171,7 +171,7 @@ def scenes(draw: st.DrawFn) -> Scene:
         "binding": draw(st.sampled_from(["particles", "lattice"])),
         "accuracy": {
             "cells": cells, "particles_per_axis": draw(st.floats(1, 2)), "cfl": cfl,
-            "precision": draw(st.sampled_from(["float32", "float64"])),
+            "precision": draw(precision),
         },
     }  # fmt: skip
     probe = Scene.from_data(data)
@@ -239,13 +239,13 @@ def most_are_complete() -> None:
 
 
 @settings(max_examples=50, derandomize=True, **COMMON)
-@given(cloud=CLOUDS, scene=scenes())
+@given(cloud=CLOUDS, scene=scenes(st.just("float32")))
 def run_fifty(cloud: Cloud, scene: Scene) -> None:
     check(cloud, scene)
 
 
 @settings(max_examples=2000, **COMMON)
-@given(cloud=CLOUDS, scene=scenes())
+@given(cloud=CLOUDS, scene=scenes(st.sampled_from(["float32", "float64"])))
 def run_two_thousand(cloud: Cloud, scene: Scene) -> None:
     check(cloud, scene)
 

@@ -5,10 +5,13 @@ import pytest
 from scipy.spatial import KDTree
 
 from phy124 import resume
+from phy124.materials import NeoHookean
 from phy124.monitor.tearing import APART
+from phy124.particles import make_particles
 from phy124.particles.grains import SIZE
 from phy124.scene import Scene
 from phy124.simulation import Simulation
+from phy124.simulation.interior import Interior
 from support.shapes import ball
 
 TORN = {
@@ -54,6 +57,15 @@ def test_nothing_is_added_where_nothing_tears():
     scene = Scene.named("press").replaced({"accuracy": {"cells": 8}, "time.frames": 4})
     clip = Simulation(ball(400), scene, threads=1).run()
     assert clip.means.shape[1] == clip.report["gaussians"] and clip.report["grains"] == 0
+
+
+def test_what_is_torn_may_have_no_inside():
+    """Two needles that are torn apart: every particle is of a Gaussian, so nothing lies open."""
+    needles = ball(400).select(np.array([0, 399]))
+    particles = make_particles(needles, density=1e3, spacing=1.0, binding="particles")
+    inside = Interior(needles, particles, [NeoHookean()], spacing=1.0, dx=1.0)
+    inside.look(1, 9 * particles.x)
+    assert not len(inside.snapshot()["1"]["ids"])
 
 
 def test_a_paused_run_goes_on_with_what_lay_open(torn, tmp_path):

@@ -144,8 +144,8 @@ class Interior:
         places = np.flatnonzero(free)
         grains, above, clear = grains_at(shown, x[places], self._spacing)
         inside = places[clear]
-        near = KDTree(x).query(x[inside], k=min(NEIGHBOURS, len(x)), workers=-1)[1]
-        near = np.reshape(near, (len(inside), -1))
+        most = min(NEIGHBOURS, len(x))
+        near = np.reshape(KDTree(x).query(x[inside], k=most, workers=-1)[1], (len(inside), most))
         # A tiny object has fewer neighbours: the last one counts more often.
-        near = np.pad(near, ((0, 0), (0, max(0, NEIGHBOURS - near.shape[1]))), mode="edge")
+        near = np.pad(near, ((0, 0), (0, NEIGHBOURS - most)), mode="edge")
         return grains, ours[above], theirs[inside], theirs[near]
