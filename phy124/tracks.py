@@ -182,8 +182,12 @@ class Track:
         return start < self.end and end > self.start
 
     def changes(self, start: float, end: float) -> bool:
-        """Whether its value may change from `start` to `end` [s]."""
-        begins_or_ends = start <= self.start <= end or start <= self.end <= end
+        """Whether its value may change from `start` to `end` [s].
+
+        What changes at `end` itself acts from then on: a run that is pushed while it goes on, which
+        does not know yet, must take the very substeps of one that does.
+        """
+        begins_or_ends = start <= self.start < end or start <= self.end < end
         return begins_or_ends or (len(self.keys) > 1 and self.acts(start, end))
 
     def largest(self, start: float, end: float) -> float:

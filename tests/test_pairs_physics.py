@@ -111,7 +111,7 @@ def struck(cells, *, v=0.6, sticky=False, offset=(0.0, 0.0, 0.0), precision="flo
 
 
 def test_balls_that_collide_press_as_hertz_says():
-    found, s = struck(12)
+    found, s = struck(14)
     force, lasts = hertz(0.5, 0.6)
     whole = found[:, 1] > 0.02 * force
     assert found[:, 1].max() == pytest.approx(force, rel=0.05)

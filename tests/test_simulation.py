@@ -6,6 +6,7 @@ from phy124.cost import demand_of
 from phy124.errors import Cancelled, InputError
 from phy124.io.clip import Clip
 from phy124.mpm import Unstable
+from phy124.mpm.timestep import CFL
 from phy124.scene import Scene
 from phy124.simulation import Simulation
 from support.presets import each_preset
@@ -145,7 +146,7 @@ def test_an_unstable_frame_is_tried_again_then_given_up(monkeypatch):
     next(frames)
     monkeypatch.setattr(s.solver, "advance", fail)
     clip = Simulation.run(s)
-    assert tried[:2] == [0.6, 0.3]
+    assert tried[:2] == [CFL, CFL / 2]
     assert not clip.report["complete"]
     assert "3 particles left the grid" in clip.report["stopped"]
     assert len(clip) >= 1

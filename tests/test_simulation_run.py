@@ -7,6 +7,7 @@ import pytest
 
 from phy124.io.clip import Clip
 from phy124.mpm import Unstable
+from phy124.mpm.timestep import CFL
 from phy124.scene import Scene
 from phy124.simulation import Simulation
 from support.shapes import ball
@@ -32,7 +33,7 @@ def test_a_frame_that_fails_once_is_retried_from_its_start(monkeypatch):
     clip, usual = s.run(), plain.run()
     assert clip.report["complete"]
     assert clip.report["substep"]["retried"] == [2, 3, 4]
-    assert s.solver.clock.cfl == 0.6
+    assert s.solver.clock.cfl == CFL
     assert np.abs(clip.means - usual.means).max() < 1e-4
 
 
@@ -55,8 +56,8 @@ def test_a_frame_that_fails_twice_stops_and_keeps_the_good_ones(tmp_path, monkey
     stopped = clip.report["stopped"]
     assert "frame 3 is not sound" in stopped
     assert "number 11 of law neo_hookean" in stopped
-    assert stopped.endswith("Use accuracy.cfl = 0.15.")
-    assert clip.report["remedies"][0]["accuracy"]["cfl"] == pytest.approx(0.15)
+    assert stopped.endswith("Use accuracy.cfl = 0.188.")
+    assert clip.report["remedies"][0]["accuracy"]["cfl"] == pytest.approx(CFL / 4)
     clip.save(tmp_path / "c.safetensors")
     again = Clip.load(tmp_path / "c.safetensors")
     assert np.isfinite(again.means).all() and not again.report["complete"]

@@ -9,7 +9,7 @@ from phy124.mpm.timestep import Extremes, beside_elastic, stable_substep
 @pytest.mark.parametrize(
     ("extremes", "dt", "limiter"),
     [
-        (Extremes(0, 0, 100.0), 0.6 * 0.1 / 10, "elastic"),
+        (Extremes(0, 0, 100.0), 0.75 * 0.1 / 10, "elastic"),
         (Extremes(20, 0, 100.0), 0.5 * 0.1 / 20, "speed"),
         (Extremes(1, 500, 100.0), 0.4 / 500, "gradient"),
     ],

@@ -30,6 +30,8 @@ TRIES = 100
 """Largest number of tries; each is at most half as long as the one before."""
 FIRST = 4
 """Number of substeps after which steady forces have shown their effect."""
+ROUNDED = 1 - 1e-6
+"""Frames before a frame that count: whole ones would hold, by rounding, what ended before them."""
 
 
 class StepRejection:
@@ -67,7 +69,7 @@ class StepRejection:
         Only that counts, so that a push does not shorten the substeps of another frame. Kicks
         reach back by half a substep, so the time of a frame before it counts, too.
         """
-        before = start - (end - start) if math.isfinite(start) else start
+        before = start - ROUNDED * (end - start) if math.isfinite(start) else start
         self.acceleration = _max_acceleration(self._model, self._tracks, self._pushes, before, end)
         """Upper bound of the acceleration of a particle by forces [m/s^2]."""
         self.wall = _max_rate(self._tracks, before, end)

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-CFL = 0.6
+CFL = 0.75
 """Fraction of the elastic limit that is used."""
 CELLS_PER_STEP = 0.5
 """Largest distance that a particle moves in one substep [cells]."""

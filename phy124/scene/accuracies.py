@@ -17,7 +17,7 @@ class Accuracy(Section):
         default=2.0, ge=1, le=4, description="Particles per cell and axis inside the object."
     )
     cfl: float = Field(
-        default=0.6, ge=0.01, le=0.9, description="Fraction of the stable substep used."
+        default=0.75, ge=0.01, le=0.9, description="Fraction of the stable substep used."
     )
     precision: Literal["float32", "float64"] = Field(
         default="float32", description="Floating-point precision of the simulation."

@@ -12,6 +12,7 @@ from phy124.boundaries import Ground
 from phy124.forces import Gravity
 from phy124.materials import NeoHookean
 from phy124.mpm import Unstable
+from phy124.mpm.timestep import CFL
 from phy124.selftest.bodies import (
     DX,
     Array,
@@ -104,7 +105,7 @@ def stiff(setting: Setting) -> list[Check]:
     for E in (1e2, 1e7, 1e9, 1e12, 1e13):
         x = block(4, 0.25)
         material = NeoHookean(E=E)
-        dt = 0.6 * stable_dt(body(x, setting, material))
+        dt = CFL * stable_dt(body(x, setting, material))
         s = body(x, setting, material, size=0.25, **vibrating(x, 1e-3 / dt))
         until = 200.5 * dt
         s.advance(until)
