@@ -142,6 +142,9 @@ def _catalogue(
     yield Effect("colliders", bool(scene.boundaries), "the scene has no boundaries")
     if scene.objects:
         yield Effect(f"contact between {len(scene.names)} objects")
+    free = [one.name for one in scene.objects if one.free]
+    named = f"free rigid solid {' and '.join(free)}" if free else "free rigid solids"
+    yield Effect(named, bool(free), "no shape among the objects has the motion free")
     yield from _of_rest(scene, rested)
     yield from _of_frames(scene, sh_degree)
     yield from _of_pictures(scene)

@@ -119,6 +119,8 @@ SABOTAGE = {
                  '"speed": ("push",)', '"speed": ("softer",)'),
     31: Sabotage("what flows meets walls node by node", "boundaries/base.py",
                  "return self.reach(dx) is None", "return False"),
+    32: Sabotage("a free solid gives momentum and loses none", "kernels/free/exchange.py",
+                 "(at3(trial, WALLS) - J) / mass", "at3(trial, WALLS) / mass"),
 }  # fmt: skip
 """One deliberate error per case, by its number."""
 
@@ -142,7 +144,7 @@ def test_equal_bits_are_asked_of_a_cpu_only():
 
 
 def test_every_case_has_a_sabotage():
-    assert set(SABOTAGE) == {case.number for case in CASES} == set(range(1, 32))
+    assert set(SABOTAGE) == {case.number for case in CASES} == set(range(1, 33))
 
 
 @pytest.mark.parametrize("number", SABOTAGE)

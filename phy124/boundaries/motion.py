@@ -1,4 +1,4 @@
-"""How a boundary moves: along a path, or to and fro. It never rotates."""
+"""How a boundary moves: along a path, or to and fro. It never rotates. Or a solid moves freely."""
 
 from __future__ import annotations
 
@@ -72,7 +72,16 @@ class Swing(Motion):
         )
 
 
+class Free(Section):
+    """No path: a rigid solid that gravity pulls, that pushes others and is pushed back."""
+
+    kind: Literal["free"] = "free"
+    density: float = Field(default=1000.0, ge=1, le=1e5, description="Mass per volume [kg/m^3].")
+
+
 AnyMotion = Annotated[Path | Swing, Field(discriminator="kind")]
+OwnMotion = Annotated[Path | Swing | Free, Field(discriminator="kind")]
+"""That of a shape among the objects."""
 
 
 def keyed(times: np.ndarray, points: np.ndarray) -> tuple[Key, ...]:

@@ -60,17 +60,20 @@ def checked(scene: Scene, field: str, name: str | None) -> str | None:
 
 
 def centres(run: Simulation) -> dict[str, NDArray[np.float64]]:
-    """The centre of mass of each object that has particles now [3], m."""
+    """The centre of mass now of each object that has particles, or is a free solid [3], m."""
     x, mass, body = _where(run), run.particles.mass.astype(np.float64), _body(run)
     numbers = [number for number in range(len(run.scene.names)) if (body == number).any()]
+    free, poses = run.solver.free, run.solver.free.poses()
     return {
         run.scene.names[n]: mass[body == n] @ x[body == n] / mass[body == n].sum() for n in numbers
-    }
+    } | {one.name: pose[:3] for one, pose in zip(free.all, poses, strict=True)}
 
 
 def pairs(run: Simulation) -> dict[str, str]:
     """Names of the wrenches between objects, each with the name of the object that it acts on."""
-    acted_on = [run.solver.model.names[pair.second] for pair in run.solver.pairs.all]
+    solver = run.solver
+    acted_on = [solver.model.names[pair.second] for pair in solver.pairs.all]
+    acted_on += [name.rpartition("_on_")[2] for name in solver.free.names]
     return dict(zip(pair_names(run.solver), acted_on, strict=True))
 
 
@@ -86,8 +89,12 @@ def _where(run: Simulation) -> NDArray[np.float64]:
 
 
 def _movable(scene: Scene) -> list[int]:
-    """Numbers of the objects that are not held; all if they all are."""
-    numbers = [i for i, one in enumerate(scene.every_object) if not getattr(one, "held", False)]
+    """Numbers of the objects of particles that are not held; all if they all are."""
+    numbers = [
+        i
+        for i, one in enumerate(scene.every_object)
+        if not (one.held or getattr(one, "scenery", False))
+    ]
     return numbers or list(range(len(scene.names)))
 
 
@@ -98,6 +105,9 @@ def _number(scene: Scene, field: str, name: str | None) -> int | None:
     if name not in scene.names:
         raise InputError(field, name, "there is no such object.", f"({', '.join(scene.names)})")
     number = scene.names.index(name)
+    if getattr(scene.every_object[number], "scenery", False):
+        limit = "it has no particles that a hand could take hold of."
+        raise InputError(field, name, limit, "Choose one that is made of a material.")
     if number not in _movable(scene):
         raise InputError(field, name, "it is held in its place.", "Choose one that moves.")
     return number

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from phy124.boundaries import Boundary
 from phy124.kernels import external_work as kernels
+from phy124.kernels import free
 from phy124.kernels.reduction import shared_out
 from phy124.monitor.near import NodesNear
 from phy124.mpm import Attachable, Clock, Grid, Model, Stage, State
@@ -44,6 +45,13 @@ class Given(NamedTuple):
     """Sum of the norms of all impulses [N s]."""
     turned: float
     """Sum of the absolute values of all work [J]."""
+
+    def and_more(self, sums: Sums) -> Given:
+        """With the sums of phy124/kernels/free.py: what rigid solids have given."""
+        work, moved, turned = sums[free.WORK :]
+        return Given(
+            self.impulse + sums[:3], self.work + work, self.moved + moved, self.turned + turned
+        )
 
 
 class ExternalWork:

@@ -103,6 +103,8 @@ class Watchdog:
         self.min_J, self.max_J = self.first.min_J, self.first.max_J
         self._fastest, self._begun = 0.0, False
         self._stopped = self._pairs.impulse()
+        self._free = solver.free
+        self._pushed = self._free.given()
 
     def before(self) -> None:
         """Before a frame, whose broken deformations have been mended."""
@@ -114,7 +116,7 @@ class Watchdog:
         self.first = self.last = self._look()
         turnover = max(self.first.energy, self._strained(math.sqrt(QUIET)))
         self.balance = Balance(turnover, math.sqrt(2 * self.model.total_mass * turnover))
-        self._stopped = self._pairs.impulse()
+        self._stopped, self._pushed = self._pairs.impulse(), self._free.given()
         if self._balanced:
             self.external.open(self.clock)
         self._begun = True
@@ -125,6 +127,7 @@ class Watchdog:
             "begun": self._begun,
             "fastest": self._fastest,
             "stopped": self._stopped.tolist(),
+            "pushed": self._pushed.tolist(),
             "min_J": self.min_J,
             "max_J": self.max_J,
             "first": self.first.snapshot(),
@@ -136,7 +139,7 @@ class Watchdog:
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Return to a snapshot."""
         self._begun, self._fastest = snapshot["begun"], snapshot["fastest"]
-        self._stopped = np.array(snapshot["stopped"])
+        self._stopped, self._pushed = np.array(snapshot["stopped"]), np.array(snapshot["pushed"])
         self.min_J, self.max_J = snapshot["min_J"], snapshot["max_J"]
         self.first, self.last = (Diagnostics.from_snapshot(snapshot[k]) for k in ("first", "last"))
         self.balance = Balance(**snapshot["balance"])
@@ -237,6 +240,7 @@ class Watchdog:
     def _unbalanced(self, now: Diagnostics) -> Violation | None:
         """Compare energy and momentum with those at the start plus external work and impulse."""
         given = self.external.given(self.clock, now.middle - self.first.middle)
+        given = given.and_more(self._free.given() - self._pushed)
         turnover = max(
             self.balance.turnover,
             now.energy,

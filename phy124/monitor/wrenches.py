@@ -76,7 +76,7 @@ class Wrenches:
         mass, x = (np.asarray(array.numpy(), np.float64) for array in arrays)
         middle = mass @ x / mass.sum()
         found = {wall: self._wrench(wall, middle, fps) for wall in self._sums} if self.asked else {}
-        given = solver.pairs.wrenches(1 / fps).values()
+        given = [*solver.pairs.wrenches(1 / fps).values(), *solver.free.wrenches(1 / fps)]
         for name, (force, torque) in zip(names, given, strict=True):
             found[name] = Wrench(force, torque - np.cross(middle, force))
         return found
@@ -156,9 +156,13 @@ class _Separated:
 
 
 def pair_names(solver: Solver) -> tuple[str, ...]:
-    """A name for each pair of bodies: that of the one that exerts the wrench comes first."""
+    """A name for each pair of bodies: that of the one that exerts the wrench comes first.
+
+    Those of bodies of particles, then those of what these exert on free solids.
+    """
     called = solver.model.names
-    return tuple(f"{called[p.first]}_on_{called[p.second]}" for p in solver.pairs.all)
+    pairs = (f"{called[p.first]}_on_{called[p.second]}" for p in solver.pairs.all)
+    return (*pairs, *solver.free.names)
 
 
 def names(walls: Sequence[Boundary]) -> list[str]:

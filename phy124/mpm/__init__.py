@@ -7,6 +7,7 @@ Only the stages that the scene calls for exist.
 
 from phy124.mpm.clock import MEASURE_EVERY, Clock
 from phy124.mpm.fluctuation import Scheme
+from phy124.mpm.free import FreeBodies, FreeBody
 from phy124.mpm.grid import MARGIN, Grid, Unstable
 from phy124.mpm.model import Group, Model
 from phy124.mpm.pairs import Pair
@@ -20,6 +21,8 @@ __all__ = [
     "Accumulator",
     "Attachable",
     "Clock",
+    "FreeBodies",
+    "FreeBody",
     "Grid",
     "Group",
     "Model",

@@ -67,9 +67,7 @@ class Pairs:
         shape = (workers, len(self.all), ROOM)
         self._sums = wp.zeros(shape, dtype=wp.float64, device=model.device)
         self._begun = self._total()
-        mass, volume = (a.numpy().astype(np.float64) for a in (model.mass, model.volume))
-        runs = [model.particles(body) for body in range(model.bodies)]
-        self._fill = [volume[run].sum() / mass[run].sum() / model.dx**3 for run in runs]
+        self._fill = fill_of(model)
 
     def begin(self) -> None:
         """Start counting what bodies give each other."""
@@ -148,6 +146,13 @@ class Pairs:
         inputs = [wp.vec3i(*low.tolist()), own[0].lattice, *how, *(grid.window for grid in own)]
         outputs = [*(grid.nodes for grid in own), sums]
         return model.launch(make_pair(model.real), tuple(extent.tolist()), inputs, outputs)
+
+
+def fill_of(model: Model) -> list[float]:
+    """Fraction of its volume that a body fills around a node, per mass at the node [1/kg]."""
+    mass, volume = (a.numpy().astype(np.float64) for a in (model.mass, model.volume))
+    runs = [model.particles(body) for body in range(model.bodies)]
+    return [float(volume[run].sum() / mass[run].sum() / model.dx**3) for run in runs]
 
 
 def kernels(real: Any) -> list[Any]:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from phy124.kernels.maxima import COUNT
 from phy124.mpm.clock import MEASURE_EVERY, Clock
 from phy124.mpm.fluctuation import APIC, Fluctuation, Scheme
+from phy124.mpm.free import FreeBodies, FreeBody, Plane
 from phy124.mpm.graph import Graph, usable
 from phy124.mpm.grid import Corners, Grid, Unstable, fit_all, grids_of
 from phy124.mpm.maxima import Maxima
@@ -33,13 +34,7 @@ from phy124.mpm.stage import Accumulator, Attachable
 from phy124.mpm.state import State
 from phy124.mpm.substep import Gathered, Recorder
 from phy124.mpm.threads import Team
-from phy124.mpm.workers import (
-    GATHER,
-    Timings,
-    lone_worker,
-    timed,
-    usable_workers,
-)
+from phy124.mpm.workers import GATHER, Timings, lone_worker, timed, usable_workers
 from phy124.tracks import Tracks
 
 MEASURE = -2
@@ -58,6 +53,8 @@ class Solver:
         boundaries: Sequence[Attachable] = (),
         accumulators: Sequence[Accumulator] = (),
         pairs: Sequence[Pair] = (),
+        free: Sequence[FreeBody] = (),
+        planes: Sequence[Plane] = (),
         ceiling: float = math.inf,
         threads: int | None = None,
         graph: bool | None = None,
@@ -74,9 +71,11 @@ class Solver:
             boundaries: Boundaries, in the order in which they act.
             accumulators: Sums that grow in every substep.
             pairs: How bodies touch, where that is not by default.
+            free: Rigid solids that move freely.
+            planes: Flat walls that these meet.
             ceiling: Longest substep allowed [s].
             threads: CPU threads; None: as many as have a free core and enough particles.
-            graph: Run frames as one graph on the device; None: on CUDA. Several bodies never do.
+            graph: Run frames as one graph on the device; None: on CUDA, with one body only.
             measure_every: Substeps between two measurements of the limits, where that is safe.
             scheme: How velocities come back from the grid.
             gathered: Looks at every part of the particles after each substep.
@@ -101,13 +100,14 @@ class Solver:
             gathered.begin(model, count)
         self.pairs = Pairs(model, pairs, count)
         """How bodies touch, and what they give each other."""
+        self.free = FreeBodies(model, free)
         self._stray = wp.zeros(1, dtype=int, device=model.device)
         self._team = Team[int](count, self._run_member)
         self._graph = Graph(model, self.clock, self.grids[0], self.workers[0], self._stray)
         on_device = usable(model.device) if graph is None else graph
-        self.on_device = on_device and model.bodies == 1
+        self.on_device = on_device and model.bodies == 1 and not free
         """Whether frames run as graphs."""
-        self.bind(forces, boundaries, accumulators)
+        self.bind(forces, boundaries, accumulators, planes)
         self._record_measures()
 
     def bind(
@@ -115,6 +115,7 @@ class Solver:
         forces: Sequence[Attachable] = (),
         boundaries: Sequence[Attachable] = (),
         accumulators: Sequence[Accumulator] = (),
+        planes: Sequence[Plane] = (),
     ) -> None:
         """Replace what acts on the state, from the next substep on.
 
@@ -122,6 +123,7 @@ class Solver:
             forces: Forces, in the order in which they act.
             boundaries: Boundaries, in the order in which they act.
             accumulators: Sums that grow in every substep.
+            planes: Flat walls that free bodies meet.
 
         Raises:
             InputError: The region of a force holds no particle, or a boundary is too thin for the
@@ -133,15 +135,17 @@ class Solver:
             [stage for one in some for stage in one.attach(model, state, tracks)]
             for some in (forces, boundaries, accumulators)
         )
+        self.free.bind(planes, tracks)
         tracks.upload(self.clock.values)
         self.tracks, self._forces, self.boundaries, self._sums = tracks, acting, walls, sums
         self._recorder = Recorder(
             model, state, self.grids, tracks, self.outliers, self.workers, self.slabs, self.pairs,
-            self.fluctuation, self.gathered,
+            self.free, self.fluctuation, self.gathered,
         )  # fmt: skip
         self._sample = tracks.record()
         self._sample.launch()
-        self.rejection = StepRejection(model, state, tracks, acting, [*accumulators, self.pairs])
+        undone = [*accumulators, self.pairs, self.free]
+        self.rejection = StepRejection(model, state, tracks, acting, undone)
         if self.nodes:
             self._record()
 
@@ -199,6 +203,7 @@ class Solver:
             "pairs": self.pairs.snapshot(),
             "slabs": self.slabs.snapshot() if self.slabs else {},
             **({"gathered": self.gathered.snapshot()} if self.gathered else {}),
+            **({"free": self.free.snapshot()} if self.free.all else {}),
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
@@ -212,6 +217,7 @@ class Solver:
         self.pairs.restore(snapshot["pairs"])
         if self.gathered is not None and "gathered" in snapshot:
             self.gathered.restore(snapshot["gathered"])
+        self.free.restore(snapshot.get("free", {}))
         for grid, (low, size) in zip(self.grids, snapshot["windows"], strict=True):
             grid.rebase(np.array(low), np.array(size))
         known = self._restore_slabs(snapshot["slabs"])
@@ -325,7 +331,7 @@ class Solver:
         if self.outliers.confine(self._corners(found)):
             found = self._maxima()
         measured = Maxima.of(found.max(axis=0))
-        self.clock.extremes = measured.extremes.after(self.clock.extremes)
+        self.clock.extremes = measured.extremes.after(self.clock.extremes, self.free.fastest())
         self.clock.recent = self.clock.extremes
         changed = fit_all(self.grids, self._corners(found), anew=self.outliers.changed)
         changed |= self._fit_slabs(found, changed)
@@ -336,9 +342,8 @@ class Solver:
 
     def _corners(self, rows: NDArray[np.float64]) -> list[Corners]:
         """Lowest and highest corner of each body, of what was measured [m]."""
-        body = np.arange(len(rows))
-        if self.slabs is not None:
-            body = np.array([part.group.body for part in self.slabs.parts])
+        parts = self.slabs.parts if self.slabs else ()
+        body = np.array([part.group.body for part in parts] or range(len(rows)))
         bodies = range(len(self.grids))
         return [Maxima.of(rows[body == number].max(axis=0)).corners for number in bodies]
 
@@ -374,9 +379,8 @@ class Solver:
         lost = int(self._stray.numpy()[0])
         if lost:
             raise Unstable(f"{lost} particles are NaN or infinite")
-        rows = [self.workers[0].maxima]
-        if self.slabs is not None:
-            rows = [part.maxima for part in self.slabs.parts]
+        rows = [part.maxima for part in self.slabs.parts] if self.slabs else []
+        rows = rows or [self.workers[0].maxima]
         found = np.array([row.numpy() for row in rows], dtype=np.float64)
         return found.reshape(-1, COUNT)
 

@@ -18,6 +18,7 @@ from phy124.kernels.grid import make_merge, make_update
 from phy124.kernels.reduction import shared_out
 from phy124.kernels.transfer import Law
 from phy124.mpm.fluctuation import Fluctuation
+from phy124.mpm.free import FreeBodies
 from phy124.mpm.grid import Grid
 from phy124.mpm.model import Model
 from phy124.mpm.outliers import Outliers
@@ -90,6 +91,8 @@ class Recorder:
     """Those of several workers."""
     pairs: Pairs
     """How bodies touch."""
+    free: FreeBodies
+    """Rigid solids among the particles."""
     fluctuation: Fluctuation | None = None
     """What particles keep beside what the grid carries; None: nothing, which is APIC."""
     gathered: Gathered | None = None
@@ -118,7 +121,8 @@ class Recorder:
             worker.phases.append(launches(gather))
             if pushes:
                 worker.phases.insert(0, self._push(pushes, index))
-        self.workers[0].phases[GATHER] += launches([(s.name, s.record(self._grid)) for s in sums])
+        last = [*self.free.drift(), *((stage.name, stage.record(self._grid)) for stage in sums)]
+        self.workers[0].phases[GATHER] += launches(last)
 
     def _passes(self, parts: Sequence[Part], worker: int) -> Iterator[list[Named]]:
         """A worker's phases of each pass over the grid before the substep scatters."""
@@ -163,13 +167,15 @@ class Recorder:
         return launches([(stage.name, stage.record(self._grid)) for stage in stages])
 
     def _update_phases(self, walls: Sequence[Stage], worker: int) -> list[list[Recorded]]:
-        """A worker's phases of update, of contact between bodies, and of walls.
+        """A worker's phases of update, of contact between bodies, of free bodies, and of walls.
 
         Walls come last: what they hold stays where it is, whatever pushes it.
         """
         phases = [[one for body in self._moving for one in self._update(body, worker)]]
         if self.pairs.touching(self.grids):
             phases += [self.pairs.record(self.grids, worker, len(self.workers)), []]
+        if self.free.all:
+            phases += [self._meet_free() if worker == 0 else [], []]
         alone = False
         for (place, body), wall in itertools.product(enumerate(self._moving), walls):
             if self.slabs is not None and wall.alone != alone:
@@ -179,6 +185,10 @@ class Recorder:
             if record is not None:
                 phases[-1].append(record)
         return phases
+
+    def _meet_free(self) -> list[Recorded]:
+        """How free bodies meet each body in turn; one worker does it all."""
+        return [one for body in self._moving for one in self.free.record(self.grids[body], body)]
 
     def _wall(
         self, wall: Stage, grid: Grid, place: int, worker: int, *, alone: bool

@@ -33,9 +33,10 @@ class Extremes(NamedTuple):
     stiffness: float
     """A / rho0 [m^2/s^2]."""
 
-    def after(self, before: Extremes) -> Extremes:
-        """The same with a stiffness of at least `MEMORY` times the one before."""
-        return self._replace(stiffness=max(self.stiffness, MEMORY * before.stiffness))
+    def after(self, before: Extremes, speed: float = 0.0) -> Extremes:
+        """The same with a stiffness of at least `MEMORY` times the one before, and this speed."""
+        stiffness = max(self.stiffness, MEMORY * before.stiffness)
+        return self._replace(stiffness=stiffness, speed=max(self.speed, speed))
 
 
 class Substep(NamedTuple):

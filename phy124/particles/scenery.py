@@ -1,16 +1,18 @@
 """Scenery: the Gaussians of static parts, which are in every frame and never in the solver.
 
-Objects with a motion of their own are scenery, too: their Gaussians are shifted by their tracks.
+Objects with a motion of their own are scenery, too: their Gaussians are shifted by their tracks,
+or move and turn with the rigid solid that they are.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from phy124.gaussians import Array, Frame, Gaussians
+from phy124.gaussians import Array, Frame, Gaussians, rotation_matrices
 from phy124.tracks import Track
 
 IDENTITY = np.array([1, 0, 0, 0], np.float32)
@@ -29,6 +31,8 @@ class Scenery:
     """Which of them move in the solver [N]."""
     tracks: tuple[tuple[int, Track], ...] = ()
     """Numbers of the objects that are shifted, and their displacements over time [m]."""
+    free: tuple[int, ...] = ()
+    """Numbers of the objects that are rigid solids."""
 
     @property
     def count(self) -> int:
@@ -40,9 +44,16 @@ class Scenery:
         """Those that move, at rest, in order."""
         return self.gaussians.select(self.moves) if self.count else self.gaussians
 
-    def whole(self, frame: Frame) -> Frame:
+    def whole(
+        self, frame: Frame, poses: Sequence[NDArray] = (), motions: NDArray | None = None
+    ) -> Frame:
         """A frame of the moving Gaussians with the static ones added, unchanged bit for bit, and
         the shifted ones where they are then.
+
+        Args:
+            frame: That of those which move in the solver.
+            poses: Centre [m] and turn (wxyz) of each rigid solid [F,7], frame by frame.
+            motions: Their velocities [m/s] and angular velocities [rad/s] now [F,6].
         """
         if not self.count:
             return frame
@@ -62,6 +73,13 @@ class Scenery:
             means[own] += at.astype(np.float32)
             if velocities is not None:
                 velocities[own] = (later - at) / INSTANT
+        for place, index in enumerate(self.free):
+            own, pose = rest.object_id == index, poses[-1][place]
+            turn = _product(pose[3:], poses[0][place][3:] * (1, -1, -1, -1))
+            arms = (rest.means[own] - poses[0][place][:3]) @ rotation_matrices(turn[None])[0].T
+            means[own], quats[own] = pose[:3] + arms, _product(turn, rest.quats[own])
+            if velocities is not None and motions is not None:
+                velocities[own] = motions[place][:3] + np.cross(motions[place][3:], arms)
         gaussians = replace(rest, means=means, quats=quats, scales=scales, sh=sh)
         return replace(frame, gaussians=gaussians, velocities=velocities, contacts=contacts)
 
@@ -75,3 +93,10 @@ class Scenery:
         filled = still.copy()
         filled[self.moves] = moved
         return filled
+
+
+def _product(a: NDArray, b: NDArray) -> NDArray[np.float64]:
+    """The rotation b, then a, of quaternions wxyz [4] and [..., 4]."""
+    w, v = b[..., :1], b[..., 1:]
+    first = a[0] * w - (v @ a[1:])[..., None]
+    return np.concatenate([first, a[0] * v + w * a[1:] + np.cross(a[1:], v)], axis=-1)

@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from phy124.boundaries import Box, Capsule, Sphere
 from phy124.boundaries.base import Movable, vector
-from phy124.boundaries.motion import AnyMotion
+from phy124.boundaries.motion import Free, OwnMotion, Path, Swing
 from phy124.bounds import FileName, Name
 from phy124.materials import AnyMaterial, NeoHookean
 from phy124.scene.sections import FLOOR, Object, Part
@@ -69,11 +70,12 @@ class SceneObject(Object):
     static: bool = Field(
         default=False, description="Scenery: it is seen, but neither moves nor touches anything."
     )
-    motion: AnyMotion | None = Field(
+    motion: OwnMotion | None = Field(
         default=None,
         exclude_if=lambda motion: motion is None,
         description="Its displacement over time: path or swing. A shape that has one moves so, "
-        "whatever it meets: it pushes the others and nothing pushes it.",
+        "whatever it meets: it pushes the others and nothing pushes it. Or free: it is rigid, "
+        "moves as gravity, walls and the others push it, and pushes them back.",
     )
     material: AnyMaterial = Field(default=NeoHookean(), description="Constitutive law.")
     parts: tuple[Part, ...] = Field(default=(), description="Parts of other materials.")
@@ -107,14 +109,15 @@ class SceneObject(Object):
         """
         if self.shape is None:
             raise ValueError(f"{self.name} has a motion but no shape; only shapes follow a motion")
-        if self.static or self.held or any((*self.velocity, *self.spin)):
+        led = not self.free
+        if self.static or self.held or (led and any((*self.velocity, *self.spin))):
             raise ValueError(
                 f"{self.name} has a motion; leave out static, held, velocity and spin, which say "
                 "otherwise how it moves"
             )
-        if self.on != FLOOR:
+        if led and self.on != FLOOR:
             raise ValueError(f"{self.name} has a motion, so it stands on the floor; use lift")
-        if any(self.turn) and self.shape != "sphere":
+        if led and any(self.turn) and self.shape != "sphere":
             raise ValueError(f"{self.name} has a motion and cannot be turned; leave turn out")
         round_ = sorted(self.sides)[: 3 if self.shape == "sphere" else 2]
         if self.shape != "box" and round_[0] != round_[-1]:
@@ -124,19 +127,34 @@ class SceneObject(Object):
 
     @property
     def scenery(self) -> bool:
-        """Whether it has no particles: it stays as it is, or moves whatever it meets."""
+        """Whether it has no particles: it stays as it is, or is a solid with a motion."""
         return self.static or self.motion is not None
 
+    @property
+    def free(self) -> bool:
+        """Whether it is a rigid solid that moves freely."""
+        return isinstance(self.motion, Free)
+
+    @property
+    def path(self) -> Path | Swing | None:
+        """What leads it; None: nothing."""
+        return None if isinstance(self.motion, Free) else self.motion
+
+    @property
+    def half(self) -> NDArray[np.float64]:
+        """Half the sides of the shape [3], m."""
+        return np.array(self.sides) / max(self.sides) * self.size / 2
+
     def solid(self, pairs: Sequence[Pair]) -> Movable:
-        """The wall that an object with a motion is for others.
+        """The wall that an object with a path is for others.
 
         Args:
             pairs: What happens where two objects touch.
         """
-        half = np.array(self.sides) / max(self.sides) * self.size / 2
+        half = self.half
         middle = np.array([*self.place, self.lift + half[2]])
         how = pair_of(pairs, self.name, ANY)
-        given: dict[str, Any] = {"motion": self.motion, "friction": how.friction}
+        given: dict[str, Any] = {"motion": self.path, "friction": how.friction}
         given["contact"] = how.contact
         if self.shape == "box":
             return Box(lower=vector(middle - half), upper=vector(middle + half), **given)

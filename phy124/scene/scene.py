@@ -26,6 +26,7 @@ from phy124.properties import Properties
 from phy124.scene.accuracies import PRESETS, Accuracy, AccuracyName, check_transfer
 from phy124.scene.changes import apply
 from phy124.scene.files import read_toml
+from phy124.scene.free import check_free
 from phy124.scene.objects import Pair, SceneObject, check_name, check_objects, check_pairs
 from phy124.scene.refusals import refusal
 from phy124.scene.renamed import renewed
@@ -130,6 +131,7 @@ class Scene(Section):
                 "stiffness_profile": self.stiffness_profile is not None,
             },
         )
+        check_free(self.every_object, self.boundaries)
         check_pairs(self.pairs, self.names)
         moving = [one.name for one in self.every_object if not getattr(one, "scenery", False)]
         for section in (*self.forces, *self.boundaries):
@@ -188,8 +190,8 @@ class Scene(Section):
         return found
 
     def with_solids(self) -> Scene:
-        """The scene in which objects with a motion are walls, too, after its own boundaries."""
-        solids = [one.solid(self.pairs) for one in self.objects if one.motion is not None]
+        """The scene in which objects with a path are walls, too, after its own boundaries."""
+        solids = [one.solid(self.pairs) for one in self.objects if one.path is not None]
         if not solids:
             return self
         return self.model_copy(update={"boundaries": (*self.boundaries, *solids)})

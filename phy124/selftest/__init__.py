@@ -10,6 +10,7 @@ from phy124.selftest import (
     advice,
     conserve,
     flow,
+    free,
     guards,
     impact,
     inputs,
@@ -52,6 +53,7 @@ CASES = (
     Case(29, "the floor", world.floor),
     Case(30, "advice that is followed helps", advice.advice, precise=False),
     Case(31, "what flows, at walls", flow.flow),
+    Case(32, "free solids, light and heavy", free.free),
 )
 """All cases in order."""
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from phy124 import deform, tracks
 from phy124.monitor import contacts, diagnostics, dissipation, external_work, tearing, wrenches
-from phy124.mpm import fluctuation, pairs, repair, substep
+from phy124.mpm import fluctuation, free, pairs, repair, substep
 from phy124.mpm.model import PRECISIONS, form_of
 from phy124.scene import Scene
 
@@ -34,6 +34,7 @@ def kernels(scene: Scene, device: str = "cpu") -> Iterator[Any]:
         yield from boundary.kernels(real, scene.dx)
     if scene.objects:
         yield from pairs.kernels(real)
+    yield from free.kernels_of((one.shape or "" for one in scene.objects if one.free), real)
     if scene.boundaries and scene.checks.balance:
         yield from external_work.wall_kernels(real)
     if scene.boundaries and scene.keeps_wrenches:

@@ -77,6 +77,9 @@ def _objects(run: Run) -> dict[str, Any]:
             "mass": float(run.particles.mass[own].sum()),
             "place": middle.tolist(),
         }
+    for place, one in enumerate(run.solver.free.all):
+        poses = [pose[place].tolist() for pose in run.poses]
+        found[one.name] |= {"mass": one.mass, "poses": poses}
     return found
 
 

@@ -27,7 +27,6 @@ from phy124.monitor.watchdog import Violation, Watchdog
 from phy124.monitor.wrenches import Wrenches
 from phy124.mpm import Unstable
 from phy124.mpm.workers import usable_workers
-from phy124.particles.scenery import Scenery
 from phy124.progress import Progress, silent
 from phy124.remedies import hurry, remedies
 from phy124.runtime.compiling import compile_missing
@@ -35,6 +34,7 @@ from phy124.runtime.cores import refuse_threads
 from phy124.runtime.device import one_at_a_time
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
+from phy124.simulation import props
 from phy124.simulation.bodies import bodies
 from phy124.simulation.interior import Interior
 from phy124.simulation.kernels import kernels
@@ -43,7 +43,6 @@ from phy124.simulation.report import counted, report_of
 from phy124.simulation.softening import Softening
 from phy124.simulation.solver import acting, judged_as, solver_of
 from phy124.simulation.stopped import Stopped
-from phy124.tracks import Track
 
 
 class Interrupted(Cancelled):
@@ -109,7 +108,8 @@ class Simulation:
             self.particles, stiffness = ordered(
                 self.particles, self.materials, stiffness, scene.dx, self.along
             )
-            self.scenery = Scenery(self.shown, look.moves, tuple(_tracks(scene)))
+            free = list(props.free_bodies(scene, self.shown))
+            self.scenery = props.scenery(scene, self.shown, look.moves)
             self.interior = Interior(
                 self.shown, self.particles, self.materials, spacing=scene.spacing, dx=scene.dx
             )
@@ -123,7 +123,7 @@ class Simulation:
             self.dissipation = Dissipation() if scene.checks.energy else None
             self.solver = solver_of(
                 self.particles, self.materials, stiffness, scene, device, threads, external,
-                self.contacts, self.wrenches, self.dissipation,
+                self.contacts, self.wrenches, self.dissipation, free,
             )  # fmt: skip
             self.softening = Softening(self.solver, external, self.particles.material)
             self.watchdog = Watchdog(
@@ -147,6 +147,8 @@ class Simulation:
         """Whether all frames are kept, whether they are shaped, and how many there are so far."""
         self.frames: list[Frame] = []
         self.rotations: list[NDArray] = []
+        self.poses: list[NDArray] = []
+        """Centre [m] and turn (wxyz) of each free solid in every frame [F,7]."""
         self.retried: list[int] = []
         self.stopped: str | None = None
         self.remarks: list[str] = []
@@ -201,7 +203,8 @@ class Simulation:
     def _sleeps(self, index: int) -> bool:
         """Whether a frame needs no substeps; if so, only the time is advanced."""
         changes = self.scene.stiffness_profile is not None
-        if changes or not self.scene.time.sleep or self.solver.outliers.count:
+        flies = self.solver.outliers.count or self.solver.free.all
+        if changes or not self.scene.time.sleep or flies:
             return False
         time = self.sleep.skip_to(index)
         if time is None:
@@ -262,6 +265,7 @@ class Simulation:
             "sleep": self.sleep.snapshot(),
             "deformer": self.deformer.snapshot(),
             "interior": self.interior.snapshot(),
+            **({"poses": np.array(self.poses)} if self.scenery.free else {}),
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
@@ -275,6 +279,7 @@ class Simulation:
         self.sleep.restore(snapshot["sleep"])
         self.deformer.restore(snapshot["deformer"])
         self.interior.restore(snapshot["interior"])
+        self.poses = list(snapshot.get("poses", []))
 
     @one_at_a_time
     def _frame(self, index: int, time: float) -> Frame:
@@ -291,7 +296,9 @@ class Simulation:
             self.interior.look(index, state.x.numpy())
         forces = self.contacts.forces(self.scenery, self.particles, self.scene.time.fps)
         wrenches = self.wrenches.contacts(self.solver, self.scene.time.fps)
-        return self.scenery.whole(replace(frame, contacts=forces, wrenches=wrenches))
+        self.poses.append(self.solver.free.poses())
+        frame = replace(frame, contacts=forces, wrenches=wrenches)
+        return self.scenery.whole(frame, self.poses, self.solver.free.motions())
 
     def _again(self, index: int, time: float) -> Frame:
         """The last frame once more: nothing has moved since."""
@@ -334,6 +341,7 @@ class Simulation:
         self.contacts.begin()
         self.wrenches.begin()
         solver.pairs.begin()
+        solver.free.begin()
         watchdog.before()
         before = solver.snapshot(), watchdog.external.snapshot()
         try:
@@ -388,10 +396,3 @@ class Simulation:
 
     def _reporter(self, index: int) -> Callable[[], None]:
         return lambda: self.progress("simulate", index, self.scene.time.frames)
-
-
-def _tracks(scene: Scene) -> Iterator[tuple[int, Track]]:
-    """The objects with a motion, by number, and their displacement over time [m]."""
-    for index, one in enumerate(scene.objects, 1):
-        if one.motion is not None:
-            yield index, one.motion.track()

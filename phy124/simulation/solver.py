@@ -17,9 +17,11 @@ from phy124.monitor.dissipation import Dissipation
 from phy124.monitor.external_work import ExternalWork
 from phy124.monitor.wrenches import Wrenches
 from phy124.mpm import Accumulator, Attachable, Model, Pair, Scheme, Solver, State
+from phy124.mpm.free import FreeBody, Plane
 from phy124.particles import Particles
 from phy124.scene import Object, Scene
 from phy124.scene.objects import pair_of
+from phy124.simulation import props
 
 FLOOR_NODE = 0.75
 """Depth of a layer of nodes below the floor [cells]."""
@@ -36,6 +38,7 @@ def solver_of(
     contacts: Contacts,
     wrenches: Wrenches,
     dissipation: Dissipation | None = None,
+    free: Sequence[FreeBody] = (),
 ) -> Solver:
     """The solver at time 0.
 
@@ -50,6 +53,7 @@ def solver_of(
         contacts: Adds up what walls give to each particle, if that is asked for.
         wrenches: Adds up what each wall is given, if that is asked for.
         dissipation: Adds up the work of the stress, if that is asked for.
+        free: Rigid solids that move freely.
     """
     x = particles.x.astype(np.float64)
     v, C = _motion(x, particles, scene)
@@ -76,6 +80,7 @@ def solver_of(
         State.of(model, v, C),
         **acting(scene, external, contacts, wrenches)._asdict(),
         pairs=list(pairs_of(model.names, scene)),
+        free=free,
         ceiling=ceiling,
         threads=threads,
         measure_every=scene.checks.measure,
@@ -108,6 +113,7 @@ class Acting(NamedTuple):
     forces: Sequence[Attachable]
     boundaries: Sequence[Attachable]
     accumulators: Sequence[Accumulator]
+    planes: Sequence[Plane]
 
 
 def acting(scene: Scene, external: ExternalWork, contacts: Contacts, wrenches: Wrenches) -> Acting:
@@ -129,7 +135,7 @@ def acting(scene: Scene, external: ExternalWork, contacts: Contacts, wrenches: W
     if scene.checks.balance:
         forces, walls = external.forces(forces), external.boundaries(scene.boundaries, walls)
         sums.insert(0, external)
-    return Acting(forces, walls, sums)
+    return Acting(forces, walls, sums, props.planes(scene))
 
 
 def _motion(x: NDArray, particles: Particles, scene: Scene) -> tuple[NDArray, NDArray]:

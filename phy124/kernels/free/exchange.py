@@ -1,0 +1,217 @@
+"""What nodes and a free body give each other."""
+
+from functools import cache
+from typing import Any
+
+import warp as wp
+
+from phy124.kernels.build import kernel
+from phy124.kernels.collide import strides
+from phy124.kernels.diagnostics import add3, wide
+from phy124.kernels.free.numbers import (
+    ANGULAR,
+    GIVEN,
+    GUESS,
+    IMPULSE,
+    KICKED,
+    LINEAR,
+    MOMENT,
+    MOVED,
+    PLACE,
+    PRIOR,
+    SYSTEM,
+    TURNED,
+    TURNING,
+    VELOCITY,
+    WALLS,
+    WORK,
+    A,
+    B,
+    C,
+    arm_of,
+    at3,
+    axes,
+    first_node,
+    moving,
+    put3,
+    spin_of,
+)
+from phy124.kernels.friction import coulomb
+from phy124.kernels.reduction import add_to
+from phy124.kernels.transfer import types
+
+
+@wp.func
+def shares(relative: wp.vec3d, n: wp.vec3d, friction: wp.float64, sticky: int):
+    """Fractions of a velocity, of the surface relative to a node, that the node takes on: along the
+    normal out of the body and across it.
+    """
+    if sticky == 1:
+        return wp.vec2d(wp.float64(1.0), wp.float64(1.0))
+    approach = wp.dot(relative, n)
+    if approach <= wp.float64(0.0):
+        return wp.vec2d()
+    return wp.vec2d(wp.float64(1.0), coulomb(relative - approach * n, approach, friction))
+
+
+@cache
+def make_begin(real: Any):
+    """Kernel of one thread: a body is kicked once in a substep, and is the first solution."""
+    t = types(real)
+
+    @kernel(f"phy124_free_begin_{real.__name__}")
+    def begin(
+        # model
+        moments: wp.vec3d, clock: wp.array(dtype=real), values: wp.array(dtype=t.vec4),
+        # in place
+        body_out: wp.array(dtype=wp.float64), trial_out: wp.array(dtype=wp.float64),
+    ):  # fmt: skip
+        if body_out[KICKED] == wp.float64(0.0):
+            pull = wp.float64(clock[0]) * wide(values[0])
+            put3(body_out, VELOCITY, at3(body_out, VELOCITY) + pull)
+            body_out[KICKED] = wp.float64(1.0)
+        put3(trial_out, GUESS, at3(body_out, VELOCITY))
+        put3(trial_out, GUESS + 3, spin_of(axes(body_out), moments, at3(body_out, ANGULAR)))
+
+    return begin
+
+
+@cache
+def make_assemble(real: Any):
+    """Kernel over rows of the nodes around a body: adds their part of the six equations."""
+    t = types(real)
+    numbers = wp.types.vector(SYSTEM, wp.float64)
+
+    @kernel(f"phy124_free_assemble_{real.__name__}", seconds=0.6)
+    def assemble(
+        # model
+        reach: int, friction: wp.float64, sticky: int, lattice: t.vec4,
+        window: wp.array(dtype=wp.vec3i),
+        # state in
+        body: wp.array(dtype=wp.float64), trial: wp.array(dtype=wp.float64),
+        contact: wp.array3d(dtype=t.vec4), grid: wp.array(dtype=t.vec4),
+        # out
+        system_out: wp.array(dtype=wp.float64),
+    ):  # fmt: skip
+        i, j = wp.tid()
+        first = first_node(body, lattice, reach)
+        sums = numbers()
+        some = int(0)
+        for k in range(contact.shape[2]):
+            here = contact[i, j, k]
+            if here[3] > real(0.0):
+                node = first + wp.vec3i(i, j, k)
+                q = grid[wp.dot(node - window[0], strides(window[1]))]
+                r = arm_of(body, lattice, node)
+                n = wide(here)
+                v = wide(q)
+                part = shares(moving(trial, GUESS, r) - v, n, friction, sticky)
+                if part[0] > wp.float64(0.0):
+                    some = 1
+                    m = wp.float64(q[3])
+                    across = m * part[1]
+                    W = across * wp.identity(n=3, dtype=wp.float64)
+                    W += (m * part[0] - across) * wp.outer(n, n)
+                    G = -wp.skew(r)
+                    WG = W @ G
+                    turning = wp.transpose(G) @ WG
+                    p = W @ v
+                    moment = wp.cross(r, p)
+                    for a in range(3):
+                        sums[LINEAR + a] += p[a]
+                        sums[TURNING + a] += moment[a]
+                        for b in range(3):
+                            sums[A + 3 * a + b] += W[a, b]
+                            sums[B + 3 * a + b] += WG[a, b]
+                            sums[C + 3 * a + b] += turning[a, b]
+        if some == 1:
+            for a in range(wp.static(SYSTEM)):
+                add_to(system_out, a, sums[a])
+
+    return assemble
+
+
+@cache
+def make_apply(real: Any):
+    """Kernel over rows of the nodes around a body: they take on the velocity of its surface.
+
+    `given_out` collects what they are given, in the `GIVEN` sums; the moment is about the body.
+    """
+    t = types(real)
+    numbers = wp.types.vector(GIVEN, wp.float64)
+
+    @kernel(f"phy124_free_apply_{real.__name__}", seconds=0.4)
+    def apply(
+        # model
+        reach: int, friction: wp.float64, sticky: int, lattice: t.vec4,
+        window: wp.array(dtype=wp.vec3i),
+        # state in
+        body: wp.array(dtype=wp.float64), trial: wp.array(dtype=wp.float64),
+        contact: wp.array3d(dtype=t.vec4),
+        # in place
+        grid_out: wp.array(dtype=t.vec4),
+        # out
+        given_out: wp.array(dtype=wp.float64),
+    ):  # fmt: skip
+        i, j = wp.tid()
+        first = first_node(body, lattice, reach)
+        sums = numbers()
+        for k in range(contact.shape[2]):
+            here = contact[i, j, k]
+            if here[3] > real(0.0):
+                node = first + wp.vec3i(i, j, k)
+                index = wp.dot(node - window[0], strides(window[1]))
+                q = grid_out[index]
+                r = arm_of(body, lattice, node)
+                n = wide(here)
+                v = wide(q)
+                part = shares(moving(trial, PRIOR, r) - v, n, friction, sticky)
+                if part[0] > wp.float64(0.0):
+                    wanted = moving(trial, GUESS, r) - v
+                    change = part[1] * wanted + (part[0] - part[1]) * wp.dot(wanted, n) * n
+                    now = t.vec4(
+                        q[0] + real(change[0]), q[1] + real(change[1]), q[2] + real(change[2]), q[3]
+                    )
+                    grid_out[index] = now
+                    J = wp.float64(q[3]) * (wide(now) - v)
+                    moment = wp.cross(r, J)
+                    work = wp.dot(J, wide(now))
+                    for a in range(3):
+                        sums[IMPULSE + a] += J[a]
+                        sums[MOMENT + a] += moment[a]
+                    sums[WORK] += work
+                    sums[MOVED] += wp.length(J)
+                    sums[TURNED] += wp.abs(work)
+        if sums[MOVED] > wp.float64(0.0):
+            for a in range(wp.static(GIVEN)):
+                add_to(given_out, a, sums[a])
+
+    return apply
+
+
+@cache
+def make_finish(real: Any):
+    """Kernel of one thread: takes from the body what nodes were given, and adds what walls gave.
+
+    `total_out` is what the nodes of one grid were given since the start, its moment about the
+    origin of the world.
+    """
+
+    @kernel(f"phy124_free_finish_{real.__name__}")
+    def finish(
+        # model
+        mass: wp.float64, trial: wp.array(dtype=wp.float64),
+        # in place
+        given_out: wp.array(dtype=wp.float64), body_out: wp.array(dtype=wp.float64),
+        total_out: wp.array(dtype=wp.float64),
+    ):  # fmt: skip
+        J = at3(given_out, IMPULSE)
+        moment = at3(given_out, MOMENT)
+        put3(body_out, VELOCITY, at3(body_out, VELOCITY) + (at3(trial, WALLS) - J) / mass)
+        put3(body_out, ANGULAR, at3(body_out, ANGULAR) + at3(trial, WALLS + 3) - moment)
+        add3(total_out, MOMENT, wp.cross(at3(body_out, PLACE), J))
+        for a in range(wp.static(GIVEN)):
+            total_out[a] += given_out[a]
+            given_out[a] = wp.float64(0.0)
+
+    return finish

@@ -1,0 +1,188 @@
+"""What flat walls give a free body, and how it moves on."""
+
+from functools import cache
+from typing import Any
+
+import warp as wp
+
+from phy124.kernels.build import kernel
+from phy124.kernels.diagnostics import wide
+from phy124.kernels.free.numbers import (
+    ANGULAR,
+    GUESS,
+    KICKED,
+    LINEAR,
+    PLACE,
+    PRIOR,
+    SYSTEM,
+    TURN,
+    TURNING,
+    VELOCITY,
+    WALLS,
+    A,
+    B,
+    C,
+    at3,
+    at33,
+    axes,
+    inertia_of,
+    put3,
+    put_turn,
+    spin_of,
+    turned,
+)
+from phy124.kernels.transfer import types
+
+SWEEPS = wp.constant(24)
+"""Over the points at which walls act."""
+
+
+@wp.func
+def arm_to(shape: int, point: int, R: wp.mat33d, half: wp.vec3d, n: wp.vec3d):
+    """From the centre to one of the points of a solid that a plane of normal n may touch [m].
+
+    Args:
+        shape: Number of such points: 1 of a sphere, 2 of a capsule, 8 of a box.
+        point: Which of them.
+        R: The body's axes as columns.
+        half: Half its sides along them [m].
+        n: Out of the wall.
+    """
+    one = wp.float64(1.0)
+    if shape == 1:
+        return -half[0] * n
+    if shape == 2:
+        least = wp.min(half)
+        along = R @ (half - wp.vec3d(least, least, least))
+        return wp.where(point == 0, one, -one) * along - least * n
+    signs = wp.vec3d(
+        wp.where((point & 1) == 0, -one, one),
+        wp.where((point & 2) == 0, -one, one),
+        wp.where((point & 4) == 0, -one, one),
+    )
+    return R @ wp.cw_mul(signs, half)
+
+
+@cache
+def make_walls(drifts: bool, real: Any):
+    """Kernel of one thread: the solution of the six equations, with what flat walls give.
+
+    Each wall, a point and a normal out of it, may act at `points` of the body (see `arm_to`). The
+    one that drifts ends a substep: walls stop the body, and it moves on; L stays, and w follows
+    from it half way through the turn. A turning corner that would be in a wall is taken back.
+    """
+    t = types(real)
+    name = f"phy124_free_{'drift' if drifts else 'solve'}_{real.__name__}"
+
+    @kernel(name, seconds=0.8)
+    def walls(
+        # model
+        mass: wp.float64, moments: wp.vec3d, half: wp.vec3d, points: int,
+        planes: wp.array2d(dtype=wp.vec3d), frictions: wp.array(dtype=wp.float64),
+        slots: wp.array(dtype=int), clock: wp.array(dtype=real), values: wp.array(dtype=t.vec4),
+        rates: wp.array(dtype=t.vec4),
+        # in place
+        impulses_out: wp.array(dtype=wp.vec3d), system_out: wp.array(dtype=wp.float64),
+        trial_out: wp.array(dtype=wp.float64), body_out: wp.array(dtype=wp.float64),
+    ):  # fmt: skip
+        zero = wp.float64(0.0)
+        R = axes(body_out)
+        inertia = inertia_of(R, moments)
+        dt = wp.float64(clock[1])
+        if wp.static(drifts):
+            if body_out[KICKED] == zero:
+                pull = wp.float64(clock[0]) * wide(values[0])
+                put3(body_out, VELOCITY, at3(body_out, VELOCITY) + pull)
+        L = at3(body_out, ANGULAR)
+        a = wp.inverse(mass * wp.identity(n=3, dtype=wp.float64) + at33(system_out, A))
+        b = at33(system_out, B)
+        c = wp.inverse(inertia + at33(system_out, C) - wp.transpose(b) @ a @ b)
+        p = mass * at3(body_out, VELOCITY) + at3(system_out, LINEAR)
+        w = c @ (L + at3(system_out, TURNING) - wp.transpose(b) @ (a @ p))
+        V = a @ (p - b @ w)
+
+        for n in range(impulses_out.shape[0]):
+            impulses_out[n] = wp.vec3d()
+        for _ in range(SWEEPS):
+            for wall in range(planes.shape[0]):
+                normal = planes[wall, 1]
+                speed = wp.vec3d()
+                shift = wp.vec3d()
+                if slots[wall] >= 0:
+                    shift = wide(values[slots[wall]])
+                    speed = wide(rates[slots[wall]])
+                for point in range(points):
+                    n = wall * points + point
+                    r = arm_to(points, point, R, half, normal)
+                    gap = wp.dot(at3(body_out, PLACE) + r - planes[wall, 0] - shift, normal)
+                    u = V + wp.cross(w, r) - speed
+                    J = impulses_out[n]
+                    pressed = wp.dot(J, normal)
+                    lacking = -wp.max(gap, zero) / dt - wp.dot(u, normal)
+                    if lacking > zero or pressed > zero:
+                        # Along the normal, then across it, as if the other points gave nothing.
+                        turn = c @ (wp.cross(r, normal) - wp.transpose(b) @ (a @ normal))
+                        yields = wp.dot(normal, a @ (normal - b @ turn) + wp.cross(turn, r))
+                        push = wp.max(pressed + lacking / yields, zero)
+                        grip = J - pressed * normal
+                        along = u - wp.dot(u, normal) * normal
+                        slip = wp.length(along)
+                        if slip > wp.float64(1e-12):
+                            way = along / slip
+                            turn = c @ (wp.cross(r, way) - wp.transpose(b) @ (a @ way))
+                            grip -= along / wp.dot(way, a @ (way - b @ turn) + wp.cross(turn, r))
+                        most = frictions[wall] * push
+                        if wp.length(grip) > most:
+                            grip *= most / wp.length(grip)
+                        more = push * normal + grip - J
+                        impulses_out[n] = J + more
+                        turn = c @ (wp.cross(r, more) - wp.transpose(b) @ (a @ more))
+                        w += turn
+                        V += a @ (more - b @ turn)
+        given = wp.vec3d()
+        moment = wp.vec3d()
+        for wall in range(planes.shape[0]):
+            for point in range(points):
+                J = impulses_out[wall * points + point]
+                given += J
+                r = arm_to(points, point, R, half, planes[wall, 1])
+                moment += wp.cross(r, J)
+
+        if wp.static(drifts):
+            V = at3(body_out, VELOCITY) + given / mass
+            L += moment
+            put3(body_out, VELOCITY, V)
+            put3(body_out, ANGULAR, L)
+            X = at3(body_out, PLACE) + dt * V
+            start = wp.quatd(
+                body_out[TURN + 1], body_out[TURN + 2], body_out[TURN + 3], body_out[TURN]
+            )
+            put_turn(body_out, turned(body_out, spin_of(R, moments, L), dt / wp.float64(2.0)))
+            w = spin_of(axes(body_out), moments, L)
+            put_turn(body_out, start)
+            put_turn(body_out, turned(body_out, w, dt))
+            R = axes(body_out)
+            for wall in range(planes.shape[0]):
+                normal = planes[wall, 1]
+                shift = wp.vec3d()
+                if slots[wall] >= 0:
+                    shift = wide(values[slots[wall]]) + dt * wide(rates[slots[wall]])
+                deepest = wp.float64(0.0)
+                for point in range(points):
+                    r = arm_to(points, point, R, half, normal)
+                    gap = wp.dot(X + r - planes[wall, 0] - shift, normal)
+                    deepest = wp.min(deepest, gap)
+                X -= deepest * normal
+            put3(body_out, PLACE, X)
+            body_out[KICKED] = zero
+        else:
+            for n in range(6):
+                trial_out[PRIOR + n] = trial_out[GUESS + n]
+            for n in range(wp.static(SYSTEM)):
+                system_out[n] = zero
+            put3(trial_out, GUESS, V)
+            put3(trial_out, GUESS + 3, w)
+            put3(trial_out, WALLS, given)
+            put3(trial_out, WALLS + 3, moment)
+
+    return walls

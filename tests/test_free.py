@@ -1,0 +1,280 @@
+"""Free bodies: rigid solids that push the material and are pushed back."""
+
+import numpy as np
+import pytest
+
+from phy124.boundaries import Ground, HalfSpace
+from phy124.errors import InputError
+from phy124.forces import Gravity
+from phy124.materials import Fluid, NeoHookean
+from phy124.monitor.diagnostics import diagnose
+from phy124.monitor.external_work import ExternalWork
+from phy124.monitor.watchdog import Watchdog
+from phy124.mpm import FreeBody
+from phy124.mpm.free import STAGE
+from support.solvers import make_solver
+
+DX, G = 0.05, 9.81
+BALL = FreeBody("ball", "sphere", (0.15,) * 3, (0.0, 0.0, 1.0))
+JELLY = NeoHookean(E=1e5)
+
+
+def block(sides, at=(0.0, 0.0, 0.0), dx=DX):
+    """Particles of a block, two per cell and axis, whose lowest side's middle is at a place."""
+    line = [(np.arange(round(2 * side / dx)) + 0.5) * dx / 2 for side in sides]
+    x = np.stack(np.meshgrid(*line, indexing="ij"), -1).reshape(-1, 3)
+    return x - [sides[0] / 2, sides[1] / 2, 0] + at
+
+
+def world(one, x, material=JELLY, *, dx=DX, precision="float64", floor=None, g=G, **options):
+    """A free body and a block of material, maybe on a floor."""
+    walls = [] if floor is None else [Ground(friction=floor)]
+    options.setdefault("threads", 1)
+    options.setdefault("boundaries", walls)
+    forces = [Gravity(g=(0.0, 0.0, -g))] if g else []
+    return make_solver(
+        x, np.full(len(x), (dx / 2) ** 3), [material], dx=dx, precision=precision, free=[one],
+        planes=walls, forces=forces, origin=(0.0, 0.0, -0.75 * dx), **options,
+    )  # fmt: skip
+
+
+def beside(one, *, floor=None, g=G, planes=None):
+    """A free body far from the only material."""
+    s = world(one, block((0.2, 0.2, 0.2), (9, 0, 0)), NeoHookean(E=1e4), floor=floor, g=g)
+    if planes is not None:
+        s.bind(planes=planes)
+    return s
+
+
+def whole(s):
+    """Momentum, angular momentum about the origin, and energy of all."""
+    (one,), found = s.free.all, diagnose(s)
+    place, V, w = s.free.poses()[0, :3], s.free.motions()[0, :3], s.free.motions()[0, 3:]
+    R = one._replace(turn=tuple(s.free.poses()[0, 3:])).axes
+    L = R @ (one.moments * (R.T @ w))
+    momentum = found.momentum + one.mass * V
+    angular = found.angular + np.cross(place, one.mass * V) + L
+    return momentum, angular, found.energy + one.mass * V @ V / 2 + w @ L / 2
+
+
+def test_alone_it_flies_a_parabola_and_turns_as_it_did():
+    s = beside(BALL._replace(velocity=(1.0, 0, 2.0), spin=(0, 0, 3.0)))
+    s.advance(0.25)
+    s.advance(0.3)
+    (pose,) = s.free.poses()
+    np.testing.assert_allclose(pose[:3], [0.3, 0, 1 + 0.6 - G * 0.045], atol=1e-12)
+    np.testing.assert_allclose(pose[3:], [np.cos(0.45), 0, 0, np.sin(0.45)], atol=1e-12)
+
+
+@pytest.mark.parametrize(("threads", "sticky"), [(1, False), (2, False), (1, True)])
+def test_what_the_body_loses_the_material_gets(threads, sticky):
+    one = BALL._replace(
+        place=(0.05, 0.03, 0.46), velocity=(0.3, 0.1, -1.0), spin=(1.0, 2.0, 3.0), sticky=sticky
+    )
+    external = ExternalWork()
+    s = world(one, block((0.4, 0.4, 0.3)), g=0, threads=threads, accumulators=[external])
+    before, dog = whole(s), Watchdog(s, external)
+    dog.before()
+    s.free.begin()
+    s.advance(0.1, after=dog.follow())
+    after = whole(s)
+    np.testing.assert_allclose(after[0], before[0], atol=1e-13 * np.abs(before[0]).max())
+    np.testing.assert_allclose(after[1], before[1], atol=1e-13 * np.abs(before[1]).max())
+    assert 0.4 * before[2] < after[2] < before[2]
+    got = diagnose(s).momentum
+    assert got[2] < -3
+    (wrench,) = s.free.wrenches(0.1)
+    np.testing.assert_allclose(0.1 * wrench.force, -got, rtol=1e-10)
+    assert s.free.names == ("0_on_ball",)
+    assert dog.after() is None, "what the solid gives is in the balance"
+    s.free.restore({**s.free.snapshot(), "totals": 0 * s.free._total()})
+    assert "momentum came from nowhere" in dog.after().what or "energy" in dog.after().what
+
+
+def test_it_slides_by_its_friction_and_rolls():
+    box = FreeBody("box", "box", (0.2, 0.15, 0.1), (0, 0, 0.1), velocity=(2.0, 0, 0))
+    for one, speed in ((box, 2 - 0.3 * G * 0.3), (BALL._replace(place=(0, 0, 0.15)), 10 / 7)):
+        s = beside(one._replace(velocity=(2.0, 0, 0)), floor=0.3)
+        s.advance(0.3)
+        V = s.free.motions()[0]
+        # Velocities are those half a substep before.
+        late = 0.3 * G * s.clock.last_dt / 2 if one is box else 0
+        np.testing.assert_allclose(V[:3], [speed + late, 0, 0], atol=1e-9)
+        assert s.free.poses()[0, 2] == pytest.approx(one.half[2], abs=1e-9)
+        s.advance(1.0)
+        stopped = [0, 0, 0] if one is box else [10 / 7, 0, 0]
+        np.testing.assert_allclose(s.free.motions()[0, :3], stopped, atol=1e-9)
+
+
+def test_on_a_slope_it_starts_to_slide_where_the_slope_passes_its_friction():
+    for friction, moves in ((0.4, False), (0.3, True)):
+        slope = np.radians(20)
+        n = (np.sin(slope), 0, np.cos(slope))
+        turn = (np.cos(slope / 2), 0.0, np.sin(slope / 2), 0.0)
+        one = FreeBody("box", "box", (0.2, 0.15, 0.1), tuple(0.1 * np.array(n)), turn=turn)
+        s = beside(one, planes=[HalfSpace(normal=n, friction=friction)])
+        s.bind([Gravity()], planes=[HalfSpace(normal=n, friction=friction)])
+        s.advance(0.4)
+        pull = G * (np.sin(slope) - friction * np.cos(slope)) if moves else 0.0
+        way = np.linalg.norm(s.free.poses()[0, :3] - one.place)
+        assert way == pytest.approx(pull * 0.08, rel=1e-6, abs=1e-7)
+
+
+def test_a_free_top_keeps_its_angular_momentum_and_energy():
+    """About the middle axis, which turns over."""
+    one = FreeBody("box", "box", (0.3, 0.2, 0.1), (0, 0, 1.0), spin=(0.1, 6.0, 0.2))
+    s = beside(one, g=0)
+    before = whole(s)
+    flipped = False
+    for frame in range(1, 9):
+        s.advance(0.25 * frame)
+        R = one._replace(turn=tuple(s.free.poses()[0, 3:])).axes
+        flipped |= bool(R[1, 1] < -0.5)
+    after = whole(s)
+    np.testing.assert_allclose(after[1], before[1], rtol=1e-12)
+    assert flipped and after[2] == pytest.approx(before[2], rel=2e-4)
+
+
+def test_too_thin_a_body_is_refused():
+    with pytest.raises(InputError, match=r"objects \(ball\) = 0.08 m: it is thinner than two"):
+        world(BALL._replace(half=(0.04,) * 3), block((0.2, 0.2, 0.2)))
+
+
+def test_without_free_bodies_nothing_is_launched():
+    x = block((0.2, 0.2, 0.2))
+    s = make_solver(x, np.full(len(x), 1e-5), [JELLY], dx=DX, threads=1)
+    s.advance(0.01)
+    assert STAGE not in [name for phase in s.workers[0].phases for name, _ in phase]
+    assert "free" not in s.snapshot()
+
+
+@pytest.mark.parametrize("shape", ["sphere", "box", "capsule"])
+def test_volume_and_moments_are_those_of_the_shape(shape):
+    half = (0.1, 0.1, 0.25) if shape == "capsule" else (0.15,) * 3
+    one = FreeBody("one", shape, half, (0, 0, 0), density=700.0)
+    n = 120
+    line = (np.arange(n) + 0.5) / n * 2 - 1
+    x = np.stack(np.meshgrid(*[line * side for side in half], indexing="ij"), -1).reshape(-1, 3)
+    core = np.clip(x, np.array(min(half)) - half, np.array(half) - min(half))
+    inside = (
+        np.linalg.norm(x - core, axis=1) <= min(half) if shape != "box" else np.full(n**3, True)
+    )
+    each = 700.0 * 8 * np.prod(half) / n**3
+    x = x[inside]
+    assert one.mass == pytest.approx(each * len(x), rel=2e-3)
+    moments = each * ((x**2).sum() - (x**2).sum(axis=0))
+    np.testing.assert_allclose(one.moments, moments, rtol=3e-3)
+
+
+def settled(one, *, seconds=3.0, top=0.3, E=3e4, **options):
+    """A body some time after it fell on soft jelly, and its mean weight on it since [weights]."""
+    s = world(one, block((0.8, 0.8, top)), NeoHookean(E=E, damping=40), floor=0.5, **options)
+    s.advance(seconds)
+    s.free.begin()
+    s.advance(seconds + 0.5)
+    force = s.free.wrenches(0.5)[0].force
+    return s, force[2] / one.mass / G
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("density", [10.0, 1000.0, 5000.0])
+@pytest.mark.parametrize("shape", ["sphere", "box", "capsule"])
+def test_at_rest_on_jelly_it_weighs_what_it_weighs(shape, density):
+    half = (0.15, 0.15, 0.15) if shape != "capsule" else (0.25, 0.15, 0.15)
+    one = FreeBody("one", shape, half, (0.01, 0.02, 0.5), density=density)
+    E = 3e4 if density < 2000 else 2e5
+    s, weight = settled(one, E=E, precision="float32")
+    assert weight == pytest.approx(1, abs=0.02)
+    assert np.abs(s.free.motions()).max() < 0.05
+    near = np.hypot(*s.state.x.numpy()[:, :2].T) < 0.1
+    gap = s.free.poses()[0, 2] - 0.15 - s.state.x.numpy()[near, 2].max()
+    assert -0.6 * DX < gap < 0.6 * DX
+
+
+@pytest.mark.slow
+def test_a_hundred_times_as_heavy_it_squeezes_the_jelly_and_stays_sound():
+    one = BALL._replace(place=(0.01, 0.02, 0.5), density=1e5)
+    s, _ = settled(one, seconds=1.0, E=1e5, precision="float32")
+    assert np.isfinite(s.state.x.numpy()).all() and np.isfinite(s.free.poses()).all()
+    assert s.free.poses()[0, 2] >= 0.15 - 1e-6, "it never sinks through the floor"
+    assert np.abs(s.free.motions()[0, 2]) < 0.2
+
+
+@pytest.mark.slow
+def test_what_is_mirrored_moves_as_a_mirror_shows():
+    found = []
+    for way in (1, -1):
+        one = FreeBody(
+            "box", "box", (0.2, 0.1, 0.1), (way * 0.05, 0.0, 0.5), velocity=(way * 0.5, 0.1, -1.0),
+            spin=(1.0, way * 2.0, way * 0.5),
+        )  # fmt: skip
+        x = block((0.6, 0.6, 0.3))
+        s = world(one, x, NeoHookean(E=5e4), floor=0.4)
+        s.advance(0.5)
+        found.append(np.concatenate([s.free.poses()[0, :3], s.free.motions()[0]]))
+    flip = np.array([-1, 1, 1, -1, 1, 1, 1, -1, -1])
+    np.testing.assert_allclose(found[1] * flip, found[0], atol=1e-6)
+    assert abs(found[0][0]) > 0.05
+
+
+@pytest.mark.slow
+def test_between_jelly_and_floor_it_rests():
+    """A light box under a block of jelly carries it."""
+    one = FreeBody("box", "box", (0.3, 0.3, 0.1), (0, 0, 0.1), density=10.0)
+    s = world(one, block((0.3, 0.3, 0.3), (0, 0, 0.2)), NeoHookean(E=5e4, damping=40), floor=0.5)
+    s.advance(1.0)
+    s.free.begin()
+    s.advance(1.5)
+    force = s.free.wrenches(0.5)[0].force
+    assert force[2] == pytest.approx(-27 * G, rel=0.02)
+    np.testing.assert_allclose(s.free.poses()[0, :3], [0, 0, 0.1], atol=1e-4)
+
+
+@pytest.mark.slow
+def test_it_goes_on_from_a_snapshot_bit_for_bit():
+    made = []
+    for pause in (False, True):
+        one = BALL._replace(place=(0.05, 0.03, 0.46), velocity=(0.3, 0.1, -1.0))
+        s = world(one, block((0.4, 0.4, 0.3)), floor=0.5)
+        s.advance(0.1)
+        if pause:
+            kept = s.snapshot()
+            s.advance(0.15)
+            s.restore(kept)
+        s.advance(0.2)
+        made.append((s.state.x.numpy().copy(), s.free.poses(), s.free.motions()))
+    for first, second in zip(*made, strict=True):
+        assert np.array_equal(first, second)
+
+
+def floating(density):
+    """How deep a cube is in a tank of water [sides], and its weight on the water [weights]."""
+    tank, side = (0.8, 0.8, 0.5), 0.3
+    walls = [Ground(friction=0, contact="slip")]
+    for axis, sign in ((0, 1), (0, -1), (1, 1), (1, -1)):
+        n, at = np.zeros((2, 3))
+        n[axis], at[axis] = sign, -sign * tank[axis] / 2
+        walls.append(HalfSpace(point=tuple(at), normal=tuple(n), contact="slip"))
+    one = FreeBody("cube", "box", (side / 2,) * 3, (0, 0, 0.66), density=density, friction=0.0)
+    s = world(one, block(tank), Fluid(), floor=0.0, boundaries=walls, precision="float32")
+    s.advance(2.0)
+    s.free.begin()
+    heights = []
+    for step in range(10):
+        s.advance(2.1 + 0.1 * step)
+        heights.append(s.free.poses()[0, 2] - side / 2)
+    # Of all the water there is, and of what the cube pushes away.
+    bottom = np.mean(heights)
+    level = (tank[2] * tank[0] * tank[1] - side**2 * bottom) / (tank[0] * tank[1] - side**2)
+    return (level - bottom) / side, s.free.wrenches(1.0)[0].force[2] / one.mass / G
+
+
+@pytest.mark.slow
+def test_it_floats_as_its_density_says_and_sinks_if_it_is_heavier():
+    """Somewhat deeper, up to half a cell: water reaches into what floats on it."""
+    found = [floating(density) for density in (300.0, 600.0)]
+    for (depth, weight), density in zip(found, (300.0, 600.0), strict=True):
+        assert weight == pytest.approx(1, abs=0.02)
+        assert -0.02 < depth - density / 1000 < 0.1
+    assert found[1][0] - found[0][0] == pytest.approx(0.3, rel=0.2)
+    assert floating(2000.0)[0] > 1.2, "it lies on the ground"
