@@ -218,6 +218,27 @@ def test_what_is_mirrored_moves_as_a_mirror_shows():
 
 
 @pytest.mark.slow
+def test_two_bodies_that_it_meets_get_what_it_loses():
+    """It falls on both at their edges, one of which is twice as heavy."""
+    x = np.vstack([block((0.3, 0.4, 0.3), (way * 0.18, 0, 0)) for way in (-1, 1)])
+    body = np.repeat([0, 1], len(x) // 2)
+    one = BALL._replace(place=(0.02, 0.03, 0.47), velocity=(0.1, 0.2, -1.0), spin=(1.0, 2.0, 3.0))
+    heavier = NeoHookean(E=1e5, density=2000)
+    s = make_solver(
+        x, np.full(len(x), (DX / 2) ** 3), [JELLY, heavier], dx=DX, body=body, material=body,
+        names=["left", "right"], precision="float64", free=[one], threads=1,
+    )  # fmt: skip
+    before = whole(s)
+    s.free.begin()
+    s.advance(0.2)
+    after = whole(s)
+    np.testing.assert_allclose(after[0], before[0], atol=1e-13 * np.abs(before[0]).max())
+    np.testing.assert_allclose(after[1], before[1], atol=1e-12 * np.abs(before[1]).max())
+    assert s.free.names == ("left_on_ball", "right_on_ball") and after[2] < before[2]
+    assert all(wrench.force[2] > 10 for wrench in s.free.wrenches(0.2))
+
+
+@pytest.mark.slow
 def test_between_jelly_and_floor_it_rests():
     """A light box under a block of jelly carries it."""
     one = FreeBody("box", "box", (0.3, 0.3, 0.1), (0, 0, 0.1), density=10.0)

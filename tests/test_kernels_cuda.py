@@ -15,6 +15,7 @@ from phy124.kernels import (
     transfer,
 )
 from phy124.materials import FixedCorotated, NeoHookean, Sand
+from phy124.mpm import free
 from phy124.scene import Scene, preset_names
 from phy124.simulation import Simulation
 from support import device_kernels
@@ -55,6 +56,14 @@ def test_transfers_compile_for_cuda(material, tmp_path):
     # 27 nodes, the four numbers of each added at once and without return values.
     assert len(re.findall(r"red\.global\.add\.v4\.f32", scatter)) == 27
     assert not re.findall(r"atom\S*add", scatter)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("real", [wp.float32, wp.float64])
+def test_free_bodies_compile_for_cuda(real, tmp_path):
+    for place, kernel in enumerate(free.kernels_of(["sphere", "box", "capsule"], real)):
+        (tmp_path / str(place)).mkdir()
+        assert ".visible .entry" in ptx(kernel, tmp_path / str(place))
 
 
 def test_grid_and_pushes_compile_for_cuda(tmp_path):

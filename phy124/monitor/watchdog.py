@@ -139,7 +139,8 @@ class Watchdog:
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Return to a snapshot."""
         self._begun, self._fastest = snapshot["begun"], snapshot["fastest"]
-        self._stopped, self._pushed = np.array(snapshot["stopped"]), np.array(snapshot["pushed"])
+        self._stopped = np.array(snapshot["stopped"])
+        self._pushed = np.array(snapshot.get("pushed", self._pushed))
         self.min_J, self.max_J = snapshot["min_J"], snapshot["max_J"]
         self.first, self.last = (Diagnostics.from_snapshot(snapshot[k]) for k in ("first", "last"))
         self.balance = Balance(**snapshot["balance"])
