@@ -7,6 +7,7 @@ from phy124 import Live, resume
 from phy124.errors import InputError
 from phy124.gaussians import Frame, as_objects, quaternions, rotation_matrices
 from phy124.io.axes import euler
+from phy124.mpm import FreeBody
 from phy124.particles.scenery import Scenery
 from phy124.scene import Scene
 from phy124.simulation import Simulation, props
@@ -83,6 +84,25 @@ def test_the_gaussians_of_a_free_solid_turn_with_it():
     rates = np.stack([-2 * turned[:, 1], 2 * turned[:, 0], np.ones(80)], axis=1)
     np.testing.assert_allclose(whole.velocities[own], rates, atol=1e-5)
     assert np.array_equal(whole.gaussians.means[~own], two.means[~own])
+
+
+def test_one_that_starts_inside_material_is_refused():
+    inside = {**FREE, "on": "floor", "place": [0.2, 0.0]}
+    with pytest.raises(InputError, match=r"objects = box: it overlaps what it would meet at the"):
+        Simulation(ball(400), scene(objects=[inside]), threads=1)
+
+
+@pytest.mark.parametrize("shape", ["sphere", "box", "capsule"])
+def test_depth_is_that_below_its_surface(shape):
+    half = (0.1, 0.1, 0.3) if shape == "capsule" else (0.2, 0.2, 0.2)
+    turn = tuple(quaternions(euler((0, 90, 0))[None])[0].tolist())
+    one = FreeBody("one", shape, half, (1.0, 0, 0), turn=turn)
+    along = np.array([[1.0, 0, 0], [1.15, 0, 0], [1.4, 0, 0], [1.0, 0, 0.3]])
+    deep = {
+        "sphere": [0.2, 0.05, -0.2, -0.1], "box": [0.2, 0.05, -0.2, -0.1],
+        "capsule": [0.1, 0.1, -0.1, -0.2],
+    }  # fmt: skip
+    np.testing.assert_allclose(one.depth(along), deep[shape], atol=1e-12)
 
 
 @pytest.mark.slow

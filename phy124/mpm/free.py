@@ -100,6 +100,15 @@ class FreeBody(NamedTuple):
         """Its own axes as columns [3,3]."""
         return rotation_matrices(np.array([self.turn]))[0]
 
+    def depth(self, x: NDArray) -> NDArray[np.float64]:
+        """How deep points [P,3] are inside it at the start [P], m; negative: outside."""
+        own = np.abs((np.asarray(x, np.float64) - self.place) @ self.axes)
+        if self.shape == "box":
+            return np.min(self.half - own, axis=1, initial=np.inf)
+        least = min(self.half)
+        core = np.maximum(own - (np.array(self.half) - least), 0.0)
+        return least - np.linalg.norm(core, axis=1)
+
     def geometry(self) -> Vector3:
         """The three vectors that the distance function of its shape reads [3,3], m."""
         half, least = np.array(self.half), min(self.half)

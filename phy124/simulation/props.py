@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,12 +11,14 @@ from phy124.boundaries import Container
 from phy124.boundaries.base import vector
 from phy124.boundaries.motion import Free
 from phy124.boundaries.planes import Plane
+from phy124.errors import InputError
 from phy124.gaussians import Gaussians, quaternions
 from phy124.io.axes import euler
 from phy124.mpm import FreeBody
 from phy124.particles.scenery import Scenery
 from phy124.scene import Scene
 from phy124.scene.objects import ANY, pair_of
+from phy124.simulation.bodies import DEEPEST
 from phy124.tracks import Track
 
 
@@ -62,6 +64,27 @@ def free_bodies(scene: Scene, gaussians: Gaussians) -> Iterator[FreeBody]:
             friction=how.friction,
             sticky=how.contact == "sticky",
         )
+
+
+def refuse_overlap(free: Sequence[FreeBody], x: NDArray, scene: Scene) -> None:
+    """Make sure that no material is inside a rigid solid at the start, which would stay there.
+
+    Args:
+        free: The rigid solids.
+        x: Where all particles are [P,3], m.
+        scene: Says how deep is too deep.
+
+    Raises:
+        InputError: Some is; it says where and how deep.
+    """
+    for one in free:
+        inside = one.depth(x)
+        if inside.max(initial=-np.inf) > DEEPEST * scene.dx:
+            raise InputError(
+                "objects", one.name,
+                f"it overlaps what it would meet at the start by {inside.max():.2g} m.",
+                'Change place or lift, or let it stand on that object: on = "...".',
+            )  # fmt: skip
 
 
 def planes(scene: Scene) -> list[Plane]:

@@ -109,6 +109,7 @@ class Simulation:
                 self.particles, self.materials, stiffness, scene.dx, self.along
             )
             free = list(props.free_bodies(scene, self.shown))
+            props.refuse_overlap(free, self.particles.x, scene)
             self.scenery = props.scenery(scene, self.shown, look.moves)
             self.interior = Interior(
                 self.shown, self.particles, self.materials, spacing=scene.spacing, dx=scene.dx
