@@ -10,7 +10,7 @@ from phy124.__main__ import main
 from phy124.accuracy import Forecaster
 from phy124.accuracy import forecast as module
 from phy124.accuracy.forecast import Forecast, pixels_per_size
-from phy124.accuracy.pilot import Pilot, fly
+from phy124.accuracy.pilot import CELLS, Pilot, coarsened, fly
 from phy124.accuracy.probe import SubstepCost
 from phy124.accuracy.promises import Promise
 from phy124.scene import PRESETS, Scene
@@ -174,3 +174,14 @@ def test_dry_run_says_how_long_and_makes_nothing(tmp_path, capsys, monkeypatch):
     assert told["measured"] == ["particles", "generate", "image"]
     assert told["seconds"] == pytest.approx(sum(told["stages"].values()))
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("radius", "cells"), [(0.2, CELLS), (0.04, 25), (0.03, 32)])
+def test_the_pilot_s_grid_resolves_what_the_scene_s_does(radius, cells):
+    """A solid of 0.03 m is too thin for both, and is refused as such."""
+    wall = {"kind": "sphere", "radius": radius}
+    small = {"name": "small", "shape": "box", "size": 2 * radius, "motion": {"kind": "free"}}
+    changes = {"boundaries": [{"kind": "ground"}, wall]}, {"objects": [small]}
+    for change in changes:
+        told = Scene.named("drop").replaced({"accuracy": "standard", "object.size": 1.0, **change})
+        assert coarsened(told).resolution.cells == cells

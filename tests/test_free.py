@@ -152,7 +152,7 @@ def test_without_free_bodies_nothing_is_launched():
 def test_volume_and_moments_are_those_of_the_shape(shape):
     half = (0.1, 0.1, 0.25) if shape == "capsule" else (0.15,) * 3
     one = FreeBody("one", shape, half, (0, 0, 0), density=700.0)
-    n = 120
+    n = 80
     line = (np.arange(n) + 0.5) / n * 2 - 1
     x = np.stack(np.meshgrid(*[line * side for side in half], indexing="ij"), -1).reshape(-1, 3)
     core = np.clip(x, np.array(min(half)) - half, np.array(half) - min(half))
@@ -161,9 +161,9 @@ def test_volume_and_moments_are_those_of_the_shape(shape):
     )
     each = 700.0 * 8 * np.prod(half) / n**3
     x = x[inside]
-    assert one.mass == pytest.approx(each * len(x), rel=2e-3)
+    assert one.mass == pytest.approx(each * len(x), rel=5e-3)
     moments = each * ((x**2).sum() - (x**2).sum(axis=0))
-    np.testing.assert_allclose(one.moments, moments, rtol=3e-3)
+    np.testing.assert_allclose(one.moments, moments, rtol=1e-2)
 
 
 def settled(one, *, seconds=3.0, top=0.3, E=3e4, **options):

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from phy124.boundaries.base import THINNEST
 from phy124.gaussians import Gaussians
 from phy124.mpm import Unstable
 from phy124.parts import WHOLE, Crop
@@ -68,9 +69,18 @@ class Pilot:
 
 def coarsened(scene: Scene) -> Scene:
     """The scene as the pilot runs it: on a coarse grid, with the binding `lattice`."""
-    cells = min(CELLS, scene.resolution.cells)
+    # No solid that the scene's own grid resolves may be too thin for the coarse one.
+    cells = min(max(CELLS, cells_for(scene)), scene.resolution.cells)
     accuracy = scene.resolution.model_copy(update={"cells": cells, "precision": "float32"})
     return scene.model_copy(update={"accuracy": accuracy, "binding": "lattice"})
+
+
+def cells_for(scene: Scene) -> int:
+    """Fewest cells across the object whose grid nothing solid is too thin for."""
+    thin = [wall.thickness() for wall in scene.with_solids().boundaries]
+    thin += [float(one.half.min()) for one in scene.objects if one.free]
+    finest = THINNEST * scene.object.size / min(thin, default=math.inf)
+    return math.ceil(finest * (1 - 1e-9))
 
 
 def fly(gaussians: Gaussians, scene: Scene, *, device: str = "cpu", crop: Crop = WHOLE) -> Pilot:
