@@ -100,7 +100,8 @@
       if (kind === 'ended') return this.ended(text);
       this.status.textContent = text;
       announce(text);
-      if (kind === 'saved') { this.trigger('save'); this.leave(); }
+      // The server keeps what was done while the run lasts, and ends it when it has taken that over.
+      if (kind === 'saved') { this.saved = true; this.trigger('save'); }
     }
 
     show() {
@@ -344,6 +345,7 @@
 
     ended(text) {
       if (this.gone) return;
+      if (this.saved) return this.leave();
       this.close();
       this.status.textContent = text;
       this.tools.replaceChildren(h('button', { type: 'button', class: 'primary', onclick: () => this.trigger('begin') }, 'Start again'),

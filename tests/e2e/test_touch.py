@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import pytest
 from visit import GRAPHICS_ARE_LOST, HAND, LONG, TOP, Visit
 
@@ -65,6 +67,8 @@ def test_keys_move_the_object_and_what_was_done_becomes_a_clip(visit):
     for _ in range(5):
         page.keyboard.press("ArrowRight")
     page.wait_for_function(f"{AWAY} > {start} + 0.08", timeout=LONG)
+    # However late the order to make the clip arrives, what was done is not lost.
+    page.route("**/queue/join*", lambda route: (time.sleep(2), route.continue_()))
     page.get_by_role("button", name="Save as clip").click()
     visit.finished()
     assert page.locator(".touch").count() == 0, "the result is shown instead"
