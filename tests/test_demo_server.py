@@ -35,8 +35,8 @@ def server(tmp_path_factory):
     folder = tmp_path_factory.mktemp("web")
     # Twelve seconds of grace only: the tests look at what is left behind.
     with serving(
-        folder, gaussians=1000, max_queue=WAITING, max_upload_mb=2, max_file_mb=3, grace_minutes=0.2,
-        max_video_mb=3, warm_up=False,
+        folder, gaussians=1000, max_queue=WAITING, max_upload_mb=2, max_file_mb=3, max_video_mb=3,
+        grace_minutes=0.2, warm_up=False,
     ) as running:  # fmt: skip
         yield running
 

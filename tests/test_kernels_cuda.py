@@ -29,7 +29,7 @@ LAWS = [
     pytest.param(NeoHookean(), marks=pytest.mark.slow),
     pytest.param(FixedCorotated(), marks=pytest.mark.slow),
 ]
-"""The first two hold what the others compile, too: stress with and without damping, a return map."""
+"""The first two hold what the others compile, too: damped stress, a return map."""
 
 
 def ptx(kernel, folder) -> str:

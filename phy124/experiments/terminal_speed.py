@@ -77,6 +77,9 @@ EXPERIMENT = Experiment(
     across="the block",
     axis="rate × time",
     unit="m/s",
+    reason="Drag and weight act one after the other in each substep, so what falls through a "
+    "stream is too fast by rate × dt / 2. Half the substep halves the error on every "
+    "grid: at the end 6.1 and 3.1 % on 4 cells, 3.1 and 1.5 % on 8.",
     quick=True,
     seconds=2,
 )
