@@ -68,6 +68,21 @@ def test_energy_is_lost_not_gained_and_momentum_has_no_number_in_contact(study):
         assert row.angular_momentum_lost is None
 
 
+def test_it_is_told_where_the_energy_went(study):
+    for row in study[1].rows:
+        assert sum(row.lost_to.values()) == pytest.approx(row.energy_lost, abs=1e-6)
+        assert row.lost_to["material"] > 0.003, "the ball is damped"
+        assert abs(row.lost_to["contact"]) < 1e-6, "it lands straight from above"
+    by_name = {row.name: row.lost_to["numerical"] for row in study[1].rows}
+    assert by_name["D/8"] > 2 * by_name["D/16"] > 0, "finer grids lose less"
+
+
+def test_where_it_cannot_be_told_it_is_not():
+    scene = Scene.named("press").replaced({"time.frames": 2, "view.size": 32})
+    report = Study(ball(300), scene, levels=(8,)).run()
+    assert all(row.lost_to is None and row.energy_lost is not None for row in report.rows)
+
+
 def test_a_free_spin_keeps_its_angular_momentum():
     scene = Scene.named("spin").replaced({"time.frames": 3, "view.size": 32})
     made = Study(ball(300), scene, levels=(8,)).run()
@@ -175,7 +190,7 @@ def test_json_is_whole(study):
 def row(cells: int, error: float | None, seconds: float, name: str = "") -> Row:
     return Row(
         name or f"D/{cells}", cells, "float32", 0.6, "particles", 1000, 2.0, 100, seconds, seconds,
-        {"elastic": 1.0}, 0.1, None, None, error, None,
+        {"elastic": 1.0}, 0.1, None, None, None, error, None,
     )  # fmt: skip
 
 

@@ -19,10 +19,11 @@ from phy124.accuracy.convergence import TRUSTED, Convergence, distances, richard
 from phy124.accuracy.difference import Difference, difference
 from phy124.accuracy.forecast import QUIET, Forecaster, pixels_per_size
 from phy124.accuracy.promises import kept, promise, torn
-from phy124.errors import Cancelled
+from phy124.errors import Cancelled, InputError
 from phy124.gaussians import Gaussians
 from phy124.io.clip import Clip
 from phy124.monitor.diagnostics import Diagnostics, diagnose
+from phy124.monitor.dissipation import Loss, split_seconds
 from phy124.parts import WHOLE, Crop
 from phy124.progress import Progress, silent
 from phy124.scene import PRESETS, Accuracy, Scene
@@ -56,11 +57,13 @@ class Row:
     predicted: float | None
     """Predicted time of simulation and shapes [s]; None without a forecast."""
     seconds: float
-    """Measured time of simulation and shapes [s]."""
+    """Measured time of simulation and shapes, without splitting the energy lost [s]."""
     limiters: dict[str, float]
     """Limit of the substep -> fraction of the substeps."""
     energy_lost: float
     """Energy lost beyond the work of forces and walls, as a fraction of all energy turned over."""
+    lost_to: dict[str, float] | None
+    """The same by where it went: material, contact, numerical; None where that cannot be told."""
     angular_momentum_lost: float | None
     """Relative change; None if forces or walls change it."""
     from_finest: Difference | None = None
@@ -128,6 +131,7 @@ class Study:
 
     def __post_init__(self) -> None:
         self._forecaster = Forecaster(self.device)
+        self._splits = self.thorough and _can_split(self.scene)
 
     def run(self) -> Report:
         """Run all settings; raises InputError or Cancelled."""
@@ -179,8 +183,9 @@ class Study:
         yield f"binding {binding} {here}", bound
 
     def _with(self, accuracy: Accuracy) -> Scene:
-        """The scene at another accuracy, with the balance on, since the energy lost is shown."""
-        checks = self.scene.checks.model_copy(update={"balance": True})
+        """The scene at another accuracy, with the checks on that show the energy lost."""
+        asked = {"balance": True, "energy": self._splits}
+        checks = self.scene.checks.model_copy(update=asked)
         return self.scene.model_copy(update={"accuracy": accuracy, "checks": checks})
 
     def _row(self, name: str, scene: Scene, progress: Progress) -> tuple[Row | None, str]:
@@ -213,14 +218,21 @@ class Study:
             particles_per_axis=particles_per_axis,
             substeps=solver.clock.substeps,
             predicted=predicted,
-            seconds=seconds["simulate"] + seconds["deform"],
+            seconds=seconds["simulate"] + seconds["deform"] - split_seconds(solver.timings),
             limiters={key: count / sum(counts.values()) for key, count in counts.items()},
             energy_lost=-clip.report["balance"]["energy_gain"],
+            lost_to=_lost_to(clip.report.get("energy")),
             angular_momentum_lost=_momentum_lost(scene, before, diagnose(solver)),
             torn=torn,
         ), f"{name}: {torn}" if torn else ""
 
     def _predicted(self, simulation: Simulation) -> float:
+        """The time of the scene as a user would run it, without the split of the energy lost."""
+        scene = simulation.scene
+        if scene.checks.energy:
+            checks = scene.checks.model_copy(update={"energy": False})
+            plain = scene.model_copy(update={"checks": checks})
+            simulation = Simulation(self.gaussians, plain, device=self.device, crop=self.crop)
         forecast = self._forecaster.of(simulation, filming=False, load=QUIET)
         return forecast.stages["simulate"] + forecast.stages["deform"]
 
@@ -270,6 +282,22 @@ class Study:
         seen = apart.pixels / apart.relative if apart and apart.relative else None
         scale = pixels_per_size(self.scene) if seen is None else seen
         return replace(row, from_finest=apart, error=error, pixels=error * scale)
+
+
+def _can_split(scene: Scene) -> bool:
+    """Whether it can be told where the energy goes that a scene loses."""
+    try:
+        scene.replaced({"checks.balance": True, "checks.energy": True})
+    except InputError:
+        return False
+    return True
+
+
+def _lost_to(energy: dict[str, float] | None) -> dict[str, float] | None:
+    """Fractions of all energy turned over, of what a report says in joules."""
+    if energy is None or not energy["turnover"] > 0:
+        return None
+    return {name: float(energy[name] / energy["turnover"]) for name in Loss._fields}
 
 
 def _without_torn(rows: list[Row], found: Convergence) -> Convergence:

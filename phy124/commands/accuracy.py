@@ -174,7 +174,8 @@ def table(rows: list[dict[str, Any]]) -> str:
     heads = (
         "setting", "cells", "per axis", "particles", "substeps", "predicted s", "measured s",
         "error %",
-        "pixels", "worst frame", "PSNR", "SSIM", "energy lost", "L lost", "limited by",
+        "pixels", "worst frame", "PSNR", "SSIM", "energy lost", "material/contact/grid", "L lost",
+        "limited by",
     )  # fmt: skip
     lines = [heads, *(_cells(row) for row in rows)]
     widths = [max(len(line[k]) for line in lines) for k in range(len(heads))]
@@ -182,6 +183,13 @@ def table(rows: list[dict[str, Any]]) -> str:
         "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()
         for line in lines
     )
+
+
+def _split(lost: dict[str, float] | None) -> str:
+    """Where the energy lost went, in per cent of all that was turned over."""
+    if lost is None:
+        return "-"
+    return "/".join(f"{round(100 * part, 1) + 0.0:.1f}" for part in lost.values())
 
 
 def _cells(row: dict[str, Any]) -> tuple[str, ...]:
@@ -198,5 +206,6 @@ def _cells(row: dict[str, Any]) -> tuple[str, ...]:
         str(row["substeps"]), f"{row['predicted']:.1f}", f"{row['seconds']:.1f}",
         number(error, ".2f"), number(row["pixels"], ".1f"), worst,
         number(apart.get("psnr"), ".1f"), number(apart.get("ssim"), ".4f"),
-        format(row["energy_lost"], ".1%"), number(row["angular_momentum_lost"], ".1e"), limited,
+        format(row["energy_lost"], ".1%"), _split(row["lost_to"]),
+        number(row["angular_momentum_lost"], ".1e"), limited,
     )  # fmt: skip

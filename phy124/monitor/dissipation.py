@@ -7,7 +7,7 @@ else is the numerical loss: of transfers, and of the layer of cells that a wall 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -115,6 +115,11 @@ class Dissipation:
         assert self._sums is not None
         rows: NDArray[Any] = self._sums.numpy()
         return rows[:, :LOST].sum(axis=0)
+
+
+def split_seconds(timings: Mapping[str, tuple[float, float]]) -> float:
+    """How much of a run's time was spent on the split [s], by the times of its stages."""
+    return timings.get(STAGE, (0.0, 0))[0]
 
 
 def kernels(laws: Iterable[Law], real: Any) -> Iterator[Any]:
