@@ -7,7 +7,7 @@ else is the numerical loss: of transfers, and of the layer of cells that a wall 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -117,7 +117,7 @@ class Dissipation:
         return rows[:, :LOST].sum(axis=0)
 
 
-def split_seconds(timings: Mapping[str, tuple[float, float]]) -> float:
+def split_seconds(timings: Mapping[str, Sequence[float]]) -> float:
     """How much of a run's time was spent on the split [s], by the times of its stages."""
     return timings.get(STAGE, (0.0, 0))[0]
 
