@@ -64,6 +64,9 @@ def test_what_a_track_does_at_most_is_asked_for_a_time():
     assert [track.fastest(*time) for time in times] == [0, 5, 0, 0]
     steady = scaled(Constant(), 2.0, 5.0)
     assert [steady.changes(*time) for time in [(0, 1), (1, 2.5), (3, 4), (4, 6)]] == [0, 1, 0, 1]
+    begins, ends = steady.start, steady.end
+    assert not steady.changes(begins - 1, begins) and not steady.changes(ends - 1, ends)
+    assert steady.changes(begins, begins + 1) and steady.changes(ends, ends + 1)
     assert track.changes(3, 4) and not scaled(Constant()).changes(0, 9)
     # One that repeats is as fast at any time.
     assert scaled(Sine(frequency=1.0)).fastest(70.1, 70.2) == pytest.approx(12.56, rel=0.01)

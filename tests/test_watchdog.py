@@ -139,7 +139,8 @@ def test_what_flows_far_within_a_frame_is_held_before_the_frame_ends():
 def test_energies_are_those_of_one_instant(cfl):
     """Velocities are half a substep old; the plain sum of both energies would swing by half.
 
-    What is left of the swing falls with the substep, which is cfl of the longest stable one.
+    What is left of the swing falls with the substep, which is cfl of the longest stable one:
+    measured, 0.8 % at 0.4, less than 2 % at 0.6 and 4.3 % at 0.75.
     """
     s = lone(cfl=cfl)
     weighed = []
