@@ -130,3 +130,16 @@ def test_a_pressed_ball_is_as_stiff_as_finite_elements_say(cells):
     pressed, elements = program["pressed"], program["elements"]
     for depth in program["DEPTHS"]:
         assert pressed(cells // 2, depth) == pytest.approx(elements(depth), rel=0.05)
+
+
+@pytest.mark.slow
+def test_finer_grids_come_closer_to_finite_elements():
+    """Over four places of the plate between the nodes, with three particles per cell and axis."""
+    program = runpy.run_path(str(ROOT / "tests/benchmarks/hertz.py"))
+
+    def mean(cells, per_axis):
+        return np.mean(program["errors"](cells, per_axis))
+
+    coarse, fine = mean(16, 3), mean(44, 3)
+    assert 0.3 < program["order"]((16, coarse), (44, fine)) < 1.5
+    assert mean(44, 2) > 0.8 * mean(16, 2), "with two, two errors hide each other"

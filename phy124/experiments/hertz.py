@@ -29,17 +29,27 @@ def hertz(depth: float) -> float:
     return 4 / 3 * E / (1 - NU**2) * math.sqrt(RADIUS) * depth**1.5
 
 
-def pressed(cells: int, depth: float, *, stiffer: float = 1.0, precision: str = "float32") -> float:
+def pressed(
+    cells: int,
+    depth: float,
+    *,
+    stiffer: float = 1.0,
+    precision: str = "float32",
+    per_axis: int = 2,
+    phase: float = 0.5,
+) -> float:
     """Mean force of a plate [N], from an eighth of the ball.
 
     Args:
         cells: Cells across its radius.
-        depth: How far the plate presses [m]; it rests half way between two nodes on each grid.
+        depth: How far the plate presses [m].
         stiffer: Factor on E, for the control.
         precision: float32 or float64.
+        per_axis: Particles per cell and axis.
+        phase: Where the plate comes to rest between two nodes, from 0 to 1.
     """
     dx = RADIUS / cells
-    x, volume = shells(RADIUS, dx / 2)
+    x, volume = shells(RADIUS, dx / per_axis)
     eighth = (x > 0).all(axis=1)
     x, volume = x[eighth], volume[eighth]
     x = x[order := np.argsort(x[:, 0])]
@@ -51,7 +61,7 @@ def pressed(cells: int, depth: float, *, stiffer: float = 1.0, precision: str = 
     wrenches = Wrenches()
     walls = wrenches.boundaries([plate, *mirrors(0, 1, 2)])
     rubber = NeoHookean(E=stiffer * E, nu=NU, damping=30.0)
-    low = (-0.75 * dx, -0.75 * dx, (RADIUS - depth) % dx - 1.5 * dx)
+    low = (-0.75 * dx, -0.75 * dx, (RADIUS - depth) % dx - (1 + phase) * dx)
     solver = Solver(
         Model.of(x, volume, [rubber], dx=dx, origin=low, precision=precision),
         boundaries=walls, accumulators=[wrenches], threads=1,
