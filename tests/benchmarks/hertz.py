@@ -1,6 +1,7 @@
 """Force of a ball pressed between two plates, against finite elements of the whole ball.
 
-They are those of phy124/experiments/elastic_ball.py; Hertz (1882) takes both bodies for half-spaces.
+They are those of phy124/experiments/elastic_ball.py; Hertz (1882) takes both bodies for
+half-spaces.
 
     python tests/benchmarks/hertz.py 48 float64      # cells across the ball: a line per depth
     python tests/benchmarks/hertz.py --convergence   # over places of the plate, grid by grid
