@@ -193,6 +193,7 @@
     /** `at`: when the hand did it [ms], which may be before the page heard of it. */
     say(message, at = performance.now()) {
       if (!this.splats) return;
+      this.saved = false;
       this.seq++;
       this.sent.set(this.seq, at);
       if (this.sent.size > 500) this.sent.clear();

@@ -47,7 +47,7 @@ class Given(NamedTuple):
     """Sum of the absolute values of all work [J]."""
 
     def and_more(self, sums: Sums) -> Given:
-        """With the sums of phy124/kernels/free.py: what rigid solids have given."""
+        """With the `GIVEN` sums of phy124/kernels/free: what rigid solids have given."""
         work, moved, turned = sums[free.WORK :]
         return Given(
             self.impulse + sums[:3], self.work + work, self.moved + moved, self.turned + turned

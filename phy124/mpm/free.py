@@ -1,6 +1,6 @@
 """Free bodies: rigid solids without particles that push the material and are pushed back.
 
-Their place, turn and motion are on the device (phy124/kernels/free.py has the mechanics). They meet
+Their place, turn and motion are on the device (phy124/kernels/free has the mechanics). They meet
 each body of particles after the bodies have met each other, and before walls act.
 """
 
@@ -63,9 +63,9 @@ class FreeBody(NamedTuple):
     @property
     def volume(self) -> float:
         """Volume [m^3]."""
-        radius, length = min(self.half), max(self.half) - min(self.half)
         if self.shape == "box":
             return 8 * math.prod(self.half)
+        radius, length = min(self.half), max(self.half) - min(self.half)
         return math.pi * radius**2 * (4 / 3 * radius + 2 * length)
 
     @property
@@ -91,7 +91,7 @@ class FreeBody(NamedTuple):
         return found
 
     def start(self) -> Vector3:
-        """The numbers of phy124/kernels/free.py at time 0."""
+        """The numbers of phy124/kernels/free/numbers.py at time 0."""
         angular = self.axes * self.moments @ self.axes.T @ np.array(self.spin)
         return np.array([*self.place, *self.turn, *self.velocity, *angular, 0.0])
 

@@ -63,6 +63,29 @@ def arm_to(shape: int, point: int, R: wp.mat33d, half: wp.vec3d, n: wp.vec3d):
     return R @ wp.cw_mul(signs, half)
 
 
+@wp.func
+def turn_by(a: wp.mat33d, b: wp.mat33d, c: wp.mat33d, r: wp.vec3d, J: wp.vec3d):
+    """Change of the angular velocity by an impulse J at r, of the system's inverse blocks a, c."""
+    return c @ (wp.cross(r, J) - wp.transpose(b) @ (a @ J))
+
+
+@wp.func
+def yielding(a: wp.mat33d, b: wp.mat33d, c: wp.mat33d, r: wp.vec3d, way: wp.vec3d):
+    """How much faster the solid is at r, along a unit vector, by an impulse of 1 N s along it."""
+    turn = turn_by(a, b, c, r, way)
+    return wp.dot(way, a @ (way - b @ turn) + wp.cross(turn, r))
+
+
+@wp.func
+def within_cone(J: wp.vec3d, push: wp.float64, n: wp.vec3d, friction: wp.float64):
+    """An impulse of `push` along n, and across it as much of J as Coulomb friction can hold."""
+    grip = J - wp.dot(J, n) * n
+    most = friction * push
+    if wp.length(grip) > most:
+        grip *= most / wp.length(grip)
+    return push * n + grip
+
+
 @cache
 def make_walls(drifts: bool, real: Any):
     """Kernel of one thread: the solution of the six equations, with what flat walls give.
@@ -121,22 +144,17 @@ def make_walls(drifts: bool, real: Any):
                     lacking = -wp.max(gap, zero) / dt - wp.dot(u, normal)
                     if lacking > zero or pressed > zero:
                         # Along the normal, then across it, as if the other points gave nothing.
-                        turn = c @ (wp.cross(r, normal) - wp.transpose(b) @ (a @ normal))
-                        yields = wp.dot(normal, a @ (normal - b @ turn) + wp.cross(turn, r))
-                        push = wp.max(pressed + lacking / yields, zero)
-                        grip = J - pressed * normal
+                        push = pressed + lacking / yielding(a, b, c, r, normal)
                         along = u - wp.dot(u, normal) * normal
                         slip = wp.length(along)
+                        wanted = J
                         if slip > wp.float64(1e-12):
-                            way = along / slip
-                            turn = c @ (wp.cross(r, way) - wp.transpose(b) @ (a @ way))
-                            grip -= along / wp.dot(way, a @ (way - b @ turn) + wp.cross(turn, r))
-                        most = frictions[wall] * push
-                        if wp.length(grip) > most:
-                            grip *= most / wp.length(grip)
-                        more = push * normal + grip - J
-                        impulses_out[n] = J + more
-                        turn = c @ (wp.cross(r, more) - wp.transpose(b) @ (a @ more))
+                            wanted -= along / yielding(a, b, c, r, along / slip)
+                        push = wp.max(push, zero)
+                        now = within_cone(wanted, push, normal, frictions[wall])
+                        more = now - J
+                        impulses_out[n] = now
+                        turn = turn_by(a, b, c, r, more)
                         w += turn
                         V += a @ (more - b @ turn)
         given = wp.vec3d()
