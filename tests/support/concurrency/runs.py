@@ -64,7 +64,20 @@ def walls() -> Runs:
     sand = {"material": {"law": "sand"}, **FALLING}
     for name in ("sphere", "capsule", "box"):
         found[f"sand on a {name}"] = lambda wall=SOLIDS[name]: simulate(boundaries=[wall], **sand)
+    for shape in ("sphere", "capsule", "box"):
+        found[f"a free {shape}"] = lambda shape=shape: under_a_free(shape)
     return found
+
+
+def under_a_free(shape: str) -> None:
+    """A rigid solid falls from the top of a ball to the ground."""
+    sides = [0.7, 0.7, 1] if shape == "capsule" else [1, 1, 1]
+    solid = {
+        "name": "solid", "shape": shape, "sides": sides, "size": 0.6, "lift": 0.01,
+        "place": [0.2, 0], "turn": [20, 60, 0], "on": "object",
+        "motion": {"kind": "free", "density": 400},
+    }  # fmt: skip
+    simulate(objects=[solid], **{**FALLING, "time.frames": 10, "time.fps": 24.0})
 
 
 def forces() -> Runs:
