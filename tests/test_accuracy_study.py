@@ -71,7 +71,7 @@ def test_energy_is_lost_not_gained_and_momentum_has_no_number_in_contact(study):
 def test_it_is_told_where_the_energy_went(study):
     for row in study[1].rows:
         assert sum(row.lost_to.values()) == pytest.approx(row.energy_lost, abs=1e-6)
-        assert row.lost_to["material"] > 0.003, "the ball is damped"
+        assert row.lost_to["material"] > 0.002, "the ball is damped"
         assert abs(row.lost_to["contact"]) < 1e-6, "it lands straight from above"
     by_name = {row.name: row.lost_to["numerical"] for row in study[1].rows}
     assert by_name["D/8"] > 2 * by_name["D/16"] > 0, "finer grids lose less"

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from phy124 import resume
-from phy124.boundaries import Box, Container, Gripper, Ground
+from phy124.boundaries import Box, Container, Gripper, Ground, base
 from phy124.io.clip import Clip
 from phy124.materials import NeoHookean
 from phy124.monitor.diagnostics import diagnose
@@ -123,23 +123,29 @@ def test_without_walls_there_are_none():
     assert clip.wrenches.shape == (4, 0, 2, 3) and summary(run.frames, run.wrenches.walls) == {}
 
 
+@pytest.fixture(scope="module")
+def pressed_ball():
+    return runpy.run_path(str(ROOT / "tests/benchmarks/hertz.py"))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("cells", [24, 32])
-def test_a_pressed_ball_is_as_stiff_as_finite_elements_say(cells):
-    program = runpy.run_path(str(ROOT / "tests/benchmarks/hertz.py"))
-    pressed, elements = program["pressed"], program["elements"]
-    for depth in program["DEPTHS"]:
-        assert pressed(cells // 2, depth) == pytest.approx(elements(depth), rel=0.05)
+def test_a_pressed_ball_is_as_stiff_as_finite_elements_say(cells, pressed_ball):
+    for depth in pressed_ball["DEPTHS"]:
+        assert abs(np.mean(pressed_ball["errors"](cells, depth))) < 0.05
 
 
 @pytest.mark.slow
-def test_finer_grids_come_closer_to_finite_elements():
-    """Over four places of the plate between the nodes, with three particles per cell and axis."""
-    program = runpy.run_path(str(ROOT / "tests/benchmarks/hertz.py"))
+def test_on_a_fine_grid_it_is_wherever_the_plate_rests_between_the_nodes(pressed_ball):
+    for depth in pressed_ball["DEPTHS"]:
+        assert np.abs(pressed_ball["errors"](48, depth)).max() < 0.04
 
-    def mean(cells, per_axis):
-        return np.mean(program["errors"](cells, per_axis))
 
-    coarse, fine = mean(16, 3), mean(44, 3)
-    assert 0.3 < program["order"]((16, coarse), (44, fine)) < 1.5
-    assert mean(44, 2) > 0.8 * mean(16, 2), "with two, two errors hide each other"
+@pytest.mark.slow
+def test_finer_grids_come_closer_to_finite_elements(pressed_ball, monkeypatch):
+    def mean(cells):
+        return np.mean(pressed_ball["errors"](cells))
+
+    assert 1.5 < pressed_ball["order"]((16, mean(16)), (44, mean(44))) < 3.5
+    monkeypatch.setattr(base, "full", lambda model: 0.8)
+    assert abs(mean(44)) > abs(mean(16)), "walls that are met early hide the other errors"

@@ -124,7 +124,8 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
     columns that leave `span`, the layers first <= i < last that this launch may touch. A moving
     shape is displaced by the value of its track, and its wall moves at the track's rate, while the
     track is active. `lightest` is the mass of a node inside the lightest of several materials [kg],
-    or infinite. A flat wall changes `grid_out`, others `changes_out` (see `make_settle`).
+    or infinite, and `full` the fraction of the expected mass with which they count as having come
+    to the wall. A flat wall changes `grid_out`, others `changes_out` (see `make_settle`).
 
     Args:
         shape: Name of a distance function.
@@ -142,7 +143,7 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
     def contact(
         # model
         geometry: t.mat33, friction: real, reach: real, slot: int, start: wp.vec3i, span: wp.vec2i,
-        lightest: real,
+        lightest: real, full: real,
         lattice: t.vec4, window: wp.array(dtype=wp.vec3i),
         values: wp.array(dtype=t.vec4), rates: wp.array(dtype=t.vec4),
         # in place
@@ -210,7 +211,7 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
         normal = xyz(s0)
         across = dx * wp.abs(normal[axis])
         g = ratios(wp.vector(s0[3], s1[3], s2[3]), across)
-        if acts(m, s1[3] / across, s0[3] / across, lightest / mass):
+        if acts(m, s1[3] / across, s0[3] / across, lightest / mass, full):
             change = tied(relative(q0, q1, q2, wall), m, g)
             stop = change * normal
             pressed = wp.dot(m, stop)

@@ -48,26 +48,23 @@ def relative(q0: Any, q1: Any, q2: Any, wall: Any):
     return wp.matrix_from_rows(xyz(q0) - wall, xyz(q1) - wall, xyz(q2) - wall)
 
 
-FULL = wp.constant(0.8)
-"""Fraction of the expected mass above which a body has reached the wall (a gap of 0.15 cells)."""
-
-
 @wp.func
-def arrived(m: Any, near: Any, far: Any, lightest: Any):
+def arrived(m: Any, near: Any, far: Any, lightest: Any, full: Any):
     """Whether material has reached a wall: nodes `near` and `far` cells in front have masses m.
 
     A body that touches the wall covers their splines in a known ratio; with a gap, less is on the
     nearer node. The ratio does not depend on how dense or wide the body is. Irregular particles
-    scatter about it, and a body must not stand on the few fullest columns only. If something
-    heavier lies on it, the farther node counts as at most a full node of the `lightest` material.
+    scatter about it, and a body must not stand on the few fullest columns only, so a fraction
+    `full` of it is enough. If something heavier lies on it, the farther node counts as at most a
+    full node of the `lightest` material.
     """
     behind = wp.min(m[0], lightest * covered(far))
-    full = type(near)(FULL) * behind * covered(near)
-    return m[1] > type(near)(0.0) and m[1] * covered(far) >= full
+    enough = full * behind * covered(near)
+    return m[1] > type(near)(0.0) and m[1] * covered(far) >= enough
 
 
 @wp.func
-def joined(m: Any, near: Any, far: Any, lightest: Any):
+def joined(m: Any, near: Any, far: Any, lightest: Any, full: Any):
     """Whether the node next to the surface of a region that holds has mass."""
     return not m[1] <= type(near)(0.0)
 
@@ -129,7 +126,7 @@ class Response(NamedTuple):
     answer: Any
     """`(v, wall, n, friction) -> v` of a node by itself."""
     acts: Any
-    """`(m, near, far, lightest)`: whether the wall acts on a column yet."""
+    """`(m, near, far, lightest, full)`: whether the wall acts on a column yet."""
     ratios: Any
     """`(distances, across) -> g`, how the velocities of a column follow the first."""
     pushes: Any
