@@ -101,6 +101,9 @@ def monitors() -> Runs:
         "stress at a point": probed,
         "a vortex": lambda: problems.vortex(6, time=0.01),
         "two workers": in_two_parts,
+        "energy": lambda: simulate(**{**FALLING, "checks.energy": True}),
+        "aflip": lambda: simulate(**{**FALLING, "accuracy.transfer": "aflip"}),
+        "xpic2": lambda: simulate(**{**FALLING, "accuracy.transfer": "xpic2"}),
     }
 
 
