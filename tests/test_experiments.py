@@ -220,8 +220,11 @@ def test_the_same_figures_give_the_same_plots(tmp_path):
 def test_a_falling_block_comes_to_its_terminal_speed():
     """The smallest experiment, run by its name."""
     done = measure(Run("terminal-speed", 4, False))
-    assert not done.failure and len(done.values) == len(terminal_speed.TIMES)
-    assert done.values[-1] == pytest.approx(terminal_speed.exact(6.0), rel=0.08)
+    assert not done.failure and len(done.values) == len(terminal_speed.TIMES) + 1
+    *ways, speed = done.values
+    assert speed == pytest.approx(terminal_speed.LIMIT, rel=5e-3)
+    wanted = [terminal_speed.way(time) for time in terminal_speed.TIMES]
+    assert ways == pytest.approx(wanted, rel=5e-3)
 
 
 def test_a_pressed_block_is_as_stiff_as_its_law():

@@ -74,7 +74,12 @@ def make_zone(real: Any):
 
 @cache
 def make_drag(real: Any):
-    """Kernel: v approaches the wind, v += (u - v)(1 - exp(-rate kick)), and never overshoots."""
+    """Kernel: v approaches the wind, dv/dt = rate (u - v), exactly, and never overshoots.
+
+    The uniform acceleration a acts after it, on the grid. Both at once would give
+    v + (u + a / rate - v)(1 - exp(-rate kick)), so that less a kick is what is left here: one after
+    the other, what falls through a stream would be too fast by rate kick / 2.
+    """
     t = types(real)
 
     @kernel(f"phy124_drag_{real.__name__}")
@@ -89,7 +94,9 @@ def make_drag(real: Any):
         u = values[slot]
         if u[3] > real(0.0):
             fraction = real(1.0) - wp.exp(-rate * clock[0])
-            v_out[p] = v_out[p] + fraction * (wp.vector(u[0], u[1], u[2]) - v_out[p])
+            a = wp.vector(values[0][0], values[0][1], values[0][2])
+            gain = fraction * (wp.vector(u[0], u[1], u[2]) - v_out[p])
+            v_out[p] = v_out[p] + gain + (fraction / rate - clock[0]) * a
 
     return drag
 
