@@ -55,7 +55,8 @@ class Deformer:
 
     With the binding `particles` each Gaussian moves with its own particle. With `lattice` the
     nearest particles of the lattice carry it: x_g = sum w_i (x_i + F_i (X_g - X_i)) and
-    F_g = sum w_i F_i, with smooth weights w that sum to 1. This is exact for every affine motion.
+    F_g = sum w_i F_i, with smooth weights w that sum to 1. This is exact for every affine motion,
+    but for what flows only while its arms F_i (X_g - X_i) are at most twice as long as at rest.
     """
 
     def __init__(
@@ -65,6 +66,7 @@ class Deformer:
         *,
         max_stretch: float | NDArray | None = None,
         rounds: NDArray | None = None,
+        flows: NDArray | None = None,
         holds: NDArray | None = None,
         device: str = "cpu",
         threads: int = 1,
@@ -80,6 +82,7 @@ class Deformer:
                 None (elastic): no limit.
             rounds: Which Gaussians become balls as they are drawn out [N], so that what flows
                 shows no needles; None: none.
+            flows: Which Gaussians are of what flows [N], whose F grows without bound; None: none.
             holds: Largest stretch that the material of each Gaussian can hold [N]. Where F is
                 larger, the material is torn, and its Gaussians are shown as stretched by so much;
                 None: no limit.
@@ -111,7 +114,7 @@ class Deformer:
         self._own = _own_particles(n, particles)
         self._field = None
         if self._own is None and particles is not None:
-            self._field = _Field(gaussians, particles, self._share)
+            self._field = _Field(gaussians, particles, flows, self._share)
         self._count = n if particles is None else len(particles.x)
         carrier: NDArray = np.arange(n) if self._own is None else self._own
         self._carrier = wp.array(carrier, dtype=wp.int32, device=device)
@@ -235,7 +238,9 @@ class _Share:
 class _Field:
     """Gaussians carried by nearby particles: neighbours and weights, found once at rest."""
 
-    def __init__(self, gaussians: Gaussians, particles: Bound, share: _Share) -> None:
+    def __init__(
+        self, gaussians: Gaussians, particles: Bound, flows: NDArray | None, share: _Share
+    ) -> None:
         self.neighbours, self.weights = _carriers_of(gaussians, particles)
         n, device = len(gaussians), share.device
         self.device, self._share = device, share
@@ -243,6 +248,7 @@ class _Field:
             wp.array(self.neighbours, dtype=wp.int32, device=device),
             wp.array(self.weights, dtype=wp.float32, device=device),
             wp.array(gaussians.means, dtype=wp.vec3f, device=device),
+            wp.array(np.zeros(n, bool) if flows is None else flows, dtype=wp.bool, device=device),
         ]
         self._rest = wp.array(particles.x, dtype=wp.vec3f, device=device)
         self._means = wp.empty_like(self._own[2])

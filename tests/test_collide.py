@@ -131,7 +131,7 @@ def touched(wall, q: np.ndarray, *, order: np.ndarray | None = None) -> np.ndarr
     values = wp.zeros(1, dtype=wp.vec4d, device="cpu")
     shape = wp.mat33d(*np.ravel(wall.geometry(None)))
     for start, dim in launches:
-        inputs = [shape, 0.4, -0.15 * DX, 0, start, wp.vec2i(0, SIZE), np.inf, 0.9]
+        inputs = [shape, 0.4, -0.15 * DX, 0, start, wp.vec2i(0, SIZE), np.inf, 0.9, -np.inf]
         inputs += [grid.lattice, grid.window, values, values]
         made = collide.make_contact(wall.outline(), "separate", False, wp.float64)
         wp.launch(made, dim, inputs, [grid.nodes, grid.changes], device="cpu")

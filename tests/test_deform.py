@@ -207,6 +207,22 @@ def affine(rng):
     return IDENTITY + 0.4 * rng.normal(size=(3, 3)), np.array([0.1, -0.2, 0.3])
 
 
+def test_what_flows_stays_near_the_particles_that_carry_it(rng):
+    gaussians = random_gaussians(300, rng)
+    particles = make_particles(gaussians, density=1000, spacing=0.07)
+    x = particles.x.astype(float)
+
+    def means(factor, flows):
+        deformer = Deformer(gaussians, particles, flows=np.full(300, flows))
+        F = np.tile(factor * IDENTITY, (len(x), 1, 1))
+        return deformer(x, F, index=0, time=0).gaussians.means
+
+    assert np.array_equal(means(1.9, True), means(1.9, False))
+    farther = np.linalg.norm(means(50.0, False) - means(2.0, False), axis=1)
+    assert farther.max() > 1.0
+    np.testing.assert_allclose(means(50.0, True), means(2.0, False), atol=1e-6)
+
+
 @pytest.mark.parametrize("binding", ["particles", "lattice"])
 def test_affine_motions_are_exact_for_both_bindings(binding, rng):
     centres = rng.random((600, 3)) * [1, 1, 0.2]

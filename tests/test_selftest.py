@@ -114,7 +114,7 @@ SABOTAGE = {
     28: Sabotage("a slab's nodes overwrite those of the one before", "kernels/grid.py",
                  "low[2] + k] += pool", "low[2] + k] = pool"),
     29: Sabotage("walls answer before the body has come to them", "kernels/columns.py",
-                 "m[1] * covered(far) >= full", "m[0] > full"),
+                 "m[1] * covered(far) >= enough", "m[0] > enough"),
     30: Sabotage("what is too fast is told to be softer", "remedies.py",
                  '"speed": ("push",)', '"speed": ("softer",)'),
     31: Sabotage("what flows meets walls node by node", "boundaries/base.py",

@@ -238,7 +238,7 @@ class Boundary(Section):
             wall.append(wp.vec3i(*start.tolist()))
             if met:
                 wall.append(wp.vec2i(*(grid.layers or (0, int(grid.size[0])))))
-                wall += [lightest(model), full(model)]
+                wall += [lightest(model), full(model), loose(model)]
             inputs = [*wall, grid.lattice, grid.window, tracks.values, tracks.rates]
             outputs = [grid.nodes]
             if met:
@@ -284,6 +284,16 @@ def full(model: Model) -> float:
     particles are less regular.
     """
     return 0.8 if flows(model) else 0.9
+
+
+def loose(model: Model) -> float:
+    """Signed distance [m] below which nodes respond by themselves to a wall that does not push.
+
+    What comes apart into drops and grains seeps through a wall otherwise: those that got behind it
+    go on while the rest moves away. What holds together would feel the wall before it is there.
+    """
+    apart = any(section.rounds for section in model.materials)
+    return REACH * model.dx if apart else -math.inf
 
 
 def flows(model: Model) -> bool:

@@ -83,6 +83,19 @@ def laden(grid: wp.array(dtype=Any), size: wp.vec3i, span: wp.vec2i, node: wp.ve
     return q[3] > type(q[3])(0.0)
 
 
+@wp.func
+def set_velocity(nodes_out: wp.array(dtype=Any), n: int, v: Any):
+    """Give a node a velocity."""
+    nodes_out[n] = wp.vector(v[0], v[1], v[2], nodes_out[n][3])
+
+
+@wp.func
+def add_wish(changes_out: wp.array(dtype=Any), n: int, change: Any):
+    """Add how a node should change, which weighs as much as it changes."""
+    weight = wp.length(change)
+    changes_out[n] += weight * wp.vector(change[0], change[1], change[2], type(weight)(1.0))
+
+
 FLAT = {"half_space"}
 """Shapes whose normal is the same everywhere, so that no node is in two columns."""
 
@@ -125,7 +138,9 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
     shape is displaced by the value of its track, and its wall moves at the track's rate, while the
     track is active. `lightest` is the mass of a node inside the lightest of several materials [kg],
     or infinite, and `full` the fraction of the expected mass with which they count as having come
-    to the wall. A flat wall changes `grid_out`, others `changes_out` (see `make_settle`).
+    to the wall. Below `loose` [m], nodes of columns respond one by one as well, at a curved wall
+    only those that it does not push. A flat wall changes `grid_out`, others `changes_out` (see
+    `make_settle`).
 
     Args:
         shape: Name of a distance function.
@@ -143,7 +158,7 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
     def contact(
         # model
         geometry: t.mat33, friction: real, reach: real, slot: int, start: wp.vec3i, span: wp.vec2i,
-        lightest: real, full: real,
+        lightest: real, full: real, loose: real,
         lattice: t.vec4, window: wp.array(dtype=wp.vec3i),
         values: wp.array(dtype=t.vec4), rates: wp.array(dtype=t.vec4),
         # in place
@@ -192,11 +207,9 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
             if s[3] < reach:
                 v = answer(xyz(grid_out[n]), wall, xyz(s), friction)
                 if wp.static(flat):
-                    grid_out[n] = wp.vector(v[0], v[1], v[2], grid_out[n][3])
+                    set_velocity(grid_out, n, v)
                 else:
-                    v -= xyz(grid_out[n])
-                    weight = wp.length(v)
-                    changes_out[n] += weight * wp.vector(v[0], v[1], v[2], real(1.0))
+                    add_wish(changes_out, n, v - xyz(grid_out[n]))
             return
         if not leads:
             return
@@ -211,19 +224,32 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
         normal = xyz(s0)
         across = dx * wp.abs(normal[axis])
         g = ratios(wp.vector(s0[3], s1[3], s2[3]), across)
-        if acts(m, s1[3] / across, s0[3] / across, lightest / mass, full):
-            change = tied(relative(q0, q1, q2, wall), m, g)
-            stop = change * normal
-            pressed = wp.dot(m, stop)
+        change = tied(relative(q0, q1, q2, wall), m, g)
+        stop = change * normal
+        pressed = wp.dot(m, stop)
+        if acts(m, s1[3] / across, s0[3] / across, lightest / mass, full) and pushes(pressed):
             drag = along_wall(change, normal)
-            if pushes(pressed):
-                taken = hold(wp.transpose(drag) * m, pressed, friction)
-                change = wp.outer(stop, normal) + drag * taken
+            taken = hold(wp.transpose(drag) * m, pressed, friction)
+            change = wp.outer(stop, normal) + drag * taken
+            if wp.static(flat):
+                add_rows(grid_out, n, step, m, change, real(0.0))
+            else:
+                weight = wp.sqrt(wp.ddot(change, change))
+                add_rows(changes_out, n, step, m, weight * change, weight)
+                return
+
+        # What has got behind the wall would go on while the rest moves away from it.
+        for row in range(1, 3):
+            behind = n + row * step
+            s = s1
+            if row == 2:
+                s = s2
+            if s[3] < loose and m[row] > real(0.0):
+                v = answer(xyz(grid_out[behind]), wall, xyz(s), friction)
                 if wp.static(flat):
-                    add_rows(grid_out, n, step, m, change, real(0.0))
+                    set_velocity(grid_out, behind, v)
                 else:
-                    weight = wp.sqrt(wp.ddot(change, change))
-                    add_rows(changes_out, n, step, m, weight * change, weight)
+                    add_wish(changes_out, behind, v - xyz(grid_out[behind]))
 
     return contact
 

@@ -25,6 +25,9 @@ ROUND_SHAPE = wp.constant(wp.float64(4.0))
 """How many times more drawn out than at rest a Gaussian of what flows begins to be shown as a ball,
 and is one."""
 
+ARM = wp.constant(wp.float64(2.0))
+"""How many times as far as at rest what flows may be from a particle that carries it."""
+
 
 @wp.func
 def matrix_of(q: wp.vec4d) -> wp.mat33d:
@@ -316,6 +319,7 @@ def carry(
     neighbours: wp.array2d(dtype=wp.int32),
     weights: wp.array2d(dtype=wp.float32),
     means0: wp.array(dtype=wp.vec3f),
+    flows: wp.array(dtype=wp.bool),
     rest: wp.array(dtype=wp.vec3f),
     # state in
     position: wp.array(dtype=wp.vec3d),
@@ -324,7 +328,10 @@ def carry(
     means_out: wp.array(dtype=wp.vec3f),
     deformation_out: wp.array(dtype=wp.mat33d),
 ):
-    """x_g = sum w_i (x_i + F_i (X_g - X_i)), F_g = sum w_i F_i over the carriers i."""
+    """x_g = sum w_i (x_i + F_i (X_g - X_i)), F_g = sum w_i F_i over the carriers i.
+
+    The F of what flows grows without bound, so there the arms F_i (X_g - X_i) do not.
+    """
     i = wp.tid()
     home = wp.vec3d(means0[i])
     x = wp.vec3d()
@@ -334,7 +341,12 @@ def carry(
         j = neighbours[i, k]
         w = wp.float64(weights[i, k])
         g = deformation[j]
-        x += w * (position[j] + g * (home - wp.vec3d(rest[j])))
+        arm = home - wp.vec3d(rest[j])
+        longest = ARM * wp.length(arm)
+        arm = g * arm
+        if flows[i] and wp.length(arm) > longest:
+            arm *= longest / wp.length(arm)
+        x += w * (position[j] + arm)
         f += w * g
         total += w
     means_out[i] = wp.vec3f(x / total)

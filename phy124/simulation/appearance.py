@@ -32,6 +32,8 @@ class Appearance(NamedTuple):
     """Longest axis of each that moves, relative to its longest axis at rest; may be infinite."""
     rounds: NDArray[np.bool_]
     """Which of those that move become balls as they are drawn out."""
+    flows: NDArray[np.bool_]
+    """Which of those that move are of what comes apart, whose F grows without bound."""
     holds: NDArray[np.float64]
     """Largest stretch that the material of each that moves can hold; may be infinite."""
     kinds: NDArray[np.int64]
@@ -102,7 +104,7 @@ def appearance(
         gaussians, particles = with_grains(gaussians, particles, moves, materials, spacing)
     moves = np.append(moves, np.ones(len(gaussians) - surface, bool))
     kinds = of_gaussians(gaussians.select(moves), particles, particles.material)
-    rounds = np.array([section.rounds for section in materials])[kinds]
+    flows = np.array([section.rounds for section in materials])[kinds]
     shades = np.zeros(len(gaussians))
     if scene.grains:
         shades[moves] = np.array([section.shade for section in materials])[kinds]
@@ -112,7 +114,8 @@ def appearance(
         moves,
         max_stretch=np.array([section.longest for section in materials])[kinds],
         # Grains are below the surface: as balls they would show through where it is thin.
-        rounds=rounds & (np.flatnonzero(moves) < surface),
+        rounds=flows & (np.flatnonzero(moves) < surface),
+        flows=flows,
         kinds=kinds,
         holds=np.array([_holds(section, scene) for section in materials])[kinds],
     )

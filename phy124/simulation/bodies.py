@@ -176,8 +176,9 @@ def _scenery(one: _Placed) -> Body:
     nobody = np.zeros(0, np.int32)
     none = Particles(np.zeros((0, 3), np.float32), np.zeros(0), np.zeros(0), nobody, nobody)
     moves = np.zeros(len(one.gaussians), bool)
-    each = {"max_stretch": np.zeros(0), "rounds": np.zeros(0, bool), "holds": np.zeros(0)}
-    look = Appearance(one.gaussians, none, moves, **each, kinds=np.zeros(0, np.int64))
+    each = {"max_stretch": np.zeros(0), "holds": np.zeros(0), "kinds": np.zeros(0, np.int64)}
+    which = {"rounds": np.zeros(0, bool), "flows": np.zeros(0, bool)}
+    look = Appearance(one.gaussians, none, moves, **each, **which)
     return Body(one.scene, one.cleaned.sentences, one.gaussians, look, [], None)
 
 
@@ -255,7 +256,7 @@ def _shown(made: list[Body]) -> Appearance:
     )
 
 
-_PER_GAUSSIAN = ("max_stretch", "rounds", "holds", "kinds")
+_PER_GAUSSIAN = ("max_stretch", "rounds", "flows", "holds", "kinds")
 """What an appearance says of each Gaussian that moves."""
 
 

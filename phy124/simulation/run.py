@@ -135,6 +135,7 @@ class Simulation:
                 self.particles,
                 max_stretch=look.max_stretch,
                 rounds=look.rounds,
+                flows=look.flows,
                 holds=look.holds,
                 device=device,
                 threads=len(self.solver.workers),
