@@ -30,7 +30,8 @@ class Render:
     """clip.safetensors made by `phy124 generate`."""
     view: Annotated[ViewOptions, tyro.conf.arg(name="")] = field(default_factory=ViewOptions)
     set: tuple[str, ...] = field(default_factory=tuple)
-    """Any other value of the view, as KEY=VALUE: elevation=30, background=[0,0,0]."""
+    """Any other value of the view, as KEY=VALUE: elevation=30, background=[0,0,0]; or, as in a
+    scene, view.elevation=30."""
     compose: Path | None = None
     """The photograph that the clip was made from: film it in there as well (composed.mp4)."""
     out: Path | None = None
@@ -46,7 +47,8 @@ class Render:
         refuse_threads(self.threads)
         clip = Clip.load(self.clip)
         changes = self.view.changes()
-        others = {f"view.{key}": value for key, value in assignments(self.set).items()}
+        given = assignments(self.set).items()
+        others = {f"view.{key.removeprefix('view.')}": value for key, value in given}
         view = Scene.from_data(clip.scene, str(self.clip)).replaced(together(changes, others)).view
         out = self.out or self.clip.parent
         with Bars(quiet=self.json, keeps=True) as bars, staged(out) as folder:
