@@ -40,10 +40,11 @@ class Estimate:
     def on(self, cells: float) -> tuple[Values, Values]:
         """The best on any grid, infinity for the material itself, and half its interval [P].
 
-        An extrapolation is taken to be as uncertain as it is long.
+        An extrapolation is taken to be as uncertain as it is long. That is no matter of chance, so
+        it adds to what the measurements leave open.
         """
         place, shift = extrapolated(self.grids, self.places, cells)
-        return place, np.hypot(self.sampling, shift)
+        return place, self.sampling + shift
 
 
 def estimate(
