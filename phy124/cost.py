@@ -188,13 +188,13 @@ def longest_substeps(scene: Scene) -> NDArray[np.float64]:
 def _elastic(scene: Scene) -> float:
     """Longest substep that stiffness allows at rest, before it changes in time [s]."""
     fastest = max(section.wave_speed() for section in scene.materials)
-    return scene.resolution.cfl * scene.dx / fastest
+    return scene.resolution.fraction * scene.dx / fastest
 
 
 def _viscous(scene: Scene) -> float:
     """Longest substep that friction allows [s]."""
     friction = min(section.viscous_limit(scene.dx) for section in scene.materials)
-    return beside_elastic(scene.resolution.cfl) * friction
+    return beside_elastic(scene.resolution.fraction) * friction
 
 
 class Demand(NamedTuple):

@@ -250,6 +250,9 @@ def _of_numerics(scene: Scene, device: str) -> Iterator[Effect]:
     transfer = scene.resolution.transfer
     kept = "accuracy.transfer is apic: particles keep only what the grid carries"
     yield Effect(f"transfer {transfer}".replace(" apic", " beyond apic"), transfer != "apic", kept)
+    calm = scene.resolution.rpic_damping > 0
+    kept = "accuracy.rpic_damping is 0: particles keep the strain rate that the grid gives them"
+    yield Effect("RPIC damping", calm, kept, Cost(particle=15))
     rows = device == "cpu" and not double
     yield Effect("SIMD rows", rows, f"only for float32 on the CPU, this is {device}")
     window = "a window of cells follows the particles; a dense grid has 100^3 nodes"

@@ -103,18 +103,26 @@ class Promise:
         return "" if self.seconds is None else f" in the first {self.seconds:.2f} s"
 
 
+def _beyond(scene: Scene, laws: Sequence[str]) -> str:
+    """What a scene has that was never measured; empty: nothing."""
+    if scene.objects:
+        return "scenes of several objects"
+    if len(laws) > 1:
+        return "scenes of several materials"
+    if scene.stiffness is not None or scene.properties is not None:
+        return "materials that vary from point to point"
+    return "motion that accuracy.rpic_damping damps" if scene.resolution.rpic_damping > 0 else ""
+
+
 def promise(scene: Scene, report: Mapping[str, Any] | None = None) -> Promise:
     """The error that may be promised for a scene; the report of its run may rule it out."""
     broken = why_broken(report or {})
     if broken:
         return none(broken)
-    if scene.objects:
-        return _unknown("scenes of several objects")
     laws, motion = sorted({section.law for section in scene.materials}), motion_of(scene)
-    if len(laws) > 1:
-        return _unknown("scenes of several materials")
-    if scene.stiffness is not None or scene.properties is not None:
-        return _unknown("materials that vary from point to point")
+    beyond = _beyond(scene, laws)
+    if beyond:
+        return _unknown(beyond)
     found = table()["scenes"].get(f"{laws[0]} {motion}")
     such = f"{laws[0]} {WORDS[motion]}"
     if found is None:

@@ -14,11 +14,13 @@ from typing import Any, NamedTuple
 import warp as wp
 
 from phy124.kernels.fluctuation import make_carry, make_fluctuation, make_keep
+from phy124.kernels.rpic import make_rpic
 from phy124.kernels.transfer import types
 from phy124.mpm.grid import Grid
 from phy124.mpm.model import Model
 from phy124.mpm.stage import Recorded
 from phy124.mpm.state import State
+from phy124.mpm.timestep import beside_rpic
 from phy124.mpm.workers import Part
 
 STAGE = "fluctuation"
@@ -32,9 +34,22 @@ class Scheme(NamedTuple):
     """Round trips over the grid: 0 is APIC, 1 AFLIP, m from 2 on XPIC(m)."""
     share: float = 1.0
     """How much of the fluctuation is kept, from 0 (APIC) to 1."""
+    rpic: float = 0.0
+    """Rate at which the symmetric part of C dies away [1/s]."""
 
 
 APIC = Scheme()
+
+
+def usable_rpic(scheme: Scheme, cfl: float) -> float:
+    """The rate of a scheme's damping of C [1/s].
+
+    Raises:
+        ValueError: Substeps of a fraction `cfl` of the elastic limit are too long for it.
+    """
+    if scheme.rpic > 0 and cfl > beside_rpic(1.0):
+        raise ValueError(f"RPIC needs a model with cfl up to 0.707, and this one has {cfl:g}")
+    return scheme.rpic
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,5 +114,7 @@ class Fluctuation:
 
 def kernels(scheme: Scheme, real: Any, form: str) -> Iterator[Any]:
     """What a scheme launches beside the transfers."""
+    if scheme.rpic > 0:
+        yield make_rpic(real)
     if scheme.passes:
         yield from (make_carry(real, form), make_fluctuation(real, form), make_keep(real))

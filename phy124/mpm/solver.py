@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from phy124.kernels.maxima import COUNT
 from phy124.mpm.clock import MEASURE_EVERY, Clock
-from phy124.mpm.fluctuation import APIC, Fluctuation, Scheme
+from phy124.mpm.fluctuation import APIC, Fluctuation, Scheme, usable_rpic
 from phy124.mpm.free import FreeBodies, FreeBody, Plane
 from phy124.mpm.graph import Graph, usable
 from phy124.mpm.grid import Corners, Grid, Unstable, fit_all, grids_of
@@ -83,10 +83,12 @@ class Solver:
         Raises:
             InputError: The region of a force holds no particle, or a boundary is too thin for the
                 grid.
+            ValueError: The scheme is not stable with the model's substeps.
         """
         self.model = model
         self.state = State.of(model) if state is None else state
         self.fluctuation = Fluctuation.of(model, self.state, scheme) if scheme.passes else None
+        self._rpic = usable_rpic(scheme, model.cfl)
         self.clock = Clock(model, ceiling=ceiling, measure_every=measure_every)
         self.grids = grids_of(model)
         """That of each body."""
@@ -140,7 +142,7 @@ class Solver:
         self.tracks, self._forces, self.boundaries, self._sums = tracks, acting, walls, sums
         self._recorder = Recorder(
             model, state, self.grids, tracks, self.outliers, self.workers, self.slabs, self.pairs,
-            self.free, self.fluctuation, self.gathered,
+            self.free, self.fluctuation, self.gathered, self._rpic,
         )  # fmt: skip
         self._sample = tracks.record()
         self._sample.launch()

@@ -16,6 +16,7 @@ import warp as wp
 from phy124.kernels import transfer
 from phy124.kernels.grid import make_merge, make_update
 from phy124.kernels.reduction import shared_out
+from phy124.kernels.rpic import make_rpic
 from phy124.kernels.transfer import Law
 from phy124.mpm.fluctuation import Fluctuation
 from phy124.mpm.free import FreeBodies
@@ -97,6 +98,8 @@ class Recorder:
     """What particles keep beside what the grid carries; None: nothing, which is APIC."""
     gathered: Gathered | None = None
     """What looks at a part right after it has gathered."""
+    rpic: float = 0.0
+    """Rate at which the symmetric part of C dies away [1/s]."""
 
     def record(
         self, pushes: Sequence[Stage], walls: Sequence[Stage], sums: Sequence[Stage]
@@ -113,7 +116,7 @@ class Recorder:
             self._put_down(body)
         for index, worker in enumerate(self.workers):
             moving = [part for part in worker.parts if part.group.body not in held]
-            scatter = [self._p2g(part) for part in moving]
+            scatter = [record for part in moving for record in self._scatter(part)]
             update = self._update_phases(walls, index)
             gather = [record for part in moving for record in self._gather(part, index)]
             scattering = [*self._clear(index), *launches(scatter)]
@@ -230,6 +233,17 @@ class Recorder:
             inputs = [*fraction, part.count, part.chosen, *read, *state]
             found.append(model.launch(kernel, threads, inputs, [part.maxima, stray]))
         return [launch for launch in found if launch is not None]
+
+    def _scatter(self, part: Part) -> Iterator[Recorded]:
+        """The scatter of a part; where it is asked for, RPIC before it.
+
+        Not after the gather: what measures a substep sees the strain that it has had.
+        """
+        if self.rpic > 0:
+            inputs = [part.chosen, self.rpic, self.tracks.clock]
+            kernel, own = make_rpic(self.model.real), [self.state.C[part.particles]]
+            yield "rpic", self.model.launch(kernel, part.count, inputs, own)
+        yield self._p2g(part)
 
     def _p2g(self, part: Part) -> Recorded:
         model, s, law, run = self.model, self.state, part.group.law, part.particles

@@ -85,5 +85,14 @@ def beside_elastic(cfl: float) -> float:
     return min(1.0, 2 - 2 * cfl * cfl)
 
 
+def beside_rpic(cfl: float) -> float:
+    """What of a fraction `cfl` of the elastic limit is stable where the strain in C is damped.
+
+    An oscillator that keeps the part s of its velocity in each substep is stable while
+    (omega dt)^2 <= 2 + 2 s; s is 0 at worst.
+    """
+    return cfl * math.sqrt(0.5)
+
+
 def _divide(a: float, b: float) -> float:
     return a / b if b > 0 else math.inf

@@ -6,6 +6,7 @@ command line's help and the web page alike.
 
 from __future__ import annotations
 
+import math
 import os
 from importlib import resources
 from pathlib import Path
@@ -79,7 +80,8 @@ class Scene(Section):
     accuracy: AccuracyName | Accuracy = Field(
         default="standard",
         description="draft (16 cells across the object), standard (32), fine (48, float64), "
-        "or a table of cells, particles_per_axis, cfl, precision, transfer and blend.",
+        "or a table of cells, particles_per_axis, cfl, precision, transfer, blend and "
+        "rpic_damping.",
     )
     binding: Literal["particles", "lattice"] = Field(
         default="lattice",
@@ -129,6 +131,7 @@ class Scene(Section):
                 "objects": bool(self.objects),
                 "a boundary that moves": any(wall.moves for wall in self.boundaries),
                 "stiffness_profile": self.stiffness_profile is not None,
+                "accuracy.rpic_damping and a material that rubs inside": self._damped_twice,
             },
         )
         check_free(self.every_object, self.boundaries)
@@ -138,6 +141,12 @@ class Scene(Section):
             if section.object is not None:
                 check_name(section.object, moving)
         return self
+
+    @property
+    def _damped_twice(self) -> bool:
+        """Whether viscous stresses are those of a C that is damped."""
+        rubs = any(math.isfinite(section.viscous_limit(self.dx)) for section in self.materials)
+        return self.resolution.rpic_damping > 0 and (rubs or self.properties is not None)
 
     def softness(self, time: float) -> float:
         """Factor on Young's modulus at a time [s]."""

@@ -10,6 +10,7 @@ from phy124.monitor import contacts, diagnostics, dissipation, external_work, te
 from phy124.mpm import fluctuation, free, pairs, repair, substep
 from phy124.mpm.model import PRECISIONS, form_of
 from phy124.scene import Scene
+from phy124.simulation.solver import scheme_of
 
 
 def kernels(scene: Scene, device: str = "cpu") -> Iterator[Any]:
@@ -22,8 +23,7 @@ def kernels(scene: Scene, device: str = "cpu") -> Iterator[Any]:
     laws = {section.device_law.name: section.device_law for section in scene.materials}
     yield from tracks.kernels(real)
     yield from substep.kernels(laws.values(), real, form_of(precision, device))
-    scheme = fluctuation.Scheme(scene.resolution.passes)
-    yield from fluctuation.kernels(scheme, real, form_of(precision, device))
+    yield from fluctuation.kernels(scheme_of(scene), real, form_of(precision, device))
     yield from repair.kernels(laws.values(), real)
     yield from deform.kernels()
     yield from diagnostics.kernels(laws.values(), real)

@@ -71,7 +71,7 @@ def solver_of(
         names=names,
         held=[index for index, name in enumerate(names) if name in still],
         origin=(0.0, 0.0, (floors[0] if floors else 0.0) - FLOOR_NODE * scene.dx),
-        cfl=scene.resolution.cfl,
+        cfl=scene.resolution.fraction,
         precision=scene.resolution.precision,
         device=device,
     )
@@ -85,8 +85,14 @@ def solver_of(
         threads=threads,
         measure_every=scene.checks.measure,
         gathered=dissipation,
-        scheme=Scheme(scene.resolution.passes, scene.resolution.share),
+        scheme=scheme_of(scene),
     )
+
+
+def scheme_of(scene: Scene) -> Scheme:
+    """How velocities come back from the grid of a scene."""
+    given = scene.resolution
+    return Scheme(given.passes, given.share, given.rpic_damping)
 
 
 def numbered(body: NDArray | None) -> NDArray | None:

@@ -180,7 +180,9 @@ class Original:
         nodes = base[:, None] + OFFSETS[None]
         flat = (nodes[..., 0] * self.n + nodes[..., 1]) * self.n + nodes[..., 2]
         rpic = self.params.get("rpic_damping", 0.0)
-        C = self.C if rpic >= -0.001 else np.zeros_like(self.C)
+        C = (1 - rpic) * self.C + rpic / 2 * (self.C - self.C.swapaxes(1, 2))
+        if rpic < -0.001:
+            C = np.zeros_like(self.C)
         moving = self.v[:, None] + np.einsum("pab,pnb->pna", C, d)
         if self.mls:
             slope = 4 / self.dx**2 * weight[..., None] * d
