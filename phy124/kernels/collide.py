@@ -84,9 +84,9 @@ def laden(grid: wp.array(dtype=Any), size: wp.vec3i, span: wp.vec2i, node: wp.ve
 
 
 @wp.func
-def set_velocity(nodes_out: wp.array(dtype=Any), n: int, v: Any):
-    """Give a node a velocity."""
-    nodes_out[n] = wp.vector(v[0], v[1], v[2], nodes_out[n][3])
+def add_velocity(nodes_out: wp.array(dtype=Any), n: int, change: Any):
+    """Change the velocity of a node and leave its mass as it is, which other threads read."""
+    nodes_out[n] += wp.vector(change[0], change[1], change[2], type(change[0])(0.0))
 
 
 @wp.func
@@ -207,7 +207,7 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
             if s[3] < reach:
                 v = answer(xyz(grid_out[n]), wall, xyz(s), friction)
                 if wp.static(flat):
-                    set_velocity(grid_out, n, v)
+                    grid_out[n] = wp.vector(v[0], v[1], v[2], grid_out[n][3])
                 else:
                     add_wish(changes_out, n, v - xyz(grid_out[n]))
             return
@@ -245,11 +245,12 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
             if row == 2:
                 s = s2
             if s[3] < loose and m[row] > real(0.0):
-                v = answer(xyz(grid_out[behind]), wall, xyz(s), friction)
+                v = xyz(grid_out[behind])
+                wanted = answer(v, wall, xyz(s), friction) - v
                 if wp.static(flat):
-                    set_velocity(grid_out, behind, v)
+                    add_velocity(grid_out, behind, wanted)
                 else:
-                    add_wish(changes_out, behind, v - xyz(grid_out[behind]))
+                    add_wish(changes_out, behind, wanted)
 
     return contact
 

@@ -103,6 +103,7 @@ def monitors() -> Runs:
         "two workers": in_two_parts,
         "energy": lambda: simulate(**{**FALLING, "checks.energy": True}),
         "aflip": lambda: simulate(**{**FALLING, "accuracy.transfer": "aflip"}),
+        "rpic": lambda: simulate(**{**FALLING, "accuracy.rpic_damping": 30.0}),
         "xpic2": lambda: simulate(**{**FALLING, "accuracy.transfer": "xpic2"}),
     }
 
