@@ -5,6 +5,7 @@ import pytest
 
 from phy124.errors import InputError
 from phy124.fit import Fit, fit
+from phy124.generators.shapes import shape
 from phy124.io.ply import write_ply
 from phy124.pipeline import static
 from phy124.scene import Scene
@@ -60,3 +61,44 @@ def test_density_needs_a_force(tmp_path):
     found = fit(forces, tmp_path / "out", workers=2).report["found"]
     assert found["material.E"]["value"] == pytest.approx(material.E, rel=0.1)
     assert np.isclose(found["material.density"]["value"], material.density, rtol=0.1)
+
+
+SLIDING = {
+    "object": {"velocity": [2.0, 0, 0]},
+    "material": {"law": "neo_hookean", "E": 2e5, "damping": 100.0},
+    "boundaries": [{"kind": "ground", "friction": 0.3}],
+}
+PLATE = {"kind": "press", "friction": 0.0, "depth": 0.2, "down": 0.3, "hold": 0.04, "up": 0.2}
+SQUEEZED = {
+    "forces": [],
+    "material": {"law": "neo_hookean", "E": 4e4, "damping": 50.0, "nu": 0.3},
+    "boundaries": [{"kind": "ground", "friction": 0.0}, PLATE],
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("data", "sides", "path", "least", "most"),
+    [
+        (SLIDING, (1, 0.6, 0.4), "boundaries.0.friction", 0.05, 0.8),
+        (SQUEEZED, (1, 0.8, 0.9), "material.nu", 0.1, 0.45),
+    ],
+    ids=["friction of a sliding box", "Poisson's ratio of a block between slippery plates"],
+)
+def test_a_motion_that_tells_a_value_gives_it_on_draft_grids(
+    tmp_path, data, sides, path, least, most
+):
+    """Truth 0.3 on 24 cells, fitted on 12 and 16."""
+    scene = Scene.from_data({**data, "time": {"frames": 14, "fps": 24.0}})
+    box = shape("box", sides, (0.5, 0.5, 0.5))
+    write_points(tmp_path / "points.csv", twin(box, scene, 24), seed=1)
+    write_ply(tmp_path / "object.ply", box)
+    (tmp_path / "scene.toml").write_text(scene.to_toml())
+    asked = {
+        "target": str(tmp_path / "points.csv"), "object": str(tmp_path / "object.ply"),
+        "scene": str(tmp_path / "scene.toml"), "set": {"accuracy.cells": 24}, "grids": [12, 16],
+        "seconds": 1e5, "find": {path: f"{least}..{most}"},
+    }  # fmt: skip
+    told = fit(Fit.from_data(asked), tmp_path / "out", workers=2).report["found"][path]
+    assert told["value"] == pytest.approx(0.3, rel=0.05)
+    assert told["interval"][1] - told["interval"][0] < 0.1

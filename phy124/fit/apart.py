@@ -37,7 +37,8 @@ HOW = (
 EXPERIMENTS = {
     "material.density": f"weigh it, or {FORCE}",
     "material.E": f"let it wobble freely after the load, or {FORCE}",
-    "material.nu": "squeeze it between plates and watch how far its sides come out",
+    "material.nu": "squeeze a block of it between slippery plates and watch how far its "
+    "sides come out",
     "material.damping": "watch it swing freely for several periods without touching anything",
     "friction": "let it slide, on a slope that it just does not stay on",
     "object.velocity": "watch it fly for some frames before it touches anything",

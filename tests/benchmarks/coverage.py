@@ -1,0 +1,97 @@
+"""How often the interval of a fit holds the truth: docs/guide/fitting.md#how-well-it-does.
+
+    python tests/benchmarks/coverage.py FOLDER --seeds 0 25
+
+Each seed has its own points, errors and search; its line in FOLDER/coverage.csv is kept, so that
+the same command goes on where it was stopped.
+"""
+
+import argparse
+import csv
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import beta
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from phy124.fit import Fit, fit
+from phy124.io.clip import Clip
+from phy124.io.ply import write_ply
+from phy124.pipeline import static
+from phy124.scene import Scene
+from support.twins import twin, write_points
+
+DUCK = str(Path(__file__).parents[2] / "demo/examples/duck.png")
+TRUTH, CELLS, GRIDS = 4e4, 24, [12, 16]
+FRAMES = {"time.frames": 14, "time.fps": 24.0}
+COLUMNS: tuple[str, ...] = (
+    "seed", "value", "low", "high", "points_low", "points_high", "cpu",
+)  # fmt: skip
+
+
+def ends(held: int, of: int, level: float = 0.95) -> tuple[float, float]:
+    """Interval of a fraction of which `held` of `of` are known (Clopper and Pearson 1934)."""
+    tail = (1 - level) / 2
+    low = beta.ppf(tail, held, of - held + 1) if held else 0.0
+    high = beta.ppf(1 - tail, held + 1, of - held) if held < of else 1.0
+    return float(low), float(high)
+
+
+def one(clip: Clip | None, folder: Path, seed: int) -> dict[str, float]:
+    """The fit of a seed."""
+    assert clip is not None
+    began, out = time.process_time(), folder / str(seed)
+    out.mkdir(parents=True, exist_ok=True)
+    write_points(out / "points.csv", clip, seed=seed)
+    asked = {
+        "target": str(out / "points.csv"), "object": str(folder / "object.ply"), "scene": "press",
+        "set": {"accuracy.cells": CELLS}, "grids": GRIDS, "seconds": 1e5, "seed": seed,
+        "find": {"material.E": "1e4..2e5"},
+    }  # fmt: skip
+    told = fit(Fit.from_data(asked), out).report["found"]["material.E"]
+    (low, high), (least, most) = told["interval"], told["from_measurements"]
+    found = (seed, told["value"], low, high, least, most, time.process_time() - began)
+    return dict(zip(COLUMNS, found, strict=True))
+
+
+def main() -> None:
+    """Run the seeds that are not there yet, then tell about all."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--seeds", type=int, nargs=2, default=(0, 100))
+    given = parser.parse_args()
+    given.folder.mkdir(parents=True, exist_ok=True)
+    kept = given.folder / "coverage.csv"
+    if not kept.exists():
+        kept.write_text(",".join(COLUMNS) + "\n")
+    done = {int(row["seed"]) for row in csv.DictReader(kept.open())}
+    left = [seed for seed in range(*given.seeds) if seed not in done]
+    write_ply(given.folder / "object.ply", static(DUCK, Scene(), count=2000).gaussians)
+    scene = Scene.named("press").replaced({**FRAMES, "material.E": TRUTH})
+    clip = twin(static(DUCK, Scene(), count=3000).gaussians, scene, CELLS) if left else None
+    for seed in left:
+        with kept.open("a", newline="") as file:
+            csv.DictWriter(file, COLUMNS).writerow(one(clip, given.folder, seed))
+    tell(kept)
+
+
+def tell(kept: Path) -> None:
+    """How many hold the truth, and how the values are spread."""
+    texts = csv.DictReader(kept.open())
+    rows = [{name: float(text) for name, text in row.items()} for row in texts]
+    value = np.array([row["value"] for row in rows])
+    for low, high in (("low", "high"), ("points_low", "points_high")):
+        held = sum(row[low] <= TRUTH <= row[high] for row in rows)
+        least, most = ends(held, len(rows))
+        half = np.mean([(row[high] - row[low]) / 2 for row in rows])
+        print(f"{low}: {held} of {len(rows)} ({least:.3f} to {most:.3f}); half width {half:.0f}")
+    print(f"values {value.min():.0f} to {value.max():.0f}, mean {value.mean():.0f}, "
+          f"deviation {value.std(ddof=1):.0f}; "
+          f"{sum(row['cpu'] for row in rows):.0f} s")  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()
