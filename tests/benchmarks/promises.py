@@ -65,7 +65,8 @@ def measured(gaussians: Gaussians, scene: Scene) -> dict[str, float | None]:
         run = Simulation(gaussians, scene.model_copy(update={"accuracy": accuracy}))
         clip = run.run()
         if clip.report["complete"] and not run.watchdog.tearing.likely:
-            clips.append(clip.means)
+            # Without grains, of which each grid has its own.
+            clips.append(clip.means[:, : len(gaussians)])
             whole.append(cells)
     if len(whole) < 3:
         return {}
