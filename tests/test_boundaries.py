@@ -114,7 +114,7 @@ def test_what_yields_does_not_sink_through_the_floor(material, layer):
 
 
 def test_no_drop_gets_through_the_walls_of_a_bin():
-    """Water that splashes from side to side: what got behind a wall once went on, 0.4 cells here."""
+    """Water that splashes to and fro: what got behind a wall once went on, 0.4 cells here."""
     low, high = np.zeros(3), np.array([1.8, 1.8, 1e6])
     water = block(size=(0.8, 0.8, 0.8), low=(0.5, 0.5, 0.8))
     basin = Container(inside=Region(lower=tuple(low), upper=tuple(high)), friction=0.0)
