@@ -122,7 +122,7 @@ def test_no_drop_gets_through_the_walls_of_a_bin():
     for time in (0.4, 0.8, 1.2, 1.6, 2.0):
         s.advance(time)
         x = s.state.x.numpy()
-        assert np.maximum(low - x, x - high).max() < 0.2 * DX
+        assert np.maximum(low - x, x - high).max() < 0.3 * DX
 
 
 def test_round_obstacles_carry_what_falls_on_them():

@@ -138,9 +138,8 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
     shape is displaced by the value of its track, and its wall moves at the track's rate, while the
     track is active. `lightest` is the mass of a node inside the lightest of several materials [kg],
     or infinite, and `full` the fraction of the expected mass with which they count as having come
-    to the wall. Below `loose` [m], nodes of columns respond one by one as well, at a curved wall
-    only those that it does not push. A flat wall changes `grid_out`, others `changes_out` (see
-    `make_settle`).
+    to the wall. Below `loose` [m], nodes of columns that the wall does not push respond one by one.
+    A flat wall changes `grid_out`, others `changes_out` (see `make_settle`).
 
     Args:
         shape: Name of a distance function.
@@ -236,9 +235,10 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
             else:
                 weight = wp.sqrt(wp.ddot(change, change))
                 add_rows(changes_out, n, step, m, weight * change, weight)
-                return
+            return
 
-        # What has got behind the wall would go on while the rest moves away from it.
+        # What has got behind the wall would go on while nothing in front of it presses. (Where it
+        # does, the linear velocity decides: nodes stopped then would press on the lowest layer.)
         for row in range(1, 3):
             behind = n + row * step
             s = s1
