@@ -333,9 +333,8 @@ def _host(array: Any) -> NDArray:
 
 def of_gaussians(gaussians: Gaussians, particles: Bound, values: NDArray) -> NDArray:
     """The values of particles [P], for each Gaussian that of its own or of the nearest one [N]."""
-    if (
-        len(values) and (values == values[0]).all()
-    ):  # One for all, as of one material, needs no search.
+    # One for all, as of one material, needs no search.
+    if len(values) and (values == values[0]).all():
         return np.repeat(values[:1], len(gaussians), axis=0)
     own = _own_particles(len(gaussians), particles)
     if own is None:

@@ -113,18 +113,6 @@ def test_what_yields_does_not_sink_through_the_floor(material, layer):
     assert s.state.x.numpy()[:, 2].min() > -0.2 * DX
 
 
-def test_no_drop_gets_through_the_walls_of_a_bin():
-    """Water that splashes to and fro: what got behind a wall once went on, 0.4 cells here."""
-    low, high = np.zeros(3), np.array([1.8, 1.8, 1e6])
-    water = block(size=(0.8, 0.8, 0.8), low=(0.5, 0.5, 0.8))
-    basin = Container(inside=Region(lower=tuple(low), upper=tuple(high)), friction=0.0)
-    s = solver(water, basin, material=Fluid())
-    for time in (0.4, 0.8, 1.2, 1.6, 2.0):
-        s.advance(time)
-        x = s.state.x.numpy()
-        assert np.maximum(low - x, x - high).max() < 0.3 * DX
-
-
 def test_round_obstacles_carry_what_falls_on_them():
     for wall in (
         Sphere(centre=(0.2, 0.2, -0.5), radius=0.5),

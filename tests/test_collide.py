@@ -9,15 +9,21 @@ import warp as wp
 from phy124.boundaries import (
     Box,
     Capsule,
+    Container,
     Ground,
     HalfSpace,
     Held,
     Sphere,
 )
+from phy124.forces import Gravity
 from phy124.kernels import collide
 from phy124.kernels.build import kernel
+from phy124.materials import Fluid
 from phy124.mpm import Grid
+from phy124.region import Region
 from support.distances import distances
+from support.shapes import lattice
+from support.solvers import make_solver
 
 DX = 0.1
 EYE = np.eye(3)
@@ -168,3 +174,18 @@ def test_the_face_of_a_box_acts_as_a_plane_does(rng):
     plane = touched(Ground(height=0.57), before)
     face = touched(Box(lower=(-9, -9, -9), upper=(9, 9, 0.57)), before)
     np.testing.assert_allclose(face, plane, rtol=1e-12, atol=1e-13)
+
+
+def test_no_drop_gets_through_the_walls_of_a_bin():
+    """Water that splashes to and fro: what got behind a wall once went on, 0.4 cells here."""
+    low, high = np.zeros(3), np.array([1.8, 1.8, 1e6])
+    water = lattice(16, 16, 16, spacing=DX / 2, corner=(0.5, 0.5, 0.8))
+    basin = Container(inside=Region(lower=tuple(low), upper=tuple(high)), friction=0.0)
+    s = make_solver(
+        water, np.full(len(water), (DX / 2) ** 3), [Fluid()], dx=DX, boundaries=[basin],
+        forces=[Gravity()], origin=(0, 0, DX / 4),
+    )  # fmt: skip
+    for time in (0.4, 0.8, 1.2, 1.6, 2.0):
+        s.advance(time)
+        x = s.state.x.numpy()
+        assert np.maximum(low - x, x - high).max() < 0.3 * DX
