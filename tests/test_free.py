@@ -12,6 +12,7 @@ from phy124.monitor.external_work import ExternalWork
 from phy124.monitor.watchdog import Watchdog
 from phy124.mpm import FreeBody
 from phy124.mpm.free import STAGE
+from support.pressed_balls import elements, pressed_on_box
 from support.solvers import make_solver
 
 DX, G = 0.05, 9.81
@@ -249,6 +250,14 @@ def test_between_jelly_and_floor_it_rests():
     force = s.free.wrenches(0.5)[0].force
     assert force[2] == pytest.approx(-27 * G, rel=0.02)
     np.testing.assert_allclose(s.free.poses()[0, :3], [0, 0, 0.1], atol=1e-4)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("phase", [0.0, 0.25, 0.5, 0.75])
+def test_a_ball_on_a_box_pushes_as_finite_elements_say(phase):
+    """Wherever the box's top is between two nodes."""
+    for depth in (0.02, 0.05):
+        assert pressed_on_box(16, depth, phase) == pytest.approx(elements(depth), rel=0.08)
 
 
 @pytest.mark.slow

@@ -1,6 +1,7 @@
 """Bodies in contact move as textbooks say; with the wrong contact they do not."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -11,6 +12,9 @@ from phy124.materials import Fluid, NeoHookean
 from phy124.monitor.diagnostics import diagnose
 from phy124.mpm import Pair
 from phy124.region import Region
+from support.elastic_collision import collision
+from support.pressed_balls import elements, pressed
+from support.shapes import trimmed_ball
 from support.solvers import make_solver
 
 DX = 0.05
@@ -82,57 +86,61 @@ def test_a_block_slides_down_a_soft_slope(degrees):
     assert slid(degrees, held=False, stiff=1e6, friction=0.2)[0] > 1.1 * wanted
 
 
-def hertz(radius, v):
-    """Largest force [N] and duration [s] of a collision of equal balls (E = 1e5 Pa, nu = 0.3)."""
-    stiff, mass = 1e5 / (2 * (1 - 0.3**2)), 4 / 3 * np.pi * radius**3 * 1000 / 2
-    root = np.sqrt(radius / 2)
-    depth = (15 * mass * v**2 / (16 * stiff * root)) ** 0.4
-    return 4 / 3 * stiff * root * depth**1.5, 2.94 * depth / v
+V = 0.6
+"""Speed at which two balls approach each other, m/s."""
+LASTS = 0.45
+"""About how long they touch, s."""
 
 
-def struck(cells, *, v=0.6, sticky=False, offset=(0.0, 0.0, 0.0), precision="float32", spoil=None):
+@cache
+def struck(cells, *, sticky=False, offset=(0.0, 0.0, 0.0), precision="float32", spoil=None):
     """Force over time [T,2] of two balls of 1 m that meet head-on, and the solver."""
-    dx, force, (_, lasts) = 1 / cells, [], hertz(0.5, v)
-    bodies = [ball((side * (0.5 + dx / 8), 0, 0), 0.5, dx / 2) for side in (-1, 1)]
-    count = len(bodies[0])
-    volume = np.full(2 * count, np.pi / 6 / count)
+    dx, force = 1 / cells, []
+    x, volume = trimmed_ball(0.5, dx / 2)
+    bodies = [x + [side * (0.5 + dx / 8), 0, 0] + np.array(offset) * dx for side in (-1, 1)]
     s = solver(
-        [x + np.array(offset) * dx for x in bodies], [NeoHookean(E=1e5, nu=0.3)], volume=volume,
-        dx=dx, v=np.repeat([[v / 2, 0, 0], [-v / 2, 0, 0]], count, axis=0),
+        bodies, [NeoHookean(E=1e5, nu=0.3)], volume=np.tile(volume, 2), dx=dx,
+        v=np.repeat([[V / 2, 0, 0], [-V / 2, 0, 0]], len(x), axis=0),
         pairs=[Pair(0, 1, 0.0, sticky)], precision=precision,
     )  # fmt: skip
     if spoil:
         spoil(s)
-    for _ in range(70):
+    for _ in range(60):
         s.pairs.begin()
-        s.advance(s.clock.time + lasts / 40)
-        force.append((s.clock.time, s.pairs.wrenches(lasts / 40)[(0, 1)].force[0]))
+        s.advance(s.clock.time + LASTS / 40)
+        force.append((s.clock.time, s.pairs.wrenches(LASTS / 40)[(0, 1)].force[0]))
     return np.array(force), s
 
 
-def test_balls_that_collide_press_as_hertz_says():
-    """On 12 cells the force is 3 to 6 % too small, by where the nodes are; on 24 it is 6 to 8 % too
-    large, as that of whole balls is, which are no half-spaces."""
+def test_balls_that_collide_press_as_finite_elements_say():
     found, s = struck(14)
-    force, lasts = hertz(0.5, 0.6)
+    force, lasts = collision(0.5, V, E=1e5, nu=0.3, density=1000.0)
     whole = found[:, 1] > 0.02 * force
     assert found[:, 1].max() == pytest.approx(force, rel=0.05)
-    assert whole.sum() * lasts / 40 == pytest.approx(lasts, rel=0.1)
+    assert whole.sum() * LASTS / 40 == pytest.approx(lasts, rel=0.1)
     assert found[:, 1].min() > -1e-3 * force, "nothing pulls"
     speeds = [middle(s, body, s.state.v)[0] for body in (0, 1)]
     assert sum(speeds) == pytest.approx(0, abs=1e-5)
-    assert 0.85 < -speeds[0] / 0.3 < 1
+    assert 0.9 < -speeds[0] / V * 2 < 1
     stuck, _ = struck(12, sticky=True)
     assert stuck[:, 1].min() < -0.1 * force, "sticky balls pull at each other"
 
 
 @pytest.mark.slow
-def test_finer_grids_come_closer_to_hertz():
-    force, _ = hertz(0.5, 0.4)
-    errors = [abs(struck(n, v=0.4)[0][:, 1].max() / force - 1) for n in (8, 12, 16)]
-    assert errors[2] < errors[0] and errors[2] < 0.05
+def test_finer_grids_come_closer_to_finite_elements():
+    force, _ = collision(0.5, V, E=1e5, nu=0.3, density=1000.0)
+    errors = [abs(struck(n)[0][:, 1].max() / force - 1) for n in (8, 12, 24)]
+    assert errors[0] > errors[1] > errors[2] and errors[2] < 0.03
     shifted = struck(16, offset=(0.3, 0.2, 0.1))[0][:, 1].max()
-    assert shifted == pytest.approx(struck(16)[0][:, 1].max(), rel=0.05)
+    assert shifted == pytest.approx(struck(16)[0][:, 1].max(), rel=0.02)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("phase", [0.0, 0.25])
+def test_balls_that_are_pressed_push_as_finite_elements_say(phase):
+    """Wherever the contact is between two nodes; without the curvature of the gap they do not."""
+    for depth in (0.02, 0.05):
+        assert pressed(16, depth, phase) == pytest.approx(elements(depth), rel=0.05)
 
 
 def unanswered(s, body):

@@ -9,7 +9,9 @@ quadratic B-spline have the variance dx^2 / 4 along every direction: the fractio
 a body fills around a node tells how far its surface is from there, whatever the direction. Two
 surfaces meet where the fractions add up to 1. (Nairn et al. 2020 find the distance by a regression
 over the particles.) A fraction is one of the mass in the body's depth, which takes account of its
-edges, of its density, and of its compression.
+edges, of its density, and of its compression. Three nodes in a row, along the axis closest to the
+normal, are in contact or not together, by the one that both bodies share most; at the rim of a
+contact, where the gap is curved, its mean around a node is larger than the gap at the node.
 """
 
 from functools import cache
@@ -24,15 +26,15 @@ from phy124.kernels.friction import coulomb
 from phy124.kernels.transfer import types
 from phy124.kernels.wrenches import IMPULSE, MOMENT
 
-THINNEST = wp.constant(0.015)
-"""Fraction of what it fills in its depth that each body must fill around a node to touch another
-there. Nodes a cell away from flat surfaces that meet are filled to 0.021, and without them light
-nodes would creep through; farther away, particles that lie unevenly would count as contact."""
-NARROWEST = wp.constant(0.2)
-"""Fraction of its volume that a body must fill in its depth: a half at an edge, a quarter at a
-corner; less is beyond it."""
-LIGHTEST = wp.constant(1e-3)
+LIGHTEST = wp.constant(1e-6)
 """Fraction of its volume that each body must fill to be looked at."""
+NARROWEST = wp.constant(0.05)
+"""Fraction of its volume that a body must fill in its depth: a half at an edge, a quarter at a
+corner; less is beyond it, or a single particle."""
+ROUNDING = wp.constant(0.375)
+"""Part of what the gaps of four neighbours have more than that of a node by which it may be open,
+where surfaces have met: 1/4 is what two splines see of a gap's curvature, more is fitted to balls
+(docs/results/accuracy.md)."""
 STEEPER, TRUSTED = wp.constant(10.0), wp.constant(4.0)
 """How soon a steeper slope counts alone, and how many times as much the squared slope of a body
 counts which never moves."""
@@ -97,28 +99,89 @@ def outward(n: Any):
 
 
 @wp.func
+def shared_most(
+    first: wp.array(dtype=Any), first_window: wp.array(dtype=wp.vec3i),
+    second: wp.array(dtype=Any), second_window: wp.array(dtype=wp.vec3i),
+    node: wp.vec3i, step: wp.vec3i,
+):  # fmt: skip
+    """The node that two bodies share most, of three in a row: the one closest to their surfaces."""
+    at = node
+    most = mass_at(first, first_window, node) * mass_at(second, second_window, node)
+    for side in range(-1, 2, 2):
+        here = node + side * step
+        shared = mass_at(first, first_window, here) * mass_at(second, second_window, here)
+        if shared > most:
+            most = shared
+            at = here
+    return at
+
+
+@wp.func
 def filled(
     grid: wp.array(dtype=Any), window: wp.array(dtype=wp.vec3i), node: wp.vec3i, inward: wp.vec3i,
-    fill: Any,
+    fill: Any, narrowest: Any,
 ):  # fmt: skip
-    """Mass of a body around a node as a fraction of that in its depth, two nodes inward.
+    """Mass of a body around a node as a fraction of that in its depth, up to two nodes inward; -1
+    where it fills less than `narrowest` there.
 
     At an edge of the body, and where it is compressed, both change alike.
     """
     m = mass_at(grid, window, node)
     deep = wp.max(mass_at(grid, window, node + inward), mass_at(grid, window, node + 2 * inward))
     deep = wp.max(m, deep)
-    if fill * deep < type(fill)(NARROWEST):
-        return type(fill)(0.0)
+    if fill * deep < narrowest:
+        return type(fill)(-1.0)
     return m / deep
 
 
 @wp.func
-def met(a: Any, b: Any):
-    """Whether the surfaces of two bodies have met at a node around which they fill the fractions a
-    and b.
+def gap(
+    first: wp.array(dtype=Any), first_window: wp.array(dtype=wp.vec3i),
+    second: wp.array(dtype=Any), second_window: wp.array(dtype=wp.vec3i),
+    at: wp.vec3i, step: wp.vec3i, fill: Any,
+):  # fmt: skip
+    """What two bodies do not fill around a node, as a fraction; 1 where only one of them is."""
+    a = filled(first, first_window, at, -step, fill[0], type(fill[0])(NARROWEST))
+    b = filled(second, second_window, at, step, fill[1], type(fill[1])(NARROWEST))
+    one = type(a)(1.0)
+    return wp.where(wp.min(a, b) < type(a)(0.0), one, one - a - b)
+
+
+@wp.func
+def beside_of(step: wp.vec3i, n: int):
+    """The way to one of the four nodes beside a row along an axis."""
+    axis = steepest(wp.vec3(float(step[0]), float(step[1]), float(step[2])))
+    to = wp.vec3i()
+    to[(axis + 1 + n / 2) % 3] = 1 - 2 * (n % 2)
+    return to
+
+
+@wp.func
+def closed(gap: Any, more: Any):
+    """Whether surfaces have met where a gap is left, and four beside that are larger by so much.
+
+    At the rim of a contact the gap beyond it is a part of what a node sees.
     """
-    return wp.min(a, b) > type(a)(THINNEST) and a + b >= type(a)(1.0)
+    one = type(gap)(1.0)
+    return gap < one and gap <= type(gap)(ROUNDING) * wp.max(more, type(gap)(0.0))
+
+
+@wp.func
+def met(
+    first: wp.array(dtype=Any), first_window: wp.array(dtype=wp.vec3i),
+    second: wp.array(dtype=Any), second_window: wp.array(dtype=wp.vec3i),
+    at: wp.vec3i, step: wp.vec3i, fill: Any,
+):  # fmt: skip
+    """Whether the surfaces of two bodies have met at the node of a row that they share most."""
+    here = gap(first, first_window, second, second_window, at, step, fill)
+    more = type(here)(0.0)
+    for n in range(4):
+        to = at + beside_of(step, n)
+        beside = shared_most(first, first_window, second, second_window, to, step)
+        there = gap(first, first_window, second, second_window, beside, step, fill)
+        if there < type(here)(1.0):
+            more += there - here
+    return closed(here, more)
 
 
 @wp.func
@@ -169,13 +232,13 @@ def make_pair(real: Any):
                 return
             to = fill[1] * slope(second_out, second_window, node, t.vec3())
             away = fill[0] * slope(first_out, first_window, node, t.vec3())
-            n = normal(to, away, yields)
-            inward = outward(n)
-            in_first = filled(first_out, first_window, node, -inward, fill[0])
-            in_second = filled(second_out, second_window, node, inward, fill[1])
-            if not met(in_first, in_second):
+            step = outward(normal(to, away, yields))
+            at = shared_most(first_out, first_window, second_out, second_window, node, step)
+            if not met(first_out, first_window, second_out, second_window, at, step, fill):
                 return
-            change = stopped(change, n, friction)
+            to = fill[1] * slope(second_out, second_window, at, t.vec3())
+            away = fill[0] * slope(first_out, first_window, at, t.vec3())
+            change = stopped(change, normal(to, away, yields), friction)
         shared = yields[0] * q[3] + yields[1] * p[3]
         d = (yields[0] * q[3] / shared) * change
         first_out[a] = p - wp.vector(d[0], d[1], d[2], real(0.0))

@@ -1,6 +1,7 @@
 """Small objects made of Gaussians; cubes, lattices and clouds of particles."""
 
 from collections.abc import Sequence
+from itertools import product
 
 import numpy as np
 
@@ -12,6 +13,27 @@ from phy124.selftest.inputs import shell
 def ball(count: int = 2000, radius: float = 0.5) -> Gaussians:
     """A closed shell of flat Gaussians on a sphere, coloured by direction."""
     return shell(count, radius)
+
+
+def trimmed_ball(radius: float, h: float, *, parts: int = 8) -> tuple[np.ndarray, np.ndarray]:
+    """Particles [P,3], m, with the volumes that a ball cuts out of cells of h [m]: no steps.
+
+    Args:
+        parts: Points along each edge of a cell that say how much of it is in the ball.
+    """
+    axis = (np.arange(round(radius / h) + 1) + 0.5) * h
+    x = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3)
+    x = x[np.linalg.norm(x, axis=1) < radius + h]
+    part = ((np.arange(parts) + 0.5) / parts - 0.5) * h
+    points = x[:, None] + np.stack(np.meshgrid(part, part, part), -1).reshape(-1, 3)
+    inside = np.linalg.norm(points, axis=2) < radius
+    kept = inside.mean(axis=1) > 0.03
+    inside, points = inside[kept], points[kept]
+    x = (points * inside[..., None]).sum(axis=1) / inside.sum(axis=1)[:, None]
+    volume = inside.mean(axis=1)
+    volume *= np.pi / 6 * radius**3 / volume.sum()
+    signs = np.array(list(product((1, -1), repeat=3)))
+    return (x * signs[:, None]).reshape(-1, 3), np.tile(volume, 8)
 
 
 def random_gaussians(rng: np.random.Generator, count: int = 50, degree: int = 0) -> Gaussians:

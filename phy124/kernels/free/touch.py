@@ -6,14 +6,23 @@ from typing import Any
 import warp as wp
 
 from phy124.kernels.build import kernel
-from phy124.kernels.collide import holds, strides, xyz
+from phy124.kernels.collide import xyz
 from phy124.kernels.columns import covered
 from phy124.kernels.diagnostics import wide
 from phy124.kernels.distance import SHAPES
 from phy124.kernels.free.numbers import arm_of, axes, first_node
-from phy124.kernels.pairs import filled, met, outward
+from phy124.kernels.pairs import beside_of, closed, filled, mass_at, outward
 from phy124.kernels.transfer import types
 
+NARROWEST = wp.constant(0.2)
+"""Fraction of its volume that each must fill in its depth. Less lets a light box hover over
+jelly by a cell: beside its lower edge the thin end of the jelly would count as all of it."""
+THINNEST = wp.constant(0.015)
+"""Fraction that the solid must fill around a node to touch anything there: a cell away from a flat
+side it is 0.021. With nodes farther away a light box creeps under its load."""
+ROUND = wp.constant(0.6)
+"""How much of the `ROUNDING` between two bodies of particles there is at a solid, whose surface is
+not smeared: fitted to a ball on a box (docs/results/accuracy.md)."""
 STEEP = wp.constant(1e-4)
 """Slope of a box's volume [1/cell] below which the nearest face has the normal."""
 
@@ -55,13 +64,61 @@ def volume_of_box(d: Any, s: Any, geometry: Any, dx: Any):
 def make_touch(shape: str, real: Any):
     """Kernel over the nodes around a body: where it touches material, and the normal there.
 
-    Surfaces meet as those of two bodies of particles do, where they fill the nodes between them
-    (phy124/kernels/pairs.py); what the solid fills is known. `fill` is the volume fraction per mass
-    at a node of the material.
+    Surfaces meet as those of two bodies of particles do (phy124/kernels/pairs.py), but what the
+    solid fills around a node is known. `fill` is the volume fraction per mass at a node of the
+    material.
     """
     t = types(real)
     distance = SHAPES[shape]
     volume = volume_of_box if shape == "box" else volume_of_round
+
+    @wp.func
+    def solid(node: wp.vec3i, geometry: Any, lattice: Any, body: wp.array(dtype=wp.float64)):
+        """Normal, and fraction of the volume around a node that the body fills."""
+        R = axes(body)
+        own = wp.transpose(R) @ arm_of(body, lattice, node)
+        d = t.vec3(real(own[0]), real(own[1]), real(own[2]))
+        s = distance(d, geometry)
+        if s[3] >= real(1.5) * lattice[3]:
+            return t.vec4()
+        q = volume(d, s, geometry, lattice[3])
+        n = R @ wide(q)
+        return t.vec4(real(n[0]), real(n[1]), real(n[2]), q[3])
+
+    @wp.func
+    def shared_most(
+        node: wp.vec3i, step: wp.vec3i, geometry: Any, lattice: Any,
+        body: wp.array(dtype=wp.float64), grid: wp.array(dtype=Any),
+        window: wp.array(dtype=wp.vec3i),
+    ):  # fmt: skip
+        """The node of three in a row that the body and the material share most."""
+        at = node
+        most = real(0.0)
+        for n in range(3):
+            here = node + (n - 1) * step
+            m = mass_at(grid, window, here)
+            if m > real(0.0):
+                q = solid(here, geometry, lattice, body)
+                if q[3] * m > most:
+                    most = q[3] * m
+                    at = here
+        return at
+
+    @wp.func
+    def gap(
+        at: wp.vec3i, step: wp.vec3i, geometry: Any, lattice: Any, fill: Any,
+        body: wp.array(dtype=wp.float64), grid: wp.array(dtype=Any),
+        window: wp.array(dtype=wp.vec3i),
+    ):  # fmt: skip
+        """What neither fills around a node, as a fraction; 1 where only one of them is."""
+        inside = filled(grid, window, at, step, fill, type(fill)(NARROWEST))
+        part = solid(at, geometry, lattice, body)[3]
+        deep = part
+        for n in range(2):
+            deep = wp.max(deep, solid(at - (n + 1) * step, geometry, lattice, body)[3])
+        one = type(inside)(1.0)
+        nothing = inside < type(inside)(0.0) or deep < type(inside)(NARROWEST)
+        return wp.where(nothing, one, one - part - inside)
 
     @kernel(f"phy124_free_touch_{shape}_{real.__name__}", seconds=0.5)
     def touch(
@@ -75,22 +132,24 @@ def make_touch(shape: str, real: Any):
     ):  # fmt: skip
         i, j, k = wp.tid()
         node = first_node(body, lattice, reach) + wp.vec3i(i, j, k)
-        here = t.vec4()
-        at = node - window[0]
-        size = window[1]
-        if holds(size, wp.vec2i(0, size[0]), at):
-            if grid[wp.dot(at, strides(size))][3] > real(0.0):
-                R = axes(body)
-                own = wp.transpose(R) @ arm_of(body, lattice, node)
-                d = t.vec3(real(own[0]), real(own[1]), real(own[2]))
-                s = distance(d, geometry)
-                if s[3] < real(1.5) * lattice[3]:
-                    q = volume(d, s, geometry, lattice[3])
-                    m = R @ wide(q)
-                    n = t.vec3(real(m[0]), real(m[1]), real(m[2]))
-                    inside = filled(grid, window, node, outward(n), fill)
-                    if met(q[3], inside):
-                        here = t.vec4(n[0], n[1], n[2], real(1.0))
-        contact_out[i, j, k] = here
+        contact_out[i, j, k] = t.vec4()
+        if mass_at(grid, window, node) <= real(0.0):
+            return
+        q = solid(node, geometry, lattice, body)
+        if q[3] <= real(THINNEST):
+            return
+        step = outward(xyz(q))
+        at = shared_most(node, step, geometry, lattice, body, grid, window)
+        here = gap(at, step, geometry, lattice, fill, body, grid, window)
+        more = real(0.0)
+        for n in range(4):
+            beside = shared_most(
+                at + beside_of(step, n), step, geometry, lattice, body, grid, window
+            )
+            there = gap(beside, step, geometry, lattice, fill, body, grid, window)
+            if there < real(1.0):
+                more += there - here
+        if closed(here, real(ROUND) * more):
+            contact_out[i, j, k] = t.vec4(q[0], q[1], q[2], real(1.0))
 
     return touch

@@ -1,0 +1,82 @@
+"""Force between two balls, or a ball and a free box, pressed on each other until they rest.
+
+By symmetry each ball is one between two plates, of which finite elements know the force
+(phy124/experiments/elastic_ball.py).
+"""
+
+import math
+
+import numpy as np
+
+from phy124.boundaries import HalfSpace
+from phy124.boundaries.motion import Path
+from phy124.experiments.elastic_ball import law
+from phy124.experiments.hertz import HOLD, MOVE, NU, RADIUS, E
+from phy124.materials import NeoHookean
+from phy124.mpm import FreeBody, Model, Pair, Solver
+from support.shapes import trimmed_ball
+
+RUBBER = NeoHookean(E=E, nu=NU, damping=30.0)
+BOX = FreeBody("box", "box", (RADIUS, RADIUS, 0.3), (0, 0, -0.3), density=1e9, friction=0.0)
+"""So heavy that it stays where it is, with its top at z = 0."""
+
+
+def elements(depth: float) -> float:
+    """Force by finite elements [N], of a ball pressed by a depth [m]."""
+    return E * RADIUS**2 * law(NU, whole=False).force(depth / RADIUS)
+
+
+def upper_half(cells: int, per_axis: int) -> tuple[np.ndarray, np.ndarray]:
+    """Particles [P,3], m, of the upper half of a ball about the origin, and their volumes."""
+    x, volume = trimmed_ball(RADIUS, 2 * RADIUS / cells / per_axis)
+    above = x[:, 2] > 0
+    return x[above], volume[above]
+
+
+def plate(side: int, depth: float) -> HalfSpace:
+    """The middle of the upper or lower ball (side 1, -1), which comes to z = 0 by a depth."""
+    path = Path(times=(0.0, MOVE), points=((0, 0, 0), (0, 0, -side * depth)))
+    return HalfSpace(point=(0, 0, side * RADIUS), normal=(0, 0, -side), contact="slip", motion=path)
+
+
+def _origin(cells: int, phase: float) -> tuple[float, float, float]:
+    """Where the lattice starts, so that z = 0 is `phase` of a cell from a node [m]."""
+    dx, first = 2 * RADIUS / cells, -(math.ceil(cells / 2) + 5)
+    return (first - 0.25) * dx, (first - 0.25) * dx, (first - phase) * dx
+
+
+def pressed(cells: int, depth: float, phase: float = 0.5, per_axis: int = 2) -> float:
+    """Mean force between two balls at rest [N].
+
+    Args:
+        cells: Cells across a ball.
+        depth: How far each is pressed [m].
+        phase: Where the contact is between two nodes, from 0 to 1.
+        per_axis: Particles per cell and axis.
+    """
+    x, volume = upper_half(cells, per_axis)
+    both = np.vstack([x - [0, 0, RADIUS], x * [1, 1, -1] + [0, 0, RADIUS]])
+    model = Model.of(
+        both, np.tile(volume, 2), [RUBBER], dx=2 * RADIUS / cells, origin=_origin(cells, phase),
+        body=np.repeat([0, 1], len(x)),
+    )  # fmt: skip
+    walls = [plate(1, depth), plate(-1, depth)]
+    solver = Solver(model, boundaries=walls, pairs=[Pair(0, 1, friction=0.0)], threads=1)
+    solver.advance(MOVE + HOLD / 2)
+    solver.pairs.begin()
+    solver.advance(MOVE + HOLD)
+    return float(solver.pairs.wrenches(HOLD / 2)[(0, 1)].force[2])
+
+
+def pressed_on_box(cells: int, depth: float, phase: float = 0.5, per_axis: int = 2) -> float:
+    """Mean force of a ball on the box at rest [N]; arguments are those of `pressed`."""
+    x, volume = upper_half(cells, per_axis)
+    model = Model.of(
+        x * [1, 1, -1] + [0, 0, RADIUS], volume, [RUBBER], dx=2 * RADIUS / cells,
+        origin=_origin(cells, phase),
+    )  # fmt: skip
+    solver = Solver(model, boundaries=[plate(1, depth)], free=[BOX], threads=1)
+    solver.advance(MOVE + HOLD / 2)
+    solver.free.begin()
+    solver.advance(MOVE + HOLD)
+    return -float(solver.free.wrenches(HOLD / 2)[0].force[2])
