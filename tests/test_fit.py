@@ -13,7 +13,7 @@ from phy124.fit.apart import experiment, undetermined, unseen
 from phy124.fit.budget import Budget, Outlook
 from phy124.fit.declaration import Fit, found_in
 from phy124.fit.estimate import estimate
-from phy124.fit.interval import bootstrap, extrapolated
+from phy124.fit.interval import bootstrap, extrapolated, shifted, unexplained
 from phy124.fit.observation import at_times, refuse_outside
 from phy124.fit.points import Points
 from phy124.fit.problem import Distance, jacobian
@@ -86,10 +86,43 @@ def test_what_nothing_depends_on_is_refused():
 
 
 def test_a_vague_value_is_refused():
-    assert undetermined(("a", "b"), np.array([0.1, 0.2]), np.eye(2)) is None
-    blind = undetermined(("a", "b"), np.array([0.1, 0.7]), np.diag([0.01, 0.1]))
+    assert undetermined(("a", "b"), np.array([0.1, 0.2]), np.zeros(2), np.eye(2)) is None
+    blind = undetermined(("a", "b"), np.array([0.1, 0.7]), np.zeros(2), np.diag([0.01, 0.1]))
     assert blind.names == ("b",)
     assert "1.4 times the range" in str(blind.refusal())
+
+
+def test_misfits_on_two_grids_tell_the_error_of_the_finer_one():
+    """m^2 = a^2 + (c h)^2: errors of the measurements cancel."""
+    coarse, fine = (np.hypot([0.5, 2.0, 1.0], np.array([3.0, 0, 6]) / n) for n in (12, 16))
+    assert np.allclose(unexplained((12, 16), coarse, fine) * fine, [3 / 16, 0, 6 / 16])
+    assert unexplained((12, 16), [1.0], [1.1]) == 0
+
+
+def test_no_error_of_a_size_shifts_values_further():
+    """By least squares; the error that looks most like the effect of a value shifts it so far."""
+    random, kinds = np.random.default_rng(0), Oscillator().kinds
+    slopes, groups = random.standard_normal((500, 2)) @ [[1, 0.6], [0, 1]], np.arange(500) // 25
+    reach = shifted(slopes, np.array([0.5]), groups, kinds)
+    solve = np.linalg.pinv(slopes)
+    errors = np.concatenate([random.standard_normal((200, 500)), solve])
+    errors *= 0.5 * np.sqrt(20) / np.linalg.norm(errors, axis=1, keepdims=True)
+    shifts = np.abs(errors @ solve.T)
+    assert np.allclose(shifts.max(axis=0), reach, rtol=1e-6)
+    assert np.allclose(np.diag(shifts[-2:]), reach, rtol=1e-6)
+
+
+@pytest.mark.parametrize("bent", [0.3, 5.0])
+def test_the_error_of_the_grid_widens_an_interval(bent):
+    found = estimate(Oscillator(bent=bent))
+    limit, errors = found.on(np.inf)
+    assert np.all(np.abs(limit - TRUTH) < errors)
+    assert found.model[1] > bent * estimate(Oscillator()).sampling[1]
+
+
+def test_a_value_that_the_error_of_the_grid_hides_is_refused():
+    with pytest.raises(InputError, match=r"c: the error of the grid .* times the range.* To tell"):
+        estimate(Oscillator(bent=20.0))
 
 
 def test_effects_in_different_directions_are_told_apart():

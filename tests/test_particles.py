@@ -10,6 +10,7 @@ from scipy.spatial import KDTree
 
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians, quaternions
+from phy124.generators.shapes import shape
 from phy124.particles import bounds, clean, fill, in_box, make_particles, solid, to_size
 from phy124.particles.seeding import MAX_PARTICLES
 
@@ -192,6 +193,14 @@ def test_thin_parts_get_no_fillers_but_carriers_half_as_far_apart(rng):
     assert nearest(both.means, particles.x).max() <= math.sqrt(3) * 0.025
     assert 1200 < len(particles) < 1700
     assert len(fill(sheet, 0.05)) == 0
+
+
+def test_what_is_three_cells_wide_has_the_lattice_alone():
+    """Denser particles there made a pressed duck err by up to two fifths more."""
+    box = shape("box", (1, 1, 0.3), (0.5, 0.5, 0.5))
+    spacing = 0.05
+    particles = make_particles(box, density=1000, spacing=spacing, binding="lattice")
+    assert len(particles) < 1.05 * len(fill(box, spacing))
 
 
 def test_a_field_has_one_particle_per_lattice_cell_and_leaves_nothing_out(rng):

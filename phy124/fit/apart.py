@@ -25,8 +25,9 @@ right angle; 0.12 is a correlation of 0.986. E and density of a pressed duck wit
 which differ by its damping alone, have 0.04 to 0.08 on 16 and 20 cells; E and nu have 0.93."""
 SHARE = 0.3
 """Part of a direction from which a value belongs to it."""
-VAGUE = 0.5
-"""Half of an interval of 95 %, as a part of the range, from which a value is not determined."""
+VAGUE = 1 / 3
+"""Half of an interval of 95 %, as a part of the range, from which a value is not determined: two
+thirds of the range are then as good."""
 MODULI = ("E", "mu", "lambda", "bulk", "yield_stress", "hardening")
 FORCE = "measure the force on a wall, or load it with a known force in newtons"
 HOW = (
@@ -107,20 +108,26 @@ def unseen(names: Sequence[str], jacobian: Values, spread: float) -> Blind | Non
     return Blind(alike, "what was measured changes with them in the same way.")
 
 
-def undetermined(names: Sequence[str], errors: Values, directions: Values) -> Blind | None:
-    """Values that these measurements, with their errors, leave open.
+def undetermined(
+    names: Sequence[str], errors: Values, model: Values, directions: Values
+) -> Blind | None:
+    """Values that these measurements, with their errors and those of the grid, leave open.
 
     Args:
         names: Of the values [P].
-        errors: Half the interval of each value, as a part of its range [P].
+        errors: Half the interval of each value by the measurements, as a part of its range [P].
+        model: What the error of the finest grid adds to it [P].
         directions: The covariance of the values [P,P].
     """
-    worst = int(np.argmax(errors))
-    if errors[worst] < VAGUE:
+    worst = int(np.argmax(errors + model))
+    wide = 2 * float(errors[worst] + model[worst])
+    if wide < 2 * VAGUE:
         return None
+    if model[worst] > errors[worst]:
+        why = "the error of the grid moves what is measured as much as this value does: "
+        return Blind((names[worst],), f"{why}the interval would be {wide:.1f} times the range.")
     scale = np.sqrt(np.diag(directions))
     alike = np.abs(directions[worst] / (scale * scale[worst])) > 1 - SHARE
     found = tuple(name for name, part in zip(names, alike, strict=True) if part)
-    wide = 2 * errors[worst]
     together = "they are only known together: " if len(found) > 1 else ""
     return Blind(found, f"{together}the interval would be {wide:.1f} times the range.")

@@ -9,14 +9,16 @@ import numpy as np
 
 from phy124.errors import InputError
 from phy124.fit.apart import undetermined, unseen
-from phy124.fit.interval import bootstrap, extrapolated
+from phy124.fit.interval import bootstrap, extrapolated, shifted, unexplained
 from phy124.fit.problem import Distance, Problem, jacobian
 from phy124.fit.refine import Refined, refine
 from phy124.fit.search import screened, search
 from phy124.fit.table import Values
 
-STEP = 0.01
-"""Half the distance of central differences, as a part of the range."""
+STEP = 0.05
+"""Half the distance of central differences, as a part of the range. Runs scatter by some tenths of
+a pixel however close their values are, so that differences over shorter ways are those of chance:
+with 0.01 the slopes by nu of a pressed duck were up to nine times too large."""
 END = 0.005
 """Distance from the end of a range at which a value is said to lie there."""
 
@@ -33,6 +35,8 @@ class Estimate:
     """Cells across the object of each."""
     sampling: Values
     """Half of the interval, as far as it comes from the measurements [P]."""
+    model: Values
+    """How far an error of the finest grid, of the size that was seen, may shift it [P]."""
     correlation: Values
     """[P,P]."""
     notes: tuple[str, ...]
@@ -40,11 +44,12 @@ class Estimate:
     def on(self, cells: float) -> tuple[Values, Values]:
         """The best on any grid, infinity for the material itself, and half its interval [P].
 
-        An extrapolation is taken to be as uncertain as it is long. That is no matter of chance, so
-        it adds to what the measurements leave open.
+        An extrapolation is taken to be as uncertain as it is long, and no less than an error of the
+        finest grid may shift the value. That is no matter of chance, so it adds to what the
+        measurements leave open.
         """
         place, shift = extrapolated(self.grids, self.places, cells)
-        return place, self.sampling + shift
+        return place, self.sampling + np.maximum(self.model, shift)
 
 
 def estimate(
@@ -84,7 +89,9 @@ def _settled(problem: Problem, distance: Distance, passed: list[Refined]) -> Ref
     level, found = len(passed) - 1, passed[-1]
     if not problem.late(1.0):
         slopes = _slopes(problem, found.place, level)
-        passed[-1] = found = _refined(problem, distance, found.place, slopes, level)
+        found = _refined(problem, distance, found.place, slopes, level)
+        # As measured: what steps taught them is right along these steps alone.
+        passed[-1] = found = found._replace(jacobian=slopes)
     return found
 
 
@@ -95,14 +102,18 @@ def _judged(
     distance = Distance(problem, [_scale(one) for one in distance.misfits(found.predicted)])
     slopes, residual = distance.weighted(found.jacobian), distance.residual(found.predicted)
     spread = bootstrap(slopes, residual, problem.groups, problem.kinds, seed)
-    blind = undetermined(problem.names, spread.errors, spread.covariance)
+    misfits = tuple(distance.misfits(one.predicted) for one in passed)
+    grids, model = tuple(problem.grids[: len(passed)]), np.zeros(len(problem.names))
+    if len(passed) > 1:
+        parts = unexplained(grids, *misfits[-2:])
+        model = shifted(slopes, parts, problem.groups, problem.kinds)
+    blind = undetermined(problem.names, spread.errors, model, spread.covariance)
     if blind is not None:
         raise blind.refusal()
     places = tuple(one.place for one in passed)
     scale = np.sqrt(np.diag(spread.covariance))
-    misfits = tuple(distance.misfits(one.predicted) for one in passed)
     return Estimate(
-        places, misfits, tuple(problem.grids[: len(places)]), spread.errors,
+        places, misfits, grids, spread.errors, model,
         spread.covariance / np.outer(scale, scale), tuple(_notes(problem, places)),
     )  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""Intervals: a bootstrap over groups of measurements, and what the grid itself leaves open.
+"""Intervals: a bootstrap over groups of measurements, and what the grid's own error leaves open.
 
 Each draw takes as many groups as there are, with repetition, and makes one Gauss-Newton step from
 the fitted place, so that none needs a run. Errors that a group shares (a badly tracked point, a
@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from phy124.fit.observation import Groups, Kind
 from phy124.fit.table import Values
@@ -87,3 +88,40 @@ def extrapolated(
     coarse, fine, other = 1 / grids[-2], 1 / grids[-1], 1 / cells
     shift = (finest - places[-2]) * (fine - other) / (coarse - fine)
     return finest + shift, np.abs(shift)
+
+
+def unexplained(grids: Sequence[int], coarse: Sequence[float], fine: Sequence[float]) -> Values:
+    """Error of the finest grid in each kind of measurement, as a part of the misfit on it.
+
+    A misfit m holds errors of the measurements, the same on each grid, and those of the grid, which
+    shrink with its spacing h: m^2 = a^2 + (c h)^2. Two grids tell c.
+
+    Args:
+        grids: Cells across the object, from coarse to fine.
+        coarse: Root mean square misfit of each kind on the last grid but one.
+        fine: The same on the last one.
+    """
+    more = (np.asarray(coarse) / np.maximum(fine, 1e-12)) ** 2 - 1
+    return np.sqrt(np.maximum(more, 0) / ((grids[-1] / grids[-2]) ** 2 - 1))
+
+
+def shifted(
+    jacobian: Values, parts: Values, groups: Groups, kinds: Sequence[Kind]
+) -> NDArray[np.float64]:
+    """How far errors of the model may shift each value, if their size is known and no more [P].
+
+    Errors of a grid have few shapes (singular values of those of the twins make two to four), so
+    that they must be expected to look as much like the effect of a value as they can. The longest
+    shift by errors of norm e is e sqrt((J^T J)^-1) (least squares).
+
+    Args:
+        jacobian: Derivatives of the weighted prediction [M,P], in units of the misfit.
+        parts: Size of the errors in each kind of measurement, as a part of its misfit.
+        groups: Which measurements err together [M].
+        kinds: Kinds of measurements.
+    """
+    counts = [len(np.unique(groups[kind.place])) for kind in kinds]
+    size = float(np.sqrt(np.dot(counts, np.square(parts))))
+    square = jacobian.T @ jacobian
+    inverse = np.linalg.inv(square + 1e-12 * np.trace(square) * np.eye(len(square)))
+    return size * np.sqrt(np.diag(inverse))

@@ -13,6 +13,9 @@ LONGEST = 0.15
 """Longest step, as a part of the range."""
 SHORTEST = 1e-3
 """Step at which it ends."""
+TOLD = 0.01
+"""Step from which on derivatives learn from it, as a part of the range: over a shorter one runs
+differ by chance as much as by the value."""
 ROUNDS = 6
 HALVES = (1.0, 0.5)
 """Parts of a step that are tried at once."""
@@ -54,10 +57,10 @@ def refine(
         if found is None:
             break
         moved = places[best] - place
-        length = float(moved @ moved)
-        if length > 0:
+        square = float(moved @ moved)
+        if square > TOLD**2:
             change = found - predicted - jacobian @ moved
-            jacobian = jacobian + np.outer(change, moved) / length
+            jacobian = jacobian + np.outer(change, moved) / square
         if costs[best] >= distance.cost(predicted):
             break
         place, predicted = places[best], found

@@ -21,7 +21,7 @@ from phy124.particles.solid import Solid, solid
 
 BINDINGS = ("lattice", "particles")
 MAX_PARTICLES = 8_000_000
-THIN = 8
+THIN = 4
 """Width of a thin part, in distances of particles."""
 SMALLEST = 0.01
 """Smallest volume of a particle, relative to the mean."""

@@ -9,12 +9,18 @@ TRUTH = np.array([0.6, 0.35])
 
 
 class Oscillator:
-    """Points that swing with one frequency and decay; the coarser the grid, the stiffer."""
+    """Points that swing with one frequency and decay; the coarser the grid, the stiffer.
 
-    def __init__(self, seed=0, *, noise=0.02, names=("k", "c"), grids=(16, 24), truth=TRUTH):
+    `bent` is an error of the grid besides, of a shape that no value has.
+    """
+
+    def __init__(
+        self, seed=0, *, noise=0.02, names=("k", "c"), grids=(16, 24), truth=TRUTH, bent=0.0
+    ):
         random = np.random.default_rng(seed)
         self.names, self.grids, self.calls = names, grids, [0] * len(grids)
         self.heights = random.uniform(0.3, 1, POINTS)
+        self.bend = bent * np.tile(np.cos(3 * np.pi * INSTANTS), POINTS)
         exact = self.swing(truth, 0.0)
         self.measured = exact + noise * random.standard_normal(exact.shape)
         self.groups = np.repeat(np.arange(POINTS), len(INSTANTS))
@@ -29,7 +35,8 @@ class Oscillator:
 
     def predict(self, places, level):
         self.calls[level] += len(places)
-        return [self.swing(place, 1 / self.grids[level]) for place in places]
+        spacing = 1 / self.grids[level]
+        return [self.swing(place, spacing) + spacing * self.bend for place in places]
 
     def late(self, part):
         return False
