@@ -73,13 +73,17 @@ def _run(arguments: list[str], *, quiet: bool, verbose: bool) -> int:
 
 @contextmanager
 def _no_collection() -> Iterator[None]:
-    """Within this context no garbage is looked for: what imports make stays, and there is a lot."""
+    """Within this context no garbage is looked for: what imports make stays, and there is a lot.
+
+    It is left out of later searches, too: those of a run and those at exit took 0.9 s of 6 s.
+    """
     was = gc.isenabled()
     gc.disable()
     try:
         yield
     finally:
         if was:
+            gc.freeze()
             gc.enable()
 
 

@@ -302,7 +302,8 @@ def carriers(points: NDArray, particles: NDArray) -> tuple[NDArray[np.int32], ND
     leaves with weight 0.
     """
     count = min(CARRIERS, len(particles))
-    distance, index = KDTree(particles).query(points, k=count + 1, workers=-1)
+    tree = KDTree(particles, balanced_tree=False)  # half the time to build
+    distance, index = tree.query(points, k=count + 1, workers=-1)
     distance, index = np.asarray(distance), np.asarray(index)
     # If there is no next particle, its distance is infinite.
     reach = np.minimum(distance[:, -1:], 2 * distance[:, -2:-1])

@@ -1,5 +1,6 @@
 """The command line as a user meets it."""
 
+import gc
 import json
 import os
 import signal
@@ -191,6 +192,12 @@ def test_repeated_options_add_up(made, tmp_path, capsys):
     scene = Scene.from_toml(tmp_path / "scene.toml")
     assert (scene.material.E, scene.seed, scene.boundaries[1].depth) == (5e4, 3, 0.2)
     assert scene.view.views == ("front", "left")
+
+
+def test_what_a_command_imports_is_left_out_of_later_searches_for_garbage(capsys):
+    before = gc.get_freeze_count()
+    assert main(["scenes"]) == 0
+    assert gc.get_freeze_count() > before and gc.isenabled()
 
 
 def test_scenes_and_effects_and_doctor_print(capsys):

@@ -269,21 +269,21 @@ def lightest(model: Model) -> float:
     """Mass of a node inside the lightest material [kg]; infinite if all is one solid.
 
     A solid needs no such bound: a cell that is heavier than at rest is one that is compressed. The
-    particles of flowing material crowd in places, up to 1.6 times as many in a cell, without being
-    compressed.
+    particles of a material that yields crowd in places, up to 1.6 times as many in a cell, without
+    being compressed.
     """
     densities = {section.density for section in model.materials}
-    return min(densities) * model.dx**3 if flows(model) or len(densities) > 1 else math.inf
+    return min(densities) * model.dx**3 if yields(model) or len(densities) > 1 else math.inf
 
 
 def full(model: Model) -> float:
     """Fraction of the mass expected at a wall above which a body has come to it.
 
     0.9 for solids, which meet it 0.07 cells early: less makes them stiff where they begin to touch,
-    more lets columns with few particles sink in. 0.8, or 0.15 cells, for what flows, whose
+    more lets columns with few particles sink in. 0.8, or 0.15 cells, for what yields, whose
     particles are less regular.
     """
-    return 0.8 if flows(model) else 0.9
+    return 0.8 if yields(model) else 0.9
 
 
 def loose(model: Model) -> float:
@@ -296,8 +296,8 @@ def loose(model: Model) -> float:
     return REACH * model.dx if apart else -math.inf
 
 
-def flows(model: Model) -> bool:
-    """Whether any of the materials yields or flows."""
+def yields(model: Model) -> bool:
+    """Whether any of the materials yields: a solid at its yield stress, sand, snow, a liquid."""
     return any(section.device_law.project is not None for section in model.materials)
 
 

@@ -215,12 +215,12 @@ def _stray(gaussians: Gaussians) -> NDArray[np.bool_]:
 
 
 def _quantile(values: NDArray, weights: NDArray, fraction: float) -> NDArray[np.float64]:
-    """Per column of `values` [N,3], the value below which `share` of the weight lies."""
-    values = np.asarray(values, dtype=np.float64)
-    order = np.argsort(values, axis=0)
-    total = np.cumsum(weights.astype(np.float64)[order], axis=0)
-    first = (total <= fraction * total[-1]).sum(axis=0)
-    return values[order[np.minimum(first, len(values) - 1), range(3)], range(3)]
+    """Per column of `values` [N,3], the value below which `fraction` of the weight lies."""
+    columns = np.ascontiguousarray(values.T, dtype=np.float64)
+    order = np.argsort(columns, axis=1)
+    total = np.cumsum(weights.astype(np.float64)[order], axis=1)
+    first = (total <= fraction * total[:, -1:]).sum(axis=1)
+    return columns[range(3), order[range(3), np.minimum(first, len(values) - 1)]]
 
 
 def _lowest(gaussians: Gaussians) -> float:

@@ -145,7 +145,8 @@ def _apart(points: NDArray, others: NDArray, distance: float) -> NDArray:
     """The points that have none of the others within `distance`."""
     if len(points) == 0:
         return points
-    nearest, _ = KDTree(others).query(points, distance_upper_bound=distance, workers=-1)
+    tree = KDTree(others, balanced_tree=False)  # half the time to build
+    nearest, _ = tree.query(points, distance_upper_bound=distance, workers=-1)
     return points[np.isinf(nearest)]
 
 

@@ -103,7 +103,8 @@ class Surface(Implicit):
         """F [N] and its gradient [N,3] at points [N,3]."""
         value, middle, wx, wy, mx, my = interpolated(self._fields, points).T
         z = points[:, 2] - middle
-        return value - z * z, np.stack([wx + 2 * z * mx, wy + 2 * z * my, -2 * z], axis=1)
+        # A row per axis in memory, where sums over the axes take a fraction of the time.
+        return value - z * z, np.stack([wx + 2 * z * mx, wy + 2 * z * my, -2 * z]).T
 
     def section(self, y: float) -> float:
         """Area of the horizontal cross-section of the object at y, pixels^2."""
@@ -231,7 +232,8 @@ def relaxed(
     """
     normals = surface.normals(points)
     wanted = spacing_at(normals)
-    found, near = KDTree(points).query(points, k=min(8, len(points)), workers=-1)
+    tree = KDTree(points, leafsize=16, balanced_tree=False)  # half the time to build
+    found, near = tree.query(points, k=min(8, len(points)), workers=-1)
     near, distance = np.asarray(near)[:, 1:], np.asarray(found)[:, 1:]
     apart = points[:, None] - points[near]
     # In thin parts the nearest points may lie on the other side; those do not count.
