@@ -33,8 +33,10 @@ OBJECTS = {
     "land_on_cushion": "pear", "bury": "chick", "stack": "cupcake",
 }  # fmt: skip
 """Preset -> the example picture that suits it; all others use the duck."""
+FALL = 36
+"""Number of frames of a material's chip: it lands, and does not topple."""
 FRAMES = {"water": 11}
-"""Number of frames of materials that would otherwise spread far beyond their card."""
+"""Fewer, of materials that would otherwise spread far beyond their card."""
 AROUND = 1.12
 """How much farther away the camera is to see a whole motion, since Gaussians have a size."""
 SIZE, CHIP = 200, 96
@@ -58,7 +60,7 @@ def main() -> None:
 def substance_scene(name: str) -> Scene:
     """The scene of a material's chip, in which it falls to the ground."""
     drop = Scene.named("drop").replaced({"accuracy": "draft", "material": SUBSTANCES[name]})
-    return drop.replaced({"time.frames": FRAMES.get(name, drop.time.frames)})
+    return drop.replaced({"time.frames": FRAMES.get(name, FALL)})
 
 
 def make_preview(scene: Scene, example: str, path: Path, size: int) -> None:

@@ -20,7 +20,9 @@ from phy124.imaging.cutout import cut_out
 from phy124.io.clip import Clip
 from phy124.io.video import write_animation
 from phy124.rendering.frames import render_frames
-from phy124.scene import Scene, preset_names
+from phy124.rendering.shine import shine_of
+from phy124.rendering.stage.build import stage_of
+from phy124.scene import Scene, View, preset_names
 
 HERE = Path(__file__).parent
 PICTURES = ("duck", "sunflower", "teddy", "potted_plant")
@@ -37,13 +39,25 @@ SUBSTANCES = {
 SIZE, COLUMNS = 160, 7
 
 
-def row(clip: Clip, scene: Scene, view: str) -> np.ndarray:
+def filmed(clip: Clip, view: View, side: str, index: list[int]) -> list[np.ndarray]:
+    """These frames from one side, as the page and `make demo` show them: on a stage, with shine."""
+    view = view.model_copy(update={"stage": "studio"})
+    seen, stage, shine = (
+        pipeline.cameras(clip, view, side),
+        stage_of(clip, view),
+        shine_of(clip, view),
+    )
+    frames, chosen = [clip.frame(i) for i in index], [seen[i] for i in index]
+    shone = frames if shine is None else shine.frames(frames, chosen)
+    pictures = render_frames(shone, chosen, background=view.background, stage=stage and stage.at)
+    return list(pictures)
+
+
+def row(clip: Clip, scene: Scene, side: str) -> np.ndarray:
     """Seven instants from the first frame to the last, side by side."""
     small = scene.view.model_copy(update={"size": (SIZE, SIZE)})
     index = [round(i) for i in np.linspace(0, len(clip) - 1, COLUMNS)]
-    seen = pipeline.cameras(clip, small, view)
-    frames, chosen = [clip.frame(i) for i in index], [seen[i] for i in index]
-    return np.concatenate(list(render_frames(frames, chosen)), axis=1)
+    return np.concatenate(filmed(clip, small, side, index), axis=1)
 
 
 def sheet(picture: Path, names: list[str]) -> np.ndarray:
@@ -89,7 +103,7 @@ def banner(path: Path) -> None:
     scene = Scene.named("press").replaced({"view.size": 200})
     clip = moved(made_of(example("duck")), "press")
     views = [
-        list(render_frames(clip.frames(), pipeline.cameras(clip, scene.view, name)))
+        filmed(clip, scene.view, name, list(range(len(clip))))
         for name in ("front", "right", "back", "left", "orbit")
     ]
     write_animation(
