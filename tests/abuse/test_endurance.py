@@ -11,22 +11,26 @@ from support.served import ROOT, serving
 pytestmark = pytest.mark.slow
 DUCK = (ROOT / "demo/examples/duck.png").read_bytes()
 RUNS = 40
+LEAK = 5e5
+"""Growth per run that is a leak, bytes."""
 
 
 @pytest.fixture
-def server(tmp_path):
+def server(tmp_path, monkeypatch):
     pytest.importorskip("gradio", reason="the extra demo is not installed")
+    # glibc opens another heap of 20 MB whenever threads meet in it, which depends on the load.
+    monkeypatch.setenv("MALLOC_ARENA_MAX", "1")
     with serving(tmp_path, gaussians=4000) as running:
         yield running
 
 
 def test_memory_reaches_a_plateau(server):
-    """40 runs, none of which finds anything made before; the second half needs no more memory."""
+    """40 runs, none of which finds anything made before; in the second half nothing is kept."""
     visitor = Attacker(server)
     path, needed = visitor.uploaded(DUCK), []
     for seed in range(RUNS):
         few = {"accuracy": "draft", "time.frames": 6, "view.size": 256, "seed": seed}
         visitor.use_the_page(path, Scene.named("press").replaced(few).data())
         needed.append(server.memory())
-    half = RUNS // 2
-    assert max(needed[half:]) < 1.05 * max(needed[:half]), needed
+    later = needed[RUNS // 2 :]
+    assert (later[-1] - later[0]) / (len(later) - 1) < LEAK, needed
