@@ -7,12 +7,14 @@ changed; it takes some seconds for each.
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from phy124.camera import Camera
 from phy124.gaussians import Frame
 from phy124.generators import make
 from phy124.imaging.cutout import cut_out
@@ -21,10 +23,14 @@ from phy124.pipeline import cameras
 from phy124.progress import silent
 from phy124.rendering.frames import render_frames
 from phy124.rendering.framing import departures, fitted
+from phy124.rendering.shine import shine_of
+from phy124.rendering.stage.build import stage_of
 from phy124.scene import Scene, View, preset_names
 from phy124.simulation import Simulation
 
 from .substances import SUBSTANCES
+
+Pictures = list[NDArray[np.uint8]]
 
 FOLDER = Path(__file__).parent
 OBJECTS = {
@@ -37,6 +43,8 @@ FALL = 36
 """Number of frames of a material's chip: it lands, and does not topple."""
 FRAMES = {"water": 11}
 """Fewer, of materials that would otherwise spread far beyond their card."""
+LONGEST = 24
+"""Number of pictures of a loop; of a longer clip every second frame is shown, or fewer."""
 AROUND = 1.12
 """How much farther away the camera is to see a whole motion, since Gaussians have a size."""
 SIZE, CHIP = 200, 96
@@ -75,18 +83,37 @@ def make_preview(scene: Scene, example: str, path: Path, size: int) -> None:
     cutout = cut_out(FOLDER / "examples" / f"{example}.png").picture
     clip = Simulation(make("relief")(cutout, seed=0, progress=silent), scene).run()
     path.parent.mkdir(exist_ok=True)
-    view = _framed(clip, scene.view).model_copy(update={"size": (size, size)})
-    camera = cameras(clip, view, "front")[0]
-    black, white = (
-        list(render_frames(_there_and_back(clip), camera, background=(g, g, g), device="cpu"))
-        for g in (0.0, 1.0)
-    )
-    images = _telling([_clear(dark, light) for dark, light in zip(black, white, strict=True)])
-    duration = round(1000 / (0.6 * scene.time.fps))
+    view = _framed(clip, scene.view).model_copy(update={"size": (size, size), "stage": "studio"})
+    step = -(-len(clip) // LONGEST)
+    images = _telling(_filmed(clip, view, step))
+    duration = round(1000 * step / (0.6 * scene.time.fps))
     images[0].save(
         path, save_all=True, append_images=images[1:], duration=duration, loop=0,
-        quality=75, alpha_quality=60, method=4,
+        quality=60, alpha_quality=60, method=6,
     )  # fmt: skip
+
+
+def _filmed(clip: Clip, view: View, step: int) -> list[Image.Image]:
+    """Every so many frames and a pause, as the page shows a run: with shadow, walls and shine.
+
+    Behind them there is nothing, so that they fit a light and a dark page.
+    """
+    camera = cameras(clip, view, "front")[0]
+    frames, shine = list(clip.frames())[::step], shine_of(clip, view)
+    if shine is not None:
+        frames = list(shine.frames(frames, [camera] * len(frames)))
+    black, white = (_before(grey, clip, frames, camera, view) for grey in (0.0, 1.0))
+    clear = [_clear(dark, light) for dark, light in zip(black, white, strict=True)]
+    return [*clear, *[clear[-1]] * 4]
+
+
+def _before(grey: float, clip: Clip, frames: list[Frame], camera: Camera, view: View) -> Pictures:
+    """Pictures of the frames before one shade of grey."""
+    colour = (grey, grey, grey)
+    plain = {"background": colour, "gradient": None, "picture": None}
+    stage = stage_of(clip, view.model_copy(update=plain))
+    at = None if stage is None else replace(stage, pool=0.0).at
+    return list(render_frames(frames, camera, background=colour, stage=at))
 
 
 def _framed(clip: Clip, view: View) -> View:
@@ -112,12 +139,6 @@ def _telling(images: list[Image.Image]) -> list[Image.Image]:
     changed = np.abs(pixels - pixels[0]).sum(axis=(1, 2, 3))
     start = int(changed.argmax())
     return images[start:] + images[:start]
-
-
-def _there_and_back(clip: Clip) -> list[Frame]:
-    """The frames forwards and backwards, with a short pause at the end."""
-    frames = list(clip.frames())
-    return [*frames, *[frames[-1]] * 4]
 
 
 if __name__ == "__main__":
