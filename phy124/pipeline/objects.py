@@ -13,6 +13,7 @@ from phy124.gaussians import Gaussians, as_objects
 from phy124.generators import Generator, needs_image
 from phy124.generators.mesh import mesh
 from phy124.imaging.cutout import Cutout
+from phy124.io.clip import Clip
 from phy124.io.formats import is_file_of_gaussians
 from phy124.particles.thinning import thinned
 from phy124.pipeline.gaussians import Static
@@ -23,6 +24,10 @@ from phy124.scene import Scene, preset_names
 from phy124.simulation.bodies import named
 
 PathLike = str | os.PathLike[str]
+
+
+CLIP = ".safetensors"
+"""Ending of a clip."""
 
 
 class Objects(NamedTuple):
@@ -95,6 +100,19 @@ def check_sources(scene: Scene, more: Sequence[PathLike]) -> None:
     raise InputError("image", more[waiting], limit, remedy)
 
 
+def at_rest(path: PathLike) -> Gaussians:
+    """The object of a clip, as it is in the first frame.
+
+    Raises:
+        InputError: It is no clip, or one of several objects.
+    """
+    gaussians = Clip.load(path).surface.frame(0).gaussians
+    if gaussians.object_id is not None:
+        remedy = "Give the files of Gaussians or pictures that they were made of."
+        raise InputError("file", path, "it is a clip of several objects.", remedy)
+    return gaussians
+
+
 def with_others(
     first: Gaussians,
     scene: Scene,
@@ -138,6 +156,11 @@ def with_others(
             about[one.name] = {"source": one.mesh.name, "generator": "mesh"}
         source = (next(by_hand, None) if one.waits else None) or one.picture or one.file
         if source is None:
+            continue
+        if Path(source).suffix == CLIP:
+            with named(scene, index):
+                made[index] = thinned(at_rest(source), count, seed=scene.seed)
+            about[one.name] = {"source": Path(source).name, "generator": "clip"}
             continue
         makes = str(source) if is_file_of_gaussians(source) else one.generator or usual
         with named(scene, index):

@@ -40,7 +40,9 @@ class SceneObject(Object):
         default=None, examples=["teddy.png"], description="Picture that it is made from."
     )
     file: FileName | None = Field(
-        default=None, examples=["teddy.ply"], description="File of Gaussians that it is read from."
+        default=None,
+        examples=["teddy.ply"],
+        description="File of Gaussians that it is read from, or a clip: its first frame.",
     )
     generator: str | None = Field(
         default=None,
