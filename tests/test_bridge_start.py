@@ -82,9 +82,9 @@ def test_an_interrupt_that_native_code_wraps_is_one(monkeypatch, capsys):
 
 def check(status, said, moment, expected):
     if moment == EXEC and status != expected[0]:
-        # Nothing of ours had begun.
+        # Nothing of ours had begun; an environment may be beside it, which Python itself reads.
         assert status in (-signal.SIGINT, 1)
-        assert str(ROOT) not in "".join(said)
+        assert not [line for line in said if str(ROOT) in line.replace(f"{ROOT}/.venv", "")]
     else:
         # An interrupt that was caught, but passed through `exec` of a text (as in a data class that
         # was being made), Python repeats at its end. Shells call both 130.

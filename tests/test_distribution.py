@@ -74,7 +74,7 @@ def test_the_wheel_holds_our_packages_and_what_they_read(wheel):
         assert str(path.relative_to(ROOT)).replace("demo/", "phy124_demo/") in names
     assert {"phy124/py.typed", "phy124/accuracy/measured.json"} <= set(names)
     assert {"phy124/weights/u2netp.onnx", "phy124/weights/LICENSE-u2netp"} <= set(names)
-    assert wheel.stat().st_size < 7e6, "4.2 MB of it are the small U2-Net"
+    assert wheel.stat().st_size < 7.5e6, "4.2 MB are the small U2-Net, 0.9 films of the presets"
     assert "phy124_bridge/setup.py" not in names, "it builds the ROS 2 package, here it is nothing"
 
 

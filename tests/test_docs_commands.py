@@ -116,10 +116,10 @@ def test_a_wrong_command_is_found():
 
 @pytest.fixture(scope="module")
 def clone(tmp_path_factory) -> Path:
-    """What `git clone` and `make demo` give."""
+    """What `git clone`, `make demo` and `make bridge` give."""
     folder = tmp_path_factory.mktemp("newcomer") / "phy124"
     subprocess.run(["git", "clone", "--quiet", str(ROOT), str(folder)], check=True)
-    typed(folder, "make demo")
+    typed(folder, "make demo\nmake bridge")
     return folder
 
 
@@ -144,6 +144,8 @@ def typed(folder: Path, text: str) -> None:
 
 
 RUN = [block for block in SHELL if not block.words[1:]]
+READY = ("http://", "Sending ")
+"""What a server prints when it is there: the page its address, the bridge what it publishes."""
 
 
 @pytest.mark.slow
@@ -169,7 +171,7 @@ def test_a_newcomer_can_start_it_and_stop_it(clone, block):
         said = []
         for line in run.stdout:
             said.append(line)
-            if "http://" in line:
+            if any(sign in line for sign in READY):
                 break
         started = run.poll() is None
         if started:

@@ -123,6 +123,7 @@ def test_broken_files_are_refused_in_a_sentence(name, count, samples, tmp_path, 
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:.* may be a file of ")
 @pytest.mark.parametrize("name", ["object.ply", "scene.toml", "picture.png", "clip.safetensors"])
 def test_many_broken_files(name, samples, tmp_path, capsys):
     """300 of each kind in one process, and 12 in processes of their own for the exit status."""
