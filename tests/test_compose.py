@@ -1,6 +1,7 @@
 """The object drawn back into its photograph: the camera, the colours, what is behind, the film."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from phy124.__main__ import main
 from phy124.camera import Camera
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
+from phy124.generators.relief import relief
 from phy124.io.clip import Clip
 from phy124.rendering.compose import Photograph, compose
 from phy124.rendering.compose.adjoint import Adjoint
@@ -20,6 +22,7 @@ from phy124.scene import View
 from support.clips import flight
 from support.videos import read_video
 
+ROOT = Path(__file__).parents[1]
 SIZE = (160, 120)
 
 
@@ -63,6 +66,14 @@ def test_the_camera_of_a_photograph_is_found():
     ]
     assert apparent[0] == pytest.approx(apparent[1], rel=5e-3)
     assert camera.centre == pytest.approx(true.centre, abs=0.3)
+
+
+def test_an_end_drawn_straight_does_not_make_the_object_smaller():
+    """Without perspective it is drawn as a line, and ours shows an arc below it."""
+    picture = Image.open(ROOT / "demo/examples/cupcake.png").convert("RGBA")
+    made, photograph = relief(picture, count=20_000), Photograph.of(picture, picture)
+    camera, _ = match(made, photograph)
+    assert matched(made, camera, photograph).psnr > 33
 
 
 def test_colours_come_closer_to_the_photograph_where_they_are_seen():

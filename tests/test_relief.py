@@ -250,6 +250,30 @@ def test_a_limb_is_a_cylinder_with_flat_ends():
     assert np.ptp(gaussians.means[lowest, 0]) > 0.3
 
 
+def test_who_sits_on_two_round_feet_sits_flat_and_shows_both(renderer):
+    """A bear: no foot of the picture is cut off, nothing is between them, and it does not tip."""
+    body = (np.hypot((X - 96) / 46, (Y - 110) / 60) < 1) | (abs(X - 96) < 34) & (abs(Y - 140) < 34)
+    feet = np.minimum(np.hypot(X - 62, Y - 160), np.hypot(X - 130, Y - 160)) < 24
+    arms = np.hypot((X - 96) / 76, (Y - 110) / 15) < 1
+    given = picture(body | feet | arms | (np.hypot(X - 96, Y - 40) < 34))
+    gaussians = relief(given, count=20_000)
+    wanted, seen = outlines(renderer, gaussians, given)
+    assert (wanted & seen).sum() > 0.97 * (wanted | seen).sum()
+    lowest = gaussians.means[:, 2] < gaussians.means[:, 2].min() + 0.03
+    assert np.ptp(gaussians.means[lowest, 0]) > 0.5 * np.ptp(gaussians.means[:, 0])
+
+
+def outlines(renderer, gaussians, given):
+    """What is object in a picture [H,W], and what the front camera sees of it, as large."""
+    wanted = np.asarray(given)[..., 3] > 127
+    rows, columns = np.nonzero(wanted)
+    longest = max(np.ptp(rows), np.ptp(columns)) + 1
+    fov = np.degrees(2 * np.arctan(SIZE / 2 / (longest * VIEW_DISTANCE)))
+    shift = tuple((middle.min() + middle.max() + 1 - SIZE) / 2 for middle in (columns, rows))
+    camera = Camera((VIEW_DISTANCE, 0, 0), (0, 0, 0), SIZE, SIZE, float(fov), shift)
+    return wanted, renderer(gaussians, camera, (0, 0, 0), alpha=True)[..., 3] > 0.5
+
+
 def test_what_lies_is_as_deep_as_high():
     log = (abs(X - 96) < 80) & (abs(Y - 96) < 20)
     means = relief(shaded(log, (Y - 96) / 20), count=5000).means

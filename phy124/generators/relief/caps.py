@@ -8,12 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.generators.relief.ends import End
+from phy124.generators.relief.solids import RIM
 from phy124.generators.relief.surface import Surface
 from phy124.generators.relief.view import View
 
 Field = NDArray[np.float64]
 SEEN = 0.7
-"""Fraction of the thickness at which an end's plane meets the picture's lowest line."""
+"""Fraction of the thickness at which an end's plane meets the picture's lowest line; where that is
+an outline of feet, it meets the front."""
 
 
 @dataclass(frozen=True)
@@ -44,10 +46,11 @@ def cap(surface: Surface, view: View, end: End, pitch: float) -> Cap:
         end: Where it is.
         pitch: Spacing of the points, pixels.
     """
-    row = surface.w[int(end.corner - 0.5 * end.sign)]
-    thick = float(np.sqrt(max(row.max(), 0.0)))
-    near = (end.outermost - view.middle[1]) * view.k(np.array(thick))
-    level = float(SEEN * near + (1 - SEEN) * (end.corner - view.middle[1]))
+    thick = _thick(surface, end.corner - 0.5 * end.sign)
+    feet = _thick(surface, end.outermost - RIM * end.sign) if end.divided else thick
+    near = (end.outermost - view.middle[1]) * view.k(np.array(feet))
+    seen = 1.0 if end.divided else SEEN
+    level = float(seen * near + (1 - seen) * (end.corner - view.middle[1]))
     width = surface.w.shape[1]
     x = np.arange(-width / 2, width / 2, pitch)
     z = np.arange(-thick, thick + pitch, pitch * 3**0.5 / 2)
@@ -63,3 +66,8 @@ def cap(surface: Surface, view: View, end: End, pitch: float) -> Cap:
     normals = end.sign * np.stack([np.zeros_like(tilt), np.ones_like(tilt), tilt], axis=1)
     normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
     return Cap(points, normals, level, end.sign)
+
+
+def _thick(surface: Surface, row: float) -> float:
+    """Largest half thickness in a row, pixels."""
+    return float(np.sqrt(max(surface.w[int(row)].max(), 0.0)))

@@ -8,7 +8,7 @@ cut off flat. The same holds for its top.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +36,8 @@ class End:
     """Where the arc ends."""
     sign: int
     """1: the bottom, -1: the top."""
+    divided: bool = False
+    """Whether it is no arc but the outlines of several round feet."""
 
     def beyond(self, y: Field, by: float = 0.0) -> NDArray[np.bool_]:
         """Which rows lie farther out than the end, by so many pixels."""
@@ -77,9 +79,11 @@ def continued(rgba: Field, padding: int) -> Continued:
         rgba = np.pad(rgba[::sign], ((0, grown), (0, 0), (0, 0)))[::sign]
         alpha = np.pad(longer, ((0, len(rgba) - len(longer)), (0, 0)))[::sign]
         shift = grown if sign < 0 else 0
-        ends = [End(end.corner + shift, end.outermost + shift, end.sign) for end in ends]
+        ends = [
+            replace(end, corner=end.corner + shift, outermost=end.outermost + shift) for end in ends
+        ]
         inner, outer = (row + 0.5 if sign > 0 else len(rgba) - row - 1.5 for row in (corner, last))
-        ends.append(End(inner, outer, sign))
+        ends.append(End(inner, outer, sign, _divides(upright > 0.5, rows)))
     return Continued(rgba, alpha, tuple(ends))
 
 
@@ -104,6 +108,13 @@ def _widest(row: NDArray[np.bool_]) -> int:
     """Length of the longest run of a row."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(int)))
     return int((edges[1::2] - edges[::2]).max())
+
+
+def _divides(solid: NDArray[np.bool_], rows: int) -> bool:
+    """Whether the lowest end has more runs somewhere than where it begins."""
+    last = int(np.flatnonzero(solid.any(axis=1))[-1])
+    runs = np.count_nonzero(np.diff(solid[last - rows + 1 : last + 1].astype(int)) > 0, axis=1)
+    return bool(runs.max() > runs[0])
 
 
 def _parted(solid: NDArray[np.bool_], rows: int) -> bool:

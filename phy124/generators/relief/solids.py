@@ -34,6 +34,8 @@ STRAIGHT = 0.98
 CORNERS = 12
 ROUNDED = 0.1
 """Radius of a block's edges, in half widths."""
+RIM = 3.0
+"""Width over which the outline of a foot is rounded off, pixels."""
 SHADED = 0.1
 """Change of brightness over a round side, relative to the mean, that shows that it is round."""
 
@@ -53,7 +55,26 @@ def inflated(
     half = half_thickness(silhouette, picture, size)
     if half is None:
         return _slab(picture, view, thickness)
-    return Surface.seen(silhouette.extended(thickness**2 * half), view.middle, view.distance)
+    surface = Surface.seen(silhouette.extended(thickness**2 * half), view.middle, view.distance)
+    if any(end.divided for end in picture.ends):
+        return Surface.of(_with_feet(surface.w, picture), surface.m)
+    return surface
+
+
+def _with_feet(w: Field, picture: Continued) -> Field:
+    """Squared half thicknesses where round feet are as deep as what stands on them.
+
+    Beyond the corners there is their outline instead of the mirror image's; its rim is round.
+    """
+    distance = np.where(
+        picture.own, nearest_of(~picture.own)[0] - 0.5, 0.5 - nearest_of(picture.own)[0]
+    )
+    feet = np.maximum(w, 1.0) * np.clip(distance / RIM, -4, 1)
+    rows = np.arange(len(w))[:, None]
+    for end in picture.ends:
+        if end.divided:
+            w = np.where((rows - end.corner) * end.sign > 0, np.minimum(w, feet), w)
+    return w
 
 
 def half_thickness(silhouette: Silhouette, picture: Continued, size: int) -> Field | None:

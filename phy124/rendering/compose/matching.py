@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from phy124.camera import Camera
 from phy124.gaussians import Gaussians
@@ -15,8 +16,10 @@ from phy124.rendering.render import BLACK, Renderer
 DISTANCES = (2.0, 1.6, 3.0)
 """Distances of the photograph's camera that are tried, in sizes of the silhouette: that of relief,
 of LGM, and a longer lens."""
-ROUNDS = 3
-"""How often the camera is corrected."""
+RIM = 0.008
+"""Surroundings of the object that are looked at, too, in longest sides of the photograph."""
+ROUNDS = (False, False, False, True, True)
+"""Corrections of the camera: by all of the picture, or by what is near the object."""
 
 
 def match(
@@ -38,10 +41,10 @@ def match(
     tried = []
     for distance in DISTANCES:
         camera = _first(gaussians, photograph, distance)
-        for _ in range(ROUNDS):
+        for near in ROUNDS:
             each()
             tried.append((likeness(renderer, gaussians, camera, photograph), camera))
-            camera = _corrected(renderer, gaussians, camera, photograph)
+            camera = _corrected(renderer, gaussians, camera, photograph, near)
         tried.append((likeness(renderer, gaussians, camera, photograph), camera))
     quality, camera = max(tried, key=lambda pair: pair[0])
     return camera, quality
@@ -94,7 +97,7 @@ def _camera(
 
 
 def _corrected(
-    renderer: Renderer, gaussians: Gaussians, camera: Camera, photograph: Photograph
+    renderer: Renderer, gaussians: Gaussians, camera: Camera, photograph: Photograph, near: bool
 ) -> Camera:
     """The camera, zoomed and shifted so that its picture fits the photograph better.
 
@@ -108,9 +111,9 @@ def _corrected(
     warp = np.eye(2, 3, dtype=np.float32)
     until = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 50, 1e-6)
     try:
-        everywhere = np.ones(grey.shape, np.uint8)
+        looked_at = _near(photograph) if near else np.ones(grey.shape, np.uint8)
         _, warp = cv2.findTransformECC(
-            grey.astype(np.float32), drawn, warp, cv2.MOTION_AFFINE, until, everywhere, 5
+            grey.astype(np.float32), drawn, warp, cv2.MOTION_AFFINE, until, looked_at, 5
         )
     except cv2.error:
         return camera
@@ -123,3 +126,15 @@ def _corrected(
     size = (camera.width, camera.height)
     shift = tuple((middle - np.array(size) / 2).tolist())
     return _camera(camera.eye, camera.target, size, camera.focal / scale, shift)
+
+
+def _near(photograph: Photograph) -> NDArray[np.uint8]:
+    """The object and its rim [H,W].
+
+    Without what is drawn beyond it: the arc of a flat end that the picture shows as a line.
+    """
+    import cv2
+
+    reach = max(1, round(RIM * max(photograph.alpha.shape)))
+    inside = (photograph.alpha > 0.5).astype(np.uint8)
+    return np.asarray(cv2.dilate(inside, np.ones((2 * reach + 1,) * 2)), np.uint8)
