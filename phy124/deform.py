@@ -27,6 +27,8 @@ from phy124.gaussians import Array, Frame, Gaussians
 from phy124.harmonics import rotate_sh
 from phy124.kernels import deform as field
 
+THREADS = "shapes"
+"""Beginning of the names of the threads that share the Gaussians; they end with their Deformer."""
 CARRIERS = 8
 """Number of particles that carry each Gaussian with the binding `lattice`."""
 
@@ -199,7 +201,10 @@ class Deformer:
 
 
 class _Share:
-    """Launches over Gaussians, divided among CPU threads."""
+    """Launches over Gaussians, divided among CPU threads.
+
+    The threads stay: new ones for every launch often began on one core, and gained nothing.
+    """
 
     def __init__(self, count: int, device: str, threads: int) -> None:
         self.device = device
@@ -207,6 +212,7 @@ class _Share:
         self._runs = [
             slice(count * k // threads, count * (k + 1) // threads) for k in range(threads)
         ]
+        self._others = ThreadPoolExecutor(threads - 1, THREADS) if threads > 1 else None
 
     def launch(self, kernel: Any, read: list, shared: list, written: list) -> None:
         """Launch a kernel over the Gaussians.
@@ -227,12 +233,12 @@ class _Share:
             )
             for run in self._runs
         ]
-        if len(launches) == 1:
-            launches[0].launch()
-            return
         # Recorded launches have loaded the kernel, which threads must not do at the same time.
-        with ThreadPoolExecutor(len(launches)) as pool:
-            list(pool.map(lambda launch: launch.launch(), launches))
+        first, *others = launches
+        started = [self._others.submit(one.launch) for one in others] if self._others else []
+        first.launch()
+        for one in started:
+            one.result()
 
 
 class _Field:

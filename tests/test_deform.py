@@ -1,11 +1,14 @@
 """Frames from particle states, against the paper's Sigma_t = F Sigma_0 F^T and affine motions."""
 
+import gc
+import threading
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from phy124.deform import Deformer, carriers
+from phy124.deform import THREADS, Deformer, carriers
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians, quaternions, rotation_matrices
 from phy124.harmonics import sh_basis
@@ -340,6 +343,19 @@ def test_threads_share_the_gaussians_without_a_trace(gaussians, binding):
     for frame in frames[1:]:
         for name in ("means", "quats", "scales", "sh"):
             assert np.array_equal(getattr(frame, name), getattr(frames[0], name)), name
+
+
+def test_the_threads_of_a_deformer_end_with_it(gaussians):
+    others = threading.enumerate()
+    deformer = Deformer(gaussians, threads=3)
+    deformer(gaussians.means, np.tile(np.eye(3), (len(gaussians), 1, 1)), index=0, time=0)
+    waiting = [one for one in threading.enumerate() if one not in others]
+    assert 1 <= len(waiting) <= 2 and all(one.name.startswith(THREADS) for one in waiting)
+    del deformer
+    gc.collect()
+    for thread in waiting:
+        thread.join(timeout=300)
+        assert not thread.is_alive()
 
 
 def test_torn_material_is_shown_stretched_as_far_as_it_can_hold(gaussians, rng):
