@@ -55,14 +55,16 @@ class Export:
     file: str
     write: Callable[[Done, Path], None]
     available: Callable[[], bool] = lambda: True
+    empty: int = 0
+    """Bytes without any Gaussians, about."""
     still: float = 0.0
     """Bytes per Gaussian, about."""
     moving: float = 0.0
     """Bytes per Gaussian and frame, about."""
 
     def about(self, clip: Clip) -> int:
-        """About how many bytes the file will have; 0 if that is not known."""
-        return round((self.still + self.moving * len(clip)) * len(clip.opacities))
+        """About how many bytes the file will have."""
+        return self.empty + round((self.still + self.moving * len(clip)) * len(clip.opacities))
 
 
 def _html(done: Done, path: Path) -> None:
@@ -119,12 +121,17 @@ def _of(format: Format) -> Export:
 
 
 EXPORTS = {
-    "html": Export("Player, one file", "Opens in any browser, offline", "player.html", _html),
+    "html": Export(
+        "Player, one file", "Opens in any browser, offline", "player.html", _html,
+        empty=400_000, still=28.0, moving=8.0,
+    ),
     "ply": Export(
         "PLY sequence", "Opens in SuperSplat, brush, Unity", "phy124-ply.zip", _ply,
         moving=FORMATS["ply"].bytes_each,
     ),
-    "mcap": Export("MCAP", "Opens in Foxglove, ROS 2", "phy124.mcap", _mcap, _bridge),
+    "mcap": Export(
+        "MCAP", "Opens in Foxglove, ROS 2", "phy124.mcap", _mcap, _bridge, moving=60.0
+    ),
     # The Gaussians at rest are among the files as a PLY already.
     **{name: _of(FORMATS[name]) for name in WRITTEN if name != "ply"},
 }  # fmt: skip

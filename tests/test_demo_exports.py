@@ -30,6 +30,7 @@ from phy124.imaging.grabcut import hinted
 from phy124.io.clip import Clip
 from phy124.io.formats import FORMATS, WRITTEN, read_gaussians
 from phy124.scene import Scene
+from support.quantisation import many
 
 
 @pytest.fixture
@@ -51,6 +52,17 @@ def test_a_sequence_of_ply_files_is_made_once(done):
     stamp = path.stat().st_mtime_ns
     assert export("ply", done) == path and path.stat().st_mtime_ns == stamp
     assert [p.name for p in done.films.iterdir()] == [path.name]
+
+
+@pytest.mark.parametrize("kind", [kind for kind, offer in EXPORTS.items() if offer.available()])
+def test_the_size_that_is_told_is_about_that_of_the_file(done, rng, kind):
+    g = many(rng, 5000, 0)
+    made = Clip.from_frames([Frame(i, i / 10, g.moved(1, np.array([i, 0, 0]))) for i in range(4)])
+    made = replace(made, scene=Scene.named("press").data())
+    made.save(done.clip / "clip.safetensors")
+    size = export(kind, done).stat().st_size
+    # Random Gaussians compress less than an object's.
+    assert size / 3 < EXPORTS[kind].about(made) < 2 * size
 
 
 def test_the_player_is_made(done):
