@@ -59,7 +59,7 @@ SABOTAGE = {
     3: Sabotage("the first kick is a whole one", "mpm/solver.py",
                 "self.step((clock.last_dt + dt) / 2, dt)", "self.step(dt, dt)"),
     4: Sabotage("half of C is lost on the way to the grid", "kernels/transfer.py",
-                "affine = m * C[p] - (", "affine = real(0.5) * m * C[p] - ("),
+                "affine = m * C[p]", "affine = real(0.5) * m * C[p]"),
     5: Sabotage("the limit uses the shear wave speed", "materials/base.py",
                 "math.sqrt((3 * max(lam, 0) + 2 * mu) / self.density)",
                 "math.sqrt(mu / self.density)"),

@@ -111,6 +111,8 @@ def _beyond(scene: Scene, laws: Sequence[str]) -> str:
         return "scenes of several materials"
     if scene.stiffness is not None or scene.properties is not None:
         return "materials that vary from point to point"
+    if scene.resolution.gradient != "affine":
+        return f"accuracy.gradient = {scene.resolution.gradient}"
     return "motion that accuracy.rpic_damping damps" if scene.resolution.rpic_damping > 0 else ""
 
 

@@ -1,4 +1,4 @@
-"""Weights of the quadratic B-spline."""
+"""Weights of the quadratic B-spline, and their derivatives."""
 
 from typing import Any
 
@@ -13,6 +13,12 @@ def spline(f: Any):
     b = f - type(f)(1.0)
     c = f - half
     return wp.vector(half * a * a, type(f)(0.75) - b * b, half * c * c)
+
+
+@wp.func
+def slope(f: Any):
+    """Derivatives of these weights by the particle's place, per cell."""
+    return wp.vector(f - type(f)(1.5), type(f)(2.0) - type(f)(2.0) * f, f - type(f)(0.5))
 
 
 @wp.func

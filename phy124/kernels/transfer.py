@@ -22,6 +22,7 @@ import warp as wp
 
 from phy124.kernels import simd
 from phy124.kernels.build import kernel
+from phy124.kernels.gradient import gather_slopes, scatter_with_stress
 from phy124.kernels.maxima import GRADIENT, HIGH, LOW, SPEED, STIFFNESS
 from phy124.kernels.reduction import add, finite, greater, load, raise_to
 from phy124.kernels.spline import offsets, spline
@@ -177,8 +178,9 @@ def columns4(a: Any, s: Any):
     )
 
 
-SCATTERS = {"plain": scatter, "simd": simd.scatter}
-"""Two forms of one algorithm: a readable one that GPUs use, and one for CPU cores in float32."""
+SCATTERS = {"plain": scatter, "simd": simd.scatter, "spline": scatter}
+"""Two forms of one algorithm: a readable one that GPUs use, and one for CPU cores in float32; with
+"spline" stress and strain go by the weights' own gradients (kernels/gradient.py)."""
 
 
 @cache
@@ -216,11 +218,17 @@ def make_p2g(law: Law, real: Any, form: str):
                 h = history[p]
             m = mass[p]
             tau = stress(F[p], C[p], h, theta[wp.min(p, theta.shape[0] - 1)])
-            affine = m * C[p] - (real(4.0) * clock[0] * volume[p] / (dx * dx)) * tau
+            affine = m * C[p]
+            if wp.static(form != "spline"):
+                affine -= (real(4.0) * clock[0] * volume[p] / (dx * dx)) * tau
             cx, cy, cz = columns4(affine, dx)
             mv = m * v[p]
             base = wp.vector(mv[0], mv[1], mv[2], m) - f[0] * cx - f[1] * cy - f[2] * cz
-            spread(grid_out, size, first, f, base, cx, cy, cz)
+            if wp.static(form == "spline"):
+                sx, sy, sz = columns4(tau, -clock[0] * volume[p] / dx)
+                scatter_with_stress(grid_out, size, first, f, base, cx, cy, cz, sx, sy, sz)
+            else:
+                spread(grid_out, size, first, f, base, cx, cy, cz)
 
     return p2g
 
@@ -277,9 +285,17 @@ def make_g2p(law: Law, real: Any, form: str):
             x_out[p] = moved
             v_out[p] = v
             C_out[p] = C
-            trial = F_out[p] + dt * (C * F_out[p])
+            L = C
+            if wp.static(form == "spline"):
+                slopes = gather_slopes(grid, size, first, f)
+                L = (real(1.0) / dx) * wp.matrix_from_cols(
+                    wp.vector(slopes[0, 0], slopes[0, 1], slopes[0, 2]),
+                    wp.vector(slopes[1, 0], slopes[1, 1], slopes[1, 2]),
+                    wp.vector(slopes[2, 0], slopes[2, 1], slopes[2, 2]),
+                )
+            trial = F_out[p] + dt * (L * F_out[p])
             if wp.static(plastic):
-                total_out[p] = total_out[p] + dt * (C * total_out[p])
+                total_out[p] = total_out[p] + dt * (L * total_out[p])
                 row = wp.min(p, theta.shape[0] - 1)
                 elastic, h = project(trial, history_out[p], theta[row], dt)
                 F_out[p] = elastic

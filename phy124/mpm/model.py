@@ -96,6 +96,7 @@ class Model:
         precision: str = "float32",
         device: str = "cpu",
         simd: bool = True,
+        gradient: str = "affine",
     ) -> Model:
         """Put particles on the device.
 
@@ -116,6 +117,8 @@ class Model:
             precision: "float32" or "float64".
             device: Warp device.
             simd: Use SIMD rows where they exist.
+            gradient: Where stress and strain come from: "affine", the fit around each particle, or
+                "spline", the gradients of the weights.
 
         Raises:
             ValueError: The particles are not sorted by body and law, or one has no volume.
@@ -148,7 +151,7 @@ class Model:
             cfl=cfl,
             precision=precision,
             device=device,
-            form=form_of(precision, device) if simd else "plain",
+            form=form_of(precision, device if simd else "", gradient),
             held=frozenset(held),
             names=tuple(names),
         )
@@ -218,8 +221,10 @@ class Model:
         return cast("wp.Launch | None", recorded)
 
 
-def form_of(precision: str, device: str) -> str:
-    """The form of the transfers: "simd" for float32 on the CPU, else "plain"."""
+def form_of(precision: str, device: str, gradient: str = "affine") -> str:
+    """The form of the transfers: "spline" if asked for, else "simd" for float32 on the CPU."""
+    if gradient == "spline":
+        return "spline"
     return "simd" if device == "cpu" and precision == "float32" else "plain"
 
 

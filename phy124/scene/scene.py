@@ -129,6 +129,7 @@ class Scene(Section):
             self.checks,
             {
                 "objects": bool(self.objects),
+                "accuracy.gradient = spline": self.resolution.gradient != "affine",
                 "a boundary that moves": any(wall.moves for wall in self.boundaries),
                 "stiffness_profile": self.stiffness_profile is not None,
                 "accuracy.rpic_damping and a material that rubs inside": self._damped_twice,

@@ -20,10 +20,11 @@ def kernels(scene: Scene, device: str = "cpu") -> Iterator[Any]:
     """
     precision = scene.resolution.precision
     real = PRECISIONS[precision]
+    form = form_of(precision, device, scene.resolution.gradient)
     laws = {section.device_law.name: section.device_law for section in scene.materials}
     yield from tracks.kernels(real)
-    yield from substep.kernels(laws.values(), real, form_of(precision, device))
-    yield from fluctuation.kernels(scheme_of(scene), real, form_of(precision, device))
+    yield from substep.kernels(laws.values(), real, form)
+    yield from fluctuation.kernels(scheme_of(scene), real, form)
     yield from repair.kernels(laws.values(), real)
     yield from deform.kernels()
     yield from diagnostics.kernels(laws.values(), real)

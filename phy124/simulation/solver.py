@@ -74,6 +74,7 @@ def solver_of(
         cfl=scene.resolution.fraction,
         precision=scene.resolution.precision,
         device=device,
+        gradient=scene.resolution.gradient,
     )
     return Solver(
         model,

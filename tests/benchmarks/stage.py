@@ -42,6 +42,7 @@ def simulated(name: str, kept: Path | None) -> Clip:
         pipeline.generate(DUCK, Scene.named(name).replaced(changes), Path(folder) / "made")
         clip = Clip.load(Path(folder) / "made" / "clip.safetensors")
     if kept is not None:
+        kept.mkdir(parents=True, exist_ok=True)
         clip.save(kept / f"{name}.safetensors")
     return clip
 

@@ -28,7 +28,9 @@ def choose() -> None:
     from phy124.rendering import render
     from phy124.rendering.stage import shadow
 
-    model.form_of = lambda precision, device: "plain"
+    model.form_of = lambda precision, device, gradient="affine": (
+        "spline" if gradient == "spline" else "plain"
+    )
     usual = render.Renderer.__init__
 
     def by_pixel(self, *, device=None, blend="auto", filter="dilate") -> None:

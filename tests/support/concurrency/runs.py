@@ -38,9 +38,10 @@ def simulate(preset: str = "drop", count: int = 300, **changes: Any) -> Simulati
 
 
 def laws() -> Runs:
-    """Every law, in both precisions that scenes have for the first."""
+    """Every law; the first in both precisions that scenes have, and with both gradients."""
     fall = {law: {"material": given, **FALLING} for law, given in LAWS.items()}
     fall["float64"] = {**FALLING, "accuracy": {"cells": 8, "precision": "float64"}}
+    fall["spline"] = {**FALLING, "accuracy": {"cells": 8, "gradient": "spline"}}
     return {name: lambda given=given: looked_at(**given) for name, given in fall.items()}
 
 

@@ -1,0 +1,66 @@
+"""Stress and strain by the gradients of the weights: affine motions, momentum, a bent beam."""
+
+import numpy as np
+import pytest
+
+from phy124.accuracy.promises import promise
+from phy124.errors import InputError
+from phy124.experiments import beam, elastica
+from phy124.experiments.bodies import brick
+from phy124.materials import NeoHookean
+from phy124.mpm import Model, Solver, State
+from phy124.scene import Scene
+from phy124.simulation.kernels import kernels
+
+A = np.array([[0.3, -0.8, 0.2], [0.5, -0.1, 0.4], [-0.6, 0.7, -0.2]])
+
+
+def block(E: float) -> Model:
+    """Random places, so that no symmetry hides an error."""
+    x = brick((8, 8, 8), 0.05) + np.random.default_rng(1).uniform(-0.01, 0.01, (512, 3))
+    section = NeoHookean(E=E, nu=0.3, density=1000.0)
+    return Model.of(x, np.full(512, 0.05**3), [section], dx=0.1, gradient="spline")
+
+
+def test_an_affine_motion_deforms_as_it_says():
+    model = block(E=1.0)
+    state = State.of(model, model.rest @ A.T, np.broadcast_to(A, (512, 3, 3)))
+    solver = Solver(model, state, threads=1)
+    solver.advance(1e-3)
+    wanted = np.eye(3) + 1e-3 * A
+    np.testing.assert_allclose(solver.state.F.numpy(), np.tile(wanted, (512, 1, 1)), atol=2e-6)
+
+
+def test_stress_gives_no_momentum():
+    model = block(E=1e5)
+    state = State.of(model, np.zeros((512, 3)), np.zeros((512, 3, 3)))
+    state.F.assign(np.tile(np.diag([1.2, 0.9, 1.0]), (512, 1, 1)).astype(np.float32))
+    solver = Solver(model, state, threads=1)
+    solver.advance(0.01)
+    momenta = solver.model.mass.numpy()[:, None] * solver.state.v.numpy()
+    assert np.abs(momenta).sum() > 0.1
+    assert np.abs(momenta.sum(axis=0)).max() < 1e-4 * np.abs(momenta).sum()
+
+
+def test_no_error_is_promised_that_was_not_measured():
+    said = promise(Scene().replaced({"accuracy.gradient": "spline"}))
+    assert said.error is None and said.unmeasured == "accuracy.gradient = spline"
+
+
+def test_a_scene_asks_for_it_with_apic_alone():
+    spline = Scene().replaced({"accuracy.gradient": "spline"})
+    assert any(kernel.module.name.endswith("_spline") for kernel in kernels(spline))
+    assert "spline" in spline.to_toml() and "gradient" not in Scene().to_toml()
+    with pytest.raises(InputError, match=r"accuracy.gradient = spline is for transfer = apic"):
+        Scene().replaced({"accuracy": {"gradient": "spline", "transfer": "xpic2"}})
+    with pytest.raises(InputError, match=r"accuracy.gradient = spline"):
+        spline.replaced({"checks.energy": True})
+
+
+def test_a_beam_bends_as_far_as_the_elastica():
+    """Within the experiment's band, which the affine fit leaves by 4 %."""
+    (drop,) = beam.drops(2, (1.0,), elastica.weight, gradient="spline")
+    (band,) = beam.band((1.0,), (elastica.exact(1.0),), "PL²/EI")
+    assert band.low <= drop <= band.high
+    (soft,) = beam.drops(2, (1.0,), elastica.weight)
+    assert soft > 1.03 * band.high
