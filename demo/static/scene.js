@@ -70,10 +70,14 @@
 
     tell() {
       clearTimeout(this.timer);
-      this.timer = setTimeout(() => {
-        if (this.sent && JSON.stringify(this.sent) !== JSON.stringify(this.data)) { this.past.push(this.sent); this.future = []; }
-        this.say();
-      }, 120);
+      this.timer = setTimeout(() => this.settle(), 120);
+    }
+
+    /** What was changed since the last word is one step of the history. */
+    settle() {
+      clearTimeout(this.timer);
+      if (this.sent && JSON.stringify(this.sent) !== JSON.stringify(this.data)) { this.past.push(this.sent); this.future.splice(0); }
+      this.say();
     }
 
     say() {
@@ -87,8 +91,8 @@
 
     /** Back to an earlier scene, or forth again. */
     step(from, to) {
+      this.settle();
       if (!from.length) return;
-      clearTimeout(this.timer);
       to.push(this.sent);
       this.data = clone(from.pop());
       this.markChips(); this.drawKnobs(); this.drawForm();

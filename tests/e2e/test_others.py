@@ -11,9 +11,12 @@ TEDDY = DUCK.with_name("teddy.png")
 SLOT = "#others .view"
 
 
-def _preset(page, name: str) -> None:
-    page.locator(f".card input[value={name}]").check(force=True)
-    page.wait_for_timeout(400)
+def _preset(visit: Visit, name: str) -> None:
+    # Every preset has its own words.
+    words = "JSON.parse(sessionStorage.getItem('phy124-scene')).description"
+    before = visit.page.evaluate(words)
+    visit.page.locator(f".card input[value={name}]").check(force=True)
+    visit.page.wait_for_function(f"(before) => {words} !== before", arg=before, timeout=LONG)
 
 
 def test_a_second_picture_is_cut_out_runs_and_outlives_presets_and_reloads(
@@ -23,9 +26,9 @@ def test_a_second_picture_is_cut_out_runs_and_outlives_presets_and_reloads(
     page = visit.page
     visit.upload()
     assert page.locator(SLOT).count() == 0
-    _preset(page, "land_on_cushion")
+    _preset(visit, "land_on_cushion")
     assert page.locator(SLOT).count() == 0  # its cushion is a shape
-    _preset(page, "collide")
+    _preset(visit, "collide")
     assert page.locator(SLOT).count() == 1
     (tmp_path / "text.png").write_text("this is no picture")
     slot = page.get_by_label("Right", exact=True)
@@ -33,9 +36,9 @@ def test_a_second_picture_is_cut_out_runs_and_outlives_presets_and_reloads(
     page.locator("#others").get_by_text("It is not a PNG, JPEG").wait_for(timeout=LONG)
     slot.set_input_files(TEDDY)
     page.locator("#others").get_by_text("Cut out by the picture's own").wait_for(timeout=LONG)
-    _preset(page, "stack")  # the picture goes on to the object that waits for one there
+    _preset(visit, "stack")  # the picture goes on to the object that waits for one there
     page.get_by_role("button", name="Remove: above").wait_for(timeout=LONG)
-    _preset(page, "collide")
+    _preset(visit, "collide")
     page.get_by_role("button", name="Remove: right").wait_for(timeout=LONG)
     visit.choose(frames=2)
     visit.generate()
@@ -46,11 +49,10 @@ def test_a_second_picture_is_cut_out_runs_and_outlives_presets_and_reloads(
     page.reload()
     page.get_by_role("button", name="Remove: right").wait_for(timeout=LONG)
     page.get_by_role("button", name="Copy a link to this scene").click()
-    page.wait_for_timeout(500)
+    page.get_by_text("The link is copied.").wait_for(state="attached", timeout=LONG)
     link = page.evaluate("navigator.clipboard.readText()")
     page.get_by_role("button", name="Remove: right").click()
-    page.wait_for_timeout(500)
-    assert '"picture":"' not in page.evaluate("sessionStorage.getItem('phy124-scene')")
+    visit.told("(scene) => scene.objects.every((one) => !one.picture)")
     assert visit.complaints == []
     elsewhere = Visit(browser, server)
     elsewhere.page.goto(link)

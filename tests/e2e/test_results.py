@@ -34,7 +34,6 @@ def test_changes_of_the_scene_are_undone_and_shared_by_a_link(browser, server):
     page, frames = visit.page, visit.page.get_by_label("Frames", exact=True)
     before = frames.input_value()
     visit.choose(frames=23)
-    page.wait_for_timeout(300)
     # Where the clipboard may not be written the link goes into the address bar.
     page.evaluate("() => { navigator.clipboard.writeText = () => Promise.reject(new Error()); }")
     page.locator(".scene-tools").get_by_text("Copy a link").click()
@@ -50,6 +49,11 @@ def test_changes_of_the_scene_are_undone_and_shared_by_a_link(browser, server):
     assert frames.input_value() == before
     page.get_by_label("Frames", exact=True).press("Control+Shift+z")
     assert frames.input_value() == "23"
+    frames.fill("31")  # taken back before the server is told
+    page.get_by_label("Frames", exact=True).press("Control+z")
+    assert frames.input_value() == "23"
+    page.locator(".scene-tools").get_by_text("Redo").click()
+    assert frames.input_value() == "31"
     other = Visit(browser, server)
     other.page.goto("about:blank")
     other.page.goto(link)

@@ -30,7 +30,7 @@ def visit(browser, server):
     visit = Visit(browser, server)
     visit.upload()
     visit.page.locator(".card", has_text="Sway").click()
-    visit.page.wait_for_timeout(400)
+    visit.told("(scene) => scene.boundaries.some((one) => one.kind === 'foot')")
     visit.page.locator("#begin-touch").click()
     visit.page.wait_for_selector(".touch canvas.ready", timeout=LONG)
     visit.page.wait_for_function(f"{HAND}.frames > 5", timeout=LONG)
@@ -78,12 +78,9 @@ def test_keys_move_the_object_and_what_was_done_becomes_a_clip(visit):
 @pytest.mark.slow
 def test_what_rests_is_drawn_once_with_all_of_its_gaussians(visit):
     page = visit.page
-    page.wait_for_function(f"{HAND}.fine", timeout=LONG)
-    drawn, frames = page.evaluate(f"[{HAND}.pictures, {HAND}.frames]")
-    page.wait_for_function(f"{HAND}.frames > {frames} + 10", timeout=LONG)
-    assert page.evaluate(f"{HAND}.pictures") <= drawn + 1, (
-        "frames that show nothing new are not drawn"
-    )
+    # Frames that show nothing new are not drawn; the last of the swing may still show between two.
+    page.wait_for_function(f"{HAND}.fine && {HAND}.frames > {HAND}.pictures + 20", timeout=LONG)
+    drawn = page.evaluate(f"{HAND}.pictures")
     width, shown = page.evaluate(f"[{HAND}.canvas.width, {HAND}.canvas.clientWidth]")
     assert width == shown, "at full resolution"
     page.locator(".touch canvas").focus()

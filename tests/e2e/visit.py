@@ -72,8 +72,13 @@ class Visit:
         self.page.wait_for_function(
             "document.querySelector('#forecast').textContent.includes('substeps')"
         )
-        # The editor tells the server a moment after the last change.
-        self.page.wait_for_timeout(400)
+        self.told(f"(scene) => scene.time.frames === {frames} && scene.accuracy === '{accuracy}'")
+
+    def told(self, what: str) -> None:
+        """Wait until the editor has told the server of a scene for which `what` is true."""
+        self.page.wait_for_function(
+            f"({what})(JSON.parse(sessionStorage.getItem('phy124-scene')))", timeout=LONG
+        )
 
     def begin(self, *, frames: int, accuracy: str = "draft") -> None:
         """A run of the duck, until its first frame is seen."""
