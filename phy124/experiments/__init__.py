@@ -11,6 +11,7 @@ from phy124.errors import InputError
 from phy124.experiments import (
     dam_break,
     elastica,
+    elastica_spline,
     heavy_elastica,
     hertz,
     incline,
@@ -27,8 +28,8 @@ from phy124.experiments.outcome import Found, Outcome
 EXPERIMENTS: tuple[Experiment, ...] = tuple(
     module.EXPERIMENT
     for module in (
-        elastica, heavy_elastica, pressed_block, hertz, restitution, incline, middle_axis,
-        terminal_speed, taylor_bar, sand_column, dam_break,
+        elastica, elastica_spline, heavy_elastica, pressed_block, hertz, restitution, incline,
+        middle_axis, terminal_speed, taylor_bar, sand_column, dam_break,
     )
 )  # fmt: skip
 """All experiments, in the order in which they are shown."""
