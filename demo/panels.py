@@ -13,6 +13,7 @@ KNOWN = HEAD + '<script src="phy124/static/ways.js"></script>'
 KNOWN += '<script src="phy124/static/known.js"></script>'
 OTHERS = KNOWN + '<script src="phy124/static/others.js"></script>'
 EDITOR = HEAD + '<script src="phy124/static/links.js"></script>'
+EDITOR += '<script src="phy124/static/form.js"></script>'
 EDITOR += '<script src="phy124/static/scene.js"></script>'
 TOUCH = (
     HEAD
