@@ -1,6 +1,7 @@
 """The renderer against an independent compositor: float64, whole image, no tiles, no boxes."""
 
 import math
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -312,6 +313,25 @@ def test_one_renderer_takes_any_sequence_of_sizes(rng, form):
     np.testing.assert_allclose(
         renderer(cloud(rng, 0), camera, (0.1, 0.2, 0.3))[0, 0], [0.1, 0.2, 0.3]
     )
+
+
+def test_a_picture_is_the_image_in_bytes(rng):
+    renderer, g, camera = Renderer(device="cpu"), cloud(rng, 900), Camera.orbit(0, 0, 1.5, (60, 40))
+    picture = renderer.picture(g, camera, (0.1, 0.2, 0.3))
+    kept = picture.copy()
+    assert picture.dtype == np.uint8 and picture.shape == (40, 60, 3)
+    np.testing.assert_array_equal(picture, render.to_bytes(renderer(g, camera, (0.1, 0.2, 0.3))))
+    np.testing.assert_array_equal(picture, kept)  # not a view of the renderer's buffer
+
+
+def test_a_further_picture_needs_no_memory_but_its_own(rng):
+    renderer, g, camera = Renderer(device="cpu"), cloud(rng, 800), Camera.orbit(0, 0, 1.5, 256)
+    renderer.picture(g, camera)
+    tracemalloc.start()
+    picture = renderer.picture(g, camera)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert picture.nbytes < most < 1.5 * picture.nbytes
 
 
 def test_a_second_frame_allocates_nothing_on_the_device(rng, monkeypatch):

@@ -16,7 +16,7 @@ from phy124.errors import Cancelled
 from phy124.gaussians import Frame, Gaussians
 from phy124.io.clip import Clip
 from phy124.io.export.html import pack
-from phy124.rendering.render import Renderer, to_bytes
+from phy124.rendering.render import Renderer
 from phy124.rendering.stage.build import Stage, stage_of
 from phy124.rendering.stage.packing import packed
 from phy124.scene import Scene
@@ -40,9 +40,11 @@ def glimpses(order: Order, tell: Tell) -> Callable[[Frame], None]:
         rest = frame.gaussians.means if rest is None else rest
         stage = _stage(frame, order.scene, rest)
         around = stage and stage.at(replace(frame, index=0))
-        image = renderer(frame.gaussians, camera, order.scene.view.background, stage=around)
+        picture = renderer.picture(
+            frame.gaussians, camera, order.scene.view.background, stage=around
+        )
         with io.BytesIO() as file:
-            Image.fromarray(to_bytes(image)).save(file, "JPEG", quality=80)
+            Image.fromarray(picture).save(file, "JPEG", quality=80)
             tell(Glimpse(file.getvalue()))
 
     return show

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Generator, Iterator
+from contextlib import closing
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
@@ -63,13 +65,13 @@ def film(
             with watch.stage("export"):
                 made.append(EXPORTS[name](clip, folder, progress))
             continue
-        for side in view.sides:
-            before = watch.seconds.get("render", 0.0)
-            with watch.stage("encode"):
-                drawn = _images(clip, view, side, stage, shine, device, threads, progress)
-                images = watch.each("render", drawn)
-                made.append(ENCODERS[name](folder, side, images, playback(rate(clip), view)))
-            watch.seconds["encode"] -= watch.seconds.get("render", 0.0) - before
+        with closing(_images(clip, view, stage, shine, device, threads)) as images:
+            for side in view.sides:
+                before = watch.seconds.get("render", 0.0)
+                with watch.stage("encode"):
+                    drawn = watch.each("render", _of_side(images, side, len(clip), progress))
+                    made.append(ENCODERS[name](folder, side, drawn, playback(rate(clip), view)))
+                watch.seconds["encode"] -= watch.seconds.get("render", 0.0) - before
     if shine is not None and shine.seconds:
         watch.seconds["shine"] = watch.seconds.get("shine", 0.0) + shine.seconds
         watch.seconds["render"] -= shine.seconds
@@ -81,20 +83,37 @@ def film(
 
 
 def _images(
-    clip: Clip, view: View, side: str, stage: Stage | None, shine: Shine | None, device: str,
-    threads: int | None, progress: Progress,
-) -> Generator[Picture, None, None]:  # fmt: skip
-    seen = cameras(clip, view, side)
+    clip: Clip,
+    view: View,
+    stage: Stage | None,
+    shine: Shine | None,
+    device: str,
+    threads: int | None,
+) -> Generator[Picture, None, None]:
+    """The pictures of all sides, one side after the other.
+
+    The first ones of a side are drawn while the encoder still ends the video of the one before.
+    """
+    seen = [cameras(clip, view, side) for side in view.sides]
+    shown = (clip.frames() if shine is None else shine.frames(clip.frames(), one) for one in seen)
     return render_frames(
-        clip.frames() if shine is None else shine.frames(clip.frames(), seen),
-        seen,
+        chain.from_iterable(shown),
+        chain.from_iterable(seen),
         background=None if view.stage == "transparent" else view.background,
         stage=stage and stage.at,
         filter=view.filter,
         device=device,
         threads=threads,
-        progress=lambda _, done, total: progress(f"render {side}", done, total),
     )
+
+
+def _of_side(
+    images: Iterator[Picture], side: str, count: int, progress: Progress
+) -> Iterator[Picture]:
+    """The next so many pictures, which are those of a side."""
+    for done, image in enumerate(islice(images, count), 1):
+        progress(f"render {side}", done, count)
+        yield image
 
 
 def _mp4(folder: Path, side: str, images: Iterator[Picture], fps: float) -> Path:

@@ -95,7 +95,7 @@ def _picture(
 ) -> NDArray[np.uint8]:
     """One image as bytes; without a background, with coverage and unmultiplied colours."""
     if background is not None or stage is not None:
-        return to_bytes(renderer(gaussians, camera, background or BLACK, stage=stage))
+        return renderer.picture(gaussians, camera, background or BLACK, stage=stage)
     image = renderer(gaussians, camera, BLACK, alpha=True)
     image[..., :3] /= np.maximum(image[..., 3:], 1e-6)
     return to_bytes(np.minimum(image, 1))

@@ -117,6 +117,43 @@ class Renderer:
         Raises:
             InputError: If the camera or the background cannot be used.
         """
+        image, coverage = self._drawn(gaussians, camera, background, stage)
+        # Copied: the buffers are written again by the next call.
+        channels = [image] + [coverage[:, None]] * alpha
+        drawn = np.concatenate(channels, axis=1, dtype=np.float32)
+        return drawn.reshape(camera.height, camera.width, -1)
+
+    @one_at_a_time
+    def picture(
+        self,
+        gaussians: Gaussians,
+        camera: Camera,
+        background: Colour = WHITE,
+        *,
+        stage: StageFrame | None = None,
+    ) -> NDArray[np.uint8]:
+        """As a call without `alpha`, but as bytes [H,W,3], rounded to the nearest.
+
+        Args:
+            gaussians: What to draw.
+            camera: Where from, and in what size.
+            background: Colour behind the Gaussians, 0..1.
+            stage: What stands behind and around the Gaussians instead of the background.
+
+        Raises:
+            InputError: If the camera or the background cannot be used.
+        """
+        image, _ = self._drawn(gaussians, camera, background, stage)
+        # In place: new memory for each picture, which the system first has to clear, can take as
+        # long as half of the drawing.
+        image *= 255
+        image += 0.5
+        return image.astype(np.uint8).reshape(camera.height, camera.width, 3)
+
+    def _drawn(
+        self, gaussians: Gaussians, camera: Camera, background: Colour, stage: StageFrame | None
+    ) -> tuple[Array, Array]:
+        """Light [H*W,3] and coverage [H*W], which stand in buffers on a CPU."""
         pixels = camera.width * camera.height
         view, counts = self.prepared(gaussians, camera)
         colour = wp.vec3(*_checked_background(BLACK if stage else background))
@@ -136,10 +173,7 @@ class Renderer:
             )
         if around is not None and not around.simd:
             around.draw(image, coverage)
-        # Copied: the buffers are written again by the next call.
-        channels = [image.numpy()[:pixels]] + [coverage.numpy()[:pixels, None]] * alpha
-        drawn = np.concatenate(channels, axis=1, dtype=np.float32)
-        return drawn.reshape(camera.height, camera.width, -1)
+        return image.numpy()[:pixels], coverage.numpy()[:pixels]
 
     def prepared(self, gaussians: Gaussians, camera: Camera) -> tuple[Any, NDArray[np.int64]]:
         """The camera as a `screen.View`, and how many projected splats touch each tile [tiles]."""

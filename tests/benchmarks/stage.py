@@ -21,7 +21,7 @@ from phy124.camera import Camera
 from phy124.gaussians import Frame
 from phy124.io.clip import Clip
 from phy124.rendering.framing import cameras, fitted
-from phy124.rendering.render import Renderer, to_bytes
+from phy124.rendering.render import Renderer
 from phy124.rendering.stage.build import stage_of
 from phy124.scene import Scene
 from phy124.scene.scene import preset_names
@@ -66,7 +66,7 @@ def milliseconds(clip: Clip, repeats: int) -> tuple[float, float, float]:
             for side in seen:
                 for kind, around in (("plain", None), ("staged", shown)):
                     start = time.process_time()
-                    to_bytes(renderer(frame.gaussians, side[frame.index], stage=around))
+                    renderer.picture(frame.gaussians, side[frame.index], stage=around)
                     times[kind].append(time.process_time() - start)
     plain, staged, shadow = (
         1e3 * statistics.median(taken[len(taken) // (repeats + 1) :]) for taken in times.values()
