@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.imaging.image import is_blank, reduced
+from phy124.imaging.lab import to_lab
 
 Field = NDArray[np.float32]
 ROUNDS = 4
@@ -87,7 +88,7 @@ def _plausibility(mask: NDArray[np.uint8], rgb: NDArray) -> float:
     if not 0.01 < fraction < 0.9:
         return 0.0
     outline = cv2.morphologyEx(mask, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)) > 0
-    lab = cv2.cvtColor(rgb.astype(np.float32) / 255, cv2.COLOR_RGB2Lab)
+    lab = to_lab(rgb)
     across, down = (cv2.Sobel(lab, cv2.CV_32F, *d, scale=1 / 8) for d in ((1, 0), (0, 1)))
     change = np.sqrt((across**2 + down**2).sum(axis=2))
     edge = float(np.minimum(change[outline], 10).mean())
@@ -99,7 +100,7 @@ def _plausibility(mask: NDArray[np.uint8], rgb: NDArray) -> float:
 
 def _unlikeness(rgb: NDArray, border: NDArray[np.bool_]) -> Field:
     """Distance of each colour from the colours of the border [H,W], in CIE Lab, saturating at 1."""
-    lab = cv2.cvtColor(rgb.astype(np.float32) / 255, cv2.COLOR_RGB2Lab)
+    lab = to_lab(rgb)
     # Lightness varies with shadows on the very background.
     lab[..., 0] *= 0.6
     samples = lab[border]

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from phy124.imaging.lab import to_lab
+
 Solid = NDArray[np.bool_]
 CRUMB = 0.01
 """Smallest piece that counts, relative to the object."""
@@ -98,5 +100,4 @@ def _small(rgb: NDArray[np.uint8], solid: Solid) -> tuple[NDArray[np.float32], S
     size = max(3, round(solid.shape[1] * scale)), max(3, round(solid.shape[0] * scale))
     small = cv2.resize(np.ascontiguousarray(rgb), size, interpolation=cv2.INTER_AREA)
     mask = cv2.resize(255 * solid.astype(np.uint8), size, interpolation=cv2.INTER_AREA)
-    smooth = cv2.bilateralFilter(small, 5, 30, 3).astype(np.float32) / 255
-    return np.asarray(cv2.cvtColor(smooth, cv2.COLOR_RGB2Lab), np.float32), mask > 127
+    return to_lab(np.asarray(cv2.bilateralFilter(small, 5, 30, 3), np.uint8)), mask > 127

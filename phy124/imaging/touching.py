@@ -13,6 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from phy124.imaging.lab import to_lab
+
 Alpha = NDArray[np.uint8]
 Solid = NDArray[np.bool_]
 SIDE = 200
@@ -101,7 +103,7 @@ def _away(core: Solid) -> NDArray[np.float32]:
 
 def _unlike(rgb: NDArray[np.uint8], one: Solid, other: Solid) -> float:
     """Fraction of the colours of two parts that they do not share."""
-    lab = cv2.cvtColor(rgb.astype(np.float32) / 255, cv2.COLOR_RGB2Lab)
+    lab = to_lab(rgb)
     bins = np.clip(((lab - LOW) / RANGE * BINS).astype(int), 0, BINS - 1)
     kinds = np.asarray(np.ravel_multi_index(tuple(np.moveaxis(bins, 2, 0)), tuple(BINS)))
     counts = [np.bincount(kinds[part], minlength=int(BINS.prod())) for part in (one, other)]
