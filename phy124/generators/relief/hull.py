@@ -14,7 +14,7 @@ import numpy as np
 import scipy.ndimage as ndi
 from numpy.typing import NDArray
 
-from phy124.generators.relief.surface import ROUNDS, Implicit, interpolated, relaxed
+from phy124.generators.relief.surface import Implicit, interpolated, relaxed, settled
 
 Field = NDArray[np.float64]
 COARSE = 4
@@ -136,10 +136,7 @@ def spread_over(
     def wanted(normals: Field) -> Field:
         return np.full(len(normals), pitch)
 
-    for _ in range(ROUNDS):
-        alive()
-        points, _ = relaxed(hull, points, wanted)
-    alive()
+    points = settled(hull, points, wanted, alive)
     points, spacing = relaxed(hull, points, wanted)
     landed = hull.landed(points)  # all but a handful
     points, spacing = points[landed], spacing[landed]

@@ -21,12 +21,17 @@ from phy124.generators.relief.ends import End
 from phy124.generators.relief.height import nearest_of
 
 Field = NDArray[np.float64]
+Neighbours = NDArray[np.intp]
 BACK_PITCH = 1.5
 """Spacing of points on the back relative to the front; its colours are smooth."""
 OVERHANG = 5.0
 """How far beyond the ends points continue while they are spread, pixels."""
 ROUNDS = 6
 """Number of relaxation rounds; the spacing is even to about 10 % after five."""
+ALIKE = 3
+"""Number of rounds in which the same points count as neighbours; finding them takes longest."""
+BLOCK = 4096
+"""Points that are pushed at once."""
 
 
 class Implicit(ABC):
@@ -167,10 +172,7 @@ def spread(
     def wanted(normals: Field) -> Field:
         return pitch * pitch_factor(normals)
 
-    for _ in range(ROUNDS):
-        alive()
-        points, _ = relaxed(surface, points, wanted)
-    alive()
+    points = settled(surface, points, wanted, alive)
     _, spacing = relaxed(surface, points, wanted)
     return points, surface.normals(points), spacing, pitch
 
@@ -223,26 +225,78 @@ def _columns(w: Field, pitch: float) -> tuple[Field, Field, Field]:
     return np.stack([x[column], y[row]], axis=1), nearest, deepest
 
 
+def settled(
+    surface: Implicit,
+    points: Field,
+    spacing_at: Callable[[Field], Field],
+    alive: Callable[[], None] = lambda: None,
+) -> Field:
+    """Points [N,3] after all rounds of relaxation.
+
+    Args:
+        surface: The surface.
+        points: The points.
+        spacing_at: The wanted spacing [N] where the surface has these normals [N,3].
+        alive: Called before each round, and after the last one; may raise.
+    """
+    for _ in range(ROUNDS // ALIKE):
+        near = neighbours(points)
+        for _ in range(ALIKE):
+            alive()
+            points, _ = relaxed(surface, points, spacing_at, near)
+    alive()
+    return points
+
+
 def relaxed(
-    surface: Implicit, points: Field, spacing_at: Callable[[Field], Field]
+    surface: Implicit,
+    points: Field,
+    spacing_at: Callable[[Field], Field],
+    near: Neighbours | None = None,
 ) -> tuple[Field, Field]:
     """Points [N,3] pushed apart along a surface, and the mean distance to their neighbours [N].
 
-    `spacing_at` gives the wanted one [N] where the surface has these normals [N,3].
+    Args:
+        surface: The surface.
+        points: The points.
+        spacing_at: The wanted spacing [N] where the surface has these normals [N,3].
+        near: Their neighbours, if they are known.
     """
+    near = neighbours(points) if near is None else near
     normals = surface.normals(points)
-    wanted = spacing_at(normals)
+    wanted, move, spacing = spacing_at(normals), np.empty_like(points), np.empty(len(points))
+    # A row per axis in memory, and some points at a time, of which everything fits into a cache.
+    rows = np.ascontiguousarray(points.T), np.ascontiguousarray(normals.T)
+    for start in range(0, len(points), BLOCK):
+        some = slice(start, start + BLOCK)
+        move[some], spacing[some] = _pushed(*rows, wanted, near, some)
+    return surface.project(points + move), spacing
+
+
+def neighbours(points: Field) -> Neighbours:
+    """The seven nearest to each point [N,7], nearest first; fewer if there are fewer points."""
     tree = KDTree(points, leafsize=16, balanced_tree=False)  # half the time to build
-    found, near = tree.query(points, k=min(8, len(points)), workers=-1)
-    near, distance = np.asarray(near)[:, 1:], np.asarray(found)[:, 1:]
-    apart = points[:, None] - points[near]
+    return np.asarray(tree.query(points, k=min(8, len(points)), workers=-1)[1])[:, 1:]
+
+
+def _pushed(
+    points: Field, normals: Field, wanted: Field, near: Neighbours, some: slice
+) -> tuple[Field, Field]:
+    """How far some points are pushed [M,3], and the mean distance to their neighbours [M].
+
+    Points and normals are [3,N].
+    """
+    wanted, near, own = wanted[some, None], near[some], normals[:, some]
+    apart = [axis[some, None] - axis[near] for axis in points]
+    distance = np.sqrt(apart[0] ** 2 + apart[1] ** 2 + apart[2] ** 2)
     # In thin parts the nearest points may lie on the other side; those do not count.
-    same = np.einsum("pi,pki->pk", normals, normals[near]) > 0.3
-    reach = 1.25 * wanted[:, None]
-    push = np.where(same, np.maximum(0, 1 - distance / reach), 0.0) * wanted[:, None]
-    move = 0.45 * np.einsum("pk,pki->pi", push / np.maximum(distance, 1e-9), apart)
-    move -= np.einsum("pi,pi->p", move, normals)[:, None] * normals
+    x, y, z = (axis[some, None] * axis[near] for axis in normals)
+    same = x + y + z > 0.3
+    push = np.where(same, np.maximum(0, 1 - distance / (1.25 * wanted)), 0.0) * wanted
+    push *= 0.45 / np.maximum(distance, 1e-9)
+    move = np.stack([(push * axis).sum(axis=1) for axis in apart])
+    move -= (move * own).sum(axis=0) * own
     counted = np.maximum(same[:, :6].sum(axis=1), 1)
     spacing = np.where(same, distance, 0.0)[:, :6].sum(axis=1) / counted
-    spacing = np.clip(np.where(spacing > 0, spacing, wanted), 0.6 * wanted, 1.6 * wanted)
-    return surface.project(points + move), spacing
+    wanted = wanted[:, 0]
+    return move.T, np.clip(np.where(spacing > 0, spacing, wanted), 0.6 * wanted, 1.6 * wanted)
