@@ -281,6 +281,39 @@ def test_every_form_of_the_renderer_draws_the_same_stage(blend, distance):
     assert np.abs(image - other).max() < 1 / 255
 
 
+def test_a_renderer_that_has_drawn_other_stages_draws_as_a_new_one():
+    """What it keeps of a stage belongs to that stage."""
+    bounded = [{"kind": "ground"}, {"kind": "press"}]
+    walled = [{"kind": "container", "inside": {"lower": [-1, -1, 0], "upper": [1, 1, 1e9]}}]
+    frames = [at(staged(bounded), 0), at(staged(bounded), 2), at(staged(walled), 0)]
+    photo = Backdrop((1, 1, 1), (1, 1, 1), np.full((8, 8, 3), 90, np.uint8))
+    frames += [replace(frames[0], backdrop=photo), StageFrame(photo), frames[0]]
+    camera, kept, g = Camera.orbit(30, 15, 3.0, (64, 48)), Renderer(device="cpu"), ball(500)
+    for stage in frames:
+        fresh = Renderer(device="cpu")(g, camera, stage=stage)
+        np.testing.assert_array_equal(kept(g, camera, stage=stage), fresh)
+
+
+def test_shade_stands_between_the_cells_that_are_told():
+    shade = np.zeros((16, 16), np.float32)
+    floor = Floor(0.0, (0.0, 0.0), 1.0, shade)
+    assert floor.shaded == (0, 0, 0, 0)
+    shade[3:9, 5] = 0.1
+    assert Floor(0.0, (0.0, 0.0), 1.0, shade).shaded == (3, 8, 5, 5)
+
+
+def test_gaussians_that_are_nowhere_leave_the_floor_as_it_is():
+    """Those that are nowhere in the first frame are not looked at, others where they began."""
+    clip = Clip.from_frames([replace(HERE, index=i, time=0.1 * i) for i in range(3)])
+    means = clip.means.copy()
+    means[0, ::2] = means[2, 1::5] = np.nan
+    whole, holed = (
+        stage_of(Clip(**{**vars(clip), "means": m}), STUDIO).caster for m in (clip.means, means)
+    )
+    assert holed.reach == pytest.approx(whole.reach, rel=0.1)
+    assert np.isfinite([*holed.middle, holed.tallest]).all()
+
+
 def test_a_box_that_stands_on_the_floor_has_one_shade():
     """Its lower face lies on the floor: not before it at some pixels and behind it at others."""
     box = Solid(np.array([0.0, 0.0, 0.37]), np.eye(3), np.array([0.4, 0.4, 0.27]))

@@ -23,7 +23,7 @@ from phy124.kernels.splat import bin as binning
 from phy124.kernels.splat import blend, blend_simd, project, project_simd, screen, stage_simd
 from phy124.rendering.pinhole import NEAR as NEAR
 from phy124.rendering.pinhole import pinhole
-from phy124.rendering.stage import draw
+from phy124.rendering.stage.draw import Surroundings
 from phy124.rendering.stage.frame import StageFrame
 from phy124.runtime.compiling import compile_missing
 from phy124.runtime.device import one_at_a_time
@@ -89,6 +89,7 @@ class Renderer:
         vectorised = 16, project_simd.project_simd
         self._projection = vectorised if blend == "simd" else (1, project.project)
         compile_missing((self._projection[1], binned, self._blend), str(self.device))
+        self._around = Surroundings(self.device, simd=blend == "simd")
         self._buffers: dict[str, wp.array] = {}
         self._constants: dict[str, tuple[Any, Array, wp.array]] = {}
 
@@ -159,7 +160,7 @@ class Renderer:
         colour = wp.vec3(*_checked_background(BLACK if stage else background))
         image = self._buffer("image", pixels, wp.vec3)
         coverage = self._buffer("coverage", pixels, wp.float32)
-        around = stage and self._surroundings(stage, view, gaussians)
+        around = self._look(stage, view, gaussians) if stage else None
         fused = around if around is not None and around.simd else None
         kernel, more = (BLEND_STAGED, fused.inputs()) if fused else (self._blend, [])
         for first, last in runs(counts, MAX_PAIRS):
@@ -173,7 +174,8 @@ class Renderer:
             )
         if around is not None and not around.simd:
             around.draw(image, coverage)
-        return image.numpy()[:pixels], coverage.numpy()[:pixels]
+        light, covered = (np.asarray(one.numpy(), np.float32) for one in (image, coverage))
+        return light[:pixels], covered[:pixels]
 
     def prepared(self, gaussians: Gaussians, camera: Camera) -> tuple[Any, NDArray[np.int64]]:
         """The camera as a `screen.View`, and how many projected splats touch each tile [tiles]."""
@@ -182,12 +184,10 @@ class Renderer:
         view.low_area = float(np.float32(view.low_pass) ** 2)
         return view, self._project(gaussians, view)
 
-    def _surroundings(
-        self, stage: StageFrame, view: Any, gaussians: Gaussians
-    ) -> draw.Surroundings:
+    def _look(self, stage: StageFrame, view: Any, gaussians: Gaussians) -> Surroundings:
         """The stage on the device; what is seen through glass among the Gaussians is tinted."""
-        simd = self._blend is BLENDS["simd"]
-        around = draw.Surroundings(stage, view, gaussians.means, self.device, simd=simd)
+        around = self._around
+        around.look(stage, view, gaussians.means)
         if around.among:
             around.tint(self._given(gaussians.means, wp.vec3), self._buffers["splats"])
         return around

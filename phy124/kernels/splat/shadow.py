@@ -5,7 +5,7 @@ import warp as wp
 from phy124.kernels.build import kernel
 from phy124.kernels.reduction import finite
 
-NARROW = wp.constant(0.8)
+NARROW = wp.constant(0.9)
 """A Gaussian narrower than this [cells] counts as a point between four cells."""
 REACH = wp.constant(3.0)
 """How far a wider Gaussian is followed [standard deviations]."""

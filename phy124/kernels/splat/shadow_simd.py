@@ -10,7 +10,7 @@ CAST = r"""
     const int cells_x = layers_out.shape[1], cells_y = layers_out.shape[2];
     const float extent = (float)(cells_x > cells_y ? cells_x : cells_y);
     const float last = (float)(layers_out.shape[0] - 1);
-    const float NARROW = 0.8f, REACH = 3.0f, LARGEST = 3e38f;
+    const float NARROW = 0.9f, REACH = 3.0f, LARGEST = 3e38f;
     const auto root = [](float a) { return __builtin_elementwise_sqrt(a); };
     const auto least = [](float a, float b) { return a < b ? a : b; };
     const float widen = root(weight) / cell;

@@ -24,12 +24,13 @@ class Setting:
     middle: wp.vec2  # of the square that the shadow map covers [m]
     reach: float  # half its side [m]
     cells: int  # along its side
+    shaded: wp.vec4i  # first and last of them with shade along x, then along y
     pool: float  # how much brighter the floor is in the middle, for a grey of 1/2
     before: int  # how many of the solids, the first ones, are before all Gaussians
 
 
 @wp.func
-def shade_at(setting: Setting, shade: wp.array2d(dtype=float), u: float, v: float) -> float:
+def shade_at(setting: Setting, shade: wp.array2d(dtype=wp.uint16), u: float, v: float) -> float:
     """The light that the shadow takes, between the centres of cells; none outside the map.
 
     The outermost cells have no shadow.
@@ -41,9 +42,9 @@ def shade_at(setting: Setting, shade: wp.array2d(dtype=float), u: float, v: floa
     j = int(v)
     a = u - float(i)
     b = v - float(j)
-    near = shade[i, j] + a * (shade[i + 1, j] - shade[i, j])
-    far = shade[i, j + 1] + a * (shade[i + 1, j + 1] - shade[i, j + 1])
-    return near + b * (far - near)
+    near = float(shade[i, j]) + a * (float(shade[i + 1, j]) - float(shade[i, j]))
+    far = float(shade[i, j + 1]) + a * (float(shade[i + 1, j + 1]) - float(shade[i, j + 1]))
+    return (near + b * (far - near)) / 65535.0
 
 
 @wp.func
@@ -148,7 +149,7 @@ def draw_setting(
     # model
     view: View,
     setting: Setting,
-    shade: wp.array2d(dtype=float),
+    shade: wp.array2d(dtype=wp.uint16),
     picture: wp.array(dtype=wp.vec3),
     solids: wp.array(dtype=Solid),
     outlines: wp.array(dtype=Outline),

@@ -50,14 +50,15 @@ AIM = r"""
 
 CLEAR = r"""
     Row clear[16], lens[16];  // what solids let through, all and those before the Gaussians
-    for (int y = 0; y < 16; ++y) clear[y] = lens[y] = none + 1.0f;
-    bool laid = false;
+    bool laid = false, glazed = false;
     const float middle_x = 0.5f * (float)(left + right), middle_y = 0.5f * (float)(top + bottom);
     const float half_x = 0.5f * (float)(count - 1), half_y = 0.5f * (float)(rows - 1);
     const int shown = most_open == 0.0f ? setting.before : solids.shape[0];
     for (int k = 0; k < shown; ++k) {
-        if (k == setting.before) for (int y = 0; y < 16; ++y) lens[y] = clear[y];
+        if (glazed && k == setting.before) for (int y = 0; y < 16; ++y) lens[y] = clear[y];
         if (beside(outlines.data[k], middle_x, middle_y, half_x, half_y)) continue;
+        if (!glazed) for (int y = 0; y < 16; ++y) clear[y] = lens[y] = none + 1.0f;
+        glazed = true;
         laid = laid || k < setting.before;
         Veil veil;
         for (int i = 0; i < 16; ++i) {
@@ -82,71 +83,90 @@ CLEAR = r"""
             clear[y] *= 1.0f - *(const Row*)veil.alpha;
         }
     }
-    if (shown == setting.before) for (int y = 0; y < 16; ++y) lens[y] = clear[y];
+    if (glazed && shown == setting.before) for (int y = 0; y < 16; ++y) lens[y] = clear[y];
     if (most_open == 0.0f && !laid) return;
 """
 
 LIGHT = r"""
-    const float* __restrict shades = shade.data;
+    const unsigned short* __restrict shades = shade.data;
+    typedef unsigned Pair __attribute__((aligned(2)));
     const int cells = setting.cells;
     const float last = (float)(cells - 1), nearer = 1.0f / setting.reach;
     const float scale = 0.5f * (float)cells * nearer, middle = 0.5f * last;
     const float ex = view.eye[0] - setting.middle[0], ey = view.eye[1] - setting.middle[1];
-    float light[16] = {0.0f}, pool[16] = {0.0f}, at_i[16], at_j[16];
-    // What the floor takes of the backdrop's light along rays, and adds to it in the middle.
-    const auto shine = [&]() {
-        #pragma clang loop vectorize(enable) interleave(disable) unroll(disable)
-        for (int i = 0; i < 16; ++i) {
-            const float limit = rays.limit[i] < 1e30f ? rays.limit[i] : 0.0f;
-            const float u = ex + limit * rays.x[i], v = ey + limit * rays.y[i];
-            const float rest = 1.0f - 0.5f * (u * u + v * v) * nearer * nearer;
-            const bool on = rays.limit[i] < 1e30f;
-            pool[i] = on && rest > 0.0f ? setting.pool * rest * rest : 0.0f;
-            at_i[i] = on ? u * scale + middle : -1.0f;
-            at_j[i] = on ? v * scale + middle : -1.0f;
-            light[i] = 1.0f;
-        }
-        const auto outside = [&](const float* at) {
-            return (at[0] < 0.0f && at[15] < 0.0f) || (at[0] >= last && at[15] >= last);
-        };
-        if (outside(at_i) || outside(at_j)) return;
+    // All shade is between the centres of these cells, which have none.
+    const float first_i = (float)setting.shaded[0] - 1.0f, end_i = (float)setting.shaded[1] + 1.0f;
+    const float first_j = (float)setting.shaded[2] - 1.0f, end_j = (float)setting.shaded[3] + 1.0f;
+    // Directions of a row's rays, but for what its height adds.
+    Row column;
+    for (int i = 0; i < 16; ++i) column[i] = ((float)(left + i) + 0.5f - view.centre[0]) * step;
+    const Row along_x = turn[0][0] * column + turn[2][0];
+    const Row along_y = turn[0][1] * column + turn[2][1];
+    const Row along_z = turn[0][2] * column + turn[2][2];
+    const auto look_up = [&](const float* at_i, const float* at_j, float* __restrict light) {
         #pragma clang loop vectorize(enable) interleave(disable) unroll(disable)
         for (int x = 0; x < 16; ++x) {
             const float u = at_i[x], v = at_j[x];
             const bool inside = u >= 0.0f && v >= 0.0f && u < last && v < last;
             const int i = inside ? (int)u : 0, j = inside ? (int)v : 0, cell = i * cells + j;
             const float a = u - (float)i, b = v - (float)j;
-            const float one = shades[cell] + a * (shades[cell + cells] - shades[cell]);
-            const float two = shades[cell + 1]
-                + a * (shades[cell + cells + 1] - shades[cell + 1]);
-            light[x] = inside ? 1.0f - (one + b * (two - one)) : 1.0f;
+            // Two neighbours are read at once: reading takes most of the time here.
+            const unsigned near = *(const Pair*)(shades + cell);
+            const unsigned far = *(const Pair*)(shades + cell + cells);
+            const float p = (float)(int)(near & 0xffff), q = (float)(int)(near >> 16);
+            const float one = p + a * ((float)(int)(far & 0xffff) - p);
+            const float two = q + a * ((float)(int)(far >> 16) - q);
+            light[x] = inside ? 1.0f - (one + b * (two - one)) * (1.0f / 65535.0f) : 1.0f;
         }
+    };
+    // What the floor takes of the backdrop's light along rays, and adds to it in the middle.
+    const auto shine = [&](float at, Row& light, Row& pool) {
+        const float v = (at - view.centre[1]) * step;
+        const Row z = along_z + turn[1][2] * v;
+        light = none + 1.0f;
+        pool = none;
+        if (!floored || (z[0] >= 0.0f && z[15] >= 0.0f)) return;
+        const Row limit = -above / (z < -1e-12f ? z : none - 1e-12f);
+        const Row x = ex + limit * (along_x + turn[1][0] * v);
+        const Row y = ey + limit * (along_y + turn[1][1] * v);
+        const Row rest = z < none ? 1.0f - (0.5f * nearer * nearer) * (x * x + y * y) : none;
+        pool = rest > none ? setting.pool * rest * rest : none;
+        const Row at_i = z < none ? x * scale + middle : none - 2.0f;
+        const Row at_j = z < none ? y * scale + middle : none - 2.0f;
+        const auto outside = [&](const Row& at, float low, float high) {
+            return (at[0] < low && at[15] < low) || (at[0] > high && at[15] > high);
+        };
+        if (outside(at_i, first_i, end_i) || outside(at_j, first_j, end_j)) return;
+        look_up((const float*)&at_i, (const float*)&at_j, (float*)&light);
     };
 """
 
 DRAW = r"""
     const bool pictured = picture.shape[0] > 0;
-    for (int i = 0; i < 16; ++i) xs[i] = (float)(left + i) + 0.5f;
+    Row* const lights[3] = {(Row*)R, (Row*)G, (Row*)B};
+    const float per_row = 1.0f / (float)view.height;
     for (int y = 0; y < rows; ++y) {
-        const float at = (float)(top + y) + 0.5f, down = at / (float)view.height;
-        const bool some = __builtin_reduce_max(open[y]) > 0.0f;
-        if (!some && !laid) continue;
-        if (some) {
-            for (int i = 0; i < 16; ++i) ys[i] = at;
-            aim(rays, xs, ys);
-            shine();
+        const float at = (float)(top + y) + 0.5f, down = at * per_row;
+        Row light = none, pool = none;
+        if (most_open > 0.0f) shine(at, light, pool);
+        Row seen = open[y] * light, dull = none;
+        if (glazed) {
+            seen *= clear[y];
+            dull = open[y] * (1.0f - clear[y]) + (1.0f - open[y]) * (1.0f - lens[y]);
         }
-        const Row seen = open[y] * clear[y] * *(const Row*)light, added = seen * *(const Row*)pool;
-        const Row hidden = open[y] * (1.0f - clear[y]) + (1.0f - open[y]) * (1.0f - lens[y]);
+        const Row added = seen * pool;
         for (int c = 0; c < 3; ++c) {
-            Row behind = none + (setting.top[c] + down * (setting.bottom[c] - setting.top[c]));
+            Row& drawn = lights[c][y];
+            if (glazed) drawn = lens[y] * drawn + dull * TINT[c];
             if (pictured) {
                 const auto* photo = picture.data + (top + y) * view.width + left;
+                Row behind = none;
                 for (int x = 0; x < count; ++x) behind[x] = photo[x][c];
+                drawn += seen * behind + added * behind * (1.0f - behind);
+            } else {
+                const float behind = setting.top[c] + down * (setting.bottom[c] - setting.top[c]);
+                drawn += seen * behind + added * (behind * (1.0f - behind));
             }
-            Row& drawn = *(Row*)((c == 0 ? R : c == 1 ? G : B) + 16 * y);
-            drawn = lens[y] * drawn + seen * behind + added * behind * (1.0f - behind)
-                + hidden * TINT[c];
         }
     }
 """
@@ -159,29 +179,39 @@ TINT_GROUP = (
     const int count = first + 16 < total ? 16 : total - first;
     const auto& turn = view.rotation.data;
     Rays rays;
+    const float* place = (const float*)(means.data + first);
+    float spare[48];
+    for (int k = 0; k < 48 && count < 16; ++k) spare[k] = place[k < 3 * count ? k : k % 3];
+    if (count < 16) place = spare;
+    const float step = 1.0f / view.focal;
+    alignas(64) float x_on_screen[16], y_on_screen[16];
+    #pragma clang loop vectorize(enable) interleave(disable) unroll(disable)
     for (int i = 0; i < 16; ++i) {
-        const auto& mean = means.data[first + (i < count ? i : 0)];
-        rays.x[i] = mean[0] - view.eye[0];
-        rays.y[i] = mean[1] - view.eye[1];
-        rays.z[i] = mean[2] - view.eye[2];
+        const float x = place[3 * i] - view.eye[0], y = place[3 * i + 1] - view.eye[1];
+        const float z = place[3 * i + 2] - view.eye[2];
+        const float depth = turn[2][0] * x + turn[2][1] * y + turn[2][2] * z;
+        const float scale = view.focal / depth;
+        x_on_screen[i] = scale * (turn[0][0] * x + turn[0][1] * y + turn[0][2] * z);
+        y_on_screen[i] = scale * (turn[1][0] * x + turn[1][1] * y + turn[1][2] * z);
+        rays.x[i] = x;
+        rays.y[i] = y;
+        rays.z[i] = z;
         rays.limit[i] = 1.0f;
+        rays.pixel[i] = depth * step;
     }
-    const Row x = *(const Row*)rays.x, y = *(const Row*)rays.y, z = *(const Row*)rays.z;
-    const Row depth = turn[2][0] * x + turn[2][1] * y + turn[2][2] * z, scale = view.focal / depth;
-    const Row at_x = scale * (turn[0][0] * x + turn[0][1] * y + turn[0][2] * z) + view.centre[0];
-    const Row at_y = scale * (turn[1][0] * x + turn[1][1] * y + turn[1][2] * z) + view.centre[1];
-    *(Row*)rays.pixel = depth / view.focal;
-    const float low_x = __builtin_reduce_min(at_x), high_x = __builtin_reduce_max(at_x);
-    const float low_y = __builtin_reduce_min(at_y), high_y = __builtin_reduce_max(at_y);
-    const float middle_x = 0.5f * (low_x + high_x), half_x = 0.5f * (high_x - low_x);
-    const float middle_y = 0.5f * (low_y + high_y), half_y = 0.5f * (high_y - low_y);
-    const float farthest = __builtin_reduce_max(depth);
+    const Row at_x = *(const Row*)x_on_screen + view.centre[0];
+    const Row at_y = *(const Row*)y_on_screen + view.centre[1];
+    const Row depth = *(const Row*)rays.pixel * view.focal;
     Row clear = depth * 0.0f + 1.0f;
     bool glazed = false;
     for (int k = 0; k < solids.shape[0]; ++k) {
         const auto& outline = outlines.data[k];
-        if (farthest < outline.nearest) continue;
-        if (beside(outline, middle_x, middle_y, half_x, half_y)) continue;
+        auto within = depth >= outline.nearest;
+        for (int n = 0; n < outline.count; ++n) {
+            const float* side = outline.sides.data[n];
+            within &= side[0] * at_x + side[1] * at_y + side[2] >= 0.0f;
+        }
+        if (!__builtin_reduce_or(within)) continue;
         Veil veil;
         veil_of(solids.data[k], rays, veil);
         clear *= 1.0f - *(const Row*)veil.alpha;
@@ -210,7 +240,7 @@ def blend_staged_tile(
     view: View,
     background: wp.vec3,
     setting: Setting,
-    shade: wp.array2d(dtype=float),
+    shade: wp.array2d(dtype=wp.uint16),
     picture: wp.array(dtype=wp.vec3),
     solids: wp.array(dtype=Solid),
     outlines: wp.array(dtype=Outline),
@@ -228,7 +258,7 @@ def blend_staged_simd(
     background: wp.vec3,
     first: int,
     setting: Setting,
-    shade: wp.array2d(dtype=float),
+    shade: wp.array2d(dtype=wp.uint16),
     picture: wp.array(dtype=wp.vec3),
     solids: wp.array(dtype=Solid),
     outlines: wp.array(dtype=Outline),

@@ -21,7 +21,7 @@ from phy124.rendering.stage.shadow import GLASS, SLOPE, Caster, Glass
 from phy124.rendering.stage.solids import placed
 from phy124.scene import Scene, View
 
-SAMPLE = 4096
+SAMPLE = 1024
 """Number of Gaussians whose path decides how much of the floor the shadow map covers."""
 OUTLIERS = (0.5, 99.5)
 """Percentiles of their places, in each frame, that it covers."""
@@ -33,7 +33,7 @@ LARGEST = 4.0
 
 @dataclass(eq=False)
 class Stage:
-    """What stands around the object, by frame; shadows and boxes are kept from view to view."""
+    """What stands around the object, by frame; floors and boxes are kept from view to view."""
 
     backdrop: Backdrop
     heights: NDArray[np.float64]
@@ -46,7 +46,7 @@ class Stage:
     """Which Gaussians cast a shadow [N]; None: all."""
     pool: float = POOL
     """How much brighter the floor is in the middle."""
-    shades: dict[int, Array] = field(default_factory=dict)
+    floors: dict[int, Floor] = field(default_factory=dict)
     boxes: dict[int, Box] = field(default_factory=dict)
 
     def at(self, frame: Frame) -> StageFrame:
@@ -56,21 +56,20 @@ class Stage:
             for solid, moved, there in self.walls
             if there[frame.index]
         )
-        if frame.index not in self.boxes:
+        if solids and frame.index not in self.boxes:
             self.boxes[frame.index] = bounds(frame.gaussians.means)
-        box = self.boxes[frame.index]
+        box = self.boxes.get(frame.index)
         return StageFrame(self.backdrop, self._floor(frame, solids), solids, box)
 
     def _floor(self, frame: Frame, solids: tuple[Solid, ...]) -> Floor | None:
-        if self.caster is None:
-            return None
-        height, index = float(self.heights[frame.index]), frame.index
-        if index not in self.shades:
-            gaussians = frame.gaussians
+        caster, index = self.caster, frame.index
+        if caster is not None and index not in self.floors:
+            height, gaussians = float(self.heights[index]), frame.gaussians
             own = gaussians if self.own is None else gaussians.select(self.own)
-            self.shades[index] = self.caster.shade(own, height, glass(self.caster, solids, height))
-        shade, caster = self.shades[index], self.caster
-        return Floor(height, caster.middle, caster.reach, shade, self.pool)
+            shade = caster.shade(own, height, glass(caster, solids, height))
+            floor = Floor(height, caster.middle, caster.reach, shade, self.pool)
+            self.floors[index] = floor
+        return self.floors.get(index)
 
 
 def stage_of(
@@ -92,8 +91,9 @@ def stage_of(
     if view.stage == "transparent":
         return None
     behind = backdrop(view)
-    rest = np.asarray(clip.means[0][clip.own] if rest is None else rest, np.float64)
-    rest = rest[np.isfinite(rest).all(axis=1)]
+    rest = np.asarray(clip.means[0][clip.own] if rest is None else rest)
+    # Each axis in a row of memory, where extremes take a fraction of the time.
+    rest = np.asfortranarray(rest[_finite(rest)], np.float64)
     if view.stage == "plain" or not len(rest):
         return Stage(behind, np.zeros(len(clip)), (), None)
     walls = placed(_boundaries(clip), rest)
@@ -105,6 +105,11 @@ def stage_of(
     )
     own = None if clip.own.all() else clip.own
     return Stage(behind, heights, shown, _caster(clip, rest, heights, device), own)
+
+
+def _finite(points: NDArray) -> NDArray[np.bool_]:
+    """Which of the points [N,3] are somewhere."""
+    return np.asarray(np.isfinite(np.asfortranarray(points)).all(axis=1))
 
 
 def _boundaries(clip: Clip) -> Sequence[Boundary]:
@@ -135,13 +140,13 @@ def _kinds(base: type[Boundary]) -> Iterator[type[Boundary]]:
 
 def _caster(clip: Clip, rest: NDArray, heights: NDArray, device: str) -> Caster:
     """A shadow map that covers the floor around the object in all frames."""
-    chosen = np.flatnonzero(clip.own)
+    chosen = np.flatnonzero(clip.own & _finite(clip.means[0]))
     points = clip.means[:, chosen[:: 1 + len(chosen) // SAMPLE]].astype(np.float64)
+    points = np.where(np.isfinite(points), points, points[0])
     points[..., 2] -= heights[:, None]
     points[..., :2] += np.maximum(points[..., 2:], 0) * np.array(SLOPE)
-    points[~np.isfinite(points)] = np.nan
-    ends = np.nanpercentile(points, OUTLIERS, axis=1)
-    low, high = np.nanmin(ends[0], axis=0), np.nanmax(ends[1], axis=0)
+    ends = np.percentile(points, OUTLIERS, axis=1)
+    low, high = ends[0].min(axis=0), ends[1].max(axis=0)
     size = float(np.ptp(rest, axis=0).max())
     room = ROOM * float(np.ptp(rest[:, 2]))
     reach = min(float((high - low)[:2].max()) / 2 + room, LARGEST * size)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +43,19 @@ class Floor:
     """Fraction of the light that the shadow takes [cells along x, cells along y]."""
     pool: float = POOL
     """How much brighter it is in the middle, for a grey of 1/2."""
+
+    @cached_property
+    def levels(self) -> NDArray[np.uint16]:
+        """The shade as kernels read it: 65535 is no light at all."""
+        return (self.shade * 65535 + 0.5).astype(np.uint16)
+
+    @cached_property
+    def shaded(self) -> tuple[int, int, int, int]:
+        """First and last cell along x, then along y, between which all shade is."""
+        along_x, along_y = (np.flatnonzero(self.shade.any(axis=axis)) for axis in (1, 0))
+        if not len(along_x):
+            return 0, 0, 0, 0
+        return int(along_x[0]), int(along_x[-1]), int(along_y[0]), int(along_y[-1])
 
 
 @dataclass(frozen=True, eq=False)

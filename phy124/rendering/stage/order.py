@@ -42,13 +42,15 @@ def ranks(solids: Sequence[Solid], eye: NDArray, box: Box) -> NDArray[np.int64]:
     if not solids or not np.isfinite(box).all():
         return np.full(len(solids), AMONG)
     low, high = box
-    axes = np.stack([solid.axes for solid in solids])
-    sizes = np.stack([solid.half + solid.radius for solid in solids])
-    centres = np.stack([solid.centre for solid in solids])
+    axes = np.array([solid.axes for solid in solids])
+    sizes = np.array([solid.half + solid.radius for solid in solids])
+    centres = np.array([solid.centre for solid in solids])
     thin = sizes < THIN * sizes.max(axis=1, keepdims=True)
-    towards = np.einsum("sij,sj->si", axes, (low + high) / 2 - centres)
-    away = np.abs(towards) - np.abs(axes) @ ((high - low) / 2)
+    to_box, to_eye = (
+        np.matmul(axes, (place - centres)[:, :, None])[:, :, 0] for place in ((low + high) / 2, eye)
+    )
+    away = np.abs(to_box) - np.abs(axes) @ ((high - low) / 2)
     beyond = away > np.where(thin, 1 - GIVE, 1.0) * sizes
-    with_eye = np.sign(towards) * np.einsum("sij,sj->si", axes, eye - centres) > sizes
+    with_eye = np.sign(to_box) * to_eye > sizes
     found = np.where(beyond.any(axis=1), BEFORE, AMONG)
     return np.where((beyond & with_eye).any(axis=1), BEHIND, found)

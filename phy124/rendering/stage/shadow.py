@@ -47,6 +47,8 @@ GLASS = 0.25
 """Coverage of a boundary, which is drawn as glass."""
 FAINT = 2 / 255
 """A shade of this much is halved, and of less disappears: the sky's would never end."""
+UNSEEN = 0.1 / 255
+"""Less shade than this is none."""
 EDGE = 0.1
 """Part of the map, at each border, in which the shadow fades."""
 Glass = tuple[tuple[int, slice, slice], Array]
@@ -106,8 +108,10 @@ class Caster:
             total += np.asarray(fft.rfft2(open - through)) * response
             open = through
         shade = np.asarray(fft.irfft2(total, (CELLS, CELLS))) * self._window
-        shade = np.clip(shade, 0, LAMP + SKY)
-        return (shade * (shade / (shade + FAINT))).astype(np.float32)
+        np.clip(shade, 0, LAMP + SKY, out=shade)
+        shade *= shade / (shade + FAINT)
+        shade[shade < UNSEEN] = 0
+        return shade
 
     def _depth(self, gaussians: Gaussians, floor: float) -> Array:
         """Optical depth of the Gaussians in each layer."""
