@@ -21,7 +21,7 @@ from phy124.rendering.render import BLACK, WHITE, Colour, Renderer, to_bytes
 from phy124.rendering.stage.frame import StageFrame
 from phy124.runtime.cores import cores
 
-LOOK_AHEAD = 2
+LOOK_AHEAD = 4
 """How many frames per thread `render_frames` may be ahead of its reader."""
 
 
