@@ -93,16 +93,28 @@ def test_colours_come_closer_to_the_photograph_where_they_are_seen():
     assert np.abs(better - sh).max() > 0.1
 
 
-def test_sums_by_gaussian_are_the_adjoint_of_drawing(rng):
+@pytest.mark.parametrize("blend", ["simd", "pixel"])
+def test_sums_by_gaussian_are_the_adjoint_of_drawing(rng, blend):
     """<W c, r> = <c, W^T r>, for colours that nothing clips."""
     g, camera = patched(400), Camera((2.0, 0.0, 0.5), (0.0, 0.0, 0.5), *SIZE, 40.0)
     colours = rng.uniform(0.1, 0.5, (400, 3))
     lit = Gaussians.from_rgb(g.means, g.quats, g.scales, 0.6 * g.opacities, colours)
-    renderer, values = Adjoint(device="cpu"), rng.normal(size=(*SIZE[::-1], 3))
+    renderer, values = Adjoint(device="cpu", blend=blend), rng.normal(size=(*SIZE[::-1], 3))
     drawn = renderer(lit, camera, (0, 0, 0), alpha=True)
     sums, weights = renderer.sums(lit, camera, values)
     assert (colours * sums).sum() == pytest.approx((drawn[..., :3] * values).sum(), rel=1e-3)
     assert weights.sum() == pytest.approx(drawn[..., 3].sum(), rel=1e-3)
+
+
+def test_both_forms_of_the_sums_agree_gaussian_by_gaussian(rng):
+    g, camera = patched(2000), Camera((2.0, 0.0, 0.5), (0.0, 0.0, 0.5), *SIZE, 40.0)
+    values = rng.normal(size=(*SIZE[::-1], 3))
+    (sums, weights), (wanted, told) = (
+        Adjoint(device="cpu", blend=blend).sums(g, camera, values) for blend in ("simd", "pixel")
+    )
+    assert told.max() > 1
+    np.testing.assert_allclose(weights, told, atol=1e-3 * told.max())
+    np.testing.assert_allclose(sums, wanted, atol=1e-3 * np.abs(wanted).max())
 
 
 def test_what_is_behind_the_object_is_filled_in_from_around():

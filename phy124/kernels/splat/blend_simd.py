@@ -10,10 +10,8 @@ from phy124.kernels.build import kernel
 from phy124.kernels.splat.elementary_simd import FUNCTIONS
 from phy124.kernels.splat.screen import Splat, View
 
-SUM_TILE = (
-    FUNCTIONS
-    + r"""
-    // Of each pixel its light, and what is left of what is behind; negative: the pixel is done.
+TILE = r"""
+    // Of each pixel what is left of what is behind; negative: the pixel is done.
     alignas(64) float T[256], R[256], G[256], B[256];
     const int left = tile % view.columns * 16, top = tile / view.columns * 16;
     const int right = left + 16 < view.width ? left + 16 : view.width, count = right - left;
@@ -23,7 +21,21 @@ SUM_TILE = (
         T[j] = j % 16 < count && j / 16 < rows ? 1.0f : -1.0f;
         R[j] = G[j] = B[j] = 0.0f;
     }
-    {
+"""
+"""A tile, all of it open, with three numbers R, G, B for each pixel."""
+
+
+def walk(splat: str, row: str, pixel: str, done: str = "") -> str:
+    """C++ that goes through a tile's splats from front to back, until all its pixels are done.
+
+    Args:
+        splat: What is done with each `splat`, the one with number `index`.
+        row: With each row of pixels that it reaches; `at` is its first one.
+        pixel: With each pixel `x` of the row, of which the splat's colour makes up `weight`.
+        done: After all rows of a splat.
+    """
+    return f"""
+    {{
         alignas(64) float centres[16];
         for (int j = 0; j < 16; ++j) centres[j] = (float)(left + j) + 0.5f;
         const float nearest = centres[0], farthest = centres[15];
@@ -31,17 +43,18 @@ SUM_TILE = (
         int open = 0xffff;  // rows with pixels that are not done, a bit each
         const int begin = starts.data[tile], end = ends.data[tile];
 
-        for (int k = begin; k < end; ++k) {
+        for (int k = begin; k < end; ++k) {{
             // Splats of a tile lie anywhere in memory: fetch one that comes soon.
             if (k + 6 < end) __builtin_prefetch(&splats.data[pairs.data[k + 6]]);
-            const auto& splat = splats.data[pairs.data[k]];
+            const int index = pairs.data[k];
+            const auto& splat = splats.data[index];
             const int y0 = splat.box[1] > top ? splat.box[1] : top;
             const int y1 = splat.box[3] < top + 16 ? splat.box[3] : top + 16;
             const float cx = -HALF_LOG2_E * splat.precision_x;
             const float cy = -HALF_LOG2_E * splat.precision_y;
             const float opacity = splat.opacity, least = splat.least - 0.01f;
-            const float red = splat.colour[0], green = splat.colour[1], blue = splat.colour[2];
-            for (int y = y0; y < y1; ++y) {
+            {splat}
+            for (int y = y0; y < y1; ++y) {{
                 if (!(open >> (y - top) & 1)) continue;
                 const float dy = (float)y + 0.5f - splat.mean[1];
                 const float middle = splat.mean[0] + splat.shear * dy, row = cy * dy * dy;
@@ -51,11 +64,9 @@ SUM_TILE = (
                 if (cx * (inside - middle) * (inside - middle) + row < least) continue;
                 const int at = (y - top) * 16;
                 float* __restrict Tr = T + at;
-                float* __restrict Rr = R + at;
-                float* __restrict Gr = G + at;
-                float* __restrict Br = B + at;
+                {row}
                 #pragma clang loop vectorize(enable) interleave(disable) unroll(disable)
-                for (int x = 0; x < 16; ++x) {
+                for (int x = 0; x < 16; ++x) {{
                     const float dx = centres[x] - middle;
                     float power = cx * dx * dx + row;            // in powers of 2, never positive
                     power = power > -30.0f ? power : -30.0f;     // also where it is NaN
@@ -66,23 +77,33 @@ SUM_TILE = (
                     const bool counts = hit && left_over >= 1e-4f;
                     const float weight = counts ? alpha * t : 0.0f;
                     Tr[x] = counts ? left_over : (hit ? -t : t);
-                    Rr[x] += weight * red;
-                    Gr[x] += weight * green;
-                    Br[x] += weight * blue;
-                }
-            }
-            if ((k - begin) % 8 == 7) {
-                for (int r = 0; r < 16; ++r) {
+                    {pixel}
+                }}
+            }}
+            {done}
+            if ((k - begin) % 8 == 7) {{
+                for (int r = 0; r < 16; ++r) {{
                     float most = -1.0f;
                     for (int j = 16 * r; j < 16 * r + 16; ++j) most = T[j] > most ? T[j] : most;
                     if (most <= 0.0f) open &= ~(1 << r);
-                }
+                }}
                 if (!open) break;
-            }
-        }
-    }
+            }}
+        }}
+    }}
 """
+
+
+SUM_TILE = (
+    FUNCTIONS
+    + TILE
+    + walk(
+        "const float red = splat.colour[0], green = splat.colour[1], blue = splat.colour[2];",
+        "float *__restrict Rr = R + at, *__restrict Gr = G + at, *__restrict Br = B + at;",
+        "Rr[x] += weight * red; Gr[x] += weight * green; Br[x] += weight * blue;",
+    )
 )
+"""The light of a tile's splats in R, G, B."""
 
 STORE_TILE = r"""
     for (int y = 0; y < rows; ++y) {
