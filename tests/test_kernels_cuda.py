@@ -99,7 +99,7 @@ def test_every_module_of_the_presets_compiles_for_cuda(tmp_path):
     for name in preset_names():
         scene = Scene.named(name).replaced({"accuracy": {"cells": 8}, "time.frames": 3})
         Simulation(ball(300), scene).run()
-    for name in ("project", "bin", "blend", "stage", "shadow"):
+    for name in ("project", "bin", "blend", "stage", "shadow", "gather"):
         importlib.import_module(f"phy124.kernels.splat.{name}")
     modules = [
         module for name, module in wp._src.context.user_modules.items()
