@@ -63,6 +63,23 @@ def test_a_frame_that_fails_twice_stops_and_keeps_the_good_ones(tmp_path, monkey
     assert np.isfinite(again.means).all() and not again.report["complete"]
 
 
+def test_the_first_to_lose_its_numbers_is_named_not_those_that_it_spoils(monkeypatch):
+    """Sabotage: the strain of one particle is lost within the third frame."""
+    s = run()
+    step = s.solver.step
+
+    def poison(kick, drift):
+        step(kick, drift)
+        if s.solver.clock.time > 0.095:
+            F = s.solver.state.F.numpy()
+            F[150] = np.nan
+            s.solver.state.F.assign(F)
+
+    monkeypatch.setattr(s.solver, "step", poison)
+    stopped = s.run().report["stopped"]
+    assert "1 particles are NaN or infinite, first number 150 of law" in stopped
+
+
 def test_the_report_says_what_limited_the_substep():
     report = run(**{"time.substep": 1.0}).run().report
     assert report["substep"]["fractions"] == {"elastic": 1.0}

@@ -20,11 +20,16 @@ LIMITS = {
 """What limits a substep, in words."""
 
 
-def first_broken(state: State) -> int | None:
-    """The lowest index of a particle whose state is not finite; None if all are."""
+def broken(state: State) -> NDArray[np.intp]:
+    """The particles whose state is not finite, in order."""
     arrays = [np.asarray(array.numpy()) for array in state.arrays().values() if len(array)]
     flat = [array.reshape(len(state.x), -1) for array in arrays]
-    found = np.flatnonzero(~np.isfinite(np.concatenate(flat, axis=1)).all(axis=1))
+    return np.flatnonzero(~np.isfinite(np.concatenate(flat, axis=1)).all(axis=1))
+
+
+def first_broken(state: State) -> int | None:
+    """The lowest index of a particle whose state is not finite; None if all are."""
+    found = broken(state)
     return int(found[0]) if len(found) else None
 
 

@@ -22,7 +22,7 @@ from phy124.monitor.diagnostics import Diagnostics, energies, speeds
 from phy124.monitor.dissipation import Dissipation
 from phy124.monitor.external_work import ExternalWork
 from phy124.monitor.tearing import Tearing
-from phy124.mpm import Solver
+from phy124.mpm import Solver, Unstable
 
 INSIDE_OUT = 0.01
 """Largest fraction of particles turned inside out at which the result is still right."""
@@ -156,13 +156,20 @@ class Watchdog:
             self.min_J, self.max_J = min(self.min_J, now.min_J), max(self.max_J, now.max_J)
         return problem
 
-    def follow(self) -> Callable[[], None]:
-        """A function to call after each substep of the next frame, or after some of them."""
+    def follow(self, closely: bool = False) -> Callable[[], None]:
+        """A function to call after each substep of the next frame, or after some of them.
+
+        Args:
+            closely: Whether it looks each time for a particle that is no longer finite, before that
+                one spoils those around it, and raises Unstable.
+        """
         if self._balanced:
             self.external.begin(self.last.momentum)
 
         def after() -> None:
             self._fastest = max(self._fastest, self.clock.recent.speed)
+            if closely and (count := len(diagnosis.broken(self.state))):
+                raise Unstable(f"{count} particles are NaN or infinite")
 
         return after
 

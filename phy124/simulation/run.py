@@ -318,7 +318,7 @@ class Simulation:
             if problem is not None:
                 self.retried.append(index)
                 with self._half_substep():
-                    problem = self._try(index, until)
+                    problem = self._try(index, until, closely=True)
             if problem is not None:
                 found = remedies(problem.causes, self.scene)
                 raise Stopped(f"frame {index} is not sound: {problem.what}.", found)
@@ -336,7 +336,7 @@ class Simulation:
         finally:
             clock.cfl, clock.ceiling = usual
 
-    def _try(self, index: int, until: float) -> Violation | None:
+    def _try(self, index: int, until: float, *, closely: bool = False) -> Violation | None:
         """Try a frame; returns what is wrong with it, or None. A failure resets the state."""
         solver, watchdog = self.solver, self.watchdog
         solver.repair.begin(solver.clock)
@@ -347,7 +347,7 @@ class Simulation:
         watchdog.before()
         before = solver.snapshot(), watchdog.external.snapshot()
         try:
-            solver.advance(until, after=self._follower(index))
+            solver.advance(until, after=self._follower(index, closely))
             problem = watchdog.after()
         except Unstable as error:
             problem = watchdog.diagnose(str(error))
@@ -366,9 +366,9 @@ class Simulation:
         self.solver.restore(solver)
         self.watchdog.external.restore(external)
 
-    def _follower(self, index: int) -> Callable[[], None]:
+    def _follower(self, index: int, closely: bool) -> Callable[[], None]:
         """A function to call after each substep: it reports, checks, and ends a run out of time."""
-        report, watch = self._reporter(index), self.watchdog.follow()
+        report, watch = self._reporter(index), self.watchdog.follow(closely)
         budget, start = self.scene.time.budget, self.watch.seconds.get("simulate", 0.0)
         begun = time.perf_counter()
 
