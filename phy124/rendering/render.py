@@ -86,9 +86,9 @@ class Renderer:
         self._per_pixel = blend == "pixel"
         binned = binning.bin_parallel if self._per_pixel else binning.bin_serial
         # A form of projection goes with it too: how many Gaussians a thread has, and the kernel.
-        vectorised = 16, project_simd.project_simd
         self._vectorised = blend == "simd"
-        self._projection = vectorised if self._vectorised else (1, project.project)
+        forms = {True: (16, project_simd.project_simd), False: (1, project.project)}
+        self._projection = forms[self._vectorised]
         compile_missing((self._projection[1], binned, self._blend), str(self.device))
         self._around = Surroundings(self.device, simd=self._vectorised)
         self._buffers: dict[str, wp.array] = {}

@@ -16,6 +16,7 @@ from phy124.rendering.stage.frame import Backdrop, Solid, StageFrame
 from phy124.rendering.stage.order import bounds, ranks
 
 NO_SHADE = np.zeros((2, 2), np.uint16)
+"""What kernels read where there is no floor."""
 
 
 class Surroundings:
