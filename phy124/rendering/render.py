@@ -86,11 +86,10 @@ class Renderer:
         self._per_pixel = blend == "pixel"
         binned = binning.bin_parallel if self._per_pixel else binning.bin_serial
         # A form of projection goes with it too: how many Gaussians a thread has, and the kernel.
-        self._vectorised = blend == "simd"
-        forms = {True: (16, project_simd.project_simd), False: (1, project.project)}
-        self._projection = forms[self._vectorised]
+        self._vectorised = simd = blend == "simd"
+        self._projection = (16, project_simd.project_simd) if simd else (1, project.project)
         compile_missing((self._projection[1], binned, self._blend), str(self.device))
-        self._around = Surroundings(self.device, simd=self._vectorised)
+        self._around = Surroundings(self.device, simd=simd)
         self._buffers: dict[str, wp.array] = {}
         self._constants: dict[str, tuple[Any, Array, wp.array]] = {}
 
