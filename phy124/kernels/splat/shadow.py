@@ -6,7 +6,8 @@ from phy124.kernels.build import kernel
 from phy124.kernels.reduction import finite
 
 NARROW = wp.constant(0.9)
-"""A Gaussian narrower than this [cells] counts as a point between four cells."""
+"""A Gaussian narrower than this [cells] counts as a point between four cells, or as none where the
+map ends between them."""
 REACH = wp.constant(3.0)
 """How far a wider Gaussian is followed [standard deviations]."""
 
@@ -73,15 +74,19 @@ def cover(
     c = wp.dot(along, along)
     x = (mean[0] - origin[0] + height * slope[0]) / cell - 0.5
     y = (mean[1] - origin[1] + height * slope[1]) / cell - 0.5
-    size = float(wp.max(layers_out.shape[1], layers_out.shape[2]))
+    end_x = float(layers_out.shape[1] - 1)
+    end_y = float(layers_out.shape[2] - 1)
+    size = wp.max(end_x, end_y) + 1.0
     if not (x > -size and y > -size and x < 2.0 * size and y < 2.0 * size):
         return
     # Lagrange's identity: the determinant without cancellation.
     area = wp.length(wp.cross(across, along))
     if wp.max(a, c) < NARROW * NARROW:
         amount = 6.2831853 * thickness(opacity) * area
-        i = int(wp.floor(x))
-        j = int(wp.floor(y))
+        if not (x >= 0.0 and y >= 0.0 and x < end_x and y < end_y):
+            return
+        i = int(x)
+        j = int(y)
         u = x - float(i)
         v = y - float(j)
         put(layers_out, i, j, layer, upper, amount * (1.0 - u) * (1.0 - v))

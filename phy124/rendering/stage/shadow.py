@@ -99,13 +99,18 @@ class Caster:
         depth = self._depth(gaussians, floor)
         for cells, dark in glass:
             depth[cells] += dark
+        # Rows of cells with nothing above them, which are most, are left out where they can be.
+        rows = np.flatnonzero(depth.sum(axis=0).any(axis=1))
+        covered = slice(rows[0], rows[-1] + 1) if len(rows) else slice(0)
+        depth = depth[:, covered]
+        below, open = np.zeros_like(depth[0]), np.ones_like(depth[0])
+        total, along_y = np.zeros((2, *self._response.shape[1:]), np.complex64)
         # What the floor sees of each layer through those below it; a layer fits into the cache.
-        total = np.zeros(self._response.shape[1:], np.complex64)
-        below, open = np.zeros((CELLS, CELLS), np.float32), np.ones((CELLS, CELLS), np.float32)
         for layer, response in zip(depth, self._response, strict=True):
             below += layer
             through = np.exp(-below)
-            total += np.asarray(fft.rfft2(open - through)) * response
+            along_y[covered] = fft.rfft(open - through)
+            total += np.asarray(fft.fft(along_y, axis=0)) * response
             open = through
         shade = np.asarray(fft.irfft2(total, (CELLS, CELLS))) * self._window
         np.clip(shade, 0, LAMP + SKY, out=shade)
