@@ -10,8 +10,8 @@ from phy124.camera import Camera
 from phy124.gaussians import Gaussians
 from phy124.kernels.splat.glass import FACE, LINE, RIM, TINT, WIDTH
 from phy124.rendering.render import Renderer
-from phy124.rendering.stage.frame import Backdrop, Solid, StageFrame
-from phy124.rendering.stage.order import AMONG, BEFORE, BEHIND, bounds, ranks
+from phy124.rendering.stage.frame import Backdrop, Solid, StageFrame, bounds
+from support.arranged import arranged
 from support.shapes import ball
 
 TILTED = np.array([[0.8, 0.6, 0], [-0.6, 0.8, 0], [0, 0, 1.0]])
@@ -96,10 +96,8 @@ def test_glass_before_all_gaussians_looks_as_glass_among_them_does(blend):
     pane = Solid(np.array([0.5, 0, 0]), np.eye(3), np.array([0.05, 0.4, 0.4]))
     stage = StageFrame(Backdrop((0.1, 0.1, 0.1), (0.9, 0.9, 0.9)), None, (pane,))
     seen = [(0.0, y, z) for y in (-0.2, 0.0, 0.1) for z in (-0.1, 0.2)]
-    eye = np.array(camera.eye)
-    assert ranks([pane], eye, bounds(dots(seen).means)) == BEFORE
-    assert ranks([pane], eye, bounds(dots([*seen, (1.5, 2.0, 0)]).means)) == AMONG
-    assert ranks([pane], eye, bounds(dots([(0.8, 2.0, 0)]).means)) == BEHIND
+    assert arranged([pane], camera, bounds(dots(seen).means)).counts == [1, 0, 0]
+    assert arranged([pane], camera, bounds(dots([*seen, (1.5, 2.0, 0)]).means)).counts == [0, 1, 0]
     laid = renderer(dots(seen), camera, stage=stage)
     tinted = renderer(dots([*seen, (1.5, 2.0, 0)]), camera, stage=stage)
     assert np.abs(laid - renderer(dots(seen), camera, stage=replace(stage, solids=()))).max() > 0.1

@@ -26,7 +26,7 @@ def projected(gaussians: Gaussians, caster: Caster, floor: float) -> np.ndarray:
     height = float(gaussians.means[0, 2]) - floor
     blurred = sharp + (SOFTNESS * height) ** 2 * np.eye(2)
     peak = gaussians.opacities[0] * np.sqrt(np.linalg.det(sharp) / np.linalg.det(blurred))
-    x, y = caster.places()
+    x, y = caster.places
     at = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
     away = at - (gaussians.means[0, :2] + height * np.array(SLOPE))
     power = np.einsum("ija,ab,ijb->ij", away, np.linalg.inv(blurred), away)
@@ -83,7 +83,7 @@ def test_many_small_gaussians_cast_the_shadow_of_the_disc_that_they_fill(rng):
     dense = Gaussians.from_rgb(means, quats, scales, np.full(n, 0.9), np.ones((n, 3)))
     caster = Caster((0.0, 0.0), 1.5, 0.25)
     shade = caster.shade(dense, 0.0)
-    x, y = caster.places()
+    x, y = caster.places
     away = np.hypot(x[:, None] - 0.25 * SLOPE[0], y[None] - 0.25 * SLOPE[1])
     assert shade[away < 0.1].min() > 0.8 * LAMP
     assert shade[away > 0.8].max() < 0.05
@@ -100,7 +100,7 @@ def test_one_that_stands_for_others_is_as_much_wider(rng, monkeypatch):
     caster = Caster((0.0, 0.0), 1.0, 0.25)
     whole = caster.shade(disc, 0.0)
     monkeypatch.setattr(shadow, "SAMPLE", n // 6)
-    x, y = caster.places()
+    x, y = caster.places
     inside = np.hypot(x[:, None], y[None]) < 0.35
     assert caster.shade(disc, 0.0)[inside].min() > 0.95 * whole[inside].min()
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from phy124.accuracy.ball import ball
 from phy124.kernels.splat import shadow, shadow_simd, stage, stage_simd
+from phy124.kernels.splat.arrange import arrange
 from phy124.progress import Progress, silent
 from phy124.rendering.render import Renderer
 from phy124.runtime.compiling import compile_missing
@@ -15,8 +16,8 @@ from phy124.simulation import Simulation
 from phy124.simulation.kernels import kernels
 
 STAGE = {
-    "cpu": (shadow_simd.cover_simd, stage.draw_setting, stage_simd.blend_staged_simd),
-    "cuda": (shadow.cover, stage.draw_setting),
+    "cpu": (shadow_simd.cover_simd, arrange, stage_simd.blend_staged_simd),
+    "cuda": (shadow.cover, arrange, stage.draw_setting),
 }
 """One kernel of each module that draws a stage."""
 FEW = {"accuracy.cells": 8, "accuracy.particles_per_axis": 1.0, "time.frames": 2, "time.fps": 240.0}

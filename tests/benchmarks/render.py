@@ -64,7 +64,7 @@ def cpu_ms(
     for _ in range(repeats + 1):
         for times, staged in zip(seconds, (False, True), strict=True):
             start = clock()
-            stage.floors.clear()
+            stage.frames.clear()
             renderer(gaussians, camera, stage=stage.at(frame) if staged else None)
             times.append(clock() - start)
     plain, staged = (1e3 * statistics.median(times[1:]) for times in seconds)
@@ -79,7 +79,7 @@ def wall_ms(
     stage = standing(gaussians, device)
 
     def around(frame: Frame) -> StageFrame:
-        stage.floors.clear()
+        stage.frames.clear()
         return stage.at(frame)
 
     images = render_frames(

@@ -23,6 +23,7 @@ from phy124.kernels import (
 )
 from phy124.kernels.splat import bin as bins
 from phy124.kernels.splat import blend, project, shadow, stage
+from phy124.kernels.splat.arrange import arrange
 from phy124.kernels.transfer import Law
 from phy124.materials import (
     FixedCorotated,
@@ -94,4 +95,5 @@ def others(real: Any = wp.float32) -> Iterator[Named]:
     for module in (deform.carry, project.project, bins.bin_parallel, blend.blend_pixels):
         yield module.key, module
     yield stage.draw_setting.key, stage.draw_setting
+    yield arrange.key, arrange
     yield shadow.cover.key, shadow.cover

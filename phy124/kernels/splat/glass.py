@@ -34,6 +34,7 @@ class Outline:
     """A solid on the screen: a convex polygon that contains it."""
 
     sides: wp.types.matrix(shape=(6, 3), dtype=float)  # a, b, c: inside is a x + b y + c >= 0 [px]
+    planes: wp.types.matrix(shape=(6, 3), dtype=float)  # n: the same as n . ray >= 0
     count: int  # of its sides; 0: it may be anywhere
     nearest: float  # least depth of a corner of its box [m]
 

@@ -26,7 +26,6 @@ class Setting:
     cells: int  # along its side
     shaded: wp.vec4i  # first and last of them with shade along x, then along y
     pool: float  # how much brighter the floor is in the middle, for a grey of 1/2
-    before: int  # how many of the solids, the first ones, are before all Gaussians
 
 
 @wp.func
@@ -73,77 +72,6 @@ def floor_along(setting: Setting, eye: wp.vec3, ray: wp.vec3) -> float:
     return 1.0e30
 
 
-@wp.func
-def corner_on_screen(view: View, solid: Solid, corner: int) -> wp.vec3:
-    """One of the eight corners of a solid's box: its place on the screen [px] and its depth [m].
-
-    The bits of its number say on which side of the middle it is along each axis.
-    """
-    away = solid.half + wp.vec3(solid.radius, solid.radius, solid.radius)
-    for axis in range(3):
-        if (corner >> axis) & 1 == 0:
-            away[axis] = -away[axis]
-    p = view.rotation * (solid.centre + wp.transpose(solid.axes) * away) + view.translation
-    return wp.vec3(
-        view.focal * p[0] / p[2] + view.centre[0], view.focal * p[1] / p[2] + view.centre[1], p[2]
-    )
-
-
-@wp.func
-def turned(view: View, solid: Solid, axis: int, upper: bool) -> bool:
-    """Whether a face of a solid's box is turned to the camera."""
-    along = wp.dot(solid.axes[axis], view.eye - solid.centre)
-    reach = solid.half[axis] + solid.radius
-    if upper:
-        return along > reach
-    return along < -reach
-
-
-@kernel("phy124_stage")
-def outline(
-    # model
-    view: View,
-    solids: wp.array(dtype=Solid),
-    # out
-    outlines_out: wp.array(dtype=Outline),
-):
-    """One thread per solid: where on the screen it is.
-
-    The sides of an outline are the edges of the solid's box between a face that is turned to the
-    camera and one that is not; they are half a pixel farther out. A box around the camera, or
-    partly behind it, has none.
-    """
-    solid = solids[wp.tid()]
-    found = Outline()
-    found.nearest = float(1.0e30)
-    middle = wp.vec3()
-    for corner in range(8):
-        at = corner_on_screen(view, solid, corner)
-        found.nearest = wp.min(found.nearest, at[2])
-        middle += 0.125 * at
-    if found.nearest > 1.0e-3:
-        for edge in range(12):
-            # Four edges along each axis, between faces across the two others.
-            axis = edge / 4
-            second = (axis + 1) % 3
-            third = (axis + 2) % 3
-            up = edge & 1
-            far = (edge >> 1) & 1
-            if turned(view, solid, second, up == 1) != turned(view, solid, third, far == 1):
-                corner = (up << second) | (far << third)
-                start = corner_on_screen(view, solid, corner)
-                along = corner_on_screen(view, solid, corner | (1 << axis)) - start
-                inwards = wp.normalize(wp.vec2(-along[1], along[0]))
-                reach = wp.dot(inwards, wp.vec2(middle[0] - start[0], middle[1] - start[1]))
-                if reach < 0.0:
-                    inwards = -inwards
-                found.sides[found.count, 0] = inwards[0]
-                found.sides[found.count, 1] = inwards[1]
-                found.sides[found.count, 2] = 0.5 - wp.dot(inwards, wp.vec2(start[0], start[1]))
-                found.count += 1
-    outlines_out[wp.tid()] = found
-
-
 @kernel("phy124_stage")
 def draw_setting(
     # model
@@ -151,6 +79,7 @@ def draw_setting(
     setting: Setting,
     shade: wp.array2d(dtype=wp.uint16),
     picture: wp.array(dtype=wp.vec3),
+    before: int,
     solids: wp.array(dtype=Solid),
     outlines: wp.array(dtype=Outline),
     # state in
@@ -158,12 +87,15 @@ def draw_setting(
     # in place: light of the Gaussians, then the picture
     image_out: wp.array(dtype=wp.vec3),
 ):
-    """One thread per pixel, for GPUs, and a readable form of stage_simd."""
+    """One thread per pixel, for GPUs, and a readable form of stage_simd.
+
+    The first `before` solids are before all Gaussians.
+    """
     pixel = wp.tid()
     open = 1.0 - coverage[pixel]
     # Of what is behind, Gaussians may let through less than a byte can tell.
     if open <= 1.0e-3:
-        if setting.before == 0:
+        if before == 0:
             return
         open = float(0.0)
     x = pixel % view.width
@@ -188,7 +120,7 @@ def draw_setting(
     for k in range(solids.shape[0]):
         if within(outlines[k], float(x) + 0.5, float(y) + 0.5):
             clear *= 1.0 - veil(solids[k], view.eye, ray, limit, 1.0 / view.focal)
-            if k < setting.before:
+            if k < before:
                 lens = clear
     light = lens * image_out[pixel] + (1.0 - lens) * (1.0 - open) * TINT
     colour = TINT + clear * (colour - TINT)
@@ -199,6 +131,8 @@ def draw_setting(
 def tint_splats(
     # model
     view: View,
+    first: int,
+    last: int,
     solids: wp.array(dtype=Solid),
     outlines: wp.array(dtype=Outline),
     # state in
@@ -206,13 +140,16 @@ def tint_splats(
     # in place
     splats_out: wp.array(dtype=Splat),
 ):
-    """One thread per Gaussian: the colour of what is seen through glass among them."""
+    """One thread per Gaussian: the colour of what is seen through glass among them.
+
+    `first` and `last` are the numbers of the first such solid and of the one after the last.
+    """
     i = wp.tid()
     mean = splats_out[i].mean
     ray = means[i] - view.eye
     pixel = wp.dot(view.rotation[2], ray) / view.focal
     clear = float(1.0)
-    for k in range(solids.shape[0]):
+    for k in range(first, last):
         if within(outlines[k], mean[0], mean[1]):
             clear *= 1.0 - veil(solids[k], view.eye, ray, 1.0, pixel)
     splats_out[i].colour = TINT + clear * (splats_out[i].colour - TINT)

@@ -25,7 +25,7 @@ OPEN = r"""
         widest = open[y] > widest ? open[y] : widest;
     }
     const float most_open = __builtin_reduce_max(widest);
-    if (most_open == 0.0f && setting.before == 0) return;
+    if (most_open == 0.0f && before == 0) return;
 """
 
 AIM = r"""
@@ -53,13 +53,13 @@ CLEAR = r"""
     bool laid = false, glazed = false;
     const float middle_x = 0.5f * (float)(left + right), middle_y = 0.5f * (float)(top + bottom);
     const float half_x = 0.5f * (float)(count - 1), half_y = 0.5f * (float)(rows - 1);
-    const int shown = most_open == 0.0f ? setting.before : solids.shape[0];
+    const int shown = most_open == 0.0f ? before : solids.shape[0];
     for (int k = 0; k < shown; ++k) {
-        if (glazed && k == setting.before) for (int y = 0; y < 16; ++y) lens[y] = clear[y];
+        if (glazed && k == before) for (int y = 0; y < 16; ++y) lens[y] = clear[y];
         if (beside(outlines.data[k], middle_x, middle_y, half_x, half_y)) continue;
         if (!glazed) for (int y = 0; y < 16; ++y) clear[y] = lens[y] = none + 1.0f;
         glazed = true;
-        laid = laid || k < setting.before;
+        laid = laid || k < before;
         Veil veil;
         for (int i = 0; i < 16; ++i) {
             xs[i] = middle_x + (i & 1 ? half_x : -half_x);
@@ -83,7 +83,7 @@ CLEAR = r"""
             clear[y] *= 1.0f - *(const Row*)veil.alpha;
         }
     }
-    if (glazed && shown == setting.before) for (int y = 0; y < 16; ++y) lens[y] = clear[y];
+    if (glazed && shown == before) for (int y = 0; y < 16; ++y) lens[y] = clear[y];
     if (most_open == 0.0f && !laid) return;
 """
 
@@ -184,32 +184,26 @@ TINT_GROUP = (
     for (int k = 0; k < 48 && count < 16; ++k) spare[k] = place[k < 3 * count ? k : k % 3];
     if (count < 16) place = spare;
     const float step = 1.0f / view.focal;
-    alignas(64) float x_on_screen[16], y_on_screen[16];
     #pragma clang loop vectorize(enable) interleave(disable) unroll(disable)
     for (int i = 0; i < 16; ++i) {
         const float x = place[3 * i] - view.eye[0], y = place[3 * i + 1] - view.eye[1];
         const float z = place[3 * i + 2] - view.eye[2];
         const float depth = turn[2][0] * x + turn[2][1] * y + turn[2][2] * z;
-        const float scale = view.focal / depth;
-        x_on_screen[i] = scale * (turn[0][0] * x + turn[0][1] * y + turn[0][2] * z);
-        y_on_screen[i] = scale * (turn[1][0] * x + turn[1][1] * y + turn[1][2] * z);
         rays.x[i] = x;
         rays.y[i] = y;
         rays.z[i] = z;
         rays.limit[i] = 1.0f;
         rays.pixel[i] = depth * step;
     }
-    const Row at_x = *(const Row*)x_on_screen + view.centre[0];
-    const Row at_y = *(const Row*)y_on_screen + view.centre[1];
-    const Row depth = *(const Row*)rays.pixel * view.focal;
-    Row clear = depth * 0.0f + 1.0f;
+    const Row x = *(const Row*)rays.x, y = *(const Row*)rays.y, z = *(const Row*)rays.z;
+    Row clear = x * 0.0f + 1.0f;
     bool glazed = false;
-    for (int k = 0; k < solids.shape[0]; ++k) {
+    for (int k = first_solid; k < last_solid; ++k) {
         const auto& outline = outlines.data[k];
-        auto within = depth >= outline.nearest;
+        auto within = *(const Row*)rays.pixel >= outline.nearest * step;
         for (int n = 0; n < outline.count; ++n) {
-            const float* side = outline.sides.data[n];
-            within &= side[0] * at_x + side[1] * at_y + side[2] >= 0.0f;
+            const float* plane = outline.planes.data[n];
+            within &= plane[0] * x + plane[1] * y + plane[2] * z >= 0.0f;
         }
         if (!__builtin_reduce_or(within)) continue;
         Veil veil;
@@ -242,6 +236,7 @@ def blend_staged_tile(
     setting: Setting,
     shade: wp.array2d(dtype=wp.uint16),
     picture: wp.array(dtype=wp.vec3),
+    before: int,
     solids: wp.array(dtype=Solid),
     outlines: wp.array(dtype=Outline),
     image_out: wp.array(dtype=wp.vec3),
@@ -260,6 +255,7 @@ def blend_staged_simd(
     setting: Setting,
     shade: wp.array2d(dtype=wp.uint16),
     picture: wp.array(dtype=wp.vec3),
+    before: int,
     solids: wp.array(dtype=Solid),
     outlines: wp.array(dtype=Outline),
     # state in
@@ -274,8 +270,8 @@ def blend_staged_simd(
     """One thread per tile: its splats, and the stage around them before they are stored."""
     tile = first + wp.tid()
     blend_staged_tile(
-        tile, starts, ends, pairs, splats, view, background, setting, shade, picture, solids,
-        outlines, image_out, alpha_out,
+        tile, starts, ends, pairs, splats, view, background, setting, shade, picture, before,
+        solids, outlines, image_out, alpha_out,
     )  # fmt: skip
 
 
@@ -283,6 +279,8 @@ def blend_staged_simd(
 def tint_group(
     group: int,
     view: View,
+    first_solid: int,
+    last_solid: int,
     solids: wp.array(dtype=Solid),
     outlines: wp.array(dtype=Outline),
     means: wp.array(dtype=wp.vec3),
@@ -296,6 +294,8 @@ def tint_group(
 def tint_splats_simd(
     # model
     view: View,
+    first: int,
+    last: int,
     solids: wp.array(dtype=Solid),
     outlines: wp.array(dtype=Outline),
     # state in
@@ -303,5 +303,5 @@ def tint_splats_simd(
     # in place
     splats_out: wp.array(dtype=Splat),
 ):
-    """One thread per sixteen Gaussians: the colour of what is seen through glass."""
-    tint_group(wp.tid(), view, solids, outlines, means, splats_out)
+    """One thread per sixteen Gaussians: the colour of what is seen through glass among them."""
+    tint_group(wp.tid(), view, first, last, solids, outlines, means, splats_out)

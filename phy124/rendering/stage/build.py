@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, get_args
@@ -14,9 +15,8 @@ from phy124.gaussians import Array, Frame
 from phy124.io.clip import Clip
 from phy124.plugins import registered
 from phy124.rendering.stage.backdrop import backdrop
-from phy124.rendering.stage.frame import POOL, Backdrop, Box, Floor, Solid, StageFrame
+from phy124.rendering.stage.frame import POOL, Backdrop, Floor, Solid, StageFrame, bounds
 from phy124.rendering.stage.ground import floor_heights
-from phy124.rendering.stage.order import bounds
 from phy124.rendering.stage.shadow import GLASS, SLOPE, Caster, Glass
 from phy124.rendering.stage.solids import placed
 from phy124.scene import Scene, View
@@ -33,7 +33,7 @@ LARGEST = 4.0
 
 @dataclass(eq=False)
 class Stage:
-    """What stands around the object, by frame; floors and boxes are kept from view to view."""
+    """What stands around the object, by frame; a frame's is kept from view to view."""
 
     backdrop: Backdrop
     heights: NDArray[np.float64]
@@ -46,30 +46,31 @@ class Stage:
     """Which Gaussians cast a shadow [N]; None: all."""
     pool: float = POOL
     """How much brighter the floor is in the middle."""
-    floors: dict[int, Floor] = field(default_factory=dict)
-    boxes: dict[int, Box] = field(default_factory=dict)
+    frames: dict[int, StageFrame] = field(default_factory=dict)
 
     def at(self, frame: Frame) -> StageFrame:
         """What is around the object in a frame of the clip."""
+        if frame.index not in self.frames:
+            self.frames[frame.index] = self._made(frame)
+        return self.frames[frame.index]
+
+    def _made(self, frame: Frame) -> StageFrame:
         solids = tuple(
             replace(solid, centre=solid.centre + moved[frame.index])
             for solid, moved, there in self.walls
             if there[frame.index]
         )
-        if solids and frame.index not in self.boxes:
-            self.boxes[frame.index] = bounds(frame.gaussians.means)
-        box = self.boxes.get(frame.index)
+        box = bounds(frame.gaussians.means) if solids else None
         return StageFrame(self.backdrop, self._floor(frame, solids), solids, box)
 
     def _floor(self, frame: Frame, solids: tuple[Solid, ...]) -> Floor | None:
-        caster, index = self.caster, frame.index
-        if caster is not None and index not in self.floors:
-            height, gaussians = float(self.heights[index]), frame.gaussians
-            own = gaussians if self.own is None else gaussians.select(self.own)
-            shade = caster.shade(own, height, glass(caster, solids, height))
-            floor = Floor(height, caster.middle, caster.reach, shade, self.pool)
-            self.floors[index] = floor
-        return self.floors.get(index)
+        caster, gaussians = self.caster, frame.gaussians
+        if caster is None:
+            return None
+        height = float(self.heights[frame.index])
+        own = gaussians if self.own is None else gaussians.select(self.own)
+        shade = caster.shade(own, height, glass(caster, solids, height))
+        return Floor(height, caster.middle, caster.reach, shade, self.pool)
 
 
 def stage_of(
@@ -157,30 +158,25 @@ def _caster(clip: Clip, rest: NDArray, heights: NDArray, device: str) -> Caster:
 
 def glass(caster: Caster, solids: Iterable[Solid], floor: float) -> Iterator[Glass]:
     """What is drawn as glass, as optical depth in cells of two layers, at its lowest point."""
-    dark = np.float32(-np.log(1 - GLASS))
     for solid in solids:
-        reach = np.abs(solid.axes.T) @ solid.half + solid.radius
-        height = max(float(solid.centre[2] - reach[2]) - floor, 0.0)
+        x, y, z = solid.centre.tolist()
+        *reach, down = (np.abs(solid.axes.T) @ solid.half + solid.radius).tolist()
+        height = max(z - down - floor, 0.0)
         layer, upper = caster.layer(height)
-        along_x, along_y, inside = _footprint(caster, solid, height)
-        yield (layer, along_x, along_y), np.float32(1 - upper) * dark * inside
-        yield (layer + 1, along_x, along_y), np.float32(upper) * dark * inside
+        x, y = x + height * SLOPE[0], y + height * SLOPE[1]
+        along_x, along_y = caster.within(x, y, *reach)
+        dark: Array | float = -math.log(1 - GLASS)
+        if solid.radius:
+            xs, ys = caster.places
+            dark = dark * _covered(solid, xs[along_x, None] - x, ys[None, along_y] - y)
+        yield (layer, along_x, along_y), (1 - upper) * dark
+        yield (layer + 1, along_x, along_y), upper * dark
 
 
-def _footprint(caster: Caster, solid: Solid, height: float) -> tuple[slice, slice, Array]:
-    """What a solid keeps from the lamp: rows and columns of cells, and 1 or 0 in them."""
-    middle = solid.centre[:2] + height * np.array(SLOPE)
-    places = [place - np.float32(at) for place, at in zip(caster.places(), middle, strict=True)]
-    reach = np.abs(solid.axes.T) @ solid.half + solid.radius
-    along_x, along_y = (
-        slice(*np.searchsorted(place, (-far, far)))
-        for place, far in zip(places, reach[:2], strict=True)
-    )
-    if solid.radius == 0:
-        return along_x, along_y, np.ones((1, 1), np.float32)
-    x, y = places[0][along_x, None], places[1][None, along_y]
+def _covered(solid: Solid, x: Array, y: Array) -> Array:
+    """Which places are under a capsule, 1 or 0; they are relative to its middle."""
     ax, ay = solid.axes[0, :2]
     along = x * ax + y * ay
     near = np.clip(along / max(ax * ax + ay * ay, 1e-12), -solid.half[0], solid.half[0])
     away = (x - near * ax) ** 2 + (y - near * ay) ** 2
-    return along_x, along_y, (away <= solid.radius**2).astype(np.float32)
+    return (away <= solid.radius**2).astype(np.float32)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import warp as wp
@@ -12,11 +12,29 @@ from numpy.typing import NDArray
 
 from phy124.gaussians import Array
 from phy124.kernels.splat import glass, stage, stage_simd
-from phy124.rendering.stage.frame import Backdrop, Solid, StageFrame
-from phy124.rendering.stage.order import bounds, ranks
+from phy124.kernels.splat.arrange import arrange
+from phy124.rendering.stage.frame import Backdrop, StageFrame, bounds
 
 NO_SHADE = np.zeros((2, 2), np.uint16)
 """What kernels read where there is no floor."""
+
+
+class Uploaded:
+    """What is around the Gaussians at an instant, wherever it is seen from, on a device."""
+
+    def __init__(self, shown: StageFrame, device: Any) -> None:
+        """Upload a stage."""
+        levels = NO_SHADE if shown.floor is None else shown.floor.levels
+        self.setting = setting(shown)
+        self.shade = wp.array(levels, dtype=wp.uint16, device=device, copy=False)
+        self._numbers: Any = wp.array(shown.table, dtype=float, device=device)
+        kind: Any = glass.Solid
+        # The same memory as solids. Not from a structured NumPy array: once among many pictures
+        # drawn by several threads, its type was found to differ from the struct's, though it did
+        # not.
+        self.solids = wp.array(
+            ptr=self._numbers.ptr, shape=len(shown.solids), dtype=kind, device=device
+        )
 
 
 class Surroundings:
@@ -26,15 +44,17 @@ class Surroundings:
     """How many solids are among the Gaussians."""
 
     def __init__(self, device: Any, *, simd: bool) -> None:
-        """With room for nothing yet.
+        """With nothing there yet.
 
         Args:
             device: Warp device.
             simd: Whether to draw sixteen pixels at a time, for the vector units of a CPU.
         """
         self.device, self.simd = device, simd
-        self._rooms: dict[int, tuple[Any, Any, Any]] = {}
-        self._kept: dict[str, tuple[Any, wp.array]] = {}
+        self._uploaded: WeakKeyDictionary[StageFrame, Uploaded] = WeakKeyDictionary()
+        self._picture: tuple[Any, wp.array] | None = None
+        self._rooms: dict[int, tuple[Any, Any]] = {}
+        self._counts = wp.zeros(3, dtype=int, device=device)
 
     def look(self, shown: StageFrame, view: Any, means: Array) -> None:
         """Put a stage on the device.
@@ -44,36 +64,29 @@ class Surroundings:
             view: Where it is seen from, a `screen.View`.
             means: Where the Gaussians are [N,3], m.
         """
-        self._shown, self._view, count = shown, view, len(shown.solids)
-        floats, *self._solids = self._room(count)
-        self._before = self.among = 0
-        if not count:
-            return
-        order = ranks(shown.solids, np.array(view.eye), shown.box or bounds(means))
-        self._before, self.among, _ = np.bincount(order, minlength=3).tolist()
-        floats.assign(rows(shown.solids)[np.argsort(order, kind="stable")])
-        solids, outlines = self._solids
-        inputs = [view, solids]
-        wp.launch(stage.outline, count, inputs=inputs, outputs=[outlines], device=self.device)
+        count, given = len(shown.solids), self._uploaded.get(shown)
+        if given is None:
+            given = self._uploaded[shown] = Uploaded(shown, self.device)
+        self._view, self._backdrop, self._given = view, shown.backdrop, given
+        self._before, self.among, self._solids = 0, 0, self._room(count)
+        if count:
+            low, high = shown.box or bounds(means)
+            inputs = [view, wp.vec3(*low), wp.vec3(*high), given.solids]
+            outputs = [*self._solids, self._counts]
+            wp.launch(arrange, count, inputs=inputs, outputs=outputs, device=self.device)
+            self._before, self.among, _ = self._counts.numpy().tolist()
 
     def tint(self, means: wp.array, splats: wp.array) -> None:
         """Give splats that are seen through glass among them its colour."""
-        those = slice(self._before, self._before + self.among)
         kernel = stage_simd.tint_splats_simd if self.simd else stage.tint_splats
         threads = math.ceil(len(means) / 16) if self.simd else len(means)
-        inputs = [self._view, *(array[those] for array in self._solids), means]
+        inputs = [self._view, self._before, self._before + self.among, *self._solids, means]
         wp.launch(kernel, threads, inputs=inputs, outputs=[splats], device=self.device)
 
     def inputs(self) -> list[Any]:
-        """What the kernels that draw it read: setting, shade, picture, solids, outlines."""
-        floor, view, backdrop = self._shown.floor, self._view, self._shown.backdrop
-        shade = NO_SHADE if floor is None else floor.levels
-        size = view.width, view.height
-        given = [setting(self._shown, self._before)]
-        given += [self._given("shade", floor, lambda: shade, wp.uint16)]
-        behind = (backdrop, *size)
-        given += [self._given("picture", behind, lambda: picture(backdrop, *size), wp.vec3)]
-        return [*given, *self._solids]
+        """What the kernels that draw it read, from `setting` to `outlines`."""
+        behind = self._behind(self._backdrop, self._view.width, self._view.height)
+        return [self._given.setting, self._given.shade, behind, self._before, *self._solids]
 
     def draw(self, image: wp.array, coverage: wp.array) -> None:
         """Draw the stage behind Gaussians that are drawn already, pixel by pixel.
@@ -86,47 +99,31 @@ class Surroundings:
         threads = view.width * view.height
         wp.launch(stage.draw_setting, threads, inputs=inputs, outputs=[image], device=self.device)
 
-    def _room(self, count: int) -> tuple[Any, Any, Any]:
-        """Arrays for so many solids: their numbers, the same as solids, and their outlines."""
+    def _room(self, count: int) -> tuple[Any, Any]:
+        """Arrays for so many solids in their order and for their outlines."""
         if count not in self._rooms:
-            floats: Any = wp.empty((count, 16), dtype=float, device=self.device)
-            kind: Any = glass.Solid
-            # Not from a structured NumPy array: once among many pictures drawn by several threads,
-            # its type was found to differ from the struct's, though it did not.
-            solids = wp.array(ptr=floats.ptr, shape=count, dtype=kind, device=self.device)
-            kind = glass.Outline
-            outlines = wp.empty(count, dtype=kind, device=self.device)
-            self._rooms[count] = floats, solids, outlines
+            kinds: tuple[Any, Any] = glass.Solid, glass.Outline
+            solids, outlines = (wp.empty(count, dtype=kind, device=self.device) for kind in kinds)
+            self._rooms[count] = solids, outlines
         return self._rooms[count]
 
-    def _given(self, name: str, source: Any, made: Callable[[], NDArray], dtype: Any) -> wp.array:
-        """An array on the device, made anew only if its source is another one."""
-        known = self._kept.get(name)
-        if known is None or known[0] != source:
-            array = wp.array(made(), dtype=dtype, device=self.device, copy=False)
-            known = self._kept[name] = (source, array)
-        return known[1]
+    def _behind(self, *wanted: Any) -> wp.array:
+        """The backdrop's picture in a size, made anew only if another one was wanted last."""
+        if self._picture is None or self._picture[0] != wanted:
+            made = wp.array(picture(*wanted), dtype=wp.vec3, device=self.device, copy=False)
+            self._picture = wanted, made
+        return self._picture[1]
 
 
-def setting(shown: StageFrame, before: int) -> Any:
-    """Backdrop and floor, and how many solids are before all Gaussians, a `stage.Setting`."""
+def setting(shown: StageFrame) -> Any:
+    """Backdrop and floor, a `stage.Setting`."""
     made, floor = stage.Setting(), shown.floor
     made.top, made.bottom = wp.vec3(*shown.backdrop.top), wp.vec3(*shown.backdrop.bottom)
     made.floor, made.reach, made.cells = int(floor is not None), 1.0, 0
-    made.before = before
     if floor is not None:
         made.height, made.reach, made.pool = floor.height, floor.reach, floor.pool
         made.middle, made.cells = wp.vec2(*floor.middle), len(floor.shade)
         made.shaded = wp.vec4i(*floor.shaded)
-    return made
-
-
-def rows(solids: Sequence[Solid]) -> NDArray[np.float32]:
-    """Solids as the device's structs have their fields, sixteen numbers each [S,16]."""
-    made = np.empty((len(solids), 16), np.float32)
-    for row, solid in zip(made, solids, strict=True):
-        row[:3], row[3:12] = solid.centre, np.ravel(solid.axes)
-        row[12:15], row[15] = solid.half, solid.radius
     return made
 
 

@@ -13,6 +13,8 @@ from phy124.gaussians import Array
 Colour = tuple[float, float, float]
 Box = tuple[Array, Array]
 """Lowest and highest corner [3], m."""
+TOGETHER = 64
+"""Points whose extremes are found together, as rows of many columns are quicker."""
 POOL = 0.5
 """How much brighter the floor of a studio is in the middle, for a grey of 1/2."""
 
@@ -81,3 +83,27 @@ class StageFrame:
     solids: tuple[Solid, ...] = ()
     box: Box | None = None
     """A box around all Gaussians, if it is known; for the order of solids and them."""
+
+    @cached_property
+    def table(self) -> Array:
+        """The solids as kernels read them, sixteen numbers each [S,16]."""
+        made = np.empty((len(self.solids), 16), np.float32)
+        for row, solid in zip(made, self.solids, strict=True):
+            row[:3], row[3:12] = solid.centre, np.ravel(solid.axes)
+            row[12:15], row[15] = solid.half, solid.radius
+        return made
+
+
+def bounds(points: Array) -> Box:
+    """Lowest and highest corner of a box around points [N,3]; not finite if one is not."""
+    if not len(points):
+        return np.full(3, np.nan, np.float32), np.full(3, np.nan, np.float32)
+    even = len(points) // TOGETHER * TOGETHER
+    many, rest = points[:even].reshape(-1, TOGETHER * 3), points[even:]
+    ends = []
+    for least in (np.minimum, np.maximum):
+        found = [least.reduce(rest)] if len(rest) else []
+        if even:
+            found.append(least.reduce(least.reduce(many).reshape(-1, 3)))
+        ends.append(least.reduce(found))
+    return ends[0], ends[1]

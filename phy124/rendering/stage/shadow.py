@@ -15,6 +15,7 @@ Both are convolutions, so that a map costs one Fourier transform for each layer 
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
@@ -49,9 +50,11 @@ FAINT = 2 / 255
 """A shade of this much is halved, and of less disappears: the sky's would never end."""
 UNSEEN = 0.1 / 255
 """Less shade than this is none."""
+FAINTEST = 1e-4
+"""A frequency of which a layer's light keeps less than this part is left out."""
 EDGE = 0.1
 """Part of the map, at each border, in which the shadow fades."""
-Glass = tuple[tuple[int, slice, slice], Array]
+Glass = tuple[tuple[int, slice, slice], Array | float]
 """Cells of a layer, and how much darker they are."""
 
 
@@ -104,13 +107,14 @@ class Caster:
         covered = slice(rows[0], rows[-1] + 1) if len(rows) else slice(0)
         depth = depth[:, covered]
         below, open = np.zeros_like(depth[0]), np.ones_like(depth[0])
-        total, along_y = np.zeros((2, *self._response.shape[1:]), np.complex64)
+        total, along_y = np.zeros((2, CELLS, CELLS // 2 + 1), np.complex64)
         # What the floor sees of each layer through those below it; a layer fits into the cache.
         for layer, response in zip(depth, self._response, strict=True):
             below += layer
             through = np.exp(-below)
-            along_y[covered] = fft.rfft(open - through)
-            total += np.asarray(fft.fft(along_y, axis=0)) * response
+            along_y[covered] = np.asarray(fft.rfft(open - through))
+            kept = response.shape[1]
+            total[:, :kept] += np.asarray(fft.fft(along_y[:, :kept], axis=0)) * response
             open = through
         shade = np.asarray(fft.irfft2(total, (CELLS, CELLS))) * self._window
         np.clip(shade, 0, LAMP + SKY, out=shade)
@@ -138,8 +142,11 @@ class Caster:
         return np.asarray(layers.numpy(), np.float32)
 
     @cached_property
-    def _response(self) -> NDArray[np.complex64]:
-        """What a layer's coverage does to the light, by frequency [LAYERS,CELLS,CELLS/2+1]."""
+    def _response(self) -> list[NDArray[np.complex64]]:
+        """What each layer's coverage does to the light, by frequency [CELLS,K], K <= CELLS/2+1.
+
+        The higher a layer, the fewer frequencies along y are left of it.
+        """
         kx = 2 * np.pi * fft.fftfreq(CELLS, self.cell)[:, None]
         ky = 2 * np.pi * fft.rfftfreq(CELLS, self.cell)[None, :]
         h = self.heights[:, None, None]
@@ -149,7 +156,9 @@ class Caster:
         kh = np.maximum(k * h, 1e-9)
         sky = kh * k1(kh) * np.exp(1j * h * (kx * SLOPE[0] + ky * SLOPE[1]))
         smooth = np.exp(-0.5 * (0.7 * self.cell * k) ** 2)
-        return ((LAMP * blur + SKY * sky) * smooth).astype(np.complex64)
+        full = ((LAMP * blur + SKY * sky) * smooth).astype(np.complex64)
+        ends = [1 + np.flatnonzero(np.abs(layer).max(axis=0) > FAINTEST).max() for layer in full]
+        return [layer[:, :end].copy() for layer, end in zip(full, ends, strict=True)]
 
     @cached_property
     def _window(self) -> Array:
@@ -159,7 +168,16 @@ class Caster:
         side = side * side * (3 - 2 * side)
         return np.outer(side, side).astype(np.float32)
 
+    @cached_property
     def places(self) -> tuple[Array, Array]:
         """Centres of the cells along x and along y [CELLS], m."""
         along = (np.arange(CELLS, dtype=np.float32) + 0.5) * self.cell - self.reach
         return self.middle[0] + along, self.middle[1] + along
+
+    def within(self, x: float, y: float, reach_x: float, reach_y: float) -> tuple[slice, slice]:
+        """Rows and columns of the cells around a place that are not farther away [m]."""
+        along_x, along_y = (
+            slice(bisect_left(places, at - reach), bisect_left(places, at + reach))
+            for places, at, reach in zip(self.places, (x, y), (reach_x, reach_y), strict=True)
+        )
+        return along_x, along_y

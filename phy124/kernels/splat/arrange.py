@@ -1,0 +1,148 @@
+"""Solids of glass as a camera sees them: where they are, and before or behind the Gaussians."""
+
+import warp as wp
+
+from phy124.kernels.build import kernel
+from phy124.kernels.reduction import finite
+from phy124.kernels.splat.glass import Outline, Solid
+from phy124.kernels.splat.screen import View
+
+BEFORE = wp.constant(0)
+"""Rank of glass that is before all Gaussians."""
+AMONG = wp.constant(1)
+"""Rank of glass that is among them, or may be."""
+BEHIND = wp.constant(2)
+"""Rank of glass that is behind all Gaussians."""
+THIN = wp.constant(0.2)
+"""What is thinner than this part of its width is a plate."""
+GIVE = wp.constant(0.3)
+"""What is pressed against a plate may be within it by this part of half its thickness and still
+counts as beside it."""
+
+
+@wp.func
+def rank(solid: Solid, eye: wp.vec3, low: wp.vec3, high: wp.vec3) -> int:
+    """Whether a solid is before, among or behind things in a box, for an eye that looks at them.
+
+    A plane through one of its faces may have the box on its other side. If the eye is there too,
+    no ray to the box meets the solid; else every ray leaves the solid before it comes to the box.
+    """
+    if not (finite(low[0] + low[1] + low[2]) and finite(high[0] + high[1] + high[2])):
+        return AMONG
+    sizes = solid.half + wp.vec3(solid.radius, solid.radius, solid.radius)
+    to_box = solid.axes * (0.5 * (low + high) - solid.centre)
+    to_eye = solid.axes * (eye - solid.centre)
+    found = int(AMONG)
+    for axis in range(3):
+        reach = 0.5 * wp.dot(wp.abs(solid.axes[axis]), high - low)
+        size = sizes[axis]
+        if size < THIN * wp.max(sizes):
+            size *= 1.0 - GIVE
+        if wp.abs(to_box[axis]) - reach > size:
+            if wp.sign(to_box[axis]) * to_eye[axis] > sizes[axis]:
+                return BEHIND
+            found = BEFORE
+    return found
+
+
+@wp.func
+def corner_on_screen(view: View, solid: Solid, corner: int) -> wp.vec3:
+    """One of the eight corners of a solid's box: its place on the screen [px] and its depth [m].
+
+    The bits of its number say on which side of the middle it is along each axis.
+    """
+    away = solid.half + wp.vec3(solid.radius, solid.radius, solid.radius)
+    for axis in range(3):
+        if (corner >> axis) & 1 == 0:
+            away[axis] = -away[axis]
+    p = view.rotation * (solid.centre + wp.transpose(solid.axes) * away) + view.translation
+    return wp.vec3(
+        view.focal * p[0] / p[2] + view.centre[0], view.focal * p[1] / p[2] + view.centre[1], p[2]
+    )
+
+
+@wp.func
+def turned(view: View, solid: Solid, axis: int, upper: bool) -> bool:
+    """Whether a face of a solid's box is turned to the camera."""
+    along = wp.dot(solid.axes[axis], view.eye - solid.centre)
+    reach = solid.half[axis] + solid.radius
+    if upper:
+        return along > reach
+    return along < -reach
+
+
+@wp.func
+def outline(view: View, solid: Solid) -> Outline:
+    """Where on the screen a solid is.
+
+    The sides of an outline are the edges of the solid's box between a face that is turned to the
+    camera and one that is not; they are half a pixel farther out. A box around the camera, or
+    partly behind it, has none.
+    """
+    found = Outline()
+    found.nearest = float(1.0e30)
+    middle = wp.vec3()
+    for corner in range(8):
+        at = corner_on_screen(view, solid, corner)
+        found.nearest = wp.min(found.nearest, at[2])
+        middle += 0.125 * at
+    if found.nearest <= 1.0e-3:
+        return found
+    for edge in range(12):
+        # Four edges along each axis, between faces across the two others.
+        axis = edge / 4
+        second = (axis + 1) % 3
+        third = (axis + 2) % 3
+        up = edge & 1
+        far = (edge >> 1) & 1
+        if turned(view, solid, second, up == 1) != turned(view, solid, third, far == 1):
+            corner = (up << second) | (far << third)
+            start = corner_on_screen(view, solid, corner)
+            along = corner_on_screen(view, solid, corner | (1 << axis)) - start
+            inwards = wp.normalize(wp.vec2(-along[1], along[0]))
+            reach = wp.dot(inwards, wp.vec2(middle[0] - start[0], middle[1] - start[1]))
+            if reach < 0.0:
+                inwards = -inwards
+            c = 0.5 - wp.dot(inwards, wp.vec2(start[0], start[1]))
+            found.sides[found.count] = wp.vec3(inwards[0], inwards[1], c)
+            # The same in space: a x + b y + c of a ray's place, times its depth.
+            found.planes[found.count] = wp.transpose(view.rotation) * wp.vec3(
+                view.focal * inwards[0],
+                view.focal * inwards[1],
+                inwards[0] * view.centre[0] + inwards[1] * view.centre[1] + c,
+            )
+            found.count += 1
+    return found
+
+
+@kernel("phy124_arrange")
+def arrange(
+    # model
+    view: View,
+    low: wp.vec3,
+    high: wp.vec3,
+    solids: wp.array(dtype=Solid),
+    # out
+    arranged_out: wp.array(dtype=Solid),
+    outlines_out: wp.array(dtype=Outline),
+    counts_out: wp.array(dtype=int),
+):
+    """One thread per solid: its place among those in the order of their ranks, and its outline.
+
+    `low` and `high` are the corners of a box around all Gaussians; `counts_out` says how many
+    solids are before, among and behind them.
+    """
+    k = wp.tid()
+    own = rank(solids[k], view.eye, low, high)
+    place = int(0)
+    counts = wp.vec3i()
+    for other in range(solids.shape[0]):
+        its = rank(solids[other], view.eye, low, high)
+        counts[its] += 1
+        if its < own or (its == own and other < k):
+            place += 1
+    arranged_out[place] = solids[k]
+    outlines_out[place] = outline(view, solids[k])
+    if k == 0:
+        for at in range(3):
+            counts_out[at] = counts[at]

@@ -1,0 +1,34 @@
+"""Solids of glass as the device puts them in order for a camera."""
+
+from typing import NamedTuple
+
+import numpy as np
+import warp as wp
+
+from phy124.camera import Camera
+from phy124.kernels.splat import glass
+from phy124.kernels.splat.arrange import arrange
+from phy124.rendering.pinhole import pinhole
+from phy124.rendering.stage.draw import Uploaded
+from phy124.rendering.stage.frame import Backdrop, Box, Solid, StageFrame
+
+BLACK = Backdrop((0, 0, 0), (0, 0, 0))
+
+
+class Arranged(NamedTuple):
+    """Solids in their order, how many have each rank, and the outlines of all."""
+
+    solids: np.ndarray
+    counts: list[int]
+    outlines: np.ndarray
+
+
+def arranged(solids: list[Solid], camera: Camera, box: Box) -> Arranged:
+    """What the kernel makes of solids, around Gaussians in a box."""
+    given = Uploaded(StageFrame(BLACK, None, tuple(solids)), "cpu")
+    kinds = glass.Solid, glass.Outline, int
+    made = [wp.zeros(max(len(solids), 3), dtype=kind, device="cpu") for kind in kinds]
+    inputs = [pinhole(camera), *(wp.vec3(*corner) for corner in box), given.solids]
+    wp.launch(arrange, len(solids), inputs=inputs, outputs=made, device="cpu")
+    ordered, outlines, counts = (array.numpy() for array in made)
+    return Arranged(ordered[: len(solids)], counts[:3].tolist(), outlines)
