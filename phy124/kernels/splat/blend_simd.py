@@ -82,11 +82,9 @@ def walk(splat: str, row: str, pixel: str, done: str = "") -> str:
             }}
             {done}
             if ((k - begin) % 8 == 7) {{
-                for (int r = 0; r < 16; ++r) {{
-                    float most = -1.0f;
-                    for (int j = 16 * r; j < 16 * r + 16; ++j) most = T[j] > most ? T[j] : most;
-                    if (most <= 0.0f) open &= ~(1 << r);
-                }}
+                typedef float Row __attribute__((vector_size(64)));
+                for (int r = 0; r < 16; ++r)
+                    if (!__builtin_reduce_or(((const Row*)T)[r] > 0.0f)) open &= ~(1 << r);
                 if (!open) break;
             }}
         }}
