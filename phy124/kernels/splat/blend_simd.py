@@ -120,7 +120,7 @@ STORE_TILE = r"""
             alpha[x] = 1.0f - t;
         };
         if (count == 16) {
-            #pragma clang loop vectorize(enable) interleave(disable) unroll(disable)
+            #pragma clang loop vectorize(assume_safety) interleave(disable) unroll(disable)
             for (int x = 0; x < 16; ++x) stored(x);
         } else {
             for (int x = 0; x < count; ++x) stored(x);

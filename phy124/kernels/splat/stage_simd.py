@@ -112,7 +112,7 @@ LIGHT = r"""
             const float a = u - (float)i, b = v - (float)j;
             // Two neighbours are read at once: reading takes most of the time here.
             const unsigned near = *(const Pair*)(shades + cell);
-            const unsigned far = *(const Pair*)(shades + cell + cells);
+            const unsigned far = *(const Pair*)(shades + (cell + cells));
             const float p = (float)(int)(near & 0xffff), q = (float)(int)(near >> 16);
             const float one = p + a * ((float)(int)(far & 0xffff) - p);
             const float two = q + a * ((float)(int)(far >> 16) - q);
@@ -155,6 +155,7 @@ DRAW = r"""
             dull = open[y] * (1.0f - clear[y]) + (1.0f - open[y]) * (1.0f - lens[y]);
         }
         const Row added = seen * pool;
+        #pragma clang loop unroll(full)
         for (int c = 0; c < 3; ++c) {
             Row& drawn = lights[c][y];
             if (glazed) drawn = lens[y] * drawn + dull * TINT[c];
