@@ -224,7 +224,8 @@ TINT_GROUP = (
 
 # A function of its own: within the one that sums splats it made that slower, by a sixtieth.
 APART = "__attribute__((noinline))"
-DRAW_STAGE = f"const auto draw_stage = [&]() {APART} {{ {GLASS + OPEN + AIM + CLEAR + LIGHT + DRAW} }};"
+STAGE = GLASS + OPEN + AIM + CLEAR + LIGHT + DRAW
+DRAW_STAGE = f"const auto draw_stage = [&]() {APART} {{ {STAGE} }};"
 
 
 @wp.func_native(SUM_TILE + DRAW_STAGE + "draw_stage();" + STORE_TILE)
