@@ -175,7 +175,14 @@ class Caster:
         return self.middle[0] + along, self.middle[1] + along
 
     def within(self, x: float, y: float, reach_x: float, reach_y: float) -> tuple[slice, slice]:
-        """Rows and columns of the cells around a place that are not farther away [m]."""
+        """Rows and columns of the cells around a place.
+
+        Args:
+            x: The place along x, m.
+            y: The place along y, m.
+            reach_x: How far away along x a cell's centre may be, m.
+            reach_y: How far away along y, m.
+        """
         along_x, along_y = (
             slice(bisect_left(places, at - reach), bisect_left(places, at + reach))
             for places, at, reach in zip(self.places, (x, y), (reach_x, reach_y), strict=True)
