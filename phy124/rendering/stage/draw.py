@@ -29,9 +29,9 @@ class Uploaded:
         self.shade = wp.array(levels, dtype=wp.uint16, device=device, copy=False)
         self._numbers: Any = wp.array(shown.table, dtype=float, device=device)
         kind: Any = glass.Solid
-        # The same memory as solids. Not from a structured NumPy array: once among many pictures
-        # drawn by several threads, its type was found to differ from the struct's, though it did
-        # not.
+        # The same memory as solids, which do not keep it: `_numbers` does. Not from a structured
+        # NumPy array: once among many pictures drawn by several threads, its type was found to
+        # differ from the struct's, though it did not.
         self.solids = wp.array(
             ptr=self._numbers.ptr, shape=len(shown.solids), dtype=kind, device=device
         )
