@@ -18,9 +18,9 @@ from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
+import scipy
 import warp as wp
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from phy124.errors import InputError
 from phy124.gaussians import Array, Frame, Gaussians
@@ -308,7 +308,7 @@ def carriers(points: NDArray, particles: NDArray) -> tuple[NDArray[np.int32], ND
     leaves with weight 0.
     """
     count = min(CARRIERS, len(particles))
-    tree = KDTree(particles, balanced_tree=False)  # half the time to build
+    tree = scipy.spatial.KDTree(particles, balanced_tree=False)  # half the time to build
     distance, index = tree.query(points, k=count + 1, workers=-1)
     distance, index = np.asarray(distance), np.asarray(index)
     # If there is no next particle, its distance is infinite.
@@ -347,7 +347,9 @@ def of_gaussians(gaussians: Gaussians, particles: Bound, values: NDArray) -> NDA
     if own is None:
         own = np.zeros(len(gaussians), np.int64)
         for ours, theirs in by_object(gaussians, particles):
-            nearest = KDTree(particles.x[theirs]).query(gaussians.means[ours], workers=-1)[1]
+            nearest = scipy.spatial.KDTree(particles.x[theirs]).query(
+                gaussians.means[ours], workers=-1
+            )[1]
             own[ours] = theirs[nearest]
     return values[own]
 

@@ -10,9 +10,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 from PIL import Image
-from scipy.spatial import KDTree
 
 from phy124.errors import InputError
 from phy124.imaging.painted import WHOLE, Crop, brightness
@@ -135,8 +135,8 @@ def _held(
     owner = gaussian.copy()
     own, filler = gaussian >= 0, gaussian < 0
     if means is not None and not own.any():
-        owner = KDTree(means).query(x)[1]
+        owner = scipy.spatial.KDTree(means).query(x)[1]
     elif filler.any() and own.any():
-        nearest = KDTree(x[own]).query(x[filler])[1]
+        nearest = scipy.spatial.KDTree(x[own]).query(x[filler])[1]
         owner[filler] = gaussian[own][nearest]
     return np.logical_and(owner >= span[0], owner < span[1])

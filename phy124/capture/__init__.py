@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from phy124.capture.floor import Floor, find_floor
 from phy124.errors import InputError
@@ -143,7 +143,7 @@ def isolated(gaussians: Gaussians) -> NDArray[np.bool_]:
     """Floaters [N]: Gaussians with few others near them, however large they are."""
     few = min(NEIGHBOURS, len(gaussians) - 1)
     means = gaussians.means.astype(np.float64)
-    near = KDTree(means).query(means, few + 1)[0].reshape(len(means), -1)[:, -1]
+    near = scipy.spatial.KDTree(means).query(means, few + 1)[0].reshape(len(means), -1)[:, -1]
     return near > np.maximum(USUAL * np.median(near), OWN * gaussians.scales.max(axis=1))
 
 

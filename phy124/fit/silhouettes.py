@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
+import scipy
 
 from phy124.camera import Camera
 from phy124.errors import InputError
@@ -77,7 +77,7 @@ def smaller(camera: Camera, size: tuple[int, int]) -> Camera:
 
 
 def _blurred(covered: Values) -> Values:
-    return gaussian_filter(covered, (0, BLUR, BLUR))
+    return scipy.ndimage.gaussian_filter(covered, (0, BLUR, BLUR))
 
 
 def _blocks(shape: tuple[int, ...]) -> Groups:

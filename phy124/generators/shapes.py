@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from phy124.gaussians import Gaussians, quaternions
 from phy124.harmonics import spread_directions
@@ -68,7 +68,7 @@ def covered(
 
 def _spread(points: NDArray) -> NDArray[np.float64]:
     """Mean distance of each point to its six nearest [N], m, times 0.75."""
-    nearest = KDTree(points).query(points, k=min(7, len(points)))[0]
+    nearest = scipy.spatial.KDTree(points).query(points, k=min(7, len(points)))[0]
     return 0.75 * np.maximum(np.asarray(nearest)[:, 1:].mean(axis=1), 1e-9)
 
 

@@ -6,8 +6,8 @@ import math
 
 import cv2
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
 
 from phy124.imaging.lab import to_lab
 
@@ -91,7 +91,7 @@ def undecided(alpha: NDArray[np.uint8]) -> float:
 def _fractions(kinds: NDArray[np.int_]) -> NDArray[np.float64]:
     """How common each colour is, given the bins of the pixels; similar colours count a little."""
     counts = np.bincount(kinds, minlength=math.prod(BINS)).reshape(BINS)
-    return gaussian_filter(counts / len(kinds), 0.7, mode="constant").ravel()
+    return scipy.ndimage.gaussian_filter(counts / len(kinds), 0.7, mode="constant").ravel()
 
 
 def _small(rgb: NDArray[np.uint8], solid: Solid) -> tuple[NDArray[np.float32], Solid]:

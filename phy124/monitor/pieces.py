@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 FAR = 4096
 """Number of cubes along an axis above which empty space is left out before labelling."""
@@ -69,7 +69,7 @@ def labels(x: NDArray, side: float) -> NDArray[np.int64] | None:
     at = (columns[0] * size[1] + columns[1]) * size[2] + columns[2]
     occupied = np.zeros(size, bool)
     occupied.reshape(-1)[at] = True
-    numbered, count = ndimage.label(occupied, np.ones((3, 3, 3)))  # pyright: ignore
+    numbered, count = scipy.ndimage.label(occupied, np.ones((3, 3, 3)))  # pyright: ignore
     if count == 1:
         return np.zeros(len(x), np.int64)
     found: NDArray[np.int64] = numbered.reshape(-1)[at].astype(np.int64) - 1

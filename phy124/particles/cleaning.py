@@ -19,8 +19,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians, rotation_matrices
@@ -208,7 +208,7 @@ def _stray(gaussians: Gaussians) -> NDArray[np.bool_]:
     shape = tuple(index.max(axis=0) + 1)
     flat = np.ravel_multi_index(tuple(index.T), shape)
     occupied = (np.bincount(flat, minlength=int(np.prod(shape))) > 0).reshape(shape)
-    groups, count = ndimage.label(occupied, np.ones((3, 3, 3)))  # pyright: ignore
+    groups, count = scipy.ndimage.label(occupied, np.ones((3, 3, 3)))  # pyright: ignore
     group = groups.ravel()[flat]
     members = np.bincount(group, minlength=count + 1)
     return members[group] < STRAY * len(gaussians)

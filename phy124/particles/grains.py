@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from phy124.gaussians import SH_C0, Gaussians, joined
 from phy124.materials import AnyMaterial
@@ -73,7 +73,7 @@ def grains_at(
     Returns:
         G grains, for each the Gaussian above it [G], and which places have one [P].
     """
-    depth, above = map(np.asarray, KDTree(gaussians.means).query(x, workers=-1))
+    depth, above = map(np.asarray, scipy.spatial.KDTree(gaussians.means).query(x, workers=-1))
     clear = depth >= NEAREST * spacing
     depth, above = depth[clear], above[clear]
     return _grains(gaussians, x[clear], above, depth, spacing), above, clear

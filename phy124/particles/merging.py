@@ -11,8 +11,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians, quaternions
@@ -37,7 +37,9 @@ def groups(places: NDArray, count: int) -> NDArray[np.int64]:
     """
     label = np.arange(len(places))
     while len(places) > count:
-        near, other = KDTree(places).query(places, k=min(NEIGHBOURS, len(places)), workers=-1)
+        near, other = scipy.spatial.KDTree(places).query(
+            places, k=min(NEIGHBOURS, len(places)), workers=-1
+        )
         first, distance = np.repeat(np.arange(len(places)), near.shape[1]), near.ravel()
         second = other.ravel()
         pairs = np.flatnonzero(first < second)

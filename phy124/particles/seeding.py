@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
@@ -145,7 +145,7 @@ def _apart(points: NDArray, others: NDArray, distance: float) -> NDArray:
     """The points that have none of the others within `distance`."""
     if len(points) == 0:
         return points
-    tree = KDTree(others, balanced_tree=False)  # half the time to build
+    tree = scipy.spatial.KDTree(others, balanced_tree=False)  # half the time to build
     nearest, _ = tree.query(points, distance_upper_bound=distance, workers=-1)
     return points[np.isinf(nearest)]
 
@@ -196,7 +196,7 @@ def _volumes(x: NDArray[np.float32], shape: Solid, room: _Room) -> NDArray[np.fl
     inside = np.bincount(place[~empty], room.volume[~empty], minlength=len(keys))
     volume = inside[which] / count[which]
     if empty.any():
-        _, nearest = KDTree(x).query((cells[empty] + 0.5) * side, workers=-1)
+        _, nearest = scipy.spatial.KDTree(x).query((cells[empty] + 0.5) * side, workers=-1)
         volume += np.bincount(nearest, room.volume[empty], minlength=len(x))
     volume = np.maximum(volume, SMALLEST * volume.mean())
     return volume * (shape.volume / volume.sum())

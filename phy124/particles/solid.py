@@ -24,8 +24,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from phy124.gaussians import Gaussians, rotation_matrices
 from phy124.particles.cleaning import VISIBLE
@@ -63,7 +63,7 @@ class Solid:
     def contains(self, points: NDArray) -> Mask:
         """Whether points [M,3] m are inside (interpolated fraction over one half)."""
         at = np.asarray(points, dtype=np.float64) / self.voxel - self.first - 0.5
-        return ndimage.map_coordinates(self.fraction, at.T, order=1) > 0.5
+        return scipy.ndimage.map_coordinates(self.fraction, at.T, order=1) > 0.5
 
     def thin(self, points: NDArray, width: float) -> Mask:
         """Which points [M,3] m are outside, or in parts into which no cube of a width [m] fits."""
@@ -197,7 +197,7 @@ def _unit_ball(counts: NDArray[np.int64]) -> NDArray[np.float64]:
 
 def _neighbours(occupied: Mask) -> float:
     """Mean number of occupied neighbours of an occupied voxel."""
-    around = ndimage.uniform_filter(occupied.astype(np.float32), 3, mode="constant") * 27 - 1
+    around = scipy.ndimage.uniform_filter(occupied.astype(np.float32), 3, mode="constant") * 27 - 1
     return float(around[occupied].mean())
 
 
@@ -223,7 +223,7 @@ def _inside(occupied: Mask, across: float) -> tuple[Mask, Mask]:
 
 def _flood(free: Mask) -> Mask:
     """The free voxels connected by faces with the corner of the grid, which is free."""
-    labels, _ = ndimage.label(free)  # pyright: ignore
+    labels, _ = scipy.ndimage.label(free)  # pyright: ignore
     return labels == labels[0, 0, 0]
 
 
@@ -276,7 +276,7 @@ def _normals(region: Mask, voxels: NDArray) -> tuple[NDArray[np.float64], Mask]:
     """Outward normals [V,3], and where there is none: outside on both sides, a sheet."""
     normal = np.zeros((len(voxels), 3))
     for size in (5, 3):
-        smooth = ndimage.uniform_filter(region.astype(np.float32), size)
+        smooth = scipy.ndimage.uniform_filter(region.astype(np.float32), size)
         flat = np.abs(normal).max(axis=1) < 0.25
         at = voxels[flat]
         for axis in range(3):

@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
-from scipy.spatial import KDTree
 
 from phy124.errors import InputError
 
@@ -30,7 +29,7 @@ def nearest(
     Returns:
         Name -> value at each position [P].
     """
-    at = KDTree(points).query(x)[1]
+    at = scipy.spatial.KDTree(points).query(x)[1]
     return {name: column[at] for name, column in columns.items()}
 
 
@@ -72,7 +71,7 @@ def trilinear(
 def _between(values: NDArray, index: NDArray, shape: tuple[int, ...], at: NDArray) -> NDArray:
     grid = np.zeros(shape)
     grid[tuple(index.T)] = values
-    return ndimage.map_coordinates(grid, at, order=1, mode="nearest")
+    return scipy.ndimage.map_coordinates(grid, at, order=1, mode="nearest")
 
 
 def _lattice(points: NDArray) -> tuple[NDArray[np.int_], NDArray[np.float64], NDArray[np.float64]]:

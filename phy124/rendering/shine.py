@@ -17,8 +17,8 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter, map_coordinates
 
 from phy124.camera import Camera
 from phy124.gaussians import SH_C0, Frame, Gaussians
@@ -205,14 +205,14 @@ class _Field:
     def summed(self) -> NDArray[np.float32]:
         """The smoothed number of points in each cell."""
         sums = np.bincount(self._flat, minlength=int(np.prod(self._size))).reshape(self._size)
-        smooth: Any = gaussian_filter(
+        smooth: Any = scipy.ndimage.gaussian_filter(
             sums.astype(np.float32), self._blur, mode="constant", truncate=3
         )
         return smooth
 
     def sampled(self, field: NDArray) -> NDArray[np.float32]:
         """A field at the points."""
-        found: Any = map_coordinates(field, self._at, order=1, mode="nearest")
+        found: Any = scipy.ndimage.map_coordinates(field, self._at, order=1, mode="nearest")
         return np.asarray(found, np.float32)
 
 

@@ -13,8 +13,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from phy124.deform import by_object
 from phy124.gaussians import Gaussians, joined
@@ -145,7 +145,9 @@ class Interior:
         grains, above, clear = grains_at(shown, x[places], self._spacing)
         inside = places[clear]
         most = min(NEIGHBOURS, len(x))
-        near = np.reshape(KDTree(x).query(x[inside], k=most, workers=-1)[1], (len(inside), most))
+        near = np.reshape(
+            scipy.spatial.KDTree(x).query(x[inside], k=most, workers=-1)[1], (len(inside), most)
+        )
         # A tiny object has fewer neighbours: the last one counts more often.
         near = np.pad(near, ((0, 0), (0, NEIGHBOURS - most)), mode="edge")
         return grains, ours[above], theirs[inside], theirs[near]

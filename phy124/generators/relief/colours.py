@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-import scipy.ndimage as ndi
+import scipy
 from numpy.typing import NDArray
 
 from phy124.generators.relief.height import nearest_of
@@ -29,7 +29,7 @@ def clean_picture(rgba: Field) -> Field:
     clean = nearest_of(rgba[..., 3] <= 0.95)[0] > FRINGE
     # Parts too thin to have clean pixels keep their middle.
     depth, _ = nearest_of(~solid)
-    ridge = depth >= ndi.maximum_filter(depth, size=3)
+    ridge = depth >= scipy.ndimage.maximum_filter(depth, size=3)
     lost = nearest_of(clean)[0] > 2 * FRINGE + 1 if clean.any() else solid
     trusted = clean | (solid & ridge & lost)
     return rgba[..., :3][nearest_of(trusted)[1]]
@@ -41,16 +41,16 @@ def back_picture(picture: Field, inside: NDArray[np.bool_], size: int) -> Field:
     So a stripe goes round, and nothing inside the silhouette (eyes, a beak) appears a second time.
     """
     depth, _ = nearest_of(~inside)
-    ridge = ndi.maximum_filter(depth, size=2 * int(INSET * size) + 1)
+    ridge = scipy.ndimage.maximum_filter(depth, size=2 * int(INSET * size) + 1)
     inner = depth >= np.minimum(INSET * size, 0.6 * ridge)
     _, nearest = nearest_of(inner & inside)
-    rim = ndi.gaussian_filter(picture, (1.5, 1.5, 0))[nearest]
+    rim = scipy.ndimage.gaussian_filter(picture, (1.5, 1.5, 0))[nearest]
     thick = _thickness(depth)
     rows, wide = _between_ends(inside, rim, thick)
     columns, high = _between_ends(inside.T, rim.swapaxes(0, 1), thick.T)
     across = 1 / (1 + (wide / np.maximum(high.T, 1.0)) ** SHORTER)[..., None]
     mixed = across * rows + (1 - across) * columns.swapaxes(0, 1)
-    return ndi.gaussian_filter(np.where(inside[..., None], mixed, rim), (6, 6, 0))
+    return scipy.ndimage.gaussian_filter(np.where(inside[..., None], mixed, rim), (6, 6, 0))
 
 
 def _thickness(depth: Field) -> Field:
@@ -103,7 +103,7 @@ def colour(
     far = np.maximum(np.linalg.norm(inward, axis=0), 0.5)
     way = np.hypot(far, surface.middle(rim[::-1].T) - points[:, 2])
     hidden = points[:, 2] < surface.middle(points)
-    around = _sampled(ndi.gaussian_filter(front, (2, 2, 0)), rim + inward / far * way)
+    around = _sampled(scipy.ndimage.gaussian_filter(front, (2, 2, 0)), rim + inward / far * way)
     shown = np.where(hidden, around, _sampled(front, place))
     fraction = np.where(hidden, np.clip(way / (REACH * size), 0, 1), 0.0)
     fraction = fraction * fraction * (3 - 2 * fraction)
@@ -113,6 +113,7 @@ def colour(
 def _sampled(picture: Field, place: Field) -> Field:
     """Colours [3,N] at places (y, x)."""
     channels = [
-        ndi.map_coordinates(picture[..., c], place, order=1, mode="nearest") for c in range(3)
+        scipy.ndimage.map_coordinates(picture[..., c], place, order=1, mode="nearest")
+        for c in range(3)
     ]
     return np.stack(channels)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-import scipy.ndimage as ndi
+import scipy
 from numpy.typing import NDArray
 
 from phy124.errors import InputError
@@ -52,7 +52,7 @@ def with_front(surface: Surface, depth: Field, own: NDArray[np.bool_]) -> Surfac
     shaped = (depth - depth[known].mean()) * scale + front[known].mean()
     part = np.clip((far - 1) / RIM, 0, 1)
     part = part * part * (3 - 2 * part)
-    shaped = ndi.gaussian_filter((1 - part) * front + part * shaped, 1.0)
+    shaped = scipy.ndimage.gaussian_filter((1 - part) * front + part * shaped, 1.0)
     thickness = np.maximum((shaped - back) / 2, np.minimum(half, THINNEST))
     inside = surface.w > 0
     w = np.where(inside & own, thickness**2, surface.w)

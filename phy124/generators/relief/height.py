@@ -5,9 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.ndimage as ndi
-import scipy.sparse as sp
-import scipy.sparse.linalg as spl
+import scipy
 from numpy.typing import NDArray
 
 Field = NDArray[np.float64]
@@ -28,14 +26,16 @@ class Silhouette:
     """Pixels whose centre is inside [H,W]."""
     weights: Field
     """Weight 1/theta of the rim towards each neighbour [4,H,W]; 0 where that one is inside."""
-    factors: spl.SuperLU
+    factors: scipy.sparse.linalg.SuperLU
 
     @classmethod
     def of(cls, alpha: Field) -> Silhouette:
         """From alpha [H,W] in 0..1 whose outermost pixels are transparent."""
         inside = alpha > 0.5
         weights = np.stack([_rim_weight(alpha, inside, shift) for shift in NEIGHBOURS])
-        return cls(inside, weights, spl.splu(_laplacian(inside, weights), "MMD_AT_PLUS_A"))
+        return cls(
+            inside, weights, scipy.sparse.linalg.splu(_laplacian(inside, weights), "MMD_AT_PLUS_A")
+        )
 
     def poisson(self, source: float) -> Field:
         """Solve -Laplace(u) = source with u = 0 on the rim; [H,W], 0 outside."""
@@ -68,7 +68,7 @@ class Silhouette:
 
 def nearest_of(wanted: NDArray[np.bool_]) -> tuple[Field, tuple[NDArray, NDArray]]:
     """Distance from each pixel to the nearest wanted one, pixels, and where that one is."""
-    distance, (y, x) = ndi.distance_transform_edt(~wanted, return_indices=True)  # pyright: ignore
+    distance, (y, x) = scipy.ndimage.distance_transform_edt(~wanted, return_indices=True)  # pyright: ignore
     return distance, (y, x)
 
 
@@ -80,7 +80,7 @@ def _rim_weight(alpha: Field, inside: NDArray[np.bool_], shift: tuple[int, int])
     return np.where(crosses, 1 / np.clip(theta, THETA_MIN, 1.0), 0.0)
 
 
-def _laplacian(inside: NDArray[np.bool_], weights: Field) -> sp.csc_array:
+def _laplacian(inside: NDArray[np.bool_], weights: Field) -> scipy.sparse.csc_array:
     count = int(inside.sum())
     number = np.full(inside.shape, -1)
     number[inside] = np.arange(count)
@@ -96,4 +96,4 @@ def _laplacian(inside: NDArray[np.bool_], weights: Field) -> sp.csc_array:
     numbers = np.arange(count)
     rows = np.concatenate([i, numbers])
     values = np.concatenate([np.full(len(i), -1.0), diagonal[inside]])
-    return sp.csc_array((values, (rows, np.concatenate([j, numbers]))), (count, count))
+    return scipy.sparse.csc_array((values, (rows, np.concatenate([j, numbers]))), (count, count))

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.ndimage as ndi
+import scipy
 from numpy.typing import NDArray
 
 from phy124.generators.relief.surface import Implicit, interpolated, relaxed, settled
@@ -114,7 +114,7 @@ class Hull(Implicit):
 
 
 def _sloped(w: Field, y: Field) -> Field:
-    dy, dx = np.gradient(ndi.gaussian_filter(w, 0.7), y, np.arange(w.shape[1]))
+    dy, dx = np.gradient(scipy.ndimage.gaussian_filter(w, 0.7), y, np.arange(w.shape[1]))
     return np.stack([w, dx, dy], axis=2)
 
 

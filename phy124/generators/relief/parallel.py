@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.ndimage as ndi
+import scipy
 from numpy.typing import NDArray
 
 Field = NDArray[np.float64]
@@ -46,14 +46,17 @@ class Profile:
         far = 1 - columns / distance
         heights = (np.arange(len(self.w)) - self.middle[1])[:, None] * far  # along the rays
         place = np.broadcast_arrays(heights + self.middle[1], columns + self.middle[0])
-        thick = np.sqrt(np.maximum(ndi.map_coordinates(self.w, place, order=1), 0.0)) / far
+        along = scipy.ndimage.map_coordinates(self.w, place, order=1)
+        thick = np.sqrt(np.maximum(along, 0.0)) / far
         solid = self.w > 0
         known = solid.any(axis=1)
         contact = columns[thick.argmax(axis=1)]
         edge = columns[::-1][solid[:, ::-1].argmax(axis=1)]
         rows, width = np.arange(len(self.w)) - self.middle[1], SMOOTHING * 2 * self.half
         contact, edge = (
-            np.interp(y, rows[known], ndi.gaussian_filter1d(v[known], width, mode="nearest"))
+            np.interp(
+                y, rows[known], scipy.ndimage.gaussian_filter1d(v[known], width, mode="nearest")
+            )
             for v in (contact, edge)
         )
         return contact, edge
@@ -118,5 +121,5 @@ def straightened(profile: Profile, y: Field, rows: Rows) -> Field:
             columns * rows.k[:, None] + profile.middle[0],
         ]
     )
-    w = ndi.map_coordinates(profile.w, place, order=1, mode="nearest")
+    w = scipy.ndimage.map_coordinates(profile.w, place, order=1, mode="nearest")
     return w / rows.k[:, None] ** 2

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-import scipy.ndimage as ndi
+import scipy
 from numpy.typing import NDArray
 
 from phy124.generators.relief.ends import Continued
@@ -181,10 +181,10 @@ def _shaded(picture: Continued, round_: Field) -> bool:
     Brightness is fitted as a linear function of the round solid's normals. Only the part across and
     towards the viewer counts: colours often differ from bottom to top.
     """
-    seen = np.asarray(ndi.binary_erosion(picture.own, iterations=4), bool)
+    seen = np.asarray(scipy.ndimage.binary_erosion(picture.own, iterations=4), bool)
     if not seen.any():
         return True
-    slopes = np.asarray(np.gradient(ndi.gaussian_filter(round_, 1.0)))
+    slopes = np.asarray(np.gradient(scipy.ndimage.gaussian_filter(round_, 1.0)))
     half = np.sqrt(np.maximum(round_, 1.0))
     normals = np.stack([-slopes[1] / 2, -slopes[0] / 2, half], axis=2)[seen]
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -206,7 +206,7 @@ def _slab(picture: Continued, view: View, thickness: float) -> Surface:
     h = float(distance.max() * aspect**3 * full) * thickness
     h /= 1 + h / view.distance  # The front is nearer than the middle, and so seen larger.
     # The camera sees the walls' front edges on the rim; farther back they lie behind the front.
-    dy, dx = np.gradient(ndi.gaussian_filter(distance, 1.0))
+    dy, dx = np.gradient(scipy.ndimage.gaussian_filter(distance, 1.0))
     y, x = np.mgrid[: own.shape[0], : own.shape[1]]
     out = -(dx * (x - view.middle[0]) + dy * (y - view.middle[1]))
     wall = (out + distance) * (1 - h / view.distance) / np.maximum(out, 1e-9)
@@ -215,11 +215,13 @@ def _slab(picture: Continued, view: View, thickness: float) -> Surface:
     rounded = h * np.sign(edge) * (1 - (1 - np.abs(edge)) ** 2)
     half = np.maximum((h - far) / 2, 1.0)
     w = np.minimum(half, np.maximum(rounded, 0)) ** 2 + np.minimum(distance, 0) * h
-    return Surface.of(ndi.gaussian_filter(w, 1.0), ndi.gaussian_filter((h + far) / 2, 1.0))
+    return Surface.of(
+        scipy.ndimage.gaussian_filter(w, 1.0), scipy.ndimage.gaussian_filter((h + far) / 2, 1.0)
+    )
 
 
 def _smooth(values: Field, inside: NDArray[np.bool_], width: float) -> Field:
     """Gaussian smoothing restricted to the pixels inside."""
-    fraction = ndi.gaussian_filter(inside.astype(np.float64), width)
-    smooth = ndi.gaussian_filter(np.where(inside, values, 0.0), width)
+    fraction = scipy.ndimage.gaussian_filter(inside.astype(np.float64), width)
+    smooth = scipy.ndimage.gaussian_filter(np.where(inside, values, 0.0), width)
     return np.where(inside, smooth / np.maximum(fraction, 1e-9), 0.0)

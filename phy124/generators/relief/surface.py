@@ -12,10 +12,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import scipy.ndimage as ndi
-import scipy.sparse as sp
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from phy124.generators.relief.ends import End
 from phy124.generators.relief.height import nearest_of
@@ -78,7 +76,7 @@ class Surface(Implicit):
     def of(cls, w: Field, m: Field | None = None) -> Surface:
         """From squared half thicknesses and middles [H,W], pixels^2 and pixels."""
         m = np.zeros_like(w) if m is None else m
-        slopes = [np.gradient(ndi.gaussian_filter(field, 0.7))[::-1] for field in (w, m)]
+        slopes = [np.gradient(scipy.ndimage.gaussian_filter(field, 0.7))[::-1] for field in (w, m)]
         return cls(w, m, np.asarray(slopes))
 
     @classmethod
@@ -88,12 +86,12 @@ class Surface(Implicit):
         In pixels, along the rays, a circle of radius h about c is centred at z = p (p - c) / d,
         with p relative to the picture's middle; and p - c is -grad(w) / 2.
         """
-        dy, dx = np.gradient(ndi.gaussian_filter(w, 1.5))
+        dy, dx = np.gradient(scipy.ndimage.gaussian_filter(w, 1.5))
         y, x = np.mgrid[: len(w), : w.shape[1]]
         x, y = x - middle[0], y - middle[1]
         limit = np.hypot(x, y) * np.sqrt(w.max())
         m = np.clip(-(x * dx + y * dy) / 2, -limit, limit) / distance
-        m = ndi.gaussian_filter(m[nearest_of(w > 0)[1]], 2.0)
+        m = scipy.ndimage.gaussian_filter(m[nearest_of(w > 0)[1]], 2.0)
         return cls.of(w / (1 + np.maximum(w, 0) / distance**2), m)
 
     @cached_property
@@ -102,7 +100,7 @@ class Surface(Implicit):
 
     def middle(self, points: Field) -> Field:
         """m at points [N,3 or 2]."""
-        return ndi.map_coordinates(self.m, points[:, 1::-1].T, order=1, mode="nearest")
+        return scipy.ndimage.map_coordinates(self.m, points[:, 1::-1].T, order=1, mode="nearest")
 
     def gradient(self, points: Field) -> tuple[Field, Field]:
         """F [N] and its gradient [N,3] at points [N,3]."""
@@ -133,7 +131,7 @@ def interpolated(fields: Field, points: Field) -> Field:
     corners = (row * width + column)[:, None] + np.array([0, 1, width, width + 1], np.int32)
     every = np.arange(0, 4 * len(points) + 1, 4, dtype=np.int32)
     shape = len(points), height * width
-    matrix = sp.csr_array((weights.ravel(), corners.ravel(), every), shape=shape)
+    matrix = scipy.sparse.csr_array((weights.ravel(), corners.ravel(), every), shape=shape)
     return matrix @ fields.reshape(height * width, -1)
 
 
@@ -215,7 +213,9 @@ def _columns(w: Field, pitch: float) -> tuple[Field, Field, Field]:
     height, width = w.shape
     x, y = np.arange(0, width - 1 - pitch, pitch), np.arange(0, height - 1 - pitch, pitch)
     fine = [
-        ndi.map_coordinates(w, np.meshgrid(y + a * pitch, x + b * pitch, indexing="ij"), order=1)
+        scipy.ndimage.map_coordinates(
+            w, np.meshgrid(y + a * pitch, x + b * pitch, indexing="ij"), order=1
+        )
         for a in (0.0, 0.5, 1.0)
         for b in (0.0, 0.5, 1.0)
     ]
@@ -275,7 +275,7 @@ def relaxed(
 
 def neighbours(points: Field) -> Neighbours:
     """The seven nearest to each point [N,7], nearest first; fewer if there are fewer points."""
-    tree = KDTree(points, leafsize=16, balanced_tree=False)  # half the time to build
+    tree = scipy.spatial.KDTree(points, leafsize=16, balanced_tree=False)  # half the time to build
     return np.asarray(tree.query(points, k=min(8, len(points)), workers=-1)[1])[:, 1:]
 
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.ndimage as ndi
+import scipy
 from numpy.typing import NDArray
 
 Field = NDArray[np.float64]
@@ -40,7 +40,8 @@ class Shown:
         column, row = self._places(points, distance)
         place = np.stack([row + self.middle[1], column + self.middle[0]])
         channels = [
-            ndi.map_coordinates(self.rgb[..., c], place, order=1, mode="nearest") for c in range(3)
+            scipy.ndimage.map_coordinates(self.rgb[..., c], place, order=1, mode="nearest")
+            for c in range(3)
         ]
         return np.stack(channels, axis=1)
 

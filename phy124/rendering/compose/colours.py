@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 
 from phy124.camera import Camera
 from phy124.gaussians import SH_C0, Array, Gaussians
@@ -86,8 +86,8 @@ def _fitted(
     photo, inside = photograph.rgb / np.float32(255), photograph.alpha[..., None] > 0.9
     pixels, _ = camera.project(gaussians.means[seen].astype(float))
     # Without these bounds edges get rings.
-    lowest = sampled(minimum_filter(photo, (AROUND, AROUND, 1)), pixels) - 0.5
-    highest = sampled(maximum_filter(photo, (AROUND, AROUND, 1)), pixels) - 0.5
+    lowest = sampled(scipy.ndimage.minimum_filter(photo, (AROUND, AROUND, 1)), pixels) - 0.5
+    highest = sampled(scipy.ndimage.maximum_filter(photo, (AROUND, AROUND, 1)), pixels) - 0.5
     now = ahead = gaussians.sh[seen, 0]
     for number in range(1, ROUNDS + 1):
         each()
@@ -127,6 +127,7 @@ def sampled(maps: NDArray, pixels: NDArray) -> NDArray[np.float32]:
     """Values [N,C] of maps [H,W,C] at places [N,2] in pixels, those outside at the border."""
     places = pixels[:, ::-1].T - 0.5
     channels = [
-        map_coordinates(maps[..., c], places, order=1, mode="nearest") for c in range(maps.shape[2])
+        scipy.ndimage.map_coordinates(maps[..., c], places, order=1, mode="nearest")
+        for c in range(maps.shape[2])
     ]
     return np.stack(channels, axis=1).astype(np.float32)

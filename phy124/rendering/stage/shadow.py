@@ -22,10 +22,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy
 import warp as wp
 from numpy.typing import NDArray
-from scipy import fft
-from scipy.special import k1
 
 from phy124.gaussians import Array, Gaussians
 from phy124.kernels.splat.shadow import cover
@@ -112,11 +111,11 @@ class Caster:
         for layer, response in zip(depth, self._response, strict=True):
             below += layer
             through = np.exp(-below)
-            along_y[covered] = np.asarray(fft.rfft(open - through))
+            along_y[covered] = np.asarray(scipy.fft.rfft(open - through))
             kept = response.shape[1]
-            total[:, :kept] += np.asarray(fft.fft(along_y[:, :kept], axis=0)) * response
+            total[:, :kept] += np.asarray(scipy.fft.fft(along_y[:, :kept], axis=0)) * response
             open = through
-        shade = np.asarray(fft.irfft2(total, (CELLS, CELLS))) * self._window
+        shade = np.asarray(scipy.fft.irfft2(total, (CELLS, CELLS))) * self._window
         np.clip(shade, 0, LAMP + SKY, out=shade)
         shade *= shade / (shade + FAINT)
         shade[shade < UNSEEN] = 0
@@ -147,14 +146,14 @@ class Caster:
 
         The higher a layer, the fewer frequencies along y are left of it.
         """
-        kx = 2 * np.pi * fft.fftfreq(CELLS, self.cell)[:, None]
-        ky = 2 * np.pi * fft.rfftfreq(CELLS, self.cell)[None, :]
+        kx = 2 * np.pi * scipy.fft.fftfreq(CELLS, self.cell)[:, None]
+        ky = 2 * np.pi * scipy.fft.rfftfreq(CELLS, self.cell)[None, :]
         h = self.heights[:, None, None]
         k = np.hypot(kx, ky)
         blur = np.exp(-0.5 * (SOFTNESS * h * k) ** 2)
         # Transform of h^2 / (pi (h^2 + r^2)^2), moved back from where the lamp casts the layer.
         kh = np.maximum(k * h, 1e-9)
-        sky = kh * k1(kh) * np.exp(1j * h * (kx * SLOPE[0] + ky * SLOPE[1]))
+        sky = kh * scipy.special.k1(kh) * np.exp(1j * h * (kx * SLOPE[0] + ky * SLOPE[1]))
         smooth = np.exp(-0.5 * (0.7 * self.cell * k) ** 2)
         full = ((LAMP * blur + SKY * sky) * smooth).astype(np.complex64)
         ends = [1 + np.flatnonzero(np.abs(layer).max(axis=0) > FAINTEST).max() for layer in full]
