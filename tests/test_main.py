@@ -285,8 +285,7 @@ sys.exit(main(["generate", {str(DUCK)!r}, "--out", {str(tmp_path / "out")!r}]))
 
 
 HEAVY = {"torch", "diffusers", "gradio", "mcap", "transformers", "rclpy"}
-
-
+SCIPY = {f"scipy.{part}" for part in ("fft", "linalg", "ndimage", "sparse", "spatial", "special")}
 LIBRARIES = HEAVY | {"warp", "numpy", "scipy", "cv2", "PIL", "pydantic"}
 
 
@@ -294,8 +293,9 @@ LIBRARIES = HEAVY | {"warp", "numpy", "scipy", "cv2", "PIL", "pydantic"}
     ("code", "absent"),
     [
         ("import phy124, phy124.commands", LIBRARIES | {"tyro"}),
-        ("import phy124.scene", HEAVY | {"scipy", "cv2"}),
-        ("import phy124.pipeline, phy124.commands.generate", HEAVY),
+        ("import phy124.scene", HEAVY | SCIPY | {"cv2"}),
+        ("import phy124.pipeline, phy124.commands.generate", HEAVY | SCIPY),
+        ("import phy124.commands.fit, phy124.commands.sweep", HEAVY | SCIPY),
         ("from phy124.__main__ import main; main(['--help'])", LIBRARIES),
         ("from phy124.__main__ import main; main(['weights'])", HEAVY | {"warp", "scipy", "cv2"}),
     ],

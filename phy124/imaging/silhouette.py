@@ -6,7 +6,6 @@ import math
 
 import cv2
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from phy124.imaging.lab import to_lab
@@ -30,6 +29,8 @@ AROUND = 0.125
 """How far the surroundings of an object extend, in longest sides."""
 BINS = (12, 24, 24)
 """Histogram bins of L, a and b."""
+SIMILAR, ONE = cv2.getGaussianKernel(7, 0.7), np.ones(1)
+"""By how much pixels count for neighbouring bins, and for their own."""
 MINIMUM, EXTENT = np.array([0, -100, -100]), np.array([100, 200, 200])
 """Lowest values of L, a and b, and the ranges that the bins cover."""
 
@@ -90,8 +91,13 @@ def undecided(alpha: NDArray[np.uint8]) -> float:
 
 def _fractions(kinds: NDArray[np.int_]) -> NDArray[np.float64]:
     """How common each colour is, given the bins of the pixels; similar colours count a little."""
-    counts = np.bincount(kinds, minlength=math.prod(BINS)).reshape(BINS)
-    return scipy.ndimage.gaussian_filter(counts / len(kinds), 0.7, mode="constant").ravel()
+    counts = np.bincount(kinds, minlength=math.prod(BINS)).reshape(BINS) / len(kinds)
+    for _ in BINS:
+        counts = np.moveaxis(counts, 0, -1)
+        rows = counts.reshape(-1, counts.shape[-1])
+        smooth = cv2.sepFilter2D(rows, -1, SIMILAR, ONE, borderType=cv2.BORDER_CONSTANT)
+        counts = smooth.reshape(counts.shape)
+    return counts.ravel()
 
 
 def _small(rgb: NDArray[np.uint8], solid: Solid) -> tuple[NDArray[np.float32], Solid]:
