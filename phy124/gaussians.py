@@ -96,6 +96,8 @@ class Gaussians:
 
     def select(self, which: NDArray) -> Gaussians:
         """The Gaussians selected by a boolean mask or an index array."""
+        if which.dtype == bool and which.all():
+            return self
         return Gaussians(
             self.means[which],
             self.quats[which],

@@ -118,7 +118,8 @@ def bounds(gaussians: Gaussians) -> tuple[NDArray[np.float64], NDArray[np.float6
     The outermost 0.1 % of the opacity on either side is left out, so that a few faint Gaussians do
     not decide the size. Over 200,000 Gaussians, an even subset is used.
     """
-    some = gaussians.select(np.arange(0, len(gaussians), 1 + len(gaussians) // 200_000))
+    every = 1 + len(gaussians) // 200_000
+    some = gaussians.select(np.arange(len(gaussians)) % every == 0)
     reach = np.sqrt(np.einsum("nii->ni", some.covariances()))
     means = some.means.astype(np.float64)
     low = _quantile(means - reach, some.opacities, 0.001)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from phy124.accuracy.ball import ball
+from phy124.kernels.implicit import HULL, INFLATED, push
 from phy124.kernels.splat import shadow, shadow_simd, stage, stage_simd
 from phy124.kernels.splat.arrange import arrange
 from phy124.progress import Progress, silent
@@ -20,12 +21,14 @@ STAGE = {
     "cuda": (shadow.cover, arrange, stage.draw_setting),
 }
 """One kernel of each module that draws a stage."""
+RELIEF = (INFLATED.project, HULL.project, push)
+"""One kernel of each module that `relief` uses; it works on the processor."""
 FEW = {"accuracy.cells": 8, "accuracy.particles_per_axis": 1.0, "time.frames": 2, "time.fps": 240.0}
 """What makes a run of any scene short; its precision stays, as kernels depend on it."""
 
 
 def warm(scenes: Sequence[Scene], device: str = "cpu", progress: Progress = silent) -> int:
-    """Compile the kernels of scenes, of the renderer and of the stage.
+    """Compile the kernels of `relief`, of scenes, of the renderer and of the stage.
 
     Args:
         scenes: The scenes.
@@ -38,7 +41,8 @@ def warm(scenes: Sequence[Scene], device: str = "cpu", progress: Progress = sile
     """
     drawn = STAGE["cpu" if device == "cpu" else "cuda"]
     listed = [kernel for scene in scenes for kernel in kernels(scene, device)]
-    compiled = compile_missing([*listed, *drawn], device, progress)
+    compiled = compile_missing(RELIEF, "cpu", progress)
+    compiled += compile_missing([*listed, *drawn], device, progress)
     Renderer(device=device)
     # Forces and the second thread bring small kernels that are not listed: short runs find them.
     threads = min(2, cores()) if device == "cpu" else None

@@ -21,7 +21,9 @@ from phy124.generators.relief.picture import Given, opened
 from phy124.generators.relief.several import Facing, from_sides
 from phy124.generators.relief.single import from_front
 from phy124.generators.relief.view import VIEW_DISTANCE as VIEW_DISTANCE
+from phy124.kernels.implicit import HULL, INFLATED, push
 from phy124.progress import Progress, silent
+from phy124.runtime.compiling import compile_missing
 
 STAGES = 4
 
@@ -64,6 +66,7 @@ def relief(
             the pictures contradict each other.
     """
     rng = np.random.default_rng(seed)
+    compile_missing([*(INFLATED if side is None else HULL), push], progress=progress)
 
     def step(done: int) -> None:
         progress("relief", done, STAGES)

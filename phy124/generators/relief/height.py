@@ -33,9 +33,11 @@ class Silhouette:
         """From alpha [H,W] in 0..1 whose outermost pixels are transparent."""
         inside = alpha > 0.5
         weights = np.stack([_rim_weight(alpha, inside, shift) for shift in NEIGHBOURS])
-        return cls(
-            inside, weights, scipy.sparse.linalg.splu(_laplacian(inside, weights), "MMD_AT_PLUS_A")
+        # With wider panels than one column it takes half as long again.
+        factors = scipy.sparse.linalg.splu(
+            _laplacian(inside, weights), "MMD_AT_PLUS_A", panel_size=1, relax=1
         )
+        return cls(inside, weights, factors)
 
     def poisson(self, source: float) -> Field:
         """Solve -Laplace(u) = source with u = 0 on the rim; [H,W], 0 outside."""

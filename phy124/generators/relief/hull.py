@@ -9,12 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy
+import warp as wp
 from numpy.typing import NDArray
 
-from phy124.generators.relief.surface import Implicit, interpolated, relaxed, settled
+from phy124.generators.relief.surface import Implicit, relaxed, settled
+from phy124.kernels import implicit
 
 Field = NDArray[np.float64]
 COARSE = 4
@@ -35,6 +39,7 @@ class Hull(Implicit):
     same of the side, divided by its largest value in the row. On a ball F = r^2 - |p|^2.
     """
 
+    kernels: ClassVar[implicit.Kernels] = implicit.HULL
     front: Field
     """w and its slopes along x and y [H,W,3]."""
     side: Field
@@ -63,20 +68,16 @@ class Hull(Implicit):
         depth = np.maximum(thick, 1.0)[:, None] * share
         return cls(_sloped(front, y), _sloped(depth, y), y, tuple(planes))
 
-    def gradient(self, points: Field) -> tuple[Field, Field]:
-        """F [N] and its gradient [N,3] at points [N,3]."""
-        row = (points[:, 1] - self.y[0]) / (self.y[1] - self.y[0])
-        (w, wx, wy), (s, sz, sy) = (
-            interpolated(fields, np.stack([points[:, axis] + fields.shape[1] // 2, row], axis=1)).T
-            for fields, axis in ((self.front, 0), (self.side, 2))
-        )
-        value, gradient = w + s, np.stack([wx, wy + sy, sz], axis=1)
-        for sign, level, steep in self.planes:
-            plane = steep * sign * (level - points[:, 1])
-            cut = plane < value
-            value = np.where(cut, plane, value)
-            gradient[cut] = [0.0, -sign * steep, 0.0]
-        return value, gradient
+    @cached_property
+    def shape(self) -> Any:
+        """What the kernels read of it."""
+        shape = implicit.Hull()
+        shape.front = wp.array(self.front, dtype=wp.float64, device="cpu")
+        shape.side = wp.array(self.side, dtype=wp.float64, device="cpu")
+        shape.first, shape.pitch = float(self.y[0]), float(self.y[1] - self.y[0])
+        planes = np.reshape(self.planes, (-1, 3))
+        shape.planes = wp.array(planes, dtype=wp.vec3d, device="cpu")
+        return shape
 
     def scattered(self, pitch: float, rng: np.random.Generator) -> Field:
         """Random points, on average one per pitch^2 of the surface."""

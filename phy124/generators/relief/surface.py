@@ -10,16 +10,19 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy
+import warp as wp
 from numpy.typing import NDArray
 
 from phy124.generators.relief.ends import End
 from phy124.generators.relief.height import nearest_of
+from phy124.kernels import implicit
 
 Field = NDArray[np.float64]
-Neighbours = NDArray[np.intp]
+Neighbours = NDArray[np.int32]
 BACK_PITCH = 1.5
 """Spacing of points on the back relative to the front; its colours are smooth."""
 OVERHANG = 5.0
@@ -28,21 +31,30 @@ ROUNDS = 6
 """Number of relaxation rounds; the spacing is even to about 10 % after five."""
 ALIKE = 3
 """Number of rounds in which the same points count as neighbours; finding them takes longest."""
-BLOCK = 4096
-"""Points that are pushed at once."""
 
 
 class Implicit(ABC):
     """The zero set of a function that is positive inside."""
 
+    kernels: ClassVar[implicit.Kernels]
+
+    @property
     @abstractmethod
+    def shape(self) -> Any:
+        """What the kernels read of it."""
+
     def gradient(self, points: Field) -> tuple[Field, Field]:
         """F [N] and its gradient [N,3] at points [N,3]."""
+        values, gradients = np.empty(len(points)), np.empty(points.shape)
+        inputs, outputs = [self.shape, vectors(points)], [numbers(values), vectors(gradients)]
+        launch(self.kernels.evaluate, len(points), inputs, outputs)
+        return values, gradients
 
     def normals(self, points: Field) -> Field:
         """Outward unit normals [N,3]."""
-        _, gradient = self.gradient(points)
-        return -gradient / np.maximum(np.linalg.norm(gradient, axis=1, keepdims=True), 1e-12)
+        normals = np.empty(points.shape)
+        launch(self.kernels.orient, len(points), [self.shape, vectors(points)], [vectors(normals)])
+        return normals
 
     def inset(self, points: Field, depth: float) -> Field:
         """`depth`, limited to a third of the local radius [N,1], pixels."""
@@ -53,17 +65,16 @@ class Implicit(ABC):
 
     def project(self, points: Field, rounds: int = 2) -> Field:
         """Points moved onto the surface by Newton steps of at most one pixel each."""
-        for _ in range(rounds):
-            value, gradient = self.gradient(points)
-            step = -(value / np.maximum((gradient**2).sum(axis=1), 1e-9))[:, None] * gradient
-            length = np.linalg.norm(step, axis=1, keepdims=True)
-            points = points + step / np.maximum(1.0, length)
+        points = np.array(points)
+        launch(self.kernels.project, len(points), [self.shape, rounds, vectors(points)])
         return points
 
 
 @dataclass(frozen=True, eq=False)
 class Surface(Implicit):
     """The zero set of F(x, y, z) = w(x, y) - (z - m(x, y))^2."""
+
+    kernels: ClassVar[implicit.Kernels] = implicit.INFLATED
 
     w: Field
     """Squared half thickness [H,W], pixels^2, negative outside."""
@@ -95,44 +106,21 @@ class Surface(Implicit):
         return cls.of(w / (1 + np.maximum(w, 0) / distance**2), m)
 
     @cached_property
-    def _fields(self) -> Field:
-        return np.stack([self.w, self.m, *self.slopes.reshape(4, *self.w.shape)], axis=2)
+    def shape(self) -> Any:
+        """What the kernels read of it."""
+        shape, size = implicit.Inflated(), self.w.shape
+        fields = np.stack([self.w, self.m, *self.slopes.reshape(4, *size)], axis=2)
+        shape.fields = wp.array(fields, dtype=wp.float64, device="cpu")
+        return shape
 
     def middle(self, points: Field) -> Field:
         """m at points [N,3 or 2]."""
         return scipy.ndimage.map_coordinates(self.m, points[:, 1::-1].T, order=1, mode="nearest")
 
-    def gradient(self, points: Field) -> tuple[Field, Field]:
-        """F [N] and its gradient [N,3] at points [N,3]."""
-        value, middle, wx, wy, mx, my = interpolated(self._fields, points).T
-        z = points[:, 2] - middle
-        # A row per axis in memory, where sums over the axes take a fraction of the time.
-        return value - z * z, np.stack([wx + 2 * z * mx, wy + 2 * z * my, -2 * z]).T
-
     def section(self, y: float) -> float:
         """Area of the horizontal cross-section of the object at y, pixels^2."""
         row = self.w[min(int(y), len(self.w) - 1)]
         return float(2 * np.sqrt(np.maximum(row, 0)).sum())
-
-
-def interpolated(fields: Field, points: Field) -> Field:
-    """Several fields [H,W,C] at points [N,3 or 2], linear between pixels, constant beyond: [N,C].
-
-    As `map_coordinates` would, but the weights are the same for all fields: a quarter of the time.
-    """
-    height, width, _ = fields.shape
-    x, y = np.clip(points[:, 0], 0, width - 1), np.clip(points[:, 1], 0, height - 1)
-    column = np.minimum(x.astype(np.int32), width - 2)
-    row = np.minimum(y.astype(np.int32), height - 2)
-    right, down = x - column, y - row
-    weights = np.empty((len(points), 2, 2))
-    weights[:, 0, 0], weights[:, 0, 1] = (1 - down) * (1 - right), (1 - down) * right
-    weights[:, 1, 0], weights[:, 1, 1] = down * (1 - right), down * right
-    corners = (row * width + column)[:, None] + np.array([0, 1, width, width + 1], np.int32)
-    every = np.arange(0, 4 * len(points) + 1, 4, dtype=np.int32)
-    shape = len(points), height * width
-    matrix = scipy.sparse.csr_array((weights.ravel(), corners.ravel(), every), shape=shape)
-    return matrix @ fields.reshape(height * width, -1)
 
 
 def pitch_factor(normals: Field) -> Field:
@@ -202,8 +190,9 @@ def _scatter(surface: Surface, pitch: float, rng: np.random.Generator) -> Field:
         halves.append(half)
     points = surface.project(np.concatenate(halves), rounds=4)
     value, gradient = surface.gradient(points)
-    landed = np.abs(value) < 0.5 * np.linalg.norm(gradient, axis=1)
-    normals = surface.normals(points)
+    slope = np.sqrt(np.einsum("ij,ij->i", gradient, gradient))
+    landed = np.abs(value) < 0.5 * slope
+    normals = -gradient / np.maximum(slope, 1e-12)[:, None]
     chance = 1 / (np.abs(normals).sum(axis=1) * pitch_factor(normals) ** 2)
     return points[landed & (rng.random(len(points)) < chance)]
 
@@ -212,14 +201,12 @@ def _columns(w: Field, pitch: float) -> tuple[Field, Field, Field]:
     """Square columns that meet the surface: corner [M,2], lowest and highest |z| in each [M]."""
     height, width = w.shape
     x, y = np.arange(0, width - 1 - pitch, pitch), np.arange(0, height - 1 - pitch, pitch)
-    fine = [
-        scipy.ndimage.map_coordinates(
-            w, np.meshgrid(y + a * pitch, x + b * pitch, indexing="ij"), order=1
-        )
-        for a in (0.0, 0.5, 1.0)
-        for b in (0.0, 0.5, 1.0)
-    ]
-    low, high = np.stack(fine).min(axis=0), np.stack(fine).max(axis=0)
+    # At the corners of all squares, and halfway between them.
+    halves = [np.arange(2 * len(along) + 1) * (pitch / 2) for along in (y, x)]
+    fine = scipy.ndimage.map_coordinates(w, np.meshgrid(*halves, indexing="ij"), order=1)
+    thirds = slice(0, -2, 2), slice(1, -1, 2), slice(2, None, 2)
+    around = [fine[rows, columns] for rows in thirds for columns in thirds]
+    low, high = np.minimum.reduce(around), np.maximum.reduce(around)
     row, column = np.nonzero(high > 0)
     nearest, deepest = np.sqrt(np.maximum(low, 0)[row, column]), np.sqrt(high[row, column])
     return np.stack([x[column], y[row]], axis=1), nearest, deepest
@@ -264,39 +251,29 @@ def relaxed(
     """
     near = neighbours(points) if near is None else near
     normals = surface.normals(points)
-    wanted, move, spacing = spacing_at(normals), np.empty_like(points), np.empty(len(points))
-    # A row per axis in memory, and some points at a time, of which everything fits into a cache.
-    rows = np.ascontiguousarray(points.T), np.ascontiguousarray(normals.T)
-    for start in range(0, len(points), BLOCK):
-        some = slice(start, start + BLOCK)
-        move[some], spacing[some] = _pushed(*rows, wanted, near, some)
-    return surface.project(points + move), spacing
+    moved, spacing = np.empty(points.shape), np.empty(len(points))
+    inputs = [vectors(points), vectors(normals), numbers(spacing_at(normals)), near]
+    launch(implicit.push, len(points), inputs, [vectors(moved), numbers(spacing)])
+    return surface.project(moved), spacing
 
 
 def neighbours(points: Field) -> Neighbours:
     """The seven nearest to each point [N,7], nearest first; fewer if there are fewer points."""
     tree = scipy.spatial.KDTree(points, leafsize=16, balanced_tree=False)  # half the time to build
-    return np.asarray(tree.query(points, k=min(8, len(points)), workers=-1)[1])[:, 1:]
+    near = tree.query(points, k=min(8, len(points)), workers=-1)[1]
+    return np.ascontiguousarray(np.asarray(near)[:, 1:], np.int32)
 
 
-def _pushed(
-    points: Field, normals: Field, wanted: Field, near: Neighbours, some: slice
-) -> tuple[Field, Field]:
-    """How far some points are pushed [M,3], and the mean distance to their neighbours [M].
+def vectors(points: Field) -> wp.array:
+    """Points [N,3] as kernels take them; what they write is in the same memory."""
+    return wp.array(np.ascontiguousarray(points), dtype=wp.vec3d, device="cpu", copy=False)
 
-    Points and normals are [3,N].
-    """
-    wanted, near, own = wanted[some, None], near[some], normals[:, some]
-    apart = [axis[some, None] - axis[near] for axis in points]
-    distance = np.sqrt(apart[0] ** 2 + apart[1] ** 2 + apart[2] ** 2)
-    # In thin parts the nearest points may lie on the other side; those do not count.
-    x, y, z = (axis[some, None] * axis[near] for axis in normals)
-    same = x + y + z > 0.3
-    push = np.where(same, np.maximum(0, 1 - distance / (1.25 * wanted)), 0.0) * wanted
-    push *= 0.45 / np.maximum(distance, 1e-9)
-    move = np.stack([(push * axis).sum(axis=1) for axis in apart])
-    move -= (move * own).sum(axis=0) * own
-    counted = np.maximum(same[:, :6].sum(axis=1), 1)
-    spacing = np.where(same, distance, 0.0)[:, :6].sum(axis=1) / counted
-    wanted = wanted[:, 0]
-    return move.T, np.clip(np.where(spacing > 0, spacing, wanted), 0.6 * wanted, 1.6 * wanted)
+
+def numbers(values: Field) -> wp.array:
+    """Numbers [N] as kernels take them; what they write is in the same memory."""
+    return wp.array(values, dtype=wp.float64, device="cpu", copy=False)
+
+
+def launch(kernel: Any, count: int, inputs: list[Any], outputs: Sequence[Any] = ()) -> None:
+    """Run a kernel on so many points."""
+    wp.launch(kernel, count, inputs=inputs, outputs=[*outputs], device="cpu")

@@ -1,0 +1,205 @@
+"""Points on the surface F = 0: where F and its gradient are, steps onto it, neighbours' push.
+
+Lengths are pixels of the picture that the surface was made of. All in float64.
+"""
+
+from typing import Any, NamedTuple
+
+import warp as wp
+
+from phy124.kernels.build import kernel
+
+Points = wp.array[wp.vec3d]
+Values = wp.array[wp.float64]
+Fields = wp.array3d[wp.float64]
+REACH = wp.constant(wp.float64(1.25))
+"""Distance up to which neighbours push, in wanted spacings."""
+STRENGTH = wp.constant(wp.float64(0.45))
+"""How much of what is missing neighbours move apart in a round."""
+SAME_SIDE = wp.constant(wp.float64(0.3))
+"""Least cosine between normals of neighbours; others are on the other side of a thin part."""
+COUNTED = wp.constant(6)
+"""Neighbours whose distance is the spacing of a point."""
+LEAST, MOST = wp.constant(wp.float64(0.6)), wp.constant(wp.float64(1.6))
+"""Range of the spacing, in wanted spacings."""
+
+
+@wp.struct
+class Inflated:
+    """F(x, y, z) = w(x, y) - (z - m(x, y))^2."""
+
+    fields: Fields
+    """w, m, and the slopes of both along x and y [H,W,6]."""
+
+
+@wp.struct
+class Hull:
+    """F = w(x, y) + s(z, y), but negative beyond planes across y."""
+
+    front: Fields
+    """w and its slopes along x and y [H,W,3]; x = 0 is in the middle."""
+    side: Fields
+    """s and its slopes along z and y [H,D,3]; z = 0 is in the middle."""
+    first: wp.float64
+    """y of the first row."""
+    pitch: wp.float64
+    """Distance of two rows."""
+    planes: Points
+    """Sign, place and steepness of each plane."""
+
+
+@wp.struct
+class Corner:
+    """Where between four pixels a point is."""
+
+    row: int
+    column: int
+    down: wp.float64
+    right: wp.float64
+
+
+@wp.func
+def corner(fields: Fields, x: wp.float64, y: wp.float64) -> Corner:
+    """The pixel at the upper left of a point, which is beyond no edge, and how far it is away."""
+    last_row, last_column = fields.shape[0] - 1, fields.shape[1] - 1
+    x = wp.clamp(x, wp.float64(0.0), wp.float64(last_column))
+    y = wp.clamp(y, wp.float64(0.0), wp.float64(last_row))
+    found = Corner()
+    # The last pixel has none beyond it.
+    found.row = wp.clamp(int(y), 0, last_row - 1)
+    found.column = wp.clamp(int(x), 0, last_column - 1)
+    found.down = y - wp.float64(found.row)
+    found.right = x - wp.float64(found.column)
+    return found
+
+
+@wp.func
+def sampled(fields: Fields, at: Corner, channel: int) -> wp.float64:
+    """A field, linear between pixels."""
+    above = wp.lerp(
+        fields[at.row, at.column, channel], fields[at.row, at.column + 1, channel], at.right
+    )
+    below = wp.lerp(
+        fields[at.row + 1, at.column, channel], fields[at.row + 1, at.column + 1, channel], at.right
+    )
+    return wp.lerp(above, below, at.down)
+
+
+@wp.func
+def inflated(shape: Inflated, p: wp.vec3d) -> wp.vec4d:
+    """F and its gradient at a point."""
+    at = corner(shape.fields, p[0], p[1])
+    z = p[2] - sampled(shape.fields, at, 1)
+    return wp.vec4d(
+        sampled(shape.fields, at, 0) - z * z,
+        sampled(shape.fields, at, 2) + wp.float64(2.0) * z * sampled(shape.fields, at, 4),
+        sampled(shape.fields, at, 3) + wp.float64(2.0) * z * sampled(shape.fields, at, 5),
+        wp.float64(-2.0) * z,
+    )
+
+
+@wp.func
+def hull(shape: Hull, p: wp.vec3d) -> wp.vec4d:
+    """F and its gradient at a point."""
+    zero = wp.float64(0.0)
+    row = (p[1] - shape.first) / shape.pitch
+    front = corner(shape.front, p[0] + wp.float64(shape.front.shape[1] // 2), row)
+    side = corner(shape.side, p[2] + wp.float64(shape.side.shape[1] // 2), row)
+    found = wp.vec4d(
+        sampled(shape.front, front, 0) + sampled(shape.side, side, 0),
+        sampled(shape.front, front, 1),
+        sampled(shape.front, front, 2) + sampled(shape.side, side, 2),
+        sampled(shape.side, side, 1),
+    )
+    for index in range(shape.planes.shape[0]):
+        plane = shape.planes[index]
+        value = plane[2] * plane[0] * (plane[1] - p[1])
+        if value < found[0]:
+            found = wp.vec4d(value, zero, -plane[0] * plane[2], zero)
+    return found
+
+
+class Kernels(NamedTuple):
+    """The kernels of one kind of surface."""
+
+    evaluate: Any
+    """(shape, points) -> F, its gradient."""
+    orient: Any
+    """(shape, points) -> outward unit normals."""
+    project: Any
+    """(shape, rounds, points): moves points onto the surface by Newton steps of at most 1 px."""
+
+
+def _kernels(name: str, Shape: Any, gradient: Any) -> Kernels:
+    module = f"phy124_implicit_{name}"
+
+    @kernel(module, seconds=0.5)
+    def evaluate(shape: Shape, points: Points, values: Values, gradients: Points):
+        i = wp.tid()
+        found = gradient(shape, points[i])
+        values[i] = found[0]
+        gradients[i] = wp.vec3d(found[1], found[2], found[3])
+
+    @kernel(module, seconds=0.5)
+    def orient(shape: Shape, points: Points, normals: Points):
+        i = wp.tid()
+        found = gradient(shape, points[i])
+        slope = wp.vec3d(found[1], found[2], found[3])
+        normals[i] = -slope / wp.max(wp.length(slope), wp.float64(1e-12))
+
+    @kernel(module, seconds=0.5)
+    def project(shape: Shape, rounds: int, points: Points):
+        i = wp.tid()
+        p = points[i]
+        for _ in range(rounds):
+            found = gradient(shape, p)
+            slope = wp.vec3d(found[1], found[2], found[3])
+            step = -(found[0] / wp.max(wp.dot(slope, slope), wp.float64(1e-9))) * slope
+            p += step / wp.max(wp.float64(1.0), wp.length(step))
+        points[i] = p
+
+    return Kernels(evaluate, orient, project)
+
+
+INFLATED = _kernels("inflated", Inflated, inflated)
+HULL = _kernels("hull", Hull, hull)
+
+
+@kernel("phy124_implicit_push", seconds=0.4)
+def push(
+    points: Points,
+    normals: Points,
+    wanted: Values,
+    near: wp.array2d[wp.int32],
+    moved: Points,
+    spacings: Values,
+):
+    """Points pushed along the surface by neighbours nearer than wanted, and their mean distance.
+
+    Args:
+        points: Places [N].
+        normals: Unit normals there [N].
+        wanted: The distance that neighbours should have [N].
+        near: Each point's neighbours, nearest first [N,K].
+        moved: Receives the places [N].
+        spacings: Receives the mean distance of neighbours [N].
+    """
+    i = wp.tid()
+    p, n, far = points[i], normals[i], wanted[i]
+    move = wp.vec3d()
+    total, count = wp.float64(0.0), int(0)
+    for k in range(near.shape[1]):
+        other = near[i, k]
+        if wp.dot(n, normals[other]) > SAME_SIDE:
+            apart = p - points[other]
+            distance = wp.length(apart)
+            missing = wp.max(wp.float64(0.0), wp.float64(1.0) - distance / (REACH * far)) * far
+            move += (STRENGTH * missing / wp.max(distance, wp.float64(1e-9))) * apart
+            if k < COUNTED:
+                total += distance
+                count += 1
+    spacing = far
+    if total > wp.float64(0.0):
+        spacing = total / wp.float64(count)
+    moved[i] = p + move - wp.dot(move, n) * n
+    spacings[i] = wp.clamp(spacing, LEAST * far, MOST * far)
