@@ -91,13 +91,13 @@ def undecided(alpha: NDArray[np.uint8]) -> float:
 
 def _fractions(kinds: NDArray[np.int_]) -> NDArray[np.float64]:
     """How common each colour is, given the bins of the pixels; similar colours count a little."""
-    counts = np.bincount(kinds, minlength=math.prod(BINS)).reshape(BINS) / len(kinds)
-    for _ in BINS:
-        counts = np.moveaxis(counts, 0, -1)
-        rows = counts.reshape(-1, counts.shape[-1])
+    common = np.bincount(kinds, minlength=math.prod(BINS)) / len(kinds)
+    for bins in BINS:
+        # Along one axis, which then becomes the last.
+        rows = np.ascontiguousarray(common.reshape(bins, -1).T)
         smooth = cv2.sepFilter2D(rows, -1, SIMILAR, ONE, borderType=cv2.BORDER_CONSTANT)
-        counts = smooth.reshape(counts.shape)
-    return counts.ravel()
+        common = np.asarray(smooth, np.float64).ravel()
+    return common
 
 
 def _small(rgb: NDArray[np.uint8], solid: Solid) -> tuple[NDArray[np.float32], Solid]:

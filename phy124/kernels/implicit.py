@@ -9,8 +9,6 @@ import warp as wp
 
 from phy124.kernels.build import kernel
 
-Points = wp.array[wp.vec3d]
-Values = wp.array[wp.float64]
 Fields = wp.array3d[wp.float64]
 REACH = wp.constant(wp.float64(1.25))
 """Distance up to which neighbours push, in wanted spacings."""
@@ -44,7 +42,7 @@ class Hull:
     """y of the first row."""
     pitch: wp.float64
     """Distance of two rows."""
-    planes: Points
+    planes: wp.array[wp.vec3d]
     """Sign, place and steepness of each plane."""
 
 
@@ -134,29 +132,50 @@ def _kernels(name: str, Shape: Any, gradient: Any) -> Kernels:
     module = f"phy124_implicit_{name}"
 
     @kernel(module, seconds=0.5)
-    def evaluate(shape: Shape, points: Points, values: Values, gradients: Points):
+    def evaluate(
+        # model
+        shape: Shape,
+        # state in
+        points: wp.array[wp.vec3d],
+        # out
+        values_out: wp.array[wp.float64],
+        gradients_out: wp.array[wp.vec3d],
+    ):
         i = wp.tid()
         found = gradient(shape, points[i])
-        values[i] = found[0]
-        gradients[i] = wp.vec3d(found[1], found[2], found[3])
+        values_out[i] = found[0]
+        gradients_out[i] = wp.vec3d(found[1], found[2], found[3])
 
     @kernel(module, seconds=0.5)
-    def orient(shape: Shape, points: Points, normals: Points):
+    def orient(
+        # model
+        shape: Shape,
+        # state in
+        points: wp.array[wp.vec3d],
+        # out
+        normals_out: wp.array[wp.vec3d],
+    ):
         i = wp.tid()
         found = gradient(shape, points[i])
         slope = wp.vec3d(found[1], found[2], found[3])
-        normals[i] = -slope / wp.max(wp.length(slope), wp.float64(1e-12))
+        normals_out[i] = -slope / wp.max(wp.length(slope), wp.float64(1e-12))
 
     @kernel(module, seconds=0.5)
-    def project(shape: Shape, rounds: int, points: Points):
+    def project(
+        # model
+        shape: Shape,
+        rounds: int,
+        # in place
+        points_out: wp.array[wp.vec3d],
+    ):
         i = wp.tid()
-        p = points[i]
+        p = points_out[i]
         for _ in range(rounds):
             found = gradient(shape, p)
             slope = wp.vec3d(found[1], found[2], found[3])
             step = -(found[0] / wp.max(wp.dot(slope, slope), wp.float64(1e-9))) * slope
             p += step / wp.max(wp.float64(1.0), wp.length(step))
-        points[i] = p
+        points_out[i] = p
 
     return Kernels(evaluate, orient, project)
 
@@ -167,12 +186,14 @@ HULL = _kernels("hull", Hull, hull)
 
 @kernel("phy124_implicit_push", seconds=0.4)
 def push(
-    points: Points,
-    normals: Points,
-    wanted: Values,
+    # state in
+    points: wp.array[wp.vec3d],
+    normals: wp.array[wp.vec3d],
+    wanted: wp.array[wp.float64],
     near: wp.array2d[wp.int32],
-    moved: Points,
-    spacings: Values,
+    # out
+    moved_out: wp.array[wp.vec3d],
+    spacings_out: wp.array[wp.float64],
 ):
     """Points pushed along the surface by neighbours nearer than wanted, and their mean distance.
 
@@ -181,8 +202,8 @@ def push(
         normals: Unit normals there [N].
         wanted: The distance that neighbours should have [N].
         near: Each point's neighbours, nearest first [N,K].
-        moved: Receives the places [N].
-        spacings: Receives the mean distance of neighbours [N].
+        moved_out: Receives the places [N].
+        spacings_out: Receives the mean distance of neighbours [N].
     """
     i = wp.tid()
     p, n, far = points[i], normals[i], wanted[i]
@@ -201,5 +222,5 @@ def push(
     spacing = far
     if total > wp.float64(0.0):
         spacing = total / wp.float64(count)
-    moved[i] = p + move - wp.dot(move, n) * n
-    spacings[i] = wp.clamp(spacing, LEAST * far, MOST * far)
+    moved_out[i] = p + move - wp.dot(move, n) * n
+    spacings_out[i] = wp.clamp(spacing, LEAST * far, MOST * far)

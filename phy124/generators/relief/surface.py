@@ -38,7 +38,7 @@ class Implicit(ABC):
 
     kernels: ClassVar[implicit.Kernels]
 
-    @property
+    @cached_property
     @abstractmethod
     def shape(self) -> Any:
         """What the kernels read of it."""
@@ -275,5 +275,12 @@ def numbers(values: Field) -> wp.array:
 
 
 def launch(kernel: Any, count: int, inputs: list[Any], outputs: Sequence[Any] = ()) -> None:
-    """Run a kernel on so many points."""
+    """Run a kernel on points.
+
+    Args:
+        kernel: The kernel.
+        count: The number of points.
+        inputs: Its first arguments.
+        outputs: The other ones, which it writes.
+    """
     wp.launch(kernel, count, inputs=inputs, outputs=[*outputs], device="cpu")
