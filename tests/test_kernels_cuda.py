@@ -93,6 +93,25 @@ def test_a_warp_reduces_before_it_writes(kernel, numbers, tmp_path):
     assert len(re.findall(r"shfl\.sync\.bfly", ptx(kernel, tmp_path))) == 5 * numbers
 
 
+FAST = ("sand",)
+"""Laws whose measurement is compiled by default."""
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        pytest.param(one, id=name, marks=() if name in FAST else pytest.mark.slow)
+        for name, one in device_kernels.laws().items()
+    ],
+)
+def test_the_substep_is_measured_without_float64(law, tmp_path):
+    """Most cards compute a 32nd or 64th as many float64 as float32."""
+    text = ptx(transfer.make_measure(law, wp.float32), tmp_path)
+    assert re.findall(r"fma\S*\.f32", text)
+    body = text[text.index(".visible .entry") :]
+    assert not re.findall(r"\.f64", body)
+
+
 @pytest.mark.slow
 def test_every_module_of_the_presets_compiles_for_cuda(tmp_path):
     """What runs on the CPU here, but for the rows of its vector units, would run there."""

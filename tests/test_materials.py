@@ -13,6 +13,7 @@ from phy124.kernels.probe import make_probe
 from phy124.materials import (
     AnyMaterial,
     Fluid,
+    Hencky,
     Plasticine,
     Rigid,
     Sand,
@@ -159,6 +160,22 @@ def test_modulus_bounds_the_stiffest_motion(material, nu, rng):
     bound = evaluate(material, F).modulus
     assert np.all(stiffest <= bound * (1 + 1e-3))
     assert stiffest[0] >= 0.99 * bound[0]
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+@pytest.mark.parametrize("amount", [0.01, 0.1, 0.5, 2.0])
+def test_henckys_modulus_bounds_shear_however_strained(precision, amount, rng):
+    """x coth x of the largest difference of strains, and at most 1.6 times that; mirrored, too."""
+    material = Hencky(nu=0.0)
+    strains = amount * rng.standard_normal((1000, 3)).clip(-2, 2)
+    turns = rotations(rng, 1000), rotations(rng, 1000)
+    F = turns[0] @ (np.exp(strains)[:, :, None] * turns[1])
+    F[::2, 0] *= -1
+    x = np.ptp(strains, axis=1)
+    exact = 2 * material.lame[0] * x / np.tanh(x)
+    bound = evaluate(material, F, precision=precision).modulus
+    assert (bound >= exact * (1 - 2e-6 * np.exp(x))).all()
+    assert (bound <= 1.6 * exact).all()
 
 
 def symmetric_basis() -> NDArray:

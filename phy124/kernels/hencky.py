@@ -13,7 +13,6 @@ import warp as wp
 
 from phy124.kernels.spectral import floored_log, from_double, to_double
 from phy124.kernels.symmetric import (
-    deviator,
     gram,
     invariants,
     linear_range,
@@ -109,13 +108,34 @@ def hencky(F: Any, C: Any, h: Any, theta: Any):
 
 
 @wp.func
-def hencky_modulus(F: Any, h: Any, theta: Any):
-    """2 mu (1 + 2/3 |dev e|^2) + 3 lam; lam counts only if positive.
+def cosh_of_difference(F: Any):
+    """Upper bound of cosh x, x the largest difference of two principal strains; 1 at rest.
 
-    Shear between two axes has the modulus 2 mu x coth x <= 2 mu (1 + x^2 / 3), x the difference of
-    their strains, x^2 <= 2 |dev e|^2.
+    With F F^T scaled to determinant 1, eigenvalues e^y, half of its trace and that of its inverse
+    are sum cosh y. Since sum y = 0, this is at least 1 + 2 cosh x: no eigenvalue is needed.
     """
-    one = type(theta[0])(1.0)
-    dev = deviator(log_strain(F))
-    shear = one + type(one)(2.0) / type(one)(3.0) * wp.ddot(dev, dev)
-    return type(one)(2.0) * theta[0] * shear + type(one)(3.0) * wp.max(theta[1], one - one)
+    s = F[0, 0]
+    a = wp.cross(F[1], F[2])
+    b = wp.cross(F[2], F[0])
+    c = wp.cross(F[0], F[1])
+    J = wp.dot(F[0], a)
+    flat = type(s)(SMALLEST_STRETCH) * type(s)(SMALLEST_STRETCH) * type(s)(SMALLEST_STRETCH)
+    scale = wp.cbrt(wp.max(J * J, flat * flat))
+    total = wp.ddot(F, F) / scale + (wp.dot(a, a) + wp.dot(b, b) + wp.dot(c, c)) / (scale * scale)
+    return type(s)(0.25) * total - type(s)(0.5)
+
+
+@wp.func
+def hencky_modulus(F: Any, h: Any, theta: Any):
+    """2 mu min(k^(2/3), 1 + ln 2k) + 3 lam, k = `cosh_of_difference`; lam counts only if positive.
+
+    Shear between two axes has the modulus 2 mu x coth x, x the difference of their strains. It is
+    below 2 mu (1 + x), and below 2 mu (cosh x)^(2/3), by Lazarevic's inequality
+    (sinh x / x)^3 > cosh x.
+    """
+    zero = type(theta[0])(0.0)
+    two = type(theta[0])(2.0)
+    k = cosh_of_difference(F)
+    root = wp.cbrt(k)
+    shear = wp.min(root * root, type(k)(1.0) + wp.log(two * k))
+    return two * theta[0] * shear + type(zero)(3.0) * wp.max(theta[1], zero)
