@@ -26,6 +26,7 @@ from phy124.kernels.gradient import gather_slopes, scatter_with_stress
 from phy124.kernels.maxima import GRADIENT, HIGH, LOW, SPEED, STIFFNESS
 from phy124.kernels.reduction import add, finite, greater, load, raise_to
 from phy124.kernels.spline import offsets, spline
+from phy124.kernels.store import store
 
 
 class Law(NamedTuple):
@@ -284,7 +285,7 @@ def make_g2p(law: Law, real: Any, form: str):
             residue_out[p] = (moved - x_out[p]) - change
             x_out[p] = moved
             v_out[p] = v
-            C_out[p] = C
+            store(C_out, p, C)
             L = C
             if wp.static(form == "spline"):
                 slopes = gather_slopes(grid, size, first, f)
@@ -295,16 +296,16 @@ def make_g2p(law: Law, real: Any, form: str):
                 )
             trial = F_out[p] + dt * (L * F_out[p])
             if wp.static(plastic):
-                total_out[p] = total_out[p] + dt * (L * total_out[p])
+                store(total_out, p, total_out[p] + dt * (L * total_out[p]))
                 row = wp.min(p, theta.shape[0] - 1)
                 elastic, h = project(trial, history_out[p], theta[row], dt)
-                F_out[p] = elastic
+                store(F_out, p, elastic)
                 history_out[p] = h
             else:
-                F_out[p] = trial
+                store(F_out, p, trial)
                 # Another material of the run is plastic, so the Gaussians follow `total` for all.
                 if total_out.shape[0] > 0:
-                    total_out[p] = trial
+                    store(total_out, p, trial)
 
     return g2p
 
@@ -322,7 +323,7 @@ def make_measure(law: Law, real: Any):
     modulus = law.modulus
     has_history = law.project is not None
 
-    @kernel(f"phy124_measure_{law.name}_{real.__name__}", seconds=2.4)
+    @kernel(f"phy124_measure_{law.name}_{real.__name__}", seconds=0.4)
     def measure(
         # model
         first: int, each: int, stride: int, count: int, chosen: wp.array(dtype=int),
