@@ -102,6 +102,16 @@ def test_callback_after_each_visit_of_the_host():
     assert calls[-1] == 0.25 and len(calls) < alone.clock.substeps / 5
 
 
+def test_who_must_look_after_each_substep_gets_them_one_by_one():
+    host, alone = solvers(NeoHookean(E=3e4))
+    calls = []
+    alone.advance(FRAMES[0], after=lambda: calls.append(alone.clock.substeps), each=True)
+    host.advance(FRAMES[0])
+    assert calls == [*range(1, alone.clock.substeps + 1)]
+    assert "graph" not in alone.timings
+    np.testing.assert_array_equal(alone.state.x.numpy(), host.state.x.numpy())
+
+
 def test_the_host_looks_before_the_strain_of_a_frame_grows_large(monkeypatch):
     looks = []
     for strain in (0.02, np.inf):

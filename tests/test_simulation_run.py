@@ -24,8 +24,8 @@ def test_a_frame_that_fails_once_is_retried_from_its_start(monkeypatch):
     plain, s = run(), run()
     advance = s.solver.advance
 
-    def fail_once(until, *, after=None):
-        advance(until, after=after)
+    def fail_once(until, **options):
+        advance(until, **options)
         if until > 0.05 and s.solver.clock.cfl > 0.5:
             raise Unstable("5 particles left the grid")
 
@@ -42,8 +42,8 @@ def test_a_frame_that_fails_twice_stops_and_keeps_the_good_ones(tmp_path, monkey
     s = run()
     advance = s.solver.advance
 
-    def poison(until, *, after=None):
-        advance(until, after=after)
+    def poison(until, **options):
+        advance(until, **options)
         if until > 0.1:
             v = s.solver.state.v.numpy().copy()
             v[11] = np.inf
@@ -78,6 +78,35 @@ def test_the_first_to_lose_its_numbers_is_named_not_those_that_it_spoils(monkeyp
     monkeypatch.setattr(s.solver, "step", poison)
     stopped = s.run().report["stopped"]
     assert "1 particles are NaN or infinite, first number 150 of law" in stopped
+
+
+def test_the_same_particle_is_named_where_a_graph_takes_the_substeps(monkeypatch):
+    """The graph loses its numbers at its next visit; the frame is repeated without it."""
+    s = run()
+    s.solver.on_device = True
+    graph, step = s.solver._graph.run, s.solver.step
+    visits = []
+
+    def lost() -> None:
+        if s.solver.clock.time > 0.095:
+            F = s.solver.state.F.numpy()
+            F[150] = np.nan
+            s.solver.state.F.assign(F)
+
+    def poisoned_graph(*given, **options):
+        lost()
+        visits.append(s.solver.clock.time)
+        return graph(*given, **options)
+
+    def poisoned_step(*given):
+        step(*given)
+        lost()
+
+    monkeypatch.setattr(s.solver._graph, "run", poisoned_graph)
+    monkeypatch.setattr(s.solver, "step", poisoned_step)
+    stopped = s.run().report["stopped"]
+    assert max(visits) > 0.095
+    assert re.search(r"frame \d is not sound.* first number 150 of law", stopped)
 
 
 def test_the_report_says_what_limited_the_substep():

@@ -166,12 +166,15 @@ class Solver:
         """Seconds and launches of each stage, in the first thread."""
         return self.workers[0].timings
 
-    def advance(self, until: float, *, after: Callable[[], None] | None = None) -> None:
+    def advance(
+        self, until: float, *, after: Callable[[], None] | None = None, each: bool = False
+    ) -> None:
         """Take substeps of stable length.
 
         Args:
             until: The time at which to stop [s].
-            after: Called after each substep.
+            after: Called after each substep, or after some of them where a graph takes them.
+            each: Whether it must be called after each: no graph is used.
 
         Raises:
             Unstable: A particle left the grid's window or is no longer finite.
@@ -179,7 +182,7 @@ class Solver:
         self.rejection.begin(self.clock.time, until)
         with self._threads():
             while self.clock.time < until:
-                if not self._run_graph(until):
+                if each or not self._run_graph(until):
                     self._stable_step(until)
                 self.repair.substep(self.clock)
                 if after is not None:

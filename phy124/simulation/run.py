@@ -347,7 +347,7 @@ class Simulation:
         watchdog.before()
         before = solver.snapshot(), watchdog.external.snapshot()
         try:
-            solver.advance(until, after=self._follower(index, closely))
+            solver.advance(until, after=self._follower(index, closely), each=closely)
             problem = watchdog.after()
         except Unstable as error:
             problem = watchdog.diagnose(str(error))
