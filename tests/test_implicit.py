@@ -80,6 +80,14 @@ def test_no_step_is_longer_than_a_pixel_and_what_was_given_stays(ball, rng):
     np.testing.assert_array_equal(points, before)
 
 
+def test_how_points_lie_in_memory_does_not_matter(ball, rng):
+    points = CENTRE + rng.normal(size=(50, 3)) * 8
+    across = np.asfortranarray(points)
+    np.testing.assert_array_equal(ball.project(across), ball.project(points))
+    np.testing.assert_array_equal(ball.normals(across), ball.normals(points))
+    assert np.abs(ball.project(across) - points).max() > 0.5
+
+
 def test_a_hull_is_the_sum_of_its_pictures_within_its_flat_ends(hull, rng):
     points = np.round(rng.uniform(-20, 20, (2000, 3)))
     values, gradients = hull.gradient(points)

@@ -84,33 +84,33 @@ def sampled(fields: Fields, at: Corner, channel: int) -> wp.float64:
 
 
 @wp.func
-def inflated(shape: Inflated, p: wp.vec3d) -> wp.vec4d:
+def inflated(surface: Inflated, p: wp.vec3d) -> wp.vec4d:
     """F and its gradient at a point."""
-    at = corner(shape.fields, p[0], p[1])
-    z = p[2] - sampled(shape.fields, at, 1)
+    at = corner(surface.fields, p[0], p[1])
+    z = p[2] - sampled(surface.fields, at, 1)
     return wp.vec4d(
-        sampled(shape.fields, at, 0) - z * z,
-        sampled(shape.fields, at, 2) + wp.float64(2.0) * z * sampled(shape.fields, at, 4),
-        sampled(shape.fields, at, 3) + wp.float64(2.0) * z * sampled(shape.fields, at, 5),
+        sampled(surface.fields, at, 0) - z * z,
+        sampled(surface.fields, at, 2) + wp.float64(2.0) * z * sampled(surface.fields, at, 4),
+        sampled(surface.fields, at, 3) + wp.float64(2.0) * z * sampled(surface.fields, at, 5),
         wp.float64(-2.0) * z,
     )
 
 
 @wp.func
-def hull(shape: Hull, p: wp.vec3d) -> wp.vec4d:
+def hull(surface: Hull, p: wp.vec3d) -> wp.vec4d:
     """F and its gradient at a point."""
     zero = wp.float64(0.0)
-    row = (p[1] - shape.first) / shape.pitch
-    front = corner(shape.front, p[0] + wp.float64(shape.front.shape[1] // 2), row)
-    side = corner(shape.side, p[2] + wp.float64(shape.side.shape[1] // 2), row)
+    row = (p[1] - surface.first) / surface.pitch
+    front = corner(surface.front, p[0] + wp.float64(surface.front.shape[1] // 2), row)
+    side = corner(surface.side, p[2] + wp.float64(surface.side.shape[1] // 2), row)
     found = wp.vec4d(
-        sampled(shape.front, front, 0) + sampled(shape.side, side, 0),
-        sampled(shape.front, front, 1),
-        sampled(shape.front, front, 2) + sampled(shape.side, side, 2),
-        sampled(shape.side, side, 1),
+        sampled(surface.front, front, 0) + sampled(surface.side, side, 0),
+        sampled(surface.front, front, 1),
+        sampled(surface.front, front, 2) + sampled(surface.side, side, 2),
+        sampled(surface.side, side, 1),
     )
-    for index in range(shape.planes.shape[0]):
-        plane = shape.planes[index]
+    for index in range(surface.planes.shape[0]):
+        plane = surface.planes[index]
         value = plane[2] * plane[0] * (plane[1] - p[1])
         if value < found[0]:
             found = wp.vec4d(value, zero, -plane[0] * plane[2], zero)
@@ -121,20 +121,20 @@ class Kernels(NamedTuple):
     """The kernels of one kind of surface."""
 
     evaluate: Any
-    """(shape, points) -> F, its gradient."""
+    """(surface, points) -> F, its gradient."""
     orient: Any
-    """(shape, points) -> outward unit normals."""
+    """(surface, points) -> outward unit normals."""
     project: Any
-    """(shape, rounds, points): moves points onto the surface by Newton steps of at most 1 px."""
+    """(surface, rounds, points): moves points onto the surface by Newton steps of at most 1 px."""
 
 
-def _kernels(name: str, Shape: Any, gradient: Any) -> Kernels:
+def _kernels(name: str, Surface: Any, gradient: Any) -> Kernels:
     module = f"phy124_implicit_{name}"
 
     @kernel(module, seconds=0.5)
     def evaluate(
         # model
-        shape: Shape,
+        surface: Surface,
         # state in
         points: wp.array[wp.vec3d],
         # out
@@ -142,28 +142,28 @@ def _kernels(name: str, Shape: Any, gradient: Any) -> Kernels:
         gradients_out: wp.array[wp.vec3d],
     ):
         i = wp.tid()
-        found = gradient(shape, points[i])
+        found = gradient(surface, points[i])
         values_out[i] = found[0]
         gradients_out[i] = wp.vec3d(found[1], found[2], found[3])
 
     @kernel(module, seconds=0.5)
     def orient(
         # model
-        shape: Shape,
+        surface: Surface,
         # state in
         points: wp.array[wp.vec3d],
         # out
         normals_out: wp.array[wp.vec3d],
     ):
         i = wp.tid()
-        found = gradient(shape, points[i])
+        found = gradient(surface, points[i])
         slope = wp.vec3d(found[1], found[2], found[3])
         normals_out[i] = -slope / wp.max(wp.length(slope), wp.float64(1e-12))
 
     @kernel(module, seconds=0.5)
     def project(
         # model
-        shape: Shape,
+        surface: Surface,
         rounds: int,
         # in place
         points_out: wp.array[wp.vec3d],
@@ -171,7 +171,7 @@ def _kernels(name: str, Shape: Any, gradient: Any) -> Kernels:
         i = wp.tid()
         p = points_out[i]
         for _ in range(rounds):
-            found = gradient(shape, p)
+            found = gradient(surface, p)
             slope = wp.vec3d(found[1], found[2], found[3])
             step = -(found[0] / wp.max(wp.dot(slope, slope), wp.float64(1e-9))) * slope
             p += step / wp.max(wp.float64(1.0), wp.length(step))

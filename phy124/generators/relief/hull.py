@@ -69,15 +69,15 @@ class Hull(Implicit):
         return cls(_sloped(front, y), _sloped(depth, y), y, tuple(planes))
 
     @cached_property
-    def shape(self) -> Any:
-        """What the kernels read of it."""
-        shape = implicit.Hull()
-        shape.front = wp.array(self.front, dtype=wp.float64, device="cpu")
-        shape.side = wp.array(self.side, dtype=wp.float64, device="cpu")
-        shape.first, shape.pitch = float(self.y[0]), float(self.y[1] - self.y[0])
+    def struct(self) -> Any:
+        """What kernels read of it."""
+        struct = implicit.Hull()
+        struct.front = wp.array(self.front, dtype=wp.float64, device="cpu")
+        struct.side = wp.array(self.side, dtype=wp.float64, device="cpu")
+        struct.first, struct.pitch = float(self.y[0]), float(self.y[1] - self.y[0])
         planes = np.reshape(self.planes, (-1, 3))
-        shape.planes = wp.array(planes, dtype=wp.vec3d, device="cpu")
-        return shape
+        struct.planes = wp.array(planes, dtype=wp.vec3d, device="cpu")
+        return struct
 
     def scattered(self, pitch: float, rng: np.random.Generator) -> Field:
         """Random points, on average one per pitch^2 of the surface."""

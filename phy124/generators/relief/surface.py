@@ -40,20 +40,20 @@ class Implicit(ABC):
 
     @cached_property
     @abstractmethod
-    def shape(self) -> Any:
-        """What the kernels read of it."""
+    def struct(self) -> Any:
+        """What kernels read of it."""
 
     def gradient(self, points: Field) -> tuple[Field, Field]:
         """F [N] and its gradient [N,3] at points [N,3]."""
         values, gradients = np.empty(len(points)), np.empty(points.shape)
-        inputs, outputs = [self.shape, vectors(points)], [numbers(values), vectors(gradients)]
+        inputs, outputs = [self.struct, vectors(points)], [numbers(values), vectors(gradients)]
         launch(self.kernels.evaluate, len(points), inputs, outputs)
         return values, gradients
 
     def normals(self, points: Field) -> Field:
         """Outward unit normals [N,3]."""
         normals = np.empty(points.shape)
-        launch(self.kernels.orient, len(points), [self.shape, vectors(points)], [vectors(normals)])
+        launch(self.kernels.orient, len(points), [self.struct, vectors(points)], [vectors(normals)])
         return normals
 
     def inset(self, points: Field, depth: float) -> Field:
@@ -65,8 +65,8 @@ class Implicit(ABC):
 
     def project(self, points: Field, rounds: int = 2) -> Field:
         """Points moved onto the surface by Newton steps of at most one pixel each."""
-        points = np.array(points)
-        launch(self.kernels.project, len(points), [self.shape, rounds, vectors(points)])
+        points = np.array(points, np.float64, order="C")
+        launch(self.kernels.project, len(points), [self.struct, rounds, vectors(points)])
         return points
 
 
@@ -106,12 +106,12 @@ class Surface(Implicit):
         return cls.of(w / (1 + np.maximum(w, 0) / distance**2), m)
 
     @cached_property
-    def shape(self) -> Any:
-        """What the kernels read of it."""
-        shape, size = implicit.Inflated(), self.w.shape
+    def struct(self) -> Any:
+        """What kernels read of it."""
+        struct, size = implicit.Inflated(), self.w.shape
         fields = np.stack([self.w, self.m, *self.slopes.reshape(4, *size)], axis=2)
-        shape.fields = wp.array(fields, dtype=wp.float64, device="cpu")
-        return shape
+        struct.fields = wp.array(fields, dtype=wp.float64, device="cpu")
+        return struct
 
     def middle(self, points: Field) -> Field:
         """m at points [N,3 or 2]."""
