@@ -10,6 +10,8 @@ import numpy as np
 
 from phy124.accuracy import problems
 from phy124.camera import Camera
+from phy124.generators.relief.hull import Hull
+from phy124.generators.relief.surface import Surface, settled
 from phy124.materials import NeoHookean
 from phy124.monitor.diagnostics import energies
 from phy124.rendering.compose.adjoint import Adjoint
@@ -135,6 +137,7 @@ def pictures() -> Runs:
     """Gaussians, alone and on a stage with walls of glass; colours that turn with the material."""
     renderer = Renderer(device="cpu")
     return {
+        "points of relief": spread,
         "square": lambda: renderer(ball(800), Camera.orbit(30, 20, 1.4, 64)),
         "wide": lambda: renderer(ball(800), Camera.orbit(80, 5, 1.4, (75, 37))),
         "by tiles": lambda: Renderer(blend="plain")(ball(800), Camera.orbit(30, 20, 1.4, 64)),
@@ -144,6 +147,17 @@ def pictures() -> Runs:
             splats(np.random.default_rng(0), 200, degree=1), few(), threads=1
         ).run(),
     }
+
+
+def spread() -> None:
+    """Points on a ball that is known from one side, and on one known from two."""
+    y, x = np.mgrid[:31, :31] - 15.0
+    ball = 100 - x**2 - y**2
+    points = np.random.default_rng(0).normal(size=(500, 3)) * 6
+    hull = Hull.of(ball, ball, y[:, 0], (True, False))
+    for surface, middle in ((Surface.of(ball), (15, 15, 0)), (hull, (0, 0, 0))):
+        settled(surface, points + middle, lambda normals: np.full(len(normals), 1.5))
+        surface.inset(points + middle, 1.0)
 
 
 def backwards() -> None:
