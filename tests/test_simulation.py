@@ -137,7 +137,7 @@ def test_an_unstable_frame_is_tried_again_then_given_up(monkeypatch):
     s = Simulation(ball(), Scene.named("push_right").replaced(QUICK))
     tried = []
 
-    def fail(until, *, after=None):
+    def fail(until, **_):
         tried.append(s.solver.clock.cfl)
         raise Unstable("3 particles left the grid")
 

@@ -12,7 +12,7 @@ from phy124.kernels import transfer
 from phy124.kernels.store import STORE
 from phy124.materials import NeoHookean
 
-LANES = Path(__file__).parent / "support" / "warp_lanes.cpp"
+WARP = Path(__file__).parent / "support" / "warp_threads.cpp"
 
 
 def built(folder: Path, code: str) -> Path:
@@ -21,8 +21,8 @@ def built(folder: Path, code: str) -> Path:
     if compiler is None:
         pytest.skip("g++ is not installed")
     (folder / "store.inc").write_text(code)
-    program = folder / "lanes"
-    order = [compiler, "-std=c++20", "-O1", "-g", "-fsanitize=thread", f"-I{folder}", str(LANES)]
+    program = folder / "warp"
+    order = [compiler, "-std=c++20", "-O1", "-g", "-fsanitize=thread", f"-I{folder}", str(WARP)]
     done = subprocess.run([*order, "-o", str(program)], check=False, capture_output=True, text=True)
     if "tsan" in done.stderr:
         pytest.skip("g++ has no thread sanitizer")

@@ -14,15 +14,15 @@ MOST_WARPS = 8
 STORE = f"""
 #if defined(__CUDA_ARCH__)
 const unsigned all = 0xffffffffu;
-const int lane = threadIdx.x & 31, warp = threadIdx.x >> 5;
+const int place = threadIdx.x & 31, warp = threadIdx.x >> 5;
 if (__activemask() == all && blockDim.x <= 32 * {MOST_WARPS}
-        && __all_sync(all, particle - lane == __shfl_sync(all, particle, 0))) {{
+        && __all_sync(all, particle - place == __shfl_sync(all, particle, 0))) {{
     __shared__ float shared[{MOST_WARPS} * 9 * 32];
     float* own = shared + 9 * 32 * warp;
-    for (int k = 0; k < 9; ++k) own[9 * lane + k] = value.data[k / 3][k % 3];
+    for (int k = 0; k < 9; ++k) own[9 * place + k] = value.data[k / 3][k % 3];
     __syncwarp();
-    float* rows = (float*)matrices.data + 9ll * (particle - lane);
-    for (int k = 0; k < 9; ++k) rows[32 * k + lane] = own[32 * k + lane];
+    float* rows = (float*)matrices.data + 9ll * (particle - place);
+    for (int k = 0; k < 9; ++k) rows[32 * k + place] = own[32 * k + place];
     __syncwarp();  // before the next matrices take the place of these
     return;
 }}

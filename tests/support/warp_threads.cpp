@@ -1,5 +1,5 @@
 // Threads of a GPU's block as threads of the processor, which run `store` of phy124/kernels/store.py:
-//     warp_lanes PARTICLES REVERSED
+//     warp_threads PARTICLES REVERSED
 // stores two matrices of every particle and prints how many numbers are wrong, and how many matrices
 // were written by their own thread.
 #include <atomic>
@@ -14,29 +14,29 @@
 
 namespace {
 
-struct Place {
+struct Index {
     int x;
 };
-struct Lanes {
+struct Warp {
     std::barrier<> gate{32};
     std::atomic<long long> told[2][32];
     unsigned active;
 };
 
-thread_local Place threadIdx;
-thread_local Lanes* lanes;
+thread_local Index threadIdx;
+thread_local Warp* mine;
 thread_local long long round;
-const Place blockDim{256};
+const Index blockDim{256};
 std::atomic<int> alone{0};
 
-unsigned __activemask() { return lanes->active; }
-void __syncwarp() { lanes->gate.arrive_and_wait(); }
+unsigned __activemask() { return mine->active; }
+void __syncwarp() { mine->gate.arrive_and_wait(); }
 
-// What every lane of the warp tells. As on a GPU, nothing else that they have written is certain to
+// What every thread of the warp tells. As on a GPU, nothing else that they have written is certain to
 // be seen thereafter.
 std::vector<int> exchanged(int number)
 {
-    auto& told = lanes->told[++round % 2];
+    auto& told = mine->told[++round % 2];
     told[threadIdx.x & 31].store(round << 32 | unsigned(number), std::memory_order_relaxed);
     std::vector<int> found;
     for (auto& one : told) {
@@ -95,14 +95,14 @@ int main(int, char** arguments)
     const bool reversed = std::atoi(arguments[2]);
     std::vector<wp::mat33> kept[2] = {std::vector<wp::mat33>(count), std::vector<wp::mat33>(count)};
     for (int first = 0; first < count; first += blockDim.x) {
-        std::vector<Lanes> warps(8);
+        std::vector<Warp> warps(8);
         std::vector<std::thread> threads;
         for (int at = 0; at < blockDim.x && first + at < count; ++at)
             warps[at / 32].active |= 1u << at % 32;
         for (int at = 0; at < blockDim.x && first + at < count; ++at)
             threads.emplace_back([&, at] {
                 threadIdx.x = at;
-                lanes = &warps[at / 32];
+                mine = &warps[at / 32];
                 const int particle = reversed ? count - 1 - first - at : first + at;
                 for (int which = 0; which < 2; ++which)
                     store(wp::Array{kept[which].data()}, particle, matrix(which, particle));
