@@ -22,7 +22,9 @@ def test_each_task_comes_with_its_result_and_what_is_at_work_is_stopped():
             list(as_done(pool, time.sleep, [600.0], cancel))
         (worker,) = multiprocessing.active_children()
     # Not `worker.join`: the pool's own thread may have taken its exit status already.
-    until(lambda: not exists(worker.pid))
+    process = worker.pid
+    assert process is not None
+    until(lambda: not exists(process))
 
 
 def exists(process: int) -> bool:
