@@ -26,6 +26,7 @@ from phy124.errors import InputError
 from phy124.gaussians import Array, Frame, Gaussians
 from phy124.harmonics import rotate_sh
 from phy124.kernels import deform as field
+from phy124.kernels.transfer import types
 
 THREADS = "shapes"
 """Beginning of the names of the threads that share the Gaussians; they end with their Deformer."""
@@ -142,7 +143,8 @@ class Deformer:
             FloatingPointError: A position or F is not finite; the message says how many.
             ValueError: The arrays do not match the number of particles.
         """
-        x, F = self._checked(_host(x), (3,)), self._checked(_host(F), (3, 3))
+        self._check(x, (3,))
+        self._check(F, (3, 3))
         means, deformation = self._carried(x, F)
         limits = [self._holds, self._max_stretch, self._rounds]
         rest = [self._carrier, self._quats0, self._scales0, *limits]
@@ -152,7 +154,8 @@ class Deformer:
         quats, scales = _host(self._quats).copy(), _host(self._scales).copy()
         gaussians = replace(self.gaussians, means=means, quats=quats, scales=scales, sh=sh)
         if velocities is not None:
-            velocities = self._interpolated(self._checked(_host(velocities), (3,)))
+            self._check(velocities, (3,))
+            velocities = self._interpolated(_host(velocities).astype(np.float64))
         return Frame(index, time, gaussians, velocities)
 
     def snapshot(self) -> dict[str, NDArray]:
@@ -168,20 +171,21 @@ class Deformer:
         arrays = (self._quats, self._scales, self._inner, self._turned)
         return dict(zip(("quats", "scales", "inner", "turned"), arrays, strict=True))
 
-    def _checked(self, values: NDArray, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    def _check(self, given: Any, shape: tuple[int, ...]) -> None:
+        values = _host(given)
         if values.shape != (self._count, *shape):
             raise ValueError(f"got an array {values.shape} for {self._count} particles")
-        finite = np.isfinite(values).reshape(self._count, -1).all(axis=1)
+        finite = np.isfinite(values)
         if not finite.all():
-            bad = int((~finite).sum())
+            bad = int((~finite.reshape(self._count, -1).all(axis=1)).sum())
             raise FloatingPointError(f"{bad} of {self._count} particles are NaN or infinite")
-        return np.ascontiguousarray(values, dtype=np.float64)
 
-    def _carried(self, x: NDArray[np.float64], F: NDArray[np.float64]) -> tuple[NDArray, wp.array]:
+    def _carried(self, x: Any, F: Any) -> tuple[NDArray, wp.array]:
         """Centres [N,3], m, and the deformation gradients that `_carrier` points into."""
-        deformation = wp.array(F, dtype=wp.mat33d, device=self._device)
         if self._field is not None:
-            return self._field.carry(x, deformation)
+            return self._field.carry(x, F)
+        x, F = (np.ascontiguousarray(_host(values), np.float64) for values in (x, F))
+        deformation = wp.array(F, dtype=wp.mat33d, device=self._device)
         return (x if self._own is None else x[self._own]), deformation
 
     def _colours(self, deformation: wp.array) -> NDArray:
@@ -260,11 +264,14 @@ class _Field:
         self._means = wp.empty_like(self._own[2])
         self._deformation = wp.array(np.zeros((n, 3, 3)), dtype=wp.mat33d, device=device)
 
-    def carry(self, x: NDArray[np.float64], deformation: wp.array) -> tuple[NDArray, wp.array]:
+    def carry(self, x: Any, F: Any) -> tuple[NDArray, wp.array]:
         """Centres [N,3], m, and deformation gradients [N,3,3] of the Gaussians."""
-        position = wp.array(x, dtype=wp.vec3d, device=self.device)
-        shared, written = [self._rest, position, deformation], [self._means, self._deformation]
-        self._share.launch(field.carry, self._own, shared, written)
+        # Particles stay in their precision: the kernel widens what it reads.
+        real = wp.float32 if _host(F).dtype == np.float32 else wp.float64
+        t, device = types(real), self.device
+        shared = [self._rest, _on(x, t.vec3, device), _on(F, t.mat33, device)]
+        written = [self._means, self._deformation]
+        self._share.launch(field.make_carry(real), self._own, shared, written)
         return _host(self._means).copy(), self._deformation
 
     def interpolate(self, values: NDArray[np.float64]) -> NDArray[np.float32]:
@@ -338,6 +345,13 @@ def _host(array: Any) -> NDArray:
     return np.asarray(array.numpy() if isinstance(array, wp.array) else array)
 
 
+def _on(array: Any, dtype: Any, device: str) -> wp.array:
+    """A Warp array of a type on a device; without a copy where it is one."""
+    if isinstance(array, wp.array) and array.dtype is dtype and array.device == wp.get_device(device):
+        return array
+    return wp.array(np.ascontiguousarray(_host(array)), dtype=dtype, device=device)
+
+
 def of_gaussians(gaussians: Gaussians, particles: Bound, values: NDArray) -> NDArray:
     """The values of particles [P], for each Gaussian that of its own or of the nearest one [N]."""
     # One for all, as of one material, needs no search.
@@ -354,6 +368,6 @@ def of_gaussians(gaussians: Gaussians, particles: Bound, values: NDArray) -> NDA
     return values[own]
 
 
-def kernels() -> list[Any]:
-    """What deforms the Gaussians of a frame; all are of one module."""
-    return [field.deform_shapes]
+def kernels(real: Any, binding: str) -> list[Any]:
+    """What deforms the Gaussians of a frame."""
+    return [field.deform_shapes, *([field.make_carry(real)] if binding == "lattice" else [])]

@@ -8,9 +8,15 @@ the material instead of flickering. Needles keep their thin axes, which would be
 itself were decomposed. Quaternions are wxyz vectors.
 """
 
+from functools import cache
+from typing import Any
+
 import warp as wp
 
 from phy124.kernels.build import kernel
+from phy124.kernels.diagnostics import wide
+from phy124.kernels.spectral import to_double
+from phy124.kernels.transfer import types
 
 MODULE = "phy124_deform"
 SWEEPS = wp.constant(24)
@@ -313,41 +319,44 @@ def turn_of_material(
     rotations_out[i] = wp.vec4f(q)
 
 
-@kernel(MODULE, seconds=1.5)
-def carry(
-    # model
-    neighbours: wp.array2d(dtype=wp.int32),
-    weights: wp.array2d(dtype=wp.float32),
-    means0: wp.array(dtype=wp.vec3f),
-    flows: wp.array(dtype=wp.bool),
-    rest: wp.array(dtype=wp.vec3f),
-    # state in
-    position: wp.array(dtype=wp.vec3d),
-    deformation: wp.array(dtype=wp.mat33d),
-    # out
-    means_out: wp.array(dtype=wp.vec3f),
-    deformation_out: wp.array(dtype=wp.mat33d),
-):
-    """x_g = sum w_i (x_i + F_i (X_g - X_i)), F_g = sum w_i F_i over the carriers i.
+@cache
+def make_carry(real: Any):
+    """Kernel: centres and deformation gradients of the Gaussians, from particles of a precision.
 
-    The F of what flows grows without bound, so there the arms F_i (X_g - X_i) do not.
+    x_g = sum w_i (x_i + F_i (X_g - X_i)), F_g = sum w_i F_i over the carriers i. The F of what
+    flows grows without bound, so there the arms F_i (X_g - X_i) do not.
     """
-    i = wp.tid()
-    home = wp.vec3d(means0[i])
-    x = wp.vec3d()
-    f = wp.mat33d()
-    total = wp.float64(0.0)
-    for k in range(neighbours.shape[1]):
-        j = neighbours[i, k]
-        w = wp.float64(weights[i, k])
-        g = deformation[j]
-        arm = home - wp.vec3d(rest[j])
-        longest = ARM * wp.length(arm)
-        arm = g * arm
-        if flows[i] and wp.length(arm) > longest:
-            arm *= longest / wp.length(arm)
-        x += w * (position[j] + arm)
-        f += w * g
-        total += w
-    means_out[i] = wp.vec3f(x / total)
-    deformation_out[i] = f / total
+    t = types(real)
+
+    @kernel(f"phy124_carry_{real.__name__}", seconds=0.4)
+    def carry(
+        # model
+        neighbours: wp.array2d(dtype=wp.int32), weights: wp.array2d(dtype=wp.float32),
+        means0: wp.array(dtype=wp.vec3f), flows: wp.array(dtype=wp.bool),
+        rest: wp.array(dtype=wp.vec3f),
+        # state in
+        position: wp.array(dtype=t.vec3), deformation: wp.array(dtype=t.mat33),
+        # out
+        means_out: wp.array(dtype=wp.vec3f), deformation_out: wp.array(dtype=wp.mat33d),
+    ):  # fmt: skip
+        i = wp.tid()
+        home = wp.vec3d(means0[i])
+        x = wp.vec3d()
+        f = wp.mat33d()
+        total = wp.float64(0.0)
+        for k in range(neighbours.shape[1]):
+            j = neighbours[i, k]
+            w = wp.float64(weights[i, k])
+            g = to_double(deformation[j])
+            arm = home - wp.vec3d(rest[j])
+            longest = ARM * wp.length(arm)
+            arm = g * arm
+            if flows[i] and wp.length(arm) > longest:
+                arm *= longest / wp.length(arm)
+            x += w * (wide(position[j]) + arm)
+            f += w * g
+            total += w
+        means_out[i] = wp.vec3f(x / total)
+        deformation_out[i] = f / total
+
+    return carry

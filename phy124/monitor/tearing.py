@@ -62,6 +62,9 @@ class Tearing:
         self._chosen = np.zeros(len(model), bool)
         for group in self._elastic:
             self._chosen[group.particles] = True
+        stretch = APART * model.dx / np.cbrt(model.volume.numpy().astype(np.float64))
+        self._most = wp.array(stretch**2, dtype=model.real, device=model.device)
+        """The square of the stretch from which a particle is beyond `APART` [P]."""
         self._pieces = Pieces(model.rest[self._chosen], REACH * model.dx, self._bodies())
 
     def _bodies(self) -> NDArray[np.int64] | None:
@@ -102,7 +105,7 @@ class Tearing:
         max_stretch = wp.zeros(1, dtype=model.real, device=device)
         for group in self._elastic:
             part = group.particles
-            inputs = [model.volume[part], APART * model.dx, group.start, self._state.F[part]]
+            inputs = [self._most[part], group.start, self._state.F[part]]
             kernel, outputs = make_apart(model.real), [found, max_stretch]
             wp.launch(kernel, len(group), inputs=inputs, outputs=outputs, device=device)
         count, first = found.numpy().tolist()
