@@ -26,6 +26,7 @@ from phy124.errors import InputError
 from phy124.gaussians import Array, Frame, Gaussians
 from phy124.harmonics import rotate_sh
 from phy124.kernels import deform as field
+from phy124.kernels.deform_simd import deform_shapes_simd
 from phy124.kernels.transfer import types
 
 THREADS = "shapes"
@@ -149,7 +150,8 @@ class Deformer:
         limits = [self._holds, self._max_stretch, self._rounds]
         rest = [self._carrier, self._quats0, self._scales0, *limits]
         frame = [self._inner, self._quats, self._scales]
-        self._share.launch(field.deform_shapes, rest, [deformation], frame)
+        kernel, each = shapes_of(self._device)
+        self._share.launch(kernel, rest, [deformation], frame, each=each)
         sh = self._colours(deformation)
         quats, scales = _host(self._quats).copy(), _host(self._scales).copy()
         gaussians = replace(self.gaussians, means=means, quats=quats, scales=scales, sh=sh)
@@ -218,7 +220,9 @@ class _Share:
         ]
         self._others = ThreadPoolExecutor(threads - 1, THREADS) if threads > 1 else None
 
-    def launch(self, kernel: Any, read: list, shared: list, written: list) -> None:
+    def launch(
+        self, kernel: Any, read: list, shared: list, written: list, *, each: int = 1
+    ) -> None:
         """Launch a kernel over the Gaussians.
 
         Args:
@@ -226,11 +230,12 @@ class _Share:
             read: Its first arguments, one entry per Gaussian.
             shared: Those after them, of which a Gaussian reads any entries.
             written: The last ones, one entry per Gaussian.
+            each: How many Gaussians one thread of the kernel processes.
         """
         launches: list[Any] = [
             wp.launch(
                 kernel,
-                dim=run.stop - run.start,
+                dim=-(-(run.stop - run.start) // each),
                 inputs=[*(one[run] for one in read), *shared, *(one[run] for one in written)],
                 device=self.device,
                 record_cmd=True,
@@ -368,6 +373,12 @@ def of_gaussians(gaussians: Gaussians, particles: Bound, values: NDArray) -> NDA
     return values[own]
 
 
-def kernels(real: Any, binding: str) -> list[Any]:
+def shapes_of(device: str) -> tuple[Any, int]:
+    """The kernel that deforms shapes on a device, and how many Gaussians a thread of it has."""
+    return (deform_shapes_simd, 8) if device == "cpu" else (field.deform_shapes, 1)
+
+
+def kernels(real: Any, binding: str, device: str) -> list[Any]:
     """What deforms the Gaussians of a frame."""
-    return [field.deform_shapes, *([field.make_carry(real)] if binding == "lattice" else [])]
+    carry = [field.make_carry(real)] if binding == "lattice" else []
+    return [shapes_of(device)[0], *carry]

@@ -16,6 +16,7 @@ from phy124.boundaries.motion import AnyMotion
 from phy124.bounds import Name
 from phy124.errors import InputError
 from phy124.kernels.collide import FLAT, make_collider, make_contact, make_settle
+from phy124.kernels.reduction import along_rows
 from phy124.kernels.transfer import types
 from phy124.mpm import Grid, Model, Stage, State
 from phy124.region import Vector
@@ -236,14 +237,17 @@ class Boundary(Section):
             start, extent = grid.nodes_within(*bounds)
             wall = [shape, self.friction, REACH * grid.dx if reach is None else reach, slot]
             wall.append(wp.vec3i(*start.tolist()))
+            threads: tuple[int, ...] = tuple(extent)
             if met:
+                threads, each = along_rows(extent, model.device)
+                wall.append(each)
                 wall.append(wp.vec2i(*(grid.layers or (0, int(grid.size[0])))))
                 wall += [lightest(model), full(model), loose(model)]
             inputs = [*wall, grid.lattice, grid.window, tracks.values, tracks.rates]
             outputs = [grid.nodes]
             if met:
                 outputs.append(grid.changes if crosses else grid.nodes)
-            return model.launch(kernel, tuple(extent), inputs, outputs)
+            return model.launch(kernel, threads, inputs, outputs)
 
         return record
 

@@ -130,9 +130,9 @@ def make_settle(real: Any):
 
 @cache
 def make_contact(shape: str, response: str, moving: bool, real: Any):
-    """Kernel over the nodes of a sub-box: columns of three nodes at a wall respond to it.
+    """Kernel over parts of rows in a sub-box, `each` nodes long: columns of three nodes respond.
 
-    The thread of a column's first node handles all three. Nodes further behind, or in columns
+    A column's first node handles all three. Nodes further behind, or in columns
     without material in front, respond one by one below `reach` [m] of signed distance; so do
     columns that leave `span`, the layers first <= i < last that this launch may touch. A moving
     shape is displaced by the value of its track, and its wall moves at the track's rate, while the
@@ -153,35 +153,21 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
     flat = shape in FLAT
     name = f"phy124_contact_{shape}_{response}_{'moving' if moving else 'still'}_{real.__name__}"
 
-    @kernel(name, seconds=0.4)
-    def contact(
-        # model
-        geometry: t.mat33, friction: real, reach: real, slot: int, start: wp.vec3i, span: wp.vec2i,
-        lightest: real, full: real, loose: real,
-        lattice: t.vec4, window: wp.array(dtype=wp.vec3i),
-        values: wp.array(dtype=t.vec4), rates: wp.array(dtype=t.vec4),
-        # in place
+    @wp.func
+    def respond(
+        here: wp.vec3i, geometry: t.mat33, friction: real, reach: real, span: wp.vec2i,
+        lightest: real, full: real, loose: real, moved: t.vec3, wall: t.vec3,
+        lattice: t.vec4, low: wp.vec3i, size: wp.vec3i,
         grid_out: wp.array(dtype=t.vec4), changes_out: wp.array(dtype=t.vec4),
     ):  # fmt: skip
-        i, j, k = wp.tid()
-        size = window[1]
-        here = wp.vec3i(i, j, k) + start
-        moved = t.vec3()
-        wall = t.vec3()
-        active = real(1.0)
-        if wp.static(moving):
-            moved = xyz(values[slot])
-            wall = xyz(rates[slot])
-            active = values[slot][3]
         stride = strides(size)
         n = wp.dot(here, stride)
-        if active <= real(0.0) or not holds(size, span, here):
+        if not holds(size, span, here):
             return
         if grid_out[n][3] <= real(0.0):
             return
 
         # The first of three nodes at the wall leads; this may be that one, or one of those behind.
-        low = window[0]
         dx = lattice[3]
         s = distance(place(lattice, low + here) - moved, geometry)
         axis = steepest(s)
@@ -251,6 +237,31 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
                     add_velocity(grid_out, behind, wanted)
                 else:
                     add_wish(changes_out, behind, wanted)
+
+    @kernel(name, seconds=0.4)
+    def contact(
+        # model
+        geometry: t.mat33, friction: real, reach: real, slot: int, start: wp.vec3i, each: int,
+        span: wp.vec2i, lightest: real, full: real, loose: real,
+        lattice: t.vec4, window: wp.array(dtype=wp.vec3i),
+        values: wp.array(dtype=t.vec4), rates: wp.array(dtype=t.vec4),
+        # in place
+        grid_out: wp.array(dtype=t.vec4), changes_out: wp.array(dtype=t.vec4),
+    ):  # fmt: skip
+        i, j, part = wp.tid()
+        moved = t.vec3()
+        wall = t.vec3()
+        active = real(1.0)
+        if wp.static(moving):
+            moved = xyz(values[slot])
+            wall = xyz(rates[slot])
+            active = values[slot][3]
+        if active > real(0.0):
+            for k in range(part * each, part * each + each):
+                respond(
+                    wp.vec3i(i, j, k) + start, geometry, friction, reach, span, lightest, full,
+                    loose, moved, wall, lattice, window[0], window[1], grid_out, changes_out,
+                )  # fmt: skip
 
     return contact
 

@@ -255,6 +255,36 @@ def within(f: wp.mat33d, limit: wp.float64) -> wp.mat33d:
     return us * wp.diag(s) * wp.transpose(v)
 
 
+@wp.func
+def shape_of(
+    f: wp.mat33d, quat0: wp.vec4f, scale0: wp.vec3f, hold: wp.float64, max_stretch: wp.float64,
+    becomes_ball: bool, inner: wp.vec4f, quat: wp.vec4f,
+):  # fmt: skip
+    """Sigma_t = F Sigma0 F^T of a Gaussian: (V, quaternion, scales), V and quaternion follow on
+    those of the previous frame.
+    """
+    s0 = wp.vec3d(scale0)
+    last = wp.vec4d(quat)
+    previous = matrix_of(last)
+    v = matrix_of(wp.vec4d(inner))
+    a = within(f, hold) * matrix_of(wp.vec4d(quat0)) * wp.diag(s0) * v
+    a, v = orthogonal_columns(a, v, TOLERANCE)
+    lengths = wp.vec3d(wp.length(column(a, 0)), wp.length(column(a, 1)), wp.length(column(a, 2)))
+    u = orientation(a, lengths, previous)
+    labels = nearest_labels(u, previous)
+    q = quaternion_of(u * labels)
+    if wp.dot(q, last) < wp.float64(0.0):
+        q = -q
+    limit = wp.min(LARGEST, max_stretch * wp.max(s0))
+    lengths = wp.transpose(labels) * lengths
+    if becomes_ball:
+        lengths = rounded(wp.vec3d(wp.abs(lengths[0]), wp.abs(lengths[1]), wp.abs(lengths[2])), s0)
+    s = wp.vec3f()
+    for k in range(3):
+        s[k] = wp.float32(wp.min(wp.abs(lengths[k]), limit))
+    return wp.vec4f(quaternion_of(v * labels)), wp.vec4f(q), s
+
+
 @kernel(MODULE, seconds=1.5)
 def deform_shapes(
     # model
@@ -274,28 +304,13 @@ def deform_shapes(
 ):
     """One frame: Sigma_t = F Sigma0 F^T as quaternion and scales."""
     i = wp.tid()
-    s0 = wp.vec3d(scales0[i])
-    last = wp.vec4d(quats_out[i])
-    previous = matrix_of(last)
-    v = matrix_of(wp.vec4d(inner_out[i]))
-    a = within(deformation[carrier[i]], holds[i]) * matrix_of(wp.vec4d(quats0[i])) * wp.diag(s0) * v
-    a, v = orthogonal_columns(a, v, TOLERANCE)
-    lengths = wp.vec3d(wp.length(column(a, 0)), wp.length(column(a, 1)), wp.length(column(a, 2)))
-    u = orientation(a, lengths, previous)
-    labels = nearest_labels(u, previous)
-    q = quaternion_of(u * labels)
-    if wp.dot(q, last) < wp.float64(0.0):
-        q = -q
-    limit = wp.min(LARGEST, max_stretch[i] * wp.max(s0))
-    lengths = wp.transpose(labels) * lengths
-    if rounds[i]:
-        lengths = rounded(wp.vec3d(wp.abs(lengths[0]), wp.abs(lengths[1]), wp.abs(lengths[2])), s0)
-    s = wp.vec3f()
-    for k in range(3):
-        s[k] = wp.float32(wp.min(wp.abs(lengths[k]), limit))
-    inner_out[i] = wp.vec4f(quaternion_of(v * labels))
-    quats_out[i] = wp.vec4f(q)
-    scales_out[i] = s
+    inner, quat, scale = shape_of(
+        deformation[carrier[i]], quats0[i], scales0[i], holds[i], max_stretch[i], rounds[i],
+        inner_out[i], quats_out[i],
+    )  # fmt: skip
+    inner_out[i] = inner
+    quats_out[i] = quat
+    scales_out[i] = scale
 
 
 @kernel(MODULE, seconds=1.5)
@@ -348,15 +363,17 @@ def make_carry(real: Any):
             j = neighbours[i, k]
             w = wp.float64(weights[i, k])
             g = to_double(deformation[j])
-            arm = home - wp.vec3d(rest[j])
-            longest = ARM * wp.length(arm)
-            arm = g * arm
-            if flows[i] and wp.length(arm) > longest:
-                arm *= longest / wp.length(arm)
+            at_rest = home - wp.vec3d(rest[j])
+            arm = g * at_rest
+            if flows[i]:
+                longest = ARM * wp.length(at_rest)
+                if wp.length(arm) > longest:
+                    arm *= longest / wp.length(arm)
             x += w * (wide(position[j]) + arm)
             f += w * g
             total += w
-        means_out[i] = wp.vec3f(x / total)
-        deformation_out[i] = f / total
+        part = wp.float64(1.0) / total
+        means_out[i] = wp.vec3f(part * x)
+        deformation_out[i] = part * f
 
     return carry

@@ -12,7 +12,7 @@ import warp as wp
 from phy124.kernels.build import kernel
 from phy124.kernels.diagnostics import add3, kinetic_energy, wide
 from phy124.kernels.reduction import add_to
-from phy124.kernels.rows import row_in_copy, row_in_grid
+from phy124.kernels.rows import copy_row, next_changed, row_in_copy, row_in_grid
 from phy124.kernels.transfer import types
 
 IMPULSE, WORK, MOVED, TURNED, GIVEN = 0, 3, 4, 5, 6
@@ -105,8 +105,7 @@ def make_wall_copy(real: Any):
         i, j, part = wp.tid()
         row = row_in_grid(box, window, i, j)
         copy = row_in_copy(box, i, j)
-        for k in range(part * each, part * each + each):
-            kept_out[copy + k] = grid[row + k]
+        copy_row(kept_out, copy + part * each, grid, row + part * each, each)
 
     return wall_copy
 
@@ -137,17 +136,18 @@ def make_wall_sums(real: Any):
         work = wp.float64(0.0)
         moved = wp.float64(0.0)
         turned = wp.float64(0.0)
-        for k in range(part * each, part * each + each):
+        end = part * each + each
+        k = next_changed(grid, row, kept, copy, part * each, end)
+        while k < end:
             q = grid[row + k]
             if q[3] > real(0.0):
-                d = q - kept[copy + k]
-                if d[0] != real(0.0) or d[1] != real(0.0) or d[2] != real(0.0):
-                    J = wp.float64(q[3]) * wide(d)
-                    gain = wp.dot(J, wide(q))
-                    impulse += J
-                    work += gain
-                    moved += wp.length(J)
-                    turned += wp.abs(gain)
+                J = wp.float64(q[3]) * wide(q - kept[copy + k])
+                gain = wp.dot(J, wide(q))
+                impulse += J
+                work += gain
+                moved += wp.length(J)
+                turned += wp.abs(gain)
+            k = next_changed(grid, row, kept, copy, k + 1, end)
         add_given(given_out, impulse, work, moved, turned)
 
     return wall_sums

@@ -7,6 +7,7 @@ import warp as wp
 
 from phy124.kernels.build import kernel
 from phy124.kernels.reduction import raise_to
+from phy124.kernels.rows import add_row, clear_row, copy_row
 from phy124.kernels.transfer import types
 
 
@@ -59,8 +60,7 @@ def make_merge(real: Any):
         i, j = wp.tid()
         size = window[1]
         row = ((layer + i) * size[1] + j) * size[2]
-        for k in range(size[2]):
-            grid_out[row + k] = t.vec4()
+        found = int(0)
         for b in range(starts.shape[0]):
             low = boxes[2 * b] - window[0]
             extent = boxes[2 * b + 1]
@@ -68,8 +68,15 @@ def make_merge(real: Any):
             along = j - low[1]
             if across >= 0 and across < extent[0] and along >= 0 and along < extent[1]:
                 own = starts[b] + (across * extent[1] + along) * extent[2]
-                for k in range(extent[2]):
-                    grid_out[row + low[2] + k] += pool[own + k]
+                if found == 0:
+                    clear_row(grid_out, row, low[2])
+                    copy_row(grid_out, row + low[2], pool, own, extent[2])
+                    clear_row(grid_out, row + low[2] + extent[2], size[2] - low[2] - extent[2])
+                else:
+                    add_row(grid_out, row + low[2], pool, own, extent[2])
+                found += 1
+        if found == 0:
+            clear_row(grid_out, row, size[2])
 
     return merge
 

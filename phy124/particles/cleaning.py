@@ -86,7 +86,7 @@ def clean(gaussians: Gaussians) -> tuple[Gaussians, Cleaning]:
     given = len(gaussians)
     finite = _finite(gaussians)
     usable, repairs = _repair(gaussians.select(finite))
-    visible = (usable.opacities >= INVISIBLE) & (usable.scales.max(axis=1, initial=0) > 0)
+    visible = (usable.opacities >= INVISIBLE) & (usable.longest > 0)
     usable = usable.select(visible)
     huge = _gigantic(usable)
     usable = usable.select(~huge)
@@ -120,8 +120,7 @@ def bounds(gaussians: Gaussians) -> tuple[NDArray[np.float64], NDArray[np.float6
     """
     every = 1 + len(gaussians) // 200_000
     some = gaussians.select(np.arange(len(gaussians)) % every == 0)
-    reach = np.sqrt(np.einsum("nii->ni", some.covariances()))
-    means = some.means.astype(np.float64)
+    means, reach = some.means.astype(np.float64), some.deviations()
     low = _quantile(means - reach, some.opacities, 0.001)
     high = -_quantile(-means - reach, some.opacities, 0.001)
     return low, high
@@ -164,8 +163,8 @@ def _finite(gaussians: Gaussians) -> NDArray[np.bool_]:
 
 
 def _repair(gaussians: Gaussians) -> tuple[Gaussians, dict[str, int]]:
-    scales = np.abs(gaussians.scales)
-    scales = np.maximum(scales, THINNEST * scales.max(axis=1, keepdims=True))
+    absolute = replace(gaussians, scales=np.abs(gaussians.scales))
+    scales = np.maximum(absolute.scales, THINNEST * absolute.longest[:, None])
     length = np.linalg.norm(gaussians.quats.astype(np.float64), axis=1, keepdims=True)
     off = np.abs(length[:, 0] - 1) > 1e-6
     zero = length[:, 0] == 0
@@ -185,7 +184,7 @@ def _repair(gaussians: Gaussians) -> tuple[Gaussians, dict[str, int]]:
 def _gigantic(gaussians: Gaussians) -> NDArray[np.bool_]:
     if len(gaussians) == 0:
         return np.zeros(0, bool)
-    longest = gaussians.scales.max(axis=1).astype(np.float64)
+    longest = gaussians.longest.astype(np.float64)
     low = _quantile(gaussians.means, gaussians.opacities, 0.001)
     high = -_quantile(-gaussians.means, gaussians.opacities, 0.001)
     return (longest > GIGANTIC * (high - low).max()) & (longest > 20 * np.median(longest))
@@ -217,11 +216,22 @@ def _stray(gaussians: Gaussians) -> NDArray[np.bool_]:
 
 def _quantile(values: NDArray, weights: NDArray, fraction: float) -> NDArray[np.float64]:
     """Per column of `values` [N,3], the value below which `fraction` of the weight lies."""
-    columns = np.ascontiguousarray(values.T, dtype=np.float64)
-    order = np.argsort(columns, axis=1)
-    total = np.cumsum(weights.astype(np.float64)[order], axis=1)
-    first = (total <= fraction * total[:, -1:]).sum(axis=1)
-    return columns[range(3), order[range(3), np.minimum(first, len(values) - 1)]]
+    weights = weights.astype(np.float64)
+    below = fraction * weights.sum()
+    return np.array([_at_weight(column, weights, below, fraction) for column in values.T])
+
+
+def _at_weight(values: NDArray, weights: NDArray, below: float, fraction: float) -> np.float64:
+    """The smallest value [N] up to which there is more than the weight `below`."""
+    values = np.ascontiguousarray(values, np.float64)
+    # The few lowest are found without sorting all; mostly they weigh enough.
+    count = min(len(values), 8 + int(4 * fraction * len(values)))
+    for lowest in (np.argpartition(values, count - 1)[:count], np.arange(len(values))):
+        order = lowest[np.argsort(values[lowest])]
+        first = int((np.cumsum(weights[order]) <= below).sum())
+        if first < len(order):
+            break
+    return values[order[min(first, len(order) - 1)]]
 
 
 def _lowest(gaussians: Gaussians) -> float:
@@ -230,6 +240,6 @@ def _lowest(gaussians: Gaussians) -> float:
     some = gaussians.select(visible) if visible.any() else gaussians
     z = some.means[:, 2].astype(np.float64)
     # Only Gaussians whose longest axis reaches below the lowest centre can be the lowest.
-    near = z - some.scales.max(axis=1) <= z.min()
+    near = z - some.longest <= z.min()
     axes = rotation_matrices(some.quats[near])[:, 2] * some.scales[near]
     return float((z[near] - np.linalg.norm(axes, axis=1)).min())

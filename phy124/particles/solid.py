@@ -135,9 +135,8 @@ def _voxelise(gaussians: Gaussians) -> _Voxels:
 
 
 def _extent(gaussians: Gaussians) -> NDArray[np.float64]:
-    reach = gaussians.scales.max(axis=1, keepdims=True).astype(np.float64)
-    means = gaussians.means.astype(np.float64)
-    return (means + reach).max(axis=0) - (means - reach).min(axis=0)
+    reach, ways = gaussians.longest.astype(np.float64), gaussians.means.T.astype(np.float64)
+    return np.array([(way + reach).max() - (way - reach).min() for way in ways])
 
 
 def _margin(across: float) -> int:

@@ -26,7 +26,7 @@ def kernels(scene: Scene, device: str = "cpu") -> Iterator[Any]:
     yield from substep.kernels(laws.values(), real, form)
     yield from fluctuation.kernels(scheme_of(scene), real, form)
     yield from repair.kernels(laws.values(), real)
-    yield from deform.kernels(real, scene.binding)
+    yield from deform.kernels(real, scene.binding, device)
     yield from diagnostics.kernels(laws.values(), real)
     if scene.checks.energy:
         yield from dissipation.kernels(laws.values(), real)
