@@ -352,7 +352,11 @@ def _host(array: Any) -> NDArray:
 
 def _on(array: Any, dtype: Any, device: str) -> wp.array:
     """A Warp array of a type on a device; without a copy where it is one."""
-    if isinstance(array, wp.array) and array.dtype is dtype and array.device == wp.get_device(device):
+    if (
+        isinstance(array, wp.array)
+        and array.dtype is dtype
+        and array.device == wp.get_device(device)
+    ):
         return array
     return wp.array(np.ascontiguousarray(_host(array)), dtype=dtype, device=device)
 

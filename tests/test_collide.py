@@ -18,6 +18,7 @@ from phy124.boundaries import (
 from phy124.forces import Gravity
 from phy124.kernels import collide
 from phy124.kernels.build import kernel
+from phy124.kernels.reduction import along_rows
 from phy124.materials import Fluid
 from phy124.mpm import Grid
 from phy124.region import Region
@@ -125,8 +126,13 @@ def nodes_of_a_body(rng) -> np.ndarray:
     return q
 
 
-def touched(wall, q: np.ndarray, *, order: np.ndarray | None = None) -> np.ndarray:
-    """The nodes after a wall; `order` [n,3] lists them one by one, None: all in one launch."""
+def touched(
+    wall, q: np.ndarray, *, order: np.ndarray | None = None, rows: bool = False
+) -> np.ndarray:
+    """The nodes after a wall; `order` [n,3] lists them one by one, None: all in one launch.
+
+    With `rows` each thread of a launch has a row of nodes, as on a CPU; else one, as on a GPU.
+    """
     grid = Grid([0, 0, 0], DX, real=wp.float64, device="cpu")
     grid.rebase(np.zeros(3, int), np.full(3, SIZE))
     grid.nodes.numpy()[:-1] = q
@@ -137,7 +143,8 @@ def touched(wall, q: np.ndarray, *, order: np.ndarray | None = None) -> np.ndarr
     values = wp.zeros(1, dtype=wp.vec4d, device="cpu")
     shape = wp.mat33d(*np.ravel(wall.geometry(None)))
     for start, dim in launches:
-        inputs = [shape, 0.4, -0.15 * DX, 0, start, wp.vec2i(0, SIZE), np.inf, 0.9, -np.inf]
+        dim, each = along_rows(dim, "cpu" if rows else "cuda")
+        inputs = [shape, 0.4, -0.15 * DX, 0, start, each, wp.vec2i(0, SIZE), np.inf, 0.9, -np.inf]
         inputs += [grid.lattice, grid.window, values, values]
         made = collide.make_contact(wall.outline(), "separate", False, wp.float64)
         wp.launch(made, dim, inputs, [grid.nodes, grid.changes], device="cpu")
@@ -163,6 +170,7 @@ def test_what_a_wall_does_does_not_depend_on_the_order_of_the_nodes(wall, rng):
     order = np.indices((SIZE,) * 3).reshape(3, -1).T
     shuffled = touched(wall, before, order=rng.permutation(order))
     np.testing.assert_allclose(shuffled, at_once, rtol=1e-12, atol=1e-13)
+    np.testing.assert_array_equal(touched(wall, before, rows=True), at_once)
     changed = (at_once != before).any(axis=1)
     assert 50 < changed.sum() < SIZE**3 / 2
     np.testing.assert_array_equal(at_once[:, 3], before[:, 3])

@@ -33,6 +33,7 @@ ALONE = {
     "blend_tiles_simd": "rows for the vector units of a CPU",
     "blend_staged_simd": "likewise",
     "cover_simd": "likewise",
+    "deform_shapes_simd": "likewise, of Gaussians",
     "gather_tiles_simd": "likewise",
     "project_simd": "likewise",
     "tint_splats_simd": "likewise",

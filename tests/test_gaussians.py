@@ -28,6 +28,14 @@ def test_covariances_have_squared_scales_as_eigenvalues(three_gaussians):
     assert np.allclose(values, np.sort(three_gaussians.scales.astype(float) ** 2), rtol=1e-6)
 
 
+def test_deviations_are_the_roots_of_the_diagonal_of_the_covariances(rng):
+    quats, scales = random_quats(rng, 200).astype(np.float32), rng.random((200, 3))
+    some = Gaussians.from_rgb(np.zeros((200, 3)), quats, scales, np.ones(200), np.ones((200, 3)))
+    diagonal = np.einsum("nii->ni", some.covariances())
+    assert np.allclose(some.deviations(), np.sqrt(diagonal), rtol=1e-12)
+    assert np.array_equal(some.longest, some.scales.max(axis=1))
+
+
 def test_colours_survive_the_change_to_harmonics(three_gaussians):
     assert np.allclose(three_gaussians.rgb, np.eye(3), atol=1e-6)
     assert three_gaussians.sh_degree == 0

@@ -281,6 +281,22 @@ def test_clean_refuses_an_object_of_nothing(three_gaussians):
             clean(gaussians)
 
 
+@pytest.mark.parametrize("faint", [0.0, 0.5, 0.999])
+def test_bounds_leave_out_a_thousandth_of_the_opacity(rng, faint):
+    """However many of the outermost are faint: the few lowest may not weigh enough."""
+    given = box(5000, rng)
+    given.opacities[given.means[:, 0] < 2 * faint - 1] = 1e-6
+    found = np.array(bounds(given))
+    reach = np.sqrt(np.einsum("nii->ni", given.covariances()))
+    for axis in range(3):
+        for sign, edge in ((1, found[0, axis]), (-1, found[1, axis])):
+            ends = sign * given.means[:, axis].astype(float) - reach[:, axis]
+            order = np.argsort(ends)
+            below = np.cumsum(given.opacities[order].astype(float))
+            first = np.flatnonzero(below > 1e-3 * below[-1])[0]
+            assert edge == pytest.approx(sign * ends[order[first]], rel=1e-9)
+
+
 def test_to_size_sets_the_longest_side_and_the_ground(rng):
     given = box(40_000, rng).moved(37.0, np.array([5.0, 6, 7]))
     sized = to_size(given, 2.0)

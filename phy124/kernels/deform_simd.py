@@ -1,7 +1,7 @@
 """Shapes of the Gaussians for CPUs: `deform.shape_of` in C++, eight Gaussians at a time, in float64.
 
-Loops over eight lanes are vectorised. They do the same as `deform.shape_of` where nothing is
-unusual; the others (torn material, axes without length, axes to be labelled anew) are left to it.
+Loops over the eight are vectorised. Gaussians that are unusual (of torn material, with axes of no
+length or that are to be labelled anew) are left to `deform.shape_of`.
 """
 
 import warp as wp
@@ -35,7 +35,7 @@ LOAD = r"""
     const auto smaller = [](double x, double y) { return x < y ? x : y; };
 """
 
-LANES = "    #pragma clang loop vectorize(enable) interleave(disable) unroll(disable)\n"
+VECTORISED = "    #pragma clang loop vectorize(enable) interleave(disable) unroll(disable)\n"
 
 START = (
     r"""
@@ -53,7 +53,7 @@ START = (
         r[8][i] = 1.0 - s * (x * x + y * y);
     };
 """
-    + LANES
+    + VECTORISED
     + r"""
     for (int i = 0; i < N; ++i) {
         turned(home, start, i);
@@ -82,7 +82,7 @@ JACOBI = (
     const auto rotated = [&](int m, int n) {
         double turning = 0.0;
 """
-    + LANES
+    + VECTORISED
     + r"""
         for (int i = 0; i < N; ++i) {
             const double a0 = a[m][i], a1 = a[m + 3][i], a2 = a[m + 6][i];
@@ -147,7 +147,7 @@ ORIENT = (
     };
     double quat[4][N], scale[3][N], unusual[N];
 """
-    + LANES
+    + VECTORISED
     + r"""
     for (int i = 0; i < N; ++i) {
         const double l0 = root(a[0][i] * a[0][i] + a[3][i] * a[3][i] + a[6][i] * a[6][i]);
@@ -277,10 +277,9 @@ def deform_shapes_simd(
         group, carrier, quats0, scales0, holds, max_stretch, rounds, deformation, inner_out,
         quats_out, scales_out,
     )  # fmt: skip
-    lane = int(0)
+    i = int(8 * group)
     while left > 0:
         if (left & 1) == 1:
-            i = 8 * group + lane
             inner, quat, scale = deform.shape_of(
                 deformation[carrier[i]], quats0[i], scales0[i], holds[i], max_stretch[i],
                 rounds[i], inner_out[i], quats_out[i],
@@ -289,4 +288,4 @@ def deform_shapes_simd(
             quats_out[i] = quat
             scales_out[i] = scale
         left = left >> 1
-        lane += 1
+        i += 1

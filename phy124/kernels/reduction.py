@@ -34,7 +34,7 @@ def along_rows(extent: Iterable[int], device: str) -> tuple[tuple[int, int, int]
     On the CPU that is the whole row, on a GPU one node.
     """
     x, y, z = (int(count) for count in extent)
-    return ((x, y, 1), z) if device == "cpu" else ((x, y, z), 1)
+    return ((x, y, min(z, 1)), z) if device == "cpu" else ((x, y, z), 1)
 
 
 ADD = """

@@ -221,7 +221,7 @@ def _quantile(values: NDArray, weights: NDArray, fraction: float) -> NDArray[np.
     return np.array([_at_weight(column, weights, below, fraction) for column in values.T])
 
 
-def _at_weight(values: NDArray, weights: NDArray, below: float, fraction: float) -> np.float64:
+def _at_weight(values: NDArray, weights: NDArray, below: float, fraction: float) -> float:
     """The smallest value [N] up to which there is more than the weight `below`."""
     values = np.ascontiguousarray(values, np.float64)
     # The few lowest are found without sorting all; mostly they weigh enough.
@@ -231,7 +231,7 @@ def _at_weight(values: NDArray, weights: NDArray, below: float, fraction: float)
         first = int((np.cumsum(weights[order]) <= below).sum())
         if first < len(order):
             break
-    return values[order[min(first, len(order) - 1)]]
+    return float(values[order[min(first, len(order) - 1)]])
 
 
 def _lowest(gaussians: Gaussians) -> float:

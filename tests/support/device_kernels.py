@@ -82,7 +82,7 @@ def others(real: Any = wp.float32) -> Iterator[Named]:
         contacts.make_contact_copy, contacts.make_contact_reach, contacts.make_contacts,
         external_work.make_push_copy, external_work.make_push_sums, external_work.make_wall_copy,
         external_work.make_wall_sums, external_work.make_uniform_sums,
-        push.make_zone, push.make_drag, push.make_attract, push.make_set_velocity,
+        deform.make_carry, push.make_zone, push.make_drag, push.make_attract, push.make_set_velocity,
     )  # fmt: skip
     for make in makers:
         yield make.__name__.removeprefix("make_"), make(real)
@@ -92,7 +92,7 @@ def others(real: Any = wp.float32) -> Iterator[Named]:
     for shape in ("box", "cylinder", "half_space"):
         yield f"contact {shape}, held", collide.make_contact(shape, "held", True, real)
     yield "collide box, slip", collide.make_collider("box", "slip", True, real)
-    for module in (deform.carry, project.project, bins.bin_parallel, blend.blend_pixels):
+    for module in (project.project, bins.bin_parallel, blend.blend_pixels):
         yield module.key, module
     yield stage.draw_setting.key, stage.draw_setting
     yield arrange.key, arrange

@@ -23,6 +23,8 @@ def along_rows(extent: Iterable[int], device: str) -> tuple[tuple[int, int, int]
 def choose() -> None:
     """Choose them; before anything else of phy124 is imported, as names are bound then."""
     reduction.shared_out, reduction.along_rows = shared_out, along_rows
+    from phy124 import deform
+    from phy124.kernels.deform import deform_shapes
     from phy124.kernels.splat.shadow import cover
     from phy124.mpm import model
     from phy124.rendering import render
@@ -38,3 +40,4 @@ def choose() -> None:
 
     render.Renderer.__init__ = by_pixel
     shadow.covering = lambda device: (cover, 1)
+    deform.shapes_of = lambda device: (deform_shapes, 1)
