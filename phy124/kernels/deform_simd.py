@@ -1,4 +1,4 @@
-"""Shapes of the Gaussians for CPUs: `deform.shape_of` in C++, eight Gaussians at a time, in float64.
+"""Shapes of the Gaussians for CPUs: `deform.shape_of` in C++ and float64, for eight at a time.
 
 Loops over the eight are vectorised. Gaussians that are unusual (of torn material, with axes of no
 length or that are to be labelled anew) are left to `deform.shape_of`.

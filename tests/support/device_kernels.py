@@ -82,7 +82,8 @@ def others(real: Any = wp.float32) -> Iterator[Named]:
         contacts.make_contact_copy, contacts.make_contact_reach, contacts.make_contacts,
         external_work.make_push_copy, external_work.make_push_sums, external_work.make_wall_copy,
         external_work.make_wall_sums, external_work.make_uniform_sums,
-        deform.make_carry, push.make_zone, push.make_drag, push.make_attract, push.make_set_velocity,
+        push.make_zone, push.make_drag, push.make_attract, push.make_set_velocity,
+        deform.make_carry,
     )  # fmt: skip
     for make in makers:
         yield make.__name__.removeprefix("make_"), make(real)
