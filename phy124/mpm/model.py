@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, cast
 
 import numpy as np
@@ -197,7 +198,7 @@ class Model:
         slowest = min(section.viscous_limit(self.dx) for section in self.materials)
         return beside_elastic(self.cfl) * slowest
 
-    @property
+    @cached_property
     def total_mass(self) -> float:
         """Mass of all particles that may move [kg]."""
         return float(np.sum(self.mass.numpy()[self.moves], dtype=np.float64))
