@@ -196,8 +196,7 @@ def _volumes(x: NDArray[np.float32], shape: Solid, room: _Room) -> NDArray[np.fl
     inside = np.bincount(place[~empty], room.volume[~empty], minlength=len(keys))
     volume = inside[which] / count[which]
     if empty.any():
-        tree = scipy.spatial.KDTree(x, balanced_tree=False)
-        _, nearest = tree.query((cells[empty] + 0.5) * side, workers=-1)
+        _, nearest = scipy.spatial.KDTree(x).query((cells[empty] + 0.5) * side, workers=-1)
         volume += np.bincount(nearest, room.volume[empty], minlength=len(x))
     volume = np.maximum(volume, SMALLEST * volume.mean())
     return volume * (shape.volume / volume.sum())
