@@ -1,0 +1,46 @@
+"""Seconds of a run without films: making the particles, compiling and binding, substeps, shapes.
+
+    python tests/benchmarks/dynamics.py gaussians.ply --threads 2
+
+Of some runs in one process the least of each is printed; the first, which loads kernels and
+libraries, is left out. An older build runs the same file with PYTHONPATH set to its folder.
+"""
+
+import argparse
+
+from phy124.io.ply import read_ply
+from phy124.scene import Scene
+from phy124.simulation import Simulation
+
+STAGES = ("particles", "compile", "simulate", "deform")
+
+
+def main() -> None:
+    """One line of figures."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("gaussians", help="a PLY file")
+    parser.add_argument("--scene", default="press")
+    parser.add_argument("--frames", type=int, default=14)
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--runs", type=int, default=4)
+    given = parser.parse_args()
+    gaussians = read_ply(given.gaussians).gaussians
+    scene = Scene.named(given.scene)
+    time = scene.time.model_copy(update={"frames": given.frames})
+    scene = scene.model_copy(update={"time": time})
+    found = []
+    for _ in range(given.runs):
+        run = Simulation(gaussians, scene, threads=given.threads)
+        run.run()
+        found.append(dict(run.watch.seconds))
+    least = {name: min(one[name] for one in found[1:] or found) for name in STAGES}
+    shares = ", ".join(f"{name} {seconds:.3f}" for name, seconds in least.items())
+    dynamics = least["simulate"] + least["deform"]
+    print(
+        f"{len(run.particles)} particles: {shares}; substeps and shapes {dynamics:.3f}, "
+        f"with particles {dynamics + least['particles']:.3f}, in all {sum(least.values()):.3f} s"
+    )
+
+
+if __name__ == "__main__":
+    main()
