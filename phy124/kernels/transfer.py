@@ -347,11 +347,11 @@ def make_measure(law: Law, real: Any):
                 h = t.vec2()
                 if wp.static(has_history):
                     h = history[p]
-                fast = wp.length_sq(v[p])
-                rate = wp.ddot(C[p], C[p])
+                fast = wp.length(v[p])
+                rate = wp.sqrt(wp.ddot(C[p], C[p]))
                 A = modulus(F[p], h, theta[wp.min(p, theta.shape[0] - 1)])
                 here = x[p]
-                if not finite(fast + rate + A + wp.length_sq(here)):
+                if not finite(fast + rate + A + wp.length(here)):
                     wp.atomic_add(stray_out, 0, 1)
                 elif between(here, domain[0], domain[1]):
                     speed = greater(speed, fast)
@@ -360,8 +360,8 @@ def make_measure(law: Law, real: Any):
                     for axis in range(3):
                         low[axis] = greater(low[axis], -here[axis])
                         high[axis] = greater(high[axis], here[axis])
-        raise_to(maxima_out, SPEED, wp.sqrt(speed))
-        raise_to(maxima_out, GRADIENT, wp.sqrt(gradient))
+        raise_to(maxima_out, SPEED, speed)
+        raise_to(maxima_out, GRADIENT, gradient)
         raise_to(maxima_out, STIFFNESS, stiffness)
         for axis in range(3):
             raise_to(maxima_out, LOW + axis, low[axis])
