@@ -332,11 +332,9 @@ class Solver:
 
     def _measure(self) -> None:
         """Read the stability limits and fit the windows to the particles; raises Unstable."""
-        found = self._maxima()
-        corners = self._corners(found)
+        corners = self._corners(found := self._maxima())
         if self.outliers.confine(corners):
-            found = self._maxima()
-            corners = self._corners(found)
+            corners = self._corners(found := self._maxima())
         measured = Maxima.of(found.max(axis=0))
         self.clock.extremes = measured.extremes.after(self.clock.extremes, self.free.fastest())
         self.clock.recent = self.clock.extremes
@@ -349,8 +347,6 @@ class Solver:
 
     def _corners(self, rows: NDArray[np.float64]) -> list[Corners]:
         """Lowest and highest corner of each body, of what was measured [m]."""
-        if len(self.grids) == 1:
-            return [Maxima.of(rows.max(axis=0)).corners]
         parts = self.slabs.parts if self.slabs else ()
         body = np.array([part.group.body for part in parts] or range(len(rows)))
         bodies = range(len(self.grids))
