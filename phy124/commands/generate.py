@@ -100,7 +100,8 @@ class Generate:
                 clip, view, self.image, result.folder, folder, device=device, progress=bars
             )
         files = (*result.files, result.folder / path.name)
-        report = {**result.report, "compose": about}
+        names = sorted({*result.report["files"], path.name})
+        report = {**result.report, "compose": about, "files": names}
         pipeline.write_json(result.folder / "report.json", report)
         return replace(result, files=files, report=report)
 

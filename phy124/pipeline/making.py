@@ -18,6 +18,7 @@ from phy124.imaging.cutout import Cutout
 from phy124.io.clip import Clip
 from phy124.io.files import staged as staged
 from phy124.io.ply import write_ply
+from phy124.pipeline import earlier
 from phy124.progress import Progress
 from phy124.rendering.film import cameras as cameras
 from phy124.rendering.film import choppy, played
@@ -31,6 +32,7 @@ from phy124.simulation import Interrupted, Simulation
 
 PAUSE = "pause.safetensors"
 """Name of the file that an interrupted run leaves in its folder for `go_on`."""
+CLIP = "clip.safetensors"
 INTERRUPTED = "it was interrupted; the same command with --resume continues it"
 
 
@@ -66,7 +68,11 @@ class Making:
     predicted: Forecast | None = None
 
     def result(self, moved: Callable[[], tuple[Simulation, Clip]]) -> Result:
-        """Move, film and save; a folder that cannot be written is refused before anything else."""
+        """Move, film and save; a folder that cannot be written is refused before anything else.
+
+        What an earlier run left in the folder goes when the new results are there.
+        """
+        before = earlier.listed(self.out)
         with staged(self.out) as folder:
             interrupted = False
             try:
@@ -81,6 +87,7 @@ class Making:
             interrupted |= self._film(clip, run.scene, folder)
             report = self._save(folder, run, clip, interrupted)
             made = sorted(path.name for path in folder.iterdir())
+        earlier.remove(self.out, before.difference(made))
         if not interrupted:
             (self.out / PAUSE).unlink(missing_ok=True)
         return Result(self.out, tuple(self.out / name for name in made), report)
@@ -108,9 +115,10 @@ class Making:
             if interrupted:
                 resume.save(run, folder / PAUSE, about=self.about)
         report = self._report(clip, run.scene.view, interrupted)
+        report["files"] = sorted({*(path.name for path in folder.iterdir()), CLIP, earlier.REPORT})
         with self.watch.stage("save"):
-            clip.with_report(report).save(folder / "clip.safetensors")
-            write_json(folder / "report.json", report)
+            clip.with_report(report).save(folder / CLIP)
+            write_json(folder / earlier.REPORT, report)
         return report
 
     def _report(self, clip: Clip, view: View, interrupted: bool) -> dict[str, Any]:
