@@ -1,5 +1,6 @@
 """Cores are counted once: those of this process, physical ones, and those nobody else wants."""
 
+import math
 import os
 
 import pytest
@@ -23,10 +24,26 @@ def test_two_hardware_threads_of_one_core_count_once(monkeypatch, tmp_path):
 
 @pytest.mark.parametrize(("others", "free"), [(0, 2), (1, 2), (3, 1), (9, 1)])
 def test_what_others_run_takes_hardware_threads_first(monkeypatch, others, free):
-    monkeypatch.setattr(cores, "cores", lambda: 4)
+    monkeypatch.setattr(cores, "_hardware_threads", lambda: 4)
     monkeypatch.setattr(cores, "physical_cores", lambda: 2)
     monkeypatch.setattr(cores, "_others_running", lambda: others)
     assert cores.free_cores() == free
+
+
+@pytest.mark.parametrize(("quota", "threads"), [(math.inf, 8), (3.0, 3), (2.5, 2), (0.3, 1)])
+def test_no_more_threads_than_the_quota_pays_for(monkeypatch, quota, threads):
+    monkeypatch.setattr(cores, "_hardware_threads", lambda: 8)
+    monkeypatch.setattr(cores, "SIBLINGS", "/nowhere/{}")
+    monkeypatch.setattr(cores, "cpu_quota", lambda: quota)
+    assert cores.cores() == cores.physical_cores() == threads
+
+
+def test_a_busy_machine_does_not_use_up_the_quota(monkeypatch):
+    monkeypatch.setattr(cores, "_hardware_threads", lambda: 64)
+    monkeypatch.setattr(cores, "SIBLINGS", "/nowhere/{}")
+    monkeypatch.setattr(cores, "cpu_quota", lambda: 4.0)
+    monkeypatch.setattr(cores, "_others_running", lambda: 30)
+    assert cores.free_cores() == 4
 
 
 def test_where_the_system_does_not_tell_all_cores_are_physical(monkeypatch):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import platform
 import shutil
 from dataclasses import dataclass
@@ -12,8 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from phy124.commands.weights import data, lines, summary
+from phy124.runtime.cores import cores
 from phy124.runtime.driver import driver
 from phy124.runtime.installation import install_command
+from phy124.runtime.memory import free_memory
 from phy124.runtime.startup import start
 from phy124.weights.store import status
 
@@ -68,7 +69,8 @@ def examine() -> dict[str, Any]:
     return {
         "python": platform.python_version(),
         "warp": wp.__version__,
-        "cores": os.cpu_count(),
+        "cores": cores(),
+        "memory": f"{free_memory() / 1e9:.1f} GB free",
         "devices": [f"{device} ({device.name})" for device in wp.get_devices()],
         "driver": str(driver()),
         "encoder": _encoder(),

@@ -7,6 +7,7 @@ import time
 from pathlib import Path
 
 from phy124.errors import InputError
+from phy124.runtime.cgroups import cpu_quota
 
 MOST_THREADS = 256
 """Largest number of threads that may be asked for."""
@@ -15,22 +16,35 @@ SIBLINGS = "/sys/devices/system/cpu/cpu{}/topology/thread_siblings_list"
 
 
 def cores() -> int:
-    """How many hardware threads this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    """How many hardware threads this process may keep busy: those it may run on, and no more than
+    the quota of its control groups pays for.
+    """
+    return _within_quota(_hardware_threads())
 
 
 def physical_cores() -> int:
     """How many cores these belong to; all count as cores where the system does not tell."""
     try:
         mine = os.sched_getaffinity(0)
-        return len({Path(SIBLINGS.format(one)).read_text() for one in mine})
+        return _within_quota(len({Path(SIBLINGS.format(one)).read_text() for one in mine}))
     except (AttributeError, OSError):
         return cores()
 
 
 def free_cores() -> int:
     """How many of these no other program's thread wants right now; at least one."""
-    return max(1, min(physical_cores(), cores() - _others_running()))
+    # Others of the machine do not use up this process's quota.
+    return max(1, min(physical_cores(), _hardware_threads() - _others_running()))
+
+
+def _hardware_threads() -> int:
+    """How many hardware threads this process may run on."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _within_quota(threads: int) -> int:
+    """So many threads, or as many as the quota pays for in full: they wait for each other."""
+    return max(1, int(min(threads, cpu_quota())))
 
 
 def refuse_threads(threads: int | None) -> None:
