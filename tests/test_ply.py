@@ -12,7 +12,7 @@ from phy124.harmonics import sh_basis
 from phy124.io import ply
 from phy124.io.axes import DIALECTS, orientation
 from phy124.io.ply import read_ply, write_ply
-from phy124.io.plyheader import MAX_BYTES
+from phy124.io.plyheader import MAX_BYTES, read_header
 from support.shapes import random_gaussians
 
 NAMES = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2"]
@@ -155,6 +155,59 @@ def test_other_elements_comments_and_line_ends(tmp_path):
         before + rest.replace(b"\n", b"\r\n") + after + bytes(27) + rows().astype("<f4").tobytes()
     )
     gaussians = read_ply(save(tmp_path, content + b"\x01\x00\x00\x00\x00"), up="z").gaussians
+    np.testing.assert_allclose(gaussians.means, rows()[:, :3], rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "comment",
+    [
+        "made from Åse",
+        "line …end",
+        "\x85",
+        "\u2028\x1c\x0b",
+        "one\xa0word",
+        b"\x85\xff \xe5",
+        b"end_header x",
+    ],
+)
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_comments_of_any_bytes_are_no_lines(tmp_path, comment, end):
+    text = comment if isinstance(comment, bytes) else comment.encode()
+    head = header().replace(b"element vertex", b"comment " + text + b"\nelement vertex")
+    values = rows()
+    values[0, 0] = 1.4e-44  # its first byte is that of a line's end
+    assert values.astype("<f4").tobytes()[:1] == b"\n"
+    content = head.replace(b"\n", end.encode()) + values.astype("<f4").tobytes()
+    gaussians = read_ply(save(tmp_path, content), up="z").gaussians
+    np.testing.assert_allclose(gaussians.means, rows()[:, :3], rtol=1e-6, atol=1e-30)
+
+
+def test_comments_are_read_as_utf_8(tmp_path):
+    head = header().replace(
+        b"element", "comment Vertical axis: z\ncomment Åse\nelement".encode(), 1
+    )
+    path = save(tmp_path, head + rows().astype("<f4").tobytes())
+    assert read_header(path).comments == ("Vertical axis: z", "Åse")
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_blank_lines_of_an_ascii_file_are_no_rows(tmp_path, end):
+    head = header(encoding="ascii").replace(
+        b"element", b"element camera 2\nproperty int a\nelement", 1
+    )
+    lines = [
+        "",
+        "7",
+        " \t",
+        "8",
+        "",
+        *(" ".join(map(repr, row)) for row in rows().tolist()),
+        "",
+        "",
+    ]
+    lines.insert(6, "")
+    content = head.replace(b"\n", end.encode()) + end.join(lines).encode()
+    gaussians = read_ply(save(tmp_path, content), up="z").gaussians
     np.testing.assert_allclose(gaussians.means, rows()[:, :3], rtol=1e-6)
 
 

@@ -149,7 +149,8 @@ def _rows(path: Path, header: Header) -> NDArray[Any]:
 def _read_ascii(path: Path, header: Header) -> NDArray[Any]:
     with open(path, "rb") as file:
         file.seek(header.start)
-        lines = file.read().split(b"\n")[header.skip_lines :][: header.count]
+        rows = [line for line in file.read().splitlines() if line.strip()]
+    lines = rows[header.skip_lines :][: header.count]
     names = header.row.names or ()
     try:
         values = np.array(b" ".join(lines).split(), dtype=np.float64)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from itertools import takewhile
 from pathlib import Path
@@ -22,6 +23,8 @@ TYPES = {
 }  # fmt: skip
 """Names of the number types, old and new."""
 ORDERS = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
+LINE_ENDS = rb"\r\n|\n|\r"
+"""Where bytes of a header are split. In text, other characters end lines and words, too."""
 SPLATS = "Read it as what it is: `phy124 convert`, `phy124 simulate` and the others take it."
 CONVERT = "Convert it with `npx @playcanvas/splat-transform IN OUT.ply` and give OUT.ply."
 
@@ -71,8 +74,7 @@ def read_header(path: Path) -> Header:
     Raises:
         InputError: If there is no file, it has another format, or its header is invalid.
     """
-    text, start = _header_text(path)
-    lines = [line.split() for line in text.splitlines()]
+    lines, start = _header_lines(path)
     words = [line for line in lines if line and line[0] not in ("comment", "obj_info")]
     encoding = words[1][1] if len(words) > 1 and words[1][0] == "format" else None
     if encoding not in ORDERS:
@@ -107,8 +109,8 @@ def refusal(path: Path, limit: str, remedy: str) -> InputError:
     return content.refusal("PLY", path, limit, remedy)
 
 
-def _header_text(path: Path) -> tuple[str, int]:
-    """The header as text, and its length in bytes."""
+def _header_lines(path: Path) -> tuple[list[list[str]], int]:
+    """The words of each line of the header, and its length in bytes."""
     if not path.is_file():
         raise refusal(path, "there is no such file.", "Check the path.")
     with open(path, "rb") as file:
@@ -119,10 +121,15 @@ def _header_text(path: Path) -> tuple[str, int]:
         raise refusal(path, "it is an SPZ, SOG, GLB or zip file, not a PLY.", SPLATS)
     if head[:4] not in (b"ply\n", b"ply\r"):
         raise refusal(path, "it is not a PLY file: it does not begin with `ply`.", CONVERT)
-    for end in (b"end_header\r\n", b"end_header\n", b"end_header\r"):
-        at = head.find(end)
-        if at >= 0:
-            return head[:at].decode("latin-1"), at + len(end)
+    lines, start = [], 0
+    # Where lines end in \r alone, a \n after the last one is the first byte of the data.
+    ends = LINE_ENDS if head[3:5] == b"\r\n" or head[3:4] == b"\n" else b"\r"
+    for end in re.finditer(ends, head):
+        words = head[start : end.start()].split()
+        start = end.end()
+        if words == [b"end_header"]:
+            return lines, start
+        lines.append([word.decode("utf-8", "replace") for word in words])
     if len(head) < MAX_BYTES:
         raise refusal(path, "it is cut short within its header.", "Copy or download it again.")
     raise refusal(path, f"its header is longer than {MAX_BYTES:,} bytes.", "Export it again.")
