@@ -175,6 +175,6 @@ def make_object(
         device=device,
         progress=progress,
     )
-    for sentence in made.about["cleaning"]:
+    for sentence in (*made.about["notes"], *made.about["cleaning"]):
         log.warning(sentence)
     return made

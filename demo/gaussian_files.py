@@ -73,7 +73,7 @@ def _opened(path: Path, out: Path, count: int) -> GaussianFile:
     resource.setrlimit(resource.RLIMIT_DATA, (MEMORY, MEMORY))
     found = PlyFile(str(path), UNTURNED).open()
     kept = thinned(found.gaussians, count)
-    notes = [*found.cleaning]
+    notes = [*found.notes, *found.cleaning]
     if len(kept) < len(found.gaussians):
         there = f"The file has {len(found.gaussians):,} Gaussians; fewer and larger ones cover"
         notes.append(f"{there} the same here, where {count:,} are the most.")

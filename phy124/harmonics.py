@@ -64,6 +64,12 @@ def rotate_sh(sh: NDArray, quats: NDArray) -> NDArray[np.float32]:
     return turned.astype(np.float32)
 
 
+def mirror_signs(count: int) -> NDArray[np.float64]:
+    """Signs [count] that mirroring along x gives to the first harmonics: each is odd or even."""
+    direction = np.array([0.3, 0.5, np.sqrt(0.66)])
+    return np.sign(sh_basis(direction * [-1, 1, 1], count) * sh_basis(direction, count))
+
+
 def spread_directions(count: int) -> NDArray[np.float64]:
     """Unit vectors spread evenly over the sphere (Fibonacci lattice) [count,3]."""
     i = np.arange(count) + 0.5

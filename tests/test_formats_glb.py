@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from phy124.errors import InputError
-from phy124.gaussians import Gaussians
+from phy124.gaussians import Gaussians, joined
 from phy124.io.axes import orientation, turned
 from phy124.io.formats import glb, read_as_is, read_gaussians, write_gaussians
 from support.quantisation import many
+from support.shapes import ball
 
 
 def assert_same(found: Gaussians, wanted: Gaussians) -> None:
@@ -178,3 +179,67 @@ def test_glb_reads_in_the_library_of_another_container(tmp_path, rng):
     np.testing.assert_allclose(found.colors[:, 3], there.opacities, atol=1e-6)
     channels = there.sh[:, 1:].transpose(0, 2, 1).reshape(200, -1)
     assert np.abs(found.sh * (8 / 255) - 4 - channels).max() <= 0.51 * 8 / 255
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e3, 1e6])
+@pytest.mark.parametrize("logs", [False, True])
+def test_scales_are_told_in_any_unit(tmp_path, unit, logs):
+    """In millimetres all logarithms are above 0, too: what covers the object tells."""
+    wanted = ball(3000).moved(unit, np.zeros(3))
+    scales = np.maximum(wanted.scales, 1.01) if unit > 1 else wanted.scales
+    wanted = replace(wanted, scales=scales)
+    written = replace(wanted, scales=np.log(scales)) if logs else wanted
+    path = glb_with(tmp_path / "a.glb", written, _set("asset/generator", "a trainer"))
+    content = read_gaussians(path)
+    np.testing.assert_allclose(content.gaussians.scales, wanted.scales, rtol=1e-5)
+    assert bool(content.notes) == (logs and unit > 1)
+
+
+@pytest.mark.parametrize(
+    ("generator", "logs"),
+    [("splat-transform 2.6.0", True), ("splat-transform 2.7.0", False),
+     ("splat-transform 3.2.0", False), ("splat-transform 10.0.0", False), ("phy124", False)],
+)  # fmt: skip
+def test_known_programs_wrote_scales_of_one_kind(tmp_path, three_gaussians, generator, logs):
+    path = glb_with(tmp_path / "a.glb", three_gaussians, _set("asset/generator", generator))
+    scales = three_gaussians.scales
+    found = np.sort(read_as_is(path).gaussians.scales, axis=1)
+    np.testing.assert_allclose(
+        found, np.sort(np.exp(scales) if logs else scales, axis=1), rtol=1e-6
+    )
+
+
+def test_a_negative_scale_in_one_mesh_tells_of_all(tmp_path, three_gaussians):
+    small = replace(three_gaussians, scales=np.log(three_gaussians.scales))
+    large = replace(three_gaussians, scales=np.float32([[1, 2, 3]] * 3))
+    write_gaussians(tmp_path / "a.glb", joined([small, large]))
+
+    def apart(tree):
+        """Two meshes that share the values: one shows the first half, the other the second."""
+        (mesh,) = tree["meshes"]
+        other = json.loads(json.dumps(mesh))
+        for accessor in list(tree["accessors"]):
+            width = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}[accessor["type"]]
+            size = width * (1 if accessor["componentType"] == 5121 else 4)
+            accessor["count"] = 3
+            tree["accessors"].append({**accessor, "byteOffset": 3 * size})
+        count = len(tree["accessors"]) // 2
+        attributes = other["primitives"][0]["attributes"]
+        other["primitives"][0]["attributes"] = {n: i + count for n, i in attributes.items()}
+        tree["meshes"], tree["nodes"] = [mesh, other], [{"mesh": 0}, {"mesh": 1}]
+        tree["scenes"] = [{"nodes": [0, 1]}]
+
+    (tmp_path / "a.glb").write_bytes(edited((tmp_path / "a.glb").read_bytes(), apart))
+    found = np.sort(read_as_is(tmp_path / "a.glb").gaussians.scales.max(axis=1))
+    np.testing.assert_allclose(found[3:], np.exp(3.0), rtol=1e-5)
+
+
+def test_attributes_that_are_not_read_are_named(tmp_path, three_gaussians):
+    def change(tree):
+        attributes = tree["meshes"][0]["primitives"][0]["attributes"]
+        attributes["_FEATURE_ID_0"] = attributes["KHR_gaussian_splatting:OPACITY"]
+        attributes["KHR_gaussian_splatting:SH_DEGREE_4_COEF_0"] = attributes["POSITION"]
+
+    content = read_as_is(glb_with(tmp_path / "a.glb", three_gaussians, change))
+    assert len(content.notes) == 2
+    assert "degree 4" in content.notes[0] and "_FEATURE_ID_0" in content.notes[1]

@@ -46,6 +46,8 @@ class Capture:
     """What was left out of the file, as sentences."""
     about: dict[str, Any]
     """How the file was rotated and what floor was found, for the report."""
+    notes: tuple[str, ...] = ()
+    """What of the file is read in another way than usual, or passed over, as sentences."""
 
 
 def capture(
@@ -67,7 +69,8 @@ def capture(
     told = file.reading.up is not None or file.reading.rotate is not None
     read = _on_floor(opened, told=told) if file.reading.floor else _alone(opened, file.path)
     scene = _with_floor(scene, read)
-    return Capture(read.gaussians, _in_metres(scene, read), read.cleaning, {"capture": read.about})
+    about, metres = {"capture": read.about}, _in_metres(scene, read, opened.origin)
+    return Capture(read.gaussians, metres, read.cleaning, about, opened.notes)
 
 
 def changed(file: PlyFile, scene: Scene, *, count: int | None = None) -> Scene:
@@ -88,7 +91,9 @@ def in_file_units(scene: Scene) -> bool:
 
 @dataclass(frozen=True)
 class _Read:
-    """Gaussians in the default place and size: x = scale * rotation @ (file's x) + offset."""
+    """Gaussians in the default place and size: x = scale * rotation @ (x - origin) + offset, where
+    x on the right is a place in the file.
+    """
 
     gaussians: Gaussians
     own: int
@@ -151,7 +156,7 @@ def _said(floor: Floor, opened: Opened, lies: NDArray[np.bool_]) -> dict[str, An
     """The floor for the report, in the file's axes and units."""
     return {
         "normal": (opened.rotation.T @ floor.normal).tolist(),
-        "offset": floor.offset,
+        "offset": floor.offset + float(floor.normal @ opened.rotation @ opened.origin),
         "tolerance": floor.tolerance,
         "gaussians": int(lies.sum()),
         "fraction": float(lies.mean()),
@@ -167,8 +172,14 @@ def _with_floor(scene: Scene, read: _Read) -> Scene:
     return scene.model_copy(update={"parts": (*scene.parts, floor)})
 
 
-def _in_metres(scene: Scene, read: _Read) -> Scene:
-    """The scene with regions given in the file's units as rotated boxes in metres."""
+def _in_metres(scene: Scene, read: _Read, origin: tuple[float, float, float]) -> Scene:
+    """The scene with regions given in the file's units as rotated boxes in metres.
+
+    Args:
+        scene: The scene.
+        read: The Gaussians in the default place and size.
+        origin: Place in the file that was the origin before that.
+    """
     if not in_file_units(scene):
         return scene
     kept, cleaned = clean(read.gaussians)
@@ -180,10 +191,21 @@ def _in_metres(scene: Scene, read: _Read) -> Scene:
     parts = []
     for number, part in enumerate(scene.parts):
         if part.region is not None and part.region.units == "file":
-            region = _region_in_metres(part.region, scale, read.rotation, offset, number)
+            near = _moved(part.region, origin)
+            region = _region_in_metres(near, scale, read.rotation, offset, number)
             part = part.model_copy(update={"region": region})
         parts.append(part)
     return scene.model_copy(update={"parts": tuple(parts)})
+
+
+def _moved(region: PartRegion, origin: tuple[float, float, float]) -> PartRegion:
+    """The region as it is seen from an origin, in the file's axes and units."""
+    if not any(origin):
+        return region
+    # The corners are in axes that may be turned.
+    shift = rotation_matrices(np.array([region.turn]))[0].T @ origin
+    ends = {name: tuple(getattr(region, name) - shift) for name in ("lower", "upper")}
+    return region.model_copy(update=ends)
 
 
 def _region_in_metres(

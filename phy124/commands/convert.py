@@ -15,6 +15,7 @@ from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.generators.ply_file import Reading
 from phy124.io.clip import Clip
+from phy124.io.content import Content
 from phy124.io.formats import (
     FORMATS,
     WRITTEN,
@@ -65,7 +66,8 @@ class Convert:
         if self.merge is not None:
             gaussians = fewer(gaussians, self.merge)
         write_gaussians(self.out, gaussians, chosen.name, antialiased=content.antialiased)
-        notes = [*_dropped(content.dropped), *lost(gaussians, chosen)]
+        notes = [*_dropped(content.dropped), *content.remarks(), *_far(content)]
+        notes += lost(gaussians, chosen)
         return _show([self.out], len(gaussians), chosen, notes, as_json=self.json)
 
 
@@ -137,6 +139,17 @@ def lost(gaussians: Gaussians, chosen: Format) -> list[str]:
 
 def _dropped(count: int) -> list[str]:
     return [f"{count} Gaussians had NaN or infinite values and were dropped."] if count else []
+
+
+def _far(content: Content) -> list[str]:
+    """A sentence for Gaussians that are not where their file has them."""
+    if not any(content.origin):
+        return []
+    place = ", ".join(f"{x:.10g}" for x in content.origin)
+    return [
+        f"It lies so far from the origin that float32 cannot hold its places: {place} was "
+        "subtracted from them."
+    ]
 
 
 def _show(files: list[Path], count: int, chosen: Format, notes: list[str], *, as_json: bool) -> int:

@@ -182,7 +182,10 @@ class Simulate:
         with bars, place:  # a folder that cannot be used is refused before any work
             with watch.stage("read"):
                 read = self._read(file, scene, bars)
-            about = {"generator": str(self.file), "cleaning": read.cleaning, **read.about}
+            about = {
+                "generator": str(self.file), "cleaning": read.cleaning, "notes": [*read.notes],
+                **read.about,
+            }  # fmt: skip
             result = pipeline.simulate(
                 read.gaussians, read.scene, out, device=device, threads=self.options.threads,
                 progress=bars, watch=watch, about=about, goal=goal,

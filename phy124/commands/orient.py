@@ -49,7 +49,9 @@ class Orient:
         if self.up is not None and self.up not in FRONTS:
             raise InputError("up", self.up, "It is no axis.", f"Choose one of {', '.join(FRONTS)}.")
         renderer = Renderer(device=pick_device(self.device))
-        gaussians = samples(str(self.file))
+        gaussians, notes = samples(str(self.file))
+        for note in notes:
+            print(f"note: {note}")
         tiles = [_tile(renderer, gaussians, reading) for reading in candidates(self.up)]
         if self.out is None:
             out.parent.mkdir(exist_ok=True)

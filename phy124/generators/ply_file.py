@@ -91,6 +91,10 @@ class Opened(NamedTuple):
     """A sentence for each reason why some were dropped."""
     axes: tuple[str, str | None] = Y_DOWN
     """Directions of the file that point up and to the front, as the file or its format has them."""
+    notes: tuple[str, ...] = ()
+    """Sentences about what of the file is read in another way than usual, or passed over."""
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Place in the file, in its axes, that is the Gaussians' origin."""
 
 
 @dataclass(frozen=True)
@@ -116,19 +120,13 @@ class PlyFile:
             InputError: As `read_gaussians`, or if all are nearly transparent or at one point.
         """
         del image_rgba, seed
-        return self.read(progress)[0]
-
-    def read(self, progress: Progress = silent) -> tuple[Gaussians, list[str]]:
-        """The file's Gaussians as `__call__` returns them, and why some were dropped.
-
-        Raises:
-            InputError: As `__call__`.
-        """
         if self.reading.floor:
             limit = "A floor is part of a scene, and there is none here."
             raise InputError("floor", "wanted", limit, "Call phy124.capture.capture instead.")
         opened = self.open(progress)
-        return normalised(opened.gaussians, self.path), opened.cleaning
+        for note in opened.notes:
+            warnings.warn(f"{self.path}: {note}", stacklevel=2)
+        return normalised(opened.gaussians, self.path)
 
     def open(self, progress: Progress = silent) -> Opened:
         """The file's visible Gaussians, rotated upright and cropped.
@@ -149,9 +147,10 @@ class PlyFile:
         rotation = rotation_of(content, told.up, told.front, told.dialect, told.rotate)
         inside = np.ones(len(found), bool)
         if box is not None:
+            box = box - content.origin
             inside = ((found.means >= box[0]) & (found.means <= box[1])).all(axis=1)
             if not inside.any():
-                raise self._empty(found)
+                raise self._empty(content)
         faint = inside & (found.opacities < MIN_OPACITY)
         gaussians = found.select(inside & ~faint)
         if not len(gaussians):
@@ -173,6 +172,8 @@ class PlyFile:
                 if count
             ],
             content.axes,
+            tuple(content.remarks(gaussians)),
+            content.origin,
         )
 
     def _hint(self, content: Content) -> None:
@@ -202,8 +203,10 @@ class PlyFile:
             )  # fmt: skip
         return values.reshape(2, 3)
 
-    def _empty(self, found: Gaussians) -> InputError:
-        low, high = (",".join(f"{v:.3g}" for v in corner) for corner in robust_bounds(found))
+    def _empty(self, content: Content) -> InputError:
+        ends = np.array(robust_bounds(content.gaussians)) + content.origin
+        digits = 10 if any(content.origin) else 3
+        low, high = (",".join(f"{v:.{digits}g}" for v in corner) for corner in ends)
         return InputError(
             "crop", self.reading.crop, "No Gaussian is in this box.",
             f"The file's Gaussians reach from {low} to {high}.",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -10,6 +12,7 @@ from numpy.typing import NDArray
 
 from phy124.errors import InputError
 from phy124.gaussians import SH_COEFFICIENTS, Gaussians
+from phy124.io.precision import centred, in_place, step_of, too_coarse
 
 MAX_GAUSSIANS = 10_000_000
 """Files with more Gaussians are refused before they are read."""
@@ -17,8 +20,11 @@ DENSEST = 100
 """Bytes that one byte of a compressed file may stand for: real objects reach 10, bombs 1000."""
 SMALL = 1 << 22
 """Bytes that any file may stand for, so that a small object of one colour is no bomb."""
+OBJECT = "object_id"
+"""Column that says which object of its scene a Gaussian belongs to."""
 LARGEST_SH = SH_COEFFICIENTS[-1]
 """Harmonics that are kept per colour; those of degree 4 are left out."""
+DEGREE_4 = "Harmonics of degree 4 are left out."
 MOST_ID = 1e6
 """Larger numbers of objects, which float32 hardly tells apart, are read as this one."""
 Y_DOWN = ("-y", "-z")
@@ -39,6 +45,31 @@ class Content(NamedTuple):
     """Directions of the file that point up and to the front; None: the usual one for that up."""
     antialiased: bool = False
     """Whether the file asks for Mip-Splatting's filter: its Gaussians were trained with it."""
+    notes: tuple[str, ...] = ()
+    """Sentences about what of the file is read in another way than usual, or passed over."""
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Place of the Gaussians' origin, in the same axes. It is not 0 where the file's places are so
+    far away that float32 could not tell them apart."""
+    step: float = 0.0
+    """Distance of neighbouring places that the file can tell apart; 0: too small to matter."""
+
+    @property
+    def in_place(self) -> Content:
+        """The same with the Gaussians where the file has them, unless that would blur them."""
+        means = in_place(self.gaussians.means, np.array(self.origin)) if any(self.origin) else None
+        if means is None:
+            return self
+        moved = replace(self.gaussians, means=means)
+        return self._replace(gaussians=moved, origin=(0.0, 0.0, 0.0))
+
+    def remarks(self, chosen: Gaussians | None = None) -> list[str]:
+        """The notes, and that the file is too coarse, if it is.
+
+        Args:
+            chosen: Those of the Gaussians that are used; None: all.
+        """
+        blurred = too_coarse((chosen or self.gaussians).means, self.step)
+        return [*self.notes, *([blurred] if blurred else [])]
 
 
 def refusal(kind: str, path: Path, limit: str, remedy: str = AGAIN) -> InputError:
@@ -115,21 +146,61 @@ def content_of(
     axes: tuple[str, str | None] = Y_DOWN,
     *,
     antialiased: bool = False,
+    notes: Iterable[str] = (),
+    step: float | None = None,
 ) -> Content:
     """The content of a file whose columns are activated.
 
     Args:
         kind: Name of the format.
         path: The file.
-        raw: Columns by the names of `Gaussians`.
+        raw: Columns by the names of `Gaussians`; `means` as exactly as the file has them, and
+            `object_id` may be NaN or negative.
         axes: Directions of the file that point up and to the front.
         antialiased: Whether the file asks for Mip-Splatting's filter.
+        notes: What is said of the file.
+        step: Distance of neighbouring places; None: that of float32, if it has such numbers.
 
     Raises:
         InputError: If no Gaussian has finite values.
     """
-    gaussians, dropped = finite(raw)
+    step = step_of(raw["means"]) if step is None else step
+    means, origin = centred(raw["means"])
+    ids, said = assigned(raw.get(OBJECT), means)
+    with np.errstate(over="ignore", invalid="ignore"):  # What is too large becomes infinite.
+        names = raw.keys() - {"means", OBJECT}
+        others = {name: raw[name].astype(np.float32) for name in names}
+    gaussians, dropped = finite({"means": means, **others, **ids})
     if not len(gaussians):
         limit = "none of its Gaussians has finite values."
         raise refusal(kind, path, limit, "Export it once more.")
-    return Content(gaussians, dropped, axes, antialiased)
+    x, y, z = origin.tolist()
+    return Content(gaussians, dropped, axes, antialiased, (*notes, *said), (x, y, z), step)
+
+
+def assigned(
+    ids: NDArray | None, means: NDArray[np.float32]
+) -> tuple[dict[str, NDArray[np.int32]], list[str]]:
+    """Which object each Gaussian belongs to, as a column, and what is said about it.
+
+    Those that name no object belong to that of the nearest Gaussian which does.
+
+    Args:
+        ids: Numbers of objects [N] as a file has them; NaN and negative ones are none.
+        means: Centres [N,3].
+    """
+    if ids is None:
+        return {}, []
+    some = np.isfinite(ids) & (ids >= 0)
+    found = np.where(some, ids, 0).clip(0, MOST_ID).astype(np.int32)
+    lost = ~some & np.isfinite(means).all(axis=1)
+    if not lost.any():
+        return {OBJECT: found}, []
+    known = some & np.isfinite(means).all(axis=1)
+    count = f"{np.count_nonzero(lost):,} Gaussians name no object ({OBJECT} is NaN or negative)"
+    if not known.any():
+        return {}, [f"{count}: all are read as one object."]
+    from scipy.spatial import KDTree
+
+    found[lost] = found[known][KDTree(means[known]).query(means[lost])[1]]
+    return {OBJECT: found}, [f"{count}; each is counted to that of its nearest neighbour."]

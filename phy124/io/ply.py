@@ -1,4 +1,4 @@
-"""Reads and writes 3DGS PLY files: the only place that knows log scales and logit opacities.
+"""Reads and writes 3DGS PLY files, whose scales are logarithms and whose opacities are logits.
 
 The layout is that of Kerbl et al. 2023, "3D Gaussian Splatting": one element `vertex` whose
 properties are found by name; colours are spherical harmonics, with all red `f_rest` first, then
@@ -19,9 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.errors import InputError
-from phy124.gaussians import SH_COEFFICIENTS, Gaussians
+from phy124.gaussians import Gaussians
 from phy124.io.axes import orientation, turned
-from phy124.io.content import MAX_GAUSSIANS, MOST_ID, Y_DOWN, Content, content_of
+from phy124.io.columns import check_names, columns
+from phy124.io.content import MAX_GAUSSIANS, OBJECT, Y_DOWN, Content, content_of
 from phy124.io.files import replacing
 from phy124.io.plyheader import Header, read_header, refusal
 
@@ -35,16 +36,14 @@ VERTICAL = re.compile(r"vertical axis:\s*(-?[xyz])\s*", re.IGNORECASE)
 MIP = ("SplatRenderMode: mip", "antialiased 1")
 """How Brush and Postshot say that a file was trained with Mip-Splatting's filter."""
 NOT_MIP = ("SplatRenderMode: default", "antialiased 0")
-OBJECT = "object_id"
-"""Property that says which object of its scene a Gaussian belongs to."""
-SPLATS = ("scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3", "opacity")
 
 
 class Ply(NamedTuple):
-    """What a file contained."""
+    """What a file contained; `read_gaussians` also tells what was passed over."""
 
     gaussians: Gaussians
-    """The Gaussians in our world, in metres if that is the file's unit."""
+    """The Gaussians in our world, in metres if that is the file's unit; moved to the origin if they
+    lie so far from it in double precision that float32 could not tell them apart."""
     dropped: int
     """Number of rows left out because a value was NaN or infinite."""
 
@@ -56,7 +55,7 @@ def read_ply(
     front: str | None = None,
     dialect: str | None = None,
 ) -> Ply:
-    """Read a 3DGS PLY: ascii or binary, any property order, any float type, SH degree 0 to 3.
+    """Read a 3DGS PLY: ascii or binary, any property order, any float type, SH degree 0 to 4.
 
     Args:
         path: The file.
@@ -69,7 +68,7 @@ def read_ply(
         InputError: If the file is missing, cut short, not a PLY, or contains no Gaussians.
     """
     rotation = None if up is None and dialect is None else orientation(up, front, dialect)
-    content = read(Path(path))
+    content = read(Path(path)).in_place
     if rotation is None:
         rotation = orientation(content.axes[0], front or content.axes[1])
     return Ply(turned(content.gaussians, rotation), content.dropped)
@@ -81,10 +80,11 @@ def read(path: Path) -> Content:
     Raises:
         InputError: If the file is missing, cut short, not a PLY, or contains no Gaussians.
     """
-    header, table = _read_table(path)
-    raw = _activated(_columns(path, header, table))
+    header = read_header(path)
+    check_names(path, header)
+    raw, notes = columns(path, _rows(path, header))
     axes, antialiased = said(header.comments)
-    return content_of("PLY", path, raw, axes, antialiased=antialiased)
+    return content_of("PLY", path, raw, axes, antialiased=antialiased, notes=notes)
 
 
 def said(comments: tuple[str, ...]) -> tuple[tuple[str, str | None], bool]:
@@ -127,13 +127,6 @@ def read_rows(path: Path) -> NDArray[Any]:
     return _rows(path, header)
 
 
-def _read_table(path: Path) -> tuple[Header, NDArray[Any]]:
-    """The rows of Gaussians."""
-    header = read_header(path)
-    _check_names(path, header)
-    return header, _rows(path, header)
-
-
 def _rows(path: Path, header: Header) -> NDArray[Any]:
     if header.count > MAX_GAUSSIANS:
         limit = f"it announces {header.count:,} Gaussians; the limit is {MAX_GAUSSIANS:,}."
@@ -170,65 +163,6 @@ def _read_ascii(path: Path, header: Header) -> NDArray[Any]:
 def _cut_short(path: Path, found: int, wanted: int) -> InputError:
     limit = f"it is cut short: {found:,} of {wanted:,} Gaussians are there."
     return refusal(path, limit, "Copy or download it again.")
-
-
-def _check_names(path: Path, header: Header) -> None:
-    names = set(header.row.names or ())
-    if "packed_position" in names:
-        limit = "it is compressed by SuperSplat, not a plain PLY."
-        raise refusal(path, limit, f"Run `phy124 convert {path.name} plain.ply`.")
-    if not header.count:
-        raise refusal(path, "it holds no Gaussians.", "Export it again with Gaussians.")
-    missing = [name for name in ("x", "y", "z", *SPLATS, "f_dc_0", "f_dc_1", "f_dc_2")
-               if name not in names]  # fmt: skip
-    if not names & set(SPLATS):
-        limit = "it is a plain point cloud or mesh: it has no scales, rotations and opacities."
-        remedy = "Give a Gaussian splatting PLY, as LGM, TRELLIS or a 3DGS training write it."
-        raise refusal(path, limit, remedy)
-    if missing:
-        limit = f"the properties {', '.join(missing)} are missing."
-        raise refusal(path, limit, "Export it in the standard 3DGS layout.")
-
-
-def _columns(path: Path, header: Header, table: NDArray[Any]) -> dict[str, NDArray[np.float32]]:
-    """Raw values by group, float32, still logarithms and logits; `sh` is [N,K,3]."""
-    names = header.row.names or ()
-    rest = sum(name.startswith("f_rest_") for name in names)
-    if rest not in [3 * (k - 1) for k in SH_COEFFICIENTS] or any(
-        f"f_rest_{i}" not in names for i in range(rest)
-    ):
-        limit = f"it has {rest} f_rest values; harmonics of degree 0 to 3 have 0, 9, 24 or 45."
-        raise refusal(path, limit, "Export it in the standard 3DGS layout.")
-
-    def group(*wanted: str) -> NDArray[np.float32]:
-        out = np.empty((len(table), len(wanted)), np.float32)
-        # A double too large for float32 becomes infinite and its row is dropped.
-        with np.errstate(over="ignore", invalid="ignore"):
-            for i, name in enumerate(wanted):
-                out[:, i] = table[name]
-        return out
-
-    sh = np.empty((len(table), 1 + rest // 3, 3), np.float32)
-    sh[:, 0] = group("f_dc_0", "f_dc_1", "f_dc_2")
-    if rest:
-        channels = group(*(f"f_rest_{i}" for i in range(rest))).reshape(-1, 3, rest // 3)
-        sh[:, 1:] = channels.transpose(0, 2, 1)
-    found = {"object_id": group(OBJECT)[:, 0].clip(0, MOST_ID)} if OBJECT in names else {}
-    return found | {
-        "means": group("x", "y", "z"),
-        "quats": group("rot_0", "rot_1", "rot_2", "rot_3"),
-        "scales": group("scale_0", "scale_1", "scale_2"),
-        "opacities": group("opacity")[:, 0],
-        "sh": sh,
-    }
-
-
-def _activated(raw: dict[str, NDArray[np.float32]]) -> dict[str, NDArray[np.float32]]:
-    """Columns with scales in metres and opacities 0..1."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        scales = np.exp(raw["scales"], dtype=np.float32)
-        opacities = 1 / (1 + np.exp(-raw["opacities"].astype(np.float64)))
-    return {**raw, "scales": scales, "opacities": opacities.astype(np.float32)}
 
 
 def raw_table(gaussians: Gaussians) -> NDArray[Any]:

@@ -117,6 +117,7 @@ def static(
         "cutout": cutout and cutout.data(),
         "generator": name,
         "cleaning": [],
+        "notes": [],
     }
     with watch.stage("generate"):
         effort = effort_of(make)
@@ -127,7 +128,7 @@ def static(
         if isinstance(make, PlyFile):
             read = capture(make, scene, count=count, progress=progress)
             gaussians, scene = read.gaussians, read.scene
-            about |= {"cleaning": read.cleaning, **read.about}
+            about |= {"cleaning": read.cleaning, "notes": [*read.notes], **read.about}
         else:
             gaussians = make(picture, seed=scene.seed, progress=progress)
             gaussians = thinned(gaussians, count, seed=scene.seed)

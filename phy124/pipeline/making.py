@@ -128,11 +128,19 @@ class Making:
         cleaning = [*about.get("cleaning", []), *clip.report["cleaning"]]
         report = {**about, **clip.report, "cleaning": cleaning}
         report |= framed(clip, view) if self.films else {}
+        report["notes"] = [*_of_files(about), *report["notes"]]
         report["promise"] = asdict(promise(Scene.from_data(clip.scene), report))
         report |= circumstances(self.device, self.watch)
         if interrupted:
             report["stopped"] = report["stopped"] or INTERRUPTED
         return {**report, "interrupted": interrupted}
+
+
+def _of_files(about: dict[str, Any]) -> list[str]:
+    """What is noted about the files that the objects were read from."""
+    further = about.get("sources", {}).items()
+    more = (f"{name}: {note}" for name, source in further for note in source.get("notes", ()))
+    return [*about.get("notes", ()), *more]
 
 
 def framed(clip: Clip, view: View) -> dict[str, Any]:

@@ -28,13 +28,14 @@ def candidates(up: str | None) -> list[Reading]:
     return [Reading(up=up, front=axis) for axis in TURNS if axis[-1] != up[-1]]
 
 
-def samples(path: str) -> Gaussians:
-    """Enough of a file's Gaussians for pictures, in the axes of the file.
+def samples(path: str) -> tuple[Gaussians, tuple[str, ...]]:
+    """Enough of a file's Gaussians for pictures, in the axes of the file, and notes on the file.
 
     Raises:
         InputError: As `PlyFile.open`.
     """
-    return thinned(PlyFile(path, UNTURNED).open().gaussians, ENOUGH, seed=0)
+    opened = PlyFile(path, UNTURNED).open()
+    return thinned(opened.gaussians, ENOUGH, seed=0), opened.notes
 
 
 def drawn(

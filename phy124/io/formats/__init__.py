@@ -177,9 +177,11 @@ def read_gaussians(
             contradict each other.
     """
     orientation(up, front if up else None, dialect, rotate)  # refuses before the file is read
-    content = read_as_is(path)
+    content = read_as_is(path).in_place
     rotation = rotation_of(content, up, front, dialect, rotate)
-    return content._replace(gaussians=turned(content.gaussians, rotation), axes=("z", "x"))
+    x, y, z = (rotation @ content.origin).tolist()
+    found = turned(content.gaussians, rotation)
+    return content._replace(gaussians=found, axes=("z", "x"), origin=(x, y, z))
 
 
 def read_as_is(path: str | os.PathLike[str]) -> Content:

@@ -22,8 +22,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phy124.gaussians import SH_C0, SH_COEFFICIENTS
-from phy124.io.content import Content, check_count, content_of, refusal
+from phy124.gaussians import SH_C0
+from phy124.io.columns import COEFFICIENTS, passed_over
+from phy124.io.content import DEGREE_4, LARGEST_SH, Content, check_count, content_of, refusal
 from phy124.io.formats.smallest_three import completed
 from phy124.io.ply import said
 from phy124.io.plyheader import Element, Header, read_header
@@ -66,7 +67,10 @@ def read(path: Path) -> Content:
             "sh": _harmonics((colour[:, :3] - 0.5) / SH_C0, rows.get("sh")),
         }
     axes, antialiased = said(header.comments)
-    return content_of(KIND, path, raw, axes, antialiased=antialiased)
+    higher = len(rows["sh"].dtype.names or ()) if "sh" in rows else 0
+    notes = [DEGREE_4] if higher > 3 * (LARGEST_SH - 1) else []
+    notes += passed_over(name for name in vertex.dtype.names or () if name not in PACKED)
+    return content_of(KIND, path, raw, axes, antialiased=antialiased, notes=notes)
 
 
 def _elements(path: Path, header: Header) -> list[Element]:
@@ -95,7 +99,7 @@ def _check(path: Path, header: Header, rows: dict[str, NDArray[Any]]) -> None:
         )
     colours = names["chunk"] & {f"{end}_{c}" for c in "rgb" for end in ("min", "max")}
     rest = len(names.get("sh", ()))
-    harmonics = rest in [3 * (k - 1) for k in SH_COEFFICIENTS] and (
+    harmonics = rest in [3 * (k - 1) for k in COEFFICIENTS] and (
         not rest or names["sh"] == {f"f_rest_{i}" for i in range(rest)}
     )
     if (
@@ -119,11 +123,11 @@ def _split(packed: NDArray, bits: tuple[int, ...]) -> NDArray[np.float32]:
 
 def _within(
     fractions: NDArray, chunk: NDArray[Any], which: NDArray, axes: str | tuple[str, ...]
-) -> NDArray[np.float32]:
-    """Values from fractions of the box of each Gaussian's chunk."""
-    out = np.empty_like(fractions)
+) -> NDArray[np.float64]:
+    """Values from fractions of the box of each Gaussian's chunk, in double precision."""
+    out = np.empty(fractions.shape)
     for i, axis in enumerate(axes):
-        low, high = (chunk[f"{end}_{axis}"].astype(np.float32)[which] for end in ("min", "max"))
+        low, high = (chunk[f"{end}_{axis}"].astype(np.float64)[which] for end in ("min", "max"))
         out[:, i] = low * (1 - fractions[:, i]) + high * fractions[:, i]
     return out
 
@@ -143,4 +147,5 @@ def _harmonics(first: NDArray, table: NDArray[Any] | None) -> NDArray[np.float32
     inside = (values.astype(np.float32) + 0.5) / 256
     inside[values == 0], inside[values == 255] = 0, 1
     rest = ((inside - 0.5) * 8).reshape(len(values), 3, count // 3).transpose(0, 2, 1)
-    return np.concatenate([first[:, None], rest], axis=1, dtype=np.float32)
+    kept = rest[:, : LARGEST_SH - 1]
+    return np.concatenate([first[:, None], kept], axis=1, dtype=np.float32)

@@ -14,8 +14,8 @@
     KHR_gaussian_splatting:SH_DEGREE_l_COEF_n VEC3 float    coefficients of 3DGS, degree by degree
     _OBJECT_ID                               SCALAR float   ours: which object of several
 
-Files of early 2026, made before the text was ratified, have logarithmic scales; a negative scale
-tells them. Nodes may move, turn and evenly scale their Gaussians.
+Files of early 2026, made before the text was ratified, have logarithmic scales
+(phy124/io/formats/glb_scales.py). Nodes may move, turn and evenly scale their Gaussians.
 """
 
 from __future__ import annotations
@@ -24,8 +24,9 @@ import json
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,9 +34,10 @@ from numpy.typing import NDArray
 from phy124.errors import InputError
 from phy124.gaussians import SH_C0, Gaussians, rotation_matrices
 from phy124.io.axes import turned
+from phy124.io.columns import passed_over
 from phy124.io.content import (
+    DEGREE_4,
     LARGEST_SH,
-    MOST_ID,
     Y_UP,
     Content,
     check_count,
@@ -43,6 +45,8 @@ from phy124.io.content import (
     refusal,
     whole_file,
 )
+from phy124.io.formats.glb_scales import kind_of_scales
+from phy124.io.precision import step_of
 
 KIND = "GLB"
 MAGIC = b"glTF"
@@ -63,6 +67,14 @@ LEAVES_THE_FRONT = ("splat-transform", "SuperSplat")
 """Programs that turn a PLY upright by half a turn about z."""
 
 
+READ = {
+    "POSITION", "COLOR_0", OBJECT,
+    *(f"{EXTENSION}:{name}" for name in ("ROTATION", "SCALE", "OPACITY")),
+    *(f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{n}" for degree in range(4) for n in range(7)),
+}  # fmt: skip
+"""Attributes that are read, and the colours for readers without the extension."""
+
+
 @dataclass(frozen=True)
 class Scene:
     """The two chunks of a file."""
@@ -70,6 +82,17 @@ class Scene:
     path: Path
     tree: dict[str, Any]
     body: memoryview
+
+
+class Primitive(NamedTuple):
+    """Gaussians of the scene."""
+
+    attributes: dict[str, int]
+    """Name -> accessor."""
+    told: dict[str, Any]
+    """What the extension says of them."""
+    matrix: NDArray[np.float64]
+    """Where their node places them [4,4]."""
 
 
 def read(path: Path) -> Content:
@@ -81,7 +104,10 @@ def read(path: Path) -> Content:
     """
     scene = _chunks(path, whole_file(KIND, path))
     try:
-        parts = list(_parts(scene))
+        primitives = _primitives(scene)
+        logs, notes = _kind_of_scales(scene, primitives)
+        parts = [_moved(scene, _columns(scene, one, logs), one.matrix) for one in primitives]
+        step = max(part.pop("step") for part in parts)
         known = [name for name in parts[0] if all(name in part for part in parts)]
         raw = {name: np.concatenate([part[name] for part in _alike(parts)]) for name in known}
         axes = _axes(scene)
@@ -90,7 +116,8 @@ def read(path: Path) -> Content:
     except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError) as error:
         limit = f"its description is malformed ({type(error).__name__}: {str(error)[:80]})."
         raise refusal(KIND, path, limit, "Export it again.") from error
-    return content_of(KIND, path, raw, axes)
+    notes += _passed_over(primitives)
+    return content_of(KIND, path, raw, axes, notes=notes, step=step)
 
 
 def encode(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
@@ -200,9 +227,9 @@ def _axes(scene: Scene) -> tuple[str, str]:
     return ("y", "-z") if generator.startswith(LEAVES_THE_FRONT) else Y_UP
 
 
-def _parts(scene: Scene) -> Iterator[dict[str, NDArray]]:
-    """Columns of each primitive of Gaussians, as its node places it."""
-    tree, total = scene.tree, 0
+def _primitives(scene: Scene) -> list[Primitive]:
+    """All Gaussians of the scene."""
+    tree, total, found = scene.tree, 0, []
     for mesh, matrix in list(_placed(scene)):  # a circle is found before anything is read
         for primitive in tree["meshes"][mesh]["primitives"]:
             told = primitive.get("extensions", {}).get(EXTENSION)
@@ -211,10 +238,30 @@ def _parts(scene: Scene) -> Iterator[dict[str, NDArray]]:
                 total += int(tree["accessors"][primitive["attributes"]["POSITION"]]["count"])
                 # Several nodes may show one mesh, so a small file can describe a large scene.
                 check_count(KIND, scene.path, total, 60, len(scene.body))
-                yield _moved(scene, _columns(scene, primitive["attributes"], told), matrix)
+                found.append(Primitive(primitive["attributes"], told, matrix))
     if not total:
         limit = f"it holds no Gaussians: no mesh has {EXTENSION}."
         raise refusal(KIND, scene.path, limit, "Give a GLB of Gaussians, not of a mesh.")
+    return found
+
+
+def _kind_of_scales(scene: Scene, primitives: list[Primitive]) -> tuple[bool, list[str]]:
+    """Whether the scales of a file are logarithms, and what is said about it."""
+    generator = str(scene.tree.get("asset", {}).get("generator", ""))
+    pairs = [
+        (_values(scene, one, f"{EXTENSION}:SCALE", 3), _values(scene, one, "POSITION", 3))
+        for one in primitives
+    ]
+    return kind_of_scales(generator, pairs)
+
+
+def _passed_over(primitives: list[Primitive]) -> list[str]:
+    """Sentences about attributes that are not read."""
+    names = dict.fromkeys(name for one in primitives for name in one.attributes)
+    fourth = f"{EXTENSION}:SH_DEGREE_4"
+    others = [name for name in names if name not in READ and not name.startswith(fourth)]
+    degree = [DEGREE_4] if any(name.startswith(fourth) for name in names) else []
+    return [*degree, *passed_over(others)]
 
 
 def _placed(scene: Scene) -> Iterator[tuple[int, NDArray[np.float64]]]:
@@ -259,29 +306,29 @@ def _check_kind(scene: Scene, told: dict[str, Any]) -> None:
         raise refusal(KIND, scene.path, limit, "Export it again.")
 
 
-def _columns(
-    scene: Scene, attributes: dict[str, int], told: dict[str, Any]
-) -> dict[str, NDArray[np.float32]]:
+def _values(scene: Scene, primitive: Primitive, name: str, width: int) -> NDArray[np.float32]:
+    """The values of an attribute [N,width]."""
+    if name not in primitive.attributes:
+        raise refusal(KIND, scene.path, f"its Gaussians have no {name}.", "Export it again.")
+    return _accessed(scene, primitive.attributes[name], width)
+
+
+def _columns(scene: Scene, primitive: Primitive, logs: bool) -> dict[str, NDArray[np.float32]]:
     """Columns of one primitive by the names of `Gaussians`."""
-
-    def values(name: str, width: int) -> NDArray[np.float32]:
-        if name not in attributes:
-            raise refusal(KIND, scene.path, f"its Gaussians have no {name}.", "Export it again.")
-        return _accessed(scene, attributes[name], width)
-
+    values = partial(_values, scene, primitive)
     scales = values(f"{EXTENSION}:SCALE", 3)
     with np.errstate(over="ignore"):
-        scales = np.exp(scales) if (scales < 0).any() else scales
-    names = [name for name in _names(LARGEST_SH) if name in attributes]
+        scales = np.exp(scales) if logs else scales
+    names = [name for name in _names(LARGEST_SH) if name in primitive.attributes]
     whole = max(k for k in (1, 4, 9, 16) if names[:k] == _names(k) or k == 1)
     sh = np.stack([values(name, 3) for name in _names(whole)], axis=1)
-    found = {"object_id": values(OBJECT, 1)[:, 0].clip(0, MOST_ID)} if OBJECT in attributes else {}
+    found = {"object_id": values(OBJECT, 1)[:, 0]} if OBJECT in primitive.attributes else {}
     return found | {
         "means": values("POSITION", 3),
         "quats": np.roll(values(f"{EXTENSION}:ROTATION", 4), 1, axis=1),
         "scales": scales,
         "opacities": values(f"{EXTENSION}:OPACITY", 1)[:, 0],
-        "sh": _displayed(sh) if told.get("colorSpace") == LINEAR else sh,
+        "sh": _displayed(sh) if primitive.told.get("colorSpace") == LINEAR else sh,
     }
 
 
@@ -322,18 +369,22 @@ def _displayed(sh: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _moved(scene: Scene, raw: dict[str, Any], matrix: NDArray[np.float64]) -> dict[str, Any]:
-    """Columns as their node places them."""
+    """Columns as their node places them, and the `step` between neighbouring places."""
+    step = step_of(raw["means"])
     if np.array_equal(matrix, np.eye(4)):
-        return raw
+        return {**raw, "step": step}
     sizes = np.linalg.norm(matrix[:3, :3], axis=0)
     size = float(sizes.mean())
     turn = matrix[:3, :3] / size
     if not np.allclose(turn @ turn.T, np.eye(3), atol=EVEN) or np.linalg.det(turn) < 0:
         limit = "a node scales its Gaussians unevenly, skews or mirrors them, which is not read."
         raise refusal(KIND, scene.path, limit, "Apply the node's transform and export it again.")
+    means = raw["means"].astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+    shapes = {name: value for name, value in raw.items() if name != "object_id"}
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        gaussians = turned(Gaussians(**raw), turn).moved(size, matrix[:3, 3])
-    return {name: getattr(gaussians, name) for name in raw}
+        gaussians = turned(Gaussians(**shapes), turn).moved(size, np.zeros(3))
+    found = {name: getattr(gaussians, name) for name in shapes}
+    return {**raw, **found, "means": means, "step": step * size}
 
 
 def _alike(parts: list[dict[str, NDArray]]) -> list[dict[str, NDArray]]:

@@ -33,7 +33,7 @@ from PIL import Image
 
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
-from phy124.io.content import Content, check_count, content_of, refusal
+from phy124.io.content import DEGREE_4, LARGEST_SH, Content, check_count, content_of, refusal
 from phy124.io.formats.codebook import codebook, nearest, palette
 from phy124.io.formats.smallest_three import completed, reduced
 
@@ -46,7 +46,7 @@ WIDEST = 16383
 ENTRIES_PER_ROW = 64
 MOST_ENTRIES = 1 << 16
 """Entries of the palette of harmonics."""
-COEFFICIENTS = (0, 3, 8, 15)
+COEFFICIENTS = (0, 3, 8, 15, 24)
 """Harmonics above degree 0, by degree."""
 TAG = 252
 OBJECT = "object_id"
@@ -102,7 +102,9 @@ def _read(path: Path, archive: zipfile.ZipFile) -> Content:
             "sh": np.concatenate([first, rest], axis=1),
             **_objects(meta, pixels),
         }
-    return content_of(KIND, path, raw, antialiased=bool(meta.get("antialias", False)))
+    notes = [DEGREE_4] if meta.get("shN") and int(meta["shN"]["bands"]) > 3 else []
+    antialiased = bool(meta.get("antialias", False))
+    return content_of(KIND, path, raw, antialiased=antialiased, notes=notes)
 
 
 def encode(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
@@ -185,14 +187,14 @@ def _codes(entry: dict[str, Any]) -> NDArray[np.float32]:
     return codes.astype(np.float32)
 
 
-def _centres(entry: dict[str, Any], pixels: Any) -> NDArray[np.float32]:
+def _centres(entry: dict[str, Any], pixels: Any) -> NDArray[np.float64]:
     low, high = pixels(entry, 0)[:, :3], pixels(entry, 1)[:, :3]
     fraction = (low + high.astype(np.uint16) * 256) / np.float64(65535)
     ends = np.array([entry["mins"], entry["maxs"]], np.float64)
     if ends.shape != (2, 3):
         raise ValueError("the ends of the centres are not three numbers each")
     value = ends[0] + (ends[1] - ends[0]) * fraction
-    return (np.sign(value) * np.expm1(np.abs(value))).astype(np.float32)
+    return np.sign(value) * np.expm1(np.abs(value))
 
 
 def _rotations(pixels: NDArray[np.uint8]) -> NDArray[np.float32]:
@@ -219,7 +221,7 @@ def _harmonics(
     label = labels[:, 0] + labels[:, 1].astype(np.int64) * 256
     if label.max() >= min(count, len(entries)):
         raise ValueError("a label is outside its palette")
-    return _codes(entry)[entries][label]
+    return _codes(entry)[entries[:, : LARGEST_SH - 1]][label]
 
 
 def _objects(meta: dict[str, Any], pixels: Any) -> dict[str, NDArray[np.int32]]:

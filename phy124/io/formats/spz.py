@@ -1,7 +1,8 @@
 """SPZ (Niantic), versions 2 to 4: Gaussians in 20 to 64 bytes, then gzip (2, 3) or Zstandard (4).
 
     header, 16 bytes        magic "NGSP", version, count (uint32 each), degree of the harmonics,
-                            bits after the point of the centres, flags (1: antialiased), reserved
+                            bits after the point of the centres, flags (1: antialiased,
+                            2: there are extensions), reserved
     version 4, 16 more      "reserved" is the number of streams; offset of their table (uint32), 0
     table (version 4)       sizes of each stream (uint64): compressed, raw
 
@@ -15,8 +16,9 @@
                            other a sign and 9 bits, / 511 sqrt 2
     harmonics   9, 24, 45  of degree 1 to 3: coefficient by coefficient, (value - 128) / 128
 
-Version 4 holds each section as a stream of its own, the others all together. x right, y up, z to
-the viewer. Scales come in steps of 6.5 %, harmonics of degree 1 are written in 5 bits and higher
+Version 4 holds each section as a stream of its own, the others all together. Extensions come after
+the sections, in version 4 before the table. x right, y up, z to the viewer, unless one says
+otherwise. Scales come in steps of 6.5 %, harmonics of degree 1 are written in 5 bits and higher
 ones in 4, as Niantic does.
 """
 
@@ -33,9 +35,10 @@ import zstandard
 from numpy.typing import NDArray
 
 from phy124.gaussians import Gaussians
+from phy124.harmonics import mirror_signs
 from phy124.io.content import (
+    DEGREE_4,
     LARGEST_SH,
-    Y_UP,
     Content,
     check_count,
     content_of,
@@ -43,6 +46,7 @@ from phy124.io.content import (
     whole_file,
 )
 from phy124.io.formats.smallest_three import completed, reduced
+from phy124.io.formats.spz_extensions import read_extensions
 
 KIND = "SPZ"
 MAGIC = b"NGSP"
@@ -50,7 +54,9 @@ GZIP = b"\x1f\x8b"
 HEADER = struct.Struct("<4sIIBBBB")
 MORE = struct.Struct("<I12x")
 ENTRY = struct.Struct("<QQ")
-ANTIALIASED = 1
+ANTIALIASED, EXTENDED = 1, 2
+MOST_RECORDS = 1 << 20
+"""Bytes of extensions that are read."""
 COLOUR = 0.15
 MOST_BITS = 16
 """Bits after the point that are written; fewer if the object is larger than 128 of its units."""
@@ -92,7 +98,7 @@ def read(path: Path) -> Content:
         InputError: If the file is missing, cut short, damaged or of another version.
     """
     data = whole_file(KIND, path)
-    head, body = _gunzipped(path, data) if data[:2] == GZIP else _streams(path, data)
+    head, body, records = _gunzipped(path, data) if data[:2] == GZIP else _streams(path, data)
     n, at = head.gaussians, np.cumsum([0, *head.sizes])
     sections = [body[a:b].reshape(n, -1) for a, b in pairwise(at)]
     centres, opacity, colour, scale, rotation, *rest = sections
@@ -106,7 +112,12 @@ def read(path: Path) -> Content:
     if rest:
         higher = rest[0].reshape(n, -1, 3)[:, : LARGEST_SH - 1].astype(np.float32)
         raw["sh"] = np.concatenate([raw["sh"], (higher - 128) / 128], axis=1)
-    return content_of(KIND, path, raw, Y_UP, antialiased=bool(head.flags & ANTIALIASED))
+    extensions = read_extensions(records)
+    if extensions.left_handed:
+        _mirror(raw)
+    notes = [*extensions.notes, *([DEGREE_4] if head.degree > 3 else [])]
+    antialiased = bool(head.flags & ANTIALIASED)
+    return content_of(KIND, path, raw, extensions.axes, antialiased=antialiased, notes=notes)
 
 
 def encode(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
@@ -134,23 +145,34 @@ def begins(data: bytes) -> bool:
         return False
 
 
-def _gunzipped(path: Path, data: bytes) -> tuple[Head, NDArray[np.uint8]]:
-    """Header and sections of versions 2 and 3."""
+def _mirror(raw: dict[str, NDArray[np.float32]]) -> None:
+    """Mirror columns along x, from a left-handed system to a right-handed one."""
+    raw["means"] *= np.array([-1, 1, 1], np.float32)
+    raw["quats"] *= np.array(
+        [1, 1, -1, -1], np.float32
+    )  # the axis of a turn is mirrored the other way
+    raw["sh"] *= mirror_signs(raw["sh"].shape[1]).astype(np.float32)[:, None]
+
+
+def _gunzipped(path: Path, data: bytes) -> tuple[Head, NDArray[np.uint8], bytes]:
+    """Header, sections and extensions of versions 2 and 3."""
     packer = zlib.decompressobj(31)
     try:
         first = packer.decompress(data, HEADER.size)
         head = _head(path, first, len(data), versions=(2, 3))
         wanted = sum(head.sizes)
         body = packer.decompress(packer.unconsumed_tail, wanted)
+        rest = packer.unconsumed_tail
+        records = packer.decompress(rest, MOST_RECORDS) if head.flags & EXTENDED else b""
     except zlib.error as error:
         raise refusal(KIND, path, f"its compressed part is damaged ({error}).") from error
     if len(body) < wanted:
         raise _short(path)
-    return head, np.frombuffer(body, np.uint8)
+    return head, np.frombuffer(body, np.uint8), records
 
 
-def _streams(path: Path, data: bytes) -> tuple[Head, NDArray[np.uint8]]:
-    """Header and sections of version 4."""
+def _streams(path: Path, data: bytes) -> tuple[Head, NDArray[np.uint8], bytes]:
+    """Header, sections and extensions of version 4."""
     head = _head(path, data[: HEADER.size], len(data), versions=(4,))
     if len(data) < HEADER.size + MORE.size:
         raise _short(path)
@@ -168,7 +190,8 @@ def _streams(path: Path, data: bytes) -> tuple[Head, NDArray[np.uint8]]:
             raise _short(path)
         parts.append(_unpacked(path, data[start : start + size], wanted))
         start += size
-    return head, np.frombuffer(b"".join(parts), np.uint8)
+    records = data[HEADER.size + MORE.size : at][:MOST_RECORDS] if head.flags & EXTENDED else b""
+    return head, np.frombuffer(b"".join(parts), np.uint8), records
 
 
 def _unpacked(path: Path, stream: bytes, wanted: int) -> bytes:

@@ -1,0 +1,29 @@
+"""PLY files of any columns."""
+
+from pathlib import Path
+
+import numpy as np
+
+NAMES = {"f4": "float", "f8": "double", "u1": "uchar", "i4": "int", "u2": "ushort"}
+
+
+def ply_of(path: Path, columns: dict, *, kinds=None, ascii=False, comments=()) -> Path:
+    """A PLY of columns, each an array or one value for all rows.
+
+    Args:
+        columns: Name -> values.
+        kinds: Name -> type as in NumPy; default float32.
+    """
+    count = max(np.size(values) for values in columns.values())
+    types = [(name, "<" + (kinds or {}).get(name, "f4")) for name in columns]
+    rows = np.empty(count, types)
+    for name, values in columns.items():
+        rows[name] = values
+    head = ["ply", f"format {'ascii' if ascii else 'binary_little_endian'} 1.0"]
+    head += [f"comment {comment}" for comment in comments] + [f"element vertex {count}"]
+    head += [f"property {NAMES[kind[1:]]} {name}" for name, kind in types]
+    body = rows.tobytes()
+    if ascii:
+        body = "".join(" ".join(map(repr, row)) + "\n" for row in rows.tolist()).encode()
+    path.write_bytes("\n".join([*head, "end_header\n"]).encode() + body)
+    return path

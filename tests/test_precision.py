@@ -1,0 +1,154 @@
+"""Places far from the origin: double precision loses nothing, and coarse float32 is noted."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from phy124.capture import capture
+from phy124.errors import InputError
+from phy124.generators.ply_file import PlyFile, Reading
+from phy124.io.formats import read_as_is, read_gaussians, write_gaussians
+from phy124.io.ply import raw_table, read_ply
+from phy124.io.precision import COARSE, centred, in_place, too_coarse
+from phy124.scene import Scene
+from support.plys import ply_of
+from support.shapes import ball
+from test_formats_glb import edited
+
+EARTH = np.array([500_000, 0, 4.6e6])
+COUNT = 1500
+
+
+def far_ply(path, place, kind="f8", *, ascii=False, extra=()):
+    table = raw_table(ball(COUNT))
+    columns = {name: table[name].astype(float) for name in table.dtype.names}
+    for axis, offset in zip("xyz", place, strict=True):
+        columns[axis] = columns[axis] + offset
+    for row in extra:
+        columns = {name: np.append(values, values[0]) for name, values in columns.items()}
+        for axis, value in zip("xyz", row, strict=True):
+            columns[axis][-1] = value
+    return ply_of(path / "a.ply", columns, kinds=dict.fromkeys(columns, kind), ascii=ascii)
+
+
+def near() -> np.ndarray:
+    table = raw_table(ball(COUNT))
+    return np.stack([table[axis] for axis in "xyz"], axis=1)
+
+
+@pytest.mark.parametrize("ascii", [False, True])
+def test_a_ply_of_doubles_far_away_keeps_every_place(tmp_path, ascii):
+    found = read_as_is(far_ply(tmp_path, EARTH, ascii=ascii))
+    there = found.gaussians.means.astype(float) + found.origin
+    np.testing.assert_allclose(there - EARTH, near(), atol=2e-7)
+    assert found.remarks() == []
+    np.testing.assert_allclose(read_ply(tmp_path / "a.ply", up="z", front="x").gaussians.means,
+                               near() + EARTH - found.origin, atol=2e-7)  # fmt: skip
+
+
+@pytest.mark.parametrize("row", [(0, 0, 0), (1e300, 0, 0), (np.nan, 0, 0)])
+def test_one_outlier_does_not_hide_that_all_others_are_far(tmp_path, row):
+    found = read_as_is(far_ply(tmp_path, EARTH, extra=[row]))
+    there = found.gaussians.means[:COUNT].astype(float) + found.origin
+    np.testing.assert_allclose(there - EARTH, near(), atol=2e-7)
+
+
+def test_a_float32_file_far_away_is_called_coarse(tmp_path):
+    found = read_as_is(far_ply(tmp_path, EARTH, "f4"))
+    (note,) = found.remarks()
+    assert "steps of 0.5, about 2 across" in note
+    assert read_as_is(far_ply(tmp_path, EARTH / 1e4, "f4")).remarks() == []
+
+
+def test_doubles_that_hold_float32_values_are_as_coarse(tmp_path):
+    path = far_ply(tmp_path, EARTH, "f4")
+    rows = np.fromfile(path, "<f4", offset=path.read_bytes().index(b"end_header") + 11)
+    names = raw_table(ball(3)).dtype.names
+    columns = dict(zip(names, rows.reshape(-1, len(names)).T, strict=True))
+    double = ply_of(tmp_path / "b.ply", columns, kinds=dict.fromkeys(columns, "f8"))
+    assert "about 2 across" in read_as_is(double).remarks()[0]
+
+
+def test_a_float32_file_is_read_in_its_place_bit_for_bit(tmp_path):
+    path = far_ply(tmp_path, EARTH, "f4")
+    found = read_gaussians(path, up="z", front="x")
+    np.testing.assert_array_equal(
+        found.gaussians.means, (near().astype(float) + EARTH).astype("f4")
+    )
+    assert found.origin == (0, 0, 0)
+
+
+def test_near_files_stay_where_they_are(tmp_path):
+    for kind in ("f4", "f8"):
+        found = read_as_is(far_ply(tmp_path, (1, 2, -1), kind))
+        assert found.origin == (0, 0, 0)
+
+
+def test_a_crop_of_a_far_file_is_in_its_own_places(tmp_path):
+    path = str(far_ply(tmp_path, EARTH))
+    low, high = EARTH + [-1, -1, 0], EARTH + [1, 1, 1]
+    box = ",".join(map(str, [*low, *high]))
+    opened = PlyFile(path, Reading(crop=box)).open()
+    assert len(opened.gaussians) == np.count_nonzero(near()[:, 2] >= 0)
+    with pytest.raises(
+        InputError, match=r"reach from 499999\.\d+,-0\.\d+,4599999\.\d+ to 500000\.\d"
+    ):
+        PlyFile(path, Reading(crop="0,0,0,1,1,1")).open()
+
+
+def test_a_region_of_a_far_file_is_in_its_own_places(tmp_path):
+    region = {"lower": (EARTH - [0.6, 0.6, 0]).tolist(), "upper": (EARTH + 0.6).tolist(),
+              "units": "file"}  # fmt: skip
+    scene = Scene().replaced({"parts": [{"static": True, "region": region}]})
+    read = capture(PlyFile(str(far_ply(tmp_path, EARTH)), Reading(up="z", front="x")), scene)
+    means = read.gaussians.means * scene.object.size
+    means[:, 2] += scene.object.size / 2
+    inside = read.scene.parts[0].region.contains(means)
+    assert np.count_nonzero(inside) == pytest.approx(np.count_nonzero(near()[:, 2] >= 0), abs=3)
+
+
+@pytest.mark.parametrize("turn", [[0, 0, 0, 1], [0.5, 0.5, 0.5, 0.5]])
+def test_a_glb_whose_node_lies_far_away_keeps_every_place(tmp_path, turn):
+    whole = ball(COUNT)
+    write_gaussians(tmp_path / "a.glb", whole)
+    usual = read_as_is(tmp_path / "a.glb").gaussians.means
+
+    def change(tree):
+        tree["nodes"][0] |= {"translation": EARTH.tolist(), "rotation": turn}
+
+    (tmp_path / "a.glb").write_bytes(edited((tmp_path / "a.glb").read_bytes(), change))
+    found = read_as_is(tmp_path / "a.glb")
+    turned = usual if turn[0] == 0 else usual[:, [2, 0, 1]]
+    there = found.gaussians.means.astype(float) + found.origin
+    np.testing.assert_allclose(there - EARTH, turned, atol=3e-7)
+    assert found.remarks() == []
+    assert read_gaussians(tmp_path / "a.glb").origin != (0, 0, 0)
+
+
+def test_a_glb_of_far_places_in_float32_is_called_coarse(tmp_path):
+    far = replace(ball(COUNT), means=(ball(COUNT).means + EARTH).astype(np.float32))
+    write_gaussians(tmp_path / "a.glb", far)
+
+    def change(tree):
+        tree["nodes"][0] |= {"translation": np.roll(-EARTH, -1).tolist(), "rotation": [0, 1, 0, 0]}
+
+    (tmp_path / "a.glb").write_bytes(edited((tmp_path / "a.glb").read_bytes(), change))
+    assert "about 2 across" in read_as_is(tmp_path / "a.glb").remarks()[0]
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1, 1e4])
+def test_what_is_moved_to_its_origin_goes_back_exactly(rng, scale):
+    places = (rng.normal(size=(500, 3)) * scale + EARTH * scale).astype(np.float32)
+    means, origin = centred(places.astype(float))
+    back = in_place(means, origin)
+    assert origin.any() and back is not None
+    np.testing.assert_array_equal(back, places)
+    assert in_place(means + np.float32(1e-9 * scale), origin) is None
+
+
+def test_what_is_too_coarse_depends_on_what_is_chosen(rng):
+    means = rng.uniform(-1, 1, (4000, 3))
+    assert too_coarse(means, 1.9 / COARSE) is None
+    assert too_coarse(means[np.abs(means).max(axis=1) < 0.5], 1.9 / COARSE) is not None
+    assert too_coarse(means, 0) is None
