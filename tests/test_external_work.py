@@ -6,11 +6,21 @@ import numpy as np
 import pytest
 
 from phy124.boundaries import Box
-from phy124.forces import Acceleration, Gravity, ParticleForce
+from phy124.forces import (
+    Acceleration,
+    Attraction,
+    Grab,
+    Gravity,
+    ParticleForce,
+    SetVelocity,
+    Wind,
+    WrenchForce,
+    ZoneForce,
+)
 from phy124.materials import NeoHookean
 from phy124.monitor.diagnostics import diagnose
 from phy124.monitor.external_work import ExternalWork
-from phy124.tracks import Sine
+from phy124.tracks import Sine, Tracks
 from support.shapes import block
 from support.solvers import make_solver
 
@@ -51,6 +61,44 @@ def test_impulse_and_work_are_the_change_of_momentum_and_energy(force):
     _, _, given, (start, end) = run([force], v=(0.5, 0, 0))
     np.testing.assert_allclose(given.impulse, end.momentum - start.momentum, atol=1e-9)
     assert given.work == pytest.approx(end.kinetic - start.kinetic, rel=1e-6)
+
+
+def test_the_work_of_a_force_that_sets_C_includes_the_affine_energy():
+    spun = SetVelocity(spin=(0, 0, 2), end=1e-5)
+    _, _, given, (start, end) = run([ParticleForce(f=(1e-3, 0, 0)), spun])
+    assert given.work == pytest.approx(end.energy - start.energy, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    "force",
+    [
+        Acceleration(a=(3, 0, 0), region={"upper": [1, 1, 0.5]}),
+        ParticleForce(f=(1e-3, 0, 0)),
+        Wind(v=(3, 0, 0)),
+        Attraction(centre=(1, 0, 0), g=3),
+        Grab(point=(0, 0, 0.5), radius=1, targets=((0, 0, 0.5), (1, 0, 0.5))),
+        WrenchForce(torque=(0, 0, 1)),
+        ZoneForce(a=(3, 0, 0)),
+        SetVelocity(spin=(0, 0, 20)),
+    ],
+    ids=lambda force: force.kind,
+)
+def test_forces_that_promise_to_keep_C_do(force):
+    x = block(middle=(0, 0, 0.5))
+    solver = make_solver(x, np.full(len(x), 1e-4), [NeoHookean(E=1e4)], dx=0.125)
+    solver.step(1e-3, 0.0)
+    tracks = Tracks(real=solver.model.real, device="cpu")
+    stages = force.attach(solver.model, solver.state, tracks)
+    tracks.upload(solver.clock.values)
+    tracks.record().launch()
+    still = np.random.default_rng(0).normal(size=(len(x), 3, 3)).astype(np.float32)
+    solver.state.C.assign(still)
+    for stage in stages:
+        launch = stage.record(solver.grid)
+        assert launch is not None
+        launch.launch()
+    kept = np.array_equal(solver.state.C.numpy(), still)
+    assert kept == all(stage.keeps_C for stage in stages)
 
 
 def test_a_wall_at_rest_takes_momentum_and_does_no_work():

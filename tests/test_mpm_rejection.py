@@ -63,3 +63,11 @@ def test_measuring_is_rarer_only_where_nothing_moves_far_between():
     s.advance(1e-4)
     assert MEASURE_EVERY <= s.rejection.interval(s.clock) < 40
     assert math.isfinite(s.clock.stable().dt)
+
+
+def test_a_push_that_begins_with_a_frame_shortens_the_interval_at_once():
+    s = solver([ParticleForce(f=(30, 0, 0), start=0.01)], measure_every=32)
+    s.advance(0.005)
+    assert s.clock.interval == 32
+    s.advance(0.0101)
+    assert s.clock.interval < 32

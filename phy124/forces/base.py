@@ -201,7 +201,7 @@ def stage(
         given = [own, slot, *inputs, tracks.clock, tracks.values, *read]
         return model.launch(kernel, len(own), given, [state.v])
 
-    return [Stage(name, record, force.sudden, force.in_newtons, by_run=True)]
+    return [Stage(name, record, force.sudden, force.in_newtons, keeps_C=True, by_run=True)]
 
 
 def within(chosen: wp.array, run: slice) -> wp.array:

@@ -74,4 +74,4 @@ class Grab(Force):
             return self.strength / part.mass if tracks.tracks[slot].acts(start, end) else 0.0
 
         found = part.centred(self.kind, slot, model, state, tracks, turned=False)
-        return [*found, Stage(self.kind, record, limit=limit)]
+        return [*found, Stage(self.kind, record, keeps_C=True, limit=limit)]

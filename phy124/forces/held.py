@@ -130,7 +130,7 @@ class Part(NamedTuple):
             read = [*parted, self.chosen, self.share, slot, tracks.values, state.x, self.means]
             return model.launch(kernels.make_second(real), count, read, [self.second])
 
-        yield Stage(name, forget)
-        yield Stage(name, centre)
+        yield Stage(name, forget, keeps_C=True)
+        yield Stage(name, centre, keeps_C=True)
         if turned:
-            yield Stage(name, second)
+            yield Stage(name, second, keeps_C=True)

@@ -61,7 +61,7 @@ class WrenchForce(Force):
             turning = MARGIN * part.reach / part.inertia if part.inertia else 0.0
             return pushed + turning * tracks.tracks[turn].largest(start, end)
 
-        stage = Stage(self.kind, record, limit=limit)
+        stage = Stage(self.kind, record, keeps_C=True, limit=limit)
         if not turned:
             return [stage]
         found = part.centred(self.kind, turn, model, state, tracks, turned=True)

@@ -54,4 +54,4 @@ class ZoneForce(Force):
         # Bodies that never move are left out, as they are everywhere.
         runs = [run for run in moving if wanted.start <= run.start and run.stop <= wanted.stop]
         runs = runs if model.held else [wanted]
-        return [Stage("zone", partial(record, own=own), by_run=True) for own in runs]
+        return [Stage("zone", partial(record, own=own), keeps_C=True, by_run=True) for own in runs]

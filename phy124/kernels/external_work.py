@@ -35,11 +35,11 @@ def add_given(
 
 
 @cache
-def make_push_copy(real: Any):
-    """Kernel: stores the velocities of the particles before forces act on them."""
+def make_push_copy(real: Any, keeps_C: bool = False):
+    """Kernel: stores v, and C unless all forces keep it, before forces act on the particles."""
     t = types(real)
 
-    @kernel(f"phy124_push_copy_{real.__name__}")
+    @kernel(f"phy124_push_copy_{'v' if keeps_C else 'vC'}_{real.__name__}")
     def push_copy(
         # state in
         v: wp.array(dtype=t.vec3), C: wp.array(dtype=t.mat33),
@@ -48,17 +48,21 @@ def make_push_copy(real: Any):
     ):  # fmt: skip
         p = wp.tid()
         v_out[p] = v[p]
-        C_out[p] = C[p]
+        if wp.static(not keeps_C):
+            C_out[p] = C[p]
 
     return push_copy
 
 
 @cache
-def make_push_sums(real: Any):
-    """Kernel: adds the change of momentum and kinetic energy since `push_copy` to `GIVEN` sums."""
+def make_push_sums(real: Any, keeps_C: bool = False):
+    """Kernel: adds the change of momentum and kinetic energy since `push_copy` to `GIVEN` sums.
+
+    Where all forces keep C, the energy of the affine motion cancels, and C is not read.
+    """
     t = types(real)
 
-    @kernel(f"phy124_push_sums_{real.__name__}")
+    @kernel(f"phy124_push_sums_{'v' if keeps_C else 'vC'}_{real.__name__}")
     def push_sums(
         # model
         first: int, each: int, stride: int, mass: wp.array(dtype=real), dx: real,
@@ -76,12 +80,15 @@ def make_push_sums(real: Any):
             p = wp.tid() * first + k * stride
             if p < mass.shape[0]:
                 m = wp.float64(mass[p])
-                now = wide(v[p])
+                after = wide(v[p])
                 before = wide(v_kept[p])
-                gain = kinetic_energy(m, now, C[p], dx) - kinetic_energy(m, before, C_kept[p], dx)
-                impulse += m * (now - before)
+                gain = wp.float64(0.5) * m * wp.dot(after - before, after + before)
+                if wp.static(not keeps_C):
+                    gain = kinetic_energy(m, after, C[p], dx)
+                    gain -= kinetic_energy(m, before, C_kept[p], dx)
+                impulse += m * (after - before)
                 work += gain
-                moved += m * wp.length(now - before)
+                moved += m * wp.length(after - before)
                 turned += wp.abs(gain)
         add_given(given_out, impulse, work, moved, turned)
 

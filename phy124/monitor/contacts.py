@@ -91,10 +91,10 @@ class Contacts:
             sums.zero_() if kept is None else wp.copy(sums, kept)
 
     def _attach(
-        self, wall: Boundary, model: Model, state: State, tracks: Tracks
+        self, wall: Boundary, stages: Sequence[Stage], model: Model, state: State
     ) -> tuple[Stage, Stage, Stage]:
-        """The stages before and after a wall."""
-        del tracks
+        """The stages before and after the `stages` of a wall."""
+        del stages
         near = NodesNear([wall], model)
         copy, changed, share = contact_kernels(model.real)
         corners: list[wp.array] = []

@@ -8,6 +8,7 @@ kernel of one thread adds its impulse and work at the end of each substep.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -20,6 +21,7 @@ from phy124.kernels import free
 from phy124.kernels.reduction import shared_out
 from phy124.monitor.near import NodesNear
 from phy124.mpm import Attachable, Clock, Grid, Model, Stage, State
+from phy124.mpm.state import part_of
 from phy124.tracks import Tracks
 
 STAGE = "external work"
@@ -86,7 +88,7 @@ class ExternalWork:
         if not boundaries:
             return []
         inner = boundaries if inner is None else inner
-        return [Measured(inner, lambda *run: self._attach_walls(boundaries, *run))]
+        return [Measured(inner, partial(self._attach_walls, boundaries))]
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
         """The stage that ends each substep; none if the uniform acceleration does not vary."""
@@ -201,31 +203,37 @@ class ExternalWork:
         walls = self._open(WALL)[IMPULSES] if WALL in self._device else np.zeros(3)
         self._walls_before.assign(walls)
 
-    def _attach_push(self, model: Model, state: State, tracks: Tracks) -> tuple[Stage, Stage]:
-        """The stages before and after forces on particles."""
-        del tracks
-        kept = [wp.empty_like(state.v), wp.empty_like(state.C)]
+    def _attach_push(
+        self, stages: Sequence[Stage], model: Model, state: State
+    ) -> tuple[Stage, Stage]:
+        """The stages before and after the `stages` of forces on particles."""
+        keeps_C = all(stage.keeps_C for stage in stages)
+        kept = [wp.empty_like(state.v), wp.empty_like(state.C[:0] if keeps_C else state.C)]
+        copy, sums = push_kernels(model.real, keeps_C)
+
+        def stored(grid: Grid) -> list[wp.array]:
+            """What is stored of the particles that are pushed."""
+            run = grid.run(len(model))
+            return [part_of(array, run) for array in kept]
 
         def before(grid: Grid) -> wp.Launch | None:
-            run, kernel = grid.run(len(model)), kernels.make_push_copy(model.real)
-            copies = [array[run] for array in kept]
-            return model.launch(kernel, len(copies[0]), [state.v[run], state.C[run]], copies)
+            run, copies = grid.run(len(model)), stored(grid)
+            return model.launch(copy, len(copies[0]), [state.v[run], state.C[run]], copies)
 
         def after(grid: Grid) -> wp.Launch | None:
             run = grid.run(len(model))
             threads, *fraction = shared_out(run.stop - run.start, model.device)
-            pushed = [array[run] for array in (state.v, state.C, *kept)]
-            inputs = [*fraction, model.mass[run], model.dx, *pushed]
-            kernel = kernels.make_push_sums(model.real)
-            return model.launch(kernel, threads, inputs, [self._accumulator(PUSH, grid)])
+            inputs = [*fraction, model.mass[run], model.dx, state.v[run], state.C[run]]
+            inputs += stored(grid)
+            return model.launch(sums, threads, inputs, [self._accumulator(PUSH, grid)])
 
         return Stage(STAGE, before, by_run=True), Stage(STAGE, after, by_run=True)
 
     def _attach_walls(
-        self, walls: Sequence[Boundary], model: Model, state: State, tracks: Tracks
+        self, walls: Sequence[Boundary], stages: Sequence[Stage], model: Model, state: State
     ) -> tuple[Stage, Stage]:
-        """The stages before and after walls."""
-        del state, tracks
+        """The stages before and after the `stages` of walls."""
+        del stages, state
         near, (copy, sums) = NodesNear(walls, model), wall_kernels(model.real)
 
         def before(grid: Grid) -> wp.Launch | None:
@@ -245,7 +253,7 @@ class Measured:
     def __init__(
         self,
         inner: Sequence[Attachable],
-        attach: Callable[[Model, State, Tracks], tuple[Stage, ...]],
+        attach: Callable[[Sequence[Stage], Model, State], tuple[Stage, ...]],
     ) -> None:
         self._inner, self._attach = inner, attach
 
@@ -254,8 +262,13 @@ class Measured:
         stages = [stage for one in self._inner for stage in one.attach(model, state, tracks)]
         if not stages:
             return []
-        before, *after = self._attach(model, state, tracks)
+        before, *after = self._attach(stages, model, state)
         return [before, *stages, *after]
+
+
+def push_kernels(real: Any, keeps_C: bool) -> tuple[Any, Any]:
+    """Kernels before and after forces on particles, all of which keep C or not."""
+    return kernels.make_push_copy(real, keeps_C), kernels.make_push_sums(real, keeps_C)
 
 
 def wall_kernels(real: Any) -> tuple[Any, Any]:

@@ -82,6 +82,7 @@ class Clock:
             "last_dt": self.last_dt,
             "substeps": self.substeps,
             "since_measured": self.since_measured,
+            "interval": self.interval,
             "extremes": list(self.extremes),
             "limiters": dict(self.limiters),
             "needed": dict(self.needed),
@@ -91,5 +92,6 @@ class Clock:
         """Return to a snapshot."""
         self.time, self.last_dt = snapshot["time"], snapshot["last_dt"]
         self.substeps, self.since_measured = snapshot["substeps"], snapshot["since_measured"]
+        self.interval = snapshot.get("interval", MEASURE_EVERY)
         self.extremes = self.recent = Extremes(*snapshot["extremes"])
         self.limiters, self.needed = dict(snapshot["limiters"]), dict(snapshot["needed"])

@@ -21,6 +21,7 @@ Corners = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Lowest and highest corner of a box [m]."""
 MARGIN = 4
 """Margin of the window around the particles [cells]: more than they cross between measurements."""
+CROSSED = "particles crossed more cells than they may between two measurements"
 FARTHEST = 2**30
 """Distance from the origin [cells] within which the device can number nodes."""
 
@@ -96,13 +97,30 @@ class Grid:
         below, above = low - self.low, self.low + self.size - high
         if not self.stale:
             if min(below.min(), above.min()) < 0:
-                raise Unstable(
-                    "particles crossed more cells than they may between two measurements"
-                )
+                raise Unstable(CROSSED)
             if _roomy(below) and _roomy(above):
                 return False
         self.rebase(low - MARGIN, high - low + 2 * MARGIN)
         return True
+
+    def require_inside(self, x: NDArray) -> None:
+        """Make sure that the window holds all nodes of some particles.
+
+        Args:
+            x: Their positions [P,3], m.
+
+        Raises:
+            Unstable: One of them is not finite or outside the window, so that the grid did not
+                move it.
+        """
+        if not len(x):
+            return
+        lower, upper = x.min(axis=0).astype(np.float64), x.max(axis=0).astype(np.float64)
+        if not np.isfinite([lower, upper]).all():
+            raise Unstable("particles are NaN or infinite")
+        low, high = self.reach(lower, upper)
+        if np.any(low < self.low) or np.any(high > self.low + self.size):
+            raise Unstable(CROSSED)
 
     def rebase(self, low: NDArray, size: NDArray) -> None:
         """Cover `size` [3] nodes from the node `low` [3] on; all nodes are cleared."""

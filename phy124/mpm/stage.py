@@ -24,6 +24,8 @@ class Stage(NamedTuple):
     """Whether it may change a velocity abruptly, whatever its strength."""
     in_newtons: bool = False
     """Whether its track is a force on each particle [N] and not an acceleration [m/s^2]."""
+    keeps_C: bool = False
+    """Whether a force never changes C, so that summing its work need not read it."""
     by_run: bool = False
     """Whether a force is recorded for each worker, and pushes the particles of `Grid.run` only."""
     alone: bool = False

@@ -11,7 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, cast
+from typing import TypeVar, cast
 
 import numpy as np
 import warp as wp
@@ -27,6 +27,7 @@ MIN_PARTICLES = 10_000
 """Of a worker; with fewer, its barriers cost more than it brings."""
 GATHER = -1
 """The last phase of a substep; workers wait for each other between phases."""
+Result = TypeVar("Result")
 Timings = dict[str, list[float]]
 """Stage -> seconds and number of launches."""
 
@@ -46,6 +47,12 @@ class Part:
     """The nodes they are scattered to: the shared grid of the body, or nodes of their own."""
     maxima: wp.array
     """What measuring them finds (phy124/kernels/maxima.py)."""
+
+    def indices(self) -> slice | NDArray[np.int64]:
+        """Indices of its particles among all."""
+        if len(self.chosen) == 0:
+            return self.particles
+        return self.particles.start + np.asarray(self.chosen.numpy(), np.int64)
 
     def among(self, indices: NDArray[np.int32]) -> NDArray[np.int32]:
         """Those of some particles that belong to it."""
@@ -101,10 +108,11 @@ def usable_workers(particles: int, device: str, asked: int | None = None) -> int
     return 1 if enough < 2 else min(enough, free_cores())
 
 
-def timed(timings: Timings, name: str, work: Callable[[], Any]) -> None:
-    """Run `work` and add its duration to a stage."""
+def timed(timings: Timings, name: str, work: Callable[[], Result]) -> Result:
+    """Run `work`, add its duration to a stage, and return its result."""
     start = time.perf_counter()
-    work()
+    result = work()
     entry = timings.setdefault(name, [0.0, 0])
     entry[0] += time.perf_counter() - start
     entry[1] += 1
+    return result

@@ -120,11 +120,12 @@ class Checks(Section):
     """How closely a run is watched. Each check costs time and guards against a kind of failure."""
 
     measure: int = Field(
-        default=4,
+        default=16,
         ge=1,
         le=32,
         description="Substeps between two measurements of what limits them; above 4 only while "
-        "nothing gets a cell far in between. Rarer costs less and sees stiffening later.",
+        "nothing moves by a cell or is strained by a quarter in between. Rarer costs less and sees "
+        "stiffening later.",
     )
     balance: bool = Field(
         default=True,

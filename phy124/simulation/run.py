@@ -25,8 +25,8 @@ from phy124.monitor.external_work import ExternalWork
 from phy124.monitor.sleep import Sleep
 from phy124.monitor.watchdog import Violation, Watchdog
 from phy124.monitor.wrenches import Wrenches
-from phy124.mpm import Unstable
-from phy124.mpm.workers import usable_workers
+from phy124.mpm import MEASURE_EVERY, Unstable
+from phy124.mpm.workers import timed, usable_workers
 from phy124.progress import Progress, silent
 from phy124.remedies import hurry, remedies
 from phy124.runtime.compiling import compile_missing
@@ -327,14 +327,15 @@ class Simulation:
 
     @contextmanager
     def _half_substep(self) -> Iterator[None]:
-        """Within this context, substeps are half as long."""
+        """Within this context, substeps are half as long and limits are measured often."""
         clock = self.solver.clock
-        usual = clock.cfl, clock.ceiling
+        usual = clock.cfl, clock.ceiling, clock.measure_every
         clock.cfl, clock.ceiling = usual[0] / 2, min(usual[1], self._failed_dt) / 2
+        clock.measure_every = min(usual[2], MEASURE_EVERY)
         try:
             yield
         finally:
-            clock.cfl, clock.ceiling = usual
+            clock.cfl, clock.ceiling, clock.measure_every = usual
 
     def _try(self, index: int, until: float, *, closely: bool = False) -> Violation | None:
         """Try a frame; returns what is wrong with it, or None. A failure resets the state."""
@@ -344,11 +345,11 @@ class Simulation:
         self.wrenches.begin()
         solver.pairs.begin()
         solver.free.begin()
-        watchdog.before()
-        before = solver.snapshot(), watchdog.external.snapshot()
+        timed(solver.timings, "watchdog", watchdog.before)
+        before = timed(solver.timings, "snapshot", self._rollback_point)
         try:
             solver.advance(until, after=self._follower(index, closely), each=closely)
-            problem = watchdog.after()
+            problem = timed(solver.timings, "watchdog", watchdog.after)
         except Unstable as error:
             problem = watchdog.diagnose(str(error))
         except Exception:
@@ -360,6 +361,10 @@ class Simulation:
             self._failed_dt = solver.clock.last_dt or math.inf
             self._restore(*before)
         return problem
+
+    def _rollback_point(self) -> tuple[dict[str, Any], dict[str, Any]]:
+        """What `_restore` needs to undo a frame."""
+        return self.solver.snapshot(), self.watchdog.external.snapshot()
 
     def _restore(self, solver: dict[str, Any], external: dict[str, Any]) -> None:
         """Return to the state before a frame."""
