@@ -46,11 +46,17 @@ def _command(arguments: list[str], description: str | None) -> Any:
 
 
 def split_ros_arguments(arguments: list[str]) -> tuple[list[str], list[str]]:
-    """The program's own arguments, and those from `--ros-args` to `--` or the end."""
+    """The program's own arguments, and those from `--ros-args` to `--` or the end.
+
+    Any other `--` ends the options, so that `--ros-args` after it is an ordinary word.
+    """
     own: list[str] = []
     ros: list[str] = []
     target = own
-    for argument in arguments:
+    for place, argument in enumerate(arguments):
+        if argument == "--" and target is own:
+            own += arguments[place:]
+            break
         if argument == "--ros-args":
             target = ros
         elif argument == "--" and target is ros:

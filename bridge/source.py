@@ -153,6 +153,8 @@ def make_object(
     from phy124.pipeline import static
 
     def look(cutout: Cutout) -> None:
+        for note in cutout.notes:
+            log.warning(note)
         if cutout.warnings:
             see = f"Look at it with `phy124 cutout {source}`"
             mend = "--pick or --mask corrects it, here and there."

@@ -61,7 +61,10 @@ def asked_for(arguments: Sequence[str] | None) -> dict[str, str]:
         default = "none" if field.default == "" else field.default
         told = f"{field.description} Default: {default}. {variable}"
         parser.add_argument(f"--{name.replace('_', '-')}", dest=variable, metavar="", help=told)
-    given = vars(parser.parse_args(arguments))
+    typed = list(sys.argv[1:] if arguments is None else arguments)
+    if typed[-1:] == ["--"]:  # Nothing follows the end of the options.
+        typed.pop()
+    given = vars(parser.parse_args(typed))
     return {variable: value for variable, value in given.items() if value is not None}
 
 

@@ -149,7 +149,7 @@ def _check_upload(field: str, path: Path, settings: Settings, uploads: Path | No
     if uploads is None or str(path) != str(uploads / path.name) or not is_plain_file(path):
         limit = "Here a scene may name no file except a picture that you have sent."
         raise InputError(field, "a file", limit, "Leave it out, or choose a picture for it.")
-    check_picture(path, settings)
+    check_picture(path, settings, field)
 
 
 def check_limits(scene: Scene, settings: Settings) -> None:

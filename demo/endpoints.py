@@ -205,8 +205,9 @@ def _with_pictures(studio: Studio, name: str, scene: Scene, sent: list[str]) -> 
     changes = {}
     for index, one in zip(waiting, sent, strict=False):
         path = studio.visitors.own(name, one)
-        check_picture(path, studio.settings)
-        changes[f"objects.{index}.picture"] = str(path)
+        field = f"objects.{index}.picture"
+        check_picture(path, studio.settings, field)
+        changes[field] = str(path)
     return scene.replaced(changes)
 
 

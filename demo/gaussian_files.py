@@ -6,7 +6,6 @@ may be made to do harm.
 
 from __future__ import annotations
 
-import resource
 from pathlib import Path
 
 from PIL import Image
@@ -59,7 +58,7 @@ def opened(path: Path, out: Path, count: int, deadline: Deadline) -> GaussianFil
         InputError: It cannot be read.
     """
     try:
-        return isolated.run(_opened, path, out, count, deadline=deadline)
+        return isolated.run(_opened, path, out, count, deadline=deadline, memory=MEMORY)
     except Unfinished as error:
         limit = f"Reading it {str(error).partition(' (')[0]}."
         raise InputError("image", path.name, limit, SMALLER) from None
@@ -69,8 +68,7 @@ def opened(path: Path, out: Path, count: int, deadline: Deadline) -> GaussianFil
 
 
 def _opened(path: Path, out: Path, count: int) -> GaussianFile:
-    """What `opened` does, in this process, whose memory it limits for good."""
-    resource.setrlimit(resource.RLIMIT_DATA, (MEMORY, MEMORY))
+    """What `opened` does, in this process."""
     found = PlyFile(str(path), UNTURNED).open()
     kept = thinned(found.gaussians, count)
     notes = [*found.notes, *found.cleaning]

@@ -154,7 +154,7 @@ class Studio:
 
         def work(job: Job) -> None:
             deadline = Deadline(self.settings.max_cut_seconds, job.check)
-            shown = viewable(upload)
+            shown = viewable(upload, deadline)
             job.subject = str(shown)
             start = time.monotonic()
             path, doubts, searched = cut_once(visitor, shown, strokes, pick, deadline)

@@ -73,7 +73,7 @@ class Known:
             if made.exists():
                 continue
             try:
-                cut_out(viewable(picture), made, deadline=deadline)
+                cut_out(viewable(picture, deadline), made, deadline=deadline)
             except InputError as error:
                 limit = f"{field.capitalize()}: {error.limit}"
                 raise InputError(field, error.value, limit, error.remedy) from error
@@ -143,7 +143,7 @@ def known_of(visitors: Visitors, settings: Settings, name: str, told: Any) -> Kn
         limit = "It must be an object of values by option."
         raise InputError("known", type(told).__name__, limit, 'Give {"thickness": 0.6}, say.')
     given = {option: value for option, value in (told or {}).items() if value is not None}
-    sent = {option: _sent(visitors, settings, name, given[option]) for option in PICTURES
+    sent = {option: _sent(visitors, settings, name, option, given[option]) for option in PICTURES
             if option in given}  # fmt: skip
     depth = {option: given.pop(option) for option in DepthMap.model_fields if option in given}
     axes = {option: given.pop(option) for option in AXES if option in given}
@@ -159,9 +159,9 @@ def known_of(visitors: Visitors, settings: Settings, name: str, told: Any) -> Kn
     )  # fmt: skip
 
 
-def _sent(visitors: Visitors, settings: Settings, name: str, given: Any) -> Path:
+def _sent(visitors: Visitors, settings: Settings, name: str, option: str, given: Any) -> Path:
     upload = visitors.own(name, given)
-    check_picture(upload, settings)
+    check_picture(upload, settings, option)
     return upload
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import base64
 import binascii
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import gradio as gr
 from gradio.data_classes import FileData, ImageData
@@ -20,13 +20,16 @@ from phy124.errors import InputError
 if TYPE_CHECKING:
     from .jobs import Studio
 
-NO_FILE = "image: This is no file. Send the file itself, by handle_file(PATH) in Python."
-NO_VIDEO = "video: This is no file. Send the file itself, by handle_file(PATH) in Python."
-BROKEN = "image: The picture's data: URL is broken. Send the file itself."
+NO_FILE = "This is no file. Send the file itself, by handle_file(PATH) in Python."
+BROKEN = "The picture's data: URL is broken. Send the file itself."
+FETCHES_NOTHING = "This page fetches nothing. Send the file itself."
 
 
 class Sent(ImageData):
     """What a program sends as a picture; anything but a file is refused in words."""
+
+    name: ClassVar[str] = "image"
+    """Name of the argument."""
 
     # Not as a validator: what one raises is wrapped, and a program would not be shown it.
     @classmethod
@@ -35,20 +38,30 @@ class Sent(ImageData):
         try:
             return super().model_validate(obj, **options)
         except ValidationError:
-            raise refusal(NO_FILE) from None
+            raise refusal(f"{cls.name}: {NO_FILE}") from None
 
 
-def photo(studio: Studio, **options: Any) -> gr.Image:
-    """A `gr.Image` whose value is the path of the uploaded file, undecoded."""
-    image = gr.Image(type="filepath", **options)
-    image.data_model = Sent
+def photo(studio: Studio, label: str = "image", **options: Any) -> gr.Image:
+    """A `gr.Image` whose value is the path of the uploaded file, undecoded.
+
+    Args:
+        studio: Where a picture inside a request is stored.
+        label: Name of the argument, with which refusals begin.
+        options: Those of `gr.Image`.
+    """
+
+    class Named(Sent):
+        name: ClassVar[str] = label
+
+    image = gr.Image(type="filepath", label=label, **options)
+    image.data_model = Named
 
     def preprocess(payload: Any) -> str | None:
         """The file's path; raises gr.Error if a data: URL is broken or too large."""
         if payload is None:
             return None
         if payload.url and payload.url.startswith("data:"):
-            return _saved(payload.url, studio)
+            return _saved(payload.url, studio, label)
         return payload.path
 
     image.preprocess = preprocess
@@ -64,7 +77,7 @@ class SentVideo(FileData):
         try:
             return super().model_validate(obj, **options)
         except ValidationError:
-            raise refusal(NO_VIDEO) from None
+            raise refusal(f"video: {NO_FILE}") from None
 
 
 def film(**options: Any) -> gr.File:
@@ -77,7 +90,7 @@ def film(**options: Any) -> gr.File:
         if payload is None:
             return None
         if (payload.url or payload.path or "").startswith("data:"):
-            raise refusal(NO_VIDEO)
+            raise refusal(f"video: {NO_FILE}")
         return payload.path
 
     file.preprocess = preprocess
@@ -94,25 +107,27 @@ def fetch_nothing(page: gr.Blocks) -> None:
     for block in page.blocks.values():
         moved = block.async_move_resource_to_block_cache
 
-        async def local(url_or_file_path: Any, moved: Any = moved) -> str | None:
+        name = getattr(block, "label", None) or "file"
+
+        async def local(url_or_file_path: Any, moved: Any = moved, name: str = name) -> str | None:
             if "://" in str(url_or_file_path or "")[:12]:
-                raise refusal("image: This page fetches nothing. Send the file itself.")
+                raise refusal(f"{name}: {FETCHES_NOTHING}")
             return await moved(url_or_file_path)
 
         block.async_move_resource_to_block_cache = local
 
 
-def _saved(url: str, studio: Studio) -> str:
+def _saved(url: str, studio: Studio, name: str) -> str:
     limits = studio.settings
     head, comma, text = url.partition(",")
     if not comma or not head.endswith(";base64"):
-        raise refusal(BROKEN)
+        raise refusal(f"{name}: {BROKEN}")
     if len(text) * 3 / 4 > limits.max_bytes:
-        raise refusal(f"image: {limits.too_large} {limits.make_smaller}")
+        raise refusal(f"{name}: {limits.too_large} {limits.make_smaller}")
     try:
         data = base64.b64decode(text, validate=True)
         return str(studio.visitors.store(None, data, ""))
     except binascii.Error:
-        raise refusal(BROKEN) from None
+        raise refusal(f"{name}: {BROKEN}") from None
     except InputError as error:
-        raise refusal(f"image: {error.limit} {error.remedy}") from None
+        raise refusal(f"{name}: {error.limit} {error.remedy}") from None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import warnings
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -14,11 +13,12 @@ from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
 from phy124.errors import InputError
-from phy124.imaging import heic
-from phy124.imaging.cutout import Cutout, cleaned, foreground, has_alpha, looked_at, title_of
+from phy124.imaging.cutout import Cutout, cleaned, foreground, looked_at, title_of
 from phy124.imaging.grabcut import hinted
-from phy124.imaging.image import FORMATS, open_image
+from phy124.imaging.header import HEAD, kind_of
+from phy124.imaging.image import header_size, open_image
 from phy124.imaging.objects import Point
+from phy124.imaging.transparency import has_alpha, made_solid
 from phy124.io.files import replacing
 from phy124.runtime import isolated
 from phy124.runtime.isolated import PATIENT, Deadline, Unfinished
@@ -31,44 +31,39 @@ HOW = "cutout"
 """Key of the text in a PNG that says how it was cut out."""
 
 
-def check_picture(path: Path, settings: Settings) -> None:
-    """Check a picture's size in bytes and pixels, from its header alone.
+def check_picture(path: Path, settings: Settings, field: str = "image") -> None:
+    """Check a picture's size in bytes and pixels, from its header alone; nothing is decoded.
+
+    Args:
+        path: The picture.
+        settings: The page's limits.
+        field: What the picture is for, used in error messages.
 
     Raises:
         InputError: It is too large, or it is not a picture.
     """
     size = path.stat().st_size
     if size > settings.max_bytes:
-        raise InputError("image", path.name, settings.too_large, settings.make_smaller)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
-            pixels = _pixels(path)
-    except Image.DecompressionBombError:
-        pixels = 10**9
-    except (OSError, SyntaxError, ValueError):
-        open_image(path)  # raises an error that says what is wrong
-        raise
-    if pixels > settings.max_megapixels * 1e6:
+        raise InputError(field, path.name, settings.too_large, settings.make_smaller)
+    width, height = header_size(path, field=field)
+    if width * height > settings.max_megapixels * 1e6:
         limit = f"It has more than {settings.max_megapixels:g} million pixels."
-        raise InputError("image", path.name, limit, "Reduce it to 2000 pixels, for example.")
+        raise InputError(field, path.name, limit, "Reduce it to 2000 pixels, for example.")
 
 
-def _pixels(path: Path) -> int:
-    if heic.is_heic(path):
-        width, height = heic.size_of(path)
-        return width * height
-    with Image.open(path, formats=FORMATS) as opened:
-        return opened.width * opened.height
+def is_shown(picture: Path) -> bool:
+    """Whether browsers can show a picture."""
+    with open(picture, "rb") as file:
+        return kind_of(file.read(HEAD)) != "HEIC"
 
 
-def viewable(picture: Path) -> Path:
+def viewable(picture: Path, deadline: Deadline = PATIENT) -> Path:
     """The picture, or a copy beside it in a format that browsers can show."""
-    if not heic.is_heic(picture):
+    if is_shown(picture):
         return picture
     shown = picture.with_name(f"{picture.stem}-shown.webp")
     if not shown.exists():
-        opened = open_image(picture)
+        opened = open_image(picture, deadline=deadline)
         with replacing(shown) as temporary:
             opened.save(temporary, "WEBP", quality=95)
     return shown
@@ -88,9 +83,9 @@ def cut_out(
     Raises:
         InputError: No object can be found in it.
     """
-    found = foreground(open_image(picture), pick=pick, deadline=deadline)
+    found = foreground(open_image(picture, deadline=deadline), pick=pick, deadline=deadline)
     _save(found, path)
-    return found.warnings
+    return (*found.notes, *found.warnings)
 
 
 def cutout_file(visitor: Visitor, picture: Path, *more: Any) -> Path:
@@ -142,7 +137,7 @@ def corrected(
         path: The PNG to write.
         deadline: When to give up.
     """
-    image = open_image(picture)
+    image = made_solid(open_image(picture, deadline=deadline))
     marks = np.asarray(painted(tuple(strokes), image.size))
     alpha = np.zeros(marks.shape, np.uint8)
     if first is not None:

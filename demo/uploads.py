@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from .jobs import Studio
 
 ADDRESS = "/gradio_api/upload"
-SUFFIXES = {".png", ".jpg", ".jpeg", ".webp", ".heic", ".heif", *FILMS, *ENDINGS}
+SUFFIXES = {".png", ".jpg", ".jpeg", ".webp", ".heic", ".heif", ".avif", *FILMS, *ENDINGS}
 """Suffixes that uploads keep; others are removed."""
 NOT_READ = {
     ".ksplat": "Save it as .ply or .spz with the program it comes from, or convert it with"

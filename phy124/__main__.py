@@ -22,6 +22,7 @@ from contextlib import ExitStack, contextmanager, redirect_stdout
 from typing import Any
 
 from phy124 import __version__
+from phy124.arguments.operands import divided
 from phy124.errors import Cancelled, InputError
 from phy124.runtime.signals import handled, interrupt
 
@@ -32,8 +33,9 @@ GENERAL = ("--quiet", "--verbose")
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit status."""
     arguments = list(sys.argv[1:] if arguments is None else arguments)
-    chosen = {name for name in GENERAL if name in arguments}
-    rest = [text for text in arguments if text not in GENERAL]
+    options, operands = divided(arguments)
+    chosen = {name for name in GENERAL if name in options}
+    rest = [*(text for text in options if text not in GENERAL), *operands]
     try:
         with handled(interrupt):
             status = _run(rest, quiet="--quiet" in chosen, verbose="--verbose" in chosen)
@@ -45,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     except (InputError, KeyboardInterrupt, Cancelled, OSError) as problem:
         status, sentence = _judged(problem)
-        _complain(sentence, as_json="--json" in rest)
+        _complain(sentence, as_json="--json" in options)
         if "--verbose" in chosen:
             traceback.print_exception(problem)
         return status
@@ -62,7 +64,7 @@ def _run(arguments: list[str], *, quiet: bool, verbose: bool) -> int:
         with _no_collection():
             command = _parsed(arguments)
         if "warp" in sys.modules:  # Some commands, as `weights`, do without.
-            _start(talkative=verbose and "--json" not in arguments)
+            _start(talkative=verbose and "--json" not in divided(arguments)[0])
         if quiet:
             from phy124.commands.bars import silence
 

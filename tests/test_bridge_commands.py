@@ -14,6 +14,7 @@ from mcap.reader import make_reader
 from rosbags.rosbag2 import Reader
 
 from bridge.__main__ import main
+from bridge.command_line import split_ros_arguments
 from bridge.commands import COMMANDS
 from bridge.info import describe_clip, diagnose
 from phy124.arguments.repeats import gathered
@@ -35,6 +36,21 @@ def sigterm():
     before = signal.getsignal(signal.SIGTERM)
     yield
     signal.signal(signal.SIGTERM, before)
+
+
+def test_two_minuses_end_the_options(capsys):
+    assert main(["record", "--overwrite", "--", "--clip.safetensors"]) == 2
+    assert "clip = --clip.safetensors: there is no such file." in capsys.readouterr().err
+    assert main(["record", "clip.safetensors", "--output", "x"]) == 2
+    usage = "takes it without a name. Write `python -m bridge record SOURCE OUTPUT`."
+    assert usage in capsys.readouterr().err
+
+
+def test_after_two_minuses_nothing_is_meant_for_ros():
+    typed = ["play", "--ros-args", "-r", "a:=b", "--", "--live", "--", "--ros-args"]
+    own, ros = split_ros_arguments(typed)
+    assert own == ["play", "--live", "--", "--ros-args"]
+    assert ros == ["--ros-args", "-r", "a:=b", "--"]
 
 
 def test_record_info_and_recover(clip, capsys):

@@ -11,7 +11,7 @@ from tyro import _errors
 
 from phy124 import __version__
 from phy124.__main__ import main
-from phy124.arguments.parsing import option_names
+from phy124.arguments.repeats import members
 from phy124.commands import COMMANDS, outline
 from phy124.commands.bars import Bars, silence
 from phy124.commands.kinds import KINDS, TAKES, USES
@@ -24,7 +24,7 @@ from phy124.commands.options import SceneOptions, ViewOptions
         ("generat x.png", "command = generat: there is no such command. Did you mean generate?"),
         ("dance", "command = dance: there is no such command. Choose one of generate, "),
         ("--scene drop generate x.png", "command = --scene: the command comes first."),
-        ("generate", "image = nothing: it is needed. It is: PNG, JPEG, WebP or HEIC picture"),
+        ("generate", "image = nothing: it is needed. It is: PNG, JPEG, WebP, AVIF or HEIC picture"),
         ("generate x.png --frames", "frames = nothing: it needs a value. It is: Number of frames."),
         ("generate x.png --frames ten", "frames = ten: it is not a whole number."),
         ("generate x.png --max-seconds soon", "max-seconds = soon: it is not a number."),
@@ -68,6 +68,44 @@ def test_an_empty_value_is_refused(typed, capsys):
     assert "it is empty. Give a value, or leave the option out." in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    "typed",
+    [
+        ["cutout", "--out", "o.png", "--", "--x.png"],
+        ["cutout", "--pick", "0.5,0.5", "--quiet", "--", "--quiet"],
+        ["cutout", "--", "-x.png"],
+        ["generate", "--views", "front", "back", "--", "--json"],
+    ],
+)
+def test_what_follows_two_minuses_is_no_option(typed, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(typed) == 2
+    assert f"image = {typed[-1]}: There is no such file." in capsys.readouterr().err
+
+
+def test_two_minuses_with_nothing_after_them_change_nothing(capsys):
+    assert main(["--version", "--"]) == 0
+    assert main(["scenes", "dance", "--"]) == 2
+    assert main(["scenes", "dance", "--", "--reference"]) == 2
+    error = capsys.readouterr().err.splitlines()
+    assert "argument = ./--reference: `phy124 scenes` takes no more values." in error[1]
+
+
+@pytest.mark.parametrize(
+    ("typed", "usage"),
+    [
+        ("cutout --image x.png", "cutout IMAGE"),
+        ("cutout x.png --image=y.png", "cutout IMAGE"),
+        ("convert a.ply --out b.spz", "convert FILE OUT"),
+        ("compare --a x --b y", "compare A B"),
+    ],
+)
+def test_a_name_for_what_has_none_is_explained(typed, usage, capsys):
+    assert main(typed.split()) == 2
+    said = capsys.readouterr().err
+    assert f"takes it without a name. Write `phy124 {usage}`." in said
+
+
 def test_a_parser_of_another_version_speaks_for_itself(monkeypatch, capsys):
     class Unheard(_errors.BadValue):
         argument = None
@@ -82,7 +120,7 @@ def test_a_parser_of_another_version_speaks_for_itself(monkeypatch, capsys):
 def test_every_kind_has_an_advice_and_every_command_its_kind():
     assert set(KINDS.values()) == set(USES)
     for name, (field, kind) in TAKES.items():
-        assert field in {f.strip("-") for f in option_names(COMMANDS[name])}
+        assert field in members(COMMANDS[name])
         assert kind in USES
 
 

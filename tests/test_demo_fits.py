@@ -122,7 +122,7 @@ def test_a_video_is_decoded_in_a_process_as_far_as_the_scene_goes(tmp_path):
 def test_what_comes_after_the_scene_is_left_out(tmp_path, monkeypatch, seconds, speed, count):
     monkeypatch.setattr("demo.fits.video.resource.setrlimit", lambda *_: None)
     monkeypatch.setattr(
-        "demo.fits.video.isolated.run", lambda work, *given, deadline: work(*given)
+        "demo.fits.video.isolated.run", lambda work, *given, **_: work(*given)
     )  # fmt: skip
     path = filmed(tmp_path / "a.mp4")
     assert opened(path, tmp_path / "out", seconds, speed, LONG).count == count

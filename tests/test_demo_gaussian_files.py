@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import resource
 from dataclasses import replace
 from pathlib import Path
 
@@ -51,8 +50,7 @@ def changed(**columns: float) -> bytes:
 @pytest.fixture(autouse=True)
 def unlimited(monkeypatch):
     """Read in this process, which is quicker and must not be limited."""
-    monkeypatch.setattr(resource, "setrlimit", lambda *_: None)
-    monkeypatch.setattr(gaussian_files.isolated, "run", lambda work, *given, deadline: work(*given))
+    monkeypatch.setattr(gaussian_files.isolated, "run", lambda work, *given, **_: work(*given))
 
 
 @pytest.fixture
@@ -136,7 +134,7 @@ def test_a_broken_file_gets_one_sentence_and_leaves_nothing(studio, data, limit)
     ],
 )
 def test_a_file_that_takes_too_much_is_refused(tmp_path, monkeypatch, broken, limit):
-    def fail(*_, deadline):
+    def fail(*_, deadline, memory):
         raise broken
 
     monkeypatch.setattr(gaussian_files.isolated, "run", fail)

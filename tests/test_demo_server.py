@@ -202,7 +202,7 @@ def test_a_depth_map_changes_the_object_and_must_fit(client, tmp_path):
         ("bomb.png", bomb(16_000), "more than 25 million pixels"),
         ("huge.png", bomb(30_000), "more than 25 million pixels"),
         ("empty.png", b"", "is empty"),
-        ("text.png", b"hello " * 100, "not a PNG, JPEG, WebP or HEIC"),
+        ("text.png", b"hello " * 100, "not a PNG, JPEG, WebP, AVIF or HEIC"),
         ("cut.png", DUCK.read_bytes()[:9000], "broken or cut short"),
         ("white.png", (255, 255, 255), "No object was found"),
         ("red.png", (255, 0, 0), "No object was found"),

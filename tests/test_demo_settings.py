@@ -312,3 +312,10 @@ def test_the_page_shows_every_preset_on_the_stage_and_offers_no_transparent_one(
     offer = catalogue(Settings())
     assert {card["scene"]["view"]["stage"] for card in offer["presets"]} == {"studio"}
     assert offer["schema"]["$defs"]["View"]["properties"]["stage"]["enum"] == ["plain", "studio"]
+
+
+def test_two_minuses_end_the_options(capsys):
+    assert asked_for(["--port", "80", "--"]) == {"PHY124_PORT": "80"}
+    with pytest.raises(SystemExit):
+        asked_for(["--", "--port"])
+    assert "unrecognized arguments" in capsys.readouterr().err

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from phy124.errors import InputError
-from phy124.imaging import heic
+from phy124.imaging import heic, image
 from phy124.imaging.cutout import cut_out
 from phy124.imaging.image import open_image
 from support.hostile import PHONE, heic_claiming
@@ -28,7 +28,7 @@ def test_a_photograph_is_opened_upright_and_cut_out():
 
 def test_large_ones_are_refused_before_decoding(tmp_path, monkeypatch):
     monkeypatch.setattr(heic, "is_readable", lambda: True)
-    monkeypatch.setattr(heic, "decode", lambda *_: pytest.fail("was decoded"))
+    monkeypatch.setattr(image.isolated, "run", lambda *_, **__: pytest.fail("was decoded"))
     (tmp_path / "bomb.heic").write_bytes(heic_claiming(30_000, 30_000))
     with pytest.raises(InputError, match="more than 50 million pixels"):
         open_image(tmp_path / "bomb.heic")
@@ -53,13 +53,13 @@ def test_broken_ones_are_refused_in_words(tmp_path, data):
 
 @reads
 def test_an_endless_decoder_costs_one_picture(monkeypatch):
-    monkeypatch.setattr(heic, "DEADLINE", heic.isolated.Deadline(0.3))
-    monkeypatch.setattr(heic, "_decoded", _endless)
+    monkeypatch.setattr(image, "DEADLINE", image.isolated.Deadline(0.3))
+    monkeypatch.setattr(image, "decoded", _endless)
     with pytest.raises(InputError, match="did not finish within 0"):
         open_image(PHONE)
 
 
-def _endless(path: str, side: int) -> None:
+def _endless(*_: object) -> None:
     time.sleep(600)
 
 

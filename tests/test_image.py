@@ -1,14 +1,18 @@
 """Pictures: every kind opens right and upright, limits hold."""
 
+import os
 import struct
+import threading
+import time
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from phy124.errors import InputError
+from phy124.errors import Cancelled, InputError
 from phy124.imaging import image
 from phy124.imaging.image import open_image, recenter
+from support import photographs
 from support.hostile import png_claiming
 
 
@@ -73,10 +77,7 @@ def test_long_pictures_are_reduced(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("side", [8000, 13000, 30000])
 def test_pixel_bombs_are_refused_before_decoding(tmp_path, monkeypatch, side):
-    def decoded(*_):
-        raise AssertionError("was decoded")
-
-    monkeypatch.setattr(Image.Image, "convert", decoded)
+    monkeypatch.setattr(image.isolated, "run", lambda *_, **__: pytest.fail("was decoded"))
     (tmp_path / "bomb.png").write_bytes(png_claiming(side, side))
     with pytest.raises(InputError, match=r"more than 50 million pixels\. Reduce it"):
         open_image(tmp_path / "bomb.png")
@@ -87,7 +88,7 @@ def test_broken_files_are_refused(tmp_path, monkeypatch):
     jpeg = saved(tmp_path, Image.fromarray(gradient(200, 300)), "whole.jpg").read_bytes()
     cases = {
         "empty.png": (b"", "empty .0 bytes"),
-        "text.png": (b"I am a text and no picture", "not a PNG, JPEG, WebP or HEIC"),
+        "text.png": (b"I am a text and no picture", "not a PNG, JPEG, WebP, AVIF or HEIC"),
         "cut.png": (whole[: len(whole) // 2], "broken or cut short"),
         "head.png": (whole[:20], "broken or cut short|not a PNG"),
         "cut.jpg": (jpeg[: len(jpeg) // 2], "broken or cut short"),
@@ -198,3 +199,109 @@ def test_sixteen_bit_colour_and_transparent_colours(tmp_path):
     cv2.imwrite(str(tmp_path / "deep.png"), colour[..., ::-1])
     opened = np.asarray(open_image(tmp_path / "deep.png"))
     np.testing.assert_allclose(opened[..., :3], colour / 257, atol=1)
+
+
+def test_odd_exif_leaves_a_photograph_upright(tmp_path):
+    """Pillow reads a Software of two numbers, and cannot write it."""
+    software = photographs.Entry(0x0131, 5, 1, struct.pack("<II", 1, 2))
+    resolution = photographs.Entry(0x011A, 10, 1, struct.pack("<ii", -1, 0))
+    for entry in (software, resolution):
+        exif = photographs.exif_of([photographs.upright(6), entry])
+        jpeg = photographs.file_of(Image.fromarray(gradient()), "JPEG")
+        (tmp_path / "a.jpg").write_bytes(photographs.with_segment(jpeg, 0xE1, exif))
+        assert open_image(tmp_path / "a.jpg").size == (20, 30)
+
+
+def test_colours_become_srgb_and_a_damaged_profile_is_noted(tmp_path):
+    patch = Image.new("RGB", (16, 16), (200, 40, 30))
+    p3 = open_image(saved(tmp_path, patch, icc_profile=photographs.display_p3()))
+    np.testing.assert_allclose(np.asarray(p3)[8, 8], (218, 0, 4, 255), atol=1)
+    assert p3.info["notes"] == ()
+    damaged = open_image(saved(tmp_path, patch, icc_profile=b"damaged"))
+    assert np.asarray(damaged)[8, 8].tolist() == [200, 40, 30, 255]
+    assert "colour profile cannot be used" in damaged.info["notes"][0]
+
+
+def test_a_photograph_of_several_pictures_has_the_limit_of_passes(tmp_path):
+    both = [Image.fromarray(gradient()), Image.fromarray(gradient())]
+    mpo = photographs.file_of(both[0], "MPO", save_all=True, append_images=both[1:])
+    bomb = jpeg_of_many_scans(1032, 300)
+    index = photographs.segment_of(mpo, b"MPF\0")
+    (tmp_path / "a.jpg").write_bytes(photographs.with_segment(bomb, 0xE2, index))
+    with pytest.raises(InputError, match=r"more than 100 passes"):
+        open_image(tmp_path / "a.jpg")
+
+
+def test_a_decoder_that_never_ends_or_crashes_costs_one_picture(tmp_path, monkeypatch):
+    path = saved(tmp_path, Image.fromarray(gradient()))
+    monkeypatch.setattr(image, "DEADLINE", image.isolated.Deadline(0.3))
+    monkeypatch.setattr(image, "decoded", _endless)
+    with pytest.raises(InputError, match=r"decoding it did not finish within 0\.3 s"):
+        open_image(path)
+    monkeypatch.undo()
+    monkeypatch.setattr(image, "decoded", _crashing)
+    with pytest.raises(InputError, match=r"decoding it broke down\. Copy"):
+        open_image(path)
+    monkeypatch.setattr(image, "decoded", _greedy)
+    monkeypatch.setattr(image, "MEMORY", 1 << 29)
+    with pytest.raises(InputError, match=r"takes more than \d GB of memory"):
+        open_image(path)
+
+
+def _endless(*_):
+    time.sleep(600)
+
+
+def _crashing(*_):
+    os.abort()
+
+
+def _greedy(*_):
+    bytearray(1 << 30)
+
+
+def test_a_decoder_is_called_off_with_its_job(tmp_path, monkeypatch):
+    def stopped():
+        raise Cancelled
+
+    path = saved(tmp_path, Image.fromarray(gradient()))
+    monkeypatch.setattr(image, "decoded", _endless)
+    with pytest.raises(Cancelled):
+        open_image(path, deadline=image.isolated.Deadline(60, stopped))
+
+
+def test_avif_is_read_or_refused_by_its_name(tmp_path, monkeypatch):
+    if image.reads_avif():
+        avif = photographs.file_of(Image.fromarray(gradient(64, 64)), "AVIF")
+    else:
+        avif = b"\0\0\0\x1cftypavif\0\0\0\0mif1avif"
+    for brand in (b"avif", b"mif1"):
+        (tmp_path / "a.avif").write_bytes(avif[:8] + brand + avif[12:])
+        if image.reads_avif():
+            assert open_image(tmp_path / "a.avif").size == (64, 64)
+        with monkeypatch.context() as without:
+            without.setattr(image, "reads_avif", lambda: False)
+            with pytest.raises(InputError, match=r"AVIF picture, which .*Pillow does not read"):
+                open_image(tmp_path / "a.avif")
+
+
+def test_a_pipe_is_read_like_a_file(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    data = saved(tmp_path, Image.fromarray(gradient())).read_bytes()
+    writer = threading.Thread(target=(tmp_path / "pipe").write_bytes, args=(data,))
+    writer.start()
+    assert open_image(tmp_path / "pipe").size == (30, 20)
+    writer.join()
+    with pytest.raises(InputError, match=r"It cannot be read \(Is a directory"):
+        open_image(tmp_path)
+    with pytest.raises(InputError, match="limit is 50 MB"):
+        open_image("/dev/zero")
+
+
+def test_header_sizes_are_those_of_the_pictures(tmp_path):
+    for kind in ("png", "jpg", "webp", *(["avif"] if image.reads_avif() else [])):
+        for more in ({}, {"lossless": True}, {"progressive": True}):
+            path = saved(tmp_path, Image.fromarray(gradient()), f"a.{kind}", **more)
+            assert image.header_size(path) == (30, 20)
+    clear = Image.fromarray(np.dstack([gradient(), gradient()[..., 0]]))
+    assert image.header_size(saved(tmp_path, clear, "b.webp")) == (30, 20)

@@ -80,6 +80,12 @@ def test_a_crash_is_told():
         run(exec, "import os, signal; os.kill(os.getpid(), signal.SIGTERM)")
 
 
+def test_its_memory_can_be_limited():
+    with pytest.raises(MemoryError):
+        run(bytearray, 1 << 30, memory=1 << 29)
+    assert len(run(bytearray, 1 << 20, memory=1 << 29)) == 1 << 20
+
+
 def test_what_is_printed_is_no_part_of_the_answer():
     assert run(print, "loud") is None
 

@@ -65,7 +65,9 @@ def opened(path: Path, out: Path, seconds: float, speed: float, deadline: Deadli
     """
     shutil.rmtree(out, ignore_errors=True)
     try:
-        return isolated.run(_opened, path, out, seconds, speed, deadline.seconds, deadline=deadline)
+        return isolated.run(
+            _opened, path, out, seconds, speed, deadline.seconds, deadline=deadline, memory=MEMORY
+        )
     except Unfinished as error:
         limit = f"Reading the video {str(error).partition(' (')[0]}."
     except MemoryError:
@@ -74,11 +76,11 @@ def opened(path: Path, out: Path, seconds: float, speed: float, deadline: Deadli
 
 
 def _opened(path: Path, out: Path, seconds: float, speed: float, processor: float) -> Seen:
-    """What `opened` does, in this process, whose memory and time it limits for good.
+    """What `opened` does, in this process, whose time it limits for good.
 
-    The decoder inherits both limits: it ends even if this process is killed before it.
+    The decoder inherits the limits of memory and time: it ends even if this process is killed
+    before it.
     """
-    resource.setrlimit(resource.RLIMIT_DATA, (MEMORY, MEMORY))
     most = math.ceil(processor) + 1
     resource.setrlimit(resource.RLIMIT_CPU, (most, most))
     film = read_film(path)

@@ -11,13 +11,13 @@ from typing import Any
 import gradio as gr
 
 from phy124.errors import InputError
-from phy124.imaging.heic import is_heic
 from phy124.rendering.orienting import candidates
 
 from ..identity import visitor_of
 from ..jobs import Studio
 from ..known import AXES
 from ..line import Job
+from ..pictures import is_shown
 from ..sentences import sentence
 from ..source import Cutout, GaussianFile, Source
 from ..strokes import place_of, strokes_of
@@ -110,7 +110,7 @@ def _cutting(studio: Studio, job: Job) -> dict[str, Any]:
 def _picture(job: Job) -> dict[str, Any] | None:
     """The picture being cut out, as soon as there is one that browsers can show."""
     path = Path(job.subject)
-    shows = job.kind == "cut" and path.exists() and not is_heic(path)
+    shows = job.kind == "cut" and path.exists() and is_shown(path)
     return file_of(path) if shows else None
 
 

@@ -6,7 +6,7 @@
 (() => {
   const { h, follow } = globalThis.Phy124;
   const PICTURES = { side: 'facing', back: null, depth: 'near' }; // option -> the choice that belongs to it
-  const ACCEPT = 'image/png,image/jpeg,image/webp';
+  const ACCEPT = 'image/png,image/jpeg,image/webp,image/avif,.avif';
   const HEIC = ',image/heic,image/heif,.heic,.heif';
   const words = (name) => name.replace(/^./, (c) => c.toUpperCase());
 

@@ -5,7 +5,7 @@
 (() => {
   const { h, follow } = globalThis.Phy124;
   const SIDE = 2048; // the server looks no closer
-  const ACCEPT = 'image/png,image/jpeg,image/webp,image/heic,image/heif,.heic,.heif';
+  const ACCEPT = 'image/png,image/jpeg,image/webp,image/heic,image/heif,image/avif,.heic,.heif,.avif';
 
   async function picture(element, props, watch, trigger) {
     const offer = await (await fetch('phy124/catalogue.json')).json();

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 from PIL import Image
 
 from phy124.cost import GAUSSIANS
+from phy124.imaging.image import header_size
 from phy124.runtime.isolated import Deadline
 from phy124.scene import Scene
 
@@ -94,10 +94,12 @@ def made_already(order: Order) -> dict[str, Any]:
 def _pixels_to_compose(order: Order) -> float:
     if order.photograph is None:
         return 0.0
-    with Image.open(order.photograph) as picture:
-        picture.thumbnail(order.scene.view.size)
-        area = math.prod(picture.size)
-    return area * (COMPOSING + order.scene.time.frames) + EACH * order.gaussians
+    width, height = header_size(order.photograph)
+    most_wide, most_high = order.scene.view.size
+    scale = min(1.0, most_wide / width, most_high / height)
+    return (
+        width * height * scale**2 * (COMPOSING + order.scene.time.frames) + EACH * order.gaussians
+    )
 
 
 def made_gaussians(order: Order) -> Path:

@@ -38,7 +38,7 @@ class Other:
         if self.cutout.exists():
             return
         try:
-            cut_out(viewable(self.picture), self.cutout, deadline=deadline)
+            cut_out(viewable(self.picture, deadline), self.cutout, deadline=deadline)
         except InputError as error:
             limit = f"{self.name.capitalize()}: {error.limit}"
             field = f"objects.{self.index - 1}.picture"

@@ -11,7 +11,8 @@ from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-from phy124.arguments.repeats import gathered, members
+from phy124.arguments.operands import divided
+from phy124.arguments.repeats import gathered, members, positionals
 from phy124.errors import InputError, did_you_mean, meant
 
 KINDS = {"INT": "a whole number", "FLOAT": "a number"}
@@ -98,7 +99,9 @@ def _refuse(
             remedy = f"Write `{program} COMMAND ... {name}`; commands are {', '.join(commands)}."
             raise InputError("command", name, "the command comes first.", remedy)
         raise InputError("command", name, "there is no such command.", meant(name, [*commands]))
-    for before, text in itertools.pairwise(arguments):
+    options = divided(arguments)[0]
+    _refuse_names(options, commands, program)
+    for before, text in itertools.pairwise(options):
         option, equals, value = text.partition("=")
         if (option if equals else before) in empty:
             continue
@@ -107,10 +110,28 @@ def _refuse(
             raise InputError(where, "''", "it is empty.", "Give a value, or leave the option out.")
 
 
+def _refuse_names(options: Sequence[str], commands: Commands, program: str) -> None:
+    """Raise InputError if something that has no option is given by its name, as `--output X`."""
+    name = options[0]
+    unnamed = positionals(commands[name]) if name in commands else []
+    named = option_names(commands[name]) if unnamed else []
+    for text in options[1:]:
+        option = text.partition("=")[0]
+        if option in named or not option.startswith("--"):
+            continue
+        if option[2:].replace("-", "_") in unnamed:
+            usage = " ".join([program, name, *(one.upper() for one in unnamed)])
+            limit = f"`{program} {name}` takes it without a name."
+            raise InputError("option", option, limit, f"Write `{usage}`.")
+
+
 def option_names(command: Any) -> list[str]:
     """Names of a command's options, as they are typed."""
     found: list[str] = []
+    unnamed = positionals(command)
     for name, kind in members(command).items():
+        if name in unnamed:
+            continue
         found += option_names(kind) if members(kind) else ["--" + name.replace("_", "-")]
     return found
 

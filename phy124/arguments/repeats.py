@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
+from phy124.arguments.operands import divided, plainly
 from phy124.errors import InputError
 
 
@@ -21,6 +22,7 @@ def gathered(arguments: Sequence[str], commands: Mapping[str, type]) -> list[str
     if not arguments or arguments[0] not in commands:
         return list(arguments)
     lists = list_options(commands[arguments[0]])
+    arguments, operands = divided(arguments)
     rest: list[str] = []
     listed: dict[str, list[str]] = {}
     single: dict[str, str | None] = {}
@@ -37,7 +39,8 @@ def gathered(arguments: Sequence[str], commands: Mapping[str, type]) -> list[str
             # Else it would be taken for an option: `--front -y`.
             name, values = f"{name}={value}", values[1:]
         rest += [name, *values] if name else values
-    return [*rest, *(text for name, values in listed.items() for text in (name, *values))]
+    gathered = [text for name, values in listed.items() for text in (name, *values)]
+    return [*rest, *gathered, *plainly(operands)]
 
 
 def list_options(command: Any) -> set[str]:
@@ -49,6 +52,14 @@ def list_options(command: Any) -> set[str]:
         elif any(Ellipsis in get_args(one) for one in (kind, *get_args(kind))):
             found.add("--" + name.replace("_", "-"))
     return found
+
+
+def positionals(command: Any) -> list[str]:
+    """Names of what a command takes without an option, in order."""
+    import tyro
+
+    hints = get_type_hints(command, include_extras=True)
+    return [name for name, hint in hints.items() if tyro.conf.Positional in get_args(hint)[1:]]
 
 
 def members(kind: Any) -> dict[str, Any]:

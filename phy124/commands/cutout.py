@@ -44,7 +44,7 @@ class CutOut:
     """Cut the object out of a picture, report how and whether it looks right, and save it."""
 
     image: tyro.conf.Positional[Path]
-    """PNG, JPEG, WebP or HEIC picture of one object."""
+    """PNG, JPEG, WebP, AVIF or HEIC picture of one object."""
     options: Annotated[CutoutOptions, tyro.conf.arg(name="")] = field(default_factory=CutoutOptions)
     out: Path | None = None
     """PNG or WebP file to write; default out/PICTURE-cutout.png."""
@@ -92,6 +92,8 @@ def described(cutout: dict[str, Any]) -> str:
 
 def doubt(cutout: Cutout, remedy: str) -> None:
     """Print on standard error what makes the cut-out doubtful, and what to do."""
+    for note in cutout.notes:
+        print(f"note: {note}", file=sys.stderr)
     for warning in cutout.warnings:
         print(f"warning: {warning}", file=sys.stderr)
     if cutout.warnings:

@@ -40,7 +40,7 @@ class Generate:
     """Turn one picture into a physically moving 3D object and MP4s."""
 
     image: tyro.conf.Positional[Path]
-    """PNG, JPEG, WebP or HEIC picture of one object."""
+    """PNG, JPEG, WebP, AVIF or HEIC picture of one object."""
     more: tyro.conf.Positional[tuple[Path, ...]] = ()
     """Pictures, or files of Gaussians, of the scene's further objects."""
     options: Annotated[SceneOptions, tyro.conf.arg(name="")] = field(default_factory=SceneOptions)

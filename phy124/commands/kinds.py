@@ -8,7 +8,19 @@ from typing import Any
 from phy124.errors import InputError
 from phy124.io.formats import ENDINGS
 
-PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".gif", ".bmp", ".tif", ".tiff")
+PICTURES = (
+    ".png",
+    ".jpg",
+    ".jpeg",
+    ".webp",
+    ".gif",
+    ".bmp",
+    ".tif",
+    ".tiff",
+    ".avif",
+    ".heic",
+    ".heif",
+)
 KINDS = {
     **dict.fromkeys(PICTURES, "a picture"),
     **dict.fromkeys(ENDINGS, "a file of Gaussians"),

@@ -11,10 +11,11 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
 
 from phy124.errors import InputError
 from phy124.fit.table import Values
+from phy124.imaging.decoding import turned
 
 FILMS = (".mp4", ".webm", ".mov", ".mkv", ".avi", ".gif", ".webp")
 PICTURES = (".png", ".jpg", ".jpeg", ".webp")
@@ -113,7 +114,9 @@ def _animated(path: Path) -> tuple[list[NDArray], float | None]:
             ]
             _refuse_endless(path, len(seconds))
             found = [_small(f) for f in ImageSequence.Iterator(file)]
-    except (OSError, UnidentifiedImageError):
+    except InputError:
+        raise
+    except Exception:  # Pillow raises many types.
         raise _unreadable(path) from None
     return found, len(seconds) / sum(seconds) if sum(seconds) else None
 
@@ -142,10 +145,12 @@ def _folder(path: Path) -> Iterator[NDArray]:
     for file in files:
         try:
             with Image.open(file) as image:
-                yield _small(image)
-        except (OSError, UnidentifiedImageError):
+                image.load()
+                picture = _small(turned(image))
+        except Exception:  # Pillow raises many types.
             limit = "it is no picture that can be read."
             raise InputError("target", file, limit, "Leave it out.") from None
+        yield picture
 
 
 def _small(image: Image.Image) -> NDArray[np.uint8]:

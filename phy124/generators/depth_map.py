@@ -13,13 +13,12 @@ from PIL import Image
 from pydantic import Field
 
 from phy124.errors import InputError
-from phy124.imaging.image import ANY_FORMAT, MAX_PIXELS, open_image
+from phy124.imaging.decoding import MAX_PIXELS
+from phy124.imaging.image import open_levels
 from phy124.section import Section
 
 ASPECT = 0.02
 """How much width to height may differ from the picture's, as a fraction."""
-DEEP = ("I;16", "I;16B", "I;16L", "I;16N", "I", "F")
-"""Modes whose values Pillow would clip to 8 bits."""
 
 
 class DepthMap(Section):
@@ -57,7 +56,7 @@ def read(path: Path) -> NDArray[np.float32]:
     Raises:
         InputError: If it is missing, broken, no single picture, or not finite.
     """
-    values = _array(path) if path.suffix.lower() == ".npy" else _picture(path)
+    values = _array(path) if path.suffix.lower() == ".npy" else open_levels(path, field="depth")
     if values.ndim != 2 or min(values.shape) < 2 or values.dtype.kind not in "fiu":
         limit = f"It holds {values.dtype} values of shape {values.shape}."
         raise InputError("depth", path, limit, "Save one number per pixel, [height, width].")
@@ -92,11 +91,3 @@ def _array(path: Path) -> NDArray:
         limit = f"It is no array ({error})."
         raise InputError("depth", path, limit, "Save it with numpy.save.") from error
     return np.squeeze(values)
-
-
-def _picture(path: Path) -> NDArray:
-    checked = open_image(path, field="depth", formats=ANY_FORMAT)
-    with Image.open(path) as picture:
-        if picture.mode in DEEP:  # which that would reduce to 8 bits
-            return np.asarray(picture)
-    return np.asarray(checked.convert("L"))

@@ -15,16 +15,15 @@ from PIL import Image
 from phy124.errors import InputError
 from phy124.imaging import u2net
 from phy124.imaging.grabcut import grabcut
-from phy124.imaging.image import ANY_FORMAT, open_image, size_in_file
+from phy124.imaging.image import open_image, open_mask, size_in_file
 from phy124.imaging.matting import decontaminated
 from phy124.imaging.objects import Point, largest, looked_for, object_at, pixel_at
 from phy124.imaging.silhouette import alike, pieces, touched, undecided, unseen
 from phy124.imaging.touching import part_at, parted
+from phy124.imaging.transparency import has_alpha, is_faint, made_solid
 from phy124.runtime import isolated
 
 Alpha = NDArray[np.uint8]
-REAL_ALPHA = 0.005
-"""Least fraction of opaque pixels, and of transparent ones, for an alpha to be meaningful."""
 MINIMUM, MAXIMUM = 0.003, 0.97
 """Smallest and largest fraction of the picture that an object may cover."""
 TINY, MUCH = 0.02, 0.85
@@ -39,6 +38,7 @@ ALIKE = 0.1
 """Suspicious fraction of surroundings in the object's colours; correct cut-outs have 0.09."""
 UNDECIDED = 0.02
 """Suspicious part of a network's cut-out that is half transparent away from its outline."""
+FAINT = "Nothing in the picture is opaque; its most opaque part is taken for solid."
 REMEDY = (
     "Use a picture with one object on a plain background, all of it visible, give a mask (white "
     "where the object is), or save the cut-out object as PNG with transparency."
@@ -84,6 +84,8 @@ class Cutout:
     """Whether it looks like two objects that touch; both were taken."""
     file: Path | None = None
     """The picture's file, if it was opened from one."""
+    notes: tuple[str, ...] = ()
+    """What was ignored or assumed in its file, as sentences."""
 
     @property
     def title(self) -> str:
@@ -156,6 +158,7 @@ class Cutout:
             "objects": self.objects,
             "touching": self.touching,
             "warnings": list(self.warnings),
+            "notes": list(self.notes),
         }
 
 
@@ -181,8 +184,8 @@ def cut_out(
     Raises:
         InputError: If a file cannot be used, or for the reasons given at `foreground`.
     """
-    image = open_image(picture, field=field)
-    painted = None if mask is None else open_image(mask, field="mask", formats=ANY_FORMAT)
+    image = open_image(picture, field=field, deadline=deadline)
+    painted = None if mask is None else open_mask(mask)
     found = foreground(image, method, mask=painted, pick=pick, deadline=deadline)
     return replace(found, file=Path(picture))
 
@@ -212,7 +215,9 @@ def foreground(
             a mask and a method are given.
     """
     _check_point(pick)
-    frames, image = image.info.get("frames", 1), image.convert("RGBA")
+    frames, notes = image.info.get("frames", 1), image.info.get("notes", ())
+    notes = (*notes, FAINT) if is_faint(image) else notes
+    image = made_solid(image)
     count = 1
     if mask is not None:
         alpha, method = _given(image, mask, method), "mask"
@@ -228,7 +233,7 @@ def foreground(
     touching = searched and parted(np.asarray(image.convert("RGB")), alpha) is not None
     image.putalpha(Image.fromarray(alpha))
     cut = image if method == "alpha" else cleaned(image, alpha)
-    return replace(looked_at(cut, method, frames, count), touching=touching)
+    return replace(looked_at(cut, method, frames, count), touching=touching, notes=notes)
 
 
 def cleaned(image: Image.Image, alpha: Alpha) -> Image.Image:
@@ -258,12 +263,6 @@ def looked_at(picture: Image.Image, method: str, frames: int = 1, objects: int =
     looks = pieces(solid), touched(solid), unseen(rgb, solid), alike(rgb, solid)
     vague = undecided(alpha[..., 0])
     return Cutout(picture, method, float(solid.mean()), *looks, vague, frames, objects)
-
-
-def has_alpha(image: Image.Image) -> bool:
-    """Whether the alpha channel separates an object: some pixels opaque, some transparent."""
-    solid = float(np.mean(np.asarray(image.convert("RGBA").getchannel("A")) > 127))
-    return REAL_ALPHA <= solid <= 1 - REAL_ALPHA
 
 
 def _found(image: Image.Image, method: str, deadline: isolated.Deadline) -> Alpha:
@@ -323,7 +322,8 @@ def _given(image: Image.Image, mask: Image.Image, method: str) -> Alpha:
         (width, height), (w, h) = size_in_file(image), size_in_file(mask)
         limit = f"It does not have the size of the picture, {width} x {height} pixels."
         raise InputError("mask", f"{w} x {h} pixels", limit, "Paint it over the picture itself.")
-    painted = mask.convert("RGBA").getchannel("A") if has_alpha(mask) else mask.convert("L")
+    mask = made_solid(mask)
+    painted = mask.getchannel("A") if has_alpha(mask) else mask.convert("L")
     return np.minimum(np.asarray(painted), np.asarray(image.getchannel("A")))
 
 

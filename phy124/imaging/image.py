@@ -1,30 +1,29 @@
 """Opens pictures upright and within limits, and recentres them for the networks.
 
-Everything after this module receives straight (not premultiplied) RGBA, 8 bits per channel, sRGB as
-stored.
+Everything after this module receives straight (not premultiplied) RGBA, 8 bits per channel, sRGB.
+A file is read here and decoded in a process of its own (`decoding.py`).
 """
 
 from __future__ import annotations
 
 import os
-import re
-import struct
 import warnings
-import zlib
 from pathlib import Path
+from stat import S_ISREG
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageOps
+from PIL import Image, features
 
 from phy124.errors import InputError
 from phy124.imaging import heic
+from phy124.imaging.decoding import COPY, Purpose, Unusable, check_size, decoded, unidentified
+from phy124.imaging.header import Size, kind_of, size_of
+from phy124.runtime import isolated
 from phy124.runtime.installation import install_command
 
 MAX_BYTES = 50_000_000
 """Size of the largest picture file that is opened, bytes."""
-MAX_PIXELS = 50_000_000
-"""Number of pixels of the largest picture that is decoded; read from the header before decoding."""
 MIN_SIDE = 8
 """Smallest side of a usable picture, pixels."""
 LOOK_SIDE = 320
@@ -33,68 +32,82 @@ FAINT = 3
 """Range of grey levels below which a picture shows nothing."""
 WORK_SIDE = 2048
 """Larger pictures are reduced to this side, pixels; no generator uses more detail."""
-FORMATS = ("PNG", "JPEG", "WEBP")
-"""Formats accepted for photographs, besides HEIC (phy124/imaging/heic.py)."""
+FORMATS = ("PNG", "JPEG", "WEBP", "AVIF")
+"""Formats accepted for photographs, besides HEIC."""
 ANY_FORMAT = (*FORMATS, "GIF", "BMP", "TIFF", "PPM")
-"""Formats accepted for masks, which other programs write."""
-ANIMATED = ("PNG", "WEBP", "GIF")
-"""Formats whose further pictures are frames of an animation, not thumbnails or pages."""
-MAX_SCANS = 100
-"""Most scans of a JPEG: usual files have 1 to 10; 8 MB can hold 190,000 of 18 ms each."""
-MARKER = re.compile(rb"\xff+([^\x00\xff\xd0-\xd7])", re.DOTALL)
-"""Start of a JPEG segment; 00 and D0 to D7 belong to the image data."""
-SCAN, END = b"\xda", b"\xd9"
-DEEP_MODES = ("I;16", "I;16B", "I;16L", "I;16N", "I")
-"""Modes of 16-bit grey pictures, which Pillow would clip instead of scaling."""
-BROKEN = (OSError, SyntaxError, ValueError, EOFError, IndexError, struct.error, zlib.error)
-"""Exceptions that Pillow's decoders raise for broken files."""
+"""Formats accepted for masks and maps, which other programs write."""
+PHOTOGRAPH = Purpose(FORMATS, MIN_SIDE)
+MEMORY = 2 << 30
+"""Memory that decoding one picture may take, bytes."""
+DEADLINE = isolated.Deadline(30.0)
+"""Time limit of decoding; a photograph of 12 million pixels takes one second."""
 
 
 def open_image(
     path: str | os.PathLike[str],
     *,
     field: str = "image",
-    formats: tuple[str, ...] = FORMATS,
-    minimum: int = MIN_SIDE,
+    deadline: isolated.Deadline = DEADLINE,
 ) -> Image.Image:
-    """Open a picture as upright RGBA with sides of at most `WORK_SIDE` pixels.
+    """Open a photograph as upright RGBA in sRGB with sides of at most `WORK_SIDE` pixels.
 
     Of an animation only the first frame is used. The `info` of the result holds the number of
-    `frames` and the `size` of the upright picture before it was reduced.
+    `frames`, the `size` of the upright picture before it was reduced, and `notes`, sentences on
+    what was ignored.
 
     Args:
-        path: The file.
+        path: The file, or a pipe.
         field: What the picture is for, used in error messages.
-        formats: Names of the Pillow formats to accept.
+        deadline: When decoding is given up, at the latest after that of `DEADLINE`, and who may
+            cancel it.
+
+    Raises:
+        InputError: If the file is missing, too large, of another format, or broken.
+    """
+    return _opened(path, field, PHOTOGRAPH, deadline)
+
+
+def open_mask(
+    path: str | os.PathLike[str],
+    *,
+    field: str = "mask",
+    minimum: int = MIN_SIDE,
+) -> Image.Image:
+    """Open a picture in which something was painted over another one, like `open_image`.
+
+    It may be in more formats, and its colour profile is ignored: its values are no colours.
+
+    Args:
+        path: The file, or a pipe.
+        field: What the picture is for, used in error messages.
         minimum: Smallest allowed side, pixels.
 
     Raises:
         InputError: If the file is missing, too large, of another format, or broken.
     """
-    path = Path(path)
-    with warnings.catch_warnings():
-        # Our own limit is stricter and comes before decoding.
-        warnings.simplefilter("ignore", Image.DecompressionBombWarning)
-        try:
-            _check_file(path)
-            if heic.is_heic(path):
-                return _from_heic(path, minimum)
-            with Image.open(path, formats=formats) as opened:
-                _check_size(*opened.size, minimum)
-                if opened.format == "JPEG":
-                    _check_scans(path.read_bytes())
-                return _upright_rgba(opened)
-        except Image.UnidentifiedImageError as error:
-            limit = f"It is not a {_listed((*formats, 'HEIC'))} picture."
-            remedy = "Save it as PNG or JPEG and try again."
-            raise InputError(field, path, limit, remedy) from error
-        except Image.DecompressionBombError as error:
-            raise InputError(field, path, *TOO_LARGE) from error
-        except _Unusable as error:
-            raise InputError(field, path, *error.args) from None
-        except BROKEN as error:
-            limit = f"It is broken or cut short ({error})."
-            raise InputError(field, path, limit, "Copy or export it again.") from error
+    return _opened(path, field, Purpose(ANY_FORMAT, minimum, colours=False), DEADLINE)
+
+
+def open_levels(path: str | os.PathLike[str], *, field: str) -> NDArray[np.float32 | np.uint8]:
+    """The grey levels [H,W] of a picture, as many as it has; upright, at most `WORK_SIDE` pixels.
+
+    Raises:
+        InputError: If the file is missing, too large, of another format, or broken.
+    """
+    purpose = Purpose(ANY_FORMAT, MIN_SIDE, colours=False, deep=True)
+    return np.asarray(_opened(path, field, purpose, DEADLINE))
+
+
+def header_size(path: str | os.PathLike[str], *, field: str = "image") -> Size:
+    """Width and height of a photograph as its header states them; nothing is decoded.
+
+    Raises:
+        InputError: If the file is missing, too large, of another format, or its header is broken.
+    """
+    try:
+        return _check_header(_content(Path(path)), PHOTOGRAPH)
+    except Unusable as error:
+        raise InputError(field, path, *error.args) from None
 
 
 def size_in_file(image: Image.Image) -> tuple[int, int]:
@@ -155,77 +168,74 @@ def recenter(image: NDArray, mask: NDArray, *, border_ratio: float = 0.2) -> NDA
     return (canvas * 255).astype(np.uint8) if image.dtype == np.uint8 else canvas
 
 
-class _Unusable(Exception):
-    """What is wrong with a picture, and what to do about it."""
+def _opened(
+    path: str | os.PathLike[str], field: str, purpose: Purpose, deadline: isolated.Deadline
+) -> Image.Image:
+    path = Path(path)
+    try:
+        data = _content(path)
+        if purpose is PHOTOGRAPH or kind_of(data):
+            # Before a process starts for it; of the other formats the decoder reads the header.
+            _check_header(data, purpose)
+        limit = deadline._replace(seconds=min(deadline.seconds, DEADLINE.seconds))
+        made = isolated.run(decoded, data, purpose, WORK_SIDE, deadline=limit, memory=MEMORY)
+    except Unusable as error:
+        raise InputError(field, path, *error.args) from None
+    except MemoryError:
+        limit = f"Decoding it takes more than {MEMORY >> 30} GB of memory."
+        raise InputError(field, path, limit, "Reduce it.") from None
+    except isolated.Unfinished as error:
+        why = str(error).partition(" (")[0]
+        raise InputError(field, path, f"It is broken: decoding it {why}.", COPY) from error
+    made.picture.info = {"frames": made.frames, "size": made.size, "notes": made.notes}
+    return made.picture
 
 
-TOO_LARGE = (
-    f"It has more than {MAX_PIXELS / 1e6:.0f} million pixels.",
-    "Reduce it, for example to 2000 pixels on its longer side.",
-)
+def _content(path: Path) -> bytes:
+    """The bytes of a file or of a pipe."""
+    try:
+        with open(path, "rb") as file:
+            status = os.fstat(file.fileno())
+            if S_ISREG(status.st_mode):
+                _check_bytes(status.st_size)
+            data = file.read(MAX_BYTES + 1)
+    except FileNotFoundError:
+        raise Unusable("There is no such file.", "Check the path.") from None
+    except OSError as error:
+        raise Unusable(f"It cannot be read ({error.strerror}).", "Check the path.") from None
+    _check_bytes(len(data))
+    return data
 
 
-def _listed(formats: tuple[str, ...]) -> str:
-    names = [name.replace("WEBP", "WebP") for name in formats]
-    return f"{', '.join(names[:-1])} or {names[-1]}"
-
-
-def _check_file(path: Path) -> None:
-    if not path.is_file():
-        raise _Unusable("There is no such file.", "Check the path.")
-    size = path.stat().st_size
+def _check_bytes(size: int) -> None:
     if size == 0:
-        raise _Unusable("It is empty (0 bytes).", "Copy or export it again.")
+        raise Unusable("It is empty (0 bytes).", COPY)
     if size > MAX_BYTES:
         limit = f"It has {size / 1e6:.0f} MB; the limit is {MAX_BYTES / 1e6:.0f} MB."
-        raise _Unusable(limit, "Save it as JPEG or reduce it.")
+        raise Unusable(limit, "Save it as JPEG or reduce it.")
 
 
-def _check_size(width: int, height: int, minimum: int) -> None:
-    if width * height > MAX_PIXELS:
-        raise _Unusable(*TOO_LARGE)
-    if min(width, height) < minimum:
-        limit = f"It has {width} x {height} pixels; each side needs {minimum} at least."
-        raise _Unusable(limit, "Use a larger picture.")
-
-
-def _from_heic(path: Path, minimum: int) -> Image.Image:
-    if not heic.is_readable():
+def _check_header(data: bytes, purpose: Purpose) -> Size:
+    """Width and height that the header states; makes sure that they are within the limits."""
+    kind = kind_of(data)
+    if kind is None:
+        raise unidentified(data, purpose.formats)
+    if kind == "HEIC" and not heic.is_readable():
         remedy = f"Install it ({install_command('heic')}), or save the picture as JPEG."
-        raise _Unusable("It is a HEIC picture, which only the package pi-heif can read.", remedy)
-    _check_size(*heic.size_of(path), minimum)
-    picture, size = heic.decode(path, WORK_SIDE)
-    picture.info |= {"frames": 1, "size": size}
-    return picture
+        raise Unusable("It is a HEIC picture, which only the package pi-heif can read.", remedy)
+    if kind == "AVIF" and not reads_avif():
+        limit = "It is an AVIF picture, which this installation of Pillow does not read."
+        raise Unusable(limit, "Install Pillow 11.3 or later, or save the picture as JPEG.")
+    try:
+        size = size_of(data)
+    except ValueError as error:
+        raise Unusable(f"It is broken or cut short ({error}).", COPY) from None
+    check_size(size, purpose.minimum)
+    return size
 
 
-def _check_scans(jpeg: bytes) -> None:
-    scans, place = 0, 2
-    while (marker := MARKER.search(jpeg, place)) and marker[1] != END:
-        scans += marker[1] == SCAN
-        if scans > MAX_SCANS:
-            limit = f"It is a JPEG of more than {MAX_SCANS} passes, which takes very long to open."
-            raise _Unusable(limit, "Save it as PNG or as an ordinary JPEG.")
-        place = marker.end() + int.from_bytes(jpeg[marker.end() : marker.end() + 2], "big")
-
-
-def _upright_rgba(opened: Image.Image) -> Image.Image:
-    frames = getattr(opened, "n_frames", 1) if opened.format in ANIMATED else 1
-    picture = ImageOps.exif_transpose(opened)
-    if picture.mode in DEEP_MODES:
-        picture = _shallow(picture)
-    elif picture.mode in ("CMYK", "YCbCr", "LAB", "HSV"):
-        picture = picture.convert("RGB")
-    picture = picture.convert("RGBA")
-    picture.info |= {"frames": frames, "size": picture.size}
-    picture.thumbnail((WORK_SIDE, WORK_SIDE), Image.Resampling.LANCZOS)
-    return picture
-
-
-def _shallow(picture: Image.Image) -> Image.Image:
-    """A 16-bit grey picture in 8 bits; the one grey level a file may make transparent is kept."""
-    deep, clear = np.asarray(picture), picture.info.get("transparency")
-    grey = Image.fromarray(np.clip(np.rint(deep / 257), 0, 255).astype(np.uint8))
-    if clear is not None:
-        grey.putalpha(Image.fromarray(255 * (deep != clear).astype(np.uint8)))
-    return grey
+def reads_avif() -> bool:
+    """Whether Pillow reads AVIF."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # Before 11.3 it does not know the name.
+        return bool(features.check("avif"))

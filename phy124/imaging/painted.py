@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from phy124.imaging.image import ANY_FORMAT, open_image
+from phy124.imaging.image import open_mask
 
 Crop = tuple[float, float, float, float]
 WHOLE: Crop = (0.0, 0.0, 1.0, 1.0)
@@ -26,7 +26,7 @@ def brightness(x: NDArray, path: Path, crop: Crop = WHOLE, *, field: str) -> NDA
     Raises:
         InputError: If the picture cannot be read.
     """
-    opened = open_image(path, field=field, formats=ANY_FORMAT, minimum=1)
+    opened = open_mask(path, field=field, minimum=1)
     grey = np.asarray(opened.convert("L"), dtype=np.float64) / 255
     low, high = x.min(axis=0), x.max(axis=0)
     across = (x[:, 1] - low[1]) / max(high[1] - low[1], 1e-12)

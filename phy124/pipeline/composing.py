@@ -6,8 +6,6 @@ import os
 from pathlib import Path
 from typing import Any
 
-from PIL import Image
-
 from phy124.errors import InputError
 from phy124.imaging.image import open_image
 from phy124.io.clip import Clip
@@ -51,6 +49,5 @@ def into_photograph(
         limit = f"{beside} has no {CUTOUT}, which says where the object was."
         remedy = "Compose a clip that `phy124 generate` made, in its folder."
         raise InputError("compose", picture, limit, remedy)
-    with Image.open(beside / CUTOUT) as cutout:
-        photograph = Photograph.of(opened, cutout)
+    photograph = Photograph.of(opened, open_image(beside / CUTOUT, field="compose"))
     return compose(clip, view, photograph, folder, device=device, progress=progress)

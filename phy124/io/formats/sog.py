@@ -161,8 +161,11 @@ def _picture(path: Path, archive: zipfile.ZipFile, name: str, most: int) -> NDAr
     width, height = _size(data)
     if width * height > most:
         raise refusal(KIND, path, f"its {str(name)[:80]} has {width:,} x {height:,} pixels.")
-    with Image.open(io.BytesIO(data), formats=["WEBP"]) as picture:
-        return np.asarray(picture.convert("RGBA"))
+    try:
+        with Image.open(io.BytesIO(data), formats=["WEBP"]) as picture:
+            return np.asarray(picture.convert("RGBA"))
+    except Exception as error:  # Pillow raises many types.
+        raise ValueError(f"{str(name)[:80]} cannot be decoded") from error
 
 
 def _size(data: bytes) -> tuple[int, int]:

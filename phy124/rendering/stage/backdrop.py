@@ -17,5 +17,5 @@ def backdrop(view: View) -> Backdrop:
     """
     picture = None
     if view.picture is not None:
-        picture = np.asarray(open_image(view.picture).convert("RGB"))
+        picture = np.asarray(open_image(view.picture, field="view.picture").convert("RGB"))
     return Backdrop(view.background, view.gradient or view.background, picture)

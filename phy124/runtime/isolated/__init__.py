@@ -51,10 +51,22 @@ class RemoteTraceback(Exception):
         return "\n" + self.args[0]
 
 
-def run(function: Callable[..., T], *arguments: Any, deadline: Deadline = PATIENT) -> T:
+def run(
+    function: Callable[..., T],
+    *arguments: Any,
+    deadline: Deadline = PATIENT,
+    memory: int | None = None,
+) -> T:
     """The result of a module's function, called in another process.
 
     Whatever it raises is raised here. Arguments and result may be anything that can be pickled.
+
+    Args:
+        function: The function.
+        deadline: How long it may take, and who may cancel it.
+        memory: Memory that the process may take [bytes], on systems that can limit it; beyond that
+            the function meets a MemoryError.
+        arguments: The function's arguments.
 
     Raises:
         Unfinished: If the time is up, or the process crashed.
@@ -62,7 +74,7 @@ def run(function: Callable[..., T], *arguments: Any, deadline: Deadline = PATIEN
     if getattr(sys, "frozen", False) or not sys.executable:
         # There is no Python that could be started: the program would start itself.
         return function(*arguments)
-    order = pickle.dumps(sys.path) + pickle.dumps((function, arguments))
+    order = pickle.dumps((memory, sys.path)) + pickle.dumps((function, arguments))
     with tempfile.TemporaryFile() as log:
         child = subprocess.Popen(
             [sys.executable, CHILD],

@@ -11,6 +11,7 @@ import signal
 import sys
 import threading
 import traceback
+from contextlib import suppress
 
 
 def main() -> None:
@@ -20,7 +21,9 @@ def main() -> None:
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what libraries print is no part of the answer
     try:
-        sys.path[:] = pickle.load(sys.stdin.buffer)
+        memory, sys.path[:] = pickle.load(sys.stdin.buffer)
+        if memory is not None:
+            _limit(memory)
         function, arguments = pickle.load(sys.stdin.buffer)
         threading.Thread(target=_end_with_parent, daemon=True).start()
         answer = pickle.dumps((function(*arguments), None, ""))
@@ -29,6 +32,16 @@ def main() -> None:
     with answers:
         answers.write(answer)
     os._exit(0)
+
+
+def _limit(memory: int) -> None:
+    """Limit the memory of this process for good, in bytes."""
+    # Each thread of OpenBLAS, which comes with NumPy, would claim tens of megabytes at the start.
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"
+    with suppress(ImportError, OSError, ValueError):  # not on every platform
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_DATA, (memory, memory))
 
 
 def _failed(error: Exception) -> bytes:

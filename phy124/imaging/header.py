@@ -1,0 +1,104 @@
+"""Reads the kind and the size of a picture from its first bytes; nothing is decoded.
+
+It is plain Python whose loops are bounded, so it may look at anybody's file in any process.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+
+KINDS = ("PNG", "JPEG", "WEBP", "AVIF", "HEIC")
+"""Kinds that are recognised, by Pillow's names but for HEIC."""
+HEVC = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"hevm", b"hevs")
+"""Brands of HEIC, the format of many phones."""
+AV1 = (b"avif", b"avis")
+"""Brands of AVIF."""
+GENERAL = (b"mif1", b"msf1")
+"""Brands of both; the brands that follow say which."""
+MOST_BRANDS = 64
+HEAD = 16 + 4 * MOST_BRANDS
+"""Number of bytes that say the kind [bytes]."""
+MOST_SEGMENTS = 100_000
+"""Segments of a JPEG before its size; a photograph has some, with much metadata some hundreds."""
+SEGMENT = re.compile(rb"\xff+([^\x00\xff\xd0-\xd7])", re.DOTALL)
+"""Start of a JPEG segment; 00 and D0 to D7 belong to the image data."""
+SIZES = frozenset({*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC})
+"""JPEG segments that state the size."""
+EXTENT = re.compile(rb"ispe\0{4}(.{8})", re.DOTALL)
+"""Width and height of a picture in HEIC and AVIF."""
+Size = tuple[int, int]
+"""Width and height, pixels."""
+
+
+def kind_of(data: bytes) -> str | None:
+    """The kind of a picture, of `KINDS`; None if it is none of these."""
+    if data[:8] == b"\x89PNG\r\n\x1a\n":
+        return "PNG"
+    if data[:3] == b"\xff\xd8\xff":
+        return "JPEG"
+    if data[:4] == b"RIFF" and data[8:12] == b"WEBP":
+        return "WEBP"
+    return _branded(data) if data[4:8] == b"ftyp" else None
+
+
+def _branded(data: bytes) -> str | None:
+    """HEIC or AVIF, by the brands at the start; None for videos, which begin alike."""
+    major, end = data[8:12], min(int.from_bytes(data[:4], "big"), HEAD)
+    others = [data[place : place + 4] for place in range(16, end, 4)]
+    if major in AV1 or (major in GENERAL and any(brand in AV1 for brand in others)):
+        return "AVIF"
+    return "HEIC" if major in (*HEVC, *GENERAL) else None
+
+
+def size_of(data: bytes) -> Size:
+    """Width and height that the header states; of the largest picture if there are several.
+
+    Raises:
+        ValueError: The kind is unknown, or the header states no size.
+    """
+    readers = {"PNG": _png, "JPEG": _jpeg, "WEBP": _webp, "HEIC": _largest, "AVIF": _largest}
+    try:
+        size = readers[kind_of(data) or ""](data)
+    except (LookupError, struct.error):
+        size = None
+    if size is None:
+        raise ValueError("its header states no size")
+    return size
+
+
+def _png(data: bytes) -> Size | None:
+    return struct.unpack(">II", data[16:24]) if data[12:16] == b"IHDR" else None
+
+
+def _jpeg(data: bytes) -> Size | None:
+    place = 2
+    for _ in range(MOST_SEGMENTS):
+        segment = SEGMENT.search(data, place)
+        if segment is None:
+            return None
+        start = segment.end()
+        if segment[1][0] in SIZES:
+            height, width = struct.unpack(">HH", data[start + 3 : start + 7])
+            return width, height
+        place = start + int.from_bytes(data[start : start + 2], "big")
+    return None
+
+
+def _webp(data: bytes) -> Size | None:
+    kind = data[12:16]
+    if kind == b"VP8X" and len(data) >= 30:
+        width, height = data[24:27], data[27:30]
+        return int.from_bytes(width, "little") + 1, int.from_bytes(height, "little") + 1
+    if kind == b"VP8L":
+        (bits,) = struct.unpack("<I", data[21:25])
+        return (bits & 0x3FFF) + 1, (bits >> 14 & 0x3FFF) + 1
+    if kind == b"VP8 ":
+        width, height = struct.unpack("<HH", data[26:30])
+        return width & 0x3FFF, height & 0x3FFF
+    return None
+
+
+def _largest(data: bytes) -> Size | None:
+    stated = (struct.unpack(">II", found[1]) for found in EXTENT.finditer(data))
+    return max(stated, key=lambda size: size[0] * size[1], default=None)

@@ -1,0 +1,45 @@
+"""A picture's own transparency, and objects that are half clear."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from phy124.imaging.cutout import cut_out, foreground
+from phy124.imaging.transparency import has_alpha, is_faint, made_solid
+
+
+def square(inside: int, outside: int = 0) -> Image.Image:
+    """A red square in the middle, with these alphas within and around it."""
+    pixels = np.zeros((60, 80, 4), np.uint8)
+    pixels[..., :3], pixels[..., 3] = (200, 40, 30), outside
+    pixels[15:45, 20:60, 3] = inside
+    return Image.fromarray(pixels)
+
+
+@pytest.mark.parametrize("alpha", [8, 60, 114, 127, 128, 200, 255])
+def test_an_object_that_is_half_clear_throughout_is_taken(alpha):
+    found = foreground(square(alpha))
+    solid = np.asarray(found.picture)[..., 3]
+    assert (found.method, found.coverage) == ("alpha", 0.25)
+    assert solid.max() == (255 if alpha < 128 else alpha) and solid[0, 0] == 0
+    assert bool(found.notes) == (alpha < 128)
+    assert np.asarray(found.picture)[30, 40, :3].tolist() == [200, 40, 30]
+
+
+def test_faint_parts_beside_an_opaque_one_stay_faint():
+    picture = square(255, 100)
+    assert not is_faint(picture) and has_alpha(picture)
+    np.testing.assert_array_equal(np.asarray(made_solid(picture)), np.asarray(picture))
+    assert not is_faint(square(3)) and not has_alpha(square(3))
+
+
+def test_a_faint_photograph_is_searched_like_an_opaque_one():
+    assert is_faint(square(114, 114)) and not has_alpha(made_solid(square(114, 114)))
+    assert np.asarray(made_solid(square(114, 114)))[..., 3].min() == 255
+
+
+def test_a_mask_that_is_half_clear_says_where_the_object_is(tmp_path):
+    square(255, 255).save(tmp_path / "picture.png")
+    square(114).save(tmp_path / "mask.png")
+    found = cut_out(tmp_path / "picture.png", mask=tmp_path / "mask.png")
+    assert (found.method, found.coverage) == ("mask", 0.25)
