@@ -1,6 +1,8 @@
 """`phy124 cutout`, and what `generate` says of its cut-out."""
 
 import json
+import os
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -98,3 +100,39 @@ def test_one_of_several_objects_is_picked(tmp_path, capsys, monkeypatch):
     assert "pick = 0.5,0.1: No object was found" in capsys.readouterr().err
     assert main(["cutout", "two.png", "--pick", "left"]) == 2
     assert "pick = left: It is no place in the picture. Give two" in capsys.readouterr().err
+
+
+@pytest.fixture
+def pipe(tmp_path):
+    """A pipe through which the duck comes."""
+    os.mkfifo(tmp_path / "pipe")
+    writer = threading.Thread(target=(tmp_path / "pipe").write_bytes, args=(DUCK.read_bytes(),))
+    writer.start()
+    yield tmp_path / "pipe"
+    writer.join(60)
+
+
+def test_a_picture_may_come_through_a_pipe(pipe, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["cutout", str(pipe)]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == str(Path("out/pipe-cutout.png"))
+    cut = np.asarray(Image.open("out/pipe-cutout.png"))
+    np.testing.assert_array_equal(cut, np.asarray(Image.open(DUCK)))
+
+
+def test_a_pipe_is_read_once_so_nothing_is_composed(tmp_path, capsys):
+    os.mkfifo(tmp_path / "pipe")
+    composed = [*QUICK, "--scene", "drop", "--compose", "--out", str(tmp_path / "o")]
+    assert main(["generate", str(tmp_path / "pipe"), *composed]) == 2
+    assert "a pipe can be read only once" in capsys.readouterr().err
+
+
+def test_what_was_ignored_in_a_picture_is_noted(tmp_path, capsys):
+    pixels = np.asarray(Image.open(DUCK)).copy()
+    pixels[..., 3] = np.where(pixels[..., 3] > 127, 114, 0)
+    Image.fromarray(pixels).save(tmp_path / "a.png", icc_profile=b"damaged")
+    assert main(["cutout", str(tmp_path / "a.png"), "--out", str(tmp_path / "b.png")]) == 0
+    said = capsys.readouterr()
+    assert "note: The picture's colour profile cannot be used" in said.err
+    assert "note: Nothing in the picture is opaque" in said.err
+    assert "cut out by the picture's own transparency" in said.out

@@ -112,6 +112,9 @@ class Generate:
         if not needs_image(self.making.generator):
             limit = f"{self.making.generator} does not look at a picture."
             raise InputError("compose", self.image, limit, "Leave --compose out.")
+        if self.image.exists() and not self.image.is_file():
+            limit = "a pipe can be read only once."
+            raise InputError("compose", self.image, limit, "Save the picture as a file first.")
         if self.plan.resume:
             later = "`phy124 render CLIP --compose PICTURE`"
             limit = "a run that is continued has no picture."

@@ -25,6 +25,7 @@ from proxy import in_front_of
 from phy124.io.ply import encode
 from phy124.scene import Scene
 from support.hostile import PHONE, bomb, heic_claiming
+from support.photographs import Entry, exif_of, file_of, segment_of, upright, with_segment
 from support.served import ROOT, TIMEOUT, serving
 from support.shapes import ball
 
@@ -230,7 +231,39 @@ ODD = {
 @pytest.mark.parametrize("kind", ODD)
 def test_odd_pictures_are_refused_in_words(attacker, kind):
     data, message = ODD[kind]
-    assert message in attacker.choose(attacker.uploaded(data))
+    said = attacker.choose(attacker.uploaded(data))
+    assert message in said
+    assert "uploads" not in said and "/tmp" not in said
+
+
+@pytest.mark.parametrize("option", ["side", "back", "depth"])
+def test_a_refusal_names_the_picture_that_it_is_about(attacker, option):
+    duck = {"path": attacker.uploaded(DUCK), "meta": {"_type": "gradio.FileData"}}
+    for kind in ("text", "bomb", "empty", "heic bomb"):
+        sent = {"path": attacker.uploaded(ODD[kind][0]), "meta": {"_type": "gradio.FileData"}}
+        assert f"{option}: It " in attacker.generate(duck, **{option: sent}), kind
+    for none in ("x", {"url": "data:image/png;base64,*", "path": "a.png"}):
+        assert f"{option}: " in attacker.generate(duck, **{option: none})
+
+
+def test_several_pictures_in_a_jpeg_pass_no_limit(attacker):
+    """Phones append a picture (MPO); its decoder is the same, and so are its limits."""
+    many = file_of(Image.open(io.BytesIO(DUCK)).convert("RGB"), "JPEG", progressive=True)
+    passes = many[many.index(b"\xff\xda") : -2] * 60
+    both = file_of(
+        Image.new("RGB", (9, 9)), "MPO", save_all=True, append_images=[Image.new("L", (9, 9))]
+    )
+    bomb = with_segment(many[:-2] + passes + b"\xff\xd9", 0xE2, segment_of(both, b"MPF\0"))
+    assert "more than 100 passes" in attacker.choose(attacker.uploaded(bomb))
+
+
+def test_odd_metadata_of_a_photograph_changes_nothing(attacker):
+    photograph = Image.new("RGB", (64, 64), "white")
+    photograph.paste((200, 40, 30), (20, 16, 44, 52))
+    software = Entry(0x0131, 5, 1, bytes(8))
+    exif = exif_of([upright(6), software])
+    jpeg = with_segment(file_of(photograph, "JPEG", icc_profile=b"damaged"), 0xE1, exif)
+    assert attacker.choose(attacker.uploaded(jpeg)) == "cut out"
 
 
 def test_strokes_are_limited_and_no_picture_comes_with_them(attacker):
