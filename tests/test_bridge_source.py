@@ -128,8 +128,9 @@ def test_the_listener_has_its_turns_while_a_frame_is_computed(ply):
 def test_a_doubtful_cut_out_is_said(tmp_path, monkeypatch, caplog):
     picture = Image.new("RGBA", (2, 2))
     doubtful = SimpleNamespace(
-        picture=picture, warnings=("It is in 9 pieces.",), method="u2net", data=dict
-    )
+        picture=picture, warnings=("It is in 9 pieces.",), method="u2net", data=dict,
+        notes=("Its profile is damaged.",),
+    )  # fmt: skip
     asked = []
     monkeypatch.setattr(
         "phy124.pipeline.gaussians.cut_out", lambda *_, **given: asked.append(given) or doubtful
@@ -139,8 +140,8 @@ def test_a_doubtful_cut_out_is_said(tmp_path, monkeypatch, caplog):
     made = make_object(tmp_path / "photo.png", options, Scene(), "cpu", silent)
     assert asked[0]["pick"] == (0.2, 0.7)
     assert made.gaussians == "made"
-    first, second = caplog.messages
-    assert first == "It is in 9 pieces."
+    note, first, second = caplog.messages
+    assert (note, first) == ("Its profile is damaged.", "It is in 9 pieces.")
     assert f"`phy124 cutout {tmp_path / 'photo.png'}`" in second
 
 

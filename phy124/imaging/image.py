@@ -99,13 +99,15 @@ def open_levels(path: str | os.PathLike[str], *, field: str) -> NDArray[np.float
 
 
 def header_size(path: str | os.PathLike[str], *, field: str = "image") -> Size:
-    """Width and height of a photograph as its header states them; nothing is decoded.
+    """Width and height of a photograph as its header states them, whatever they are.
+
+    Nothing is decoded.
 
     Raises:
         InputError: If the file is missing, too large, of another format, or its header is broken.
     """
     try:
-        return _check_header(_content(Path(path)), PHOTOGRAPH)
+        return _stated_size(_content(Path(path)), FORMATS)
     except Unusable as error:
         raise InputError(field, path, *error.args) from None
 
@@ -176,7 +178,7 @@ def _opened(
         data = _content(path)
         if purpose is PHOTOGRAPH or kind_of(data):
             # Before a process starts for it; of the other formats the decoder reads the header.
-            _check_header(data, purpose)
+            check_size(_stated_size(data, purpose.formats), purpose.minimum)
         limit = deadline._replace(seconds=min(deadline.seconds, DEADLINE.seconds))
         made = isolated.run(decoded, data, purpose, WORK_SIDE, deadline=limit, memory=MEMORY)
     except Unusable as error:
@@ -215,11 +217,11 @@ def _check_bytes(size: int) -> None:
         raise Unusable(limit, "Save it as JPEG or reduce it.")
 
 
-def _check_header(data: bytes, purpose: Purpose) -> Size:
-    """Width and height that the header states; makes sure that they are within the limits."""
+def _stated_size(data: bytes, formats: tuple[str, ...]) -> Size:
+    """Width and height that the header states, if the kind is known and can be read here."""
     kind = kind_of(data)
     if kind is None:
-        raise unidentified(data, purpose.formats)
+        raise unidentified(data, formats)
     if kind == "HEIC" and not heic.is_readable():
         remedy = f"Install it ({install_command('heic')}), or save the picture as JPEG."
         raise Unusable("It is a HEIC picture, which only the package pi-heif can read.", remedy)
@@ -227,11 +229,9 @@ def _check_header(data: bytes, purpose: Purpose) -> Size:
         limit = "It is an AVIF picture, which this installation of Pillow does not read."
         raise Unusable(limit, "Install Pillow 11.3 or later, or save the picture as JPEG.")
     try:
-        size = size_of(data)
+        return size_of(data)
     except ValueError as error:
         raise Unusable(f"It is broken or cut short ({error}).", COPY) from None
-    check_size(size, purpose.minimum)
-    return size
 
 
 def reads_avif() -> bool:
