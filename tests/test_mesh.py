@@ -153,3 +153,39 @@ def test_an_object_of_a_scene_is_made_of_a_mesh(tmp_path):
     assert refused.value.field == "objects.0 (ball), mesh"
     with pytest.raises(InputError, match="has mesh and shape"):
         Scene.from_data({"objects": [{"name": "b", "mesh": "b.stl", "shape": "box"}]})
+
+
+EARTH = np.array([500_000, 0, 4.6e6])
+
+
+@pytest.mark.parametrize("name", ["far.obj", "far.ply", "far.glb"])
+def test_a_mesh_far_away_in_double_precision_keeps_its_shape(tmp_path, name):
+    one, path = ball(), tmp_path / name
+    if name == "far.glb":
+        scene = trimesh.Scene()
+        scene.add_geometry(one, transform=trimesh.transformations.translation_matrix(EARTH))
+        scene.export(path)
+    else:
+        one.vertices += EARTH
+        texts = {
+            "obj": ["v {} {} {}\n", "f {} {} {}\n"],
+            "ply": ["{} {} {}\n", "3 {} {} {}\n"],
+        }[path.suffix[1:]]
+        first = 1 if name == "far.obj" else 0
+        lines = [texts[0].format(*map(repr, row)) for row in one.vertices.tolist()]
+        lines += [texts[1].format(*row) for row in (one.faces + first).tolist()]
+        head = f"ply\nformat ascii 1.0\nelement vertex {len(one.vertices)}\n"
+        head += "".join(f"property double {axis}\n" for axis in "xyz")
+        head += (
+            f"element face {len(one.faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+        )
+        path.write_text(("" if name == "far.obj" else head) + "".join(lines))
+    made = mesh(path, RED)
+    np.testing.assert_allclose(np.linalg.norm(made.means, axis=1), 0.5, atol=5e-3)
+
+
+def test_a_mesh_whose_numbers_are_too_coarse_is_noted(tmp_path):
+    one = ball()
+    one.vertices += EARTH
+    with pytest.warns(UserWarning, match="steps of 0.5, about 4 across"):
+        mesh(saved(tmp_path / "far.stl", one), RED)

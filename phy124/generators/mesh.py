@@ -6,6 +6,7 @@ every object (phy124/particles/solid.py), so a mesh need be neither closed nor w
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
@@ -19,6 +20,7 @@ from phy124.gaussians import Gaussians
 from phy124.generators.shapes import covered
 from phy124.io.axes import orientation, turned
 from phy124.io.content import Y_UP
+from phy124.io.precision import step_of, too_coarse
 from phy124.runtime import isolated
 from phy124.runtime.installation import install_command
 
@@ -56,12 +58,15 @@ def mesh(path: Path, colour: Sequence[float], *, seed: int = 0) -> Gaussians:
     kind = path.suffix.lower().removeprefix(".")
     _refuse(path, kind)
     try:
-        points, normals, colours = isolated.run(_read, str(path), kind, seed, deadline=TIME)
+        drawn, coarse = isolated.run(_read, str(path), kind, seed, deadline=TIME)
     except isolated.Unfinished as error:
         raise _unusable(path, f"reading it {error}.", "Give a smaller mesh.") from None
     except ValueError as error:
         limit, _, remedy = str(error).partition("; ")
         raise _unusable(path, limit, remedy or "Save it again from the program.") from None
+    if coarse:
+        warnings.warn(f"{path}: {coarse}", stacklevel=2)
+    points, normals, colours = drawn
     rgb = np.broadcast_to(np.asarray(colour, float), points.shape) if colours is None else colours
     low, high = points.min(axis=0), points.max(axis=0)
     made = covered((points - (low + high) / 2) / (high - low).max(), normals, rgb)
@@ -92,8 +97,8 @@ def _unusable(path: Path, limit: str, remedy: str) -> InputError:
     return InputError("mesh", path, limit, remedy)
 
 
-def _read(path: str, kind: str, seed: int) -> Drawn:
-    """Points all over a mesh, called in another process.
+def _read(path: str, kind: str, seed: int) -> tuple[Drawn, str | None]:
+    """Points all over a mesh, and a sentence if its file is too coarse; called in another process.
 
     Raises:
         ValueError: It cannot be used; the message has a limit and a remedy.
@@ -117,7 +122,10 @@ def _read(path: str, kind: str, seed: int) -> Drawn:
         limit = f"it has {triangles:,} triangles, and {MOST_TRIANGLES:,} are allowed."
         raise ValueError(f"{limit}; Simplify it in the program that made it.")
     solids: Any = [one for one in pieces if len(getattr(one, "faces", ()))]
-    return _drawn(solids, seed)
+    drawn = _drawn(solids, seed)
+    # Before its node moves it, a shape has the numbers of the file.
+    largest: Any = max(shapes, key=lambda one: len(getattr(one, "faces", ())))
+    return drawn, too_coarse(largest.vertices, step_of(largest.vertices))
 
 
 def _drawn(pieces: list[Trimesh], seed: int) -> Drawn:
