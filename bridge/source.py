@@ -17,6 +17,7 @@ from phy124.generators.ply_file import Reading
 from phy124.imaging.cutting import Cutting
 from phy124.io.clip import Clip
 from phy124.io.formats import is_file_of_gaussians
+from phy124.io.opening import obstacle
 from phy124.progress import Progress, silent
 
 if TYPE_CHECKING:
@@ -82,9 +83,7 @@ class LiveRun:
             InputError: The source does not exist, or the scene cannot be used.
         """
         self.scene = options.resolve()
-        if not source.is_file():
-            limit = "There is no such file."
-            raise InputError("source", source, limit, "Give a picture or a file of Gaussians.")
+        refuse_unopened(source)
         self._source, self._options, self._progress = source, options, progress
         self._simulation: Simulation | None = None
         self.stopped: str | None = None
@@ -128,6 +127,17 @@ class LiveRun:
         report = self.prepare().report()
         complete = report["complete"] and self.stopped is None
         return {**report, "complete": complete, "stopped": self.stopped}
+
+
+def refuse_unopened(source: Path) -> None:
+    """Make sure that a picture, a file of Gaussians or a clip can be opened.
+
+    Raises:
+        InputError: It cannot.
+    """
+    if hindrance := obstacle(source):
+        limit, remedy = hindrance
+        raise InputError("source", source, limit[0].upper() + limit[1:], remedy)
 
 
 def opened(path: str | Path) -> Clip:

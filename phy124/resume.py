@@ -21,6 +21,7 @@ from phy124.errors import InputError
 from phy124.gaussians import Frame, Gaussians, of_walls, stacked
 from phy124.harmonics import rotate_sh
 from phy124.io.files import replacing
+from phy124.io.opening import obstacle
 from phy124.monitor.wrenches import pair_names
 from phy124.progress import Progress, silent
 from phy124.runtime.stopwatch import Stopwatch
@@ -188,8 +189,8 @@ def _turn_last(run: Simulation) -> None:
 def _read(path: Path, *, tensors: bool = True) -> tuple[dict[str, Any], Tensors]:
     """The facts and the arrays of a file."""
     remedy = "Give a file written by phy124.resume.save."
-    if not path.is_file():
-        raise InputError("paused run", path, "there is no such file.", remedy)
+    if hindrance := obstacle(path):
+        raise InputError("paused run", path, hindrance[0], remedy)
     try:
         with safe_open(path, framework="np") as file:
             metadata = dict(file.metadata() or {})

@@ -7,6 +7,7 @@ import subprocess
 import sys
 
 import pytest
+from PIL import Image
 from tyro import _errors
 
 from phy124 import __version__
@@ -16,6 +17,10 @@ from phy124.commands import COMMANDS, outline
 from phy124.commands.bars import Bars, silence
 from phy124.commands.kinds import KINDS, TAKES, USES
 from phy124.commands.options import SceneOptions, ViewOptions
+from phy124.gaussians import Frame
+from phy124.io.clip import Clip
+from phy124.io.formats import write_gaussians
+from support.shapes import ball
 
 
 @pytest.mark.parametrize(
@@ -115,6 +120,23 @@ def test_a_parser_of_another_version_speaks_for_itself(monkeypatch, capsys):
         main(["generate", "x.png", "--frames"])
     assert ended.value.code == 2
     assert "--frames" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["object.png", "object.ply", "clip.safetensors", "any"])
+def test_content_tells_the_kind_of_a_file_whatever_its_name(capsys, tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / name
+    for format in ("ply", "glb", "spz", "spz4"):
+        write_gaussians(path, ball(40), format)
+        assert main(["generate", name]) == 2
+        assert f"Use `phy124 simulate {name}`." in capsys.readouterr().err
+        assert main(["convert", name, "out.splat"]) == 0
+    Image.new("RGB", (8, 8)).save(path, "PNG")
+    assert main(["simulate", name]) == 2
+    assert f"Use `phy124 generate {name}`." in capsys.readouterr().err
+    Clip.from_frames([Frame(0, 0.0, ball(40))]).save(path)
+    assert main(["convert", name, "out.ply"]) == 2
+    assert f"Use `phy124 render {name}` or" in capsys.readouterr().err
 
 
 def test_every_kind_has_an_advice_and_every_command_its_kind():

@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING
 
 import tyro
 
-from phy124.errors import InputError
-
-from ..source import LiveOptions, make_object, opened
+from ..source import LiveOptions, make_object, opened, refuse_unopened
 
 if TYPE_CHECKING:
     from phy124.gaussians import Gaussians
@@ -60,9 +58,7 @@ def steered(
     from phy124.runtime.device import pick_device
     from phy124.scene import assignments
 
-    if not source.is_file():
-        limit = "There is no such file."
-        raise InputError("source", source, limit, "Give a picture, a file of Gaussians or a clip.")
+    refuse_unopened(source)
     # A user need not see Warp's messages while it compiles.
     warp.config.log_level = warp.LOG_ERROR
     device = pick_device(options.device)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from phy124.errors import InputError
 from phy124.io.formats import ENDINGS
+from phy124.io.formats.spz import begins
 
 PICTURES = (
     ".png",
@@ -28,6 +30,18 @@ KINDS = {
     ".toml": "a scene",
 }
 """Ending of a file's name -> its content."""
+SIGNS = {
+    b"ply\n": "a file of Gaussians",
+    b"ply\r": "a file of Gaussians",
+    b"glTF": "a file of Gaussians",
+    b"\x89PNG": "a picture",
+    b"\xff\xd8\xff": "a picture",
+    b"GIF8": "a picture",
+    b"RIFF": "a picture",
+}
+"""First bytes of a file -> its content, whatever its name."""
+HEAD = 4096
+"""Bytes that are looked at."""
 TAKES = {
     "generate": ("image", "a picture"),
     "simulate": ("file", "a file of Gaussians"),
@@ -57,7 +71,22 @@ def refuse_other_kind(name: str, command: Any) -> None:
         return
     field, wanted = TAKES[name]
     path = Path(getattr(command, field))
-    found = KINDS.get(path.suffix.lower(), wanted)
+    found = _kind(path) or wanted
     if found != wanted:
         limit = f"it is {found}, and `phy124 {name}` takes {wanted}."
         raise InputError(field, path, limit, USES[found].replace("{}", str(path)))
+
+
+def _kind(path: Path) -> str | None:
+    """What a file contains, by its first bytes, else by its name; None: it may be anything."""
+    head = b""
+    with suppress(OSError, ValueError):
+        if path.is_file():  # a pipe can be read only once
+            with open(path, "rb") as file:
+                head = file.read(HEAD)
+    signed = next((kind for sign, kind in SIGNS.items() if head.startswith(sign)), None)
+    if begins(head):
+        signed = "a file of Gaussians"
+    if head[8:10] == b'{"' and not any(head[4:8]):  # safetensors: the length of a header of JSON
+        signed = "a clip"
+    return signed or KINDS.get(path.suffix.lower())

@@ -48,10 +48,10 @@ class Orient:
             raise InputError("out", out, "It is no PNG file.", "End the name in .png.")
         if self.up is not None and self.up not in FRONTS:
             raise InputError("up", self.up, "It is no axis.", f"Choose one of {', '.join(FRONTS)}.")
-        renderer = Renderer(device=pick_device(self.device))
         gaussians, notes = samples(str(self.file))
         for note in notes:
             print(f"note: {note}")
+        renderer = Renderer(device=pick_device(self.device))
         tiles = [_tile(renderer, gaussians, reading) for reading in candidates(self.up)]
         if self.out is None:
             out.parent.mkdir(exist_ok=True)

@@ -20,6 +20,7 @@ from phy124.gaussians import Gaussians
 from phy124.generators.shapes import covered
 from phy124.io.axes import orientation, turned
 from phy124.io.content import Y_UP
+from phy124.io.opening import obstacle
 from phy124.io.precision import step_of, too_coarse
 from phy124.runtime import isolated
 from phy124.runtime.installation import install_command
@@ -82,8 +83,8 @@ def _refuse(path: Path, kind: str) -> None:
     if kind not in UPRIGHT:
         known = ", ".join(f".{name}" for name in UPRIGHT)
         raise _unusable(path, "it is no kind of mesh that is read.", f"Give one of {known}.")
-    if not path.is_file():
-        raise _unusable(path, "there is no such file.", "Correct its name.")
+    if hindrance := obstacle(path):
+        raise _unusable(path, *hindrance)
     size = path.stat().st_size
     if not 0 < size <= LARGEST:
         limit = f"it has {size:,} bytes; a mesh has from 1 to {LARGEST:,}."

@@ -21,6 +21,7 @@ from phy124.errors import InputError
 from phy124.gaussians import Array, Frame, Gaussians, of_walls, stacked
 from phy124.harmonics import rotate_sh
 from phy124.io.files import replacing
+from phy124.io.opening import obstacle
 
 FORMAT = "phy124-clip"
 VERSION = "1"
@@ -28,6 +29,7 @@ REQUIRED = ("means", "quats", "scales", "opacities", "sh", "times")
 OPTIONAL = ("rotations", "velocities", "contacts")
 WALLS = "wrenches"
 OBJECT = "object_id"
+MADE = "Give a clip.safetensors made by `phy124 generate`."
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,13 +246,13 @@ class Clip:
             raise _refusal(path, f"its tensors do not fit together ({error}).") from error
 
 
-def _refusal(path: object, what: str) -> InputError:
-    return InputError("clip", path, what, "Give a clip.safetensors made by `phy124 generate`.")
+def _refusal(path: object, what: str, remedy: str = MADE) -> InputError:
+    return InputError("clip", path, what, remedy)
 
 
 def _read_metadata(path: Path) -> dict[str, str]:
-    if not path.is_file():
-        raise _refusal(path, "there is no such file.")
+    if hindrance := obstacle(path):
+        raise _refusal(path, *hindrance)
     try:
         with safe_open(path, framework="np") as file:
             metadata = file.metadata() or {}

@@ -175,11 +175,10 @@ def _harmonics(path: Path, table: NDArray[Any]) -> tuple[NDArray[np.float32], li
         raise refusal(path, limit, STANDARD)
     each = rest // 3
     kept = min(each, LARGEST_SH - 1)
+    wanted = tuple(f"f_rest_{channel * each + k}" for channel in range(3) for k in range(kept))
     sh = np.empty((len(table), 1 + kept, 3), np.float32)
     sh[:, 0] = first
-    for channel in range(3):
-        wanted = tuple(f"f_rest_{channel * each + k}" for k in range(kept))
-        sh[:, 1:, channel] = _group(table, wanted)
+    sh[:, 1:] = _group(table, wanted).reshape(len(table), 3, kept).transpose(0, 2, 1)
     return sh, [DEGREE_4] if kept < each else []
 
 

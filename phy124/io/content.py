@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from phy124.errors import InputError
 from phy124.gaussians import SH_COEFFICIENTS, Gaussians
+from phy124.io.opening import obstacle
 from phy124.io.precision import centred, in_place, step_of, too_coarse
 
 MAX_GAUSSIANS = 10_000_000
@@ -84,14 +85,23 @@ def refusal(kind: str, path: Path, limit: str, remedy: str = AGAIN) -> InputErro
     return InputError(f"{kind} file", path, limit[0].upper() + limit[1:], remedy)
 
 
+def refuse_unopened(kind: str, path: Path) -> None:
+    """Make sure that a file can be opened.
+
+    Raises:
+        InputError: It cannot.
+    """
+    if hindrance := obstacle(path):
+        raise refusal(kind, path, *hindrance)
+
+
 def whole_file(kind: str, path: Path) -> bytes:
     """The bytes of a file.
 
     Raises:
         InputError: If it is not there or is empty.
     """
-    if not path.is_file():
-        raise refusal(kind, path, "there is no such file.", "Check the path.")
+    refuse_unopened(kind, path)
     data = path.read_bytes()
     if not data:
         raise refusal(kind, path, "it is empty (0 bytes).")

@@ -111,8 +111,7 @@ def refusal(path: Path, limit: str, remedy: str) -> InputError:
 
 def _header_lines(path: Path) -> tuple[list[list[str]], int]:
     """The words of each line of the header, and its length in bytes."""
-    if not path.is_file():
-        raise refusal(path, "there is no such file.", "Check the path.")
+    content.refuse_unopened("PLY", path)
     with open(path, "rb") as file:
         head = file.read(MAX_BYTES)
     if not head:

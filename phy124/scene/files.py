@@ -11,6 +11,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from phy124.errors import InputError
+from phy124.io.opening import obstacle
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -57,5 +58,5 @@ def refuse_missing(section: BaseModel) -> None:
         InputError: One of them is not.
     """
     for field, path in files_named(section):
-        if not path.is_file():
-            raise InputError(field, path, "there is no such file.", "Correct its name.")
+        if hindrance := obstacle(path):
+            raise InputError(field, path, *hindrance)

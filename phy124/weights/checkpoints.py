@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from safetensors import SafetensorError
 
 from phy124.errors import InputError
+from phy124.io.opening import obstacle
 
 if TYPE_CHECKING:
     from torch import Tensor, nn
@@ -30,10 +31,9 @@ def read_tensors(path: str | os.PathLike[str]) -> dict[str, Tensor]:
         InputError: If there is no such file, or it is cut short, or of another kind.
     """
     path = Path(path)
-    if not path.is_file():
-        raise InputError(
-            "weights", path, "there is no such file.", "Run `phy124 doctor` to see what is found."
-        )
+    if hindrance := obstacle(path):
+        remedy = "Run `phy124 doctor` to see what is found."
+        raise InputError("weights", path, hindrance[0], remedy)
     if path.suffix == ".safetensors":
         from safetensors.torch import load_file
 

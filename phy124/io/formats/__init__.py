@@ -27,6 +27,7 @@ from phy124.io.content import Y_DOWN, Y_UP, Content
 from phy124.io.export import write_fourdgs, write_sequence, write_usd
 from phy124.io.files import replacing
 from phy124.io.formats import compressed_ply, glb, sog, splat, spz
+from phy124.io.opening import obstacle
 from phy124.io.plyheader import read_header
 from phy124.progress import Progress, silent
 
@@ -266,8 +267,9 @@ def recognised(path: Path) -> Format:
     Raises:
         InputError: If the file is missing or of no format that is read.
     """
-    if not path.is_file():
-        raise InputError("file", path, "There is no such file.", "Check the path.")
+    if hindrance := obstacle(path):
+        limit, remedy = hindrance
+        raise InputError("file", path, limit[0].upper() + limit[1:], remedy)
     with open(path, "rb") as file:
         head = file.read(HEAD)
     if spz.begins(head):

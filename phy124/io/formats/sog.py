@@ -33,7 +33,15 @@ from PIL import Image
 
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
-from phy124.io.content import DEGREE_4, LARGEST_SH, Content, check_count, content_of, refusal
+from phy124.io.content import (
+    DEGREE_4,
+    LARGEST_SH,
+    Content,
+    check_count,
+    content_of,
+    refusal,
+    refuse_unopened,
+)
 from phy124.io.formats.codebook import codebook, nearest, palette
 from phy124.io.formats.smallest_three import completed, reduced
 
@@ -63,8 +71,7 @@ def read(path: Path) -> Content:
     Raises:
         InputError: If the file is missing, cut short, damaged or of another version.
     """
-    if not path.is_file():
-        raise refusal(KIND, path, "there is no such file.", "Check the path.")
+    refuse_unopened(KIND, path)
     try:
         with zipfile.ZipFile(path) as archive:
             return _read(path, archive)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.gaussians import SH_C0, Gaussians
-from phy124.io.content import Content, check_count, content_of, refusal
+from phy124.io.content import Content, check_count, content_of, refusal, refuse_unopened
 
 ROW = np.dtype(
     [("centre", "<f4", 3), ("scale", "<f4", 3), ("colour", "u1", 4), ("rotation", "u1", 4)]
@@ -32,7 +32,8 @@ def read(path: Path) -> Content:
     Raises:
         InputError: If the file is missing, cut short, too large, or nothing in it is finite.
     """
-    size = path.stat().st_size if path.is_file() else 0
+    refuse_unopened("splat", path)
+    size = path.stat().st_size
     count, rest = divmod(size, ROW.itemsize)
     if rest:
         limit = f"its {size:,} bytes are no multiple of {ROW.itemsize}: it is cut short or foreign."

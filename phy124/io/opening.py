@@ -1,0 +1,66 @@
+"""Why a file cannot be opened, in words: it is not there, a folder, a pipe, or not permitted."""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+
+PathLike = str | os.PathLike[str]
+RECORDED = (
+    "it is a recording of messages, not what they were made of.",
+    "`python -m bridge info {}` describes it, and `ros2 bag play {}` plays it.",
+)
+IN_FOLDERS = {
+    "meta.json": (
+        "it is the folder of an unpacked SOG.",
+        "Zip its files: `cd {} && zip -0 ../packed.sog *`, and give packed.sog.",
+    ),
+    "metadata.yaml": RECORDED,
+    "clip.safetensors": ("it is the folder of a run.", "Give {}/clip.safetensors."),
+    "lod-meta.json": (
+        "it is the folder of a streamed SOG.",
+        "Convert it with `npx @playcanvas/splat-transform {}/lod-meta.json OUT.ply`.",
+    ),
+}
+"""A file in a folder -> what the folder is, and what to do."""
+NOT_ALONE = {"meta.json", "lod-meta.json"}
+"""Files that are nothing without the others in their folder."""
+RECORDING = b"\x89MCAP"
+"""First bytes of a recording of messages, as the bridge makes them."""
+
+
+def obstacle(path: PathLike) -> tuple[str, str] | None:
+    """Why a file cannot be read, and what to do about it; None if it can be opened."""
+    path = Path(path)
+    try:
+        mode = path.stat().st_mode
+        if stat.S_ISDIR(mode):
+            return _of_folder(path)
+        if not stat.S_ISREG(mode):
+            return "it is no file but a pipe or a device.", "Save it as a file first."
+        if path.name in NOT_ALONE:
+            return _of_folder(path.parent)
+        with open(path, "rb") as file:
+            recorded = file.read(len(RECORDING)) == RECORDING
+            return _about(path, *RECORDED) if recorded else None
+    except (FileNotFoundError, NotADirectoryError, ValueError):  # a path may have a zero byte
+        return "there is no such file.", "Check the path."
+    except PermissionError as error:
+        return f"it may not be read ({error.strerror}).", "Ask its owner, or change its mode."
+    except OSError as error:
+        return f"it cannot be opened ({error.strerror}).", "Check the path and the disk."
+
+
+def _of_folder(path: Path) -> tuple[str, str]:
+    """What a folder is, and which file to give instead."""
+    for name, words in IN_FOLDERS.items():
+        if (path / name).is_file():
+            return _about(path, *words)
+    if any(path.glob("*.mcap")):
+        return _about(path, *RECORDED)
+    return "it is a folder.", "Give a file in it."
+
+
+def _about(path: Path, limit: str, remedy: str) -> tuple[str, str]:
+    return limit, remedy.replace("{}", str(path))

@@ -1,0 +1,113 @@
+"""Why a file cannot be opened: each command says what it met and which file to give instead."""
+
+import os
+
+import pytest
+
+from bridge.__main__ import main as bridge
+from phy124.__main__ import main
+from phy124.io import opening
+from phy124.io.opening import obstacle
+
+COMMANDS = [
+    ["simulate", "{}"],
+    ["convert", "{}", "out.ply"],
+    ["orient", "{}"],
+    ["render", "{}"],
+    ["export", "{}", "--to", "ply"],
+    ["evaluate", "{}"],
+]
+
+
+def folder(path, *names):
+    path.mkdir()
+    for name in names:
+        (path / name).write_text("{}")
+    return path
+
+
+CASES = {
+    "an unpacked SOG": (["meta.json", "means_l.webp"], "unpacked SOG", "zip -0"),
+    "a bag": (["metadata.yaml", "a_0.mcap"], "a recording", "ros2 bag play"),
+    "a bag being written": (["a_0.mcap"], "a recording", "bridge info"),
+    "a run": (["clip.safetensors"], "folder of a run", "Give {}/clip.safetensors"),
+    "others": ([], "it is a folder", "Give a file in it"),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_folders_are_called_what_they_are(tmp_path, case):
+    names, limit, remedy = CASES[case]
+    path = folder(tmp_path / "it.sog", *names)
+    found = obstacle(path)
+    assert found is not None
+    assert limit in found[0] and remedy.replace("{}", str(path)) in found[1]
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda words: words[0])
+def test_no_command_says_that_a_folder_is_not_there(tmp_path, monkeypatch, capsys, command):
+    monkeypatch.chdir(tmp_path)
+    folder(tmp_path / "sog", "meta.json")
+    for path in ("sog", "sog/meta.json"):
+        assert main([word.replace("{}", path) for word in command]) == 2
+        said = capsys.readouterr().err
+        assert "unpacked SOG" in said and "no such file" not in said
+
+
+@pytest.mark.parametrize("name", ["bag", "bag/a_0.mcap"])
+@pytest.mark.parametrize("words", [["play"], ["record"]])
+def test_the_bridge_knows_a_recording(tmp_path, monkeypatch, capsys, words, name):
+    monkeypatch.chdir(tmp_path)
+    folder(tmp_path / "bag", "metadata.yaml")
+    (tmp_path / "bag" / "a_0.mcap").write_bytes(b"\x89MCAP0\r\n" + bytes(100))
+    assert bridge([*words, name]) == 2
+    said = capsys.readouterr().err
+    assert "it is a recording" in said and f"ros2 bag play {name}" in said
+
+
+def test_a_file_that_may_not_be_read_is_not_called_missing(tmp_path, monkeypatch):
+    path = tmp_path / "a.ply"
+    path.touch()
+
+    def refuse(path, mode):
+        raise PermissionError(13, "Permission denied", path)
+
+    monkeypatch.setattr(opening, "open", refuse, raising=False)
+    assert obstacle(path) == (
+        "it may not be read (Permission denied).", "Ask its owner, or change its mode.",
+    )  # fmt: skip
+
+
+@pytest.mark.skipif(os.name != "posix" or os.geteuid() != 0, reason="only root can become another")
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda words: words[0])
+def test_without_permission_each_command_says_so(tmp_path, monkeypatch, capsys, command):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "secret").touch(mode=0o600)
+    os.chmod(tmp_path, 0o777)
+    os.seteuid(65534)
+    try:
+        path = tmp_path / "secret"
+        if obstacle(path) == ("there is no such file.", "Check the path."):
+            pytest.skip("the folder above is closed to others")
+        status = main([word.replace("{}", "secret") for word in command])
+    finally:
+        os.seteuid(0)
+    said = capsys.readouterr().err
+    assert status == 2 and "may not be read (Permission denied)" in said
+
+
+@pytest.mark.parametrize("name", ["none.ply", "file/none.ply", "a\0b"])
+def test_what_is_not_there_is_missing(tmp_path, name):
+    (tmp_path / "file").touch()
+    assert obstacle(tmp_path / name) == ("there is no such file.", "Check the path.")
+
+
+def test_a_pipe_is_no_file(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    found = obstacle(tmp_path / "pipe")
+    assert found is not None and "a pipe" in found[0]
+
+
+def test_a_file_has_no_obstacle(tmp_path):
+    (tmp_path / "a").touch()
+    assert obstacle(tmp_path / "a") is None
