@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
-from importlib.metadata import entry_points
+from functools import cache, cached_property
+from importlib.metadata import EntryPoint, entry_points
 from typing import Any, get_args
 
 from pydantic_core import core_schema
@@ -21,25 +21,36 @@ GROUPS = ("materials", "forces", "boundaries", "generators", "sinks")
 """Entry points are phy124.materials, phy124.forces and so on; the bridge reads phy124.sinks."""
 
 
+@cache
+def installed(group: str) -> dict[str, EntryPoint]:
+    """What packages have registered in one of the `GROUPS`, by name.
+
+    It is read once: packages' metadata takes milliseconds, and a scene may name thousands of kinds.
+    """
+    points = entry_points(group=f"phy124.{group}")
+    return {point.name: point for point in reversed(list(points))}
+
+
 def registered(group: str, name: str) -> Any:
     """What a package has registered under a name in one of the `GROUPS`; None if nothing.
 
     Raises:
         InputError: It cannot be loaded.
     """
-    for found in entry_points(group=f"phy124.{group}", name=name):
-        try:
-            return found.load()
-        except Exception as error:
-            limit = f"the entry point {found.value} cannot be loaded ({error})."
-            remedy = "Install what it needs, or remove the package that names it."
-            raise InputError(f"phy124.{group}", name, limit, remedy) from error
-    return None
+    point = installed(group).get(name)
+    if point is None:
+        return None
+    try:
+        return point.load()
+    except Exception as error:
+        limit = f"the entry point {point.value} cannot be loaded ({error})."
+        remedy = "Install what it needs, or remove the package that names it."
+        raise InputError(f"phy124.{group}", name, limit, remedy) from error
 
 
 def names(group: str) -> list[str]:
     """All names that packages have registered in a group, in alphabetical order."""
-    return sorted(found.name for found in entry_points(group=f"phy124.{group}"))
+    return sorted(installed(group))
 
 
 def registered_kinds(group: str, base: type[Section]) -> dict[str, type[Section]]:

@@ -4,6 +4,7 @@ import json
 import re
 import socket
 import sys
+from functools import cache
 from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
 from typing import ClassVar, Literal
@@ -77,6 +78,12 @@ class Lamp(bridge.sink.LiveSink):
         self.times.append(frame.time)
 
 
+def register(monkeypatch, points: EntryPoints) -> None:
+    """Let these be the entry points of all packages."""
+    monkeypatch.setattr(plugins, "entry_points", points.select)
+    monkeypatch.setattr(plugins, "installed", cache(plugins.installed.__wrapped__))
+
+
 @pytest.fixture
 def installed(monkeypatch):
     """A package with entry points for all of them, and for sinks that are broken."""
@@ -89,7 +96,7 @@ def installed(monkeypatch):
             ("clip", random_clip, "sinks"), ("gone", dict, "sinks"),
         )
     )  # fmt: skip
-    monkeypatch.setattr(plugins, "entry_points", points.select)
+    register(monkeypatch, points)
     monkeypatch.setattr(EntryPoint, "load", lambda self: globals()[self.value.partition(":")[2]])
     declaration.cache_clear()
     yield
@@ -161,9 +168,23 @@ def test_a_plugin_does_not_replace_what_is_there(installed, monkeypatch):
     assert type(Scene.from_data({"material": {"law": "sand"}}).material).__name__ == "Sand"
 
 
+def test_packages_are_read_once_however_many_names_are_unknown(monkeypatch):
+    reads, points = [], EntryPoints([])
+    register(monkeypatch, points)
+
+    def read(**wanted: str) -> EntryPoints:
+        reads.append(wanted["group"])
+        return points.select(**wanted)
+
+    monkeypatch.setattr(plugins, "entry_points", read)
+    with pytest.raises(InputError, match="no such kind"):
+        Scene.from_data({"forces": [{"kind": "uniform"}] * 100})
+    assert "phy124.forces" in reads and len(reads) == len(set(reads))
+
+
 def test_one_that_cannot_be_loaded_says_so(monkeypatch):
     points = EntryPoints([EntryPoint("odd", "no_such_module:Odd", "phy124.materials")])
-    monkeypatch.setattr(plugins, "entry_points", points.select)
+    register(monkeypatch, points)
     with pytest.raises(InputError, match="cannot be loaded"):
         Scene.from_data({"material": {"law": "odd"}})
 
@@ -228,7 +249,7 @@ def test_the_examples_of_the_docs_move(monkeypatch):
 def test_the_sink_of_the_docs_sends_each_frame(monkeypatch, tmp_path):
     sink = examples(monkeypatch)["PlotJuggler"]
     points = EntryPoints([EntryPoint("plotjuggler", "docs:PlotJuggler", "phy124.sinks")])
-    monkeypatch.setattr(plugins, "entry_points", points.select)
+    register(monkeypatch, points)
     monkeypatch.setattr(EntryPoint, "load", lambda self: sink)
     clip = random_clip(frames=3, fps=100)
     clip.save(tmp_path / "clip.safetensors")
