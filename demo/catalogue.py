@@ -36,6 +36,8 @@ PUSHES = {"gravity": "g", "acceleration": "a"}
 LONGEST, LONGER = 20_000, 200
 """Length of a scene as text, and how much longer it may be for each frame of a run, since a hand
 may have drawn the object elsewhere in each."""
+LISTS, PARTS = ("forces", "boundaries", "objects", "parts", "pairs"), 64
+"""Fields of a scene that are lists, and the largest number of parts."""
 WEIGHTS = {"foam": 50, "water": 1000, "stone": 2600, "iron": 7900}
 """Densities of familiar materials [kg/m^3]."""
 
@@ -119,14 +121,43 @@ def scene_of(data: Any, settings: Settings, uploads: Path | None = None) -> Scen
     """
     if not isinstance(data, dict):
         raise InputError("scene", data, "no scene is chosen.", "Choose one of the cards.")
-    if len(json.dumps(data)) > LONGEST + LONGER * settings.max_frames:
-        raise InputError("scene", "too long", "it is too large.", "Use fewer forces.")
+    check_length("scene", data, settings)
+    _check_counts(data, settings)
     scene = Scene.from_data(data)
     _refuse_makers(scene)
     for field, path in files_named(scene):
         _check_upload(field, path, settings, uploads)
     check_limits(scene, settings)
     return scene
+
+
+def check_length(field: str, data: Any, settings: Settings) -> None:
+    """Check that plain data is no longer, as text, than a scene may be.
+
+    Args:
+        field: What an error calls it.
+        data: The data.
+        settings: The page's limits.
+
+    Raises:
+        InputError: It is longer.
+    """
+    most = LONGEST + LONGER * settings.max_frames
+    if len(json.dumps(data)) > most:
+        limit = f"It is longer than the {most:,} characters that this page takes."
+        raise InputError(field, "too long", limit, "Use fewer forces.")
+
+
+def _check_counts(data: dict[str, Any], settings: Settings) -> None:
+    """Count what a scene lists before anything is made of it; raises InputError."""
+    counts = {name: len(data[name]) for name in LISTS if isinstance(data.get(name), list)}
+    pushes = counts.get("forces", 0) + counts.get("boundaries", 0)
+    check_most({
+        "forces and boundaries": (pushes, settings.max_forces),
+        "objects": (1 + counts.get("objects", 0), settings.max_objects),
+        "parts": (counts.get("parts", 0), PARTS),
+        "pairs": (counts.get("pairs", 0), settings.max_objects**2),
+    })  # fmt: skip
 
 
 def _refuse_makers(scene: Scene) -> None:
@@ -158,7 +189,7 @@ def check_limits(scene: Scene, settings: Settings) -> None:
     Raises:
         InputError: It is larger than the page allows.
     """
-    limits = {
+    check_most({
         "frames": (scene.time.frames, settings.max_frames),
         "cells": (scene.resolution.cells, settings.max_cells),
         "size": (max(scene.view.size), settings.max_pixels),
@@ -169,7 +200,15 @@ def check_limits(scene: Scene, settings: Settings) -> None:
             len(scene.forces) + len(scene.boundaries),
             settings.max_forces,
         ),
-    }
+    })  # fmt: skip
+
+
+def check_most(limits: dict[str, tuple[int, int]]) -> None:
+    """Check numbers, each with the most that the page allows.
+
+    Raises:
+        InputError: One of them is larger.
+    """
     for name, (value, most) in limits.items():
         if value > most:
             raise InputError(

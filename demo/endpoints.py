@@ -16,6 +16,7 @@ from phy124.scene import PRESETS, Scene, ViewName, preset_names
 from phy124.scene.refusals import shortened
 from phy124.section import Section
 
+from .catalogue import check_length
 from .exports import EXPORTS, export
 from .fits import Asked
 from .handlers import Handler
@@ -188,6 +189,7 @@ def _cut(
     _chosen("accuracy", [accuracy], list(PRESETS))
     try:
         changed = _changes(changes)
+        check_length("changes", changed, studio.settings)
         length = {} if "time.seconds" in changed else {"time.frames": frames}
         scene = Scene.named(preset).replaced({"accuracy": accuracy, **length, **changed})
         studio.known(name, told)

@@ -1,32 +1,28 @@
-"""Protection of the page: limits on requests, headers of responses, time limits of connections."""
+"""Protection of the page: whose requests are answered, and headers of responses."""
 
 from __future__ import annotations
 
 import ipaddress
 import re
-import resource
 import secrets
 import socket
-from asyncio import TimerHandle
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import PlainTextResponse
-from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from .identity import COOKIE, new_name
 
 if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-DRAIN = 1 << 28
-"""Largest part of a refused request that is read before the connection is closed [bytes]."""
-HEAD, BODY = 20.0, 120.0
-"""Longest time for the head of a request and for its body [s]."""
-FILES = 16_384
-"""Number of files and connections that the page may have open, if the system allows it."""
 FETCHES = re.compile(r"/gradio_api/(?:file=|proxy=)(?:https?:|ftp:|//)", re.IGNORECASE)
 """Addresses at which Gradio would fetch something from elsewhere."""
+CLOSED = re.compile(
+    r"/gradio_api/(?:dev|deep_link|stream|component_server|process_recording|vibe|undo-vibe|runs"
+    r"|run-history|profiling|login_check)\b|/monitoring\b"
+)
+"""Addresses of Gradio that the page does not need, among them streams that never end."""
 POLICY = (
     # Gradio makes functions of the panels' scripts; a script injected into the page does not run.
     "default-src 'self'; script-src 'self' 'nonce-{nonce}' 'unsafe-eval'; "
@@ -38,87 +34,77 @@ INERT = "default-src 'none'; style-src 'unsafe-inline'; sandbox"
 """Policy for everything except the page itself, in case it is opened as a page."""
 
 
-class BodyLimit:
-    """Refuses requests that are too large, whatever size they declare.
-
-    `most` is for those to the address `uploads`, `other` for all others: each the number of bytes
-    and what is said to larger ones.
-    """
-
-    def __init__(
-        self, app: ASGIApp, uploads: str, most: tuple[int, str], other: tuple[int, str]
-    ) -> None:
-        self.app, self.uploads, self.limits = app, uploads, (other, most)
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer 413, or pass the request on."""
-        if scope["type"] != "http":
-            return await self.app(scope, receive, send)
-        most, message = self.limits[scope["path"] == self.uploads]
-        length = dict(scope["headers"]).get(b"content-length", b"0")
-        if not length.isdigit() or int(length) > most:
-            return await self._refuse(message, scope, receive, send)
-        read = 0
-
-        async def counted() -> Message:
-            nonlocal read
-            message = await receive()
-            read += len(message.get("body", b""))
-            if read > most:
-                # To the application it looks as if the client had disconnected.
-                return {"type": "http.disconnect"}
-            return message
-
-        await self.app(scope, counted, send)
-
-    async def _refuse(self, said: str, scope: Scope, receive: Receive, send: Send) -> None:
-        # Read and discard the rest: a client that is still sending would not read an answer.
-        read, more = 0, True
-        while more and read < DRAIN:
-            message = await receive()
-            read, more = read + len(message.get("body", b"")), message.get("more_body", False)
-        answer = PlainTextResponse(said, 413, {"connection": "close"})
-        await answer(scope, receive, send)
-
-
 class Doorkeeper:
-    """Refuses requests under other host names, those that would fetch from other sites, and sockets
-    that the page of another site opens.
+    """Refuses requests under other host names, those that would fetch from other sites, those for
+    what the page does not need, and those by which another site's page would do something here.
     """
 
-    def __init__(self, app: ASGIApp, hosts: frozenset[str]) -> None:
-        self.app, self.hosts = app, hosts
+    def __init__(self, app: ASGIApp, hosts: frozenset[str], origins: frozenset[str]) -> None:
+        """Stand in front of an application.
+
+        Args:
+            app: The application.
+            hosts: Names it answers to.
+            origins: Those of them that a proxy may replace by another one.
+        """
+        self.app, self.hosts, self.origins = app, hosts, origins
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer 421 or 403, or pass the request on."""
+        """Answer 421, 404 or 403, or pass the request on."""
         if scope["type"] == "http":
             refusal = self._refusal(scope)
             if refusal is not None:
                 return await refusal(scope, receive, send)
-        if scope["type"] == "websocket" and not self._from_own_page(Headers(scope=scope)):
+        if scope["type"] == "websocket":
+            headers = Headers(scope=scope)
             # Before it is accepted, this is answered by 403.
-            return await send({"type": "websocket.close", "code": 1008})
+            if "origin" not in headers or not self._from_own_page(headers):
+                return await send({"type": "websocket.close", "code": 1008})
         await self.app(scope, receive, send)
 
     def _from_own_page(self, headers: Headers) -> bool:
-        """Whether a page of this server opens a socket: browsers let those of others do so, too."""
-        host = headers.get("host", "")
-        origin = headers.get("origin", "").partition("://")[2]
-        return is_own_name(host, self.hosts) and origin.lower() == host.lower()
+        """Whether a page of this server or a program asks: browsers say whose page it is."""
+        host, origin = headers.get("host", ""), headers.get("origin")
+        if headers.get("sec-fetch-site", "none") not in ("same-origin", "none"):
+            return False
+        if not is_own_name(host, self.hosts):
+            return False
+        if origin is None:
+            return True
+        place = origin.lower().partition("://")[2]
+        return _without_port(place) in self.origins or _usual(place) == _usual(host.lower())
 
     def _refusal(self, scope: Scope) -> PlainTextResponse | None:
-        if not is_own_name(Headers(scope=scope).get("host", ""), self.hosts):
+        headers = Headers(scope=scope)
+        if not is_own_name(headers.get("host", ""), self.hosts):
             return PlainTextResponse("This page has another host name (PHY124_HOSTS).", 421)
         if FETCHES.search(scope["path"]):
             return PlainTextResponse("This page fetches nothing from elsewhere.", 403)
+        if CLOSED.match(scope["path"]):
+            return PlainTextResponse("There is no such address here.", 404)
+        if scope["method"] not in ("GET", "HEAD") and not self._from_own_page(headers):
+            return PlainTextResponse("This page takes nothing from the pages of other sites.", 403)
         return None
+
+
+def _without_port(place: str) -> str:
+    return re.sub(r":\d+$", "", place)
+
+
+def _usual(place: str) -> str:
+    """A host without the port that browsers leave out."""
+    return re.sub(r":(80|443)$", "", place)
+
+
+def listed(more: str, space: str = "") -> frozenset[str]:
+    """Names with commas between them."""
+    return frozenset(filter(None, (name.strip().lower() for name in f"{more},{space}".split(","))))
 
 
 def own_names(more: str, space: str = "") -> frozenset[str]:
     """Host names the page answers to, besides IP addresses."""
     here = socket.gethostname().lower()
-    given = [name.strip().lower() for name in f"{more},{space}".split(",")]
-    return frozenset({"localhost", here, f"{here}.local", *filter(None, given)})
+    return frozenset({"localhost", here, f"{here}.local"}) | listed(more, space)
 
 
 def is_own_name(host: str, names: frozenset[str]) -> bool:
@@ -126,7 +112,7 @@ def is_own_name(host: str, names: frozenset[str]) -> bool:
 
     IP addresses always do: DNS rebinding needs a name.
     """
-    name = re.sub(r":\d+$", "", host.lower()).strip("[]")
+    name = _without_port(host.lower()).strip("[]")
     if name in names or "*" in names:
         return True
     try:
@@ -194,66 +180,3 @@ class _Answer:
             headers.append("set-cookie", name)
         await self.send(self.page)
         await self.send({"type": "http.response.body", "body": body})
-
-
-def allow_connections() -> int:
-    """Raise the limit of open files as far as allowed; returns half of it, for connections."""
-    now, most = resource.getrlimit(resource.RLIMIT_NOFILE)
-    minimum = FILES if most == resource.RLIM_INFINITY else min(FILES, most)
-    if now < minimum:
-        resource.setrlimit(resource.RLIMIT_NOFILE, (minimum, most))
-    return max(now, minimum) // 2
-
-
-class Patient(H11Protocol):
-    """A connection that is closed if a request does not arrive in time, however slowly it trickles.
-
-    If there are too many connections, the one that has been waited for longest is closed.
-    """
-
-    clock: TimerHandle | None = None
-    waiting_for = ""
-
-    def __init__(self, *arguments: Any, most: int, **options: Any) -> None:
-        super().__init__(*arguments, **options)
-        self.most = most
-
-    def connection_made(self, transport: Any) -> None:
-        """Start the clock at once, since silence counts as well."""
-        super().connection_made(transport)
-        self._watch()
-        if len(self.connections) > self.most:
-            self._make_room()
-
-    def data_received(self, data: bytes) -> None:
-        """Process what has arrived, and set the time for what is missing."""
-        super().data_received(data)
-        self._watch()
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        """Stop waiting."""
-        self._stop()
-        super().connection_lost(exc)
-
-    def _watch(self) -> None:
-        missing = str(self.conn.their_state)
-        # A connection that has become a socket is another protocol's.
-        if missing not in ("IDLE", "SEND_BODY") or self.transport.get_protocol() is not self:
-            return self._stop()
-        if missing != self.waiting_for:
-            self._stop()
-            self.waiting_for = missing
-            seconds = HEAD if missing == "IDLE" else BODY
-            self.clock = self.loop.call_later(seconds, self.transport.close)
-
-    def _make_room(self) -> None:
-        waiting = [each for each in self.connections if isinstance(each, Patient) and each.clock]
-        slowest = min(waiting, key=lambda each: each.clock.when() if each.clock else 0.0)
-        slowest._stop()
-        slowest.transport.abort()
-
-    def _stop(self) -> None:
-        self.waiting_for = ""
-        if self.clock is not None:
-            self.clock.cancel()
-            self.clock = None

@@ -20,11 +20,15 @@ from starlette.staticfiles import StaticFiles
 
 from phy124.io.export.html import VIEWER
 
+from .bodies import BodyLimit
+from .connections import Patient, allow_connections
 from .gaussian_files import SMALLER
-from .guard import BodyLimit, Doorkeeper, Headed, Patient, allow_connections, own_names
+from .guard import Doorkeeper, Headed, listed, own_names
 from .identity import cookie_of
+from .streams import Streams
 from .touch import socket_route
 from .touch.orders import LARGEST
+from .turns import Turns
 from .uploads import ADDRESS, upload_route
 
 if TYPE_CHECKING:
@@ -40,6 +44,8 @@ GONE = (
     "<p>This result is no longer kept. Ask whoever sent the link to make it again.</p></html>"
 )
 """Page of a link whose result has gone."""
+DIGITS = 9
+"""Of a number in an address; Python refuses to read one of thousands."""
 SWEEP = 5.0
 """Time between two searches for visitors who have left [s]."""
 
@@ -99,7 +105,7 @@ def routes(studio: Studio) -> list[BaseRoute]:
         found = studio.visitors.job(request.path_params["name"])
         if found is None:
             return JSONResponse({"state": "gone"}, 404)
-        seen = request.query_params.get("seen", "0")
+        seen = request.query_params.get("seen", "0")[:DIGITS]
         told = found.progress.data(int(seen) if seen.isdecimal() else 0)
         return JSONResponse({**told, "place": found.place}, headers={"cache-control": "no-store"})
 
@@ -130,7 +136,7 @@ def launch(page: Any, studio: Studio, **options: Any) -> None:
     space = os.environ.get("SPACE_HOST", "")
     # A program may send a picture as a data: URL.
     other = int(settings.max_bytes * 4 / 3) + SLACK, f"{settings.too_large} {settings.make_smaller}"
-    most = settings.max_file_bytes
+    most, connections = settings.max_file_bytes, allow_connections()
     page.launch(
         server_name=settings.host,
         server_port=settings.port,
@@ -148,20 +154,27 @@ def launch(page: Any, studio: Studio, **options: Any) -> None:
         app_kwargs={
             "middleware": [
                 Middleware(Headed, embedded=bool(space)),
-                Middleware(Doorkeeper, hosts=own_names(settings.hosts, space)),
+                Middleware(
+                    Doorkeeper,
+                    hosts=own_names(settings.hosts, space),
+                    origins=listed(settings.hosts, space),
+                ),
+                Middleware(Streams, most=connections // 2, here=studio.visitors.is_here),
                 Middleware(
                     BodyLimit,
                     uploads=ADDRESS,
                     other=other,
                     most=(most + SLACK, f"{settings.file_too_large} {SMALLER}"),
                 ),
+                Middleware(Turns),
             ],
             "routes": routes(studio),
         },
         **options,
     )
+    _share_with_nobody(page.app)
     # uvicorn looks this up for each new connection.
-    page.server.config.http_protocol_class = partial(Patient, most=allow_connections())
+    page.server.config.http_protocol_class = partial(Patient, most=connections)
     page.server.config.ws_max_size = LARGEST
     # What is sent is dense already.
     page.server.config.ws_per_message_deflate = False
@@ -173,6 +186,15 @@ def launch(page: Any, studio: Studio, **options: Any) -> None:
         studio.touches.close()
         studio.visitors.close()
         page.close(verbose=False)
+
+
+def _share_with_nobody(app: Any) -> None:
+    """Take out what lets pages of other sites read answers, which Gradio puts before all else."""
+    from gradio.route_utils import CustomCORSMiddleware
+
+    kept = [each for each in app.user_middleware if each.cls is not CustomCORSMiddleware]
+    app.user_middleware = kept
+    app.middleware_stack = app.build_middleware_stack()
 
 
 def _sweep(studio: Studio) -> None:

@@ -26,6 +26,9 @@ class Stroke(Section):
 Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 PLACE = TypeAdapter(tuple[Share, Share])
 STROKES = TypeAdapter(Annotated[list[Stroke], Field(max_length=200)])
+UNREAD = "These strokes cannot be read."
+POINTS = 20_000
+"""Points of all strokes together."""
 
 
 def strokes_of(data: Any) -> list[Stroke]:
@@ -34,12 +37,14 @@ def strokes_of(data: Any) -> list[Stroke]:
     Raises:
         InputError: The data cannot be read.
     """
+    unread = InputError("strokes", "unknown", UNREAD, "Undo some of them.")
     try:
-        return STROKES.validate_python(data)
+        strokes = STROKES.validate_python(data)
     except ValidationError:
-        raise InputError(
-            "strokes", "unknown", "These strokes cannot be read.", "Undo some of them."
-        ) from None
+        raise unread from None
+    if sum(len(stroke.points) for stroke in strokes) > POINTS:
+        raise unread
+    return strokes
 
 
 def place_of(data: Any) -> Point | None:

@@ -171,6 +171,11 @@ class Visitors:
                 visitor.touch()
             return visitor
 
+    def is_here(self, name: str | None) -> bool:
+        """Whether the page of a visitor is open; asking is no sign of life."""
+        visitor = self._known.get(name or "")
+        return visitor is not None and visitor.silence < AWAY
+
     def job(self, name: str) -> Job | None:
         """The job of that name, which cannot be guessed; this counts as a sign of life."""
         with self._lock:

@@ -171,6 +171,7 @@ def test_strokes_keep_and_remove_and_the_last_one_counts():
         [{"keep": True, "width": 0.1, "points": [[float("nan"), 0]]}],
         [{"keep": True, "width": 0.1, "points": [[0, 0]]}] * 201,
         [{"keep": True, "width": 0.1, "points": [[0, 0]] * 2001}],
+        [{"keep": True, "width": 0.1, "points": [[0, 0]] * 2000}] * 11,
     ],
 )  # fmt: skip
 def test_strokes_that_cannot_be_are_refused(data):

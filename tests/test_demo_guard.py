@@ -1,13 +1,12 @@
-"""What stands before the page: names, headers, patience."""
+"""What stands before the page: names, origins, headers."""
 
 from __future__ import annotations
 
 import asyncio
-from types import SimpleNamespace
 
 import pytest
 
-from demo.guard import FETCHES, Headed, Patient, is_own_name, own_names
+from demo.guard import FETCHES, Doorkeeper, Headed, is_own_name, listed, own_names
 
 NAMES = own_names("demo.example, other.example", "space.hf.space")
 
@@ -79,9 +78,44 @@ def test_what_is_no_page_is_inert_and_streams_are_passed_through():
     assert b"nonce" not in answer["body"]
 
 
-def test_a_connection_that_has_become_a_socket_is_not_closed_for_its_missing_body():
-    """The body of its request, which is none, is never read."""
-    became = SimpleNamespace(get_protocol=lambda: None)
-    state = SimpleNamespace(their_state="SEND_BODY")
-    waiting = SimpleNamespace(conn=state, transport=became, _stop=lambda: "stopped")
-    assert Patient._watch(waiting) == "stopped"
+def _refused(path: str = "/gradio_api/run/predict", method: str = "POST", **headers: str) -> int:
+    """Status with which a request is refused; 200 if it is passed on."""
+    sent = []
+
+    async def page(scope, receive, send):
+        sent.append({"status": 200})
+
+    async def send(message):
+        sent.append(message)
+
+    told = {"host": "demo.example", **{k.replace("_", "-"): v for k, v in headers.items()}}
+    pairs = [(k.encode(), v.encode()) for k, v in told.items()]
+    scope = {"type": "http", "method": method, "path": path, "headers": pairs}
+    door = Doorkeeper(page, NAMES, listed("demo.example"))
+    asyncio.run(door(scope, None, send))
+    return sent[0]["status"]
+
+
+@pytest.mark.parametrize(
+    ("headers", "status"),
+    [
+        ({}, 200), ({"origin": "https://demo.example"}, 200),
+        ({"origin": "https://demo.example:443"}, 200), ({"sec_fetch_site": "same-origin"}, 200),
+        ({"host": "127.0.0.1:7860", "origin": "http://127.0.0.1:7860"}, 200),
+        ({"host": "127.0.0.1:7860", "origin": "https://demo.example"}, 200),
+        ({"host": "127.0.0.1:7860", "origin": "http://localhost:3000"}, 403),
+        ({"host": "127.0.0.1:7860", "origin": "http://127.0.0.1:3000"}, 403),
+        ({"origin": "https://evil.example"}, 403), ({"origin": "null"}, 403), ({"origin": ""}, 403),
+        ({"sec_fetch_site": "cross-site"}, 403), ({"sec_fetch_site": "same-site"}, 403),
+        ({"origin": "https://demo.example", "sec_fetch_site": "cross-site"}, 403),
+    ],
+)  # fmt: skip
+def test_pages_of_other_sites_change_nothing(headers, status):
+    assert _refused(**headers) == status
+    assert _refused("/gradio_api/upload", "OPTIONS", **headers) == status
+    assert _refused("/", "GET", **headers) == 200, "a link from elsewhere is followed"
+
+
+@pytest.mark.parametrize("path", ["dev/reload", "deep_link", "component_server", "stream/a/close"])
+def test_addresses_that_the_page_does_not_need_are_closed(path):
+    assert _refused(f"/gradio_api/{path}", "GET") == 404

@@ -120,6 +120,19 @@ def test_values_beyond_the_pages_limits_are_refused(changes, field):
         scene_of(data, Settings())
 
 
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"forces": [{"kind": "?"}] * 800}, {"boundaries": [1] * 800}, {"objects": [{}] * 300},
+        {"parts": [{"x": 1}] * 300}, {"pairs": [None] * 300},
+    ],
+)  # fmt: skip
+def test_what_a_scene_lists_is_counted_before_anything_is_made_of_it(change, monkeypatch):
+    monkeypatch.setattr(Scene, "from_data", lambda *_: pytest.fail("it was read"))
+    with pytest.raises(InputError, match="allows at most"):
+        scene_of(change, Settings())
+
+
 @pytest.mark.parametrize("data", [None, "press", {"material": {"law": "gold"}}, {"x" * 30_000: 1}])
 def test_what_is_no_scene_is_refused(data):
     with pytest.raises(InputError):

@@ -16,12 +16,14 @@ BOUNDARY = "boundary"
 
 
 class Attacker:
-    """One visitor with a cookie of its own, or without any."""
+    """One visitor with a cookie of its own, or without any, and an address as behind a proxy."""
 
-    def __init__(self, server: Server, *, cookie: bool = True) -> None:
+    def __init__(self, server: Server, *, cookie: bool = True, address: str = "") -> None:
         self.server = server
         self.session = secrets.token_hex(6)
         self.cookie = f"phy124={secrets.token_urlsafe(24)}" if cookie else ""
+        self._always = {"Cookie": self.cookie} if cookie else {}
+        self._always |= {"X-Forwarded-For": address} if address else {}
         self._handlers: dict[str, int] = {}
 
     def send(
@@ -29,7 +31,7 @@ class Attacker:
     ) -> tuple[int, str, dict[str, str]]:
         """Status, text and headers of an answer; the path goes out as it stands."""
         connection = http.client.HTTPConnection("127.0.0.1", self.server.port, timeout=TIMEOUT)
-        sent = {"Cookie": self.cookie, **(headers or {})} if self.cookie else dict(headers or {})
+        sent = {**self._always, **(headers or {})}
         try:
             connection.request(method, path, body, sent)
             answer = connection.getresponse()

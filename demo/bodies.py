@@ -1,0 +1,126 @@
+"""Bodies of requests: how large they may be, and how much structure they may have."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+from starlette.responses import PlainTextResponse
+
+if TYPE_CHECKING:
+    from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+DRAIN = 1 << 28
+"""Largest part of a refused request that is read before the connection is closed [bytes]."""
+VALUES, DEEPEST = 50_000, 40
+"""Largest number of values in the JSON of one request, and how deep they may be nested."""
+ODD = "This request cannot be read: it has too many values, or too many within each other."
+
+
+class BodyLimit:
+    """Refuses requests that are too large, whatever size they declare, and JSON that takes long.
+
+    Gradio reads JSON in the thread that answers everybody: a second for three million numbers.
+    """
+
+    def __init__(
+        self, app: ASGIApp, uploads: str, most: tuple[int, str], other: tuple[int, str]
+    ) -> None:
+        """Stand in front of an application.
+
+        Args:
+            app: The application.
+            uploads: The address of uploads, which are files and no JSON.
+            most: Largest upload [bytes], and what is said to larger ones.
+            other: The same for all other requests.
+        """
+        self.app, self.uploads, self.most, self.other = app, uploads, most, other
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer 413 or 400, or pass the request on."""
+        if scope["type"] != "http":
+            return await self.app(scope, receive, send)
+        upload = scope["path"] == self.uploads
+        most, said = self.most if upload else self.other
+        length = dict(scope["headers"]).get(b"content-length", b"0")
+        if not length.isdigit() or int(length) > most:
+            await _drained(receive)
+            return await _too_large(said)(scope, receive, send)
+        if upload or scope["method"] in ("GET", "HEAD"):
+            return await self.app(scope, _counted(receive, most), send)
+        body = await _whole(_counted(receive, most))
+        if body is None:
+            return await _too_large(said)(scope, receive, send)
+        if not is_plain(body):
+            return await PlainTextResponse(ODD, 400)(scope, receive, send)
+        await self.app(scope, _again(body, receive), send)
+
+
+def is_plain(body: bytes) -> bool:
+    """Whether JSON has at most `VALUES` values, nested at most `DEEPEST` deep; takes little time.
+
+    Commas and brackets inside texts are counted, too.
+    """
+    marks = sum(body.count(mark) for mark in (b",", b"[", b"{"))
+    # A zero byte is of another encoding, in which quotes would be missed.
+    if marks > VALUES or body.count(b'"') > 4 * VALUES or b"\0" in body:
+        return False
+    unescaped = body.replace(b"\\\\", b"").replace(b'\\"', b"")
+    outside = b"".join(unescaped.split(b'"')[::2])
+    depth = 0
+    for bracket in re.findall(rb"[\[\]{}]", outside):
+        depth += 1 if bracket in b"[{" else -1
+        if depth > DEEPEST:
+            return False
+    return True
+
+
+def _counted(receive: Receive, most: int) -> Receive:
+    """What is received, up to so many bytes; to the application more is a lost connection."""
+    read = 0
+
+    async def counted() -> Message:
+        nonlocal read
+        message = await receive()
+        read += len(message.get("body", b""))
+        return message if read <= most else {"type": "http.disconnect"}
+
+    return counted
+
+
+async def _whole(receive: Receive) -> bytes | None:
+    """The body of a request; None if it is too large, or the connection is lost before its end."""
+    parts, more = [], True
+    while more:
+        message = await receive()
+        if message["type"] == "http.disconnect":
+            return None
+        parts.append(message.get("body", b""))
+        more = message.get("more_body", False)
+    return b"".join(parts)
+
+
+def _again(body: bytes, receive: Receive) -> Receive:
+    """A body that was read already, and then what follows it."""
+    unread = True
+
+    async def again() -> Message:
+        nonlocal unread
+        if unread:
+            unread = False
+            return {"type": "http.request", "body": body, "more_body": False}
+        return await receive()
+
+    return again
+
+
+def _too_large(said: str) -> PlainTextResponse:
+    return PlainTextResponse(said, 413, {"connection": "close"})
+
+
+async def _drained(receive: Receive) -> None:
+    """Read and discard a body: a client that is still sending would not read an answer."""
+    read, more = 0, True
+    while more and read < DRAIN:
+        message = await receive()
+        read, more = read + len(message.get("body", b"")), message.get("more_body", False)

@@ -1,0 +1,103 @@
+"""Connections: their number, and how long one may keep the page waiting."""
+
+from __future__ import annotations
+
+import math
+import resource
+from asyncio import TimerHandle
+from typing import Any
+
+from uvicorn.protocols.http.h11_impl import H11Protocol
+
+HEAD, BODY, STALLED = 20.0, 120.0, 60.0
+"""Longest time for the head of a request, for its body, and until some of an answer is read [s]."""
+FILES = 16_384
+"""Number of files and connections that the page may have open, if the system allows it."""
+
+
+def allow_connections() -> int:
+    """Raise the limit of open files as far as allowed; returns half of it, for connections."""
+    now, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    minimum = FILES if most == resource.RLIM_INFINITY else min(FILES, most)
+    if now < minimum:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (minimum, most))
+    return max(now, minimum) // 2
+
+
+class Patient(H11Protocol):
+    """A connection that is closed if a request does not arrive in time, however slowly it trickles,
+    or if nothing of an answer is read for long.
+
+    If there are too many connections, the one that has been waited for longest is closed.
+    """
+
+    clock: TimerHandle | None = None
+    waiting_for = ""
+    stalled: TimerHandle | None = None
+
+    def __init__(self, *arguments: Any, most: int, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self.most = most
+
+    def connection_made(self, transport: Any) -> None:
+        """Start the clock at once, since silence counts as well."""
+        super().connection_made(transport)
+        self._watch()
+        if len(self.connections) > self.most:
+            self._make_room()
+
+    def data_received(self, data: bytes) -> None:
+        """Process what has arrived, and set the time for what is missing."""
+        super().data_received(data)
+        self._watch()
+
+    def pause_writing(self) -> None:
+        """Set a time: more of an answer waits to be read than is kept for a connection."""
+        super().pause_writing()
+        self.stalled = self.loop.call_later(STALLED, self.transport.abort)
+
+    def resume_writing(self) -> None:
+        """Go on: something was read."""
+        self._read()
+        super().resume_writing()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Stop waiting."""
+        self._stop()
+        self._read()
+        super().connection_lost(exc)
+
+    def _read(self) -> None:
+        if self.stalled is not None:
+            self.stalled.cancel()
+            self.stalled = None
+
+    def _watch(self) -> None:
+        missing = str(self.conn.their_state)
+        # A connection that has become a socket is another protocol's.
+        if missing not in ("IDLE", "SEND_BODY") or self.transport.get_protocol() is not self:
+            return self._stop()
+        if missing != self.waiting_for:
+            self._stop()
+            self.waiting_for = missing
+            seconds = HEAD if missing == "IDLE" else BODY
+            self.clock = self.loop.call_later(seconds, self.transport.close)
+
+    def _make_room(self) -> None:
+        """Close the connection that has been waited for longest; if there is none, this one."""
+        waiting = [each for each in self.connections if isinstance(each, Patient)]
+        slowest = min(waiting, key=lambda each: (_due(each), each is not self), default=self)
+        slowest._stop()
+        slowest.transport.abort()
+
+    def _stop(self) -> None:
+        self.waiting_for = ""
+        if self.clock is not None:
+            self.clock.cancel()
+            self.clock = None
+
+
+def _due(connection: Patient) -> float:
+    """When a connection will have been waited for too long; of one that is answered, never."""
+    clocks = (connection.clock, connection.stalled, connection.timeout_keep_alive_task)
+    return min((clock.when() for clock in clocks if clock), default=math.inf)

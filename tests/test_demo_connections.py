@@ -1,0 +1,75 @@
+"""Connections: which one is closed, and when."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+from demo.connections import STALLED, Patient
+
+
+class Clock:
+    """A loop and a transport that note what is to be done."""
+
+    def __init__(self) -> None:
+        self.due: list[tuple[float, object]] = []
+        self.aborted = False
+
+    def call_later(self, seconds: float, act: object) -> SimpleNamespace:
+        self.due.append((seconds, act))
+        return SimpleNamespace(when=lambda: seconds, cancel=self.due.clear)
+
+    def abort(self) -> None:
+        self.aborted = True
+
+
+def _connection(connections: set, due: float | None = None) -> Patient:
+    """A connection that is waited for until a time, or is answered."""
+    made = Patient.__new__(Patient)
+    made.loop = made.transport = Clock()
+    made.flow = SimpleNamespace(pause_writing=lambda: None, resume_writing=lambda: None)
+    made.connections, made.timeout_keep_alive_task = connections, None
+    connections.add(made)
+    made.clock = None if due is None else made.loop.call_later(due, None)
+    return made
+
+
+def test_of_too_many_connections_the_one_waited_for_longest_is_closed():
+    connections: set[Patient] = set()
+    _, slow, new = (_connection(connections, due) for due in (None, 3.0, 20.0))
+    new._make_room()
+    assert [each.transport.aborted for each in connections if each.transport.aborted] == [True]
+    assert slow.transport.aborted
+
+
+def test_if_none_is_waited_for_the_newest_is_closed():
+    connections: set[Patient] = set()
+    for _ in range(9):
+        _connection(connections)
+    new = _connection(connections)
+    new._make_room()
+    assert [each for each in connections if each.transport.aborted] == [new]
+
+
+def test_a_connection_that_is_kept_for_a_next_request_is_closed_too():
+    connections: set[Patient] = set()
+    _connection(connections)
+    kept, new = _connection(connections), _connection(connections, 20.0)
+    kept.timeout_keep_alive_task = kept.loop.call_later(5.0, None)
+    new._make_room()
+    assert [each for each in connections if each.transport.aborted] == [kept]
+
+
+def test_an_answer_that_nobody_reads_is_given_up_and_one_that_is_read_is_not():
+    made = _connection(set())
+    made.pause_writing()
+    assert made.loop.due == [(STALLED, made.transport.abort)]
+    made.resume_writing()
+    assert made.loop.due == [] and made.stalled is None
+
+
+def test_a_connection_that_has_become_a_socket_is_not_closed_for_its_missing_body():
+    """The body of its request, which is none, is never read."""
+    became = SimpleNamespace(get_protocol=lambda: None)
+    state = SimpleNamespace(their_state="SEND_BODY")
+    waiting = SimpleNamespace(conn=state, transport=became, _stop=lambda: "stopped")
+    assert Patient._watch(waiting) == "stopped"

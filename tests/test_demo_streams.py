@@ -1,0 +1,91 @@
+"""Streams: how many a cookie, an address and all may have, and how long one lives."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+
+from demo import streams
+from demo.streams import ADDRESS, EACH, Streams
+
+
+class Page:
+    """Streams that are open until something ends them."""
+
+    def __init__(self, most: int = 1000, here: bool = False) -> None:
+        self.answers: list[list[dict]] = []
+        self.open = 0
+        self.door = Streams(self._answer, most, lambda cookie: here)
+
+    async def _answer(self, scope, receive, send) -> None:
+        await send({"type": "http.response.start", "status": 200, "headers": []})
+        self.open += 1
+        try:
+            await asyncio.sleep(1000)
+        finally:
+            self.open -= 1
+
+    async def visit(self, cookie: str, address: str = "10.0.0.1") -> asyncio.Task:
+        """Open a stream, and wait until it is answered."""
+        sent: list[dict] = []
+        self.answers.append(sent)
+
+        async def send(message):
+            sent.append(message)
+
+        headers = [(b"cookie", f"phy124={cookie * 32}".encode())] if cookie else []
+        scope = {
+            "type": "http", "method": "GET", "path": "/gradio_api/heartbeat/x",
+            "headers": headers, "client": (address, 1),
+        }  # fmt: skip
+        task = asyncio.create_task(self.door(scope, None, send))
+        while not sent:
+            await asyncio.sleep(0)
+        return task
+
+    @property
+    def statuses(self) -> list[int]:
+        return [sent[0]["status"] for sent in self.answers]
+
+
+def test_of_too_many_streams_of_a_cookie_the_oldest_ends():
+    async def visit():
+        page = Page()
+        opened = [await page.visit("a") for _ in range(EACH)]
+        other = await page.visit("b")
+        await page.visit("a")
+        await opened[0]
+        assert page.answers[0][-1] == {
+            "type": "http.response.body", "body": b"", "more_body": False
+        }  # fmt: skip
+        assert page.open == EACH + 1 and not any(one.done() for one in (*opened[1:], other))
+        assert set(page.statuses) == {200}
+
+    asyncio.run(visit())
+
+
+def test_an_address_and_all_together_have_only_so_many_streams():
+    async def visit():
+        page = Page(most=ADDRESS + 2)
+        for number in range(ADDRESS + 5):
+            await page.visit("" if number % 2 else chr(97 + number // 8))
+        assert page.statuses == [200] * ADDRESS + [429] * 5
+        for number in range(2, 6):
+            await page.visit("", f"10.0.0.{number}")
+        assert page.statuses[-4:] == [200, 200, 429, 429] and page.open == ADDRESS + 2
+
+    asyncio.run(visit())
+
+
+@pytest.mark.parametrize("here", [True, False])
+def test_a_stream_lives_on_only_while_its_page_is_here(monkeypatch, here):
+    monkeypatch.setattr(streams, "LIFE", 0.0)
+
+    async def visit():
+        page = Page(here=here)
+        task = await page.visit("a")
+        await asyncio.wait([task], timeout=0.1 if here else None)
+        assert task.done() is not here
+
+    asyncio.run(visit())
