@@ -211,6 +211,16 @@ def test_blank_lines_of_an_ascii_file_are_no_rows(tmp_path, end):
     np.testing.assert_allclose(gaussians.means, rows()[:, :3], rtol=1e-6)
 
 
+@pytest.mark.parametrize("word", ["nan", "-nan(ind)", "1.#QNAN", "-1.#INF00", "-inf"])
+def test_words_for_no_number_drop_their_row_alone(tmp_path, word):
+    lines = [" ".join(map(repr, row)) for row in rows().tolist()]
+    lines[0] = lines[0].replace("0.1", word, 1)
+    path = save(tmp_path, header(encoding="ascii") + "\n".join(lines).encode())
+    gaussians, dropped = read_ply(path, up="z")
+    assert dropped == 1
+    np.testing.assert_allclose(gaussians.means, rows()[1:, :3], rtol=1e-6)
+
+
 @pytest.mark.parametrize("degree", [1, 2, 3])
 def test_rest_is_channel_major_in_any_order(tmp_path, degree):
     count = (degree + 1) ** 2 - 1

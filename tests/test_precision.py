@@ -1,5 +1,7 @@
 """Places far from the origin: double precision loses nothing, and coarse float32 is noted."""
 
+import json
+import zipfile
 from dataclasses import replace
 
 import numpy as np
@@ -152,3 +154,19 @@ def test_what_is_too_coarse_depends_on_what_is_chosen(rng):
     assert too_coarse(means, 1.9 / COARSE) is None
     assert too_coarse(means[np.abs(means).max(axis=1) < 0.5], 1.9 / COARSE) is not None
     assert too_coarse(means, 0) is None
+
+
+def test_a_sog_far_away_keeps_its_places(tmp_path):
+    write_gaussians(tmp_path / "a.sog", ball(COUNT))
+    with zipfile.ZipFile(tmp_path / "a.sog") as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    meta = json.loads(members["meta.json"])
+    ends = np.log1p(np.array([EARTH - 0.5, EARTH + 0.5]) + [0, 1e6, 0])
+    meta["means"] |= {"mins": ends[0].tolist(), "maxs": ends[1].tolist()}
+    members["meta.json"] = json.dumps(meta).encode()
+    with zipfile.ZipFile(tmp_path / "b.sog", "w") as archive:
+        for name, data in members.items():
+            archive.writestr(name, data)
+    means = read_as_is(tmp_path / "b.sog").gaussians.means
+    assert min(len(np.unique(axis)) for axis in means.T) > 0.9 * COUNT
+    np.testing.assert_allclose(np.ptp(means, axis=0), 1, rtol=1e-3)

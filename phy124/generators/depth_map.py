@@ -15,6 +15,7 @@ from pydantic import Field
 from phy124.errors import InputError
 from phy124.imaging.decoding import MAX_PIXELS
 from phy124.imaging.image import open_levels
+from phy124.io.opening import obstacle
 from phy124.section import Section
 
 ASPECT = 0.02
@@ -81,12 +82,12 @@ def fitted(depth: NDArray, width: int, height: int) -> NDArray[np.float32]:
 
 
 def _array(path: Path) -> NDArray:
+    if hindrance := obstacle(path):
+        raise InputError("depth", path, *hindrance)
     try:
         if path.stat().st_size > 8 * MAX_PIXELS:
             raise ValueError("it is too large")
         values = np.load(path, allow_pickle=False)
-    except FileNotFoundError as error:
-        raise InputError("depth", path, "There is no such file.", "Check the path.") from error
     except (OSError, ValueError, EOFError) as error:
         limit = f"It is no array ({error})."
         raise InputError("depth", path, limit, "Save it with numpy.save.") from error

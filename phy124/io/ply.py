@@ -38,6 +38,10 @@ MIP = ("SplatRenderMode: mip", "antialiased 1")
 NOT_MIP = ("SplatRenderMode: default", "antialiased 0")
 
 
+NO_NUMBER = re.compile(rb"[-+]?(nan\([^)]*\)|1\.#\w+)", re.IGNORECASE)
+"""How programs on Windows write what is no number: -nan(ind), 1.#QNAN, -1.#INF00."""
+
+
 class Ply(NamedTuple):
     """What a file contained; `read_gaussians` also tells what was passed over."""
 
@@ -144,9 +148,11 @@ def _read_ascii(path: Path, header: Header) -> NDArray[Any]:
         file.seek(header.start)
         rows = [line for line in file.read().splitlines() if line.strip()]
     lines = rows[header.skip_lines :][: header.count]
-    names = header.row.names or ()
+    names, text = header.row.names or (), b" ".join(lines)
+    if b"#" in text or b"(" in text:
+        text = NO_NUMBER.sub(b"nan", text)
     try:
-        values = np.array(b" ".join(lines).split(), dtype=np.float64)
+        values = np.array(text.split(), dtype=np.float64)
     except ValueError as error:
         raise refusal(path, f"it has an unreadable number ({error}).", "Export again.") from error
     rows = len(values) // len(names)

@@ -21,7 +21,7 @@ from phy124.pipeline.gaussians import static as one_static
 from phy124.progress import Progress, silent
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene, preset_names
-from phy124.simulation.bodies import named
+from phy124.simulation.bodies import named, refuse_ids
 
 PathLike = str | os.PathLike[str]
 
@@ -144,6 +144,7 @@ def with_others(
     check_sources(scene, more)
     if not scene.objects:
         return Objects(first, scene, {})
+    refuse_ids(first, scene)
     by_hand = iter(more)
     usual = generator if needs_image(generator) else "relief"
     made = {index: first.of_object(index) for index in range(len(scene.objects) + 1)}

@@ -74,7 +74,7 @@ def bodies(gaussians: Gaussians, scene: Scene, crop: Crop) -> Body:
     """
     if not scene.objects:
         return _made(_placed(replace(gaussians, object_id=None), scene, crop), scene.spacing)
-    _refuse_ids(gaussians, scene)
+    refuse_ids(gaussians, scene)
     placed = []
     for index, one in enumerate(scene.every_object):
         own_crop = one.crop if isinstance(one, SceneObject) else crop
@@ -117,7 +117,7 @@ def notes(scene: Scene) -> list[str]:
     ]
 
 
-def _refuse_ids(gaussians: Gaussians, scene: Scene) -> None:
+def refuse_ids(gaussians: Gaussians, scene: Scene) -> None:
     """Make sure that the Gaussians are of no object that the scene does not have.
 
     Raises:
