@@ -11,8 +11,11 @@ from phy124.__main__ import main
 from phy124.gaussians import Frame
 from phy124.generators import make, needs_image
 from phy124.io.clip import Clip
-from phy124.io.formats import FORMATS, WRITTEN, read_gaussians, write_gaussians
+from phy124.io.formats import FORMATS, WRITTEN, read_as_is, read_gaussians, write_gaussians
+from phy124.io.ply import raw_table
+from support.plys import ply_of
 from support.quantisation import many
+from support.shapes import ball
 
 
 @pytest.fixture
@@ -138,3 +141,17 @@ def test_every_format_that_is_read_is_an_object(tmp_path, rng):
             made = make(str(file))(None, seed=0, progress=lambda *_: None)
             assert len(made) == 200 and np.ptp(made.means, axis=0).max() == pytest.approx(1, 0.01)
     assert needs_image("relief") and needs_image("cmd: program a.ply")
+
+
+def test_what_a_file_says_and_we_pass_over_is_noted(tmp_path, capsys):
+    table = raw_table(ball(50))
+    columns = {name: table[name].astype(float) for name in table.dtype.names}
+    columns |= {"filter_3D": 0.001, "roughness": 0.5, "x": columns["x"] + 5e6}
+    path = ply_of(tmp_path / "a.ply", columns, kinds=dict.fromkeys(columns, "f8"))
+    assert main(["convert", str(path), str(tmp_path / "b.ply")]) == 0
+    notes = [line for line in capsys.readouterr().out.splitlines() if line.startswith("note:")]
+    assert len(notes) == 3
+    assert "filter_3D" in notes[0] and "roughness" in notes[1]
+    assert "0, 5000000, 0 was subtracted" in notes[2]
+    means = read_as_is(tmp_path / "b.ply").gaussians.means
+    np.testing.assert_allclose(means[:, 0], table["x"], atol=2e-6)

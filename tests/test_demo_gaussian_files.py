@@ -69,6 +69,11 @@ def read(studio: Studio, data: bytes) -> GaussianFile:
     return job.progress.result
 
 
+def test_what_of_a_file_is_passed_over_is_among_its_notes(studio):
+    file = read(studio, of(head=HEAD.replace(b"property float nx", b"property float metallic")))
+    assert file.notes[0] == "Columns that are not known are passed over: metallic."
+
+
 def test_a_file_is_reduced_drawn_in_24_ways_and_moved_as_the_one_that_is_chosen(studio):
     file = read(studio, of())
     assert (file.format, file.axes[:3]) == ("3DGS PLY", ("-y", "x", False))

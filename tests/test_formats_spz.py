@@ -113,3 +113,19 @@ def test_without_the_flag_nothing_is_taken_for_an_extension(tmp_path, rng):
     (tmp_path / "a.spz").write_bytes(data)
     content = read_as_is(tmp_path / "a.spz")
     assert (content.axes, content.notes) == (("y", "z"), ())
+
+
+def test_version_1_has_its_centres_in_half_precision(tmp_path, rng):
+    wanted = many(rng, 30, 1)
+    quats = wanted.quats * np.where(wanted.quats[:, :1] < 0, -1, 1)
+    later = zlib.decompress(spz.encode(wanted), 31)
+    body = struct.pack("<4sIIBBBB", b"NGSP", 1, 30, 1, 0, 0, 0)
+    body += wanted.means.astype("<f2").tobytes() + later[16 + 270 : 16 + 270 + 210]
+    body += np.rint((quats[:, 1:] + 1) * 127.5).astype(np.uint8).tobytes()
+    body += later[16 + 270 + 210 + 120 :]
+    packer = zlib.compressobj(wbits=31)
+    (tmp_path / "a.spz").write_bytes(packer.compress(body) + packer.flush())
+    found = read_as_is(tmp_path / "a.spz").gaussians
+    np.testing.assert_array_equal(found.means, wanted.means.astype("f2").astype("f4"))
+    np.testing.assert_allclose(np.abs((found.quats * quats).sum(axis=1)), 1, atol=0.01)
+    np.testing.assert_allclose(found.sh, wanted.sh, atol=0.2)

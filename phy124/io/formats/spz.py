@@ -1,4 +1,4 @@
-"""SPZ (Niantic), versions 2 to 4: Gaussians in 20 to 64 bytes, then gzip (2, 3) or Zstandard (4).
+"""SPZ (Niantic), versions 1 to 4: Gaussians in 16 to 64 bytes, then gzip (1-3) or Zstandard (4).
 
     header, 16 bytes        magic "NGSP", version, count (uint32 each), degree of the harmonics,
                             bits after the point of the centres, flags (1: antialiased,
@@ -7,11 +7,12 @@
     table (version 4)       sizes of each stream (uint64): compressed, raw
 
     section     bytes      meaning
-    centres     9          3 x int24, / 2^bits
+    centres     6          version 1: 3 x float16
+                9          later: 3 x int24, / 2^bits
     opacity     1          / 255
     colour      3          degree 0: (value / 255 - 1/2) / 0.15
     scale       3          logarithm: value / 16 - 10
-    rotation    3          version 2: x, y, z: value / 127.5 - 1, and w is the rest
+    rotation    3          versions 1 and 2: x, y, z: value / 127.5 - 1, and w is the rest
                 4          later: 2 bits which of x, y, z, w is left out as the largest; for each
                            other a sign and 9 bits, / 511 sqrt 2
     harmonics   9, 24, 45  of degree 1 to 3: coefficient by coefficient, (value - 128) / 128
@@ -85,9 +86,9 @@ class Head(NamedTuple):
     @property
     def sizes(self) -> list[int]:
         """Bytes of each section, without those that are empty."""
-        rotation = 3 if self.version < 3 else 4
+        centre, rotation = 6 if self.version < 2 else 9, 3 if self.version < 3 else 4
         harmonics = 3 * ((self.degree + 1) ** 2 - 1)
-        rows = (9, 1, 3, 3, rotation, harmonics)
+        rows = (centre, 1, 3, 3, rotation, harmonics)
         return [self.gaussians * row for row in rows if row]
 
 
@@ -103,7 +104,7 @@ def read(path: Path) -> Content:
     sections = [body[a:b].reshape(n, -1) for a, b in pairwise(at)]
     centres, opacity, colour, scale, rotation, *rest = sections
     raw = {
-        "means": _fixed(centres) / np.float32(2**head.bits),
+        "means": _places(head, centres),
         "quats": (_from_three(rotation) if head.version < 3 else _from_four(rotation)),
         "scales": np.exp(scale / np.float32(16) - 10),
         "opacities": opacity[:, 0] / np.float32(255),
@@ -155,11 +156,11 @@ def _mirror(raw: dict[str, NDArray[np.float32]]) -> None:
 
 
 def _gunzipped(path: Path, data: bytes) -> tuple[Head, NDArray[np.uint8], bytes]:
-    """Header, sections and extensions of versions 2 and 3."""
+    """Header, sections and extensions of versions 1 to 3."""
     packer = zlib.decompressobj(31)
     try:
         first = packer.decompress(data, HEADER.size)
-        head = _head(path, first, len(data), versions=(2, 3))
+        head = _head(path, first, len(data), versions=(1, 2, 3))
         wanted = sum(head.sizes)
         body = packer.decompress(packer.unconsumed_tail, wanted)
         rest = packer.unconsumed_tail
@@ -215,7 +216,7 @@ def _head(path: Path, data: bytes, size: int, versions: tuple[int, ...]) -> Head
     if head.magic != MAGIC:
         raise refusal(KIND, path, "it does not begin as an SPZ file.", "Give an SPZ file.")
     if head.version not in versions:
-        limit = f"it says version {head.version}; versions 2 to 4 are read."
+        limit = f"it says version {head.version}; versions 1 to 4 are read."
         raise refusal(KIND, path, limit, "Export it again as version 3 or 4.")
     if head.degree > 4 or head.bits > 23:
         raise refusal(KIND, path, "its header is damaged.")
@@ -227,6 +228,13 @@ def _short(path: Path) -> Exception:
     return refusal(KIND, path, "it is cut short.")
 
 
+def _places(head: Head, data: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Centres [N,3]."""
+    if head.version < 2:
+        return np.ascontiguousarray(data).view("<f2").astype(np.float32)
+    return _fixed(data) / np.float32(2**head.bits)
+
+
 def _fixed(data: NDArray[np.uint8]) -> NDArray[np.float32]:
     """Integers of 24 bits, low byte first [N,9] -> [N,3]."""
     wide = np.zeros((len(data), 3, 4), np.uint8)
@@ -235,7 +243,7 @@ def _fixed(data: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 
 def _from_three(data: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Quaternions wxyz of version 2."""
+    """Quaternions wxyz of versions 1 and 2."""
     vector = data.astype(np.float32) / np.float32(127.5) - 1
     scalar = np.sqrt(np.maximum(1 - np.square(vector).sum(axis=1, keepdims=True), 0))
     return np.concatenate([scalar, vector], axis=1)
