@@ -39,7 +39,9 @@ class Doorkeeper:
     what the page does not need, and those by which another site's page would do something here.
     """
 
-    def __init__(self, app: ASGIApp, hosts: frozenset[str], origins: frozenset[str]) -> None:
+    def __init__(
+        self, app: ASGIApp, hosts: frozenset[str], origins: frozenset[str] = frozenset()
+    ) -> None:
         """Stand in front of an application.
 
         Args:
