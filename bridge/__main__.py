@@ -6,7 +6,6 @@ its good frames, 130 interrupted. Errors that a user can correct show no traceba
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Sequence
 
@@ -22,23 +21,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         with importing(130, STOPPED):
             from phy124.runtime.signals import handled, interrupt
+            from phy124.runtime.streams import steady_streams
 
             from .command_line import run
-        with handled(interrupt):
+        with steady_streams(), handled(interrupt):
             return run(given, __doc__)
-    except (KeyboardInterrupt, SystemError) as error:
-        # Ctrl-C while a library's native code calls Python arrives as the cause of a SystemError.
-        if not isinstance(error.__cause__ or error, KeyboardInterrupt):
-            raise
+    except KeyboardInterrupt:
         sys.stderr.write(STOPPED)
         return 130
-    except BrokenPipeError:
-        # As in `... | head`: the reader has closed the pipe, and nothing may be written at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
-    except OSError as error:
-        sys.stderr.write(f"bridge: the machine refused: {error}\n")
-        return 1
 
 
 if __name__ == "__main__":

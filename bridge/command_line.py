@@ -8,10 +8,9 @@ import warnings
 from dataclasses import replace
 from typing import Any
 
-from pydantic import ValidationError
-
-from phy124.arguments.parsing import parsed
+from phy124.arguments.parsing import Answered, parsed
 from phy124.errors import InputError
+from phy124.failures import Kind, failure
 
 from . import PROGRAM
 from .commands import COMMANDS, Play, Steer
@@ -26,12 +25,10 @@ def run(arguments: list[str], description: str | None) -> int:
         warnings.showwarning = _note
         try:
             return _command(arguments, description).run(_say)
-        except InputError as error:
-            return _complain(str(error), 2)
-        except ValidationError as error:
-            from phy124.scene.refusals import refusal_of_options
-
-            return _complain(str(refusal_of_options(error)), 2)
+        except Answered:
+            raise
+        except BaseException as problem:
+            return _report(problem)
 
 
 def _command(arguments: list[str], description: str | None) -> Any:
@@ -67,9 +64,12 @@ def split_ros_arguments(arguments: list[str]) -> tuple[list[str], list[str]]:
     return own, ros
 
 
-def _complain(sentence: str, status: int) -> int:
-    print(f"bridge: {sentence}", file=sys.stderr)
-    return status
+def _report(problem: BaseException) -> int:
+    """Print what a problem means; returns the exit status."""
+    found = failure(problem)
+    said = "stopped" if found.kind is Kind.STOPPED else found.sentence
+    print(f"bridge: {said}", file=sys.stderr)
+    return found.status
 
 
 def _say(line: str) -> None:

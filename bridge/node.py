@@ -11,8 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
-
+from phy124.failures import failure
 from phy124.runtime.signals import handled, interrupt
 
 from .controls import PLAYER
@@ -95,7 +94,7 @@ def _live_through(args: list[str] | None, work: Callable[[Any], None]) -> None:
         return
     except (ValueError, ImportError) as error:
         # There is no node yet that could log it.
-        refused = _one_line(error)
+        refused = failure(error).sentence
         sys.stderr.write(f"[FATAL] [{PLAYER}]: {refused}\n")
     if refused is not None:
         raise SystemExit(1)
@@ -105,19 +104,12 @@ def _attempt(node: Any, work: Callable[[Any], None]) -> str | None:
     """Do the work; returns why it was refused, which is logged, or None."""
     try:
         work(node)
-    except (ValueError, OSError) as error:
-        # InputError and pydantic's errors say what to do; a traceback would only hide it.
-        refused = _one_line(error)
+    except Exception as error:
+        # The sentence says what to do; a traceback would only hide it.
+        refused = failure(error).sentence
         node.get_logger().fatal(refused)
         return refused
     return None
-
-
-def _one_line(error: Exception) -> str:
-    from phy124.scene.refusals import refusal_of_options
-
-    said = refusal_of_options(error) if isinstance(error, ValidationError) else error
-    return " ".join(str(said).split())
 
 
 def _taken(chosen: dict[str, Any], *names: str) -> list[Any]:

@@ -10,20 +10,26 @@ from collections.abc import Sequence
 from importlib.util import find_spec
 
 from phy124.errors import InputError
+from phy124.failures import Kind, failure
 from phy124.runtime.installation import install_command
+from phy124.runtime.streams import steady_streams
 
 from .settings import PREFIX, Settings
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Serve the page until interrupted; returns the exit status."""
-    try:
-        serve(Settings.from_environment({**os.environ, **asked_for(arguments)}))
-    except InputError as error:
-        print(f"phy124-demo: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        return 130
+    chosen = asked_for(arguments)
+    with steady_streams():
+        try:
+            serve(Settings.from_environment({**os.environ, **chosen}))
+        except SystemExit:  # the server ends by itself
+            raise
+        except BaseException as problem:
+            found = failure(problem)
+            if found.kind is not Kind.STOPPED:
+                print(f"phy124-demo: {found.sentence}", file=sys.stderr)
+            return found.status
     return 0
 
 

@@ -17,10 +17,8 @@ from pathlib import Path
 from phy124.errors import Cancelled, InputError
 
 from .progress import STAGES, Progress
-from .sentences import sentence
+from .sentences import FAILED, STOPPED, outcome
 
-STOPPED = "Stopped. Nothing was changed."
-FAILED = "An error of this server, which is in its log. Try again, or change the scene."
 LOG = logging.getLogger("phy124.web")
 
 
@@ -159,9 +157,9 @@ class Line:
                 self._running.add(job)
             try:
                 work()
-            except Exception:
-                # Whatever error a job raises, this thread has to do the next ones.
-                LOG.exception("a piece of work broke")
+            except BaseException as problem:
+                # Whatever a job raises, this thread has to do the next ones.
+                end(job, problem)
             job.end("failed", FAILED)
             with self._changed:
                 self._running.discard(job)
@@ -173,9 +171,15 @@ def guarded(job: Job, work: Callable[[Job], None]) -> None:
     try:
         job.check()
         work(job)
-    except Cancelled:
-        job.end("stopped", STOPPED)
-    except InputError as error:
-        job.end("refused", sentence(error))
+    except BaseException as problem:
+        end(job, problem)
     finally:
         job.stop.unlink(missing_ok=True)
+
+
+def end(job: Job, problem: BaseException) -> None:
+    """End a job that a problem has ended; what is no visitor's doing goes to the log."""
+    state, message = outcome(problem)
+    if state == "failed":
+        LOG.error("a job failed", exc_info=problem)
+    job.end(state, message)

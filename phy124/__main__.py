@@ -19,12 +19,15 @@ import traceback
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, redirect_stdout
+from functools import partial
 from typing import Any
 
 from phy124 import __version__
 from phy124.arguments.operands import divided
-from phy124.errors import Cancelled, InputError
+from phy124.arguments.parsing import Answered
+from phy124.failures import failure
 from phy124.runtime.signals import handled, interrupt
+from phy124.runtime.streams import steady_streams
 
 GENERAL = ("--quiet", "--verbose")
 """Options of every command."""
@@ -36,21 +39,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options, operands = divided(arguments)
     chosen = {name for name in GENERAL if name in options}
     rest = [*(text for text in options if text not in GENERAL), *operands]
-    try:
-        with handled(interrupt):
-            status = _run(rest, quiet="--quiet" in chosen, verbose="--verbose" in chosen)
-            sys.stdout.flush()
-            return status
-    except BrokenPipeError:
-        # As in `... | head`: the reader has closed the pipe, and nothing may be written at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
-    except (InputError, KeyboardInterrupt, Cancelled, OSError) as problem:
-        status, sentence = _judged(problem)
-        _complain(sentence, as_json="--json" in options)
-        if "--verbose" in chosen:
-            traceback.print_exception(problem)
-        return status
+    report = partial(_report, as_json="--json" in options, verbose="--verbose" in chosen)
+    with steady_streams() as lost:
+        try:
+            with handled(interrupt):
+                status = _run(rest, quiet="--quiet" in chosen, verbose="--verbose" in chosen)
+        except Answered:
+            raise
+        except BaseException as problem:
+            status = report(problem)
+        sys.stdout.flush()
+        return report(lost[0]) if lost else status
 
 
 def _run(arguments: list[str], *, quiet: bool, verbose: bool) -> int:
@@ -105,36 +104,11 @@ def _parsed(arguments: list[str]) -> Any:
     from phy124.commands import COMMANDS, outline
 
     commands = outline() if asks_for_commands(arguments) else COMMANDS
-    with _worded():
-        command = parsed(arguments, commands, program="phy124", description=__doc__)
+    command = parsed(arguments, commands, program="phy124", description=__doc__)
     from phy124.commands.kinds import refuse_other_kind
 
     refuse_other_kind(arguments[0], command)
     return command
-
-
-@contextmanager
-def _worded() -> Iterator[None]:
-    """Within this context, what pydantic refuses is raised as InputError."""
-    try:
-        yield
-    except ValueError as error:
-        from pydantic import ValidationError
-
-        if not isinstance(error, ValidationError):
-            raise
-        from phy124.scene.refusals import refusal_of_options
-
-        raise refusal_of_options(error) from None
-
-
-def _judged(problem: BaseException) -> tuple[int, str]:
-    """Exit status and sentence for the exception that ended a command."""
-    if isinstance(problem, InputError):
-        return 2, str(problem)
-    if isinstance(problem, OSError):
-        return 1, f"the machine refused: {problem}"
-    return 130, "stopped; no incomplete file was left behind"
 
 
 def _note(message: Warning | str, *_: object) -> None:
@@ -142,11 +116,15 @@ def _note(message: Warning | str, *_: object) -> None:
     print(f"phy124: {message}", file=sys.stderr)
 
 
-def _complain(sentence: str, *, as_json: bool) -> None:
-    """Print one sentence without a traceback; as JSON on standard output for scripts."""
+def _report(problem: BaseException, *, as_json: bool, verbose: bool) -> int:
+    """Print what a problem means, as JSON on standard output for scripts; returns the status."""
+    found = failure(problem)
     if as_json:
-        print(json.dumps({"error": sentence}))
-    print(f"phy124: {sentence}", file=sys.stderr)
+        print(json.dumps({"error": found.sentence}))
+    print(f"phy124: {found.sentence}", file=sys.stderr)
+    if verbose:
+        traceback.print_exception(problem)
+    return found.status
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The two ways a run ends early that are not bugs: bad input, and cancellation by the user."""
+"""The ways a run ends early that are not bugs: bad input, cancellation, results kept in part."""
 
 from __future__ import annotations
 
@@ -37,6 +37,17 @@ class InputError(ValueError):
 
 class Cancelled(Exception):
     """Raised from a progress callback to stop the work at once."""
+
+
+class Incomplete(Exception):
+    """Raised from the problem that ended the work, once a part of the results has been saved.
+
+    `kept` is the second half of a sentence: the files that are there, and the command that goes on.
+    """
+
+    def __init__(self, kept: str) -> None:
+        self.kept = kept
+        super().__init__(kept)
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:

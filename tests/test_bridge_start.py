@@ -75,7 +75,7 @@ def test_an_interrupt_that_native_code_wraps_is_one(monkeypatch, capsys):
     def run(given, description):
         raise SystemError("returned a result with an exception set") from KeyboardInterrupt()
 
-    monkeypatch.setattr("bridge.command_line.run", run)
+    monkeypatch.setattr("bridge.command_line._command", run)
     assert main(["doctor"]) == 130
     assert capsys.readouterr().err == "bridge: stopped\n"
 

@@ -1,7 +1,6 @@
 """What is typed wrongly is refused in plain sentences; what every command can do."""
 
 import inspect
-import io
 import os
 import subprocess
 import sys
@@ -186,20 +185,30 @@ def test_verbose_says_where_in_the_code(capsys):
     assert "Traceback" in printed and "scene = dance" in printed
 
 
-def test_a_reader_that_has_read_enough_is_no_error(monkeypatch, capfd):
-    class Closed(io.StringIO):
-        def write(self, text):
-            raise BrokenPipeError
+@pytest.mark.parametrize("name", ["stdout", "stderr"])
+def test_a_reader_that_has_read_enough_is_no_error(name, monkeypatch, capfd):
+    read, write = os.pipe()
+    os.close(read)
+    with open(write, "w", encoding="utf-8", closefd=False) as closed:
+        monkeypatch.setattr(sys, name, closed)
+        assert main(["scenes"]) == 0
+        assert main(["scenes", "dance"]) == 2
+    os.close(write)
+    assert "Broken" not in capfd.readouterr().err
 
-        def fileno(self):
-            return self.null
 
-    closed = Closed()
-    closed.null = os.open(os.devnull, os.O_WRONLY)
-    monkeypatch.setattr(sys, "stdout", closed)
-    assert main(["scenes"]) == 0
-    os.close(closed.null)
-    assert capfd.readouterr().err == ""
+@pytest.mark.parametrize("program", [[], ["generate"]])
+@pytest.mark.parametrize("columns", ["5", "39"])
+def test_help_in_a_narrow_terminal_has_forty_columns(program, columns, monkeypatch, capsys):
+    """It would not end with five."""
+    monkeypatch.setenv("COLUMNS", columns)
+    with pytest.raises(SystemExit):
+        main([*program, "--help"])
+    rules = [
+        line for line in capsys.readouterr().out.splitlines() if "────" in line or "----" in line
+    ]
+    assert rules and {len(line.rstrip()) for line in rules} <= {39, 40}
+    assert os.environ["COLUMNS"] == columns
 
 
 def test_ctrl_c_while_modules_are_imported(monkeypatch, capsys):

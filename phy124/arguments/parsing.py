@@ -7,16 +7,24 @@ not, its own message is shown.
 from __future__ import annotations
 
 import itertools
+import os
+import shutil
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from typing import Any
 
 from phy124.arguments.operands import divided
 from phy124.arguments.repeats import gathered, members, positionals
 from phy124.errors import InputError, did_you_mean, meant
 
+NARROWEST = 40
+"""Fewest columns that help is laid out for."""
 KINDS = {"INT": "a whole number", "FLOAT": "a number"}
 Commands = Mapping[str, type]
+
+
+class Answered(SystemExit):
+    """The parser has printed what was asked for, such as --help; nothing is left to do."""
 
 
 def parsed(
@@ -38,13 +46,14 @@ def parsed(
 
     Raises:
         InputError: If the arguments cannot be understood.
+        Answered: The parser has answered itself.
     """
     import tyro
 
     arguments = arguments or ["--help"]
     _refuse(arguments, commands, program, empty)
     name = arguments[0]
-    with _plainly(arguments, commands, program):
+    with _plainly(arguments, commands, program), _wide_enough():
         return tyro.extras.subcommand_cli_from_dict(
             {name: commands[name]} if name in commands else dict(commands),
             prog=program,
@@ -63,9 +72,8 @@ def _plainly(arguments: Sequence[str], commands: Commands, program: str) -> Iter
     """Within this context errors of the parser are raised as InputError."""
     try:
         from tyro._errors import on_parse_error
-    except ImportError:
-        yield
-        return
+    except ImportError:  # another version, whose own words must do
+        on_parse_error = nullcontext
 
     def hook(event: Any) -> None:
         try:
@@ -80,6 +88,21 @@ def _plainly(arguments: Sequence[str], commands: Commands, program: str) -> Iter
             yield
     except _Refused as found:
         raise found.refusal from None
+    except SystemExit as end:
+        raise Answered(end.code) from None
+
+
+@contextmanager
+def _wide_enough() -> Iterator[None]:
+    """Within this context the terminal has `NARROWEST` columns at least, or --help never ends."""
+    usual = os.environ.get("COLUMNS")
+    if shutil.get_terminal_size().columns < NARROWEST:
+        os.environ["COLUMNS"] = str(NARROWEST)
+    try:
+        yield
+    finally:
+        os.environ.pop("COLUMNS", None)
+        os.environ.update({} if usual is None else {"COLUMNS": usual})
 
 
 class _Refused(Exception):

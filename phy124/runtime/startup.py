@@ -79,8 +79,13 @@ def _usable(folder: Path) -> bool:
 @contextmanager
 def _without_line(unwanted: bytes) -> Iterator[None]:
     """Within this context, drop a line that native code writes to standard error."""
-    sys.stderr.flush()
-    usual = os.dup(2)
+    try:
+        usual = os.dup(2)
+    except OSError:  # it is closed
+        yield
+        return
+    if sys.stderr is not None:
+        sys.stderr.flush()
     with tempfile.TemporaryFile() as kept:
         os.dup2(kept.fileno(), 2)
         try:

@@ -1,0 +1,98 @@
+"""Standard streams never end a program: closed, full, without a reader, in a poor encoding."""
+
+import io
+import os
+import subprocess
+import sys
+
+import pytest
+
+from phy124.runtime.streams import steady_streams
+
+FOREIGN = {"PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "LC_ALL": "C"}
+PHY124 = f"{sys.executable} -m phy124"
+BRIDGE = f"{sys.executable} -m bridge"
+
+
+def shell(command: str, **environment: str) -> subprocess.CompletedProcess[bytes]:
+    return subprocess.run(
+        ["bash", "-c", command],
+        check=False,
+        env={**os.environ, **environment},
+        capture_output=True,
+        timeout=120,
+    )
+
+
+@pytest.mark.parametrize(
+    ("program", "encoding"), [(PHY124, "ascii"), (PHY124, "cp1252"), (BRIDGE, "ascii")]
+)
+def test_help_is_written_in_any_encoding(program, encoding):
+    run = shell(f"{program} --help", **FOREIGN, PYTHONIOENCODING=f"{encoding}:strict")
+    assert (run.returncode, run.stderr) == (0, b"")
+    assert "• ".encode(encoding, "replace").replace(b"?", b"*") in run.stdout
+
+
+@pytest.mark.parametrize(
+    ("command", "closed", "status"),
+    [
+        (f"{PHY124} effects press", ">&-", 0),
+        (f"{PHY124} effects press", "2>&-", 0),
+        (f"{BRIDGE} info none", "<&- >&- 2>&-", 2),
+    ],
+)
+def test_closed_streams_change_no_status(command, closed, status):
+    assert shell(f"{command} {closed}").returncode == status
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full")
+def test_lost_results_are_an_error_and_lost_messages_are_none():
+    run = shell(f"{PHY124} scenes > /dev/full")
+    assert run.returncode == 1
+    assert run.stderr.startswith(b"phy124: the disk is full") and run.stderr.count(b"\n") == 1
+    assert shell(f"{PHY124} scenes 2> /dev/full").returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("text", "written"),
+    [("• 2 × 日 é", rb"* 2 x \u65e5 \xe9"), (os.fsdecode(b"name-\xff"), b"name-\xff")],
+)
+def test_what_an_encoding_lacks_is_spelled(text, written, tmp_path, monkeypatch):
+    """The bytes of a file's name that are no text are kept."""
+    with open(tmp_path / "out", "w", encoding="ascii", errors="strict") as stream:
+        monkeypatch.setattr(sys, "stdout", stream)
+        with steady_streams():
+            sys.stdout.write(text)
+    assert (tmp_path / "out").read_bytes() == written
+
+
+def test_no_later_file_gets_the_number_of_a_closed_stream():
+    code = (
+        "import os; from phy124.runtime.streams import steady_streams\n"
+        "with steady_streams():\n"
+        "    raise SystemExit(min(3, os.open(os.devnull, os.O_RDONLY)))"
+    )
+    assert shell(f"{sys.executable} -c '{code}' <&- >&- 2>&-").returncode == 3
+
+
+def test_a_pipe_that_does_not_block_is_waited_for(tmp_path, monkeypatch):
+    read, write = os.pipe()
+    os.set_blocking(write, False)
+    text = "x" * 500_000  # more than a pipe holds
+    with (
+        (tmp_path / "out").open("w") as out,
+        subprocess.Popen(["cat"], stdin=read, stdout=out) as cat,
+    ):
+        os.close(read)
+        with open(write, "w", encoding="utf-8") as stream:
+            monkeypatch.setattr(sys, "stdout", stream)
+            with steady_streams() as lost:
+                sys.stdout.write(text)
+        cat.wait(timeout=60)
+    assert lost == [] and (tmp_path / "out").read_text() == text
+
+
+def test_a_stream_of_another_program_stays_as_it_is(monkeypatch):
+    monkeypatch.setattr(sys, "stdout", kept := io.StringIO())
+    with steady_streams():
+        assert sys.stdout is kept
