@@ -155,6 +155,21 @@ def test_an_object_of_a_scene_is_made_of_a_mesh(tmp_path):
         Scene.from_data({"objects": [{"name": "b", "mesh": "b.stl", "shape": "box"}]})
 
 
+@pytest.mark.parametrize("ascii", [False, True])
+def test_a_ply_may_hold_comments_of_any_bytes_and_blank_lines(tmp_path, ascii):
+    path = tmp_path / "ball.ply"
+    path.write_bytes(
+        trimesh.exchange.ply.export_ply(ball(), encoding="ascii" if ascii else "binary")
+    )
+    wanted = mesh(path, RED)
+    head, body = path.read_bytes().split(b"end_header\n", 1)
+    head = head.replace(b"element", b"comment x\x85y\n\nelement", 1)
+    body = body.replace(b"\n", b"\n\n") if ascii else body
+    path.write_bytes(head + b"end_header\n" + body)
+    np.testing.assert_array_equal(mesh(path, RED).means, wanted.means)
+    np.testing.assert_array_equal(mesh(path, RED).sh, wanted.sh)
+
+
 EARTH = np.array([500_000, 0, 4.6e6])
 
 

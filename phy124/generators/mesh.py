@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from contextlib import suppress
 from importlib.util import find_spec
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -104,10 +106,8 @@ def _read(path: str, kind: str, seed: int) -> tuple[Drawn, str | None]:
     Raises:
         ValueError: It cannot be used; the message has a limit and a remedy.
     """
-    import trimesh
-
     try:
-        scene = trimesh.load_scene(path, file_type=kind, process=False)
+        scene = _loaded(path, kind)
         shapes = [scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry]
         triangles = sum(len(getattr(one, "faces", ())) for one in shapes)
         pieces = scene.dump() if triangles <= MOST_TRIANGLES else []
@@ -127,6 +127,38 @@ def _read(path: str, kind: str, seed: int) -> tuple[Drawn, str | None]:
     # Before its node moves it, a shape has the numbers of the file.
     largest: Any = max(shapes, key=lambda one: len(getattr(one, "faces", ())))
     return drawn, too_coarse(largest.vertices, step_of(largest.vertices))
+
+
+def _loaded(path: str, kind: str) -> Any:
+    """The scene of a file, in which trimesh may stumble over words and lines that mean nothing."""
+    import trimesh
+    from trimesh.resolvers import FilePathResolver
+
+    try:
+        return trimesh.load_scene(path, file_type=kind, process=False)
+    except ValueError:
+        if kind != "ply":
+            raise
+        beside = FilePathResolver(path)
+        scene = trimesh.load_scene(_legible(path), file_type=kind, resolver=beside, process=False)
+        if not any(len(getattr(one, "faces", ())) for one in scene.geometry.values()):
+            raise
+        return scene
+
+
+def _legible(path: str) -> BytesIO:
+    """A PLY without comments of any bytes and without blank lines."""
+    head, end, body = Path(path).read_bytes().partition(b"end_header")
+    lines = [line for line in head.splitlines() if line.strip() and _is_text(line)]
+    if b"format ascii 1.0" in lines:
+        body = b"\n".join([b"", *(line for line in body.splitlines() if line.strip()), b""])
+    return BytesIO(b"\n".join([*lines, end]) + body)
+
+
+def _is_text(line: bytes) -> bool:
+    with suppress(UnicodeDecodeError):
+        return bool(line.decode("utf-8"))
+    return False
 
 
 def _drawn(pieces: list[Trimesh], seed: int) -> Drawn:
