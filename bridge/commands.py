@@ -15,6 +15,7 @@ from tqdm import tqdm
 
 from phy124.errors import InputError
 from phy124.gaussians import Frame
+from phy124.io.files import replacing
 
 from .backends import choose, known, open_sink
 from .info import describe, diagnose
@@ -244,7 +245,8 @@ class Steer:
                 steer(run, sink, messages, records=records, frames=self.frames)
         finally:
             if self.session is not None and run.shown:
-                self.session.write_text(live.session().to_toml(), encoding="utf-8")
+                with replacing(self.session) as temporary:
+                    temporary.write_text(live.session().to_toml(), encoding="utf-8")
                 say(f"{run.shown} frames shown; what was done is in {self.session}")
         return 0
 

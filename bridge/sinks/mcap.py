@@ -16,6 +16,7 @@ from typing import IO, Any, Literal
 
 from phy124.errors import InputError
 from phy124.gaussians import Frame
+from phy124.io.destinations import put
 from phy124.runtime.installation import install_command
 
 from .. import PROGRAM, bag
@@ -181,7 +182,7 @@ class McapSink:
         os.fsync(self._stream.fileno())
         self._stream.close()
         if self._single:
-            os.replace(self.file, self.path)
+            put(self.file, self.path)
         else:
             bag.write_metadata(self.path, self.file.name, self._counts)
 

@@ -10,6 +10,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from phy124.errors import InputError
+from phy124.io.destinations import beginning, put, real
 
 try:
     import fcntl
@@ -33,8 +34,9 @@ def staged(out: PathLike) -> Iterator[Path]:
     """
     out, missing = Path(out), []
     try:
-        missing = [path for path in (out, *out.parents) if not path.exists()]
-        out.mkdir(parents=True, exist_ok=True)
+        made = real(out)
+        missing = [path for path in (made, *made.parents) if not path.exists()]
+        made.mkdir(parents=True, exist_ok=True)
         with _locked(out):
             _sweep(out)
             folder = Path(tempfile.mkdtemp(prefix=MAKING, dir=out))
@@ -46,9 +48,7 @@ def staged(out: PathLike) -> Iterator[Path]:
     try:
         yield folder
         for path in sorted(folder.iterdir()):
-            if path.is_dir():  # a folder takes no other's place: pictures of an older run would mix
-                shutil.rmtree(out / path.name, ignore_errors=True)
-            os.replace(path, out / path.name)
+            put(path, out / path.name)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
         _unlock(lock)
@@ -110,7 +110,10 @@ def _remove_empty(folders: list[Path]) -> None:
 
 @contextmanager
 def replacing(path: PathLike) -> Iterator[Path]:
-    """A temporary name beside `path` to write to; the file is renamed to `path` if all goes well.
+    """A temporary file to write to; it takes the place of `path` if all goes well.
+
+    If `path` is a link, it takes the place of the file that the link leads to; a device or a pipe
+    is written into. The file's mode is that of a new file.
 
     If the block ends early for any reason, including an interrupt, the temporary file is removed
     and an older file at `path` is left as it was.
@@ -120,12 +123,7 @@ def replacing(path: PathLike) -> Iterator[Path]:
     """
     path = Path(path)
     try:
-        if path.is_dir():
-            raise IsADirectoryError(0, "this is the name of a folder")
-        # The ending stays: some writers go by it.
-        descriptor, name = tempfile.mkstemp(
-            prefix=f".{path.stem}-", suffix=f".part{path.suffix}", dir=path.parent
-        )
+        temporary = beginning(path)
     except OSError as error:
         raise InputError(
             "output",
@@ -133,11 +131,9 @@ def replacing(path: PathLike) -> Iterator[Path]:
             f"no file can be written there ({error.strerror}).",
             "Give a file name in a folder that exists and that you may write to.",
         ) from error
-    os.close(descriptor)
     try:
-        yield Path(name)
-        os.chmod(name, 0o644)
-        os.replace(name, path)
+        yield temporary
+        put(temporary, path)
     except BaseException:
-        Path(name).unlink(missing_ok=True)
+        temporary.unlink(missing_ok=True)
         raise

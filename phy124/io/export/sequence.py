@@ -17,6 +17,7 @@ from pathlib import Path
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.io.clip import Clip
+from phy124.io.destinations import real
 from phy124.io.files import replacing
 from phy124.io.ply import write_ply
 from phy124.progress import Progress, silent
@@ -64,7 +65,7 @@ def write_sequence(
     Raises:
         InputError: If the clip is empty, the name is unusable or the files cannot be written.
     """
-    path = Path(path)
+    path = real(Path(path))
     if not len(clip):
         raise InputError("clip", "empty", "it has no frames.", "Simulate one frame or more.")
     if not name or Path(name).name != name:
