@@ -10,10 +10,12 @@ import pytest
 from phy124.capture import capture
 from phy124.errors import InputError
 from phy124.generators.ply_file import PlyFile, Reading
+from phy124.io.axes import orientation, turned
 from phy124.io.formats import read_as_is, read_gaussians, write_gaussians
 from phy124.io.ply import raw_table, read_ply
 from phy124.io.precision import COARSE, centred, in_place, too_coarse
 from phy124.scene import Scene
+from support.captures import captured
 from support.plys import ply_of
 from support.shapes import ball
 from test_formats_glb import edited
@@ -170,3 +172,20 @@ def test_a_sog_far_away_keeps_its_places(tmp_path):
     means = read_as_is(tmp_path / "b.sog").gaussians.means
     assert min(len(np.unique(axis)) for axis in means.T) > 0.9 * COUNT
     np.testing.assert_allclose(np.ptp(means, axis=0), 1, rtol=1e-3)
+
+
+def test_the_floor_of_a_far_capture_is_told_in_its_own_places(tmp_path):
+    table = raw_table(turned(captured(7, floaters=0).gaussians, orientation().T))
+    columns = {name: table[name].astype(float) for name in table.dtype.names}
+    kinds = dict.fromkeys(columns, "f8")
+    found = []
+    for name, place in (("near", np.zeros(3)), ("far", EARTH)):
+        for axis, offset in zip("xyz", place, strict=True):
+            columns[axis] = columns[axis] + offset
+        path = ply_of(tmp_path / f"{name}.ply", columns, kinds=kinds)
+        floor = Reading(floor=True, up="z", front="x")
+        found.append(capture(PlyFile(str(path), floor), Scene()).about["capture"]["floor"])
+    near_floor, far_floor = found
+    np.testing.assert_allclose(far_floor["normal"], near_floor["normal"], atol=1e-6)
+    moved = near_floor["offset"] + np.dot(far_floor["normal"], EARTH)
+    assert far_floor["offset"] == pytest.approx(moved, abs=5)
