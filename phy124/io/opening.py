@@ -11,21 +11,17 @@ RECORDED = (
     "it is a recording of messages, not what they were made of.",
     "`python -m bridge info {}` describes it, and `ros2 bag play {}` plays it.",
 )
+NOT_ALONE = "meta.json"
+"""A file that is nothing without the others in its folder."""
 IN_FOLDERS = {
-    "meta.json": (
+    NOT_ALONE: (
         "it is the folder of an unpacked SOG.",
         "Zip its files: `cd {} && zip -0 ../packed.sog *`, and give packed.sog.",
     ),
     "metadata.yaml": RECORDED,
     "clip.safetensors": ("it is the folder of a run.", "Give {}/clip.safetensors."),
-    "lod-meta.json": (
-        "it is the folder of a streamed SOG.",
-        "Convert it with `npx @playcanvas/splat-transform {}/lod-meta.json OUT.ply`.",
-    ),
 }
 """A file in a folder -> what the folder is, and what to do."""
-NOT_ALONE = {"meta.json", "lod-meta.json"}
-"""Files that are nothing without the others in their folder."""
 RECORDING = b"\x89MCAP"
 """First bytes of a recording of messages, as the bridge makes them."""
 
@@ -39,7 +35,7 @@ def obstacle(path: PathLike) -> tuple[str, str] | None:
             return _of_folder(path)
         if not stat.S_ISREG(mode):
             return "it is no file but a pipe or a device.", "Save it as a file first."
-        if path.name in NOT_ALONE:
+        if path.name == NOT_ALONE:
             return _of_folder(path.parent)
         with open(path, "rb") as file:
             recorded = file.read(len(RECORDING)) == RECORDING
