@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from PIL import Image, PngImagePlugin, features
 
 from phy124.imaging.decoding import Purpose, Unusable, decoded
-from phy124.imaging.image import ANY_FORMAT, FORMATS
+from phy124.imaging.image import ANY_FORMAT, FORMATS, open_image
 from support import photographs
 from support.photographs import Entry, exif_of, file_of, upright, with_segment
 
@@ -130,6 +130,15 @@ def test_each_orientation_is_turned_upright_once(kind, orientation):
     assert found.shape == expected.shape
 
 
+def test_the_name_of_a_file_and_its_thumbnail_do_not_matter(tmp_path):
+    thumbnail = with_segment(JPEG, 0xE1, exif_of([upright(6)]) + JPEG[:300])
+    np.testing.assert_allclose(colours(thumbnail), turned(6), atol=14)
+    (tmp_path / "photo.png").write_bytes(JPEG)
+    np.testing.assert_allclose(
+        np.asarray(open_image(tmp_path / "photo.png"))[..., :3], turned(1).astype(int), atol=14
+    )
+
+
 @AVIF
 def test_an_avif_turned_by_its_header_may_hold_odd_tags():
     """Pillow's reader writes EXIF out again, which fails for a tag of another type."""
@@ -224,6 +233,19 @@ def test_a_profile_of_which_a_part_is_missing_is_noted():
     parts = b"ICC_PROFILE\0" + bytes([1, 2]) + photographs.display_p3()
     found = decoded(with_segment(file_of(PATCH, "JPEG"), 0xE2, parts), PHOTOGRAPH, 2048)
     assert found.notes and "colour profile" in found.notes[0]
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.sampled_from([photographs.display_p3(), photographs.grey_profile(2.2)]),
+    st.lists(st.tuples(st.integers(0, 300), st.binary(min_size=1, max_size=4)), max_size=5),
+)
+def test_a_damaged_profile_is_used_or_noted(profile, changes):
+    damaged = bytearray(profile)
+    for place, data in changes:
+        damaged[place : place + len(data)] = data
+    picture = file_of(Image.new("L", (8, 8)), "PNG", icc_profile=bytes(damaged))
+    assert decoded(picture, PHOTOGRAPH, 2048).picture.mode == "RGBA"
 
 
 def test_values_that_are_no_colours_have_no_profile():

@@ -15,6 +15,7 @@ from phy124.fit.silhouettes import Silhouettes
 from phy124.fit.target import Target
 from phy124.fit.video import read_film
 from support.falling import falling
+from support.photographs import Entry, exif_of, file_of, upright, with_segment
 from support.videos import read_video
 
 
@@ -145,3 +146,26 @@ def test_films_that_show_nothing_are_refused(tmp_path):
     (tmp_path / "film.mp4").write_text("no film")
     with pytest.raises(InputError, match="no video"):
         read_film(tmp_path / "film.mp4")
+
+
+def test_photographs_of_a_folder_are_turned_upright(tmp_path):
+    exif = exif_of([upright(6), Entry(0x0131, 5, 1, bytes(8))])
+    for number, place in enumerate((10, 20)):
+        pixels = np.full((30, 60, 3), 255, np.uint8)
+        pixels[8:20, place : place + 15] = (200, 40, 30)
+        jpeg = with_segment(file_of(Image.fromarray(pixels), "JPEG"), 0xE1, exif)
+        (tmp_path / f"{number}.jpg").write_bytes(jpeg)
+    assert read_film(tmp_path).masks.shape == (2, 60, 30)
+
+
+@pytest.mark.parametrize("name", ["film.gif", "folder/1.png"])
+def test_no_exception_of_a_decoder_reaches_a_user(tmp_path, monkeypatch, name):
+    def broken(*_, **__):
+        raise AssertionError("of a decoder")
+
+    (tmp_path / "folder").mkdir()
+    (tmp_path / name).write_bytes(file_of(Image.new("L", (9, 9)), "GIF"))
+    monkeypatch.setattr(Image, "open", broken)
+    path = tmp_path / name
+    with pytest.raises(InputError, match="that can be read"):
+        read_film(path.parent if path.suffix == ".png" else path)

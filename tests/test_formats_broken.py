@@ -236,3 +236,12 @@ def main(folder: Path, count: int) -> None:
 
 if __name__ == "__main__":
     main(Path(sys.argv[1]), int(sys.argv[2]))
+
+
+def test_no_exception_of_a_decoder_of_pictures_reaches_a_user(monkeypatch):
+    def broken(*_, **__):
+        raise AssertionError("of a decoder")
+
+    monkeypatch.setattr(Image, "open", broken)
+    with pytest.raises(InputError, match=r"It is damaged .*quats\.webp cannot be decoded"):
+        read_gaussians(FOREIGN / KINDS["sog"])

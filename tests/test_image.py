@@ -292,7 +292,9 @@ def test_a_pipe_is_read_like_a_file(tmp_path):
     writer.start()
     assert open_image(tmp_path / "pipe").size == (30, 20)
     writer.join()
-    with pytest.raises(InputError, match=r"It cannot be read \(Is a directory"):
+    with pytest.raises(InputError, match="It is a folder"):
         open_image(tmp_path)
+    with pytest.raises(InputError, match="There is no such file"):
+        open_image("a\0.png")
     with pytest.raises(InputError, match="limit is 50 MB"):
         open_image("/dev/zero")

@@ -19,6 +19,7 @@ from phy124.errors import InputError
 from phy124.imaging import heic
 from phy124.imaging.decoding import COPY, Purpose, Unusable, check_size, decoded, unidentified
 from phy124.imaging.header import Size, kind_of, size_of
+from phy124.io.opening import obstacle
 from phy124.runtime import isolated
 from phy124.runtime.installation import install_command
 
@@ -201,10 +202,9 @@ def _content(path: Path) -> bytes:
             if S_ISREG(status.st_mode):
                 _check_bytes(status.st_size)
             data = file.read(MAX_BYTES + 1)
-    except FileNotFoundError:
-        raise Unusable("There is no such file.", "Check the path.") from None
-    except OSError as error:
-        raise Unusable(f"It cannot be read ({error.strerror}).", "Check the path.") from None
+    except (OSError, ValueError) as error:  # a path may have a zero byte
+        limit, remedy = obstacle(path) or (f"it cannot be read ({error}).", "Copy it again.")
+        raise Unusable(limit[0].upper() + limit[1:], remedy) from None
     _check_bytes(len(data))
     return data
 
