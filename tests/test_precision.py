@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from phy124.accuracy.promises import promise
 from phy124.capture import capture
 from phy124.errors import InputError
 from phy124.generators.ply_file import PlyFile, Reading
@@ -189,3 +190,11 @@ def test_the_floor_of_a_far_capture_is_told_in_its_own_places(tmp_path):
     np.testing.assert_allclose(far_floor["normal"], near_floor["normal"], atol=1e-6)
     moved = near_floor["offset"] + np.dot(far_floor["normal"], EARTH)
     assert far_floor["offset"] == pytest.approx(moved, abs=5)
+
+
+@pytest.mark.parametrize("kind", ["f4", "f8"])
+def test_no_error_is_promised_for_a_file_that_is_too_coarse(tmp_path, kind):
+    read = capture(PlyFile(str(far_ply(tmp_path, EARTH, kind))), Scene())
+    assert read.about["capture"]["coarse"] == (kind == "f4")
+    report = {"capture": read.about["capture"]}
+    assert (promise(Scene.named("drop"), report).error is None) == (kind == "f4")

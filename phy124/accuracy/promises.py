@@ -263,4 +263,6 @@ def why_broken(report: Mapping[str, Any]) -> str:
         return "the grid may have torn the material (see the notes)."
     if report.get("complete") is False:
         return "the run stopped early."
+    if (report.get("capture") or {}).get("coarse"):
+        return "the numbers of its file are too coarse (see the notes)."
     return ""

@@ -69,7 +69,8 @@ def capture(
     told = file.reading.up is not None or file.reading.rotate is not None
     read = _on_floor(opened, told=told) if file.reading.floor else _alone(opened, file.path)
     scene = _with_floor(scene, read)
-    about, metres = {"capture": read.about}, _in_metres(scene, read, opened.origin)
+    about = {"capture": {**read.about, "coarse": opened.coarse}}
+    metres = _in_metres(scene, read, opened.origin)
     return Capture(read.gaussians, metres, read.cleaning, about, opened.notes)
 
 

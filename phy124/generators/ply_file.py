@@ -95,6 +95,8 @@ class Opened(NamedTuple):
     """Sentences about what of the file is read in another way than usual, or passed over."""
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Place in the file, in its axes, that is the Gaussians' origin."""
+    coarse: bool = False
+    """Whether the file's numbers are too coarse for places so far away."""
 
 
 @dataclass(frozen=True)
@@ -174,6 +176,7 @@ class PlyFile:
             content.axes,
             tuple(content.remarks(gaussians)),
             content.origin,
+            content.blurred(gaussians) is not None,
         )
 
     def _hint(self, content: Content) -> None:

@@ -69,8 +69,12 @@ class Content(NamedTuple):
         Args:
             chosen: Those of the Gaussians that are used; None: all.
         """
-        blurred = too_coarse((chosen or self.gaussians).means, self.step)
+        blurred = self.blurred(chosen or self.gaussians)
         return [*self.notes, *([blurred] if blurred else [])]
+
+    def blurred(self, chosen: Gaussians) -> str | None:
+        """A sentence if the file is too coarse for those of its Gaussians; else None."""
+        return too_coarse(chosen.means, self.step)
 
 
 def refusal(kind: str, path: Path, limit: str, remedy: str = AGAIN) -> InputError:
