@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,13 +16,14 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save_file
 
 from phy124.errors import InputError
 from phy124.gaussians import Frame, Gaussians, of_walls, stacked
 from phy124.harmonics import rotate_sh
 from phy124.io.files import replacing
+from phy124.io.growing import MOVING, SHAPES, Growing
 from phy124.io.opening import obstacle
+from phy124.io.tensors import save_tensors
 from phy124.monitor.wrenches import pair_names
 from phy124.progress import Progress, silent
 from phy124.runtime.stopwatch import Stopwatch
@@ -31,37 +33,55 @@ from phy124.simulation import Simulation
 FORMAT = "phy124-pause-5"
 GAUSSIANS = ("means", "quats", "scales", "opacities", "sh")
 OBJECTS = "given.object_id"
+FILE = "file."
+"""What the names of files begin with that are saved with a run."""
 Tensors = dict[str, NDArray]
 ARRAY = "array"
 """In place of an array, which is stored beside."""
 
 
 def save(
-    run: Simulation, path: str | os.PathLike[str], *, about: dict[str, Any] | None = None
+    run: Simulation,
+    path: str | os.PathLike[str],
+    *,
+    about: dict[str, Any] | None = None,
+    frames: Growing | None = None,
+    files: Mapping[str, bytes] | None = None,
 ) -> None:
-    """Write a paused run, as it was after its last frame; `about` is returned by `read_about`.
+    """Write a paused run, as it was after its last frame.
+
+    Args:
+        run: The run.
+        path: Where to write it.
+        about: What `read_about` returns.
+        frames: The file in the same folder that holds the frames; None: they are written, too.
+        files: What `read_files` returns.
 
     Raises:
-        InputError: If the file cannot be written.
+        InputError: If the folder is missing or no file can be made there.
+        OSError: If there is no room.
     """
     run.scene.refuse_nameless()
     tensors: Tensors = {f"given.{name}": getattr(run.given, name) for name in GAUSSIANS}
     if run.given.object_id is not None:
         tensors[OBJECTS] = run.given.object_id
-    tensors |= _frames(run)
+    tensors |= _frames(run) if frames is None else {}
+    for name, content in (files or {}).items():
+        tensors[FILE + name] = np.frombuffer(content, np.uint8)
+    place = {"growing": frames.place()} if frames is not None else {}
     facts = {
         "run": _plain(run.snapshot(), tensors, "run"),
         "scene": run.scene.data(),
         "threads": len(run.solver.workers),
         "along": run.along,
-        "frames": {"count": run.count, "keep": run.keep},
+        "frames": {"count": run.count, "keep": run.keep, **place},
         "crop": run.crop,
         "about": about or {},
         "spent": {"stages": run.watch.seconds, "total": run.watch.total},
     }
     metadata = {"format": FORMAT, **{name: json.dumps(fact) for name, fact in facts.items()}}
     with replacing(path) as temporary:
-        save_file({k: np.ascontiguousarray(v) for k, v in tensors.items()}, temporary, metadata)
+        save_tensors(tensors, temporary, metadata)
 
 
 def load(
@@ -71,6 +91,7 @@ def load(
     threads: int | None = None,
     progress: Progress = silent,
     watch: Stopwatch | None = None,
+    frames: Growing | None = None,
 ) -> Simulation:
     """A saved run, ready to be iterated on.
 
@@ -81,11 +102,13 @@ def load(
             bit. With another number it goes on to within rounding, which its report notes.
         progress: Called as ("simulate", frames done, frames in all).
         watch: A stopwatch to which the seconds spent before the pause are added.
+        frames: The file of its frames, if it is open already (`frames_of`).
 
     Raises:
         InputError: If the file is missing, cut short or not a paused run.
     """
     metadata, tensors = _read(Path(path))
+    kept = _kept(metadata, tensors, frames or frames_of(path))
     means, quats, scales, opacities, sh = (tensors[f"given.{name}"] for name in GAUSSIANS)
     given = Gaussians(means, quats, scales, opacities, sh, tensors.get(OBJECTS))
     left, top, right, bottom = metadata["crop"]
@@ -104,9 +127,40 @@ def load(
     watch.add(metadata["spent"]["stages"], metadata["spent"]["total"])
     run.restore(_whole(metadata["run"], tensors, "run"))
     run.remarks += _threads_differ(metadata["threads"], len(run.solver.workers))
-    _put_frames(run, tensors)
+    _put_frames(run, kept)
     _turn_last(run)
     return run
+
+
+def frames_of(path: str | os.PathLike[str]) -> Growing | None:
+    """The file of a paused run's frames, open; None if they are in the run's own file.
+
+    Raises:
+        InputError: It is missing, or another process is going on with the run.
+    """
+    place = read_frames(path)
+    return None if place is None else Growing.there(Path(path).parent, place)
+
+
+def read_frames(path: str | os.PathLike[str]) -> dict[str, Any] | None:
+    """Which file a paused run's frames are in; None if they are in the run's own file."""
+    return _read(Path(path), tensors=False)[0]["frames"].get("growing")
+
+
+def read_files(path: str | os.PathLike[str]) -> dict[str, bytes]:
+    """Files that were saved with a run, by name."""
+    tensors = _read(Path(path))[1]
+    found = {name: array for name, array in tensors.items() if name.startswith(FILE)}
+    return {name.removeprefix(FILE): array.tobytes() for name, array in found.items()}
+
+
+def _kept(metadata: dict[str, Any], tensors: Tensors, frames: Growing | None) -> Tensors:
+    """The frames so far: each array's rows."""
+    if frames is not None:
+        count = metadata["frames"]["count"]
+        return {name: rows[:count] for name, rows in frames.arrays.items() if name in MOVING}
+    own = "frames."
+    return {name.removeprefix(own): a for name, a in tensors.items() if name.startswith(own)}
 
 
 def _threads_differ(before: int, now: int) -> list[str]:
@@ -162,20 +216,18 @@ def _frames(run: Simulation) -> Tensors:
     return tensors
 
 
-def _put_frames(run: Simulation, tensors: Tensors) -> None:
-    rest, kept = run.shown, [tensors.get(f"frames.{n}") for n in ("velocities", "contacts")]
-    times, walls = tensors["frames.times"].tolist(), tensors.get("frames.wrenches")
+def _put_frames(run: Simulation, kept: Tensors) -> None:
+    """Give a run its frames so far, of which each array has a row."""
+    walls = kept.get("wrenches")
     names = (*(run.wrenches.walls if run.wrenches.asked else ()), *pair_names(run.solver))
+    times = kept["times"].tolist()
     for index, time in enumerate(times):
-        means, quats, scales = (
-            tensors[f"frames.{name}"][index] for name in ("means", "quats", "scales")
-        )
-        gaussians = replace(rest, means=means, quats=quats, scales=scales)
-        v, forces = (None if values is None else values[index] for values in kept)
-        wrenches = None if walls is None else of_walls(names, walls[index])
-        frame = Frame(run.count - len(times) + index, time, gaussians, v, forces, wrenches)
-        run.frames.append(frame)
-    run.rotations = list(tensors.get("frames.rotations", []))
+        shape = {name: kept[name][index] for name in SHAPES}
+        more = {name: kept[name][index] for name in ("velocities", "contacts") if name in kept}
+        wrenches = None if walls is None else of_walls(names, np.array(walls[index]))
+        gaussians, place = replace(run.shown, **shape), run.count - len(times) + index
+        run.frames.append(Frame(place, time, gaussians, **more, wrenches=wrenches))
+    run.rotations = list(kept.get("rotations", []))
 
 
 def _turn_last(run: Simulation) -> None:

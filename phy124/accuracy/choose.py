@@ -12,6 +12,7 @@ For a time, it is the finest grid whose forecast fits.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import combinations
@@ -77,6 +78,7 @@ def reach(
     progress: Progress = silent,
     watch: Stopwatch | None = None,
     forecaster: Forecaster | None = None,
+    see: Callable[[Simulation], object] = lambda run: None,
     **options: Any,
 ) -> Reached:
     """Run a scene as accurately, or as fast, as the goal says; its own cells are ignored.
@@ -90,13 +92,14 @@ def reach(
         progress: Called with (stage, done, total); may raise Cancelled.
         watch: Where the durations of the stages are recorded.
         forecaster: Predicts times; None: a new one.
+        see: Called with each run after each of its frames.
         **options: Options of `Simulation`.
 
     Raises:
         InputError: No grid meets the goal; it says what the best would achieve.
     """
     forecaster = forecaster or Forecaster(device, options.get("threads"))
-    runs = _Runs(gaussians, scene, device, progress, watch or Stopwatch(), options)
+    runs = _Runs(gaussians, scene, device, progress, watch or Stopwatch(), options, see)
     if goal.kind == "seconds":
         return _in_time(goal, runs, forecaster, elapsed)
     return _as_exact(goal, runs)
@@ -112,6 +115,8 @@ class _Runs:
     progress: Progress
     watch: Stopwatch
     options: dict[str, Any]
+    see: Callable[[Simulation], object] = lambda run: None
+    """Called with each run after each of its frames."""
     done: dict[int, tuple[Simulation, Clip]] = field(default_factory=dict)
     spent: dict[int, float] = field(default_factory=dict)
     """Cells of each run -> its duration [s]."""
@@ -146,7 +151,11 @@ class _Runs:
 
     def _make(self, cells: int) -> None:
         simulation = self.simulation(cells)
-        self.done[cells] = simulation, simulation.run()
+        self.done[cells] = simulation, self.run(simulation)
+
+    def run(self, simulation: Simulation) -> Clip:
+        """The clip of a run."""
+        return simulation.run(lambda _: self.see(simulation))
 
     def _make_denser(self, cells: int) -> None:
         """Run a torn level again with more particles; if those are too many, it stays torn."""
@@ -353,7 +362,7 @@ def _in_time(goal: Goal, runs: _Runs, forecaster: Forecaster, elapsed: float) ->
     start = runs.watch.total
     cells, simulation, forecast, tried = _finest(goal, runs, forecaster, elapsed)
     ready = runs.watch.total - start
-    clip = simulation.run()
+    clip = runs.run(simulation)
     about = {
         "target": goal.text, "unit": "seconds", "cells": cells, "levels": tried,
         "predicted": elapsed + forecast.seconds + ready, "caveat": forecast.caveat,

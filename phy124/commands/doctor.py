@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import platform
-import shutil
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -83,13 +82,12 @@ def examine() -> dict[str, Any]:
 
 
 def _encoder() -> str | None:
-    """The path of the ffmpeg program that writes MP4s, or None."""
+    """The path of the ffmpeg program that writes MP4s; None if it does not work."""
     import imageio_ffmpeg
 
-    try:
-        return imageio_ffmpeg.get_ffmpeg_exe()
-    except RuntimeError:
-        return shutil.which("ffmpeg")
+    from phy124.io.video import encoder_problem
+
+    return None if encoder_problem() else imageio_ffmpeg.get_ffmpeg_exe()
 
 
 def _text(value: Any) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -143,6 +144,12 @@ class Cutout:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the picture as PNG or WebP without loss."""
         self.picture.save(path, compress_level=1, lossless=True, exact=True)
+
+    def png(self) -> bytes:
+        """The picture as a PNG file."""
+        written = io.BytesIO()
+        self.picture.save(written, "PNG", compress_level=1)
+        return written.getvalue()
 
     def data(self) -> dict[str, Any]:
         """All fields except the pixels, as plain data."""

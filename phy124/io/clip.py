@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save_file
 
 from phy124.errors import InputError
 from phy124.gaussians import Array, Frame, Gaussians, of_walls, stacked
 from phy124.harmonics import rotate_sh
 from phy124.io.files import replacing
 from phy124.io.opening import obstacle
+from phy124.io.tensors import save_tensors
 
 FORMAT = "phy124-clip"
 VERSION = "1"
@@ -102,11 +102,11 @@ class Clip:
         first = frames[0].gaussians
 
         def stack(name: str) -> Array:
-            return np.stack([getattr(f.gaussians, name) for f in frames])
+            return joined([getattr(f.gaussians, name) for f in frames])
 
         def kept(name: str) -> Array | None:
             found = [getattr(f, name) for f in frames]
-            return None if any(one is None for one in found) else np.stack(found)
+            return None if any(one is None for one in found) else joined(found)
 
         return cls(
             means=stack("means"),
@@ -202,22 +202,32 @@ class Clip:
         """The same clip with another report."""
         return replace(self, report=report)
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write one safetensors file; it appears whole or not at all."""
+    def tensors(self) -> dict[str, NDArray]:
+        """The arrays of its file, by name."""
         more = (*OPTIONAL, WALLS, OBJECT)
         names = REQUIRED + tuple(n for n in more if getattr(self, n) is not None)
-        tensors = {name: np.ascontiguousarray(getattr(self, name)) for name in names}
-        metadata = {
+        return {name: np.ascontiguousarray(getattr(self, name)) for name in names}
+
+    def metadata(self) -> dict[str, str]:
+        """What its file says beside the arrays."""
+        told = {
             "format": FORMAT,
             "version": VERSION,
             "scene": json.dumps(self.scene),
             "report": json.dumps(self.report),
             "walls": json.dumps(self.walls),
         }
-        if self.objects:
-            metadata["objects"] = json.dumps(self.objects)
+        return {**told, "objects": json.dumps(self.objects)} if self.objects else told
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write one safetensors file; it appears whole or not at all.
+
+        Raises:
+            InputError: If the folder is missing or no file can be made there.
+            OSError: If there is no room.
+        """
         with replacing(path) as temporary:
-            save_file(tensors, temporary, metadata)
+            save_tensors(self.tensors(), temporary, self.metadata())
             _order_header(temporary)
 
     @classmethod
@@ -244,6 +254,19 @@ class Clip:
             return cls(**known, scene=scene, report=report, walls=walls, objects=objects)
         except (ValueError, IndexError) as error:
             raise _refusal(path, f"its tensors do not fit together ({error}).") from error
+
+
+def joined(rows: Sequence[NDArray]) -> NDArray:
+    """Arrays of one shape stacked; no copy if they lie one after the other, as in a clip's file."""
+    first = rows[0]
+    base, start, step = first.base, first.ctypes.data, first.nbytes
+    follow = (
+        row.base is base and row.ctypes.data == start + i * step for i, row in enumerate(rows)
+    )
+    if base is None or not first.flags.c_contiguous or not all(follow):
+        return np.stack(rows)
+    shape, strides = (len(rows), *first.shape), (step, *first.strides)
+    return np.lib.stride_tricks.as_strided(first, shape, strides, writeable=False)
 
 
 def _refusal(path: object, what: str, remedy: str = MADE) -> InputError:

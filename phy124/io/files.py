@@ -11,11 +11,7 @@ from pathlib import Path
 
 from phy124.errors import InputError
 from phy124.io.destinations import beginning, put, real
-
-try:
-    import fcntl
-except ImportError:  # Windows
-    fcntl = None
+from phy124.io.locks import lock, locked, unlock
 
 PathLike = str | os.PathLike[str]
 MAKING = ".making-"
@@ -23,11 +19,15 @@ MAKING = ".making-"
 
 
 @contextmanager
-def staged(out: PathLike) -> Iterator[Path]:
+def staged(out: PathLike, *, keeps: bool = False) -> Iterator[Path]:
     """A temporary folder whose files are moved into `out` if all goes well.
 
     If something fails, folders that were created for it are removed again, unless somebody else
     uses them by then. Leftovers of killed processes in `out` are removed as well.
+
+    Args:
+        out: The folder to fill.
+        keeps: Whether files that are whole by then are moved even if something fails.
 
     Raises:
         InputError: If `out` cannot be a folder.
@@ -37,60 +37,53 @@ def staged(out: PathLike) -> Iterator[Path]:
         made = real(out)
         missing = [path for path in (made, *made.parents) if not path.exists()]
         made.mkdir(parents=True, exist_ok=True)
-        with _locked(out):
+        with locked(out):
             _sweep(out)
             folder = Path(tempfile.mkdtemp(prefix=MAKING, dir=out))
-            lock = _lock(folder)
+            held = lock(folder)
     except OSError as error:
         _remove_empty(missing)
         why = "it is a file" if out.is_file() else f"it cannot be written ({error.strerror})"
         raise InputError("out", out, f"{why}.", "Choose another folder.") from None
     try:
         yield folder
-        for path in sorted(folder.iterdir()):
-            put(path, out / path.name)
+        deliver(folder)
+    except Exception:
+        if keeps:
+            deliver(folder)
+        raise
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-        _unlock(lock)
+        unlock(held)
         _remove_empty(missing)
+
+
+def deliver(folder: Path) -> list[str]:
+    """Move what is whole in a folder of `staged` to where it belongs; returns the names."""
+    out, names = folder.parent, sorted(path.name for path in folder.glob("[!.]*"))
+    for name in names:
+        put(folder / name, out / name)
+    return names
+
+
+def write_whole(path: PathLike, text: str) -> None:
+    """Write a text file, which appears whole or not at all.
+
+    Raises:
+        InputError: If the folder is missing or no file can be made there.
+        OSError: If there is no room.
+    """
+    with replacing(path) as temporary:
+        temporary.write_text(text, "utf-8")
 
 
 def _sweep(out: Path) -> None:
     """Remove the folders of processes that have ended: their locks ended with them."""
     for folder in out.glob(f"{MAKING}*"):
-        lock = _lock(folder)
-        if lock is not None:
+        held = lock(folder)
+        if held is not None:
             shutil.rmtree(folder, ignore_errors=True)
-        _unlock(lock)
-
-
-@contextmanager
-def _locked(folder: Path) -> Iterator[None]:
-    """Hold a lock under which one process at a time cleans up a folder or adds to it."""
-    lock = _lock(folder, wait=True)
-    try:
-        yield
-    finally:
-        _unlock(lock)
-
-
-def _lock(folder: Path, *, wait: bool = False) -> int | None:
-    """A lock that ends with this process; None if another holds it or locks are unavailable."""
-    if fcntl is None:
-        return None
-    with suppress(OSError):
-        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-            return descriptor
-        except OSError:
-            os.close(descriptor)
-    return None
-
-
-def _unlock(lock: int | None) -> None:
-    if lock is not None:
-        os.close(lock)
+        unlock(held)
 
 
 def writable(folder: Path) -> bool:

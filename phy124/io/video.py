@@ -16,6 +16,7 @@ import threading
 from collections.abc import Generator, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from fractions import Fraction
+from functools import cache
 from pathlib import Path
 from typing import IO
 
@@ -39,6 +40,7 @@ BT709 = (
     "setparams=range=limited:color_primaries=bt709:color_trc=bt709:colorspace=bt709"
 )
 """Filters that convert RGB to limited-range BT.709 and tag it so."""
+CODEC = ("-vf", BT709, "-c:v", "libx264", "-pix_fmt", "yuv420p")
 ANIMATIONS = {".gif": "GIF", ".webp": "WEBP"}
 OPAQUE = 128
 """Coverage from which a GIF's pixel, which cannot be half transparent, is drawn."""
@@ -46,6 +48,44 @@ CLEAR = 255
 """Index of the GIF colour that is not drawn."""
 PNG_EFFORT = 3
 """Compression level, 0 to 9; higher ones take twice as long and save a few per cent."""
+
+
+def refuse_missing_encoder() -> None:
+    """Make sure that MP4s can be written, by encoding a picture to nowhere.
+
+    Raises:
+        InputError: The encoder is missing or does not work here.
+    """
+    if problem := encoder_problem():
+        limit = f"the video encoder, ffmpeg, does not work here ({problem})."
+        remedy = (
+            "Install imageio-ffmpeg again, or set IMAGEIO_FFMPEG_EXE to an ffmpeg with libx264; "
+            "--format png needs none."
+        )
+        raise InputError("format", "mp4", limit, remedy)
+
+
+def encoder_problem() -> str:
+    """What is wrong with the encoder, in words; nothing if it works."""
+    try:
+        return _problem_of(imageio_ffmpeg.get_ffmpeg_exe())
+    except RuntimeError as error:
+        return str(error).partition("\n")[0]
+
+
+@cache
+def _problem_of(program: str) -> str:
+    """What is wrong with an encoder, as encoding a picture shows."""
+    size = 16
+    command = [program, *_source(size, size, Fraction(24)), *CODEC, "-f", "null", "-"]
+    try:
+        done = subprocess.run(
+            command, input=bytes(3 * size * size), capture_output=True, timeout=STUCK, check=False
+        )
+    except (OSError, subprocess.SubprocessError) as error:
+        return str(error)
+    said = done.stderr.decode(errors="replace").strip().splitlines()
+    return (said[0] if said else f"exit status {done.returncode}") if done.returncode else ""
 
 
 def write_mp4(path: str | os.PathLike[str], frames: Iterable[Picture], *, fps: float) -> int:
@@ -143,9 +183,8 @@ def _encode(temporary: Path, path: object, pictures: Iterator[Picture], fps: flo
     first = next(pictures)
     height, width = first.shape[:2]
     rate = Fraction(fps).limit_denominator(1001)
-    source = f"-f rawvideo -pix_fmt rgb24 -s {width}x{height} -r {rate} -i -".split()
-    target = ["-vf", BT709, "-c:v", "libx264", "-pix_fmt", "yuv420p", *ENCODER]
-    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-v", "error", *source, *target]
+    program = imageio_ffmpeg.get_ffmpeg_exe()
+    command = [program, "-y", *_source(width, height, rate), *CODEC, *ENCODER]
     with tempfile.TemporaryFile() as log:
         encoder = subprocess.Popen(
             [*command, os.fspath(temporary)], stdin=subprocess.PIPE, stdout=log, stderr=log
@@ -164,6 +203,11 @@ def _encode(temporary: Path, path: object, pictures: Iterator[Picture], fps: flo
             silent = f"it said nothing, exit status {encoder.returncode}"
             raise _unfinished(path, sent, log.read().decode(errors="replace").strip() or silent)
     return sent
+
+
+def _source(width: int, height: int, rate: Fraction) -> list[str]:
+    """Options of ffmpeg for raw pictures on its standard input, and for silence."""
+    return f"-v error -f rawvideo -pix_fmt rgb24 -s {width}x{height} -r {rate} -i -".split()
 
 
 def _feed(encoder: subprocess.Popen[bytes], pictures: Iterator[Picture]) -> int:

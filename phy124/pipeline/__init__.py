@@ -1,8 +1,9 @@
 """The whole chain: picture -> foreground -> Gaussians -> moving Gaussians -> files.
 
-Every function here reports progress and how long its stages take. A run that fails or is cancelled
-leaves nothing behind; one that stops early keeps its good frames, and so does a cancelled one if
-`keep` is set.
+Every function here reports progress and how long its stages take. A run that is refused or
+cancelled leaves nothing behind; one that stops early keeps its good frames, and so does a cancelled
+one if `keep` is set. Whatever else ends it (an error, want of room or memory, a kill), what is
+computed stays: the clip before it is filmed, and the frames so far for `go_on`.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from phy124.io.files import staged as staged
 from phy124.parts import WHOLE, Crop
 from phy124.pipeline.composing import into_photograph as into_photograph
 from phy124.pipeline.gaussians import Static as Static
-from phy124.pipeline.making import PAUSE, Making
+from phy124.pipeline.making import CUTOUT, PAUSE, Making
 from phy124.pipeline.making import Result as Result
 from phy124.pipeline.making import circumstances as circumstances
 from phy124.pipeline.making import framed as framed
@@ -34,6 +35,7 @@ from phy124.pipeline.objects import check_sources as check_sources
 from phy124.pipeline.objects import split
 from phy124.pipeline.objects import static as static
 from phy124.pipeline.objects import with_others as with_others
+from phy124.pipeline.room import warn_of_room
 from phy124.progress import Progress, silent
 from phy124.rendering.film import cameras as cameras
 from phy124.rendering.film import film as film
@@ -152,23 +154,32 @@ def simulate(
     if films:
         refuse_unfilmable(scene)
     watch = watch or Stopwatch()
+    png = None if cutout is None else cutout.png()
     making = Making(
-        Path(out), device, progress, watch, dict(about or {}), keep, cutout, films, threads
+        Path(out), device, progress, watch, dict(about or {}), keep, png, films, threads
     )
+
+    def seen(run: Simulation, frame: Frame) -> None:
+        making.recording.see(run)
+        each(run, frame)
 
     def moved() -> tuple[Simulation, Clip]:
         options: dict[str, Any] = {
             "device": device, "threads": threads, "progress": progress, "watch": watch,
         }  # fmt: skip
         if goal is not None:
-            reached = reach(goal, gaussians, scene, elapsed=watch.total, crop=crop, **options)
+            see = making.recording.see
+            reached = reach(
+                goal, gaussians, scene, elapsed=watch.total, crop=crop, see=see, **options
+            )
             making.about["goal"] = reached.about
             return reached.simulation, reached.clip
         run = Simulation(gaussians, scene, crop=crop, **options)
+        warn_of_room(run, making.out, films=films)
         if forecaster is not None:
             with watch.stage("forecast"):
                 making.predicted = forecaster.of(run)
-        return run, run.run(partial(each, run))
+        return run, run.run(partial(seen, run))
 
     return making.result(moved)
 
@@ -196,14 +207,15 @@ def go_on(
         keep: Whether it is kept again if `progress` cancels it.
 
     Raises:
-        InputError: There is no interrupted run, or it has another scene.
+        InputError: There is no interrupted run, another process goes on with it, or it has another
+            scene.
     """
     refuse_threads(threads)
     path, watch = Path(out) / PAUSE, Stopwatch()
     if not path.is_file():
         limit = "no interrupted run was left there."
         raise InputError("resume", out, limit, "Leave --resume out to start from the beginning.")
-    about = resume.read_about(path)
+    about, frames = resume.read_about(path), resume.frames_of(path)
     if scene is not None:
         asked, paused = scene.data(), about["scene"]
         if any_accuracy:
@@ -211,12 +223,20 @@ def go_on(
         for own, found in zip(asked.get("objects", ()), paused.get("objects", ()), strict=False):
             own["crop"] = found.get("crop")  # no option: its picture has told it
         _refuse_other(asked, paused, out)
-    about = {name: value for name, value in about.items() if name not in ("scene", "frames")}
-    making = Making(Path(out), device, progress, watch, about, keep, threads=threads)
+    refuse_unfilmable(Scene.from_data(about["scene"], str(path)))
+    making = Making(
+        Path(out), device, progress, watch,
+        {name: value for name, value in about.items() if name not in ("scene", "frames")}, keep,
+        resume.read_files(path).get(CUTOUT), threads=threads, frames=frames,
+        continued=about["frames"],
+    )  # fmt: skip
 
     def moved() -> tuple[Simulation, Clip]:
-        run = resume.load(path, device=device, threads=threads, progress=progress, watch=watch)
-        return run, run.run()
+        run = resume.load(
+            path, device=device, threads=threads, progress=progress, watch=watch, frames=frames
+        )
+        warn_of_room(run, making.out, films=True)
+        return run, run.run(lambda _: making.recording.see(run))
 
     return making.result(moved)
 

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import json
 import platform
-from collections.abc import Callable
+import shutil
+import tempfile
+from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -13,12 +16,16 @@ from typing import Any
 from phy124 import resume
 from phy124.accuracy.forecast import Forecast
 from phy124.accuracy.promises import promise
-from phy124.errors import Cancelled
-from phy124.imaging.cutout import Cutout
+from phy124.errors import Cancelled, InputError, Unfinished
 from phy124.io.clip import Clip
+from phy124.io.files import deliver, replacing, write_whole
 from phy124.io.files import staged as staged
+from phy124.io.growing import Growing
 from phy124.io.ply import write_ply
 from phy124.pipeline import earlier
+from phy124.pipeline.losses import broken_off, incomplete, moved_away, unfilmed
+from phy124.pipeline.recording import PAUSE as PAUSE
+from phy124.pipeline.recording import Recording, sweep
 from phy124.progress import Progress
 from phy124.rendering.film import cameras as cameras
 from phy124.rendering.film import choppy, played
@@ -30,9 +37,7 @@ from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene, View
 from phy124.simulation import Interrupted, Simulation
 
-PAUSE = "pause.safetensors"
-"""Name of the file that an interrupted run leaves in its folder for `go_on`."""
-CLIP = "clip.safetensors"
+CLIP, SCENE, PLY, CUTOUT = "clip.safetensors", "scene.toml", "gaussians.ply", "cutout.png"
 INTERRUPTED = "it was interrupted; the same command with --resume continues it"
 
 
@@ -60,77 +65,180 @@ class Making:
     """What the report says in addition to the run's own."""
     keep: bool
     """Whether the frames so far are kept when `progress` cancels."""
-    cutout: Cutout | None = None
+    cutout: bytes | None = None
+    """The cut-out as a PNG file, to be saved beside the results."""
     films: bool = True
     """Whether videos are made."""
     threads: int | None = None
     """CPU threads that draw; None: as many as there are cores."""
+    frames: Growing | None = None
+    """The file with the frames of the run that is continued, if it has one."""
+    continued: int = 0
+    """Number of frames of the run that is continued."""
     predicted: Forecast | None = None
 
+    def __post_init__(self) -> None:
+        self.files = {CUTOUT: self.cutout} if self.cutout is not None else {}
+        self.recording = Recording(
+            self.out, self.about, files=self.files, frames=self.frames, saved=self.continued
+        )
+
     def result(self, moved: Callable[[], tuple[Simulation, Clip]]) -> Result:
-        """Move, film and save; a folder that cannot be written is refused before anything else.
+        """Move, save and film; a folder that cannot be written is refused before anything else.
 
         What an earlier run left in the folder goes when the new results are there.
-        """
-        before = earlier.listed(self.out)
-        with staged(self.out) as folder:
-            interrupted = False
-            try:
-                run, clip = moved()
-            except Interrupted as cut:
-                if not self.keep:
-                    raise
-                run, clip, interrupted = cut.run, cut.run.clip(), True
-                # Filming may be interrupted, too.
-                with staged(self.out) as safe:
-                    self._save(safe, run, clip, interrupted)
-            interrupted |= self._film(clip, run.scene, folder)
-            report = self._save(folder, run, clip, interrupted)
-            made = sorted(path.name for path in folder.iterdir())
-        earlier.remove(self.out, before.difference(made))
-        if not interrupted:
-            (self.out / PAUSE).unlink(missing_ok=True)
-        return Result(self.out, tuple(self.out / name for name in made), report)
 
-    def _film(self, clip: Clip, scene: Scene, folder: Path) -> bool:
-        """Film all views; returns whether it was interrupted, in which case finished ones stay."""
+        Raises:
+            Unfinished: Not all could be made or written; it says what is kept, and where.
+            Cancelled: `progress` raised it, and `keep` is not set.
+        """
+        before = earlier.listed(self.out) - {PAUSE}  # this run's own may be of that name
+        with staged(self.out) as folder:
+            sweep(self.out)
+            run, clip, interrupted = self._moved(moved)
+            report = self._save(folder, run, clip, interrupted)
+            made = set(deliver(folder) if self.keep else ())
+            earlier.remove(self.out, before.difference(made) if made else ())
+            if self.keep and self.films and not interrupted:
+                with suppress(OSError, InputError):
+                    self.recording.pause(run)  # the filming may be killed
+            cut, problem = self._film(clip, run.scene, folder)
+            if cut and not interrupted:
+                interrupted = self._pause(folder, run)
+            made |= {path.name for path in folder.glob("[!.]*")} | {earlier.REPORT}
+            report = self._renewed(report, made, interrupted=cut or interrupted)
+            with suppress(OSError, InputError):  # the earlier report stays if there is no room
+                write_json(folder / earlier.REPORT, report)
+            deliver(folder)
+            earlier.remove(self.out, before.difference(made))
+        self._end(made, interrupted=interrupted)
+        if problem is not None:
+            raise unfilmed(self.out, made, problem) from problem
+        return Result(self.out, tuple(self.out / name for name in sorted(made)), report)
+
+    def _moved(self, moved: Callable[[], tuple[Simulation, Clip]]) -> tuple[Simulation, Clip, bool]:
+        """The run, its clip, and whether it was interrupted."""
+        try:
+            run, clip = moved()
+            return run, clip, False
+        except Interrupted as cut:
+            if not self.keep:
+                self.recording.drop()
+                raise
+            with suppress(OSError, InputError):  # what was written before stays
+                self.recording.pause(cut.run)
+            return cut.run, cut.run.clip(), True
+        except (Cancelled, InputError):
+            self.recording.drop()
+            raise
+        except Exception as error:
+            if left := self.recording.rescued():
+                raise broken_off(self.out, left, error) from error
+            raise
+        except BaseException:
+            self.recording.leave()
+            raise
+
+    def _film(self, clip: Clip, scene: Scene, folder: Path) -> tuple[bool, Exception | None]:
+        """Film all views; returns whether it was interrupted, and what failed.
+
+        Finished ones stay in either case.
+        """
         if not self.films:
-            return False
+            return False, None
         options: dict[str, Any] = {"device": self.device, "watch": self.watch}
         options["threads"] = self.threads
         try:
             film(clip, scene.view, folder, progress=self.progress, **options)
         except Cancelled:
             if not self.keep:
+                self.recording.drop()
                 raise
-            return True
-        return False
+            return True, None
+        except Exception as error:
+            return False, error
+        return False, None
 
     def _save(self, folder: Path, run: Simulation, clip: Clip, interrupted: bool) -> dict[str, Any]:
-        with self.watch.stage("save"):
-            write_ply(folder / "gaussians.ply", run.gaussians)
-            if self.cutout is not None:
-                self.cutout.save(folder / "cutout.png")
-            (folder / "scene.toml").write_text(run.numbered.to_toml(), "utf-8")
-            if interrupted:
-                resume.save(run, folder / PAUSE, about=self.about)
+        """Write everything but the films, what matters most first; returns the report."""
+        try:
+            return self._write(folder, run, clip, interrupted)
+        except (OSError, InputError) as error:
+            status = 130 if interrupted else 1
+            if (folder / CLIP).exists():
+                made = deliver(folder)
+                self._end(made, interrupted=interrupted)
+                raise incomplete(self.out, made, error, status) from error
+            raise self._elsewhere(run, clip, interrupted, error) from error
+
+    def _write(
+        self, folder: Path, run: Simulation, clip: Clip, interrupted: bool
+    ) -> dict[str, Any]:
         report = self._report(clip, run.scene.view, interrupted)
-        report["files"] = sorted({*(path.name for path in folder.iterdir()), CLIP, earlier.REPORT})
+        names = {SCENE, earlier.REPORT, CLIP, PLY, *self.files, *([PAUSE] if interrupted else [])}
+        report["files"] = sorted(names)
         with self.watch.stage("save"):
-            clip.with_report(report).save(folder / CLIP)
+            write_whole(folder / SCENE, run.numbered.to_toml())
             write_json(folder / earlier.REPORT, report)
+            self.recording.finish(clip.with_report(report), folder / CLIP)
+            if interrupted:
+                self._pause(folder, run)
+            write_ply(folder / PLY, run.gaussians)
+            for name, content in self.files.items():
+                with replacing(folder / name) as temporary:
+                    temporary.write_bytes(content)
         return report
+
+    def _pause(self, folder: Path, run: Simulation) -> bool:
+        """Write the state of a run that ends early; returns whether it can go on."""
+        try:
+            resume.save(run, folder / PAUSE, about=self.about, files=self.files)
+        except (OSError, InputError):
+            with suppress(OSError, InputError):
+                self.recording.pause(run)
+            return self.recording.saved > 0
+        return True
+
+    def _elsewhere(
+        self, run: Simulation, clip: Clip, interrupted: bool, error: Exception
+    ) -> Unfinished:
+        """Write the results where there is room; returns the exception that says where that is."""
+        status = 130 if interrupted else 1
+        folder = Path(tempfile.mkdtemp(prefix="phy124-kept-"))
+        try:
+            self._write(folder, run, clip, interrupted)
+        except (OSError, InputError):
+            shutil.rmtree(folder, ignore_errors=True)
+            left = self.recording.rescued()
+            return broken_off(self.out, left, error, status)
+        self.recording.drop()
+        return moved_away(self.out, folder, error, status)
+
+    def _end(self, made: Iterable[str], *, interrupted: bool) -> None:
+        """Remove what the run needed while it went on."""
+        if not interrupted:
+            self.recording.discard()
+        elif PAUSE in made:
+            self.recording.close()
+        else:
+            self.recording.leave()
 
     def _report(self, clip: Clip, view: View, interrupted: bool) -> dict[str, Any]:
         about = {"foreground": None, "cutout": None, "generator": None, **self.about}
-        if self.predicted is not None:
-            about["forecast"] = self.predicted.compared(self.watch.seconds)
         cleaning = [*about.get("cleaning", []), *clip.report["cleaning"]]
         report = {**about, **clip.report, "cleaning": cleaning}
         report |= framed(clip, view) if self.films else {}
         report["notes"] = [*_of_files(about), *report["notes"]]
         report["promise"] = asdict(promise(Scene.from_data(clip.scene), report))
-        report |= circumstances(self.device, self.watch)
+        return self._renewed(report, (), interrupted=interrupted)
+
+    def _renewed(
+        self, report: dict[str, Any], made: Iterable[str], *, interrupted: bool
+    ) -> dict[str, Any]:
+        """A report with the time spent and the files made by now."""
+        report = {**report, **circumstances(self.device, self.watch), "files": sorted(made)}
+        if self.predicted is not None:
+            report["forecast"] = self.predicted.compared(self.watch.seconds)
         if interrupted:
             report["stopped"] = report["stopped"] or INTERRUPTED
         return {**report, "interrupted": interrupted}
@@ -173,5 +281,5 @@ def circumstances(device: str, watch: Stopwatch) -> dict[str, Any]:
 
 
 def write_json(path: Path, data: dict[str, Any]) -> None:
-    """Write plain data to a JSON file."""
-    path.write_text(json.dumps(data, indent=2, allow_nan=False) + "\n", "utf-8")
+    """Write plain data to a JSON file, which appears whole or not at all."""
+    write_whole(path, json.dumps(data, indent=2, allow_nan=False) + "\n")

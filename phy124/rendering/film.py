@@ -11,9 +11,16 @@ from typing import Any
 
 from phy124.errors import InputError
 from phy124.io.clip import Clip
-from phy124.io.export import write_ply_sequence, write_usd
+from phy124.io.export import refuse_missing_usd, write_ply_sequence, write_usd
 from phy124.io.files import staged
-from phy124.io.video import FPS_RANGE, Picture, write_animation, write_mp4, write_pictures
+from phy124.io.video import (
+    FPS_RANGE,
+    Picture,
+    refuse_missing_encoder,
+    write_animation,
+    write_mp4,
+    write_pictures,
+)
 from phy124.progress import Progress, silent
 from phy124.rendering.frames import render_frames
 from phy124.rendering.framing import cameras as cameras
@@ -185,12 +192,14 @@ def choppy(clip: Clip, view: View) -> str | None:
 
 
 def refuse_unfilmable(scene: Scene) -> None:
-    """Make sure that videos can have the rate of a scene, and that its outputs can be made.
+    """Make sure that videos can have the rate of a scene, that its outputs can be made, and that
+    what writes them is there.
 
     Raises:
-        InputError: They cannot.
+        InputError: They cannot, or something is missing.
     """
     refuse_outputs(scene.view, scene.time.frames)
+    refuse_missing_writers(scene.view)
     shown, (low, high) = playback(scene.time.fps, scene.view), FPS_RANGE
     if not low <= shown <= high and set(scene.view.formats) & PLAYED:
         limit = f"at {shown:g} pictures per second no video plays, only at {low:g} to {high:g}."
@@ -198,6 +207,18 @@ def refuse_unfilmable(scene: Scene) -> None:
         if scene.view.speed == 1:
             field, value = ("time.fps", scene.time.fps)
         raise InputError(field, value, limit, f"Set view.speed = {24 / scene.time.fps:.3g}.")
+
+
+def refuse_missing_writers(view: View) -> None:
+    """Make sure that the encoder and the packages that write a view's formats work.
+
+    Raises:
+        InputError: One is missing.
+    """
+    if "mp4" in view.formats:
+        refuse_missing_encoder()
+    if "usd" in view.formats:
+        refuse_missing_usd()
 
 
 def rate(clip: Clip) -> float:

@@ -16,7 +16,7 @@ from phy124.deform import Deformer
 from phy124.errors import Cancelled, Remedy
 from phy124.gaussians import Frame, Gaussians
 from phy124.imaging.painted import WHOLE, Crop
-from phy124.io.clip import Clip
+from phy124.io.clip import Clip, joined
 from phy124.limits import refuse_hopeless
 from phy124.monitor import diagnosis
 from phy124.monitor.contacts import Contacts
@@ -242,7 +242,7 @@ class Simulation:
         """
         if not self.keep:
             raise ValueError("this run does not keep its frames")
-        rotations = np.stack(self.rotations) if self.rotations else None
+        rotations = joined(self.rotations) if self.rotations else None
         made = Clip.from_frames(self.frames, rotations)
         shown = {"opacities": self.shown.opacities, "sh": self.shown.sh}
         names = self.scene.names if self.scene.objects else ()

@@ -6,6 +6,12 @@ whoever wants all of the motion in one small file.
 
 from phy124.io.export.fourdgs import write_fourdgs
 from phy124.io.export.sequence import write_ply_sequence, write_sequence
-from phy124.io.export.usd import write_usd
+from phy124.io.export.usd import refuse_missing_usd, write_usd
 
-__all__ = ["write_fourdgs", "write_ply_sequence", "write_sequence", "write_usd"]
+__all__ = [
+    "refuse_missing_usd",
+    "write_fourdgs",
+    "write_ply_sequence",
+    "write_sequence",
+    "write_usd",
+]

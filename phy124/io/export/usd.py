@@ -54,6 +54,15 @@ def write_usd(path: str | os.PathLike[str], clip: Clip, *, progress: Progress = 
         stage.GetRootLayer().Save()
 
 
+def refuse_missing_usd() -> None:
+    """Refuse USD files where the package that writes them is not installed.
+
+    Raises:
+        InputError: It is not, or is too old.
+    """
+    _pxr()
+
+
 def _pxr() -> Any:
     """The modules of OpenUSD that are used here."""
     try:

@@ -1,0 +1,201 @@
+"""A run on disk while it goes on: its frames as they are computed, and now and then its state.
+
+Whatever ends a run then (kill -9, want of memory, an error) leaves a pause from which `resume` goes
+on. The frames go to the file that becomes the clip, so they are written once, as they would be
+without. The state is written so rarely that it takes a hundredth of the time.
+"""
+
+from __future__ import annotations
+
+import json
+import secrets
+import time
+import warnings
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from phy124 import resume
+from phy124.errors import InputError
+from phy124.io import locks
+from phy124.io.clip import Clip
+from phy124.io.growing import Growing, Unlike
+from phy124.simulation import Simulation
+
+PAUSE = "pause.safetensors"
+"""Name of the file from which an interrupted run goes on."""
+FRAMES = "pause-{}.frames"
+"""Name of the file with the frames of a run that goes on, or was killed."""
+COST = 0.01
+"""Largest fraction of the time that writing the state takes."""
+GUESS = 4e8
+"""How fast the state is written, until that has been measured [bytes/s]."""
+HEADER, PER_FRAME = 32_000, 120
+"""Room for the report in the clip, and for what it says of each frame [bytes]."""
+
+
+class Recording:
+    """What a run keeps in its folder while it goes on."""
+
+    def __init__(
+        self,
+        out: Path,
+        about: dict[str, Any],
+        *,
+        files: Mapping[str, bytes] | None = None,
+        frames: Growing | None = None,
+        saved: int = 0,
+    ) -> None:
+        """Nothing is written before the first frame.
+
+        Args:
+            out: The folder of the run.
+            about: What is known about the run, as far as it is known when the state is written.
+            files: Further results, which are there before the first frame.
+            frames: The file of the frames of the run that is continued, if it has one.
+            saved: Number of frames of the run that is continued.
+        """
+        self.path, self.about, self.files, self.frames = out / PAUSE, about, files, frames
+        self.failed = not locks.AVAILABLE
+        """Whether it was given up."""
+        self.resumed, self.saved = saved > 0, saved
+        """Number of frames from which the run can go on, should it be ended now."""
+        self._run: Simulation | None = None
+        self._put, self._last, self._cost = 0, time.perf_counter(), 0.0
+
+    def see(self, run: Simulation) -> None:
+        """Write the frames that are new and, if it is time, the state."""
+        if run is not self._run:
+            self._begin(run)
+        if self.failed:
+            return
+        try:
+            with run.watch.stage("save"):
+                self._write_frames(run)
+                if self._is_due(run):
+                    self.pause(run)
+        except (OSError, InputError) as error:
+            self.failed = True
+            warnings.warn(
+                f"frames are kept in memory only, so a killed run cannot go on from here: {error}",
+                stacklevel=2,
+            )
+        except Unlike:
+            self.failed = True
+
+    def pause(self, run: Simulation) -> None:
+        """Write the state after the last frame.
+
+        Raises:
+            OSError: It cannot be written.
+        """
+        if self.failed or self.frames is None:
+            return
+        begun = time.perf_counter()
+        resume.save(run, self.path, about=self.about, frames=self.frames, files=self.files)
+        if not self.saved:
+            sweep(self.path.parent)
+        self.saved, self._last = run.count, time.perf_counter()
+        self._cost = self._last - begun
+
+    def finish(self, clip: Clip, path: Path) -> None:
+        """Write the clip; most often its frames are there, and only the header is missing.
+
+        Raises:
+            OSError: There is no room.
+        """
+        with suppress(OSError):
+            if self.frames is not None and not self.failed and self.frames.finish(clip, path):
+                return
+        clip.save(path)
+
+    def discard(self) -> None:
+        """Remove the pause, and the frames with it."""
+        self.path.unlink(missing_ok=True)
+        self.close()
+
+    def close(self) -> None:
+        """Remove the frames, which are elsewhere by now, or of no use."""
+        if self.frames is not None:
+            self.frames.remove()
+        self.frames, self.failed = None, True
+
+    def drop(self) -> None:
+        """Remove what this run has written; of a run that is continued, all stays."""
+        if self.resumed or not self.saved:
+            self.leave()
+        else:
+            self.discard()
+
+    def rescued(self) -> int:
+        """Leave what can be kept of a run that failed; returns how many frames that is."""
+        if self._run is not None:
+            with suppress(Exception):
+                self.pause(self._run)
+        self.leave()
+        return self.saved
+
+    def leave(self) -> None:
+        """Let what is on disk stay for `resume`."""
+        if self.frames is not None:
+            self.frames.close() if self.saved else self.frames.remove()
+        self.frames, self.failed = None, True
+
+    def _begin(self, run: Simulation) -> None:
+        """Turn to another run: a search for an accuracy makes several, one after the other."""
+        first, self._run, self._last = self._run is None, run, time.perf_counter()
+        if first:
+            self._put = 0 if self.frames is None else self.saved
+        elif self.frames is not None:
+            self.frames.remove()
+            self.frames, self._put, self.saved = None, 0, 0
+
+    def _write_frames(self, run: Simulation) -> None:
+        """Write what is new, and read it from the file from now on, which takes no memory."""
+        for place in range(self._put, run.count):
+            frame, turns = run.frames[place], run.rotations[place] if run.rotations else None
+            if self.frames is None:
+                path = self.path.with_name(FRAMES.format(secrets.token_hex(4)))
+                count, header = run.scene.time.frames, self._header(run)
+                with locks.locked(path.parent):  # nobody takes it for a leftover meanwhile
+                    self.frames = Growing.like(path, frame, count, rotation=turns, header=header)
+            run.frames[place], turned = self.frames.put(frame, turns)
+            if turned is not None:
+                run.rotations[place] = turned
+            if place and len(run.shown) and run.shown.sh_degree:
+                # Only the last frame's turned colours are needed again.
+                before = run.frames[place - 1]
+                plain = replace(before.gaussians, sh=run.shown.sh)
+                run.frames[place - 1] = replace(before, gaussians=plain)
+        self._put = run.count
+
+    def _header(self, run: Simulation) -> int:
+        """Room for what the clip's file says of itself [bytes]."""
+        told = len(json.dumps([run.numbered.data(), self.about]))
+        return HEADER + 2 * told + PER_FRAME * run.scene.time.frames
+
+    def _is_due(self, run: Simulation) -> bool:
+        """Whether the state may be written: the time since it was last pays for that."""
+        given = run.given
+        size = 4 * sum(a.size for a in (given.means, given.quats, given.scales, given.sh))
+        cost = self._cost or (size + 300 * len(run.particles)) / GUESS
+        return COST * (time.perf_counter() - self._last) >= cost
+
+
+def sweep(out: Path) -> None:
+    """Remove the frames of killed runs from a folder, except those that its pause needs."""
+    found = list(out.glob(FRAMES.format("*")))
+    if not found:
+        return
+    needed = None
+    if (out / PAUSE).is_file():
+        with suppress(InputError):
+            needed = (resume.read_frames(out / PAUSE) or {}).get("file")
+    with locks.locked(out):
+        for path in (path for path in found if path.name != needed):
+            held = locks.lock(path)
+            if held is not None:
+                path.unlink(missing_ok=True)
+            locks.unlock(held)

@@ -1,0 +1,58 @@
+"""Room on the disk: what the results of a run will take, and whether it is there."""
+
+from __future__ import annotations
+
+import math
+import shutil
+import warnings
+from pathlib import Path
+
+from phy124.cost import BYTES_PER_GAUSSIAN
+from phy124.simulation import Simulation
+
+PLY = 4 * 17
+"""A Gaussian in a PLY file [bytes]; 12 more for each further coefficient of its colour."""
+EXPORTED = {"usd": BYTES_PER_GAUSSIAN, "ply": PLY}
+"""Format -> a Gaussian of one frame in it [bytes]."""
+PIXEL = {"png": 1.0, "gif": 0.5, "webp": 0.1, "mp4": 0.05}
+"""Format -> a pixel of a picture in it, roughly [bytes]."""
+OUTPUT = 6
+"""A pixel of an output, roughly [bytes]."""
+
+
+def warn_of_room(run: Simulation, out: Path, *, films: bool) -> None:
+    """Warn if there is less room for the results than they are forecast to take."""
+    needed = forecast(run, films=films)
+    try:
+        free = shutil.disk_usage(out).free
+    except OSError:
+        return
+    if needed > free:
+        warnings.warn(
+            f"the results are forecast to take {size(needed)}, and {out} has room for "
+            f"{size(free)}; what does not fit is kept elsewhere if there is room",
+            stacklevel=2,
+        )
+
+
+def forecast(run: Simulation, *, films: bool) -> float:
+    """What a run's files will take [bytes]; films only roughly."""
+    scene, count, frames = run.scene, len(run.shown), run.scene.time.frames
+    colours = 12 * (run.shown.sh.shape[1] - 1)
+    kept = 12 * (scene.velocities + scene.keeps_contacts) + 16 * (colours > 0)
+    files = frames * count * (BYTES_PER_GAUSSIAN + kept) + count * (2 * PLY + 2 * colours)
+    if not films:
+        return files
+    view = scene.view
+    pixels = frames * len(view.sides) * math.prod(view.size)
+    drawn = sum(pixels * PIXEL.get(name, 0.0) for name in view.formats)
+    exported = sum(frames * count * EXPORTED.get(name, 0) for name in view.formats)
+    return files + drawn + exported + OUTPUT * pixels * len(view.outputs)
+
+
+def size(count: float) -> str:
+    """A number of bytes in words."""
+    for unit, name in ((1e9, "GB"), (1e6, "MB"), (1e3, "kB")):
+        if count >= unit:
+            return f"{count / unit:.1f} {name}"
+    return f"{count:.0f} bytes"
