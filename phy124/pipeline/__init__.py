@@ -215,7 +215,7 @@ def go_on(
     if not path.is_file():
         limit = "no interrupted run was left there."
         raise InputError("resume", out, limit, "Leave --resume out to start from the beginning.")
-    about, frames = resume.read_about(path), resume.frames_of(path)
+    about = resume.read_about(path)
     if scene is not None:
         asked, paused = scene.data(), about["scene"]
         if any_accuracy:
@@ -224,6 +224,7 @@ def go_on(
             own["crop"] = found.get("crop")  # no option: its picture has told it
         _refuse_other(asked, paused, out)
     refuse_unfilmable(Scene.from_data(about["scene"], str(path)))
+    frames = resume.frames_of(path)
     making = Making(
         Path(out), device, progress, watch,
         {name: value for name, value in about.items() if name not in ("scene", "frames")}, keep,

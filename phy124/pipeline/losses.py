@@ -19,7 +19,14 @@ def unfilmed(out: Path, made: Iterable[str], error: Exception) -> Unfinished:
 
 
 def incomplete(out: Path, made: Iterable[str], error: Exception, status: int) -> Unfinished:
-    """The clip is there, and there is no room for more."""
+    """The clip is there, and there is no room for more.
+
+    Args:
+        out: Where it is.
+        made: Names of what is there.
+        error: What went wrong.
+        status: Exit status of a command that ends so.
+    """
     return Unfinished(
         f"not everything could be written ({said(error)}). Kept in {out}: "
         f"{', '.join(sorted(made))}. Make room, then `phy124 render {out / CLIP}` films it.",
@@ -27,17 +34,32 @@ def incomplete(out: Path, made: Iterable[str], error: Exception, status: int) ->
     )
 
 
-def moved_away(out: Path, folder: Path, error: Exception, status: int) -> Unfinished:
-    """The clip had to go to another folder."""
+def moved_away(out: Path, folder: Path, error: Exception, *, interrupted: bool) -> Unfinished:
+    """The results had to go to another folder.
+
+    Args:
+        out: Where they were to be.
+        folder: Where they are.
+        error: What went wrong.
+        interrupted: Whether the run was interrupted and can go on.
+    """
+    more = f"; the same command with --out {folder} --resume goes on" if interrupted else ""
     return Unfinished(
-        f"the results could not be written to {out} ({said(error)}). They are kept in {folder}; "
-        f"`phy124 render {folder / CLIP}` films them.",
-        status,
+        f"the results could not be written to {out} ({said(error)}). They are kept in {folder}: "
+        f"`phy124 render {folder / CLIP}` films them{more}.",
+        130 if interrupted else 1,
     )
 
 
 def broken_off(out: Path, frames: int, error: Exception, status: int = 1) -> Unfinished:
-    """The run failed, and some frames may be on disk."""
+    """The run failed, and some frames may be on disk.
+
+    Args:
+        out: Where they are.
+        frames: How many there are.
+        error: What went wrong.
+        status: Exit status of a command that ends so.
+    """
     kept = (
         f"{frames} frames are kept in {out}; the same command with --resume goes on from there."
         if frames

@@ -166,6 +166,7 @@ class Making:
         except (OSError, InputError) as error:
             status = 130 if interrupted else 1
             if (folder / CLIP).exists():
+                self._relist(folder)
                 made = deliver(folder)
                 self._end(made, interrupted=interrupted)
                 raise incomplete(self.out, made, error, status) from error
@@ -189,6 +190,14 @@ class Making:
                     temporary.write_bytes(content)
         return report
 
+    def _relist(self, folder: Path) -> None:
+        """List in the report what is there, where not all that was to be written is."""
+        path = folder / earlier.REPORT
+        report = json.loads(path.read_bytes())
+        report["files"] = sorted(one.name for one in folder.glob("[!.]*"))
+        with suppress(OSError, InputError):
+            write_json(path, report)
+
     def _pause(self, folder: Path, run: Simulation) -> bool:
         """Write the state of a run that ends early; returns whether it can go on."""
         try:
@@ -203,16 +212,17 @@ class Making:
         self, run: Simulation, clip: Clip, interrupted: bool, error: Exception
     ) -> Unfinished:
         """Write the results where there is room; returns the exception that says where that is."""
-        status = 130 if interrupted else 1
-        folder = Path(tempfile.mkdtemp(prefix="phy124-kept-"))
+        folder = None
         try:
+            folder = Path(tempfile.mkdtemp(prefix="phy124-kept-"))
             self._write(folder, run, clip, interrupted)
         except (OSError, InputError):
-            shutil.rmtree(folder, ignore_errors=True)
+            if folder is not None:
+                shutil.rmtree(folder, ignore_errors=True)
             left = self.recording.rescued()
-            return broken_off(self.out, left, error, status)
+            return broken_off(self.out, left, error, 130 if interrupted else 1)
         self.recording.drop()
-        return moved_away(self.out, folder, error, status)
+        return moved_away(self.out, folder, error, interrupted=interrupted)
 
     def _end(self, made: Iterable[str], *, interrupted: bool) -> None:
         """Remove what the run needed while it went on."""
