@@ -16,7 +16,8 @@ import pytest
 
 from phy124 import pipeline
 from phy124.__main__ import main
-from phy124.errors import Cancelled, InputError, Unfinished
+from phy124.errors import Cancelled, Incomplete, InputError
+from phy124.failures import failure
 from phy124.io.clip import Clip
 from phy124.io.growing import Growing
 from phy124.io.ply import write_ply
@@ -166,7 +167,7 @@ def test_an_error_leaves_the_frames_so_far(tmp_path, error):
         if frame.index == 3:
             raise error
 
-    with pytest.raises(Unfinished, match=r"4 frames are kept in .*--resume goes on from there"):
+    with pytest.raises(Incomplete, match=r"4 frames are kept in .*--resume goes on from there"):
         pipeline.simulate(ball(300), SCENE, tmp_path / "cut", each=each)
     pipeline.simulate(ball(300), SCENE, tmp_path / "whole")
     pipeline.go_on(tmp_path / "cut", SCENE)
@@ -207,7 +208,9 @@ def test_what_is_computed_stays_if_filming_fails(tmp_path, monkeypatch, error, c
     said = capsys.readouterr().err
     assert f"phy124 render {tmp_path / 'out/clip.safetensors'}" in said and "front.mp4" in said
     assert names(tmp_path / "out") == RESULTS
-    assert set(json.loads((tmp_path / "out/report.json").read_text())["files"]) == RESULTS
+    report = json.loads((tmp_path / "out/report.json").read_text())
+    assert report == Clip.load(tmp_path / "out/clip.safetensors").report
+    assert set(report["files"]) == RESULTS
 
 
 @pytest.mark.parametrize("resumes", [False, True])
@@ -270,10 +273,10 @@ def test_results_go_where_there_is_room(tmp_path, monkeypatch, temporary, done):
         if (stage, now) == ("simulate", done):
             raise Cancelled
 
-    with full(monkeypatch, tmp_path / "out"), pytest.raises(Unfinished) as told:
+    with full(monkeypatch, tmp_path / "out"), pytest.raises(Incomplete) as told:
         pipeline.simulate(ball(300), SCENE, tmp_path / "out", progress=stop, keep=True)
     (kept,) = temporary.iterdir()
-    assert told.value.status == (130 if done else 1)
+    assert failure(told.value).status == (130 if done else 1)
     assert f"phy124 render {kept / 'clip.safetensors'}" in str(told.value)
     assert len(Clip.load(kept / "clip.safetensors")) == (done or 6)
     assert not (tmp_path / "out").exists()
@@ -287,7 +290,7 @@ def test_results_go_where_there_is_room(tmp_path, monkeypatch, temporary, done):
 def test_it_is_said_if_nothing_can_be_kept(tmp_path, monkeypatch, temporary):
     with (
         full(monkeypatch, tmp_path),
-        pytest.raises(Unfinished, match="nothing could be kept"),
+        pytest.raises(Incomplete, match="nothing could be kept"),
     ):
         pipeline.simulate(ball(300), SCENE, tmp_path / "out", keep=True)
     assert list(temporary.iterdir()) == [] and not (tmp_path / "out").exists()
@@ -297,7 +300,7 @@ def test_it_is_said_if_nothing_can_be_kept(tmp_path, monkeypatch, temporary):
 @pytest.mark.filterwarnings("ignore:frames are kept in memory only")
 def test_a_disk_too_small_for_everything_gets_the_clip(tmp_path, temporary):
     with small(tmp_path / "disk", "300k") as disk:
-        with pytest.raises(Unfinished, match="not everything could be written"):
+        with pytest.raises(Incomplete, match=r"kept in .*: clip\.safetensors"):
             pipeline.simulate(ball(900), SCENE, disk / "out", keep=True)
         kept = names(disk / "out")
         assert {"clip.safetensors", "report.json", "scene.toml"} <= kept < RESULTS
@@ -327,11 +330,11 @@ def test_an_interruption_while_the_disk_is_full_keeps_the_frames(tmp_path, tempo
             raise Cancelled
 
     with small(tmp_path / "disk", "100k") as disk:
-        with pytest.raises(Unfinished) as told:
+        with pytest.raises(Incomplete) as told:
             pipeline.simulate(ball(900), SCENE, disk / "out", progress=stop, keep=True)
         assert names(disk) == set()
     (kept,) = temporary.iterdir()
-    assert told.value.status == 130 and str(kept) in str(told.value)
+    assert failure(told.value).status == 130 and str(kept) in str(told.value)
     assert len(Clip.load(kept / "clip.safetensors")) == 5
 
 

@@ -140,15 +140,25 @@ class Growing:
             return False
         if any(held[name].ctypes.data != self.arrays[name].ctypes.data for name in SHAPES):
             return False
+        for name in held.keys() - MOVING:
+            self._write(held[name], self.tensors[name].offset)
+        if not self.state(clip):
+            return False
+        os.link(self.path, path)
+        return True
+
+    def state(self, clip: Clip) -> bool:
+        """Write what the file says of itself, as a clip; False if there is no room for it.
+
+        Raises:
+            OSError: It cannot be written.
+        """
         first = min(one.offset for one in self.tensors.values())
         header = self._header(clip, first)
         if len(header) > first - 8:
             return False
-        for name in held.keys() - MOVING:
-            self._write(held[name], self.tensors[name].offset)
-        self._write(np.frombuffer(header.ljust(first - 8), np.uint8), 8)
-        self._write(np.frombuffer((first - 8).to_bytes(8, "little"), np.uint8), 0)
-        os.link(self.path, path)
+        size = (first - 8).to_bytes(8, "little")
+        self._write(np.frombuffer(size + header.ljust(first - 8), np.uint8), 0)
         return True
 
     def place(self) -> dict[str, Any]:

@@ -16,14 +16,14 @@ from typing import Any
 from phy124 import resume
 from phy124.accuracy.forecast import Forecast
 from phy124.accuracy.promises import promise
-from phy124.errors import Cancelled, InputError, Unfinished
+from phy124.errors import Cancelled, Incomplete, InputError
 from phy124.io.clip import Clip
 from phy124.io.files import deliver, replacing, write_whole
 from phy124.io.files import staged as staged
 from phy124.io.growing import Growing
 from phy124.io.ply import write_ply
 from phy124.pipeline import earlier
-from phy124.pipeline.losses import broken_off, incomplete, moved_away, unfilmed
+from phy124.pipeline.losses import broken_off, moved_away, nothing_kept, unfilmed, with_cause
 from phy124.pipeline.recording import PAUSE as PAUSE
 from phy124.pipeline.recording import Recording, sweep
 from phy124.progress import Progress
@@ -89,31 +89,48 @@ class Making:
         What an earlier run left in the folder goes when the new results are there.
 
         Raises:
-            Unfinished: Not all could be made or written; it says what is kept, and where.
+            Incomplete: Not all could be made or written; it says what is kept, and where.
             Cancelled: `progress` raised it, and `keep` is not set.
         """
         before = earlier.listed(self.out) - {PAUSE}  # this run's own may be of that name
-        with staged(self.out) as folder:
-            sweep(self.out)
-            run, clip, interrupted = self._moved(moved)
-            report = self._save(folder, run, clip, interrupted)
-            made = set(deliver(folder) if self.keep else ())
-            earlier.remove(self.out, before.difference(made) if made else ())
-            if self.keep and self.films and not interrupted:
-                with suppress(OSError, InputError):
-                    self.recording.pause(run)  # the filming may be killed
-            cut, problem = self._film(clip, run.scene, folder)
-            if cut and not interrupted:
-                interrupted = self._pause(folder, run)
-            made |= {path.name for path in folder.glob("[!.]*")} | {earlier.REPORT}
-            report = self._renewed(report, made, interrupted=cut or interrupted)
-            with suppress(OSError, InputError):  # the earlier report stays if there is no room
-                write_json(folder / earlier.REPORT, report)
-            deliver(folder)
-            earlier.remove(self.out, before.difference(made))
+        try:
+            with staged(self.out) as folder:
+                sweep(self.out)
+                return self._made(folder, before, *self._moved(moved))
+        finally:
+            self.recording.leave()
+
+    def _made(
+        self, folder: Path, before: set[str], run: Simulation, clip: Clip, interrupted: bool
+    ) -> Result:
+        """Save, then film.
+
+        Args:
+            folder: Where files are written first.
+            before: Names of what an earlier run left.
+            run: The run.
+            clip: Its frames.
+            interrupted: Whether it was interrupted.
+        """
+        report = self._save(folder, run, clip, interrupted)
+        made = set(deliver(folder) if self.keep else ())
+        earlier.remove(self.out, before.difference(made) if made else ())
+        if self.keep and self.films and not interrupted:
+            with suppress(OSError, InputError):
+                self.recording.pause(run)  # the filming may be killed
+        cut, problem = self._film(clip, run.scene, folder)
+        if cut and not interrupted:
+            interrupted = self._pause(folder, run)
+        made |= {path.name for path in folder.glob("[!.]*")} | {earlier.REPORT}
+        report = self._renewed(report, made, interrupted=cut or interrupted)
+        with suppress(OSError, InputError):  # the earlier report stays if there is no room
+            self.recording.restate(clip.with_report(report))
+            write_json(folder / earlier.REPORT, report)
+        deliver(folder)
+        earlier.remove(self.out, before.difference(made))
         self._end(made, interrupted=interrupted)
         if problem is not None:
-            raise unfilmed(self.out, made, problem) from problem
+            raise unfilmed(self.out, made) from problem
         return Result(self.out, tuple(self.out / name for name in sorted(made)), report)
 
     def _moved(self, moved: Callable[[], tuple[Simulation, Clip]]) -> tuple[Simulation, Clip, bool]:
@@ -133,10 +150,7 @@ class Making:
             raise
         except Exception as error:
             if left := self.recording.rescued():
-                raise broken_off(self.out, left, error) from error
-            raise
-        except BaseException:
-            self.recording.leave()
+                raise broken_off(self.out, left) from error
             raise
 
     def _film(self, clip: Clip, scene: Scene, folder: Path) -> tuple[bool, Exception | None]:
@@ -163,14 +177,17 @@ class Making:
         """Write everything but the films, what matters most first; returns the report."""
         try:
             return self._write(folder, run, clip, interrupted)
-        except (OSError, InputError) as error:
-            status = 130 if interrupted else 1
+        except Exception as error:
             if (folder / CLIP).exists():
                 self._relist(folder)
                 made = deliver(folder)
                 self._end(made, interrupted=interrupted)
-                raise incomplete(self.out, made, error, status) from error
-            raise self._elsewhere(run, clip, interrupted, error) from error
+                loss = unfilmed(self.out, made)
+            else:
+                loss = self._elsewhere(run, clip, interrupted)
+            if interrupted:
+                raise with_cause(loss, error) from Cancelled()
+            raise loss from error
 
     def _write(
         self, folder: Path, run: Simulation, clip: Clip, interrupted: bool
@@ -208,21 +225,19 @@ class Making:
             return self.recording.saved > 0
         return True
 
-    def _elsewhere(
-        self, run: Simulation, clip: Clip, interrupted: bool, error: Exception
-    ) -> Unfinished:
+    def _elsewhere(self, run: Simulation, clip: Clip, interrupted: bool) -> Incomplete:
         """Write the results where there is room; returns the exception that says where that is."""
         folder = None
         try:
             folder = Path(tempfile.mkdtemp(prefix="phy124-kept-"))
             self._write(folder, run, clip, interrupted)
-        except (OSError, InputError):
+        except Exception:
             if folder is not None:
                 shutil.rmtree(folder, ignore_errors=True)
             left = self.recording.rescued()
-            return broken_off(self.out, left, error, 130 if interrupted else 1)
+            return broken_off(self.out, left) if left else nothing_kept()
         self.recording.drop()
-        return moved_away(self.out, folder, error, interrupted=interrupted)
+        return moved_away(self.out, folder, interrupted=interrupted)
 
     def _end(self, made: Iterable[str], *, interrupted: bool) -> None:
         """Remove what the run needed while it went on."""

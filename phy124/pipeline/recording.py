@@ -111,6 +111,15 @@ class Recording:
                 return
         clip.save(path)
 
+    def restate(self, clip: Clip) -> None:
+        """Renew the report in the clip that was written, if its file has room for it.
+
+        Raises:
+            OSError: It cannot be written.
+        """
+        if self.frames is not None:
+            self.frames.state(clip)
+
     def discard(self) -> None:
         """Remove the pause, and the frames with it."""
         self.path.unlink(missing_ok=True)
