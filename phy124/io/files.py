@@ -37,7 +37,7 @@ def staged(out: PathLike, *, keeps: bool = False) -> Iterator[Path]:
         made = real(out)
         missing = [path for path in (made, *made.parents) if not path.exists()]
         made.mkdir(parents=True, exist_ok=True)
-        with locked(out):
+        with locked(made):
             _sweep(out)
             folder = Path(tempfile.mkdtemp(prefix=MAKING, dir=out))
             held = lock(folder)
