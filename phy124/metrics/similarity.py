@@ -116,8 +116,8 @@ def _load(model: str) -> Any:
     source: str | os.PathLike[str] = model
     if model == MODEL:
         source = require("clip")["model.safetensors"].parent
-    elif Path(model).expanduser().is_dir():
-        source = Path(model).expanduser()
+    elif Path(os.path.expanduser(model)).is_dir():
+        source = Path(os.path.expanduser(model))
     try:
         # Never from the network here, and never a pickled file.
         return CLIPVisionModelWithProjection.from_pretrained(

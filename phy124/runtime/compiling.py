@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from pathlib import Path
 from typing import Any
 
 import warp as wp
@@ -16,6 +15,7 @@ import warp as wp
 from phy124.progress import Progress, silent
 from phy124.runtime.cores import cores
 from phy124.runtime.headers import has_headers
+from phy124.runtime.kernel_cache import compiled_file
 from phy124.runtime.startup import start
 
 
@@ -63,9 +63,5 @@ def is_compiled(kernel: Any, device: str = "cpu") -> bool:
     """Whether a kernel's module is loaded, or its current version is in the cache."""
     if kernel.module.execs:
         return True
-    if wp.config.kernel_cache_dir is None:
-        return False
-    ending = "*.o" if device == "cpu" else "*.meta"
-    block = 1 if device == "cpu" else kernel.module.options["block_dim"]
-    folder = Path(str(wp.config.kernel_cache_dir)) / kernel.module.get_module_identifier(block)
-    return any(folder.glob(ending))
+    file = compiled_file(kernel, device)
+    return file is not None and file.exists() and any(file.parent.glob("*.meta"))

@@ -14,6 +14,7 @@ from pathlib import Path
 import warp as wp
 
 from phy124.runtime.headers import keep_headers
+from phy124.runtime.kernel_cache import keep_sound
 
 NO_DRIVER = b"Could not find or load the NVIDIA CUDA driver"
 """What Warp writes on every machine without a GPU."""
@@ -39,6 +40,7 @@ def start() -> None:
     prepare()
     with _without_line(NO_DRIVER):
         wp.init()
+    keep_sound()
 
 
 def kernel_folder() -> Path | None:
@@ -68,6 +70,8 @@ def temporary_folder() -> Path:
 
 def _usable(folder: Path) -> bool:
     """Whether files can be written in a folder. It is tried, as permissions alone do not tell."""
+    if folder.parts[0] == "~":  # this user has no home
+        return False
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):

@@ -165,7 +165,7 @@ def looking_in(folder: str | os.PathLike[str] | None) -> Iterator[None]:
 def hub_cache() -> Path:
     """Folder of the Hugging Face cache, from its own environment variables."""
     home = os.environ.get("HF_HOME", "~/.cache/huggingface")
-    return Path(os.environ.get("HF_HUB_CACHE", os.path.join(home, "hub"))).expanduser()
+    return Path(os.path.expanduser(os.environ.get("HF_HUB_CACHE", os.path.join(home, "hub"))))
 
 
 def places(file: WeightFile, folder: str | os.PathLike[str] | None = None) -> Iterator[Path]:
@@ -176,10 +176,10 @@ def places(file: WeightFile, folder: str | os.PathLike[str] | None = None) -> It
     """
     for root in (folder or _named.get(), os.environ.get("PHY124_WEIGHTS")):
         if root:
-            repository = Path(root).expanduser() / file.repo.rpartition("/")[2]
+            repository = Path(os.path.expanduser(root)) / file.repo.rpartition("/")[2]
             yield repository / file.path
             if "/" not in file.path:
-                yield Path(root).expanduser() / file.path
+                yield Path(os.path.expanduser(root)) / file.path
     stored = hub_cache() / ("models--" + file.repo.replace("/", "--")) / "snapshots"
     snapshots = sorted(stored.glob("*/")) or [stored / "*"]
     yield from (snapshot / file.path for snapshot in snapshots)
@@ -309,11 +309,13 @@ def fetch(
     files = files_of(name)
     target = folder or _named.get() or os.environ.get("PHY124_WEIGHTS")
     if target:
-        _refuse_unwritable(Path(target).expanduser())
+        _refuse_unwritable(Path(os.path.expanduser(target)))
     paths = []
     for i, file in enumerate(files):
         progress(f"fetch {file.repo}/{file.path}", i, len(files))
-        paths.append(_fetch(name, file, Path(target).expanduser() if target else None, endpoint))
+        paths.append(
+            _fetch(name, file, Path(os.path.expanduser(target)) if target else None, endpoint)
+        )
     progress(f"fetch {name}", len(files), len(files))
     return paths
 

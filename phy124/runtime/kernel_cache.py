@@ -1,0 +1,191 @@
+"""Keeps Warp's folder of compiled kernels sound.
+
+A module that cannot be loaded is compiled again, no half of one stays behind, and none is begun
+where the disk has no room: the compiler would end the whole program.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import shutil
+import struct
+import sys
+import threading
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import warp as wp
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None
+
+ROOM = 8_000_000
+"""Least room on the disk with which a module is compiled [bytes]; the headers take 5 MB."""
+FOLDERS, HEADERS = "wp_phy124_*_p*_t*", "headers_*/*.tmp"
+"""What a compilation leaves behind when its process ends before it."""
+
+
+def keep_sound() -> None:
+    """From now on, let Warp mend its cache; and remove what killed programs have left there.
+
+    Other versions of Warp than those that this knows go on as they are.
+    """
+    try:
+        from warp._src.context import Module
+
+        load, build = Module.load, Module._compile
+    except (ImportError, AttributeError):
+        return
+    if getattr(load, "mends", False):
+        return
+
+    def loaded(module: Any, device: Any, *rest: Any, **options: Any) -> Any:
+        if module.execs:
+            return load(module, device, *rest, **options)
+        return _mended(load, module, device, *rest, **options)
+
+    def built(
+        module: Any, device: Any = None, folder: Any = None, *rest: Any, **options: Any
+    ) -> Any:
+        with _building(None if folder is None else Path(folder)):
+            return build(module, device, folder, *rest, **options)
+
+    loaded.mends = True  # pyright: ignore[reportFunctionMemberAccess]
+    Module.load, Module._compile = loaded, built  # pyright: ignore[reportAttributeAccessIssue]
+    _sweep()
+
+
+def compiled_file(kernel: Any, device: str) -> Path | None:
+    """The file of a kernel's module for this very processor or GPU; None where nothing is kept."""
+    if wp.config.kernel_cache_dir is None:
+        return None
+    module = kernel.module
+    block = 1 if device == "cpu" else module.options["block_dim"]
+    folder = Path(str(wp.config.kernel_cache_dir)) / module.get_module_identifier(block)
+    return folder / module._get_compile_output_name(wp.get_device(device), block_dim=block)
+
+
+def _mended(
+    load: Any, module: Any, device: Any, block: Any = None, *rest: Any, **options: Any
+) -> Any:
+    """The loaded module, compiled again if what the cache holds of it is broken."""
+    block = options.pop("block_dim", block)
+    if rest or options:  # a file that the caller has chosen
+        return load(module, device, block, *rest, **options)
+    number = module.options["block_dim"] if block is None else block
+    folder = Path(str(wp.config.kernel_cache_dir)) / module.get_module_identifier(number)
+    cached = folder.is_dir()
+    if cached and not all(map(_is_whole, folder.iterdir())):
+        _discard(folder)
+    try:
+        return load(module, device, block)
+    except (OSError, MemoryError):
+        raise
+    except Exception:
+        if not cached:  # it was compiled just now
+            raise
+        _discard(folder)
+        module.unload()
+        return load(module, device, block)
+
+
+def _discard(folder: Path) -> None:
+    warnings.warn(f"{folder} was broken; its kernels are compiled again", stacklevel=5)
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+def _is_whole(file: Path) -> bool:
+    """Whether a file of the cache is complete, as far as can be seen without loading it.
+
+    A file that was written as the disk filled up, or the power failed, is cut short or ends in
+    zeros.
+    """
+    with open(file, "rb") as stream:
+        if file.suffix == ".meta":
+            return _is_json(stream.read())
+        head = stream.read(64)
+        if file.suffix != ".o" or not sys.platform.startswith("linux"):
+            return True
+        if len(head) < 64 or head[:4] != b"\x7fELF":
+            return False
+        (start,), (size, count) = (
+            struct.unpack_from("Q", head, 40),
+            struct.unpack_from("HH", head, 58),
+        )
+        stream.seek(start + size * (count - 1))
+        last = stream.read(size)  # the last section's header stands at the end
+        return len(last) == size and any(last)
+
+
+def _is_json(text: bytes) -> bool:
+    try:
+        json.loads(text)
+    except ValueError:
+        return False
+    return True
+
+
+@contextmanager
+def _building(folder: Path | None) -> Iterator[None]:
+    """Within this context a module may be compiled; if that fails, nothing of it stays."""
+    with _locked(wait=True):
+        if folder is not None and not folder.is_dir():
+            _refuse_full(folder.parent)
+        try:
+            yield
+        except BaseException:
+            if folder is not None:
+                half = f"{os.path.normpath(folder)}_p{os.getpid()}_t{threading.get_ident()}"
+                shutil.rmtree(half, ignore_errors=True)
+            raise
+
+
+def _refuse_full(cache: Path) -> None:
+    with suppress(FileNotFoundError):
+        if shutil.disk_usage(cache).free < ROOM:
+            limit = f"compiled kernels need {ROOM / 1e6:.0f} MB; WARP_CACHE_PATH names their folder"
+            raise OSError(errno.ENOSPC, limit, str(cache))
+
+
+def _sweep() -> None:
+    """Remove halves, unless something is being compiled."""
+    with _locked(wait=False) as alone:
+        if alone:
+            cache = Path(str(wp.config.kernel_cache_dir))
+            for folder in cache.glob(FOLDERS):
+                shutil.rmtree(folder, ignore_errors=True)
+            for file in cache.glob(HEADERS):
+                file.unlink(missing_ok=True)
+
+
+@contextmanager
+def _locked(*, wait: bool) -> Iterator[bool]:
+    """Hold a lock of the cache, which many may hold to compile, and one alone to clean up.
+
+    Args:
+        wait: Whether to wait for the shared lock; otherwise the other one is asked for once.
+
+    Yields:
+        Whether it is held.
+    """
+    try:
+        descriptor = os.open(str(wp.config.kernel_cache_dir), os.O_RDONLY)
+    except OSError:  # it does not exist yet
+        yield False
+        return
+    held = False
+    with suppress(OSError):
+        if fcntl is not None:
+            fcntl.flock(descriptor, fcntl.LOCK_SH if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
+            held = True
+    try:
+        yield held
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,153 @@
+"""A cache of broken or half-written kernels mends itself."""
+
+import errno
+import fcntl
+import os
+import warnings
+from collections import namedtuple
+from pathlib import Path
+
+import pytest
+import warp as wp
+
+from phy124.failures import Kind, failure
+from phy124.kernels.build import kernel
+from phy124.runtime import kernel_cache, startup
+from phy124.runtime.compiling import compile_missing, is_compiled
+from phy124.runtime.headers import headers_folder
+from phy124.runtime.startup import start
+from phy124.weights.store import hub_cache
+
+
+@pytest.fixture
+def cache(monkeypatch, tmp_path):
+    """An empty cache, but with the compiler's headers if there are any."""
+    start()
+    headers = headers_folder()
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
+    if headers.exists():
+        headers_folder().symlink_to(headers)
+    return tmp_path
+
+
+def adding(name: str):
+    """A kernel that is not loaded yet, whoever has made it before."""
+
+    @kernel(f"phy124_test_{name}")
+    def add(values: wp.array(dtype=float)):
+        values[wp.tid()] = 1.0 + values[wp.tid()]
+
+    add.module.unload()
+    return add
+
+
+def works(made) -> bool:
+    values = wp.ones(3)
+    wp.launch(made, 3, inputs=[values])
+    return values.numpy().tolist() == [2.0] * 3
+
+
+def stored(cache: Path, ending: str) -> Path:
+    (file,) = cache.glob(f"wp_phy124_test_*/*{ending}")
+    return file
+
+
+DAMAGE = {
+    "nothing of it": (".o", lambda data: b""),
+    "half of it": (".o", lambda data: data[: len(data) // 2]),
+    "all but a byte": (".o", lambda data: data[:-1]),
+    "zeros at its end": (".o", lambda data: data[:900] + bytes(len(data) - 900)),
+    "something else": (".o", lambda data: b"x" * len(data)),
+    "no description": (".meta", lambda data: b""),
+    "half a description": (".meta", lambda data: data[:-5]),
+}
+
+
+@pytest.mark.parametrize("kind", DAMAGE)
+def test_a_broken_module_is_compiled_again_with_one_line(kind, cache, capfd):
+    name = f"broken_{sorted(DAMAGE).index(kind)}"
+    assert works(adding(name))
+    ending, damaged = DAMAGE[kind]
+    file = stored(cache, ending)
+    whole = file.read_bytes()
+    file.write_bytes(damaged(whole))
+    capfd.readouterr()
+    with pytest.warns(UserWarning, match="was broken; its kernels are compiled again") as lines:
+        assert works(adding(name))
+    assert len(lines) == 1 and capfd.readouterr().err == ""
+    assert stored(cache, ending).stat().st_size == len(whole)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert works(adding(name))
+
+
+def test_a_module_that_warp_cannot_load_is_compiled_again(cache, monkeypatch):
+    """As on systems whose object files are not looked into."""
+    assert works(adding("unloadable"))
+    stored(cache, ".o").write_bytes(b"")
+    monkeypatch.setattr(kernel_cache, "_is_whole", lambda file: True)
+    with pytest.warns(UserWarning, match="was broken"):
+        assert works(adding("unloadable"))
+
+
+def test_kernels_of_another_processor_are_not_compiled_for_this_one(cache):
+    assert compile_missing([adding("foreign")]) == 1
+    assert is_compiled(adding("foreign"))
+    file = stored(cache, ".o")
+    file.rename(file.with_name(file.name.replace(".cpu", ".cpuf")))
+    assert not is_compiled(adding("foreign"))
+    assert compile_missing([adding("foreign")]) == 1
+
+
+def test_without_room_nothing_is_compiled_and_nothing_stays(cache, monkeypatch):
+    usage = namedtuple("usage", "total used free")(10, 10, 0)
+    monkeypatch.setattr(kernel_cache.shutil, "disk_usage", lambda _: usage)
+    with pytest.raises(OSError, match="WARP_CACHE_PATH") as caught:
+        works(adding("no_room"))
+    assert failure(caught.value).kind is Kind.DISK
+    assert not [*cache.glob("wp_*")]
+
+
+def test_of_a_compilation_that_fails_nothing_stays(cache, monkeypatch):
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("warp._src.build.build_cpu", full)
+    with pytest.raises(OSError, match="No space left"):
+        works(adding("failing"))
+    assert not [*cache.glob("wp_*")]
+
+
+def test_halves_of_killed_programs_are_removed_while_nobody_compiles(cache):
+    half = cache / "wp_phy124_test_half_1234567_p99_t1234"
+    foreign = cache / "wp_of_another_program_1234567_p99_t1234"
+    for folder in (half, foreign, cache / "headers_0"):
+        folder.mkdir()
+    tmp = cache / "headers_0" / "builtin-da8a4af8.pch.tmp"
+    tmp.touch()
+    other = os.open(cache, os.O_RDONLY)
+    fcntl.flock(other, fcntl.LOCK_SH)  # another program compiles
+    kernel_cache._sweep()
+    assert half.exists() and tmp.exists()
+    os.close(other)
+    kernel_cache._sweep()
+    assert not half.exists() and not tmp.exists() and foreign.exists()
+
+
+def test_a_user_without_a_home_leaves_no_folder_named_tilde(tmp_path, monkeypatch):
+    """And is warned once of where the kernels are."""
+
+    def unknown(_):
+        raise KeyError
+
+    for name in ("HOME", "XDG_CACHE_HOME", "WARP_CACHE_PATH", "HF_HOME", "HF_HUB_CACHE"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("pwd.getpwuid", unknown)
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", None)
+    monkeypatch.setattr(startup.tempfile, "gettempdir", lambda: str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    with pytest.warns(UserWarning, match="compiled kernels are kept in"):
+        startup.prepare()
+    assert hub_cache() == Path("~/.cache/huggingface/hub")
+    (kept,) = tmp_path.iterdir()
+    assert wp.config.kernel_cache_dir == str(kept)
