@@ -52,7 +52,9 @@ def test_a_ply_of_doubles_far_away_keeps_every_place(tmp_path, ascii):
                                near() + EARTH - found.origin, atol=2e-7)  # fmt: skip
 
 
-@pytest.mark.parametrize("row", [(0, 0, 0), (1e300, 0, 0), (np.nan, 0, 0)])
+@pytest.mark.parametrize(
+    "row", [(0, 0, 0), (1e308, -1e308, 0), (np.nan, 0, 0), (-np.inf, np.inf, 0), (1e38, 0, 0)]
+)
 def test_one_outlier_does_not_hide_that_all_others_are_far(tmp_path, row):
     found = read_as_is(far_ply(tmp_path, EARTH, extra=[row]))
     there = found.gaussians.means[:COUNT].astype(float) + found.origin
@@ -111,6 +113,25 @@ def test_a_region_of_a_far_file_is_in_its_own_places(tmp_path):
     means[:, 2] += scene.object.size / 2
     inside = read.scene.parts[0].region.contains(means)
     assert np.count_nonzero(inside) == pytest.approx(np.count_nonzero(near()[:, 2] >= 0), abs=3)
+
+
+def test_places_beyond_float32_alone_are_no_object(tmp_path):
+    columns = dict.fromkeys(raw_table(ball(3)).dtype.names, 0.5)
+    columns |= {"x": [1e308, -1e308, 1e300]}
+    path = ply_of(tmp_path / "a.ply", columns, kinds=dict.fromkeys(columns, "f8"))
+    with pytest.raises(InputError, match="None of its Gaussians has finite values"):
+        read_as_is(path)
+
+
+def test_a_node_that_moves_what_is_no_number_is_read(tmp_path):
+    write_gaussians(tmp_path / "a.glb", ball(100))
+    data = (tmp_path / "a.glb").read_bytes()
+    at = 28 + int.from_bytes(data[12:16], "little")  # of the first centre
+    data = data[:at] + np.array([np.nan, np.inf], "<f4").tobytes() + data[at + 8 :]
+    node = {"translation": EARTH.tolist(), "rotation": [0.6, 0, 0, 0.8]}
+    (tmp_path / "a.glb").write_bytes(edited(data, lambda tree: tree["nodes"][0].update(node)))
+    found = read_as_is(tmp_path / "a.glb")
+    assert (len(found.gaussians), found.dropped) == (99, 1)
 
 
 @pytest.mark.parametrize("turn", [[0, 0, 0, 1], [0.5, 0.5, 0.5, 0.5]])

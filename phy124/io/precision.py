@@ -18,6 +18,8 @@ COARSE = 4000
 """Steps across an object below which a file is called coarse."""
 ENOUGH = 100_000
 """Centres that are looked at."""
+LARGEST = 1e38
+"""About the largest value of float32."""
 ENDS = (1, 99)
 """Percentiles between which an object lies, so that single outliers do not count."""
 
@@ -50,9 +52,8 @@ def in_place(means: NDArray[np.float32], origin: NDArray[np.float64]) -> NDArray
 def step_of(means: NDArray) -> float:
     """Distance of neighbouring values where centres [N,3] are float32 numbers, else 0."""
     some = _some(means)
-    with np.errstate(over="ignore"):
-        if not len(some) or not np.array_equal(some, some.astype(np.float32)):
-            return 0.0
+    if not len(some) or not np.array_equal(some, some.astype(np.float32)):
+        return 0.0
     return spacing(_middle(means)[0])
 
 
@@ -75,7 +76,7 @@ def too_coarse(means: NDArray, step: float) -> str | None:
 
 def spacing(place: NDArray) -> float:
     """Distance of neighbouring float32 values at a place [3], along its farthest axis."""
-    return float(np.spacing(np.float32(min(np.abs(place).max(), 1e38))))
+    return float(np.spacing(np.float32(np.abs(place).max())))
 
 
 def _middle(means: NDArray) -> tuple[NDArray[np.float64], float]:
@@ -88,6 +89,6 @@ def _middle(means: NDArray) -> tuple[NDArray[np.float64], float]:
 
 
 def _some(means: NDArray) -> NDArray[np.float64]:
-    """Finite centres, all over the file."""
+    """Centres that float32 can hold, all over the file."""
     some = means[:: max(1, len(means) // ENOUGH)].astype(np.float64)
-    return some[np.isfinite(some).all(axis=1)]
+    return some[(np.abs(some) < LARGEST).all(axis=1)]

@@ -379,9 +379,9 @@ def _moved(scene: Scene, raw: dict[str, Any], matrix: NDArray[np.float64]) -> di
     if not np.allclose(turn @ turn.T, np.eye(3), atol=EVEN) or np.linalg.det(turn) < 0:
         limit = "a node scales its Gaussians unevenly, skews or mirrors them, which is not read."
         raise refusal(KIND, scene.path, limit, "Apply the node's transform and export it again.")
-    means = raw["means"].astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
     shapes = {name: value for name, value in raw.items() if name != "object_id"}
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        means = raw["means"].astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
         gaussians = turned(Gaussians(**shapes), turn).moved(size, np.zeros(3))
     found = {name: getattr(gaussians, name) for name in shapes}
     return {**raw, **found, "means": means, "step": step * size}
