@@ -71,3 +71,9 @@ def test_a_push_that_begins_with_a_frame_shortens_the_interval_at_once():
     assert s.clock.interval == 32
     s.advance(0.0101)
     assert s.clock.interval < 32
+
+
+def test_advancing_by_no_time_measures_the_limits():
+    s = solver([Gravity()])
+    s.advance(s.clock.time)
+    assert s.clock.extremes.stiffness > 0 and s.nodes > 0

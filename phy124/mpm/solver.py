@@ -353,7 +353,7 @@ class Solver:
         """
         if self.clock.since_measured == 0:
             return
-        if self.model.device != "cpu" or self.outliers.bounded:
+        if self.clock.due or self.model.device != "cpu" or self.outliers.bounded:
             self._measure()
             return
         x = self.state.x.numpy()
