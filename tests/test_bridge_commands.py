@@ -39,6 +39,9 @@ def sigterm():
 
 
 def test_two_minuses_end_the_options(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["--"])
+    assert ended.value.code == 0
     assert main(["record", "--overwrite", "--", "--clip.safetensors"]) == 2
     assert "clip = --clip.safetensors: there is no such file." in capsys.readouterr().err
     assert main(["record", "clip.safetensors", "--output", "x"]) == 2

@@ -81,6 +81,14 @@ def test_a_jpeg_of_endless_segments_states_no_size(monkeypatch):
         size_of(padded)
 
 
+def test_filling_between_segments_is_passed_over_once():
+    """A pattern that repeats FF takes hours for a megabyte of it."""
+    jpeg = photographs.file_of(Image.new("L", (30, 20)), "JPEG")
+    assert size_of(jpeg[:2] + b"\xff" * 2_000_000 + jpeg[2:]) == (30, 20)
+    with pytest.raises(ValueError, match="states no size"):
+        size_of(b"\xff\xd8" + b"\xff" * 2_000_000)
+
+
 @settings(max_examples=200, deadline=None)
 @given(
     st.sampled_from(

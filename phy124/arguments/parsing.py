@@ -50,7 +50,8 @@ def parsed(
     """
     import tyro
 
-    arguments = arguments or ["--help"]
+    options, operands = divided(arguments)
+    arguments = [*options, *operands] or ["--help"]
     _refuse(arguments, commands, program, empty)
     name = arguments[0]
     with _plainly(arguments, commands, program), _wide_enough():

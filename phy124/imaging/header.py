@@ -21,8 +21,9 @@ HEAD = 16 + 4 * MOST_BRANDS
 """Number of bytes that say the kind [bytes]."""
 MOST_SEGMENTS = 100_000
 """Segments of a JPEG before its size; a photograph has some, with much metadata some hundreds."""
-SEGMENT = re.compile(rb"\xff+([^\x00\xff\xd0-\xd7])", re.DOTALL)
-"""Start of a JPEG segment; 00 and D0 to D7 belong to the image data."""
+SEGMENT = re.compile(rb"\xff([^\x00\xff\xd0-\xd7])", re.DOTALL)
+"""Start of a JPEG segment; 00 and D0 to D7 belong to the image data. More FF may come before, which
+a pattern such as FF+ would try again from each of them."""
 SIZES = frozenset({*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC})
 """JPEG segments that state the size."""
 EXTENT = re.compile(rb"ispe\0{4}(.{8})", re.DOTALL)
