@@ -78,6 +78,25 @@ def test_odd_tags_leave_a_photograph_whole_and_upright(tag):
         np.testing.assert_allclose(found, expected, atol=14, err_msg=f"type {kind} x {count}")
 
 
+@pytest.mark.parametrize("kind", ["PNG", "WEBP", pytest.param("AVIF", marks=AVIF)])
+def test_odd_tags_matter_in_no_format(kind):
+    for tag, kind_of_tag in itertools.product(TAGS, (3, 5, 10, 12)):
+        odd = exif_of([upright(6), Entry(tag, kind_of_tag, 1, b"\xff" * TYPES[kind_of_tag])])
+        if kind == "AVIF":  # Pillow, too, has to read it before it can write it
+            odd = exif_of([Entry(tag, kind_of_tag, 1, b"\xff" * TYPES[kind_of_tag])])
+        size = decoded(file_of(quarters(), kind, exif=odd), PHOTOGRAPH, 2048).size
+        assert size == ((48, 32) if kind == "AVIF" else (32, 48)), (tag, kind_of_tag)
+
+
+@pytest.mark.parametrize("tag", TAGS)
+def test_odd_tags_leave_a_mask_in_tiff_whole_and_upright(tag):
+    grey = np.asarray(quarters())[..., 0]
+    for kind, count, fill in itertools.product(TYPES, (0, 1, 3), (b"\0", b"\xff", b"6")):
+        odd = Entry(tag, kind, count, fill * (TYPES[kind] * count))
+        found = colours(photographs.tiff_of(grey, upright(6), odd), MASK)
+        np.testing.assert_array_equal(found[..., 0], turned(6)[..., 0], f"type {kind} x {count}")
+
+
 @settings(max_examples=60, deadline=None)
 @given(
     st.lists(

@@ -51,6 +51,16 @@ def with_segment(jpeg: bytes, marker: int, data: bytes) -> bytes:
     return jpeg[:2] + bytes([0xFF, marker]) + struct.pack(">H", len(data) + 2) + data + jpeg[2:]
 
 
+def tiff_of(grey: np.ndarray, *entries: Entry) -> bytes:
+    """A TIFF of grey levels [H,W], 8 bits, with more tags."""
+    height, width = grey.shape
+    said = {256: width, 257: height, 258: 8, 259: 1, 262: 1, 278: height, 279: grey.size}
+    plain = [Entry(tag, 4, 1, struct.pack("<I", value)) for tag, value in said.items()]
+    start = len(exif_of([*plain, Entry(273, 4, 1, bytes(4)), *entries])) - 6
+    place = Entry(273, 4, 1, struct.pack("<I", start))
+    return exif_of([*plain, place, *entries])[6:] + grey.tobytes()
+
+
 def segment_of(jpeg: bytes, start: bytes) -> bytes:
     """The data of the first segment of a JPEG that begins so."""
     place = jpeg.index(start)
