@@ -35,7 +35,6 @@ from .line import Job, Line, guarded
 from .ordering import count_of, order_of
 from .pictures import check_picture, cut_by, cut_once, viewable
 from .progress import MEASURING, READING, STAGES
-from .sentences import complaint
 from .settings import Settings
 from .source import Cutout, Source, is_there
 from .strokes import Stroke
@@ -166,21 +165,20 @@ class Studio:
         return self._submit(visitor, job, self.cuts, work)
 
     def forecast(self, name: str, source: Source | None, data: Any, told: Any = None) -> str:
-        """The forecast of a run in words, or why it is not allowed.
+        """The forecast of a run in words.
 
         Args:
             name: The visitor's name.
             source: What the object is made of, if it is there.
             data: The scene as plain data.
             told: What else is known of the object, by option (`demo.known`).
+
+        Raises:
+            InputError: The run would be refused.
         """
-        visitor = self.visitors.known(name)
-        try:
-            scene = self._scene(visitor, data)
-            self._check_time(source, scene)
-            ready = self._ready(name, source, scene, told)
-        except InputError as error:
-            return complaint(error)
+        scene = self._scene(self.visitors.known(name), data)
+        self._check_time(source, scene)
+        ready = self._ready(name, source, scene, told)
         count, compiling = self.count(source), self._compiling(scene)
         estimate = self.forecaster(scene, gaussians=count, compiling=compiling, **ready)
         return self._said(estimate, name, source, scene, told)
@@ -193,6 +191,9 @@ class Studio:
             source: What the object is made of, if it is there.
             data: The scene as plain data.
             told: What else is known of the object, by option.
+
+        Raises:
+            InputError: The run would be refused.
         """
         visitor = self.visitors.known(name)
         if self.forks or visitor is None or source is None or not is_there(source):
@@ -211,8 +212,6 @@ class Studio:
             rest = rates.rest + rates.pixel * ready["composed"]
             forecast = measured(gaussians, order.scene, device, rest)
             visitor.forecasts[key(scene.data())] = forecast.seconds
-        except InputError as error:
-            return complaint(error)
         finally:
             DEVICE.release()
         return self._said(forecast, name, source, scene, told)

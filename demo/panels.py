@@ -6,7 +6,8 @@ from typing import Any
 
 import gradio as gr
 
-HEAD = '<script src="phy124/static/page.js"></script>'
+HEAD = '<script src="phy124/static/server.js"></script>'
+HEAD += '<script src="phy124/static/page.js"></script>'
 PICTURE = HEAD + '<script src="phy124/static/brush.js"></script>'
 PICTURE += '<script src="phy124/static/picture.js"></script>'
 KNOWN = HEAD + '<script src="phy124/static/ways.js"></script>'

@@ -12,6 +12,7 @@ import binascii
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import gradio as gr
+from gradio import processing_utils
 from gradio.data_classes import FileData, ImageData
 from pydantic import ValidationError
 
@@ -103,10 +104,15 @@ def refusal(text: str) -> gr.Error:
 
 
 def fetch_nothing(page: gr.Blocks) -> None:
-    """Prevent all components from downloading what a request names by its URL."""
+    """Prevent a page from downloading what a request names by its URL."""
+
+    async def refuse(url: str) -> Any:
+        raise refusal(f"file: {FETCHES_NOTHING}")
+
+    # Of a panel that an answer has left as it was, Gradio makes a new one for that session.
+    processing_utils.async_ssrf_protected_get = refuse
     for block in page.blocks.values():
         moved = block.async_move_resource_to_block_cache
-
         name = getattr(block, "label", None) or "file"
 
         async def local(url_or_file_path: Any, moved: Any = moved, name: str = name) -> str | None:

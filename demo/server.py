@@ -110,9 +110,12 @@ def routes(studio: Studio) -> list[BaseRoute]:
         return JSONResponse({**told, "place": found.place}, headers={"cache-control": "no-store"})
 
     async def here(request: Request) -> Response:
-        """An open page reports every minute that it is still open."""
-        known = studio.visitors.known(cookie_of(request) or "") is not None
-        return JSONResponse({"known": known}, headers={"cache-control": "no-store"})
+        """An open page reports every few seconds that it is still open; it learns whether what it
+        had here is still here.
+        """
+        known = studio.visitors.known(cookie_of(request) or "")
+        told = {"known": known is not None, "visitor": known and known.folder.name}
+        return JSONResponse(told, headers={"cache-control": "no-store"})
 
     return [
         Route("/health", health),

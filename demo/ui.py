@@ -12,6 +12,7 @@ from gradio import themes
 from . import handlers, panels
 from .endpoints import endpoints
 from .jobs import Studio
+from .marks import mark_answers
 from .photo import fetch_nothing
 from .settings import Settings
 from .visitors import Visitors
@@ -77,6 +78,7 @@ def build(studio: Studio) -> gr.Blocks:
         _wire_fit(studio, done, fit, takeaway, shows)
         endpoints(studio)
     fetch_nothing(page)
+    mark_answers(page)
     return page
 
 

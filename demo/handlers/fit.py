@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 import gradio as gr
@@ -44,9 +43,7 @@ def fit_starter(studio: Studio) -> Handler:
         try:
             job = studio.fits.begin(visitor_of(request), done, told.get("upload"), told)
         except InputError as error:
-            # With the time, since a browser is not told of a value that is the same as before.
-            told = {"job": None, "message": sentence(error), "time": time.time()}
-            return {**(shown or {}), **told}
+            return {**(shown or {}), "job": None, "message": sentence(error)}
         return {**(shown or {}), "job": job.name, "message": "", "found": None}
 
     return start
@@ -73,8 +70,7 @@ def fit_shower(studio: Studio) -> Handler:
             return gr.skip(), gr.skip()
         panel = _panel(studio, done, visitor)
         if job.progress.result is None:
-            told = {"message": job.progress.message, "time": time.time()}
-            return {**panel, **told}, gr.skip()
+            return {**panel, "message": job.progress.message}, gr.skip()
         return panel, takeaway_of(done)
 
     return show

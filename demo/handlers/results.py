@@ -26,14 +26,17 @@ from ..visitors import Visitor
 from ..work import Done, Measured
 from .event import Handler, data_of, file_of, job_of
 from .picture import shown_source, ways
-from .run import rested, shown_job, with_stops, working
+from .run import forecast_of, rested, shown_job, working
 
 NOT_SHOWN = [gr.skip()] * 5
 """Leaves the panels that `results` fills as they are."""
 SHARE = "share"
 """What the panel asks for instead of a format to get a link."""
-REPORT = 2
-"""Index of the report among these panels."""
+REPORT, TAKEAWAY = 2, 3
+"""Indices of the report and of the take-away panel among these panels."""
+GONE = "The result is no longer stored. Generate it again."
+FORGOTTEN = {"message": GONE}, {"runs": []}
+"""Take-away panel and history of a visitor whose files are gone; what else is shown may stay."""
 FILES = {
     "clip.safetensors": ("Moving Gaussians", "The clip itself, for phy124"),
     "gaussians.ply": ("3DGS PLY, at rest", f"Opens in {FORMATS['ply'].opens_in}"),
@@ -60,9 +63,10 @@ def finisher(studio: Studio) -> Handler:
     ) -> tuple[Any, ...]:
         name, job = visitor_of(request), job_of(studio, request, event)
         if job is not None and isinstance(job.progress.result, Measured) and source and scene:
-            text = studio.forecast(name, source, scene, told)
-            line = with_stops(studio, name, source, scene, told, text, opened=True)
+            line = forecast_of(studio, name, source, scene, told, opened=True)
             return line, gr.skip(), *rested(), *_with_report(studio, name, shown)
+        if job is None and not _is_there(shown):
+            return gr.skip(), None, *rested(), *NOT_SHOWN[:TAKEAWAY], *FORGOTTEN
         if job is None or not job.over or not _is_there(job.progress.result):
             return gr.skip(), gr.skip(), *rested(), *NOT_SHOWN
         return gr.skip(), job.progress.result, *rested(), *results(studio, name, job)
@@ -188,8 +192,7 @@ def preparer(studio: Studio) -> Handler:
         kind = str(data_of(event).get("kind"))
         visitor = studio.visitors.known(visitor_of(request))
         if done is None or visitor is None or not done.films.exists():
-            gone = "The result is no longer stored. Generate it again."
-            return {**(shown or {}), "message": gone}
+            return FORGOTTEN[0]
         try:
             path = export("html" if kind == SHARE else kind, done)
         except InputError as error:

@@ -18,7 +18,7 @@ from ..identity import visitor_of
 from ..jobs import Studio
 from ..line import Job
 from ..progress import Progress
-from ..sentences import sentence
+from ..sentences import complaint, sentence
 from ..source import Source
 from ..studies import Measurement
 from ..visitors import key
@@ -31,11 +31,34 @@ def forecaster(studio: Studio) -> Handler:
     def forecast(source: Source | None, scene: Any, told: Any, request: gr.Request) -> str:
         if not scene:
             return ""
-        name = visitor_of(request)
-        text = studio.forecast(name, source, scene, told)
-        return with_stops(studio, name, source, scene, told, text)
+        return forecast_of(studio, visitor_of(request), source, scene, told)
 
     return forecast
+
+
+def forecast_of(
+    studio: Studio, name: str, source: Source | None, data: Any, told: Any, *, opened: bool = False
+) -> str:
+    """The forecast of a run as HTML, or why it is refused.
+
+    Args:
+        studio: What all visitors share.
+        name: The visitor's name.
+        source: What the object is made of, if it is there.
+        data: The scene as plain data.
+        told: What else is known of the object.
+        opened: Whether the table of all stops is shown.
+    """
+    try:
+        text = studio.forecast(name, source, data, told)
+        return with_stops(studio, name, source, data, told, text, opened=opened)
+    except InputError as error:
+        return refused(error)
+
+
+def refused(error: InputError) -> str:
+    """A refusal in the place of a forecast: all of it is seen, and nothing of it is folded."""
+    return f'<p class="refused">{escape(complaint(error))}</p>'
 
 
 def with_stops(
@@ -54,14 +77,14 @@ def with_stops(
         told: What else is known of the object.
         text: The forecast.
         opened: Whether the line is open.
+
+    Raises:
+        InputError: Something in the request cannot be used.
     """
     visitor = studio.visitors.known(name)
-    try:
-        scene = scene_of(data, studio.settings, visitor and visitor.folder / "uploads")
-        study = studio.study(name, source, scene, told)
-        error = _error_line(studio, name, source, scene, told, study)
-    except InputError:
-        return f"<p>{escape(text)}</p>"
+    scene = scene_of(data, studio.settings, visitor and visitor.folder / "uploads")
+    study = studio.study(name, source, scene, told)
+    error = _error_line(studio, name, source, scene, told, study)
     known = visitor.forecasts.get(key(scene.data())) if visitor else None
     count = studio.count(source)
     stops = studio.forecaster.stops(scene, gaussians=count, seconds=known, study=study)
@@ -69,8 +92,6 @@ def with_stops(
     if study is not None:
         table += f"<p>Measured on this scene, without drawing:</p>{study.table()}"
     brief, _, rest = text.partition(": ")
-    if not rest:
-        return f"<p>{escape(text)}</p>{table}"
     return (
         f"<details{' open' if opened else ''}><summary>{escape(brief)}</summary>"
         f"<p>{escape(rest)}</p>{table}</details>{error}"
@@ -98,10 +119,13 @@ def refiner(studio: Studio) -> Handler:
 
     def refine(source: Source | None, scene: Any, told: Any, request: gr.Request) -> Any:
         name = visitor_of(request)
-        text = studio.refine(name, source, scene, told) if source and scene else None
-        if text is None:
-            return gr.skip()
-        return with_stops(studio, name, source, scene, told, text)
+        try:
+            text = studio.refine(name, source, scene, told) if source and scene else None
+            if text is None:
+                return gr.skip()
+            return with_stops(studio, name, source, scene, told, text)
+        except InputError as error:
+            return refused(error)
 
     return refine
 

@@ -22,9 +22,10 @@
       this.listen();
     }
 
-    load(photo, cut) {
+    /** Show a picture and its cut-out; strokes over another one go, unless it was only sent again. */
+    load(photo, cut, again = false) {
       this.element.hidden = !photo;
-      if (photo !== this.photo) this.strokes = [];
+      if (photo !== this.photo && !again) this.strokes = [];
       if (photo === this.photo && cut === this.cut) return;
       Object.assign(this, { photo, cut });
       const image = (url) => new Promise((done) => { if (!url) return done(null); const img = new Image(); img.onload = () => done(img); img.onerror = () => done(null); img.src = url; });

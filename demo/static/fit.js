@@ -12,6 +12,7 @@
     const panel = new FitPanel(element, trigger);
     watch('value', () => panel.show(props.value));
     panel.show(props.value);
+    document.addEventListener('phy124-failed', () => panel.fail());
   }
 
   class FitPanel {
@@ -79,6 +80,13 @@
       this.trigger('begin', { upload: path, side: this.side.value, speed: Number(this.speed.value), seconds: Number(this.budget.value) });
     }
 
+    /** The server answered by an error; a fit that it has begun goes on. */
+    fail() {
+      if (this.job || !this.go?.hidden) return;
+      this.busy(false);
+      this.say('The server could not do this. Try again.', true);
+    }
+
     busy(now) {
       this.go.disabled = now || !this.file;
       this.go.hidden = now;
@@ -97,6 +105,7 @@
       this.busy(true);
       follow(job, (told) => this.take(job, told), (told) => {
         this.job = null;
+        this.busy(false);
         this.say(told.state === 'done' ? '' : told.message || 'The server no longer knows this fit.', told.state !== 'done');
         announce(told.state === 'done' ? 'The fit is there.' : told.message || '');
         this.trigger('ended', { job });

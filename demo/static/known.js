@@ -14,6 +14,13 @@
     const offer = await (await fetch('phy124/catalogue.json')).json();
     const panel = new Known(element, offer, trigger, (value) => { props.value = value; trigger('change'); });
     watch('value', () => panel.take(props.value));
+    listen(panel);
+  }
+
+  /** The server's events that carry no value: a request that failed, and files that are no longer there. */
+  function listen(panel) {
+    document.addEventListener('phy124-failed', () => panel.each((view) => view.fail()));
+    document.addEventListener('phy124-forgotten', () => panel.each((view) => view.restore()));
   }
 
   class Known {
@@ -58,11 +65,15 @@
       this.send({ ...this.told });
     }
 
-    /** What the server said: an answer about one picture, a file's orientations, or nothing at all for a new object. */
+    each(act) { Object.values(this.views).forEach(act); }
+
+    /** What the server said: an answer about one picture, a file's orientations, or nothing at all for a new
+     * object. It stands in the place of what was told, which is told again. */
     take(value) {
-      if (value?.ways) this.turn(value.ways);
-      else if (value && value.answer) this.views[value.answer.option]?.take(value.answer);
-      else if (!value || !Object.keys(value).length) this.clear();
+      if (value?.ways) return this.turn(value.ways);
+      if (value?.answer) this.views[value.answer.option]?.take(value.answer);
+      else this.clear();
+      this.send({ ...this.told });
     }
 
     turn(ways) {
@@ -104,7 +115,7 @@
     tell(path) { this.panel.tell({ [this.option]: path }); }
 
     clear() {
-      this.following = null;
+      Object.assign(this, { following: null, pending: false, file: null });
       this.show(null);
       this.say('');
       if (!this.chosen) return;
@@ -127,6 +138,7 @@
       if (!file) return;
       this.clear();
       this.tell(null);
+      this.file = file;
       this.say('Sending …');
       this.input.value = '';
       const { reduced, sent } = globalThis.Phy124;
@@ -137,11 +149,30 @@
 
     /** Have a picture that was sent cut out. */
     look(path) {
+      this.pending = true;
       this.say('Looking at it …');
       this.panel.trigger('choose', { option: this.option, upload: path });
     }
 
+    /** A request was answered by an error, which carries no answer. */
+    fail() {
+      if (!this.pending) return;
+      this.pending = false;
+      this.say('The server could not do this. Try again.', true);
+    }
+
+    /** The server no longer has the picture: it is sent again if this page has it. */
+    restore() {
+      const { file } = this, had = !this.shown.hidden || this.following;
+      if (file) return this.choose(file);
+      if (!had) return;
+      this.clear();
+      this.tell(null);
+      this.say('The server no longer has this picture. Choose it once more.', true);
+    }
+
     take({ job, message, picture, cutout, by, doubts }) {
+      this.pending = false;
       if (message) return this.say(message, true);
       if (job) return this.await(job);
       this.show((cutout || picture).url);
@@ -152,11 +183,14 @@
     await(job) {
       this.following = job;
       this.say('Cutting the object out …');
-      follow(job, () => this.following === job, () => {
-        if (this.following === job) this.panel.trigger('view', { option: this.option, job });
+      follow(job, () => this.following === job, (told) => {
+        if (this.following !== job) return;
+        if (told.state === 'gone') { this.following = null; this.say('The server no longer has this picture. Choose it once more.', true); return; }
+        this.pending = true;
+        this.panel.trigger('view', { option: this.option, job });
       });
     }
   }
 
-  Object.assign(globalThis.Phy124, { known, View });
+  Object.assign(globalThis.Phy124, { known, listen, View });
 })();

@@ -2,7 +2,7 @@
  * "phy124-objects"), and is told of what was chosen ("phy124-object"): the scene itself holds the pictures. */
 'use strict';
 (() => {
-  const { h, View } = globalThis.Phy124;
+  const { h, listen, View } = globalThis.Phy124;
   const HINT = 'What it is made from; without a picture it is a copy of the first object.';
 
   async function others(element, props, watch, trigger) {
@@ -11,6 +11,7 @@
     document.addEventListener('phy124-objects', (event) => panel.draw(event.detail));
     panel.draw(globalThis.Phy124.objects || []);
     watch('value', () => panel.take(props.value));
+    listen(panel);
   }
 
   class Others {
@@ -41,6 +42,8 @@
         document.dispatchEvent(new CustomEvent('phy124-object', { detail: { name, picture } }));
       }
     }
+
+    each(act) { this.slots.forEach(act); }
 
     take(value) { this.slots.get(value?.answer?.option)?.take(value.answer); }
   }

@@ -2,6 +2,8 @@
  * gr.HTML calls once with its element; `watch` tells when Python sends a new value. */
 'use strict';
 (() => {
+  const { follow, server } = globalThis.Phy124;
+
   const h = (tag, attributes = {}, ...children) => {
     const node = document.createElement(tag);
     for (const [name, value] of Object.entries(attributes)) {
@@ -17,7 +19,6 @@
   const size = (bytes) => (bytes < 1e6 ? `${Math.max(1, Math.round(bytes / 1e3))} kB` : `${(bytes / 1e6).toFixed(1)} MB`);
 
   const calm = () => matchMedia('(prefers-reduced-motion: reduce)').matches;
-  const pause = (ms) => new Promise((done) => setTimeout(done, ms));
 
   /** A picture that moves; where people ask for little motion, its first frame. */
   function moving(src, attributes) {
@@ -32,29 +33,6 @@
     whole.src = src;
     return img;
   }
-
-  /* ---- work on the server ------------------------------------------------------------------ */
-
-  const ENDLESS = ['waiting', 'running', 'lost'];
-
-  /** Follow a piece of work to its end, over lost connections, too; `tell` returns false to give up. */
-  async function follow(job, tell, end) {
-    let seen = 0;
-    for (;;) {
-      let told = { state: 'lost' };
-      try {
-        const answer = await fetch(`phy124/jobs/${job}?seen=${seen}`);
-        if (answer.ok || answer.status === 404) told = await answer.json();
-      } catch { /* said by the state */ }
-      seen += told.glimpses ? told.glimpses.length : 0;
-      if (tell(told) === false) return;
-      if (!ENDLESS.includes(told.state)) return end(told);
-      await pause(told.state === 'lost' ? 1500 : told.state === 'waiting' ? 600 : 250);
-    }
-  }
-
-  /** The server keeps results as long as the page says that it is still there. */
-  setInterval(() => fetch('phy124/here').catch(() => {}), 60e3);
 
   /* ---- notices and sounds -------------------------------------------------------------- */
 
@@ -100,6 +78,8 @@
     const panel = new ProgressPanel(element, trigger);
     watch('value', () => panel.show(props.value));
     panel.show(props.value);
+    document.addEventListener('phy124-asked', () => panel.settle());
+    document.addEventListener('phy124-forgotten', () => { if (document.querySelector('#viewer .viewer-host')) trigger('finished', {}); });
   }
 
   class ProgressPanel {
@@ -161,7 +141,11 @@
       if (job) this.trigger('finished', { job });
     }
 
+    /** Something else is asked for by now: why the last one was refused no longer matters. */
+    settle() { if (this.element.querySelector('.progress.refused')) this.element.replaceChildren(); }
+
     say(state, message) {
+      if (state === 'refused') server.look();
       const again = state === 'full' ? h('button', { type: 'button', class: 'quiet', onclick: () => this.trigger('again') }, 'Try again now') : null;
       if (again) this.retry = setTimeout(() => this.trigger('again'), 10e3);
       this.element.replaceChildren(h('section', { class: `progress ${state}`, 'aria-label': 'Progress' },
@@ -325,8 +309,7 @@
 
   function takeaway(element, props, watch, trigger) {
     let asked = null;
-    const show = () => {
-      const value = props.value || {};
+    const show = (value = props.value || {}) => {
       const link = ({ label, hint, file }) => h('a', { class: 'file', href: file.url, download: file.orig_name, 'data-name': file.orig_name },
         h('strong', {}, label), h('span', {}, hint), h('em', {}, size(file.size || 0)));
       const button = ({ kind, label, hint, about }) => h('button', { type: 'button', class: 'file', 'data-kind': kind,
@@ -345,9 +328,12 @@
       // Not opened by itself: browsers may block downloads that no click has asked for.
       if (made) { asked = null; made.classList.add('new'); made.focus(); }
     };
-    watch('value', show);
+    watch('value', () => show());
     show();
+    document.addEventListener('phy124-failed', () => {
+      if (element.querySelector('[aria-busy]')) show({ ...props.value, message: 'The server could not make this. Try again.' });
+    });
   }
 
-  globalThis.Phy124 = Object.assign(globalThis.Phy124 || {}, { h, calm, moving, follow, announce, sounds, live, forecast, progress, viewer, history, videos, takeaway });
+  globalThis.Phy124 = Object.assign(globalThis.Phy124 || {}, { h, calm, moving, announce, sounds, live, forecast, progress, viewer, history, videos, takeaway });
 })();

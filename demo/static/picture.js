@@ -3,7 +3,8 @@
  * picture's place. */
 'use strict';
 (() => {
-  const { h, follow } = globalThis.Phy124;
+  const { h, follow, server } = globalThis.Phy124;
+  const KEPT = 'phy124-picture', LARGEST = 3e6; // a tab keeps a few MB of text
   const SIDE = 2048; // the server looks no closer
   const ACCEPT = 'image/png,image/jpeg,image/webp,image/heic,image/heif,image/avif,.heic,.heif,.avif';
 
@@ -14,23 +15,25 @@
 
   class PicturePanel {
     constructor(element, props, watch, trigger, offer) {
-      Object.assign(this, { element, props, trigger, offer, following: null });
+      Object.assign(this, { element, props, trigger, offer, following: null, pending: false });
       this.status = h('p', { class: 'picture-status', role: 'status' });
       this.again = h('button', { type: 'button', class: 'quiet', hidden: true, onclick: () => this.retry() }, 'Try again');
-      const correct = (how) => { this.last = () => this.trigger('correct', how); this.last(); };
-      this.brush = new globalThis.Phy124.Brush((strokes) => correct({ strokes }), (pick) => correct({ pick }));
+      this.brush = new globalThis.Phy124.Brush((strokes) => this.correct({ strokes }), (pick) => this.correct({ pick }));
       this.drop = this.dropzone();
       this.preview = h('figure', { id: 'cutout', hidden: true }, h('img', { alt: 'The object, cut out' }));
       element.replaceChildren(h('div', { class: 'pictures' }, this.drop, this.preview), this.status, this.again,
         this.examples(), this.brush.element);
       document.addEventListener('paste', (event) => this.paste(event));
       document.addEventListener('phy124-way', (event) => { if (this.props.value?.file) this.shown.src = event.detail; });
+      document.addEventListener('phy124-failed', () => this.fail());
+      document.addEventListener('phy124-forgotten', () => this.restore());
       watch('value', () => this.show());
       this.show();
+      if (server.forgot) this.restore();
     }
 
     dropzone() {
-      const input = this.input = h('input', { type: 'file', accept: [ACCEPT, ...this.offer.limits.file_endings].join(), 'aria-label': 'Choose a picture or a file of Gaussians', onchange: () => this.send(input.files[0]) });
+      const input = this.input = h('input', { type: 'file', accept: [ACCEPT, ...this.offer.limits.file_endings].join(), 'aria-label': 'Choose a picture or a file of Gaussians', onchange: () => this.take({ file: input.files[0] }) });
       this.shown = h('img', { alt: 'Your picture', title: 'Click the object that is meant', hidden: true, onclick: (event) => this.pick(event) });
       this.hint = h('span', { class: 'photo-hint' }, h('strong', {}, 'Choose a picture'), 'or drop or paste it here', h('small', {}, `Gaussians, too: ${this.offer.limits.file_endings.join(' ')}`));
       const zone = h('div', { id: 'photo' }, h('label', {}, input, this.shown, this.hint),
@@ -39,7 +42,7 @@
       for (const name of ['dragover', 'dragleave', 'drop']) {
         zone.addEventListener(name, (event) => { event.preventDefault(); zone.classList.toggle('over', name === 'dragover'); });
       }
-      zone.addEventListener('drop', (event) => this.send(event.dataTransfer.files[0]));
+      zone.addEventListener('drop', (event) => this.take({ file: event.dataTransfer.files[0] }));
       return zone;
     }
 
@@ -55,14 +58,14 @@
     }
 
     examples() {
-      const button = (name) => h('button', { type: 'button', 'aria-label': `Example: ${name.replace(/_/g, ' ')}`, onclick: () => this.choose({ example: name }) },
+      const button = (name) => h('button', { type: 'button', 'aria-label': `Example: ${name.replace(/_/g, ' ')}`, onclick: () => this.take({ example: name }) },
         h('img', { src: `phy124/examples/${name}.png`, alt: '', width: 48, height: 48, loading: 'lazy' }));
       return h('div', {}, h('p', { class: 'examples-title' }, 'Or begin with one of these'), h('div', { class: 'examples' }, ...this.offer.examples.map(button)));
     }
 
     paste(event) {
       const file = [...(event.clipboardData?.files || [])].find((f) => f.type.startsWith('image/'));
-      if (file) { event.preventDefault(); this.send(file); }
+      if (file) { event.preventDefault(); this.take({ file }); }
     }
 
     async photograph() {
@@ -77,7 +80,7 @@
         const canvas = h('canvas', { width: video.videoWidth, height: video.videoHeight });
         canvas.getContext('2d').drawImage(video, 0, 0);
         close();
-        this.send(await new Promise((done) => canvas.toBlob(done, 'image/jpeg', 0.92)));
+        this.take({ file: await new Promise((done) => canvas.toBlob(done, 'image/jpeg', 0.92)) });
       };
       const dialog = h('dialog', { class: 'camera-dialog', 'aria-label': 'Take a photograph', onclose: close }, video,
         h('button', { type: 'button', onclick: take }, 'Take the photograph'), h('button', { type: 'button', onclick: close }, 'Close'));
@@ -85,9 +88,29 @@
       dialog.showModal();
     }
 
+    /** What a visitor has chosen: an example, or a file; it is kept to be sent again. */
+    take(chosen) {
+      Object.assign(this, { chosen, corrected: null });
+      this.begin(chosen);
+    }
+
+    begin({ example, file }) {
+      if (file) this.send(file);
+      else if (example) { this.choose({ example }); keep({ example }); }
+    }
+
+    /** The server has forgotten the picture: it is sent again, and corrected as it was. */
+    restore() {
+      this.following = null;
+      const chosen = this.chosen || kept();
+      if (chosen) {
+        Object.assign(this, { chosen, restoring: true });
+        this.begin(chosen);
+      } else if (this.props.value?.picture) this.refuse('The server no longer has your picture. Choose it once more.');
+    }
+
     /** Send a file, reduced if it is large, and have it cut out. */
     async send(file) {
-      if (!file) return;
       const { limits } = this.offer, gaussians = isOfGaussians(file, limits);
       if (gaussians && file.size > limits.file_bytes) return this.refuse(limits.too_large);
       this.say(`Sending the ${gaussians ? 'file' : 'picture'} …`);
@@ -95,19 +118,39 @@
       this.input.value = '';
       const { path, message, lost } = await sent(small, limits);
       if (message) return this.refuse(message, lost && (() => this.send(file)));
+      keep({ file: small });
       this.choose({ upload: path }, gaussians);
     }
 
     choose(what, reads = false) {
       this.say(reads ? 'Reading the file …' : 'Cutting the object out …');
-      this.last = () => this.trigger('choose', what);
+      this.ask('choose', what);
+    }
+
+    /** Brush strokes, or a click on another object. */
+    correct(how) {
+      this.corrected = how.pick ? how : { ...this.corrected, ...how };
+      this.ask('correct', how);
+    }
+
+    ask(event, what) {
+      this.last = () => { this.pending = true; this.trigger(event, what); };
       this.last();
+    }
+
+    /** A request was answered by an error, which carries no new value. */
+    fail() {
+      if (!this.pending) return;
+      this.pending = false;
+      this.say('The server could not do this.', true);
+      this.again.hidden = false;
     }
 
     retry() { this.again.hidden = true; this.last(); }
 
     /** What was chosen before must not be generated from after a refusal: the server forgets it. */
     refuse(message, again = null) {
+      this.restoring = false;
       this.trigger('choose', {});
       this.local = message;
       this.say(message, true);
@@ -122,6 +165,7 @@
 
     show() {
       const value = this.props.value || {};
+      this.pending = false;
       const [photo, cut] = [value.picture?.url, value.cutout?.url];
       this.drop.classList.toggle('full', Boolean(photo));
       this.shown.hidden = !photo;
@@ -130,8 +174,12 @@
       this.preview.hidden = !cut;
       if (cut) this.preview.firstChild.src = cut; else this.preview.firstChild.removeAttribute('src');
       this.drop.classList.toggle('file', Boolean(value.file));
-      this.brush.load(value.file ? null : photo, cut);
+      this.brush.load(value.file ? null : photo, cut, this.restoring);
       if (value.job) return this.await(value);
+      if (cut || value.file) document.dispatchEvent(new Event('phy124-asked'));
+      const again = this.restoring && cut && this.corrected;
+      this.restoring = false;
+      if (again) return this.correct(this.corrected);
       if (value.message) { this.say(value.message, true); this.again.hidden = !value.again; }
       else if (value.file) this.say(value.file);
       else if (photo) this.say([cut && `The object is cut out by ${value.by}.`, value.doubts].filter(Boolean).join(' '), Boolean(value.doubts));
@@ -147,11 +195,34 @@
         if (told.state === 'waiting' && told.place) this.say(`Waiting to be ${reads ? 'read' : 'cut out'}, ${told.place} before this ${reads ? 'file' : 'picture'}`);
         else if (told.state === 'lost') this.say('The connection was lost. Trying again …');
         return true;
-      }, () => { if (this.following === job) { this.following = null; this.trigger('cut', { job }); } });
+      }, (told) => {
+        if (this.following !== job) return;
+        this.following = null;
+        if (told.state === 'gone') this.refuse('The server no longer has your picture. Choose it once more.');
+        else this.ask('cut', { job });
+      });
     }
   }
 
   const isOfGaussians = (file, limits) => limits.file_endings.some((ending) => (file.name || '').toLowerCase().endsWith(ending));
+
+  /** Keep a picture in this tab over a reload, should the server have forgotten it by then. */
+  async function keep({ example, file }) {
+    try {
+      sessionStorage.removeItem(KEPT);
+      if (file?.size > LARGEST) return;
+      const url = file && await new Promise((done) => { const reader = new FileReader(); reader.onload = () => done(reader.result); reader.readAsDataURL(file); });
+      sessionStorage.setItem(KEPT, JSON.stringify({ example, url, name: file?.name, type: file?.type }));
+    } catch { /* not kept, then */ }
+  }
+
+  function kept() {
+    try {
+      const { example, url, name, type } = JSON.parse(sessionStorage.getItem(KEPT));
+      if (example) return { example };
+      return { file: new File([Uint8Array.from(atob(url.split(',')[1]), (c) => c.charCodeAt(0))], name, { type }) };
+    } catch { return null; }
+  }
 
   /** A picture file no longer and larger than the server needs; one that this browser cannot read as it is. */
   async function reduced(file, limits) {
@@ -179,6 +250,7 @@
     try { answer = await fetch('gradio_api/upload', { method: 'POST', body: form }); }
     catch { return { message: 'The file could not be sent: the connection was lost.', lost: true }; }
     if (!answer.ok) return { message: answer.status === 413 ? limits.too_large : await answer.text() };
+    server.look();
     return { path: (await answer.json())[0] };
   }
 

@@ -46,15 +46,12 @@
 
     begin(given) {
       this.drawChips();
+      this.drawCards();
       this.choose(this.offer.presets[0].name);
       try { if (given && given.material && given.time) this.load(given); } catch { this.choose(this.offer.presets[0].name); }
-      const named = this.offer.presets.find((p) => p.scene.description === this.data.description);
-      this.preset = named ? named.name : null;
-      this.drawCards();
     }
 
     choose(name) {
-      this.preset = name;
       const data = clone(this.offer.presets.find((p) => p.name === name).scene);
       // On a dark page white videos would glare.
       if (document.body.classList.contains('dark')) [data.view.background] = clone(BACKGROUNDS.dark);
@@ -64,7 +61,17 @@
       this.load(data);
     }
 
-    load(data) { this.data = clone(data); this.markChips(); this.drawKnobs(); this.drawForm(); this.tell(); }
+    load(data) { this.show(data); this.tell(); }
+
+    /** Everything shows these data, also the control that has the focus, which keeps it. */
+    show(data) {
+      this.data = clone(data);
+      const controls = () => [...this.element.querySelectorAll('input, select, textarea, button, .pad')];
+      const place = controls().indexOf(document.activeElement);
+      if (place >= 0) document.activeElement.blur();
+      this.markCards(); this.markChips(); this.drawKnobs(); this.drawForm();
+      controls()[place]?.focus({ preventScroll: true });
+    }
 
     tell() {
       clearTimeout(this.timer);
@@ -81,6 +88,7 @@
     say() {
       this.sent = clone(this.data);
       globalThis.Phy124.objects = pictured(this.sent).map(({ name, picture }) => ({ name, picture }));
+      document.dispatchEvent(new Event('phy124-asked'));
       document.dispatchEvent(new CustomEvent('phy124-objects', { detail: globalThis.Phy124.objects }));
       try { sessionStorage.setItem(STORED, JSON.stringify(this.sent)); } catch { /* not kept, then */ }
       [this.undoing.disabled, this.redoing.disabled] = [!this.past.length, !this.future.length];
@@ -92,8 +100,7 @@
       this.settle();
       if (!from.length) return;
       to.push(this.sent);
-      this.data = clone(from.pop());
-      this.markChips(); this.drawKnobs(); this.drawForm();
+      this.show(from.pop());
       this.say();
       announce('The scene was changed back.');
     }
@@ -124,6 +131,11 @@
     /** A knob changed the data: the form follows. */
     turned() { this.markChips(); this.drawForm(); this.tell(); }
 
+    /** Which preset the scene began as, which has words of its own. */
+    markCards() {
+      [...this.cards.querySelectorAll('input')].forEach((input, i) => { input.checked = this.offer.presets[i].scene.description === this.data.description; });
+    }
+
     /** Which material the scene has now; the chips stay, so that none loses the focus. */
     markChips() {
       const same = ({ material }) => Object.entries(material).every(([name, value]) => JSON.stringify(this.data.material[name]) === JSON.stringify(value));
@@ -138,7 +150,7 @@
 
     drawCards() {
       this.cards.replaceChildren(...this.offer.presets.map((preset) => h('label', { class: 'card' },
-        h('input', { type: 'radio', name: 'preset', value: preset.name, checked: preset.name === this.preset, onchange: () => this.choose(preset.name) }),
+        h('input', { type: 'radio', name: 'preset', value: preset.name, onchange: () => this.choose(preset.name) }),
         preset.picture ? moving(`phy124/${preset.picture}`, { width: 160, height: 160 }) : h('span', { class: 'blank' }),
         h('strong', {}, preset.title), h('span', { class: 'card-text' }, preset.text))));
     }

@@ -24,6 +24,7 @@
     };
     watch('value', show);
     show();
+    document.addEventListener('phy124-asked', () => element.querySelector(':scope > .message')?.remove());
   }
 
   class Hand {

@@ -53,7 +53,8 @@ def page(browser):
     page.route(SITE, lambda route: route.fulfill(body=body, content_type="text/html"))
     page.route(SITE + "phy124/jobs/**", answer)
     page.goto(SITE)
-    page.add_script_tag(path=str(ROOT / "demo" / "static" / "page.js"))
+    for name in ("server.js", "page.js"):
+        page.add_script_tag(path=str(ROOT / "demo" / "static" / name))
     page.evaluate(START)
     yield page
     page.close()

@@ -28,7 +28,7 @@ def page(browser):
     page.route(SITE + "phy124/**", lambda route: route.fulfill(body=offer))
     page.route(SITE, lambda route: route.fulfill(body="<div id=scene></div>"))
     page.goto(SITE)
-    for name in ("page.js", "links.js", "form.js", "scene.js"):
+    for name in ("server.js", "page.js", "links.js", "form.js", "scene.js"):
         page.add_script_tag(path=str(static / name))
     page.evaluate(START)
     page.wait_for_selector("#scene .card")

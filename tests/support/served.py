@@ -78,16 +78,15 @@ def serving(
     *,
     files: int | None = None,
     warm: bool = True,
+    port: int = 0,
     **settings: object,
 ) -> Iterator[Server]:
     """Serve until the block ends; settings are those of demo.settings.Settings.
 
     `files` is how many files and connections the server may have open. A server that need not be
-    `warm` is used while it still loads kernels and measures the machine.
+    `warm` is used while it still loads kernels and measures the machine. `port` 0 is a free one.
     """
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = port or free_port()
     given = {f"PHY124_{name.upper()}": str(value) for name, value in settings.items()}
     root, written = folder / "files", folder / "log.txt"
     environment = {**os.environ, "PHY124_PORT": str(port), "PHY124_FOLDER": str(root), **given}
@@ -106,6 +105,13 @@ def serving(
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
+
+
+def free_port() -> int:
+    """A port that nobody listens to."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
 
 
 def _answers(server: Server, warm: bool) -> bool:

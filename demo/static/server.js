@@ -1,0 +1,105 @@
+/* The server as the page sees it: work that goes on there, connections that are lost for a while, and a
+ * server that has forgotten this visitor, since it was started again or heard nothing for too long.
+ *
+ * Events of the document: "phy124-forgotten", and "phy124-failed" if a request was answered by an error. */
+'use strict';
+(() => {
+  const ENDLESS = ['waiting', 'running', 'lost'];
+  const STORED = 'phy124-visitor', OFTEN = 15e3, AGAIN = 1500;
+  const ASKS = /gradio_api\/(run|queue\/join)/;
+  const LOST = 'The connection to the server was lost. Trying again …';
+  const FORGOTTEN = 'The server was started again, or heard nothing from this page for too long: it no longer has your files. '
+    + 'What is shown here stays until you leave the page; to take it away, generate it again.';
+
+  const pause = (ms) => new Promise((done) => setTimeout(done, ms));
+  const ask = globalThis.fetch.bind(globalThis);
+  const tell = (name) => document.dispatchEvent(new Event(name));
+
+  /** Follow a piece of work to its end, over lost connections, too; `tell` returns false to give up. */
+  async function follow(job, tell, end) {
+    let seen = 0;
+    for (;;) {
+      let told = { state: 'lost' };
+      try {
+        const answer = await fetch(`phy124/jobs/${job}?seen=${seen}`);
+        if (answer.ok || answer.status === 404) told = await answer.json();
+      } catch { /* said by the state */ }
+      seen += told.glimpses ? told.glimpses.length : 0;
+      if (tell(told) === false) return;
+      if (told.state === 'gone') await look();
+      if (!ENDLESS.includes(told.state)) return end(told);
+      await pause(told.state === 'lost' ? AGAIN : told.state === 'waiting' ? 600 : 250);
+    }
+  }
+
+  /* ---- whether it is there, and knows this visitor ------------------------------------------- */
+
+  const server = { forgot: false, look };
+
+  /** Ask whether the server is there, which keeps what it has of this visitor; returns that. */
+  async function look() {
+    let visitor;
+    try { ({ visitor } = await (await ask('phy124/here')).json()); } catch { return false; }
+    const known = sessionStorage.getItem(STORED);
+    if (visitor) sessionStorage.setItem(STORED, visitor); else sessionStorage.removeItem(STORED);
+    if (known && visitor !== known) forget();
+    return true;
+  }
+
+  function forget() {
+    server.forgot = true;
+    notice(FORGOTTEN, true);
+    tell('phy124-forgotten');
+  }
+
+  /** Resolves when the server answers again. */
+  let back = null;
+  function answering() {
+    back ??= (async () => {
+      notice(LOST);
+      while (!await look()) await pause(AGAIN);
+      if (notice.text === LOST) notice('');
+      back = null;
+    })();
+    return back;
+  }
+
+  /** Gradio loads the page again once a request of its own was lost, and all that is shown would be
+   * lost with it. So these requests wait until the server answers. */
+  globalThis.fetch = async (address, options) => {
+    if (!ASKS.test(String(address?.url ?? address))) return ask(address, options);
+    for (;;) {
+      try {
+        const answer = await ask(address, options);
+        if (!answer.ok) tell('phy124-failed');
+        return answer;
+      } catch (error) {
+        if (error.name === 'AbortError') throw error;
+        await answering();
+      }
+    }
+  };
+
+  setInterval(look, OFTEN);
+  document.addEventListener('visibilitychange', () => { if (!document.hidden) look(); });
+  look();
+
+  /* ---- a line above the page ------------------------------------------------------------------ */
+
+  const line = document.createElement('p');
+  Object.assign(line, { id: 'server-notice', hidden: true });
+  line.setAttribute('role', 'status');
+
+  function notice(text, closes = false) {
+    notice.text = text;
+    if (!line.isConnected) (document.querySelector('.gradio-container') || document.body).append(line);
+    line.hidden = !text;
+    line.textContent = text;
+    if (!closes) return;
+    const close = document.createElement('button');
+    Object.assign(close, { type: 'button', className: 'quiet', textContent: 'Close', onclick: () => notice('') });
+    line.append(close);
+  }
+
+  globalThis.Phy124 = Object.assign(globalThis.Phy124 || {}, { follow, pause, server });
+})();

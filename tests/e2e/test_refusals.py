@@ -1,0 +1,142 @@
+"""Refusals in a real headless Chromium: said again, said in full, and gone when they are over."""
+
+from __future__ import annotations
+
+import pytest
+from visit import LONG, Visit
+
+pytestmark = pytest.mark.browser
+
+WRONG = "It is not a PNG, JPEG"
+SAYS = """([panel, what, times]) => globalThis.said?.[panel]?.filter(
+    (text) => text.includes(what)).length >= times"""
+LISTEN = """(panel) => {
+    // What the panel's status says, one after another.
+    const said = (globalThis.said ??= {})[panel] = [];
+    new MutationObserver(() => {
+        const text = document.querySelector(`${panel} .picture-status.bad`)?.textContent ?? '';
+        if (text !== said.at(-1)) said.push(text);
+    }).observe(document.querySelector(panel), { childList: true, subtree: true, attributes: true });
+}"""
+
+
+@pytest.fixture
+def visit(browser, server):
+    visit = Visit(browser, server)
+    yield visit
+    visit.context.close()
+
+
+@pytest.fixture
+def text(tmp_path):
+    """A file that is no picture."""
+    path = tmp_path / "text.png"
+    path.write_text("this is no picture")
+    return path
+
+
+def _preset(visit: Visit, name: str) -> None:
+    # Every preset has its own words.
+    words = "JSON.parse(sessionStorage.getItem('phy124-scene')).description"
+    before = visit.page.evaluate(words)
+    visit.page.locator(f".card input[value={name}]").check(force=True)
+    visit.page.wait_for_function(f"(before) => {words} !== before", arg=before, timeout=LONG)
+
+
+@pytest.mark.parametrize(
+    ("panel", "label"),
+    [
+        ("#picture", "Choose a picture or a file of Gaussians"),
+        ("#known", "Side"),
+        ("#others", "Right"),
+    ],
+)
+def test_a_second_wrong_file_is_refused_like_the_first(visit, text, panel, label):
+    _preset(visit, "collide")
+    visit.page.evaluate(LISTEN, panel)
+    for times in (1, 2):
+        visit.page.get_by_label(label, exact=True).set_input_files(text)
+        visit.page.wait_for_function(SAYS, arg=[panel, WRONG, times], timeout=LONG)
+
+
+def test_after_a_wrong_side_the_object_is_made_without_it(visit, text):
+    visit.upload()
+    visit.page.get_by_label("Side", exact=True).set_input_files(text)
+    visit.page.locator("#known").get_by_text(WRONG).wait_for(state="attached", timeout=LONG)
+    visit.choose(frames=2)
+    visit.generate()
+    visit.finished()
+
+
+def test_a_link_to_share_is_made_a_second_time(visit):
+    visit.upload()
+    visit.choose(frames=2)
+    visit.generate()
+    visit.finished()
+    visit.page.get_by_role("tab", name="Take away").click()
+    button = visit.page.locator("#takeaway button[data-kind=share]")
+    for _ in range(2):
+        button.click()
+        visit.page.wait_for_selector("#takeaway .shared a", timeout=LONG)
+        visit.page.wait_for_selector("#takeaway [aria-busy]", state="detached", timeout=LONG)
+
+
+def test_a_request_that_fails_leaves_no_panel_waiting(visit):
+    page = visit.page
+    page.route("**/run/predict", lambda route: route.fulfill(status=500, body="{}"))
+    page.get_by_label("Example: teddy").click()
+    page.locator("#picture").get_by_text("The server could not do this.").wait_for(timeout=LONG)
+    page.unroute("**/run/predict")
+    page.get_by_role("button", name="Try again", exact=True).click()
+    page.wait_for_selector("#cutout img[src]", timeout=LONG)
+
+
+def test_that_there_is_no_picture_is_said_until_there_is_one(visit):
+    page = visit.page
+    page.wait_for_selector(".photo-hint", timeout=LONG)
+    for button, panel in (("#go", "#progress"), ("#begin-touch", "#touch")):
+        page.locator(button).click()
+        page.locator(panel).get_by_text("There is no picture yet").wait_for(timeout=LONG)
+    visit.upload()
+    for panel in ("#progress", "#touch"):
+        page.locator(panel).get_by_text("There is no picture").wait_for(
+            state="detached", timeout=LONG
+        )
+
+
+def test_a_refusal_in_the_place_of_the_forecast_is_seen_in_full(visit):
+    """A run that would take too long: the sentence has a colon, as forecasts have."""
+    page = visit.page
+    _preset(visit, "bounce")
+    page.get_by_label("Frames", exact=True).fill("72")
+    page.get_by_label("Softness", exact=True).fill("200")
+    page.locator("#forecast .refused").wait_for(timeout=LONG)
+    said = page.locator("#forecast").inner_text()
+    assert "one run may take" in said and "Choose draft accuracy" in said
+    assert page.locator("#forecast details").count() == 0
+
+
+def test_undo_lights_the_card_of_the_scene_that_is_made(visit):
+    page = visit.page
+    lit = page.locator(".card input:checked")
+    before = lit.get_attribute("value")
+    _preset(visit, "bounce")
+    assert lit.get_attribute("value") == "bounce"
+    undo, redo = (page.locator(".scene-tools").get_by_text(name) for name in ("Undo", "Redo"))
+    undo.click()
+    assert lit.get_attribute("value") == before
+    redo.click()
+    assert lit.get_attribute("value") == "bounce"
+
+
+def test_undo_in_the_form_shows_what_it_brings_back(visit):
+    page = visit.page
+    page.locator("#scene details.more summary").click()
+    law = page.locator('select[aria-label="Material: law"]')
+    before = law.input_value()
+    law.select_option("sand")
+    visit.told("(scene) => scene.material.law === 'sand'")
+    law.focus()
+    law.press("Control+z")
+    visit.told(f"(scene) => scene.material.law === '{before}'")
+    assert law.input_value() == before and law.evaluate("(e) => e === document.activeElement")

@@ -1,0 +1,94 @@
+"""The server is started again under an open page, in a real headless Chromium."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+
+import pytest
+from visit import LONG, Visit
+
+from support.served import free_port, serving
+
+pytestmark = pytest.mark.browser
+CUT_AGAIN = """(before) => {
+    const now = document.querySelector('#cutout img').getAttribute('src');
+    return now && now !== before;
+}"""
+PLAYS = """async () => {
+    const video = document.querySelector('.film video'), { currentTime } = video;
+    await video.play();
+    while (video.currentTime === currentTime) await new Promise(requestAnimationFrame);
+    return !video.error;
+}"""
+
+
+@pytest.fixture
+def start(tmp_path):
+    """Starts a server at the same address each time, without what the last one knew."""
+    port = free_port()
+
+    @contextmanager
+    def start():
+        with serving(tmp_path, port=port, gaussians=2000, warm=False, warm_up=False) as server:
+            yield server
+
+    return start
+
+
+def _made(browser, server) -> Visit:
+    """A visitor with a picture and a result."""
+    visit = Visit(browser, server)
+    visit.upload()
+    visit.choose(frames=2)
+    visit.generate()
+    visit.finished()
+    visit.page.wait_for_selector("#viewer .phy-time")
+    visit.page.evaluate("globalThis.sameDocument = true")
+    return visit
+
+
+def test_a_restart_is_said_and_the_picture_is_sent_again(browser, start):
+    with start() as server:
+        visit = _made(browser, server)
+    page = visit.page
+    page.locator("#go").click()  # nobody is there: Gradio would load the page again
+    notice = page.locator("#server-notice")
+    notice.get_by_text("The connection to the server was lost").wait_for(timeout=LONG)
+    before = page.locator("#cutout img").get_attribute("src")
+    with start():
+        notice.get_by_text("it no longer has your files").wait_for(timeout=LONG)
+        page.wait_for_function(CUT_AGAIN, arg=before, timeout=LONG)
+        assert page.evaluate("globalThis.sameDocument"), "the page was loaded again"
+        assert page.locator("#viewer .phy-time").is_visible() and page.evaluate(PLAYS)
+        page.get_by_role("tab", name="Take away").click()
+        page.locator("#takeaway").get_by_text("no longer stored").wait_for(timeout=LONG)
+        assert page.locator("#takeaway a.file").count() == 0
+        page.wait_for_selector("#progress .refused", state="detached", timeout=LONG)
+        page.get_by_role("tab", name="Videos").click()
+        page.evaluate("document.querySelector('.films').remove()")
+        visit.choose(frames=3)
+        visit.generate()
+        visit.finished()
+    visit.context.close()
+
+
+def test_after_a_restart_and_a_reload_the_picture_is_there_again(browser, start):
+    with start() as server:
+        visit = _made(browser, server)
+    with start():
+        visit.page.reload()
+        visit.page.locator("#server-notice").get_by_text("no longer has your files").wait_for()
+        visit.page.wait_for_selector("#cutout img[src]", timeout=LONG)
+    visit.context.close()
+
+
+def test_a_restart_nobody_noticed_is_found_by_the_next_refusal(browser, start):
+    with start() as server:
+        visit = _made(browser, server)
+    before = visit.page.locator("#cutout img").get_attribute("src")
+    with start():
+        visit.generate()
+        visit.page.wait_for_function(CUT_AGAIN, arg=before, timeout=LONG)
+        visit.page.wait_for_selector("#progress .refused", state="detached", timeout=LONG)
+        assert visit.page.locator("#server-notice").is_visible()
+    visit.context.close()

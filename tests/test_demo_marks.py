@@ -1,0 +1,39 @@
+"""Answers to panels: no two are equal, and no handler notices."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+gradio = pytest.importorskip("gradio", reason="the extra demo is not installed")
+
+
+def _asked(answer: Any, value: Any) -> tuple[list[Any], list[Any]]:
+    """What two equal requests are answered to a panel and a number, and what the handler got."""
+    from demo.marks import mark_answers
+
+    got = []
+
+    def handle(given: Any) -> tuple[Any, int]:
+        got.append(given)
+        return answer, 3
+
+    event = SimpleNamespace(fn=handle, outputs=[gradio.HTML(render=False), object()])
+    mark_answers(SimpleNamespace(fns={0: event}))
+    return [event.fn(value) for _ in range(2)], got
+
+
+def test_equal_answers_differ_and_come_back_as_they_were():
+    refusal = {"message": "It is no picture."}
+    (first, second), _ = _asked(refusal, None)
+    assert first[0] != second[0] and first[0]["message"] == second[0]["message"]
+    assert first[1] == second[1] == 3
+    assert _asked(refusal, first[0])[1] == [refusal, refusal]
+
+
+@pytest.mark.parametrize("answer", ["<p>text</p>", None, gradio.skip()])
+def test_what_is_no_value_of_a_panel_stays(answer):
+    (first, _), got = _asked(answer, {"job": "a"})
+    assert first[0] == answer and got == [{"job": "a"}] * 2
