@@ -12,10 +12,11 @@ Without names: every preset with both pictures, and every law that flows, droppe
 """
 
 import argparse
+import itertools
 import sys
 import time
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,24 +57,19 @@ def scenes() -> dict[str, tuple[str, Scene]]:
     return found
 
 
-def run(
-    gaussians: Gaussians, scene: Scene, *, cells: int, binding: str = "lattice", cfl: float = 0.6
-) -> Run | None:
-    """A run on one thread; None if it cannot be made or was stopped."""
-    scene = scene.replaced(
-        {"time.budget": 1e6, "accuracy.cells": cells, "accuracy.cfl": cfl, "binding": binding}
-    )
-    told = f"  D/{cells} {binding} {cfl:g}"
+def run(gaussians: Gaussians, scene: Scene, changes: dict[str, Any]) -> Run | None:
+    """A run of a changed scene on one thread; None if it cannot be made or was stopped."""
     try:
+        scene = scene.replaced({"time.budget": 1e6, **changes})
         simulation = Simulation(gaussians, scene, threads=1)
     except InputError as error:
-        print(f"{told}: {error}", file=sys.stderr)
+        print(f"  {changes}: {error}", file=sys.stderr)
         return None
     start = time.process_time()
     clip = simulation.run()
     seconds = time.process_time() - start
     if not clip.report["complete"]:
-        print(f"{told}: {simulation.stopped}", file=sys.stderr)
+        print(f"  {changes}: {simulation.stopped}", file=sys.stderr)
         return None
     torn = simulation.watchdog.tearing.likely
     return Run(clip.surface.means, seconds, clip.report["substeps"], torn)
@@ -81,7 +77,8 @@ def run(
 
 def line(name: str, gaussians: Gaussians, scene: Scene, grids: list[int]) -> str:
     """A row of the table."""
-    runs = {(c, b): run(gaussians, scene, cells=c, binding=b) for c in grids for b in BINDINGS}
+    pairs = itertools.product(grids, BINDINGS)
+    runs = {(c, b): run(gaussians, scene, {"accuracy.cells": c, "binding": b}) for c, b in pairs}
     finest = [each for b in BINDINGS if (each := runs[grids[-1], b])]
 
     def cell(cells: int, binding: str) -> str:
@@ -94,8 +91,8 @@ def line(name: str, gaussians: Gaussians, scene: Scene, grids: list[int]) -> str
         errors = [100 * distances([made.means, f.means])[0, 1] for f in finest]
         return f"{said}, " + "/".join(f"{error / scene.object.size:.2f}" for error in errors)
 
-    pairs = [f"D/{c}: {cell(c, 'particles')}; {cell(c, 'lattice')}" for c in grids]
-    return " | ".join([name, *pairs])
+    cells = [f"D/{c}: {cell(c, 'particles')}; {cell(c, 'lattice')}" for c in grids]
+    return " | ".join([name, *cells])
 
 
 def main() -> None:
