@@ -97,7 +97,7 @@ def test_where_more_particles_are_too_many_what_was_whole_is_returned(quick, mon
     plain = choose.Simulation
 
     def refusing(gaussians, scene, **options):
-        if scene.resolution.particles_per_axis > 2:
+        if scene.particles_per_axis > 2:
             raise InputError("time.budget", "1 s", "it takes too long.", "Wait.")
         return plain(gaussians, scene, **options)
 

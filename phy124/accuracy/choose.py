@@ -128,7 +128,10 @@ class _Runs:
         """A run that has not started."""
         base = self.scene.resolution
         accuracy = base.model_copy(
-            update={"cells": cells, "particles_per_axis": base.particles_per_axis + self.denser}
+            update={
+                "cells": cells,
+                "particles_per_axis": self.scene.particles_per_axis + self.denser,
+            }
         )
         return Simulation(
             self.gaussians,
@@ -159,7 +162,7 @@ class _Runs:
 
     def _make_denser(self, cells: int) -> None:
         """Run a torn level again with more particles; if those are too many, it stays torn."""
-        self.denser = self.scene.resolution.particles_per_axis + 1 <= DENSEST
+        self.denser = self.scene.particles_per_axis + 1 <= DENSEST
         if self.denser:
             with suppress(InputError):
                 self._make(cells)
@@ -262,7 +265,7 @@ def _about(
         "target": goal.text, "unit": goal.kind, "cells": cells, "levels": levels,
         "errors": list(found.errors), "seconds": [runs.spent[n] for n in levels],
         "order": found.order, "error": error, "refined": refined, "met": met, "torn": runs.torn,
-        "particles_per_axis": runs.done[cells][0].scene.resolution.particles_per_axis,
+        "particles_per_axis": runs.done[cells][0].scene.particles_per_axis,
         "why_not": _why_torn(runs) if runs.torn and not met else found.why_not,
     }  # fmt: skip
 

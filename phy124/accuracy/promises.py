@@ -129,7 +129,7 @@ def promise(scene: Scene, report: Mapping[str, Any] | None = None) -> Promise:
     such = f"{laws[0]} {WORDS[motion]}"
     if found is None:
         return _unknown(such)
-    if scene.resolution.particles_per_axis < found["particles_per_axis"]:
+    if scene.particles_per_axis < found["particles_per_axis"]:
         return _unknown(
             f"{such} with fewer than {found['particles_per_axis']:g} particles per cell and axis"
         )

@@ -10,6 +10,9 @@ from pydantic import Field
 from phy124.kernels.transfer import Law
 from phy124.section import Section
 
+FEW = 1.5
+"""Particles per cell and axis of plastic and granular materials, which cannot tear. With 2 a run
+takes 1.7 times as long and has the same error (docs/results/accuracy.md)."""
 FLOWING = 4.0
 """Longest axis of a Gaussian of what flows, relative to its longest axis at rest."""
 
@@ -20,6 +23,9 @@ class Material(Section):
     device_law: ClassVar[Law]
     scaled: ClassVar[int] = 0
     """How many of the first entries of `theta` are proportional to E; 0: it has no E to vary."""
+    particles_per_axis: ClassVar[float] = 2.0
+    """Particles per cell and axis that a run has by default. Fewer than 2 let elastic material tear
+    sooner."""
     may_collapse: ClassVar[bool] = False
     """Whether it may stay flat after an impact, since its energy at J = 0 is finite."""
 

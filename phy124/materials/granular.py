@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 
 from phy124.kernels import granular, hencky
 from phy124.kernels.transfer import Law
-from phy124.materials.base import Elastic
+from phy124.materials.base import FEW, Elastic
 
 PACKING = 2 / 3
 """Largest product of snow's hardening xi and critical compression c.
@@ -28,6 +28,7 @@ class Sand(Elastic):
     rounds: ClassVar[bool] = True
     grains: ClassVar[bool] = True
     shade: ClassVar[float] = 0.15
+    particles_per_axis: ClassVar[float] = FEW
     device_law: ClassVar[Law] = Law(
         name="sand",
         stress=hencky.hencky,
@@ -60,6 +61,7 @@ class Snow(Elastic):
     rounds: ClassVar[bool] = True
     grains: ClassVar[bool] = True
     shade: ClassVar[float] = 0.04
+    particles_per_axis: ClassVar[float] = FEW
     device_law: ClassVar[Law] = Law(
         name="snow",
         stress=granular.snow,

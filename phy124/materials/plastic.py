@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 
 from phy124.kernels import elastic, hencky, plastic
 from phy124.kernels.transfer import Law
-from phy124.materials.base import Elastic
+from phy124.materials.base import FEW, Elastic
 
 NORM = math.sqrt(2 / 3)
 """Norm of the deviatoric stress divided by the uniaxial stress."""
@@ -26,6 +26,7 @@ class Metal(Elastic):
 
     law: Literal["metal"] = "metal"
     shines: ClassVar[bool] = True
+    particles_per_axis: ClassVar[float] = FEW
     device_law: ClassVar[Law] = Law(
         name="metal",
         stress=hencky.hencky,
@@ -61,6 +62,7 @@ class Plasticine(Elastic):
 
     law: Literal["plasticine"] = "plasticine"
     may_collapse: ClassVar[bool] = True
+    particles_per_axis: ClassVar[float] = FEW
     device_law: ClassVar[Law] = Law(
         name="plasticine",
         stress=elastic.fixed_corotated,
@@ -105,6 +107,7 @@ class Foam(Elastic):
     max_stretch: ClassVar[float | None] = 2.0
     rounds: ClassVar[bool] = True
     grains: ClassVar[bool] = True
+    particles_per_axis: ClassVar[float] = FEW
     device_law: ClassVar[Law] = Law(
         name="foam",
         stress=hencky.hencky,

@@ -14,8 +14,12 @@ class Accuracy(Section):
     """Settings that trade accuracy against time: cells across the object, particles in them."""
 
     cells: int = Field(default=32, ge=4, le=256, description="Grid cells across the longest side.")
-    particles_per_axis: float = Field(
-        default=2.0, ge=1, le=4, description="Particles per cell and axis inside the object."
+    particles_per_axis: float | None = Field(
+        default=None,
+        ge=1,
+        le=4,
+        description="Particles per cell and axis inside the object; absent: as many as its "
+        "materials need, 2 for elastic ones and liquids, 1.5 for plastic and granular ones.",
     )
     cfl: float = Field(
         default=0.75, ge=0.01, le=0.9, description="Fraction of the stable substep used."
@@ -85,7 +89,7 @@ NAMED = {
         "transfers lose per step does not depend on it",
     ),
     "fine": (
-        Accuracy(cells=48, precision="float64"),
+        Accuracy(cells=48, particles_per_axis=2.0, precision="float64"),
         "what shall be right: cells a third as wide, at least two particles per cell and axis so "
         "that they are used, and double precision so that rounding is no question",
     ),

@@ -166,6 +166,12 @@ class Scene(Section):
         return PRESETS[self.accuracy] if isinstance(self.accuracy, str) else self.accuracy
 
     @property
+    def particles_per_axis(self) -> float:
+        """Particles per cell and axis: as chosen, or as many as the materials need."""
+        chosen = self.resolution.particles_per_axis
+        return chosen or max(section.particles_per_axis for section in self.materials)
+
+    @property
     def acting(self) -> list[AnyForce]:
         """The forces whose strength is not zero."""
         return [force for force in self.forces if not force.idle]
@@ -231,7 +237,7 @@ class Scene(Section):
     @property
     def spacing(self) -> float:
         """Distance of neighbouring particles [m]."""
-        return self.dx / self.resolution.particles_per_axis
+        return self.dx / self.particles_per_axis
 
     @classmethod
     def from_data(cls, data: dict[str, Any], source: str = "scene") -> Scene:

@@ -31,7 +31,7 @@ def summary(scene: Scene) -> str:
     accuracy, time = scene.resolution, scene.time
     said.append(
         f"{number(scene.object.size)} m over {accuracy.cells} cells, "
-        f"{number(accuracy.particles_per_axis)} "
+        f"{number(scene.particles_per_axis)} "
         f"particles per cell and axis, {accuracy.precision}, {RIDES[scene.binding]}"
     )
     return "; ".join([*said, f"{time.frames} frames at {number(time.fps)}/s"])

@@ -128,5 +128,5 @@ def _holds(section: AnyMaterial, scene: Scene) -> float:
     nodes. The F of plastic flow has no bound.
     """
     if section.device_law.project is None:
-        return APART * scene.resolution.particles_per_axis
+        return APART * scene.particles_per_axis
     return np.inf if section.rounds else FLOWING

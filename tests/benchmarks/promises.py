@@ -105,7 +105,7 @@ def rows(gaussians: Gaussians, laws: list[str]) -> Iterator[dict[str, Any]]:
         row = {
             "kind": f"{law} {motion_of(scene)}", "name": name.removeprefix(f"{law} "),
             "errors": errors, "violence": violence(scene), "length": length(scene),
-            "particles_per_axis": scene.resolution.particles_per_axis,
+            "particles_per_axis": scene.particles_per_axis,
         }  # fmt: skip
         print(json.dumps(row), flush=True)
         yield row
