@@ -171,7 +171,7 @@ def test_a_time_goal_takes_the_finest_grid_that_fits(monkeypatch, seconds, cells
             self.scene = scene
             built.append(scene.resolution.cells)
 
-        def run(self):
+        def run(self, each):
             return None
 
     monkeypatch.setattr(choose, "Simulation", Run)

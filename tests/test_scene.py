@@ -251,11 +251,23 @@ def test_a_scene_is_said_in_one_line():
     assert said.startswith("foam (density ")
     assert "viscosity 50 Pa s^n, flow_index 0.7); parts static; gravity; ground, press" in said
     assert said.endswith(
-        "1 m over 32 cells, 2 particles per cell and axis, float32, "
+        "1 m over 32 cells, 1.5 particles per cell and axis, float32, "
         "Gaussians riding on a lattice of particles; 22 frames at 24/s"
     )
     assert "every Gaussian a particle;" in summary(scene.replaced({"binding": "particles"}))
     assert "\n" not in said
+
+
+def test_particles_per_axis_follow_from_the_materials():
+    elastic = Scene.named("press")
+    sand = Scene.named("sand")
+    part = {"region": {"upper": [0, 0, 0]}, "material": {"law": "neo_hookean"}}
+    assert elastic.particles_per_axis == 2
+    assert sand.particles_per_axis == 1.5
+    assert sand.replaced({"parts": [part]}).particles_per_axis == 2
+    assert sand.replaced({"accuracy": "fine"}).particles_per_axis == 2
+    assert sand.replaced({"accuracy.particles_per_axis": 1}).particles_per_axis == 1
+    assert sand.spacing == sand.dx / 1.5
 
 
 def test_all_options_are_declared_on_one_base():
