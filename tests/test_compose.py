@@ -189,3 +189,6 @@ def test_a_clip_without_a_cutout_cannot_be_composed(tmp_path, capsys):
     command = ["render", str(tmp_path / "clip.safetensors"), "--views", "front", "--size", "32"]
     assert main([*command, "--compose", "demo/examples/duck.png"]) == 2
     assert "has no cutout.png" in capsys.readouterr().err
+    (tmp_path / "cutout.png").write_text("no picture")
+    assert main([*command, "--compose", "demo/examples/duck.png"]) == 2
+    assert "cutout.png: It is not a PNG" in capsys.readouterr().err

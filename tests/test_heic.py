@@ -9,7 +9,9 @@ from phy124.errors import InputError
 from phy124.imaging import heic, image
 from phy124.imaging.cutout import cut_out
 from phy124.imaging.image import open_image
+from phy124.imaging.profile import in_srgb
 from support.hostile import PHONE, heic_claiming
+from support.photographs import Entry, display_p3, exif_of, heic_with, upright
 
 reads = pytest.mark.skipif(not heic.is_readable(), reason="the extra heic is not installed")
 
@@ -67,3 +69,19 @@ def test_without_the_package_its_name_is_told(monkeypatch):
     monkeypatch.setattr(heic, "is_readable", lambda: False)
     with pytest.raises(InputError, match=r"package pi-heif can read\. Install it \(.*pip install"):
         open_image(PHONE)
+
+
+@reads
+def test_odd_exif_and_a_profile_of_a_phone(tmp_path):
+    """Its own header turns it, EXIF states another turn, and its colours are Display P3."""
+    odd = exif_of([upright(3), Entry(0x0131, 5, 1, bytes(8)), Entry(0x011A, 10, 1, bytes(8))])
+    (tmp_path / "a.heic").write_bytes(heic_with(PHONE.read_bytes(), display_p3(), odd))
+    plain, found = open_image(PHONE), open_image(tmp_path / "a.heic")
+    expected = in_srgb(plain, display_p3())
+    assert found.info["notes"] == () and found.size == (320, 256)
+    np.testing.assert_array_equal(np.asarray(found), np.asarray(expected))
+    assert np.abs(np.asarray(found).astype(int) - np.asarray(plain)).max() > 10
+    (tmp_path / "b.heic").write_bytes(heic_with(PHONE.read_bytes(), b"damaged", b"Exif\0\0odd"))
+    damaged = open_image(tmp_path / "b.heic")
+    assert "colour profile cannot be used" in damaged.info["notes"][0]
+    np.testing.assert_array_equal(np.asarray(damaged), np.asarray(plain))

@@ -146,3 +146,24 @@ def cmyk_profile() -> bytes:
     table = b"mft1" + bytes(4) + bytes([4, 3, 2, 0])
     table += b"".join(map(fixed, np.eye(3).ravel())) + line * 4 + grid + line * 3
     return profile("CMYK", {"A2B0": table})
+
+
+def heic_with(heic: bytes, profile: bytes, exif: bytes) -> bytes:
+    """The photograph of `support.hostile.PHONE` with a colour profile and other EXIF."""
+    old = heic.index(b"colrnclx") - 4
+    size = int.from_bytes(heic[old : old + 4], "big")
+    new = struct.pack(">I", 12 + len(profile)) + b"colrprof" + profile
+    more = len(new) - size
+    data = bytearray(heic[:old] + new + heic[old + size :])
+    for box in (b"meta", b"iprp", b"ipco"):
+        place = heic.index(box) - 4
+        longer = int.from_bytes(data[place : place + 4], "big") + more
+        data[place : place + 4] = struct.pack(">I", longer)
+    first = heic.index(b"iloc") + 16  # offset of the first of two items of 18 bytes each
+    start = int.from_bytes(data[first : first + 4], "big") + more
+    data[first : first + 4] = struct.pack(">I", start)
+    content = struct.pack(">I", 6) + exif
+    second = first + 18
+    data[second : second + 4] = struct.pack(">I", len(data))
+    data[second + 10 : second + 14] = struct.pack(">I", len(content))
+    return bytes(data) + content
