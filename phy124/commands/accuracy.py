@@ -84,17 +84,17 @@ class ShowAccuracy:
     def _study(self, scene: Scene) -> int:
         from phy124.accuracy.plots import save_page, save_picture
         from phy124.accuracy.study import Study
-        from phy124.pipeline import staged
+        from phy124.io.files import staged, write_whole
 
         device, levels = pick_device(self.device), self._sorted_levels(scene)
         name = Path(str(self.scene)).stem
         out = self.out or Path("out") / f"accuracy-{name}"
-        with Bars(quiet=self.json, keeps=True) as bars, staged(out) as folder:
+        with Bars(quiet=self.json, keeps=True) as bars, staged(out, keeps=True) as folder:
             gaussians, scene, crop = self._object(scene, device, bars)
             study = Study(gaussians, scene, device, levels, crop, progress=bars, keep=True)
             report = study.run()
             bars.close()
-            (folder / "accuracy.json").write_text(json.dumps(report.data(), indent=1), "utf-8")
+            write_whole(folder / "accuracy.json", json.dumps(report.data(), indent=1))
             save_page(report, folder / "accuracy.html", title=f"{name}: accuracy and time")
             missing = ""
             try:

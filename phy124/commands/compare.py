@@ -16,8 +16,8 @@ from phy124.commands.bars import Bars
 from phy124.commands.options import CameraOptions, Device
 from phy124.errors import Cancelled
 from phy124.io.clip import Clip
-from phy124.io.files import staged
-from phy124.io.video import Picture, write_mp4
+from phy124.io.files import staged, write_whole
+from phy124.io.video import Picture, refuse_missing_encoder, write_mp4
 from phy124.metrics.comparison import Likeness, Pictures, check_comparable, compare
 from phy124.progress import Progress
 from phy124.rendering.film import cameras, playback, rate
@@ -49,8 +49,9 @@ class Compare:
         view = Scene.from_data(a.scene, str(paths[0])).replaced(self.view.changes()).view
         out = self.out or paths[0].parent / f"compare-{_name(paths[1])}"
         device = pick_device(self.device)
+        refuse_missing_encoder()
         seen = []
-        with Bars(quiet=self.json, keeps=True) as bars, staged(out) as folder:
+        with Bars(quiet=self.json, keeps=True) as bars, staged(out, keeps=True) as folder:
             with suppress(Cancelled):
                 for side in view.sides:
                     seen.append(_filmed(a, b, view, side, folder, device, bars))
@@ -60,7 +61,7 @@ class Compare:
                 f"{p}: {s}" for p, c in zip(paths, (a, b), strict=True) for s in c.flaws()
             ]
             text = json.dumps(data, indent=2) + "\n"
-            (folder / "comparison.json").write_text(text, "utf-8")
+            write_whole(folder / "comparison.json", text)
             files = [str(out / path.name) for path in sorted(folder.iterdir())]
         print(json.dumps({**data, "files": files}) if self.json else found.table())
         if not self.json:

@@ -20,13 +20,14 @@ from phy124.commands.cutout import IF_WRONG, described, doubt
 from phy124.commands.options import SceneOptions, default_out
 from phy124.commands.picture import PictureOptions, told
 from phy124.commands.plan import PlanOptions, announce, predict
-from phy124.errors import InputError
+from phy124.errors import Cancelled, Incomplete, InputError
 from phy124.generators import needs_image
 from phy124.generators.effort import Effort
 from phy124.generators.ply_file import PlyFile, Reading
 from phy124.imaging.cutout import Cutout
 from phy124.imaging.painted import WHOLE
 from phy124.io.clip import Clip
+from phy124.io.video import refuse_missing_encoder
 from phy124.particles.thinning import check_count
 from phy124.progress import Progress, silent
 from phy124.runtime.device import pick_device
@@ -95,10 +96,17 @@ class Generate:
         """The result with its film in the photograph."""
         clip = Clip.load(result.folder / "clip.safetensors")
         view = Scene.from_data(clip.scene).view
-        with pipeline.staged(result.folder) as folder:
-            path, about = pipeline.into_photograph(
-                clip, view, self.image, result.folder, folder, device=device, progress=bars
-            )
+        try:
+            with pipeline.staged(result.folder) as folder:
+                path, about = pipeline.into_photograph(
+                    clip, view, self.image, result.folder, folder, device=device, progress=bars
+                )
+        except Cancelled:
+            raise
+        except Exception as error:
+            again = f"phy124 render {result.folder / 'clip.safetensors'} --compose {self.image}"
+            kept = f"kept in {result.folder}: {', '.join(result.report['files'])}"
+            raise Incomplete(f"{kept}. `{again}` films it in the photograph") from error
         files = (*result.files, result.folder / path.name)
         names = sorted({*result.report["files"], path.name})
         report = {**result.report, "compose": about, "files": names}
@@ -109,6 +117,7 @@ class Generate:
         """Refuse to compose without a picture of which the run makes a cut-out."""
         if not self.compose:
             return
+        refuse_missing_encoder()
         if not needs_image(self.making.generator):
             limit = f"{self.making.generator} does not look at a picture."
             raise InputError("compose", self.image, limit, "Leave --compose out.")

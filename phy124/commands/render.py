@@ -15,7 +15,8 @@ from phy124.commands.options import Device, ViewOptions
 from phy124.errors import Cancelled
 from phy124.io.clip import Clip
 from phy124.io.files import staged
-from phy124.rendering.film import choppy, film
+from phy124.io.video import refuse_missing_encoder
+from phy124.rendering.film import choppy, film, refuse_missing_writers
 from phy124.rendering.framing import framing
 from phy124.runtime.cores import refuse_threads
 from phy124.runtime.device import pick_device
@@ -51,7 +52,10 @@ class Render:
         others = {f"view.{key.removeprefix('view.')}": value for key, value in given}
         view = Scene.from_data(clip.scene, str(self.clip)).replaced(together(changes, others)).view
         out = self.out or self.clip.parent
-        with Bars(quiet=self.json, keeps=True) as bars, staged(out) as folder:
+        refuse_missing_writers(view)
+        if self.compose is not None:
+            refuse_missing_encoder()
+        with Bars(quiet=self.json, keeps=True) as bars, staged(out, keeps=True) as folder:
             with suppress(Cancelled):
                 device = pick_device(self.device)
                 film(clip, view, folder, device=device, threads=self.threads, progress=bars)

@@ -16,8 +16,9 @@ from phy124.commands.bars import Bars
 from phy124.errors import Cancelled, InputError
 from phy124.experiments import EXPERIMENTS, Experiment, Outcome, named
 from phy124.experiments.page import data, details, save_page, summary
+from phy124.experiments.plots import refuse_missing_plots
 from phy124.experiments.running import outcomes
-from phy124.io.files import staged
+from phy124.io.files import staged, write_whole
 from phy124.runtime.cores import cores, refuse_threads
 
 DOCS = Path("docs/results/experiments.md"), Path("docs/images/experiments")
@@ -59,6 +60,7 @@ class Validate:
             return 0
         refuse_threads(self.jobs)
         self._refuse_docs()
+        self._refuse_out()
         return self._validate(chosen)
 
     def _validate(self, chosen: Sequence[Experiment]) -> int:
@@ -103,15 +105,27 @@ class Validate:
                 "Change to the root of a clone, or write with --out FOLDER.",
             )  # fmt: skip
 
+    def _refuse_out(self) -> None:
+        """Make sure that the results can be written, before the hours that they take.
+
+        Raises:
+            InputError: The folder cannot be written, or what draws the plots is missing.
+        """
+        if self.docs or self.out is not None:
+            refuse_missing_plots()
+        if self.out is not None:
+            with staged(self.out):
+                pass
+
     def _write(self, done: Sequence[Outcome]) -> None:
         if self.docs:
             save_page(done, *DOCS, machine=_machine())
         if self.out is not None:
-            with staged(self.out) as folder:
+            with staged(self.out, keeps=True) as folder:
+                rows = [data(each) for each in done]
+                write_whole(folder / "experiments.json", json.dumps(rows, indent=1))
                 page = folder / "experiments.md"
                 save_page(done, page, folder / "plots", machine=_machine())
-                rows = [data(each) for each in done]
-                (folder / "experiments.json").write_text(json.dumps(rows, indent=1), "utf-8")
 
 
 def _summary(done: Sequence[Outcome]) -> str:

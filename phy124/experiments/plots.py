@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from importlib.util import find_spec
 from typing import Any
 
 from phy124.errors import InputError
@@ -16,6 +17,19 @@ SHADES = ("#c9d8ea", "#8fb0d6", "#5a8bc2")
 """Of the three grids, from coarse to fine."""
 
 
+def refuse_missing_plots() -> None:
+    """Make sure that plots can be drawn.
+
+    Raises:
+        InputError: matplotlib is not installed.
+    """
+    if find_spec("matplotlib") is None:
+        raise InputError(
+            "plots", "SVG", "this needs matplotlib, which is not installed.",
+            f"Run `{install_command('plots')}`, or leave --out and --docs out.",
+        )  # fmt: skip
+
+
 def save_plot(outcome: Outcome, path: PathLike) -> None:
     """Draw one experiment: a curve if its quantities have places on an axis, otherwise rows.
 
@@ -26,15 +40,11 @@ def save_plot(outcome: Outcome, path: PathLike) -> None:
     Raises:
         InputError: matplotlib is not installed.
     """
-    try:
-        import matplotlib
-        from matplotlib.backends.backend_svg import FigureCanvasSVG
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise InputError(
-            "plots", "SVG", "this needs matplotlib, which is not installed.",
-            f"Run `{install_command('plots')}`, or leave --out and --docs out.",
-        ) from None  # fmt: skip
+    refuse_missing_plots()
+    import matplotlib
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
+
     curve = bool(outcome.experiment.axis)
     height = 3.6 if curve else 1.2 + 0.42 * len(outcome.found)
     figure = Figure(figsize=(7.5, height), layout="constrained")

@@ -20,7 +20,8 @@ from phy124.fit.runs import Runs
 from phy124.fit.target import Target
 from phy124.fit.video import Film
 from phy124.io.clip import Clip
-from phy124.io.files import staged
+from phy124.io.files import staged, write_whole
+from phy124.io.video import refuse_missing_encoder
 from phy124.progress import Progress, silent
 from phy124.scene import Scene
 
@@ -63,6 +64,8 @@ def fit(
         InputError: Something cannot be used, cannot be told apart, or takes longer than it may.
     """
     target = Target(declared)
+    if target.film is not None:
+        refuse_missing_encoder()
     budget = Budget(declared.seconds)
     runs = Runs(target, out, budget, progress)
     expected = _outlook(runs, target, workers)
@@ -96,15 +99,19 @@ def _written(target: Target, runs: Runs, budget: Budget, found: Estimate, out: P
     scene = target.scene.replaced(values)
     clip = runs.player.clip(target.played.replaced(values).data())
     report = report_of(target, runs, found, clip, seconds=budget.spent)
-    with staged(out) as folder:
-        (folder / SCENE).write_text(scene.to_toml(), "utf-8")
+    with staged(out, keeps=True) as folder:
+        write_whole(folder / SCENE, scene.to_toml())
+        _write_report(folder, report)
         if target.film is not None:
             report["pictures"] = pictures(target, runs, clip)
+            _write_report(folder, report)
             _compare(target, target.film, clip, report, folder)
-        text = json.dumps(report, indent=2, allow_nan=False) + "\n"
-        (folder / REPORT).write_text(text, "utf-8")
         names = sorted(path.name for path in folder.iterdir())
     return Fitted(scene, report, tuple(out / name for name in names))
+
+
+def _write_report(folder: Path, report: dict[str, Any]) -> None:
+    write_whole(folder / REPORT, json.dumps(report, indent=2, allow_nan=False) + "\n")
 
 
 def _compare(target: Target, film: Film, clip: Clip, report: dict[str, Any], folder: Path) -> None:

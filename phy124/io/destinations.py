@@ -12,6 +12,8 @@ from pathlib import Path
 
 DESCRIPTORS = ("/dev/fd/", "/proc/", "/dev/stdout", "/dev/stderr")
 """Beginnings of paths that name an open file, whatever it is."""
+PARTS = ".*-????????.part*"
+"""Pattern of the names of files that are still being filled."""
 LONGEST = 40
 """Longest part of a file's name that the name of its temporary file repeats, in characters."""
 

@@ -9,8 +9,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from phy124.errors import InputError
-from phy124.io.destinations import beginning, put, real
+from phy124.errors import Incomplete, InputError
+from phy124.io.destinations import PARTS, beginning, put, real
 from phy124.io.locks import lock, locked, unlock
 
 PathLike = str | os.PathLike[str]
@@ -31,6 +31,7 @@ def staged(out: PathLike, *, keeps: bool = False) -> Iterator[Path]:
 
     Raises:
         InputError: If `out` cannot be a folder.
+        Incomplete: Something failed, and `keeps` has kept some files.
     """
     out, missing = Path(out), []
     try:
@@ -48,9 +49,9 @@ def staged(out: PathLike, *, keeps: bool = False) -> Iterator[Path]:
     try:
         yield folder
         deliver(folder)
-    except Exception:
-        if keeps:
-            deliver(folder)
+    except Exception as error:
+        if keeps and (names := deliver(folder)):
+            raise Incomplete(f"kept in {out}: {', '.join(names)}") from error
         raise
     finally:
         shutil.rmtree(folder, ignore_errors=True)
@@ -78,11 +79,21 @@ def write_whole(path: PathLike, text: str) -> None:
 
 
 def _sweep(out: Path) -> None:
-    """Remove the folders of processes that have ended: their locks ended with them."""
+    """Remove the folders and files of processes that have ended: their locks ended with them."""
     for folder in out.glob(f"{MAKING}*"):
         held = lock(folder)
         if held is not None:
             shutil.rmtree(folder, ignore_errors=True)
+        unlock(held)
+    sweep_parts(out)
+
+
+def sweep_parts(folder: Path) -> None:
+    """Remove the half-written files of processes that have ended from a folder."""
+    for path in folder.glob(PARTS):
+        held = lock(path)
+        if held is not None:
+            path.unlink(missing_ok=True)
         unlock(held)
 
 
@@ -124,9 +135,12 @@ def replacing(path: PathLike) -> Iterator[Path]:
             f"no file can be written there ({error.strerror}).",
             "Give a file name in a folder that exists and that you may write to.",
         ) from error
+    held = lock(temporary)
     try:
         yield temporary
         put(temporary, path)
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
+    finally:
+        unlock(held)

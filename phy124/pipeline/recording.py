@@ -41,7 +41,7 @@ class Recording:
 
     def __init__(
         self,
-        out: Path,
+        out: Path | None,
         about: dict[str, Any],
         *,
         files: Mapping[str, bytes] | None = None,
@@ -51,14 +51,15 @@ class Recording:
         """Nothing is written before the first frame.
 
         Args:
-            out: The folder of the run.
+            out: The folder of the run; None: nothing is kept.
             about: What is known about the run, as far as it is known when the state is written.
             files: Further results, which are there before the first frame.
             frames: The file of the frames of the run that is continued, if it has one.
             saved: Number of frames of the run that is continued.
         """
-        self.path, self.about, self.files, self.frames = out / PAUSE, about, files, frames
-        self.failed = not locks.AVAILABLE
+        self.out, self.path = out, (out or Path()) / PAUSE
+        self.about, self.files, self.frames = about, files, frames
+        self.failed = out is None or not locks.AVAILABLE
         """Whether it was given up."""
         self.resumed, self.saved = saved > 0, saved
         """Number of frames from which the run can go on, should it be ended now."""
@@ -122,7 +123,8 @@ class Recording:
 
     def discard(self) -> None:
         """Remove the pause, and the frames with it."""
-        self.path.unlink(missing_ok=True)
+        if self.out is not None:
+            self.path.unlink(missing_ok=True)
         self.close()
 
     def close(self) -> None:
@@ -191,6 +193,28 @@ class Recording:
         size = 4 * sum(a.size for a in (given.means, given.quats, given.scales, given.sh))
         cost = self._cost or (size + 300 * len(run.particles)) / GUESS
         return COST * (time.perf_counter() - self._last) >= cost
+
+
+def taken_up(out: Path | None, **options: Any) -> tuple[Simulation | None, Recording]:
+    """The run that was left in a folder, if one can go on from there, and what keeps it.
+
+    Args:
+        out: The folder; None: nothing is kept.
+        **options: Options of `resume.load`.
+    """
+    if out is None or not (out / PAUSE).is_file():
+        return None, Recording(out, {})
+    sweep(out)
+    frames = None
+    try:
+        saved = resume.read_about(out / PAUSE)["frames"]
+        frames = resume.frames_of(out / PAUSE)
+        run = resume.load(out / PAUSE, frames=frames, **options)
+    except InputError:  # another version's, or damaged
+        if frames is not None:
+            frames.close()
+        return None, Recording(out, {})
+    return run, Recording(out, {}, frames=frames, saved=saved)
 
 
 def sweep(out: Path) -> None:

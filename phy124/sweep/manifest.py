@@ -33,6 +33,21 @@ def keys_in(storage: Storage) -> Iterator[str]:
     return (_key(name) for name in _names(storage) if not name.endswith(FAILED))
 
 
+def sweep_rows(storage: Storage) -> None:
+    """Remove the half-written files that killed processes left beside rows and manifest."""
+    for folder in ("", *FOLDERS):
+        storage.sweep(folder)
+
+
+def refuse_missing_tables() -> None:
+    """Make sure that the manifest can be written.
+
+    Raises:
+        InputError: pyarrow is not installed.
+    """
+    _arrow()
+
+
 def flat(row: Row) -> Row:
     """A row as columns: what was set and the seconds of each stage have a column each."""
     plain = {key: value for key, value in row.items() if key not in ("set", "seconds")}

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 
 from phy124.errors import InputError
 from phy124.progress import Progress, silent
+from phy124.rendering.film import refuse_missing_writers
 from phy124.sweep.in_turn import in_turn
 from phy124.sweep.keys import key_asked, key_of
-from phy124.sweep.manifest import keys_in, write_manifest
+from phy124.sweep.manifest import keys_in, refuse_missing_tables, sweep_rows, write_manifest
 from phy124.sweep.needs import memory_of_gpu, needs_of
 from phy124.sweep.on_ray import on_ray
 from phy124.sweep.plan import Item, Plan
@@ -65,12 +67,14 @@ def run(
 
     Raises:
         InputError: The folder cannot be used, Ray is not there, or the shard does not exist.
-        OSError: No space is left; what is made stays.
+        OSError: No space is left; what is made stays, and frames of the clips that were not.
     """
     part, parts = shard
     if not 1 <= part <= parts:
         raise InputError("shard", f"{part}/{parts}", "there is no such part.", "Give 1/8 to 8/8.")
     storage, counts = Storage(out), counts or Counts()
+    refuse_missing_tables()
+    sweep_rows(storage)
     storage.write("sweep.json", plan.sweep.model_dump_json(indent=2, by_alias=True).encode())
     numbers = plan.share(part, parts)
 
@@ -89,12 +93,13 @@ def run(
             remaining.ended(row)
             counts.left = remaining.left(len(numbers) - counts.clips)
             beat()
-    except OSError as error:
-        if stops_all(error):
+        write_manifest(storage)
+    except BaseException as error:
+        with suppress(OSError):  # the rows are there: the next run makes it
+            write_manifest(storage)
+        if isinstance(error, OSError) and stops_all(error):
             raise OSError(error.errno, FULL.format(out)) from error
         raise
-    finally:
-        write_manifest(storage)
     return counts
 
 
@@ -116,6 +121,8 @@ def _orders(
             continue
         done.add(key)
         sweep = plan.sweep
+        if sweep.films:
+            refuse_missing_writers(scene.view)
         yield Order(
             key, index, item.picture, item.generator, item.changes, scene.data(),
             sweep.gaussians, sweep.films, storage.address,

@@ -3,14 +3,25 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+import tempfile
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from phy124.errors import InputError
-from phy124.io.files import replacing
+from phy124.io.files import deliver, replacing, staged, sweep_parts
 from phy124.runtime.installation import install_command
+
+
+class Filling(NamedTuple):
+    """Files on their way into a storage."""
+
+    place: Path
+    """The folder to fill."""
+    store: Callable[[], int]
+    """Moves what is there by now to the storage; returns its bytes."""
 
 
 class Storage:
@@ -59,20 +70,44 @@ class Storage:
         with replacing(path) as temporary:
             temporary.write_bytes(content)
 
-    def store(self, folder: str, source: Path) -> int:
-        """Copy the files of a folder of this machine; returns their bytes."""
+    @contextmanager
+    def filling(self, folder: str) -> Iterator[Filling]:
+        """A place on this machine for the files of a folder, which may be stored in parts."""
+        if self.here is not None:
+            with staged(self.here / folder) as place:
+                yield Filling(place, partial(_deliver, place))
+            return
+        with tempfile.TemporaryDirectory(prefix="phy124-") as temporary:
+            place = Path(temporary)
+            yield Filling(place, partial(self._copy, folder, place))
+
+    def _copy(self, folder: str, source: Path) -> int:
+        """Move the files of a folder of this machine to the storage; returns their bytes."""
         size = 0
         for path in sorted(path for path in source.rglob("*") if path.is_file()):
             content = path.read_bytes()
             self.write(f"{folder}/{path.relative_to(source).as_posix()}", content)
             size += len(content)
+            path.unlink()
         return size
+
+    def sweep(self, folder: str) -> None:
+        """Remove the half-written files that killed processes left in a folder of this machine."""
+        if self.here is not None:
+            sweep_parts(self.here / folder)
 
     @contextmanager
     def local(self, name: str) -> Iterator[Path]:
         """A file as one of this machine; removed afterwards if it had to be fetched."""
         with fetched(self.place(name)) as path:
             yield path
+
+
+def _deliver(place: Path) -> int:
+    """Move files to their folder on this machine; returns their bytes."""
+    size = sum(path.stat().st_size for path in place.rglob("*") if path.is_file())
+    deliver(place)
+    return size
 
 
 @contextmanager
@@ -86,8 +121,6 @@ def fetched(address: str) -> Iterator[Path]:
     if "file" in _names(files):
         yield Path(address if "://" not in address else path)
         return
-    import tempfile
-
     with tempfile.TemporaryDirectory(prefix="phy124-") as folder:
         target = Path(folder) / Path(path).name
         try:

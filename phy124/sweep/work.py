@@ -5,10 +5,8 @@ from __future__ import annotations
 import errno
 import io
 import json
-import tempfile
 import time
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from PIL import Image
@@ -21,6 +19,7 @@ from phy124.io.clip import Clip
 from phy124.parts import Crop
 from phy124.pipeline import Static, cameras, film, static, write_json
 from phy124.pipeline.making import framed
+from phy124.pipeline.recording import Recording, taken_up
 from phy124.progress import Progress, silent
 from phy124.rendering.render import render, to_bytes
 from phy124.runtime.startup import start
@@ -30,7 +29,7 @@ from phy124.simulation import Interrupted, Simulation
 from phy124.sweep.keys import key_asked
 from phy124.sweep.needs import Needs
 from phy124.sweep.plan import Item
-from phy124.sweep.storage import Storage, fetched
+from phy124.sweep.storage import Filling, Storage, fetched
 
 Row = dict[str, Any]
 """What the manifest says of a clip."""
@@ -126,7 +125,7 @@ def row_of(order: Order, source: Made, progress: Progress = silent) -> Row:
 
     Raises:
         OSError: The machine cannot, for instance because a disk is full.
-        Cancelled: `progress` raised it; nothing of the clip is left.
+        Cancelled: `progress` raised it; on this machine, the next run goes on with the clip.
     """
     start()
     storage, watch = Storage(order.out), Stopwatch()
@@ -176,28 +175,15 @@ def _result(
     if source.gaussians is None or source.crop is None:
         return {"status": "refused", "sentence": source.refusal}
     scene = Scene.from_data(source.scene or order.scene)
-    run = Simulation(
-        source.gaussians, scene, device=order.device, crop=source.crop, watch=watch, threads=1,
-        progress=progress,
-    )  # fmt: skip
-    try:
-        clip = run.run()
-    except Interrupted as cut:
-        raise Cancelled from cut
-    # Times differ from run to run, and equal orders shall give equal files.
-    report = {k: v for k, v in clip.report.items() if k != "substep_stages"}
     folder = f"clips/{order.key[:2]}/{order.key}"
-    with tempfile.TemporaryDirectory(prefix="phy124-") as temporary:
-        here = Path(temporary)
-        with watch.stage("film"):
-            if order.films:
-                film(clip, scene.view, here, device=order.device, threads=1)
-                report |= framed(clip, scene.view)
-            (here / "thumbnail.webp").write_bytes(thumbnail(clip, scene))
-        clip.with_report(report).save(here / "clip.safetensors")
-        write_json(here / "report.json", report)
-        with watch.stage("store"):
-            size = storage.store(folder, here)
+    with storage.filling(folder) as filling:
+        clip, recording = _moved(order, source, scene, storage, folder, watch, progress)
+        try:
+            report, size = _stored(clip, scene, order, filling, watch, progress)
+        except BaseException:
+            recording.leave()
+            raise
+        recording.discard()
     promised = promise(scene, report)
     return {
         "status": "done" if report["complete"] else "stopped",
@@ -208,6 +194,75 @@ def _result(
         "error_seconds": promised.seconds,
         **_numbers(report),
     }
+
+
+def _moved(
+    order: Order,
+    source: Made,
+    scene: Scene,
+    storage: Storage,
+    folder: str,
+    watch: Stopwatch,
+    progress: Progress,
+) -> tuple[Clip, Recording]:
+    """Simulate one clip, from where a killed run left it.
+
+    Args:
+        order: Which clip.
+        source: Its Gaussians.
+        scene: What happens to them.
+        storage: The sweep's folder.
+        folder: Where the clip will be in it.
+        watch: Where the durations of the stages are recorded.
+        progress: Called with (stage, done, total); may raise Cancelled.
+    """
+    assert source.gaussians is not None and source.crop is not None
+    options: dict[str, Any] = {"device": order.device, "watch": watch, "threads": 1}
+    options["progress"] = progress
+    run, recording = taken_up(storage.here and storage.here / folder, **options)
+    if run is None:
+        run = Simulation(source.gaussians, scene, crop=source.crop, **options)
+    try:
+        return run.run(lambda _: recording.see(run)), recording
+    except BaseException as error:
+        recording.rescued()
+        if isinstance(error, Interrupted):
+            raise Cancelled from error
+        raise
+
+
+def _stored(
+    clip: Clip,
+    scene: Scene,
+    order: Order,
+    filling: Filling,
+    watch: Stopwatch,
+    progress: Progress,
+) -> tuple[dict[str, Any], int]:
+    """Store a clip, then its films; returns its report and the bytes of all.
+
+    Args:
+        clip: The clip.
+        scene: Its scene.
+        order: What is asked for.
+        filling: Where it is stored.
+        watch: Where the durations of the stages are recorded.
+        progress: Called with (stage, done, total); may raise Cancelled.
+    """
+    # Times differ from run to run, and equal orders shall give equal files.
+    report = {k: v for k, v in clip.report.items() if k != "substep_stages"}
+    report |= framed(clip, scene.view) if order.films else {}
+    here = filling.place
+    with watch.stage("store"):
+        clip.with_report(report).save(here / "clip.safetensors")
+        write_json(here / "report.json", report)
+        size = filling.store()  # it stays if filming fails
+    with watch.stage("film"):
+        if order.films:
+            film(clip, scene.view, here, device=order.device, threads=1, progress=progress)
+        (here / "thumbnail.webp").write_bytes(thumbnail(clip, scene))
+    with watch.stage("store"):
+        return report, size + filling.store()
 
 
 def _numbers(report: dict[str, Any]) -> Row:
