@@ -69,6 +69,7 @@ class Record:
         self.simulated.check()
         if self.simulated.live:
             run = LiveRun(self.source, self.simulated)
+            self._sink().check()  # before the object is made
             run.prepare()
             self._record(say, run, len(run), run.scene.data(), run.report)
             return _status(run)
@@ -85,18 +86,21 @@ class Record:
         scene: dict[str, Any],
         report: Callable[[], dict[str, Any]],
     ) -> None:
-        sink = McapSink(
-            self.output or self.source.with_name(f"{self.source.stem}-bag"),
-            self.messages,
-            compression=self.compression,
-            scene=scene,
-            report=report,
-            overwrite=self.overwrite,
-        )
+        sink = self._sink(scene=scene, report=report)
         with sink:
             for frame in tqdm(frames, "record", count, leave=False, disable=None):
                 sink.write(frame)
         say(f"{sink.frames} frames in {sink.path}")
+
+    def _sink(self, **about: Any) -> McapSink:
+        """What is written, with what is said about it."""
+        return McapSink(
+            self.output or self.source.with_name(f"{self.source.stem}-bag"),
+            self.messages,
+            compression=self.compression,
+            overwrite=self.overwrite,
+            **about,
+        )
 
 
 @dataclass(frozen=True)

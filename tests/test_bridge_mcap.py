@@ -187,6 +187,42 @@ def test_older_recordings_are_kept_unless_told_otherwise(tmp_path, name):
         assert make_reader(stream).get_summary().statistics.message_count == 4
 
 
+def test_an_older_recording_outlives_a_new_one_that_fails(tmp_path, monkeypatch):
+    from bridge.recover import recover
+
+    path = record(tmp_path / "bag", random_clip(frames=2))
+    older = (path / "bag_0.mcap").read_bytes()
+    for _ in range(2):  # also of two that fail, one after the other
+        sink = McapSink(path, overwrite=True)
+        with (
+            monkeypatch.context() as patch,
+            pytest.raises(InputError, match=r"The older recording is .*bag_0\.mcap\.old"),
+            sink,
+        ):
+            patch.setattr(sink, "_add", lambda _: (_ for _ in ()).throw(OSError(28, "full")))
+            sink.write(random_clip().frame(0))
+    assert (path / "bag_0.mcap.old").read_bytes() == older
+    with pytest.raises(InputError, match="was not finished: `python -m bridge recover"):
+        record(path, random_clip())
+    (path / "bag_0.mcap.old").replace(path / "bag_0.mcap")
+    assert recover(path).frames == 2
+    with McapSink(path, overwrite=True) as sink:
+        sink.write(random_clip().frame(0))
+    assert sorted(file.name for file in path.iterdir()) == ["bag_0.mcap", "metadata.yaml"]
+
+
+def test_a_recording_is_refused_before_the_object_is_made(tmp_path, monkeypatch):
+    from bridge import source
+    from bridge.commands import Record
+    from bridge.source import LiveOptions
+
+    picture = Path(__file__).parents[1] / "demo/examples/duck.png"
+    path = record(tmp_path / "bag", random_clip(frames=1))
+    monkeypatch.setattr(source, "make_object", lambda *_, **__: pytest.fail("it began"))
+    with pytest.raises(InputError, match="exists already"):
+        Record(picture, path, simulated=LiveOptions(live=True)).run(print)
+
+
 def test_unwritable_folder(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match=r"cannot be written there.*Choose another folder"):

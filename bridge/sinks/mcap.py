@@ -17,6 +17,7 @@ from typing import IO, Any, Literal
 from phy124.errors import InputError
 from phy124.gaussians import Frame
 from phy124.io.destinations import put
+from phy124.io.files import sweep_parts, writable
 from phy124.runtime.installation import install_command
 
 from .. import PROGRAM, bag
@@ -28,6 +29,8 @@ Compression = Literal["none", "lz4", "zstd"]
 CHUNK = 1 << 20
 """Size of a chunk [bytes]; a large frame is a chunk of its own."""
 PART = ".part"
+OLDER = ".old"
+"""Ending of the recording in a folder that is replaced, until the new one is complete."""
 log = logging.getLogger(__name__)
 
 
@@ -75,11 +78,32 @@ class McapSink:
         self.file = (
             self.path.with_name(self.path.name + PART) if self._single else bag.mcap_file(self.path)
         )
+        self._older = self.file.with_name(self.file.name + OLDER)
+
+    def check(self) -> None:
+        """Make sure that it can be recorded, before what is recorded is computed.
+
+        Raises:
+            InputError: It exists, or the folder cannot be written.
+        """
+        for existing in (self.path if self._single else self.path / bag.METADATA, self.file):
+            if existing.exists() and not self._overwrite:
+                limit = f"{existing.name} exists already."
+                if existing == self.file and not (self.path / bag.METADATA).exists():
+                    limit = (
+                        f"{existing.name} exists already and was not finished: `{PROGRAM} recover "
+                        f"{self.path}` keeps its frames."
+                    )
+                raise InputError("recording", self.path, limit, "Choose a new name or overwrite.")
+        if not writable(self.file.parent):
+            limit = "It cannot be written there."
+            raise InputError("recording", self.path, limit, "Choose another folder.")
 
     def __enter__(self) -> McapSink:
         """Make the file; raises InputError if it exists or cannot be made."""
-        self._refuse_existing()
+        self.check()
         try:
+            self._put_aside()
             self.file.parent.mkdir(parents=True, exist_ok=True)
             self._stream: IO[bytes] = open(self.file, "wb")
         except OSError as error:
@@ -132,15 +156,16 @@ class McapSink:
         except OSError as error:
             raise self._failure(error) from error
 
-    def _refuse_existing(self) -> None:
-        metadata = self.path / bag.METADATA
-        for existing in (self.path if self._single else metadata, self.file):
-            if existing.exists() and not self._overwrite:
-                limit = f"{existing.name} exists already."
-                raise InputError("recording", self.path, limit, "Choose a new name or overwrite.")
-        if not self._single and metadata.exists():
-            # An old metadata.yaml must never describe a new file.
-            metadata.unlink()
+    def _put_aside(self) -> None:
+        """Keep the older recording under another name until the new one is complete."""
+        sweep_parts(self.file.parent)
+        if self._single:
+            return  # the new one has another name until it is complete
+        finished = (self.path / bag.METADATA).exists()
+        # An old metadata.yaml must never describe a new file.
+        (self.path / bag.METADATA).unlink(missing_ok=True)
+        if self.file.exists() and (finished or not self._older.exists()):
+            os.replace(self.file, self._older)
 
     def _start(self) -> None:
         from mcap.writer import CompressionType, Writer
@@ -185,6 +210,7 @@ class McapSink:
             put(self.file, self.path)
         else:
             bag.write_metadata(self.path, self.file.name, self._counts)
+            self._older.unlink(missing_ok=True)
 
     def _failure(self, error: OSError) -> InputError:
         """Close the file with the data that the system has accepted; returns the error to raise."""
@@ -194,6 +220,8 @@ class McapSink:
             # Closing flushes once more and fails again, but the file is closed then.
             assert self._stream.closed
         limit = f"Writing stopped ({error.strerror}); {self.frames} frames are safe in {self.file}."
+        if not self._single and self._older.exists():
+            limit += f" The older recording is {self._older}."
         remedy = f"Make room and run `{PROGRAM} recover {self.path}`."
         return InputError("recording", self.path, limit, remedy)
 
