@@ -80,6 +80,16 @@ def test_a_crash_is_told():
         run(exec, "import os, signal; os.kill(os.getpid(), signal.SIGTERM)")
 
 
+def test_it_needs_no_room_on_a_disk(monkeypatch):
+    def full(*_):
+        raise OSError("No space left on device")
+
+    monkeypatch.setattr("tempfile.TemporaryFile", full)
+    assert run(abs, -3) == 3
+    with pytest.raises(Unfinished, match=r"broke down \(exit status 3\)"):
+        run(os._exit, 3)
+
+
 def test_its_memory_can_be_limited():
     with pytest.raises(MemoryError):
         run(bytearray, 1 << 30, memory=1 << 29)

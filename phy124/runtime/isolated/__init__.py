@@ -9,6 +9,7 @@ cancelled, and when the process that waits for it dies.
 
 from __future__ import annotations
 
+import os
 import pickle
 import queue
 import subprocess
@@ -75,7 +76,7 @@ def run(
         # There is no Python that could be started: the program would start itself.
         return function(*arguments)
     order = pickle.dumps((memory, sys.path)) + pickle.dumps((function, arguments))
-    with tempfile.TemporaryFile() as log:
+    with _log() as log:
         child = subprocess.Popen(
             [sys.executable, CHILD],
             stdin=subprocess.PIPE,
@@ -124,6 +125,14 @@ def _talk(child: subprocess.Popen[bytes], order: bytes, answers: queue.SimpleQue
         answer = said.read()
         child.wait()
     answers.put(answer)
+
+
+def _log() -> IO[bytes]:
+    """Where the process writes what went wrong; nowhere if no temporary file can be made."""
+    try:
+        return tempfile.TemporaryFile()
+    except OSError:
+        return open(os.devnull, "r+b")
 
 
 def _breakdown(status: int, log: IO[bytes]) -> str:
