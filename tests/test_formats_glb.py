@@ -195,6 +195,16 @@ def test_scales_are_told_in_any_unit(tmp_path, unit, logs):
     assert bool(content.notes) == (logs and unit > 1)
 
 
+@pytest.mark.parametrize("apart", [0.05, 0.5, 2.0])
+def test_a_sparse_cloud_of_lengths_is_no_file_of_logarithms(tmp_path, rng, apart):
+    places = rng.uniform(0, 10 * apart, (1000, 3))
+    sparse = replace(many(rng, 1000, 0), means=places, scales=np.full((1000, 3), apart / 5))
+    path = glb_with(tmp_path / "a.glb", sparse, _set("asset/generator", "a trainer"))
+    content = read_as_is(path)
+    np.testing.assert_allclose(content.gaussians.scales, apart / 5, rtol=1e-6)
+    assert content.notes == ()
+
+
 @pytest.mark.parametrize(
     ("generator", "logs"),
     [("splat-transform 2.6.0", True), ("splat-transform 2.7.0", False),

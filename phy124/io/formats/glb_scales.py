@@ -23,6 +23,8 @@ SOME = 2000
 """Gaussians that are looked at."""
 BARE = 0.55
 """Width, in distances to the neighbours, below which Gaussians leave an object full of holes."""
+SHORT = 1.0
+"""Scale below which all logarithms being above 0 tells nothing: they would be of one size."""
 COVERING = (0.6, 6.0)
 """Widths of Gaussians that cover an object, in the same unit: objects had 1.2 to 3.5."""
 NOTE = "Its scales are read as logarithms: {}."
@@ -64,4 +66,5 @@ def _too_small(scales: NDArray[np.float32], means: NDArray[np.float32]) -> bool:
     with np.errstate(over="ignore"):
         width = np.exp(length)
     low, high = COVERING
-    return length < BARE * spacing and low * spacing <= width <= high * spacing
+    bare = SHORT < length < BARE * spacing
+    return bare and low * spacing <= width <= high * spacing
