@@ -144,7 +144,7 @@ def _refuse_names(options: Sequence[str], commands: Commands, program: str) -> N
         if option in named or not option.startswith("--"):
             continue
         if option[2:].replace("-", "_") in unnamed:
-            usage = " ".join([program, name, *(one.upper() for one in unnamed)])
+            usage = " ".join([program, name, *(field.upper() for field in unnamed)])
             limit = f"`{program} {name}` takes it without a name."
             raise InputError("option", option, limit, f"Write `{usage}`.")
 

@@ -101,8 +101,8 @@ def decoded(data: bytes, purpose: Purpose, longest: int) -> Decoded:
     except UnidentifiedImageError:
         raise unidentified(data, purpose.formats) from None
     except Exception as error:  # Pillow and its libraries raise many types.
-        said = " ".join(str(error).split())[:200] or type(error).__name__
-        raise Unusable(f"It is broken or cut short ({said}).", COPY) from None
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        raise Unusable(f"It is broken or cut short ({reason}).", COPY) from None
 
 
 def check_size(size: Size, minimum: int) -> None:

@@ -101,5 +101,5 @@ def _webp(data: bytes) -> Size | None:
 
 
 def _largest(data: bytes) -> Size | None:
-    stated = (struct.unpack(">II", found[1]) for found in EXTENT.finditer(data))
+    stated = (struct.unpack(">II", match[1]) for match in EXTENT.finditer(data))
     return max(stated, key=lambda size: size[0] * size[1], default=None)
