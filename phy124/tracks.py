@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from phy124.bounds import LONGEST, SHORTEST, Factor, Instant
-from phy124.kernels.profile import JOINS, LIMITED, MEAN, make_sampler
+from phy124.kernels.profile import DRIFT, JOINS, KICK, LIMITED, MEAN, make_sampler
 from phy124.kernels.transfer import types
 from phy124.region import Vector
 from phy124.section import Section
@@ -28,6 +28,10 @@ FOREVER = 1e30
 """Beyond any run [s]; finite, so that it survives float32."""
 Key = tuple[float, Vector]
 """Time [s] and value."""
+Over = Literal["", "kick", "drift"]
+"""The time over which a value is averaged."""
+OVER: dict[Over, int] = {"": 0, "kick": KICK, "drift": DRIFT}
+"""Flags of these."""
 
 
 class Table(Section):
@@ -141,7 +145,7 @@ class Track:
     period: float = 0.0
     """The keys repeat after this time [s]; 0: never."""
     mean: bool = False
-    """Averaged over each kick and zero while inactive; else sampled at the present."""
+    """Averaged over each kick and zero while inactive; else as its slot says."""
 
     @classmethod
     def constant(cls, value: Sequence[float]) -> Track:
@@ -221,14 +225,17 @@ class Tracks:
         self.flags: list[int] = [0]
         self.real, self.device = real, device
 
-    def add(self, track: Track, *, limited: bool = False) -> int:
+    def add(self, track: Track, *, limited: bool = False, over: Over = "") -> int:
         """Add a track and return its slot.
 
         Args:
             track: What varies in time.
             limited: Whether a stage with a limit reads it, so that its values bound nothing.
+            over: Of a track that is no mean: average its value over the kick, or over the substep
+                ahead, also where these reach beyond its window; empty: the present value.
         """
-        return self._append(track, (MEAN if track.mean else 0) | (LIMITED if limited else 0))
+        averaged = MEAN if track.mean else OVER[over]
+        return self._append(track, averaged | (LIMITED if limited else 0))
 
     def accelerate(self, track: Track) -> None:
         """Add a uniform acceleration [m/s^2] to slot 0, where the grid update reads it."""

@@ -142,6 +142,34 @@ def test_a_field_acts_on_what_is_inside_at_the_moment(cylinder):
     assert speeds[1] == pytest.approx(2.0, rel=1e-12)
 
 
+BLOWS = Keyframes(times=(0.0, 5e-4, 1e-3), factors=(0.0, 2.0, 0.0), repeat=True)
+"""A mean of 1 in a period that is shorter than a substep."""
+
+
+@pytest.mark.parametrize(
+    "force",
+    [
+        Acceleration(a=(0.0, 100.0, 0.0), profile=BLOWS),
+        Acceleration(a=(0.0, 100.0, 0.0), profile=BLOWS, region=Region()),
+        ZoneForce(a=(0.0, 100.0, 0.0), profile=BLOWS),
+        TotalForce(f=(0.0, 10.0, 0.0), profile=BLOWS),
+        Wind(v=(0.0, 100.0, 0.0), rate=1.0, profile=BLOWS),
+        Attraction(centre=(0.0, 1e3, 0.0), radius=1e3, g=100.0, profile=BLOWS),
+        SetVelocity(v=(0.0, 1.0, 0.0), profile=BLOWS),
+    ],
+    ids=lambda force: force.kind,
+)
+def test_a_profile_shorter_than_the_substep_pushes_by_its_mean(force):
+    """What a constant of the same mean does, by where the body gets in an eighth of a second."""
+    constant = force.model_copy(update={"profile": Keyframes(factors=(1.0, 1.0))})
+    quick, steady = solver(force), solver(constant)
+    for one in (quick, steady):
+        one.advance(0.1237)
+        assert one.clock.substeps < 60
+    ways = [one.state.x.numpy()[:, 1].mean() - block()[:, 1].mean() for one in (quick, steady)]
+    assert ways[0] == pytest.approx(ways[1], rel=0.02)
+
+
 def test_set_velocity_turns_and_scales_with_its_profile():
     turn = SetVelocity(spin=(0.0, 0.0, 3.0), centre=(0.1, 0.0, 0.0), profile=Ramp(duration=0.1))
     s = solver(turn)

@@ -1,5 +1,7 @@
 """Time profiles: what the device reads from a table, and that kicks tile time without gaps."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import warp as wp
@@ -122,6 +124,91 @@ def test_kicks_of_any_substeps_add_up_to_the_impulse(profile, real, close, rng):
     exact = ((at[1:] + at[:-1]) / 2 * np.diff(fine)).sum()
     tolerance = max(close, 2e-5 if profile.period else 0)  # the sum here has its own error
     assert total == pytest.approx(exact, abs=tolerance)
+
+
+def integral(track: Track, a: float, b: float) -> float:
+    """Exact integral of a track's first component from a to b [s], inside its window."""
+    times = np.array([time for time, _ in track.keys])
+    values = np.array([value[0] for _, value in track.keys])
+    sums = np.append(0, np.cumsum((values[1:] + values[:-1]) / 2 * np.diff(times)))
+
+    def once(t: float) -> float:
+        """From the first key to t, constant outside the keys."""
+        i = int(np.clip(np.searchsorted(times, t) - 1, 0, len(times) - 2))
+        inner = min(max(t, times[0]), times[-1])
+        rise = (values[i] + np.interp(inner, times, values)) / 2 * (inner - times[i])
+        outer = min(t - times[0], 0) * values[0] + max(t - times[-1], 0) * values[-1]
+        return sums[i] + rise + outer
+
+    def since(t: float) -> float:
+        """From the origin to t."""
+        if track.period == 0 or t <= 0:
+            return once(t) - once(0)
+        turns = np.floor(t / track.period)
+        return turns * (once(track.period) - once(0)) + once(t - turns * track.period) - once(0)
+
+    low, high = max(a, track.start), min(b, track.end)
+    return since(high - track.origin) - since(low - track.origin) if high > low else 0.0
+
+
+def random_track(rng: np.random.Generator) -> Track:
+    """A mean of random keys, repeated or not, that take from 1e-5 s to 1 s."""
+    times = np.cumsum(rng.uniform(0.1, 1, rng.integers(2, 9)))
+    times = (times - times[0] * rng.integers(0, 2)) * 10 ** rng.uniform(-5, 0) / times[-1]
+    factors = rng.normal(size=len(times))
+    profile = Keyframes(times=tuple(times), factors=tuple(factors), repeat=rng.random() < 0.7)
+    return scaled(profile, rng.uniform(0, 0.1), rng.uniform(0.1, 0.9), mean=True)
+
+
+def test_kicks_longer_than_a_profile_give_its_whole_impulse(rng):
+    for _ in range(60):
+        track = random_track(rng)
+        total, time, last = 0.0, 0.0, 0.0
+        while time < 1:
+            dt = 10 ** rng.uniform(-3, -0.7)
+            kick = (last + dt) / 2
+            value = sample(track, time, kick, dt)[0]
+            exact = integral(track, time - last / 2, time + dt / 2)
+            assert kick * value == pytest.approx(exact, abs=1e-12)
+            total, time, last = total + kick * value, time + dt, dt
+        assert total == pytest.approx(integral(track, -1, 2), abs=1e-11)
+
+
+def test_the_mean_of_a_quick_sine_is_its_offset():
+    for frequency, kick in [(1e3, 3.33e-3), (400.0, 6.1e-3), (1e4, 0.05)]:
+        track = scaled(Sine(frequency=frequency, phase=90, offset=0.25), mean=True)
+        for real, close in ((wp.float32, 2e-3), (wp.float64, 1e-12)):
+            value = sample(track, 0.1, kick, kick, real)[0]
+            most = 2 / (np.pi * frequency * kick)  # what half a period adds at most
+            assert abs(value - 0.5) < most * (1 + 2e-3) + close
+
+
+@pytest.mark.parametrize("over", ["kick", "drift"])
+def test_a_quick_value_is_averaged_beyond_its_window(over, rng):
+    for _ in range(20):
+        track = random_track(rng)
+        tracks = Tracks(real=wp.float64, device="cpu")
+        slot = tracks.add(replace(track, mean=False), over=over)
+        kick, drift, time = 0.03, 0.04, track.end - 0.01
+        tracks.upload(wp.array([kick, drift, time], dtype=wp.float64))
+        tracks.record().launch()
+        a = time if over == "drift" else time + drift / 2 - kick
+        b = a + (drift if over == "drift" else kick)
+        always = replace(track, start=-9.0, end=9.0)
+        exact = integral(always, a, b) / (b - a)
+        assert tracks.values.numpy()[slot, 0] == pytest.approx(exact, abs=1e-12)
+
+
+def test_a_wall_that_turns_within_a_substep_keeps_its_way(rng):
+    """The rates times the substeps are the way from its first to its last position."""
+    sine = Sine(frequency=370.0)
+    track = replace(scaled(sine), origin=0.05)
+    way, time = 0.0, 0.05
+    for dt in rng.uniform(1e-3, 9e-3, 40):
+        value, _, rate = sample(track, time, dt, dt)
+        assert value == pytest.approx(track.values(np.array([time]))[0, 0], abs=1e-12)
+        way, time = way + dt * rate, time + dt
+    assert way == pytest.approx(track.values(np.array([time]))[0, 0], abs=1e-9)
 
 
 def test_uniform_accelerations_add_up_in_slot_zero():

@@ -16,7 +16,7 @@ from phy124.kernels import push as kernels
 from phy124.mpm import Grid, Model, Stage, State
 from phy124.region import Region, Vector
 from phy124.section import Section
-from phy124.tracks import FOREVER, AnyProfile, Constant, Track, Tracks
+from phy124.tracks import FOREVER, AnyProfile, Constant, Over, Track, Tracks
 
 
 class Force(Section):
@@ -179,6 +179,7 @@ def stage(
     tracks: Tracks,
     *,
     read: Sequence[wp.array] = (),
+    over: Over = "",
 ) -> list[Stage]:
     """One launch over the chosen particles that reads a track and changes velocities.
 
@@ -192,9 +193,10 @@ def stage(
         state: The particles, whose velocities change.
         tracks: Where its strength is registered.
         read: What the kernel reads of the state.
+        over: The time over which a track that is no mean is averaged.
     """
     chosen = force.chosen(model)
-    slot = tracks.add(track)
+    slot = tracks.add(track, over=over)
 
     def record(grid: Grid) -> wp.Launch | None:
         own = within(chosen, grid.run(len(model)))

@@ -31,7 +31,8 @@ class SetVelocity(Force):
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
         """Overwrite v and C of the chosen particles while active."""
         t = types(model.real)
-        slot, chosen = tracks.add(self.track(UNIT, mean=False)), self.chosen(model)
+        slot = tracks.add(self.track(UNIT, mean=False), over="drift")
+        chosen = self.chosen(model)
         kernel = push.make_set_velocity(model.real)
         motion = [t.vec3(*self.v), t.vec3(*self.centre), t.vec3(*self.spin)]
 

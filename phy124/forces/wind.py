@@ -30,4 +30,4 @@ class Wind(Force):
         """Drag the chosen particles along."""
         track = self.track(self.v, mean=False)
         kernel, inputs = push.make_drag(model.real), [self.rate]
-        return stage(self, "wind", kernel, track, inputs, model, state, tracks)
+        return stage(self, "wind", kernel, track, inputs, model, state, tracks, over="kick")

@@ -2,7 +2,8 @@
 
 A wall needs its current position and speed. A force needs its mean over the interval of its kick,
 from half a substep ago to half a substep ahead. These intervals cover time without gaps, so any
-force gives its exact impulse whatever the substeps are.
+force gives its exact impulse whatever the substeps are. A profile may be quicker than a substep:
+means count all its periods, and a wall's speed is then that between its two positions.
 """
 
 from functools import cache
@@ -19,6 +20,10 @@ JOINS = 2
 """Flag of a track that adds to the uniform acceleration in slot 0."""
 LIMITED = 4
 """Flag of a track whose stage says itself how much it may accelerate a particle."""
+KICK = 8
+"""Flag of a track that is averaged over the kick, whether active or not."""
+DRIFT = 16
+"""Flag of a track that is averaged over the substep ahead, whether active or not."""
 
 
 @wp.func
@@ -72,8 +77,47 @@ def mean(
     total = integral(times, keys, first, last, at, to)
     if span[3] > zero and to > span[3]:
         total = integral(times, keys, first, last, at, span[3])
-        total += integral(times, keys, first, last, zero, to - span[3])
+        rest = to - span[3]
+        turns = wp.floor(rest / span[3])
+        if turns > zero:
+            total += turns * integral(times, keys, first, last, zero, span[3])
+        total += integral(times, keys, first, last, zero, rest - turns * span[3])
     return total / (b - a)
+
+
+@wp.func
+def read(times: wp.array(dtype=Any), keys: wp.array(dtype=Any), first: int, last: int, at: Any):
+    """Value of a track and its rate; outside its keys it is constant."""
+    value = keys[last]
+    rate = value - value
+    if at < times[first]:
+        value = keys[first]
+    i = first
+    while i < last and times[i] <= at:
+        if at < times[i + 1]:
+            value = value_at(times, keys, i, at)
+            rate = (keys[i + 1] - keys[i]) / (times[i + 1] - times[i])
+        i += 1
+    return value, rate
+
+
+@wp.func
+def keys_within(times: wp.array(dtype=Any), first: int, last: int, a: Any, b: Any):
+    """Number of keys after the first that are later than a [s] and no later than b."""
+    count = int(0)
+    for i in range(first + 1, last + 1):
+        if times[i] > a and times[i] <= b:
+            count += 1
+    return count
+
+
+@wp.func
+def skips(times: wp.array(dtype=Any), first: int, last: int, at: Any, to: Any, period: Any):
+    """Whether a whole piece between two keys lies between two times [s]."""
+    passed = keys_within(times, first, last, at, to)
+    if period > type(at)(0.0) and to > period:
+        passed += keys_within(times, first, last, type(at)(0.0), to - period)
+    return passed > 1
 
 
 @cache
@@ -113,15 +157,19 @@ def make_sampler(real: Any):
             value = mean(times, keys, first, last, span, a, b)
         else:
             at = folded(now - span[2], span[3])
-            value = keys[last]
-            if at < times[first]:
-                value = keys[first]
-            i = first
-            while i < last and times[i] <= at:
-                if at < times[i + 1]:
-                    value = value_at(times, keys, i, at)
-                    rate = (keys[i + 1] - keys[i]) / (times[i + 1] - times[i])
-                i += 1
+            value, rate = read(times, keys, first, last, at)
+            ahead = clock[1]
+            if ahead > real(0.0):
+                if (flags[slot] & wp.static(KICK | DRIFT)) != 0:
+                    if (flags[slot] & wp.static(DRIFT)) != 0:
+                        a = now
+                        b = now + ahead
+                    always = wp.vector(a, b, span[2], span[3])
+                    value = mean(times, keys, first, last, always, a, b)
+                elif skips(times, first, last, at, at + ahead, span[3]):
+                    to = folded(at + ahead, span[3])
+                    later, _ = read(times, keys, first, last, to)
+                    rate = (later - value) / ahead
         active = real(0.0)
         if now >= span[0] and now < span[1]:
             active = real(1.0)
