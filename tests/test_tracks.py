@@ -1,6 +1,7 @@
 """Time profiles: what the device reads from a table, and that kicks tile time without gaps."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from phy124.tracks import AnyProfile, Constant, Keyframes, Ramp, Sine, Table, Tr
 REALS = [wp.float32, wp.float64]
 
 
-def sample(track: Track, time: float, kick: float = 0.0, drift: float = 0.0, real=wp.float64):
+def sample(track: Track, time: float, kick=0.0, drift=0.0, real: Any = wp.float64):
     """Value, whether active, and rate of one track at a time."""
     tracks = Tracks(real=real, device="cpu")
     slot = tracks.add(track)
