@@ -113,13 +113,15 @@ SABOTAGE = {
                  "if found == 0:\n                    clear",
                  "if True:\n                    clear"),
     29: Sabotage("walls answer before the body has come to them", "kernels/columns.py",
-                 "m[1] * covered(far) >= enough", "m[0] > enough"),
+                 "if m[1] * covered(u[0]) >= enough:", "if m[0] > enough:"),
     30: Sabotage("what is too fast is told to be softer", "remedies.py",
                  '"speed": ("push",)', '"speed": ("softer",)'),
     31: Sabotage("what flows meets walls node by node", "boundaries/base.py",
                  "return self.reach(dx) is None", "return False"),
     32: Sabotage("a free solid gives momentum and loses none", "kernels/free/exchange.py",
                  "(at3(trial, WALLS) - J) / mass", "at3(trial, WALLS) / mass"),
+    33: Sabotage("walls take every body for a straight one", "kernels/columns.py",
+                 "return part * part", "return type(u)(1.0)"),
 }  # fmt: skip
 """One deliberate error per case, by its number."""
 
@@ -143,7 +145,7 @@ def test_equal_bits_are_asked_of_a_cpu_only():
 
 
 def test_every_case_has_a_sabotage():
-    assert set(SABOTAGE) == {case.number for case in CASES} == set(range(1, 33))
+    assert set(SABOTAGE) == {case.number for case in CASES} == set(range(1, 34))
 
 
 @pytest.mark.parametrize("number", SABOTAGE)

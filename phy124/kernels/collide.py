@@ -212,7 +212,16 @@ def make_contact(shape: str, response: str, moving: bool, real: Any):
         change = tied(relative(q0, q1, q2, wall), m, g)
         stop = change * normal
         pressed = wp.dot(m, stop)
-        if acts(m, s1[3] / across, s0[3] / across, lightest / mass, full) and pushes(pressed):
+        u = wp.vector(s0[3], s1[3], s2[3]) / across
+        above = real(0.0)
+        if laden(grid_out, size, span, lead - back):
+            above = grid_out[n - step][3] / mass
+        # Drops and grains get behind a wall now and then, see below.
+        beyond = real(0.0)
+        if wp.isinf(loose) and laden(grid_out, size, span, end + back):
+            beyond = grid_out[n + 3 * step][3] / mass
+        come = acts(m, above, beyond, u, lightest / mass, full)
+        if come and pushes(pressed):
             drag = along_wall(change, normal)
             taken = hold(wp.transpose(drag) * m, pressed, friction)
             change = wp.outer(stop, normal) + drag * taken

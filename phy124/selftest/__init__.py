@@ -17,6 +17,7 @@ from phy124.selftest import (
     laws,
     limits,
     shapes,
+    tips,
     world,
 )
 from phy124.selftest.case import Case, Check, Row, Setting, examine
@@ -54,6 +55,7 @@ CASES = (
     Case(30, "advice that is followed helps", advice.advice, precise=False),
     Case(31, "what flows, at walls", flow.flow),
     Case(32, "free solids, light and heavy", free.free),
+    Case(33, "tips, edges, legs and hairs", tips.tips),
 )
 """All cases in order."""
 
