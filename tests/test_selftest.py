@@ -121,7 +121,7 @@ SABOTAGE = {
     32: Sabotage("a free solid gives momentum and loses none", "kernels/free/exchange.py",
                  "(at3(trial, WALLS) - J) / mass", "at3(trial, WALLS) / mass"),
     33: Sabotage("walls take every body for a straight one", "kernels/columns.py",
-                 "return part * part", "return type(u)(1.0)"),
+                 "NARROWING = wp.constant(1.4)", "NARROWING = wp.constant(0.0)"),
 }  # fmt: skip
 """One deliberate error per case, by its number."""
 
