@@ -7,7 +7,7 @@ Gaussians are applied; columns that are not known are named, since they may chan
     Mip-Splatting, GOF, RaDe-GS       filter_3D                   its filter widens and thins
     2DGS                              no scale_2                  flat
     isotropic trainings               scale_0 alone               round
-    splatfacto with colours as rgb    red, green, blue, no f_dc   colours that do not change
+    trainings of plain colours        red, green, blue, no f_dc   colours that do not change
     Scaffold-GS, Octree-GS, HAC       f_anchor_feat, f_offset     refused: a network makes them
 """
 
