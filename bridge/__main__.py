@@ -20,15 +20,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from .importing import importing
 
         with importing(130, STOPPED):
+            from phy124.failures import failure
+            from phy124.runtime.address_space import refuse_narrow
             from phy124.runtime.signals import handled, interrupt
             from phy124.runtime.streams import steady_streams
 
+            refuse_narrow()  # before NumPy is imported
             from .command_line import run
         with steady_streams(), handled(interrupt):
             return run(given, __doc__)
     except KeyboardInterrupt:
         sys.stderr.write(STOPPED)
         return 130
+    except MemoryError as problem:
+        sys.stderr.write(f"bridge: {failure(problem).sentence}\n")
+        return 1
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ from importlib.util import find_spec
 
 from phy124.errors import InputError
 from phy124.failures import Kind, failure
+from phy124.runtime.address_space import refuse_narrow
 from phy124.runtime.installation import install_command
 from phy124.runtime.streams import steady_streams
 
@@ -22,6 +23,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     chosen = asked_for(arguments)
     with steady_streams():
         try:
+            refuse_narrow()
             serve(Settings.from_environment({**os.environ, **chosen}))
         except SystemExit:  # the server ends by itself
             raise

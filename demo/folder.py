@@ -32,7 +32,7 @@ def own_folder(wanted: str = "") -> Iterator[Path]:
     """
     if not wanted:
         _sweep(Path(tempfile.gettempdir()))
-    root = Path(wanted or tempfile.mkdtemp(prefix=PREFIX)).absolute()
+    root = Path(os.path.expanduser(wanted) or tempfile.mkdtemp(prefix=PREFIX)).absolute()
     root.mkdir(parents=True, exist_ok=True)
     strangers = [] if (root / LOCK).exists() else sorted(path.name for path in root.iterdir())
     lock = _locked(root)

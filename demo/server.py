@@ -25,6 +25,7 @@ from .connections import Patient, allow_connections
 from .gaussian_files import SMALLER
 from .guard import Doorkeeper, Headed, listed, own_names
 from .identity import cookie_of
+from .proxies import reach_itself
 from .streams import Streams
 from .touch import socket_route
 from .touch.orders import LARGEST
@@ -52,6 +53,7 @@ SWEEP = 5.0
 
 def prepare(settings: Settings, root: Path) -> None:
     """Set the environment variables that Gradio reads when it is imported."""
+    reach_itself(settings.host)
     os.environ["GRADIO_ANALYTICS_ENABLED"] = "False"
     os.environ.setdefault("HF_HUB_DISABLE_TELEMETRY", "1")
     os.environ.pop("GRADIO_VIBE_MODE", None)

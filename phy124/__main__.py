@@ -26,6 +26,7 @@ from phy124 import __version__
 from phy124.arguments.operands import divided
 from phy124.arguments.parsing import Answered
 from phy124.failures import failure
+from phy124.runtime.address_space import refuse_narrow
 from phy124.runtime.signals import handled, interrupt
 from phy124.runtime.streams import steady_streams
 
@@ -103,7 +104,11 @@ def _parsed(arguments: list[str]) -> Any:
     from phy124.arguments.parsing import asks_for_commands, parsed
     from phy124.commands import COMMANDS, outline
 
-    commands = outline() if asks_for_commands(arguments) else COMMANDS
+    if asks_for_commands(arguments):
+        commands = outline()
+    else:
+        refuse_narrow()  # before a command's module imports NumPy
+        commands = COMMANDS
     command = parsed(arguments, commands, program="phy124", description=__doc__)
     from phy124.commands.kinds import refuse_other_kind
 

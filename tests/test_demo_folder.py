@@ -26,6 +26,13 @@ def test_it_goes_with_everything_in_it(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_it_may_be_named_by_the_home(tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    with own_folder("~/page") as root:
+        assert root == tmp_path / "page" and not (tmp_path / "~").exists()
+
+
 def test_it_goes_when_the_page_fails(tmp_path):
     with pytest.raises(RuntimeError), own_folder() as root:
         (root / "photograph.png").write_bytes(b"x")

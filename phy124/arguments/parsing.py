@@ -13,6 +13,7 @@ from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from typing import Any
 
+from phy124.arguments.homes import from_home
 from phy124.arguments.operands import divided
 from phy124.arguments.repeats import gathered, members, positionals
 from phy124.errors import InputError, did_you_mean, meant
@@ -50,7 +51,7 @@ def parsed(
     """
     import tyro
 
-    options, operands = divided(arguments)
+    options, operands = divided([from_home(word) for word in arguments])
     arguments = [*options, *operands] or ["--help"]
     _refuse(arguments, commands, program, empty)
     name = arguments[0]

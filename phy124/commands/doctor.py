@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from phy124.commands.weights import data, lines, summary
+from phy124.errors import InputError
+from phy124.io.video import encoder_problem, refuse_missing_encoder
 from phy124.runtime.cores import cores
 from phy124.runtime.driver import driver
 from phy124.runtime.installation import install_command
@@ -22,13 +24,18 @@ EXTRAS = {
     "gpu": ("gsplat",),
     "eval": ("torch", "transformers"),
     "heic": ("pi_heif",),
-    "demo": ("gradio", "pi_heif"),
+    "demo": ("gradio", "websockets", "pi_heif", "cma"),
     "bridge": ("mcap",),
     "dds": ("cyclonedds",),
     "foxglove": ("foxglove",),
     "exr": ("OpenEXR",),
     "usd": ("pxr",),
     "plots": ("matplotlib",),
+    "mesh": ("trimesh",),
+    "sweep": ("ray", "pyarrow", "fsspec"),
+    "s3": ("ray", "pyarrow", "fsspec", "s3fs"),
+    "fit": ("cma",),
+    "fourdgs": ("fourdgs",),
 }
 """Optional part -> the modules it needs."""
 
@@ -51,13 +58,16 @@ class Doctor:
             print(json.dumps({**found, "weights": data(files)}))
         else:
             for name, value in found.items():
-                print(f"{name:<12}{_text(value)}")
+                if name != "faults":
+                    print(f"{name:<12}{_text(value)}")
             if self.all:
                 print("\n".join(["weights", *lines(files)]))
             else:
                 print(f"{'weights':<12}{summary(files)}")
                 print("Every file of weights: phy124 doctor --all")
-        return 0 if found["encoder"] else 1
+            for sentence in found["faults"]:
+                print(f"{'FAULT':<12}{sentence}")
+        return 1 if found["faults"] else 0
 
 
 def examine() -> dict[str, Any]:
@@ -78,6 +88,7 @@ def examine() -> dict[str, Any]:
             extra: [m for m in modules if find_spec(m) is None] or "installed"
             for extra, modules in EXTRAS.items()
         },
+        "faults": _faults(),
     }
 
 
@@ -85,9 +96,16 @@ def _encoder() -> str | None:
     """The path of the ffmpeg program that writes MP4s; None if it does not work."""
     import imageio_ffmpeg
 
-    from phy124.io.video import encoder_problem
-
     return None if encoder_problem() else imageio_ffmpeg.get_ffmpeg_exe()
+
+
+def _faults() -> list[str]:
+    """What is missing that runs need, with the remedy."""
+    try:
+        refuse_missing_encoder()
+    except InputError as fault:
+        return [f"{fault.limit[:1].upper()}{fault.limit[1:]} {fault.remedy}"]
+    return []
 
 
 def _text(value: Any) -> str:
@@ -96,4 +114,6 @@ def _text(value: Any) -> str:
         fine = ", ".join(k for k in value if k not in missing) or "none"
         rest = "; ".join(f"{k} needs `{install_command(k)}`" for k in missing)
         return f"{fine}{'; ' + rest if rest else ''}"
+    if value is None:
+        return "none"
     return ", ".join(value) if isinstance(value, list) else str(value)
