@@ -181,7 +181,7 @@ def make_object(
         views=options.views,
         **options.cutting.given(),
         looked=look,
-        foretold=lambda effort: log.info(
+        announce=lambda effort: log.info(
             "%s: %s; about %.0f s", options.generator, effort.words, effort.seconds
         ),
         device=device,

@@ -11,8 +11,6 @@ from typing import Any
 from phy124.errors import Remedy
 from phy124.scene import Scene
 
-STRENGTHS = ("g", "a", "f", "p", "v")
-"""The fields that set the strength of a force."""
 SOFTER = 16.0
 """Factor by which E is lowered: the substep becomes four times as long."""
 

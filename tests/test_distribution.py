@@ -1,6 +1,7 @@
 """What `make dist` builds, installed into a fresh environment and tried outside the checkout."""
 
 import os
+import re
 import subprocess
 import sys
 import sysconfig
@@ -16,6 +17,7 @@ import phy124
 from bridge import PROGRAM
 from demo import exports
 from phy124.io.ply import write_ply
+from phy124.scene.files import read_toml
 from support.served import serving
 from support.shapes import ball
 
@@ -122,6 +124,20 @@ def test_the_page(programs, tmp_path, monkeypatch):
     assert "True" in run(programs / "python", "-c", code, cwd=tmp_path)
     with serving(tmp_path, [programs / "phy124-demo"]) as server:
         assert server.health()["status"] == "ok"
+
+
+def test_a_space_installs_what_pyproject_says():
+    """A Space reads requirements.txt before it has the rest, so that file copies these bounds."""
+    project = read_toml(ROOT / "pyproject.toml", "pyproject")["project"]
+    extras = project["optional-dependencies"]
+    needed, left = list(project["dependencies"]), ["demo", "bridge"]
+    while left:
+        for entry in extras[left.pop()]:
+            inner = re.fullmatch(r"phy124\[(.+)\]", entry)
+            left += inner[1].split(",") if inner else []
+            needed += [] if inner else [entry]
+    lines = (ROOT / "requirements.txt").read_text("utf-8").splitlines()
+    assert sorted(lines[1:]) == sorted(needed)
 
 
 def test_who_cites_it_names_this_version():

@@ -21,6 +21,8 @@ PRIVATE = re.compile(
     r"\b(ledger|culprit|blame|foretell|foretold|wished|patience|greatest|pace|lanes?|ppc)\b", re.I
 )
 """Words that this project once had for things of which the field has other names."""
+RENAMED = ROOT / "phy124/scene/renamed.py"
+"""Keeps such words, since it reads them in older scenes."""
 
 
 class Function(NamedTuple):
@@ -93,5 +95,7 @@ def test_refusals_are_told(room):
 def test_words_are_those_of_the_field(room):
     at = ROOT / room
     for path in [at] if at.is_file() else at.rglob("*.py"):
+        if path == RENAMED:
+            continue
         for line in path.read_text("utf-8").splitlines():
-            assert not PRIVATE.search(line) or "old" in line or path.stem == "renamed", line
+            assert not PRIVATE.search(line), f"{path.name}: {line}"

@@ -74,7 +74,7 @@ def test_the_command_line_refuses_what_cannot_be(picture, capsys):
 
 def test_what_takes_long_is_told_before_and_in_the_report(picture):
     slow, order = Slow(), []
-    made = static(picture, generator=slow, foretold=lambda effort: order.append(slow.calls))
+    made = static(picture, generator=slow, announce=lambda effort: order.append(slow.calls))
     assert order == [0] and slow.calls == 1
     assert made.about["effort"] == {"steps": 7, "predicted": 400.0}
     assert effort_of(static) is None

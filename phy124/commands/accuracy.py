@@ -25,7 +25,6 @@ from phy124.runtime.device import pick_device
 from phy124.scene import Scene
 from phy124.weights.store import looking_in
 
-DUCK = "demo/examples/duck.png"
 KEPT = "the results are those of the settings that were run"
 
 
@@ -139,7 +138,7 @@ class ShowAccuracy:
             how["generator"] = str(self.image)
         with looking_in(self.making.cutting.weights):
             made = static(
-                self.image, scene, **how, looked=self._look, foretold=self._foretell,
+                self.image, scene, **how, looked=self._look, announce=self._announce,
                 device=device, progress=progress,
             )  # fmt: skip
         return made.gaussians, made.scene, made.crop
@@ -149,7 +148,7 @@ class ShowAccuracy:
             see = f"Look at it with `phy124 cutout {self.image}`"
             doubt(cutout, f"{see}; --pick or --mask corrects it.")
 
-    def _foretell(self, effort: Effort) -> None:
+    def _announce(self, effort: Effort) -> None:
         if not self.json:
             print(told(self.making.generator, effort), flush=True)
 

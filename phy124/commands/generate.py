@@ -144,10 +144,10 @@ class Generate:
 
     def _options(self, bars: Bars) -> dict[str, Any]:
         """How the Gaussians are made, and what is printed meanwhile."""
-        looks = {"looked": partial(self._look, bars), "foretold": partial(self._foretell, bars)}
+        looks = {"looked": partial(self._look, bars), "announce": partial(self._announce, bars)}
         return {**self.making.given(), **looks}
 
-    def _foretell(self, bars: Bars, effort: Effort) -> None:
+    def _announce(self, bars: Bars, effort: Effort) -> None:
         if not self.options.json:
             bars.close()
             print(told(self.making.generator, effort), flush=True)

@@ -98,11 +98,6 @@ def _fitted(mask: NDArray[np.bool_], wanted: NDArray[np.bool_]) -> Values:
     return matrix(place)
 
 
-def _middle(mask: NDArray[np.bool_]) -> Values:
-    """The middle of a mask, across and down [pixels]."""
-    return np.argwhere(mask).mean(0)[::-1] if mask.any() else np.zeros(2)
-
-
 def _moved(
     picture: NDArray, matrix: Values, size: tuple[int, ...], border: int = cv2.BORDER_CONSTANT
 ) -> NDArray:

@@ -63,7 +63,7 @@ def static(
     depth: DepthMap | None = None,
     views: OtherViews | None = None,
     looked: Callable[[Cutout], object] = lambda cutout: None,
-    foretold: Callable[[Effort], object] = lambda effort: None,
+    announce: Callable[[Effort], object] = lambda effort: None,
     stand_in: bool = False,
     count: int | None = None,
     device: str = "cpu",
@@ -84,7 +84,7 @@ def static(
         depth: Depth map of the picture, for `relief`.
         views: Further pictures of the object, for `relief`.
         looked: Called with each cut-out before the long work begins.
-        foretold: Called with what the generator will take, if it takes long, before it begins.
+        announce: Called with what the generator will take, if it takes long, before it begins.
         stand_in: Whether `relief` takes the place of a generator that takes long, for a forecast.
         count: Largest number of Gaussians.
         device: Where the generator runs, by Warp's name.
@@ -122,7 +122,7 @@ def static(
     with watch.stage("generate"):
         effort = effort_of(make)
         if effort is not None:
-            foretold(effort)
+            announce(effort)
             about["effort"] = {**effort.settings, "predicted": effort.seconds}
             make = asked_for(make_generator("relief"), count) if stand_in else make
         if isinstance(make, PlyFile):
