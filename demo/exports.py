@@ -16,8 +16,7 @@ from phy124.io.export import write_ply_sequence
 from phy124.io.export.html import write_html
 from phy124.io.files import staged
 from phy124.io.formats import FORMATS, WRITTEN, Format
-from phy124.rendering.film import cameras
-from phy124.rendering.framing import fitted
+from phy124.rendering.framing import standing
 from phy124.rendering.shine import glossed
 from phy124.rendering.stage.build import stage_of
 from phy124.rendering.stage.packing import packed
@@ -69,9 +68,9 @@ class Export:
 
 def _html(done: Done, path: Path) -> None:
     clip = Clip.load(done.clip / "clip.safetensors")
-    view = fitted(clip, View.model_validate(clip.scene["view"]))
+    view = View.model_validate(clip.scene["view"])
     around = packed(stage_of(clip, view), clip)
-    first = cameras(clip, view, "front")[0]
+    first = standing(clip, view, "front")
     shown, gloss = glossed(clip, view)
     write_html(path, shown, first, background=view.background, stage=around, shine=gloss)
 

@@ -19,10 +19,9 @@ from phy124.gaussians import Frame
 from phy124.generators import make
 from phy124.imaging.cutout import cut_out
 from phy124.io.clip import Clip
-from phy124.pipeline import cameras
 from phy124.progress import silent
 from phy124.rendering.frames import render_frames
-from phy124.rendering.framing import departures, fitted
+from phy124.rendering.framing import standing
 from phy124.rendering.shine import shine_of
 from phy124.rendering.stage.build import stage_of
 from phy124.scene import Scene, View, preset_names
@@ -45,8 +44,6 @@ FRAMES = {"water": 11}
 """Fewer, of materials that would otherwise spread far beyond their card."""
 LONGEST = 24
 """Number of pictures of a loop; of a longer clip every second frame is shown, or fewer."""
-AROUND = 1.12
-"""How much farther away the camera is to see a whole motion, since Gaussians have a size."""
 SIZE, CHIP = 200, 96
 """Sides of a preset's picture and of a material's [pixels]."""
 
@@ -83,7 +80,7 @@ def make_preview(scene: Scene, example: str, path: Path, size: int) -> None:
     cutout = cut_out(FOLDER / "examples" / f"{example}.png").picture
     clip = Simulation(make("relief")(cutout, seed=0, progress=silent), scene).run()
     path.parent.mkdir(exist_ok=True)
-    view = _framed(clip, scene.view).model_copy(update={"size": (size, size), "stage": "studio"})
+    view = scene.view.model_copy(update={"size": (size, size), "stage": "studio"})
     step = -(-len(clip) // LONGEST)
     images = _telling(_filmed(clip, view, step))
     duration = round(1000 * step / (0.6 * scene.time.fps))
@@ -98,7 +95,7 @@ def _filmed(clip: Clip, view: View, step: int) -> list[Image.Image]:
 
     Behind them there is nothing, so that they fit a light and a dark page.
     """
-    camera = cameras(clip, view, "front")[0]
+    camera = standing(clip, view, "front")
     frames, shine = list(clip.frames())[::step], shine_of(clip, view)
     if shine is not None:
         frames = list(shine.frames(frames, [camera] * len(frames)))
@@ -114,15 +111,6 @@ def _before(grey: float, clip: Clip, frames: list[Frame], camera: Camera, view: 
     stage = stage_of(clip, view.model_copy(update=plain))
     at = None if stage is None else replace(stage, pool=0.0).at
     return list(render_frames(frames, camera, background=colour, stage=at))
-
-
-def _framed(clip: Clip, view: View) -> View:
-    """The view from closer than usual, or from far enough to see the whole motion."""
-    closer = view.model_copy(update={"distance": view.distance - 0.2})
-    if not departures(clip, closer):
-        return closer
-    whole = fitted(clip, view)
-    return whole.model_copy(update={"distance": AROUND * whole.distance})
 
 
 def _clear(on_black: NDArray, on_white: NDArray) -> Image.Image:

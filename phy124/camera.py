@@ -69,6 +69,11 @@ class Camera:
         return 0.5 * self.height / math.tan(0.5 * math.radians(self.fov_y))
 
     @property
+    def halves(self) -> tuple[float, float]:
+        """Half the width and half the height of what it shows at a distance of 1."""
+        return 0.5 * self.width / self.focal, 0.5 * self.height / self.focal
+
+    @property
     def centre(self) -> tuple[float, float]:
         """Where the optical axis meets the image, pixels."""
         return self.width / 2 + self.shift[0], self.height / 2 + self.shift[1]

@@ -124,6 +124,12 @@ class Gaussians:
         x, y, z = self.scales.T  # several times faster than a maximum over three neighbours
         return np.maximum(np.maximum(x, y), z)
 
+    @property
+    def cover(self) -> Array:
+        """Opacity times the area of the two longest axes of each [N], m^2: how much it shows."""
+        x, y, z = self.scales.T
+        return self.opacities * np.maximum(np.maximum(x * y, y * z), z * x)
+
     def deviations(self) -> NDArray[np.float64]:
         """Standard deviations along the axes of space [N,3], m, in double precision."""
         axes = rotation_matrices(self.quats) * self.scales[:, None, :].astype(np.float64)

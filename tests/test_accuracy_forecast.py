@@ -13,6 +13,7 @@ from phy124.accuracy.forecast import Forecast, pixels_per_size
 from phy124.accuracy.pilot import CELLS, Pilot, coarsened, fly
 from phy124.accuracy.probe import SubstepCost
 from phy124.accuracy.promises import Promise
+from phy124.rendering.nearest import ROOM
 from phy124.scene import PRESETS, Scene
 from phy124.simulation import Simulation
 from support.shapes import ball
@@ -139,13 +140,14 @@ def test_a_second_look_at_the_stops_runs_nothing(monkeypatch):
     assert stops["standard"].pixels is None
     substeps = [stop.forecast.substeps for stop in stops.values()]
     assert substeps == sorted(substeps)
-    assert stops["draft"].pixels == pytest.approx(0.07 * 64 / 2 / np.tan(np.radians(24.55)) / 1.9)
+    assert stops["draft"].pixels == pytest.approx(0.07 * 64 / ROOM)
     monkeypatch.setattr(module, "Simulation", None)
     assert forecaster.stops(OBJECT, scene("push_right")) == stops
 
 
 def test_pixels_per_size_is_what_the_camera_sees():
-    chosen = scene("press", **{"view.size": 512})
+    assert pixels_per_size(scene("press", **{"view.size": 512})) == 512 / ROOM
+    chosen = scene("press", **{"view.size": 512, "view.distance": 2.5})
     half = 0.5 * chosen.view.distance * np.tan(np.radians(chosen.view.fov / 2)) * 2
     assert pixels_per_size(chosen) == pytest.approx(512 / (2 * half))
 

@@ -262,7 +262,7 @@ def shifted(by: float) -> Clip:
 
 
 def test_difference_of_a_known_shift():
-    view = Scene().view.model_copy(update={"size": (64, 64), "elevation": 0.0})
+    view = Scene().view.model_copy(update={"size": (64, 64), "elevation": 0.0, "fit": False})
     apart = difference(shifted(0.1), shifted(0.0), view)
     assert apart.metres == pytest.approx(0.1 / np.sqrt(2), rel=1e-5)
     assert apart.relative == pytest.approx(apart.metres, rel=1e-5)

@@ -6,7 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from phy124.rendering.framing import FIT_AT_MOST, ROOM, cameras, departures, fitted, framing
+from phy124.commands.options import ViewOptions
+from phy124.rendering.framing import cameras, departures, framing
+from phy124.rendering.nearest import CLOSE, DEPTHS, ROOM
 from phy124.scene import View
 from support.clips import AWAY, flight
 
@@ -112,22 +114,85 @@ def test_many_gaussians_cost_no_more_than_a_sample():
     assert one.outside == pytest.approx(other.outside, abs=0.03)
 
 
-def test_a_motion_that_would_leave_the_picture_is_seen_from_farther_away():
-    clip, fits = flight(AWAY), view(fit=True)
-    (left,) = departures(clip, view())
-    assert fitted(clip, fits).distance == ROOM * left.distance > fits.distance
-    assert departures(clip, fits) == [] and framing(clip, fits)["notes"] == []
-    here, there = (cameras(clip, chosen, "front")[0] for chosen in (view(), fits))
-    ratio = math.dist(there.eye, there.target) / math.dist(here.eye, here.target)
-    assert ratio == pytest.approx(ROOM * left.distance / fits.distance)
-    assert fitted(flight(AWAY[:2]), fits).distance == fits.distance
+FITS = {"fit": True, "elevation": 10}
+LEAP = [(0, 0, 0)] * 12 + [(0, 0, 2.5)] + [(0, 0, 0)] * 12
+"""A rare moment."""
 
 
-def test_nobody_is_moved_who_follows_or_chose_a_distance_nor_too_far():
+def extents(clip, chosen, side="front") -> np.ndarray:
+    """Corners of what the whole motion takes of the picture [2,2], from 0 to 1."""
+    seen = cameras(clip, chosen, side)
+    pixels = np.stack([c.project(m)[0] for c, m in zip(seen, clip.means, strict=True)])
+    places = (pixels / chosen.size).reshape(-1, 2)
+    return np.stack([places.min(axis=0), places.max(axis=0)])
+
+
+def scaled(clip, factors):
+    thin = np.float32(min(factors))
+    return replace(clip, means=clip.means * np.float32(factors), scales=clip.scales * thin)
+
+
+@pytest.mark.parametrize("size", [(128, 128), (256, 128), (64, 256)])
+@pytest.mark.parametrize(
+    "steps", [AWAY[:1], AWAY, [(-x, 0, y) for x, y, _ in AWAY], [(y, 0, 0) for _, y, _ in AWAY]]
+)
+def test_the_whole_motion_fills_the_picture(steps, size):
+    low, high = extents(flight(steps), view(**FITS, size=size))
+    assert (low > 0).all() and (high < 1).all()
+    assert (high - low).max() == pytest.approx(1 / ROOM, abs=0.05)
+    assert np.allclose((low + high)[(high - low).argmax()], 1, atol=0.03)
+
+
+def test_the_orbit_shows_the_whole_motion_too():
+    low, high = extents(flight(AWAY), view(**FITS, views=["orbit"]), "orbit")
+    assert (low > 0).all() and (high < 1).all() and (high - low).max() > 0.75
+
+
+def test_a_thin_object_fills_it_without_a_camera_at_its_tip():
+    """A needle that points at the camera is not distorted: the view becomes narrower."""
+    needle = scaled(flight(AWAY[:1]), [1, 0.1, 0.1])
+    low, high = extents(needle, view(**FITS))
+    assert (high - low).max() > 0.85
+    camera = cameras(needle, view(**FITS), "front")[0]
+    assert math.dist(camera.eye, camera.target) > CLOSE * DEPTHS * 0.95 and camera.fov_y < 20
+    chosen = view(**FITS, fov=30)
+    assert cameras(needle, chosen, "front")[0].fov_y == 30, "unless an opening was chosen"
+
+
+def test_a_rare_moment_is_followed_and_not_with_no_follow():
+    clip = flight(LEAP)
+    followed, still = view(**FITS), view(**FITS, follow=False)
+    seen = {camera.target for camera in cameras(clip, followed, "front")}
+    assert len(seen) == 2, "the camera goes along"
+    assert len(set(cameras(clip, still, "front"))) == 1
+    near, far = (
+        math.dist(c.eye, c.target)
+        for c in (cameras(clip, chosen, "front")[0] for chosen in (followed, still))
+    )
+    assert far > 2 * near
+    assert not departures(clip, followed) and not departures(clip, still)
+
+
+def test_a_steady_way_is_seen_from_a_still_camera():
+    way = [(0, 0.1 * i, 0) for i in range(25)]
+    assert len(set(cameras(flight(way), view(**FITS), "front"))) == 1
+
+
+def test_what_goes_too_far_is_followed_or_told():
+    clip = flight([(0, 0, 0), (0, 300, 0)])
+    assert not departures(clip, view(**FITS))
+    (note,) = framing(clip, view(**FITS, follow=False))["notes"]
+    assert note.endswith("Film it again with view.follow = true.")
+
+
+def test_a_chosen_distance_stays():
     clip = flight(AWAY)
-    for changes in ({"distance": 2.0}, {"follow": True}):
+    for changes in ({"distance": 2.0}, {"distance": 2.0, "follow": True}):
         chosen = view(fit=True, **changes)
         assert cameras(clip, chosen, "front") == cameras(clip, view(**changes), "front")
-    far, fits = flight([(0, 0, 0), (0, 300, 0)]), view(fit=True)
-    assert fitted(far, fits).distance == FIT_AT_MOST * fits.distance
-    assert framing(far, fits)["notes"], "and what is still not seen is told"
+
+
+def test_following_is_asked_for_or_refused_by_options():
+    assert ViewOptions().changes() == {}
+    assert ViewOptions(follow=True).changes() == {"view.follow": True}
+    assert ViewOptions(no_follow=True).changes() == {"view.follow": False}

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial import KDTree
 
 from phy124.errors import InputError
-from phy124.gaussians import Gaussians, quaternions
+from phy124.gaussians import Gaussians, joined, quaternions
 from phy124.generators.shapes import shape
 from phy124.particles import bounds, clean, fill, in_box, make_particles, solid, to_size
 from phy124.particles.seeding import MAX_PARTICLES
@@ -229,6 +229,24 @@ def test_any_points_make_finite_positive_particles(n, rank, sigma, spacing, seed
         p = make_particles(gaussians, density=1, spacing=10.0**spacing, binding=binding)
         assert len(p) >= 1 and (p.volume > 0).all() and np.isfinite(p.mass).all()
         assert p.volume.sum() == pytest.approx(volume)
+
+
+def clump(middle, rng, *, count=30, opacity=0.12) -> Gaussians:
+    """Faint small Gaussians in one place."""
+    near = middle + 0.02 * rng.normal(size=(count, 3))
+    quats = np.tile([1.0, 0, 0, 0], (count, 1))
+    faint = np.full(count, opacity)
+    return Gaussians.from_rgb(near, quats, np.full((count, 3), 0.008), faint, np.ones((count, 3)))
+
+
+def test_faint_floaters_are_no_part_of_the_object(rng):
+    """Each clump has more than a thousandth of all Gaussians and shows much less."""
+    good = ball(20_000, rng)
+    places = [0.31, -0.17, 0.4] + directions(25, rng) * rng.uniform(0.8, 1.4, (25, 1))
+    kept, cleaning = clean(joined([good, *(clump(place, rng) for place in places)]))
+    assert (cleaning.stray, len(kept)) == (750, 20_000)
+    opaque = [clump(place, rng, count=90, opacity=0.95) for place in places]
+    assert clean(joined([good, *opaque]))[1].stray == 0, "what shows is a part of it"
 
 
 def test_clean_counts_what_it_drops_and_repairs(rng):

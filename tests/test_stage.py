@@ -355,6 +355,14 @@ def test_shadows_are_made_once_for_all_sides():
     assert at(stage, 0).floor.shade is first and first.max() > 0.1
 
 
+def test_the_shadow_of_a_flat_object_in_the_air_has_room():
+    """Its penumbra is as wide as it is high above the floor, not as the object is tall."""
+    still = flight([(0, 0, 0)])
+    flat = replace(still, means=still.means * np.float32([1, 1, 0.05]) + np.float32([0, 0, 1.4]))
+    scene = Scene.from_data({"boundaries": [{"kind": "ground"}]}).data()
+    assert stage_of(replace(flat, scene=scene), STUDIO).caster.reach > 0.5 + 0.5
+
+
 def test_the_report_says_whether_there_is_a_stage():
     name = "floor, its shadow, boundaries in pictures"
     assert name in Effects.of(Scene.from_data({"view": {"stage": "studio"}})).ran

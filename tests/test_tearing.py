@@ -63,6 +63,17 @@ def test_a_bar_about_to_part_is_reported_with_the_place():
     assert f"up to {tearing.stretch:.1f} times" in note
 
 
+def test_lone_particles_at_rest_are_not_called_stretched():
+    """Each stands for more than a cell, as the particle of a floater does."""
+    h, dx = 0.025, 0.05
+    x = np.concatenate([lattice(4, 4, 4, spacing=h), [[1.0, 1, 1], [1.5, 1, 1], [1, 1.5, 1]]])
+    volume = np.concatenate([np.full(64, h**3), np.full(3, (1.3 * dx) ** 3)])
+    s = make_solver(x, volume, [NeoHookean(E=1e4)], dx=dx, threads=1)
+    tearing = Tearing(s.model, s.state)
+    tearing.look()
+    assert tearing.count == 0
+
+
 def test_a_thin_stem_that_parts_is_reported():
     """Two blocks and a rod of one cell between them, looked at when the rod has sprung back."""
     s = dumb_bell(speed=4.0)

@@ -11,7 +11,7 @@ from phy124.io.clip import Clip
 from phy124.io.export.html import pack
 from phy124.io.video import write_animation
 from phy124.rendering.frames import render_frames
-from phy124.rendering.framing import fitted
+from phy124.rendering.framing import standing
 from phy124.rendering.shine import glossed
 from phy124.rendering.stage.build import stage_of
 from phy124.rendering.stage.packing import packed
@@ -41,7 +41,6 @@ def film(order: Order, clips: Path, out: Path, limits: Limits) -> None:
     view = order.scene.view
     stage = "plain" if view.stage == "transparent" else view.stage
     view = view.model_copy(update={"formats": ("mp4",), "outputs": (), "stage": stage})
-    view = fitted(clip, view)
     tell = limits.tell
     tell(Step("render", 0, len(clip) * len(view.sides)))
     with pipeline.staged(out) as folder:
@@ -49,7 +48,7 @@ def film(order: Order, clips: Path, out: Path, limits: Limits) -> None:
         about = _in_photograph(clip, view, order, folder, limits, watch)
         tell(Step("save", 0, 2))
         with watch.stage("save"):
-            first = pipeline.cameras(clip, view, "front")[0]
+            first = standing(clip, view, "front")
             around = stage_of(clip, view, device=order.device)
             shown, gloss = glossed(clip, view)
             staged = packed(around, clip)

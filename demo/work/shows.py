@@ -28,6 +28,8 @@ GLIMPSE = 224
 """Side of the pictures shown while the simulation runs [pixels]."""
 SHOWN = 12_000
 """Number of Gaussians that the viewer gets while the simulation runs."""
+ROOMY = 2.4
+"""Distance of the camera meanwhile, in object sizes."""
 
 
 def glimpses(order: Order, tell: Tell) -> Callable[[Frame], None]:
@@ -96,7 +98,11 @@ def _stage(frame: Frame, scene: Scene, rest: np.ndarray) -> Stage | None:
 
 
 def _camera(frame: Frame, scene: Scene) -> Camera:
+    """A camera with some room for a motion that is not known."""
     rest = Clip.from_frames([frame])
     clip = Clip(**{**vars(rest), "scene": scene.data()})
-    view = scene.view.model_copy(update={"size": (GLIMPSE, GLIMPSE)})
+    usual = {"size": (GLIMPSE, GLIMPSE), "fit": False}
+    if scene.view.fits:
+        usual["distance"] = ROOMY
+    view = scene.view.model_copy(update=usual)
     return pipeline.cameras(clip, view, "front")[0]

@@ -21,6 +21,7 @@ from phy124.accuracy.probe import SubstepCost, probe, time_film, time_shapes
 from phy124.accuracy.promises import Promise, promise
 from phy124.gaussians import Gaussians
 from phy124.parts import WHOLE, Crop
+from phy124.rendering.nearest import ROOM
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import AccuracyName, Scene
 from phy124.simulation import Simulation
@@ -245,6 +246,8 @@ class Forecaster:
 
 def pixels_per_size(scene: Scene) -> float:
     """Size of the object's longest side in the video [pixels]."""
+    if scene.view.fits:
+        return min(scene.view.size) / ROOM  # As large as an object that stays where it is.
     half_height = np.tan(np.radians(scene.view.fov / 2)) * scene.view.distance
     return float(min(scene.view.size) / (2 * half_height))
 

@@ -77,7 +77,8 @@ class Evaluate:
     def _videos(self, clip: Clip, progress: Progress) -> dict[str, np.ndarray]:
         """Pictures [T,S,S,3] from the paper's four sides."""
         view = Scene.from_data(clip.scene, str(self.clip)).view
-        view = view.model_copy(update={"size": (self.size, self.size), "elevation": self.elevation})
+        usual = {"size": (self.size, self.size), "elevation": self.elevation, "fit": False}
+        view = view.model_copy(update=usual)
         device = pick_device(self.device)
         return {
             name: np.stack([*self._video(clip, view, name, device, progress)]) for name in VIEWS

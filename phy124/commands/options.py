@@ -46,7 +46,9 @@ class CameraOptions:
     cameras: Path | None = None
     """TOML file with [[view.cameras]] as in a scene; without --views only these are filmed."""
     size: Annotated[str | None, help_of(View, "size", example="512 or 1920x1080")] = None
-    follow: Annotated[bool, help_of(View, "follow")] = False
+    follow: tyro.conf.FlagCreatePairsOff[Annotated[bool, help_of(View, "follow")]] = False
+    no_follow: tyro.conf.FlagCreatePairsOff[bool] = False
+    """The camera stands still, however far the object goes."""
 
     def changes(self) -> dict[str, Any]:
         """What is chosen, by its path in the scene."""
@@ -55,7 +57,7 @@ class CameraOptions:
             "view.azimuths": _items(self.azimuth),
             "view.cameras": self.cameras and cameras_in(self.cameras),
             "view.size": self.size,
-            "view.follow": self.follow or None,
+            "view.follow": False if self.no_follow else self.follow or None,
         }
         if self.views is None and (self.azimuth is not None or self.cameras is not None):
             chosen["view.views"] = []

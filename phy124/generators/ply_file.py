@@ -13,6 +13,7 @@ from pydantic import Field
 
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
+from phy124.generators.surroundings import surroundings
 from phy124.io.axes import numbers, orientation, turned
 from phy124.io.content import Y_DOWN, Content
 from phy124.io.dialect import likely_dialect
@@ -92,7 +93,8 @@ class Opened(NamedTuple):
     axes: tuple[str, str | None] = Y_DOWN
     """Directions of the file that point up and to the front, as the file or its format has them."""
     notes: tuple[str, ...] = ()
-    """Sentences about what of the file is read in another way than usual, or passed over."""
+    """Sentences about what of the file is read in another way than usual, passed over, or seems to
+    be no part of the object."""
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Place in the file, in its axes, that is the Gaussians' origin."""
     coarse: bool = False
@@ -164,6 +166,9 @@ class PlyFile:
             "lie outside the box": int((~inside).sum()),
             f"were fainter than {MIN_OPACITY}": int(faint.sum()),
         }
+        notes = content.remarks(gaussians)
+        if box is None and not told.floor:
+            notes = [*notes, *surroundings(gaussians, content.origin)]
         progress("read", 1, 1)
         return Opened(
             turned(gaussians, rotation),
@@ -174,7 +179,7 @@ class PlyFile:
                 if count
             ],
             content.axes,
-            tuple(content.remarks(gaussians)),
+            tuple(notes),
             content.origin,
             content.blurred(gaussians) is not None,
         )

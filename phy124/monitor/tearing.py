@@ -38,6 +38,8 @@ REACH = 1.5
 """Reach of a particle's spline [cells]; nothing holds across a wider empty layer."""
 LOOSE, FLAKE = 2e-3, 8
 """Smallest fraction of the elastic particles, and smallest number, that come off in a tear."""
+ALONE, STURDY = 1.0, 1e9
+"""Spacing at rest [cells] from which a particle has no neighbours, and a stretch none reaches."""
 REMEDY = (
     "A larger accuracy.particles_per_axis, binding = particles, a stiffer material, more "
     "material.damping or a gentler motion helps; a finer grid does not."
@@ -62,7 +64,9 @@ class Tearing:
         self._chosen = np.zeros(len(model), bool)
         for group in self._elastic:
             self._chosen[group.particles] = True
-        stretch = APART * model.dx / np.cbrt(model.volume.numpy().astype(np.float64))
+        spacing = np.cbrt(model.volume.numpy().astype(np.float64)) / model.dx
+        # What has a cell to itself at rest is held to nothing that it could be torn from.
+        stretch = np.where(spacing < ALONE, APART / spacing, STURDY)
         self._most = wp.array(stretch**2, dtype=model.real, device=model.device)
         """The square of the stretch from which a particle is beyond `APART` [P]."""
         self._pieces = Pieces(model.rest[self._chosen], REACH * model.dx, self._bodies())

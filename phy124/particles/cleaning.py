@@ -11,7 +11,8 @@ The rules, in this order:
 4. gigantic (longest axis over `GIGANTIC` of the object's longest side *and* 20 times the median
    longest axis): dropped;
 5. stray (in a group separated from the rest by more than about `GAP` of the longest side, or the
-   usual distance of neighbours if that is larger, that contains under `STRAY` of all): dropped.
+   usual distance of neighbours if that is larger, that contains under `STRAY` of all, or of what is
+   seen: opacity times area): dropped.
 """
 
 from __future__ import annotations
@@ -191,7 +192,7 @@ def _gigantic(gaussians: Gaussians) -> NDArray[np.bool_]:
 
 
 def _stray(gaussians: Gaussians) -> NDArray[np.bool_]:
-    """Members of connected groups of cells of a coarse grid that contain next to nothing."""
+    """Members of connected groups of cells of a coarse grid that hold or show next to nothing."""
     if len(gaussians) * STRAY < 1:
         return np.zeros(len(gaussians), bool)
     means = gaussians.means.astype(np.float64)
@@ -211,7 +212,9 @@ def _stray(gaussians: Gaussians) -> NDArray[np.bool_]:
     groups, count = scipy.ndimage.label(occupied, np.ones((3, 3, 3)))  # pyright: ignore
     group = groups.ravel()[flat]
     members = np.bincount(group, minlength=count + 1)
-    return members[group] < STRAY * len(gaussians)
+    seen = np.bincount(group, gaussians.cover, minlength=count + 1)
+    stray = (members < STRAY * len(gaussians)) | (seen < STRAY * seen.sum())
+    return stray[group]
 
 
 def _quantile(values: NDArray, weights: NDArray, fraction: float) -> NDArray[np.float64]:

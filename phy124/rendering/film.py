@@ -24,7 +24,6 @@ from phy124.io.video import (
 from phy124.progress import Progress, silent
 from phy124.rendering.frames import render_frames
 from phy124.rendering.framing import cameras as cameras
-from phy124.rendering.framing import fitted
 from phy124.rendering.outputs import refuse_outputs, refuse_unkept, write_outputs
 from phy124.rendering.shine import Shine, shine_of
 from phy124.rendering.stage.build import Stage, stage_of
@@ -64,7 +63,7 @@ def film(
     Raises:
         InputError: The clip has not what an output shows, or a package is missing.
     """
-    folder, watch, view = Path(folder), watch or Stopwatch(), fitted(clip, view)
+    folder, watch = Path(folder), watch or Stopwatch()
     refuse_unkept(clip, view)
     made, stage, shine = [], stage_of(clip, view, device=device), shine_of(clip, view)
     for name in view.formats:

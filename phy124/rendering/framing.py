@@ -9,55 +9,67 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phy124.camera import VIEWS, Camera
+from phy124.camera import FOV_Y, VIEWS, Camera
 from phy124.errors import InputError
 from phy124.io.clip import Clip
+from phy124.rendering.nearest import OUTSIDE, Sample, Values, nearest
 from phy124.scene import View
 from phy124.scene.cameras import Poses
 
-SAMPLE = 4096
-"""Number of Gaussians, evenly picked, that represent all of them."""
-VISIBLE = 0.1
-"""Opacity from which a Gaussian counts as part of the object."""
-OUTSIDE = 0.01
-"""Fraction of the object that may be outside the picture without a warning."""
 STEP = 0.1
 """Recommended distances are multiples of this, in object sizes."""
-FIT_AT_MOST = 3.0
-"""How many times farther away than usual a camera stands at most to see the whole motion."""
-ROOM = 1.15
-"""How much farther it stands than the middles of nearly all Gaussians ask for."""
+LARGEST = 5.0
+"""Extent of a motion that a still camera shows, in object sizes; larger ones are followed."""
 FARTHEST = 100.0
 """Largest distance a view may have, in object sizes."""
-
-
-def fitted(clip: Clip, view: View) -> View:
-    """The view from far enough away to see the whole motion, if it is to fit (`view.fit`)."""
-    if not view.fit:
-        return view
-    given = view.model_copy(update={"fit": False})
-    if view.follow or view.distance != View().distance:
-        return given
-    left = departures(clip, given)
-    if not left:
-        return given
-    needed = ROOM * max(one.distance for one in left)
-    return given.model_copy(update={"distance": min(needed, FIT_AT_MOST * view.distance)})
 
 
 def cameras(clip: Clip, view: View, side: str) -> list[Camera]:
     """The camera of each frame from one side: fixed, circling, moving, or following the object.
 
-    Portrait pictures are taken from farther away, so that their width shows as much as that of a
-    square picture.
+    Without a distance of its own (`View.fits`) it stands as near as shows the whole motion, and
+    follows one of which a still camera would show most frames too small.
     """
-    view = fitted(clip, view)
+    camera, poses = view.camera(side), _poses(clip, view, side)
+    if view.fits and not (camera is not None and camera.chosen):
+        return _nearest(clip, view, poses)
     low, high = _box(clip, view)
     size = float((high - low).max())
-    poses = _poses(clip, view, side)
-    targets = (low + high) / 2 + size * poses.target + (_path(clip) if view.follow else 0.0)
-    width, height = view.size
-    radii = poses.distance * size * max(1.0, height / width)
+    path = Sample.of(clip).path if view.follow else 0.0
+    targets = (low + high) / 2 + size * poses.target + path
+    return _placed(view, poses, poses.distance * size * _portrait(view), targets)
+
+
+def standing(clip: Clip, view: View, side: str) -> Camera:
+    """The camera of a player, which stands still while the clip plays."""
+    return cameras(clip, view.model_copy(update={"follow": False}), side)[0]
+
+
+def _nearest(clip: Clip, view: View, poses: Poses) -> list[Camera]:
+    """Cameras as near as shows the whole motion, or a motion of `LARGEST` if it is larger."""
+    low, high = _box(clip, view)
+    size = float((high - low).max())
+    sample, count = Sample.of(clip), len(clip)
+    follow = sample.rare(LARGEST * size) if view.follow is None else view.follow
+    seen, path = (sample.followed(), sample.path) if follow else (sample, 0.0)
+    around = _placed(view, poses, np.ones(count), np.tile(seen.middle, (count, 1)))
+    stand = nearest(seen, around, zooms=view.fov == FOV_Y)
+    farthest = stand.zoom * LARGEST * size / (2 * min(around[0].halves))
+    middle = seen.middle + stand.shift if stand.distance <= farthest else (low + high) / 2
+    radii = np.full(count, min(stand.distance, farthest))
+    targets = np.broadcast_to(middle + path, (count, 3))
+    return _placed(view, _narrowed(poses, stand.zoom), radii, targets)
+
+
+def _narrowed(poses: Poses, zoom: float) -> Poses:
+    """The same with a view that shows a part of what it showed, once as large."""
+    if zoom == 1:
+        return poses
+    return poses.changed(fov=np.degrees(2 * np.arctan(np.tan(np.radians(poses.fov) / 2) / zoom)))
+
+
+def _placed(view: View, poses: Poses, radii: Values, targets: Values) -> list[Camera]:
+    """Cameras that look at targets [T,3] m from distances [T] m."""
     lists = (poses.azimuth, poses.elevation, radii, targets, poses.fov)
     return [
         Camera.orbit(azimuth, elevation, radius, view.size, (x, y, z), fov)
@@ -65,6 +77,12 @@ def cameras(clip: Clip, view: View, side: str) -> list[Camera]:
             *(values.tolist() for values in lists), strict=True
         )
     ]
+
+
+def _portrait(view: View) -> float:
+    """How much farther away a portrait picture is taken, to be as wide as a square one."""
+    width, height = view.size
+    return max(1.0, height / width)
 
 
 def _poses(clip: Clip, view: View, side: str) -> Poses:
@@ -104,10 +122,10 @@ def departures(clip: Clip, view: View) -> list[Departure]:
 
     A camera with a distance, an opening or a target of its own was meant to show what it shows.
     """
-    points, view = _sample(clip), fitted(clip, view)
     own = {camera.name for camera in view.cameras if camera.chosen}
-    sides = [side for side in view.sides if side not in own]
-    found = [_departure(points, cameras(clip, view, side), view, side) for side in sides]
+    sample = Sample.of(clip)
+    points = sample.means[:, sample.moving]
+    found = [_departure(clip, points, view, side) for side in view.sides if side not in own]
     return [departure for departure in found if departure is not None]
 
 
@@ -149,27 +167,32 @@ def _note(clip: Clip, view: View, left: list[Departure]) -> str | None:
     return f"The object leaves the picture: {sides}. Film it again with {remedy}."
 
 
-def _departure(
-    points: NDArray[np.float64], cameras: list[Camera], view: View, side: str
-) -> Departure | None:
+def _departure(clip: Clip, points: Values, view: View, side: str) -> Departure | None:
     """What a side misses of the points [T,S,3], or None."""
-    needed = np.stack([_radius(seen, at) for seen, at in zip(points, cameras, strict=True)])
-    camera = cameras[0]
-    radius = math.dist(camera.eye, camera.target)
+    seen = cameras(clip, view, side)
+    needed = _radii(points, seen)
+    radius = math.dist(seen[0].eye, seen[0].target)
     outside = (needed > radius * (1 + 1e-9)).mean(axis=1)
     if not (outside > OUTSIDE).any():
         return None
-    worst = int(outside.argmax())
-    enough = float(np.quantile(needed, 1 - OUTSIDE, axis=1, method="higher").max())
-    distance = math.ceil(enough / radius * view.distance / STEP) * STEP
-    first = int((outside > OUTSIDE).argmax())
+    still = view.model_copy(update={"fit": False, "follow": bool(view.follow)})
+    usual = cameras(clip, still, side)
+    enough = np.quantile(_radii(points, usual), 1 - OUTSIDE, axis=1, method="higher").max()
+    ratio = float(enough) / math.dist(usual[0].eye, usual[0].target)
+    distance = math.ceil(ratio * view.distance / STEP) * STEP
+    first, worst = int((outside > OUTSIDE).argmax()), int(outside.argmax())
     return Departure(side, first, worst, float(outside[worst]), round(distance, 3))
 
 
-def _radius(points: NDArray[np.float64], camera: Camera) -> NDArray[np.float64]:
+def _radii(points: Values, cameras: list[Camera]) -> Values:
+    """Distances from their targets at which cameras would see each of the points [T,S]."""
+    return np.stack([_radius(seen, at) for seen, at in zip(points, cameras, strict=True)])
+
+
+def _radius(points: Values, camera: Camera) -> Values:
     """Distance from its target at which the camera would see each of the points [S]."""
     across, down, ahead = ((points - camera.target) @ camera.view[:3, :3].T).T
-    half_width, half_height = (0.5 * s / camera.focal for s in (camera.width, camera.height))
+    half_width, half_height = camera.halves
     return np.maximum(np.abs(across) / half_width, np.abs(down) / half_height) - ahead
 
 
@@ -190,21 +213,3 @@ def _box(clip: Clip, view: View) -> tuple[NDArray, NDArray]:
     if floors and not view.follow:
         low = np.minimum(low, [np.inf, np.inf, max(floors)])
     return low, high
-
-
-def _path(clip: Clip) -> NDArray[np.float64]:
-    """Displacement of the middle of what moves, relative to the first frame [T,3], m."""
-    points = _sample(clip)
-    finite = np.isfinite(points).all(axis=2, keepdims=True)
-    middle = np.where(finite, points, 0).sum(axis=1) / np.maximum(finite.sum(axis=1), 1)
-    return middle - middle[0]
-
-
-def _sample(clip: Clip) -> NDArray[np.float64]:
-    """Visible Gaussians that move, or all visible ones if none does [T,S,3], m."""
-    own = clip.own
-    visible = np.flatnonzero(own & (clip.opacities >= VISIBLE))
-    chosen = visible if len(visible) else np.flatnonzero(own)
-    points = clip.means[:, chosen[:: 1 + len(chosen) // SAMPLE]].astype(np.float64)
-    moves = (points != points[0]).any(axis=(0, 2))
-    return points[:, moves] if moves.any() else points

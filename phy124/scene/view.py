@@ -104,15 +104,20 @@ class View(Section):
         default=10.0, ge=-89, le=89, description="Camera height angle, positive looks down [deg]."
     )
     distance: float = Field(
-        default=1.9, ge=0.6, le=100, description="Camera distance, in object sizes."
+        default=1.9,
+        ge=0.6,
+        le=100,
+        description="Camera distance, in object sizes; the default is any that fit finds.",
     )
     fit: bool = Field(
         default=True,
-        description="Stand farther away, at most three times, if the motion would leave the "
-        "picture; not with follow, nor with a distance of one's own.",
+        description="Stand as near as shows the whole motion; not with a distance of one's own.",
     )
-    follow: bool = Field(
-        default=False, description="The camera goes along and keeps what moves in the middle."
+    follow: bool | None = Field(
+        default=None,
+        examples=[False],
+        description="The camera goes along and keeps what moves in the middle; absent: if a still "
+        "one that fits the whole motion would show most of it too small.",
     )
     fov: float = Field(default=FOV_Y, ge=1, le=120, description="Vertical field of view [deg].")
     filter: Literal["dilate", "mip"] = Field(
@@ -192,6 +197,11 @@ class View(Section):
         """Names of all sides to film: the named views, names such as "azimuth-45", the cameras'."""
         angles = (f"azimuth-{azimuth % 360:g}" for azimuth in self.azimuths)
         return (*self.views, *angles, *(camera.name for camera in self.cameras))
+
+    @property
+    def fits(self) -> bool:
+        """Whether the camera stands as near as shows the whole motion: no distance was chosen."""
+        return self.fit and self.distance == View.model_fields["distance"].default
 
     def camera(self, side: str) -> AnyCamera | None:
         """The camera of this name; None if the side is none of the cameras."""

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from phy124 import pipeline
 from phy124.io.clip import Clip
-from phy124.rendering.framing import cameras, fitted
+from phy124.rendering.framing import cameras
 from phy124.rendering.render import Renderer
 from phy124.rendering.stage.build import Stage, stage_of
 from phy124.scene import Scene
@@ -52,7 +52,7 @@ def milliseconds(clip: Clip, sides: tuple[str, ...], repeats: int) -> tuple[floa
     view = Scene.from_data(clip.scene).view.model_copy(
         update={"size": (512, 512), "stage": "studio", "views": sides}
     )
-    view, renderer = fitted(clip, view), Renderer(device="cpu")
+    renderer = Renderer(device="cpu")
     seen = [list(cameras(clip, view, side)) for side in sides]
     frames = list(clip.frames())
     plain, staged = np.full((2, len(sides), len(frames)), np.inf)

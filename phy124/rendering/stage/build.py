@@ -149,10 +149,9 @@ def _caster(clip: Clip, rest: NDArray, heights: NDArray, device: str) -> Caster:
     ends = np.percentile(points, OUTLIERS, axis=1)
     low, high = ends[0].min(axis=0), ends[1].max(axis=0)
     size = float(np.ptp(rest, axis=0).max())
-    room = ROOM * float(np.ptp(rest[:, 2]))
-    reach = min(float((high - low)[:2].max()) / 2 + room, LARGEST * size)
-    x, y = (low + high)[:2] / 2
     tallest = max(float(high[2]), 0.05 * size)
+    reach = min(float((high - low)[:2].max()) / 2 + ROOM * tallest, LARGEST * size)
+    x, y = (low + high)[:2] / 2
     return Caster((float(x), float(y)), max(reach, 0.1 * size), tallest, device)
 
 

@@ -1,0 +1,128 @@
+"""What is in a file of Gaussians besides an object: a background far around it, a sky.
+
+A capture of an object often holds the place, too. Then the object is a small part of the box that
+decides the size, and everything in it would fall together.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.gaussians import Gaussians
+from phy124.particles import clean
+
+SAMPLE = 100_000
+"""Number of Gaussians, evenly picked, that represent all of them."""
+MOST = 0.8
+"""Fraction of what is seen that is the object, if it lies in a small part of the box."""
+SMALL = 0.3
+"""Largest side of that part relative to the box's, where all may be one object."""
+WIDE = 16.0
+"""Area from which a Gaussian counts no more, in usual areas: a few large ones are a background."""
+AROUND = 1.25
+"""Size of the recommended box relative to that part."""
+TAIL = 1e-3
+"""Fraction of the Gaussians beyond either end of a box."""
+ROUNDS = 4
+"""How often the middle of that part is found again."""
+FAR = 3.0
+"""Distance of a sky from the middle, in distances of `MOST` of all within it."""
+THIN = 0.2
+"""Spread of the distances of a sky's Gaussians, relative to their mean."""
+MANY = 0.01
+"""Fraction of all Gaussians that a sky has at least, and of its own in each of seven octants."""
+
+
+def surroundings(
+    gaussians: Gaussians, origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> list[str]:
+    """Sentences on what is around the object, with the `--crop` that leaves it out.
+
+    Args:
+        gaussians: The contents of a file in its own axes and units.
+        origin: Their origin's place in that file [3].
+    """
+    visible = np.flatnonzero(gaussians.longest > 0)
+    if not len(visible):
+        return []
+    some, _ = clean(gaussians.select(visible[:: 1 + len(visible) // SAMPLE]))
+    means = some.means.astype(np.float64)
+    found = _sky(means) or _place(means, some.cover)
+    if found is None:
+        return []
+    corners = np.array(found.box) + origin
+    digits = 10 if np.any(origin) else 4
+    box = ",".join(f"{value:.{digits}g}" for value in corners.ravel())
+    return [f"{found.words} --crop={box} leaves the rest out."]
+
+
+class _Around(NamedTuple):
+    """What is around an object."""
+
+    words: str
+    box: tuple[NDArray[np.float64], NDArray[np.float64]]
+    """Corners of what is the object [3], [3]."""
+
+
+def _sky(means: NDArray[np.float64]) -> _Around | None:
+    """What is said if the outer ones of all centres [N,3] form a shell far around the others."""
+    places = means - np.median(means, axis=0)
+    distances = np.linalg.norm(places, axis=1)
+    far = distances > np.quantile(distances, 1 - MANY / 2) / 2
+    if far.mean() < MANY or far.all():
+        return None
+    shell, reach = distances[far], float(np.quantile(distances[~far], MOST))
+    octants = np.bincount((places[far] > 0) @ [1, 2, 4], minlength=8) >= MANY * far.sum()
+    if shell.min() < FAR * reach or shell.std() > THIN * shell.mean() or octants.sum() < 7:
+        return None
+    low, high = np.quantile(means[~far], [TAIL, 1 - TAIL], axis=0)
+    grown = (AROUND - 1) / 2 * (high - low).max()
+    words = (
+        f"{far.mean():.0%} of the Gaussians lie around all others like a sky, "
+        f"{shell.mean() / reach:.0f} times as far out as most of them, and are taken for a part of "
+        "the object."
+    )
+    return _Around(words, (low - grown, high + grown))
+
+
+def _place(means: NDArray[np.float64], cover: NDArray) -> _Around | None:
+    """What is said if most of what is seen lies in a small part of the box.
+
+    Args:
+        means: Centres [N,3].
+        cover: How much each shows [N].
+    """
+    low, high = _part(means, np.minimum(cover, WIDE * np.median(cover)))
+    whole = np.ptp(np.quantile(means, [TAIL, 1 - TAIL], axis=0), axis=0).max()
+    side = float((high - low).max())
+    if not 0 < side < SMALL * whole:
+        return None
+    grown = (AROUND - 1) / 2 * side
+    words = (
+        f"{MOST:.0%} of what is seen lies within {side / whole:.0%} of the longest side, and all "
+        "is taken for the object."
+    )
+    return _Around(words, (low - grown, high + grown))
+
+
+def _part(
+    means: NDArray[np.float64], seen: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Corners of a small box around `MOST` of what is seen [N]."""
+    part = np.ones(len(means), bool)
+    for _ in range(ROUNDS):
+        middle = np.array([_median(axis, seen[part]) for axis in means[part].T])
+        reach = np.abs(means - middle).max(axis=1)
+        order = np.argsort(reach)
+        enough = int(np.searchsorted(np.cumsum(seen[order]), MOST * seen.sum()))
+        part = reach <= reach[order[min(enough, len(order) - 1)]]
+    return means[part].min(axis=0), means[part].max(axis=0)
+
+
+def _median(values: NDArray[np.float64], weights: NDArray[np.float64]) -> float:
+    order = np.argsort(values)
+    total = np.cumsum(weights[order])
+    return float(values[order[int(np.searchsorted(total, total[-1] / 2))]])
