@@ -21,9 +21,9 @@ from phy124.scene.files import files_named
 from .gaussian_files import SMALLER
 from .known import options as known_options
 from .pictures import check_picture
+from .room import is_plain_file
 from .settings import Settings
 from .substances import chips
-from .visitors import is_plain_file
 
 FOLDER = Path(__file__).parent
 FIRST = (

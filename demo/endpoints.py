@@ -17,10 +17,10 @@ from phy124.scene.refusals import shortened
 from phy124.section import Section
 
 from .catalogue import check_length
-from .exports import EXPORTS, export
+from .exports import EXPORTS, check_size, export
 from .fits import Asked
 from .handlers import Handler
-from .identity import visitor_of
+from .identity import address_of, visitor_of
 from .jobs import Studio
 from .known import AXES
 from .line import Job
@@ -120,7 +120,7 @@ def _generate(studio: Studio) -> Handler:
         third: str | None = None, fourth: str | None = None,
     ) -> Iterator[tuple[Any, ...]]:  # fmt: skip
         """Turn a picture or a file of Gaussians into a moving object: its files and its report."""
-        name = visitor_of(request)
+        name = _arrived(studio, request)
         kinds = _chosen("formats", formats or [], list(EXPORTS))
         told = {
             "depth": depth, "near": near, "side": side, "facing": facing, "back": back,
@@ -132,6 +132,7 @@ def _generate(studio: Studio) -> Handler:
             studio, name, [image, *more], preset, accuracy, frames, changes, pick, told
         )
         visitor, data = studio.visitors.get(name), scene.data()
+        _check_room(kinds, scene, studio)
         for _ in _followed(cutting, visitor, "image"):
             yield (gr.skip(),) * 3
         source = cutting.progress.result
@@ -139,7 +140,10 @@ def _generate(studio: Studio) -> Handler:
         for _ in _followed(job, visitor, "run"):
             yield (gr.skip(),) * 3
         done = job.progress.result
-        made = [str(export(kind, done)) for kind in kinds]
+        try:
+            made = [str(path) for path in export(kinds, done, visitor, studio.visitors)]
+        except InputError as error:
+            raise refusal(complaint(error)) from None
         yield (done, source, data, told), _paths(done) + made, done.report
 
     return generate
@@ -155,7 +159,7 @@ def _measure(studio: Studio) -> Handler:
         third: str | None = None, fourth: str | None = None,
     ) -> Iterator[tuple[Any, ...]]:  # fmt: skip
         """Measure the error of a scene as a fraction of its size, and the seconds of each grid."""
-        name = visitor_of(request)
+        name = _arrived(studio, request)
         told = {
             "depth": depth, "near": near, "side": side, "facing": facing, "back": back,
             "thickness": thickness, "highlights": highlights, "up": up, "front": front,
@@ -177,6 +181,16 @@ def _measure(studio: Studio) -> Handler:
         yield said.error, said.sentence, study.rows()
 
     return measure
+
+
+def _arrived(studio: Studio, request: gr.Request) -> str:
+    """The name of the visitor who asks, who is known from now on; raises gr.Error if it is full."""
+    name = visitor_of(request)
+    try:
+        studio.visitors.get(name, address_of(request))
+    except InputError as error:
+        raise refusal(complaint(error)) from None
+    return name
 
 
 def _cut(
@@ -270,6 +284,15 @@ def _fit(studio: Studio) -> Handler:
         yield [str(path) for path in found.files], found.report
 
     return fit
+
+
+def _check_room(kinds: list[str], scene: Scene, studio: Studio) -> None:
+    """Raise gr.Error if the formats will not fit into one visitor's room."""
+    gaussians = len(scene.names) * studio.settings.gaussians
+    try:
+        check_size(kinds, scene.time.frames, gaussians, studio.visitors.room.each)
+    except InputError as error:
+        raise refusal(complaint(error)) from None
 
 
 def _begun(

@@ -52,6 +52,11 @@ class Done:
     """The file with the error of this scene, once it has been measured."""
 
     @property
+    def exports(self) -> Path:
+        """Folder of the formats that are made on demand."""
+        return self.films.parent.parent / "exports" / self.films.name
+
+    @property
     def report(self) -> dict[str, Any]:
         """What the run says of itself."""
         return json.loads((self.films / "report.json").read_text("utf-8"))

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
 from phy124.errors import InputError
-from phy124.io.clip import Clip
+from phy124.io.clip import Clip, shape_of
 from phy124.io.export import write_ply_sequence
 from phy124.io.export.html import write_html
 from phy124.io.files import staged
@@ -22,27 +23,62 @@ from phy124.rendering.stage.build import stage_of
 from phy124.rendering.stage.packing import packed
 from phy124.scene import View
 
+from .room import all_taken
+from .visitors import Visitor, Visitors
 from .work import Done
 
 BRIDGE = __name__.partition("demo")[0] + "bridge"
 """Name of the bridge's package: `bridge` in a checkout, `phy124_bridge` if installed."""
+TOGETHER = threading.BoundedSemaphore(2)
+"""Held by those that make a format: each takes seconds of a core."""
 TAIL = 60.0
 """Longest time that the bridge may take [s]."""
 
 
-def export(kind: str, done: Done) -> Path:
-    """The file of one of `EXPORTS` for a finished run, made if it is not there yet.
+def export(kinds: Sequence[str], done: Done, visitor: Visitor, visitors: Visitors) -> list[Path]:
+    """The files of some of `EXPORTS` for a finished run, made if they are not there yet.
+
+    Args:
+        kinds: Names of the formats.
+        done: The run.
+        visitor: Whose it is; older files of theirs are removed if they take the room.
+        visitors: Who else needs room.
 
     Raises:
-        InputError: There is no such format, or it cannot be made.
+        InputError: There is no such format, it cannot be made, or there is no room for it.
     """
-    if kind not in EXPORTS or not EXPORTS[kind].available():
-        raise InputError("format", kind, "This format is not offered here.", "Choose another one.")
-    path = done.films / EXPORTS[kind].file
-    if not path.exists():
-        with staged(done.films) as folder:
-            EXPORTS[kind].write(done, folder / path.name)
-    return path
+    for kind in kinds:
+        if kind not in EXPORTS or not EXPORTS[kind].available():
+            limit = "This format is not offered here."
+            raise InputError("format", kind, limit, "Choose another one.")
+    paths = [done.exports / EXPORTS[kind].file for kind in kinds]
+    keep = {done.clip, done.films, *paths}
+    for kind, path in zip(kinds, paths, strict=True):
+        if not path.exists():
+            size = EXPORTS[kind].about(*shape_of(done.clip / "clip.safetensors"))
+            with visitors.writing(visitor, size, keep), TOGETHER, staged(done.exports) as folder:
+                EXPORTS[kind].write(done, folder / path.name)
+            if not visitor.give_up(visitors.room.each, keep):
+                path.unlink()
+                raise all_taken(0.0, visitors.room.each, "Choose another format.")
+    return paths
+
+
+def check_size(kinds: Sequence[str], frames: int, gaussians: int, most: float) -> None:
+    """Check, before a run, that its formats will fit into the room of one visitor.
+
+    Args:
+        kinds: Names of the formats.
+        frames: Number of frames.
+        gaussians: Number of Gaussians.
+        most: The room [bytes].
+
+    Raises:
+        InputError: They will not.
+    """
+    size = sum(EXPORTS[kind].about(frames, gaussians) for kind in kinds)
+    if size > most:
+        raise all_taken(size, most, "Ask for fewer formats or frames.")
 
 
 @dataclass(frozen=True)
@@ -61,9 +97,9 @@ class Export:
     moving: float = 0.0
     """Bytes per Gaussian and frame, about."""
 
-    def about(self, clip: Clip) -> int:
-        """About how many bytes the file will have."""
-        return self.empty + round((self.still + self.moving * len(clip)) * len(clip.opacities))
+    def about(self, frames: int, gaussians: int) -> int:
+        """About how many bytes the file of so many frames and Gaussians will have."""
+        return self.empty + round((self.still + self.moving * frames) * gaussians)
 
 
 def _html(done: Done, path: Path) -> None:

@@ -45,8 +45,10 @@ from .work import (
     DEVICE,
     Done,
     Order,
+    bytes_to_write,
     gaussians_of,
     made_already,
+    made_by,
     made_gaussians,
     steps,
     study_file,
@@ -54,8 +56,6 @@ from .work import (
 
 CUTTERS = 2
 """Number of pictures that are cut out at the same time."""
-UNFINISHED = 3
-"""Largest number of unfinished jobs of one visitor."""
 
 
 @dataclass
@@ -367,8 +367,7 @@ class Studio:
         return order_of(*asked, known, self.settings)
 
     def _submit(self, visitor: Visitor, job: Job, line: Line, work: Callable[[Job], None]) -> Job:
-        if sum(not other.over for other in list(visitor.jobs.values())) >= UNFINISHED:
-            raise InputError("queue", "yours", "You have work waiting.", "Let it end or cancel it.")
+        self.visitors.check_work(visitor, line.most)
         line.submit(job, lambda job: guarded(job, work))
         visitor.remember(job)
         return job
@@ -376,12 +375,13 @@ class Studio:
     def _run(self, visitor: Visitor, order: Order, job: Job) -> None:
         order.cut(Deadline(self.settings.max_cut_seconds, job.check))
         load, events = self.forecaster.load(), self.work(order)
-        try:
-            for event in events:
-                job.tell(event)
-        finally:
-            close_now(events)
-            visitor.trim(self.visitors.room)
+        with self.visitors.writing(visitor, bytes_to_write(order), made_by(order)):
+            try:
+                for event in events:
+                    job.tell(event)
+            finally:
+                close_now(events)
+                visitor.trim(self.visitors.room)
         done = job.progress.result
         if isinstance(done, Done) and "simulate" not in job.progress.reused:
             self.forecaster.learn(done.report, order.scene, load)

@@ -9,10 +9,12 @@ from phy124.generators.ply_file import PlyFile
 from phy124.scene import Scene
 
 from .known import Known
+from .room import all_taken
 from .settings import Settings
 from .source import Cutout, GaussianFile, Source
 from .visitors import Visitor
 from .work import Order
+from .work.order import bytes_of
 from .work.others import others_of
 
 
@@ -31,6 +33,10 @@ def order_of(
     Raises:
         InputError: What is known is no use for it, or a region holds nothing of it.
     """
+    each = limits.room.each
+    size = bytes_of(scene, count_of(source, limits) * len(scene.names))
+    if size > each:
+        raise all_taken(size, each, "Choose fewer frames.")
     cutout = Path(source.path) if isinstance(source, Cutout) else None
     known = known.suited(source)
     if cutout is None:

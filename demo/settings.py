@@ -16,7 +16,7 @@ from phy124.runtime.device import CHOICES
 from phy124.scene.refusals import refusal
 from phy124.section import Section
 
-from .visitors import Room
+from .room import Room
 
 PREFIX = "PHY124_"
 ALIASES = (("host", "GRADIO_SERVER_NAME"), ("port", "GRADIO_SERVER_PORT"))
@@ -73,6 +73,9 @@ class Settings(Section):
     )
     max_clips: int = Field(default=3, ge=1, description="Results kept per visitor.")
     max_visitors: int = Field(default=64, ge=1, description="Visitors whose files are kept.")
+    max_per_address: int = Field(
+        default=32, ge=1, description="Visitors of one address whose files are kept."
+    )
     max_visitor_mb: float = Field(default=1000, gt=0, description="Files of one visitor [MB].")
     max_total_mb: float = Field(default=8000, gt=0, description="Files of all visitors [MB].")
     grace_minutes: float = Field(
@@ -146,6 +149,7 @@ class Settings(Section):
         return Room(
             visitors=self.max_visitors, clips=self.max_clips, grace=60 * self.grace_minutes,
             each=1e6 * self.max_visitor_mb, all=1e6 * self.max_total_mb,
+            address=self.max_per_address,
         )  # fmt: skip
 
 

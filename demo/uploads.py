@@ -21,7 +21,7 @@ from phy124.fit.video import FILMS
 from phy124.io.formats import ENDINGS
 
 from .gaussian_files import SMALLER
-from .identity import cookie_of
+from .identity import address_of, cookie_of
 
 if TYPE_CHECKING:
     from .jobs import Studio
@@ -45,7 +45,7 @@ def upload_route(studio: Studio) -> Route:
         try:
             async with request.form(max_files=MOST, max_fields=MOST) as form:
                 sent = [part for _, part in form.multi_items() if isinstance(part, UploadFile)]
-                paths = [await _keep(studio, cookie_of(request), part) for part in sent]
+                paths = [await _keep(studio, request, part) for part in sent]
         except HTTPException as error:
             return PlainTextResponse(str(error.detail), 400)
         except InputError as error:
@@ -55,7 +55,7 @@ def upload_route(studio: Studio) -> Route:
     return Route(ADDRESS, receive, methods=["POST"])
 
 
-async def _keep(studio: Studio, visitor: str | None, part: UploadFile) -> str:
+async def _keep(studio: Studio, request: Request, part: UploadFile) -> str:
     limits = studio.settings
     # A picture may be less: that is told, in words, to whoever uses it as one.
     if (part.size or 0) > limits.max_file_bytes:
@@ -64,7 +64,9 @@ async def _keep(studio: Studio, visitor: str | None, part: UploadFile) -> str:
     if suffix in NOT_READ:
         raise InputError("file", suffix, f"A {suffix} file is not read here.", NOT_READ[suffix])
     ending = suffix if suffix in SUFFIXES else ""
-    return str(await run_in_threadpool(studio.visitors.store, visitor, part.file, ending))
+    visitor, address = cookie_of(request), address_of(request)
+    store = studio.visitors.store
+    return str(await run_in_threadpool(store, visitor, part.file, ending, address))
 
 
 def _status(error: InputError) -> int:

@@ -9,6 +9,7 @@ exactly when something it depends on has changed:
     gaussians/KEY.safetensors     cut-out or file, generator, seed
     clips/KEY/                    Gaussians and the scene without its view
     films/KEY/                    clip and view
+    exports/KEY/                  formats made on demand, of the films of that name
     studies/KEY.json              Gaussians and the scene without its view and grid
     fits/CLIP-KEY/                clip, video, and what is said of it
 
@@ -24,127 +25,30 @@ import json
 import os
 import secrets
 import shutil
-import stat
 import threading
-import time
-from collections.abc import Iterator
-from contextlib import suppress
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from phy124.errors import InputError
 
+from .arrivals import Arrivals
+from .room import Room, all_taken, is_plain_file, remove
+from .visitor import STAGES, Visitor
+
 if TYPE_CHECKING:
     from .line import Job
 
-STAGES = ("cutouts", "objects", "gaussians", "clips", "films", "studies", "fits")
-UPLOADS = 8
-"""Number of uploads kept for one visitor."""
 AWAY = 150.0
 """Silence after which a page counts as closed [s]; an open one reports every minute."""
-ARRIVED = 600.0
-"""Longest time between an upload and the request that uses it [s]."""
+UNUSED = 16
+"""Visitors of one address who have begun nothing; of more, who has been silent longest goes."""
+UNFINISHED = 3
+"""Largest number of unfinished jobs of one visitor."""
 FULL = "Too many visitors are here at once."
-
-
-@dataclass(frozen=True)
-class Room:
-    """How many files may be kept, and for how long."""
-
-    visitors: int = 64
-    clips: int = 3
-    """Number of results of one visitor."""
-    grace: float = 900.0
-    """Time for which silent visitors are kept [s]."""
-    each: float = 1e9
-    """Files of one visitor [bytes]."""
-    all: float = 8e9
-    """Files of all visitors [bytes]."""
-
-
-class Visitor:
-    """One visitor's folder and jobs."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self.seen = time.time()
-        self.forecasts: dict[str, float] = {}
-        """Key of a scene -> time predicted by a probe [s]."""
-        self.jobs: dict[str, Job] = {}
-        """The newest jobs by name, the oldest of them first."""
-        self.shared: dict[str, Path] = {}
-        """Files that anyone may see who has the link, by its token."""
-        for stage in ("uploads", *STAGES):
-            (folder / stage).mkdir(parents=True, exist_ok=True)
-
-    @property
-    def busy(self) -> bool:
-        """Whether a job is running or waiting."""
-        return any(not job.over for job in list(self.jobs.values()))
-
-    @property
-    def has_results(self) -> bool:
-        """Whether anything was computed for this visitor."""
-        return any((self.folder / "clips").glob("*"))
-
-    @property
-    def silence(self) -> float:
-        """Time since the last sign of life [s]."""
-        return time.time() - self.seen
-
-    def remember(self, job: Job, most: int = 8) -> None:
-        """Keep a job so that the page can find it, and forget the oldest beyond `most`."""
-        self.jobs[job.name] = job
-        for name in [n for n, j in self.jobs.items() if j.over][: max(0, len(self.jobs) - most)]:
-            del self.jobs[name]
-
-    def latest(self, *kinds: str) -> Job | None:
-        """The newest job of these kinds."""
-        return next((j for j in reversed(list(self.jobs.values())) if j.kind in kinds), None)
-
-    def stop(self) -> None:
-        """Cancel all jobs that are running or waiting."""
-        for job in list(self.jobs.values()):
-            job.cancel()
-
-    def touch(self) -> None:
-        """Note a sign of life."""
-        self.seen = time.time()
-
-    def share(self, path: Path) -> str:
-        """The token of a link to a file, which cannot be guessed; the same each time."""
-        for token, known in self.shared.items():
-            if known == path:
-                return token
-        token = secrets.token_urlsafe(16)
-        self.shared[token] = path
-        return token
-
-    def new_stop_file(self) -> Path:
-        """The path of a file whose existence asks a job to stop.
-
-        It is a file because the job may run in another process (ZeroGPU forks one).
-        """
-        return self.folder / f"stop-{secrets.token_hex(8)}"
-
-    def size(self) -> int:
-        """Size of the folder [bytes]."""
-        return sum(_sizes(self.folder))
-
-    def trim(self, room: Room) -> None:
-        """Remove all but the newest results of each stage, and more if there is too little room."""
-        for stage in ("uploads", *STAGES):
-            entries = _newest_first(self.folder / stage)
-            # There may be films of several views for a clip, and cut-outs and uploads are small.
-            keep = {"uploads": UPLOADS, "clips": room.clips}.get(stage, 3 * room.clips)
-            for entry in entries[keep:]:
-                _remove(entry)
-        for stage in ("fits", "films", "clips", "gaussians"):
-            for entry in reversed(_newest_first(self.folder / stage)[1:]):
-                if self.size() <= room.each:
-                    return
-                _remove(entry)
+OF_ADDRESS = "Too many visitors from your address are here at once."
 
 
 class Visitors:
@@ -152,9 +56,7 @@ class Visitors:
 
     def __init__(self, root: Path, room: Room | None = None) -> None:
         self.root, self.room = root, room or Room()
-        # Uploads of programs whose session is not known yet.
-        self.arrivals = root / "arrivals"
-        self.arrivals.mkdir(parents=True, exist_ok=True)
+        self.arrivals = Arrivals(root / "arrivals", self.room)
         self._lock = threading.RLock()
         self._known: dict[str, Visitor] = {}
         self._leaving: list[Visitor] = []
@@ -192,8 +94,12 @@ class Visitors:
             path = next(found, None)
         return path if path is not None and path.exists() else None
 
-    def get(self, name: str) -> Visitor:
+    def get(self, name: str, address: str = "") -> Visitor:
         """The visitor of that name, a new one if it is not known.
+
+        Args:
+            name: The visitor's name.
+            address: Where the request comes from; empty: it is not known.
 
         Raises:
             InputError: There are too many visitors.
@@ -201,42 +107,76 @@ class Visitors:
         with self._lock:
             visitor = self.known(name)
             if visitor is None:
-                while len(self._known) >= self.room.visitors:
-                    self._make_room()
-                visitor = self._known[name] = Visitor(self.root / secrets.token_urlsafe(24))
+                self._admit(address)
+                folder = self.root / secrets.token_urlsafe(24)
+                visitor = self._known[name] = Visitor(folder, address)
             return visitor
 
-    def store(self, name: str | None, data: bytes | BinaryIO, suffix: str) -> Path:
+    @property
+    def used(self) -> float:
+        """Size of everybody's files, with what is being written [bytes]; nothing is looked at."""
+        with self._lock:
+            each = sum(one.used + one.promised for one in [*self._known.values(), *self._leaving])
+            return each + self.arrivals.size
+
+    def store(
+        self, name: str | None, data: bytes | BinaryIO, suffix: str, address: str = ""
+    ) -> Path:
         """Store an upload.
 
         Args:
             name: The visitor's name; None: it belongs to nobody yet.
             data: The content, or a file with it.
             suffix: The suffix of the file's name.
+            address: Where it comes from; empty: that is not known.
 
         Raises:
             InputError: There is no room for it.
         """
         file = io.BytesIO(data) if isinstance(data, bytes) else data
         size = file.seek(0, os.SEEK_END)
-        with self._lock:
-            while sum(_sizes(self.root)) + size > self.room.all:
-                self._make_room()
-        if name is None:
-            folder = self.arrivals
-        else:
-            visitor = self.get(name)
-            visitor.trim(self.room)
-            if visitor.size() + size > self.room.each:
-                raise InputError(
-                    "picture", "full", "Your files take all the room here.", "Send a smaller one."
-                )
-            folder = visitor.folder / "uploads"
-        path = folder / f"{secrets.token_urlsafe(18)}{suffix}"
         file.seek(0)
-        with open(path, "wb") as stored:
-            shutil.copyfileobj(file, stored)
+        if name is None:
+            with self._lock:
+                self._claim(size, self.room.all)
+                path = self.arrivals.announce(address, size, suffix)
+            _write(path, file)
+            return path
+        visitor = self.get(name, address)
+        visitor.trim(self.room)
+        with self.writing(visitor, size, most=self.room.all):
+            path = visitor.folder / "uploads" / f"{secrets.token_urlsafe(18)}{suffix}"
+            _write(path, file)
         return path
+
+    @contextmanager
+    def writing(
+        self, visitor: Visitor, size: float, keep: Collection[Path] = (), most: float | None = None
+    ) -> Iterator[None]:
+        """Room for files of a visitor while they are written; older ones of the same visitor go.
+
+        Args:
+            visitor: Whose they are.
+            size: How large they will be, about [bytes].
+            keep: Files and folders that must stay.
+            most: What everybody's files may take [bytes]; None: what runs leave to newcomers.
+
+        Raises:
+            InputError: There is too little room for them.
+        """
+        each = self.room.each
+        fits = size <= each and visitor.give_up(each - size - visitor.promised, keep)
+        if not fits:
+            raise all_taken(size, each, "Send or ask for less.")
+        with self._lock:
+            self._claim(size, self.room.runs if most is None else most)
+            visitor.promised += size
+        try:
+            yield
+        finally:
+            visitor.measure()
+            with self._lock:
+                visitor.promised -= size
 
     def own(self, name: str, given: Any) -> Path:
         """The visitor's own upload that a request names.
@@ -244,19 +184,37 @@ class Visitors:
         Raises:
             InputError: It names anything else; the message is the same whether that exists or not.
         """
-        folder = self.get(name).folder / "uploads"
-        path = folder / Path(str(given)).name
-        if str(given) == str(self.arrivals / path.name):
+        visitor = self.get(name)
+        path = visitor.folder / "uploads" / Path(str(given)).name
+        if str(given) == str(self.arrivals.folder / path.name):
             # Of what one request names several times, the first time has moved it here.
-            with suppress(OSError, ValueError):
-                os.rename(given, path)
+            with self._lock:
+                visitor.used += self.arrivals.hand_over(path)
         elif str(given) != str(path):
-            path = folder
+            path = path.parent
         if not is_plain_file(path):
             raise InputError(
                 "picture", "unknown", "This picture is not here.", "Choose it once more."
             )
         return path
+
+    def check_work(self, visitor: Visitor, most: int) -> None:
+        """Check that a visitor may have another job, and so may all from the same address.
+
+        Args:
+            visitor: Who asks.
+            most: Number of jobs that may wait in the queue; one address may have half of them.
+
+        Raises:
+            InputError: There are too many unfinished ones.
+        """
+        if visitor.unfinished >= UNFINISHED:
+            raise InputError("queue", "yours", "You have work waiting.", "Let it end or cancel it.")
+        with self._lock:
+            beside = [one for one in self._known.values() if one.address == visitor.address]
+        if visitor.address and sum(one.unfinished for one in beside) >= max(most // 2, UNFINISHED):
+            limit = "Too much work from your address is waiting: the queue is full for it."
+            raise InputError("queue", "full", limit, "Try again soon.")
 
     def remove(self, name: str) -> None:
         """Stop a visitor's jobs and remove the folder."""
@@ -265,7 +223,7 @@ class Visitors:
         if visitor is not None:
             visitor.stop()
             for stage in ("uploads", *STAGES, "live"):
-                _remove(visitor.folder / stage)
+                remove(visitor.folder / stage)
             with self._lock:
                 self._leaving.append(visitor)
             self._clear()
@@ -276,10 +234,10 @@ class Visitors:
             ended = [visitor for visitor in self._leaving if not visitor.busy]
             self._leaving = [visitor for visitor in self._leaving if visitor.busy]
         for visitor in ended:
-            _remove(visitor.folder)
+            remove(visitor.folder)
 
     def sweep(self) -> None:
-        """Remove visitors who have been silent for too long, and uploads that belong to nobody."""
+        """Remove who has been silent for too long and what nobody has claimed, and measure."""
         with self._lock:
             silent = [n for n, v in self._known.items() if v.silence > self.room.grace]
         for name in silent:
@@ -287,29 +245,66 @@ class Visitors:
         self._clear()
         with self._lock:
             here = [*self._known.values(), *self._leaving]
-            kept = {visitor.folder for visitor in here} | {self.arrivals}
+            kept = {visitor.folder for visitor in here} | {self.arrivals.folder}
             for folder in self.root.iterdir():
                 if folder not in kept:
-                    _remove(folder)
-        for path in self.arrivals.iterdir():
-            if time.time() - _changed(path) > ARRIVED:
-                _remove(path)
+                    remove(folder)
+            self.arrivals.sweep()
+        for visitor in here:
+            visitor.measure()
 
     def close(self) -> None:
         """Stop all jobs and remove everything."""
         for name in list(self._known):
             self.remove(name)
-        _remove(self.root)
+        remove(self.root)
+
+    def _admit(self, address: str) -> None:
+        """Make sure that there is a place for a newcomer.
+
+        Raises:
+            InputError: There is none, here or for this address.
+        """
+        beside = [one for one in self._known.items() if address and one[1].address == address]
+        unused = [one for one in beside if not one[1].has_begun]
+        if len(unused) >= UNUSED or (len(beside) >= self.room.address and unused):
+            self.remove(_most_silent(unused))
+        elif len(beside) >= self.room.address:
+            raise InputError("visitors", len(beside), OF_ADDRESS, "Try again in a few minutes.")
+        while len(self._known) >= self.room.visitors:
+            self._make_room()
+
+    def _claim(self, size: float, most: float) -> None:
+        """Make sure that so many bytes more fit; uploads that nobody has used go.
+
+        Raises:
+            InputError: They do not fit.
+        """
+        while self.used + size > most:
+            if not self.arrivals.drop():
+                self._make_room()
 
     def _make_room(self) -> None:
-        """Remove the visitor who loses least, never one with results and an open page."""
-        idle = [(n, v) for n, v in self._known.items() if not v.busy and v.silence > 1]
-        empty = [(n, v) for n, v in idle if not v.has_results]
-        away = [(n, v) for n, v in idle if v.silence > AWAY]
-        for group in (empty, away):
-            if group:
-                return self.remove(max(group, key=lambda entry: entry[1].silence)[0])
-        raise InputError("visitors", len(self._known), FULL, "Try again in a few minutes.")
+        """Remove a visitor who has begun nothing, of the address that has most of them.
+
+        Raises:
+            InputError: There is none.
+        """
+        idle = [(n, v) for n, v in self._known.items() if not v.has_begun and v.silence > 1]
+        if not idle:
+            raise InputError("visitors", len(self._known), FULL, "Try again in a few minutes.")
+        count = Counter(visitor.address for _, visitor in idle)
+        most = max(count.values())
+        self.remove(_most_silent([one for one in idle if count[one[1].address] == most]))
+
+
+def _most_silent(visitors: list[tuple[str, Visitor]]) -> str:
+    return max(visitors, key=lambda entry: entry[1].silence)[0]
+
+
+def _write(path: Path, file: BinaryIO) -> None:
+    with open(path, "wb") as stored:
+        shutil.copyfileobj(file, stored)
 
 
 def key(*parts: Any) -> str:
@@ -319,41 +314,3 @@ def key(*parts: Any) -> str:
         data = part if isinstance(part, bytes) else json.dumps(part, sort_keys=True).encode()
         digest.update(len(data).to_bytes(8, "little") + data)
     return digest.hexdigest()[:32]
-
-
-def is_plain_file(path: Path) -> bool:
-    """Whether the path is a regular file and not a link to one."""
-    try:
-        return stat.S_ISREG(os.lstat(path).st_mode)
-    except (OSError, ValueError):
-        return False
-
-
-def _sizes(folder: Path) -> Iterator[int]:
-    for place, _, names in os.walk(folder):
-        for name in names:
-            try:
-                yield os.lstat(os.path.join(place, name)).st_size
-            except OSError:
-                continue
-
-
-def _newest_first(folder: Path) -> list[Path]:
-    try:
-        return sorted(folder.iterdir(), key=_changed, reverse=True)
-    except OSError:
-        return []
-
-
-def _changed(path: Path) -> float:
-    try:
-        return path.stat().st_mtime
-    except OSError:
-        return 0.0
-
-
-def _remove(path: Path) -> None:
-    if path.is_dir():
-        shutil.rmtree(path, ignore_errors=True)
-    else:
-        path.unlink(missing_ok=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import zipfile
 from dataclasses import replace
 from importlib.util import find_spec
@@ -15,7 +16,8 @@ from starlette.applications import Starlette
 from starlette.routing import Route
 from starlette.testclient import TestClient
 
-from demo.exports import EXPORTS, export
+from demo.exports import EXPORTS, check_size
+from demo.exports import export as make
 from demo.forecast import Estimator
 from demo.pictures import corrected, cut_out
 from demo.report import as_html
@@ -27,46 +29,61 @@ from phy124.accuracy.promises import promise
 from phy124.errors import InputError
 from phy124.gaussians import Frame
 from phy124.imaging.grabcut import hinted
-from phy124.io.clip import Clip
+from phy124.io.clip import Clip, shape_of
 from phy124.io.formats import FORMATS, WRITTEN, read_gaussians
 from phy124.scene import Scene
 from support.quantisation import many
 
+ME = "cookie me"
+
 
 @pytest.fixture
-def done(tmp_path, three_gaussians) -> Done:
+def visitors(tmp_path) -> Visitors:
+    return Visitors(tmp_path / "visitors", Room(grace=90, each=1e8))
+
+
+@pytest.fixture
+def export(visitors, done):
+    """Makes the file of a format for `done`."""
+    return lambda kind: make([kind], done, visitors.get(ME), visitors)[0]
+
+
+@pytest.fixture
+def done(visitors, tmp_path, three_gaussians) -> Done:
     """A finished run of two frames."""
-    for name in ("clip", "films"):
-        (tmp_path / name).mkdir()
+    folder = visitors.get(ME).folder
+    clip, films = folder / "clips" / "x", folder / "films" / "x"
+    clip.mkdir()
+    films.mkdir()
     frames = [Frame(i, i / 10, three_gaussians.moved(1, np.array([i, 0, 0]))) for i in range(2)]
     made = Clip.from_frames(frames)
     scene = Scene.named("press").data()
-    Clip(**{**vars(made), "scene": scene}).save(tmp_path / "clip" / "clip.safetensors")
-    return Done(tmp_path / "clip", tmp_path / "films", tmp_path / "study.json")
+    Clip(**{**vars(made), "scene": scene}).save(clip / "clip.safetensors")
+    return Done(clip, films, tmp_path / "study.json")
 
 
-def test_a_sequence_of_ply_files_is_made_once(done):
-    path = export("ply", done)
+def test_a_sequence_of_ply_files_is_made_once(export, done):
+    path = export("ply")
     with zipfile.ZipFile(path) as archive:
         assert archive.namelist() == ["phy124_0001.ply", "phy124_0002.ply"]
     stamp = path.stat().st_mtime_ns
-    assert export("ply", done) == path and path.stat().st_mtime_ns == stamp
-    assert [p.name for p in done.films.iterdir()] == [path.name]
+    assert export("ply") == path and path.stat().st_mtime_ns == stamp
+    assert [p.name for p in done.exports.iterdir()] == [path.name]
 
 
 @pytest.mark.parametrize("kind", [kind for kind, offer in EXPORTS.items() if offer.available()])
-def test_the_size_that_is_told_is_about_that_of_the_file(done, rng, kind):
+def test_the_size_that_is_told_is_about_that_of_the_file(export, done, rng, kind):
     g = many(rng, 5000, 0)
     made = Clip.from_frames([Frame(i, i / 10, g.moved(1, np.array([i, 0, 0]))) for i in range(4)])
     made = replace(made, scene=Scene.named("press").data())
     made.save(done.clip / "clip.safetensors")
-    size = export(kind, done).stat().st_size
+    size = export(kind).stat().st_size
     # Random Gaussians compress less than an object's.
-    assert size / 3 < EXPORTS[kind].about(made) < 2 * size
+    assert size / 3 < EXPORTS[kind].about(4, 5000) < 2 * size
 
 
-def test_the_player_is_made(done):
-    assert "Phy124Player.mount" in export("html", done).read_text("utf-8")
+def test_the_player_is_made(export, done):
+    assert "Phy124Player.mount" in export("html").read_text("utf-8")
 
 
 @pytest.fixture
@@ -78,20 +95,20 @@ def results():
 
 
 @pytest.mark.skipif(find_spec("mcap") is None, reason="the extra bridge is not installed")
-def test_a_recording_is_made_by_the_bridge(done):
-    assert export("mcap", done).read_bytes()[1:5] == b"MCAP"
+def test_a_recording_is_made_by_the_bridge(export, done):
+    assert export("mcap").read_bytes()[1:5] == b"MCAP"
 
 
 @pytest.mark.parametrize("name", [name for name in WRITTEN if name != "ply"])
 def test_every_format_that_is_written_is_offered_with_its_size_and_what_opens_it(
-    done, name, results
+    export, done, name, results
 ):
     offer = EXPORTS[name]
     assert offer.hint == f"Opens in {FORMATS[name].opens_in}" and offer.available()
-    path = export(name, done)
+    path = export(name)
     assert path.suffix == FORMATS[name].suffix
     clip = Clip.load(done.clip / "clip.safetensors")
-    assert offer.about(clip) > 0
+    assert offer.about(*shape_of(done.clip / "clip.safetensors")) > 0
     if FORMATS[name].encode:
         there = read_gaussians(path).gaussians.means
         np.testing.assert_allclose(there, clip.means[0], atol=1e-3)
@@ -100,15 +117,15 @@ def test_every_format_that_is_written_is_offered_with_its_size_and_what_opens_it
     assert {o["kind"] for o in results.takeaway_of(done)["offers"]} == {*EXPORTS, "share"} - {name}
 
 
-def studio_of(done: Done) -> SimpleNamespace:
-    """As much of a studio as links need, with one visitor, whose result is `done`."""
-    visitors = Visitors(done.films.parent / "visitors", Room(grace=90))
-    visitors.get("cookie me")
+def studio_of(visitors: Visitors) -> SimpleNamespace:
+    """As much of a studio as links need."""
     return SimpleNamespace(visitors=visitors, settings=SimpleNamespace(room=visitors.room))
 
 
-def test_a_link_shows_the_player_as_long_as_its_visitor_is_known(done, results, monkeypatch):
-    studio = studio_of(done)
+def test_a_link_shows_the_player_as_long_as_its_visitor_is_known(
+    visitors, done, results, monkeypatch
+):
+    studio = studio_of(visitors)
     monkeypatch.setattr("demo.handlers.results.visitor_of", lambda request: request)
     prepare, asked = results.preparer(studio), SimpleNamespace(_data={"kind": "share"})
     told = prepare(done, None, asked, "cookie me")["share"]
@@ -128,26 +145,58 @@ def test_a_link_shows_the_player_as_long_as_its_visitor_is_known(done, results, 
         assert client.get(told["link"]).status_code == 404, f"{seen}: looking keeps nothing"
 
 
-def test_unknown_formats_and_failing_writers_leave_nothing(done):
+def test_unknown_formats_and_failing_writers_leave_nothing(export, done):
     with pytest.raises(InputError, match="not offered"):
-        export("exe", done)
+        export("exe")
     (done.clip / "clip.safetensors").unlink()
     for kind, offer in EXPORTS.items():
         if offer.available():
             with pytest.raises(InputError):
-                export(kind, done)
-    assert list(done.films.iterdir()) == []
+                export(kind)
+    assert not done.exports.exists()
 
 
-def test_a_half_written_file_is_removed(done, monkeypatch):
+def test_a_half_written_file_is_removed(export, done, monkeypatch):
     def half(_: Done, path) -> None:
         path.write_text("half")
         raise InputError("output", path, "the disk is full.", "Make room.")
 
     monkeypatch.setitem(EXPORTS, "ply", replace(EXPORTS["ply"], write=half))
     with pytest.raises(InputError):
-        export("ply", done)
-    assert list(done.films.iterdir()) == []
+        export("ply")
+    assert not done.exports.exists()
+
+
+def test_exports_are_counted_before_they_are_written_and_older_ones_go(done, visitors, monkeypatch):
+    me, made, sizes = visitors.get(ME), [], []
+
+    def write(_: Done, path) -> None:
+        sizes.append(visitors.used)
+        path.write_bytes(bytes(100_000))
+
+    fake = replace(EXPORTS["ply"], write=write, available=lambda: True, empty=100_000, moving=0.0)
+    for kind in "abcd":
+        monkeypatch.setitem(EXPORTS, kind, replace(fake, file=kind))
+    monkeypatch.setattr(visitors, "room", Room(each=me.measure() + 250_000, all=1e9))
+    for kind in "abc":
+        made += make([kind], done, me, visitors)
+        os.utime(made[-1], (len(made), len(made)))
+        assert max(sizes) <= visitors.room.each
+    assert [path.exists() for path in made] == [False, True, True]
+    with pytest.raises(InputError, match="Your files take all the room here"):
+        make(["b", "c", "d"], done, me, visitors)
+    assert [path.exists() for path in made] == [False, True, True] and done.clip.exists()
+    with pytest.raises(InputError, match="It would take about"):
+        check_size("abcd", 2, 3, visitors.room.each)
+
+
+def test_a_file_larger_than_expected_does_not_stay(done, visitors, monkeypatch):
+    fake = replace(EXPORTS["ply"], write=lambda _, path: path.write_bytes(bytes(10**6)), file="x")
+    monkeypatch.setitem(EXPORTS, "x", fake)
+    monkeypatch.setattr(visitors, "room", Room(each=500_000, all=1e9))
+    with pytest.raises(InputError, match="Your files take all the room here"):
+        make(["x"], done, visitors.get(ME), visitors)
+    assert list(done.exports.iterdir()) == []
 
 
 def _stroke(keep: bool, *points: tuple[float, float], width: float = 0.2) -> Stroke:

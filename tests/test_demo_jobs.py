@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from demo.jobs import UNFINISHED, Studio
+from demo.jobs import Studio
 from demo.line import Job
 from demo.pictures import how_cut
 from demo.settings import Settings
 from demo.strokes import Stroke, place_of
-from demo.visitors import Visitors
+from demo.visitors import UNFINISHED, Visitors
 from demo.work import Order
 from phy124.errors import InputError
 from phy124.imaging import cutout, heic

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import os
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
+from demo.arrivals import EACH
 from demo.line import Job
-from demo.visitors import ARRIVED, Room, Visitor, Visitors, key
+from demo.room import Room
+from demo.visitor import Visitor
+from demo.visitors import UNFINISHED, UNUSED, Visitors, key
 from phy124.errors import InputError
 
 
@@ -87,6 +91,140 @@ def test_newcomers_do_not_push_out_results_of_an_open_page(tmp_path):
     assert [visitors.known(name) for name in "ab"] == kept and len(visitors) == 3
 
 
+def test_newcomers_do_not_push_out_who_has_chosen_a_picture(tmp_path):
+    """However long they have looked at it, as long as they are not forgotten."""
+    visitors = Visitors(tmp_path, Room(visitors=5))
+    visitors.store("a", b"a photograph", ".png", "10.0.0.1")
+    visitors.get("a").remember(Job("cut", Path("stop")))
+    visitors.get("a").latest("cut").end("done")
+    visitors.get("a").seen -= visitors.room.grace - 1
+    for number in range(75):
+        visitors.store(f"new {number}", b"1", ".png", "10.0.0.2")
+        visitors.get(f"new {number}").seen -= 10
+    assert visitors.known("a") is not None and len(visitors) == 5
+
+
+def test_newcomers_of_one_address_push_out_each_other(tmp_path):
+    visitors = Visitors(tmp_path, Room(visitors=40))
+    visitors.get("b", "10.0.0.1")
+    for number in range(50):
+        visitors.get(f"new {number}", "10.0.0.2")
+    assert visitors.known("b") is not None and len(visitors) == 1 + UNUSED
+
+
+def test_one_address_has_only_so_many_visitors(tmp_path):
+    visitors = Visitors(tmp_path, Room(visitors=40, address=3))
+    for name in "abc":
+        _with_result(visitors.get(name, "10.0.0.1"))
+    with pytest.raises(InputError, match="from your address"):
+        visitors.get("d", "10.0.0.1")
+    assert visitors.get("e", "10.0.0.2")
+
+
+def test_one_address_has_only_half_of_the_queue(visitors):
+    for name in "abcd":
+        visitor = visitors.get(name, "10.0.0.1")
+        for _ in range(UNFINISHED if name < "c" else 2 if name == "c" else 0):
+            visitors.check_work(visitor, 16)
+            visitor.remember(Job("run", Path("stop")))
+    with pytest.raises(InputError, match="You have work waiting"):
+        visitors.check_work(visitors.get("a"), 16)
+    with pytest.raises(InputError, match="from your address"):
+        visitors.check_work(visitors.get("d"), 16)
+    visitors.check_work(visitors.get("e", "10.0.0.2"), 16)
+
+
+def test_uploads_without_a_name_have_little_room_and_go_first(tmp_path):
+    visitors = Visitors(tmp_path, Room(each=1000, all=2000))
+    mine = visitors.store(None, bytes(100), ".png", "10.0.0.1")
+    paths = [visitors.store(None, bytes(100), ".png", "10.0.0.2") for _ in range(20)]
+    assert visitors.arrivals.size == 500 and mine.exists() and paths[-1].exists()
+    for name in "ab":
+        visitors.store(name, bytes(950), ".png")
+    assert visitors.arrivals.size == 100 and visitors.used == 2000
+
+
+def test_uploads_without_a_name_are_few_for_each_address(visitors):
+    mine = visitors.store(None, b"1", ".png", "10.0.0.1")
+    paths = [visitors.store(None, b"1", ".png", "10.0.0.2") for _ in range(EACH + 9)]
+    assert [path.exists() for path in paths] == [False] * 9 + [True] * EACH and mine.exists()
+    assert len(visitors.arrivals) == EACH + 1 == len(list(visitors.arrivals.folder.iterdir()))
+
+
+def test_an_upload_is_counted_where_it_is(visitors):
+    path = visitors.store(None, bytes(100), ".png")
+    own = visitors.own("a", str(path))
+    assert own.exists() and visitors.own("a", str(path)) == own
+    assert visitors.used == visitors.get("a").used == 100 and visitors.arrivals.size == 0
+
+
+def test_nobody_waits_while_files_are_counted(tmp_path, monkeypatch):
+    """Folders are looked through outside the lock, and only one's own."""
+    visitors, looked = Visitors(tmp_path), []
+    for name in "ab":
+        visitors.store(name, bytes(10), ".png")
+
+    def size_of(folder):
+        looked.append(folder)
+        with ThreadPoolExecutor(1) as pool:
+            assert pool.submit(visitors.known, "b").result(9) is not None
+        return 10
+
+    monkeypatch.setattr("demo.visitor.size_of", size_of)
+    visitors.store("a", bytes(10), ".png")
+    visitors.store(None, bytes(10), ".png")
+    assert set(looked) == {visitors.get("a").folder}
+    visitors.sweep()
+    assert visitors.get("b").folder in looked
+
+
+def _export(visitor: Visitor, name: str, size: int, age: float = 0.0) -> Path:
+    path = visitor.folder / "exports" / "x" / name
+    path.parent.mkdir(exist_ok=True)
+    path.write_bytes(bytes(size))
+    os.utime(path, (1000 - age, 1000 - age))
+    return path
+
+
+def test_room_is_made_by_older_exports_of_the_same_visitor(tmp_path):
+    visitors = Visitors(tmp_path, Room(each=1000, all=3000))
+    mine, other = visitors.get("a"), visitors.get("b")
+    theirs = _export(other, "0", 900, age=99)
+    old, new, kept = (_export(mine, str(n), 300, age=n) for n in (3, 2, 9))
+    with visitors.writing(mine, 350, {kept}):
+        assert visitors.used == 300 + 300 + 350
+    assert [path.exists() for path in (old, new, kept, theirs)] == [False, True, True, True]
+    assert visitors.used == mine.measure() + other.used
+
+
+def test_what_does_not_fit_is_refused_in_words_and_takes_nothing(tmp_path):
+    visitors = Visitors(tmp_path, Room(each=1000, all=2000))
+    mine, other = visitors.get("a"), visitors.get("b")
+    kept = _export(mine, "0", 700)
+    _export(other, "0", 900)
+    other.measure()
+    for size, said in ((400, "Your files take all the room here"), (1001, "your files may take")):
+        with pytest.raises(InputError, match=said), visitors.writing(mine, size, {kept}):
+            pytest.fail("it began")
+    assert kept.exists()
+    with pytest.raises(InputError, match="Too many"), visitors.writing(mine, 250, {kept}):
+        pytest.fail("the last tenth is for those who come")
+    with visitors.writing(mine, 150, {kept}):
+        pass
+
+
+def test_what_is_written_at_the_same_time_is_counted_together(tmp_path):
+    visitors = Visitors(tmp_path, Room(each=1000, all=2000))
+    mine = visitors.get("a")
+    with visitors.writing(mine, 600):
+        with pytest.raises(InputError, match="Your files"), visitors.writing(mine, 600):
+            pytest.fail("it began")
+        with visitors.writing(mine, 300):
+            pass
+    with visitors.writing(mine, 600):
+        pass
+
+
 def test_newcomers_are_refused_in_words_while_everybody_is_there(tmp_path):
     visitors = Visitors(tmp_path, Room(visitors=2))
     for name in "ab":
@@ -94,6 +232,10 @@ def test_newcomers_are_refused_in_words_while_everybody_is_there(tmp_path):
     with pytest.raises(InputError, match=r"Too many visitors .* Try again in a few minutes"):
         visitors.get("c")
     visitors.get("a").seen -= 200
+    with pytest.raises(InputError, match="Too many visitors"):
+        visitors.get("c")
+    visitors.get("a").seen -= visitors.room.grace + 1
+    visitors.sweep()
     assert visitors.get("c") and visitors.known("a") is None
 
 
@@ -108,13 +250,13 @@ def test_uploads_count_towards_a_visitor_and_all(tmp_path):
             visitors.store(name, bytes(900), ".png")
 
 
-def test_uploads_that_nobody_claims_go(visitors):
+def test_uploads_that_nobody_claims_go(visitors, monkeypatch):
     path = visitors.store(None, b"a photograph", ".png")
     visitors.sweep()
-    assert path.exists()
-    os.utime(path, (path.stat().st_mtime - ARRIVED - 1,) * 2)
+    assert path.exists() and visitors.used == 12
+    monkeypatch.setattr("demo.arrivals.ARRIVED", -1.0)
     visitors.sweep()
-    assert not path.exists()
+    assert not path.exists() and visitors.used == 0
 
 
 def test_only_the_newest_results_are_kept(visitors):

@@ -14,7 +14,7 @@ from phy124.errors import InputError
 from phy124.fit import Fit, Outlook, fit
 from phy124.fit.apart import Undecided
 from phy124.fit.runs import FOLDER
-from phy124.io.clip import Clip
+from phy124.io.clip import scene_in
 from phy124.io.files import replacing
 from phy124.runtime import isolated
 from phy124.runtime.isolated import Deadline, Unfinished
@@ -182,7 +182,7 @@ def scene_of_result(done: Done) -> Scene:
     Raises:
         InputError: Its motion depends on a picture, of which a clip does not say where it lies.
     """
-    scene = Scene.from_data(Clip.load(done.clip / "clip.safetensors").scene)
+    scene = Scene.from_data(scene_in(done.clip / "clip.safetensors"))
     for field, _ in files_named(scene):
         if not field.startswith("view."):
             limit = f"The scene has a picture ({field}), and such a one is not fitted here."

@@ -13,7 +13,7 @@ import gradio as gr
 from phy124.errors import InputError
 from phy124.rendering.orienting import candidates
 
-from ..identity import visitor_of
+from ..identity import address_of, visitor_of
 from ..jobs import Studio
 from ..known import AXES
 from ..line import Job
@@ -37,6 +37,7 @@ def chooser(studio: Studio) -> Handler:
         if path is None and example is None:
             return {}, None, {}
         try:
+            studio.visitors.get(visitor_of(request), address_of(request))
             if example is not None:
                 path = _sent_example(studio, visitor_of(request), example)
             job = studio.take(visitor_of(request), path)
@@ -123,5 +124,4 @@ def _sent_example(studio: Studio, visitor: str, name: Any) -> str:
     path = EXAMPLES / f"{name}.png"
     if path not in EXAMPLES.glob("*.png"):
         raise InputError("image", "none", "There is no such example.", "Choose another one.")
-    studio.visitors.get(visitor)
     return str(studio.visitors.store(visitor, path.read_bytes(), ".png"))

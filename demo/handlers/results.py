@@ -9,7 +9,7 @@ import gradio as gr
 
 from phy124.camera import VIEWS
 from phy124.errors import InputError
-from phy124.io.clip import Clip
+from phy124.io.clip import Clip, scene_in, shape_of
 from phy124.io.formats import FORMATS
 from phy124.scene import Scene
 
@@ -149,7 +149,7 @@ def report_of(studio: Studio, job: Job) -> str:
     """The report of a finished run, with the errors measured on its scene before or after it."""
     done: Done = job.progress.result
     report, study = done.report, read_study(done.study)
-    data = Clip.load(done.clip / "clip.safetensors").scene
+    data = scene_in(done.clip / "clip.safetensors")
     scene, count = Scene.from_data(data), report["gaussians"]
     stops = studio.forecaster.stops(scene, gaussians=count, study=study)
     return as_html(report, data, job.progress.expected, stops, study)
@@ -163,7 +163,7 @@ def _earlier(studio: Studio, name: str, shown: Job) -> list[dict[str, Any]]:
         if job.kind != "run" or not _is_there(done) or done.films in seen:
             continue
         seen.add(done.films)
-        scene = Clip.load(done.clip / "clip.safetensors").scene
+        scene = scene_in(done.clip / "clip.safetensors")
         found.append({
             "job": job.name, "title": str(scene["material"]["law"]).replace("_", " ").capitalize(),
             "detail": f"{scene['time']['frames']} frames, {scene['accuracy']}"
@@ -194,7 +194,8 @@ def preparer(studio: Studio) -> Handler:
         if done is None or visitor is None or not done.films.exists():
             return FORGOTTEN[0]
         try:
-            path = export("html" if kind == SHARE else kind, done)
+            kinds = ["html" if kind == SHARE else kind]
+            (path,) = export(kinds, done, visitor, studio.visitors)
         except InputError as error:
             return {**takeaway_of(done), "message": sentence(error)}
         if kind == SHARE:
@@ -210,7 +211,7 @@ def preparer(studio: Studio) -> Handler:
 def takeaway_of(done: Done) -> dict[str, Any]:
     """The take-away panel of a result: its files, and the formats that are made on demand."""
     files, offers = [], []
-    clip = Clip.load(done.clip / "clip.safetensors")
+    frames, gaussians = shape_of(done.clip / "clip.safetensors")
     for path in _films(done):
         files.append(_link(path, f"Video, {path.stem}", "MP4"))
     for name, (label, hint) in FILES.items():
@@ -223,11 +224,11 @@ def takeaway_of(done: Done) -> dict[str, Any]:
         if path.name in FITTED:
             files.append(_link(path, *FITTED[path.name]))
     for kind, offer in EXPORTS.items():
-        if (done.films / offer.file).exists():
-            files.append(_link(done.films / offer.file, offer.label, offer.hint))
+        if (done.exports / offer.file).exists():
+            files.append(_link(done.exports / offer.file, offer.label, offer.hint))
         elif offer.available():
             told = {"kind": kind, "label": offer.label, "hint": offer.hint}
-            offers.append({**told, "about": offer.about(clip)})
+            offers.append({**told, "about": offer.about(frames, gaussians)})
     hint = "Plays in any browser as long as your files are kept here"
     offers.append({"kind": SHARE, "label": "Link to share", "hint": hint})
     return {"files": files, "offers": offers}

@@ -20,19 +20,27 @@ from phy124.runtime.device import pick_device
 from phy124.runtime.stopwatch import Stopwatch
 
 from ..events import Done, Event, Glimpse, Live, Measured, Reused, Step
-from ..visitors import STAGES
+from ..visitor import STAGES
 from .device import BEAT, DEVICE, held
 from .films import film
 from .limits import Limits, easier
 from .motion import gaussians_of, simulate
-from .order import Order, folders, made_already, made_gaussians, study_file
+from .order import (
+    Order,
+    bytes_to_write,
+    folders,
+    made_already,
+    made_by,
+    made_gaussians,
+    study_file,
+)
 from .study import measure
 
 __all__ = [
     "BEAT", "DEVICE",
     "Done", "Event", "Glimpse", "Limits", "Live", "Measured", "Order",
-    "Reused", "Step", "easier", "folders", "gaussians_of", "made_already", "made_gaussians",
-    "steps", "study_file",
+    "Reused", "Step", "bytes_to_write", "easier", "folders", "gaussians_of", "made_already",
+    "made_by", "made_gaussians", "steps", "study_file",
 ]  # fmt: skip
 
 

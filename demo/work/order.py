@@ -8,7 +8,7 @@ from typing import Any
 
 from PIL import Image
 
-from phy124.cost import GAUSSIANS
+from phy124.cost import BYTES_PER_GAUSSIAN, GAUSSIANS
 from phy124.imaging.image import header_size
 from phy124.runtime.isolated import Deadline
 from phy124.scene import Scene
@@ -20,6 +20,10 @@ from .others import Other
 VIEWED = ("view", "accuracy", "description")
 """Fields that the stored errors of a scene's motion do not depend on."""
 
+VECTOR, BYTES_SHOWN, BYTES_AT_REST = 12, 10, 200
+"""Bytes of a Gaussian: of a vector, of what the viewer gets of a frame, and at rest."""
+BYTES_OF_FILMS = 2_000_000
+"""Of the videos of a run."""
 COMPOSING, EACH = 210, 1800
 """Finding camera and colours of a photograph takes as long as drawing so many pictures of its size,
 and so many pixels for each Gaussian."""
@@ -114,6 +118,32 @@ def made_gaussians(order: Order) -> Path:
     ]
     made = key(*told)
     return order.folder / "gaussians" / f"{made}.safetensors"
+
+
+def made_by(order: Order) -> tuple[Path, ...]:
+    """The folders and files that an order makes or uses."""
+    return *folders(order), made_gaussians(order)
+
+
+def bytes_of(scene: Scene, gaussians: int) -> float:
+    """Size of a run's clip, its films and what is shown meanwhile [bytes], about.
+
+    Args:
+        scene: The scene.
+        gaussians: Number of Gaussians of all objects.
+    """
+    more = VECTOR * (scene.velocities + scene.keeps_contacts)
+    each = BYTES_PER_GAUSSIAN + more + BYTES_SHOWN
+    return gaussians * (each * scene.time.frames + BYTES_AT_REST) + BYTES_OF_FILMS
+
+
+def bytes_to_write(order: Order) -> float:
+    """What an order will write [bytes], about."""
+    clips, films = ((folder / "report.json").exists() for folder in folders(order))
+    if films or order.levels:
+        return 0.0
+    whole = bytes_of(order.scene, order.gaussians * (1 + len(order.others)))
+    return BYTES_OF_FILMS if clips else whole
 
 
 def study_file(order: Order) -> Path:

@@ -269,6 +269,29 @@ def joined(rows: Sequence[NDArray]) -> NDArray:
     return np.lib.stride_tricks.as_strided(first, shape, strides, writeable=False)
 
 
+def shape_of(path: str | os.PathLike[str]) -> tuple[int, int]:
+    """Numbers of frames and of Gaussians of a saved clip, from the head of its file.
+
+    Raises:
+        InputError: If the file is missing, cut short, or not a clip of this version.
+    """
+    _read_metadata(Path(path))
+    with safe_open(path, framework="np") as file:
+        if "means" not in file.keys():  # noqa: SIM118
+            raise _refusal(path, "the tensors means are missing.")
+        frames, gaussians, _ = file.get_slice("means").get_shape()
+    return frames, gaussians
+
+
+def scene_in(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """The scene of a saved clip as plain data, from the head of its file.
+
+    Raises:
+        InputError: If the file is missing, cut short, or not a clip of this version.
+    """
+    return json.loads(_read_metadata(Path(path))["scene"])
+
+
 def _refusal(path: object, what: str, remedy: str = MADE) -> InputError:
     return InputError("clip", path, what, remedy)
 
