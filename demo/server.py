@@ -146,6 +146,7 @@ def launch(page: Any, studio: Studio, **options: Any) -> None:
         server_name=settings.host,
         server_port=settings.port,
         share=False,
+        _frontend=False,  # else it gives up if its own first answer takes 3 s on a busy machine
         show_error=False,
         max_file_size=most,
         allowed_paths=[],

@@ -10,6 +10,7 @@ import json
 import socket
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import pytest
 from attacker import Attacker
@@ -19,6 +20,8 @@ from support.served import ROOT, TIMEOUT, serving
 DUCK = (ROOT / "demo/examples/duck.png").read_bytes()
 FILES, STREAMS = 1024, 600
 """Files that the server may have open, and streams that an attacker opens."""
+EACH, ALL, VISITORS = 4, 16, 40
+"""Room of one visitor and of all [MB], and how many there may be."""
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +29,8 @@ def server(tmp_path_factory):
     pytest.importorskip("gradio", reason="the extra demo is not installed")
     with serving(
         tmp_path_factory.mktemp("wanting"), files=FILES, warm_up=False, gaussians=1000,
-        max_upload_mb=2,
+        max_upload_mb=2, max_visitor_mb=EACH, max_total_mb=ALL, max_visitors=VISITORS,
+        max_per_address=30, grace_minutes=0.3,
     ) as running:  # fmt: skip
         yield running
 
@@ -38,11 +42,55 @@ def attacker(server) -> Attacker:
 
 @pytest.fixture(autouse=True)
 def others_are_served(server):
-    """Whatever was tried, a visitor from elsewhere gets a run afterwards."""
+    """Whatever was tried, there is room for a visitor from elsewhere afterwards."""
     yield
     visitor = Attacker(server, address="10.9.9.9")
-    answer = visitor.generate({"path": visitor.uploaded(DUCK)})
-    assert answer.startswith("complete"), (answer, server.said())
+    server.until(lambda: visitor.upload(DUCK)[0] == 200, "room for somebody else")
+
+
+# ---- room ---------------------------------------------------------------------------------------
+
+
+def _megabytes(folder: Path) -> float:
+    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()) / 1e6
+
+
+def test_exports_fill_no_more_than_the_room_of_one_visitor(server, attacker):
+    path, scene = attacker.uploaded(DUCK), {"frames": 24, "changes": {"view.views": ["front"]}}
+    kinds = ["ply", "usd", "mcap", "html"]
+    assert f"your files may take {EACH} MB" in attacker.generate(
+        {"path": path}, formats=kinds, **scene
+    )
+    for kind in kinds:
+        answer = attacker.generate({"path": path}, formats=[kind], **scene)
+        assert answer.startswith("complete"), answer
+        assert kind in answer and _megabytes(Path(path).parents[1]) < EACH
+    assert _megabytes(server.folder) < ALL
+
+
+def test_a_run_that_would_take_more_is_refused_before_it_starts(attacker):
+    path = {"path": attacker.uploaded(DUCK)}
+    changes = {"velocities": True, "contacts": True}
+    answer = attacker.generate(path, frames=72, changes=changes)
+    assert f"your files may take {EACH} MB here. Choose fewer frames" in answer
+
+
+def test_newcomers_leave_the_picture_of_who_is_there(server):
+    visitor = Attacker(server, address="10.0.0.1")
+    path = visitor.uploaded(DUCK)
+    assert visitor.choose(path) == "cut out"
+    for _ in range(75):
+        newcomer = Attacker(server, address="10.0.0.2")
+        assert newcomer.upload(b"1")[0] in (200, 503)
+    assert json.loads(visitor.get("/phy124/here")[1]) == {"known": True}
+    assert Path(path).exists() and server.health()["visitors"] <= VISITORS
+
+
+def test_uploads_that_belong_to_nobody_stay_few(server):
+    for _ in range(200):
+        Attacker(server, cookie=False, address="10.0.0.3").uploaded(DUCK)
+    arrivals = list((server.folder / "visitors" / "arrivals").iterdir())
+    assert 0 < len(arrivals) <= 64 and _megabytes(server.folder) < ALL
 
 
 # ---- processor time -----------------------------------------------------------------------------
@@ -112,3 +160,13 @@ def test_the_page_of_another_site_starts_nothing(server, attacker, sent):
     assert server.health()["visitors"] == before
     headers = attacker.send("GET", "/config", None, sent)[2]
     assert not any("access-control" in name for name in headers)
+
+
+# ---- what is left -------------------------------------------------------------------------------
+
+
+def test_an_honest_visitor_is_served_after_all_that(server):
+    visitor = Attacker(server, address="10.9.9.9")
+    answer = visitor.generate({"path": visitor.uploaded(DUCK)})
+    assert answer.startswith("complete"), (answer, server.said())
+    assert _megabytes(server.folder) < ALL
