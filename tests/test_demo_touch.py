@@ -151,13 +151,30 @@ def test_nobody_reaches_the_run_of_another(page):
         assert said(second) == "to 3"
 
 
-def test_a_ticket_that_nobody_uses_is_given_to_others(monkeypatch):
+def test_tickets_that_nobody_uses_take_no_place(monkeypatch):
     table = Table(1)
-    table.give("me", None)
-    with pytest.raises(InputError):
-        table.give("you", None)
+    for number in range(9):
+        table.give(f"idle {number}", ORDER)
+    mine, other = table.give("me", ORDER), table.give("you", ORDER)
+    assert table.take("me", mine.name) is mine
+    for try_it in (lambda: table.give("third", ORDER), lambda: table.take("you", other.name)):
+        with pytest.raises(InputError, match="as many as this server can hold"):
+            try_it()
+    table.over(mine)
+    assert table.take("you", other.name) is other
+    table.leave("you")
     monkeypatch.setattr("demo.touch.table.WAITS", -1)
-    assert table.take("you", table.give("you", None).name)
+    table.give("last", ORDER)
+    assert len(table) == 1, "the others are lost"
+
+
+def test_who_comes_when_all_places_are_taken_is_told(page):
+    table, client = page(max_touch=1)
+    tickets = [table.give(f"cookie {visitor}", ORDER) for visitor in (ME, OTHER)]
+    with touched(client, table, ME, tickets[0]) as socket:
+        assert said(socket) == "ready"
+        with touched(client, table, OTHER, tickets[1]) as second:
+            assert "as many as this server can hold" in said(second)
 
 
 class Spoken:

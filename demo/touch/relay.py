@@ -23,7 +23,10 @@ from anyio import CancelScope
 from starlette.routing import WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
+from phy124.errors import InputError
+
 from ..identity import cookie_of
+from ..sentences import sentence
 from ..settings import Settings
 from .orders import Budget, Refused, understood
 from .player import BINDING, FRAME, SESSION, TEXT, Play, play
@@ -59,8 +62,11 @@ def socket_route(table: Table, settings: Settings) -> WebSocketRoute:
     """
 
     async def touched(socket: WebSocket) -> None:
-        ticket = table.take(cookie_of(socket), socket.path_params["name"])
         await socket.accept()
+        try:
+            ticket = table.take(cookie_of(socket), socket.path_params["name"])
+        except InputError as error:
+            return await _part(socket, sentence(error))
         if ticket is None:
             return await socket.close(GONE)
         try:
@@ -69,6 +75,12 @@ def socket_route(table: Table, settings: Settings) -> WebSocketRoute:
             table.over(ticket)
 
     return WebSocketRoute("/phy124/touch/{name}", touched)
+
+
+async def _part(socket: WebSocket, said: str) -> None:
+    """Say the last sentence, and close."""
+    await socket.send_text(json.dumps({"kind": "ended", "text": said}))
+    await socket.close()
 
 
 def _call(loop: asyncio.AbstractEventLoop, act: Callable[[], None]) -> None:
@@ -112,7 +124,7 @@ class Relay:
         parts = self._hear(process), self._tell(), self._listen(process), self._watch()
         tasks = [asyncio.create_task(self._guarded(part)) for part in parts]
         try:
-            sentence = await self._ended
+            last = await self._ended
         finally:
             for task in tasks:
                 task.cancel()
@@ -121,12 +133,12 @@ class Relay:
             # Also if this task is cancelled, however often.
             with CancelScope(shield=True):
                 await _closed(process, tasks)
-        await self._goodbye(sentence)
+        await self._goodbye(last)
 
-    def _end(self, sentence: str) -> None:
+    def _end(self, said: str) -> None:
         """End the run; the first sentence counts."""
         if not self._ended.done():
-            self._ended.set_result(sentence)
+            self._ended.set_result(said)
 
     async def _guarded(self, part: Coroutine[Any, Any, str]) -> None:
         """A part of the work, whose end is the end of all."""
@@ -141,17 +153,12 @@ class Relay:
             LOG.exception("a live run broke")
             self._end(BROKEN)
 
-    async def _goodbye(self, sentence: str) -> None:
+    async def _goodbye(self, said: str) -> None:
         """Tell the browser why it ended, if it is still there."""
         if self._socket.application_state is not WebSocketState.CONNECTED:
             return
         with suppress(RuntimeError, WebSocketDisconnect, asyncio.TimeoutError, OSError):
-            await asyncio.wait_for(self._part(sentence), PARTING)
-
-    async def _part(self, sentence: str) -> None:
-        """Say the last sentence, and close."""
-        await self._socket.send_text(json.dumps({"kind": "ended", "text": sentence}))
-        await self._socket.close()
+            await asyncio.wait_for(_part(self._socket, said), PARTING)
 
     async def _hear(self, process: asyncio.subprocess.Process) -> str:
         """Take what the process sends; of frames, only the newest is kept."""

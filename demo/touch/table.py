@@ -1,4 +1,7 @@
-"""Who may touch: a ticket for each live run, one for each visitor, and a total for the server."""
+"""Who may touch: a ticket for each live run, one for each visitor, and a total for the server.
+
+A place is taken when a page comes with its ticket; tickets that nobody uses take none.
+"""
 
 from __future__ import annotations
 
@@ -68,19 +71,29 @@ class Table:
         with self._lock:
             for name in [n for n, ticket in self._tickets.items() if ticket.lost]:
                 del self._tickets[name]
-            if len(self._tickets) >= self.most:
-                raise InputError("touch", len(self._tickets), FULL, "Try again in a few minutes.")
+            self._refuse_more()
             ticket = self._tickets[visitor] = Ticket(visitor, order)
         return ticket
 
     def take(self, visitor: str | None, name: str) -> Ticket | None:
-        """The visitor's own ticket of that name, the first time that it is shown."""
+        """The visitor's own ticket of that name, the first time that it is shown, with its place.
+
+        Raises:
+            InputError: Others have taken all places since the ticket was made.
+        """
         with self._lock:
             ticket = self._tickets.get(visitor or "")
             if ticket is None or ticket.taken or not secrets.compare_digest(ticket.name, name):
                 return None
+            self._refuse_more()
             ticket.taken = True
             return ticket
+
+    def _refuse_more(self) -> None:
+        """Raise InputError if all places are taken."""
+        taken = sum(ticket.taken for ticket in self._tickets.values())
+        if taken >= self.most:
+            raise InputError("touch", taken, FULL, "Try again in a few minutes.")
 
     def own(self, visitor: str) -> Ticket | None:
         """The ticket that a visitor has."""
