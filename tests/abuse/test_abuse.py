@@ -381,8 +381,8 @@ def test_fifty_visitors_at_once_do_not_silence_health(server):
             delays.append(time.monotonic() - start)
             time.sleep(0.05)
 
-    def visit(_: int) -> str:
-        visitor = Attacker(server, cookie=False)
+    def visit(number: int) -> str:
+        visitor = Attacker(server, cookie=False, address=f"10.0.0.{number}")
         visitor.get("/")
         return visitor.generate({"path": visitor.uploaded(DUCK)})
 
