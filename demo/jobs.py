@@ -36,7 +36,7 @@ from .ordering import count_of, order_of
 from .pictures import check_picture, cut_by, cut_once, viewable
 from .progress import MEASURING, READING, STAGES
 from .settings import Settings
-from .source import Cutout, Source, is_there
+from .source import Cutout, Source, is_there, missing
 from .strokes import Stroke
 from .studies import Measurement, grids, on_grid, read_study
 from .touch import Table
@@ -116,7 +116,7 @@ class Studio:
     def _upload(self, name: str, sent: Any) -> Path:
         """The visitor's own upload that a request names; raises InputError."""
         if not sent:
-            raise InputError("image", "none", "There is no picture yet.", "Choose one first.")
+            raise missing(None)
         return self.visitors.own(name, sent)
 
     def _read(self, visitor: Visitor, upload: Path) -> Job:
@@ -331,7 +331,7 @@ class Studio:
         """
         visitor = self.visitors.known(name)
         if visitor is None or source is None or not is_there(source):
-            raise InputError("image", "none", "There is no picture yet.", "Choose one first.")
+            raise missing(source)
         return visitor, source, self._scene(visitor, data, limits)
 
     def _scene(self, visitor: Visitor | None, data: Any, limits: Settings | None = None) -> Scene:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from phy124.errors import InputError
 from phy124.imaging.objects import Point
 from phy124.io.dialect import Axes
 
@@ -61,3 +62,11 @@ Source = Cutout | GaussianFile
 def is_there(source: Source | None) -> bool:
     """Whether there is a source, and its file has not been removed."""
     return source is not None and Path(source.path).exists()
+
+
+def missing(source: Source | None) -> InputError:
+    """The error of a request without a picture, or with one whose file has been removed."""
+    if source is None:
+        return InputError("image", "none", "There is no picture yet.", "Choose one first.")
+    limit = "Your picture is no longer kept here."
+    return InputError("image", "gone", limit, "Choose it once more.")

@@ -17,6 +17,7 @@ from demo.jobs import Studio
 from demo.line import Job
 from demo.pictures import how_cut
 from demo.settings import Settings
+from demo.source import Cutout
 from demo.strokes import Stroke, place_of
 from demo.visitors import UNFINISHED, Visitors
 from demo.work import Order
@@ -92,6 +93,13 @@ def test_a_picture_that_was_refused_is_not_generated_from(studio):
         studio.cut("a", str(bad))
     with pytest.raises(InputError, match="no picture yet"):
         studio.run("a", None, Scene.named("press").data())
+
+
+def test_a_picture_that_is_gone_is_not_called_one_that_was_never_chosen(studio):
+    gone = Cutout(str(studio.visitors.get("a").folder / "gone.png"), "")
+    for name in ("a", "somebody the page has forgotten"):
+        with pytest.raises(InputError, match="no longer kept here"):
+            studio.run(name, gone, Scene.named("press").data())
 
 
 @pytest.mark.skipif(not heic.is_readable(), reason="the extra heic is not installed")
