@@ -10,7 +10,7 @@ from phy124.io import opening
 from phy124.io.opening import obstacle
 
 COMMANDS = [
-    ["simulate", "{}"],
+    ["simulate", "{}", "--dry-run"],
     ["convert", "{}", "out.ply"],
     ["orient", "{}"],
     ["render", "{}"],
@@ -86,9 +86,6 @@ def test_without_permission_each_command_says_so(tmp_path, monkeypatch, capsys, 
     os.chmod(tmp_path, 0o777)
     os.seteuid(65534)
     try:
-        path = tmp_path / "secret"
-        if obstacle(path) == ("there is no such file.", "Check the path."):
-            pytest.skip("the folder above is closed to others")
         status = main([word.replace("{}", "secret") for word in command])
     finally:
         os.seteuid(0)
