@@ -7,7 +7,8 @@ import pytest
 
 from phy124.accuracy import load, promises
 from phy124.accuracy.load import Load, spoken
-from phy124.accuracy.promises import kept, motion_of, promise, table, violence
+from phy124.accuracy.promises import kept, motion_of, promise, table
+from phy124.accuracy.severity import violence, yielding
 from phy124.io.ply import write_ply
 from phy124.monitor.tearing import Tearing
 from phy124.pipeline import simulate
@@ -19,7 +20,8 @@ def test_the_table_says_where_and_when_it_was_measured():
     assert "Measured on" in table()["machine"]
     assert len(table()["date"]) == 10
     for row in table()["scenes"].values():
-        assert row["from"] and row["violence"] >= 0 and row["length"] > 0
+        assert row["from"] and row["violence"] > 0 and row["length"] > 0
+        assert 0 <= row["nu"] < 0.5 and row["damping"] >= 0 and row["yielding"] >= 0
         known = [row["errors"][cells] for cells in sorted(row["errors"], key=int)]
         errors = [error for error in known if error is not None]  # None: torn in one of the scenes
         assert errors == sorted(errors, reverse=True), "a finer grid promises no more"
@@ -59,6 +61,44 @@ def test_off_what_was_measured_nothing_is_promised(changes, why):
     assert "phy124 accuracy" in said.sentence
 
 
+GRAVITY = {"kind": "gravity"}
+GROUND = {"kind": "ground"}
+SINE = {"kind": "sine", "frequency": 2.0}
+GRAB = {"kind": "grab", "targets": [[0, 0, 0.5], [0, 0, 2.0]]}
+
+
+@pytest.mark.parametrize(
+    ("preset", "changes", "why"),
+    [
+        ("sway", {"forces": [{"kind": "wind", "v": [0, 30, 0]}]}, "force of the kind wind"),
+        ("drop", {"forces": [{"kind": "force", "f": [0, 9e3, 0]}]}, "force of the kind force"),
+        ("drop", {"forces": [{"kind": "impulse", "p": [0, 9e3, 0]}]}, "kind impulse"),
+        ("drop", {"forces": [{"kind": "set_velocity", "v": [0, 9, 0]}]}, "kind set_velocity"),
+        ("drop", {"forces": [GRAVITY, GRAB]}, "kind grab"),
+        ("drop", {"forces": [{"kind": "wrench", "torque": [0, 0, 9e3]}]}, "kind wrench"),
+        ("drop", {"forces": [{"kind": "zone", "a": [0, 9, 0]}]}, "kind zone"),
+        ("push_right", {"forces": [{"kind": "acceleration", "profile": SINE}]}, "follows a sine"),
+        ("sway", {"forces": [{"kind": "acceleration", "region": {}}]}, "in a region only"),
+        ("press", {"boundaries": [GROUND, {"kind": "press", "down": 0.02}]}, "so violent"),
+        ("press", {"boundaries": [GROUND, {"kind": "press", "depth": 0.9, "down": 9.0, "up": 9.0}]},
+         "so violent"),
+        ("drop", {"boundaries": [{"kind": "ground", "motion": {"kind": "swing"}}]}, "that moves"),
+        ("drop", {"material.damping": 0.0}, "with so little damping"),
+        ("drop", {"material.nu": 0.49}, "so nearly incompressible"),
+        ("drop", {"material": {"law": "metal", "yield_stress": 2e4}}, "that yields so much"),
+        ("drop", {"material": {"law": "fluid", "viscosity": 50.0}}, "fluid of another viscosity"),
+        ("drop", {"material": {"law": "foam", "viscosity": 1.0}}, "foam of another viscosity"),
+    ],
+)  # fmt: skip
+def test_violence_sees_all_that_makes_a_scene_violent(preset, changes, why):
+    """Nothing is promised beyond what was measured, in whatever it is."""
+    usual = Scene.named(preset).replaced({"accuracy": "fine"})
+    law = changes.get("material", {}).get("law")
+    assert promise(usual.replaced({"material": {"law": law}} if law else {})).error is not None
+    said = promise(usual.replaced(changes))
+    assert said.error is None and why in said.sentence
+
+
 def test_a_longer_scene_is_promised_what_was_measured_of_its_beginning():
     press = Scene.named("press").replaced({"accuracy": "draft"})
     brief, longer = (promise(press.replaced({"time.frames": n})) for n in (14, 48))
@@ -73,9 +113,9 @@ def test_a_longer_scene_is_promised_what_was_measured_of_its_beginning():
 
 
 def test_a_grid_between_two_is_promised_the_error_of_the_coarser(monkeypatch):
-    row = {"errors": {"16": 0.04, "32": 0.01, "48": None}, "violence": 1, "length": 9,
-        "particles_per_axis": 2,
-           "from": ["drop"]}  # fmt: skip
+    hard = {"violence": 1, "yielding": 0, "nu": 0.4, "damping": 0, "length": 9}
+    row = {"errors": {"16": 0.04, "32": 0.01, "48": None}, **hard}
+    row |= {"particles_per_axis": 2, "from": ["drop"]}
     monkeypatch.setattr(
         promises, "table", lambda: {"object": "a duck", "scenes": {"neo_hookean landing": row}}
     )
@@ -111,6 +151,12 @@ def test_violence_is_energy_over_stiffness():
     assert violence(drop.replaced({"object.lift": 0.8})) == pytest.approx(
         violence(drop) * 2.6 / 1.6
     )
+    softer = drop.replaced({"material.nu": 0.0})
+    assert violence(softer) == violence(drop), "a bar is as stiff, whatever Poisson's ratio is"
+    press = Scene.named("press")
+    assert violence(press) > violence(press.replaced({"boundaries.1.depth": 0.1})) > 0
+    metal = drop.replaced({"material": {"law": "metal", "yield_stress": 1e5}})
+    assert yielding(metal) == pytest.approx(2700 * 9.81 * 1.6 / 1e5)
 
 
 def test_a_run_that_may_be_torn_or_stopped_keeps_no_promise(tmp_path, monkeypatch):

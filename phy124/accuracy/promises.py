@@ -20,6 +20,7 @@ from functools import cache
 from importlib import resources
 from typing import Any, Literal
 
+from phy124.accuracy.severity import damping, poisson, unlike, violence, yielding
 from phy124.scene import Scene
 
 Motion = Literal["squeezed", "landing", "standing", "held", "free"]
@@ -33,6 +34,8 @@ WORDS: dict[Motion, str] = {
 """Kinds of motion, in words."""
 MARGIN = 1.25
 """How much longer or more violent a scene may be than those measured; errors grow by as much."""
+NEARBY = 0.02
+"""How much larger than measured Poisson's ratio may be."""
 UNMEASURED = "error not measured"
 STUDY = "phy124 accuracy SCENE --image PICTURE"
 """The command that measures a user's own scene."""
@@ -113,7 +116,22 @@ def _beyond(scene: Scene, laws: Sequence[str]) -> str:
         return "materials that vary from point to point"
     if scene.resolution.gradient != "affine":
         return f"accuracy.gradient = {scene.resolution.gradient}"
-    return "motion that accuracy.rpic_damping damps" if scene.resolution.rpic_damping > 0 else ""
+    if scene.resolution.rpic_damping > 0:
+        return "motion that accuracy.rpic_damping damps"
+    return unlike(scene)
+
+
+def _harder(scene: Scene, found: Mapping[str, Any]) -> str:
+    """In what a scene is harder than those measured; empty: in nothing."""
+    if violence(scene) > MARGIN * found["violence"]:
+        return "so violent, or so soft"
+    if yielding(scene) > MARGIN * found["yielding"]:
+        return "that yields so much"
+    if damping(scene) * MARGIN < found["damping"]:
+        return "with so little damping"
+    if poisson(scene) > found["nu"] + NEARBY:
+        return f"so nearly incompressible (nu above {found['nu']:g})"
+    return ""
 
 
 def promise(scene: Scene, report: Mapping[str, Any] | None = None) -> Promise:
@@ -133,8 +151,9 @@ def promise(scene: Scene, report: Mapping[str, Any] | None = None) -> Promise:
         return _unknown(
             f"{such} with fewer than {found['particles_per_axis']:g} particles per cell and axis"
         )
-    if violence(scene) > MARGIN * found["violence"]:
-        return _unknown(f"{such} so violent, or so soft")
+    harder = _harder(scene, found)
+    if harder:
+        return _unknown(f"{such} {harder}")
     grids = {int(cells): error for cells, error in found["errors"].items() if error is not None}
     within = [cells for cells in grids if cells <= scene.resolution.cells]
     if not within:
@@ -161,20 +180,6 @@ def motion_of(scene: Scene) -> Motion:
     return "landing" if moves else "standing"
 
 
-def violence(scene: Scene) -> float:
-    """Energy of a scene relative to the stiffness that absorbs it: (v^2 + |a| L) / c^2.
-
-    v is the largest speed at which it starts or lands, a the acceleration by forces, L its size,
-    and c the speed of waves in its softest material.
-    """
-    body = scene.object
-    pull = sum(math.hypot(*_vector(force)) for force in scene.forces)
-    speed = math.hypot(*body.velocity) + math.hypot(*body.spin) * body.size / 2
-    energy = speed**2 + 2 * pull * body.lift + pull * body.size
-    slowest = min(section.wave_speed() for section in scene.materials)
-    return energy / max(slowest, 1e-9) ** 2
-
-
 def length(scene: Scene) -> float:
     """Duration of a scene in units of sqrt(size / 9.81 m/s^2)."""
     return _until(scene) / _unit(scene)
@@ -195,12 +200,6 @@ def table() -> dict[str, Any]:
     """The measured errors, with machine and date."""
     file = resources.files("phy124") / "accuracy" / "measured.json"
     return json.loads(file.read_text("utf-8"))
-
-
-def _vector(force: Any) -> tuple[float, ...]:
-    """The acceleration of a force [m/s^2], if it is one; otherwise empty."""
-    value = next((getattr(force, name) for name in ("g", "a") if hasattr(force, name)), 0.0)
-    return tuple(value) if isinstance(value, tuple) else (float(value),)
 
 
 def none(why: str) -> Promise:

@@ -20,7 +20,8 @@ import warp as wp
 
 from phy124 import pipeline
 from phy124.accuracy.convergence import distances, richardson
-from phy124.accuracy.promises import length, motion_of, violence
+from phy124.accuracy.promises import length, motion_of
+from phy124.accuracy.severity import damping, poisson, violence, yielding
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.scene import Scene
@@ -83,11 +84,20 @@ def worst(rows: list[dict[str, Any]]) -> dict[str, Any]:
         errors[cells] = None if None in each else round(max(each), 4)
     return {
         "errors": errors if all(row["errors"] for row in rows) else {},
-        "violence": max(row["violence"] for row in rows),
+        **{name: max(row[name] for row in rows) for name in ("violence", "yielding", "nu")},
+        "damping": min(row["damping"] for row in rows),
         "length": max(row["length"] for row in rows),
         "particles_per_axis": max(row["particles_per_axis"] for row in rows),
         "from": [row["name"] for row in rows],
     }
+
+
+def severity(scene: Scene) -> dict[str, float]:
+    """How hard a scene is on its material."""
+    return {
+        "violence": violence(scene), "yielding": yielding(scene), "nu": poisson(scene),
+        "damping": damping(scene),
+    }  # fmt: skip
 
 
 def rows(gaussians: Gaussians, laws: list[str]) -> Iterator[dict[str, Any]]:
@@ -104,7 +114,7 @@ def rows(gaussians: Gaussians, laws: list[str]) -> Iterator[dict[str, Any]]:
         errors = {cells: SAFETY * error for cells, error in errors.items() if error is not None}
         row = {
             "kind": f"{law} {motion_of(scene)}", "name": name.removeprefix(f"{law} "),
-            "errors": errors, "violence": violence(scene), "length": length(scene),
+            "errors": errors, **severity(scene), "length": length(scene),
             "particles_per_axis": scene.particles_per_axis,
         }  # fmt: skip
         print(json.dumps(row), flush=True)
