@@ -73,7 +73,7 @@ def register(writer: Writer, topic: Topic) -> int:
 
 def write_metadata(folder: Path, file: str, counts: Counts) -> None:
     """Write metadata.yaml, completely or not at all; it makes the folder a bag."""
-    with replacing(folder / METADATA) as temporary, temporary.open("w") as stream:
+    with replacing(folder / METADATA) as temporary, temporary.open("w", encoding="utf-8") as stream:
         stream.write(metadata_yaml(file, counts))
         stream.flush()
         os.fsync(stream.fileno())

@@ -69,7 +69,8 @@ def _run(arguments: list[str], *, quiet: bool, verbose: bool) -> int:
             from phy124.commands.bars import silence
 
             stack.enter_context(silence())
-            stack.enter_context(redirect_stdout(stack.enter_context(open(os.devnull, "w"))))
+            nowhere = stack.enter_context(open(os.devnull, "w", encoding="utf-8", errors="replace"))
+            stack.enter_context(redirect_stdout(nowhere))
         return command.run()
 
 

@@ -33,6 +33,14 @@ def test_help_is_written_in_any_encoding(program, encoding):
     assert "• ".encode(encoding, "replace").replace(b"?", b"*") in run.stdout
 
 
+def test_quiet_is_quiet_in_any_encoding(tmp_path):
+    """Although a file with such a name is printed."""
+    name = os.fsencode(tmp_path) + "/日.png".encode()
+    out = os.fsdecode(name)
+    run = shell(f"{PHY124} cutout demo/examples/duck.png --quiet --out '{out}'", **FOREIGN)
+    assert (run.returncode, run.stdout, run.stderr) == (0, b"", b"") and os.path.exists(name)
+
+
 @pytest.mark.parametrize(
     ("command", "closed", "status"),
     [
@@ -50,6 +58,7 @@ def test_lost_results_are_an_error_and_lost_messages_are_none():
     run = shell(f"{PHY124} scenes > /dev/full")
     assert run.returncode == 1
     assert run.stderr.startswith(b"phy124: the disk is full") and run.stderr.count(b"\n") == 1
+    assert b"'standard output'" in run.stderr
     assert shell(f"{PHY124} scenes 2> /dev/full").returncode == 0
 
 

@@ -67,7 +67,7 @@ def _others_running() -> int:
         try:
             running = Path("/proc/loadavg").read_text().split()[3].partition("/")[0]
             # Threads that libraries in this process leave spinning for a moment do not count.
-            own = [path.read_text() for path in Path("/proc/self/task").glob("*/stat")]
+            own = [path.read_text("latin-1") for path in Path("/proc/self/task").glob("*/stat")]
         except OSError:
             return 0
         counts.append(int(running) - sum(text.rpartition(")")[2].split()[0] == "R" for text in own))

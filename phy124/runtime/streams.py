@@ -58,7 +58,7 @@ def _occupy() -> None:
 def _steady(stream: TextIO | None, problems: list[OSError]) -> Any:
     """A stream that writes where another one does, and never fails; None is replaced, too."""
     if stream is None:
-        return open(os.devnull, "w", encoding="utf-8")
+        return open(os.devnull, "w", encoding="utf-8", errors=PLAIN)
     if not isinstance(stream, io.TextIOWrapper) or not _is_file(stream):
         return stream  # an editor's or a test's
     stream.flush()
@@ -101,6 +101,7 @@ class _Steady(io.RawIOBase):
             except OSError as problem:
                 self.ended = True
                 if problem.errno != errno.EPIPE:
+                    problem.filename = "standard output"
                     self.problems.append(problem)
         return len(data)
 
