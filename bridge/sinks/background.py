@@ -12,6 +12,7 @@ import threading
 from contextlib import suppress
 from types import TracebackType
 
+from phy124.failures import failure
 from phy124.gaussians import Frame
 
 from ..sink import Recorder
@@ -76,7 +77,7 @@ class Background:
                     self.sink.write(what)
             except Exception as error:
                 # It is raised when the sink is closed; playback must not stop.
-                log.error("Recording failed, playback goes on. %s", error)
+                log.error("Recording failed, playback goes on. %s", failure(error).sentence)
                 self._error = error
 
     def _drop(self) -> None:

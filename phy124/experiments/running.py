@@ -11,6 +11,7 @@ from typing import NamedTuple
 from phy124.experiments import named
 from phy124.experiments.experiment import Experiment, Values
 from phy124.experiments.outcome import Outcome, found
+from phy124.failures import failure
 from phy124.progress import Progress
 from phy124.runtime.processes import as_done, processes
 
@@ -48,8 +49,8 @@ def measure(run: Run) -> Measured:
         values = (experiment.control if run.control else experiment.run)(run.cells)
     except Exception as error:
         what = "control" if run.control else f"{run.cells} cells"
-        failure = f"{what}: {type(error).__name__}: {error}"
-        return Measured(run, (), time.process_time() - before, failure)
+        said = f"{what}: {failure(error).sentence}"
+        return Measured(run, (), time.process_time() - before, said)
     return Measured(run, values, time.process_time() - before)
 
 

@@ -6,6 +6,8 @@ import math
 from collections.abc import Callable
 from typing import Any, NamedTuple, SupportsFloat
 
+from phy124.failures import failure
+
 
 class Setting(NamedTuple):
     """The device and precision in which a case runs."""
@@ -77,7 +79,7 @@ def examine(case: Case, setting: Setting) -> tuple[Row, list[Check]]:
     try:
         checks = case.measure(setting)
     except Exception as error:
-        return Row(name, "no error", f"{type(error).__name__}: {error}", "fail"), []
+        return Row(name, "no error", failure(error).sentence, "fail"), []
     verdict = "pass" if checks and all(check.holds for check in checks) else "fail"
     return Row(
         name,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 
 from phy124.errors import Cancelled
+from phy124.failures import failure
 from phy124.sweep.work import Made, Order, Row, failed, made, row_of, stops_all
 
 
@@ -34,4 +35,4 @@ def in_turn(orders: Iterable[Order], *, beat: Callable[[], None]) -> Iterator[Ro
             # Whatever is wrong with one clip does not stop the others.
             if isinstance(error, Cancelled) or stops_all(error):
                 raise
-            yield failed(order, f"{type(error).__name__}: {error}")
+            yield failed(order, failure(error).sentence)

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 from phy124.errors import InputError
+from phy124.failures import failure
 from phy124.runtime.cores import cores
 from phy124.runtime.installation import install_command
 from phy124.sweep.work import Order, Row, failed, made, row_of, stops_all
@@ -113,7 +114,7 @@ class _Tasks:
         except self.ray.exceptions.RayTaskError as error:
             if stops_all(error.cause):
                 raise error.cause from None
-            return failed(order, f"{type(error.cause).__name__}: {error.cause}")
+            return failed(order, failure(error.cause).sentence)
         except self.ray.exceptions.RayError as error:
             return failed(order, f"workers died over it {RETRIES + 1} times: {error}")
 
