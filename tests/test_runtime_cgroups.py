@@ -2,17 +2,14 @@
 
 import json
 import math
-import os
-import subprocess
-import sys
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
 
 from phy124.io.ply import write_ply
 from phy124.runtime.cgroups import cpu_quota, memory_left
+from support.groups import limited, within
 from support.shapes import ball
 
 MB = 1_000_000
@@ -89,35 +86,6 @@ def test_a_group_that_has_used_too_much_leaves_nothing(tmp_path):
 
 def test_a_system_without_groups_has_no_limits(tmp_path):
     assert memory_left(tmp_path) == cpu_quota(tmp_path) == math.inf
-
-
-@contextmanager
-def limited(controller: str, limits: dict[str, int]) -> Iterator[Path]:
-    """A real group of either version; skips where none can be made."""
-    first = Path("/sys/fs/cgroup")
-    mount = first / controller if (first / controller).is_dir() else first
-    group = mount / f"phy124-test-{os.getpid()}"
-    made = False
-    try:
-        with suppress(OSError):
-            group.mkdir()
-            for name, value in limits.items():
-                if (group / name).exists():
-                    (group / name).write_text(str(value))
-                    made = True
-        if not made:
-            pytest.skip("this machine lets us make no control group")
-        yield group
-    finally:
-        with suppress(OSError):
-            group.rmdir()
-
-
-def within(group: Path, *command: object) -> subprocess.CompletedProcess:
-    """Run Python in a group."""
-    enter = f'echo $$ > {group}/cgroup.procs && exec "$0" "$@"'
-    whole = ["sh", "-c", enter, sys.executable, *map(str, command)]
-    return subprocess.run(whole, check=False, capture_output=True, text=True)
 
 
 def test_a_real_group_limits_the_cores():

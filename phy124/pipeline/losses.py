@@ -11,10 +11,11 @@ from phy124.failures import failure
 CLIP = "clip.safetensors"
 
 
-def unfilmed(out: Path, made: Iterable[str]) -> Incomplete:
+def unfilmed(out: Path, made: Iterable[str], *, resumes: bool) -> Incomplete:
     """The clip is there, and filming or exporting it failed."""
     names = ", ".join(sorted(made))
-    return Incomplete(f"kept in {out}: {names}. `phy124 render {out / CLIP}` films it")
+    more = ", or the same command with --resume makes what is missing" if resumes else ""
+    return Incomplete(f"kept in {out}: {names}. `phy124 render {out / CLIP}` films it{more}")
 
 
 def moved_away(out: Path, folder: Path, *, interrupted: bool) -> Incomplete:

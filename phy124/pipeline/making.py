@@ -128,9 +128,9 @@ class Making:
             write_json(folder / earlier.REPORT, report)
         deliver(folder)
         earlier.remove(self.out, before.difference(made))
-        self._end(made, interrupted=interrupted)
+        self._end(made, interrupted=interrupted or problem is not None)
         if problem is not None:
-            raise unfilmed(self.out, made) from problem
+            raise unfilmed(self.out, made, resumes=self.recording.saved > 0) from problem
         return Result(self.out, tuple(self.out / name for name in sorted(made)), report)
 
     def _moved(self, moved: Callable[[], tuple[Simulation, Clip]]) -> tuple[Simulation, Clip, bool]:
@@ -181,8 +181,10 @@ class Making:
             if (folder / CLIP).exists():
                 self._relist(folder)
                 made = deliver(folder)
-                self._end(made, interrupted=interrupted)
-                loss = unfilmed(self.out, made)
+                with suppress(OSError, InputError):
+                    self.recording.pause(run)
+                self._end(made, interrupted=True)
+                loss = unfilmed(self.out, made, resumes=self.recording.saved > 0)
             else:
                 loss = self._elsewhere(run, clip, interrupted)
             if interrupted:

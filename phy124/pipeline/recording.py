@@ -8,6 +8,7 @@ without. The state is written so rarely that it takes a hundredth of the time.
 from __future__ import annotations
 
 import json
+import math
 import secrets
 import time
 import warnings
@@ -72,19 +73,24 @@ class Recording:
             self._begin(run)
         if self.failed:
             return
-        try:
-            with run.watch.stage("save"):
+        with run.watch.stage("save"):
+            try:
                 self._write_frames(run)
-                if self._is_due(run):
+            except (OSError, InputError) as error:
+                self.failed = True
+                self._complain("frames are kept in memory only", error)
+            except Unlike:
+                self.failed = True
+            if not self.failed and self._is_due(run):
+                try:
                     self.pause(run)
-        except (OSError, InputError) as error:
-            self.failed = True
-            warnings.warn(
-                f"frames are kept in memory only, so a killed run cannot go on from here: {error}",
-                stacklevel=2,
-            )
-        except Unlike:
-            self.failed = True
+                except (OSError, InputError) as error:
+                    self._last = math.inf  # not tried again
+                    self._complain("the state of the run cannot be written", error)
+
+    def _complain(self, what: str, error: Exception) -> None:
+        lost = f"what follows frame {self.saved}" if self.saved else "all frames"
+        warnings.warn(f"{what}, so a kill would lose {lost} ({error})", stacklevel=3)
 
     def pause(self, run: Simulation) -> None:
         """Write the state after the last frame.

@@ -1,0 +1,60 @@
+"""What it costs to keep a run on disk while it goes on: the same run with and without, in turn.
+
+`python tests/benchmarks/recording.py [PAIRS]` prints seconds of each, and the difference.
+"""
+
+from __future__ import annotations
+
+import statistics
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from phy124 import pipeline
+from phy124.io import locks
+from phy124.runtime.startup import start
+from phy124.scene import Scene
+
+DUCK = Path(__file__).parents[2] / "demo/examples/duck.png"
+SCENES = {
+    "draft, 120 frames": {"accuracy": "draft", "time.frames": 120, "time.sleep": False},
+    "standard, 22 frames": {},
+}
+
+
+def seconds(gaussians: object, scene: Scene, *, kept: bool) -> tuple[float, float]:
+    """Seconds of the clock and of the processor that a run without films takes."""
+    usual, locks.AVAILABLE = locks.AVAILABLE, kept and locks.AVAILABLE
+    try:
+        with tempfile.TemporaryDirectory(dir=".") as out:
+            clock, processor = time.perf_counter(), time.process_time()
+            pipeline.simulate(gaussians, scene, out, films=False, keep=True, threads=1)
+            return time.perf_counter() - clock, time.process_time() - processor
+    finally:
+        locks.AVAILABLE = usual
+
+
+def main() -> None:
+    """Print a line for each scene."""
+    start()
+    pairs = int(sys.argv[1]) if len(sys.argv) > 1 else 5
+    for name, changes in SCENES.items():
+        scene = Scene.named("press").replaced(changes)
+        gaussians = pipeline.static(DUCK, scene).gaussians
+        seconds(gaussians, scene, kept=True)
+        found: dict[bool, list[tuple[float, float]]] = {True: [], False: []}
+        for _ in range(pairs):
+            for kept in (False, True):
+                found[kept].append(seconds(gaussians, scene, kept=kept))
+        for place, what in enumerate(("clock", "processor")):
+            without, kept = ([row[place] for row in found[k]] for k in (False, True))
+            more = [b / a - 1 for a, b in zip(without, kept, strict=True)]
+            print(
+                f"{name:<22}{what:<10} without {min(without):6.2f} s, with {min(kept):6.2f} s "
+                f"(least of {pairs}), median of the pairs {statistics.median(more):+.1%}"
+            )
+
+
+if __name__ == "__main__":
+    main()
