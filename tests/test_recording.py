@@ -174,6 +174,18 @@ def test_an_error_leaves_the_frames_so_far(tmp_path, error):
     same(tmp_path / "whole", tmp_path / "cut")
 
 
+def test_a_run_of_the_page_that_fails_leaves_nothing(tmp_path, every_frame, temporary):
+    """Its visitor has no command to go on with, and must not see the server's folders."""
+
+    def each(run, frame) -> None:
+        if frame.index == 3:
+            raise RuntimeError("a bug")
+
+    with pytest.raises(RuntimeError, match="a bug"):
+        pipeline.simulate(ball(300), SCENE, tmp_path / "out", each=each, rescues=False)
+    assert not (tmp_path / "out").exists() and list(temporary.iterdir()) == []
+
+
 def test_a_pause_stays_if_the_run_that_goes_on_fails(tmp_path, every_frame):
     def stop(stage: str, done: int, total: int) -> None:
         if stage == "simulate" and done == 3:

@@ -82,7 +82,7 @@ def simulate(
     pipeline.simulate(
         gaussians, scene, out, device=order.device, threads=order.threads,
         progress=watching.progress, watch=watch, about=about, crop=crop, films=False,
-        each=watching.see,
+        rescues=False, each=watching.see,
     )  # fmt: skip
     watching.end()
     _without_places(out, order)

@@ -80,6 +80,7 @@ def generate(
 
     Raises:
         InputError: The picture, the scene or the options cannot be used.
+        Incomplete: Not all could be computed or written; it says what is kept, and where.
         Cancelled: `progress` raised it.
     """
     refuse_threads(threads)
@@ -122,6 +123,7 @@ def simulate(
     forecaster: Forecaster | None = None,
     keep: bool = False,
     films: bool = True,
+    rescues: bool = True,
     each: Callable[[Simulation, Frame], object] = lambda run, frame: None,
 ) -> Result:
     """Turn static Gaussians into moving ones, videos and a report in a folder.
@@ -142,11 +144,14 @@ def simulate(
         keep: Whether a run that `progress` cancels is filmed and kept, so that `go_on` can
             continue it.
         films: Whether videos are made.
+        rescues: Whether what is computed is kept, and told of by Incomplete, if the run fails or
+            its folder has no room.
         each: Called with the simulation and every frame as soon as it is computed, but not for the
             grids that are tried to meet a `goal`.
 
     Raises:
         InputError: The Gaussians, the scene or the folder cannot be used.
+        Incomplete: Not all could be computed or written; it says what is kept, and where.
         Cancelled: `progress` raised it.
     """
     scene.refuse_nameless()
@@ -156,8 +161,9 @@ def simulate(
     watch = watch or Stopwatch()
     png = None if cutout is None else cutout.png()
     making = Making(
-        Path(out), device, progress, watch, dict(about or {}), keep, png, films, threads
-    )
+        Path(out), device, progress, watch, dict(about or {}), keep, png, films, threads,
+        rescues=rescues,
+    )  # fmt: skip
 
     def seen(run: Simulation, frame: Frame) -> None:
         making.recording.see(run)

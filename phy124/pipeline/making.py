@@ -75,6 +75,8 @@ class Making:
     """The file with the frames of the run that is continued, if it has one."""
     continued: int = 0
     """Number of frames of the run that is continued."""
+    rescues: bool = True
+    """Whether what is computed is kept if the run fails or its folder has no room."""
     predicted: Forecast | None = None
 
     def __post_init__(self) -> None:
@@ -149,6 +151,9 @@ class Making:
             self.recording.drop()
             raise
         except Exception as error:
+            if not self.rescues:
+                self.recording.drop()
+                raise
             if left := self.recording.rescued():
                 raise broken_off(self.out, left) from error
             raise
@@ -178,6 +183,9 @@ class Making:
         try:
             return self._write(folder, run, clip, interrupted)
         except Exception as error:
+            if not self.rescues:
+                self.recording.drop()
+                raise
             if (folder / CLIP).exists():
                 self._relist(folder)
                 made = deliver(folder)
