@@ -89,6 +89,11 @@ class Material(Section):
         """Sentences that the user should know about how this material is simulated."""
         return []
 
+    def notes_at(self, speed: float) -> list[str]:
+        """Sentences that the user should know once something has moved at a speed [m/s]."""
+        del speed
+        return []
+
 
 def viscous_substep(density: float, viscosity: float, dx: float) -> float:
     """rho dx^2 / (8 eta), the substep [s] in which viscosity stops an isolated particle's strain.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, ClassVar, Literal
 
 from pydantic import Field
@@ -87,6 +88,10 @@ class Hencky(Springy):
     )
 
 
+FASTER = 1.5
+"""How many times faster than `Rigid.speed` a body may be without a note."""
+
+
 class Rigid(Elastic):
     """A hard body: stiff enough that its deformation cannot be seen, and no stiffer.
 
@@ -129,4 +134,15 @@ class Rigid(Elastic):
         return [
             f"The rigid body of E = {self.E:g} Pa is simulated with {self.simulated_E:g} Pa: it "
             f"deforms by up to {self.strain:.2%} when it hits something at {self.speed:g} m/s."
+        ]
+
+    def notes_at(self, speed: float) -> list[str]:
+        """A sentence if it moved faster than its stiffness is made for."""
+        if self.simulated_E == self.E or speed <= FASTER * self.speed:
+            return []
+        strain = speed * math.sqrt(self.density / self.simulated_E)
+        return [
+            f"The rigid body moved at {speed:.3g} m/s; its stiffness is for impacts at "
+            f"{self.speed:g} m/s. At that speed one deforms it by about {strain:.1%}; "
+            f"material.speed = {speed:.3g} makes it stiff enough."
         ]

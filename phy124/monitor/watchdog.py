@@ -54,6 +54,8 @@ rounding omits strains the body. Measured: 3e-10 per substep in float32, 7e-10 w
 FAST = ("push", "cells")
 ROUNDED = ("precision",)
 """Causes of violations (`phy124.remedies`): of a run too fast for its window, of rounding."""
+SWOLLEN = 2.0
+"""Volume ratio above which a solid would have broken."""
 SQUEEZED = 0.5
 """Volume ratio below which the law or the push may be the cause of an instability."""
 
@@ -205,6 +207,14 @@ class Watchdog:
                     f"something at more than {COLLAPSE} times, it may stay squeezed flat without "
                     "any other sign; neo_hookean would not."
                 )
+        for material in self.model.materials:
+            notes += material.notes_at(self._fastest)
+        if self.max_J > SWOLLEN and not any(m.rounds for m in self.model.materials):
+            notes.append(
+                f"Somewhere the material swelled to {self.max_J:.2g} times its volume, as no solid "
+                "does: it would have broken. It is too fast for its stiffness; a slower motion "
+                "or a stiffer material keeps it whole."
+            )
         trembles = self.balance.trembles
         if trembles:
             notes.append(

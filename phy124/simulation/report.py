@@ -8,7 +8,7 @@ from phy124.effects import Effects
 from phy124.io.clip import Clip
 from phy124.limits import stiffest_part
 from phy124.monitor.wrenches import pair_names, summary
-from phy124.simulation import bodies
+from phy124.simulation import bodies, buried, softening
 
 Run = Any
 """A `Simulation`, which is built on this module."""
@@ -113,5 +113,6 @@ def _notes(run: Run) -> list[str]:
     """What the user should know about the materials and about how the run went."""
     notes = [note for section in run.scene.materials for note in section.notes()]
     stiff = stiffest_part(run.scene)
-    coarse = bodies.notes(run.scene)
+    coarse = bodies.notes(run.scene) + buried.notes(run.scene.boundaries, run.solver.model)
+    coarse += softening.notes(run.scene)
     return notes + coarse + ([stiff] if stiff else []) + run.watchdog.notes() + run.remarks

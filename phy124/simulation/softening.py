@@ -14,6 +14,7 @@ from phy124.monitor.diagnostics import diagnose
 from phy124.monitor.external_work import ExternalWork
 from phy124.mpm import Solver
 from phy124.mpm.model import Group
+from phy124.scene import Scene
 
 
 class Softening:
@@ -53,3 +54,15 @@ class Softening:
         self.factor = factor
         for group, theta, varies in self._groups:
             group.theta.assign(np.where(varies, factor * theta, theta).astype(theta.dtype))
+
+
+def notes(scene: Scene) -> list[str]:
+    """A sentence if the stiffness is to repeat faster than frames follow each other."""
+    profile = scene.stiffness_profile
+    if profile is None or not 0 < profile.period < 2 / scene.time.fps:
+        return []
+    return [
+        f"stiffness_profile repeats every {profile.period:.2g} s and is read once at the start of "
+        f"each frame, every {1 / scene.time.fps:.2g} s: what happens in between is not seen. A "
+        "larger time.fps sees it."
+    ]

@@ -22,6 +22,7 @@ from phy124.particles import Particles
 from phy124.scene import Object, Scene
 from phy124.scene.objects import pair_of
 from phy124.simulation import props
+from phy124.simulation.buried import refuse_buried
 
 FLOOR_NODE = 0.75
 """Depth of a layer of nodes below the floor [cells]."""
@@ -54,6 +55,9 @@ def solver_of(
         wrenches: Adds up what each wall is given, if that is asked for.
         dissipation: Adds up the work of the stress, if that is asked for.
         free: Rigid solids that move freely.
+
+    Raises:
+        InputError: The object starts inside a wall.
     """
     x = particles.x.astype(np.float64)
     v, C = _motion(x, particles, scene)
@@ -76,6 +80,7 @@ def solver_of(
         device=device,
         gradient=scene.resolution.gradient,
     )
+    refuse_buried(scene.boundaries, model)
     return Solver(
         model,
         State.of(model, v, C),

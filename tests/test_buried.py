@@ -1,0 +1,72 @@
+"""Walls inside which the object already stands, and other nonsense: refused, or noted."""
+
+import pytest
+
+from phy124.errors import InputError
+from phy124.scene import Scene
+from phy124.simulation import Simulation
+from support.shapes import ball
+
+DOWN = {"kind": "half_space", "point": [0, 0, 0.5], "normal": [0, 0, -1.0]}
+UP = {"kind": "half_space", "point": [0, 0, 0.9], "normal": [0, 0, 1.0]}
+QUICK = {"accuracy": {"cells": 12}, "time.frames": 3, "time.fps": 24.0}
+
+
+def run(**changes) -> Simulation:
+    return Simulation(ball(400), Scene.named("drop").replaced({**QUICK, **changes}))
+
+
+@pytest.mark.parametrize(
+    ("walls", "kind"),
+    [
+        ([{"kind": "ground", "height": 0.8}], "ground"),
+        ([DOWN], "halfspace"),
+        ([DOWN, UP], "halfspace"),
+        ([{"kind": "container", "inside": {"lower": [-0.1, -0.1, 0], "upper": [0.1, 0.1, 2]}}],
+         "container"),
+        ([{"kind": "press", "top": 0.5}], "press"),
+        ([{"kind": "ground", "motion": {"kind": "path", "points": [[0, 0, 1], [0, 0, 0]]}}],
+         "ground"),
+    ],
+)  # fmt: skip
+def test_an_object_that_starts_inside_a_wall_is_refused(walls, kind):
+    with pytest.raises(InputError) as refused:
+        run(boundaries=walls)
+    assert refused.value.value == kind
+    assert "of the material starts inside it" in str(refused.value)
+
+
+def test_a_little_inside_a_wall_is_noted_and_touching_is_not():
+    resting = run(**{"object.lift": 0.0})
+    assert not any("starts inside" in note for note in resting.report()["notes"])
+    deep = run(**{"object.lift": 0.0, "boundaries": [{"kind": "ground", "height": 0.12}]})
+    (note,) = (note for note in deep.report()["notes"] if "starts inside" in note)
+    assert note.startswith("The ground: ") and "and stays there" in note
+
+
+def test_a_rigid_body_faster_than_its_stiffness_is_noted():
+    hard = {"material": {"law": "rigid"}, "time.frames": 2, "object.lift": 3.0}
+    slow = run(**hard, **{"object.velocity": [0, 0, -3.0]})
+    fast = run(**hard, **{"object.velocity": [0, 0, -100.0], "time.fps": 200.0})
+    for one in (slow, fast):
+        one.run()
+    assert not any("its stiffness is for impacts" in note for note in slow.report()["notes"])
+    assert any("material.speed = 100 makes" in note for note in fast.report()["notes"])
+
+
+def test_a_solid_that_swells_is_noted():
+    metal = run(**{"material": {"law": "metal"}, "object.lift": 0.05, "time.frames": 2,
+                   "object.velocity": [0, 0, -300.0], "time.fps": 100.0})  # fmt: skip
+    metal.run()
+    assert any("swelled to" in note for note in metal.report()["notes"])
+    assert metal.watchdog.max_J > 2
+
+
+def test_a_stiffness_that_repeats_within_a_frame_is_noted():
+    profile = {"kind": "sine", "frequency": 1000.0, "offset": 2.0}
+    quick = run(stiffness_profile=profile)
+    slow = run(stiffness_profile={**profile, "frequency": 1.0})
+    found = [
+        [n for n in one.report()["notes"] if "stiffness_profile" in n] for one in (quick, slow)
+    ]
+    assert len(found[0]) == 1 and not found[1]
