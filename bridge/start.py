@@ -10,15 +10,21 @@ from .importing import importing
 def player() -> None:
     """`ros2 run phy124_bridge player --ros-args -p clip:=/path/to/clip.safetensors`."""
     with importing(0):
+        from phy124.runtime.streams import steady_streams
+
         from . import node
-    node.main()
+    with steady_streams():
+        node.main()
 
 
 def simulate() -> None:
     """`ros2 run phy124_bridge simulate --ros-args -p source:=photo.png -p scene:=drop`."""
     with importing(0):
+        from phy124.runtime.streams import steady_streams
+
         from . import node
-    node.simulation()
+    with steady_streams():
+        node.simulation()
 
 
 def live() -> int:

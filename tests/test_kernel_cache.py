@@ -99,6 +99,18 @@ def test_kernels_of_another_processor_are_not_compiled_for_this_one(cache):
     assert compile_missing([adding("foreign")]) == 1
 
 
+def test_names_of_another_warp_are_taken_as_they_are(cache, monkeypatch):
+    made = adding("another_warp")
+    monkeypatch.delattr(type(made.module), "_get_compile_output_name")
+    assert not is_compiled(made)
+    monkeypatch.undo()
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(cache))
+    assert works(made)
+    made.module.unload()
+    monkeypatch.delattr(type(made.module), "_get_compile_output_name")
+    assert is_compiled(made)
+
+
 def test_without_room_nothing_is_compiled_and_nothing_stays(cache, monkeypatch):
     usage = namedtuple("usage", "total used free")(10, 10, 0)
     monkeypatch.setattr(kernel_cache.shutil, "disk_usage", lambda _: usage)

@@ -49,6 +49,16 @@ def test_a_home_that_cannot_be_written_gives_a_temporary_folder_and_says_so(
     assert startup.temporary_folder() == folder
 
 
+@pytest.mark.parametrize("named", ["~/kernels", ""])
+def test_a_folder_may_be_named_by_the_home(named, fresh, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("WARP_CACHE_PATH", named)
+    startup.prepare()
+    assert os.environ["WARP_CACHE_PATH"] == (str(tmp_path / "kernels") if named else "")
+    assert not (tmp_path / "~").exists()
+
+
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="no /proc")
 def test_a_folder_that_only_seems_to_be_writable_is_found_out(fresh, monkeypatch, tmp_path):
     """As /proc is for root."""

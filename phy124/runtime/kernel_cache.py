@@ -69,7 +69,10 @@ def compiled_file(kernel: Any, device: str) -> Path | None:
     module = kernel.module
     block = 1 if device == "cpu" else module.options["block_dim"]
     folder = Path(str(wp.config.kernel_cache_dir)) / module.get_module_identifier(block)
-    return folder / module._get_compile_output_name(wp.get_device(device), block_dim=block)
+    try:
+        return folder / module._get_compile_output_name(wp.get_device(device), block_dim=block)
+    except (AttributeError, TypeError):  # another version of Warp, whose names are not known
+        return next(iter(folder.glob("*.o" if device == "cpu" else "*.meta")), None)
 
 
 def _mended(

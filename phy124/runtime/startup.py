@@ -16,6 +16,8 @@ import warp as wp
 from phy124.runtime.headers import keep_headers
 from phy124.runtime.kernel_cache import keep_sound
 
+NAMED = "WARP_CACHE_PATH"
+"""Warp's environment variable for the folder of compiled kernels."""
 NO_DRIVER = b"Could not find or load the NVIDIA CUDA driver"
 """What Warp writes on every machine without a GPU."""
 
@@ -25,12 +27,14 @@ def prepare() -> None:
     keep_headers()
     if wp.config.log_level == wp.LOG_INFO:
         wp.config.log_level = wp.LOG_WARNING
+    if NAMED in os.environ:  # Warp would make a folder named ~ here
+        os.environ[NAMED] = os.path.expanduser(os.environ[NAMED])
     usual = kernel_folder()
     if wp.config.kernel_cache_dir is None and usual is not None and not _usable(usual):
         wp.config.kernel_cache_dir = str(temporary_folder())
         warnings.warn(
             f"{usual} cannot be written, so compiled kernels are kept in "
-            f"{wp.config.kernel_cache_dir}; set WARP_CACHE_PATH to keep them elsewhere",
+            f"{wp.config.kernel_cache_dir}; set {NAMED} to keep them elsewhere",
             stacklevel=2,
         )
 
@@ -45,8 +49,8 @@ def start() -> None:
 
 def kernel_folder() -> Path | None:
     """Where Warp keeps compiled kernels; None if only Warp knows."""
-    if "WARP_CACHE_PATH" in os.environ:
-        return Path(os.environ["WARP_CACHE_PATH"])
+    if NAMED in os.environ:
+        return Path(os.environ[NAMED])
     if not sys.platform.startswith("linux"):
         return None
     base = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
@@ -70,7 +74,7 @@ def temporary_folder() -> Path:
 
 def _usable(folder: Path) -> bool:
     """Whether files can be written in a folder. It is tried, as permissions alone do not tell."""
-    if folder.parts[0] == "~":  # this user has no home
+    if folder.parts[:1] == ("~",):  # this user has no home
         return False
     try:
         folder.mkdir(parents=True, exist_ok=True)
