@@ -248,7 +248,19 @@ def test_a_missing_encoder_is_refused_before_work(tmp_path, monkeypatch, capsys,
             pipeline.simulate(ball(300), SCENE, tmp_path / "out")
     assert names(tmp_path) == before
     assert main(["doctor"]) == 1
-    assert "encoder     None" in capsys.readouterr().out
+    assert "ffmpeg, does not work here" in capsys.readouterr().out
+
+
+def test_an_encoder_whose_program_is_gone_is_refused(tmp_path, monkeypatch):
+    """As imageio-ffmpeg says it where its wheel holds no program."""
+
+    def missing() -> str:
+        raise RuntimeError("No ffmpeg exe could be found. Install ffmpeg on your system.\nOr so.")
+
+    monkeypatch.setattr("imageio_ffmpeg.get_ffmpeg_exe", missing)
+    with pytest.raises(InputError, match=r"does not work here \(No ffmpeg exe could be found"):
+        pipeline.simulate(ball(300), SCENE, tmp_path / "out")
+    assert names(tmp_path) == set()
 
 
 def test_a_missing_package_is_refused_before_work(tmp_path, monkeypatch):
