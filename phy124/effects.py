@@ -12,6 +12,7 @@ from math import isfinite
 from typing import Any, NamedTuple
 
 from phy124.materials import AnyMaterial
+from phy124.mpm.model import form_of
 from phy124.scene import Scene
 
 
@@ -34,6 +35,8 @@ NODE = 1.8
 """Cost of clearing and updating one node of the grid [ns]."""
 CONTACT = 20
 """Cost for each particle of sharing out what one wall gives [ns]."""
+SPLINE = 157
+"""Cost for each particle of the gradients of the weights, which have no form for vector units."""
 DENSE = 100**3
 """Number of nodes of the dense grid that PhysGaussian's scenes use."""
 
@@ -136,7 +139,7 @@ def _catalogue(
     """Every effect, in the order of the report."""
     yield from _of_materials(scene, materials)
     yield from _of_forces(scene)
-    yield from _of_checks(scene)
+    yield from _of_checks(scene, materials or scene.materials)
     for wall in scene.boundaries:
         yield Effect(f"collider {wall.kind} ({wall.contact})")
     yield Effect("colliders", bool(scene.boundaries), "the scene has no boundaries")
@@ -192,7 +195,7 @@ def _of_forces(scene: Scene) -> Iterator[Effect]:
     )
 
 
-def _of_checks(scene: Scene) -> Iterator[Effect]:
+def _of_checks(scene: Scene, materials: Sequence[AnyMaterial]) -> Iterator[Effect]:
     """Stages that only observe; reports time them as `measure` and `external work`."""
     yield Effect(f"limits of the substep measured every {scene.checks.measure} substeps or sooner")
     why = "checks.balance is off: an explosion shows only once values are NaN"
@@ -203,6 +206,10 @@ def _of_checks(scene: Scene) -> Iterator[Effect]:
     yield Effect("balance of momentum and energy", summed, why)
     lost = "checks.energy is off: what is lost is not split into its causes"
     yield Effect("work of the stress", scene.checks.energy, lost)
+    elastic = any(section.device_law.project is None for section in materials)
+    flows = "all that moves flows, which parts and joins as it should"
+    yield Effect("search for what the grid tears, and for pieces, in each frame", elastic, flows)
+    yield Effect("substeps tried first where one may be too long, and repeated shorter")
 
 
 def _of_rest(scene: Scene, rested: bool) -> Iterator[Effect]:
@@ -253,8 +260,12 @@ def _of_numerics(scene: Scene, device: str) -> Iterator[Effect]:
     calm = scene.resolution.rpic_damping > 0
     kept = "accuracy.rpic_damping is 0: particles keep the strain rate that the grid gives them"
     yield Effect("RPIC damping", calm, kept, Cost(particle=15))
-    rows = device == "cpu" and not double
-    yield Effect("SIMD rows", rows, f"only for float32 on the CPU, this is {device}")
+    spline = scene.resolution.gradient == "spline"
+    fit = "accuracy.gradient is affine: stress and strain come from the fit around each particle"
+    yield Effect("gradients of the weights", spline, fit, Cost(particle=SPLINE))
+    rows = form_of(scene.resolution.precision, device, scene.resolution.gradient) == "simd"
+    why = "only for float32 on the CPU with accuracy.gradient = affine"
+    yield Effect("SIMD rows", rows, f"{why}, this is {device}")
     window = "a window of cells follows the particles; a dense grid has 100^3 nodes"
     yield Effect("dense grid", False, window, Cost(fixed=NODE * DENSE, node=-NODE))
     once = "shapes are decomposed once per frame"

@@ -131,6 +131,24 @@ def test_checks_are_effects_with_a_cost():
     assert "nothing has to be summed" in free["balance of momentum and energy"]
 
 
+@pytest.mark.parametrize("gradient", ["affine", "spline"])
+def test_effects_name_the_kernels_that_run(gradient):
+    scene = Scene.named("press").replaced({"accuracy": {"cells": 8, "gradient": gradient}})
+    effects, form = Effects.of(scene), Simulation(ball(100), scene).solver.model.form
+    assert ("SIMD rows" in effects.ran) == (form == "simd") == (gradient == "affine")
+    assert ("gradients of the weights" in effects.ran) == (form == "spline")
+    omitted = "gradients of the weights" if gradient == "affine" else "SIMD rows"
+    assert "accuracy.gradient" in whys(effects)[omitted]
+
+
+def test_what_looks_for_tears_and_tries_substeps_is_named():
+    search = "search for what the grid tears, and for pieces, in each frame"
+    solid, flowing = Effects.of(Scene.named("press")), Effects.of(Scene.named("water"))
+    assert search in solid.ran and "flows" in whys(flowing)[search]
+    for one in (solid, flowing):
+        assert "substeps tried first where one may be too long, and repeated shorter" in one.ran
+
+
 def test_less_watching_costs_less_and_moves_the_same():
     scene = Scene.named("press").replaced({**QUICK, "material.E": 1e7, "checks.measure": 4})
     rarely = scene.replaced({"checks": {"measure": 32, "balance": False}})

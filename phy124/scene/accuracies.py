@@ -47,7 +47,7 @@ class Accuracy(Section):
         exclude_if=lambda value: value == "affine",
         description="Where stress and strain come from: affine takes the fit around each particle "
         "(MLS-MPM), with which what bends through several cells is too soft; spline takes the "
-        "gradients of the weights, for 1.4 to 2.4 times the time. For transfer = apic.",
+        "gradients of the weights, for 1.7 to 4 times the time. For transfer = apic.",
     )
     rpic_damping: float = Field(
         default=0.0,
