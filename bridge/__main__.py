@@ -27,13 +27,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
             refuse_narrow()  # before NumPy is imported
             from .command_line import run
-        with steady_streams(), handled(interrupt):
-            return run(given, __doc__)
+        with steady_streams() as lost, handled(interrupt):
+            status = run(given, __doc__)
+            sys.stdout.flush()
+            if lost:
+                print(f"bridge: {failure(lost[0]).sentence}", file=sys.stderr)
+            return 1 if lost else status
     except KeyboardInterrupt:
         sys.stderr.write(STOPPED)
         return 130
     except MemoryError as problem:
-        sys.stderr.write(f"bridge: {failure(problem).sentence}\n")
+        from phy124.failures import failure
+
+        print(f"bridge: {failure(problem).sentence}", file=sys.stderr)
         return 1
 
 

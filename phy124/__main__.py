@@ -46,7 +46,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             with handled(interrupt):
                 status = _run(rest, quiet="--quiet" in chosen, verbose="--verbose" in chosen)
         except Answered:
-            raise
+            sys.stdout.flush()
+            if not lost:
+                raise
+            status = 1
         except BaseException as problem:
             status = report(problem)
         sys.stdout.flush()

@@ -7,7 +7,9 @@ import sys
 
 import pytest
 
+from bridge.__main__ import main as bridge
 from phy124.runtime.streams import steady_streams
+from support.clips import random_clip
 
 FOREIGN = {"PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "LC_ALL": "C"}
 PHY124 = f"{sys.executable} -m phy124"
@@ -44,7 +46,7 @@ def test_quiet_is_quiet_in_any_encoding(tmp_path):
 @pytest.mark.parametrize(
     ("command", "closed", "status"),
     [
-        (f"{PHY124} effects press", ">&-", 0),
+        (f"{PHY124} --version", ">&-", 0),
         (f"{PHY124} effects press", "2>&-", 0),
         (f"{BRIDGE} info none", "<&- >&- 2>&-", 2),
     ],
@@ -54,12 +56,24 @@ def test_closed_streams_change_no_status(command, closed, status):
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full")
-def test_lost_results_are_an_error_and_lost_messages_are_none():
-    run = shell(f"{PHY124} scenes > /dev/full")
+@pytest.mark.parametrize(
+    "command",
+    [
+        f"{PHY124} --version",
+        f"{PHY124} --help",
+        pytest.param(f"{BRIDGE} info {{bag}}", marks=pytest.mark.slow),
+    ],
+)
+def test_lost_results_are_an_error_and_lost_messages_are_none(command, tmp_path):
+    if "{bag}" in command:
+        random_clip(2).save(tmp_path / "clip.safetensors")
+        assert bridge(["record", str(tmp_path / "clip.safetensors"), str(tmp_path / "bag")]) == 0
+        command = command.format(bag=tmp_path / "bag")
+    run = shell(f"{command} > /dev/full")
     assert run.returncode == 1
-    assert run.stderr.startswith(b"phy124: the disk is full") and run.stderr.count(b"\n") == 1
+    assert b": the disk is full" in run.stderr and run.stderr.count(b"\n") == 1
     assert b"'standard output'" in run.stderr
-    assert shell(f"{PHY124} scenes 2> /dev/full").returncode == 0
+    assert shell(f"{command} 2> /dev/full").returncode == 0
 
 
 @pytest.mark.parametrize(
