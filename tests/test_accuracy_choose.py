@@ -1,5 +1,6 @@
 """Goals: an error or a time in, the cheapest or finest setting out."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,6 +10,8 @@ from phy124.__main__ import main
 from phy124.accuracy import choose
 from phy124.accuracy.choose import Goal, reach
 from phy124.accuracy.convergence import distances
+from phy124.accuracy.goal import UNIT
+from phy124.accuracy.promises import promise
 from phy124.errors import InputError
 from phy124.monitor.tearing import Tearing
 from phy124.scene import Scene
@@ -67,6 +70,34 @@ def test_an_error_goal_is_met_against_a_finer_run(quick):
     truth = Simulation(ball(600), finer).run()
     assert distances([reached.clip.means, truth.means])[0, 1] <= 0.01
     assert reached.clip.report["grid"]["dx"] == pytest.approx(1 / about["cells"])
+
+
+@pytest.mark.parametrize("goal", ["2%", "3px", "2cm"])
+def test_the_promise_of_a_run_with_a_goal_is_its_own(quick, goal):
+    """One error, however it is asked for: not that of other objects."""
+    reached = reach(Goal.error(goal), ball(600), quick)
+    about = reached.about
+    said = promise(reached.simulation.scene, {"goal": about, "complete": True})
+    assert said.own and said.error == about["fraction"]
+    assert about["fraction"] == pytest.approx(about["error"] / UNIT[about["unit"]](quick))
+    assert said.sentence.startswith(f"Error of this scene: about {about['fraction']:.1%}")
+    unknown = about | {"error": None, "fraction": None, "why_not": "not converging"}
+    assert promise(reached.simulation.scene, {"goal": unknown}).error is None
+
+
+def test_a_guessed_order_takes_a_small_step(quick, monkeypatch):
+    """An order outside those that are trusted asks for a grid twice too fine."""
+    plain = choose.richardson
+
+    def rough(spacings, apart, **options):
+        found = plain(spacings, apart, **options)
+        if len(spacings) > 3:
+            return found
+        return replace(found, note="errors are rough", errors=(0.4, 0.3, 0.018), order=0.5)
+
+    monkeypatch.setattr(choose, "richardson", rough)
+    about = reach(Goal.error("1%"), ball(600), quick).about
+    assert about["levels"][:4] == [6, 8, 12, 16] and about["met"]
 
 
 def test_a_lax_goal_takes_a_cheap_level_and_checks_it_with_a_cheaper_one(quick):

@@ -127,12 +127,8 @@ class _Runs:
     def simulation(self, cells: int) -> Simulation:
         """A run that has not started."""
         base = self.scene.resolution
-        accuracy = base.model_copy(
-            update={
-                "cells": cells,
-                "particles_per_axis": self.scene.particles_per_axis + self.denser,
-            }
-        )
+        per_axis = self.scene.particles_per_axis + self.denser
+        accuracy = base.model_copy(update={"cells": cells, "particles_per_axis": per_axis})
         return Simulation(
             self.gaussians,
             self.scene.model_copy(update={"accuracy": accuracy}),
@@ -196,7 +192,9 @@ def _as_exact(goal: Goal, runs: _Runs) -> Reached:
     wanted = meets or _coarsest(goal, max(CHEAP), error, order, above=min(CHEAP))
     if wanted is None:
         raise _unreachable(goal, _best(goal, runs, error, order))
-    _run(goal, runs, min(wanted, _within(FAR * max(CHEAP))))
+    # An order that cannot be trusted says little about what is far finer.
+    sure = found.errors and not found.note
+    _run(goal, runs, min(wanted, _within(FAR * max(CHEAP)) if sure else _above(max(CHEAP))))
     found = _estimate(goal, runs)
     if not found.errors and not runs.torn:
         _run(goal, runs, _above(max(runs.done)))
@@ -261,10 +259,12 @@ def _about(
 ) -> dict[str, Any]:
     """The goal and what was achieved, in the goal's unit, for the report."""
     levels, met = runs.whole, error is not None and error <= goal.value
+    fraction = None if error is None else error / UNIT[goal.kind](runs.scene)
     return {
         "target": goal.text, "unit": goal.kind, "cells": cells, "levels": levels,
         "errors": list(found.errors), "seconds": [runs.spent[n] for n in levels],
-        "order": found.order, "error": error, "refined": refined, "met": met, "torn": runs.torn,
+        "order": found.order, "error": error, "fraction": fraction, "refined": refined,
+        "met": met, "torn": runs.torn,
         "particles_per_axis": runs.done[cells][0].scene.particles_per_axis,
         "why_not": _why_torn(runs) if runs.torn and not met else found.why_not,
     }  # fmt: skip

@@ -135,10 +135,19 @@ def _harder(scene: Scene, found: Mapping[str, Any]) -> str:
 
 
 def promise(scene: Scene, report: Mapping[str, Any] | None = None) -> Promise:
-    """The error that may be promised for a scene; the report of its run may rule it out."""
-    broken = why_broken(report or {})
+    """The error that may be promised for a scene.
+
+    The report of its run may rule it out; or it has measured the error itself, since it had a goal.
+    """
+    report = report or {}
+    broken = why_broken(report)
     if broken:
         return none(broken)
+    goal = report.get("goal")
+    if goal is not None and goal["unit"] != "seconds":
+        if goal["fraction"] is None:
+            return none(f"{goal['why_not']}.")
+        return measured(goal["fraction"], goal["cells"], goal["levels"])
     laws, motion = sorted({section.law for section in scene.materials}), motion_of(scene)
     beyond = _beyond(scene, laws)
     if beyond:
