@@ -45,8 +45,9 @@ def serve(settings: Settings) -> None:
         limit = "The page needs the package gradio, which is not installed."
         raise InputError("page", "gradio", limit, f"Run `{install_command('demo')}`.")
     from .folder import own_folder
-    from .server import end_on_signals, launch, prepare
+    from .server import check_address, end_on_signals, launch, prepare
 
+    check_address(settings)
     end_on_signals()
     with own_folder(settings.folder) as root:
         prepare(settings, root)

@@ -45,7 +45,8 @@ def endpoints(studio: Studio) -> None:
         picture = photo(studio, label="image")
         preset = _unread(gr.Dropdown(preset_names(), value="press", label="preset"))
         accuracy = _unread(gr.Radio(list(PRESETS), value="standard", label="accuracy"))
-        frames = _unread(gr.Number(14, label="frames", precision=0, minimum=1))
+        # Without a number the preset says it.
+        frames = _unread(gr.Number(None, label="frames", precision=0, minimum=1))
         changes = gr.JSON({}, label="changes")
         pick = gr.JSON([], label="pick")  # None would make it a required argument
         depth = photo(studio, label="depth")
@@ -112,8 +113,9 @@ def _declared(section: type[Section], option: str) -> Any:
 
 def _generate(studio: Studio) -> Handler:
     def generate(
-        image: str | None, preset: str, accuracy: str, frames: int, changes: Any, formats: Any,
-        pick: Any, request: gr.Request, depth: str | None = None, near: str = "white",
+        image: str | None, preset: str, accuracy: str, request: gr.Request,
+        frames: int | None = None, changes: Any = None, formats: Any = None, pick: Any = None,
+        depth: str | None = None, near: str = "white",
         side: str | None = None, facing: str = "left", back: str | None = None,
         thickness: float | None = None, highlights: str = "keep", up: str | None = None,
         front: str | None = None, compose: bool = False, second: str | None = None,
@@ -151,8 +153,9 @@ def _generate(studio: Studio) -> Handler:
 
 def _measure(studio: Studio) -> Handler:
     def measure(
-        image: str | None, preset: str, accuracy: str, frames: int, changes: Any,
-        pick: Any, request: gr.Request, depth: str | None = None, near: str = "white",
+        image: str | None, preset: str, accuracy: str, request: gr.Request,
+        frames: int | None = None, changes: Any = None, pick: Any = None,
+        depth: str | None = None, near: str = "white",
         side: str | None = None, facing: str = "left", back: str | None = None,
         thickness: float | None = None, highlights: str = "keep", up: str | None = None,
         front: str | None = None, second: str | None = None,
@@ -194,8 +197,8 @@ def _arrived(studio: Studio, request: gr.Request) -> str:
 
 
 def _cut(
-    studio: Studio, name: str, images: list[str | None], preset: str, accuracy: str, frames: int,
-    changes: Any, pick: Any, told: dict[str, Any],
+    studio: Studio, name: str, images: list[str | None], preset: str, accuracy: str,
+    frames: int | None, changes: Any, pick: Any, told: dict[str, Any],
 ) -> tuple[Scene, Job]:  # fmt: skip
     """The scene that a program asks for, and the job that opens its picture or file."""
     # A name of no preset could be that of a file.
@@ -204,7 +207,8 @@ def _cut(
     try:
         changed = _changes(changes)
         check_length("changes", changed, studio.settings)
-        length = {} if "time.seconds" in changed else {"time.frames": frames}
+        own = frames is None or "time.seconds" in changed
+        length = {} if own else {"time.frames": frames}
         scene = Scene.named(preset).replaced({"accuracy": accuracy, **length, **changed})
         studio.known(name, told)
         first, *others = images

@@ -23,6 +23,8 @@ CLOSED = re.compile(
     r"|run-history|profiling|login_check)\b|/monitoring\b"
 )
 """Addresses of Gradio that the page does not need, among them streams that never end."""
+FORWARDED = ("x-forwarded-host", "x-gradio-server")
+"""Headers by which a proxy says how the page is called."""
 POLICY = (
     # Gradio makes functions of the panels' scripts; a script injected into the page does not run.
     "default-src 'self'; script-src 'self' 'nonce-{nonce}' 'unsafe-eval'; "
@@ -76,9 +78,21 @@ class Doorkeeper:
         place = origin.lower().partition("://")[2]
         return _without_port(place) in self.origins or _usual(place) == _usual(host.lower())
 
+    def _is_called_so(self, headers: Headers) -> bool:
+        """Whether the page has the names by which a request calls it.
+
+        Gradio writes those of proxies into the page, so that an address is not enough.
+        """
+        host = headers.get("host", "").lower()
+        said = ",".join(headers.get(name, "") for name in FORWARDED).lower()
+        names = (name.strip() for name in said.split(",") if name.strip())
+        return is_own_name(host, self.hosts) and all(
+            name == host or {"*", _without_port(name)} & self.hosts for name in names
+        )
+
     def _refusal(self, scope: Scope) -> PlainTextResponse | None:
         headers = Headers(scope=scope)
-        if not is_own_name(headers.get("host", ""), self.hosts):
+        if not self._is_called_so(headers):
             return PlainTextResponse("This page has another host name (PHY124_HOSTS).", 421)
         if FETCHES.search(scope["path"]):
             return PlainTextResponse("This page fetches nothing from elsewhere.", 403)

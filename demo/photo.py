@@ -66,7 +66,7 @@ def photo(studio: Studio, label: str = "image", **options: Any) -> gr.Image:
         return payload.path
 
     image.preprocess = preprocess
-    return image
+    return _described(image, "picture.png")
 
 
 class SentVideo(FileData):
@@ -95,7 +95,15 @@ def film(**options: Any) -> gr.File:
         return payload.path
 
     file.preprocess = preprocess
-    return file
+    return _described(file, "film.mp4")
+
+
+def _described(component: Any, name: str) -> Any:
+    """A component that the description of the endpoints calls a file, and nothing by its URL."""
+    example = {"path": name, "meta": {"_type": "gradio.FileData"}}
+    component.api_info = FileData.model_json_schema
+    component.example_payload = lambda: example
+    return component
 
 
 def refusal(text: str) -> gr.Error:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import logging
 import os
+import socket
 import threading
 import warnings
 from collections.abc import Awaitable, Callable
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +21,7 @@ from starlette.responses import FileResponse, HTMLResponse, JSONResponse, Respon
 from starlette.routing import BaseRoute, Mount, Route
 from starlette.staticfiles import StaticFiles
 
+from phy124.errors import InputError
 from phy124.io.export.html import VIEWER
 
 from .bodies import BodyLimit
@@ -47,6 +51,7 @@ GONE = (
 """Page of a link whose result has gone."""
 DIGITS = 9
 """Of a number in an address; Python refuses to read one of thousands."""
+LOOPBACK = ("localhost", "127.0.0.1", "::1")
 SWEEP = 5.0
 """Time between two searches for visitors who have left [s]."""
 
@@ -59,10 +64,47 @@ def prepare(settings: Settings, root: Path) -> None:
     os.environ.pop("GRADIO_VIBE_MODE", None)
     os.environ.pop("GRADIO_SHARE", None)
     os.environ["GRADIO_TEMP_DIR"] = str(root)
+    ask_this_machine_directly()
     from PIL import Image
 
     Image.MAX_IMAGE_PIXELS = int(settings.max_megapixels * 1e6)
     warnings.simplefilter("error", Image.DecompressionBombWarning)
+
+
+def check_address(settings: Settings) -> None:
+    """Check that the page can listen where it is to.
+
+    Raises:
+        InputError: Another program does so already, or this machine has no such address.
+    """
+    host, port = settings.host.strip("[]"), settings.port
+    try:
+        socket.create_server((host, port), family=_family(host)).close()
+    except OSError as error:
+        if error.errno == errno.EADDRINUSE:
+            limit, remedy = "Another program listens there.", f"Try --port {port % 65535 + 1}."
+            raise InputError("port", port, limit, remedy) from None
+        if error.errno == errno.EACCES:
+            limit = "This user may not listen there."
+            raise InputError("port", port, limit, "Give one from 1024 on.") from None
+        limit = "This machine cannot listen there."
+        raise InputError("host", host, limit, "127.0.0.1 is itself, 0.0.0.0 all of it.") from None
+
+
+def _family(host: str) -> socket.AddressFamily:
+    return socket.AF_INET6 if ":" in host else socket.AF_INET
+
+
+def ask_this_machine_directly() -> None:
+    """Keep requests to this machine from proxies: Gradio asks its own page whether it is there."""
+    for name in ("NO_PROXY", "no_proxy"):
+        others = filter(None, os.environ.get(name, "").split(","))
+        os.environ[name] = ",".join(dict.fromkeys([*others, *LOOPBACK]))
+    if find_spec("socksio") is None:
+        # Gradio's client would not even begin.
+        for name in [name for name in os.environ if name.lower().endswith("_proxy")]:
+            if os.environ[name].lower().startswith("socks"):
+                del os.environ[name]
 
 
 class Assets(StaticFiles):

@@ -26,6 +26,8 @@ ALIASES = (("host", "GRADIO_SERVER_NAME"), ("port", "GRADIO_SERVER_PORT"))
 class Settings(Section):
     """Limits for visitors, and where the page listens."""
 
+    AS_TEXT = True
+
     host: str = Field(default="127.0.0.1", description="Address to listen on.")
     port: int = Field(default=7860, ge=1, le=65535, description="Port to listen on.")
     device: str = Field(default="auto", description=CHOICES)

@@ -145,6 +145,8 @@ def test_what_cannot_be_fitted_is_refused_in_a_sentence(studio):
         (done, video, {"side": "above"}, "front"),
         (done, video, {"speed": 0}, "speed"),
         (done, video, {"seconds": 1e4}, "300 s"),
+        (done, video, {"seconds": 1e9}, "One fit may take 300 s here"),
+        (done, video, {"seconds": True}, "number"),
     ):
         with pytest.raises(InputError, match=sentence):
             studio.fits.begin("a", result, path, told)

@@ -26,6 +26,30 @@ def test_foreign_names_are_not_answered_to(host, ours):
 
 
 @pytest.mark.parametrize(
+    ("header", "value", "status"),
+    [
+        ("x-forwarded-host", "demo.example", 200), ("x-forwarded-host", "DEMO.example:443", 200),
+        ("x-forwarded-host", "10.0.0.7:7860", 200), ("x-forwarded-host", "evil.example", 421),
+        ("x-forwarded-host", "demo.example, evil.example", 421),
+        ("x-forwarded-host", "203.0.113.9", 421), ("x-gradio-server", "http://evil.example", 421),
+    ],
+)  # fmt: skip
+def test_a_proxy_gives_the_page_no_foreign_name(header, value, status):
+    async def page(scope, receive, send):
+        await send({"type": "http.response.start", "status": 200, "headers": []})
+
+    sent = []
+
+    async def send(message):
+        sent.append(message)
+
+    headers = [(b"host", b"10.0.0.7:7860"), (header.encode(), value.encode())]
+    scope = {"type": "http", "method": "GET", "path": "/", "headers": headers}
+    asyncio.run(Doorkeeper(page, NAMES)(scope, None, send))
+    assert sent[0]["status"] == status
+
+
+@pytest.mark.parametrize(
     ("path", "fetches"),
     [
         ("/gradio_api/file=https://a.example", True), ("/gradio_api/file=HTTP://a", True),

@@ -7,7 +7,7 @@ from typing import Any, Literal
 from pydantic import Field, ValidationError
 
 from phy124.errors import InputError
-from phy124.scene.refusals import refusal
+from phy124.scene.refusals import refusal, shortened
 from phy124.section import Section
 
 from ..settings import Settings
@@ -36,12 +36,14 @@ def asked_of(given: Any, settings: Settings) -> Asked:
     Raises:
         InputError: A value cannot be used; the message names it.
     """
-    known = {name: given[name] for name in Asked.model_fields if given.get(name) is not None}
+    most = settings.max_fit_seconds
+    known = {"seconds": min(Asked.model_fields["seconds"].default, most)}
+    known |= {name: given[name] for name in Asked.model_fields if given.get(name) is not None}
+    # Before what is declared, which is for programs of any machine.
+    if isinstance(known["seconds"], int | float) and known["seconds"] > most:
+        limit = f"One fit may take {most:g} s here."
+        raise InputError("seconds", shortened(known["seconds"]), limit, "Give it less time.")
     try:
-        asked = Asked.model_validate(known)
+        return Asked.model_validate(known)
     except ValidationError as error:
         raise refusal(error, "fit", Asked) from None
-    if asked.seconds > settings.max_fit_seconds:
-        limit = f"One fit may take {settings.max_fit_seconds:g} s here."
-        raise InputError("seconds", f"{asked.seconds:g}", limit, "Give it less time.")
-    return asked

@@ -27,6 +27,11 @@ def job_of(studio: Studio, request: gr.Request, event: gr.EventData) -> Job | No
     return visitor.jobs.get(str(data_of(event).get("job"))) if visitor else None
 
 
+def table_of(value: Any) -> dict[str, Any]:
+    """What a panel shows, as a request says; empty if it is of another form."""
+    return value if isinstance(value, dict) else {}
+
+
 def path_of(file: Any) -> Any:
     """Where a file lies; None if it is none."""
     return file.get("path") if isinstance(file, dict) else None

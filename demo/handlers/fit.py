@@ -17,7 +17,7 @@ from ..line import Job
 from ..sentences import sentence
 from ..visitors import Visitor
 from ..work import Done
-from .event import Handler, data_of, file_of, job_of
+from .event import Handler, data_of, file_of, job_of, table_of
 from .results import takeaway_of
 
 DIGITS = 3
@@ -43,8 +43,8 @@ def fit_starter(studio: Studio) -> Handler:
         try:
             job = studio.fits.begin(visitor_of(request), done, told.get("upload"), told)
         except InputError as error:
-            return {**(shown or {}), "job": None, "message": sentence(error)}
-        return {**(shown or {}), "job": job.name, "message": "", "found": None}
+            return {**table_of(shown), "job": None, "message": sentence(error)}
+        return {**table_of(shown), "job": job.name, "message": "", "found": None}
 
     return start
 

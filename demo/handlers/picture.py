@@ -21,7 +21,7 @@ from ..pictures import is_shown
 from ..sentences import sentence
 from ..source import Cutout, GaussianFile, Source
 from ..strokes import place_of, strokes_of
-from .event import Handler, data_of, file_of, job_of, path_of
+from .event import Handler, data_of, file_of, job_of, path_of, table_of
 
 IF_WRONG = "If it is wrong, click the object in your picture, or correct it with the brush."
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -53,14 +53,14 @@ def corrector(studio: Studio) -> Handler:
 
     def correct(shown: Any, source: Any, event: gr.EventData, request: gr.Request) -> Any:
         made = source if isinstance(source, Cutout) else None
-        picture = made.picture if made else path_of((shown or {}).get("picture"))
+        picture = made.picture if made else path_of(table_of(shown).get("picture"))
         try:
             strokes = strokes_of(data_of(event).get("strokes", []))
             pick = place_of(data_of(event).get("pick")) or (made and made.pick)
             job = studio.cut(visitor_of(request), picture, strokes, pick)
         except InputError as error:
-            return {**(shown or {}), **_not_cut(error)}
-        return {**(shown or {}), **_cutting(studio, job)}
+            return {**table_of(shown), **_not_cut(error)}
+        return {**table_of(shown), **_cutting(studio, job)}
 
     return correct
 
@@ -75,7 +75,7 @@ def cut_shower(studio: Studio) -> Handler:
         made = job.progress.result
         if made is None:
             failed = {"job": None, "message": job.progress.message, "picture": _picture(job)}
-            return {**(shown or {}), **failed}, source, gr.skip()
+            return {**table_of(shown), **failed}, source, gr.skip()
         if isinstance(made, GaussianFile):
             return shown_source(made), made, ways(made)
         doubts = [*made.doubts, IF_WRONG] if made.doubts else []

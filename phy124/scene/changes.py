@@ -7,6 +7,8 @@ from typing import Any
 
 from phy124.errors import InputError
 from phy124.scene.accuracies import PRESETS
+from phy124.scene.depth import DEEPEST, check_depth
+from phy124.scene.refusals import shortened
 from phy124.scene.renamed import renewed_item
 
 if sys.version_info >= (3, 11):
@@ -31,6 +33,9 @@ def apply(data: dict[str, Any], changes: dict[str, Any]) -> None:
     Raises:
         InputError: If a path does not exist in the data.
     """
+    for path, value in changes.items():
+        _check_path(path)
+        check_depth(value, path)
     changes = dict(renewed_item(path, value) for path, value in changes.items())
     frames, seconds = LENGTH
     if seconds in changes:
@@ -40,6 +45,14 @@ def apply(data: dict[str, Any], changes: dict[str, Any]) -> None:
         data.get("time", {}).pop("frames", None)
     for path in sorted(changes, key=_outer_first):
         _put(data, path, changes[path])
+
+
+def _check_path(path: str) -> None:
+    """Refuse a path that no scene has, before tables are made for it."""
+    keys = path.count(".") + 1
+    if keys > DEEPEST:
+        limit = f"it has {keys:,} names, and nothing in a scene has more than {DEEPEST}."
+        raise InputError(shortened(path), "a path", limit, REFERENCE)
 
 
 def parse_value(text: str) -> Any:

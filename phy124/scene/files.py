@@ -32,6 +32,10 @@ def read_toml(path: str | os.PathLike[str], field: str) -> dict[str, Any]:
         raise InputError(
             field, path, f"it cannot be read ({error}).", f"Give a TOML file{given}."
         ) from None
+    except RecursionError:
+        raise InputError(
+            field, path, "its lists are nested too deep.", "Leave out what is no scene."
+        ) from None
     except tomllib.TOMLDecodeError as error:
         raise InputError(
             field, path, f"it is not valid TOML: {error}.", "Correct that line."

@@ -26,6 +26,7 @@ from phy124.plugins import has_name, is_foreign
 from phy124.properties import Properties
 from phy124.scene.accuracies import PRESETS, Accuracy, AccuracyName, check_transfer
 from phy124.scene.changes import apply
+from phy124.scene.depth import check_depth
 from phy124.scene.files import read_toml
 from phy124.scene.free import check_free
 from phy124.scene.objects import Pair, SceneObject, check_name, check_objects, check_pairs
@@ -246,6 +247,7 @@ class Scene(Section):
         Raises:
             InputError: If the data is not a scene; it names field, value, limit and remedy.
         """
+        check_depth(data, source)
         try:
             return cls.model_validate(data)
         except ValidationError as error:

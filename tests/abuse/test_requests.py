@@ -62,3 +62,40 @@ def test_nothing_is_fetched_for_a_panel_that_was_left_as_it_is(attacker):
     shown = {"picture": {"path": url, "url": url, "meta": {"_type": "gradio.FileData"}}}
     answer = attacker.press("picture", "correct", [shown, None], strokes=[])
     assert "This page fetches nothing" in str(answer["error"])
+
+
+def test_a_proxy_gives_the_page_no_foreign_name(attacker):
+    for header in ("X-Forwarded-Host", "X-Gradio-Server"):
+        for path in ("/", "/config"):
+            status, text, _ = attacker.get(path, **{header: "evil.example"})
+            assert status == 421 and "evil" not in text
+
+
+ODD: dict[str, dict[str, Any]] = {
+    "path": {"changes": {".".join(["a"] * 3000): 1}},
+    "frames": {"frames": True},
+    "number": {"changes": {"material.E": True}},
+    "boolean": {"changes": {"checks.energy": "yes"}},
+    "compose": {"compose": "yes"},
+    "thickness": {"thickness": True},
+}
+
+
+@pytest.mark.parametrize("kind", ODD)
+def test_odd_values_are_refused_in_words_and_not_logged(server, attacker, kind):
+    path, before = attacker.uploaded(DUCK), server.log.stat().st_size
+    answer = attacker.generate({"path": path}, **ODD[kind])
+    assert "error" in answer and "null" not in answer and len(answer) < 600, answer
+    assert server.log.stat().st_size == before, server.said()
+
+
+PANELS = [("picture", "correct"), ("picture", "cut"), ("fit", "begin")]
+
+
+@pytest.mark.parametrize("value", [5, "x", [], [1]])
+@pytest.mark.parametrize(("panel", "event"), PANELS)
+def test_a_panel_of_another_form_is_taken_as_empty(server, attacker, panel, event, value):
+    before = server.log.stat().st_size
+    inputs = [None, value] if panel == "fit" else [value, None]
+    assert isinstance(attacker.press(panel, event, inputs), list)
+    assert server.log.stat().st_size == before, server.said()

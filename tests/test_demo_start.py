@@ -1,0 +1,70 @@
+"""Before the page is served: where it listens, and what it does not send through proxies."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from threading import Thread
+
+import pytest
+
+from demo.server import LOOPBACK, ask_this_machine_directly, check_address
+from demo.settings import Settings
+from phy124.errors import InputError
+from support.served import ROOT
+
+
+def test_a_busy_port_is_said_in_a_sentence(tmp_path):
+    pytest.importorskip("gradio", reason="the extra demo is not installed")
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        ended = subprocess.run(
+            [sys.executable, ROOT / "app.py", "--port", str(port)],
+            cwd=tmp_path, capture_output=True, text=True, check=False,
+        )  # fmt: skip
+    assert ended.returncode == 2 and "Traceback" not in ended.stderr
+    assert f"port = {port}: Another program listens there." in ended.stderr
+
+
+@pytest.mark.parametrize("host", ["no.such.host.invalid", "192.0.2.1"])
+def test_an_address_of_another_machine_is_refused(host):
+    with pytest.raises(InputError, match="cannot listen there") as refused:
+        check_address(Settings(host=host))
+    assert refused.value.field == "host"
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0", "localhost"])
+def test_an_address_of_this_machine_is_taken(host):
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    check_address(Settings(host=host, port=port))
+
+
+def test_loopback_joins_the_addresses_without_a_proxy(monkeypatch):
+    monkeypatch.setenv("NO_PROXY", "example.com,localhost")
+    monkeypatch.setenv("no_proxy", "")
+    monkeypatch.setenv("ALL_PROXY", "http://127.0.0.1:9")
+    ask_this_machine_directly()
+    assert os.environ["NO_PROXY"].split(",") == ["example.com", *LOOPBACK]
+    assert os.environ["no_proxy"].split(",") == [*LOOPBACK]
+    assert os.environ["ALL_PROXY"] == "http://127.0.0.1:9"
+
+
+@pytest.mark.parametrize(
+    ("name", "address"),
+    [("http_proxy", "http://127.0.0.1:9"), ("ALL_PROXY", "socks5://127.0.0.1:9")],
+)
+def test_this_machine_is_asked_directly_beside_any_proxy(monkeypatch, name, address):
+    httpx = pytest.importorskip("httpx", reason="the extra demo is not installed")
+    for variable in [each for each in os.environ if each.lower().endswith("_proxy")]:
+        monkeypatch.delenv(variable)
+    for variable in ("NO_PROXY", "no_proxy"):
+        monkeypatch.setenv(variable, "")
+    monkeypatch.setenv(name, address)
+    ask_this_machine_directly()
+    with ThreadingHTTPServer(("127.0.0.1", 0), SimpleHTTPRequestHandler) as page:
+        Thread(target=page.handle_request).start()
+        assert httpx.head(f"http://127.0.0.1:{page.server_port}/").status_code == 200

@@ -1,0 +1,72 @@
+"""Declared options take values of the declared type, and scenes no endless nesting."""
+
+from __future__ import annotations
+
+import pytest
+
+from demo.settings import Settings
+from phy124.errors import InputError
+from phy124.generators.other_views import OtherViews
+from phy124.scene import Scene
+from phy124.scene.depth import DEEPEST
+
+BOOLEAN, NUMBER = "it must be true or false", "number"
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "limit"),
+    [
+        ("material.E", True, NUMBER), ("time.frames", True, NUMBER), ("seed", False, NUMBER),
+        ("object.velocity", [True, 0, 0], NUMBER), ("forces.0.g", [0, 0, False], NUMBER),
+        ("view.size", True, NUMBER), ("accuracy", True, "one of draft"),
+        ("checks.energy", "yes", BOOLEAN), ("checks.energy", "true", BOOLEAN),
+        ("checks.energy", 1, BOOLEAN), ("view.shine", 0.0, BOOLEAN),
+    ],
+)  # fmt: skip
+def test_a_value_of_another_type_is_refused(field, value, limit):
+    with pytest.raises(InputError, match=limit) as refused:
+        Scene.named("drop").replaced({field: value})
+    assert refused.value.field == field
+
+
+@pytest.mark.parametrize("value", [True, False])
+def test_booleans_and_whole_numbers_are_taken(value):
+    scene = Scene.named("drop").replaced({"checks.energy": value, "time.fps": 24, "material.E": 1})
+    assert scene.checks.energy is value and scene.data()["material"]["E"] == 1.0
+    assert OtherViews(thickness=1).thickness == 1.0
+
+
+@pytest.mark.parametrize(("text", "value"), [("yes", True), ("0", False), ("false", False)])
+def test_settings_come_as_text(text, value):
+    assert Settings.from_environment({"PHY124_WARM_UP": text}).warm_up is value
+
+
+def _nested(depth: int, kind: type) -> object:
+    data: object = 1
+    for _ in range(depth):
+        data = {"a": data} if kind is dict else [data]
+    return data
+
+
+@pytest.mark.parametrize("kind", [dict, list])
+@pytest.mark.parametrize("depth", [DEEPEST + 1, 3000])
+def test_nested_data_is_refused_in_words(kind, depth):
+    nested = _nested(depth, kind)
+    with pytest.raises(InputError, match="nested more than 32 deep"):
+        Scene.from_data({"material": nested})
+    with pytest.raises(InputError, match="nested more than 32 deep"):
+        Scene.named("drop").replaced({"material": nested})
+
+
+@pytest.mark.parametrize("name", ["a", "objects", "material"])
+def test_a_path_of_thousands_of_names_is_refused_in_words(name):
+    with pytest.raises(InputError, match="3,000 names") as refused:
+        Scene.named("drop").replaced({".".join([name] * 3000): 1})
+    assert len(str(refused.value)) < 400
+
+
+@pytest.mark.parametrize("text", [".".join("a" * 3000) + " = 1", f"a = {'[' * 3000}{']' * 3000}"])
+def test_a_file_of_nested_data_is_refused_in_words(tmp_path, text):
+    (tmp_path / "scene.toml").write_text(text)
+    with pytest.raises(InputError, match="nested"):
+        Scene.from_toml(tmp_path / "scene.toml")
